@@ -1,0 +1,44 @@
+"""Time is an argument: one Clock, injected (design D4)."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """Monotonic seconds. Nothing else in the package reads the time for control purposes."""
+
+    def now_s(self) -> float: ...
+
+    def sleep_until(self, time_s: float) -> None: ...
+
+
+class RealClock:
+    """CLOCK_MONOTONIC; sleeps to an absolute deadline and spins the last `spin_s`."""
+
+    def __init__(self, spin_s: float = 0.0003) -> None:
+        self.spin_s = spin_s
+
+    def now_s(self) -> float:
+        return time.monotonic()
+
+    def sleep_until(self, time_s: float) -> None:
+        rest_s = time_s - time.monotonic() - self.spin_s
+        if rest_s > 0.0:
+            time.sleep(rest_s)
+        while time.monotonic() < time_s:
+            pass
+
+
+class SimClock:
+    """Virtual time: moves only when told to."""
+
+    def __init__(self, start_s: float = 0.0) -> None:
+        self._now_s = start_s
+
+    def now_s(self) -> float:
+        return self._now_s
+
+    def sleep_until(self, time_s: float) -> None:
+        self._now_s = max(self._now_s, time_s)

@@ -1,0 +1,71 @@
+"""A scenario made into numbers: what to drive (by time), and where (by station). Built by episode/scenario.py."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.records import NAN
+
+
+class Course(NamedTuple):
+    """The planned drive. All tables are made by `base.kernel.table`.
+
+    By time, row k at k * dt_s, `ticks + 1` rows (look-ups beyond the end use the last row):
+    station_m (path length driven), speed_mps, accel_mps2, and the road: grade_rad, friction_frac.
+    By station, row i at first_station_m + i * spacing_m: the path itself, prolonged straight on at both ends so that the
+    nose and the tail of the vehicle have something to project on. Station 0 is where the rear axle stands at t = 0.
+    """
+
+    dt_s: float
+    ticks: int
+    station_m: Any
+    speed_mps: Any
+    accel_mps2: Any
+    grade_rad: Any
+    friction_frac: Any
+    first_station_m: float
+    spacing_m: float
+    path_x_m: Any
+    path_y_m: Any
+    path_heading_rad: Any  # continuous, not wrapped
+    path_curvature_1pm: Any
+
+
+class Start(NamedTuple):
+    """Where the vehicle stands at tick 0: rear axle's middle, and rolling at speed_mps in drive gear."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    heading_rad: float = 0.0
+    speed_mps: float = 0.0
+
+
+class Tracking(NamedTuple):
+    """What the reference follower says at one tick; the columns of interfaces 6 of the same names.
+
+    ref_x/y/heading/curvature: the point of the current trajectory nearest to the centre of mass. ref_speed/accel: the
+    current trajectory at this time. Lateral and heading error: vehicle - reference, at the centre of mass, left
+    positive. Station and speed error: reference - vehicle, at the rear axle, positive = behind. `path_*`: the same
+    errors against the original path, whatever was re-planned.
+    """
+
+    ref_x_m: float = NAN
+    ref_y_m: float = NAN
+    ref_heading_rad: float = NAN
+    ref_speed_mps: float = NAN
+    ref_accel_mps2: float = NAN
+    ref_curvature_1pm: float = NAN
+    station_error_m: float = NAN
+    speed_error_mps: float = NAN
+    lateral_error_m: float = NAN
+    lateral_error_rate_mps: float = NAN
+    heading_error_rad: float = NAN
+    heading_error_rate_radps: float = NAN
+    replan: float = 0.0  # 1 at the tick at which the trajectory was re-anchored
+    preview_speed_mps: float = NAN
+    preview_accel_mps2: float = NAN
+    preview_curvature_1pm: float = NAN  # at the look-ahead point
+    preview_heading_change_rad: float = 0.0  # heading of the look-ahead point minus heading of the nearest point
+    path_remaining_m: float = NAN
+    path_lateral_error_m: float = NAN
+    path_heading_error_rad: float = NAN

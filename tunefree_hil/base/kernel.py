@@ -1,0 +1,84 @@
+"""The one contract for everything that moves through time: the Block (design D1).
+
+`step(params, state, x, dt_s) -> (state, y)`: params are frozen, state is passed by hand, and after a step the old
+state is dead (a step may reuse the buffers it owns). The same source runs tick by tick on the bus as plain Python and,
+in a process started with TUNEFREE_JIT=1, compiled by numba. Both give the same bits, so kernels obey what
+tests/test_kernels.py checks: `math` functions only, no `**`, no `hypot`, no `fmod`, guarded divisions, explicit loops.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple, TypeVar
+
+JITTED = os.environ.get("TUNEFREE_JIT", "0") == "1"
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+if JITTED:
+    from numba import njit
+
+    def kernel(function: F) -> F:
+        """Compile `function`. Never `cache=True`: a cached caller would keep the old code of an edited callee."""
+        return njit(nogil=True, error_model="python")(function)
+
+else:
+
+    def kernel(function: F) -> F:
+        """Mark `function` as a kernel; plain Python in this process."""
+        return function
+
+
+def table(values: Iterable[float]) -> Any:
+    """A read-only row of floats: an array where kernels are compiled, else a tuple (three times faster to index)."""
+    if JITTED:
+        import numpy as np
+
+        return np.array([float(value) for value in values], dtype=np.float64)
+    return tuple(float(value) for value in values)
+
+
+def buffer(length: int, fill: float = 0.0) -> Any:
+    """A mutable row of floats that a state owns: an array where kernels are compiled, else a list."""
+    if JITTED:
+        import numpy as np
+
+        return np.full(length, fill, dtype=np.float64)
+    return [float(fill)] * length
+
+
+class Block(NamedTuple):
+    """init(params, dt_s) -> state; step(params, state, x, dt_s) -> (state, y). `init` runs at build time."""
+
+    init: Callable[[Any, float], Any]
+    step: Callable[[Any, Any, Any, float], tuple[Any, Any]]
+    params: Any
+    tunables: tuple[Any, ...] = ()
+
+
+def series(first: Block, second: Block) -> Block:
+    """One Block: `first` feeds `second`."""
+    first_init, second_init = first.init, second.init
+    first_step, second_step = first.step, second.step
+
+    def init(params: Any, dt_s: float) -> Any:
+        return (first_init(params[0], dt_s), second_init(params[1], dt_s))
+
+    @kernel
+    def step(params: Any, state: Any, x: Any, dt_s: float) -> tuple[Any, Any]:
+        first_state, between = first_step(params[0], state[0], x, dt_s)
+        second_state, y = second_step(params[1], state[1], between, dt_s)
+        return (first_state, second_state), y
+
+    return Block(init, step, (first.params, second.params), first.tunables + second.tunables)
+
+
+def run(block: Block, inputs: Iterable[Any], dt_s: float) -> list[Any]:
+    """Feed `inputs` through `block` from its initial state; the outputs, one a step. For tests and figures."""
+    state = block.init(block.params, dt_s)
+    outputs = []
+    for x in inputs:
+        state, y = block.step(block.params, state, x, dt_s)
+        outputs.append(y)
+    return outputs

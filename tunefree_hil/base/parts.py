@@ -1,0 +1,51 @@
+"""A part is a file: the file name is the public name, the folder is the list."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import pkgutil
+import sys
+from pathlib import Path
+from typing import Any
+
+from tunefree_hil.base.errors import InputError
+
+
+def names(package: str) -> list[str]:
+    """The parts in a folder, by file name."""
+    found = importlib.import_module(package)
+    return sorted(info.name for info in pkgutil.iter_modules(found.__path__) if not info.name.startswith("_"))
+
+
+def load(package: str, name: str, export: str) -> Any:
+    """The constant `export` of the part `name` of `package`, or of the user's own 'path/to/file.py:EXPORT'.
+
+    Raises InputError that names the parts there are.
+    """
+    if ":" in name:
+        return _from_path(name)
+    if name not in names(package):
+        known = ", ".join(names(package))
+        raise InputError(
+            f"no {name!r} in {package}; there are {known}",
+            code="unknown_part",
+            hint=f"use one of these, or 'path/to/module.py:{export}' for a part of your own",
+        )
+    return getattr(importlib.import_module(f"{package}.{name}"), export)
+
+
+def _from_path(name: str) -> Any:
+    path_text, _, export = name.rpartition(":")
+    path = Path(path_text)
+    if not path.is_file():
+        raise InputError(f"{path} does not exist", code="unknown_part", hint="'path/to/module.py:EXPORT'")
+    spec = importlib.util.spec_from_file_location(f"tunefree_user_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"{path} is not a Python module", code="unknown_part")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    if not hasattr(module, export):
+        raise InputError(f"{path} has no {export}", code="unknown_part", hint=f"export a constant named {export}")
+    return getattr(module, export)

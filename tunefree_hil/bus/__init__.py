@@ -1,0 +1,1 @@
+"""The bus: frames and their meaning."""
