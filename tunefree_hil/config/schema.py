@@ -17,14 +17,14 @@ class Spec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 # --- vehicle.toml (interfaces 2) ---------------------------------------------------------------------------------
 
 
-class SignalSpec(Spec):
+class SignalSpec(Spec, kw_only=True):
     """One signal of a sum."""
 
     name: str
     scale: float = 1.0
 
 
-class E2eSpec(Spec):
+class E2eSpec(Spec, kw_only=True):
     """End-to-end protection of a message (functions in bus/integrity.py)."""
 
     profile: str = "none"
@@ -35,7 +35,7 @@ class E2eSpec(Spec):
     counter: str = ""
 
 
-class FieldSpec(Spec):
+class FieldSpec(Spec, kw_only=True):
     """Record field <- signal. Physical value of the DBC -> SI: value * scale + offset."""
 
     message: str
@@ -58,7 +58,7 @@ class FieldSpec(Spec):
     assumed: str = ""
 
 
-class StateSpec(Spec):
+class StateSpec(Spec, kw_only=True):
     """One bit or code in a report. `bywire` says which of the vehicle's by-wire channels it speaks of ('' = all)."""
 
     message: str
@@ -70,7 +70,7 @@ class StateSpec(Spec):
     assumed: str = ""
 
 
-class InsFrameSpec(Spec):
+class InsFrameSpec(Spec, kw_only=True):
     frame: str = "ENU"
     origin: str | list[float] = "local"
     point: str = "rear_axle"
@@ -78,7 +78,7 @@ class InsFrameSpec(Spec):
     assumed: str = ""
 
 
-class LatencySpec(Spec):
+class LatencySpec(Spec, kw_only=True):
     """What a data sheet says of an actuator."""
 
     dead_time_s: float = 0.0
@@ -86,7 +86,7 @@ class LatencySpec(Spec):
     assumed: str = ""
 
 
-class LimitsSpec(Spec):
+class LimitsSpec(Spec, kw_only=True):
     steer_rad: float
     steer_rate_radps: float
     throttle_frac: float
@@ -97,7 +97,7 @@ class LimitsSpec(Spec):
     assumed: list[str] = field(default_factory=list)
 
 
-class NominalSpec(Spec):
+class NominalSpec(Spec, kw_only=True):
     """Data-sheet constants. Keys may be missing; what needs them says so. Stiffness is per AXLE."""
 
     mass_kg: float | None = None
@@ -112,7 +112,7 @@ class NominalSpec(Spec):
     assumed: list[str] = field(default_factory=list)
 
 
-class OverrideSpec(Spec):
+class OverrideSpec(Spec, kw_only=True):
     """When the driver takes over, as the by-wire unit sees it (thresholds on the driver's own pedal or wheel)."""
 
     brake_frac: float = 0.22
@@ -124,7 +124,7 @@ class OverrideSpec(Spec):
     assumed: str = ""
 
 
-class VehicleSpec(Spec):
+class VehicleSpec(Spec, kw_only=True):
     """vehicle.toml. `folder` and `hash` are set by load_vehicle."""
 
     schema: Literal["tunefree.vehicle/1"]
@@ -150,7 +150,7 @@ class VehicleSpec(Spec):
 # --- model.toml (interfaces 3) -----------------------------------------------------------------------------------
 
 
-class Interval(Spec):
+class Interval(Spec, kw_only=True):
     """A fitted value with its interval; a bare number is allowed where no interval is known."""
 
     value: float
@@ -161,7 +161,7 @@ class Interval(Spec):
 Number = float | Interval
 
 
-class ActuatorSpec(Spec):
+class ActuatorSpec(Spec, kw_only=True):
     """Dead time, lag of order 1 (lag_s) or 2 (natural_hz, damping), rate limit, dead band, gain, offset (design D5)."""
 
     dead_time_s: Number = 0.0
@@ -175,20 +175,20 @@ class ActuatorSpec(Spec):
     offset: Number = 0.0
 
 
-class PlantSpec(Spec):
+class PlantSpec(Spec, kw_only=True):
     kind: str
     file: str = ""
     card: str = ""
     params: dict[str, float] = field(default_factory=dict)
 
 
-class TimingSpec(Spec):
+class TimingSpec(Spec, kw_only=True):
     report_ticks: int = 1
     command_ticks: int = 1
     phase_seed: int = 1
 
 
-class ValidSpec(Spec):
+class ValidSpec(Spec, kw_only=True):
     """The region that the data covered: [low, high] each."""
 
     speed_mps: list[float] | None = None
@@ -197,7 +197,7 @@ class ValidSpec(Spec):
     pedals: list[float] | None = None
 
 
-class EffectSpec(Spec):
+class EffectSpec(Spec, kw_only=True):
     """An effect that was found and added, or a perturbation that a bench file asks for: one syntax."""
 
     name: str
@@ -206,7 +206,7 @@ class EffectSpec(Spec):
     provenance: dict[str, Any] = field(default_factory=dict)
 
 
-class ModelSpec(Spec):
+class ModelSpec(Spec, kw_only=True):
     """model.toml. `folder` and `hash` are set by load_model."""
 
     schema: Literal["tunefree.model/1"]
@@ -226,20 +226,20 @@ class ModelSpec(Spec):
 # --- scenario, weights, bench (interfaces 5) ---------------------------------------------------------------------
 
 
-class StartSpec(Spec):
+class StartSpec(Spec, kw_only=True):
     lateral_m: float = 0.0
     heading_rad: float = 0.0
     speed_mps: float = 0.0
 
 
-class ProfileSpec(Spec):
+class ProfileSpec(Spec, kw_only=True):
     """Breakpoints, linear between them."""
 
     t_s: list[float]
     value: list[float]
 
 
-class ScenarioSpec(Spec):
+class ScenarioSpec(Spec, kw_only=True):
     """One manoeuvre. `path` and `hash` (hex SHA-256 of the file's bytes) are set by load_scenario."""
 
     schema: Literal["tunefree.scenario/1"]
@@ -255,7 +255,7 @@ class ScenarioSpec(Spec):
     hash: str = ""
 
 
-class WeightsSpec(Spec):
+class WeightsSpec(Spec, kw_only=True):
     """bench_configs/weights/<name>.toml (design D11)."""
 
     schema: Literal["tunefree.weights/1"]
@@ -271,7 +271,7 @@ class WeightsSpec(Spec):
     path: str = ""
 
 
-class ControllerSpec(Spec):
+class ControllerSpec(Spec, kw_only=True):
     lateral: str = "lqr"
     longitudinal: str = "pid"
     inner: str = "mrac"
@@ -281,7 +281,7 @@ class ControllerSpec(Spec):
     parameters: dict[str, float] = field(default_factory=dict)  # by the names of interfaces 7
 
 
-class ParameterSpec(Spec):
+class ParameterSpec(Spec, kw_only=True):
     name: str
     low: float = 0.0
     high: float = 0.0
@@ -290,7 +290,7 @@ class ParameterSpec(Spec):
     choices: list[float] | None = None
 
 
-class TuneSpec(Spec):
+class TuneSpec(Spec, kw_only=True):
     set: Literal["", "mrac", "lateral", "complete"] = ""
     parameters: list[ParameterSpec] = field(default_factory=list)
     trials: int = 40
@@ -298,7 +298,7 @@ class TuneSpec(Spec):
     in_flight: int = 1
 
 
-class FaultSpec(Spec):
+class FaultSpec(Spec, kw_only=True):
     """A scripted fault. kind 'driver_override' (channel throttle|brake|steer|gear, value = the driver's input)."""
 
     channel: str
@@ -310,7 +310,7 @@ class FaultSpec(Spec):
     seed: int = 1
 
 
-class BenchSpec(Spec):
+class BenchSpec(Spec, kw_only=True):
     """A bench file: one run's complete description. `path` is set by load_bench."""
 
     schema: Literal["tunefree.bench/1"]
