@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Any, Literal, NamedTuple
 
+from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
 
 
@@ -34,18 +36,49 @@ class Port(Enum):
     INS = "ins"
 
 
-class Effect(NamedTuple):
-    """An effect of the catalogue: `make(params) -> Block` on its port's value; with `neutral` it is the identity bit for bit.
+class BodyChange(NamedTuple):
+    """What BODY effects change of a car, whichever physics it is; the defaults change nothing.
 
-    BODY effects change constants, not signals: `make` is then a function (BodyChange) -> BodyChange given as Block-free
-    callable; see tunefree_hil/plant/body.py.
+    Every plant applies it to its own constants when it is built: masses and grades are added, friction is a factor.
+    The payload is one point mass on the car's centre line, `payload_ahead_m` ahead of the unladen centre of mass.
+    """
+
+    payload_kg: float = 0.0
+    payload_ahead_m: float = 0.0
+    friction_frac: float = 1.0  # factor on the road's friction, whatever the scenario says it is
+    grade_rad: float = 0.0  # added to the scenario's, up positive
+
+
+class Effect(NamedTuple):
+    """An effect of the catalogue (interfaces 4). With `neutral` it is the identity bit for bit (-0.0 equals 0.0).
+
+    make(params, rest) -> Block on its port's value (a float; a Report or an Ins on those two ports). `rest` is the
+    port's value at rest: 0 for steering, the rest duty for a pedal; effects act on value - rest and start there.
+    For BODY make(params, rest) -> (BodyChange) -> BodyChange, a plain function used when the plant is built.
     """
 
     port: Port
     neutral: dict[str, float]
     units: dict[str, str]
-    make: Any  # (params: dict[str, float]) -> Block, or for BODY (params) -> BodyChange
+    make: Callable[..., Any]
     symptom: str
 
 
-__all__ = ["Block", "Effect", "Port", "Tunable"]
+def make_effect(effect: Effect, params: Mapping[str, float], *, rest: float = 0.0, name: str = "effect") -> Any:
+    """What `effect.make` gives for `params`; a parameter left out is neutral.
+
+    Raises InputError for a parameter that the effect does not have.
+    """
+    unknown = sorted(set(params) - set(effect.neutral))
+    if unknown:
+        known = ", ".join(f"{key} [{effect.units[key]}]" for key in effect.neutral)
+        raise InputError(
+            f"{name} has no parameter {', '.join(unknown)}",
+            code="unknown_effect_parameter",
+            key=unknown[0],
+            hint=f"it has {known}",
+        )
+    return effect.make({**effect.neutral, **{key: float(value) for key, value in params.items()}}, rest)
+
+
+__all__ = ["Block", "BodyChange", "Effect", "Port", "Tunable", "make_effect"]

@@ -17,14 +17,14 @@ class Spec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 # --- vehicle.toml (interfaces 2) ---------------------------------------------------------------------------------
 
 
-class SignalSpec(Spec, kw_only=True):
+class SignalSpec(Spec, frozen=True, kw_only=True):
     """One signal of a sum."""
 
     name: str
     scale: float = 1.0
 
 
-class E2eSpec(Spec, kw_only=True):
+class E2eSpec(Spec, frozen=True, kw_only=True):
     """End-to-end protection of a message (functions in bus/integrity.py)."""
 
     profile: str = "none"
@@ -35,7 +35,7 @@ class E2eSpec(Spec, kw_only=True):
     counter: str = ""
 
 
-class FieldSpec(Spec, kw_only=True):
+class FieldSpec(Spec, frozen=True, kw_only=True):
     """Record field <- signal. Physical value of the DBC -> SI: value * scale + offset."""
 
     message: str
@@ -58,7 +58,7 @@ class FieldSpec(Spec, kw_only=True):
     assumed: str = ""
 
 
-class StateSpec(Spec, kw_only=True):
+class StateSpec(Spec, frozen=True, kw_only=True):
     """One bit or code in a report. `bywire` says which of the vehicle's by-wire channels it speaks of ('' = all)."""
 
     message: str
@@ -70,7 +70,20 @@ class StateSpec(Spec, kw_only=True):
     assumed: str = ""
 
 
-class InsFrameSpec(Spec, kw_only=True):
+class ExtraSpec(Spec, frozen=True, kw_only=True):
+    """A message that goes out on schedule and carries no record field, by its name in the DBC.
+
+    A message that only [state] speaks of needs no entry: its period is then the DBC's GenMsgCycleTime, or one tick.
+    """
+
+    kind: Literal["command", "telemetry"]
+    period_ms: int
+    channel: str = ""
+    constants: dict[str, float] = field(default_factory=dict)
+    assumed: str = ""
+
+
+class InsFrameSpec(Spec, frozen=True, kw_only=True):
     frame: str = "ENU"
     origin: str | list[float] = "local"
     point: str = "rear_axle"
@@ -78,7 +91,7 @@ class InsFrameSpec(Spec, kw_only=True):
     assumed: str = ""
 
 
-class LatencySpec(Spec, kw_only=True):
+class LatencySpec(Spec, frozen=True, kw_only=True):
     """What a data sheet says of an actuator."""
 
     dead_time_s: float = 0.0
@@ -86,7 +99,7 @@ class LatencySpec(Spec, kw_only=True):
     assumed: str = ""
 
 
-class LimitsSpec(Spec, kw_only=True):
+class LimitsSpec(Spec, frozen=True, kw_only=True):
     steer_rad: float
     steer_rate_radps: float
     throttle_frac: float
@@ -97,7 +110,7 @@ class LimitsSpec(Spec, kw_only=True):
     assumed: list[str] = field(default_factory=list)
 
 
-class NominalSpec(Spec, kw_only=True):
+class NominalSpec(Spec, frozen=True, kw_only=True):
     """Data-sheet constants. Keys may be missing; what needs them says so. Stiffness is per AXLE."""
 
     mass_kg: float | None = None
@@ -112,7 +125,7 @@ class NominalSpec(Spec, kw_only=True):
     assumed: list[str] = field(default_factory=list)
 
 
-class OverrideSpec(Spec, kw_only=True):
+class OverrideSpec(Spec, frozen=True, kw_only=True):
     """When the driver takes over, as the by-wire unit sees it (thresholds on the driver's own pedal or wheel)."""
 
     brake_frac: float = 0.22
@@ -124,7 +137,7 @@ class OverrideSpec(Spec, kw_only=True):
     assumed: str = ""
 
 
-class VehicleSpec(Spec, kw_only=True):
+class VehicleSpec(Spec, frozen=True, kw_only=True):
     """vehicle.toml. `folder` and `hash` are set by load_vehicle."""
 
     schema: Literal["tunefree.vehicle/1"]
@@ -137,6 +150,7 @@ class VehicleSpec(Spec, kw_only=True):
     command: dict[str, FieldSpec] = field(default_factory=dict)
     report: dict[str, FieldSpec] = field(default_factory=dict)
     ins: dict[str, FieldSpec] = field(default_factory=dict)
+    extra: dict[str, ExtraSpec] = field(default_factory=dict)
     ins_frame: InsFrameSpec = InsFrameSpec()
     state: dict[str, list[StateSpec]] = field(default_factory=dict)
     latency: dict[str, LatencySpec] = field(default_factory=dict)
@@ -150,7 +164,7 @@ class VehicleSpec(Spec, kw_only=True):
 # --- model.toml (interfaces 3) -----------------------------------------------------------------------------------
 
 
-class Interval(Spec, kw_only=True):
+class Interval(Spec, frozen=True, kw_only=True):
     """A fitted value with its interval; a bare number is allowed where no interval is known."""
 
     value: float
@@ -161,7 +175,7 @@ class Interval(Spec, kw_only=True):
 Number = float | Interval
 
 
-class ActuatorSpec(Spec, kw_only=True):
+class ActuatorSpec(Spec, frozen=True, kw_only=True):
     """Dead time, lag of order 1 (lag_s) or 2 (natural_hz, damping), rate limit, dead band, gain, offset (design D5)."""
 
     dead_time_s: Number = 0.0
@@ -175,20 +189,20 @@ class ActuatorSpec(Spec, kw_only=True):
     offset: Number = 0.0
 
 
-class PlantSpec(Spec, kw_only=True):
+class PlantSpec(Spec, frozen=True, kw_only=True):
     kind: str
     file: str = ""
     card: str = ""
     params: dict[str, float] = field(default_factory=dict)
 
 
-class TimingSpec(Spec, kw_only=True):
+class TimingSpec(Spec, frozen=True, kw_only=True):
     report_ticks: int = 1
     command_ticks: int = 1
     phase_seed: int = 1
 
 
-class ValidSpec(Spec, kw_only=True):
+class ValidSpec(Spec, frozen=True, kw_only=True):
     """The region that the data covered: [low, high] each."""
 
     speed_mps: list[float] | None = None
@@ -197,7 +211,7 @@ class ValidSpec(Spec, kw_only=True):
     pedals: list[float] | None = None
 
 
-class EffectSpec(Spec, kw_only=True):
+class EffectSpec(Spec, frozen=True, kw_only=True):
     """An effect that was found and added, or a perturbation that a bench file asks for: one syntax."""
 
     name: str
@@ -206,7 +220,7 @@ class EffectSpec(Spec, kw_only=True):
     provenance: dict[str, Any] = field(default_factory=dict)
 
 
-class ModelSpec(Spec, kw_only=True):
+class ModelSpec(Spec, frozen=True, kw_only=True):
     """model.toml. `folder` and `hash` are set by load_model."""
 
     schema: Literal["tunefree.model/1"]
@@ -226,20 +240,20 @@ class ModelSpec(Spec, kw_only=True):
 # --- scenario, weights, bench (interfaces 5) ---------------------------------------------------------------------
 
 
-class StartSpec(Spec, kw_only=True):
+class StartSpec(Spec, frozen=True, kw_only=True):
     lateral_m: float = 0.0
     heading_rad: float = 0.0
     speed_mps: float = 0.0
 
 
-class ProfileSpec(Spec, kw_only=True):
+class ProfileSpec(Spec, frozen=True, kw_only=True):
     """Breakpoints, linear between them."""
 
     t_s: list[float]
     value: list[float]
 
 
-class ScenarioSpec(Spec, kw_only=True):
+class ScenarioSpec(Spec, frozen=True, kw_only=True):
     """One manoeuvre. `path` and `hash` (hex SHA-256 of the file's bytes) are set by load_scenario."""
 
     schema: Literal["tunefree.scenario/1"]
@@ -255,7 +269,7 @@ class ScenarioSpec(Spec, kw_only=True):
     hash: str = ""
 
 
-class WeightsSpec(Spec, kw_only=True):
+class WeightsSpec(Spec, frozen=True, kw_only=True):
     """bench_configs/weights/<name>.toml (design D11)."""
 
     schema: Literal["tunefree.weights/1"]
@@ -271,7 +285,7 @@ class WeightsSpec(Spec, kw_only=True):
     path: str = ""
 
 
-class ControllerSpec(Spec, kw_only=True):
+class ControllerSpec(Spec, frozen=True, kw_only=True):
     lateral: str = "lqr"
     longitudinal: str = "pid"
     inner: str = "mrac"
@@ -281,7 +295,7 @@ class ControllerSpec(Spec, kw_only=True):
     parameters: dict[str, float] = field(default_factory=dict)  # by the names of interfaces 7
 
 
-class ParameterSpec(Spec, kw_only=True):
+class ParameterSpec(Spec, frozen=True, kw_only=True):
     name: str
     low: float = 0.0
     high: float = 0.0
@@ -290,7 +304,7 @@ class ParameterSpec(Spec, kw_only=True):
     choices: list[float] | None = None
 
 
-class TuneSpec(Spec, kw_only=True):
+class TuneSpec(Spec, frozen=True, kw_only=True):
     set: Literal["", "mrac", "lateral", "complete"] = ""
     parameters: list[ParameterSpec] = field(default_factory=list)
     trials: int = 40
@@ -298,7 +312,7 @@ class TuneSpec(Spec, kw_only=True):
     in_flight: int = 1
 
 
-class FaultSpec(Spec, kw_only=True):
+class FaultSpec(Spec, frozen=True, kw_only=True):
     """A scripted fault. kind 'driver_override' (channel throttle|brake|steer|gear, value = the driver's input)."""
 
     channel: str
@@ -310,7 +324,7 @@ class FaultSpec(Spec, kw_only=True):
     seed: int = 1
 
 
-class BenchSpec(Spec, kw_only=True):
+class BenchSpec(Spec, frozen=True, kw_only=True):
     """A bench file: one run's complete description. `path` is set by load_bench."""
 
     schema: Literal["tunefree.bench/1"]

@@ -1,1 +1,1 @@
-"""See docs/architecture.md."""
+"""The processes of the bench: ECU, controller, and the runner that conducts an episode. Blocks in, frames out."""

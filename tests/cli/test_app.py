@@ -1,0 +1,230 @@
+"""Every command hands its options to its job by the agreed names; what is wrong with them ends with status 2."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from tunefree_hil import __version__
+from tunefree_hil.base.events import Event
+from tunefree_hil.cli.entry import run
+
+Fake = Callable[..., list[tuple[tuple[Any, ...], dict[str, Any]]]]
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> Fake:
+    """Puts a job in the place of the real one; the list of the calls it gets."""
+
+    def plant(module: str, function: str) -> list[tuple[tuple[Any, ...], dict[str, Any]]]:
+        calls: list[tuple[tuple[Any, ...], dict[str, Any]]] = []
+
+        def job(*arguments: Any, **options: Any) -> Iterator[Event]:
+            calls.append((arguments, options))
+            yield Event("result", "", {"sentence": "fine"})
+
+        stand_in = ModuleType(f"tunefree_hil.jobs.{module}")
+        setattr(stand_in, function, job)
+        monkeypatch.setitem(sys.modules, stand_in.__name__, stand_in)
+        return calls
+
+    return plant
+
+
+BENCH = Path("b.toml")
+NODE = {"bus": "auto", "bench_bus": "", "session": "default", "realtime": False}
+DRIVE = {
+    "scenario": None,
+    "model": None,
+    "bus": "auto",
+    "bench_bus": "",
+    "seed": None,
+    "realtime": False,
+    "join": False,
+    "session": "",
+    "out": None,
+    "parameters": [],
+}
+TUNE = {
+    "trials": None,
+    "set_name": None,
+    "sampler": None,
+    "seed": None,
+    "scale": "log",
+    "bus": "auto",
+    "bench_bus": "",
+    "join": False,
+    "session": "",
+    "out": None,
+    "resume": None,
+    "verify": True,
+    "study": None,
+}
+
+
+@pytest.mark.parametrize(
+    ("words", "module", "arguments", "options"),
+    [
+        ("drive b.toml", "drive", (BENCH,), DRIVE),
+        (
+            "drive b.toml --scenario s --parameter a=1 --parameter b=2 --realtime --join --out runs --seed 3",
+            "drive",
+            (BENCH,),
+            {
+                **DRIVE,
+                "scenario": "s",
+                "parameters": ["a=1", "b=2"],
+                "realtime": True,
+                "join": True,
+                "seed": 3,
+                "session": "default",
+                "out": Path("runs"),
+            },
+        ),
+        ("tune b.toml", "tune", (BENCH,), TUNE),
+        (
+            "tune b.toml --trials 5 --set lateral --scale linear --no-verify --sampler random --study x",
+            "tune",
+            (BENCH,),
+            {
+                **TUNE,
+                "trials": 5,
+                "set_name": "lateral",
+                "scale": "linear",
+                "verify": False,
+                "sampler": "random",
+                "study": "x",
+            },
+        ),
+        ("tune --resume runs/x", "tune", (Path("runs/x/bench.toml"),), {**TUNE, "resume": Path("runs/x")}),
+        ("verify runs/x --bus tfhub", "verify", (Path("runs/x"),), {"bus": "tfhub"}),
+        ("replay runs/x --episode 3 --verify", "replay", (Path("runs/x"),), {"episode": 3, "verify": True}),
+        ("hub --clock real --owned", "hub", (), {"session": "default", "clock": "real", "owned": True}),
+        ("ecu b.toml --model m --realtime", "ecu", (BENCH,), {**NODE, "model": "m", "realtime": True}),
+        ("controller b.toml --session s", "controller", (BENCH,), {**NODE, "session": "s"}),
+        ("doctor --vehicle dbc/x", "doctor", (), {"vehicle": Path("dbc/x"), "schema": None, "bench": None}),
+        ("scenarios left_turn --vehicle mkz", "scenarios", (), {"vehicle": "mkz", "name": "left_turn"}),
+    ],
+)
+def test_options_reach_the_job(
+    words: str, module: str, arguments: tuple[Any, ...], options: dict[str, Any], fake: Fake
+) -> None:
+    calls = fake(module, module)
+    assert run(words.split()) == 0
+    assert calls[0][0] == arguments
+    assert options.items() <= calls[0][1].items()
+
+
+def test_log_commands(fake: Fake) -> None:
+    checks = fake("log", "check")
+    assert run(["log", "check", "a.log", "--vehicle", "mkz"]) == 0
+    shows = fake("log", "show")
+    assert run(["log", "show", "a.log", "--signal", "PO", "--signal", "speed_mps"]) == 0
+    assert checks == [((Path("a.log"), "mkz"), {})]
+    assert shows == [((Path("a.log"), None, ["PO", "speed_mps"]), {})]
+
+
+def test_without_a_command_the_four_jobs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines[2:6]] == ["drive", "learn", "tune", "gap"]
+    assert all(len(line) <= 80 for line in lines)
+    assert "--help" in lines[-1]
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out == f"tunefree-hil {__version__}\n"
+
+
+@pytest.mark.parametrize("name", ["learn", "gap"])
+def test_not_built_yet(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([name, "some.log", "--whatever", "3", "--json"]) == 2
+    out, err = capsys.readouterr()
+    assert f"{name} is not built yet" in err
+    assert json.loads(out)["errors"][0]["code"] == "not_built"
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["drive", "nonsense", "drive b.toml --nonsense", "tune b.toml --trials 0", "tune b.toml --set all", "log", "tune"],
+)
+def test_usage_mistakes(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([*words.split(), "--json"]) == 2
+    out, err = capsys.readouterr()
+    assert "Traceback" not in err and "what to do:" in err
+    found = json.loads(out)
+    assert (found["exit"], found["errors"][0]["code"]) == (2, "usage")
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["drive", "tune", "verify", "replay", "hub", "ecu", "controller", "scenarios", "doctor", "learn", "gap", "log"],
+)
+def test_every_command_has_help_in_80_columns(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([command, "--help"]) == 0
+    assert all(len(line) <= 80 for line in capsys.readouterr().out.splitlines())
+
+
+def test_the_list_of_commands_cuts_no_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["--help"]) == 0
+    assert "..." not in capsys.readouterr().out.split("Commands:")[1]
+
+
+def test_starting_imports_little() -> None:
+    code = "import tunefree_hil.cli, sys; print(*[n for n in ('rich', 'numpy', 'can', 'msgspec') if n in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout.strip()) == (0, "")
+
+
+WAITING_JOB = """
+import sys, time, types
+from tunefree_hil.base.events import Event
+def replay(run, **options):
+    try:
+        yield Event("note", "ready", {"resume": "candump any"})
+        time.sleep(60)
+    finally:
+        print("cleared up", file=sys.stderr)
+module = types.ModuleType("tunefree_hil.jobs.replay")
+module.replay = replay
+sys.modules[module.__name__] = module
+from tunefree_hil.cli import main
+main(["replay", "x", "--json"])
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_in_order(number: signal.Signals) -> None:
+    pipe = subprocess.PIPE
+    process = subprocess.Popen([sys.executable, "-c", WAITING_JOB], stdout=pipe, stderr=pipe, text=True)
+    assert process.stderr is not None
+    while "ready" not in process.stderr.readline():
+        assert process.poll() is None
+    time.sleep(0.05)
+    os.kill(process.pid, number)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert err.splitlines() == ["cleared up", "next:", "  candump any", "interrupted, state saved"]
+    assert json.loads(out)["status"] == "interrupted"
+
+
+def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
+    code = WAITING_JOB.replace("time.sleep(60)", "yield from (Event('line', 'x' * 100) for _ in range(9999))")
+    code = code.replace('"--json"', '"--plain"')
+    script = tmp_path / "many_lines.py"
+    script.write_text(code)
+    line = f"{sys.executable} {script} | head -n 1; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0
+    assert "Traceback" not in done.stderr and "BrokenPipe" not in done.stderr

@@ -1,0 +1,39 @@
+"""Settings for all tests: un-jitted kernels, a hypothesis that repeats, the shared measured data, no colours."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+os.environ["TUNEFREE_JIT"] = "0"  # before any kernel is imported; jitted paths are tested in processes of their own
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+ROOT = Path(__file__).resolve().parents[1]
+
+settings.register_profile("house", derandomize=True, deadline=None, max_examples=50, database=None)
+settings.load_profile("house")
+
+
+@pytest.fixture(scope="session")
+def repo() -> Path:
+    """The root of the repository."""
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of measured logs that lies beside the repository; the test is skipped where it does not."""
+    folder = ROOT.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip("no ../shared/data beside the repository")
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _plain_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a person set for their own terminal must not change an answer."""
+    for name in ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "TUNEFREE_HUB"):
+        monkeypatch.delenv(name, raising=False)

@@ -1,0 +1,63 @@
+"""Run folders: found again, refused when foreign, whole or not there."""
+
+import json
+
+import pytest
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.jobs.run_folder import RunFolder, open_run, remove_parts, unfinished, write_json
+
+
+def test_create_open_finish(tmp_path):
+    run = RunFolder.create(tmp_path, "drive-a", {"seed": 3})
+    assert open_run(run.path).record["complete"] is False
+    run.finish(score=1.5)
+    again = open_run(run.path)
+    assert again.record["complete"] is True and again.record["score"] == 1.5 and again.record["seed"] == 3
+
+
+def test_two_runs_in_one_second_get_two_folders(tmp_path):
+    assert RunFolder.create(tmp_path, "x", {}).path != RunFolder.create(tmp_path, "x", {}).path
+
+
+def test_unfinished_finds_only_what_agrees(tmp_path):
+    done = RunFolder.create(tmp_path, "tune-a", {"hash": "1"})
+    done.finish()
+    assert unfinished(tmp_path, "tune-a", {"hash": "1"}) is None
+    other = RunFolder.create(tmp_path, "tune-a", {"hash": "2"})
+    mine = RunFolder.create(tmp_path, "tune-a", {"hash": "1"})
+    assert unfinished(tmp_path, "tune-a", {"hash": "1"}).path == mine.path
+    assert unfinished(tmp_path, "tune-a", {"hash": "2"}).path == other.path
+
+
+@pytest.mark.parametrize(
+    ("record", "key"),
+    [
+        ({"schema": "tunefree.run/0", "versions": {}}, "schema"),
+        ({"schema": "tunefree.run/1", "versions": {"tunefree_hil": "99.0.0"}}, "versions.tunefree_hil"),
+        (["not", "a", "record"], "schema"),
+    ],
+)
+def test_of_another_version(tmp_path, record, key):
+    write_json(tmp_path / "run.json", record)
+    with pytest.raises(InputError) as caught:
+        open_run(tmp_path)
+    assert caught.value.key == key and "run.json" in caught.value.file
+
+
+def test_not_a_run(tmp_path):
+    with pytest.raises(InputError, match="no such run folder"):
+        open_run(tmp_path / "nothing")
+    with pytest.raises(InputError, match=r"no run\.json"):
+        open_run(tmp_path)
+    (tmp_path / "run.json").write_text('{"schema": "tunef')
+    with pytest.raises(InputError, match="JSON"):
+        open_run(tmp_path)
+
+
+def test_half_written_files_are_removed(tmp_path):
+    run = RunFolder.create(tmp_path, "x", {})
+    (run.episode(0) / "vehicle.log.part").write_text("half")
+    remove_parts(run.path)
+    assert list(run.path.rglob("*.part")) == []
+    assert json.loads((run.path / "run.json").read_text())["schema"] == "tunefree.run/1"

@@ -1,0 +1,77 @@
+"""The take-over: every way in, every way out, and never back by itself."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tunefree_hil.nodes.handshake import ENDED, Handshake, Stage, VehicleState
+
+READY = VehicleState(known=True)
+ON = VehicleState(known=True, enabled=True)
+states = st.builds(VehicleState, st.booleans(), st.booleans(), st.booleans(), st.booleans())
+
+
+def test_engages_when_every_channel_answers():
+    hand = Handshake()
+    assert hand.look(0, VehicleState()) is Stage.ENABLING and hand.enable
+    assert hand.look(1, READY) is Stage.ENABLING
+    assert hand.look(2, ON) is Stage.ENGAGED and hand.enable
+
+
+def test_enabled_bits_not_yet_heard_are_no_engagement():
+    hand = Handshake()
+    assert hand.look(0, VehicleState(known=False, enabled=True)) is Stage.ENABLING
+
+
+def test_gives_up_after_the_limit():
+    hand = Handshake(limit_ticks=40)
+    stages = [hand.look(k, READY) for k in range(41)]
+    assert stages[39] is Stage.ENABLING
+    assert stages[40] is Stage.NOT_ENABLED and not hand.enable
+
+
+def test_a_latched_override_is_cleared_at_20_hz_before_enabling():
+    hand = Handshake()
+    latched = VehicleState(known=True, override=True)
+    clears = []
+    for k in range(12):
+        assert hand.look(k, latched) is Stage.CLEARING
+        assert not hand.enable
+        clears.append(hand.clear_now)
+    assert [k for k, clear in enumerate(clears) if clear] == [0, 5, 10]
+    assert hand.look(12, READY) is Stage.ENABLING and hand.enable and not hand.clear_now
+    assert hand.look(13, ON) is Stage.ENGAGED
+
+
+def test_an_override_that_stays_latched_ends_it():
+    hand = Handshake(limit_ticks=10)
+    stages = [hand.look(k, VehicleState(known=True, override=True)) for k in range(12)]
+    assert stages[-1] is Stage.NOT_ENABLED
+
+
+@pytest.mark.parametrize(
+    ("state", "stage"),
+    [
+        (ON._replace(override=True), Stage.OVERRIDE),
+        (ON._replace(fault=True), Stage.FAULT),
+        (READY, Stage.DROPPED),
+        (ON._replace(override=True, fault=True), Stage.FAULT),
+    ],
+)
+def test_engaged_is_lost_at_once(state, stage):
+    hand = Handshake()
+    hand.look(0, ON)
+    assert hand.look(1, state) is stage
+    assert not hand.enable
+
+
+@given(st.lists(states, min_size=1, max_size=60))
+def test_an_ended_engagement_never_comes_back(sequence):
+    hand = Handshake(limit_ticks=8)
+    ended = None
+    for k, state in enumerate(sequence):
+        stage = hand.look(k, state)
+        if ended is not None:
+            assert stage is ended and not hand.enable and not hand.clear_now
+        elif stage in ENDED:
+            ended = stage

@@ -1,0 +1,107 @@
+"""The first trial, clipping, and the rules (Skogestad's half rule and SIMC, Bryson's weights)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tunefree_hil.base.contracts import Tunable
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.control.parameters import BASELINES, NAMES, check_complete, round32
+from tunefree_hil.tune.baselines import RuleInputs, clipped, complete, first_trial, lag_of_order_2_s, rule_based
+from tunefree_hil.tune.space import Space, make_space, resolve
+
+MKZ = RuleInputs(
+    steer_lag_s=0.12,
+    drive_dead_time_s=0.1,
+    drive_lag_s=0.2,
+    loop_delay_s=0.02,
+    steer_limit_rad=8.2,
+    steer_ratio=16.0,
+    wheelbase_m=2.8448,
+    lateral_accel_mps2=5.0,
+    speed_mps=8.0,
+)
+
+
+def test_the_first_trial_is_manual_with_mrac_clipped() -> None:
+    space = resolve("complete", [])
+    first = first_trial(space)
+    manual = BASELINES["mrac_on"]
+    by_name = {axis.name: axis for axis in space.axes}
+    assert first == space.fit(first)
+    assert first["lqr.q2"] == by_name["lqr.q2"].low and first["lqr.q4"] == by_name["lqr.q4"].low
+    inside = [name for name in space.names if name not in ("lqr.q2", "lqr.q4", "mrac.p")]
+    assert [first[name] for name in inside] == [round32(manual[name]) for name in inside]
+    check_complete(complete(first))
+    assert complete(first)["mrac.enable"] == 1.0
+    assert complete(first)["look_ahead_m"] == 0.0
+
+
+def test_a_parameter_without_a_manual_value_starts_in_the_middle() -> None:
+    space = make_space([Tunable("mine.a", "1", 0.01, 1.0), Tunable("mine.b", "1", 0.0, 4.0, "linear")])
+    assert first_trial(space) == pytest.approx({"mine.a": 0.1, "mine.b": 2.0})
+
+
+def test_clipping_names_what_it_moved() -> None:
+    space: Space = resolve("complete", [])
+    values, moved = clipped(BASELINES["as_shipped"], space)
+    assert moved == ("lqr.q2", "lqr.q4")
+    assert values["mrac.enable"] == 0.0  # what is not searched stays
+    assert clipped(values, space) == (values, ())
+
+
+def test_rules_give_a_complete_vector_that_scales_as_it_should() -> None:
+    values = rule_based(MKZ)
+    assert tuple(check_complete(values)) == NAMES
+    quick = rule_based(MKZ._replace(drive_dead_time_s=0.04, drive_lag_s=0.1, loop_delay_s=0.01))
+    for name, power in (("speed.kp_low", 1), ("speed.ki_high", 2), ("station.kp", 1)):
+        assert quick[name] == pytest.approx(values[name] * (0.22 / 0.1) ** power)
+    assert rule_based(MKZ._replace(lateral_accel_mps2=2.5))["lqr.q1"] < 0.3 * values["lqr.q1"]
+    assert rule_based(MKZ._replace(speed_mps=1.0))["lqr.q3"] == pytest.approx((8.2 / 16.0 / 0.5236) ** 2)
+    assert values["mrac.t_ref_s"] == 0.12
+
+
+def closed_loop(values: dict[str, float], seconds: float) -> np.ndarray:
+    """Speed and station of an integrator behind dead time and lag, started 1 m behind. Columns: station, speed error."""
+    dt_s, delay = 0.001, 120
+    queue = [0.0] * delay
+    station_m, speed_mps, force, integral = 1.0, 0.0, 0.0, 0.0
+    rows = []
+    for _ in range(int(seconds / dt_s)):
+        wish = -speed_mps + values["station.kp"] * station_m
+        integral += values["speed.ki_low"] * wish * dt_s
+        queue.append(values["speed.kp_low"] * wish + integral)
+        force += (queue.pop(0) - force) * dt_s / MKZ.drive_lag_s
+        speed_mps += force * dt_s
+        station_m -= speed_mps * dt_s
+        rows.append((station_m, speed_mps))
+    return np.array(rows)
+
+
+def test_the_rules_close_a_loop_that_is_stable_and_calm() -> None:
+    rows = closed_loop(rule_based(MKZ), 30.0)
+    assert np.all(np.abs(rows[-1]) < 0.01)
+    assert rows[:, 0].min() > -0.35  # overshoot of the station
+    assert not np.all(np.abs(closed_loop({**rule_based(MKZ), "speed.kp_low": 12.0}, 30.0)[-1]) < 0.01)
+
+
+@pytest.mark.parametrize("change", [{"steer_lag_s": 0.0}, {"speed_mps": -1.0}, {"steer_ratio": math.nan}])
+def test_rules_without_their_numbers_are_refused(change: dict[str, float]) -> None:
+    with pytest.raises(InputError) as caught:
+        rule_based(MKZ._replace(**change))
+    assert caught.value.key == next(iter(change))
+    with pytest.raises(InputError, match="delay"):
+        rule_based(MKZ._replace(drive_dead_time_s=0.0, drive_lag_s=0.0, loop_delay_s=0.0))
+
+
+def test_the_lag_of_a_second_order_actuator() -> None:
+    """The ramp response of either falls behind by the same time."""
+    natural_radps, damping = 12.0, 0.8
+    angle, rate, dt_s = 0.0, 0.0, 1e-4
+    for k in range(30_000):
+        rate += (natural_radps**2 * (k * dt_s - angle) - 2.0 * damping * natural_radps * rate) * dt_s
+        angle += rate * dt_s
+    assert 3.0 - angle == pytest.approx(lag_of_order_2_s(natural_radps / (2.0 * math.pi), damping), abs=2e-4)

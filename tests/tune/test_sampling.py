@@ -1,0 +1,92 @@
+"""Suggestions are a pure function, stay in the box, and get better than chance."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import statistics
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.tune.drive_study import SPACE, Parameter
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.tune.sampling import SAMPLERS, Told, learned_value, slot_seed, suggest
+from tunefree_hil.tune.space import Space, make_space
+
+
+def history(space: Space, length: int, score: Any = lambda values: sum(values)) -> list[Told]:
+    """Random trials, which hold every kind of value."""
+    told = []
+    for slot in range(length):
+        values = suggest(space, [], sampler="random", seed=99, slot=slot)
+        told.append(Told(values, score(values.values())))
+    return told
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+@settings(max_examples=15)
+@given(seed=st.integers(0, 2**40), length=st.integers(0, 25), slot=st.integers(0, 1000))
+def test_every_sampler_stays_in_the_box(sampler: str, seed: int, length: int, slot: int) -> None:
+    asked = suggest(SPACE, history(SPACE, length), sampler=sampler, seed=seed, slot=slot)
+    assert tuple(asked) == SPACE.names
+    assert SPACE.fit(asked) == asked  # inside, on the grid, and binary32
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_a_suggestion_is_a_function_of_its_arguments(sampler: str) -> None:
+    told = history(SPACE, 20)
+    asked = [suggest(SPACE, told, sampler=sampler, seed=1, slot=20) for _ in range(2)]
+    others = [suggest(SPACE, told, sampler=sampler, seed=seed, slot=slot) for seed, slot in ((1, 21), (2, 20))]
+    assert asked[0] == asked[1]
+    assert all(asked[0] != other for other in others)
+
+
+@pytest.mark.parametrize("sampler", ["tpe_independent", "tpe_relative"])
+def test_equal_scores_are_kept_in_slot_order(sampler: str) -> None:
+    """With ties, what counts as good depends on the order; the order of the slots is the one that is kept."""
+    told = history(SPACE, 20, lambda _: 1.0)
+    asked = suggest(SPACE, told, sampler=sampler, seed=1, slot=20)
+    assert asked != suggest(SPACE, told[::-1], sampler=sampler, seed=1, slot=20)
+
+
+def test_seeds_of_slots_are_unrelated() -> None:
+    seeds = {slot_seed(seed, slot) for seed, slot in itertools.product(range(20), range(50))}
+    assert len(seeds) == 1000
+    assert max(seeds) < 2**32
+
+
+def test_the_sampler_is_told_the_logarithm() -> None:
+    assert learned_value(math.e) == pytest.approx(1.0)
+    assert math.isfinite(learned_value(0.0))
+    assert learned_value(0.0) < learned_value(0.01) < learned_value(10.0)
+
+
+def test_an_unknown_sampler_is_refused() -> None:
+    with pytest.raises(InputError, match="no sampler 'tpe'"):
+        suggest(SPACE, [], sampler="tpe", seed=1, slot=0)
+
+
+def quadratic(values: dict[str, float]) -> float:
+    """A bowl in the logarithms with its bottom off the middle; 4 parameters over two decades."""
+    return 0.1 + sum((math.log10(value) + 1.4) ** 2 for value in values.values())
+
+
+def lowest_found(sampler: str, seed: int, trials: int) -> float:
+    space = make_space([Parameter(f"p{i}", 0.01, 1.0) for i in range(4)])
+    told: list[Told] = []
+    for slot in range(trials):
+        values = suggest(space, told, sampler=sampler, seed=seed, slot=slot)
+        told.append(Told(values, quadratic(values)))
+    return min(one.score for one in told)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sampler", ["tpe_independent", "tpe_relative"])
+def test_tpe_beats_random_search(sampler: str) -> None:
+    seeds, trials = range(7), 60
+    by_tpe = statistics.median(lowest_found(sampler, seed, trials) for seed in seeds)
+    by_chance = statistics.median(lowest_found("random", seed, trials) for seed in seeds)
+    assert by_tpe < by_chance

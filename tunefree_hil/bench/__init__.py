@@ -1,0 +1,18 @@
+"""From a bench file to Blocks, codec and scenarios: the only place that knows every concrete choice."""
+
+from tunefree_hil.bench.controller import ControllerFor, follower_of, needed_messages, parameters_of
+from tunefree_hil.bench.load import Bench, load, model_of, scenario_of_hash
+from tunefree_hil.bench.vehicle import VehicleFor, is_heavy
+
+__all__ = [
+    "Bench",
+    "ControllerFor",
+    "VehicleFor",
+    "follower_of",
+    "is_heavy",
+    "load",
+    "model_of",
+    "needed_messages",
+    "parameters_of",
+    "scenario_of_hash",
+]

@@ -1,0 +1,128 @@
+"""The controller of a bench: constants, parameters, map, and the Block for one drive."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tunefree_hil.base.course import Course
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.kernel import Block
+from tunefree_hil.bench.load import Bench, model_of, scenario_of_hash
+from tunefree_hil.bus.codec import Codec
+from tunefree_hil.config.schema import ScenarioSpec, VehicleSpec
+from tunefree_hil.control import calibration_map
+from tunefree_hil.control.build import PartNames, build
+from tunefree_hil.control.contract import Settings, VehicleConstants
+from tunefree_hil.control.follower import make_follower
+from tunefree_hil.control.parameters import RICCATI_CODES, by_index, check_complete, round32, study_values
+from tunefree_hil.nodes.controller import Assignment
+from tunefree_hil.nodes.hearing import CHASSIS, INS
+
+
+def constants_of(vehicle: VehicleSpec) -> VehicleConstants:
+    """What the controller believes of the vehicle. Raises InputError that names a missing data-sheet value."""
+    nominal, limits = vehicle.nominal, vehicle.limits
+    names = ("mass_kg", "wheelbase_m", "front_axle_m", "yaw_inertia_kgm2", "steer_ratio",
+             "front_stiffness_n_per_rad", "rear_stiffness_n_per_rad")  # fmt: skip
+    missing = [name for name in names if getattr(nominal, name) is None]
+    if missing:
+        raise InputError(
+            "the controller needs this data-sheet value",
+            code="missing_nominal",
+            file=f"{vehicle.folder}/vehicle.toml",
+            key=f"nominal.{missing[0]}",
+            hint="add it; `calibrate` will refine it later",
+        )
+    latency = vehicle.latency.get("steer")
+    return VehicleConstants(
+        **{name: getattr(nominal, name) for name in names},
+        rest_pedal_frac=nominal.rest_pedal_frac,
+        steer_limit_rad=limits.steer_rad,
+        steer_rate_radps=limits.steer_rate_radps,
+        throttle_limit_frac=limits.throttle_frac,
+        brake_limit_frac=limits.brake_frac,
+        accel_low_mps2=limits.accel_mps2[0],
+        accel_high_mps2=limits.accel_mps2[1],
+        lateral_accel_mps2=limits.lateral_accel_mps2,
+        steer_dead_time_s=latency.dead_time_s if latency else 0.0,
+        steer_rise_time_s=latency.rise_time_s if latency else 0.0,
+    )
+
+
+def parameters_of(bench: Bench, chosen: Mapping[str, float] | None = None) -> dict[str, float]:
+    """A complete vector (binary32): a study's fixed values, the bench file's, then `chosen`."""
+    controller = bench.spec.controller
+    values = study_values()
+    values |= {"riccati": RICCATI_CODES[controller.riccati], "look_ahead_m": controller.look_ahead_m}
+    values |= controller.parameters
+    values |= dict(chosen or {})
+    return {name: round32(value) for name, value in check_complete(values).items()}
+
+
+def settings_of(bench: Bench) -> Settings:
+    """What is neither tuned nor a constant of the vehicle."""
+    return Settings(
+        lane_half_width_m=bench.weights.lane_half_width_m,
+        divergence_heading_rad=bench.weights.divergence_heading_rad,
+    )
+
+
+def calibration_of(bench: Bench) -> Any:
+    """The open-loop map: the bench file's own, else that of its model."""
+    own = bench.spec.controller.calibration
+    if own:
+        beside = Path(bench.file).parent / own
+        return calibration_map.load(beside if beside.is_file() else Path(own))
+    return calibration_map.load(Path(model_of(bench, bench.spec.model).folder) / "calibration.npz")
+
+
+def follower_of(bench: Bench, scenario: ScenarioSpec, values: Mapping[str, float]) -> Block:
+    """The reference follower as the controller runs it."""
+    return make_follower(bench.course(scenario), constants_of(bench.vehicle).rear_axle_m, values["look_ahead_m"])
+
+
+class ControllerFor:
+    """(scenario, parameters by index) -> Assignment. The gain table is kept while the parameters stay the same."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.constants = constants_of(bench.vehicle)
+        self.calibration = calibration_of(bench)
+        self._built: tuple[dict[str, float], Block] | None = None
+
+    def __call__(self, scenario: bytes, parameters: Mapping[int, float]) -> Assignment:
+        spec = scenario_of_hash(self.bench, scenario)
+        values = by_index(parameters)
+        course = self.bench.course(spec)
+        if self._built is None or self._built[0] != values:
+            self._built = (values, self._build(values, course))
+        block = self._built[1]
+        follower = follower_of(self.bench, spec, values)
+        return Assignment(block._replace(params=(follower.params, *block.params[1:])), course.ticks, self.bench.dt_s)
+
+    def _build(self, values: dict[str, float], course: Course) -> Block:
+        controller = self.bench.spec.controller
+        return build(
+            values,
+            self.constants,
+            self.calibration,
+            course,
+            dt_s=self.bench.dt_s,
+            settings=settings_of(self.bench),
+            names=PartNames(controller.lateral, controller.longitudinal, controller.inner),
+            absent=self.bench.vehicle.absent,
+        )
+
+
+def needed_messages(codec: Codec) -> dict[str, list[str]]:
+    """Messages without which the controller stops commanding, by group."""
+    needed: dict[str, list[str]] = {INS: [], CHASSIS: []}
+    for message in codec.telemetry:
+        names = {(one.group, one.name) for one in message.fields}
+        if any(group == "ins" for group, _ in names):
+            needed[INS].append(message.name)
+        elif names & {("report", "speed_mps"), ("report", "steer_rad")}:
+            needed[CHASSIS].append(message.name)
+    return needed

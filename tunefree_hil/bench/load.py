@@ -1,0 +1,85 @@
+"""A bench file with everything it names, read and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tunefree_hil.base.course import Course
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.bus.codec import Codec
+from tunefree_hil.config.find import available
+from tunefree_hil.config.load import load_bench, load_model, load_scenario, load_vehicle, load_weights
+from tunefree_hil.config.schema import BenchSpec, ModelSpec, ScenarioSpec, VehicleSpec, WeightsSpec
+from tunefree_hil.episode.feasible import limits_of, require_feasible
+from tunefree_hil.episode.scenario import build_course
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A bench file with everything it names, read and checked."""
+
+    spec: BenchSpec
+    vehicle: VehicleSpec
+    codec: Codec
+    weights: WeightsSpec
+    scenarios: Mapping[str, ScenarioSpec]
+    dt_s: float
+    courses: dict[str, Course] = field(default_factory=dict)
+
+    @property
+    def file(self) -> str:
+        """Path of the bench file."""
+        return self.spec.path
+
+    def course(self, scenario: ScenarioSpec) -> Course:
+        """The scenario's course, built once. Raises InputError where the vehicle cannot drive it."""
+        if scenario.hash not in self.courses:
+            course = build_course(scenario, self.dt_s)
+            require_feasible(scenario, course, limits_of(self.vehicle))
+            self.courses[scenario.hash] = course
+        return self.courses[scenario.hash]
+
+
+def load(path: Path | str) -> Bench:
+    """Read a bench file and what it names. Raises InputError that names file and key."""
+    spec = load_bench(path)
+    vehicle = load_vehicle(spec.vehicle, spec.path)
+    names = dict.fromkeys([*spec.scenarios, *spec.verify_scenarios])
+    scenarios = {name: load_scenario(name, spec.path) for name in names}
+    dt_s = vehicle.tick_ms * 1e-3
+    return Bench(spec, vehicle, Codec(vehicle), load_weights(spec.weights, spec.path), scenarios, dt_s)
+
+
+def model_of(bench: Bench, name: str) -> ModelSpec:
+    """A model folder of this bench's vehicle. Raises InputError when it was made for another vehicle."""
+    model = load_model(name, bench.file)
+    if model.vehicle != bench.vehicle.name:
+        raise InputError(
+            f"is a model of {model.vehicle!r}, the bench's vehicle is {bench.vehicle.name!r}",
+            code="model_of_other_vehicle",
+            file=f"{model.folder}/model.toml",
+            key="vehicle",
+            hint="name a model of the bench's vehicle",
+        )
+    return model
+
+
+def scenario_of_hash(bench: Bench, start: bytes) -> ScenarioSpec:
+    """The scenario file whose content hash begins with `start`. Raises InputError (unknown_scenario) that lists the files."""
+    wanted = start.hex()
+    for scenario in bench.scenarios.values():
+        if scenario.hash.startswith(wanted):
+            return scenario
+    known = []
+    for name in available("scenario", bench.file):
+        scenario = load_scenario(name, bench.file)
+        if scenario.hash.startswith(wanted):
+            return scenario
+        known.append(f"{name} ({scenario.hash[:12]})")
+    raise InputError(
+        f"no scenario file has the content hash {wanted}; there are {', '.join(known)}",
+        code="unknown_scenario",
+        hint="copy the runner's scenario files here, byte for byte",
+    )

@@ -1,0 +1,198 @@
+"""The simulated vehicle of a bench: plant, actuators, effects, by-wire unit, noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+from tunefree_hil.base import parts
+from tunefree_hil.base.contracts import Port, make_effect
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.bench.load import Bench, model_of, scenario_of_hash
+from tunefree_hil.bus.wire import phases
+from tunefree_hil.config.schema import ActuatorSpec, EffectSpec, FaultSpec, ModelSpec, VehicleSpec, value_of
+from tunefree_hil.episode.scenario import start_of
+from tunefree_hil.nodes.ecu import Vehicle
+from tunefree_hil.plant.actuators import ActuatorParams
+from tunefree_hil.plant.body import Driver, Plant
+from tunefree_hil.plant.bywire import ByWireParams, ChannelRules, bywire
+from tunefree_hil.plant.sensors import noise_table
+from tunefree_hil.plant.unit import make_unit
+from tunefree_hil.plant.vehicle import assemble, for_episode
+
+PLANTS = {"physics": "single_track", "reference": "reference"}  # [plant] kind -> file in plant/
+HEAVY = ("reference",)  # kinds whose node runs compiled
+
+
+class VehicleFor:
+    """(scenario, seed) -> Vehicle: the simulated vehicle at a scenario's start. Its step is made once."""
+
+    def __init__(self, bench: Bench, model: str, *, realtime: bool = False) -> None:
+        self.bench = bench
+        self.model_name = model
+        self.model = model_of(bench, model)
+        self.body = _body_of(bench, self.model)
+        timing = self.model.timing
+        own = 1 if realtime else 0  # real time: one tick each way is the bus's own
+        if min(timing.command_ticks, timing.report_ticks) < own:
+            raise InputError(
+                "in real time a frame needs one tick each way",
+                file=f"{self.model.folder}/model.toml",
+                key="timing",
+                hint="report_ticks and command_ticks of at least 1",
+            )
+        block = bywire(_bywire_params(bench.vehicle))
+        self.unit = make_unit(self.body, block, timing.command_ticks - own, timing.report_ticks - own)
+        self.phases = phases(bench.codec, timing.phase_seed)
+
+    def __call__(self, scenario: bytes, seed: int) -> Vehicle:
+        spec = scenario_of_hash(self.bench, scenario)
+        course = self.bench.course(spec)
+        noise = noise_table(self.model.noise, self.model.bias, course.ticks + 1, seed)
+        body = for_episode(self.body, start_of(spec, course), noise)
+        return Vehicle(self.unit, body, course, self.bench.dt_s, self.phases, driver_script(self.bench.spec.faults))
+
+
+def is_heavy(bench: Bench, model: str) -> bool:
+    """Whether the model's node should run compiled."""
+    return model_of(bench, model).plant.kind in HEAVY
+
+
+def _body_of(bench: Bench, model: ModelSpec) -> Any:
+    vehicle, file = bench.vehicle, f"{model.folder}/model.toml"
+    if vehicle.ins_frame.point != "rear_axle":
+        raise InputError(
+            f"the INS point {vehicle.ins_frame.point!r} cannot be simulated; only 'rear_axle' can",
+            file=f"{vehicle.folder}/vehicle.toml",
+            key="ins_frame.point",
+        )
+    rest = vehicle.nominal.rest_pedal_frac
+    channels = {
+        name: actuator_params(spec, rest if name in ("throttle", "brake") else 0.0)
+        for name, spec in model.actuators.items()
+    }
+    ins_accel = vehicle.ins.get("accel_mps2")
+    try:
+        return assemble(
+            load_plant(model.plant.kind),
+            model.plant.params,
+            channels,
+            effects=effects_of([*model.effects, *bench.spec.effects], rest),
+            rest_frac=(rest, rest),
+            ins_latency_s=vehicle.ins_frame.latency_s,
+            ins_specific_force=bool(ins_accel and ins_accel.specific_force),
+            dt_s=bench.dt_s,
+        )
+    except InputError as error:
+        error.file = error.file or file
+        raise
+
+
+def load_plant(kind: str) -> Plant:
+    """PLANT of a kind, or of the user's own 'path/to/file.py:EXPORT'."""
+    if ":" in kind:
+        return parts.load("tunefree_hil.plant", kind, "PLANT")
+    if kind not in PLANTS:
+        raise InputError(
+            f"no plant kind {kind!r}; there are {', '.join(PLANTS)}, or 'path/to/file.py:EXPORT'",
+            code="unknown_plant",
+            key="plant.kind",
+            hint="the learned kinds (hybrid, lstm, mlp, rule_based, paper) are not built yet",
+        )
+    return parts.load("tunefree_hil.plant", PLANTS[kind], "PLANT")
+
+
+def actuator_params(spec: ActuatorSpec, rest: float) -> ActuatorParams:
+    """A channel of [actuators], at rest before tick 0."""
+    return ActuatorParams(
+        dead_time_s=value_of(spec.dead_time_s),
+        order=float(spec.order),
+        lag_s=value_of(spec.lag_s),
+        natural_hz=value_of(spec.natural_hz),
+        damping=value_of(spec.damping),
+        rate_limit=value_of(spec.rate_limit),
+        dead_band=value_of(spec.dead_band),
+        gain=value_of(spec.gain),
+        offset=value_of(spec.offset),
+        rest=rest,
+        initial=rest,
+    )
+
+
+def effects_of(specs: Sequence[EffectSpec], rest: float) -> list[tuple[Port, Any]]:
+    """The effects of a model and a bench file, ready for `assemble`."""
+    made = []
+    for spec in specs:
+        effect = parts.load("tunefree_hil.effects", spec.name, "EFFECT")
+        pedal = effect.port.value.split()[0] in ("throttle", "brake")
+        made.append((effect.port, make_effect(effect, spec.params, rest=rest if pedal else 0.0, name=spec.name)))
+    return made
+
+
+def _bywire_params(vehicle: VehicleSpec) -> ByWireParams:
+    """Rules of the by-wire unit from the vehicle folder; what it does not state keeps the unit's defaults."""
+    limits, rest, rules, tick_s = (
+        vehicle.limits,
+        vehicle.nominal.rest_pedal_frac,
+        vehicle.override,
+        vehicle.tick_ms * 1e-3,
+    )
+    default = ByWireParams()
+    timeouts = {name: spec.timeout_ms / vehicle.tick_ms for name, spec in vehicle.command.items() if spec.timeout_ms}
+
+    def pedal(name: str, level: float, hold_s: float, high: float) -> ChannelRules:
+        return ChannelRules(
+            timeout_ticks=timeouts.get(f"{name}_frac", default.brake.timeout_ticks),
+            driver_level=rules.driver_frac,
+            driver_ticks=round(rules.driver_s / tick_s),
+            override_level=level,
+            override_ticks=round(hold_s / tick_s),
+            low=rest,
+            high=high,
+        )
+
+    return default._replace(
+        throttle=pedal("throttle", rules.throttle_frac, rules.throttle_s, limits.throttle_frac),
+        brake=pedal("brake", rules.brake_frac, rules.brake_s, limits.brake_frac),
+        steer=default.steer._replace(
+            timeout_ticks=timeouts.get("steer_rad", default.steer.timeout_ticks),
+            low=-limits.steer_rad,
+            high=limits.steer_rad,
+        ),
+        check_counter=1.0 if any(spec.counter for spec in vehicle.command.values()) else 0.0,
+    )
+
+
+def driver_script(faults: Sequence[FaultSpec]) -> Any:
+    """The person in the seat by tick, from the bench file's `driver_override` faults."""
+    scripted = [fault for fault in faults if fault.kind == "driver_override"]
+
+    @lru_cache(maxsize=4)
+    def by_active(active: tuple[int, ...]) -> Driver:
+        driver = Driver()
+        for i in active:
+            driver = _hands_on(driver, scripted[i])
+        return driver
+
+    def driver(tick: int) -> Driver:
+        return by_active(tuple(i for i, fault in enumerate(scripted) if fault.from_tick <= tick < fault.to_tick))
+
+    return driver
+
+
+def _hands_on(driver: Driver, fault: FaultSpec) -> Driver:
+    if fault.channel == "throttle":
+        return driver._replace(throttle_frac=fault.value)
+    if fault.channel == "brake":
+        return driver._replace(brake_frac=fault.value)
+    if fault.channel == "steer":
+        return driver._replace(steer_torque_nm=fault.value)
+    if fault.channel == "gear":
+        return driver._replace(gear_override=1.0)
+    raise InputError(
+        f"a driver has no {fault.channel!r}",
+        code="unknown_fault_channel",
+        key="faults.channel",
+        hint="throttle, brake, steer or gear",
+    )

@@ -1,0 +1,251 @@
+"""The bench channel (interfaces 8, dbc/bench.dbc): how the processes agree on episodes, parameters and ticks.
+
+A message is a NamedTuple; `encode` makes it a frame, `decode` makes a frame a message again, or None when it is none of
+ours. TICK and DONE are on the path of every tick, so the bytes are packed by `struct`; a test holds them against
+dbc/bench.dbc as cantools reads it, so that `cantools monitor` shows the same values.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.records import CanFrame
+
+TICK_ID, DONE_ID, STATUS_ID, EPISODE_ID, PARAM_ID, FAULT_ID, HELLO_ID = range(0x6E0, 0x6E7)
+FIRST_OWN_INDEX = 16  # a user's controller numbers its own parameters from here on (interfaces 7)
+NOT_SCRIPTED = 255  # Fault.index of a fault that no bench file asked for
+CHUNK_BYTES = 4
+MAX_PARTS = 4095
+
+
+class Told(IntEnum):
+    """Base of the codes: each has a `sentence` for people."""
+
+    sentence: str
+
+    def __new__(cls, value: int, sentence: str) -> Told:
+        member = int.__new__(cls, value)
+        member._value_ = value
+        member.sentence = sentence
+        return member
+
+
+class Role(Told):
+    """Who speaks."""
+
+    RUNNER = 0, "conducts episodes"
+    ECU = 1, "the simulated vehicle; owns time in lockstep"
+    CONTROLLER = 2, "drives the vehicle"
+    TUNER = 3, "chooses parameters"
+    OBSERVER = 4, "only listens"
+
+
+class State(Told):
+    """What a role is doing; from the runner STOP and END are requests."""
+
+    IDLE = 0, "waiting for an episode"
+    LOADING = 1, "loading the episode"
+    READY = 2, "the episode is loaded"
+    RUN = 3, "the episode begins, or runs"
+    FINISHED = 4, "the episode was driven to its end"
+    FAILED = 5, "the episode ended early; the error code says why"
+    STOP = 6, "the episode is to end now"
+    END = 7, "the process is to end"
+
+
+class ErrorCode(Told):
+    """Why an episode ended early. From 1000 on: errors inside a controller, its own numbers included."""
+
+    NONE = 0, "no error"
+    DIVERGED = 1, "the vehicle diverged: a value is not finite, or the heading error is above its limit"
+    LEFT_LANE = 2, "the vehicle left its lane"
+    NOT_ENABLED = 3, "the by-wire system did not enable, or left the enabled state"
+    INS_MISSING = 4, "INS frames were missing for too long"
+    CHASSIS_MISSING = 5, "chassis frames were missing for too long"
+    OVERRIDE = 6, "the driver took over"
+    BYWIRE_FAULT = 7, "a by-wire channel reported a fault"
+    UNKNOWN_SCENARIO = 8, "no scenario file has the announced content hash"
+    MISSING_COMMAND = 9, "the vehicle missed command frames of the controller"
+    CONTROL_ERROR = 10, "the controller could not be built, or computed no command"
+    STOPPED = 11, "somebody stopped the episode"
+    FOREIGN_COMMAND = 12, "another node sends the vehicle's command ids"
+    INTERNAL = 13, "a process failed; what it printed says why"
+    CONTROLLER_OWN = 1000, "the controller's own error; what it printed says which"
+
+
+class Tick(NamedTuple):
+    """The ECU opens tick k (lockstep)."""
+
+    k: int
+
+
+class Done(NamedTuple):
+    """A phase (0 ECU, 1 controller) of tick k is complete; n_tx vehicle frames were sent, with this 16-bit digest."""
+
+    k: int
+    phase: int
+    n_tx: int
+    digest: int
+
+
+class Status(NamedTuple):
+    """role: Role, state: State, error_code: ErrorCode. RUN from the runner carries the lead in ms as `tick`."""
+
+    role: int
+    state: int
+    error_code: int
+    tick: int
+
+
+class Episode(NamedTuple):
+    """Load this: the first 6 bytes of the scenario's content hash, and the seed of the noise."""
+
+    scenario: bytes
+    seed: int
+
+
+class Param(NamedTuple):
+    """Parameter `index` of a set of `count`; the value is rounded to binary32 by encode."""
+
+    index: int
+    count: int
+    value: float
+
+
+class Fault(NamedTuple):
+    """A fault began at `tick`. index: its number in the bench file's list, NOT_SCRIPTED where nobody asked for it."""
+
+    role: int
+    index: int
+    code: int
+    tick: int
+
+
+class Hello(NamedTuple):
+    """Chunk `part` of `parts` of what a role says of itself; see hello_messages."""
+
+    role: int
+    part: int
+    parts: int
+    text: bytes
+
+
+_TICK = struct.Struct("<I")
+_DONE = struct.Struct("<IBBH")
+_STATUS = struct.Struct("<BBHI")
+_EPISODE = struct.Struct("<6sH")
+_PARAM = struct.Struct("<BBf")
+_FAULT = struct.Struct("<BBHI")
+_HELLO = struct.Struct("<BHB4s")
+
+_BY_TYPE: dict[type, tuple[int, struct.Struct]] = {
+    Tick: (TICK_ID, _TICK),
+    Done: (DONE_ID, _DONE),
+    Status: (STATUS_ID, _STATUS),
+    Episode: (EPISODE_ID, _EPISODE),
+    Param: (PARAM_ID, _PARAM),
+    Fault: (FAULT_ID, _FAULT),
+}
+_BY_ID: dict[int, tuple[type, struct.Struct]] = {can_id: (kind, form) for kind, (can_id, form) in _BY_TYPE.items()}
+
+
+def encode(message: Any) -> CanFrame:
+    """The frame of a bench message. Raises InputError when a value does not fit its place."""
+    try:
+        if isinstance(message, Hello):
+            return CanFrame(HELLO_ID, _pack_hello(message))
+        can_id, form = _BY_TYPE[type(message)]
+        return CanFrame(can_id, form.pack(*message))
+    except (struct.error, OverflowError) as error:
+        raise InputError(
+            f"{message!r} does not fit its frame: {error}",
+            code="bench_value",
+            hint="seeds are 0..65535, ticks 0..2^32 - 1, parameter values within binary32 (dbc/bench.dbc)",
+        ) from error
+
+
+def decode(frame: CanFrame) -> Any:
+    """The message of a frame, or None when the frame is none of the bench channel's."""
+    if frame.extended or frame.fd:
+        return None
+    if frame.id == HELLO_ID and len(frame.data) == _HELLO.size:
+        return _unpack_hello(frame.data)
+    found = _BY_ID.get(frame.id)
+    if found is None or len(frame.data) != found[1].size:
+        return None
+    kind, form = found
+    return kind(*form.unpack(frame.data))
+
+
+def _pack_hello(hello: Hello) -> bytes:
+    if not 0 <= hello.part < hello.parts <= MAX_PARTS:
+        raise struct.error(f"part {hello.part} of {hello.parts}")
+    places = hello.part | hello.parts << 12
+    return _HELLO.pack(hello.role, places & 0xFFFF, places >> 16, hello.text)
+
+
+def _unpack_hello(data: bytes) -> Hello:
+    role, low, high, text = _HELLO.unpack(data)
+    places = low | high << 16
+    return Hello(role, places & 0xFFF, places >> 12, text)
+
+
+def hello_messages(role: int, name: str, parameters: Sequence[str] | Mapping[int, str] = ()) -> list[Hello]:
+    """What a node says of itself: its name, and the parameters that it takes beside the list of interfaces 7.
+
+    parameters: names, numbered from FIRST_OWN_INDEX on, or {index: name}. Raises InputError when the text is too long.
+    """
+    numbered = parameters if isinstance(parameters, Mapping) else dict(enumerate(parameters, FIRST_OWN_INDEX))
+    text = "\n".join([name, *(f"{index} {parameter}" for index, parameter in numbered.items())]).encode()
+    parts = max(1, -(-len(text) // CHUNK_BYTES))
+    if parts > MAX_PARTS:
+        raise InputError(
+            f"{name} announces {len(text)} bytes of names; HELLO carries {MAX_PARTS * CHUNK_BYTES}",
+            code="hello_too_long",
+            hint="give the parameters shorter names",
+        )
+    chunks = [text[i * CHUNK_BYTES : (i + 1) * CHUNK_BYTES] for i in range(parts)]
+    return [Hello(int(role), i, parts, chunk.ljust(CHUNK_BYTES, b"\0")) for i, chunk in enumerate(chunks)]
+
+
+def hello_frames(role: int, name: str, parameters: Sequence[str] | Mapping[int, str] = ()) -> list[CanFrame]:
+    """`hello_messages` as frames."""
+    return [encode(message) for message in hello_messages(role, name, parameters)]
+
+
+class HelloCollector:
+    """Puts the chunks of HELLO together, role by role. A new part 0 begins a role's text anew."""
+
+    def __init__(self) -> None:
+        self._chunks: dict[int, dict[int, bytes]] = {}
+        self._parts: dict[int, int] = {}
+
+    def add(self, hello: Hello) -> None:
+        """Take in one chunk. A bus keeps the order of one sender, so part 0 comes first."""
+        if hello.part == 0 or self._parts.get(hello.role) != hello.parts:
+            self._chunks[hello.role] = {}
+        self._parts[hello.role] = hello.parts
+        self._chunks[hello.role][hello.part] = hello.text
+
+    def complete(self, role: int) -> bool:
+        """True when all of a role's text is here."""
+        return role in self._parts and len(self._chunks[role]) == self._parts[role]
+
+    def name(self, role: int) -> str:
+        """The name a role gave itself; '' until its text is complete."""
+        return self._lines(role)[0] if self.complete(role) else ""
+
+    def parameters(self, role: int) -> dict[int, str]:
+        """{index: name} of the parameters a role announced; empty until its text is complete."""
+        if not self.complete(role):
+            return {}
+        pairs = [line.split(" ", 1) for line in self._lines(role)[1:]]
+        return {int(index): name for index, name in pairs}
+
+    def _lines(self, role: int) -> list[str]:
+        chunks = self._chunks[role]
+        return b"".join(chunks[i] for i in sorted(chunks)).rstrip(b"\0").decode().split("\n")

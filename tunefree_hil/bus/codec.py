@@ -1,0 +1,202 @@
+"""DBC + vehicle.toml -> frames from records, records from frames (design D7, interfaces 2).
+
+The layout is read by cantools once; what runs every tick are flat steps compiled from it (bus/plan.py). They agree with
+cantools bit for bit (tests/bus/test_codec.py) and cost a few microseconds a message.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.records import NAN, CanFrame, Command, Ins, Report
+from tunefree_hil.bus.build_map import build_messages
+from tunefree_hil.bus.check_vehicle import check_vehicle, one_error
+from tunefree_hil.bus.dbc import read_network
+from tunefree_hil.bus.message_map import COMMAND, EXTENDED_FLAG, TELEMETRY, MessageMap, Plan, WriteStep
+from tunefree_hil.bus.plan import read_float
+from tunefree_hil.bus.quantise import to_raw, wrap_turn
+
+if TYPE_CHECKING:
+    from tunefree_hil.config.schema import VehicleSpec
+
+__all__ = ["Codec", "MessageMap", "Snapshot"]
+
+
+class Codec:
+    """The messages of a vehicle. `commands` and `telemetry` in id order; `by_id` by SocketCAN id (EFF bit included).
+
+    Raises one InputError that lists everything wrong with the folder.
+    """
+
+    def __init__(self, spec: VehicleSpec) -> None:
+        network = read_network(spec)
+        problems = check_vehicle(spec, network)
+        if problems:
+            raise one_error(problems)
+        messages = build_messages(spec, network)
+        self.name: str = spec.name
+        self.tick_ms: int = spec.tick_ms
+        self.commands = tuple(m for m in messages if m.kind == COMMAND)
+        self.telemetry = tuple(m for m in messages if m.kind == TELEMETRY)
+        self.by_id: dict[int, MessageMap] = {}
+        for message in messages:
+            self.by_id.setdefault(message.key, message)
+        self.by_name: dict[str, MessageMap] = {message.name: message for message in reversed(messages)}
+        self._by_channel = {(message.key, message.channel): message for message in messages}
+
+    def find(self, frame: CanFrame, channel: str = "") -> MessageMap | None:
+        """The message of a frame heard on `channel` ('': any), or None where the folder speaks of no such frame."""
+        key = frame.id | EXTENDED_FLAG if frame.extended else frame.id
+        if not channel:
+            return self.by_id.get(key)
+        return self._by_channel.get((key, channel)) or self._by_channel.get((key, ""))
+
+    def encode(
+        self,
+        message: MessageMap,
+        records: Mapping[str, Any],
+        signals: Mapping[str, float],
+        length: int | None = None,
+    ) -> bytes:
+        """The payload of a message.
+
+        records: {"report": Report(...), ...}; a group that is not there leaves its fields raw 0. A value is clipped to
+        its signal's range and rounded half to even; NaN and infinities are sent as raw 0; a heading is wrapped.
+        signals: raw values by signal name (enable, counter, states ...); they win over fields and constants.
+        length: bytes to keep of the payload (a clear frame), None: all.
+        """
+        plan = message.plan
+        bits = [plan.little, plan.big]
+        for step in plan.writes:
+            record = records.get(step.group)
+            if record is not None:
+                _write(step, record[step.index], bits)
+        for name, value in signals.items():
+            mask, shift, big = plan.raws[name]
+            bits[big] = bits[big] & ~(mask << shift) | (int(value) & mask) << shift
+        size = message.length
+        payload = bits[0].to_bytes(size, "little")
+        if bits[1]:
+            payload = (int.from_bytes(payload, "big") | bits[1]).to_bytes(size, "big")
+        return payload if length is None else payload[:length]
+
+    def fits(self, message: MessageMap, data: bytes) -> bool:
+        """Whether `decode` accepts a payload of this length."""
+        return len(data) >= message.length or message.allow_truncated
+
+    def decode(self, message: MessageMap, data: bytes) -> dict[str, float]:
+        """Physical values by signal name; raw values of signals with a role or a state. Excess bytes are ignored.
+
+        A short payload gives the signals that are whole in it where `allow_truncated`, else raises InputError.
+        """
+        if len(data) < message.length:
+            return self._decode_short(message, data)
+        return _read(message.plan, data[: message.length])
+
+    def _decode_short(self, message: MessageMap, data: bytes) -> dict[str, float]:
+        if not message.allow_truncated:
+            raise InputError(
+                f"a frame of {message.name} has {len(data)} bytes, the DBC says {message.length}",
+                code="short_frame",
+                key=message.name,
+                hint="allow_truncated = true in vehicle.toml decodes such frames as far as they go",
+            )
+        decoded = _read(message.plan, data.ljust(message.length, b"\xff"))
+        there = 8 * len(data)
+        return {name: value for name, value in decoded.items() if message.signals[name].end_bit <= there}
+
+    def values(self, message: MessageMap, decoded: Mapping[str, float]) -> list[tuple[str, int, float]]:
+        """(group, index in the record, SI value) of each record field; fields with a missing signal are left out."""
+        found = []
+        for group, index, terms, scale, offset in message.plan.values:
+            total = 0.0
+            for name, term_scale in terms:
+                if name not in decoded:
+                    break
+                total += decoded[name] * term_scale
+            else:
+                found.append((group, index, total * scale + offset))
+        return found
+
+
+def _write(step: WriteStep, value: float, bits: list[int]) -> None:
+    """Put one field into the payload's integers (little, big)."""
+    if value - value != 0.0:
+        return  # NaN, infinite: raw 0
+    if step.raw_turn > 0.0:
+        value = wrap_turn(value, step.turn_low)
+    rest = (value - step.offset) / step.scale
+    raw = (rest / step.term_scale - step.signal_offset) / step.factor
+    if step.raw_turn > 0.0:
+        raw = to_raw(raw, step.raw_low, step.raw_high, step.raw_turn)
+    elif raw < step.raw_low:
+        raw = step.raw_low
+    elif raw > step.raw_high:
+        raw = step.raw_high
+    whole = round(raw)
+    bits[step.big] |= (whole & step.mask) << step.shift
+    for signal, scale in step.rest:
+        rest = rest - (whole * step.factor + step.signal_offset) * step.term_scale
+        whole = _write_term(signal, scale, rest, bits)
+        step = step._replace(factor=float(signal.factor), signal_offset=float(signal.offset), term_scale=scale)
+
+
+def _write_term(signal: Any, scale: float, rest: float, bits: list[int]) -> int:
+    """Put what the coarser terms left over into a finer one; its raw value."""
+    raw = (rest / scale - float(signal.offset)) / float(signal.factor)
+    whole = int(to_raw(raw, float(signal.raw_low), float(signal.raw_high), 0.0))
+    bits[signal.big_endian] |= (whole & signal.mask) << signal.shift
+    return whole
+
+
+def _read(plan: Plan, data: bytes) -> dict[str, float]:
+    """Every signal of a payload of full length."""
+    little = int.from_bytes(data, "little")
+    decoded: dict[str, float] = {
+        name: ((little >> shift & mask) ^ sign) - sign for name, shift, mask, sign in plan.plain_little
+    }
+    for name, shift, mask, sign, factor, offset in plan.scaled_little:
+        decoded[name] = (((little >> shift & mask) ^ sign) - sign) * factor + offset
+    if not (plan.plain_big or plan.scaled_big or plan.floats):
+        return decoded
+    big = int.from_bytes(data, "big")
+    for name, shift, mask, sign in plan.plain_big:
+        decoded[name] = ((big >> shift & mask) ^ sign) - sign
+    for name, shift, mask, sign, factor, offset in plan.scaled_big:
+        decoded[name] = (((big >> shift & mask) ^ sign) - sign) * factor + offset
+    for signal in plan.floats:
+        decoded[signal.name] = read_float(signal, little, big)
+    return decoded
+
+
+class Snapshot:
+    """The latest values heard of a vehicle; NaN where nothing has been heard."""
+
+    def __init__(self, codec: Codec) -> None:
+        self.codec = codec
+        self._groups = {
+            "command": [NAN] * len(Command._fields),
+            "report": [NAN] * len(Report._fields),
+            "ins": [NAN] * len(Ins._fields),
+        }
+
+    def hear(self, message: MessageMap, data: bytes) -> dict[str, float]:
+        """Take in a payload; what `Codec.decode` says of it."""
+        decoded = self.codec.decode(message, data)
+        for group, index, value in self.codec.values(message, decoded):
+            self._groups[group][index] = value
+        return decoded
+
+    def report(self) -> Report:
+        """The chassis as heard."""
+        return Report._make(self._groups["report"])
+
+    def ins(self) -> Ins:
+        """The INS as heard."""
+        return Ins._make(self._groups["ins"])
+
+    def command(self) -> Command:
+        """The commands as heard."""
+        return Command._make(self._groups["command"])

@@ -1,0 +1,187 @@
+"""What a node holds of a bus: a Link. Above it nobody knows which bus it is."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Protocol
+
+import can
+
+from tunefree_hil.base.errors import BenchError, InputError, NoAnswer
+from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus.tfhub.owner import HubStats, Owner, PeerStats
+from tunefree_hil.bus.tfhub.plugin import HubBus
+from tunefree_hil.bus.tfhub.records import EFF_MASK
+
+SEND_S = 10.0  # how long a send may wait for a bus that somebody holds
+MOST_AT_ONCE = 4096  # frames that one receive of a foreign bus hands over, so that a flood cannot keep it for ever
+BUS_OFF = 0x40
+# linux/can/error.h: classes of an error frame, in its id
+ERROR_CLASSES = {
+    0x001: "tx_timeout",
+    0x002: "lost_arbitration",
+    0x004: "controller",
+    0x008: "protocol",
+    0x010: "transceiver",
+    0x020: "no_ack",
+    BUS_OFF: "bus_off",
+    0x080: "bus_error",
+    0x100: "restarted",
+    0x200: "counters",
+}
+
+
+class Link(Protocol):
+    """One channel of one bus.
+
+    `time_s` of a received frame is its stamp: virtual time on a hub with the clock 'sender' (and where members stamp on
+    a virtual bus), else CLOCK_MONOTONIC seconds. `errors` counts error frames by name (ERROR_CLASSES), `remote_frames`
+    the remote frames of foreign tools; neither is ever handed over as data.
+    """
+
+    name: str
+    errors: Counter[str]
+    remote_frames: int
+
+    def send(self, frames: Sequence[CanFrame]) -> None:
+        """In this order; one write where the bus allows it. BenchError when the bus is gone or does not take them."""
+        ...
+
+    def receive(self, timeout_s: float) -> list[CanFrame]:
+        """All that has arrived, in the bus's order; waits up to timeout_s for the first; [] on time-out.
+
+        PeerGone when a member is lost (once for each), BenchError when the bus is gone or off.
+        """
+        ...
+
+    def close(self) -> None:
+        """Leave the bus in good order."""
+        ...
+
+
+class HubLink:
+    """A Link over a hub's fast path."""
+
+    def __init__(self, bus: HubBus, brs: bool = True) -> None:
+        self.name = bus.name
+        self.errors: Counter[str] = Counter()
+        self._bus = bus
+        self._brs = brs
+
+    @property
+    def remote_frames(self) -> int:
+        """Remote frames seen so far."""
+        return self._bus.remote_frames
+
+    @property
+    def dropped(self) -> int:
+        """Frames that this observer did not get; 0 for a member."""
+        return self._bus.dropped
+
+    def send(self, frames: Sequence[CanFrame]) -> None:
+        """See Link."""
+        try:
+            self._bus.send_frames(frames, SEND_S, self._brs)
+        except can.CanTimeoutError as error:
+            raise NoAnswer(str(error), code="bus_held") from None
+
+    def receive(self, timeout_s: float) -> list[CanFrame]:
+        """See Link."""
+        frames = self._bus.recv_frames(timeout_s)
+        if self._bus.error_frames:
+            latest, self._bus.error_frames = self._bus.error_frames, []
+            for raw in latest:
+                _note_error(self.errors, raw.can_id & EFF_MASK, self._bus.channel_info)
+        return frames
+
+    def close(self) -> None:
+        """See Link."""
+        self._bus.shutdown()
+
+
+class CanLink:
+    """A Link over any other bus of python-can. `keeps_stamps`: the bus carries the senders' own stamps."""
+
+    def __init__(
+        self, bus: can.BusABC, name: str, *, may_send: bool, keeps_stamps: bool = False, brs: bool = True
+    ) -> None:
+        self.name = name
+        self.errors: Counter[str] = Counter()
+        self.remote_frames = 0
+        self._bus = bus
+        self._may_send = may_send
+        self._keeps_stamps = keeps_stamps
+        self._brs = brs
+
+    def send(self, frames: Sequence[CanFrame]) -> None:
+        """See Link. InputError on a link that was opened to listen."""
+        if not self._may_send:
+            raise InputError(f"{self.name} only listens to {self._bus.channel_info}", code="observer", key="role")
+        try:
+            for frame in frames:
+                self._bus.send(self._message(frame), SEND_S)
+        except (can.CanError, OSError) as error:
+            raise BenchError(
+                f"{self._bus.channel_info} did not take a frame: {error}",
+                code="bus_error",
+                hint="is the link up? with 'no buffer space': ip link set dev NAME txqueuelen 1000",
+            ) from error
+
+    def receive(self, timeout_s: float) -> list[CanFrame]:
+        """See Link."""
+        frames: list[CanFrame] = []
+        deadline_s = time.monotonic() + timeout_s
+        try:
+            message = self._bus.recv(timeout_s)
+            while message is not None and len(frames) < MOST_AT_ONCE:
+                self._sort(message, frames)
+                rest_s = 0.0 if frames else max(0.0, deadline_s - time.monotonic())
+                message = self._bus.recv(rest_s)
+            if message is not None:
+                self._sort(message, frames)
+        except (can.CanError, OSError) as error:
+            raise BenchError(f"{self._bus.channel_info} is gone: {error}", code="bus_error") from error
+        if self._keeps_stamps or not frames:
+            return frames
+        # measured each time, so that a step of the wall clock moves no more than the frames that wait at that moment
+        offset_s = datetime.now(UTC).timestamp() - time.monotonic()
+        return [frame._replace(time_s=frame.time_s - offset_s) for frame in frames]
+
+    def close(self) -> None:
+        """See Link."""
+        self._bus.shutdown()
+
+    def _message(self, frame: CanFrame) -> can.Message:
+        return can.Message(
+            timestamp=frame.time_s,
+            arbitration_id=frame.id,
+            is_extended_id=frame.extended,
+            data=frame.data,
+            is_fd=frame.fd,
+            bitrate_switch=frame.fd and self._brs,
+            check=True,
+        )
+
+    def _sort(self, message: can.Message, frames: list[CanFrame]) -> None:
+        if message.is_error_frame:
+            _note_error(self.errors, message.arbitration_id, self._bus.channel_info)
+        elif message.is_remote_frame:
+            self.remote_frames += 1
+        else:
+            data = bytes(message.data)
+            extended = message.is_extended_id
+            frames.append(CanFrame(message.arbitration_id, data, extended, message.is_fd, message.timestamp))
+
+
+def _note_error(errors: Counter[str], classes: int, bus: str) -> None:
+    """Count an error frame under each class it names. BenchError when it says that the bus is off."""
+    names = [name for bit, name in ERROR_CLASSES.items() if classes & bit]
+    errors.update(names or ["no_class"])
+    if classes & BUS_OFF:
+        raise BenchError(f"{bus} is bus-off", code="bus_off", hint="wiring, bit rate, another node that disturbs?")
+
+
+__all__ = ["CanLink", "HubLink", "HubStats", "Link", "Owner", "PeerStats"]

@@ -1,0 +1,190 @@
+"""From `--bus TEXT` (interfaces 1) to open links, and the one place that refuses to transmit where it must not (D2)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import can
+
+from tunefree_hil.base.errors import BenchError, InputError
+from tunefree_hil.bus.kernel_link import MAKE_VCAN, kernel_has_can, link_state
+from tunefree_hil.bus.link import CanLink, HubLink, Link
+from tunefree_hil.bus.tfhub import address
+from tunefree_hil.bus.tfhub.connection import default_name
+from tunefree_hil.bus.tfhub.plugin import HubBus
+from tunefree_hil.bus.tfhub.records import CHANNELS
+
+DEFAULT_LINK = "vcan0"
+KINDS = "auto, tfhub, tfhub:ADDRESS, socketcan:vcan0, virtual"
+NO_GATE = "transmitting on it needs the safety gate, which this version does not have"
+USE_VIRTUAL = "use --bus tfhub, --bus virtual, or a vcan link"
+
+
+class BusChoice(NamedTuple):
+    """Which bus: `kind` tfhub | socketcan | virtual; an address for each channel; `why` is one sentence for a person."""
+
+    kind: str
+    vehicle_address: str
+    bench_address: str
+    why: str
+
+
+def resolve_bus(text: str = "auto", session: str = "default", bench_bus: str = "") -> BusChoice:
+    """What `--bus TEXT` (and `--bench-bus`) mean here. InputError for what there is not or may not be used."""
+    kind, _, rest = text.partition(":")
+    if kind == "auto" and not rest:
+        choice = _auto(session)
+    elif kind == "tfhub":
+        own = _session_of(rest) if rest else session
+        why = f"tfhub, session {own}, because --bus says so"
+        choice = BusChoice("tfhub", _hub(own, "vehicle"), _hub(own, "bench"), why)
+    elif kind == "socketcan" and rest:
+        _require_socketcan(rest)
+        why = f"SocketCAN {rest}, because --bus says so; the bench channel over tfhub, session {session}"
+        choice = BusChoice("socketcan", text, _hub(session, "bench"), why)
+    elif kind == "virtual":
+        name = rest or session
+        why = "python-can's virtual bus, within this one process"
+        choice = BusChoice("virtual", f"virtual:{name}-vehicle", f"virtual:{name}-bench", why)
+    elif kind in can.VALID_INTERFACES and kind != "socketcan":
+        raise InputError(f"{text} is not open to a bench: {NO_GATE}", code="no_gate", key="--bus", hint=USE_VIRTUAL)
+    else:
+        raise InputError(f"no bus {text!r}", key="--bus", hint=f"one of {KINDS}")
+    return choice._replace(bench_address=_bench_address(bench_bus, session)) if bench_bus else choice
+
+
+def open_link(
+    choice: BusChoice | str,
+    channel: str = "vehicle",
+    *,
+    name: str = "",
+    role: str = "member",
+    stamps: bool = False,
+    fd: bool = False,
+) -> Link:
+    """Open one channel of a choice, or an address as it stands in one.
+
+    `role` observer only listens. `stamps`: this member stamps its frames itself (lockstep). `fd`: CAN FD, sent with
+    bit-rate switch. InputError where transmitting is refused, BenchError where the bus does not open.
+    """
+    if channel not in CHANNELS:
+        raise InputError(f"no channel {channel!r}", key="channel", hint=f"one of {', '.join(CHANNELS)}")
+    if isinstance(choice, BusChoice):
+        text = choice.vehicle_address if channel == "vehicle" else choice.bench_address
+    else:
+        text = choice
+    kind, _, rest = text.partition(":")
+    if kind == "tfhub":
+        return HubLink(HubBus(_endpoint_of(rest, channel), role=role, name=name, stamps=stamps))
+    may_send = role == "member"
+    if kind == "socketcan" and rest:
+        _require_socketcan(rest)
+        if may_send:
+            require_virtual_link(rest)
+    elif kind != "virtual":
+        raise InputError(f"{text} is not open to a bench: {NO_GATE}", code="no_gate", key="--bus", hint=USE_VIRTUAL)
+    return CanLink(
+        _python_can(kind, rest, fd, stamps),
+        name or default_name(),
+        may_send=may_send,
+        keeps_stamps=kind == "virtual" and stamps,
+    )
+
+
+def require_virtual_link(name: str) -> None:
+    """InputError unless the kernel says that this network link is of kind vcan; what it is called does not count."""
+    state = link_state(name)
+    if state.exists and state.kind == "vcan":
+        return
+    what = f"of kind {state.kind}" if state.kind else "hardware"
+    raise InputError(
+        f"{name} is not a vcan link but {what if state.exists else 'not there'}: {NO_GATE}",
+        code="no_gate",
+        key="--bus",
+        hint=USE_VIRTUAL,
+    )
+
+
+def _auto(session: str) -> BusChoice:
+    """SocketCAN when vcan0 is there, up and of kind vcan, else tfhub."""
+    state = link_state(DEFAULT_LINK)
+    if state.exists and state.up and state.kind == "vcan" and kernel_has_can():
+        why = f"SocketCAN {DEFAULT_LINK}, because it is up; the bench channel over tfhub, session {session}"
+        return BusChoice("socketcan", f"socketcan:{DEFAULT_LINK}", _hub(session, "bench"), why)
+    if not kernel_has_can():
+        reason = "this kernel has no CAN"
+    elif not state.exists:
+        reason = f"there is no {DEFAULT_LINK}"
+    elif state.kind != "vcan":
+        reason = f"{DEFAULT_LINK} is not a vcan link"
+    else:
+        reason = f"{DEFAULT_LINK} is down"
+    return BusChoice(
+        "tfhub", _hub(session, "vehicle"), _hub(session, "bench"), f"tfhub, session {session}, because {reason}"
+    )
+
+
+def _require_socketcan(name: str) -> None:
+    """InputError with what to do when this SocketCAN link cannot be opened."""
+    hint = MAKE_VCAN.format(name=name)
+    if not kernel_has_can():
+        raise InputError("this kernel has no CAN (no PF_CAN sockets)", code="no_can", key="--bus", hint=hint)
+    state = link_state(name)
+    if not state.exists:
+        raise InputError(f"there is no network link {name}", code="no_link", key="--bus", hint=hint)
+    if not state.up:
+        raise InputError(f"{name} is down", code="link_down", key="--bus", hint=f"sudo ip link set up {name}")
+
+
+def _bench_address(text: str, session: str) -> str:
+    """`--bench-bus`: tfhub, virtual, or another link that the kernel calls vcan; never a real interface."""
+    kind, _, rest = text.partition(":")
+    if kind == "socketcan" and rest:
+        _require_socketcan(rest)
+        require_virtual_link(rest)
+        return text
+    return resolve_bus(text, session).bench_address
+
+
+def _hub(session: str, channel: str) -> str:
+    return f"tfhub:{address.endpoint(session, channel)}"
+
+
+def _session_of(text: str) -> str:
+    """The session that the ADDRESS of `tfhub:ADDRESS` belongs to: a name, a directory, or an address of a channel."""
+    if text.startswith("unix:"):
+        return _folder(address.parse(text).path)
+    if text.startswith("tcp:"):
+        wanted = str(address.parse(text))
+        for info in address.running_hubs():
+            if wanted in info.addresses.values():
+                return info.session
+        raise BenchError(f"no hub of yours listens at {wanted}", code="no_hub", hint="name its session: tfhub:SESSION")
+    return _folder(text)
+
+
+def _folder(text: str) -> str:
+    """`text` without its endpoint."""
+    folder, _, last = text.rpartition("/")
+    return folder if folder and last in ("veh", "vehicle", "bench") else text
+
+
+def _endpoint_of(text: str, channel: str) -> str:
+    """What HubBus takes: `text`, with the channel's endpoint when it names only a session."""
+    plain, options = address.split_options(text)
+    if options or plain.startswith(("unix:", "tcp:")) or _folder(plain) != plain:
+        return text
+    return address.endpoint(plain, channel)
+
+
+def _python_can(kind: str, rest: str, fd: bool, stamps: bool) -> can.BusABC:
+    """Open a bus of python-can without what its configuration files say."""
+    try:
+        if kind == "virtual":
+            return can.Bus(rest, interface="virtual", preserve_timestamps=stamps, ignore_config=True)
+        return can.Bus(rest, interface="socketcan", fd=fd, ignore_config=True)
+    except (can.CanError, OSError) as error:
+        raise BenchError(f"{kind}:{rest} does not open: {error}", code="bus_error") from error
+
+
+__all__ = ["BusChoice", "open_link", "require_virtual_link", "resolve_bus"]

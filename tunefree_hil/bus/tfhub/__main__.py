@@ -1,0 +1,54 @@
+"""`python -m tunefree_hil.bus.tfhub --session NAME`: one hub in this process."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from tunefree_hil.base.errors import TunefreeError
+from tunefree_hil.bus.tfhub.address import HubInfo
+from tunefree_hil.bus.tfhub.peers import OBSERVER_BYTES
+from tunefree_hil.bus.tfhub.records import LOG_NAMES
+from tunefree_hil.bus.tfhub.serve import say_on_stderr, serve
+
+
+def main() -> int:
+    """Parse the command line and serve; the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m tunefree_hil.bus.tfhub", description=__doc__)
+    parser.add_argument("--session", default="default", help="a name, or a directory of mode 0700")
+    parser.add_argument("--tcp", action="store_true", help="loopback TCP with a token, instead of unix sockets")
+    parser.add_argument(
+        "--clock", choices=("real", "sender"), default="real", help="who stamps: the hub, or lockstep members"
+    )
+    parser.add_argument(
+        "--standalone", "--no-owner", action="store_true", help="live until SIGINT, not until the owner goes"
+    )
+    parser.add_argument("--vehicle-log-name", default=LOG_NAMES["vehicle"], help="channel name in the vehicle's log")
+    parser.add_argument("--bench-log-name", default=LOG_NAMES["bench"], help="channel name in the bench's log")
+    parser.add_argument("--observer-kib", type=int, default=OBSERVER_BYTES >> 10, help="what an observer may be owed")
+    given = parser.parse_args()
+    try:
+        why = serve(
+            given.session,
+            transport="tcp" if given.tcp else "unix",
+            clock=given.clock,
+            standalone=given.standalone,
+            log_names={"vehicle": given.vehicle_log_name, "bench": given.bench_log_name},
+            observer_bytes=given.observer_kib << 10,
+            ready=_announce if given.standalone else None,
+        )
+    except TunefreeError as error:
+        say_on_stderr(str(error))
+        return error.exit_status
+    if given.standalone:
+        say_on_stderr(f"{given.session} ends: {why}")
+    return 0
+
+
+def _announce(info: HubInfo) -> None:
+    where = ", ".join(f"{channel} {address}" for channel, address in info.addresses.items())
+    say_on_stderr(f"{info.session} runs, pid {info.pid}: {where}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,283 @@
+"""A peer's side of a connection to a hub: hello, bytes out, records in. `plugin.py` and `owner.py` stand on it."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.errors import BenchError, InputError
+from tunefree_hil.bus.tfhub.address import Address
+from tunefree_hil.bus.tfhub.records import (
+    BYE,
+    CLASSIC,
+    END,
+    HEAD,
+    HELLO,
+    PROTOCOL,
+    REFUSED,
+    WELCOME,
+    RecordError,
+    body_of,
+    pack_control,
+)
+
+ANSWER_S = 5.0  # how long a hub may take for an answer
+GOODBYE_S = 0.5
+READ_BYTES = 1 << 16
+USER_MISTAKES = ("duplicate_name", "wrong_token", "owned", "protocol")
+
+
+class Welcome(NamedTuple):
+    """What the hub said of itself and of us."""
+
+    protocol: int
+    index: int
+    name: str
+    channel: str
+    log_name: str
+    session: str
+    pid: int
+    clock: str
+    epoch_offset_ns: int
+
+
+class ConnectionGone(Exception):
+    """The hub is gone; the text says how. Callers turn it into the error that their users expect."""
+
+
+def default_name() -> str:
+    """<program>-<pid>."""
+    return f"{Path(sys.argv[0]).stem or 'python'}-{os.getpid()}"
+
+
+class Connection:
+    """One socket to a hub, after the hello. `buffer[at:]` holds received records that nobody has taken yet.
+
+    One thread may send while another receives. InputError or BenchError from the constructor say why the hub is not
+    there or did not let us in.
+    """
+
+    def __init__(self, address: Address, hello: dict[str, Any], name: str = "") -> None:
+        self.address = address
+        self.buffer = bytearray()
+        self.at = 0
+        self.gone = ""  # why the hub is gone
+        self.careful = False  # never hold a whole record back, for those who wait on fileno()
+        self._unsent = b""
+        self.reading = threading.Lock()  # held by whoever changes `buffer` or `at`
+        self._sending = threading.Lock()
+        self.sock = _connect(address)
+        try:
+            self.welcome = self._greet(hello, name)
+        except BaseException:
+            self.sock.close()
+            raise
+        self.sock.setblocking(False)
+
+    def __str__(self) -> str:
+        return f"hub {self.welcome.session} (pid {self.welcome.pid}) at {self.address}"
+
+    # --- out -----------------------------------------------------------------------------------------------------
+
+    def send(self, data: bytes, timeout_s: float | None) -> bool:
+        """Write whole records; False when the hub did not take all of them in time (what is left of one is kept).
+
+        While the hub does not take them, what it sends is read, so that two full sides cannot wait for each other.
+        """
+        with self._sending:
+            if self._unsent:
+                data, self._unsent = self._unsent + data, b""
+            try:
+                sent = self.sock.send(data)
+            except BlockingIOError:
+                sent = 0
+            except OSError as error:
+                raise self._lost(error) from None
+            if sent == len(data):
+                return True
+            return self._send_rest(data, sent, timeout_s)
+
+    def _send_rest(self, data: bytes, sent: int, timeout_s: float | None) -> bool:
+        deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
+        view = memoryview(data)
+        while sent < len(data):
+            rest_s = None if deadline_s is None else deadline_s - time.monotonic()
+            if rest_s is not None and rest_s <= 0.0:
+                self._unsent = data[sent : _end_of_record(data, sent)]
+                return False
+            readable, writable, _ = select.select(
+                [self.sock], [self.sock], [], 0.1 if rest_s is None else min(rest_s, 0.1)
+            )
+            if readable and self.reading.acquire(blocking=False):
+                try:
+                    self._read(READ_BYTES)
+                finally:
+                    self.reading.release()
+            if writable:
+                try:
+                    sent += self.sock.send(view[sent : sent + READ_BYTES])
+                except BlockingIOError:
+                    continue
+                except OSError as error:
+                    raise self._lost(error) from None
+        return True
+
+    # --- in ------------------------------------------------------------------------------------------------------
+
+    def fill(self, timeout_s: float | None) -> bool:
+        """Wait up to timeout_s (None: for ever) until at least one whole record is in the buffer; True when one is."""
+        if self.whole_record():
+            return True
+        deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            rest_s = None if deadline_s is None else max(0.0, deadline_s - time.monotonic())
+            if select.select([self.sock], [], [], rest_s)[0]:
+                with self.reading:
+                    self._read(self._wanted() if self.careful else READ_BYTES)
+            if self.whole_record():
+                return True
+            if rest_s == 0.0:
+                return False
+
+    def whole_record(self) -> int:
+        """The size of the record at `at` when all of it is there, else 0. ConnectionGone after the last one."""
+        have = len(self.buffer) - self.at
+        if have >= HEAD.size:
+            size = self.buffer[self.at] | self.buffer[self.at + 1] << 8
+            if size <= have:
+                return size
+        if self.gone:
+            raise ConnectionGone(self.gone)
+        return 0
+
+    def kind(self) -> int:
+        """The type of the record at `at`."""
+        return self.buffer[self.at + 2]
+
+    def take(self) -> bytes:
+        """The record at `at`, taken out."""
+        with self.reading:
+            size = self.buffer[self.at] | self.buffer[self.at + 1] << 8
+            record = bytes(self.buffer[self.at : self.at + size])
+            self.skip(size)
+        return record
+
+    def skip(self, size: int) -> None:
+        """Take `size` bytes out; the caller holds `reading`."""
+        self.at += size
+        if self.at == len(self.buffer):
+            self.buffer.clear()
+            self.at = 0
+
+    def _wanted(self) -> int:
+        """Bytes to read so that no whole record is left behind in the buffer."""
+        have = len(self.buffer) - self.at
+        if have < HEAD.size:
+            return CLASSIC.size - have
+        return (self.buffer[self.at] | self.buffer[self.at + 1] << 8) - have
+
+    def _read(self, most: int) -> None:
+        """One read; `gone` when there is nobody any more."""
+        if self.gone:
+            return
+        try:
+            data = self.sock.recv(most)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self.gone = error.strerror or "connection lost"
+            return
+        if not data:
+            self.gone = self.gone or "its connection closed"
+        self.buffer += data
+
+    # --- beginning and end ---------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Say good-bye and wait a moment for the hub to close its side, so that nothing sent before is lost."""
+        if self.sock.fileno() < 0:
+            return
+        try:
+            self.send(pack_control(BYE), GOODBYE_S)
+            self.sock.shutdown(socket.SHUT_WR)
+            self.sock.settimeout(GOODBYE_S)
+            while self.sock.recv(READ_BYTES):
+                pass
+        except (OSError, ConnectionGone):  # it went first: nothing is left to say
+            pass
+        finally:
+            self.sock.close()
+
+    def _lost(self, error: OSError) -> ConnectionGone:
+        """Why a write failed: the hub's last word when it left one, else the error."""
+        self.gone = self.gone or error.strerror or "connection lost"
+        return ConnectionGone(self.gone)
+
+    def _greet(self, hello: dict[str, Any], name: str) -> Welcome:
+        body = {"protocol": PROTOCOL, "name": name or default_name(), "fixed_name": bool(name), "pid": os.getpid()}
+        try:
+            self.sock.sendall(pack_control(HELLO, {**body, **hello, "token": _token(self.address)}))
+            deadline_s = time.monotonic() + ANSWER_S
+            while not self.whole_record():
+                if not select.select([self.sock], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
+                    raise BenchError(f"the hub at {self.address} does not answer", code="no_hub")
+                self._read(READ_BYTES)
+        except (OSError, ConnectionGone) as error:
+            raise BenchError(f"the hub at {self.address} closed the connection: {error}", code="no_hub") from None
+        kind, record = self.kind(), self.take()
+        try:
+            if kind == WELCOME:
+                return Welcome(**body_of(record))
+            if kind in (REFUSED, END):
+                raise _refused(self.address, body_of(record))
+        except (RecordError, TypeError) as error:
+            raise BenchError(f"what listens at {self.address} is no hub: {error}", code="no_hub") from error
+        raise BenchError(f"what listens at {self.address} is no hub", code="no_hub")
+
+
+def _end_of_record(data: bytes, sent: int) -> int:
+    """Where the record ends whose bytes are partly sent; `sent` when none is."""
+    at = 0
+    while at < sent:
+        at += data[at] | data[at + 1] << 8
+    return at
+
+
+def _refused(address: Address, body: dict[str, Any]) -> InputError | BenchError:
+    code, message = str(body.get("code", "")), str(body.get("message") or body.get("why"))
+    kind = InputError if code in USER_MISTAKES else BenchError
+    return kind(f"the hub at {address} refused: {message}", code=code, hint=str(body.get("hint", "")))
+
+
+def _connect(address: Address) -> socket.socket:
+    family = socket.AF_UNIX if address.path else socket.AF_INET
+    sock = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        sock.settimeout(ANSWER_S)
+        sock.connect(address.path or (address.host, address.port))
+    except OSError as error:
+        sock.close()
+        raise BenchError(
+            f"no hub listens at {address}: {error.strerror or error}",
+            code="no_hub",
+            hint="start one (tunefree-hil hub), or name the session or address of one that runs",
+        ) from None
+    if not address.path:
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return sock
+
+
+def _token(address: Address) -> str:
+    """The token for a TCP hub; '' where none is needed or known (the hub then says that it is wrong)."""
+    if address.path or not address.token_file:
+        return ""
+    try:
+        return Path(address.token_file).read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"the token cannot be read: {error}", file=address.token_file, key="token_file") from error

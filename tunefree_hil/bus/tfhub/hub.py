@@ -1,0 +1,328 @@
+"""The hub: one thread that gives every frame its number and its stamp and hands it to all others, in one order.
+
+Hot path: one read takes many records; they are checked and stamped where they lie, and the same bytes object goes to
+every receiver, one write each a wake-up. Nothing is formatted there; the log becomes text in idle moments.
+"""
+
+from __future__ import annotations
+
+import selectors
+import socket
+import struct
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+
+from tunefree_hil.bus.tfhub import control, reception
+from tunefree_hil.bus.tfhub.log import CandumpLog
+from tunefree_hil.bus.tfhub.peers import HIGH_BYTES, LOW_BYTES, OBSERVER_BYTES, Peer
+from tunefree_hil.bus.tfhub.records import (
+    BYE,
+    CHANNELS,
+    CLASSIC,
+    END,
+    FD,
+    FRAME,
+    HEAD,
+    HELLO,
+    LEN_AT,
+    LOG_NAMES,
+    NUMBER,
+    REQUEST,
+    STAMP,
+    STAMP_AT,
+    TIME_AT,
+    RecordError,
+    body_of,
+    pack_control,
+)
+from tunefree_hil.bus.tfhub.session import Session
+
+READ_BYTES = 1 << 16
+IDLE_SLICE = 32  # frames made into log text before looking at the sockets again: about 50 us
+BUSY_LIMIT = 4096  # frames that may wait for that while the hub is never idle
+READ, WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
+KNOWN = 4  # bit of Peer.events: the hub holds the connection, even when it waits for nothing from it
+SIZE_KIND = struct.Struct("<HB")
+TIME = struct.Struct("<Q")
+
+
+class Hub:
+    """Routes two channels until it is told to stop, or (unless `standalone`) until its owner is gone.
+
+    `clock` 'real': stamps are CLOCK_MONOTONIC. 'sender': members that said so at hello stamp their own frames (virtual
+    time), all others get the latest of these. `note` is told, in a line, what a person should know.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        *,
+        standalone: bool = False,
+        log_names: Mapping[str, str] = LOG_NAMES,
+        observer_bytes: int = OBSERVER_BYTES,
+        epoch_offset_ns: int = 0,
+        note: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.session = session
+        self.standalone = standalone
+        self.log_names = dict(log_names)
+        self.observer_bytes = observer_bytes
+        self.sender_clock = session.info.clock == "sender"
+        self.epoch_offset_ns = 0 if self.sender_clock else epoch_offset_ns
+        self.note = note
+        self.peers: list[Peer] = []
+        self.strangers: list[Peer] = []  # those of them that have not said who they are
+        self.listeners: dict[str, list[Peer]] = {channel: [] for channel in CHANNELS}
+        self.holders: dict[str, list[Peer]] = {channel: [] for channel in CHANNELS}
+        self.frames = dict.fromkeys(CHANNELS, 0)
+        self.sequence = 0
+        self.logs: dict[str, CandumpLog] = {}
+        self.lost: deque[str] = deque(maxlen=100)
+        self.ended = ""
+        self.owner_deadline_s = 0.0 if standalone else time.monotonic() + reception.OWNER_PATIENCE_S
+        self._time_ns = 0  # latest virtual time
+        self._buffer = bytearray(2 * READ_BYTES)
+        self._view = memoryview(self._buffer)
+        self._dirty: set[Peer] = set()
+        self._requests: list[tuple[Peer, bytes]] = []
+        self._selector = selectors.DefaultSelector()
+        self._waker, self._woken = socket.socketpair()
+        self._selector.register(self._woken, READ, None)
+        for channel, listener in session.listeners.items():
+            self._selector.register(listener, READ, channel)
+
+    def stop(self, reason: str) -> None:
+        """End `run` soon; from a signal handler or another thread too."""
+        self.ended = self.ended or reason
+        self._waker.send(b"x")
+
+    def run(self) -> None:
+        """Route until the end; then close everything."""
+        try:
+            while not self.ended:
+                self._turn()
+        finally:
+            self._close()
+
+    # --- one wake-up ---------------------------------------------------------------------------------------------
+
+    def _turn(self) -> None:
+        waiting = sum([log.waiting for log in self.logs.values()]) if self.logs else 0
+        ready = self._selector.select(0.0 if waiting else reception.patience_s(self))
+        for key, mask in ready:
+            peer = key.data
+            if type(peer) is Peer:
+                if mask & READ and peer.events & READ:
+                    self._read(peer)
+                if mask & WRITE:
+                    self._dirty.add(peer)
+            elif peer is None:
+                self._woken.recv(16)
+            else:
+                reception.accept(self, key.fileobj, peer)  # type: ignore[arg-type]
+        if self._requests:  # after all that was sent before them
+            self._answer()
+        while self._dirty:
+            self._flush()
+        if waiting and (not ready or waiting > BUSY_LIMIT):
+            for log in self.logs.values():
+                log.work(IDLE_SLICE)
+        reception.enforce_deadlines(self)
+
+    def _read(self, peer: Peer) -> None:
+        """Take what a peer has sent; whoever sends bytes that are no records is dropped."""
+        start = len(peer.rest)
+        if start:
+            self._view[:start] = peer.rest
+        try:
+            got = peer.sock.recv_into(self._view[start:], READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            reception.lose(self, peer, error.strerror or "connection lost")
+            return
+        if not got:
+            reception.lose(self, peer, "its connection closed without a good-bye")
+            return
+        end = start + got
+        try:
+            used = self._take(peer, end)
+        except RecordError as error:
+            reception.drop(self, peer, str(error))
+            return
+        peer.rest = bytes(self._view[used:end]) if used < end else b""
+
+    def _take(self, peer: Peer, end: int) -> int:
+        """Check, number and stamp the records in the buffer up to `end`, and route them. How many bytes were whole."""
+        buffer = self._buffer
+        own_stamps = self.sender_clock and peer.stamps
+        time_ns = self._time_ns if self.sender_clock else time.monotonic_ns()
+        index, sequence = peer.index, self.sequence
+        offset = first = last = count = 0
+        while end - offset >= HEAD.size:
+            size, kind = SIZE_KIND.unpack_from(buffer, offset)
+            if kind != FRAME:
+                self._route(peer, first, offset, last, count)
+                if size < HEAD.size:
+                    raise RecordError("it sent bytes that are no records")
+                if end - offset < size:
+                    return offset
+                self._control(peer, kind, bytes(self._view[offset : offset + size]))
+                if not peer.events:
+                    return end
+                first = offset = offset + size
+                index, count, sequence = peer.index, 0, self.sequence
+                own_stamps = self.sender_clock and peer.stamps
+                continue
+            if size != CLASSIC.size and size != FD.size:
+                self._route(peer, first, offset, last, count)
+                raise RecordError("it sent bytes that are no records")
+            if end - offset < size:
+                break
+            if buffer[offset + LEN_AT] > (8 if size == CLASSIC.size else 64):
+                self._route(peer, first, offset, last, count)
+                raise RecordError("it sent a frame that is too long")
+            sequence += 1
+            if own_stamps:
+                NUMBER.pack_into(buffer, offset + STAMP_AT, index, sequence)
+            else:
+                STAMP.pack_into(buffer, offset + STAMP_AT, index, sequence, time_ns)
+            last = offset
+            offset += size
+            count += 1
+        self._route(peer, first, offset, last, count)
+        return offset
+
+    def _route(self, peer: Peer, first: int, end: int, last: int, count: int) -> None:
+        """Owe `count` stamped frames, the last of which begins at `last`, to all others of the channel."""
+        if not count:
+            return
+        if peer.role != "member":
+            raise RecordError(f"it sent frames as {peer.role or 'a stranger'}")
+        chunk = bytes(self._view[first:end])
+        channel = peer.channel
+        self.sequence += count
+        self.frames[channel] += count
+        peer.sent += count
+        if self.sender_clock and peer.stamps:
+            self._time_ns = TIME.unpack_from(self._buffer, last + TIME_AT)[0]
+        for other in self.listeners[channel]:
+            if other is peer and not peer.echo:
+                continue
+            if other.role == "observer":
+                other.give(chunk, count, self.observer_bytes)
+            else:
+                other.give(chunk, count)
+                if other.owed > HIGH_BYTES:
+                    self._hold(other)
+            self._dirty.add(other)
+        log = self.logs.get(channel)
+        if log is not None:
+            log.add(chunk, count)
+
+    def _control(self, peer: Peer, kind: int, record: bytes) -> None:
+        if kind == HELLO and not peer.role:
+            reception.hello(self, peer, body_of(record))
+        elif kind == BYE and peer.role:
+            reception.farewell(self, peer)
+        elif kind == REQUEST and peer.role == "owner":
+            self._requests.append((peer, record))
+        else:
+            raise RecordError("it sent a record that it may not send")
+
+    def _answer(self) -> None:
+        requests, self._requests = self._requests, []
+        for peer, record in requests:
+            try:
+                reply = control.answer(self, body_of(record))
+            except RecordError as error:
+                reception.drop(self, peer, str(error))
+                continue
+            self.owe(peer, reply)
+
+    # --- giving --------------------------------------------------------------------------------------------------
+
+    def owe(self, peer: Peer, record: bytes) -> None:
+        """Owe a peer a record that is no frame."""
+        peer.give(record, 0)
+        self._dirty.add(peer)
+
+    def _flush(self) -> None:
+        dirty, self._dirty = self._dirty, set()
+        for peer in dirty:
+            if not peer.events:
+                continue
+            try:
+                done = peer.flush()
+            except OSError:
+                self._read(peer)  # it may have said good-bye before it closed
+                if peer.events:
+                    reception.lose(self, peer, "its connection closed without a good-bye")
+                continue
+            if peer.owed < LOW_BYTES and peer in self.holders[peer.channel]:
+                self.release(peer)
+            self.watch(peer, (0 if peer.paused else READ) | (0 if done else WRITE))
+
+    def watch(self, peer: Peer, events: int) -> None:
+        """Have the selector report these events of a peer; 0 events: none, but the peer stays."""
+        if events == peer.events & (READ | WRITE):
+            return
+        if not events:
+            self._selector.unregister(peer.sock)
+        elif peer.events & (READ | WRITE):
+            self._selector.modify(peer.sock, events, peer)
+        else:
+            self._selector.register(peer.sock, events, peer)
+        peer.events = events | KNOWN
+
+    def forget(self, peer: Peer) -> None:
+        """Close a connection and let go of everything that belonged to it."""
+        if peer.events & (READ | WRITE):
+            self._selector.unregister(peer.sock)
+        peer.events = 0
+        peer.sock.close()
+        self.peers.remove(peer)
+        if peer in self.strangers:
+            self.strangers.remove(peer)
+        self._dirty.discard(peer)
+        if peer in self.listeners[peer.channel]:
+            self.listeners[peer.channel].remove(peer)
+        self.release(peer)
+
+    # --- back-pressure -------------------------------------------------------------------------------------------
+
+    def _hold(self, member: Peer) -> None:
+        """A member does not keep up: read from no sender of its channel until it does."""
+        if member not in self.holders[member.channel]:
+            self.holders[member.channel].append(member)
+            self.pause_senders(member.channel)
+
+    def release(self, member: Peer) -> None:
+        """It keeps up again, or is gone."""
+        if member in self.holders[member.channel]:
+            self.holders[member.channel].remove(member)
+            self.pause_senders(member.channel)
+
+    def pause_senders(self, channel: str) -> None:
+        """Read from the members of a channel exactly when nobody holds it."""
+        held = bool(self.holders[channel])
+        for peer in self.peers:
+            if peer.role == "member" and peer.channel == channel:
+                peer.paused = held
+                self.watch(peer, (0 if held else READ) | (peer.events & WRITE))
+
+    def _close(self) -> None:
+        for log in self.logs.values():
+            log.abandon()
+        for peer in list(self.peers):
+            peer.give(pack_control(END, {"why": self.ended or "it failed"}), 0)
+            try:
+                peer.flush()
+            except OSError:  # it went first
+                pass
+            self.forget(peer)
+        self._selector.close()
+        self._waker.close()
+        self._woken.close()
+        self.session.close()

@@ -1,0 +1,176 @@
+"""How fast a hub is, between real processes: round trips, a burst with three members, lockstep ticks.
+
+Numbers of one machine at one time: for `tools/measure hub`, never for a test to pass or fail by.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus.tfhub.plugin import HubBus
+from tunefree_hil.bus.tfhub.start import HubProcess, start_hub
+
+PATIENCE_S = 30.0
+STOP_ID = 0x7FF
+READY_ID = 0x7FE
+PHASE_FRAMES = (12, 3)  # vehicle frames a tick of ECU and controller, about those of the first vehicle
+
+
+def measure_hub(rounds: int = 5000, transport: str = "unix", log: bool = True) -> dict[str, float]:
+    """Round trip (us, p50 and p99), frames/s to each of two receivers, and a lockstep tick (us) of bus work alone.
+
+    `rounds` of each; the burst has 4 frames for each round. With `log` the hub records all the while, as in an episode.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        session = str(Path(folder) / "hub")
+        with start_hub(session, clock="sender", transport=transport) as hub:
+            if log:
+                hub.owner.start_log({name: Path(folder) / f"{name}.log" for name in ("vehicle", "bench")})
+            trips_us = _round_trips(hub, rounds)
+            rate_hz = _burst(hub, 4 * rounds)
+            ticks_us = _ticks(hub, rounds)
+            if log:
+                hub.owner.stop_log()
+    return {
+        "rounds": float(rounds),
+        "round_trip_p50_us": _quantile(trips_us, 0.50),
+        "round_trip_p99_us": _quantile(trips_us, 0.99),
+        "burst_frames_per_s": rate_hz,
+        "lockstep_tick_p50_us": _quantile(ticks_us, 0.50),
+        "lockstep_tick_p99_us": _quantile(ticks_us, 0.99),
+    }
+
+
+def _quantile(values: list[float], share: float) -> float:
+    ordered = sorted(values)
+    return ordered[min(len(ordered) - 1, int(share * len(ordered)))]
+
+
+@contextmanager
+def _peer(kind: str, hub: HubProcess, number: int = 0) -> Iterator[subprocess.Popen[bytes]]:
+    """A process of this module that plays one part, and ends when it is told STOP_ID."""
+    command = [sys.executable, "-m", "tunefree_hil.bus.tfhub.measure", kind, hub.vehicle, hub.bench, str(number)]
+    process = subprocess.Popen(command)
+    try:
+        yield process
+        process.wait(PATIENCE_S)
+    finally:
+        process.kill()
+        process.wait()
+
+
+def _until(bus: HubBus, identifier: int, count: int) -> int:
+    """Receive until `count` frames of one id have come; how many others came."""
+    others = 0
+    while count > 0:
+        frames = bus.recv_frames(PATIENCE_S)
+        if not frames:
+            raise TimeoutError(f"{bus.name} heard nothing for {PATIENCE_S} s")
+        found = sum(frame.id == identifier for frame in frames)
+        count -= found
+        others += len(frames) - found
+    return others
+
+
+def _round_trips(hub: HubProcess, rounds: int) -> list[float]:
+    """Times of one frame there and one frame back, in us."""
+    bus = HubBus(hub.vehicle, role="member", name="asker")
+    frame, stop = [CanFrame(0x100, bytes(8))], [CanFrame(STOP_ID, b"")]
+    times = []
+    with bus, _peer("echo", hub):
+        _until(bus, READY_ID, 1)
+        for _ in range(rounds):
+            start_s = time.perf_counter()
+            bus.send_frames(frame)
+            bus.recv_frames(PATIENCE_S)
+            times.append((time.perf_counter() - start_s) * 1e6)
+        bus.send_frames(stop)
+    return times
+
+
+def _burst(hub: HubProcess, count: int) -> float:
+    """Frames a second until two other members have received all, sent 50 at a time."""
+    bus = HubBus(hub.vehicle, role="member", name="burster")
+    batch = [CanFrame(0x200 + i, bytes(8)) for i in range(50)]
+    with bus, _peer("drain", hub, 1), _peer("drain", hub, 2):
+        _until(bus, READY_ID, 2)
+        start_s = time.perf_counter()
+        for _ in range(count // len(batch)):
+            bus.send_frames(batch)
+        bus.send_frames([CanFrame(STOP_ID, b"")])
+        _until(bus, READY_ID, 2)
+        elapsed_s = time.perf_counter() - start_s
+    return (count // len(batch)) * len(batch) / elapsed_s
+
+
+def _ticks(hub: HubProcess, count: int) -> list[float]:
+    """Times of ticks in us: phase 0 here, phase 1 in another process, and a third that listens to the bench channel."""
+    vehicle = HubBus(hub.vehicle, role="member", name="ecu", stamps=True)
+    bench = HubBus(hub.bench, role="member", name="ecu", stamps=True)
+    times = []
+    with vehicle, bench, _peer("controller", hub), _peer("tuner", hub):
+        _until(bench, READY_ID, 2)
+        for tick in range(count):
+            start_s = time.perf_counter()
+            time_s = tick * 0.01
+            vehicle.send_frames([CanFrame(0x100 + i, bytes(8), False, False, time_s) for i in range(PHASE_FRAMES[0])])
+            bench.send_frames([CanFrame(0x10, bytes(8), False, False, time_s)] * 2)
+            _until(bench, 0x11, 1)
+            got = 0
+            while got < PHASE_FRAMES[1]:
+                got += len(vehicle.recv_frames(PATIENCE_S))
+            times.append((time.perf_counter() - start_s) * 1e6)
+        bench.send_frames([CanFrame(STOP_ID, b"")])
+    return times
+
+
+def _echo(vehicle: str, bench: str, number: int) -> None:
+    with HubBus(vehicle, role="member", name="echo") as bus:
+        bus.send_frames([CanFrame(READY_ID, b"")])
+        while True:
+            frames = bus.recv_frames(PATIENCE_S)
+            if not frames or frames[0].id == STOP_ID:
+                return
+            bus.send_frames(frames)
+
+
+def _drain(vehicle: str, bench: str, number: int) -> None:
+    with HubBus(vehicle, role="member", name=f"drain{number}") as bus:
+        bus.send_frames([CanFrame(READY_ID, b"")])
+        _until(bus, STOP_ID, 1)
+        bus.send_frames([CanFrame(READY_ID, b"")])
+
+
+def _controller(vehicle: str, bench: str, number: int) -> None:
+    first = HubBus(vehicle, role="member", name="controller", stamps=True)
+    second = HubBus(bench, role="member", name="controller", stamps=True)
+    answer = [CanFrame(0x300 + i, bytes(8)) for i in range(PHASE_FRAMES[1])]
+    with first, second:
+        second.send_frames([CanFrame(READY_ID, b"")])
+        while True:
+            if any(frame.id == STOP_ID for frame in second.recv_frames(PATIENCE_S)):
+                return
+            got = 0
+            while got < PHASE_FRAMES[0]:
+                got += len(first.recv_frames(PATIENCE_S))
+            first.send_frames(answer)
+            second.send_frames([CanFrame(0x11, bytes(8))])
+
+
+def _tuner(vehicle: str, bench: str, number: int) -> None:
+    with HubBus(bench, role="member", name="tuner") as bus:
+        bus.send_frames([CanFrame(READY_ID, b"")])
+        _until(bus, STOP_ID, 1)
+
+
+PARTS = {"echo": _echo, "drain": _drain, "controller": _controller, "tuner": _tuner}
+
+if __name__ == "__main__":
+    PARTS[sys.argv[1]](sys.argv[2], sys.argv[3], int(sys.argv[4]))

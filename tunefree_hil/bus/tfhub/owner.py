@@ -1,0 +1,113 @@
+"""The control connection: who owns a hub starts and stops its logs, reads its numbers, and ends it by going."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.errors import BenchError, NoAnswer
+from tunefree_hil.bus.tfhub import address
+from tunefree_hil.bus.tfhub.connection import Connection, ConnectionGone
+from tunefree_hil.bus.tfhub.records import REPLY, REQUEST, body_of, pack_control
+
+REPLY_S = 60.0  # a disk may be slow; a hub that is gone is noticed at once
+
+
+class PeerStats(NamedTuple):
+    """One peer of a hub. `dropped`: frames that an observer did not get; `owed_bytes`: what waits for it."""
+
+    name: str
+    channel: str
+    role: str
+    pid: int
+    sent: int
+    dropped: int
+    owed_bytes: int
+
+
+class HubStats(NamedTuple):
+    """`frames`: channel -> frames routed. `lost`: the latest losses. `held_by`: members the bus is waiting for."""
+
+    session: str
+    clock: str
+    frames: dict[str, int]
+    peers: tuple[PeerStats, ...]
+    lost: tuple[str, ...]
+    held_by: tuple[str, ...]
+    log_failures: tuple[str, ...]
+
+    def dropped(self) -> dict[str, int]:
+        """Observer -> frames that it did not get."""
+        return {peer.name: peer.dropped for peer in self.peers if peer.role == "observer"}
+
+
+class Owner:
+    """Open it soon after the hub was started: a hub (unless standalone) ends without one.
+
+    `session`: as given to the hub. `wait_s`: how long to wait for a hub that is just starting. Every method raises
+    BenchError when the hub is gone, naming it.
+    """
+
+    def __init__(self, session: str = "default", *, name: str = "", wait_s: float = 0.0) -> None:
+        self._connection = _connect(session, name, wait_s)
+        self.pid = self._connection.welcome.pid  # of the hub
+
+    def start_log(self, paths: Mapping[str, str | PathLike[str]]) -> None:
+        """Record channels from now on: {"vehicle": path, "bench": path}. Each file has its name only after stop_log."""
+        whole = {channel: str(Path(fspath(path)).absolute()) for channel, path in paths.items()}
+        self._ask({"op": "start_log", "paths": whole})
+
+    def stop_log(self) -> dict[str, int]:
+        """Finish the logs; frames by channel. BenchError names the file that could not be written."""
+        return self._ask({"op": "stop_log"})
+
+    def stats(self) -> HubStats:
+        """The hub's numbers."""
+        found = self._ask({"op": "stats"})
+        peers = tuple(PeerStats(**peer) for peer in found["peers"])
+        lists = {key: tuple(found[key]) for key in ("lost", "held_by", "log_failures")}
+        return HubStats(found["session"], found["clock"], found["frames"], peers, **lists)
+
+    def close(self) -> None:
+        """Give the hub up; it ends, unless it is standalone."""
+        self._connection.close()
+
+    def __enter__(self) -> Owner:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _ask(self, request: dict[str, Any]) -> Any:
+        connection = self._connection
+        try:
+            connection.send(pack_control(REQUEST, request), REPLY_S)
+            if not connection.fill(REPLY_S):
+                raise NoAnswer(f"the {connection} did not answer {request['op']} within {REPLY_S:g} s")
+            kind, record = connection.kind(), connection.take()
+        except ConnectionGone as error:
+            raise BenchError(f"the {connection} is gone: {error}", code="hub_gone") from None
+        body = body_of(record)
+        if kind != REPLY:
+            why = body.get("message") or body.get("why")
+            raise BenchError(f"the {connection} is gone: {why}", code="hub_gone")
+        if "error" in body:
+            raise BenchError(**body["error"])
+        return body["ok"]
+
+
+def _connect(session: str, name: str, wait_s: float) -> Connection:
+    """Connect, again and again for wait_s while no hub answers there."""
+    deadline_s = time.monotonic() + wait_s
+    while True:
+        try:
+            info = address.read_hub(session)
+            where = address.parse(info.addresses["bench"], info.token_file)
+            return Connection(where, {"role": "owner"}, name)
+        except BenchError as error:
+            if error.code != "no_hub" or time.monotonic() >= deadline_s:
+                raise
+        time.sleep(0.005)

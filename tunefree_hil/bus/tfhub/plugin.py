@@ -1,0 +1,274 @@
+"""`HubBus`: what python-can opens as interface `tfhub`, and the fast path that our own nodes use.
+
+    python -m can.logger -i tfhub -c default/veh             an observer: sees all, cannot stall the bus
+    python -m can.player -i tfhub -c 'default/veh?role=member&listen=no' drive.log
+
+A member reads everything it is sent (or says listen=no): the bus waits for it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import can
+
+from tunefree_hil.base.errors import BenchError, InputError, PeerGone
+from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus.tfhub import address
+from tunefree_hil.bus.tfhub.connection import Connection, ConnectionGone
+from tunefree_hil.bus.tfhub.records import (
+    ANY_FLAG,
+    BRS,
+    CLASSIC,
+    DROPPED,
+    EFF_FLAG,
+    EFF_MASK,
+    ERR_FLAG,
+    ESI,
+    FRAME,
+    HEAD,
+    PEER_GONE,
+    RTR_FLAG,
+    Raw,
+    body_of,
+    pack_frames,
+    pack_raw,
+    unpack_raw,
+)
+
+ROLES = ("member", "observer")
+FALSE_WORDS = ("0", "no", "false", "off")
+# What python-can and its tools pass to every interface and a hub has no use for: there is no bit time on it.
+IGNORED = {"ignore_config", "interface", "bitrate", "data_bitrate", "timing", "fd", "app_name", "preserve_timestamps"}
+
+
+class HubGone(BenchError, can.CanOperationError):
+    """The hub is gone, or has thrown this peer out."""
+
+
+class MemberGone(PeerGone, can.CanOperationError):
+    """A member of the bus is gone without a good-bye."""
+
+
+class MayNotSend(InputError, can.CanOperationError):
+    """Only members transmit."""
+
+
+class HubBus(can.BusABC):
+    """One channel of a hub as a python-can bus.
+
+    `channel`: an address of `address.py`, with options `?role=...&name=...&echo=yes&listen=no&token_file=...&stamps=yes`
+    that may also be given as keywords. `role` observer (default) or member. `stamps`: on a hub with the clock 'sender'
+    this member's own time stamps are kept. `send` and `recv` raise HubGone; `recv` of a member raises MemberGone once
+    for each member that is lost, after what it had sent.
+    """
+
+    def __init__(
+        self,
+        channel: str,
+        can_filters: Any = None,
+        receive_own_messages: bool = False,
+        *,
+        role: str = "",
+        name: str = "",
+        listen: bool = True,
+        stamps: bool = False,
+        listen_only: bool = False,
+        token_file: str = "",
+        **others: Any,
+    ) -> None:
+        unknown = sorted(set(others) - IGNORED)
+        if unknown:
+            raise can.CanInitializationError(f"tfhub does not know the option {', '.join(unknown)}")
+        text, options = address.split_options(str(channel))
+        self.role = options.get("role", role or "observer")
+        if self.role not in ROLES:
+            raise InputError(f"no role {self.role!r}", key="role", hint=f"one of {', '.join(ROLES)}")
+        if listen_only:
+            self.role = "observer"
+        hello = {
+            "role": self.role,
+            "echo": _yes(options.get("echo"), receive_own_messages),
+            "listen": _yes(options.get("listen"), listen),
+            "stamps": _yes(options.get("stamps"), stamps),
+        }
+        where = address.parse(text, options.get("token_file", token_file))
+        self._connection = Connection(where, hello, options.get("name", name))
+        self.welcome = self._connection.welcome
+        self.name = self.welcome.name
+        self.dropped = 0  # frames that this observer did not get, as the hub counted
+        self.remote_frames = 0  # seen by recv_frames, which hands over data frames only
+        self.error_frames: list[Raw] = []  # the latest of these, too
+        self._offset_ns = self.welcome.epoch_offset_ns
+        self._can_protocol = can.CanProtocol.CAN_FD
+        self.channel_info = f"tfhub {self.welcome.session}/{self.welcome.channel} as {self.role} {self.name}"
+        super().__init__(channel, can_filters=can_filters)
+
+    # --- what python-can asks for --------------------------------------------------------------------------------
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Transmit; waits while another member holds the bus. can.CanTimeoutError after `timeout` seconds."""
+        can_id = msg.arbitration_id | (EFF_FLAG if msg.is_extended_id else 0)
+        can_id |= (RTR_FLAG if msg.is_remote_frame else 0) | (ERR_FLAG if msg.is_error_frame else 0)
+        flags = (BRS if msg.bitrate_switch else 0) | (ESI if msg.error_state_indicator else 0)
+        data = bytes(msg.data or b"")
+        time_ns = max(0, round(msg.timestamp * 1e9))
+        self._transmit(pack_raw(can_id, data, time_ns, fd=msg.is_fd, flags=flags, length=msg.dlc), timeout)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        try:
+            if not self._connection.fill(timeout):
+                return None, False
+        except ConnectionGone as error:
+            raise self._gone(error) from None
+        if self._connection.kind() != FRAME:
+            self._control(self._connection.take())
+            return None, False
+        return self._message(unpack_raw(self._connection.take())), False
+
+    def _message(self, raw: Raw) -> can.Message:
+        return can.Message(
+            timestamp=(raw.time_ns + self._offset_ns) / 1e9,
+            arbitration_id=raw.can_id & EFF_MASK,
+            is_extended_id=bool(raw.can_id & EFF_FLAG),
+            is_remote_frame=bool(raw.can_id & RTR_FLAG),
+            is_error_frame=bool(raw.can_id & ERR_FLAG),
+            channel=self.welcome.log_name,
+            dlc=raw.length,
+            data=raw.data,
+            is_fd=raw.fd,
+            bitrate_switch=bool(raw.flags & BRS),
+            error_state_indicator=bool(raw.flags & ESI),
+            is_rx=raw.sender != self.welcome.index,
+        )
+
+    def shutdown(self) -> None:
+        """Say good-bye; members are then not told of a loss."""
+        if not self._is_shutdown:
+            super().shutdown()
+            self._connection.close()
+
+    def fileno(self) -> int:
+        """The socket. From now on no frame waits in this object while the socket has nothing to read."""
+        self._connection.careful = True
+        return self._connection.sock.fileno()
+
+    def flush_tx_buffer(self) -> None:
+        """Nothing waits on this side."""
+
+    @property
+    def state(self) -> can.BusState:
+        """ACTIVE, or ERROR when the hub is gone."""
+        return can.BusState.ERROR if self._connection.gone or self._is_shutdown else can.BusState.ACTIVE
+
+    @staticmethod
+    def _detect_available_configs() -> list[Any]:
+        """The channels of this user's hubs."""
+        found = [where for info in address.running_hubs() for where in info.addresses.values()]
+        return [{"interface": "tfhub", "channel": where} for where in found]
+
+    # --- the fast path -------------------------------------------------------------------------------------------
+
+    def send_frames(self, frames: Sequence[CanFrame], timeout_s: float | None = None, brs: bool = True) -> None:
+        """Transmit data frames in this order with one write. Their time_s counts where this member stamps."""
+        if frames:
+            self._transmit(pack_frames(frames, brs), timeout_s)
+
+    def recv_frames(self, timeout_s: float | None) -> list[CanFrame]:
+        """All data frames that have come; waits up to timeout_s for the first. [] on time-out.
+
+        Remote frames are counted, error frames kept in `error_frames`; neither is handed over as data.
+        """
+        connection = self._connection
+        frames: list[CanFrame] = []
+        deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            try:
+                if not connection.fill(timeout_s):
+                    return frames
+            except ConnectionGone as error:
+                raise self._gone(error) from None
+            if connection.kind() != FRAME:
+                self._control(connection.take())
+            else:
+                with connection.reading:
+                    self._take_frames(frames)
+                if self._filters is not None:
+                    frames = [frame for frame in frames if self._wanted(frame)]
+                if frames or self.error_frames:
+                    return frames
+            if deadline_s is not None:
+                timeout_s = max(0.0, deadline_s - time.monotonic())
+
+    def _take_frames(self, frames: list[CanFrame]) -> None:
+        """Move whole FRAME records from the buffer to `frames`, up to the first record of another type."""
+        connection = self._connection
+        buffer, at, end = connection.buffer, connection.at, len(connection.buffer)
+        unpack, small = CLASSIC.unpack_from, CLASSIC.size
+        while end - at >= HEAD.size and buffer[at + 2] == FRAME:
+            size = buffer[at] | buffer[at + 1] << 8
+            if end - at < size:
+                break
+            if size == small:
+                _, _, _, _, time_ns, can_id, length, data = unpack(buffer, at)
+                if not can_id & ANY_FLAG:
+                    frames.append(CanFrame(can_id, data[:length], False, False, time_ns / 1e9))
+                else:
+                    self._take_special(frames, unpack_raw(buffer, at))
+            else:
+                self._take_special(frames, unpack_raw(buffer, at))
+            at += size
+        connection.skip(at - connection.at)
+
+    def _take_special(self, frames: list[CanFrame], raw: Raw) -> None:
+        if raw.can_id & ERR_FLAG:
+            self.error_frames = [*self.error_frames[-99:], raw]
+        elif raw.can_id & RTR_FLAG:
+            self.remote_frames += 1
+        else:
+            extended = bool(raw.can_id & EFF_FLAG)
+            frames.append(CanFrame(raw.can_id & EFF_MASK, raw.data, extended, raw.fd, raw.time_ns / 1e9))
+
+    def _wanted(self, frame: CanFrame) -> bool:
+        return self._matches_filters(can.Message(arbitration_id=frame.id, is_extended_id=frame.extended))
+
+    # --- shared --------------------------------------------------------------------------------------------------
+
+    def _transmit(self, data: bytes, timeout_s: float | None) -> None:
+        if self.role != "member":
+            raise MayNotSend(
+                f"{self.name} is an observer of {self.welcome.session} and may not transmit",
+                code="observer",
+                key="role",
+                hint="open the bus as a member: ?role=member",
+            )
+        try:
+            taken = self._connection.send(data, timeout_s)
+        except ConnectionGone as error:
+            raise self._gone(error) from None
+        if not taken:
+            raise can.CanTimeoutError(
+                f"{self._connection} took no more frames for {timeout_s} s: a member does not read (its stats name it)"
+            )
+
+    def _control(self, record: bytes) -> None:
+        """Act on a record that is no frame."""
+        kind = record[2]
+        if kind == PEER_GONE:
+            body = body_of(record)
+            raise MemberGone(str(body["name"]), f"{body['name']} is gone from the bus: {body['why']}", code="peer_gone")
+        if kind == DROPPED:
+            self.dropped = HEAD.unpack_from(record)[3]
+            return
+        body = body_of(record)
+        raise self._gone(ConnectionGone(str(body.get("message") or body.get("why"))))
+
+    def _gone(self, error: ConnectionGone) -> HubGone:
+        self._connection.gone = self._connection.gone or str(error)
+        return HubGone(f"the {self._connection} is gone: {error}", code="hub_gone")
+
+
+def _yes(word: str | None, otherwise: bool) -> bool:
+    return otherwise if word is None else word.lower() not in FALSE_WORDS

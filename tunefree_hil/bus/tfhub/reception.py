@@ -1,0 +1,205 @@
+"""How peers come to a hub and go from it: hello, good-bye, and being lost, which all members are told."""
+
+from __future__ import annotations
+
+import hmac
+import socket
+import time
+from typing import TYPE_CHECKING, Any
+
+from tunefree_hil.bus.tfhub.peers import Peer
+from tunefree_hil.bus.tfhub.records import PEER_GONE, PROTOCOL, REFUSED, WELCOME, RecordError, pack_control
+
+if TYPE_CHECKING:
+    from tunefree_hil.bus.tfhub.hub import Hub
+
+HELLO_PATIENCE_S = 2.0
+OWNER_PATIENCE_S = 10.0
+ROLES = ("member", "observer", "owner")
+MOST_PEERS = 255  # a sender's index is one byte, and 0 is the hub
+READ = 1
+
+
+def accept(hub: Hub, listener: socket.socket, channel: str) -> None:
+    """Take a new connection; it has HELLO_PATIENCE_S to say who it is."""
+    try:
+        sock, _ = listener.accept()
+    except OSError:  # it went before it was taken
+        return
+    sock.setblocking(False)
+    if sock.family == socket.AF_INET:
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    peer = Peer(sock, channel, time.monotonic() + HELLO_PATIENCE_S)
+    hub.peers.append(peer)
+    hub.strangers.append(peer)
+    hub.watch(peer, READ)
+
+
+def patience_s(hub: Hub) -> float | None:
+    """How long the hub may sleep: until the next deadline, None when there is none."""
+    if not hub.strangers and not hub.owner_deadline_s:
+        return None
+    deadlines = [peer.deadline_s for peer in hub.strangers]
+    if hub.owner_deadline_s:
+        deadlines.append(hub.owner_deadline_s)
+    return max(0.0, min(deadlines) - time.monotonic())
+
+
+def enforce_deadlines(hub: Hub) -> None:
+    """Drop strangers, and end a hub whose owner never came."""
+    if not hub.strangers and not hub.owner_deadline_s:
+        return
+    now_s = time.monotonic()
+    for peer in list(hub.strangers):
+        if peer.deadline_s <= now_s:
+            drop(hub, peer, f"it did not say who it is within {HELLO_PATIENCE_S:g} s")
+    if hub.owner_deadline_s and hub.owner_deadline_s <= now_s:
+        hub.ended = f"no owner came within {OWNER_PATIENCE_S:g} s"
+
+
+def hello(hub: Hub, peer: Peer, body: dict[str, Any]) -> None:
+    """Let a peer in, or tell it why not. RecordError for a hello of the wrong form."""
+    role, name, pid = body.get("role"), body.get("name"), body.get("pid")
+    if role not in ROLES or not isinstance(name, str) or not isinstance(pid, int):
+        raise RecordError("its hello has no role, name or pid")
+    name = "".join(letter if letter.isprintable() else "?" for letter in name)[:80] or "nameless"
+    if not body.get("fixed_name", True):
+        name = _free_name(hub, peer.channel, name)
+    refusal = _refusal(hub, peer, body, role, name)
+    if refusal:
+        _refuse(hub, peer, *refusal)
+        return
+    hub.strangers.remove(peer)
+    peer.role, peer.name, peer.pid = role, name, pid
+    peer.echo, peer.stamps = body.get("echo") is True, body.get("stamps") is True
+    peer.listen = role != "owner" and body.get("listen") is not False
+    peer.index = min(set(range(1, MOST_PEERS + 1)) - {other.index for other in hub.peers})
+    if role == "owner":
+        hub.owner_deadline_s = 0.0
+    hub.owe(peer, _welcome(hub, peer))
+    if peer.listen:
+        hub.listeners[peer.channel].append(peer)
+    if role == "member":
+        hub.pause_senders(peer.channel)
+
+
+def _welcome(hub: Hub, peer: Peer) -> bytes:
+    info = hub.session.info
+    body = {
+        "protocol": PROTOCOL,
+        "index": peer.index,
+        "name": peer.name,
+        "channel": peer.channel,
+        "log_name": hub.log_names[peer.channel],
+        "session": info.session,
+        "pid": info.pid,
+        "clock": info.clock,
+        "epoch_offset_ns": hub.epoch_offset_ns,
+    }
+    return pack_control(WELCOME, body)
+
+
+def _refusal(hub: Hub, peer: Peer, body: dict[str, Any], role: str, name: str) -> tuple[str, str, str] | None:
+    """(code, message, hint) when the peer may not come in."""
+    token = hub.session.token
+    given = body.get("token")
+    if token and not (isinstance(given, str) and hmac.compare_digest(token.encode(), given.encode())):
+        return "wrong_token", "the token is wrong", "name the token file of the hub's session: ?token_file=..."
+    if body.get("protocol") != PROTOCOL:
+        return "protocol", f"this hub speaks protocol {PROTOCOL}, not {body.get('protocol')}", "use one version for all"
+    for other in hub.peers:
+        if role == other.role == "owner":
+            return "owned", f"this hub has an owner already: {other.name}, pid {other.pid}", "start a hub of your own"
+        if role != "owner" and other.role in ("member", "observer") and _same(other, peer.channel, name):
+            there = f"{name} is on the bus already (pid {other.pid})"
+            return "duplicate_name", there, "choose another name: ?name=..."
+    if len(hub.peers) > MOST_PEERS:
+        return "full", f"the hub has {MOST_PEERS} peers", "close some"
+    return None
+
+
+def _same(other: Peer, channel: str, name: str) -> bool:
+    return other.channel == channel and other.name == name
+
+
+def _free_name(hub: Hub, channel: str, name: str) -> str:
+    """`name`, or with a number behind it when it is taken."""
+    taken = {other.name for other in hub.peers if other.channel == channel and other.role}
+    number, free = 1, name
+    while free in taken:
+        number += 1
+        free = f"{name}-{number}"
+    return free
+
+
+def _refuse(hub: Hub, peer: Peer, code: str, message: str, hint: str) -> None:
+    hub.note(f"refused {peer.name}: {message}")
+    _last_word(hub, peer, code, message, hint)
+
+
+def _last_word(hub: Hub, peer: Peer, code: str, message: str, hint: str) -> None:
+    """Say why, as far as the socket takes it, and close."""
+    peer.give(pack_control(REFUSED, {"code": code, "message": message, "hint": hint}), 0)
+    try:
+        peer.flush()
+    except OSError:  # it does not hear it any more
+        pass
+    hub.forget(peer)
+
+
+def farewell(hub: Hub, peer: Peer) -> None:
+    """A peer said good-bye."""
+    hub.forget(peer)
+    if peer.role == "owner":
+        _without_owner(hub, f"its owner {peer.name} said good-bye")
+
+
+def lose(hub: Hub, peer: Peer, why: str) -> None:
+    """A connection is gone without a good-bye."""
+    hub.forget(peer)
+    if peer.role == "owner":
+        _without_owner(hub, f"its owner {peer.name} is gone")
+    elif peer.role:
+        _mourn(hub, peer, why)
+
+
+def drop(hub: Hub, peer: Peer, why: str) -> None:
+    """Throw out a peer that broke the rules; the others go on, and members are told."""
+    who = f"{peer.name} (pid {peer.pid})" if peer.role else f"a connection to {peer.channel}"
+    hub.note(f"dropped {who}: {why}")
+    hub.lost.append(f"{who} was dropped: {why}")
+    _last_word(hub, peer, "dropped", f"the hub dropped this connection: {why}", "")
+    if peer.role == "owner":
+        _without_owner(hub, f"its owner {peer.name} was dropped: {why}")
+    elif peer.role == "member":
+        _tell_members(hub, peer, f"the hub dropped it: {why}")
+
+
+def _mourn(hub: Hub, peer: Peer, why: str) -> None:
+    """Note a loss, and tell the members once a process, though it may have a connection on each channel."""
+    if peer.mourned:
+        return
+    hub.lost.append(f"{peer.role} {peer.name} (pid {peer.pid}): {why}")
+    hub.note(f"lost {peer.role} {peer.name} (pid {peer.pid}): {why}")
+    if peer.role == "member":
+        _tell_members(hub, peer, why)
+
+
+def _tell_members(hub: Hub, lost: Peer, why: str) -> None:
+    record = pack_control(PEER_GONE, {"name": lost.name, "pid": lost.pid, "why": why}, sender=lost.index)
+    for other in hub.peers:
+        if other.role != "member":
+            continue
+        if other.name == lost.name and other.pid == lost.pid:
+            other.mourned = True
+        elif other.listen:
+            hub.owe(other, record)
+
+
+def _without_owner(hub: Hub, why: str) -> None:
+    """No owner: logs that nobody can stop are cut off, and a hub that was started for its owner ends."""
+    for log in hub.logs.values():
+        log.abandon()
+    hub.logs = {}
+    if not hub.standalone:
+        hub.ended = hub.ended or why

@@ -1,0 +1,124 @@
+"""What passes between a hub and its peers, as bytes.
+
+Every record starts with the same 20 bytes, little-endian: length u16 (of the whole record), type u8, sender u8 (index
+that the hub gave; 0 = the hub), sequence u64 (one count over both channels), time u64 (ns). A FRAME record goes on with
+the bytes of Linux' `struct can_frame` (16) or `struct canfd_frame` (72), so no flag of a frame is lost on the way.
+The other types carry JSON or nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.records import CanFrame
+
+PROTOCOL = 1
+CHANNELS = ("vehicle", "bench")
+ENDPOINTS = {"vehicle": "veh", "bench": "bench"}  # channel -> last part of its address
+LOG_NAMES = {"vehicle": "can0", "bench": "bench"}  # channel -> its name in a log, unless told otherwise
+
+# record types
+FRAME, HELLO, WELCOME, REFUSED, BYE, PEER_GONE, DROPPED, REQUEST, REPLY, END = range(1, 11)
+
+# struct can_frame: can_id u32, len u8, 3 bytes, 8 data bytes; canfd_frame: can_id u32, len u8, flags u8, 2, 64
+HEAD = struct.Struct("<HBBQQ")
+FRAME_HEAD = struct.Struct("<HBBQQIBB")
+CLASSIC = struct.Struct("<HBBQQIB3x8s")
+FD = struct.Struct("<HBBQQIBB2x64s")
+STAMP = struct.Struct("<BQQ")  # sender, sequence, time; at STAMP_AT of a record
+NUMBER = struct.Struct("<BQ")  # the same without time
+STAMP_AT = 3
+TIME_AT = 12
+LEN_AT = 24  # of the frame's length byte in a FRAME record
+DATA_AT = 28
+
+EFF_FLAG, RTR_FLAG, ERR_FLAG = 0x80000000, 0x40000000, 0x20000000
+EFF_MASK, SFF_MASK = 0x1FFFFFFF, 0x7FF
+ANY_FLAG = EFF_FLAG | RTR_FLAG | ERR_FLAG
+BRS, ESI = 0x01, 0x02
+NO_CLASS = 0x80  # bus error: what python-can writes for an error frame that names no class
+
+
+class RecordError(ValueError):
+    """Bytes that are no record of ours."""
+
+
+class Raw(NamedTuple):
+    """One FRAME record, taken apart. `can_id` holds the EFF, RTR and ERR bits; `length` is the DLC of an RTR frame."""
+
+    sender: int
+    sequence: int
+    time_ns: int
+    can_id: int
+    length: int
+    flags: int
+    fd: bool
+    data: bytes
+
+
+def pack_control(kind: int, body: dict[str, Any] | None = None, *, sender: int = 0, sequence: int = 0) -> bytes:
+    """A record that is no frame; `body` becomes JSON."""
+    text = json.dumps(body).encode() if body is not None else b""
+    if HEAD.size + len(text) > 0xFFFF:
+        raise RecordError(f"a control record of {len(text)} bytes is too long")
+    return HEAD.pack(HEAD.size + len(text), kind, sender, sequence, 0) + text
+
+
+def body_of(record: bytes) -> dict[str, Any]:
+    """The JSON object of a control record. RecordError when it is none."""
+    try:
+        body = json.loads(record[HEAD.size :] or b"{}")
+    except ValueError as error:
+        raise RecordError(f"a control record without JSON: {error}") from error
+    if not isinstance(body, dict):
+        raise RecordError("a control record whose JSON is no object")
+    return body
+
+
+def pack_raw(
+    can_id: int, data: bytes, time_ns: int = 0, *, fd: bool = False, flags: int = 0, length: int = -1
+) -> bytes:
+    """One FRAME record as a sender writes it. `can_id` with its flag bits; `length` is the DLC of an RTR frame."""
+    count = len(data) if length < 0 else length
+    check_frame(can_id, count, fd)
+    if fd:
+        return FD.pack(FD.size, FRAME, 0, 0, time_ns, can_id, count, flags, data)
+    return CLASSIC.pack(CLASSIC.size, FRAME, 0, 0, time_ns, can_id, count, data)
+
+
+def check_frame(can_id: int, length: int, fd: bool) -> None:
+    """Raise InputError for a frame that no CAN bus could carry."""
+    if not can_id & (EFF_FLAG | ERR_FLAG) and can_id & EFF_MASK > SFF_MASK:
+        raise InputError(f"id 0x{can_id & EFF_MASK:X} does not fit a standard frame", hint="send it as extended")
+    if length > (64 if fd else 8):
+        raise InputError(f"{length} bytes do not fit a {'CAN FD' if fd else 'classic CAN'} frame")
+
+
+def pack_frames(frames: Iterable[CanFrame], brs: bool = True) -> bytes:
+    """FRAME records of data frames, time_s as ns. FD frames are sent with bit-rate switch when `brs`."""
+    parts = []
+    flags = BRS if brs else 0
+    for identifier, data, extended, fd, time_s in frames:
+        if not 0 <= identifier <= EFF_MASK:
+            raise InputError(f"{identifier:#x} is no CAN id", hint="ids have 11 bits, or 29 when extended")
+        can_id = identifier | EFF_FLAG if extended else identifier
+        time_ns = round(time_s * 1e9)
+        length = len(data)
+        if not fd and length <= 8 and (extended or identifier <= SFF_MASK):
+            parts.append(CLASSIC.pack(36, FRAME, 0, 0, time_ns, can_id, length, data))
+        else:
+            parts.append(pack_raw(can_id, data, time_ns, fd=fd, flags=flags if fd else 0))
+    return b"".join(parts)
+
+
+def unpack_raw(buffer: bytes | bytearray | memoryview, offset: int = 0) -> Raw:
+    """The FRAME record at `offset`."""
+    size, _, sender, sequence, time_ns, can_id, length, flags = FRAME_HEAD.unpack_from(buffer, offset)
+    fd = size == FD.size
+    kept = 0 if can_id & RTR_FLAG else length
+    data = bytes(buffer[offset + DATA_AT : offset + DATA_AT + kept])
+    return Raw(sender, sequence, time_ns, can_id, length, flags if fd else 0, fd, data)

@@ -1,0 +1,55 @@
+"""The commands of `tunefree-hil`. Their jobs are imported when they run, so that help is there at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Annotated, Any
+
+import typer
+
+from tunefree_hil import __version__
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.events import Event
+from tunefree_hil.cli import bench_commands, data_commands, run_commands
+from tunefree_hil.cli.options import AsJson, Plain
+from tunefree_hil.cli.output import present
+from tunefree_hil.cli.overview import MISSING, overview
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+@app.callback(invoke_without_command=True, help="A bench that tunes the controllers of a by-wire vehicle over CAN.")
+def start(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="print the version", is_eager=True)] = False,
+) -> None:
+    """Without a command: the four jobs."""
+    if version:
+        print(f"tunefree-hil {__version__}")
+        raise typer.Exit(0)
+    if context.invoked_subcommand is None:
+        print(overview())
+
+
+def _not_built(name: str) -> Callable[..., Any]:
+    """A command that says that it is not there yet, whatever its arguments are."""
+
+    def command(context: typer.Context, plain: Plain = False, as_json: AsJson = False) -> int:
+        def job() -> Iterable[Event]:
+            raise InputError(f"{name} is {MISSING}", code="not_built", hint="`tunefree-hil` shows what there is")
+
+        return present(name, job, plain=plain, as_json=as_json)
+
+    return command
+
+
+ANYTHING = {"allow_extra_args": True, "ignore_unknown_options": True}
+for _command in (run_commands.drive, run_commands.tune, run_commands.verify, run_commands.replay):
+    app.command()(_command)
+app.command("learn", context_settings=ANYTHING, help=f"Learn a vehicle from logs ({MISSING}).")(_not_built("learn"))
+app.command("gap", context_settings=ANYTHING, help=f"Name what a simulation lacks ({MISSING}).")(_not_built("gap"))
+for _command in (bench_commands.hub, bench_commands.ecu, bench_commands.controller):
+    app.command()(_command)
+for _command in (data_commands.scenarios, data_commands.doctor):
+    app.command()(_command)
+app.add_typer(data_commands.log, name="log", help="Look into a log of CAN frames (candump text).")

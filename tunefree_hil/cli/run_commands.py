@@ -1,0 +1,181 @@
+"""Commands that make or read runs: drive, tune, verify, replay. Each imports its job when it is called."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.events import Event
+from tunefree_hil.cli.options import (
+    AsJson,
+    Bench,
+    BenchBus,
+    Bus,
+    Join,
+    Model,
+    Out,
+    Plain,
+    Realtime,
+    RunPath,
+    Seed,
+    Session,
+    session_of,
+)
+from tunefree_hil.cli.output import present
+
+
+class Scale(StrEnum):
+    """How a parameter's box is searched."""
+
+    log = "log"
+    linear = "linear"
+
+
+class ParameterSet(StrEnum):
+    """Which parameters are tuned (interfaces 7)."""
+
+    mrac = "mrac"
+    lateral = "lateral"
+    complete = "complete"
+
+
+def drive(
+    bench: Bench,
+    scenario: Annotated[str | None, typer.Option(help="one scenario of the bench file only")] = None,
+    model: Model = None,
+    bus: Bus = "auto",
+    bench_bus: BenchBus = "",
+    seed: Seed = None,
+    realtime: Realtime = False,
+    join: Join = False,
+    session: Session = "",
+    out: Out = None,
+    parameter: Annotated[list[str] | None, typer.Option(help="NAME=VALUE, again for more")] = None,
+    plain: Plain = False,
+    as_json: AsJson = False,
+) -> int:
+    """Drive scenarios over the bus and score them."""
+
+    def job() -> Iterable[Event]:
+        from tunefree_hil.jobs.drive import drive as run
+
+        return run(
+            bench,
+            scenario=scenario,
+            model=model,
+            bus=bus,
+            bench_bus=bench_bus,
+            seed=seed,
+            realtime=realtime,
+            join=join,
+            session=session_of(session, join),
+            out=out,
+            parameters=parameter or [],
+        )
+
+    return present("drive", job, plain=plain, as_json=as_json, first=f"drive {bench}")
+
+
+def tune(
+    bench: Annotated[Path | None, typer.Argument(help="bench file, such as bench_configs/mkz_steer.toml")] = None,
+    trials: Annotated[int | None, typer.Option(min=1, help="how many trials; default: the bench file's")] = None,
+    set_name: Annotated[ParameterSet | None, typer.Option("--set", help="which parameters")] = None,
+    sampler: Annotated[str | None, typer.Option(help="tpe_independent, tpe_relative or random")] = None,
+    seed: Seed = None,
+    scale: Annotated[Scale, typer.Option(help="how the box is searched; linear is the paper's")] = Scale.log,
+    bus: Bus = "auto",
+    bench_bus: BenchBus = "",
+    join: Join = False,
+    session: Session = "",
+    out: Out = None,
+    resume: Annotated[Path | None, typer.Option(help="go on with this run folder")] = None,
+    verify: Annotated[bool, typer.Option(help="drive the winner on the verify model at the end")] = True,
+    study: Annotated[str | None, typer.Option(help="another study storage: postgresql://...")] = None,
+    plain: Plain = False,
+    as_json: AsJson = False,
+) -> int:
+    """Find the controller's parameters.
+
+    Trial by trial over the bench; the run folder says why the winner wins. Stopped, it goes on with --resume.
+    """
+
+    def job() -> Iterable[Event]:
+        bench_file = _bench_of(bench, resume)
+        from tunefree_hil.jobs.tune import tune as run
+
+        return run(
+            bench_file,
+            trials=trials,
+            set_name=set_name.value if set_name else None,
+            sampler=sampler,
+            seed=seed,
+            scale=scale.value,
+            bus=bus,
+            bench_bus=bench_bus,
+            join=join,
+            session=session_of(session, join),
+            out=out,
+            resume=resume,
+            verify=verify,
+            study=study,
+        )
+
+    return present("tune", job, plain=plain, as_json=as_json, first=f"tune {bench or resume or ''}".strip())
+
+
+def _bench_of(bench: Path | None, resume: Path | None) -> Path:
+    """The bench file that was given, or the copy in the run that is to go on."""
+    if bench is not None:
+        return bench
+    if resume is not None:
+        return resume / "bench.toml"
+    known = sorted(Path("bench_configs").glob("*.toml"))
+    listed = ", ".join(str(path) for path in known) or "bench_configs/NAME.toml"
+    raise InputError("no bench file given", code="usage", key="BENCH", hint=f"give one of {listed}, or --resume RUN")
+
+
+def verify(
+    run: RunPath,
+    bus: Bus = "auto",
+    bench_bus: BenchBus = "",
+    join: Join = False,
+    session: Session = "",
+    plain: Plain = False,
+    as_json: AsJson = False,
+) -> int:
+    """Drive a run's winner on the verify model.
+
+    Beside it the manual parameters. Exit status 1 when the winner does not hold.
+    """
+
+    def job() -> Iterable[Event]:
+        from tunefree_hil.jobs.verify import verify as start_job
+
+        return start_job(run, bus=bus, bench_bus=bench_bus, join=join, session=session_of(session, join))
+
+    return present("verify", job, plain=plain, as_json=as_json, first=f"verify {run}")
+
+
+def replay(
+    run: RunPath,
+    episode: Annotated[int | None, typer.Option(help="which episode; default: all")] = None,
+    verify: Annotated[bool, typer.Option("--verify", help="drive it again and compare every frame")] = False,
+    plain: Plain = False,
+    as_json: AsJson = False,
+) -> int:
+    """Read a run's logs again.
+
+    With --verify drive it again and compare every frame: exit status 1 when they differ.
+    """
+
+    def job() -> Iterable[Event]:
+        from tunefree_hil.jobs.replay import replay as start_job
+
+        return start_job(run, episode=episode, verify=verify)
+
+    return present("replay", job, plain=plain, as_json=as_json, first=f"replay {run}")

@@ -1,0 +1,154 @@
+"""What must fit together in scenario, weights, bench and model files. Each check yields (key, message, hint)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from tunefree_hil.base.records import GROUPS
+from tunefree_hil.config.find import nearest
+from tunefree_hil.config.schema import (
+    BenchSpec,
+    Interval,
+    ModelSpec,
+    ParameterSpec,
+    ProfileSpec,
+    ScenarioSpec,
+    WeightsSpec,
+    value_of,
+)
+
+# The names of interfaces 7; control/parameters.py has their boxes.
+PARAMETERS = (
+    *("mrac.t_ref_s", "mrac.p"),
+    *("lqr.q1", "lqr.q2", "lqr.q3", "lqr.q4"),
+    *("station.kp", "speed.kp_low", "speed.ki_low", "speed.kp_high", "speed.ki_high"),
+    *("mrac.enable", "riccati", "mrac.clamp_s", "mrac.gamma", "look_ahead_m"),
+)
+MOST_SEED = 65535  # EPISODE carries it in 16 bits
+
+Found = Iterator[tuple[str, str, str]]
+
+
+def check_scenario(spec: ScenarioSpec) -> Found:
+    """Profiles fit, nothing drives backwards, the seed fits its place on the bench channel."""
+    for name in ("speed", "curvature", "grade", "friction"):
+        profile = getattr(spec, name)
+        if profile is not None:
+            yield from _profile(name, profile)
+    if any(value < 0.0 for value in spec.speed.value):
+        yield "speed.value", "a speed is below 0", "scenarios drive forwards"
+    if spec.start.speed_mps < 0.0:
+        yield "start.speed_mps", f"{spec.start.speed_mps:g} is below 0", "scenarios drive forwards"
+    if spec.friction is not None and any(value <= 0.0 for value in spec.friction.value):
+        yield "friction.value", "a friction is not above 0", "1.0 is the model's own friction"
+    if not 0 <= spec.noise_seed <= MOST_SEED:
+        yield "noise_seed", f"{spec.noise_seed} does not fit", f"give 0 to {MOST_SEED}"
+    if spec.speed.t_s and spec.speed.t_s[-1] <= 0.0:
+        yield "speed.t_s", "the scenario lasts 0 s", "the last t_s is its duration"
+
+
+def _profile(name: str, profile: ProfileSpec) -> Found:
+    times, values = profile.t_s, profile.value
+    if len(times) != len(values):
+        yield name, f"{len(times)} times in t_s, {len(values)} in value", "give one value for each time"
+    if not times:
+        yield f"{name}.t_s", "it is empty", "give at least one point"
+        return
+    if times[0] != 0.0:
+        yield f"{name}.t_s", f"it begins at {times[0]:g} s", "begin at 0.0"
+    for i in range(1, len(times)):
+        if times[i] <= times[i - 1]:
+            yield f"{name}.t_s[{i}]", f"{times[i]:g} is not above {times[i - 1]:g}", "times ascend"
+            return
+
+
+def check_weights(spec: WeightsSpec) -> Found:
+    """Weights are not negative and not all 0."""
+    for name, weight in spec.metrics.items():
+        if weight < 0.0:
+            yield f"metrics.{name}", f"{weight:g} is below 0", "a lower score is better, so weights are not negative"
+    if sum(spec.metrics.values()) <= 0.0:
+        yield "metrics", "the weights add up to 0", "give at least one metric a weight"
+    for name in ("failure_score", "lane_half_width_m", "divergence_heading_rad"):
+        if getattr(spec, name) <= 0.0:
+            yield name, f"{getattr(spec, name):g} is not above 0", "give a number above 0"
+    if spec.replan_penalty < 0.0:
+        yield "replan_penalty", f"{spec.replan_penalty:g} is below 0", "give a number from 0 on"
+
+
+def check_bench(spec: BenchSpec) -> Found:
+    """Names, boxes and counts."""
+    if not spec.scenarios:
+        yield "scenarios", "it is empty", "name at least one scenario"
+    own = any(":" in part for part in (spec.controller.lateral, spec.controller.longitudinal, spec.controller.inner))
+    for name in spec.controller.parameters:
+        if name not in PARAMETERS and not own:
+            yield f"controller.parameters.{name}", "no such parameter", nearest(name, PARAMETERS)
+    yield from _tune(spec, own)
+    for i, fault in enumerate(spec.faults):
+        if not 0 <= fault.from_tick < fault.to_tick:
+            yield f"faults[{i}]", f"from_tick {fault.from_tick}, to_tick {fault.to_tick}", "0 <= from_tick < to_tick"
+
+
+def _tune(spec: BenchSpec, own: bool) -> Found:
+    tune = spec.tune
+    if tune.set and tune.parameters:
+        yield "tune.parameters", f"the set {tune.set!r} is given too", "give a set, or parameters"
+    for name in ("trials", "in_flight"):
+        if getattr(tune, name) < 1:
+            yield f"tune.{name}", f"{getattr(tune, name)} is below 1", "give a whole number from 1 on"
+    seen: set[str] = set()
+    for i, parameter in enumerate(tune.parameters):
+        key = f"tune.parameters[{i}]"
+        if parameter.name not in PARAMETERS and not own:
+            yield f"{key}.name", f"no parameter {parameter.name!r}", nearest(parameter.name, PARAMETERS)
+        if parameter.name in seen:
+            yield f"{key}.name", f"{parameter.name} is listed twice", "remove one"
+        seen.add(parameter.name)
+        yield from _box(key, parameter)
+
+
+def _box(key: str, parameter: ParameterSpec) -> Found:
+    if parameter.choices is not None:
+        if not parameter.choices:
+            yield f"{key}.choices", "it is empty", "give the values there are"
+        return
+    if parameter.low >= parameter.high:
+        yield f"{key}.low", f"low {parameter.low:g} is not below high {parameter.high:g}", "give low < high, or choices"
+    elif parameter.scale == "log" and parameter.low <= 0.0:
+        yield f"{key}.low", f"{parameter.low:g} on a log scale", 'give low > 0, or scale = "linear"'
+    if parameter.step is not None and parameter.step <= 0.0:
+        yield f"{key}.step", f"{parameter.step:g} is not above 0", "give a step above 0, or none"
+
+
+def check_model(spec: ModelSpec) -> Found:
+    """Intervals hold their value, times are not negative, names are record fields."""
+    for channel, actuator in spec.actuators.items():
+        for name in ("dead_time_s", "lag_s", "natural_hz", "damping", "rate_limit", "dead_band", "gain", "offset"):
+            number, key = getattr(actuator, name), f"actuators.{channel}.{name}"
+            value = value_of(number)
+            if isinstance(number, Interval) and not number.low <= number.value <= number.high:
+                yield key, f"{number.value:g} is outside {number.low:g} to {number.high:g}", "low <= value <= high"
+            if name not in ("gain", "offset") and value < 0.0:
+                yield key, f"{value:g} is below 0", "give a number from 0 on"
+        if actuator.order == 2 and not value_of(actuator.natural_hz) > 0.0:
+            yield f"actuators.{channel}.natural_hz", "order 2 needs it", "give natural_hz and damping"
+    for table in ("noise", "bias"):
+        yield from _record_keys(table, list(getattr(spec, table)))
+    for name, deviation in spec.noise.items():
+        if deviation < 0.0:
+            yield f"noise.{name}", f"{deviation:g} is below 0", "give a standard deviation"
+    for name in ("report_ticks", "command_ticks", "phase_seed"):
+        if getattr(spec.timing, name) < 0:
+            yield f"timing.{name}", "it is below 0", "give a whole number from 0 on"
+    for name in ("speed_mps", "accel_mps2", "lateral_accel_mps2", "pedals"):
+        ends = getattr(spec.valid, name)
+        if ends is not None and (len(ends) != 2 or ends[0] >= ends[1]):
+            yield f"valid.{name}", f"expected [low, high], got {ends}", "give two ascending numbers"
+
+
+def _record_keys(table: str, names: Sequence[str]) -> Found:
+    known = [f"{group}.{name}" for group in ("report", "ins") for name in GROUPS[group]._fields]
+    for name in names:
+        if name not in known:
+            yield f"{table}.{name}", "no such record field", nearest(name, known)

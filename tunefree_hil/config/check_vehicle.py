@@ -1,0 +1,162 @@
+"""What a vehicle.toml says wrongly by itself, all at once; what it says wrongly of its DBC: bus/check_vehicle.py."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.records import GROUPS, WHEEL_FIELDS
+from tunefree_hil.config.find import nearest
+from tunefree_hil.config.schema import FieldSpec, VehicleSpec
+
+WHEELS = "wheel_speed_radps"
+CONDITIONS = ("enabled", "override", "fault", "timeout", "watchdog")
+ACTUATORS = ("throttle", "brake", "steer", "gear", "accel", "steer_torque")
+# Alternative command sets (interfaces 2): the one in use counts, its echoes in the reports too.
+PEDALS = ("throttle_frac", "brake_frac")
+ECHOES = {
+    "throttle_input_frac": "throttle_frac",
+    "throttle_command_frac": "throttle_frac",
+    "throttle_frac": "throttle_frac",
+    "brake_input_frac": "brake_frac",
+    "brake_command_frac": "brake_frac",
+    "brake_frac": "brake_frac",
+    "steer_command_rad": "steer_rad",
+    "accel_command_mps2": "accel_mps2",
+    "steer_torque_command_nm": "steer_torque_nm",
+    "steer_torque_nm": "steer_torque_nm",
+}
+POSITIVE = ("mass_kg", "wheelbase_m", "front_axle_m", "yaw_inertia_kgm2", "steer_ratio", "wheel_radius_m")
+POSITIVE_LIMITS = ("steer_rad", "steer_rate_radps", "throttle_frac", "brake_frac", "lateral_accel_mps2", "speed_mps")
+
+
+def field_names(group: str) -> list[str]:
+    """The names that tables [group.*] may have."""
+    names = [name for name in GROUPS[group]._fields if name not in WHEEL_FIELDS]
+    return [*names, WHEELS] if group == "report" else names
+
+
+def check_fields(spec: VehicleSpec) -> list[InputError]:
+    """Every problem of the file by itself."""
+    file = str(Path(spec.folder) / "vehicle.toml")
+    return [
+        InputError(message, code="vehicle", file=file, key=key, hint=hint)
+        for check in (_numbers, _names, _periods, _presence, _states)
+        for key, message, hint in check(spec)
+    ]
+
+
+Found = Iterator[tuple[str, str, str]]
+
+
+def _numbers(spec: VehicleSpec) -> Found:
+    for key, value in (("tick_ms", spec.tick_ms), ("bitrate", spec.bitrate), ("data_bitrate", spec.data_bitrate)):
+        if value is not None and value <= 0:
+            yield key, f"{value} is not above 0", "give a whole number above 0"
+    if not spec.dbc:
+        yield "dbc", "it is empty", "name the DBC files of the folder"
+    for table, names in (("nominal", POSITIVE), ("limits", POSITIVE_LIMITS)):
+        for name in names:
+            value = getattr(getattr(spec, table), name)
+            if value is not None and value <= 0.0:
+                yield (
+                    f"{table}.{name}",
+                    f"{value:g} is not above 0",
+                    "give the data sheet's value, or no key",
+                )
+    accel = spec.limits.accel_mps2
+    if len(accel) != 2 or not accel[0] < 0.0 < accel[1]:
+        yield "limits.accel_mps2", f"expected [low, high] round 0, got {accel}", "for example [-6.0, 2.0]"
+    for name, latency in spec.latency.items():
+        if name not in ACTUATORS:
+            yield f"latency.{name}", "no such actuator", nearest(name, ACTUATORS)
+        if latency.dead_time_s < 0.0 or latency.rise_time_s < 0.0:
+            yield f"latency.{name}", "a time is below 0", "give seconds from 0 on"
+    if spec.ins_frame.latency_s < 0.0:
+        yield "ins_frame.latency_s", "it is below 0", "give seconds from 0 on"
+
+
+def _names(spec: VehicleSpec) -> Found:
+    for group in GROUPS:
+        for name, field in getattr(spec, group).items():
+            key = f"{group}.{name}"
+            if name not in field_names(group):
+                yield key, "no such record field", nearest(name, field_names(group))
+            yield from _signals(key, name, field)
+    known = [f"{group}.{name}" for group in GROUPS for name in field_names(group)]
+    for i, name in enumerate(spec.absent):
+        if name not in known:
+            yield f"absent[{i}]", f"no such record field: {name!r}", nearest(name, known)
+
+
+def _signals(key: str, name: str, field: FieldSpec) -> Found:
+    listed = isinstance(field.signal, list)
+    if bool(field.signal) == bool(field.signals):
+        yield (
+            f"{key}.signal",
+            "expected either `signal` or `signals`",
+            'signal = "NAME", or signals = [{ name = "A" }, ...]',
+        )
+    if name == WHEELS and (not listed or len(field.signal) != 4):
+        yield f"{key}.signal", "expected four signals", 'signal = ["FL", "FR", "RL", "RR"]'
+    if name != WHEELS and listed:
+        yield f"{key}.signal", "expected one signal, got a list", "a sum is written signals = [{ name, scale }, ...]"
+    if field.scale == 0.0 or any(term.scale == 0.0 for term in field.signals):
+        yield f"{key}.scale", "it is 0", "SI value = physical value * scale + offset"
+    if field.specific_force and key != "ins.accel_mps2":
+        yield f"{key}.specific_force", "only [ins.accel_mps2] may say it", "reports are specific force anyway"
+
+
+def _periods(spec: VehicleSpec) -> Found:
+    tick = max(spec.tick_ms, 1)
+    entries = [(f"{group}.{name}", field) for group in GROUPS for name, field in getattr(spec, group).items()]
+    for key, entry in [*entries, *((f"extra.{name}", extra) for name, extra in spec.extra.items())]:
+        period = entry.period_ms
+        if period <= 0 or period % tick:
+            hint = f"give a whole multiple of tick_ms = {spec.tick_ms}, or a tick that divides it"
+            yield f"{key}.period_ms", f"{period} is no multiple of the tick" if period > 0 else f"it is {period}", hint
+    for key, field in entries:
+        if field.timeout_ms < 0 or field.timeout_ms % tick:
+            yield f"{key}.timeout_ms", f"{field.timeout_ms} is no multiple of the tick", f"tick_ms = {spec.tick_ms}"
+
+
+def _presence(spec: VehicleSpec) -> Found:
+    """A field is mapped or listed as absent, not both and not neither."""
+    for group in GROUPS:
+        mapped = getattr(spec, group)
+        for name in field_names(group):
+            key = f"{group}.{name}"
+            if name in mapped and key in spec.absent:
+                yield key, "it is mapped and listed in `absent`", "remove one"
+            elif name not in mapped and key not in spec.absent and _counts(spec, group, name):
+                yield key, "neither mapped nor listed in `absent`", f'add [{key}], or "{key}" to absent'
+
+
+def _counts(spec: VehicleSpec, group: str, name: str) -> bool:
+    """Whether a field that is not mapped is missed: of alternative command sets only the one in use counts."""
+    if group == "command":
+        return name in _commands_in_use(spec)
+    if group == "report" and name in ECHOES:
+        return ECHOES[name] in spec.command
+    return True
+
+
+def _commands_in_use(spec: VehicleSpec) -> set[str]:
+    absent = {key.removeprefix("command.") for key in spec.absent if key.startswith("command.")}
+    said = spec.command.keys() | absent
+    used = {"gear"}
+    if not (said & {"accel_mps2"}) or spec.command.keys() & set(PEDALS):
+        used.update(PEDALS)
+    if not said & {"steer_torque_nm"}:
+        used.add("steer_rad")
+    return used
+
+
+def _states(spec: VehicleSpec) -> Found:
+    for condition, states in spec.state.items():
+        if condition not in CONDITIONS:
+            yield f"state.{condition}", "no such condition", nearest(condition, CONDITIONS)
+        for i, state in enumerate(states):
+            if not state.message or not state.signal:
+                yield f"state.{condition}[{i}]", "message and signal are needed", "name both"

@@ -1,0 +1,93 @@
+"""Where a named vehicle, model, scenario, weights or bench file is: a path, by the bench file, here, the checkout."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from tunefree_hil.base.errors import InputError
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+class Kind(NamedTuple):
+    """A kind of file: what people call it, the checkout's folder, and the file in a folder of its own ('' = none)."""
+
+    word: str
+    folder: str
+    inside: str
+
+
+KINDS = {
+    "vehicle": Kind("vehicle", "dbc", "vehicle.toml"),
+    "model": Kind("model", "bench_configs/models", "model.toml"),
+    "scenario": Kind("scenario", "bench_configs/scenarios", ""),
+    "weights": Kind("weights", "bench_configs/weights", ""),
+    "bench": Kind("bench file", "bench_configs", ""),
+}
+
+
+def find(kind: str, name: str | Path, near: str | Path | None = None) -> Path:
+    """The TOML file that `name` means: an explicit path (of the file or its folder), or a name.
+
+    A name is looked for in `near` (the bench file's folder), the working directory and the checkout, as `name`,
+    `name.toml` or, for what has a folder of its own, `name/vehicle.toml`. Raises InputError that lists what there is.
+    """
+    for place in places(kind, near):
+        for candidate in _candidates(KINDS[kind], place / Path(name).expanduser()):
+            if candidate.is_file():
+                return candidate.resolve()
+    raise _miss(kind, str(name), near)
+
+
+def places(kind: str, near: str | Path | None = None) -> list[Path]:
+    """The folders that are looked into, in order; each also under the checkout's name of the kind's folder."""
+    folder = KINDS[kind].folder
+    roots = [Path(near)] if near is not None else []
+    found: list[Path] = []
+    for root in [*roots, Path.cwd(), CHECKOUT]:
+        found += [place for place in (root, root / folder, root / Path(folder).name) if place not in found]
+    return found
+
+
+def _candidates(kind: Kind, path: Path) -> list[Path]:
+    if kind.inside:
+        return [path / kind.inside, path]
+    return [path, path.with_name(path.name + ".toml")]
+
+
+def available(kind: str, near: str | Path | None = None) -> list[str]:
+    """The names of this kind in the folders that are looked into."""
+    what = KINDS[kind]
+    names: set[str] = set()
+    for place in places(kind, near):
+        if place.name != Path(what.folder).name or not place.is_dir():
+            continue
+        if what.inside:
+            names |= {found.parent.name for found in place.glob(f"*/{what.inside}")}
+        else:
+            names |= {found.stem for found in place.glob("*.toml")}
+    return sorted(names)
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A hint: the name that was probably meant, or all there are."""
+    known = sorted(known)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"did you mean {close[0]}?" if close else f"there are {', '.join(known) or 'none'}"
+
+
+def _miss(kind: str, name: str, near: str | Path | None) -> InputError:
+    word = KINDS[kind].word
+    known = available(kind, near)
+    listed = ", ".join(known) or "none"
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    meant = f"did you mean {close[0]}? Else give" if close else "give"
+    return InputError(
+        f"there is no {word} {name!r}; there are {listed}",
+        code=f"unknown_{kind}",
+        key=kind,
+        hint=f"{meant} the path of the {'folder' if KINDS[kind].inside else 'file'}",
+    )

@@ -1,0 +1,129 @@
+"""What the controller parts are given, and what a file of `lateral/`, `longitudinal/`, `inner/` exports as CONTROLLER.
+
+A part is either a `Recipe` (its constants are worked out from the vehicle when a bench is built: LQR gain table, MRAC
+start gains) or, shorter, a plain `Block` whose params are a NamedTuple with one field for each of its tunables.
+
+    lateral       x = (Tracking, Measurement)                 -> steering-wheel angle wished, rad
+    longitudinal  x = (Tracking, Measurement)                 -> Pedals
+    inner         x = (steer wished rad, measured rad, m/s)   -> InnerAnswer
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.contracts import Block, Tunable
+from tunefree_hil.base.errors import InputError
+
+
+class VehicleConstants(NamedTuple):
+    """What the controller believes of the vehicle (vehicle.toml: nominal, limits, latency). Stiffness is per AXLE.
+
+    The defaults are the MKZ of apollo_facts 1.1. Pedals are duty as on the wire.
+    """
+
+    mass_kg: float = 2080.0
+    wheelbase_m: float = 2.8448
+    front_axle_m: float = 1.4224  # centre of mass to front axle
+    yaw_inertia_kgm2: float = 4208.3
+    steer_ratio: float = 16.0
+    front_stiffness_n_per_rad: float = 155494.663
+    rear_stiffness_n_per_rad: float = 155494.663
+    rest_pedal_frac: float = 0.15
+    steer_limit_rad: float = 8.20305
+    steer_rate_radps: float = 8.55211
+    throttle_limit_frac: float = 0.8
+    brake_limit_frac: float = 0.5
+    accel_low_mps2: float = -6.0
+    accel_high_mps2: float = 2.0
+    lateral_accel_mps2: float = 5.0
+    steer_dead_time_s: float = 0.1
+    steer_rise_time_s: float = 0.17
+
+    @property
+    def rear_axle_m(self) -> float:
+        """Centre of mass to rear axle."""
+        return self.wheelbase_m - self.front_axle_m
+
+
+class Pedals(NamedTuple):
+    """Answer of a longitudinal part."""
+
+    throttle_frac: float
+    brake_frac: float
+    accel_mps2: float  # the acceleration that was asked for
+
+
+class InnerAnswer(NamedTuple):
+    """Answer of an inner part. status: 0, +/-1 bounded in size, +/-2 bounded in rate (apollo_facts 3.4)."""
+
+    steer_rad: float
+    status: float
+
+
+class LeadLag(NamedTuple):
+    """Low-speed lead-lag G(s) = beta (tau s + 1)/(alpha tau s + 1) on -lateral error (apollo_facts 3.3).
+
+    weight 0 switches it off, which is our default: as shipped (weight 1, alpha = beta = 1, tau = 0) it adds 1 rad of
+    road wheel per metre of error below 3 m/s, five times the K1 of any Q in the published box, is not in the paper's
+    eq. 3, and would hide from the tuner what its Q does at low speed.
+    """
+
+    weight: float = 0.0
+    alpha: float = 1.0
+    beta: float = 1.0
+    tau_s: float = 0.0
+    state_limit: float = 3000.0
+
+
+class Settings(NamedTuple):
+    """What is neither tuned nor a constant of the vehicle. Defaults are the shipped ones (apollo_facts 1.2 to 1.6)."""
+
+    lead_lag: LeadLag = LeadLag()
+    cutoff_hz: float = 10.0
+    hold_speed_mps: float = 0.081  # below, the steering command is held
+    lane_half_width_m: float = 2.0
+    divergence_heading_rad: float = 1.5707963267948966
+    mrac_form: str = "apollo"  # or "paper": eq. 5 and 6 with nothing round them
+    mrac_order: int = 1
+    mrac_natural_radps: float = 10.0  # reference model of order 2
+    mrac_damping: float = 0.9
+    mrac_anti_windup: float = 1e-4
+    mrac_shape: tuple[float, float, float] | None = None  # order 2: P / p as (p11, p12, p22); None: solved
+
+
+@dataclass(frozen=True)
+class Setup:
+    """All that a recipe may use. `values`: every parameter by name; `absent`: record fields the vehicle lacks."""
+
+    values: Mapping[str, float]
+    vehicle: VehicleConstants
+    calibration: Any  # control.calibration_map.CalibrationMap
+    settings: Settings
+    dt_s: float
+    absent: frozenset[str] = frozenset()
+
+
+class Recipe(NamedTuple):
+    """A part that is worked out at build time: make(setup) -> Block."""
+
+    make: Callable[[Setup], Block]
+    tunables: tuple[Tunable, ...] = ()
+
+
+def bind(part: Recipe | Block, setup: Setup) -> Block:
+    """The Block of a part with the values of `setup`; a plain Block's params get them by name (after the last dot)."""
+    if isinstance(part, Recipe):
+        return part.make(setup)
+    fields = {tunable.name.rpartition(".")[2]: tunable.name for tunable in part.tunables}
+    lacking = sorted(name for field, name in fields.items() if field not in getattr(part.params, "_fields", ()))
+    if lacking:
+        raise InputError(
+            f"tunables without a field in the params of the part: {', '.join(lacking)}",
+            code="bad_part",
+            hint="params is a NamedTuple with one float field for each tunable, named after its last dot",
+        )
+    known = {field: float(setup.values[name]) for field, name in fields.items() if name in setup.values}
+    return part._replace(params=part.params._replace(**known)) if known else part

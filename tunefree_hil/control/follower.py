@@ -1,0 +1,284 @@
+"""The reference follower (design D11): where the vehicle is against the trajectory, and when that is planned anew.
+
+It runs in the controller at every tick and again wherever errors are worked out from INS frames. Signs and points as
+in interfaces 6. Station runs along the original path throughout; the current trajectory is that path plus the lateral
+and speed offsets of the last re-plan, so it is the same until the first one.
+
+At the tick of a re-plan the errors are still against the trajectory that was too far away (they show why), from the
+next tick on they are against the new one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.course import Course, Tracking
+from tunefree_hil.base.kernel import Block, kernel
+from tunefree_hil.base.maths import is_finite, wrap_rad
+from tunefree_hil.base.records import NAN, Ins
+from tunefree_hil.control.path import Foot, Path, cell_of, heading_at, make_path, project
+from tunefree_hil.control.schedule import (
+    Blend,
+    Schedule,
+    lateral_blend,
+    make_schedule,
+    no_blend,
+    plan_at,
+    reference_at,
+    row_at,
+    station_at,
+    time_of,
+)
+
+PREVIEW_S = 0.2  # apollo_facts 1.3: preview window of 20 samples
+SHRINK_FLOOR = 0.01  # least 1 - kappa d in the speed along the path (apollo_facts 4.1)
+PREVIEW_SPEED_FLOOR_MPS = 0.1  # apollo_facts 3.1
+PREVIEW_COS_FLOOR = 0.1
+
+
+class Rules(NamedTuple):
+    """When and how a re-plan happens (design D11)."""
+
+    lateral_m: float = 0.5
+    station_m: float = 2.5
+    blend_s: float = 3.0
+    hold_off_s: float = 1.0
+    blend_least_m: float = 6.0  # below 2 m/s: a 0.5 m offset is then left with less than half of full lock
+
+
+class FollowerParams(NamedTuple):
+    """Tables and rules of a follower."""
+
+    path: Path
+    schedule: Schedule
+    rules: Rules
+    rear_axle_m: float  # rear axle (INS point) to centre of mass
+    look_ahead_m: float
+
+
+class FollowerState(NamedTuple):
+    """Cells of the last feet, and the trajectory in use."""
+
+    rear_cell: int
+    mass_cell: int
+    blend: Blend
+    hold_until_s: float
+
+
+class Lane(NamedTuple):
+    """The current trajectory at the foot of the centre of mass, and the errors against it."""
+
+    heading_rad: float
+    curvature_1pm: float
+    lateral_error_m: float
+    heading_error_rad: float
+    x_m: float
+    y_m: float
+    path_heading_error_rad: float
+
+
+def make_follower(course: Course, rear_axle_m: float, look_ahead_m: float = 0.0, rules: Rules | None = None) -> Block:
+    """Block: x = (tick, Ins) -> Tracking. A fix with a number that is not finite gives a Tracking of NaN."""
+    params = FollowerParams(make_path(course), make_schedule(course), rules or Rules(), rear_axle_m, look_ahead_m)
+    return Block(init, step, params)
+
+
+def init(params: FollowerParams, dt_s: float) -> FollowerState:
+    """At station 0, on the planned trajectory."""
+    start = cell_of(params.path, 0.0)
+    return FollowerState(start, start, no_blend(), 0.0)
+
+
+@kernel
+def step(params: FollowerParams, state: FollowerState, x: tuple[Any, Ins], dt_s: float) -> tuple[Any, Tracking]:
+    """One tick: errors and previews, then a re-plan where it is due."""
+    tick, ins = x
+    if not is_finite(ins.x_m + ins.y_m + ins.heading_rad + ins.speed_mps):
+        return state, lost()
+    time_s = tick * dt_s
+    blend, rules, schedule = state.blend, params.rules, params.schedule
+    cos, sin = math.cos(ins.heading_rad), math.sin(ins.heading_rad)
+    mass_x_m = ins.x_m + params.rear_axle_m * cos
+    mass_y_m = ins.y_m + params.rear_axle_m * sin
+    rear = project(params.path, state.rear_cell, ins.x_m, ins.y_m)
+    mass = project(params.path, state.mass_cell, mass_x_m, mass_y_m)
+    lane = lane_at(blend, mass, mass_x_m, mass_y_m, ins.heading_rad)
+
+    plan_s = time_s - blend.shift_s
+    ref_speed_mps, ref_accel_mps2 = reference_at(schedule, blend, rules.blend_s, time_s)
+    station_error_m = station_at(schedule, plan_s) + blend.station_m - rear.station_m
+    path_speed_mps = speed_along(rear, ins)
+    preview_speed_mps, preview_accel_mps2 = reference_at(schedule, blend, rules.blend_s, time_s + PREVIEW_S)
+    row, _ = row_at(schedule, plan_s)
+    remaining_m = schedule.stop_station_m[row] + blend.station_m - rear.station_m
+    turn_rad, ahead_1pm = look_ahead(params, blend, mass, lane, plan_s, ins.speed_mps)
+
+    apart = abs(lane.lateral_error_m) > rules.lateral_m or abs(station_error_m) > rules.station_m
+    replan = 0.0
+    hold_until_s = state.hold_until_s
+    if apart and time_s >= hold_until_s:
+        replan = 1.0
+        hold_until_s = time_s + rules.hold_off_s
+        blend = anchor(params, mass, lane, rear.station_m, path_speed_mps, plan_s, time_s)
+    blend = roll_on(schedule, blend, rules.blend_s, time_s, dt_s)
+
+    tracking = Tracking(
+        lane.x_m,
+        lane.y_m,
+        lane.heading_rad,
+        ref_speed_mps,
+        ref_accel_mps2,
+        lane.curvature_1pm,
+        station_error_m,
+        ref_speed_mps - path_speed_mps,
+        lane.lateral_error_m,
+        ins.speed_mps * math.sin(lane.heading_error_rad),
+        lane.heading_error_rad,
+        ins.yaw_rate_radps - lane.curvature_1pm * ref_speed_mps,
+        replan,
+        preview_speed_mps,
+        preview_accel_mps2,
+        ahead_1pm,
+        turn_rad,
+        remaining_m,
+        mass.lateral_m,
+        lane.path_heading_error_rad,
+    )
+    return FollowerState(rear.cell, mass.cell, blend, hold_until_s), tracking
+
+
+@kernel
+def lane_at(blend: Blend, mass: Foot, x_m: float, y_m: float, heading_rad: float) -> Lane:
+    """The current trajectory beside the centre of mass. Errors: vehicle - reference, left positive."""
+    path_heading_error_rad = wrap_rad(heading_rad - mass.heading_rad)
+    offset_m, slope, bend_1pm = lateral_blend(blend, mass.station_m)
+    lateral_m = mass.lateral_m - offset_m
+    if offset_m == 0.0 and slope == 0.0 and bend_1pm == 0.0:
+        ref_x_m, ref_y_m = x_m + lateral_m * mass.sin, y_m - lateral_m * mass.cos
+        return Lane(
+            mass.heading_rad,
+            mass.curvature_1pm,
+            lateral_m,
+            path_heading_error_rad,
+            ref_x_m,
+            ref_y_m,
+            path_heading_error_rad,
+        )
+    turn_rad, curvature_1pm = bent(mass.curvature_1pm, offset_m, slope, bend_1pm)
+    error_m = lateral_m * math.cos(turn_rad)
+    heading = mass.heading_rad + turn_rad
+    ref_x_m, ref_y_m = x_m + error_m * math.sin(heading), y_m - error_m * math.cos(heading)
+    heading_error_rad = wrap_rad(path_heading_error_rad - turn_rad)
+    return Lane(heading, curvature_1pm, error_m, heading_error_rad, ref_x_m, ref_y_m, path_heading_error_rad)
+
+
+@kernel
+def bent(curvature_1pm: float, offset_m: float, slope: float, bend_1pm: float) -> tuple[float, float]:
+    """(heading against the path, curvature) of a line at a varying offset from a path.
+
+    The path's curvature counts as constant over the blend, which leaves out offset times its change.
+    """
+    shrink = 1.0 - curvature_1pm * offset_m
+    if shrink < SHRINK_FLOOR:
+        shrink = SHRINK_FLOOR
+    turn_rad = math.atan(slope / shrink)
+    cos = math.cos(turn_rad)
+    grown_1pm = (bend_1pm + curvature_1pm * slope * slope / shrink) * cos * cos / shrink
+    return turn_rad, (grown_1pm + curvature_1pm) * cos / shrink
+
+
+@kernel
+def speed_along(rear: Foot, ins: Ins) -> float:
+    """Rate of the station: v cos(heading error) / (1 - kappa d) at the rear axle (apollo_facts 4.1)."""
+    shrink = 1.0 - rear.curvature_1pm * rear.lateral_m
+    if shrink < SHRINK_FLOOR:
+        shrink = SHRINK_FLOOR
+    return ins.speed_mps * math.cos(ins.heading_rad - rear.heading_rad) / shrink
+
+
+@kernel
+def look_ahead(
+    params: FollowerParams, blend: Blend, mass: Foot, lane: Lane, plan_s: float, speed_mps: float
+) -> tuple[float, float]:
+    """(heading change, curvature) of the trajectory at the look-ahead point (apollo_facts 3.1).
+
+    That point is where the plan will have gone in look_ahead / (max(|v|, 0.1) cos(heading error)) seconds.
+    """
+    if params.look_ahead_m == 0.0:
+        return 0.0, lane.curvature_1pm
+    pace_mps = abs(speed_mps)
+    if pace_mps < PREVIEW_SPEED_FLOOR_MPS:
+        pace_mps = PREVIEW_SPEED_FLOOR_MPS
+    cos = math.cos(lane.heading_error_rad)
+    if cos < PREVIEW_COS_FLOOR:
+        cos = PREVIEW_COS_FLOOR
+    later_s = plan_s + params.look_ahead_m / (pace_mps * cos)
+    run_m = station_at(params.schedule, later_s) - station_at(params.schedule, plan_s)
+    station_m = mass.station_m + run_m
+    heading_rad, curvature_1pm = heading_at(params.path, station_m)
+    offset_m, slope, bend_1pm = lateral_blend(blend, station_m)
+    turn_rad, bent_1pm = bent(curvature_1pm, offset_m, slope, bend_1pm)
+    return heading_rad + turn_rad - lane.heading_rad, bent_1pm
+
+
+@kernel
+def anchor(
+    params: FollowerParams,
+    mass: Foot,
+    lane: Lane,
+    station_m: float,
+    speed_mps: float,
+    plan_s: float,
+    time_s: float,
+) -> Blend:
+    """A new trajectory from the measured pose and speed; the plan's clock is set to where the vehicle is."""
+    schedule, rules = params.schedule, params.rules
+    new_plan_s = time_of(schedule, plan_s, station_m)
+    plan_speed_mps, _ = plan_at(schedule, new_plan_s)
+    rolling_mps = speed_mps if speed_mps > 0.0 else 0.0
+    length_m = rules.blend_s * rolling_mps
+    if length_m < rules.blend_least_m:
+        length_m = rules.blend_least_m
+    shrink = 1.0 - mass.curvature_1pm * mass.lateral_m
+    if shrink < SHRINK_FLOOR:
+        shrink = SHRINK_FLOOR
+    cos = math.cos(lane.path_heading_error_rad)
+    slope = 0.0  # across the path or backwards: the offset only
+    if cos > PREVIEW_COS_FLOOR:
+        slope = shrink * math.sin(lane.path_heading_error_rad) / cos
+    return Blend(
+        time_s - new_plan_s,
+        time_s,
+        rolling_mps - plan_speed_mps,
+        station_m - station_at(schedule, new_plan_s),
+        mass.station_m,
+        length_m,
+        mass.lateral_m,
+        slope,
+    )
+
+
+@kernel
+def roll_on(schedule: Schedule, blend: Blend, blend_s: float, time_s: float, dt_s: float) -> Blend:
+    """The blend a tick later: what the speed offset adds to the reference station."""
+    if blend.speed_mps == 0.0 or time_s - blend.from_s >= blend_s:
+        return blend
+    plan_mps, _ = plan_at(schedule, time_s - blend.shift_s)
+    reference_mps, _ = reference_at(schedule, blend, blend_s, time_s)
+    return Blend(
+        blend.shift_s,
+        blend.from_s,
+        blend.speed_mps,
+        blend.station_m + (reference_mps - plan_mps) * dt_s,
+        blend.from_station_m,
+        blend.length_m,
+        blend.lateral_m,
+        blend.slope,
+    )
+
+
+@kernel
+def lost() -> Tracking:
+    """Nothing is known."""
+    return Tracking(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, 0.0, NAN, NAN, NAN, 0.0, NAN, NAN, NAN)

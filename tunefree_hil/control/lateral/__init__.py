@@ -1,0 +1,1 @@
+"""Lateral controllers: the file name is the public name, each exports CONTROLLER (control/contract.py)."""

@@ -1,0 +1,83 @@
+"""What happens to the steering wish behind the inner loop, in the order of apollo_facts 3.3.
+
+clamp to atan(a_lat L / v^2) -> low-pass -> clamp to the wheel's limit -> hold near standstill -> clamp of the rate.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from tunefree_hil.base.kernel import Block, kernel
+from tunefree_hil.base.maths import clamp
+from tunefree_hil.control.contract import Setup, VehicleConstants
+from tunefree_hil.control.filters import SecondOrder, SecondOrderState, butterworth, second_order_step
+
+
+class SteerBound(NamedTuple):
+    """How far the wheel may be turned at a speed."""
+
+    lateral_accel_mps2: float
+    wheelbase_m: float
+    steer_ratio: float
+    steer_limit_rad: float
+
+
+class LimitParams(NamedTuple):
+    """Constants of the chain."""
+
+    bound: SteerBound
+    low_pass: SecondOrder
+    hold_speed_mps: float
+    steer_rate_radps: float
+
+
+class LimitState(NamedTuple):
+    """The filter's delays and the last command."""
+
+    low_pass: SecondOrderState
+    steer_rad: float
+
+
+def steer_bound_of(vehicle: VehicleConstants) -> SteerBound:
+    """The bound of a vehicle."""
+    return SteerBound(vehicle.lateral_accel_mps2, vehicle.wheelbase_m, vehicle.steer_ratio, vehicle.steer_limit_rad)
+
+
+def make(setup: Setup) -> Block:
+    """x = (steer wish rad, speed m/s) -> steer command rad. The rate is the vehicle's own (shipped: not limited)."""
+    low_pass = butterworth(setup.settings.cutoff_hz, setup.dt_s)
+    bound = steer_bound_of(setup.vehicle)
+    return Block(
+        init, step, LimitParams(bound, low_pass, setup.settings.hold_speed_mps, setup.vehicle.steer_rate_radps)
+    )
+
+
+def init(params: LimitParams, dt_s: float) -> LimitState:
+    return LimitState(SecondOrderState(0.0, 0.0), 0.0)
+
+
+@kernel
+def steer_bound(bound: SteerBound, speed_mps: float) -> float:
+    """Largest steering-wheel angle at a speed: atan(a_lat L / v^2) at the road wheel, within the wheel's limit."""
+    square = speed_mps * speed_mps
+    if square < 1e-6:
+        return bound.steer_limit_rad
+    wheel_rad = math.atan(bound.lateral_accel_mps2 * bound.wheelbase_m / square) * bound.steer_ratio
+    return wheel_rad if wheel_rad < bound.steer_limit_rad else bound.steer_limit_rad
+
+
+@kernel
+def step(params: LimitParams, state: LimitState, x: tuple[float, float], dt_s: float) -> tuple[LimitState, float]:
+    """One tick of the chain."""
+    wish_rad, speed_mps = x
+    largest_rad = steer_bound(params.bound, speed_mps)
+    low_pass, smooth_rad = second_order_step(
+        params.low_pass, state.low_pass, clamp(wish_rad, -largest_rad, largest_rad)
+    )
+    steer_rad = clamp(smooth_rad, -params.bound.steer_limit_rad, params.bound.steer_limit_rad)
+    if abs(speed_mps) < params.hold_speed_mps:
+        steer_rad = state.steer_rad
+    reach_rad = params.steer_rate_radps * dt_s
+    steer_rad = clamp(steer_rad, state.steer_rad - reach_rad, state.steer_rad + reach_rad)
+    return LimitState(low_pass, steer_rad), steer_rad

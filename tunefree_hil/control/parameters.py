@@ -1,0 +1,137 @@
+"""The parameters of interfaces 7: index on the bench channel, name, box, unit and manual value; sets and baselines."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from tunefree_hil.base.contracts import Tunable
+from tunefree_hil.base.errors import InputError
+
+
+class Parameter(NamedTuple):
+    """One row. `manual`: the shipped MKZ value; `fixed`: its value in a study that does not tune it (None: manual)."""
+
+    index: int
+    tunable: Tunable
+    manual: float
+    fixed: float | None = None
+
+
+PARAMETERS: tuple[Parameter, ...] = (
+    Parameter(0, Tunable("mrac.t_ref_s", "s", 0.01, 0.26), 0.09),
+    Parameter(1, Tunable("mrac.p", "1", 1e-4, 0.1), 1e-4),
+    Parameter(2, Tunable("lqr.q1", "1", 0.01, 1.0), 0.05),
+    Parameter(3, Tunable("lqr.q2", "1", 0.001, 0.1), 0.0),
+    Parameter(4, Tunable("lqr.q3", "1", 0.01, 1.0), 1.0),
+    Parameter(5, Tunable("lqr.q4", "1", 0.001, 0.1), 0.0),
+    Parameter(6, Tunable("station.kp", "1/s", 0.01, 1.0), 0.2),
+    Parameter(7, Tunable("speed.kp_low", "1/s", 0.1, 10.0), 2.0),
+    Parameter(8, Tunable("speed.ki_low", "1/s2", 0.01, 1.0), 0.3),
+    Parameter(9, Tunable("speed.kp_high", "1/s", 0.1, 10.0), 1.0),
+    Parameter(10, Tunable("speed.ki_high", "1/s2", 0.01, 1.0), 0.3),
+    Parameter(11, Tunable("mrac.enable", "1", 0.0, 1.0, "linear", choices=(0.0, 1.0)), 0.0, 1.0),
+    Parameter(12, Tunable("riccati", "1", 0.0, 1.0, "linear", choices=(0.0, 1.0)), 0.0),
+    Parameter(13, Tunable("mrac.clamp_s", "s", 0.01, 0.26), 0.08, 0.01),
+    Parameter(14, Tunable("mrac.gamma", "1", 1e-4, 1.0), 1.0),
+    Parameter(15, Tunable("look_ahead_m", "m", 0.0, 5.0, "linear"), 0.0),
+)
+FIRST_OWN_INDEX = 16  # a user's own controller announces its parameters from here on
+BY_NAME: dict[str, Parameter] = {row.tunable.name: row for row in PARAMETERS}
+NAMES: tuple[str, ...] = tuple(BY_NAME)
+SETS: dict[str, tuple[str, ...]] = {"mrac": NAMES[0:2], "lateral": NAMES[0:6], "complete": NAMES[0:11]}
+
+HALF_WHEELBASE_M = 1.4224  # the shipped look-ahead (apollo_facts 1.4)
+RICCATI_CODES = {"converged": 0.0, "apollo150": 1.0}
+
+_AS_SHIPPED = {row.tunable.name: row.manual for row in PARAMETERS}
+_MRAC_ON = {**_AS_SHIPPED, "mrac.enable": 1.0}
+BASELINES: dict[str, dict[str, float]] = {
+    "as_shipped": _AS_SHIPPED,
+    "mrac_on": _MRAC_ON,
+    "as_shipped_look_ahead": {**_AS_SHIPPED, "look_ahead_m": HALF_WHEELBASE_M},
+    "mrac_on_look_ahead": {**_MRAC_ON, "look_ahead_m": HALF_WHEELBASE_M},
+}
+
+
+def study_values() -> dict[str, float]:
+    """A complete vector to start a study's trial from: manual gains, MRAC on, gamma 1, clamp 0.01 s (interfaces 7)."""
+    return {row.tunable.name: row.manual if row.fixed is None else row.fixed for row in PARAMETERS}
+
+
+def tunables_of(prefix: str) -> tuple[Tunable, ...]:
+    """The tunables whose name starts with `prefix`."""
+    return tuple(row.tunable for row in PARAMETERS if row.tunable.name.startswith(prefix))
+
+
+def round32(value: float) -> float:
+    """The nearest IEEE 754 binary32 number: what a PARAM frame carries (interfaces 8)."""
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])
+
+
+def box32(low: float, high: float) -> tuple[float, float]:
+    """The box rounded inward to binary32, so that rounding a point of it never leaves the box."""
+    inner_low, inner_high = round32(low), round32(high)
+    if inner_low < low:
+        inner_low = _step32(inner_low, upward=True)
+    if inner_high > high:
+        inner_high = _step32(inner_high, upward=False)
+    if inner_low > inner_high:
+        raise InputError(
+            f"no binary32 number lies between {low!r} and {high!r}",
+            code="empty_box",
+            hint="widen the box of this parameter, or fix it",
+        )
+    return inner_low, inner_high
+
+
+def _step32(value: float, *, upward: bool) -> float:
+    """The binary32 number next to `value`, which is one."""
+    if value == 0.0:
+        tiny = struct.unpack("<f", struct.pack("<I", 1))[0]
+        return tiny if upward else -tiny
+    (bits,) = struct.unpack("<I", struct.pack("<f", value))
+    away_from_zero = (value > 0.0) == upward
+    return float(struct.unpack("<f", struct.pack("<I", bits + (1 if away_from_zero else -1)))[0])
+
+
+def clip_into_box(values: Mapping[str, float], names: tuple[str, ...] = SETS["complete"]) -> dict[str, float]:
+    """The same vector with `names` clipped into their published boxes (binary32), the rest as it is."""
+    clipped = dict(values)
+    for name in names:
+        tunable = _row(name).tunable
+        low, high = box32(tunable.low, tunable.high)
+        clipped[name] = min(max(round32(clipped[name]), low), high)
+    return clipped
+
+
+def check_complete(values: Mapping[str, float], own: tuple[str, ...] = ()) -> dict[str, float]:
+    """`values` as floats. Raises InputError unless it names every parameter (and `own`, a user's), and nothing else."""
+    known = NAMES + own
+    missing = [name for name in known if name not in values]
+    unknown = [name for name in values if name not in known]
+    if missing or unknown:
+        parts = [f"missing: {', '.join(missing)}"] if missing else []
+        parts += [f"unknown: {', '.join(unknown)}"] if unknown else []
+        raise InputError(
+            f"the parameter vector does not fit; {'; '.join(parts)}",
+            code="bad_parameters",
+            hint=f"the parameters are {', '.join(known)}",
+        )
+    for name in known:
+        if not math.isfinite(values[name]):
+            raise InputError(f"{name} = {values[name]} is not a number", code="bad_parameters", key=name)
+    return {name: float(values[name]) for name in known}
+
+
+def by_index(values: Mapping[int, float]) -> dict[str, float]:
+    """A vector by name from one by PARAM index; indices of a user's own parameters are left out."""
+    return {row.tunable.name: float(values[row.index]) for row in PARAMETERS if row.index in values}
+
+
+def _row(name: str) -> Parameter:
+    if name not in BY_NAME:
+        raise InputError(f"no parameter {name!r}", code="unknown_parameter", hint=f"there are {', '.join(NAMES)}")
+    return BY_NAME[name]

@@ -1,0 +1,205 @@
+"""Discrete algebraic Riccati equation for one input, in plain floats: loops over flat row-major buffers.
+
+No linear-algebra library: its order of operations may change from one version to the next, and gains must not.
+
+Two ways to the same equation P = Q + A'PA - A'PB (r + B'PB)^-1 B'PA:
+`recurse` is the plain recursion as shipped (apollo_facts 3.2), which stops by tolerance or at 150 rounds; up to 12 m/s
+the cap stops it, so its gains are not those of the equation. `double` is structured doubling, one of whose rounds is
+worth all the recursion's rounds so far, and it goes on to rounding error.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tunefree_hil.base.kernel import buffer, kernel
+
+SHIPPED_ROUNDS = 150
+SHIPPED_TOLERANCE = 0.01
+DOUBLINGS = 60  # the recursion's rounds grow as 2^n: 12 to 20 are needed
+DOUBLING_TOLERANCE = 1e-15
+
+
+@kernel
+def multiply(out: Any, left: Any, right: Any, n: int) -> None:
+    """out = left right."""
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for k in range(n):
+                total += left[i * n + k] * right[k * n + j]
+            out[i * n + j] = total
+
+
+@kernel
+def multiply_turned(out: Any, left: Any, right: Any, n: int) -> None:
+    """out = left' right."""
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for k in range(n):
+                total += left[k * n + i] * right[k * n + j]
+            out[i * n + j] = total
+
+
+@kernel
+def multiply_by_turned(out: Any, left: Any, right: Any, n: int) -> None:
+    """out = left right'."""
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for k in range(n):
+                total += left[i * n + k] * right[j * n + k]
+            out[i * n + j] = total
+
+
+@kernel
+def solve(matrix: Any, right: Any, n: int, columns: int) -> bool:
+    """right = matrix^-1 right by elimination with row pivoting, both overwritten; False where matrix is singular."""
+    for pivot in range(n):
+        best = pivot
+        for i in range(pivot + 1, n):
+            if abs(matrix[i * n + pivot]) > abs(matrix[best * n + pivot]):
+                best = i
+        if matrix[best * n + pivot] == 0.0:
+            return False
+        if best != pivot:
+            for j in range(n):
+                matrix[pivot * n + j], matrix[best * n + j] = matrix[best * n + j], matrix[pivot * n + j]
+            for j in range(columns):
+                kept = right[pivot * columns + j]
+                right[pivot * columns + j] = right[best * columns + j]
+                right[best * columns + j] = kept
+        scale = 1.0 / matrix[pivot * n + pivot]
+        for i in range(n):
+            if i != pivot:
+                share = matrix[i * n + pivot] * scale
+                if share != 0.0:
+                    for j in range(pivot, n):
+                        matrix[i * n + j] -= share * matrix[pivot * n + j]
+                    for j in range(columns):
+                        right[i * columns + j] -= share * right[pivot * columns + j]
+    for i in range(n):
+        scale = 1.0 / matrix[i * n + i]
+        for j in range(columns):
+            right[i * columns + j] *= scale
+    return True
+
+
+@kernel
+def gain_of(gain: Any, p: Any, a: Any, b: Any, weight: float, n: int) -> None:
+    """gain = (r + B'PB)^-1 B'PA, a row of n."""
+    middle = weight
+    for i in range(n):
+        for j in range(n):
+            middle += b[i] * p[i * n + j] * b[j]
+    for j in range(n):
+        total = 0.0
+        for i in range(n):
+            for k in range(n):
+                total += b[i] * p[i * n + k] * a[k * n + j]
+        gain[j] = total / middle if middle != 0.0 else 0.0
+
+
+@kernel
+def recurse(
+    p: Any, a: Any, b: Any, q: Any, weight: float, n: int, rounds: int, tolerance: float, work: Any, row: Any
+) -> int:
+    """Plain recursion from P = Q into p; the rounds it took. work: n n, row: n.
+
+    As shipped it stops when the *largest* coefficient of the change is, in absolute value, within the tolerance (not
+    the largest absolute value), or after the last round.
+    """
+    for i in range(n * n):
+        p[i] = q[i]
+    for count in range(rounds):
+        multiply(work, p, a, n)
+        middle = weight
+        for j in range(n):
+            total = 0.0
+            for i in range(n):
+                total += b[i] * work[i * n + j]
+            row[j] = total
+        for i in range(n):
+            for j in range(n):
+                middle += b[i] * p[i * n + j] * b[j]
+        scale = 1.0 / middle if middle != 0.0 else 0.0
+        largest = -1e300
+        for i in range(n):
+            for j in range(n):
+                total = q[i * n + j] - row[i] * row[j] * scale
+                for k in range(n):
+                    total += a[k * n + i] * work[k * n + j]
+                change = total - p[i * n + j]
+                if change > largest:
+                    largest = change
+                p[i * n + j] = total
+        if abs(largest) <= tolerance:
+            return count + 1
+    return rounds
+
+
+@kernel
+def double(
+    h: Any, a: Any, g: Any, n: int, rounds: int, tolerance: float, w: Any, v: Any, t: Any, left: Any, pair: Any
+) -> int:
+    """Structured doubling: h starts as Q and becomes P; a, g = B B'/r are used up. The rounds it took.
+
+    With W = (I + G H)^-1: A+ = A W A, G+ = G + A W G A', H+ = H + A' H W A. w, v, t, left: n n; pair: 2 n n.
+    """
+    for count in range(rounds):
+        multiply(left, g, h, n)
+        for i in range(n):
+            left[i * n + i] += 1.0
+            for j in range(n):
+                pair[i * 2 * n + j] = a[i * n + j]
+                pair[i * 2 * n + n + j] = g[i * n + j]
+        if not solve(left, pair, n, 2 * n):
+            return rounds
+        for i in range(n):
+            for j in range(n):
+                w[i * n + j] = pair[i * 2 * n + j]  # W A
+                v[i * n + j] = pair[i * 2 * n + n + j]  # W G
+        multiply(t, h, w, n)
+        multiply_turned(left, a, t, n)  # A' H W A
+        largest, change = 0.0, 0.0
+        for i in range(n):
+            for j in range(n):
+                step = 0.5 * (left[i * n + j] + left[j * n + i])
+                h[i * n + j] += step
+                if abs(step) > change:
+                    change = abs(step)
+                if abs(h[i * n + j]) > largest:
+                    largest = abs(h[i * n + j])
+        multiply(t, a, v, n)
+        multiply_by_turned(left, t, a, n)  # A W G A'
+        for i in range(n):
+            for j in range(n):
+                g[i * n + j] += 0.5 * (left[i * n + j] + left[j * n + i])
+        multiply(t, a, w, n)
+        for i in range(n * n):
+            a[i] = t[i]
+        if change <= tolerance * largest:
+            return count + 1
+    return rounds
+
+
+def gain(a: Any, b: Any, q: Any, weight: float, shipped: bool) -> tuple[list[float], list[float], int]:
+    """(K, P, rounds) for flat A (n n), B (n), Q (n n) and the weight r of the one input.
+
+    `shipped`: the recursion with its cap; else the converged solution.
+    """
+    n = len(b)
+    p, square = buffer(n * n), [buffer(n * n) for _ in range(6)]
+    if shipped:
+        rounds = recurse(p, a, b, q, weight, n, SHIPPED_ROUNDS, SHIPPED_TOLERANCE, square[0], buffer(n))
+    else:
+        g, used = square[4], square[5]
+        for i in range(n * n):
+            p[i], used[i], g[i] = q[i], a[i], b[i // n] * b[i % n] / weight
+        rounds = double(
+            p, used, g, n, DOUBLINGS, DOUBLING_TOLERANCE, square[0], square[1], square[2], square[3], buffer(2 * n * n)
+        )
+    row = buffer(n)
+    gain_of(row, p, a, b, weight, n)
+    return [float(value) for value in row], [float(value) for value in p], int(rounds)

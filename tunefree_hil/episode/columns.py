@@ -1,0 +1,163 @@
+"""From a log to columns (interfaces 6): vehicle frames and the scenario alone, so a real car's log gives the same ones.
+
+The errors are those of the reference follower, run again on the INS frames exactly as the controller ran it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from tunefree_hil.base.course import Tracking
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.kernel import Block
+from tunefree_hil.base.records import GROUPS, NAN, CanFrame, Command, Ins, Report
+from tunefree_hil.bus.codec import Codec, MessageMap
+from tunefree_hil.episode.candump import EXTENDED_BIT, RTR, LogFrame
+from tunefree_hil.episode.frame_hash import CONTROLLER_PHASE, place_frames
+from tunefree_hil.episode.recording import COMMAND_COLUMNS, REFERENCE_COLUMNS, Recording, make_recording
+
+Array = np.ndarray
+
+# column -> where it comes from; the second is taken where the vehicle lacks the first
+SOURCES: dict[str, tuple[str, ...]] = {
+    "out_throttle_frac": ("report.throttle_frac",),
+    "out_brake_frac": ("report.brake_frac",),
+    "out_steer_rad": ("report.steer_rad",),
+    "speed_mps": ("report.speed_mps", "ins.speed_mps"),
+    "accel_mps2": ("report.accel_mps2", "ins.accel_mps2"),
+    "lateral_accel_mps2": ("report.lateral_accel_mps2",),
+    "yaw_rate_radps": ("report.yaw_rate_radps", "ins.yaw_rate_radps"),
+    "x_m": ("ins.x_m",),
+    "y_m": ("ins.y_m",),
+    "heading_rad": ("ins.heading_rad",),
+}
+_TRACKING_COLUMNS = (*REFERENCE_COLUMNS, "replan")
+
+
+def columns_from_frames(
+    frames: Iterable[LogFrame],
+    codec: Codec,
+    follower: Block,
+    dt_s: float,
+    *,
+    ticks: int = 0,
+    zero_s: float = 0.0,
+    late_ticks: int = 0,
+    by_channel: bool = False,
+) -> Recording:
+    """The columns of one drive.
+
+    Row k holds the chassis and INS records as heard after phase 0 of tick k, the command of phase 1 of tick k (both
+    held until the next frame), and what `follower`, x = (tick, Ins) -> Tracking, says of them. Values not heard yet
+    are NaN; a column without one value is absent.
+
+    ticks: rows; 0 for as many as the log has. zero_s: time stamp of tick 0. late_ticks: by how many ticks a vehicle's
+    frame is stamped before the tick that uses it: 0 in lockstep, 1 in real time, where cycle k uses what came before
+    its deadline. by_channel: the log's channel names are those of vehicle.toml, and tell equal ids apart.
+    Raises InputError for a log without one frame of the vehicle.
+    """
+    buckets = _buckets(frames, codec, dt_s, zero_s, late_ticks)
+    rows = ticks or max(k for k, _ in buckets) + 1
+    ear = _Ear(codec, by_channel)
+    held = ear.held
+    reports, fixes, commands, trackings = [], [], [], []
+    step, params = follower.step, follower.params
+    state = follower.init(params, dt_s)
+    for k in range(rows):
+        ear.hear(buckets.get((k, 0), ()))
+        reports.append(tuple(held["report"]))
+        fix = Ins._make(held["ins"])
+        fixes.append(fix)
+        ear.hear(buckets.get((k, 1), ()))
+        commands.append(tuple(held["command"]))
+        state, tracking = step(params, state, (k, fix), dt_s)
+        trackings.append(tracking)
+    return assemble_columns(reports, fixes, commands, trackings, dt_s)
+
+
+class _Ear:
+    """The values heard last, by record group. A payload that says nothing new is not decoded again."""
+
+    def __init__(self, codec: Codec, by_channel: bool) -> None:
+        self.held = {group: [NAN] * len(record._fields) for group, record in GROUPS.items()}
+        self._codec = codec
+        self._by_channel = by_channel
+        self._messages: dict[tuple[int, str], MessageMap | None] = {}
+        self._payloads: dict[MessageMap, bytes] = {}
+
+    def hear(self, frames: Sequence[LogFrame]) -> None:
+        """Take in the frames of one phase of one tick."""
+        codec, messages, payloads = self._codec, self._messages, self._payloads
+        for frame in frames:
+            key = (frame.can_id, frame.channel)
+            message = messages[key] if key in messages else self._find(key)
+            if message is None or payloads.get(message) == frame.data or not codec.fits(message, frame.data):
+                continue
+            payloads[message] = frame.data
+            for group, index, value in codec.values(message, codec.decode(message, frame.data)):
+                self.held[group][index] = value
+
+    def _find(self, key: tuple[int, str]) -> MessageMap | None:
+        """The message of (can_id, channel), remembered."""
+        can_id, channel = key
+        bare = CanFrame(can_id & ~EXTENDED_BIT, b"", extended=bool(can_id & EXTENDED_BIT))
+        self._messages[key] = self._codec.find(bare, channel if self._by_channel else "")
+        return self._messages[key]
+
+
+def _buckets(
+    frames: Iterable[LogFrame], codec: Codec, dt_s: float, zero_s: float, late_ticks: int
+) -> dict[tuple[int, int], list[LogFrame]]:
+    """(tick that uses it, phase) -> frames in (id, sequence) order."""
+    commands = {message.key for message in codec.commands}
+    placed, foreign, _ = place_frames(frames, dt_s, commands, codec.by_id.keys(), zero_s=zero_s)
+    if not placed:
+        ids = ", ".join(f"0x{number:X}" for number in sorted(foreign)[:8]) or "none"
+        raise InputError(
+            f"the log holds not one frame of vehicle {codec.name!r} (ids in it: {ids})",
+            code="foreign_log",
+            hint="is it a log of this vehicle?",
+        )
+    buckets: dict[tuple[int, int], list[LogFrame]] = {}
+    for item in placed:
+        if not item.frame.flags & RTR:
+            k = item.k if item.phase == CONTROLLER_PHASE else item.k + late_ticks
+            buckets.setdefault((k, item.phase), []).append(item.frame)
+    return buckets
+
+
+def assemble_columns(
+    reports: Sequence[Sequence[float]],
+    fixes: Sequence[Sequence[float]],
+    commands: Sequence[Sequence[float]],
+    trackings: Sequence[Tracking],
+    dt_s: float,
+) -> Recording:
+    """The columns of records held tick by tick (Report, Ins, Command, Tracking): one of each a row."""
+    tables: dict[str, tuple[Any, Array]] = {
+        "report": (Report, np.array(reports)),
+        "ins": (Ins, np.array(fixes)),
+        "cmd": (Command, np.array(commands)),
+        "ref": (Tracking, np.array(trackings)),
+    }
+
+    def column(group: str, name: str) -> Array:
+        record, values = tables[group]
+        return values[:, record._fields.index(name)].copy()
+
+    columns = {name: column("ref", name) for name in _TRACKING_COLUMNS}
+    columns |= {name: column("cmd", name.removeprefix("cmd_")) for name in COMMAND_COLUMNS}
+    instead = {}
+    for name, sources in SOURCES.items():
+        for source in sources:
+            columns[name] = column(*source.split("."))
+            if not np.isnan(columns[name]).all():
+                if source != sources[0]:
+                    instead[name] = source
+                break
+    if np.isnan(columns["x_m"]).all():
+        del columns["replan"]  # nobody could have seen one
+    return make_recording(columns, dt_s, instead)

@@ -1,0 +1,78 @@
+"""Where two logs of the same drive part: the first tick, id and signal that differ (`replay --verify`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from tunefree_hil.bus.codec import Codec
+from tunefree_hil.episode.candump import read_candump
+from tunefree_hil.episode.frame_hash import PlacedFrame, place_frames
+
+
+class Divergence(NamedTuple):
+    """The first difference. signal: its name, 'frame' (one log lacks it), 'flags' or 'data' (no signal differs).
+
+    first, second: what the two logs say, in the DBC's unit (raw where the signal has a role), or words.
+    """
+
+    tick: int
+    phase: int
+    can_id: int
+    message: str
+    signal: str
+    first: float | str
+    second: float | str
+
+    def sentence(self) -> str:
+        """For a person."""
+        what = f"tick {self.tick}, {self.message} (0x{self.can_id & 0x1FFFFFFF:X}), {self.signal}"
+        return f"{what}: {self.first} in the first log, {self.second} in the second"
+
+
+def compare_logs(first: Path, second: Path, codec: Codec, dt_s: float) -> Divergence | None:
+    """None when both logs hold the same vehicle frames at the same ticks (then their frame hashes are equal too)."""
+    commands = {message.key for message in codec.commands}
+    placed = [place_frames(read_candump(path), dt_s, commands, codec.by_id.keys())[0] for path in (first, second)]
+    return first_divergence(placed[0], placed[1], codec)
+
+
+def first_divergence(a: Sequence[PlacedFrame], b: Sequence[PlacedFrame], codec: Codec) -> Divergence | None:
+    """The first difference of two drives, frames in the order of the hash."""
+    for one, other in zip(a, b, strict=False):
+        if _place(one) != _place(other):
+            early, words = (one, ("sent", "missing")) if _place(one) < _place(other) else (other, ("missing", "sent"))
+            return _divergence(early, codec, "frame", *words)
+        if one.frame.data != other.frame.data:
+            return _divergence(one, codec, *_differing(one, other, codec))
+        if one.frame.flags != other.frame.flags:
+            return _divergence(one, codec, "flags", one.frame.flags, other.frame.flags)
+    if len(a) > len(b):
+        return _divergence(a[len(b)], codec, "frame", "sent", "missing")
+    if len(b) > len(a):
+        return _divergence(b[len(a)], codec, "frame", "missing", "sent")
+    return None
+
+
+def _place(item: PlacedFrame) -> tuple[int, int, int]:
+    return item.k, item.phase, item.can_id
+
+
+def _differing(one: PlacedFrame, other: PlacedFrame, codec: Codec) -> tuple[str, float | str, float | str]:
+    """(signal, value, value) of the first signal that differs, or ('data', hex, hex)."""
+    first, second = _decoded(one, codec), _decoded(other, codec)
+    for name, value in first.items():
+        against = second.get(name)
+        if against is not None and value != against and (value == value or against == against):  # NaN equals NaN
+            return name, value, against
+    return "data", one.frame.data.hex().upper(), other.frame.data.hex().upper()
+
+
+def _decoded(item: PlacedFrame, codec: Codec) -> Mapping[str, float]:
+    message = codec.by_id[item.can_id]
+    return codec.decode(message, item.frame.data) if codec.fits(message, item.frame.data) else {}
+
+
+def _divergence(item: PlacedFrame, codec: Codec, signal: str, first: float | str, second: float | str) -> Divergence:
+    return Divergence(item.k, item.phase, item.can_id, codec.by_id[item.can_id].name, signal, first, second)

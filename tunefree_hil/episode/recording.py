@@ -1,0 +1,120 @@
+"""What is kept of a drive: the columns of interfaces 6, one row a tick, and `columns.npz` on disk."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from tunefree_hil.base.errors import BenchError, InputError
+
+Array = np.ndarray
+
+REFERENCE_COLUMNS = (
+    "ref_x_m",
+    "ref_y_m",
+    "ref_heading_rad",
+    "ref_speed_mps",
+    "ref_accel_mps2",
+    "ref_curvature_1pm",
+    "station_error_m",
+    "speed_error_mps",
+    "lateral_error_m",
+    "lateral_error_rate_mps",
+    "heading_error_rad",
+    "heading_error_rate_radps",
+)
+COMMAND_COLUMNS = ("cmd_throttle_frac", "cmd_brake_frac", "cmd_steer_rad")
+VEHICLE_COLUMNS = (
+    "out_throttle_frac",
+    "out_brake_frac",
+    "out_steer_rad",
+    "speed_mps",
+    "accel_mps2",
+    "lateral_accel_mps2",
+    "yaw_rate_radps",
+    "x_m",
+    "y_m",
+    "heading_rad",
+)
+COLUMNS = ("t_s", "tick", *REFERENCE_COLUMNS, *COMMAND_COLUMNS, *VEHICLE_COLUMNS, "replan")
+
+_INSTEAD = "instead"  # entry of the .npz beside the columns, only where there is something to say
+
+
+class Recording(NamedTuple):
+    """One drive. `columns`: name -> float64 array, all of one length; a column that could not be had is absent.
+
+    `instead`: column -> the record field that stood in for it, where the vehicle lacks its own ('ins.speed_mps').
+    """
+
+    columns: dict[str, Array]
+    dt_s: float
+    instead: dict[str, str] = {}  # noqa: RUF012 - never mutated
+
+    @property
+    def ticks(self) -> int:
+        """Rows."""
+        return len(self.columns["tick"])
+
+    def get(self, name: str) -> Array | None:
+        """A column, or None where it could not be had."""
+        return self.columns.get(name)
+
+
+def make_recording(columns: dict[str, Array], dt_s: float, instead: dict[str, str] | None = None) -> Recording:
+    """A Recording in the order of COLUMNS, t_s and tick added, columns without one number left out.
+
+    Raises ValueError for a name that is none of COLUMNS or for unequal lengths: mistakes of the caller.
+    """
+    unknown = sorted(set(columns) - set(COLUMNS))
+    if unknown:
+        raise ValueError(f"not columns of a recording: {', '.join(unknown)}")
+    lengths = {len(values) for values in columns.values()}
+    if len(lengths) != 1:
+        raise ValueError(f"columns of one length are needed, got {sorted(lengths)}")
+    tick = np.arange(lengths.pop(), dtype=float)
+    every = {"t_s": tick * dt_s, "tick": tick, **columns}
+    kept = {}
+    for name in COLUMNS:
+        if name in every:
+            values = np.asarray(every[name], dtype=float)
+            if name == "tick" or not np.isnan(values).all():
+                kept[name] = values
+    return Recording(kept, dt_s, {name: text for name, text in (instead or {}).items() if name in kept})
+
+
+def save_recording(recording: Recording, path: Path) -> None:
+    """Write columns.npz: whole or not at all. Raises BenchError when the disk refuses."""
+    entries = {"dt_s": np.array(recording.dt_s), **recording.columns}
+    if recording.instead:
+        entries[_INSTEAD] = np.array([f"{name}={text}" for name, text in sorted(recording.instead.items())])
+    part = path.with_name(path.name + ".part")
+    try:
+        with part.open("wb") as file:
+            np.savez(file, allow_pickle=False, **entries)
+        os.replace(part, path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise BenchError(
+            f"cannot write: {error.strerror}", code="disk", file=str(path), hint="make room, then run the same command"
+        ) from error
+
+
+def load_recording(path: Path) -> Recording:
+    """Read columns.npz. Raises InputError where there is none, or it is not one of ours."""
+    if not path.is_file():
+        raise InputError("there is no such file", code="no_columns", file=str(path))
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            found = {name: data[name] for name in data.files}
+    except (ValueError, OSError, zipfile.BadZipFile) as error:
+        raise InputError(f"not a readable .npz ({error})", code="bad_columns", file=str(path)) from error
+    if "tick" not in found or "dt_s" not in found:
+        raise InputError("has no columns 'tick' and 'dt_s'", code="bad_columns", file=str(path))
+    instead = dict(text.split("=", 1) for text in found.pop(_INSTEAD, np.array([], dtype=str)).tolist())
+    dt_s = float(found.pop("dt_s"))
+    return Recording({name: found[name] for name in COLUMNS if name in found}, dt_s, instead)

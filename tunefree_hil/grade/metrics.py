@@ -1,0 +1,190 @@
+"""The metrics of a drive: the 15 that the source weights (apollo_facts 6.1, 6.2; the paper's Table II) and three more.
+
+Notation of apollo_facts 6.1: e the error, V = max(|v_ref|, 1.0 m/s), C = max(|kappa_ref|, 0.02852 1/m), L the
+wheelbase, T = N_f dt = 1 s. RMS = sqrt(sum s^2 / (N - 1)). Every metric is dimensionless, 0 is perfect, and it is None
+(never 0) where a column is missing or fewer than 5 samples count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from tunefree_hil.episode.recording import Recording
+
+Array = np.ndarray
+
+# apollo_facts 6.1, constants
+HARSH_ACCEL_MPS2 = 1.0
+HARSH_CURVATURE_1PM = 0.05
+STOP_MPS = 0.03
+LEAST_SPEED_MPS = 1.0
+LEAST_CURVATURE_1PM = 0.02852
+HORIZON_S = 1.0  # N_f dt
+LEAST_SAMPLES = 5
+
+# ours
+LATERAL_JERK_MPS3 = 2.0  # the source's threshold of a bad sensation (6.1)
+JERK_WINDOW_S = 0.1  # v * yaw rate is averaged over it, or the noise of a yaw-rate sensor would be the jerk
+
+
+class Samples(NamedTuple):
+    """What the metrics look at, one row a tick; None for what could not be had. Signs as in interfaces 6."""
+
+    ref_speed_mps: Array | None
+    ref_accel_mps2: Array | None
+    ref_curvature_1pm: Array | None
+    station_error_m: Array | None
+    speed_error_mps: Array | None
+    lateral_error_m: Array | None
+    heading_error_rad: Array | None
+    heading_error_rate_radps: Array | None
+    cmd_steer_rad: Array | None
+    speed_mps: Array | None
+    yaw_rate_radps: Array | None
+
+
+class Scales(NamedTuple):
+    """The vehicle's numbers that metrics are divided by, and the time of a tick."""
+
+    wheelbase_m: float
+    steer_rad: float  # limit of the steering wheel
+    steer_rate_radps: float
+    dt_s: float
+
+
+def samples_of(recording: Recording) -> Samples:
+    """The columns as they are: errors against the current trajectory."""
+    return Samples(*(recording.get(name) for name in Samples._fields))
+
+
+class Rms(NamedTuple):
+    """RMS of error / (the product of the letters of `by`: V, C, L, T) over the samples of `where`."""
+
+    error: str
+    by: str
+    where: str
+
+
+class Peak(NamedTuple):
+    """max |error| / threshold over all samples."""
+
+    error: str
+    threshold: float
+
+
+class Own(NamedTuple):
+    """A formula of its own."""
+
+    formula: Callable[[Samples, Scales], float | None]
+
+
+def steer_rate_rms(samples: Samples, scales: Scales) -> float | None:
+    """RMS of the steering command's rate (difference of one tick) / limit of the steering rate."""
+    if samples.cmd_steer_rad is None:
+        return None
+    return rms(np.diff(samples.cmd_steer_rad) / (scales.dt_s * scales.steer_rate_radps))
+
+
+def steering_control_usage(samples: Samples, scales: Scales) -> float | None:
+    """RMS of the steering command / limit (6.1: RMS(command / 100), command in percent of the limit)."""
+    return None if samples.cmd_steer_rad is None else rms(samples.cmd_steer_rad / scales.steer_rad)
+
+
+def lateral_jerk_rms(samples: Samples, scales: Scales) -> float | None:
+    """RMS of d/dt (v * yaw rate) / 2 m/s^3, between means over 0.1 s.
+
+    The source's "lateral acceleration" is a_lon sin(heading error) (3.1); this is the one that passengers feel.
+    """
+    if samples.speed_mps is None or samples.yaw_rate_radps is None:
+        return None
+    ticks = max(1, round(JERK_WINDOW_S / scales.dt_s))
+    lateral = samples.speed_mps * samples.yaw_rate_radps
+    windows = len(lateral) // ticks
+    means = lateral[: windows * ticks].reshape(windows, ticks).mean(axis=1)
+    return rms(np.diff(means) / (ticks * scales.dt_s * LATERAL_JERK_MPS3))
+
+
+METRICS: dict[str, Rms | Peak | Own] = {
+    "station_err_std": Rms("station_error_m", "VT", "moving"),
+    "station_err_std_harsh": Rms("station_error_m", "VT", "harsh accel"),
+    "speed_err_std": Rms("speed_error_mps", "V", "moving"),
+    "speed_err_std_harsh": Rms("speed_error_mps", "V", "harsh accel"),
+    "lateral_err_std": Rms("lateral_error_m", "CVLT", "moving"),
+    "lateral_err_std_harsh": Rms("lateral_error_m", "CVLT", "harsh curvature"),
+    "heading_err_std": Rms("heading_error_rad", "CVT", "moving"),
+    "heading_err_std_harsh": Rms("heading_error_rad", "CVT", "harsh curvature"),
+    "heading_err_rate_std": Rms("heading_error_rate_radps", "CV", "moving"),
+    "heading_err_rate_std_harsh": Rms("heading_error_rate_radps", "CV", "harsh curvature"),
+    "station_err_peak": Peak("station_error_m", 1.0),
+    "speed_err_peak": Peak("speed_error_mps", 0.5),
+    "lateral_err_peak": Peak("lateral_error_m", 0.5),
+    "heading_err_peak": Peak("heading_error_rad", 0.5236),
+    "heading_err_rate_peak": Peak("heading_error_rate_radps", 0.5236),
+    "steer_rate_rms": Own(steer_rate_rms),
+    "lateral_jerk_rms": Own(lateral_jerk_rms),
+    "steering_control_usage": Own(steering_control_usage),
+}
+
+# 6.1: as written, this one divides the heading error itself, not its rate, by C V
+AS_PUBLISHED: dict[str, Rms | Peak | Own] = {
+    "heading_err_rate_std_harsh": Rms("heading_error_rad", "CV", "harsh curvature")
+}
+
+
+def metric(name: str, samples: Samples, scales: Scales, *, as_published: bool = False) -> float | None:
+    """One metric by its name in METRICS; `as_published` keeps the source's slip. KeyError for an unknown name."""
+    row = AS_PUBLISHED.get(name, METRICS[name]) if as_published else METRICS[name]
+    if isinstance(row, Own):
+        return row.formula(samples, scales)
+    error = getattr(samples, row.error)
+    if error is None:
+        return None
+    if isinstance(row, Peak):
+        return peak(error, row.threshold)
+    kept, divisor = _where(row.where, samples), _divisor(row.by, samples, scales)
+    if kept is None or divisor is None:
+        return None
+    return rms(error[kept] / divisor[kept])
+
+
+def rms(values: Array) -> float | None:
+    """sqrt(sum s^2 / (N - 1)) over the finite values; None below 5 of them."""
+    values = values[np.isfinite(values)]
+    if len(values) < LEAST_SAMPLES:
+        return None
+    return math.sqrt(float(values @ values) / (len(values) - 1))
+
+
+def peak(error: Array, threshold: float) -> float | None:
+    """max |error| / threshold over the finite values; None below 5 of them."""
+    error = error[np.isfinite(error)]
+    if len(error) < LEAST_SAMPLES:
+        return None
+    return float(np.abs(error).max()) / threshold
+
+
+def _where(which: str, samples: Samples) -> Array | None:
+    """The samples that count: v_ref >= 0.03, |a_ref| >= 1 or |kappa_ref| >= 0.05; None where the column is missing."""
+    if which == "moving":
+        return None if samples.ref_speed_mps is None else samples.ref_speed_mps >= STOP_MPS
+    if which == "harsh accel":
+        return None if samples.ref_accel_mps2 is None else np.abs(samples.ref_accel_mps2) >= HARSH_ACCEL_MPS2
+    return None if samples.ref_curvature_1pm is None else np.abs(samples.ref_curvature_1pm) >= HARSH_CURVATURE_1PM
+
+
+def _divisor(by: str, samples: Samples, scales: Scales) -> Array | None:
+    """Product of the letters, for every sample; None where a column is missing."""
+    if samples.ref_speed_mps is None:
+        return None
+    product = np.maximum(np.abs(samples.ref_speed_mps), LEAST_SPEED_MPS)  # every row of the table has a V
+    if "C" in by:
+        if samples.ref_curvature_1pm is None:
+            return None
+        product = product * np.maximum(np.abs(samples.ref_curvature_1pm), LEAST_CURVATURE_1PM)
+    if "L" in by:
+        product = product * scales.wheelbase_m
+    return product * HORIZON_S if "T" in by else product

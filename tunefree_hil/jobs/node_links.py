@@ -1,0 +1,71 @@
+"""How a node process gets on the bus: both links, the phases' ids, the clock."""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tunefree_hil.base.clock import Clock, RealClock
+from tunefree_hil.base.errors import BenchError
+from tunefree_hil.bench import Bench
+from tunefree_hil.bus.link import Link
+from tunefree_hil.bus.open import BusChoice, open_link, resolve_bus
+from tunefree_hil.nodes.exchange import Exchange
+
+PATIENCE_S = 60.0  # a node may be started before its hub
+TIMING_VARIABLE = "TUNEFREE_TIMING_DIR"  # where a node leaves its cycle times; set by whoever starts it
+SWITCH_S = 0.0005
+
+
+def timing_folder() -> Path | None:
+    """Where cycle times go, or None."""
+    text = os.environ.get(TIMING_VARIABLE, "")
+    return Path(text) if text else None
+
+
+@contextmanager
+def open_exchange(
+    bench: Bench, name: str, bus: str, bench_bus: str, session: str, *, realtime: bool
+) -> Iterator[tuple[Exchange, Clock, str]]:
+    """(exchange, clock, where in words) for a node; leaves the bus in good order."""
+    choice = resolve_bus(bus, session, bench_bus)
+    links: list[Link] = []
+    try:
+        for channel in ("vehicle", "bench"):
+            links.append(_patiently(choice, channel, name, realtime))
+        codec = bench.codec
+        ids = (
+            frozenset(message.key for message in codec.telemetry),
+            frozenset(message.key for message in codec.commands),
+        )
+        sys.setswitchinterval(SWITCH_S)
+        gc.freeze()  # what is there now stays; a collection then looks at little
+        yield Exchange(links[0], links[1], ids, bench.dt_s), RealClock(), choice.why
+    finally:
+        for link in links:
+            link.close()
+
+
+def _patiently(choice: BusChoice, channel: str, name: str, realtime: bool) -> Link:
+    return patiently(lambda: open_link(choice, channel, name=name, stamps=not realtime), f"{name}: waiting for a hub")
+
+
+def patiently(open_it: Callable[[], Link], words: str) -> Link:
+    """Open a link, again and again while no hub is there yet; says so once after a second."""
+    begun, said = time.monotonic(), False
+    while True:
+        try:
+            return open_it()
+        except BenchError as error:
+            waited_s = time.monotonic() - begun
+            if error.code != "no_hub" or waited_s > PATIENCE_S:
+                raise
+            if waited_s > 1.0 and not said:
+                said = True
+                sys.stderr.write(f"{words} (start it with `tunefree-hil hub`)\n")
+            time.sleep(0.02)

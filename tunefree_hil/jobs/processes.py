@@ -1,0 +1,97 @@
+"""Starts the bench's processes, notices when one dies, ends them all. No orphans: they also end when the hub is gone."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from tunefree_hil.base.errors import BenchError, PeerGone
+
+TAIL_LINES = 12
+END_S = 3.0
+
+
+class _Child(NamedTuple):
+    name: str
+    process: subprocess.Popen[bytes]
+    words: Path
+
+
+class Processes:
+    """The nodes of one bench. What each says goes to `folder/<name>.txt`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.children: list[_Child] = []
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def start(self, name: str, arguments: Sequence[str], environment: dict[str, str] | None = None) -> int:
+        """Start `tunefree-hil ARGUMENTS`; its process id. In a session of its own, so Ctrl-C reaches only us."""
+        words = self.folder / f"{name}.txt"
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tunefree_hil", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=words.open("ab"),
+            stderr=subprocess.STDOUT,
+            env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **(environment or {})},
+            start_new_session=True,
+        )
+        self.children.append(_Child(name, process, words))
+        return process.pid
+
+    def check(self) -> None:
+        """Raise PeerGone that quotes the last words of a process that has ended."""
+        for child in self.children:
+            status = child.process.poll()
+            if status is not None:
+                raise self._gone(child, status)
+
+    def _gone(self, child: _Child, status: int) -> BenchError:
+        said = child.words.read_text(errors="replace").strip().splitlines()[-TAIL_LINES:]
+        how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
+        tail = "\n    ".join(said) or "(it said nothing)"
+        return PeerGone(
+            child.name,
+            f"the {child.name} process {how}; its last words:\n    {tail}",
+            code="node_lost",
+            hint=f"all it said: {child.words}",
+        )
+
+    def explain(self, error: BenchError) -> BenchError:
+        """The better of two reports of one loss: a dead process's own words where there are any."""
+        time.sleep(0.2)
+        for child in reversed(self.children):
+            status = child.process.poll()
+            if status not in (None, 0):
+                return self._gone(child, status)
+        return error
+
+    def memory_mb(self) -> dict[str, float]:
+        """Largest resident size so far of each living process."""
+        sizes = {}
+        for child in self.children:
+            status = Path(f"/proc/{child.process.pid}/status")
+            if status.exists():
+                lines = [line for line in status.read_text().splitlines() if line.startswith("VmHWM")]
+                if lines:
+                    sizes[child.name] = float(lines[0].split()[1]) / 1024.0
+        return sizes
+
+    def stop(self) -> None:
+        """End all: ask, wait, kill."""
+        for child in self.children:
+            if child.process.poll() is None:
+                child.process.terminate()
+        limit = time.monotonic() + END_S
+        for child in self.children:
+            try:
+                child.process.wait(max(0.0, limit - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                child.process.kill()
+                child.process.wait()
+        self.children.clear()

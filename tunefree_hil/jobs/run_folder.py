@@ -1,0 +1,159 @@
+"""The run folder of interfaces 6: everything under a temporary name, then renamed; readable and resumable wherever cut off."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+from datetime import datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from tunefree_hil import __version__
+from tunefree_hil.base.errors import BenchError, InputError
+
+SCHEMA = "tunefree.run/1"
+LIBRARIES = ("python-can", "cantools", "numpy", "optuna", "msgspec")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a whole file or nothing. Raises BenchError that says so when the disk is full."""
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_text(text)
+        os.replace(part, path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise BenchError(
+            f"cannot write: {error.strerror}", code="disk", file=str(path), hint="make room, then run the same command"
+        ) from error
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write `data` as indented JSON, atomically."""
+    write_text(path, json.dumps(data, indent=1, sort_keys=True) + "\n")
+
+
+def versions() -> dict[str, str]:
+    """What this run was made with."""
+    found = {"tunefree_hil": __version__, "python": sys.version.split()[0]}
+    for name in LIBRARIES:
+        found[name] = metadata.version(name)
+    return found
+
+
+class RunFolder:
+    """One run on disk. Make it with `create`, find it again with `open_run` or `unfinished`."""
+
+    def __init__(self, path: Path, record: dict[str, Any]) -> None:
+        self.path = path
+        self.record = record
+
+    @classmethod
+    def create(cls, root: Path, name: str, record: dict[str, Any]) -> RunFolder:
+        """A new folder `<root>/<date>-<name>`; `record` is what run.json holds beside schema and versions."""
+        date = datetime.now().strftime("%Y%m%d-%H%M%S")
+        path, i = root / f"{date}-{name}", 1
+        while path.exists():
+            i += 1
+            path = root / f"{date}-{name}-{i}"
+        try:
+            (path / "episodes").mkdir(parents=True)
+        except OSError as error:
+            raise InputError(
+                f"cannot make the run folder: {error.strerror}", file=str(path), hint="--out DIR"
+            ) from error
+        run = cls(path, {"schema": SCHEMA, "versions": versions(), "complete": False, **record})
+        write_json(path / "run.json", run.record)
+        return run
+
+    def finish(self, **more: Any) -> None:
+        """Mark the run complete; the last thing that is written."""
+        self.record = {**self.record, **more, "complete": True}
+        write_json(self.path / "run.json", self.record)
+
+    def note(self, **more: Any) -> None:
+        """Add to run.json."""
+        self.record = {**self.record, **more}
+        write_json(self.path / "run.json", self.record)
+
+    def episode(self, k: int) -> Path:
+        """Folder of episode k."""
+        folder = self.path / "episodes" / str(k)
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def words(self) -> Path:
+        """Where the nodes' own words go."""
+        return self.path / "nodes"
+
+    def figures(self) -> Path:
+        """Folder of the figures."""
+        folder = self.path / "figures"
+        folder.mkdir(exist_ok=True)
+        return folder
+
+
+def open_run(path: Path) -> RunFolder:
+    """Read a run folder. Raises InputError when it is none, of another version, or cut off before it began."""
+    file = path / "run.json"
+    if not path.is_dir():
+        raise InputError("there is no such run folder", file=str(path), hint="`ls runs` shows the runs")
+    if not file.is_file():
+        raise InputError("not a run folder: it has no run.json", file=str(path), hint="give the folder of a run")
+    try:
+        record = json.loads(file.read_text())
+    except ValueError as error:
+        raise InputError(
+            f"not readable JSON ({error})", file=str(file), hint="this run cannot be used; start anew"
+        ) from error
+    schema = record.get("schema") if isinstance(record, dict) else None
+    if schema != SCHEMA:
+        raise InputError(
+            f"schema is {schema!r}, this version reads {SCHEMA!r}",
+            file=str(file),
+            key="schema",
+            hint="use the version of tunefree_hil that wrote it",
+        )
+    theirs = str(record["versions"].get("tunefree_hil", "?"))
+    if theirs.split(".")[:2] != __version__.split(".")[:2]:
+        raise InputError(
+            f"written by tunefree_hil {theirs}, this is {__version__}",
+            file=str(file),
+            key="versions.tunefree_hil",
+            hint=f"install tunefree_hil {theirs}, or start a new run",
+        )
+    return RunFolder(path, record)
+
+
+def unfinished(root: Path, name: str, same: dict[str, Any]) -> RunFolder | None:
+    """The newest run `*-<name>` that is not complete and whose record agrees with `same`."""
+    for path in sorted(root.glob(f"*-{name}*"), reverse=True):
+        try:
+            run = open_run(path)
+        except InputError:
+            continue
+        if not run.record["complete"] and all(run.record.get(key) == value for key, value in same.items()):
+            return run
+    return None
+
+
+def remove_parts(folder: Path) -> None:
+    """Take away what an interrupted run left half written."""
+    for part in folder.rglob("*.part"):
+        part.unlink(missing_ok=True)
+
+
+def drop_bulk(episode: Path) -> None:
+    """Keep an episode's summary, drop its logs and columns."""
+    for name in ("vehicle.log", "bench.log", "columns.npz", "timing.npz"):
+        (episode / name).unlink(missing_ok=True)
+
+
+def copy_episode(source: Path, target: Path) -> None:
+    """Copy an episode's files under another name."""
+    if target.exists():
+        shutil.rmtree(target)
+    shutil.copytree(source, target)

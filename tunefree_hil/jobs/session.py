@@ -1,0 +1,119 @@
+"""A running bench: hub, ECU and controller as processes of their own, and a runner that conducts episodes over them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+
+from tunefree_hil.base.errors import BenchError, PeerGone
+from tunefree_hil.bus.link import Link, Owner
+from tunefree_hil.bus.open import BusChoice, open_link, resolve_bus
+from tunefree_hil.config.schema import ScenarioSpec
+from tunefree_hil.jobs.node_links import TIMING_VARIABLE
+from tunefree_hil.jobs.processes import Processes
+from tunefree_hil.nodes.runner import Outcome, Runner
+
+START_LIMIT_S = 30.0
+
+
+class Session:
+    """Context manager. `join`: the nodes run already (four terminals), only the runner is ours."""
+
+    def __init__(
+        self,
+        bench_file: Path,
+        words: Path,
+        *,
+        session: str,
+        model: str = "",
+        bus: str = "auto",
+        bench_bus: str = "",
+        realtime: bool = False,
+        join: bool = False,
+        jitted_ecu: bool = False,
+    ) -> None:
+        self.bench_file = bench_file
+        self.session = session
+        self.model = model
+        self.realtime = realtime
+        self.join = join
+        self.jitted_ecu = jitted_ecu
+        self.bus_text, self.bench_bus = bus, bench_bus
+        self.choice: BusChoice = resolve_bus(bus, session, bench_bus)
+        self.processes = Processes(words)
+        self.links: list[Link] = []
+
+    def __enter__(self) -> Session:
+        try:
+            if not self.join:
+                self._start()
+            self.runner = self._conduct()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _start(self) -> None:
+        common = ["--session", self.session, "--bus", self.bus_text]
+        if self.bench_bus:
+            common += ["--bench-bus", self.bench_bus]
+        clock = "real" if self.realtime else "sender"
+        pace = ["--realtime"] if self.realtime else []
+        self.processes.start("hub", ["hub", "--session", self.session, "--clock", clock, "--owned"])
+        model = ["--model", self.model] if self.model else []
+        timing = {TIMING_VARIABLE: str(self.processes.folder)}
+        compiled = {"TUNEFREE_JIT": "1" if self.jitted_ecu else "0"}
+        self.processes.start("ecu", ["ecu", str(self.bench_file), *model, *common, *pace], {**timing, **compiled})
+        plain = {"TUNEFREE_JIT": "0"}
+        self.processes.start("controller", ["controller", str(self.bench_file), *common, *pace], {**timing, **plain})
+
+    def _conduct(self) -> Runner:
+        owner = self._patiently(lambda: Owner(self.session, name="runner"))
+        bench = open_link(self.choice, "bench", name="runner")
+        self.owner = owner
+        self.links.append(bench)
+        runner = Runner(bench, owner, self.processes.check)
+        runner.meet(START_LIMIT_S)
+        return runner
+
+    def _patiently(self, open_it: Callable[[], Owner]) -> Owner:
+        limit = time.monotonic() + START_LIMIT_S
+        while True:
+            try:
+                return open_it()
+            except BenchError:
+                self.processes.check()
+                if self.join or time.monotonic() > limit:
+                    raise
+                time.sleep(0.05)
+
+    def drive(
+        self,
+        scenario: ScenarioSpec,
+        seed: int,
+        parameters: Sequence[float],
+        folder: Path,
+        progress: Callable[[int], None] = lambda tick: None,
+    ) -> Outcome:
+        """One episode; `folder/vehicle.log` and `folder/bench.log` are written by the hub."""
+        logs = {"vehicle": folder / "vehicle.log", "bench": folder / "bench.log"}
+        try:
+            return self.runner.drive(bytes.fromhex(scenario.hash)[:6], seed, parameters, logs, progress)
+        except PeerGone as error:
+            raise self.processes.explain(error) from error
+
+    def close(self) -> None:
+        """End the nodes and the hub; nothing of ours stays."""
+        for link in self.links:
+            link.close()
+        self.links.clear()
+        if hasattr(self, "owner"):
+            self.owner.close()
+        self.processes.stop()

@@ -1,0 +1,163 @@
+"""The controller process: frames in, Block, frames out. Knows a vehicle folder, a course and parameters, nothing else.
+
+It runs unchanged on any bus. It stops commanding, and says why, when INS or chassis frames are missing for 0.2 s, when
+the driver takes over, when a by-wire channel faults, or when its own supervision ends the drive.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.clock import Clock
+from tunefree_hil.base.kernel import Block
+from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus import bench_channel as bc
+from tunefree_hil.bus.codec import Codec
+from tunefree_hil.control.cascade import Sight
+from tunefree_hil.nodes.exchange import Exchange
+from tunefree_hil.nodes.handshake import Handshake, Stage
+from tunefree_hil.nodes.hearing import CHASSIS, INS, Hearing
+from tunefree_hil.nodes.timing import CycleTimes
+
+STAGE_CODES = {
+    Stage.NOT_ENABLED: bc.ErrorCode.NOT_ENABLED,
+    Stage.OVERRIDE: bc.ErrorCode.OVERRIDE,
+    Stage.FAULT: bc.ErrorCode.BYWIRE_FAULT,
+    Stage.DROPPED: bc.ErrorCode.NOT_ENABLED,
+}
+MISSING_CODES = {INS: bc.ErrorCode.INS_MISSING, CHASSIS: bc.ErrorCode.CHASSIS_MISSING}
+
+
+class Assignment(NamedTuple):
+    """What one episode asks of the controller."""
+
+    block: Block
+    ticks: int
+    dt_s: float
+
+
+class ControllerPart:
+    """The controller's share of an episode (nodes/node.py)."""
+
+    role = bc.Role.CONTROLLER
+
+    def __init__(
+        self,
+        codec: Codec,
+        needed: Mapping[str, Sequence[str]],
+        assign: Callable[[bytes, Mapping[int, float]], Assignment],
+        times: CycleTimes,
+        say: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),  # noqa: T201
+    ) -> None:
+        self.codec = codec
+        self.needed = needed
+        self.assign = assign
+        self.times = times
+        self.say = say
+        self.names: list[str] = []
+        self._counters = {message.name: 0 for message in codec.commands}
+        self._failed = 0
+
+    def load(self, scenario: bytes, seed: int, parameters: dict[int, float]) -> None:
+        """Build the controller for this scenario and these parameters; forget the last episode."""
+        self.task = self.assign(scenario, parameters)
+        block = self.task.block
+        self._state = block.init(block.params, self.task.dt_s)
+        self.hearing = Hearing(self.codec, self.task.dt_s)
+        self.handshake = Handshake()
+        self._failed = 0
+        self._counters = {message.name: 0 for message in self.codec.commands}
+
+    def lockstep(self, exchange: Exchange, stopped: Callable[[Any], bool]) -> None:
+        """One step for each full phase 0."""
+        self.times.begin()
+        for k in range(self.task.ticks):
+            frames = exchange.await_phase(k, 0, stopped)
+            if frames is None:
+                break
+            started = time.perf_counter()
+            reply, words = self.cycle(k, frames)
+            self.times.note(0.0, time.perf_counter() - started)
+            exchange.announce(k, 1, reply, *words)
+        self.times.save("controller")
+
+    def realtime(self, exchange: Exchange, clock: Clock, zero_s: float, stopped: Callable[[Any], bool]) -> None:
+        """One step at each deadline, with the frames stamped before it."""
+        self.times.begin()
+        for k in range(self.task.ticks):
+            deadline_s = zero_s + k * self.task.dt_s
+            clock.sleep_until(deadline_s)
+            late_s = clock.now_s() - deadline_s
+            started = time.perf_counter()
+            reply, words = self.cycle(k, exchange.take_before(0, deadline_s))
+            self.times.note(late_s, time.perf_counter() - started)
+            exchange.announce(k, 1, reply, *words)
+            if any(stopped(message) for message in exchange.listen(0.0)):
+                break
+        self.times.save("controller")
+
+    def cycle(self, k: int, frames: Sequence[CanFrame]) -> tuple[list[CanFrame], list[bc.Status]]:
+        """One control cycle: the command frames to send and what to say about it."""
+        hearing = self.hearing
+        hearing.hear(k, frames)
+        if self._failed:
+            return [], []
+        missing = hearing.missing(k, self.needed)
+        if missing is not None:
+            return [], [self._fail(k, MISSING_CODES[missing[0]], f"not heard for 0.2 s: {', '.join(missing[1])}")]
+        stage = self.handshake.look(k, hearing.state())
+        if stage in STAGE_CODES:
+            return self._quiet_frames(k), [self._fail(k, STAGE_CODES[stage], stage.value)]
+        block = self.task.block
+        sight = Sight(k, hearing.measurement())
+        self._state, decision = block.step(block.params, self._state, sight, self.task.dt_s)
+        words = []
+        if decision.error_code:
+            words.append(self._fail(k, bc.ErrorCode(int(decision.error_code)), "supervision ended the drive"))
+        return self._frames(k, decision.command), words
+
+    def _fail(self, k: int, code: bc.ErrorCode, why: str) -> bc.Status:
+        self._failed = int(code)
+        self.say(f"controller: tick {k}: {code.name.lower()}: {why}; commands stop")
+        return bc.Status(self.role, bc.State.FAILED, int(code), k)
+
+    def _frames(self, k: int, command: Any) -> list[CanFrame]:
+        enable = 1.0 if self.handshake.enable else 0.0
+        return [
+            self._frame(k, message, {"command": command} if enable else {}, enable, 0.0)
+            for message in self.codec.commands
+            if k % message.period_ticks == 0 and not (self.handshake.clear_now and message.clear)
+        ] + (self._clear_frames(k) if self.handshake.clear_now else [])
+
+    def _clear_frames(self, k: int) -> list[CanFrame]:
+        """DLC 4: an 8-byte frame without a proper counter would trip the watchdog (apollo_facts 7.3)."""
+        return [
+            CanFrame(
+                message.can_id,
+                self.codec.encode(message, {}, {message.clear: 1.0}, min(4, message.length)),
+                message.extended,
+                message.fd,
+                k * self.task.dt_s,
+            )
+            for message in self.codec.commands
+            if message.clear
+        ]
+
+    def _quiet_frames(self, k: int) -> list[CanFrame]:
+        """Commands without their enable bit: said once when the drive is lost, then silence."""
+        return [self._frame(k, message, {}, 0.0, 0.0) for message in self.codec.commands if message.enable]
+
+    def _frame(self, k: int, message: Any, records: dict[str, Any], enable: float, clear: float) -> CanFrame:
+        signals = {}
+        if message.enable:
+            signals[message.enable] = enable
+        if message.clear:
+            signals[message.clear] = clear
+        if message.counter:
+            signals[message.counter] = float(self._counters[message.name])
+            self._counters[message.name] = (self._counters[message.name] + 1) % message.counter_modulus
+        data = self.codec.encode(message, records, signals)
+        return CanFrame(message.can_id, data, message.extended, message.fd, k * self.task.dt_s)

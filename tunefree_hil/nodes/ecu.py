@@ -1,0 +1,194 @@
+"""The simulated by-wire vehicle as a process: command frames in, Block, report and INS frames out.
+
+In lockstep it owns time: it opens each tick, and steps only on the full set of command frames of that tick.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.clock import Clock
+from tunefree_hil.base.course import Course
+from tunefree_hil.base.records import GEAR_NONE, CanFrame, Command, Disturbance
+from tunefree_hil.bus import bench_channel as bc
+from tunefree_hil.bus.codec import Codec, MessageMap
+from tunefree_hil.bus.integrity import Order, check_counter
+from tunefree_hil.nodes.bits import StatusSignals, cause_name
+from tunefree_hil.nodes.exchange import Exchange
+from tunefree_hil.nodes.timing import CycleTimes
+from tunefree_hil.plant.body import Driver
+from tunefree_hil.plant.bywire import Heard, HeardChannel
+from tunefree_hil.plant.unit import Unit, UnitInput
+from tunefree_hil.plant.vehicle import Body
+
+_NOTHING = HeardChannel()
+_COMMAND_INDEX = {"throttle": 0, "brake": 1, "steer": 2}
+
+
+class Vehicle(NamedTuple):
+    """What one episode asks of the ECU."""
+
+    unit: Unit
+    body: Body
+    course: Course
+    dt_s: float
+    phases: Mapping[str, int]  # tick of its period on which each message goes out
+    driver: Callable[[int], Driver]  # the person in the seat, by tick
+
+
+class Ears:
+    """Command frames -> Heard. Keeps the counters, as each frame must count on from the last."""
+
+    def __init__(self, codec: Codec) -> None:
+        self.codec = codec
+        self._counters: dict[str, int] = {}
+
+    def hear(self, frames: Sequence[CanFrame]) -> Heard:
+        """The channels of one tick; a channel without a frame is not fresh."""
+        channels: dict[str, Any] = {}
+        for frame in frames:
+            message = self.codec.by_id[frame.id]
+            decoded = self.codec.decode(message, frame.data)
+            values = {index: value for group, index, value in self.codec.values(message, decoded) if group == "command"}
+            for channel in message.bywire:
+                if channel == "gear":
+                    channels["gear"] = values.get(Command._fields.index("gear"), GEAR_NONE)
+                    channels["gear_clear"] = float(decoded.get(message.clear, 0.0)) if message.clear else 0.0
+                else:
+                    channels[channel] = self._channel(message, decoded, values.get(_COMMAND_INDEX[channel], 0.0))
+        return Heard(**channels) if channels else Heard()
+
+    def _channel(self, message: MessageMap, decoded: Mapping[str, float], value: float) -> HeardChannel:
+        return HeardChannel(
+            float(value),
+            float(decoded.get(message.enable, 0.0)) if message.enable else 1.0,
+            float(decoded.get(message.clear, 0.0)) if message.clear else 0.0,
+            float(decoded.get(message.ignore, 0.0)) if message.ignore else 0.0,
+            self._counts(message, decoded),
+            1.0,
+        )
+
+    def _counts(self, message: MessageMap, decoded: Mapping[str, float]) -> float:
+        """1 where the rolling counter moved on from the last frame, or there is none."""
+        if not message.counter or message.counter not in decoded:
+            return 1.0
+        now = int(decoded[message.counter])
+        last = self._counters.get(message.name)
+        self._counters[message.name] = now
+        return 0.0 if check_counter(last, now, message.counter_modulus).order is Order.REPEATED else 1.0
+
+
+class EcuPart:
+    """The vehicle's share of an episode (nodes/node.py)."""
+
+    role = bc.Role.ECU
+
+    def __init__(
+        self,
+        codec: Codec,
+        assign: Callable[[bytes, int], Vehicle],
+        times: CycleTimes,
+        say: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),  # noqa: T201
+    ) -> None:
+        self.codec = codec
+        self.assign = assign
+        self.times = times
+        self.say = say
+        self.names: list[str] = []
+        self._signals = StatusSignals(codec)
+        self._failure = 0
+
+    def load(self, scenario: bytes, seed: int, parameters: dict[int, float]) -> None:
+        """Put a vehicle at the scenario's start: power-up, nothing heard yet."""
+        self.car = self.assign(scenario, seed)
+        self._params, self._state, self._said = self.car.unit.start(self.car.body, self.car.dt_s)
+        self._ears = Ears(self.codec)
+        self._cause = 0.0
+        self._failure = 0
+        self._warm_up()
+
+    def _warm_up(self) -> None:
+        """One step thrown away: where kernels are compiled, that is now and not in tick 0."""
+        car = self.car
+        params, state, _ = car.unit.start(car.body, car.dt_s)
+        car.unit.step(params, state, UnitInput(Heard(), car.driver(0), Disturbance()), car.dt_s)
+        self._params, self._state, self._said = car.unit.start(car.body, car.dt_s)
+
+    def lockstep(self, exchange: Exchange, stopped: Callable[[Any], bool]) -> None:
+        """Open tick after tick; end with the course, a failure that the controller says, or a request."""
+        self.times.begin()
+        self._stopped = stopped
+        ticks = 0
+        for k in range(self.car.course.ticks):
+            exchange.announce(k, 0, self._publish(k, k), bc.Tick(k))
+            frames = exchange.await_phase(k, 1, self._interrupt)
+            if frames is None:
+                self._failure = self._failure or int(bc.ErrorCode.STOPPED)
+                break
+            started = time.perf_counter()
+            self._step(exchange, k, frames)
+            self.times.note(0.0, time.perf_counter() - started)
+            ticks = k + 1
+            if self._failure:
+                break
+        self._end(exchange, ticks)
+
+    def realtime(self, exchange: Exchange, clock: Clock, zero_s: float, stopped: Callable[[Any], bool]) -> None:
+        """At each deadline: publish the state reached, then step with the commands stamped before the deadline."""
+        self.times.begin()
+        self._stopped = stopped
+        ticks = 0
+        exchange.vehicle.send(self._publish(0, 0))
+        for k in range(self.car.course.ticks):
+            deadline_s = zero_s + k * self.car.dt_s
+            clock.sleep_until(deadline_s)
+            late_s = clock.now_s() - deadline_s
+            started = time.perf_counter()
+            exchange.announce(k, 0, self._publish(k, k + 1), bc.Tick(k))
+            if any(self._interrupt(message) for message in exchange.listen(0.0)):
+                self._failure = self._failure or int(bc.ErrorCode.STOPPED)
+            self._step(exchange, k, exchange.take_before(1, deadline_s))
+            self.times.note(late_s, time.perf_counter() - started)
+            ticks = k + 1
+            if self._failure:
+                break
+        self._end(exchange, ticks)
+
+    def _interrupt(self, message: Any) -> bool:
+        """Note a failure the controller says (its DONE still comes); True where the runner asks to stop."""
+        if isinstance(message, bc.Status) and message.role == bc.Role.CONTROLLER and message.state == bc.State.FAILED:
+            self._failure = self._failure or message.error_code
+            return False
+        return self._stopped(message)
+
+    def _end(self, exchange: Exchange, ticks: int) -> None:
+        state = bc.State.FAILED if self._failure else bc.State.FINISHED
+        exchange.say(bc.Status(self.role, state, self._failure, ticks), k=ticks)
+        self.times.save("ecu")
+
+    def _publish(self, k: int, used_at: int) -> list[CanFrame]:
+        """What is sent at tick k: the frames that are due at the tick that uses them."""
+        car, said = self.car, self._said
+        records = {"report": said.measurement.report, "ins": said.measurement.ins}
+        signals = self._signals.of(said.status)
+        stamp_s = k * car.dt_s
+        encode = self.codec.encode
+        return [
+            CanFrame(m.can_id, encode(m, records, signals[m.name]), m.extended, m.fd, stamp_s)
+            for m in self.codec.telemetry
+            if (used_at + car.phases[m.name]) % m.period_ticks == 0
+        ]
+
+    def _step(self, exchange: Exchange, k: int, frames: Sequence[CanFrame]) -> None:
+        car = self.car
+        road = Disturbance(float(car.course.grade_rad[k]), float(car.course.friction_frac[k]))
+        x = UnitInput(self._ears.hear(frames), car.driver(k), road)
+        self._state, self._said = car.unit.step(self._params, self._state, x, car.dt_s)
+        cause = self._said.status.watchdog_cause
+        if cause != self._cause:
+            self._cause = cause
+            self.say(f"ecu: tick {k}: watchdog: {cause_name(cause)}; brakes applied")
+            exchange.say(bc.Fault(self.role, bc.NOT_SCRIPTED, int(cause), k), k=k)

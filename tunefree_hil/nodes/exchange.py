@@ -1,0 +1,157 @@
+"""How a node exchanges frames with the others: phases in lockstep, deadlines in real time (interfaces 8).
+
+A node holds two links: `vehicle` carries the DBC's frames and nothing else, `bench` carries TICK, DONE, STATUS and the like.
+A phase ends when the DONE that announces it *and* the n_tx frames it announced have arrived; the frames are then handed
+over in (id, sequence) order. Waiting has a hard limit and names who did not answer.
+"""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from tunefree_hil.base.errors import BenchError, NoAnswer
+from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus import bench_channel as bc
+from tunefree_hil.bus.link import Link
+
+HARD_LIMIT_S = 5.0
+SLICE_S = 0.5  # how often a waiting node looks at the other link: a lost peer is said on both
+PHASE_ROLES = ("ecu", "controller")
+
+
+def arbitration_key(frame: CanFrame) -> tuple[bool, int]:
+    """Order of simultaneous frames: standard ids first, then by id; a stable sort keeps the sequence within an id."""
+    return (frame.extended, frame.id)
+
+
+def digest(frames: Iterable[CanFrame]) -> int:
+    """16-bit check of a phase's frames, in (id, sequence) order (DONE, interfaces 8)."""
+    crc = 0
+    for frame in frames:
+        crc = zlib.crc32(frame.data, zlib.crc32(frame.id.to_bytes(4, "little"), crc))
+    return crc & 0xFFFF
+
+
+class Exchange:
+    """Both links of one node. `mine(phase)` tells which ids belong to a phase: 0 the vehicle's reports, 1 the commands."""
+
+    def __init__(self, vehicle: Link, bench: Link, ids_of_phase: Sequence[frozenset[int]], tick_s: float) -> None:
+        self.vehicle = vehicle
+        self.bench = bench
+        self.ids_of_phase = ids_of_phase
+        self.tick_s = tick_s
+        self.inbox: list[Any] = []  # bench messages that nobody has looked at yet
+        self.run_stamp_s = 0.0  # when STATUS RUN passed the bus: the same for all who heard it
+        self.foreign: dict[int, int] = {}  # id -> count of frames that are in neither set
+        self._frames: tuple[list[CanFrame], list[CanFrame]] = ([], [])
+
+    def say(self, *messages: Any, k: int = 0) -> None:
+        """Send bench messages, stamped with tick k."""
+        stamp_s = k * self.tick_s
+        self.bench.send([bc.encode(message)._replace(time_s=stamp_s) for message in messages])
+
+    def announce(self, k: int, phase: int, frames: list[CanFrame], *before: Any) -> None:
+        """Send this phase's vehicle frames, then `before` and DONE on the bench channel."""
+        frames.sort(key=arbitration_key)
+        if frames:
+            self.vehicle.send(frames)
+        self.say(*before, bc.Done(k, phase, len(frames), digest(frames)), k=k)
+
+    def listen(self, timeout_s: float) -> list[Any]:
+        """The bench messages not yet looked at; waits up to timeout_s for the first."""
+        if not self.inbox:
+            self._fill_inbox(timeout_s)
+        messages, self.inbox = self.inbox, []
+        return messages
+
+    def _fill_inbox(self, timeout_s: float) -> None:
+        for frame in self.bench.receive(timeout_s):
+            message = bc.decode(frame)
+            if message is None:
+                continue
+            if isinstance(message, bc.Status) and message.state == bc.State.RUN:
+                self.run_stamp_s = frame.time_s
+            self.inbox.append(message)
+
+    def await_phase(self, k: int, phase: int, interrupt: Callable[[Any], bool]) -> list[CanFrame] | None:
+        """The frames of phase `phase` of tick k, in (id, sequence) order.
+
+        `interrupt(message)` is asked about every other bench message; True ends the wait with None.
+        Raises NoAnswer after 5 s, BenchError when what arrived is not what was announced.
+        """
+        done = self._await_done(k, phase, interrupt)
+        if done is None:
+            return None
+        frames = self._await_frames(k, phase, done.n_tx)
+        frames.sort(key=arbitration_key)
+        if digest(frames) != done.digest:
+            raise BenchError(
+                f"tick {k}: the {len(frames)} frames of the {PHASE_ROLES[phase]} are not those it announced "
+                f"({', '.join(f'0x{frame.id:X}' for frame in frames)})",
+                code="digest",
+                hint="another process sends this vehicle's ids on the same bus; end it, or use another --session",
+            )
+        return frames
+
+    def _await_done(self, k: int, phase: int, interrupt: Callable[[Any], bool]) -> bc.Done | None:
+        limit_s = time.monotonic() + HARD_LIMIT_S
+        while True:
+            for i, message in enumerate(self.inbox):
+                if isinstance(message, bc.Done) and message.phase == phase and message.k == k:
+                    del self.inbox[: i + 1]
+                    return message
+                if interrupt(message):
+                    del self.inbox[: i + 1]
+                    return None
+            self.inbox.clear()
+            self._fill_inbox(SLICE_S)
+            if not self.inbox and time.monotonic() > limit_s:
+                raise NoAnswer(
+                    f"tick {k}: the {PHASE_ROLES[phase]} did not answer within {HARD_LIMIT_S:g} s",
+                    code="no_answer",
+                    hint=f"look at what the {PHASE_ROLES[phase]} process printed; is it stopped or in a debugger?",
+                )
+
+    def _await_frames(self, k: int, phase: int, n_tx: int) -> list[CanFrame]:
+        limit_s = time.monotonic() + HARD_LIMIT_S
+        waiting = self._frames[phase]
+        while len(waiting) < n_tx:
+            self.sort_in(self.vehicle.receive(SLICE_S))
+            if len(waiting) < n_tx and time.monotonic() > limit_s:
+                heard = ", ".join(f"0x{frame.id:X}" for frame in waiting) or "none"
+                raise NoAnswer(
+                    f"tick {k}: the {PHASE_ROLES[phase]} announced {n_tx} frames, {len(waiting)} arrived ({heard})",
+                    code="frames_missing",
+                )
+        frames = list(waiting)
+        waiting.clear()
+        return frames
+
+    def sort_in(self, frames: Iterable[CanFrame]) -> None:
+        """Put arrived frames to their phase; count those that are in neither set."""
+        telemetry, commands = self.ids_of_phase
+        for frame in frames:
+            if frame.id in telemetry:
+                self._frames[0].append(frame)
+            elif frame.id in commands:
+                self._frames[1].append(frame)
+            else:
+                self.foreign[frame.id] = self.foreign.get(frame.id, 0) + 1
+
+    def take_before(self, phase: int, stamp_s: float) -> list[CanFrame]:
+        """Real time: the frames of a phase stamped before `stamp_s`; later ones stay for the next cycle."""
+        self.sort_in(self.vehicle.receive(0.0))
+        waiting = self._frames[phase]
+        taken = [frame for frame in waiting if frame.time_s < stamp_s]
+        if taken:
+            waiting[:] = [frame for frame in waiting if frame.time_s >= stamp_s]
+        return taken
+
+    def clear(self) -> None:
+        """Forget what an ended episode left behind."""
+        self.sort_in(self.vehicle.receive(0.0))
+        for waiting in self._frames:
+            waiting.clear()

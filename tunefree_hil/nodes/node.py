@@ -1,0 +1,104 @@
+"""What the ECU and the controller have in common: they say hello, load an episode when told, run it, say how it ended."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from tunefree_hil.base.clock import Clock
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.bus import bench_channel as bc
+from tunefree_hil.nodes.exchange import Exchange
+
+WAIT_S = 0.5
+
+
+class Part(Protocol):
+    """One role's share of an episode."""
+
+    role: bc.Role
+    names: list[str]  # parameters it announces
+
+    def load(self, scenario: bytes, seed: int, parameters: dict[int, float]) -> None: ...
+
+    def lockstep(self, exchange: Exchange, stopped: Callable[[Any], bool]) -> None: ...
+
+    def realtime(self, exchange: Exchange, clock: Clock, zero_s: float, stopped: Callable[[Any], bool]) -> None: ...
+
+
+class Node:
+    """Serves episodes until the bus goes (which raises) or `end` is said."""
+
+    def __init__(self, part: Part, exchange: Exchange, name: str, clock: Clock, realtime: bool = False) -> None:
+        self.part = part
+        self.exchange = exchange
+        self.name = name
+        self.clock = clock
+        self.realtime = realtime
+        self._episode: bc.Episode | None = None
+        self._parameters: dict[int, float] = {}
+        self._parameter_count = -1
+        self._ready = False
+
+    def hello(self) -> None:
+        """Announce role, name and parameters."""
+        for message in bc.hello_messages(self.part.role, self.name, self.part.names):
+            self.exchange.say(message)
+
+    def serve(self) -> None:
+        """Say hello, then answer the runner for ever."""
+        self.hello()
+        while True:
+            for message in self.exchange.listen(WAIT_S):
+                if isinstance(message, bc.Status) and message.state == bc.State.END:
+                    return
+                self._answer(message)
+
+    def _answer(self, message: Any) -> None:
+        if isinstance(message, bc.Hello) and message.role == bc.Role.RUNNER and message.part == 0:
+            self.hello()
+        elif isinstance(message, bc.Episode):
+            self._episode, self._parameters, self._parameter_count, self._ready = message, {}, -1, False
+        elif isinstance(message, bc.Param):
+            self._parameters[message.index] = message.value
+            self._parameter_count = message.count
+        elif isinstance(message, bc.Status) and message.role == bc.Role.RUNNER and message.state == bc.State.RUN:
+            self._run(float(message.tick))
+        if self._episode is not None and len(self._parameters) == self._parameter_count and not self._ready:
+            self._load(self._episode)
+
+    def _load(self, episode: bc.Episode) -> None:
+        self._ready = True
+        self.exchange.clear()
+        try:
+            self.part.load(episode.scenario, episode.seed, dict(self._parameters))
+        except InputError as error:
+            code = bc.ErrorCode.UNKNOWN_SCENARIO if error.code == "unknown_scenario" else bc.ErrorCode.CONTROL_ERROR
+            self.exchange.say(bc.Status(self.part.role, bc.State.FAILED, code, 0))
+            raise
+        self.exchange.say(bc.Status(self.part.role, bc.State.READY, 0, 0))
+
+    def _run(self, lead_ms: float) -> None:
+        if self._episode is None:
+            return
+        self._episode, self._ready = None, False
+        if self.realtime:
+            zero_s = self.exchange.run_stamp_s + lead_ms * 1e-3
+            self.part.realtime(self.exchange, self.clock, zero_s, self._stopped)
+        else:
+            self.part.lockstep(self.exchange, self._stopped)
+
+    @staticmethod
+    def _stopped(message: Any) -> bool:
+        """Whether a bench message ends the running episode."""
+        if not isinstance(message, bc.Status):
+            return False
+        if message.role == bc.Role.RUNNER:
+            return message.state in (bc.State.STOP, bc.State.END)
+        return message.role == bc.Role.ECU and message.state in (bc.State.FINISHED, bc.State.FAILED)
+
+
+def round32(value: float) -> float:
+    """`value` as IEEE 754 binary32, as PARAM carries it."""
+    return struct.unpack("<f", struct.pack("<f", value))[0]

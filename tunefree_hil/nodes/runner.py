@@ -1,0 +1,151 @@
+"""Conducts episodes over the bench channel: who is there, what to drive, with which parameters, how it ended.
+
+The runner is no part of the lockstep: the ECU owns time, so a slow runner slows nothing. It looks at the bench channel
+every few milliseconds and calls a silence of 5 s by name.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.errors import BenchError, NoAnswer
+from tunefree_hil.bus import bench_channel as bc
+from tunefree_hil.bus.link import Link, Owner
+from tunefree_hil.nodes.exchange import HARD_LIMIT_S
+
+LOOK_S = 0.005
+LOAD_LIMIT_S = 120.0  # a jitted plant compiles while it loads
+LEAD_MS = 200  # real time: from RUN to tick 0
+
+
+class Outcome(NamedTuple):
+    """How an episode ended. error_code 0: driven to its end."""
+
+    ticks: int
+    error_code: int
+    logged: dict[str, int]
+    wall_s: float
+
+    @property
+    def error(self) -> str:
+        """The error's name, '' when there was none."""
+        return bc.ErrorCode(self.error_code).name.lower() if self.error_code else ""
+
+
+class Runner:
+    """One bench, one episode after the other. `check()` raises when a process of ours has died."""
+
+    def __init__(self, bench: Link, owner: Owner, check: Callable[[], None] = lambda: None) -> None:
+        self.bench = bench
+        self.owner = owner
+        self.check = check
+        self.collector = bc.HelloCollector()
+
+    def meet(self, limit_s: float = 30.0) -> None:
+        """Wait until an ECU and a controller are there. Raises NoAnswer that names who is missing."""
+        limit = time.monotonic() + limit_s
+        needed = (bc.Role.ECU, bc.Role.CONTROLLER)
+        self._say(*bc.hello_messages(bc.Role.RUNNER, "runner", []))
+        while not all(self.collector.complete(role) for role in needed):
+            for message in self._listen():
+                if isinstance(message, bc.Hello):
+                    self.collector.add(message)
+            if time.monotonic() > limit:
+                missing = [role.name.lower() for role in needed if not self.collector.complete(role)]
+                raise NoAnswer(
+                    f"no hello from {' and '.join(missing)} within {limit_s:g} s",
+                    code="node_missing",
+                    hint="start `tunefree-hil ecu` and `tunefree-hil controller` on the same --session",
+                )
+
+    def drive(
+        self,
+        scenario: bytes,
+        seed: int,
+        parameters: Sequence[float],
+        logs: dict[str, Path],
+        progress: Callable[[int], None] = lambda tick: None,
+        duration_s: float = 0.0,
+    ) -> Outcome:
+        """Drive one episode to its end or failure; the hub writes the logs.
+
+        scenario: content hash, of which EPISODE carries 6 bytes. Raises BenchError, NoAnswer, PeerGone.
+        """
+        self._say(bc.Episode(scenario[:6], seed))
+        count = len(parameters)
+        self._say(*[bc.Param(index, count, value) for index, value in enumerate(parameters)])
+        self._await_ready()
+        self.owner.start_log(logs)
+        started = time.monotonic()
+        try:
+            self._say(bc.Status(bc.Role.RUNNER, bc.State.RUN, 0, LEAD_MS))
+            ticks, code = self._await_end(progress, duration_s)
+        finally:
+            wall_s = time.monotonic() - started
+            logged = self.owner.stop_log()
+        return Outcome(ticks, code, logged, wall_s)
+
+    def stop(self) -> None:
+        """Ask the running episode to end."""
+        self._say(bc.Status(bc.Role.RUNNER, bc.State.STOP, 0, 0))
+
+    def end(self) -> None:
+        """Ask the nodes to end themselves."""
+        self._say(bc.Status(bc.Role.RUNNER, bc.State.END, 0, 0))
+
+    def _say(self, *messages: Any) -> None:
+        self.bench.send([bc.encode(message) for message in messages])
+
+    def _listen(self) -> list[Any]:
+        time.sleep(LOOK_S)
+        frames = self.bench.receive(0.0)
+        self.check()
+        return [message for frame in frames if (message := bc.decode(frame)) is not None]
+
+    def _await_ready(self) -> None:
+        limit = time.monotonic() + LOAD_LIMIT_S
+        waiting = {bc.Role.ECU, bc.Role.CONTROLLER}
+        while waiting:
+            for message in self._listen():
+                if isinstance(message, bc.Status) and message.role in waiting:
+                    self._refuse_failed(message)
+                    if message.state == bc.State.READY:
+                        waiting.discard(bc.Role(message.role))
+            if time.monotonic() > limit:
+                names = " and ".join(sorted(role.name.lower() for role in waiting))
+                raise NoAnswer(f"{names} did not load the episode within {LOAD_LIMIT_S:g} s", code="no_answer")
+
+    def _refuse_failed(self, message: bc.Status) -> None:
+        if message.state != bc.State.FAILED:
+            return
+        time.sleep(0.3)  # let the node print its own words and end; check() then quotes them
+        self.check()
+        role = bc.Role(message.role).name.lower()
+        raise BenchError(
+            f"the {role} cannot load this episode: {bc.ErrorCode(message.error_code).name.lower()}",
+            code=bc.ErrorCode(message.error_code).name.lower(),
+            hint=f"the {role} says why in its own words, where it runs; do both have the same files?",
+        )
+
+    def _await_end(self, progress: Callable[[int], None], duration_s: float) -> tuple[int, int]:
+        silent_limit_s = HARD_LIMIT_S + 2.0  # the node waiting inside says it first, and knows more
+        heard = time.monotonic()
+        code = 0
+        while True:
+            messages = self._listen()
+            now = time.monotonic()
+            if messages:
+                heard = now
+            for message in messages:
+                if isinstance(message, bc.Status) and message.role == bc.Role.CONTROLLER and message.error_code:
+                    code = code or message.error_code
+                if isinstance(message, bc.Status) and message.role == bc.Role.ECU:
+                    if message.state in (bc.State.FINISHED, bc.State.FAILED):
+                        return message.tick, code or message.error_code
+                elif isinstance(message, bc.Tick):
+                    progress(message.k)
+            if now - heard > silent_limit_s:
+                raise NoAnswer(f"the bench has been silent for {silent_limit_s:g} s", code="no_answer")

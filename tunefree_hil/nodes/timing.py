@@ -1,0 +1,37 @@
+"""How long each cycle took and how late it began. Kept apart from the recording: neither is hashed nor compared."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+
+class CycleTimes:
+    """Lateness and compute time by tick; written to `<folder>/timing-<role>.npz` where a folder is given."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self.folder = folder
+        self.late_s: list[float] = []
+        self.control_s: list[float] = []
+
+    def begin(self) -> None:
+        """Start a new episode."""
+        self.late_s = []
+        self.control_s = []
+
+    def note(self, late_s: float, control_s: float) -> None:
+        """One tick: how late it began, how long it computed."""
+        self.late_s.append(late_s)
+        self.control_s.append(control_s)
+
+    def save(self, role: str) -> None:
+        """Write under a temporary name, then rename."""
+        if self.folder is None:
+            return
+        path = self.folder / f"timing-{role}.npz"
+        part = path.with_suffix(".part")
+        with part.open("wb") as file:
+            np.savez(file, late_s=np.array(self.late_s), control_time_s=np.array(self.control_s))
+        os.replace(part, path)

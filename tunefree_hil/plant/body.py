@@ -1,0 +1,130 @@
+"""The records of a simulated vehicle, and what a kind of plant must export.
+
+A vehicle is actuators (Command -> Actuation), a chassis (ChassisInput -> Motion) and sensors
+(SensorInput -> Measurement); `plant/vehicle.py` puts them together with the effects.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.contracts import BodyChange
+from tunefree_hil.base.course import Start
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.kernel import Block
+from tunefree_hil.base.records import Actuation, Command, Disturbance, Measurement, Motion
+from tunefree_hil.base.units import G_MPS2
+
+REST_FRAC = 0.15  # pedal duty with nobody's foot on it (apollo_facts 7.4)
+
+
+class Driver(NamedTuple):
+    """The person in the seat, from a script: both pedals' duty, hand on the wheel, gear lever.
+
+    steer_hold = 1 holds the wheel against the motor; gear_override = 1 moves the lever. fault_cause injects a watchdog
+    code of `bywire.CAUSES` that commands alone cannot cause (another module, a report time-out).
+    """
+
+    throttle_frac: float = REST_FRAC
+    brake_frac: float = REST_FRAC
+    steer_torque_nm: float = 0.0
+    steer_hold: float = 0.0
+    gear_override: float = 0.0
+    fault_cause: float = 0.0
+
+
+NOBODY = Driver()  # feet off the pedals
+
+
+class ChassisInput(NamedTuple):
+    """What the chassis feels at one step."""
+
+    actuation: Actuation
+    road: Disturbance
+
+
+class ChassisParams(NamedTuple):
+    """Params of every chassis Block: its own constants (with `wheel_radius_m`, `half_track_m`), and where it starts."""
+
+    constants: Any
+    start: Start = Start()
+
+
+class BodyInput(NamedTuple):
+    """One tick of the vehicle: the command that the by-wire unit applies, the person in the seat, the road."""
+
+    command: Command
+    driver: Driver
+    road: Disturbance
+
+
+class BodyOutput(NamedTuple):
+    """After the tick: what the actuators put out, the true motion, and what is measured of it."""
+
+    actuation: Actuation
+    motion: Motion
+    measurement: Measurement
+
+
+class Plant(NamedTuple):
+    """What a kind of plant exports as PLANT.
+
+    make(params, change) -> chassis Block on ChassisParams. actuators(params) -> Block Command -> Actuation for a
+    whole vehicle with actuators of its own, None where `[actuators]` of model.toml rules. The whole vehicle is stepped
+    `substeps` times a tick. `defaults`: every key that [plant.params] may set, with its default.
+    """
+
+    make: Callable[[Mapping[str, float], BodyChange], Block]
+    defaults: Mapping[str, float]
+    substeps: int = 1
+    actuators: Callable[[Mapping[str, float]], Block] | None = None
+
+
+class Laden(NamedTuple):
+    """Mass geometry of a car with its payload."""
+
+    mass_kg: float
+    front_axle_m: float  # centre of mass to front axle
+    rear_axle_m: float
+    yaw_inertia_kgm2: float
+
+
+def laden(mass_kg: float, wheelbase_m: float, front_axle_m: float, inertia_kgm2: float, change: BodyChange) -> Laden:
+    """The car and a point mass on its centre line (parallel axes); without payload the numbers given, bit for bit."""
+    total_kg = mass_kg + change.payload_kg
+    shift_m = change.payload_kg * change.payload_ahead_m / total_kg
+    reduced_kg = mass_kg * change.payload_kg / total_kg
+    front_m = front_axle_m - shift_m
+    if not (total_kg > 0.0 and 0.0 < front_m < wheelbase_m):
+        raise InputError(
+            f"{change.payload_kg} kg, {change.payload_ahead_m} m ahead, put the centre of mass off the car",
+            code="bad_payload",
+            key="payload",
+            hint="the laden mass must be positive and the centre of mass between the axles",
+        )
+    inertia = inertia_kgm2 + reduced_kg * change.payload_ahead_m * change.payload_ahead_m
+    return Laden(total_kg, front_m, wheelbase_m - front_m, inertia)
+
+
+def filled(defaults: Mapping[str, float], given: Mapping[str, float], kind: str) -> dict[str, float]:
+    """`defaults` with what was given; InputError for a key there is not."""
+    unknown = sorted(set(given) - set(defaults))
+    if unknown:
+        raise InputError(
+            f"plant kind {kind!r} has no parameter {', '.join(unknown)}",
+            code="unknown_plant_parameter",
+            key=f"plant.params.{unknown[0]}",
+            hint=f"it has {', '.join(defaults)}",
+        )
+    return {**defaults, **{key: float(value) for key, value in given.items()}}
+
+
+def rolling_motion(start: Start, wheel_radius_m: float, grade_rad: float = 0.0) -> Motion:
+    """Motion of a car that rolls straight on at `start`, wheels turning; the first motion of every chassis."""
+    wheel_radps = start.speed_mps / wheel_radius_m
+    wheels = (wheel_radps, wheel_radps, wheel_radps, wheel_radps)
+    speeds = (start.speed_mps, 0.0, 0.0)
+    forces = (G_MPS2 * math.sin(grade_rad), 0.0, 0.0)
+    return Motion(start.x_m, start.y_m, start.heading_rad, *speeds, *forces, *wheels)

@@ -1,0 +1,111 @@
+"""Words of the by-wire unit: what it hears, its rules, its status bits, its watchdog (apollo_facts 7.3)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from tunefree_hil.base.records import GEAR_DRIVE, Command
+from tunefree_hil.plant.body import REST_FRAC, Driver
+
+_CHANNEL_CAUSES = ("counter", "disabled", "timeout", "report_timeout")
+CAUSES: dict[str, float] = {"none": 0.0, "other": 1.0} | {
+    f"{channel}_{cause}": 2.0 + 4.0 * i + j
+    for i, channel in enumerate(("brake", "throttle", "steer"))
+    for j, cause in enumerate(_CHANNEL_CAUSES)
+}  # the watchdog's causes, by the name that vehicle.toml gives them
+OTHER = CAUSES["other"]
+BRAKE_COUNTER, BRAKE_DISABLED = CAUSES["brake_counter"], CAUSES["brake_disabled"]
+BRAKE_TIMEOUT, BRAKE_REPORT_TIMEOUT = CAUSES["brake_timeout"], CAUSES["brake_report_timeout"]
+THROTTLE_COUNTER, THROTTLE_DISABLED = CAUSES["throttle_counter"], CAUSES["throttle_disabled"]
+THROTTLE_TIMEOUT, THROTTLE_REPORT_TIMEOUT = CAUSES["throttle_timeout"], CAUSES["throttle_report_timeout"]
+STEER_COUNTER, STEER_DISABLED = CAUSES["steer_counter"], CAUSES["steer_disabled"]
+STEER_TIMEOUT, STEER_REPORT_TIMEOUT = CAUSES["steer_timeout"], CAUSES["steer_report_timeout"]
+
+
+class HeardChannel(NamedTuple):
+    """One channel's command frame of this tick; without a new one (fresh = 0) nothing else here counts.
+
+    enable, clear, ignore, counter_ok are 0 or 1. A frame with clear = 1 is not held to the counter (DLC 4 frames).
+    """
+
+    value: float = 0.0
+    enable: float = 0.0
+    clear: float = 0.0
+    ignore: float = 0.0
+    counter_ok: float = 1.0
+    fresh: float = 0.0
+
+
+class Heard(NamedTuple):
+    """All that came in this tick; gear is GEAR_NONE without a gear frame."""
+
+    throttle: HeardChannel = HeardChannel()
+    brake: HeardChannel = HeardChannel()
+    steer: HeardChannel = HeardChannel()
+    gear: float = 0.0
+    gear_clear: float = 0.0
+
+
+class ByWireInput(NamedTuple):
+    """One tick: what was heard, the person in the seat, and the vehicle's speed and steering output before it."""
+
+    heard: Heard
+    driver: Driver
+    speed_mps: float
+    steer_rad: float
+
+
+class ChannelStatus(NamedTuple):
+    """Bits of one channel's report, each 0 or 1."""
+
+    enabled: float = 0.0
+    override: float = 0.0
+    driver: float = 0.0
+    timeout: float = 0.0
+    counter_fault: float = 0.0
+
+
+class ByWireStatus(NamedTuple):
+    """The bits of the reports. watchdog_cause is a code of CAUSES, 0 while nothing is wrong."""
+
+    throttle: ChannelStatus = ChannelStatus()
+    brake: ChannelStatus = ChannelStatus()
+    steer: ChannelStatus = ChannelStatus()
+    gear_override: float = 0.0
+    watchdog_braking: float = 0.0
+    watchdog_cause: float = 0.0
+
+
+class ByWireOutput(NamedTuple):
+    """What the actuators are told now, and what the reports say of it."""
+
+    command: Command
+    status: ByWireStatus
+
+
+class ChannelRules(NamedTuple):
+    """Limits of one channel; the driver's input is duty, or |torque| in Nm for steering."""
+
+    timeout_ticks: float = 10.0
+    driver_level: float = 0.18
+    driver_ticks: float = 2.0
+    override_level: float = 0.22
+    override_ticks: float = 10.0
+    low: float = REST_FRAC
+    high: float = 1.0
+
+
+class ByWireParams(NamedTuple):
+    """Rules of a unit, ticks of 10 ms. Defaults: apollo_facts 7.3; what no source states is marked assumed.
+
+    The unit heeds counters when check_counter is 1. first_gear: the lever at power-up.
+    """
+
+    throttle: ChannelRules = ChannelRules(override_level=0.30, high=0.80)
+    brake: ChannelRules = ChannelRules(high=0.50)
+    steer: ChannelRules = ChannelRules(driver_level=1.0, override_level=3.0, low=-8.2, high=8.2)  # Nm assumed
+    brake_ramp_per_tick: float = 0.2  # 0.4 per 20 ms
+    watchdog_brake_frac: float = 0.30  # assumed
+    standstill_mps: float = 0.1  # assumed
+    check_counter: float = 1.0
+    first_gear: float = GEAR_DRIVE

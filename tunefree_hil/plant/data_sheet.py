@@ -1,0 +1,102 @@
+"""Constants of the single-track car: what the data sheet says, and what the step makes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from tunefree_hil.base.contracts import BodyChange
+from tunefree_hil.base.units import AIR_DENSITY_KGPM3, G_MPS2
+from tunefree_hil.plant.body import filled, laden
+
+DEFAULTS: dict[str, float] = {
+    "mass_kg": 2080.0,
+    "wheelbase_m": 2.8448,
+    "front_axle_m": 1.4224,
+    "yaw_inertia_kgm2": 4208.3,
+    "front_stiffness_n_per_rad": 155494.663,
+    "rear_stiffness_n_per_rad": 155494.663,
+    "friction": 0.9,
+    "steer_ratio": 16.0,
+    "wheel_radius_m": 0.335,
+    "track_m": 1.5824,
+    "rest_pedal_frac": 0.15,
+    "throttle_zero_frac": 0.165,  # duty at which the engine begins to answer (apollo_facts 7.4)
+    "throttle_full_frac": 0.80,
+    "drive_force_n": 6500.0,  # at full throttle, standing
+    "drive_knee_frac": 0.12,  # throttle share that gives 63 % of it
+    "drive_power_w": 94.0e3,  # at full throttle
+    "creep_force_n": 1000.0,
+    "creep_speed_mps": 2.0,  # at which creep has faded out
+    "brake_force_n_per_frac": 56.6e3,  # 3412 Nm over 0.18 duty at the wheel radius (apollo_facts 7.4, smoothed)
+    "rolling_frac": 0.012,
+    "drag_area_m2": 0.70,
+}
+
+
+class SingleTrack(NamedTuple):
+    """Constants as the step uses them, laden; inverses are taken once."""
+
+    mass_kg: float
+    inverse_mass: float
+    inverse_inertia: float
+    front_axle_m: float
+    rear_axle_m: float
+    inverse_wheelbase: float
+    front_stiffness: float
+    rear_stiffness: float
+    front_load_n: float
+    rear_load_n: float
+    friction: float
+    inverse_ratio: float
+    wheel_radius_m: float
+    inverse_radius: float
+    half_track_m: float
+    rest_frac: float
+    throttle_zero_frac: float
+    inverse_throttle_span: float
+    drive_force_n: float
+    inverse_knee: float
+    drive_power_w: float
+    creep_force_n: float
+    inverse_creep_speed: float
+    brake_gain_n: float
+    rolling_n: float
+    drag_kgpm: float
+    grade_rad: float
+
+
+def constants_of(params: Mapping[str, float], change: BodyChange) -> SingleTrack:
+    """[plant.params] over DEFAULTS, with the body changes applied."""
+    v = filled(DEFAULTS, params, "physics")
+    car = laden(v["mass_kg"], v["wheelbase_m"], v["front_axle_m"], v["yaw_inertia_kgm2"], change)
+    weight_n = car.mass_kg * G_MPS2
+    return SingleTrack(
+        mass_kg=car.mass_kg,
+        inverse_mass=1.0 / car.mass_kg,
+        inverse_inertia=1.0 / car.yaw_inertia_kgm2,
+        front_axle_m=car.front_axle_m,
+        rear_axle_m=car.rear_axle_m,
+        inverse_wheelbase=1.0 / v["wheelbase_m"],
+        front_stiffness=v["front_stiffness_n_per_rad"],
+        rear_stiffness=v["rear_stiffness_n_per_rad"],
+        front_load_n=weight_n * car.rear_axle_m / v["wheelbase_m"],
+        rear_load_n=weight_n * car.front_axle_m / v["wheelbase_m"],
+        friction=v["friction"] * change.friction_frac,
+        inverse_ratio=1.0 / v["steer_ratio"],
+        wheel_radius_m=v["wheel_radius_m"],
+        inverse_radius=1.0 / v["wheel_radius_m"],
+        half_track_m=0.5 * v["track_m"],
+        rest_frac=v["rest_pedal_frac"],
+        throttle_zero_frac=v["throttle_zero_frac"],
+        inverse_throttle_span=1.0 / (v["throttle_full_frac"] - v["throttle_zero_frac"]),
+        drive_force_n=v["drive_force_n"],
+        inverse_knee=1.0 / v["drive_knee_frac"],
+        drive_power_w=v["drive_power_w"],
+        creep_force_n=v["creep_force_n"],
+        inverse_creep_speed=1.0 / v["creep_speed_mps"],
+        brake_gain_n=v["brake_force_n_per_frac"],
+        rolling_n=v["rolling_frac"] * weight_n,
+        drag_kgpm=0.5 * AIR_DENSITY_KGPM3 * v["drag_area_m2"],
+        grade_rad=change.grade_rad,
+    )

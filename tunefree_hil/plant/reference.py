@@ -1,0 +1,253 @@
+"""Plant kind `reference`: the stand-in for a measured car, with its awkward facts (design D8).
+
+Two tracks with load transfer, unequal axles, relaxing tyres with combined slip, steering compliance, brake dead band,
+step and hysteresis, creep, power-limited drive with gear steps. Ten steps of 1 ms a tick: RK4 for velocities and tyre
+slips, Simpson's rule for the pose; pedals, gearbox and load transfer advance once a step. Actuators of its own.
+It shares rigid-body kinematics with `physics` and nothing else. It does not drive backwards; reverse coasts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from tunefree_hil.base.contracts import BodyChange
+from tunefree_hil.base.kernel import Block, kernel
+from tunefree_hil.base.records import GEAR_DRIVE, GEAR_PARK, Motion
+from tunefree_hil.base.units import G_MPS2
+from tunefree_hil.plant import reference_actuators
+from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion
+from tunefree_hil.plant.reference_car import DEFAULTS, constants_of
+from tunefree_hil.plant.reference_maps import (
+    Gearbox,
+    brake_force_n,
+    drive_force_n,
+    first_gearbox,
+    gear_factor,
+    idle_force_n,
+    step_gearbox,
+)
+from tunefree_hil.plant.reference_tyres import BRAKE_FRONT_FRAC, Chassis, Loads, Tyre, four_tyres, side_n
+
+PARKED_N = 1.0e6  # what a locked gearbox holds
+
+
+class Slips(NamedTuple):
+    """The seven numbers that RK4 advances, or their rates."""
+
+    speed: float
+    side: float
+    yaw: float
+    front_left: float
+    front_right: float
+    rear_left: float
+    rear_right: float
+
+
+class Step(NamedTuple):
+    """What holds during one step."""
+
+    front_left: Tyre
+    front_right: Tyre
+    rear_left: Tyre
+    rear_right: Tyre
+    resist_n: float  # slope and rolling, against the motion
+    hold_s: float
+
+
+class ReferenceState(NamedTuple):
+    """Motion, tyre slips, sprung mass, engine, gearbox, and the brake pedal behind its play."""
+
+    motion: Motion
+    slips: Slips
+    loads: Loads
+    drive_n: float
+    box: Gearbox
+    brake_frac: float
+
+
+@kernel
+def wheel(
+    p: Chassis, tyre: Tyre, hold_s: float, along: float, across: float, slip: float
+) -> tuple[float, float, float]:
+    """Force of one wheel in the car's axes, and the rate of its slip; along, across: velocity of its hub."""
+    rolls = along * tyre.cosine + across * tyre.sine
+    slides = across * tyre.cosine - along * tyre.sine
+    rate = -(slides + abs(rolls) * slip) * p.inverse_relaxation
+    force_n = side_n(tyre, slip + hold_s * rate)
+    return (
+        tyre.along_n * tyre.cosine - force_n * tyre.sine,
+        tyre.along_n * tyre.sine + force_n * tyre.cosine,
+        rate,
+    )
+
+
+@kernel
+def rates(p: Chassis, now: Step, s: Slips) -> Slips:
+    """Newton and Euler in the plane, four wheels."""
+    left, right = s.speed - p.half_track_m * s.yaw, s.speed + p.half_track_m * s.yaw
+    front, rear = s.side + p.front_axle_m * s.yaw, s.side - p.rear_axle_m * s.yaw
+    fl_x, fl_y, fl_rate = wheel(p, now.front_left, now.hold_s, left, front, s.front_left)
+    fr_x, fr_y, fr_rate = wheel(p, now.front_right, now.hold_s, right, front, s.front_right)
+    rl_x, rl_y, rl_rate = wheel(p, now.rear_left, now.hold_s, left, rear, s.rear_left)
+    rr_x, rr_y, rr_rate = wheel(p, now.rear_right, now.hold_s, right, rear, s.rear_right)
+    along_n = fl_x + fr_x + rl_x + rr_x - now.resist_n - p.drag_kgpm * s.speed * s.speed
+    twist_nm = p.front_axle_m * (fl_y + fr_y) - p.rear_axle_m * (rl_y + rr_y)
+    twist_nm = twist_nm + p.half_track_m * (fr_x + rr_x - fl_x - rl_x)
+    return Slips(
+        along_n * p.inverse_mass + s.side * s.yaw,
+        (fl_y + fr_y + rl_y + rr_y) * p.inverse_mass - s.speed * s.yaw,
+        twist_nm * p.inverse_inertia,
+        fl_rate,
+        fr_rate,
+        rl_rate,
+        rr_rate,
+    )
+
+
+@kernel
+def ahead(s: Slips, rate: Slips, by_s: float) -> Slips:
+    """s + by_s * rate."""
+    return Slips(
+        s.speed + by_s * rate.speed,
+        s.side + by_s * rate.side,
+        s.yaw + by_s * rate.yaw,
+        s.front_left + by_s * rate.front_left,
+        s.front_right + by_s * rate.front_right,
+        s.rear_left + by_s * rate.rear_left,
+        s.rear_right + by_s * rate.rear_right,
+    )
+
+
+@kernel
+def runge_kutta(p: Chassis, now: Step, s: Slips, dt_s: float) -> tuple[Slips, Slips]:
+    """Classical RK4: (state half-way, state after the step)."""
+    a = rates(p, now, s)
+    b = rates(p, now, ahead(s, a, 0.5 * dt_s))
+    middle = ahead(s, b, 0.5 * dt_s)
+    c = rates(p, now, middle)
+    d = rates(p, now, ahead(s, c, dt_s))
+    end = ahead(ahead(s, a, dt_s / 6.0), d, dt_s / 6.0)
+    return middle, ahead(ahead(end, b, dt_s / 3.0), c, dt_s / 3.0)
+
+
+@kernel
+def pose(p: Chassis, was: Motion, middle: Slips, new: Slips, dt_s: float) -> tuple[float, float, float]:
+    """Rear axle's middle after the step, by Simpson's rule."""
+    sixth = dt_s / 6.0
+    half_turn = 0.25 * dt_s * (was.yaw_rate_radps + middle.yaw)
+    heading = was.heading_rad + sixth * (was.yaw_rate_radps + 4.0 * middle.yaw + new.yaw)
+    c0, s0 = math.cos(was.heading_rad), math.sin(was.heading_rad)
+    c1, s1 = math.cos(was.heading_rad + half_turn), math.sin(was.heading_rad + half_turn)
+    c2, s2 = math.cos(heading), math.sin(heading)
+    slide0 = was.side_speed_mps - p.rear_axle_m * was.yaw_rate_radps
+    slide1, slide2 = middle.side - p.rear_axle_m * middle.yaw, new.side - p.rear_axle_m * new.yaw
+    along = was.speed_mps * c0 - slide0 * s0 + 4.0 * (middle.speed * c1 - slide1 * s1) + new.speed * c2 - slide2 * s2
+    across = was.speed_mps * s0 + slide0 * c0 + 4.0 * (middle.speed * s1 + slide1 * c1) + new.speed * s2 + slide2 * c2
+    return was.x_m + sixth * along, was.y_m + sixth * across, heading
+
+
+@kernel
+def caught_up(value: float, target: float, lag_s: float, dt_s: float) -> float:
+    """First-order lag, implicit Euler."""
+    return value + (target - value) * dt_s / (dt_s + max(lag_s, 0.0))
+
+
+@kernel
+def step_reference(
+    params: ChassisParams, state: ReferenceState, x: ChassisInput, dt_s: float
+) -> tuple[ReferenceState, Motion]:
+    """One step of 1 ms."""
+    p = params.constants
+    act, was = x.actuation, state.motion
+    brake_frac = state.brake_frac
+    if act.brake_frac > brake_frac:
+        brake_frac = act.brake_frac
+    elif act.brake_frac < brake_frac - p.hysteresis_frac:
+        brake_frac = act.brake_frac + p.hysteresis_frac
+    brake_n = brake_force_n(p.maps, brake_frac)
+    box = step_gearbox(p.maps, state.box, act.throttle_frac, was.speed_mps, dt_s)
+    engine_n, drive_n = 0.0, 0.0
+    if act.gear >= GEAR_DRIVE:
+        asked_n = drive_force_n(p.maps, act.throttle_frac, was.speed_mps) * gear_factor(p.maps, box, was.speed_mps)
+        drive_n = caught_up(state.drive_n, asked_n, p.drive_lag_s, dt_s)
+        engine_n = drive_n + idle_force_n(p.maps, was.speed_mps, act.brake_frac, p.rest_frac)
+    elif act.gear == GEAR_PARK:
+        brake_n = brake_n + PARKED_N
+    slope = x.road.grade_rad + p.grade_rad
+    slope_n = p.mass_kg * G_MPS2 * math.sin(slope)
+    if was.speed_mps <= 0.0 and engine_n - slope_n <= brake_n + p.rolling_n:
+        return stand(p, state, drive_n, box, brake_frac, slope_n, dt_s)
+
+    front_n = state.slips.front_left * p.front_stiffness + state.slips.front_right * p.front_stiffness
+    angle = act.steer_rad * p.inverse_ratio - p.compliance * front_n
+    front_asked_n = 0.5 * (engine_n - BRAKE_FRONT_FRAC * brake_n)
+    rear_asked_n = -0.5 * (1.0 - BRAKE_FRONT_FRAC) * brake_n
+    fl, fr, rl, rr = four_tyres(p, state.loads, x.road.friction_frac, front_asked_n, rear_asked_n, angle)
+    calm = 1.0 + was.speed_mps * was.speed_mps * 0.1
+    now = Step(fl, fr, rl, rr, slope_n + p.rolling_n, p.hold_s / calm)
+    middle, slips = runge_kutta(p, now, state.slips, dt_s)
+    if slips.speed <= 0.0:
+        return stand(p, state, drive_n, box, brake_frac, slope_n, dt_s)
+    motion = moved(p, was, now, middle, slips, slope_n, dt_s)
+    loads = Loads(
+        caught_up(state.loads.along_mps2, motion.accel_mps2, p.body_lag_s, dt_s),
+        caught_up(state.loads.left_mps2, motion.lateral_accel_mps2, p.body_lag_s, dt_s),
+    )
+    return ReferenceState(motion, slips, loads, drive_n, box, brake_frac), motion
+
+
+@kernel
+def moved(p: Chassis, was: Motion, now: Step, middle: Slips, s: Slips, slope_n: float, dt_s: float) -> Motion:
+    """The motion after a step; wheels turn with the hub's speed and the slip that their force needs."""
+    x_m, y_m, heading_rad = pose(p, was, middle, s, dt_s)
+    speed_rate = (s.speed - was.speed_mps) / dt_s
+    left, right = s.speed - p.half_track_m * s.yaw, s.speed + p.half_track_m * s.yaw
+    front = s.side + p.front_axle_m * s.yaw
+    fl, fr, rl, rr = now.front_left, now.front_right, now.rear_left, now.rear_right
+    return Motion(
+        x_m,
+        y_m,
+        heading_rad,
+        s.speed,
+        s.side,
+        s.yaw,
+        speed_rate - middle.side * middle.yaw + slope_n * p.inverse_mass,
+        (s.side - was.side_speed_mps) / dt_s + middle.speed * middle.yaw,
+        speed_rate,
+        (left * fl.cosine + front * fl.sine) * (1.0 + fl.along_n * p.inverse_slip) * p.inverse_radius,
+        (right * fr.cosine + front * fr.sine) * (1.0 + fr.along_n * p.inverse_slip) * p.inverse_radius,
+        left * (1.0 + rl.along_n * p.inverse_slip) * p.inverse_radius,
+        right * (1.0 + rr.along_n * p.inverse_slip) * p.inverse_radius,
+    )
+
+
+@kernel
+def stand(
+    p: Chassis, state: ReferenceState, drive_n: float, box: Gearbox, brake_frac: float, slope_n: float, dt_s: float
+) -> tuple[ReferenceState, Motion]:
+    """Standing still: nothing moves, the tyres are at ease, the body settles."""
+    was, felt = state.motion, slope_n * p.inverse_mass
+    motion = Motion(was.x_m, was.y_m, was.heading_rad, 0.0, 0.0, 0.0, felt, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    loads = Loads(
+        caught_up(state.loads.along_mps2, felt, p.body_lag_s, dt_s),
+        caught_up(state.loads.left_mps2, 0.0, p.body_lag_s, dt_s),
+    )
+    return ReferenceState(motion, Slips(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), loads, drive_n, box, brake_frac), motion
+
+
+def init_reference(params: ChassisParams, dt_s: float) -> ReferenceState:
+    """Rolling straight at the start, in the gear for it, pedals at rest."""
+    p, speed_mps = params.constants, params.start.speed_mps
+    slips = Slips(speed_mps, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    motion = rolling_motion(params.start, p.wheel_radius_m)
+    return ReferenceState(motion, slips, Loads(0.0, 0.0), 0.0, first_gearbox(speed_mps), p.rest_frac)
+
+
+def make(params: Mapping[str, float], change: BodyChange) -> Block:
+    """The chassis Block ChassisInput -> Motion; InputError for a key that is not in DEFAULTS."""
+    return Block(init_reference, step_reference, ChassisParams(constants_of(params, change)))
+
+
+PLANT = Plant(make, DEFAULTS, substeps=10, actuators=reference_actuators.own_actuators)

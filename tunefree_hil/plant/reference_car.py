@@ -1,0 +1,78 @@
+"""Constants of the reference vehicle: what is published, and a plausible car where nothing is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from tunefree_hil.base.contracts import BodyChange
+from tunefree_hil.base.units import AIR_DENSITY_KGPM3, G_MPS2
+from tunefree_hil.plant import reference_actuators
+from tunefree_hil.plant.body import filled, laden
+from tunefree_hil.plant.reference_maps import maps_of
+from tunefree_hil.plant.reference_tyres import Chassis, static_loads_n
+
+DEFAULTS: dict[str, float] = {
+    **reference_actuators.DEFAULTS,
+    "mass_kg": 1736.35,  # apollo_facts 7.4; the numbers below that no source states are a plausible car of this size
+    "wheelbase_m": 2.8498,
+    "front_axle_m": 1.27,
+    "yaw_inertia_kgm2": 3050.0,
+    "track_m": 1.5824,
+    "height_m": 0.55,
+    "roll_front_frac": 0.58,
+    "front_stiffness_n_per_rad": 118.0e3,
+    "rear_stiffness_n_per_rad": 152.0e3,
+    "friction": 0.95,
+    "relaxation_m": 0.45,
+    "hold_s": 0.05,
+    "compliance_rad_per_n": 8.0e-7,
+    "steer_ratio": 16.0,
+    "wheel_radius_m": 0.335,
+    "slip_stiffness_n": 8.0e4,
+    "body_lag_s": 0.12,
+    "drive_lag_s": 0.18,
+    "hysteresis_frac": 0.008,
+    "rolling_frac": 0.010,
+    "drag_area_m2": 0.70,
+}
+
+
+def constants_of(params: Mapping[str, float], change: BodyChange) -> Chassis:
+    """[plant.params] over DEFAULTS, with the body changes applied."""
+    v = filled(DEFAULTS, params, "reference")
+    car = laden(v["mass_kg"], v["wheelbase_m"], v["front_axle_m"], v["yaw_inertia_kgm2"], change)
+    front_n, rear_n = static_loads_n(car.mass_kg, car.front_axle_m, v["wheelbase_m"])
+    nominal_front_n, nominal_rear_n = static_loads_n(v["mass_kg"], v["front_axle_m"], v["wheelbase_m"])
+    return Chassis(
+        mass_kg=car.mass_kg,
+        inverse_mass=1.0 / car.mass_kg,
+        inverse_inertia=1.0 / car.yaw_inertia_kgm2,
+        front_axle_m=car.front_axle_m,
+        rear_axle_m=car.rear_axle_m,
+        wheelbase_m=v["wheelbase_m"],
+        half_track_m=0.5 * v["track_m"],
+        height_m=v["height_m"],
+        roll_front_frac=v["roll_front_frac"],
+        front_stiffness=0.5 * v["front_stiffness_n_per_rad"],
+        rear_stiffness=0.5 * v["rear_stiffness_n_per_rad"],
+        front_load_n=front_n,
+        rear_load_n=rear_n,
+        nominal_front_n=nominal_front_n,
+        nominal_rear_n=nominal_rear_n,
+        friction=v["friction"] * change.friction_frac,
+        inverse_relaxation=1.0 / v["relaxation_m"],
+        hold_s=v["hold_s"],
+        compliance=v["compliance_rad_per_n"],
+        inverse_ratio=1.0 / v["steer_ratio"],
+        wheel_radius_m=v["wheel_radius_m"],
+        inverse_radius=1.0 / v["wheel_radius_m"],
+        inverse_slip=1.0 / v["slip_stiffness_n"],
+        body_lag_s=v["body_lag_s"],
+        drive_lag_s=v["drive_lag_s"],
+        hysteresis_frac=v["hysteresis_frac"],
+        rest_frac=v["rest_pedal_frac"],
+        rolling_n=v["rolling_frac"] * car.mass_kg * G_MPS2,
+        drag_kgpm=0.5 * AIR_DENSITY_KGPM3 * v["drag_area_m2"],
+        grade_rad=change.grade_rad,
+        maps=maps_of(v["rolling_frac"], v["drag_area_m2"], v["wheel_radius_m"]),
+    )

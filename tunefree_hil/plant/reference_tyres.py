@@ -1,0 +1,133 @@
+"""Tyres of the reference vehicle: load-sensitive, combined slip by the friction ellipse, relaxation length.
+
+Side force = D sin(C atan(B slip)), after the sine form of Pacejka. Slip is a state: the tyre has to roll its
+relaxation length before it has the slip of its contact patch, so at standstill it holds instead of dividing by zero.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.kernel import kernel
+from tunefree_hil.base.units import G_MPS2
+
+SHAPE = 1.3  # C of the sine form
+LOAD_ON_GRIP = 0.06  # friction lost per nominal load more
+LOAD_ON_STIFFNESS = 0.15  # the same of the stiffness, per load
+LEAST_N = 100.0  # a wheel never carries less
+BRAKE_FRONT_FRAC = 0.65
+ABS_FRAC = 0.95  # of the grip at most, so that some is left to steer with
+
+
+class Tyre(NamedTuple):
+    """One wheel during one step: B, sideways D, force along the wheel, and direction of the wheel."""
+
+    stiff: float
+    peak_n: float
+    along_n: float
+    cosine: float
+    sine: float
+
+
+@kernel
+def tyre_of(
+    stiffness: float, load_n: float, nominal_n: float, friction: float, asked_n: float, cosine: float, sine: float
+) -> Tyre:
+    """What a wheel can do now: stiffness [N/rad] at its nominal load, force asked along it (brakes negative)."""
+    carried_n = max(load_n, LEAST_N)
+    share = carried_n / max(nominal_n, LEAST_N)
+    over = share - 1.0
+    grip_n = max(friction * carried_n * (1.0 - LOAD_ON_GRIP * over), 1.0)
+    most_n = ABS_FRAC * grip_n
+    along_n = asked_n
+    if along_n > most_n:
+        along_n = most_n
+    elif along_n < -most_n:
+        along_n = -most_n
+    peak_n = math.sqrt(grip_n * grip_n - along_n * along_n)
+    slope = max(stiffness * share * (1.0 - LOAD_ON_STIFFNESS * over), 1.0)
+    return Tyre(slope / (SHAPE * grip_n), peak_n, along_n, cosine, sine)
+
+
+@kernel
+def side_n(tyre: Tyre, slip: float) -> float:
+    """Side force, to the left for positive slip."""
+    return tyre.peak_n * math.sin(SHAPE * math.atan(tyre.stiff * slip))
+
+
+class Chassis(NamedTuple):
+    """Constants of the reference car, laden."""
+
+    mass_kg: float
+    inverse_mass: float
+    inverse_inertia: float
+    front_axle_m: float
+    rear_axle_m: float
+    wheelbase_m: float  # not 0
+    half_track_m: float
+    height_m: float
+    roll_front_frac: float
+    front_stiffness: float  # of one wheel
+    rear_stiffness: float
+    front_load_n: float  # of one wheel, laden, level
+    rear_load_n: float
+    nominal_front_n: float  # unladen: the load that the stiffness belongs to
+    nominal_rear_n: float
+    friction: float
+    inverse_relaxation: float
+    hold_s: float  # damping of the tyre's spring at standstill
+    compliance: float  # rad of road wheel per N of front side force
+    inverse_ratio: float
+    wheel_radius_m: float
+    inverse_radius: float
+    inverse_slip: float  # longitudinal slip per N
+    body_lag_s: float
+    drive_lag_s: float
+    hysteresis_frac: float
+    rest_frac: float
+    rolling_n: float
+    drag_kgpm: float
+    grade_rad: float
+    maps: Any
+
+
+class Loads(NamedTuple):
+    """Acceleration of the sprung mass as the wheels feel it (after roll and pitch have followed)."""
+
+    along_mps2: float
+    left_mps2: float
+
+
+@kernel
+def four_tyres(
+    p: Chassis, loads: Loads, road_frac: float, front_asked_n: float, rear_asked_n: float, angle_rad: float
+) -> tuple[Tyre, Tyre, Tyre, Tyre]:
+    """Front left, front right, rear left, rear right; asked forces are per wheel; the inner wheel steers more."""
+    pitch_n = 0.5 * p.mass_kg * loads.along_mps2 * p.height_m / p.wheelbase_m
+    roll_n = 0.5 * p.mass_kg * loads.left_mps2 * p.height_m / max(p.half_track_m, 0.1)
+    front_roll_n, rear_roll_n = roll_n * p.roll_front_frac, roll_n * (1.0 - p.roll_front_frac)
+    friction = p.friction * road_frac
+    bend = math.tan(angle_rad)
+    narrow = p.half_track_m * bend / p.wheelbase_m
+    left = math.atan(bend / max(1.0 - narrow, 0.1))
+    right = math.atan(bend / max(1.0 + narrow, 0.1))
+    front_n, rear_n = p.front_load_n - pitch_n, p.rear_load_n + pitch_n
+    return (
+        tyre_of(
+            p.front_stiffness, front_n - front_roll_n, p.nominal_front_n, friction, front_asked_n,
+            math.cos(left), math.sin(left),
+        ),
+        tyre_of(
+            p.front_stiffness, front_n + front_roll_n, p.nominal_front_n, friction, front_asked_n,
+            math.cos(right), math.sin(right),
+        ),
+        tyre_of(p.rear_stiffness, rear_n - rear_roll_n, p.nominal_rear_n, friction, rear_asked_n, 1.0, 0.0),
+        tyre_of(p.rear_stiffness, rear_n + rear_roll_n, p.nominal_rear_n, friction, rear_asked_n, 1.0, 0.0),
+    )  # fmt: skip
+
+
+def static_loads_n(mass_kg: float, front_axle_m: float, wheelbase_m: float) -> tuple[float, float]:
+    """Load of one front and one rear wheel of the standing car."""
+    half_n = 0.5 * mass_kg * G_MPS2
+    return half_n * (wheelbase_m - front_axle_m) / wheelbase_m, half_n * front_axle_m / wheelbase_m

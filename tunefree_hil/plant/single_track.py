@@ -1,0 +1,198 @@
+"""Plant kind `physics`: a single-track car on data-sheet constants (the nominal model, design D5).
+
+Tyres that saturate, kinematic below walking pace, force balance along the car with a smooth power-limited drive map
+and a linear brake. One step a tick: an L-stable Rosenbrock method of order 2 (Verwer et al. 1999, ROS2) for side speed
+and yaw rate, whose time constants fall below the tick at low speed, which is Heun's method for the slow forward speed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from tunefree_hil.base.contracts import BodyChange
+from tunefree_hil.base.kernel import Block, kernel
+from tunefree_hil.base.maths import clamp
+from tunefree_hil.base.records import GEAR_DRIVE, GEAR_PARK, Motion
+from tunefree_hil.base.units import G_MPS2
+from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion
+from tunefree_hil.plant.data_sheet import DEFAULTS, SingleTrack, constants_of
+
+GAMMA = 1.0 - math.sqrt(0.5)  # makes ROS2 L-stable
+LOW_MPS, FULL_MPS = 0.5, 1.5  # kinematic below, dynamic above, blended between
+BLEND_MPS = FULL_MPS - LOW_MPS
+PARKED_N = 1.0e6  # what a locked gearbox holds
+
+
+class Push(NamedTuple):
+    """Forces along the car that hold for one tick, drive in terms of speed."""
+
+    drive_n: float  # at standstill
+    drive_power_w: float
+    creep_n: float
+    passive_n: float  # brake and rolling: never push, only oppose
+    slope_n: float
+
+
+@kernel
+def push_of(p: SingleTrack, x: ChassisInput) -> Push:
+    """Drive, creep, brake and slope from pedals, gear and road."""
+    act, road = x.actuation, x.road
+    throttle = clamp((act.throttle_frac - p.throttle_zero_frac) * p.inverse_throttle_span, 0.0, 1.0)
+    braked = act.brake_frac - p.rest_frac
+    brake_n = p.brake_gain_n * braked if braked > 0.0 else 0.0
+    grip_n = p.friction * road.friction_frac * p.mass_kg * G_MPS2
+    if brake_n > grip_n:
+        brake_n = grip_n
+    slope_n = p.mass_kg * G_MPS2 * math.sin(road.grade_rad + p.grade_rad)
+    if act.gear < GEAR_DRIVE:
+        held_n = PARKED_N if act.gear == GEAR_PARK else 0.0
+        return Push(0.0, 0.0, 0.0, brake_n + p.rolling_n + held_n, slope_n)
+    drive_n = p.drive_force_n * (1.0 - math.exp(-throttle * p.inverse_knee))
+    if drive_n > 0.5 * grip_n:
+        drive_n = 0.5 * grip_n
+    return Push(drive_n, p.drive_power_w * throttle, p.creep_force_n, brake_n + p.rolling_n, slope_n)
+
+
+@kernel
+def forward_n(p: SingleTrack, push: Push, speed_mps: float) -> float:
+    """Force along the car at a speed, tyre forces of cornering aside. Drive: P F / sqrt(P^2 + (F v)^2)."""
+    force_n = -push.passive_n - push.slope_n - p.drag_kgpm * speed_mps * speed_mps
+    if push.drive_n > 0.0:
+        asked_w = push.drive_n * speed_mps
+        share = asked_w / max(push.drive_power_w, 1.0)
+        force_n = force_n + push.drive_n / math.sqrt(1.0 + share * share)
+    fade = 1.0 - speed_mps * p.inverse_creep_speed
+    if fade > 0.0:
+        force_n = force_n + push.creep_n * fade
+    return force_n
+
+
+@kernel
+def axle_n(slip_rad: float, stiffness: float, grip_n: float) -> float:
+    """Side force of an axle: linear for small slip, grip_n for large."""
+    linear_n = stiffness * slip_rad
+    share = linear_n / max(grip_n, 1.0)
+    return linear_n / math.sqrt(1.0 + share * share)
+
+
+@kernel
+def planar(
+    p: SingleTrack, push: Push, grip: float, steer: tuple[float, float, float], speed: float, side: float, yaw: float
+) -> tuple[float, float, float]:
+    """Rates of forward speed, side speed and yaw rate; steer is road-wheel angle with its cosine and sine."""
+    base_mps = max(speed, LOW_MPS)
+    front_n = axle_n(
+        steer[0] - math.atan((side + p.front_axle_m * yaw) / base_mps), p.front_stiffness, grip * p.front_load_n
+    )
+    rear_n = axle_n(-math.atan((side - p.rear_axle_m * yaw) / base_mps), p.rear_stiffness, grip * p.rear_load_n)
+    across_n = front_n * steer[1]
+    return (
+        (forward_n(p, push, speed) - front_n * steer[2]) * p.inverse_mass + side * yaw,
+        (across_n + rear_n) * p.inverse_mass - speed * yaw,
+        (p.front_axle_m * across_n - p.rear_axle_m * rear_n) * p.inverse_inertia,
+    )
+
+
+@kernel
+def dynamic_step(
+    p: SingleTrack, push: Push, grip: float, steer: tuple[float, float, float], motion: Motion, dt_s: float
+) -> tuple[float, float, float]:
+    """ROS2 over one step: new forward speed (not below 0), side speed and yaw rate."""
+    speed, side, yaw = motion.speed_mps, motion.side_speed_mps, motion.yaw_rate_radps
+    front, rear, a, b = p.front_stiffness, p.rear_stiffness, p.front_axle_m, p.rear_axle_m
+    scale = GAMMA * dt_s / max(speed, LOW_MPS)
+    turn = a * front - b * rear
+    m11 = 1.0 + scale * (front + rear) * p.inverse_mass
+    m12 = scale * turn * p.inverse_mass + GAMMA * dt_s * speed
+    m21 = scale * turn * p.inverse_inertia
+    m22 = 1.0 + scale * (a * a * front + b * b * rear) * p.inverse_inertia
+    inverse = 1.0 / (m11 * m22 - m12 * m21)  # not 0: m11 m22 exceeds it, the stiffness matrix being positive definite
+    first, side_rate, yaw_rate = planar(p, push, grip, steer, speed, side, yaw)
+    side_1 = inverse * (m22 * side_rate - m12 * yaw_rate)
+    yaw_1 = inverse * (m11 * yaw_rate - m21 * side_rate)
+    reached = speed + dt_s * first
+    if reached < 0.0:
+        reached = 0.0
+    second, side_rate, yaw_rate = planar(p, push, grip, steer, reached, side + dt_s * side_1, yaw + dt_s * yaw_1)
+    side_rate, yaw_rate = side_rate - 2.0 * side_1, yaw_rate - 2.0 * yaw_1
+    side_2 = inverse * (m22 * side_rate - m12 * yaw_rate)
+    yaw_2 = inverse * (m11 * yaw_rate - m21 * side_rate)
+    speed = speed + 0.5 * dt_s * (first + second)
+    return (
+        speed if speed > 0.0 else 0.0,
+        side + dt_s * (1.5 * side_1 + 0.5 * side_2),
+        yaw + dt_s * (1.5 * yaw_1 + 0.5 * yaw_2),
+    )
+
+
+@kernel
+def slow_speed(p: SingleTrack, push: Push, speed: float, dt_s: float) -> float:
+    """Forward speed without tyre forces, by Heun's method; it stops where the passive forces are the stronger."""
+    first = forward_n(p, push, speed) * p.inverse_mass
+    reached = speed + dt_s * first
+    if reached < 0.0:
+        reached = 0.0
+    speed = speed + 0.5 * dt_s * (first + forward_n(p, push, reached) * p.inverse_mass)
+    return speed if speed > 0.0 else 0.0
+
+
+@kernel
+def step_single_track(params: ChassisParams, state: Motion, x: ChassisInput, dt_s: float) -> tuple[Motion, Motion]:
+    """One tick; the state is the motion itself."""
+    p = params.constants
+    push = push_of(p, x)
+    angle = x.actuation.steer_rad * p.inverse_ratio
+    cosine, sine = math.cos(angle), math.sin(angle)
+    was, side_was, yaw_was = state.speed_mps, state.side_speed_mps, state.yaw_rate_radps
+    if was > LOW_MPS:
+        grip = p.friction * x.road.friction_frac
+        speed, side, yaw = dynamic_step(p, push, grip, (angle, cosine, sine), state, dt_s)
+    else:
+        speed, side, yaw = slow_speed(p, push, was, dt_s), 0.0, 0.0
+    if speed < FULL_MPS:
+        share = (speed - LOW_MPS) / BLEND_MPS if speed > LOW_MPS and was > LOW_MPS else 0.0
+        rolled = speed * sine / max(cosine, 0.1) * p.inverse_wheelbase
+        yaw = share * yaw + (1.0 - share) * rolled
+        side = share * side + (1.0 - share) * rolled * p.rear_axle_m
+
+    mean_speed, mean_yaw = 0.5 * (was + speed), 0.5 * (yaw_was + yaw)
+    turned = dt_s * mean_yaw
+    middle = state.heading_rad + 0.5 * turned
+    along = dt_s * mean_speed
+    across = dt_s * (0.5 * (side_was + side) - p.rear_axle_m * mean_yaw)
+    middle_cos, middle_sin = math.cos(middle), math.sin(middle)
+    speed_rate = (speed - was) / dt_s
+    own_accel = speed_rate - 0.5 * (side_was + side) * mean_yaw
+    left, right = speed - p.half_track_m * yaw, speed + p.half_track_m * yaw
+    swing = (side + p.front_axle_m * yaw) * sine
+    new = Motion(
+        state.x_m + along * middle_cos - across * middle_sin,
+        state.y_m + along * middle_sin + across * middle_cos,
+        state.heading_rad + turned,
+        speed,
+        side,
+        yaw,
+        own_accel + push.slope_n * p.inverse_mass,
+        (side - side_was) / dt_s + mean_speed * mean_yaw,
+        speed_rate,
+        (left * cosine + swing) * p.inverse_radius,
+        (right * cosine + swing) * p.inverse_radius,
+        left * p.inverse_radius,
+        right * p.inverse_radius,
+    )
+    return new, new
+
+
+def init_single_track(params: ChassisParams, dt_s: float) -> Motion:
+    """Rolling straight at the start."""
+    return rolling_motion(params.start, params.constants.wheel_radius_m)
+
+
+def make(params: Mapping[str, float], change: BodyChange) -> Block:
+    """The chassis Block ChassisInput -> Motion; InputError for a key that is not in DEFAULTS."""
+    return Block(init_single_track, step_single_track, ChassisParams(constants_of(params, change)))
+
+
+PLANT = Plant(make, DEFAULTS)

@@ -1,0 +1,191 @@
+"""A whole simulated vehicle out of actuators, chassis, sensors and effects.
+
+`assemble(...)` gives a Block BodyInput -> BodyOutput. Order of a tick: command, effects A, actuators, effects B,
+chassis, sensors; the measurement belongs to the state after the tick. `first_output` is tick 0, before any step.
+Start and noise are params, so that one compiled body serves every episode (`for_episode`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.contracts import BodyChange, Port
+from tunefree_hil.base.course import Start
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.kernel import Block, kernel
+from tunefree_hil.base.records import GEAR_DRIVE, NAN, Actuation, Command, Disturbance
+from tunefree_hil.plant.actuators import ActuatorParams, actuators
+from tunefree_hil.plant.body import (
+    NOBODY,
+    BodyInput,
+    BodyOutput,
+    ChassisInput,
+    Driver,
+    Plant,
+    rolling_motion,
+)
+from tunefree_hil.plant.ports import Effects, before, channels_of, seen_of
+from tunefree_hil.plant.sensors import SensorInput, SensorParams, noise_table, rolled_in, sensors
+
+
+class BodyParams(NamedTuple):
+    """Params of the assembled Block, part by part. chassis.start and sensors.noise belong to the episode."""
+
+    front: Any  # effects A and actuators
+    behind: Any  # effects B
+    chassis: Any
+    sensors: SensorParams
+    ends: Any  # effects on Report and Ins
+
+
+class BodyState(NamedTuple):
+    """State of the assembled Block, part by part."""
+
+    front: Any
+    behind: Any
+    chassis: Any
+    sensors: Any
+    ends: Any
+
+
+class Body(NamedTuple):
+    """An assembled vehicle: the Block, and what tick 0 needs besides."""
+
+    block: Block
+    rest: Command
+    ins_ticks: int
+    seen: Block  # effects on the measurement
+
+
+def assemble(
+    plant: Plant,
+    params: Mapping[str, float],
+    channels: Mapping[str, ActuatorParams] | None = None,
+    *,
+    effects: Effects = (),
+    rest_frac: tuple[float, float] = (0.15, 0.15),
+    ins_latency_s: float = 0.0,
+    ins_ahead_m: float = 0.0,
+    ins_specific_force: bool = False,
+    dt_s: float = 0.01,
+) -> Body:
+    """The vehicle of a model folder.
+
+    plant: PLANT of `plant/single_track.py`, `plant/reference.py` or the user's own; params: [plant.params]; channels:
+    'throttle', 'brake', 'steer' of [actuators] (not used by a plant with its own). effects: (port, what
+    `contracts.make_effect` gave), in order; an effect behind another on the same port sees its output. rest_frac:
+    throttle and brake duty at rest. Raises InputError for parameters or ports that do not fit.
+    """
+    change = BodyChange()
+    for port, made in effects:
+        if port is Port.BODY:
+            change = made(change)
+    chassis = plant.make(params, change)
+    if plant.actuators is not None:
+        own = plant.actuators(params)
+    else:
+        own = actuators(**_three(channels or {}))
+    front = before(effects, own)
+    behind = channels_of(effects, (Port.THROTTLE_B, Port.BRAKE_B, Port.STEER_B), Actuation)
+    seen = seen_of(effects)
+    ins_ticks = round(ins_latency_s / dt_s)
+    quiet = SensorParams(noise_table({}, {}, 0, 0), ins_ahead_m, 1.0 if ins_specific_force else 0.0)
+    block = _body(front, behind, chassis, sensors(quiet, ins_ticks), seen, plant.substeps, ins_ticks)
+    rest = Command(rest_frac[0], rest_frac[1], 0.0, GEAR_DRIVE, NAN, NAN)
+    return Body(block, rest, ins_ticks, seen)
+
+
+def for_episode(body: Body, start: Start, noise: Any = None) -> Body:
+    """The same vehicle at another start and with this episode's `sensors.noise_table` (None: none)."""
+    params = body.block.params
+    rows = noise_table({}, {}, 0, 0) if noise is None else noise
+    new = params._replace(chassis=params.chassis._replace(start=start), sensors=params.sensors._replace(noise=rows))
+    return body._replace(block=body.block._replace(params=new))
+
+
+def first_output(body: Body, dt_s: float, driver: Driver = NOBODY) -> tuple[Any, BodyOutput]:
+    """(state, output) of tick 0: rolling straight at the start, actuators at rest; no step has been made."""
+    block = body.block
+    state = block.init(block.params, dt_s)
+    params = block.params
+    motion = rolling_motion(params.chassis.start, params.chassis.constants.wheel_radius_m)
+    actuation = Actuation(body.rest.throttle_frac, body.rest.brake_frac, 0.0, body.rest.gear)
+    x = SensorInput(motion, actuation, body.rest, driver)
+    eyes = sensors(params.sensors, body.ins_ticks)
+    eye_state, seen = eyes.step(params.sensors, state.sensors, x, dt_s)
+    ends, seen = body.seen.step(params.ends, state.ends, seen, dt_s)
+    return state._replace(sensors=eye_state, ends=ends), BodyOutput(actuation, motion, seen)
+
+
+def steady_accel(
+    plant: Plant,
+    params: Mapping[str, float],
+    speed_mps: float,
+    throttle_frac: float,
+    brake_frac: float,
+    *,
+    settle_s: float = 0.0,
+    dt_s: float = 0.01,
+) -> float:
+    """Rate of speed on a level, straight road with these pedal *outputs* held for `settle_s` and one step more.
+
+    The point (speed, command -> acceleration) of an open-loop map; actuators are left out. A chassis with lags of its
+    own needs settle_s > 0 (its speed is then no longer quite speed_mps), `physics` needs none.
+    """
+    block = plant.make(params, BodyChange())
+    chassis = block.params._replace(start=Start(speed_mps=speed_mps))
+    state = block.init(chassis, dt_s)
+    x = ChassisInput(Actuation(throttle_frac, brake_frac, 0.0, GEAR_DRIVE), Disturbance())
+    for _ in range(round(settle_s / dt_s)):
+        state, _ = block.step(chassis, state, x, dt_s)
+    return float(block.step(chassis, state, x, dt_s)[1].speed_rate_mps2)
+
+
+def _three(channels: Mapping[str, ActuatorParams]) -> dict[str, ActuatorParams]:
+    missing = sorted({"throttle", "brake", "steer"} - set(channels))
+    if missing or len(channels) != 3:
+        raise InputError(
+            f"the actuators are {', '.join(sorted(channels)) or 'none'}",
+            code="bad_actuators",
+            key="actuators",
+            hint="a plant without actuators of its own needs throttle, brake and steer",
+        )
+    return dict(channels)
+
+
+def _body(
+    front: Block, behind: Block, chassis: Block, eyes: Block, seen: Block, substeps: int, ins_ticks: int
+) -> Block:
+    """The parts as one Block; front, behind and chassis are stepped `substeps` times a tick, the rest once."""
+    front_step, behind_step, chassis_step = front.step, behind.step, chassis.step
+    eyes_step, seen_step = eyes.step, seen.step
+
+    def init(params: BodyParams, dt_s: float) -> BodyState:
+        small_s = dt_s / substeps
+        first = rolling_motion(params.chassis.start, params.chassis.constants.wheel_radius_m)
+        return BodyState(
+            front.init(params.front, small_s),
+            behind.init(params.behind, small_s),
+            chassis.init(params.chassis, small_s),
+            rolled_in(params.sensors, first, ins_ticks, dt_s),
+            seen.init(params.ends, dt_s),
+        )
+
+    @kernel
+    def step(params: BodyParams, state: BodyState, x: BodyInput, dt_s: float) -> tuple[BodyState, BodyOutput]:
+        small_s = dt_s / substeps  # not 0: whole number of steps a tick, at least 1
+        front_state, out = front_step(params.front, state.front, x.command, small_s)
+        behind_state, felt = behind_step(params.behind, state.behind, out, small_s)
+        chassis_state, motion = chassis_step(params.chassis, state.chassis, ChassisInput(felt, x.road), small_s)
+        for _ in range(1, substeps):
+            front_state, out = front_step(params.front, front_state, x.command, small_s)
+            behind_state, felt = behind_step(params.behind, behind_state, out, small_s)
+            chassis_state, motion = chassis_step(params.chassis, chassis_state, ChassisInput(felt, x.road), small_s)
+        look = SensorInput(motion, out, x.command, x.driver)
+        eyes_state, seen_now = eyes_step(params.sensors, state.sensors, look, dt_s)
+        ends_state, measured = seen_step(params.ends, state.ends, seen_now, dt_s)
+        new = BodyState(front_state, behind_state, chassis_state, eyes_state, ends_state)
+        return new, BodyOutput(out, motion, measured)
+
+    return Block(init, step, BodyParams(front.params, behind.params, chassis.params, eyes.params, seen.params))
