@@ -6,7 +6,7 @@
 PYTHON ?= python3
 BENCH ?= bench_configs/mkz_steer.toml
 ARGS ?=
-PIP = .venv/bin/python -m pip --disable-pip-version-check --quiet
+PIP = .venv/bin/python -m pip --disable-pip-version-check --quiet --quiet
 
 .PHONY: help tune test check venv test-venv
 .DEFAULT_GOAL := help

@@ -72,18 +72,25 @@ def undocumented(source: str, inside: str) -> list[str]:
 
 def hidden_chance(source: str, inside: str) -> list[str]:
     """Time and chance are arguments: no wall time outside the clock, no generator without a seed."""
-    found = [f"{inside}:{line} imports random" for line, name in imports(source) if name.split(".")[0] == "random"]
+    named = [(line, name) for line, name in imports(source) if name.startswith("random.") and name != "random.Random"]
+    found = [f"{inside}:{line} imports {name}" for line, name in named]
     for node in ast.walk(ast.parse(source)):
         if not isinstance(node, ast.Attribute):
             continue
         text = ast.unparse(node)
+        if re.fullmatch(r"random\.\w+", text) and node.attr != "Random":
+            found.append(f"{inside}:{node.lineno} {text} draws from a global generator")
         if re.fullmatch(r"(np|numpy)\.random\.\w+", text) and node.attr not in SEEDED:
             found.append(f"{inside}:{node.lineno} {text} draws from a global generator")
         if re.fullmatch(r"time\.time(_ns)?", text) and inside not in MAY_READ_TIME:
             found.append(f"{inside}:{node.lineno} {text}: take a Clock, or time.monotonic for a duration")
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("default_rng") and not node.args:
-            found.append(f"{inside}:{node.lineno} default_rng() without a seed")
+        if (
+            isinstance(node, ast.Call)
+            and not node.args
+            and re.search(r"default_rng$|\bRandom$", ast.unparse(node.func))
+        ):
+            found.append(f"{inside}:{node.lineno} {ast.unparse(node)} without a seed")
     return found
 
 
@@ -135,7 +142,9 @@ def test_nothing_is_left_to_do() -> None:
         (prints, "def f():\n    print(1)"),
         (undocumented, "x = 1"),
         (undocumented, '"""Module."""\ndef f():\n    return 1'),
-        (hidden_chance, "import random"),
+        (hidden_chance, "import random\nx = random.random()"),
+        (hidden_chance, "from random import gauss"),
+        (hidden_chance, "import random\nx = random.Random()"),
         (hidden_chance, "import numpy as np\nx = np.random.rand(3)"),
         (hidden_chance, "rng = np.random.default_rng()"),
         (hidden_chance, "import time\nt = time.time()"),
@@ -155,7 +164,7 @@ def test_a_planted_violation_is_found(check: Check, source: str) -> None:
         (prints, "print(1)", "cli/good.py"),
         (prints, "print(1, file=sys.stderr)", "nodes/good.py"),
         (undocumented, '"""Module."""\ndef _f():\n    return 1', "grade/good.py"),
-        (hidden_chance, "rng = np.random.default_rng(7)\nt = time.monotonic()", "grade/good.py"),
+        (hidden_chance, "rng = np.random.default_rng(7)\nt = time.monotonic()\nr = random.Random(7)", "grade/good.py"),
     ],
 )
 def test_good_code_is_fine(check: Check, source: str, inside: str) -> None:

@@ -121,6 +121,6 @@ class Kit(NamedTuple):
     dt_s: float = DT_S
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def kit() -> Kit:
     return Kit()

@@ -22,14 +22,14 @@ SPEC = ScenarioSpec(
 )
 COURSE = build_course(SPEC, 0.01)
 FITS = CourseLimits(0.09, 0.09, 5.2, -2.1, 2.1, 8.1)
-# limits, name, time of the worst point and the limit as printed
+# limits, name, when the worst point may be, the limit as printed
 BROKEN = [
-    (FITS._replace(speed_mps=7.9), "speed", 4.0, "7.9"),
-    (FITS._replace(accel_high_mps2=1.9), "acceleration", 0.0, "1.9"),
-    (FITS._replace(accel_low_mps2=-1.9), "deceleration", 10.0, "1.9"),
-    (FITS._replace(curvature_1pm=0.07), "curvature", 6.0, "0.07"),
-    (FITS._replace(curvature_rate_1pmps=0.07), "curvature rate", 5.0, "0.07"),
-    (FITS._replace(lateral_accel_mps2=5.0), "lateral acceleration", 6.0, "5"),
+    (FITS._replace(speed_mps=7.9), "speed", (4.0, 10.0), "7.9"),
+    (FITS._replace(accel_high_mps2=1.9), "acceleration", (0.0, 4.0), "1.9"),
+    (FITS._replace(accel_low_mps2=-1.9), "deceleration", (10.0, 14.0), "1.9"),
+    (FITS._replace(curvature_1pm=0.07), "curvature", (6.0, 8.0), "0.07"),
+    (FITS._replace(curvature_rate_1pmps=0.07), "curvature rate", (5.0, 9.0), "0.07"),
+    (FITS._replace(lateral_accel_mps2=5.0), "lateral acceleration", (6.0, 8.0), "5"),
 ]
 
 
@@ -39,13 +39,13 @@ def test_nothing_to_complain_of() -> None:
     require_feasible(SPEC, COURSE, FITS)
 
 
-@pytest.mark.parametrize(("limits", "what", "time_s", "limit"), BROKEN)
-def test_each_limit_is_found(limits: CourseLimits, what: str, time_s: float, limit: str) -> None:
+@pytest.mark.parametrize(("limits", "what", "between_s", "limit"), BROKEN)
+def test_each_limit_is_found(limits: CourseLimits, what: str, between_s: tuple[float, float], limit: str) -> None:
     problems = check_feasible(COURSE, limits)
     assert len(problems) == 1
     assert problems[0].startswith(what)
     said = float(problems[0].split("t = ")[1].split(" s")[0])
-    assert said == pytest.approx(time_s, abs=4.01 if "rate" in what else 2.01 if "curv" in what or "lat" in what else 0.02)
+    assert between_s[0] - 0.011 <= said <= between_s[1] + 0.011
     assert f"limit is {limit} " in problems[0]
 
 
@@ -70,9 +70,8 @@ def test_steering_at_standstill_is_a_step_in_the_path() -> None:
 
 
 def test_curvature_by_time() -> None:
-    np.testing.assert_allclose(
-        curvature_by_time(COURSE), np.interp(np.arange(1401) * 0.01, SPEC.curvature.t_s, SPEC.curvature.value), atol=1e-3
-    )
+    expected = np.interp(np.arange(1401) * 0.01, SPEC.curvature.t_s, SPEC.curvature.value)
+    np.testing.assert_allclose(curvature_by_time(COURSE), expected, atol=1e-3)
 
 
 def vehicle(**nominal: float) -> VehicleSpec:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tunefree_hil.base.course import Course
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ProfileSpec, ScenarioSpec, StartSpec
-from tunefree_hil.episode.scenario import PROLONGED_M, build_course, start_of
+from tunefree_hil.episode.scenario import PROLONGED_M, build_course, integrate, start_of
 
 DT_S = 0.01
 
@@ -68,7 +68,7 @@ def test_circle_is_a_circle() -> None:
 
 
 def test_speed_ramp_by_hand() -> None:
-    """2 m/s2 from rest for 2 s: 4 m; then 1 s at 4 m/s: 8 m. The slope of a row is that of the piece beginning there."""
+    """2 m/s2 from rest for 2 s: 4 m; then 1 s at 4 m/s: 8 m. A row's slope is that of the piece beginning there."""
     course = build_course(scenario(profile((0.0, 0.0), (2.0, 4.0), (3.0, 4.0))), DT_S)
     assert course.station_m[100] == pytest.approx(1.0)
     assert course.station_m[200] == pytest.approx(4.0)
@@ -88,19 +88,20 @@ def test_curvature_and_speed_that_change_together() -> None:
     end = course.station_m[-1]
     assert end == pytest.approx(20.0)
     assert at_station(course, course.path_heading_rad, end) == pytest.approx(float(np.sum(turn)), abs=1e-6)
-    assert at_station(course, course.path_x_m, end) == pytest.approx(float(np.sum(speed * np.cos(heading)) * 1e-5), abs=1e-5)
-    assert at_station(course, course.path_y_m, end) == pytest.approx(float(np.sum(speed * np.sin(heading)) * 1e-5), abs=1e-5)
+    x_m, y_m = float(np.sum(speed * np.cos(heading)) * 1e-5), float(np.sum(speed * np.sin(heading)) * 1e-5)
+    assert at_station(course, course.path_x_m, end) == pytest.approx(x_m, abs=1e-5)
+    assert at_station(course, course.path_y_m, end) == pytest.approx(y_m, abs=1e-5)
 
 
 @given(drives())
 @settings(max_examples=25, deadline=None)
 def test_time_and_path_agree(spec: ScenarioSpec) -> None:
     course = build_course(spec, DT_S)
-    assert course.ticks == round(spec.speed.t_s[-1] / DT_S)
+    assert 0.0 <= spec.speed.t_s[-1] - course.ticks * DT_S < DT_S + 1e-9
     station = np.asarray(course.station_m)
     assert (np.diff(station) >= 0.0).all()
     np.testing.assert_allclose(
-        np.diff(station), DT_S * 0.5 * (np.asarray(course.speed_mps[:-1]) + course.speed_mps[1:]), atol=2e-4
+        np.diff(station), DT_S * 0.5 * (np.asarray(course.speed_mps[:-1]) + course.speed_mps[1:]), atol=1e-3
     )
     x, y, heading, bend = (
         np.asarray(values)
@@ -124,7 +125,7 @@ def test_ends_go_straight_on(spec: ScenarioSpec) -> None:
     assert where[0] == -PROLONGED_M
     assert where[-1] >= course.station_m[-1] + PROLONGED_M - 1e-9
     assert set(heading[where <= 0.0]) == {0.0}
-    after = where > course.station_m[-1]
+    after = where > integrate(spec).station_m[-1] + 1e-9
     np.testing.assert_allclose(heading[after], heading[-1], atol=1e-12)
     assert set(np.asarray(course.path_curvature_1pm)[after]) == {0.0}
 
@@ -132,7 +133,8 @@ def test_ends_go_straight_on(spec: ScenarioSpec) -> None:
 def test_standstill_takes_no_room() -> None:
     """A stop of 3 s leaves the path as it would be without it."""
     stop = scenario(
-        profile((0.0, 4.0), (2.0, 0.0), (5.0, 0.0), (7.0, 4.0)), profile((0.0, 0.0), (2.0, 0.05), (5.0, 0.05), (7.0, 0.0))
+        profile((0.0, 4.0), (2.0, 0.0), (5.0, 0.0), (7.0, 4.0)),
+        profile((0.0, 0.0), (2.0, 0.05), (5.0, 0.05), (7.0, 0.0)),
     )
     none = scenario(profile((0.0, 4.0), (2.0, 0.0), (4.0, 4.0)), profile((0.0, 0.0), (2.0, 0.05), (4.0, 0.0)))
     one, other = build_course(stop, DT_S), build_course(none, DT_S)
@@ -149,9 +151,7 @@ def test_only_standstill() -> None:
 
 
 def test_start_is_left_of_the_path() -> None:
-    spec = scenario(
-        profile((0.0, 3.0), (5.0, 3.0)), start=StartSpec(lateral_m=0.2, heading_rad=0.05, speed_mps=3.0)
-    )
+    spec = scenario(profile((0.0, 3.0), (5.0, 3.0)), start=StartSpec(lateral_m=0.2, heading_rad=0.05, speed_mps=3.0))
     start = start_of(spec, build_course(spec, DT_S))
     assert start == pytest.approx((0.0, 0.2, 0.05, 3.0))
 

@@ -65,7 +65,7 @@ def test_rules_give_a_complete_vector_that_scales_as_it_should() -> None:
 
 
 def closed_loop(values: dict[str, float], seconds: float) -> np.ndarray:
-    """Speed and station of an integrator behind dead time and lag, started 1 m behind. Columns: station, speed error."""
+    """An integrator behind dead time and lag, started 1 m behind. Columns: station error, speed."""
     dt_s, delay = 0.001, 120
     queue = [0.0] * delay
     station_m, speed_mps, force, integral = 1.0, 0.0, 0.0, 0.0

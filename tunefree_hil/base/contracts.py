@@ -40,11 +40,13 @@ class BodyChange(NamedTuple):
     """What BODY effects change of a car, whichever physics it is; the defaults change nothing.
 
     Every plant applies it to its own constants when it is built: masses and grades are added, friction is a factor.
-    The payload is one point mass on the car's centre line, `payload_ahead_m` ahead of the unladen centre of mass.
+    The payload is point masses on the car's centre line: their sum, and their first and second moments about the
+    unladen centre of mass, ahead of it positive.
     """
 
     payload_kg: float = 0.0
-    payload_ahead_m: float = 0.0
+    payload_moment_kgm: float = 0.0
+    payload_inertia_kgm2: float = 0.0
     friction_frac: float = 1.0  # factor on the road's friction, whatever the scenario says it is
     grade_rad: float = 0.0  # added to the scenario's, up positive
 

@@ -101,7 +101,7 @@ def _build(spec: VehicleSpec, message: Message, channel: str, found: list[Entry]
         fields=fields,
         counter_modulus=1 << signals[roles["counter"]].bits if roles["counter"] else 0,
         channel=channel,
-        allow_truncated=any(entry.spec.allow_truncated for entry in found),
+        allow_truncated=_truncated(spec, message.name, found),
         constants=constants,
         bywire=_bywire(fields, states),
         states=states,
@@ -128,6 +128,12 @@ def period_ms(spec: VehicleSpec, message: Message, found: list[Entry]) -> int:
     if message.name in spec.extra:
         return spec.extra[message.name].period_ms
     return message.cycle_time or spec.tick_ms
+
+
+def _truncated(spec: VehicleSpec, name: str, found: list[Entry]) -> bool:
+    if name in spec.extra and spec.extra[name].allow_truncated:
+        return True
+    return any(entry.spec.allow_truncated for entry in found)
 
 
 def _constants(spec: VehicleSpec, name: str, found: list[Entry]) -> dict[str, float]:

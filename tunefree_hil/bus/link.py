@@ -42,13 +42,17 @@ class Link(Protocol):
     the remote frames of foreign tools; neither is ever handed over as data.
     """
 
-    name: str
-    errors: Counter[str]
-    remote_frames: int
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def errors(self) -> Counter[str]: ...
+
+    @property
+    def remote_frames(self) -> int: ...
 
     def send(self, frames: Sequence[CanFrame]) -> None:
         """In this order; one write where the bus allows it. BenchError when the bus is gone or does not take them."""
-        ...
 
     def receive(self, timeout_s: float) -> list[CanFrame]:
         """All that has arrived, in the bus's order; waits up to timeout_s for the first; [] on time-out.
@@ -59,7 +63,6 @@ class Link(Protocol):
 
     def close(self) -> None:
         """Leave the bus in good order."""
-        ...
 
 
 class HubLink:

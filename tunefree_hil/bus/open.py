@@ -10,7 +10,7 @@ from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bus.kernel_link import MAKE_VCAN, kernel_has_can, link_state
 from tunefree_hil.bus.link import CanLink, HubLink, Link
 from tunefree_hil.bus.tfhub import address
-from tunefree_hil.bus.tfhub.connection import default_name
+from tunefree_hil.bus.tfhub.handshake import default_name
 from tunefree_hil.bus.tfhub.plugin import HubBus
 from tunefree_hil.bus.tfhub.records import CHANNELS
 
@@ -21,7 +21,7 @@ USE_VIRTUAL = "use --bus tfhub, --bus virtual, or a vcan link"
 
 
 class BusChoice(NamedTuple):
-    """Which bus: `kind` tfhub | socketcan | virtual; an address for each channel; `why` is one sentence for a person."""
+    """Which bus: `kind` tfhub | socketcan | virtual; an address for each channel; `why`, a sentence for a person."""
 
     kind: str
     vehicle_address: str

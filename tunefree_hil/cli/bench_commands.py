@@ -33,7 +33,6 @@ class HubClock(StrEnum):
 class Transport(StrEnum):
     """How peers reach the hub."""
 
-    auto = "auto"
     unix = "unix"
     tcp = "tcp"
 
@@ -41,7 +40,7 @@ class Transport(StrEnum):
 def hub(
     session: Session = DEFAULT_SESSION,
     clock: Annotated[HubClock, typer.Option(help="stamps: the sender's (lockstep) or real time")] = HubClock.sender,
-    transport: Annotated[Transport, typer.Option(help="how peers reach it; tcp is loopback only")] = Transport.auto,
+    transport: Annotated[Transport, typer.Option(help="how peers reach it; tcp is loopback only")] = Transport.unix,
     owned: Annotated[bool, typer.Option("--owned", help="end when the one who started it is gone")] = False,
     plain: Plain = False,
     as_json: AsJson = False,

@@ -32,8 +32,9 @@ KINDS = {
 def find(kind: str, name: str | Path, near: str | Path | None = None) -> Path:
     """The TOML file that `name` means: an explicit path (of the file or its folder), or a name.
 
-    A name is looked for in `near` (the bench file's folder), the working directory and the checkout, as `name`,
-    `name.toml` or, for what has a folder of its own, `name/vehicle.toml`. Raises InputError that lists what there is.
+    A name is looked for beside `near` (the bench file or its folder), in the working directory and in the checkout, as
+    `name`, `name.toml` or, for what has a folder of its own, `name/vehicle.toml`. Raises InputError that lists what
+    there is.
     """
     for place in places(kind, near):
         for candidate in _candidates(KINDS[kind], place / Path(name).expanduser()):
@@ -45,11 +46,15 @@ def find(kind: str, name: str | Path, near: str | Path | None = None) -> Path:
 def places(kind: str, near: str | Path | None = None) -> list[Path]:
     """The folders that are looked into, in order; each also under the checkout's name of the kind's folder."""
     folder = KINDS[kind].folder
-    roots = [Path(near)] if near is not None else []
+    roots = [_folder(Path(near))] if near is not None else []
     found: list[Path] = []
     for root in [*roots, Path.cwd(), CHECKOUT]:
         found += [place for place in (root, root / folder, root / Path(folder).name) if place not in found]
     return found
+
+
+def _folder(near: Path) -> Path:
+    return near.parent if near.is_file() else near
 
 
 def _candidates(kind: Kind, path: Path) -> list[Path]:

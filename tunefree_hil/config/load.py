@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from msgspec.structs import replace
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.check import check_bench, check_model, check_scenario, check_weights
 from tunefree_hil.config.check_vehicle import check_fields
-from tunefree_hil.config.convert import convert, read_toml
+from tunefree_hil.config.convert import SET_BY_LOADER, convert, read_toml
 from tunefree_hil.config.find import find, nearest
 from tunefree_hil.config.schema import BenchSpec, ModelSpec, ScenarioSpec, Spec, VehicleSpec, WeightsSpec
 
@@ -78,7 +79,15 @@ def json_schema(name: str) -> dict[str, Any]:
     """The JSON Schema of a kind of file: vehicle, model, scenario, weights or bench."""
     if name not in SPECS:
         raise InputError(f"no schema {name!r}", code="unknown_schema", key="schema", hint=nearest(name, SPECS))
-    return msgspec.json.schema(SPECS[name])
+    schema = msgspec.json.schema(SPECS[name])
+    definitions = schema["$defs"]
+    for key in SET_BY_LOADER:
+        definitions[SPECS[name].__name__]["properties"].pop(key, None)
+    for definition in definitions.values():
+        for one in definition.get("properties", {}).values():
+            if one.get("default") == math.inf:  # JSON has no infinity
+                del one["default"]
+    return schema
 
 
 def _hash(paths: Iterable[Path]) -> str:

@@ -79,6 +79,7 @@ class ExtraSpec(Spec, frozen=True, kw_only=True):
     kind: Literal["command", "telemetry"]
     period_ms: int
     channel: str = ""
+    allow_truncated: bool = False
     constants: dict[str, float] = field(default_factory=dict)
     assumed: str = ""
 

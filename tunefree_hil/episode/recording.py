@@ -109,9 +109,9 @@ def load_recording(path: Path) -> Recording:
     if not path.is_file():
         raise InputError("there is no such file", code="no_columns", file=str(path))
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
             found = {name: data[name] for name in data.files}
-    except (ValueError, OSError, zipfile.BadZipFile) as error:
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(f"not a readable .npz ({error})", code="bad_columns", file=str(path)) from error
     if "tick" not in found or "dt_s" not in found:
         raise InputError("has no columns 'tick' and 'dt_s'", code="bad_columns", file=str(path))

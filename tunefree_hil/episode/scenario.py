@@ -37,14 +37,14 @@ class Drive(NamedTuple):
 def build_course(spec: ScenarioSpec, dt_s: float) -> Course:
     """The planned drive by time and its path by station, starting at the origin with heading 0.
 
-    The number of ticks is the duration (last t_s of the speed) over dt_s, rounded. accel_mps2 is the slope of the piece
-    that begins at the tick; the last row has that of the last piece. While the vehicle stands, the path does not move
-    on: a curvature that changes at standstill is a step in the path (check_feasible names it). Raises InputError for
-    profiles that do not fit and for negative speed.
+    The number of ticks is the duration (last t_s of the speed) over dt_s, rounded down. accel_mps2 is the slope of the
+    piece that begins at the tick; the last row has that of the last piece. While the vehicle stands, the path does not
+    move on: a curvature that changes at standstill is a step in the path (check_feasible names it). Raises InputError
+    for profiles that do not fit and for negative speed.
     """
     _check_profiles(spec)
     duration_s = spec.speed.t_s[-1]
-    ticks = round(duration_s / dt_s)
+    ticks = math.floor(duration_s / dt_s + 1e-6)
     if ticks < 1:
         raise InputError(f"lasts {duration_s} s, less than one tick of {dt_s} s", file=spec.path, key="speed.t_s")
     drive = integrate(spec)
@@ -94,9 +94,8 @@ def integrate(spec: ScenarioSpec) -> Drive:
 
 
 def _by_time(drive: Drive, time_s: Array) -> tuple[Array, Array, Array]:
-    """Station, speed and acceleration at the ticks; held beyond the drive's end."""
+    """Station, speed and acceleration at the ticks."""
     slope = np.diff(drive.speed_mps) / np.diff(drive.time_s)
-    time_s = np.minimum(time_s, drive.time_s[-1])
     # 1e-9: a tick that is a breakpoint up to rounding belongs to the piece that begins there
     piece = np.clip(np.searchsorted(drive.time_s, time_s + 1e-9, side="right") - 1, 0, len(slope) - 1)
     since = time_s - drive.time_s[piece]

@@ -44,7 +44,7 @@ def open_exchange(
             frozenset(message.key for message in codec.commands),
         )
         sys.setswitchinterval(SWITCH_S)
-        gc.freeze()  # what is there now stays; a collection then looks at little
+        gc.disable()  # a tick makes no cycles; the node collects between episodes (nodes/node.py)
         yield Exchange(links[0], links[1], ids, bench.dt_s), RealClock(), choice.why
     finally:
         for link in links:

@@ -166,8 +166,8 @@ class EcuPart:
 
     def _end(self, exchange: Exchange, ticks: int) -> None:
         state = bc.State.FAILED if self._failure else bc.State.FINISHED
-        exchange.say(bc.Status(self.role, state, self._failure, ticks), k=ticks)
         self.times.save("ecu")
+        exchange.say(bc.Status(self.role, state, self._failure, ticks), k=ticks)
 
     def _publish(self, k: int, used_at: int) -> list[CanFrame]:
         """What is sent at tick k: the frames that are due at the tick that uses them."""

@@ -67,6 +67,12 @@ class Exchange:
         messages, self.inbox = self.inbox, []
         return messages
 
+    def next_message(self, timeout_s: float) -> Any:
+        """The next bench message, or None; what came with it stays, for it may belong to the episode it begins."""
+        if not self.inbox:
+            self._fill_inbox(timeout_s)
+        return self.inbox.pop(0) if self.inbox else None
+
     def _fill_inbox(self, timeout_s: float) -> None:
         for frame in self.bench.receive(timeout_s):
             message = bc.decode(frame)

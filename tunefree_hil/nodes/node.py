@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import struct
+import gc
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -50,9 +50,10 @@ class Node:
         """Say hello, then answer the runner for ever."""
         self.hello()
         while True:
-            for message in self.exchange.listen(WAIT_S):
-                if isinstance(message, bc.Status) and message.state == bc.State.END:
-                    return
+            message = self.exchange.next_message(WAIT_S)
+            if isinstance(message, bc.Status) and message.state == bc.State.END:
+                return
+            if message is not None:
                 self._answer(message)
 
     def _answer(self, message: Any) -> None:
@@ -70,6 +71,7 @@ class Node:
 
     def _load(self, episode: bc.Episode) -> None:
         self._ready = True
+        gc.collect()
         self.exchange.clear()
         try:
             self.part.load(episode.scenario, episode.seed, dict(self._parameters))
@@ -97,8 +99,3 @@ class Node:
         if message.role == bc.Role.RUNNER:
             return message.state in (bc.State.STOP, bc.State.END)
         return message.role == bc.Role.ECU and message.state in (bc.State.FINISHED, bc.State.FAILED)
-
-
-def round32(value: float) -> float:
-    """`value` as IEEE 754 binary32, as PARAM carries it."""
-    return struct.unpack("<f", struct.pack("<f", value))[0]

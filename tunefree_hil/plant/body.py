@@ -92,19 +92,18 @@ class Laden(NamedTuple):
 
 
 def laden(mass_kg: float, wheelbase_m: float, front_axle_m: float, inertia_kgm2: float, change: BodyChange) -> Laden:
-    """The car and a point mass on its centre line (parallel axes); without payload the numbers given, bit for bit."""
+    """The car with its payload on its centre line (parallel axes); without payload the numbers given, bit for bit."""
     total_kg = mass_kg + change.payload_kg
-    shift_m = change.payload_kg * change.payload_ahead_m / total_kg
-    reduced_kg = mass_kg * change.payload_kg / total_kg
+    shift_m = change.payload_moment_kgm / total_kg if total_kg > 0.0 else math.inf
     front_m = front_axle_m - shift_m
-    if not (total_kg > 0.0 and 0.0 < front_m < wheelbase_m):
+    inertia = inertia_kgm2 + change.payload_inertia_kgm2 - total_kg * shift_m * shift_m
+    if not (0.0 < front_m < wheelbase_m and inertia > 0.0):
         raise InputError(
-            f"{change.payload_kg} kg, {change.payload_ahead_m} m ahead, put the centre of mass off the car",
+            f"{change.payload_kg} kg of payload put the centre of mass {front_m:.3g} m behind the front axle",
             code="bad_payload",
             key="payload",
             hint="the laden mass must be positive and the centre of mass between the axles",
         )
-    inertia = inertia_kgm2 + reduced_kg * change.payload_ahead_m * change.payload_ahead_m
     return Laden(total_kg, front_m, wheelbase_m - front_m, inertia)
 
 

@@ -2,58 +2,22 @@
 
 from __future__ import annotations
 
-import os
 import select
 import socket
-import sys
 import threading
 import time
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bus.tfhub.address import Address
-from tunefree_hil.bus.tfhub.records import (
-    BYE,
-    CLASSIC,
-    END,
-    HEAD,
-    HELLO,
-    PROTOCOL,
-    REFUSED,
-    WELCOME,
-    RecordError,
-    body_of,
-    pack_control,
-)
+from tunefree_hil.bus.tfhub.handshake import join
+from tunefree_hil.bus.tfhub.records import BYE, CLASSIC, HEAD, pack_control
 
-ANSWER_S = 5.0  # how long a hub may take for an answer
 GOODBYE_S = 0.5
 READ_BYTES = 1 << 16
-USER_MISTAKES = ("duplicate_name", "wrong_token", "owned", "protocol")
-
-
-class Welcome(NamedTuple):
-    """What the hub said of itself and of us."""
-
-    protocol: int
-    index: int
-    name: str
-    channel: str
-    log_name: str
-    session: str
-    pid: int
-    clock: str
-    epoch_offset_ns: int
 
 
 class ConnectionGone(Exception):
     """The hub is gone; the text says how. Callers turn it into the error that their users expect."""
-
-
-def default_name() -> str:
-    """<program>-<pid>."""
-    return f"{Path(sys.argv[0]).stem or 'python'}-{os.getpid()}"
 
 
 class Connection:
@@ -72,12 +36,7 @@ class Connection:
         self._unsent = b""
         self.reading = threading.Lock()  # held by whoever changes `buffer` or `at`
         self._sending = threading.Lock()
-        self.sock = _connect(address)
-        try:
-            self.welcome = self._greet(hello, name)
-        except BaseException:
-            self.sock.close()
-            raise
+        self.sock, self.welcome = join(address, hello, name)
         self.sock.setblocking(False)
 
     def __str__(self) -> str:
@@ -144,6 +103,26 @@ class Connection:
                 return True
             if rest_s == 0.0:
                 return False
+
+    def fresh(self, timeout_s: float) -> bytes:
+        """Bytes straight from the socket, for a reader who takes all of them; b'' when others wait in the buffer.
+
+        Waits up to timeout_s. What it does not understand it gives back with `put_back`.
+        """
+        if self.buffer or self.careful or self.gone or not select.select([self.sock], [], [], timeout_s)[0]:
+            return b""
+        with self.reading:
+            if self.buffer:
+                return b""
+            self._read(READ_BYTES)
+            data = bytes(self.buffer)
+            self.buffer.clear()
+        return data
+
+    def put_back(self, data: bytes) -> None:
+        """The beginning of the buffer again."""
+        with self.reading:
+            self.buffer[:0] = data
 
     def whole_record(self) -> int:
         """The size of the record at `at` when all of it is there, else 0. ConnectionGone after the last one."""
@@ -219,27 +198,6 @@ class Connection:
         self.gone = self.gone or error.strerror or "connection lost"
         return ConnectionGone(self.gone)
 
-    def _greet(self, hello: dict[str, Any], name: str) -> Welcome:
-        body = {"protocol": PROTOCOL, "name": name or default_name(), "fixed_name": bool(name), "pid": os.getpid()}
-        try:
-            self.sock.sendall(pack_control(HELLO, {**body, **hello, "token": _token(self.address)}))
-            deadline_s = time.monotonic() + ANSWER_S
-            while not self.whole_record():
-                if not select.select([self.sock], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
-                    raise BenchError(f"the hub at {self.address} does not answer", code="no_hub")
-                self._read(READ_BYTES)
-        except (OSError, ConnectionGone) as error:
-            raise BenchError(f"the hub at {self.address} closed the connection: {error}", code="no_hub") from None
-        kind, record = self.kind(), self.take()
-        try:
-            if kind == WELCOME:
-                return Welcome(**body_of(record))
-            if kind in (REFUSED, END):
-                raise _refused(self.address, body_of(record))
-        except (RecordError, TypeError) as error:
-            raise BenchError(f"what listens at {self.address} is no hub: {error}", code="no_hub") from error
-        raise BenchError(f"what listens at {self.address} is no hub", code="no_hub")
-
 
 def _end_of_record(data: bytes, sent: int) -> int:
     """Where the record ends whose bytes are partly sent; `sent` when none is."""
@@ -247,37 +205,3 @@ def _end_of_record(data: bytes, sent: int) -> int:
     while at < sent:
         at += data[at] | data[at + 1] << 8
     return at
-
-
-def _refused(address: Address, body: dict[str, Any]) -> InputError | BenchError:
-    code, message = str(body.get("code", "")), str(body.get("message") or body.get("why"))
-    kind = InputError if code in USER_MISTAKES else BenchError
-    return kind(f"the hub at {address} refused: {message}", code=code, hint=str(body.get("hint", "")))
-
-
-def _connect(address: Address) -> socket.socket:
-    family = socket.AF_UNIX if address.path else socket.AF_INET
-    sock = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        sock.settimeout(ANSWER_S)
-        sock.connect(address.path or (address.host, address.port))
-    except OSError as error:
-        sock.close()
-        raise BenchError(
-            f"no hub listens at {address}: {error.strerror or error}",
-            code="no_hub",
-            hint="start one (tunefree-hil hub), or name the session or address of one that runs",
-        ) from None
-    if not address.path:
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return sock
-
-
-def _token(address: Address) -> str:
-    """The token for a TCP hub; '' where none is needed or known (the hub then says that it is wrong)."""
-    if address.path or not address.token_file:
-        return ""
-    try:
-        return Path(address.token_file).read_text(encoding="ascii").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"the token cannot be read: {error}", file=address.token_file, key="token_file") from error

@@ -69,7 +69,7 @@ def _stats(hub: Hub, body: dict[str, Any]) -> dict[str, Any]:
             "dropped": peer.dropped,
             "owed_bytes": peer.owed,
         }
-        for peer in hub.peers
+        for peer in hub.board.peers
         if peer.role
     ]
     return {
@@ -78,6 +78,6 @@ def _stats(hub: Hub, body: dict[str, Any]) -> dict[str, Any]:
         "frames": hub.frames,
         "peers": peers,
         "lost": list(hub.lost)[-20:],
-        "held_by": [peer.name for holders in hub.holders.values() for peer in holders],
+        "held_by": [peer.name for holders in hub.board.holders.values() for peer in holders],
         "log_failures": [log.failure for log in hub.logs.values() if log.failure],
     }

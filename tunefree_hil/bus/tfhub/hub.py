@@ -6,7 +6,7 @@ every receiver, one write each a wake-up. Nothing is formatted there; the log be
 
 from __future__ import annotations
 
-import selectors
+import contextlib
 import socket
 import struct
 import time
@@ -14,8 +14,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 from tunefree_hil.bus.tfhub import control, reception
+from tunefree_hil.bus.tfhub.board import READ, WRITE, Board
 from tunefree_hil.bus.tfhub.log import CandumpLog
-from tunefree_hil.bus.tfhub.peers import HIGH_BYTES, LOW_BYTES, OBSERVER_BYTES, Peer
+from tunefree_hil.bus.tfhub.peers import OBSERVER_BYTES, Peer
 from tunefree_hil.bus.tfhub.records import (
     BYE,
     CHANNELS,
@@ -39,10 +40,8 @@ from tunefree_hil.bus.tfhub.records import (
 from tunefree_hil.bus.tfhub.session import Session
 
 READ_BYTES = 1 << 16
-IDLE_SLICE = 32  # frames made into log text before looking at the sockets again: about 50 us
+LOG_SLICE = 96  # frames made into log text at a time, when that many wait and nothing else is to do: about 100 us
 BUSY_LIMIT = 4096  # frames that may wait for that while the hub is never idle
-READ, WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
-KNOWN = 4  # bit of Peer.events: the hub holds the connection, even when it waits for nothing from it
 SIZE_KIND = struct.Struct("<HB")
 TIME = struct.Struct("<Q")
 
@@ -67,15 +66,11 @@ class Hub:
         self.session = session
         self.standalone = standalone
         self.log_names = dict(log_names)
-        self.observer_bytes = observer_bytes
+        self.board = Board(observer_bytes)
         self.sender_clock = session.info.clock == "sender"
         self.epoch_offset_ns = 0 if self.sender_clock else epoch_offset_ns
         self.note = note
-        self.peers: list[Peer] = []
-        self.strangers: list[Peer] = []  # those of them that have not said who they are
-        self.listeners: dict[str, list[Peer]] = {channel: [] for channel in CHANNELS}
-        self.holders: dict[str, list[Peer]] = {channel: [] for channel in CHANNELS}
-        self.frames = dict.fromkeys(CHANNELS, 0)
+        self.frames = {str(channel): 0 for channel in CHANNELS}
         self.sequence = 0
         self.logs: dict[str, CandumpLog] = {}
         self.lost: deque[str] = deque(maxlen=100)
@@ -84,13 +79,11 @@ class Hub:
         self._time_ns = 0  # latest virtual time
         self._buffer = bytearray(2 * READ_BYTES)
         self._view = memoryview(self._buffer)
-        self._dirty: set[Peer] = set()
         self._requests: list[tuple[Peer, bytes]] = []
-        self._selector = selectors.DefaultSelector()
         self._waker, self._woken = socket.socketpair()
-        self._selector.register(self._woken, READ, None)
+        self.board.selector.register(self._woken, READ, None)
         for channel, listener in session.listeners.items():
-            self._selector.register(listener, READ, channel)
+            self.board.selector.register(listener, READ, channel)
 
     def stop(self, reason: str) -> None:
         """End `run` soon; from a signal handler or another thread too."""
@@ -109,25 +102,26 @@ class Hub:
 
     def _turn(self) -> None:
         waiting = sum([log.waiting for log in self.logs.values()]) if self.logs else 0
-        ready = self._selector.select(0.0 if waiting else reception.patience_s(self))
+        write_log = waiting >= LOG_SLICE
+        ready = self.board.selector.select(0.0 if write_log else reception.patience_s(self))
         for key, mask in ready:
             peer = key.data
             if type(peer) is Peer:
                 if mask & READ and peer.events & READ:
                     self._read(peer)
                 if mask & WRITE:
-                    self._dirty.add(peer)
+                    self.board.dirty.add(peer)
             elif peer is None:
                 self._woken.recv(16)
             else:
                 reception.accept(self, key.fileobj, peer)  # type: ignore[arg-type]
         if self._requests:  # after all that was sent before them
             self._answer()
-        while self._dirty:
-            self._flush()
-        if waiting and (not ready or waiting > BUSY_LIMIT):
+        while self.board.dirty:
+            self.board.flush(self._write_failed)
+        if write_log and (not ready or waiting > BUSY_LIMIT):
             for log in self.logs.values():
-                log.work(IDLE_SLICE)
+                log.work(LOG_SLICE)
         reception.enforce_deadlines(self)
 
     def _read(self, peer: Peer) -> None:
@@ -207,16 +201,7 @@ class Hub:
         peer.sent += count
         if self.sender_clock and peer.stamps:
             self._time_ns = TIME.unpack_from(self._buffer, last + TIME_AT)[0]
-        for other in self.listeners[channel]:
-            if other is peer and not peer.echo:
-                continue
-            if other.role == "observer":
-                other.give(chunk, count, self.observer_bytes)
-            else:
-                other.give(chunk, count)
-                if other.owed > HIGH_BYTES:
-                    self._hold(other)
-            self._dirty.add(other)
+        self.board.deliver(peer, chunk, count)
         log = self.logs.get(channel)
         if log is not None:
             log.add(chunk, count)
@@ -239,90 +224,24 @@ class Hub:
             except RecordError as error:
                 reception.drop(self, peer, str(error))
                 continue
-            self.owe(peer, reply)
+            self.board.owe(peer, reply)
 
-    # --- giving --------------------------------------------------------------------------------------------------
+    # --- the end -------------------------------------------------------------------------------------------------
 
-    def owe(self, peer: Peer, record: bytes) -> None:
-        """Owe a peer a record that is no frame."""
-        peer.give(record, 0)
-        self._dirty.add(peer)
-
-    def _flush(self) -> None:
-        dirty, self._dirty = self._dirty, set()
-        for peer in dirty:
-            if not peer.events:
-                continue
-            try:
-                done = peer.flush()
-            except OSError:
-                self._read(peer)  # it may have said good-bye before it closed
-                if peer.events:
-                    reception.lose(self, peer, "its connection closed without a good-bye")
-                continue
-            if peer.owed < LOW_BYTES and peer in self.holders[peer.channel]:
-                self.release(peer)
-            self.watch(peer, (0 if peer.paused else READ) | (0 if done else WRITE))
-
-    def watch(self, peer: Peer, events: int) -> None:
-        """Have the selector report these events of a peer; 0 events: none, but the peer stays."""
-        if events == peer.events & (READ | WRITE):
-            return
-        if not events:
-            self._selector.unregister(peer.sock)
-        elif peer.events & (READ | WRITE):
-            self._selector.modify(peer.sock, events, peer)
-        else:
-            self._selector.register(peer.sock, events, peer)
-        peer.events = events | KNOWN
-
-    def forget(self, peer: Peer) -> None:
-        """Close a connection and let go of everything that belonged to it."""
-        if peer.events & (READ | WRITE):
-            self._selector.unregister(peer.sock)
-        peer.events = 0
-        peer.sock.close()
-        self.peers.remove(peer)
-        if peer in self.strangers:
-            self.strangers.remove(peer)
-        self._dirty.discard(peer)
-        if peer in self.listeners[peer.channel]:
-            self.listeners[peer.channel].remove(peer)
-        self.release(peer)
-
-    # --- back-pressure -------------------------------------------------------------------------------------------
-
-    def _hold(self, member: Peer) -> None:
-        """A member does not keep up: read from no sender of its channel until it does."""
-        if member not in self.holders[member.channel]:
-            self.holders[member.channel].append(member)
-            self.pause_senders(member.channel)
-
-    def release(self, member: Peer) -> None:
-        """It keeps up again, or is gone."""
-        if member in self.holders[member.channel]:
-            self.holders[member.channel].remove(member)
-            self.pause_senders(member.channel)
-
-    def pause_senders(self, channel: str) -> None:
-        """Read from the members of a channel exactly when nobody holds it."""
-        held = bool(self.holders[channel])
-        for peer in self.peers:
-            if peer.role == "member" and peer.channel == channel:
-                peer.paused = held
-                self.watch(peer, (0 if held else READ) | (peer.events & WRITE))
+    def _write_failed(self, peer: Peer) -> None:
+        self._read(peer)  # it may have said good-bye before it closed
+        if peer.events:
+            reception.lose(self, peer, "its connection closed without a good-bye")
 
     def _close(self) -> None:
         for log in self.logs.values():
             log.abandon()
-        for peer in list(self.peers):
+        for peer in list(self.board.peers):
             peer.give(pack_control(END, {"why": self.ended or "it failed"}), 0)
-            try:
+            with contextlib.suppress(OSError):  # it went first
                 peer.flush()
-            except OSError:  # it went first
-                pass
-            self.forget(peer)
-        self._selector.close()
+            self.board.forget(peer)
+        self.board.selector.close()
         self._waker.close()
         self._woken.close()
         self.session.close()

@@ -12,10 +12,12 @@ from typing import BinaryIO
 
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bus.tfhub.records import (
+    BRS,
     DATA_AT,
     EFF_FLAG,
     EFF_MASK,
     ERR_FLAG,
+    ESI,
     FD,
     FRAME_HEAD,
     NO_CLASS,
@@ -23,7 +25,7 @@ from tunefree_hil.bus.tfhub.records import (
     SFF_MASK,
 )
 
-FLUSH_BYTES = 1 << 16
+FLUSH_LINES = 2000  # about 64 KiB
 MOST_IDS = 4096  # ids whose text is kept; a tool that tries all 29 bits must not fill the memory
 
 
@@ -58,7 +60,6 @@ class CandumpLog:
         self._offset_ns = offset_ns
         self._chunks: deque[tuple[bytes, int]] = deque()
         self._text: list[str] = []
-        self._text_frames = 0
         self._prefixes: dict[int, str] = {}
         self._time_ns = -1
         self._stamp = ""
@@ -81,7 +82,7 @@ class CandumpLog:
             self._format(chunk)
             self.waiting -= count
             frames -= count
-        if self._text_frames * 40 > FLUSH_BYTES:
+        if len(self._text) > FLUSH_LINES:
             self._write()
 
     def close(self) -> None:
@@ -116,7 +117,6 @@ class CandumpLog:
     def _write(self) -> None:
         rest = memoryview("".join(self._text).encode("ascii"))
         self._text.clear()
-        self._text_frames = 0
         try:
             while self._file is not None and len(rest) and not self.failure:
                 rest = rest[self._file.write(rest) :]
@@ -127,26 +127,27 @@ class CandumpLog:
 
     def _format(self, chunk: bytes) -> None:
         """Lines of one chunk of whole FRAME records."""
+        digits = chunk.hex().upper()
+        text, prefixes = self._text, self._prefixes
         offset, end = 0, len(chunk)
-        text = self._text
-        prefixes = self._prefixes
         while offset < end:
             size, _, _, _, time_ns, can_id, length, flags = FRAME_HEAD.unpack_from(chunk, offset)
             if time_ns != self._time_ns:
                 self._time_ns = time_ns
                 self._stamp = time_text(time_ns + self._offset_ns)
-            prefix = prefixes.get(can_id)
-            if prefix is None:
-                if len(prefixes) > MOST_IDS:
-                    prefixes.clear()
-                prefix = prefixes[can_id] = f" {self._channel} {id_text(can_id)}#"
-            first = offset + DATA_AT
+            prefix = prefixes.get(can_id) or self._prefix(can_id)
+            first = 2 * (offset + DATA_AT)
+            data = digits[first : first + 2 * length]
             if size == FD.size:
-                data = f"#{flags & 0x3:X}" + chunk[first : first + length].hex().upper()
+                data = f"#{flags & (BRS | ESI):X}{data}"
             elif can_id & RTR_FLAG:
                 data = f"R{length}" if length else "R"
-            else:
-                data = chunk[first : first + length].hex().upper()
             text.append(f"{self._stamp}{prefix}{data}\n")
-            self._text_frames += 1
             offset += size
+
+    def _prefix(self, can_id: int) -> str:
+        """What stands between the stamp and the data; kept, for there are few ids."""
+        if len(self._prefixes) > MOST_IDS:
+            self._prefixes.clear()
+        prefix = self._prefixes[can_id] = f" {self._channel} {id_text(can_id)}#"
+        return prefix

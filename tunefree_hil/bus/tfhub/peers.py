@@ -62,14 +62,13 @@ class Peer:
 
     def flush(self) -> bool:
         """Write what the socket takes. True when nothing is left. OSError when the peer is gone."""
-        if self.dropped != self.dropped_told and not self.begun:
-            notice = pack_control(DROPPED, sequence=self.dropped)
-            self.queue.appendleft((notice, 0))
-            self.owed += len(notice)
-            self.dropped_told = self.dropped
         queue = self.queue
-        while queue:
-            batch = queue[0][0] if len(queue) == 1 else self._join()
+        while True:
+            if self.dropped != self.dropped_told and not self.begun:
+                self._tell_drops()
+            if not queue:
+                return True
+            batch = queue[0][0] if len(queue) == 1 or self.begun else self._join()
             try:
                 written = self.sock.send(batch)
             except BlockingIOError:
@@ -81,7 +80,12 @@ class Peer:
                 return False
             queue.popleft()
             self.begun = False
-        return True
+
+    def _tell_drops(self) -> None:
+        notice = pack_control(DROPPED, sequence=self.dropped)
+        self.queue.appendleft((notice, 0))
+        self.owed += len(notice)
+        self.dropped_told = self.dropped
 
     def _join(self) -> bytes:
         """Make the first chunks of the queue one, up to WRITE_BYTES; its bytes."""

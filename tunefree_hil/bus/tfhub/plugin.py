@@ -19,9 +19,7 @@ from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.tfhub import address
 from tunefree_hil.bus.tfhub.connection import Connection, ConnectionGone
 from tunefree_hil.bus.tfhub.records import (
-    ANY_FLAG,
     BRS,
-    CLASSIC,
     DROPPED,
     EFF_FLAG,
     EFF_MASK,
@@ -35,6 +33,7 @@ from tunefree_hil.bus.tfhub.records import (
     body_of,
     pack_frames,
     pack_raw,
+    plain_frames,
     unpack_raw,
 )
 
@@ -59,8 +58,8 @@ class MayNotSend(InputError, can.CanOperationError):
 class HubBus(can.BusABC):
     """One channel of a hub as a python-can bus.
 
-    `channel`: an address of `address.py`, with options `?role=...&name=...&echo=yes&listen=no&token_file=...&stamps=yes`
-    that may also be given as keywords. `role` observer (default) or member. `stamps`: on a hub with the clock 'sender'
+    `channel`: an address of `address.py`, with options `?role=...&name=...&echo=yes&listen=no&stamps=yes&token_file=..`
+    that may be keywords, too. `role` observer (default) or member. `stamps`: on a hub with the clock 'sender'
     this member's own time stamps are kept. `send` and `recv` raise HubGone; `recv` of a member raises MemberGone once
     for each member that is lost, after what it had sent.
     """
@@ -182,54 +181,56 @@ class HubBus(can.BusABC):
         Remote frames are counted, error frames kept in `error_frames`; neither is handed over as data.
         """
         connection = self._connection
-        frames: list[CanFrame] = []
+        if timeout_s is not None and self._filters is None:
+            data = connection.fresh(timeout_s)
+            frames = plain_frames(data)
+            if frames is not None:
+                return frames
+            if data:
+                connection.put_back(data)
+            elif not connection.buffer and not connection.gone and not connection.careful:
+                return []
         deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
-            try:
-                if not connection.fill(timeout_s):
-                    return frames
-            except ConnectionGone as error:
-                raise self._gone(error) from None
-            if connection.kind() != FRAME:
-                self._control(connection.take())
-            else:
-                with connection.reading:
-                    self._take_frames(frames)
-                if self._filters is not None:
-                    frames = [frame for frame in frames if self._wanted(frame)]
-                if frames or self.error_frames:
-                    return frames
+            frames = self._some_frames(timeout_s)
+            if frames is None or frames or self.error_frames:
+                return frames or []
             if deadline_s is not None:
                 timeout_s = max(0.0, deadline_s - time.monotonic())
+
+    def _some_frames(self, timeout_s: float | None) -> list[CanFrame] | None:
+        """The data frames before the next record of another type that passed the filters; None on time-out."""
+        frames: list[CanFrame] = []
+        try:
+            if not self._connection.fill(timeout_s):
+                return None
+        except ConnectionGone as error:
+            raise self._gone(error) from None
+        if self._connection.kind() != FRAME:
+            self._control(self._connection.take())
+            return frames
+        with self._connection.reading:
+            self._take_frames(frames)
+        return frames if self._filters is None else [frame for frame in frames if self._wanted(frame)]
 
     def _take_frames(self, frames: list[CanFrame]) -> None:
         """Move whole FRAME records from the buffer to `frames`, up to the first record of another type."""
         connection = self._connection
         buffer, at, end = connection.buffer, connection.at, len(connection.buffer)
-        unpack, small = CLASSIC.unpack_from, CLASSIC.size
         while end - at >= HEAD.size and buffer[at + 2] == FRAME:
             size = buffer[at] | buffer[at + 1] << 8
             if end - at < size:
                 break
-            if size == small:
-                _, _, _, _, time_ns, can_id, length, data = unpack(buffer, at)
-                if not can_id & ANY_FLAG:
-                    frames.append(CanFrame(can_id, data[:length], False, False, time_ns / 1e9))
-                else:
-                    self._take_special(frames, unpack_raw(buffer, at))
+            raw = unpack_raw(buffer, at)
+            if raw.can_id & ERR_FLAG:
+                self.error_frames = [*self.error_frames[-99:], raw]
+            elif raw.can_id & RTR_FLAG:
+                self.remote_frames += 1
             else:
-                self._take_special(frames, unpack_raw(buffer, at))
+                extended = bool(raw.can_id & EFF_FLAG)
+                frames.append(CanFrame(raw.can_id & EFF_MASK, raw.data, extended, raw.fd, raw.time_ns / 1e9))
             at += size
         connection.skip(at - connection.at)
-
-    def _take_special(self, frames: list[CanFrame], raw: Raw) -> None:
-        if raw.can_id & ERR_FLAG:
-            self.error_frames = [*self.error_frames[-99:], raw]
-        elif raw.can_id & RTR_FLAG:
-            self.remote_frames += 1
-        else:
-            extended = bool(raw.can_id & EFF_FLAG)
-            frames.append(CanFrame(raw.can_id & EFF_MASK, raw.data, extended, raw.fd, raw.time_ns / 1e9))
 
     def _wanted(self, frame: CanFrame) -> bool:
         return self._matches_filters(can.Message(arbitration_id=frame.id, is_extended_id=frame.extended))

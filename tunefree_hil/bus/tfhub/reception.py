@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hmac
 import socket
 import time
@@ -17,7 +18,6 @@ HELLO_PATIENCE_S = 2.0
 OWNER_PATIENCE_S = 10.0
 ROLES = ("member", "observer", "owner")
 MOST_PEERS = 255  # a sender's index is one byte, and 0 is the hub
-READ = 1
 
 
 def accept(hub: Hub, listener: socket.socket, channel: str) -> None:
@@ -29,17 +29,14 @@ def accept(hub: Hub, listener: socket.socket, channel: str) -> None:
     sock.setblocking(False)
     if sock.family == socket.AF_INET:
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    peer = Peer(sock, channel, time.monotonic() + HELLO_PATIENCE_S)
-    hub.peers.append(peer)
-    hub.strangers.append(peer)
-    hub.watch(peer, READ)
+    hub.board.add(sock, channel, time.monotonic() + HELLO_PATIENCE_S)
 
 
 def patience_s(hub: Hub) -> float | None:
     """How long the hub may sleep: until the next deadline, None when there is none."""
-    if not hub.strangers and not hub.owner_deadline_s:
+    if not hub.board.strangers and not hub.owner_deadline_s:
         return None
-    deadlines = [peer.deadline_s for peer in hub.strangers]
+    deadlines = [peer.deadline_s for peer in hub.board.strangers]
     if hub.owner_deadline_s:
         deadlines.append(hub.owner_deadline_s)
     return max(0.0, min(deadlines) - time.monotonic())
@@ -47,10 +44,10 @@ def patience_s(hub: Hub) -> float | None:
 
 def enforce_deadlines(hub: Hub) -> None:
     """Drop strangers, and end a hub whose owner never came."""
-    if not hub.strangers and not hub.owner_deadline_s:
+    if not hub.board.strangers and not hub.owner_deadline_s:
         return
     now_s = time.monotonic()
-    for peer in list(hub.strangers):
+    for peer in list(hub.board.strangers):
         if peer.deadline_s <= now_s:
             drop(hub, peer, f"it did not say who it is within {HELLO_PATIENCE_S:g} s")
     if hub.owner_deadline_s and hub.owner_deadline_s <= now_s:
@@ -69,18 +66,13 @@ def hello(hub: Hub, peer: Peer, body: dict[str, Any]) -> None:
     if refusal:
         _refuse(hub, peer, *refusal)
         return
-    hub.strangers.remove(peer)
     peer.role, peer.name, peer.pid = role, name, pid
     peer.echo, peer.stamps = body.get("echo") is True, body.get("stamps") is True
     peer.listen = role != "owner" and body.get("listen") is not False
-    peer.index = min(set(range(1, MOST_PEERS + 1)) - {other.index for other in hub.peers})
+    peer.index = min(set(range(1, MOST_PEERS + 1)) - {other.index for other in hub.board.peers})
     if role == "owner":
         hub.owner_deadline_s = 0.0
-    hub.owe(peer, _welcome(hub, peer))
-    if peer.listen:
-        hub.listeners[peer.channel].append(peer)
-    if role == "member":
-        hub.pause_senders(peer.channel)
+    hub.board.admit(peer, _welcome(hub, peer))
 
 
 def _welcome(hub: Hub, peer: Peer) -> bytes:
@@ -107,13 +99,13 @@ def _refusal(hub: Hub, peer: Peer, body: dict[str, Any], role: str, name: str) -
         return "wrong_token", "the token is wrong", "name the token file of the hub's session: ?token_file=..."
     if body.get("protocol") != PROTOCOL:
         return "protocol", f"this hub speaks protocol {PROTOCOL}, not {body.get('protocol')}", "use one version for all"
-    for other in hub.peers:
+    for other in hub.board.peers:
         if role == other.role == "owner":
             return "owned", f"this hub has an owner already: {other.name}, pid {other.pid}", "start a hub of your own"
         if role != "owner" and other.role in ("member", "observer") and _same(other, peer.channel, name):
             there = f"{name} is on the bus already (pid {other.pid})"
             return "duplicate_name", there, "choose another name: ?name=..."
-    if len(hub.peers) > MOST_PEERS:
+    if len(hub.board.peers) > MOST_PEERS:
         return "full", f"the hub has {MOST_PEERS} peers", "close some"
     return None
 
@@ -124,7 +116,7 @@ def _same(other: Peer, channel: str, name: str) -> bool:
 
 def _free_name(hub: Hub, channel: str, name: str) -> str:
     """`name`, or with a number behind it when it is taken."""
-    taken = {other.name for other in hub.peers if other.channel == channel and other.role}
+    taken = {other.name for other in hub.board.peers if other.channel == channel and other.role}
     number, free = 1, name
     while free in taken:
         number += 1
@@ -140,23 +132,21 @@ def _refuse(hub: Hub, peer: Peer, code: str, message: str, hint: str) -> None:
 def _last_word(hub: Hub, peer: Peer, code: str, message: str, hint: str) -> None:
     """Say why, as far as the socket takes it, and close."""
     peer.give(pack_control(REFUSED, {"code": code, "message": message, "hint": hint}), 0)
-    try:
+    with contextlib.suppress(OSError):  # it does not hear it any more
         peer.flush()
-    except OSError:  # it does not hear it any more
-        pass
-    hub.forget(peer)
+    hub.board.forget(peer)
 
 
 def farewell(hub: Hub, peer: Peer) -> None:
     """A peer said good-bye."""
-    hub.forget(peer)
+    hub.board.forget(peer)
     if peer.role == "owner":
         _without_owner(hub, f"its owner {peer.name} said good-bye")
 
 
 def lose(hub: Hub, peer: Peer, why: str) -> None:
     """A connection is gone without a good-bye."""
-    hub.forget(peer)
+    hub.board.forget(peer)
     if peer.role == "owner":
         _without_owner(hub, f"its owner {peer.name} is gone")
     elif peer.role:
@@ -187,13 +177,13 @@ def _mourn(hub: Hub, peer: Peer, why: str) -> None:
 
 def _tell_members(hub: Hub, lost: Peer, why: str) -> None:
     record = pack_control(PEER_GONE, {"name": lost.name, "pid": lost.pid, "why": why}, sender=lost.index)
-    for other in hub.peers:
+    for other in hub.board.peers:
         if other.role != "member":
             continue
         if other.name == lost.name and other.pid == lost.pid:
             other.mourned = True
         elif other.listen:
-            hub.owe(other, record)
+            hub.board.owe(other, record)
 
 
 def _without_owner(hub: Hub, why: str) -> None:

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Any, Literal
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.tfhub.address import HubInfo
@@ -70,11 +70,11 @@ def serve(
 
 
 def _epoch_offset_ns() -> int:
-    """Wall time minus monotonic time, read once: stamps in logs are dates, but no step of the wall clock shows in them."""
+    """Wall minus monotonic time, read once: stamps in logs are dates, but no step of the wall clock shows in them."""
     return round(datetime.now(UTC).timestamp() * 1e6) * 1000 - time.monotonic_ns()
 
 
-def _take_signals(hub: Hub, standalone: bool) -> dict[int, object]:
+def _take_signals(hub: Hub, standalone: bool) -> dict[int, Any]:
     """Let signals end the hub in good order; the handlers there were before."""
     if threading.current_thread() is not threading.main_thread():
         return {}
@@ -82,5 +82,5 @@ def _take_signals(hub: Hub, standalone: bool) -> dict[int, object]:
     def end(number: int, _frame: object) -> None:
         hub.stop(f"it was told to ({signal.Signals(number).name})")
 
-    wanted: dict[int, object] = {signal.SIGTERM: end, signal.SIGINT: end if standalone else signal.SIG_IGN}
-    return {number: signal.signal(number, handler) for number, handler in wanted.items()}  # type: ignore[arg-type]
+    wanted: dict[int, Any] = {signal.SIGTERM: end, signal.SIGINT: end if standalone else signal.SIG_IGN}
+    return {number: signal.signal(number, handler) for number, handler in wanted.items()}

@@ -1,0 +1,120 @@
+"""What the hub's tests share: a hub in a thread (quick) and peers in processes of their own (real)."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import can
+
+from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus.tfhub import address
+from tunefree_hil.bus.tfhub.owner import Owner
+from tunefree_hil.bus.tfhub.plugin import HubBus
+from tunefree_hil.bus.tfhub.serve import serve
+
+ROOT = Path(__file__).resolve().parents[2]
+PATIENCE_S = 20.0  # a time-out that only a broken hub reaches
+
+
+class ThreadHub:
+    """A hub in a thread of this process, with its owner."""
+
+    def __init__(self, folder: Path, **options: Any) -> None:
+        self.session = str(folder / "hub")
+        self.said: list[str] = []
+        self.why = ""
+        self._error: BaseException | None = None
+        ready = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(ready, options), daemon=True)
+        self._thread.start()
+        assert ready.wait(PATIENCE_S)
+        if self._error:
+            raise self._error
+        self.info = address.read_hub(self.session)
+        self.owner = Owner(self.session, name="owner")
+
+    def _run(self, ready: threading.Event, options: dict[str, Any]) -> None:
+        try:
+            self.why = serve(self.session, note=self.said.append, ready=lambda _: ready.set(), **options)
+        except Exception as error:
+            self._error = error
+            ready.set()
+
+    @property
+    def vehicle(self) -> str:
+        return address.endpoint(self.session, "vehicle")
+
+    @property
+    def bench(self) -> str:
+        return address.endpoint(self.session, "bench")
+
+    def member(self, name: str, channel: str = "vehicle", **options: Any) -> HubBus:
+        return HubBus(address.endpoint(self.session, channel), role="member", name=name, **options)
+
+    def observer(self, name: str, channel: str = "vehicle", **options: Any) -> HubBus:
+        return HubBus(address.endpoint(self.session, channel), name=name, **options)
+
+    def close(self) -> None:
+        self.owner.close()
+        self._thread.join(PATIENCE_S)
+        assert not self._thread.is_alive(), "the hub did not end with its owner"
+        if self._error:
+            raise self._error
+
+
+@contextmanager
+def thread_hub(folder: Path, **options: Any) -> Iterator[ThreadHub]:
+    """A hub for the time of a `with`."""
+    hub = ThreadHub(folder, **options)
+    try:
+        yield hub
+    finally:
+        hub.close()
+
+
+@contextmanager
+def child(code: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """A Python process that runs `code`; killed at the end if it still runs. Its stdout is ours to read."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *arguments], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def frame(number: int, time_s: float = 0.0) -> CanFrame:
+    """A frame that carries a number."""
+    return CanFrame(0x100 + number % 0x400, number.to_bytes(8, "little"), False, False, time_s)
+
+
+def number_of(data: bytes | bytearray) -> int:
+    """The number that `frame` put in."""
+    return int.from_bytes(data[:8], "little")
+
+
+def eventually(true: Callable[[], object]) -> None:
+    """Wait until something holds; an AssertionError when it never does."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not true():
+        assert time.monotonic() < deadline_s, "it never came true"
+        time.sleep(0.005)
+
+
+def receive_all(bus: can.BusABC, count: int) -> list[can.Message]:
+    """`count` messages, or an AssertionError that says how many came."""
+    found = []
+    while len(found) < count:
+        message = bus.recv(PATIENCE_S)
+        assert message is not None, f"{len(found)} of {count} came"
+        found.append(message)
+    return found

@@ -1,0 +1,287 @@
+"""The reference follower: zero on the path, signs, previews, re-plans, invariance."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tunefree_hil.base.records import Ins
+from tunefree_hil.control.follower import Rules, make_follower
+
+DT_S = 0.01
+AHEAD_M = 1.4224
+
+
+def run(block, fixes, first=0):
+    """Trackings of consecutive fixes."""
+    state, answers = block.init(block.params, DT_S), []
+    for k, ins in enumerate(fixes, first):
+        state, tracking = block.step(block.params, state, (k, ins), DT_S)
+        answers.append(tracking)
+    return answers
+
+
+def straight(kit, seconds=20.0, speed=5.0):
+    return kit.course(seconds, lambda t: speed)
+
+
+def fix(x=0.0, y=0.0, heading=0.0, speed=5.0, yaw_rate=0.0):
+    return Ins(x, y, heading, speed, 0.0, yaw_rate)
+
+
+def follow_circle(curvature, speed, ticks, lateral=0.0):
+    """Fixes of a vehicle whose centre of mass is on a circle and whose heading is the tangent there."""
+    radius = 1.0 / curvature
+    for k in range(ticks):
+        angle = (speed * k * DT_S + AHEAD_M) * curvature
+        x = (radius - lateral) * math.sin(angle) - AHEAD_M * math.cos(angle)
+        y = radius - (radius - lateral) * math.cos(angle) - AHEAD_M * math.sin(angle)
+        yield Ins(x, y, angle, speed, 0.0, speed * curvature)
+
+
+def test_no_error_on_the_path(kit):
+    for tracking in run(make_follower(straight(kit), AHEAD_M), [fix(x=0.05 * k) for k in range(1500)]):
+        errors = (
+            tracking.station_error_m,
+            tracking.speed_error_mps,
+            tracking.lateral_error_m,
+            tracking.lateral_error_rate_mps,
+            tracking.heading_error_rad,
+            tracking.heading_error_rate_radps,
+        )
+        assert max(abs(error) for error in errors) < 1e-9
+        assert tracking.replan == 0.0
+        assert tracking.ref_x_m == pytest.approx(0.05 * (tracking.ref_x_m / 0.05))
+
+
+def test_errors_are_at_the_centre_of_mass(kit):
+    course = kit.course(10.0, lambda t: 5.0, lambda station: 0.05)
+    for tracking in run(make_follower(course, AHEAD_M), follow_circle(0.05, 5.0, 800))[10:]:
+        assert abs(tracking.lateral_error_m) < 1e-6
+        assert abs(tracking.heading_error_rad) < 1e-6
+        assert abs(tracking.heading_error_rate_radps) < 1e-9
+        assert tracking.ref_curvature_1pm == pytest.approx(0.05)
+        # The rear axle runs on a wider circle, and its foot is atan(l/R) behind.
+        wider = 1.0 / math.sqrt(1.0 + (0.05 * AHEAD_M) ** 2)
+        assert tracking.speed_error_mps == pytest.approx(5.0 - 5.0 * wider * wider, abs=1e-5)
+        assert tracking.station_error_m == pytest.approx(math.atan(0.05 * AHEAD_M) / 0.05 - AHEAD_M, abs=1e-5)
+
+
+def test_signs(kit):
+    course = straight(kit)
+    left = run(make_follower(course, AHEAD_M), [fix(y=0.2)])[0]
+    assert left.lateral_error_m == pytest.approx(0.2)
+    turned = run(make_follower(course, AHEAD_M), [fix(heading=0.1)])[0]
+    assert turned.heading_error_rad == pytest.approx(0.1)
+    assert turned.lateral_error_m == pytest.approx(AHEAD_M * math.sin(0.1))
+    assert turned.lateral_error_rate_mps == pytest.approx(5.0 * math.sin(0.1))
+    assert turned.speed_error_mps == pytest.approx(5.0 - 5.0 * math.cos(0.1))
+    turning = run(make_follower(course, AHEAD_M), [fix(yaw_rate=0.3)])[0]
+    assert turning.heading_error_rate_radps == pytest.approx(0.3)
+    behind = run(make_follower(course, AHEAD_M), [fix(x=-1.0, speed=4.0)])[0]
+    assert behind.station_error_m == pytest.approx(1.0)
+    assert behind.speed_error_mps == pytest.approx(1.0)
+    assert (left.ref_x_m, left.ref_y_m) == (pytest.approx(AHEAD_M), pytest.approx(0.0))
+
+
+def test_heading_error_is_wrapped(kit):
+    tracking = run(make_follower(straight(kit), AHEAD_M), [fix(heading=0.1 + 4.0 * math.pi)])[0]
+    assert tracking.heading_error_rad == pytest.approx(0.1)
+
+
+def test_previews(kit):
+    course = kit.course(10.0, lambda t: 5.0 if t < 5.0 else 5.0 - (t - 5.0))
+    answers = run(make_follower(course, AHEAD_M), [fix(x=0.05 * k) for k in range(500)])
+    assert answers[490].preview_speed_mps == pytest.approx(4.9)
+    assert answers[490].preview_accel_mps2 == pytest.approx(-1.0)
+    assert answers[490].ref_accel_mps2 == pytest.approx(0.0, abs=1e-9)
+    assert answers[490].ref_speed_mps == pytest.approx(5.0)
+
+
+def test_look_ahead_sees_the_bend(kit):
+    course = kit.course(10.0, lambda t: 5.0, lambda station: 0.05)
+    block = make_follower(course, AHEAD_M, look_ahead_m=2.0)
+    tracking = run(block, follow_circle(0.05, 5.0, 300))[-1]
+    assert tracking.preview_heading_change_rad == pytest.approx(2.0 * 0.05, abs=1e-4)
+    assert tracking.preview_curvature_1pm == pytest.approx(0.05)
+    none = run(make_follower(course, AHEAD_M), follow_circle(0.05, 5.0, 300))[-1]
+    assert (none.preview_heading_change_rad, none.preview_curvature_1pm) == (0.0, none.ref_curvature_1pm)
+
+
+@pytest.mark.parametrize("shift", [{"y": 0.51}, {"x": -2.51}, {"x": 2.51}])
+def test_replan_at_the_thresholds(kit, shift):
+    inside = {key: value - math.copysign(0.02, value) for key, value in shift.items()}
+    assert run(make_follower(straight(kit), AHEAD_M), [fix(**inside)])[0].replan == 0.0
+    assert run(make_follower(straight(kit), AHEAD_M), [fix(**shift)])[0].replan == 1.0
+
+
+def test_replan_anchors_pose_speed_and_time_at_the_measured_state(kit):
+    # 0.6 m to the left, 1 m behind, 1 m/s too slow, turned by 0.05 rad: from the next tick on none of it is an error.
+    def at(k):
+        along = 4.0 * k * DT_S
+        return fix(
+            x=49.0 - AHEAD_M + along * math.cos(0.05), y=0.6 - AHEAD_M * math.sin(0.05) + along * math.sin(0.05),
+            heading=0.05, speed=4.0,
+        )  # fmt: skip
+
+    fixes = [fix(x=0.05 * k) for k in range(1000)] + [at(k) for k in range(3)]
+    answers = run(make_follower(straight(kit), AHEAD_M), fixes)
+    event, after = answers[1000], answers[1001]
+    assert event.replan == 1.0
+    assert event.lateral_error_m == pytest.approx(0.6)  # says why
+    assert after.replan == 0.0
+    assert after.lateral_error_m == pytest.approx(0.0, abs=1e-4)
+    assert after.heading_error_rad == pytest.approx(0.0, abs=1e-4)
+    assert after.station_error_m == pytest.approx(0.0, abs=1e-3)
+    assert after.speed_error_mps == pytest.approx(0.0, abs=1e-2)
+    assert after.path_lateral_error_m == pytest.approx(0.6 + 0.04 * math.sin(0.05))
+    assert after.path_heading_error_rad == pytest.approx(0.05)
+
+
+def test_after_a_replan_it_blends_back_over_3_s_and_does_not_catch_up(kit):
+    def fixes():
+        for k in range(1300):
+            lost_m = 3.0 if k >= 300 else 0.0
+            yield fix(x=0.05 * k - lost_m, y=0.55 if k >= 300 else 0.0)
+
+    answers = run(make_follower(straight(kit), AHEAD_M, rules=Rules(lateral_m=0.549)), fixes())
+    events = [k for k, tracking in enumerate(answers) if tracking.replan]
+    assert events[0] == 300
+    # The vehicle stays 0.55 m beside the path while the trajectory goes back, so it is off again at its end.
+    errors = [tracking.lateral_error_m for tracking in answers[301 : events[1]]]
+    assert all(b > a - 1e-9 for a, b in zip(errors, errors[1:], strict=False))
+    assert errors[150] == pytest.approx(0.5 * 0.55, abs=0.02)
+    assert 270 < events[1] - 300 <= 300
+    # Time: 3 m behind for good, no error (the plan's clock is late), the speed as planned.
+    assert all(abs(tracking.station_error_m) < 1e-6 for tracking in answers[301:])
+    assert all(tracking.ref_speed_mps == pytest.approx(5.0) for tracking in answers[301:])
+
+
+def test_speed_offset_fades_over_3_s(kit):
+    def fixes():
+        x = 0.0
+        for k in range(800):
+            speed = 5.0 if k < 200 else 3.0
+            yield fix(x=x, y=0.6 if 200 <= k < 202 else 0.0, speed=speed)
+            x += speed * DT_S
+
+    answers = run(make_follower(straight(kit), AHEAD_M, rules=Rules(station_m=90.0)), fixes())
+    assert [k for k, tracking in enumerate(answers) if tracking.replan] == [200]
+    speeds = [tracking.ref_speed_mps for tracking in answers[201:520]]
+    assert speeds[0] == pytest.approx(3.0, abs=0.001)
+    assert speeds[149] == pytest.approx(4.0, abs=0.01)
+    assert speeds[300] == 5.0
+    assert speeds == sorted(speeds)
+    # The station is the integral of the speed: what the vehicle loses is what it is slower.
+    loss = sum((tracking.ref_speed_mps - 3.0) * DT_S for tracking in answers[201:700])
+    assert answers[700].station_error_m - answers[201].station_error_m == pytest.approx(loss, abs=0.002)
+
+
+def test_hold_off_of_one_second(kit):
+    fixes = [fix(x=0.05 * k, y=0.6 * (-1.0) ** (k // 20)) for k in range(900)]
+    events = [k for k, tracking in enumerate(run(make_follower(straight(kit), AHEAD_M), fixes)) if tracking.replan]
+    assert events[0] == 0
+    assert len(events) > 3
+    assert min(b - a for a, b in zip(events, events[1:], strict=False)) >= 100
+
+
+def test_blended_reference_is_a_real_curve(kit):
+    """On the blended trajectory itself, driven with its own heading and curvature, there is no error."""
+    course = kit.course(20.0, lambda t: 5.0, lambda station: 0.03)
+    block = make_follower(course, 0.0)
+    state = block.init(block.params, DT_S)
+    x, y, heading, done = 0.0, 0.55, 0.0, []
+    state, tracking = block.step(block.params, state, (0, fix(x, y, heading)), DT_S)
+    assert tracking.replan == 1.0
+    for k in range(1, 500):
+        curvature = tracking.ref_curvature_1pm if k > 1 else 0.03 / (1.0 - 0.03 * 0.55)
+        x += 5.0 * DT_S * math.cos(heading + 0.5 * curvature * 5.0 * DT_S)
+        y += 5.0 * DT_S * math.sin(heading + 0.5 * curvature * 5.0 * DT_S)
+        heading += curvature * 5.0 * DT_S
+        state, tracking = block.step(block.params, state, (k, fix(x, y, heading)), DT_S)
+        done.append((tracking.lateral_error_m, tracking.heading_error_rad, tracking.path_lateral_error_m))
+    assert max(abs(row[0]) for row in done) < 0.02
+    assert max(abs(row[1]) for row in done) < 0.01
+    assert abs(done[-1][2]) < 0.02  # and it leads back to the path
+
+
+def test_stop_and_go(kit):
+    def speed(t):
+        return 2.0 if t < 4.0 else max(0.0, 6.0 - t) if t < 9.0 else min(2.0, t - 9.0)
+
+    course = kit.course(15.0, speed)
+    answers = run(make_follower(course, AHEAD_M), [fix(x=x, speed=v) for x, v in zip(
+        course.station_m, course.speed_mps, strict=True)])  # fmt: skip
+    assert answers[0].path_remaining_m == pytest.approx(10.0)
+    assert answers[500].path_remaining_m == pytest.approx(0.5)
+    assert answers[750].path_remaining_m == pytest.approx(0.0, abs=1e-9)
+    assert answers[905].path_remaining_m > 20.0
+    assert max(abs(tracking.station_error_m) for tracking in answers) < 1e-9
+    assert max(abs(tracking.speed_error_mps) for tracking in answers) < 1e-9
+
+
+def test_u_turn_keeps_its_branch(kit):
+    # 15 m out, half a circle of 7 m (radius 2.2 m), back 4.4 m beside the way out; the vehicle 0.4 m to its inner side.
+    turn_m, inner = 7.0, 0.4
+    radius = turn_m / math.pi
+    course = kit.course(19.0, lambda t: 2.0, lambda s: 1.0 / radius if 15.0 <= s < 15.0 + turn_m else 0.0)
+    block = make_follower(course, 0.0)
+
+    def fixes():
+        for k in range(1850):
+            s = 2.0 * k * DT_S
+            if s < 15.0:
+                yield fix(s, inner, 0.0, 2.0)
+            elif s < 15.0 + turn_m:
+                angle = (s - 15.0) / radius
+                reach = radius - inner
+                yield fix(15.0 + reach * math.sin(angle), radius - reach * math.cos(angle), angle, 2.0)
+            else:
+                yield fix(15.0 - (s - 15.0 - turn_m), 2.0 * radius - inner, math.pi, 2.0)
+
+    answers = run(block, fixes())
+    assert max(abs(tracking.lateral_error_m - inner) for tracking in answers) < 0.002
+    assert max(abs(tracking.station_error_m) for tracking in answers) < 0.1
+    assert max(abs(tracking.heading_error_rad) for tracking in answers) < 0.05
+    assert not any(tracking.replan for tracking in answers)
+
+
+def test_numbers_that_are_not_finite_say_so_and_change_nothing(kit):
+    block = make_follower(straight(kit), AHEAD_M)
+    state = block.init(block.params, DT_S)
+    for bad in (math.nan, math.inf, -math.inf):
+        after, tracking = block.step(block.params, state, (0, fix(x=bad)), DT_S)
+        assert math.isnan(tracking.lateral_error_m)
+        assert tracking.replan == 0.0
+        assert after == state
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.floats(-300.0, 300.0),
+    st.floats(-300.0, 300.0),
+    st.floats(-3.0, 3.0),
+    st.floats(-0.7, 0.7),
+    st.floats(-0.2, 0.2),
+    st.floats(0.0, 9.0),
+)
+def test_errors_do_not_change_with_the_place_on_the_map(kit, x, y, turn, lateral, heading, speed):
+    def moved(ins):
+        cos, sin = math.cos(turn), math.sin(turn)
+        return ins._replace(
+            x_m=x + cos * ins.x_m - sin * ins.y_m, y_m=y + sin * ins.x_m + cos * ins.y_m,
+            heading_rad=ins.heading_rad + turn,
+        )  # fmt: skip
+
+    fixes = [fix(0.05 * k, lateral, heading, speed) for k in range(120)]
+    answers = []
+    for pose, path in (((0.0, 0.0, 0.0), fixes), ((x, y, turn), [moved(ins) for ins in fixes])):
+        course = kit.course(3.0, lambda t: 5.0, lambda station: 0.04 * math.sin(station), pose)
+        answers.append(run(make_follower(course, AHEAD_M, 1.0), path))
+    for one, other in zip(*answers, strict=True):
+        assert one.replan == other.replan
+        for name in ("station_error_m", "speed_error_mps", "lateral_error_m", "heading_error_rad", "ref_curvature_1pm"):
+            assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-8)

@@ -1,0 +1,86 @@
+"""What is declared, what is locked and what is installed agree; the Makefile says what a machine lacks."""
+
+from __future__ import annotations
+
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from tests.house import ROOT
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+EXTRAS = PROJECT["optional-dependencies"]
+BY_NAME = {"python-can", "cantools", "torch", "numpy", "optuna", "pyserial", "rich", "pytest"}
+
+
+def declared(words: list[str]) -> list[Requirement]:
+    return [Requirement(word) for word in words]
+
+
+def locked(name: str) -> dict[str, str]:
+    """Package -> version of a lock file and of those that it names."""
+    pins: dict[str, str] = {}
+    for line in (ROOT / name).read_text().splitlines():
+        if line.startswith("-r "):
+            pins.update(locked(line.removeprefix("-r ")))
+        elif line and not line.startswith("#"):
+            package, _, version = line.partition("==")
+            pins[canonicalize_name(package)] = version
+    return pins
+
+
+@pytest.mark.parametrize(
+    ("words", "lock"),
+    [
+        (PROJECT["dependencies"], "requirements.lock"),
+        (EXTRAS["learn"], "requirements-test.lock"),
+        (EXTRAS["test"], "requirements-test.lock"),
+    ],
+)
+def test_every_dependency_is_locked_within_its_bounds(words: list[str], lock: str) -> None:
+    pins = locked(lock)
+    loose = [
+        requirement.name
+        for requirement in declared(words)
+        if not requirement.specifier.contains(pins.get(canonicalize_name(requirement.name), "0"), prereleases=True)
+    ]
+    assert not loose
+
+
+def test_locks_pin_exact_versions_and_no_local_builds() -> None:
+    pins = locked("requirements-test.lock")
+    assert all(version and "+" not in version for version in pins.values())
+
+
+def test_the_packages_stand_by_name() -> None:
+    names = {requirement.name for requirement in declared(PROJECT["dependencies"])}
+    assert not {"torch", "pytest"} & names
+    extras = {requirement.name for words in EXTRAS.values() for requirement in declared(words)}
+    assert names | extras >= BY_NAME
+
+
+def test_tune_needs_no_torch() -> None:
+    assert "torch" not in locked("requirements.lock")
+    assert locked("requirements-test.lock")["torch"] == "2.13.0"
+
+
+@pytest.mark.parametrize(
+    ("fails_at", "says"),
+    [("version_info", "Python 3.11 or newer is needed"), ("ensurepip", "apt-get install python3-venv")],
+)
+def test_make_says_what_is_missing(fails_at: str, says: str, tmp_path: Path) -> None:
+    python = tmp_path / "python3"
+    python.write_text(f'#!/bin/sh\ncase "$2" in *{fails_at}*) exit 1;; esac\nexit 0\n')
+    python.chmod(0o755)
+    for name in ("Makefile", "requirements.lock", "pyproject.toml"):
+        (tmp_path / name).write_text((ROOT / name).read_text())
+    done = subprocess.run(
+        ["make", "venv", f"PYTHON={python}"], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 2
+    assert says in done.stderr
+    assert not (tmp_path / ".venv").exists()

@@ -1,0 +1,148 @@
+"""Judges recorded frames by a vehicle's folder: rates, gaps, counters, lengths, what is foreign."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.integrity import Order, check_counter
+from tunefree_hil.bus.message_map import COMMAND, MessageMap
+
+Frame = tuple[float, str, int, bytes, int]  # time_s, channel, can_id with EFF bit, data, flags: candump.LogFrame
+REMOTE, ERROR = 8, 16
+LATE = 1.5  # periods
+LONG = 5.0  # periods; or the message's own time-out where that is longer
+
+
+class MessageHealth(NamedTuple):
+    """One message of the folder as heard.
+
+    late: gaps above 1.5 periods. By its counter: lost, repeated, swapped (came after a later one). short: bytes lack.
+    """
+
+    name: str
+    kind: str
+    period_ms: float
+    frames: int
+    rate_hz: float
+    longest_gap_s: float
+    late: int
+    lost: int
+    repeated: int
+    swapped: int
+    short: int
+
+
+class _Counter:
+    """Follows a message's counter, and tells a frame that came out of order from frames that are lost."""
+
+    def __init__(self, modulus: int) -> None:
+        self.modulus = modulus
+        self.last: int | None = None
+        self.lost = self.repeated = self.swapped = 0
+        self._back = False  # the frame before went backwards too: then it is a new start, not a swap
+
+    def hear(self, heard: int) -> None:
+        """Take in the counter of the next frame."""
+        counted = check_counter(self.last, heard, self.modulus)
+        backwards = counted.lost + 1 > self.modulus // 2 and counted.order is not Order.FIRST
+        if backwards and not self._back:
+            self.swapped += 1
+            self.lost = max(0, self.lost - 1)  # here is the one that was missed
+            self._back = True
+            return
+        self.repeated += counted.order is Order.REPEATED
+        self.lost += 0 if backwards else counted.lost
+        self.last, self._back = heard, False
+
+
+class LogHealth(NamedTuple):
+    """All messages in the folder's order, foreign ids with their counts, and what is wrong in words."""
+
+    messages: list[MessageHealth]
+    foreign: dict[int, int]
+    problems: list[str]
+
+
+class _Ear:
+    """What has been heard of one message."""
+
+    def __init__(self, message: MessageMap, tick_s: float) -> None:
+        self.message = message
+        self.period_s = message.period_ticks * tick_s
+        self.limit_s = max(LONG * self.period_s, message.timeout_ticks * tick_s)
+        self.counter = _Counter(message.counter_modulus or 1)
+        self.frames = self.late = self.short = 0
+        self.first_s = self.last_s = self.longest_gap_s = 0.0
+        self.longest_at_s = 0.0
+
+    def hear(self, codec: Codec, time_s: float, data: bytes) -> None:
+        """Take in one frame."""
+        if self.frames:
+            gap_s = time_s - self.last_s
+            self.late += gap_s > LATE * self.period_s
+            if gap_s > self.longest_gap_s:
+                self.longest_gap_s, self.longest_at_s = gap_s, self.last_s
+        else:
+            self.first_s = time_s
+        self.frames += 1
+        self.last_s = time_s
+        if not codec.fits(self.message, data):
+            self.short += 1
+        elif self.message.counter:
+            heard = codec.decode(self.message, data).get(self.message.counter)
+            if heard is not None:  # a truncated frame may end before it
+                self.counter.hear(int(heard))
+
+    def health(self) -> MessageHealth:
+        """The counts."""
+        span_s = self.last_s - self.first_s
+        rate_hz = (self.frames - 1) / span_s if self.frames > 1 and span_s > 0.0 else 0.0
+        one, counter = self.message, self.counter
+        said = (one.name, one.kind, 1000.0 * self.period_s, self.frames, rate_hz, self.longest_gap_s, self.late)
+        return MessageHealth(*said, counter.lost, counter.repeated, counter.swapped, self.short)
+
+    def problems(self) -> list[str]:
+        """What is wrong with this message. Commands may be missing: a log can be made before anyone commands."""
+        name, found = self.message.name, []
+        if not self.frames:
+            return [] if self.message.kind == COMMAND else [f"{name} was never heard"]
+        if self.longest_gap_s > self.limit_s:
+            found.append(f"{name} is silent for {self.longest_gap_s:.2f} s from {self.longest_at_s:.2f} s on")
+        if self.short:
+            found.append(f"{name}: {self.short} frames are shorter than the DBC says")
+        if self.counter.lost:
+            found.append(f"{name}: {self.counter.lost} frames are missing by its counter")
+        if self.counter.repeated:
+            found.append(f"{name}: {self.counter.repeated} times the counter stood still")
+        if self.counter.swapped:
+            found.append(f"{name}: {self.counter.swapped} frames came out of order")
+        return found
+
+
+def check_frames(frames: Iterable[Frame], codec: Codec, by_channel: bool = False) -> LogHealth:
+    """Judge frames in the order in which they were recorded. `by_channel`: the log's channels are the folder's."""
+    tick_s = codec.tick_ms / 1000.0
+    messages = (*codec.telemetry, *codec.commands)
+    ears = {(one.key, one.channel if by_channel else ""): _Ear(one, tick_s) for one in messages}
+    foreign: dict[int, int] = {}
+    errors = remote = backwards = 0
+    last_s = float("-inf")
+    for time_s, channel, can_id, data, flags in frames:
+        backwards += time_s < last_s
+        last_s = time_s
+        if flags & (ERROR | REMOTE):
+            errors += bool(flags & ERROR)
+            remote += not flags & ERROR
+            continue
+        ear = ears.get((can_id, channel)) or ears.get((can_id, ""))
+        if ear is not None:
+            ear.hear(codec, time_s, data)
+        else:
+            foreign[can_id] = foreign.get(can_id, 0) + 1
+    problems = [problem for ear in ears.values() for problem in ear.problems()]
+    problems += [f"{errors} error frames: the wiring or the bit rate"] if errors else []
+    problems += [f"{remote} remote frames, which no vehicle here asks for"] if remote else []
+    problems += [f"time runs backwards {backwards} times"] if backwards else []
+    return LogHealth([ear.health() for ear in ears.values()], dict(sorted(foreign.items())), problems)

@@ -1,0 +1,127 @@
+"""Who is connected to a hub, what each is still owed, and who holds the bus up."""
+
+from __future__ import annotations
+
+import selectors
+import socket
+from collections.abc import Callable
+
+from tunefree_hil.bus.tfhub.peers import HIGH_BYTES, LOW_BYTES, Peer
+from tunefree_hil.bus.tfhub.records import CHANNELS
+
+READ, WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
+KNOWN = 4  # bit of Peer.events: the board holds the connection, even when it waits for nothing from it
+
+
+class Board:
+    """The connections of one hub and their selector. What is owed is written by `flush`, once a wake-up and peer."""
+
+    def __init__(self, observer_bytes: int) -> None:
+        self.observer_bytes = observer_bytes
+        self.peers: list[Peer] = []
+        self.strangers: list[Peer] = []  # those of them that have not said who they are
+        self.listeners: dict[str, list[Peer]] = {channel: [] for channel in CHANNELS}
+        self.holders: dict[str, list[Peer]] = {channel: [] for channel in CHANNELS}  # members that do not keep up
+        self.dirty: set[Peer] = set()
+        self.selector = selectors.DefaultSelector()
+
+    # --- coming and going ----------------------------------------------------------------------------------------
+
+    def add(self, sock: socket.socket, channel: str, deadline_s: float) -> None:
+        """A new connection, a stranger still."""
+        peer = Peer(sock, channel, deadline_s)
+        self.peers.append(peer)
+        self.strangers.append(peer)
+        self.watch(peer, READ)
+
+    def admit(self, peer: Peer, welcome: bytes) -> None:
+        """A stranger has said who it is; it gets `welcome` first and then what it listens to."""
+        self.strangers.remove(peer)
+        self.owe(peer, welcome)
+        if peer.listen:
+            self.listeners[peer.channel].append(peer)
+        if peer.role == "member":
+            self.pause_senders(peer.channel)
+
+    def forget(self, peer: Peer) -> None:
+        """Close a connection and let go of everything that belonged to it."""
+        if peer.events & (READ | WRITE):
+            self.selector.unregister(peer.sock)
+        peer.events = 0
+        peer.sock.close()
+        self.peers.remove(peer)
+        self.dirty.discard(peer)
+        for group in (self.strangers, self.listeners[peer.channel]):
+            if peer in group:
+                group.remove(peer)
+        self._release(peer)
+
+    def watch(self, peer: Peer, events: int) -> None:
+        """Have the selector report these events of a peer; 0: none, but the peer stays."""
+        now = peer.events & (READ | WRITE)
+        if events == now:
+            return
+        if not events:
+            self.selector.unregister(peer.sock)
+        elif now:
+            self.selector.modify(peer.sock, events, peer)
+        else:
+            self.selector.register(peer.sock, events, peer)
+        peer.events = events | KNOWN
+
+    # --- giving --------------------------------------------------------------------------------------------------
+
+    def owe(self, peer: Peer, record: bytes) -> None:
+        """Owe a peer a record that is no frame."""
+        peer.give(record, 0)
+        self.dirty.add(peer)
+
+    def deliver(self, sender: Peer, chunk: bytes, frames: int) -> None:
+        """Owe frames to all others of the sender's channel, and to the sender when it wants its echo."""
+        for peer in self.listeners[sender.channel]:
+            if peer is sender and not peer.echo:
+                continue
+            if peer.role == "observer":
+                peer.give(chunk, frames, self.observer_bytes)
+            else:
+                peer.give(chunk, frames)
+                if peer.owed > HIGH_BYTES:
+                    self._hold(peer)
+            self.dirty.add(peer)
+
+    def flush(self, failed: Callable[[Peer], None]) -> None:
+        """Write what is owed, as far as the sockets take it; `failed` gets each peer that cannot be written to."""
+        dirty, self.dirty = self.dirty, set()
+        for peer in dirty:
+            if not peer.events:
+                continue
+            try:
+                done = peer.flush()
+            except OSError:
+                failed(peer)
+                continue
+            if peer.owed < LOW_BYTES:
+                self._release(peer)
+            self.watch(peer, (0 if peer.paused else READ) | (0 if done else WRITE))
+
+    # --- back-pressure -------------------------------------------------------------------------------------------
+
+    def _hold(self, member: Peer) -> None:
+        """A member does not keep up: read from no sender of its channel until it does."""
+        if member not in self.holders[member.channel]:
+            self.holders[member.channel].append(member)
+            self.pause_senders(member.channel)
+
+    def _release(self, member: Peer) -> None:
+        """It keeps up again, or is gone."""
+        if member in self.holders[member.channel]:
+            self.holders[member.channel].remove(member)
+            self.pause_senders(member.channel)
+
+    def pause_senders(self, channel: str) -> None:
+        """Read from the members of a channel exactly when nobody holds it."""
+        held = bool(self.holders[channel])
+        for peer in self.peers:
+            if peer.role == "member" and peer.channel == channel:
+                peer.paused = held
+                self.watch(peer, (0 if held else READ) | (peer.events & WRITE))

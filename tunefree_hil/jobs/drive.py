@@ -1,0 +1,169 @@
+"""Drive scenarios of a bench file over the bus, with given parameters, and score them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.events import Event
+from tunefree_hil.bench import Bench, is_heavy, load, parameters_of
+from tunefree_hil.config.load import load_scenario
+from tunefree_hil.config.schema import ScenarioSpec
+from tunefree_hil.control.parameters import NAMES
+from tunefree_hil.grade.score import combine
+from tunefree_hil.jobs.harvest import Episode
+from tunefree_hil.jobs.identity import identity_of, resolved_toml
+from tunefree_hil.jobs.lateness import judge_realtime
+from tunefree_hil.jobs.run_folder import RunFolder, write_text
+from tunefree_hil.jobs.session import Session
+from tunefree_hil.jobs.track import Track
+
+DEFAULT_ROOT = Path("runs")
+
+
+def drive(
+    bench: Path,
+    *,
+    scenario: str | None,
+    model: str | None,
+    bus: str,
+    bench_bus: str,
+    seed: int | None,
+    realtime: bool,
+    join: bool,
+    session: str,
+    out: Path | None,
+    parameters: list[str],
+) -> Iterator[Event]:
+    """Drive one scenario or all of the bench file. Real time: exit 4 when it was not."""
+    loaded = load(bench)
+    chosen = chosen_parameters(parameters)
+    values = parameters_of(loaded, chosen)
+    model_name = model or loaded.spec.model
+    scenarios = [find_scenario(loaded, scenario)] if scenario else [loaded.scenarios[n] for n in loaded.spec.scenarios]
+    for one in scenarios:
+        loaded.course(one)  # says what the vehicle cannot drive before anything is started
+    identity = identity_of(loaded, model_name, scenarios)
+    record = {"command": "drive", "bench": str(bench), "model": model_name, "realtime": realtime, **identity}
+    run = RunFolder.create(out or DEFAULT_ROOT, f"drive-{bench.stem}", {**record, "seed": seed, "parameters": values})
+    write_text(run.path / "bench.toml", resolved_toml(loaded))
+    yield Event("note", f"run folder {run.path}")
+    with Session(
+        bench,
+        run.words(),
+        session=session or own_session(),
+        model=model_name,
+        bus=bus,
+        bench_bus=bench_bus,
+        realtime=realtime,
+        join=join,
+        jitted_ecu=is_heavy(loaded, model_name),
+    ) as bench_session:
+        yield Event("note", f"bus: {bench_session.choice.why}")
+        track = Track(bench_session, loaded, run, seed=seed)
+        episodes: dict[str, Episode] = {}
+        try:
+            for i, one in enumerate(scenarios):
+                episodes |= track.drive_all(values, [one], i)
+                data = {"label": "scenario", "done": i + 1, "total": len(scenarios), **track.pace}
+                yield Event("progress", _line(one.name, episodes[one.name]), data)
+        finally:
+            track.close()
+    figures = draw(run, episodes)
+    verdict = judge_realtime(run, range(len(scenarios))) if realtime else None
+    score = combine([episode.grade for episode in episodes.values()])
+    run.finish(score=score, hashes={name: episode.hash for name, episode in episodes.items()})
+    yield _result(run, episodes, score, figures, verdict, track.pace)
+
+
+def own_session() -> str:
+    """A session name of our own, so that two runs on one machine do not meet."""
+    return f"run-{os.getpid()}"
+
+
+def chosen_parameters(texts: list[str]) -> dict[str, float]:
+    """NAME=VALUE pairs. Raises InputError that names a wrong one."""
+    chosen = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        if name not in NAMES:
+            raise InputError(
+                f"no parameter {name!r}", code="unknown_parameter", key="--parameter", hint=f"one of {', '.join(NAMES)}"
+            )
+        try:
+            chosen[name] = float(value)
+        except ValueError:
+            raise InputError(
+                f"{text!r} gives no number", code="bad_parameter", key="--parameter", hint=f"--parameter {name}=0.1"
+            ) from None
+    return chosen
+
+
+def find_scenario(bench: Bench, name: str) -> ScenarioSpec:
+    """A scenario of the bench file, or any other file of that name or path."""
+    return bench.scenarios[name] if name in bench.scenarios else load_scenario(name, bench.file)
+
+
+def draw(run: RunFolder, episodes: Mapping[str, Episode], label: str = "drive") -> list[str]:
+    """One figure a scenario."""
+    from tunefree_hil.figures.scenario import Drive, write_scenario
+
+    return [
+        str(
+            write_scenario(
+                run.figures() / f"{name}.png",
+                name,
+                [Drive(label, episode.recording.columns, episode.grade.score, _early(episode))],
+            )
+        )
+        for name, episode in episodes.items()
+    ]
+
+
+def _early(episode: Episode) -> str:
+    return "" if episode.grade.outcome == "finished" else episode.grade.outcome
+
+
+def _line(name: str, episode: Episode) -> str:
+    grade = episode.grade
+    peak = grade.metrics.get("lateral_err_peak")
+    lateral = f", lateral peak {0.5 * peak:.2f} m" if peak is not None else ""
+    replans = f", {grade.replans} re-plans" if grade.replans else ""
+    return f"{name}: score {grade.score:.3f}{lateral}{replans}, {grade.outcome}"
+
+
+def _result(
+    run: RunFolder,
+    episodes: Mapping[str, Episode],
+    score: float,
+    figures: list[str],
+    verdict: dict[str, Any] | None,
+    pace: dict[str, float],
+) -> Event:
+    failed = [name for name, episode in episodes.items() if episode.grade.outcome != "finished"]
+    sentence = f"{len(episodes)} scenarios driven, score {score:.3f}"
+    if failed:
+        sentence += f"; not driven to the end: {', '.join(failed)}"
+    data: dict[str, Any] = {
+        "run": str(run.path),
+        "score": score,
+        "scenarios": {name: episode.grade._asdict() for name, episode in episodes.items()},
+        "hashes": {name: episode.hash for name, episode in episodes.items()},
+        "figures": figures,
+        "next": [f"tunefree-hil replay {run.path} --verify", f"tunefree-hil log check {run.path}/episodes/0/vehicle.log"],
+        **pace,
+    }
+    if verdict is not None:
+        data["realtime"] = verdict
+        sentence += f"; {verdict['sentence']}"
+        data["next"] = data["next"][1:]
+        if not verdict["valid"]:
+            data["exit"] = 4
+    foreign = {hex(can_id): count for episode in episodes.values() for can_id, count in episode.foreign.items()}
+    if foreign:
+        data["foreign_frames"] = foreign
+        sentence += f"; frames of other nodes on the bus: {foreign}"
+    return Event("result", sentence, {"sentence": sentence, **data})

@@ -1,0 +1,95 @@
+"""From an episode's logs to its columns, frame hash and grade."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tunefree_hil.bench import Bench, follower_of
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus.bench_channel import ErrorCode, Role, State, Status, decode
+from tunefree_hil.config.schema import ScenarioSpec
+from tunefree_hil.episode.candump import read_candump
+from tunefree_hil.episode.columns import columns_from_frames
+from tunefree_hil.episode.frame_hash import frame_hash
+from tunefree_hil.episode.recording import Recording, save_recording
+from tunefree_hil.grade.score import ScenarioGrade, grade, vehicle_of
+from tunefree_hil.jobs.run_folder import write_json
+from tunefree_hil.nodes.runner import Outcome
+
+# Ends of a drive that the parameters answer for; any other error is the bench's.
+DRIVEN = (ErrorCode.DIVERGED, ErrorCode.LEFT_LANE, ErrorCode.CONTROL_ERROR)
+
+
+class Episode(NamedTuple):
+    """One drive, read and graded."""
+
+    recording: Recording
+    grade: ScenarioGrade
+    hash: str
+    foreign: dict[int, int]
+
+
+def harvest(
+    bench: Bench,
+    scenario: ScenarioSpec,
+    values: Mapping[str, float],
+    outcome: Outcome,
+    folder: Path,
+    *,
+    realtime: bool = False,
+) -> Episode:
+    """Read `folder/vehicle.log`, write columns.npz and episode.json beside it."""
+    frames = read_candump(folder / "vehicle.log")
+    codec = bench.codec
+    zero_s = realtime_zero_s(folder) if realtime else 0.0
+    commands = {message.key for message in codec.commands}
+    hashed = frame_hash(frames, bench.dt_s, commands, codec.by_id.keys(), zero_s=zero_s)
+    recording = columns_from_frames(
+        frames,
+        codec,
+        follower_of(bench, scenario, values),
+        bench.dt_s,
+        ticks=outcome.ticks,
+        zero_s=zero_s,
+        late_ticks=1 if realtime else 0,
+    )
+    save_recording(recording, folder / "columns.npz")
+    graded = grade(
+        recording,
+        bench.course(scenario),
+        bench.weights,
+        vehicle_of(bench.vehicle),
+        scenario=scenario.name,
+        error=outcome.error,
+    )
+    write_json(folder / "episode.json", _summary(scenario, values, outcome, graded, hashed.hex))
+    return Episode(recording, graded, hashed.hex, dict(hashed.foreign))
+
+
+def realtime_zero_s(folder: Path) -> float:
+    """Stamp of tick 0 of a real-time drive: RUN's own stamp plus the lead that it carries."""
+    for frame in read_candump(folder / "bench.log"):
+        message = decode(CanFrame(frame.can_id, frame.data))
+        if isinstance(message, Status) and (message.role, message.state) == (Role.RUNNER, State.RUN):
+            return frame.time_s + message.tick * 1e-3
+    raise InputError("holds no RUN: the drive never began", code="no_run", file=str(folder / "bench.log"))
+
+
+def _summary(
+    scenario: ScenarioSpec, values: Mapping[str, float], outcome: Outcome, graded: ScenarioGrade, sha256: str
+) -> dict[str, Any]:
+    return {
+        "scenario": scenario.name,
+        "scenario_hash": scenario.hash,
+        "parameters": dict(values),
+        "ticks": outcome.ticks,
+        "error": outcome.error,
+        "score": graded.score,
+        "metrics": graded.metrics,
+        "replans": graded.replans,
+        "outcome": graded.outcome,
+        "frame_hash": sha256,
+    }

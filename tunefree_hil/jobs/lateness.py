@@ -1,0 +1,54 @@
+"""Was it real time? The verdict over the nodes' cycle times, and the histogram (can_hil_anchors C4)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from tunefree_hil.jobs.run_folder import RunFolder
+from tunefree_hil.jobs.track import ROLES
+
+LATE_S = 0.002
+LATE_SHARE = 0.001
+NEVER_LATER_S = 0.005
+
+
+def judge_realtime(run: RunFolder, episodes: Iterable[int]) -> dict[str, Any]:
+    """Real time means: fewer than 0.1 % of the ticks over 2 ms late and none over 5 ms, in either node."""
+    late = {role: _late_s(run, role, episodes) for role in ROLES}
+    known = {role: values for role, values in late.items() if len(values)}
+    nodes = {
+        role: {
+            "p50_ms": 1e3 * float(np.percentile(values, 50)),
+            "p99_ms": 1e3 * float(np.percentile(values, 99)),
+            "p999_ms": 1e3 * float(np.percentile(values, 99.9)),
+            "max_ms": 1e3 * float(values.max()),
+            "late_share": float(np.mean(values > LATE_S)),
+            "ticks": len(values),
+        }
+        for role, values in known.items()
+    }
+    valid = bool(nodes) and all(
+        node["late_share"] < LATE_SHARE and node["max_ms"] <= 1e3 * NEVER_LATER_S for node in nodes.values()
+    )
+    figure = ""
+    if known:
+        from tunefree_hil.figures.jitter import write_jitter
+
+        figure = str(write_jitter(run.figures() / "jitter.png", known, LATE_S))
+    worst = max((node["max_ms"] for node in nodes.values()), default=float("nan"))
+    words = "it was real time" if valid else "NOT real time, do not use the score"
+    return {"valid": valid, "nodes": nodes, "figure": figure, "sentence": f"{words} (worst tick {worst:.1f} ms late)"}
+
+
+def _late_s(run: RunFolder, role: str, episodes: Iterable[int]) -> np.ndarray:
+    rows = []
+    for k in episodes:
+        path = run.episode(k) / "timing.npz"
+        if path.is_file():
+            with np.load(path) as data:
+                if f"{role}_late_s" in data:
+                    rows.append(data[f"{role}_late_s"])
+    return np.concatenate(rows) if rows else np.zeros(0)

@@ -1,0 +1,84 @@
+"""Lists the manoeuvres: how long, how fast, how tight, and whether a vehicle can drive them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from tunefree_hil.base.events import Event
+
+TICK_S = 0.01  # the grid on which a course is built where no vehicle says its own
+
+
+def scenarios(*, vehicle: str | None, name: str | None) -> Iterator[Event]:
+    """One line a scenario on stdout; of `name` alone all there is to say. Exit 1 when `vehicle` cannot drive one."""
+    from tunefree_hil.config.find import available
+    from tunefree_hil.config.load import load_scenario, load_vehicle
+
+    spec = load_vehicle(vehicle) if vehicle else None
+    rows = [describe(load_scenario(one), spec) for one in ([name] if name else available("scenario"))]
+    for row in rows:
+        yield Event("line", _in_full(row) if name else _in_short(row))
+        for problem in row["problems"]:
+            yield Event("line", f"{'':20}cannot be driven: {problem}")
+    bad = [row["name"] for row in rows if row["problems"]]
+    data = {"scenarios": rows, "exit": 1 if bad else 0, "next": []}
+    yield Event("result", "", {**data, "sentence": _sentence(len(rows), bad, vehicle)})
+
+
+def describe(spec: Any, vehicle: Any = None) -> dict[str, Any]:
+    """A scenario in numbers (SI): duration, length, extremes of speed, acceleration and curvature, what is too much."""
+    from tunefree_hil.episode.feasible import check_feasible, curvature_by_time, limits_of
+    from tunefree_hil.episode.scenario import build_course
+
+    course = build_course(spec, vehicle.tick_ms / 1000.0 if vehicle is not None else TICK_S)
+    curvature = [float(one) for one in curvature_by_time(course)]
+    speed = [float(one) for one in course.speed_mps]
+    return {
+        "name": spec.name,
+        "description": spec.description,
+        "path": spec.path,
+        "hash": spec.hash,
+        "noise_seed": spec.noise_seed,
+        "duration_s": course.ticks * course.dt_s,
+        "length_m": float(course.station_m[course.ticks]),
+        "speed_mps": [min(speed), max(speed)],
+        "accel_mps2": [float(min(course.accel_mps2)), float(max(course.accel_mps2))],
+        "curvature_1pm": [min(curvature), max(curvature)],
+        "lateral_accel_mps2": max(abs(v * v * k) for v, k in zip(speed, curvature, strict=True)),
+        "problems": check_feasible(course, limits_of(vehicle)) if vehicle is not None else [],
+    }
+
+
+def _in_short(row: dict[str, Any]) -> str:
+    low, high = row["speed_mps"]
+    tight = max(abs(one) for one in row["curvature_1pm"])
+    radius = f"{1.0 / tight:.0f} m" if tight > 1e-4 else "none"
+    return (
+        f"{row['name']:<20}{row['duration_s']:5.0f} s {row['length_m']:5.0f} m  {low:4.1f} to {high:4.1f} m/s"
+        f"  least radius {radius}"
+    )
+
+
+def _in_full(row: dict[str, Any]) -> str:
+    def span(key: str, unit: str) -> str:
+        return f"{row[key][0]:.3g} to {row[key][1]:.3g} {unit}"
+
+    return "\n".join(
+        [
+            f"{row['name']}: {row['description']}",
+            f"  duration      {row['duration_s']:.2f} s, {row['length_m']:.1f} m",
+            f"  speed         {span('speed_mps', 'm/s')}",
+            f"  acceleration  {span('accel_mps2', 'm/s2')}, to the side at most {row['lateral_accel_mps2']:.3g} m/s2",
+            f"  curvature     {span('curvature_1pm', '1/m')}",
+            f"  noise seed    {row['noise_seed']}",
+            f"  file          {row['path']}, SHA-256 {row['hash'][:12]}...",
+        ]
+    )
+
+
+def _sentence(count: int, bad: list[str], vehicle: str | None) -> str:
+    if bad:
+        return f"{vehicle} cannot drive {len(bad)} of {count} scenarios: {', '.join(bad)}"
+    words = f", all within the limits of {vehicle}" if vehicle else ""
+    return f"{count} scenario{'' if count == 1 else 's'}{words}"
