@@ -63,9 +63,8 @@ def undocumented(source: str, inside: str) -> list[str]:
     """Modules and public functions say what they are for; a Block's init and step are described by the contract."""
     tree = ast.parse(source)
     found = [] if ast.get_docstring(tree) or not tree.body else [f"{inside} has no docstring"]
-    for node in tree.body:
-        known = not isinstance(node, ast.FunctionDef) or node.name in BLOCK or node.name.startswith("_")
-        if not known and not ast.get_docstring(node):
+    for node in (node for node in tree.body if isinstance(node, ast.FunctionDef)):
+        if not (node.name in BLOCK or node.name.startswith("_") or ast.get_docstring(node)):
             found.append(f"{inside}:{node.lineno} {node.name} has no docstring")
     return found
 

@@ -69,7 +69,7 @@ def sweep(accel_of: AccelOf, throttle: Pedal, brake: Pedal, speeds: tuple[float,
 
 
 def _biting(points: list[tuple[float, float]], sign: float) -> list[tuple[float, float]]:
-    """(acceleration, command) points from the last that does as little as the first, each LEAST_STEP beyond the last."""
+    """(acceleration, command) points from the last that does as little as the first, each LEAST_STEP further."""
     first = points[0][0]
     idle = [point for point in points if sign * (point[0] - first) < LEAST_STEP_MPS2]
     kept = [(first, idle[-1][1])]

@@ -133,14 +133,7 @@ def test_a_multiplexed_message_is_refused(folder: Folder) -> None:
 
 def test_a_state_alone_makes_a_message(folder: Folder) -> None:
     """A message that only [state] speaks of is telemetry; its period is the DBC's."""
-    moved = folder(
-        toml=(
-            (
-                '[report.gear]\nmessage = "GEAR_REPORT"\nsignal = "STATE"\nperiod_ms = 50\nassumed = "period not published"\n',
-                "",
-            ),
-            ("absent = []", 'absent = ["report.gear"]'),
-        )
-    )
+    gear = '[report.gear]\nmessage = "GEAR_REPORT"\nsignal = "STATE"\nperiod_ms = 50\nassumed = "period not published"'
+    moved = folder(toml=((gear, ""), ("absent = []", 'absent = ["report.gear"]')))
     message = Codec(load_vehicle(moved)).by_name["GEAR_REPORT"]
     assert (message.kind, message.period_ticks, message.fields, message.bywire) == ("telemetry", 5, (), ("gear",))

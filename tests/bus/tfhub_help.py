@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import socket
 import subprocess
 import sys
 import threading
@@ -14,7 +16,7 @@ from typing import Any
 import can
 
 from tunefree_hil.base.records import CanFrame
-from tunefree_hil.bus.tfhub import address
+from tunefree_hil.bus.tfhub import address, records
 from tunefree_hil.bus.tfhub.owner import Owner
 from tunefree_hil.bus.tfhub.plugin import HubBus
 from tunefree_hil.bus.tfhub.serve import serve
@@ -118,3 +120,26 @@ def receive_all(bus: can.BusABC, count: int) -> list[can.Message]:
         assert message is not None, f"{len(found)} of {count} came"
         found.append(message)
     return found
+
+
+def raw_connection(hub: ThreadHub, channel: str = "vehicle") -> socket.socket:
+    """A socket that has not said hello."""
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    sock.settimeout(PATIENCE_S)
+    sock.connect(hub.info.addresses[channel].removeprefix("unix:"))
+    return sock
+
+
+def hello(**changes: object) -> bytes:
+    """A HELLO record, made by hand."""
+    body = {"protocol": records.PROTOCOL, "role": "member", "name": "raw", "pid": 1, **changes}
+    return records.pack_control(records.HELLO, body)
+
+
+def last_word(sock: socket.socket) -> dict[str, str]:
+    """The REFUSED record before the hub closed the connection."""
+    data = b""
+    while more := sock.recv(4096):
+        data += more
+    at = data.rindex(b"{")
+    return json.loads(data[at:])

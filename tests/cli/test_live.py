@@ -72,6 +72,16 @@ def test_redraws_are_limited_but_the_last_is_drawn() -> None:
     assert "trial 40/40" in drawn(console)
 
 
+def test_what_was_done_stays_on_the_screen() -> None:
+    console, now_s = terminal(), [0.0]
+    sink = LiveSink(console, lambda: now_s[0])
+    for done in (1, 1, 2):
+        sink.show(Event("progress", f"trial {done} scored 0.{done}", {**DATA, "done": done}))
+    sink.close()
+    assert drawn(console).count("trial 1 scored 0.1") == 1
+    assert drawn(console).count("trial 2 scored 0.2") == 1
+
+
 def test_a_long_command_is_not_broken() -> None:
     console = terminal()
     LiveSink(console).show(Event("note", "x" * 200))

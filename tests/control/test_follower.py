@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -152,7 +153,7 @@ def test_after_a_replan_it_blends_back_over_3_s_and_does_not_catch_up(kit):
     assert events[0] == 300
     # The vehicle stays 0.55 m beside the path while the trajectory goes back, so it is off again at its end.
     errors = [tracking.lateral_error_m for tracking in answers[301 : events[1]]]
-    assert all(b > a - 1e-9 for a, b in zip(errors, errors[1:], strict=False))
+    assert all(b > a - 1e-9 for a, b in itertools.pairwise(errors))
     assert errors[150] == pytest.approx(0.5 * 0.55, abs=0.02)
     assert 270 < events[1] - 300 <= 300
     # Time: 3 m behind for good, no error (the plan's clock is late), the speed as planned.
@@ -185,7 +186,7 @@ def test_hold_off_of_one_second(kit):
     events = [k for k, tracking in enumerate(run(make_follower(straight(kit), AHEAD_M), fixes)) if tracking.replan]
     assert events[0] == 0
     assert len(events) > 3
-    assert min(b - a for a, b in zip(events, events[1:], strict=False)) >= 100
+    assert min(b - a for a, b in itertools.pairwise(events)) >= 100
 
 
 def test_blended_reference_is_a_real_curve(kit):

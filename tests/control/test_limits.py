@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -48,7 +49,7 @@ def test_held_near_standstill():
 
 def test_rate_is_the_vehicles():
     out = run(make(VehicleConstants(steer_rate_radps=2.0)), [(6.0, 3.0)] * 100)
-    assert max(b - a for a, b in zip(out, out[1:], strict=False)) == pytest.approx(0.02)
+    assert max(b - a for a, b in itertools.pairwise(out)) == pytest.approx(0.02)
     free = run(make(VehicleConstants(steer_rate_radps=math.inf)), [(6.0, 3.0)] * 100)
     assert free[10] > 2.0 * out[10]
 
@@ -57,4 +58,4 @@ def test_rate_is_the_vehicles():
 def test_command_keeps_within_limit_and_rate(inputs):
     out = [0.0, *run(make(), inputs)]
     assert all(abs(value) <= 8.20305 for value in out)
-    assert all(abs(b - a) <= 8.55211 * DT_S + 1e-12 for a, b in zip(out, out[1:], strict=False))
+    assert all(abs(b - a) <= 8.55211 * DT_S + 1e-12 for a, b in itertools.pairwise(out))

@@ -52,7 +52,9 @@ def test_shipped_recursion_stops_where_apollo_facts_3_2_says(speed, rounds):
 
 
 @settings(max_examples=50, deadline=None)
-@given(st.lists(st.floats(-10.0, 10.0), min_size=9, max_size=9), st.lists(st.floats(-10.0, 10.0), min_size=3, max_size=3))
+@given(
+    st.lists(st.floats(-10.0, 10.0), min_size=9, max_size=9), st.lists(st.floats(-10.0, 10.0), min_size=3, max_size=3)
+)
 def test_elimination_solves(entries, right):
     matrix = np.reshape(entries, (3, 3)) + np.diag([0.0, 40.0, 40.0]) + np.roll(np.diag([25.0, 0.0, 0.0]), 1, axis=0)
     if abs(np.linalg.det(matrix)) < 1.0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -74,7 +75,7 @@ def test_curvature_by_time() -> None:
     np.testing.assert_allclose(curvature_by_time(COURSE), expected, atol=1e-3)
 
 
-def vehicle(**nominal: float) -> VehicleSpec:
+def vehicle(**nominal: Any) -> VehicleSpec:
     return VehicleSpec(
         schema="tunefree.vehicle/1",
         name="car",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ def profile(*points: tuple[float, float]) -> ProfileSpec:
     return ProfileSpec(t_s=[t for t, _ in points], value=[value for _, value in points])
 
 
-def scenario(speed: ProfileSpec, curvature: ProfileSpec | None = None, **more: object) -> ScenarioSpec:
+def scenario(speed: ProfileSpec, curvature: ProfileSpec | None = None, **more: Any) -> ScenarioSpec:
     bend = curvature or profile((0.0, 0.0), (1.0, 0.0))
     return ScenarioSpec(
         schema="tunefree.scenario/1", name="test", speed=speed, curvature=bend, path="test.toml", **more

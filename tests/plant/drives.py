@@ -57,8 +57,6 @@ def drive(
     state, out = first_output(body, dt_s)
     outputs = [out]
     for k in range(round(duration_s / dt_s)):
-        state, out = body.block.step(
-            body.block.params, state, BodyInput(commands(k * dt_s), Driver(), road), dt_s
-        )
+        state, out = body.block.step(body.block.params, state, BodyInput(commands(k * dt_s), Driver(), road), dt_s)
         outputs.append(out)
     return outputs

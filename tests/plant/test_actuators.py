@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -62,7 +63,7 @@ def test_rate_limit_is_a_straight_line() -> None:
     outputs = response(ActuatorParams(lag_s=0.01, rate_limit=2.0))
     assert outputs[:40] == pytest.approx([0.02 * k for k in range(1, 41)])
     second = response(ActuatorParams(order=2, natural_hz=8.0, damping=1.0, rate_limit=2.0))
-    steps = [later - sooner for sooner, later in zip(second, second[1:], strict=False)]
+    steps = [later - sooner for sooner, later in itertools.pairwise(second)]
     assert max(steps) == pytest.approx(0.02) and second[-1] == pytest.approx(1.0, abs=0.05)
 
 
@@ -88,7 +89,7 @@ def test_first_order_stays_within_its_commands_and_its_rate(
 ) -> None:
     outputs = [0.0, *response(ActuatorParams(dead_time_s=dead_s, lag_s=lag_s, rate_limit=rate), inputs)]
     assert max(outputs) <= max(0.0, *inputs) + 1e-12 and min(outputs) >= min(0.0, *inputs) - 1e-12
-    assert all(abs(b - a) <= rate * DT_S + 1e-12 for a, b in zip(outputs, outputs[1:], strict=False))
+    assert all(abs(b - a) <= rate * DT_S + 1e-12 for a, b in itertools.pairwise(outputs))
 
 
 @given(st.lists(st.floats(-2.0, 2.0), min_size=2, max_size=40), st.floats(0.0, 0.05))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -37,7 +38,7 @@ def test_energy_never_grows_without_drive(kind: str, speed: float, angles: list[
         start=Start(speed_mps=speed),
     )
     energies = [kinetic_j_per_kg(out, inertia) for out in outputs]
-    assert all(later <= sooner for sooner, later in zip(energies, energies[1:], strict=False))
+    assert all(later <= sooner for sooner, later in itertools.pairwise(energies))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -100,7 +101,9 @@ def test_stop_means_stop(kind: str, grade: float) -> None:
 def test_slope_and_friction(kind: str) -> None:
     def speed_after(grade: float) -> float:
         road = Disturbance(grade, 1.0)
-        return drive(BODIES[kind], lambda t: command(), 1.0, start=Start(speed_mps=12.0), road=road)[-1].motion.speed_mps
+        return drive(BODIES[kind], lambda t: command(), 1.0, start=Start(speed_mps=12.0), road=road)[
+            -1
+        ].motion.speed_mps
 
     level = speed_after(0.0)
     assert level - speed_after(0.05) == pytest.approx(G_MPS2 * math.sin(0.05), rel=0.03)
@@ -128,7 +131,7 @@ def test_motion_is_consistent(kind: str) -> None:
     rates = [out.motion.yaw_rate_radps for out in outputs]
     assert last.heading_rad == pytest.approx(DT_S * (sum(rates) - 0.5 * (rates[0] + rates[-1])), abs=1e-4)
     driven = sum(math.dist((a.motion.x_m, a.motion.y_m), (b.motion.x_m, b.motion.y_m))
-                 for a, b in zip(outputs, outputs[1:], strict=False))  # fmt: skip
+                 for a, b in itertools.pairwise(outputs))  # fmt: skip
     speeds = [out.motion.speed_mps for out in outputs]
     assert driven == pytest.approx(DT_S * (sum(speeds) - 0.5 * (speeds[0] + speeds[-1])), rel=1e-3)
     rear = 0.5 * (last.wheel_rl_radps + last.wheel_rr_radps) * 0.335

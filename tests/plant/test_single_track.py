@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -54,7 +55,7 @@ def test_the_blend_to_the_dynamic_model_does_not_jerk() -> None:
     outputs = drive(car("physics"), lambda t: command(0.25, REST, 3.0), 4.0, start=Start(speed_mps=0.3))
     assert outputs[-1].motion.speed_mps > 3.0
     accels = [out.motion.lateral_accel_mps2 for out in outputs[30:]]
-    assert max(abs(b - a) for a, b in zip(accels, accels[1:], strict=False)) < 0.05
+    assert max(abs(b - a) for a, b in itertools.pairwise(accels)) < 0.05
 
 
 def test_axle_force_is_linear_then_flat() -> None:

@@ -1,4 +1,4 @@
-"""Runs a study in a process of its own: drive_study.py FILE SAMPLER TRIALS SLEEP_S. A helper of test_study_kill.py."""
+"""Runs a study in a process of its own: drive_study.py FILE SAMPLER TRIALS SLEEP_S, and says what it does. For test_study_kill.py."""
 
 from __future__ import annotations
 
@@ -46,12 +46,13 @@ def bowl(parameters: dict[str, float]) -> Evaluation:
 
 def main(path: str, sampler: str, trials: str, sleep_s: str) -> None:
     def evaluate(parameters: dict[str, float]) -> Evaluation:
+        print("evaluating", flush=True)
         time.sleep(float(sleep_s))
         return bowl(parameters)
 
     with open_study(Path(path), settings(sampler)) as study:
         for trial in study.run(int(trials), evaluate):
-            print(trial.slot, flush=True)
+            print("filled", trial.slot, flush=True)
 
 
 if __name__ == "__main__":

@@ -53,11 +53,18 @@ def finish(path: Path, sampler: str) -> None:
     assert process.returncode == 0, words
 
 
-def kill_after(process: subprocess.Popen[str], more_trials: int, rest_s: float) -> None:
-    """Let it finish `more_trials`, wait a random part of a trial, and kill it as the system would."""
+def listen(process: subprocess.Popen[str], word: str, times: int) -> None:
+    """Wait until it has said `word` so many times."""
     assert process.stdout
-    for _ in range(more_trials):
-        process.stdout.readline()
+    while times:
+        said = process.stdout.readline()
+        assert said, "it ended"
+        times -= said.startswith(word)
+
+
+def kill_after(process: subprocess.Popen[str], word: str, times: int, rest_s: float = 0.0) -> None:
+    """Wait until it has said `word` so many times and a little more, and kill it as the system would."""
+    listen(process, word, times)
     time.sleep(rest_s)
     process.kill()
     process.communicate(timeout=60)
@@ -70,7 +77,8 @@ def test_a_study_killed_and_resumed_gives_the_same_trials(tmp_path: Path, sample
     chance = np.random.default_rng([7, len(sampler)])
     cut = tmp_path / "cut.db"
     for _ in range(7):
-        kill_after(start(cut, sampler), int(chance.integers(1, 4)), float(chance.uniform(0.0, SLEEP_S)))
+        times, rest_s = int(chance.integers(1, 4)), float(chance.uniform(0.0, SLEEP_S))
+        kill_after(start(cut, sampler), "filled", times, rest_s)
     assert len(facts(cut)) < TRIALS
     assert failures(cut), "no kill fell into an evaluation"
     finish(cut, sampler)
@@ -86,7 +94,7 @@ def test_kills_while_the_file_is_made(tmp_path: Path) -> None:
         process = start(path, "random")
         while not (tmp_path / "study.db.part").exists() and not path.exists() and process.poll() is None:
             time.sleep(0.002)
-        kill_after(process, 0, float(chance.uniform(0.0, 0.4)))
+        kill_after(process, "", 0, float(chance.uniform(0.0, 0.4)))
     finish(path, "random")
     finish(tmp_path / "whole.db", "random")
     assert facts(path) == facts(tmp_path / "whole.db")
@@ -94,11 +102,8 @@ def test_kills_while_the_file_is_made(tmp_path: Path) -> None:
 
 def test_control_c_tells_fail_and_ends_at_once(tmp_path: Path) -> None:
     path = tmp_path / "study.db"
-    process = start(path, "tpe_independent", sleep_s=0.5)
-    assert process.stdout
-    for _ in range(2):
-        process.stdout.readline()
-    time.sleep(0.2)
+    process = start(path, "tpe_independent", sleep_s=1.5)
+    listen(process, "evaluating", 3)
     process.send_signal(signal.SIGINT)
     _, words = process.communicate(timeout=30)
     assert "KeyboardInterrupt" in words
@@ -119,7 +124,7 @@ def free_port() -> int:
 def dashboard(tmp_path: Path) -> Iterator[str]:
     """The address of a dashboard on a study of 30 trials, one of which was interrupted."""
     path = tmp_path / "study.db"
-    kill_after(start(path, "random", sleep_s=0.3), 2, 0.1)
+    kill_after(start(path, "random", sleep_s=1.5), "evaluating", 3)
     finish(path, "random")
     port = free_port()
     command = [str(Path(sys.executable).with_name("optuna-dashboard")), f"sqlite:///{path}"]

@@ -67,7 +67,7 @@ def model_of(bench: Bench, name: str) -> ModelSpec:
 
 
 def scenario_of_hash(bench: Bench, start: bytes) -> ScenarioSpec:
-    """The scenario file whose content hash begins with `start`. Raises InputError (unknown_scenario) that lists the files."""
+    """The scenario file whose content hash begins with `start`. Raises InputError that lists the files."""
     wanted = start.hex()
     for scenario in bench.scenarios.values():
         if scenario.hash.startswith(wanted):

@@ -14,7 +14,7 @@ from tunefree_hil.base.records import NAN, CanFrame, Command, Ins, Report
 from tunefree_hil.bus.build_map import build_messages
 from tunefree_hil.bus.check_vehicle import check_vehicle, one_error
 from tunefree_hil.bus.dbc import read_network
-from tunefree_hil.bus.message_map import COMMAND, EXTENDED_FLAG, TELEMETRY, MessageMap, Plan, WriteStep
+from tunefree_hil.bus.message_map import COMMAND, EXTENDED_FLAG, TELEMETRY, FieldMap, MessageMap, Plan
 from tunefree_hil.bus.plan import read_float
 from tunefree_hil.bus.quantise import to_raw, wrap_turn
 
@@ -68,18 +68,35 @@ class Codec:
         length: bytes to keep of the payload (a clear frame), None: all.
         """
         plan = message.plan
-        bits = [plan.little, plan.big]
-        for step in plan.writes:
-            record = records.get(step.group)
-            if record is not None:
-                _write(step, record[step.index], bits)
+        little, big = plan.little, plan.big
+        for group, steps in plan.simple:
+            record = records.get(group)
+            if record is None:
+                continue
+            for index, offset, scale, term_scale, signal_offset, factor, low, high, mask, shift, is_big in steps:
+                value = record[index]
+                if value - value != 0.0:
+                    continue  # NaN, infinite: raw 0
+                raw = ((value - offset) / scale / term_scale - signal_offset) / factor
+                whole = round(low if raw < low else high if raw > high else raw)
+                if is_big:
+                    big |= (whole & mask) << shift
+                else:
+                    little |= (whole & mask) << shift
+        for field in plan.special:
+            if field.group in records:
+                more_little, more_big = _special_bits(field, records[field.group][field.index])
+                little, big = little | more_little, big | more_big
         for name, value in signals.items():
-            mask, shift, big = plan.raws[name]
-            bits[big] = bits[big] & ~(mask << shift) | (int(value) & mask) << shift
+            mask, shift, others, is_big = plan.raws[name]
+            if is_big:
+                big = big & others | (int(value) & mask) << shift
+            else:
+                little = little & others | (int(value) & mask) << shift
         size = message.length
-        payload = bits[0].to_bytes(size, "little")
-        if bits[1]:
-            payload = (int.from_bytes(payload, "big") | bits[1]).to_bytes(size, "big")
+        payload = little.to_bytes(size, "little")
+        if big:
+            payload = (int.from_bytes(payload, "big") | big).to_bytes(size, "big")
         return payload if length is None else payload[:length]
 
     def fits(self, message: MessageMap, data: bytes) -> bool:
@@ -121,34 +138,22 @@ class Codec:
         return found
 
 
-def _write(step: WriteStep, value: float, bits: list[int]) -> None:
-    """Put one field into the payload's integers (little, big)."""
+def _special_bits(field: FieldMap, value: float) -> tuple[int, int]:
+    """A heading, or a sum (each term takes what the coarser ones left over): integers to put in, little and big."""
+    bits = [0, 0]
     if value - value != 0.0:
-        return  # NaN, infinite: raw 0
-    if step.raw_turn > 0.0:
-        value = wrap_turn(value, step.turn_low)
-    rest = (value - step.offset) / step.scale
-    raw = (rest / step.term_scale - step.signal_offset) / step.factor
-    if step.raw_turn > 0.0:
-        raw = to_raw(raw, step.raw_low, step.raw_high, step.raw_turn)
-    elif raw < step.raw_low:
-        raw = step.raw_low
-    elif raw > step.raw_high:
-        raw = step.raw_high
-    whole = round(raw)
-    bits[step.big] |= (whole & step.mask) << step.shift
-    for signal, scale in step.rest:
-        rest = rest - (whole * step.factor + step.signal_offset) * step.term_scale
-        whole = _write_term(signal, scale, rest, bits)
-        step = step._replace(factor=float(signal.factor), signal_offset=float(signal.offset), term_scale=scale)
-
-
-def _write_term(signal: Any, scale: float, rest: float, bits: list[int]) -> int:
-    """Put what the coarser terms left over into a finer one; its raw value."""
-    raw = (rest / scale - float(signal.offset)) / float(signal.factor)
-    whole = int(to_raw(raw, float(signal.raw_low), float(signal.raw_high), 0.0))
-    bits[signal.big_endian] |= (whole & signal.mask) << signal.shift
-    return whole
+        return 0, 0
+    turn = field.turn.raw_turn
+    if turn > 0.0:
+        value = wrap_turn(value, field.turn.low_rad)
+    rest = (value - field.offset) / field.scale
+    for signal, scale in field.terms:
+        steps = (rest / scale - float(signal.offset)) / float(signal.factor)
+        whole = int(to_raw(steps, float(signal.raw_low), float(signal.raw_high), turn))
+        bits[signal.big_endian] |= (whole & signal.mask) << signal.shift
+        rest = rest - (whole * signal.factor + signal.offset) * scale
+        turn = 0.0
+    return bits[0], bits[1]
 
 
 def _read(plan: Plan, data: bytes) -> dict[str, float]:

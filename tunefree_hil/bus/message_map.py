@@ -86,7 +86,7 @@ class StateMap(NamedTuple):
 
 
 class ReadStep(NamedTuple):
-    """value = (((payload >> shift) & mask) ^ sign) - sign, then * factor + offset unless `plain`."""
+    """value = (((payload >> shift) & mask) ^ sign) - sign, then * factor + offset unless it is plain."""
 
     name: str
     shift: int
@@ -97,9 +97,8 @@ class ReadStep(NamedTuple):
 
 
 class WriteStep(NamedTuple):
-    """One field of one term, ready to be written; `field` is there for those of several terms."""
+    """A field of one signal: ((value - offset) / scale / term_scale - signal_offset) / factor, clipped, rounded."""
 
-    group: str
     index: int
     offset: float
     scale: float
@@ -108,12 +107,9 @@ class WriteStep(NamedTuple):
     factor: float
     raw_low: float
     raw_high: float
-    turn_low: float
-    raw_turn: float
     mask: int
     shift: int
     big: bool
-    rest: tuple[Term, ...]  # further terms, the finer ones
 
 
 class Plan(NamedTuple):
@@ -121,8 +117,9 @@ class Plan(NamedTuple):
 
     little: int  # constants, as an integer of the little-endian payload
     big: int
-    writes: tuple[WriteStep, ...]
-    raws: Mapping[str, tuple[int, int, bool]]  # signal -> mask, shift, big-endian
+    simple: tuple[tuple[str, tuple[WriteStep, ...]], ...]  # by group
+    special: tuple[FieldMap, ...]  # sums and headings
+    raws: Mapping[str, tuple[int, int, int, bool]]  # signal -> mask, shift, mask of the other bits, big-endian
     plain_little: tuple[tuple[str, int, int, int], ...]
     plain_big: tuple[tuple[str, int, int, int], ...]
     scaled_little: tuple[ReadStep, ...]

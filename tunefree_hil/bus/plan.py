@@ -22,8 +22,12 @@ def make_plan(
     return Plan(
         little=little,
         big=big,
-        writes=tuple(_write_step(field) for field in fields),
-        raws={s.name: (s.mask, s.shift, s.big_endian) for s in signals.values()},
+        simple=tuple(
+            (group, tuple(_write_step(f) for f in fields if f.group == group and _is_simple(f)))
+            for group in dict.fromkeys(field.group for field in fields)
+        ),
+        special=tuple(field for field in fields if not _is_simple(field)),
+        raws={s.name: (s.mask, s.shift, ~(s.mask << s.shift), s.big_endian) for s in signals.values()},
         plain_little=tuple(step[:4] for step in plain if not ends[step.name]),
         plain_big=tuple(step[:4] for step in plain if ends[step.name]),
         scaled_little=tuple(step for step in scaled if not ends[step.name]),
@@ -43,25 +47,24 @@ def _read_step(signal: SignalMap, raw: bool) -> ReadStep:
 
 
 def _write_step(field: FieldMap) -> WriteStep:
-    first = field.terms[0]
-    signal = first.signal
+    signal, term_scale = field.terms[0]
     return WriteStep(
-        group=field.group,
         index=field.index,
         offset=field.offset,
         scale=field.scale,
-        term_scale=first.scale,
+        term_scale=term_scale,
         signal_offset=float(signal.offset),
         factor=float(signal.factor),
         raw_low=float(signal.raw_low),
         raw_high=float(signal.raw_high),
-        turn_low=field.turn.low_rad,
-        raw_turn=field.turn.raw_turn,
         mask=signal.mask,
         shift=signal.shift,
         big=signal.big_endian,
-        rest=field.terms[1:],
     )
+
+
+def _is_simple(field: FieldMap) -> bool:
+    return len(field.terms) == 1 and field.turn.raw_turn == 0.0
 
 
 def _constant_bits(signals: Mapping[str, SignalMap], constants: Mapping[str, float]) -> tuple[int, int]:

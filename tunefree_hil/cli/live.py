@@ -27,6 +27,7 @@ class LiveSink:
         self.now_s = now_s
         self._live: Live | None = None
         self._drawn_s = float("-inf")
+        self._told: float | None = None  # `done` of the last message that scrolled by
 
     def show(self, event: Event) -> None:
         """Draw one event."""
@@ -38,7 +39,11 @@ class LiveSink:
             self.console.print(Text(event.message), soft_wrap=True)
 
     def _progress(self, event: Event) -> None:
-        last = number(event.data, "done") is not None and number(event.data, "done") == number(event.data, "total")
+        done, total = number(event.data, "done"), number(event.data, "total")
+        if event.message and total is not None and done != self._told:  # one line that stays for each thing done
+            self._told = done
+            self.console.print(Text(event.message), soft_wrap=True)
+        last = done is not None and done == total
         if self.now_s() - self._drawn_s < REDRAW_S and not last:
             return
         self._drawn_s = self.now_s()
@@ -60,5 +65,5 @@ def picture(message: str, data: Mapping[str, Any]) -> RenderableType:
     done, total = number(data, "done"), number(data, "total")
     bar = ProgressBar(total=total, completed=done or 0.0, width=BAR_COLUMNS) if total else Text(message)
     first.add_row(Text(counted(data)), bar, Text(time_left(data)))
-    second = ", ".join(part for part in (scores(data), pace(data), message if total else "") if part)
+    second = ", ".join(part for part in (scores(data), pace(data)) if part)
     return Group(first, Text(second, no_wrap=True, overflow="ellipsis"))

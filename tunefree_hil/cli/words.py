@@ -74,18 +74,16 @@ def progress_line(message: str, data: Mapping[str, Any]) -> str:
 
 
 def pasteable(command: str) -> str:
-    """A next command such that it works as pasted: with the path of the program when it is not on PATH."""
+    """A next command such that it works as pasted: a program of our own environment, not on PATH, gets its path."""
     first, _, rest = command.partition(" ")
-    if first != PROGRAM or shutil.which(PROGRAM):
+    if shutil.which(first):
         return command
-    return f"{_own_program()} {rest}".rstrip()
-
-
-def _own_program() -> str:
-    beside = Path(sys.executable).parent / PROGRAM
+    beside = Path(sys.executable).parent / first
     if beside.is_file():
-        return shlex.quote(_short(beside))
-    return f"{shlex.quote(_short(Path(sys.executable)))} -m tunefree_hil"
+        return f"{shlex.quote(_short(beside))} {rest}".rstrip()
+    if first == PROGRAM:
+        return f"{shlex.quote(_short(Path(sys.executable)))} -m tunefree_hil {rest}".rstrip()
+    return command
 
 
 def _short(path: Path) -> str:

@@ -1,165 +1,61 @@
 """What the TOML files may say (interfaces 2-6): frozen structs, unknown keys refused.
 
-Only shapes and types here; what must fit together is checked in `config/load.py`, which names file and key.
+Only shapes and types here; what must fit together is checked in `check.py` and `check_vehicle.py`, by file and key.
 """
 
 from __future__ import annotations
 
 from typing import Any, Literal
 
-from msgspec import Struct, field
+from msgspec import field
 
+from tunefree_hil.config.vehicle_schema import (
+    E2eSpec,
+    ExtraSpec,
+    FieldSpec,
+    InsFrameSpec,
+    LatencySpec,
+    LimitsSpec,
+    NominalSpec,
+    OverrideSpec,
+    SignalSpec,
+    Spec,
+    StateSpec,
+    VehicleSpec,
+)
 
-class Spec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of all: frozen, keyword only, unknown keys refused."""
-
-
-# --- vehicle.toml (interfaces 2) ---------------------------------------------------------------------------------
-
-
-class SignalSpec(Spec, frozen=True, kw_only=True):
-    """One signal of a sum."""
-
-    name: str
-    scale: float = 1.0
-
-
-class E2eSpec(Spec, frozen=True, kw_only=True):
-    """End-to-end protection of a message (functions in bus/integrity.py)."""
-
-    profile: str = "none"
-    data_ids: list[int] = field(default_factory=list)
-    id_mode: str = ""
-    max_delta: int = 1
-    crc: str = ""
-    counter: str = ""
-
-
-class FieldSpec(Spec, frozen=True, kw_only=True):
-    """Record field <- signal. Physical value of the DBC -> SI: value * scale + offset."""
-
-    message: str
-    signal: str | list[str] = ""  # a list of four (FL FR RL RR) for wheel_speed_radps only
-    signals: list[SignalSpec] = field(default_factory=list)  # their sum
-    scale: float = 1.0
-    offset: float = 0.0
-    period_ms: int = 0  # command, report: needed; ins: needed
-    channel: str = ""
-    allow_truncated: bool = False
-    enable: str = ""
-    clear: str = ""
-    ignore: str = ""
-    counter: str = ""
-    checksum: str = ""
-    constants: dict[str, float] = field(default_factory=dict)  # other signals of the message, held at a value
-    e2e: E2eSpec = E2eSpec()
-    timeout_ms: int = 0
-    specific_force: bool = False  # [ins.accel_mps2] only
-    assumed: str = ""
-
-
-class StateSpec(Spec, frozen=True, kw_only=True):
-    """One bit or code in a report. `bywire` says which of the vehicle's by-wire channels it speaks of ('' = all)."""
-
-    message: str
-    signal: str
-    active: float = 1
-    effect: Literal["disable_all", "disable_channel", "warn"] = "disable_all"
-    bywire: Literal["", "throttle", "brake", "steer", "gear"] = ""
-    cause: str = ""  # watchdog codes: 'throttle_timeout', 'throttle_counter', ... (plant/bywire.py lists them)
-    assumed: str = ""
-
-
-class ExtraSpec(Spec, frozen=True, kw_only=True):
-    """A message that goes out on schedule and carries no record field, by its name in the DBC.
-
-    A message that only [state] speaks of needs no entry: its period is then the DBC's GenMsgCycleTime, or one tick.
-    """
-
-    kind: Literal["command", "telemetry"]
-    period_ms: int
-    channel: str = ""
-    allow_truncated: bool = False
-    constants: dict[str, float] = field(default_factory=dict)
-    assumed: str = ""
-
-
-class InsFrameSpec(Spec, frozen=True, kw_only=True):
-    frame: str = "ENU"
-    origin: str | list[float] = "local"
-    point: str = "rear_axle"
-    latency_s: float = 0.0
-    assumed: str = ""
-
-
-class LatencySpec(Spec, frozen=True, kw_only=True):
-    """What a data sheet says of an actuator."""
-
-    dead_time_s: float = 0.0
-    rise_time_s: float = 0.0
-    assumed: str = ""
-
-
-class LimitsSpec(Spec, frozen=True, kw_only=True):
-    steer_rad: float
-    steer_rate_radps: float
-    throttle_frac: float
-    brake_frac: float
-    accel_mps2: list[float] = field(default_factory=lambda: [-6.0, 2.0])  # low, high
-    lateral_accel_mps2: float = 5.0
-    speed_mps: float = 40.0
-    assumed: list[str] = field(default_factory=list)
-
-
-class NominalSpec(Spec, frozen=True, kw_only=True):
-    """Data-sheet constants. Keys may be missing; what needs them says so. Stiffness is per AXLE."""
-
-    mass_kg: float | None = None
-    wheelbase_m: float | None = None
-    front_axle_m: float | None = None  # centre of mass to front axle
-    yaw_inertia_kgm2: float | None = None
-    steer_ratio: float | None = None
-    wheel_radius_m: float | None = None
-    front_stiffness_n_per_rad: float | None = None
-    rear_stiffness_n_per_rad: float | None = None
-    rest_pedal_frac: float = 0.0
-    assumed: list[str] = field(default_factory=list)
-
-
-class OverrideSpec(Spec, frozen=True, kw_only=True):
-    """When the driver takes over, as the by-wire unit sees it (thresholds on the driver's own pedal or wheel)."""
-
-    brake_frac: float = 0.22
-    brake_s: float = 0.1
-    throttle_frac: float = 0.30
-    throttle_s: float = 0.1
-    driver_frac: float = 0.18
-    driver_s: float = 0.02
-    assumed: str = ""
-
-
-class VehicleSpec(Spec, frozen=True, kw_only=True):
-    """vehicle.toml. `folder` and `hash` are set by load_vehicle."""
-
-    schema: Literal["tunefree.vehicle/1"]
-    name: str
-    dbc: list[str]
-    bitrate: int
-    data_bitrate: int | None = None
-    tick_ms: int = 10
-    absent: list[str] = field(default_factory=list)
-    command: dict[str, FieldSpec] = field(default_factory=dict)
-    report: dict[str, FieldSpec] = field(default_factory=dict)
-    ins: dict[str, FieldSpec] = field(default_factory=dict)
-    extra: dict[str, ExtraSpec] = field(default_factory=dict)
-    ins_frame: InsFrameSpec = InsFrameSpec()
-    state: dict[str, list[StateSpec]] = field(default_factory=dict)
-    latency: dict[str, LatencySpec] = field(default_factory=dict)
-    override: OverrideSpec = OverrideSpec()
-    limits: LimitsSpec
-    nominal: NominalSpec = NominalSpec()
-    folder: str = ""
-    hash: str = ""
+__all__ = [
+    "ActuatorSpec",
+    "BenchSpec",
+    "ControllerSpec",
+    "E2eSpec",
+    "EffectSpec",
+    "ExtraSpec",
+    "FaultSpec",
+    "FieldSpec",
+    "InsFrameSpec",
+    "Interval",
+    "LatencySpec",
+    "LimitsSpec",
+    "ModelSpec",
+    "NominalSpec",
+    "Number",
+    "OverrideSpec",
+    "ParameterSpec",
+    "PlantSpec",
+    "ProfileSpec",
+    "ScenarioSpec",
+    "SignalSpec",
+    "Spec",
+    "StartSpec",
+    "StateSpec",
+    "TimingSpec",
+    "TuneSpec",
+    "ValidSpec",
+    "VehicleSpec",
+    "WeightsSpec",
+    "value_of",
+]
 
 
 # --- model.toml (interfaces 3) -----------------------------------------------------------------------------------

@@ -85,7 +85,7 @@ def command_in_row(calibration: CalibrationMap, row: int, accel_mps2: float) -> 
             low = middle
         else:
             high = middle
-    share = (accel_mps2 - accels[low]) / (accels[high] - accels[low])
+    share = (accel_mps2 - accels[low]) / (accels[high] - accels[low])  # not 0: strictly ascending
     return commands[low] + share * (commands[high] - commands[low])
 
 
@@ -99,6 +99,6 @@ def lookup(calibration: CalibrationMap, speed_mps: float, accel_mps2: float) -> 
     if speed_mps >= speeds[last]:
         return command_in_row(calibration, last, accel_mps2)
     i = find_cell(speeds, speed_mps)
-    share = (speed_mps - speeds[i]) / (speeds[i + 1] - speeds[i])
+    share = (speed_mps - speeds[i]) / (speeds[i + 1] - speeds[i])  # not 0: strictly ascending
     below = command_in_row(calibration, i, accel_mps2)
     return below + share * (command_in_row(calibration, i + 1, accel_mps2) - below)

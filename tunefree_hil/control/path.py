@@ -112,7 +112,7 @@ def project(path: Path, cell: int, x_m: float, y_m: float) -> Foot:
 def heading_at(path: Path, station_m: float) -> tuple[float, float]:
     """(heading, curvature) of the path at a station; beyond the ends that of the end."""
     last = len(path.x_m) - 1
-    at = (station_m - path.first_station_m) / path.spacing_m
+    at = (station_m - path.first_station_m) / path.spacing_m  # not 0: a Course has a spacing
     if at <= 0.0:
         return float(path.heading_rad[0]), float(path.curvature_1pm[0])
     if at >= last:
@@ -129,7 +129,7 @@ def heading_at(path: Path, station_m: float) -> tuple[float, float]:
 def cell_of(path: Path, station_m: float) -> int:
     """The cell in which a station lies, clamped to the ends."""
     last = len(path.x_m) - 2
-    at = (station_m - path.first_station_m) / path.spacing_m
+    at = (station_m - path.first_station_m) / path.spacing_m  # not 0: a Course has a spacing
     if at <= 0.0:
         return 0
     if at >= last:

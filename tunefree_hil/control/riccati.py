@@ -70,7 +70,7 @@ def solve(matrix: Any, right: Any, n: int, columns: int) -> bool:
                 kept = right[pivot * columns + j]
                 right[pivot * columns + j] = right[best * columns + j]
                 right[best * columns + j] = kept
-        scale = 1.0 / matrix[pivot * n + pivot]
+        scale = 1.0 / matrix[pivot * n + pivot]  # not 0: seen to above
         for i in range(n):
             if i != pivot:
                 share = matrix[i * n + pivot] * scale
@@ -80,7 +80,7 @@ def solve(matrix: Any, right: Any, n: int, columns: int) -> bool:
                     for j in range(columns):
                         right[i * columns + j] -= share * right[pivot * columns + j]
     for i in range(n):
-        scale = 1.0 / matrix[i * n + i]
+        scale = 1.0 / matrix[i * n + i]  # not 0: it was a pivot
         for j in range(columns):
             right[i * columns + j] *= scale
     return True

@@ -124,8 +124,10 @@ def time_of(schedule: Schedule, plan_s: float, station_m: float) -> float:
 @kernel
 def speed_blend(blend: Blend, blend_s: float, time_s: float) -> tuple[float, float]:
     """(speed offset, its rate) at a time: fades as 1 - 3 u^2 + 2 u^3 over `blend_s`."""
+    if blend.speed_mps == 0.0 or blend_s <= 0.0:
+        return 0.0, 0.0
     u = (time_s - blend.from_s) / blend_s
-    if blend.speed_mps == 0.0 or u >= 1.0 or u < 0.0:
+    if u >= 1.0 or u < 0.0:
         return 0.0, 0.0
     fade = 1.0 - u * u * (3.0 - 2.0 * u)
     rate_1ps = 6.0 * u * (u - 1.0) / blend_s

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tunefree_hil.figures import style
 
@@ -35,7 +35,7 @@ class Points(NamedTuple):
     `manual`: the parameters that the tuned ones are held against; those outside a box are drawn on its edge.
     """
 
-    parameters: Mapping[str, Sequence[float]]
+    parameters: Mapping[str, Sequence[float] | NDArray[np.float64]]
     scores: Sequence[float]
     boxes: Mapping[str, Range]
     manual: Mapping[str, float]
@@ -75,7 +75,7 @@ def by_weight(points: Points) -> list[str]:
     return sorted(points.parameters, key=lambda name: -weight(points.parameters[name], points.scores))
 
 
-def weight(values: Sequence[float], scores: Sequence[float]) -> float:
+def weight(values: ArrayLike, scores: ArrayLike) -> float:
     """Share (0 to 1) of the variance of the scores' ranks that lies between bins of equal numbers of trials.
 
     It sees a valley as well as a slope. It is a help to choose what to show, not a measure of sensitivity: with few
@@ -173,8 +173,9 @@ def _draw_parallel(axes: Axes, points: Points) -> None:
     places = np.array([_place(np.asarray(points.parameters[name], np.float64), points.boxes[name]) for name in names])
     at = np.arange(len(names))
     for row in _order(points.scores):
-        colour = colormaps[style.SCORE_COLOURS](norm(points.scores[row]))
-        axes.plot(at, places[:, row], color=colour, linewidth=0.9, alpha=0.45)
+        badness = float(norm(points.scores[row]))
+        colour = colormaps[style.SCORE_COLOURS](badness)
+        axes.plot(at, places[:, row], color=colour, linewidth=1.0, alpha=0.65 - 0.45 * badness)
     shown = [i for i, name in enumerate(names) if name in points.manual]
     manual = [_place(np.array(points.manual[names[i]]), points.boxes[names[i]]) for i in shown]
     look = style.MANUAL
@@ -203,4 +204,4 @@ def _draw_bar(figure: Figure, axes: Sequence[Axes], points: Points) -> None:
     bar.ax.tick_params(labelsize=style.FONT_PT - 1.5)
     low, high = colours.get_clim()
     if low is not None and high is not None and low > 0.0:
-        style.plain_numbers(bar.ax.yaxis, narrow=high < 5.0 * low)
+        style.plain_numbers(bar.ax.yaxis, narrow=high < 10.0 * low)

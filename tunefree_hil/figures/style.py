@@ -100,7 +100,9 @@ def legend_below(figure: Figure, axes: Axes, columns: int) -> None:
 
 def number(value: float) -> str:
     """Three figures, without an exponent where a person would write none."""
-    if 1e-3 <= abs(value) < 1e4 or value == 0.0 or not math.isfinite(value):
+    if 999.5 <= abs(value) < 1e5:
+        return f"{value:.0f}"
+    if 1e-3 <= abs(value) < 1e3 or value == 0.0 or not math.isfinite(value):
         return f"{value:.3g}"
     mantissa, exponent = f"{value:.1e}".split("e")
     return f"{mantissa.removesuffix('.0')}e{int(exponent)}"

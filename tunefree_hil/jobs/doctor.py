@@ -14,6 +14,7 @@ from tunefree_hil.jobs.machine import FAULT, NOTE, OK, Finding, machine
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import BenchSpec, VehicleSpec
 
+FIRST_BENCH = Path("bench_configs/mkz_steer.toml")
 T = TypeVar("T")
 
 
@@ -35,7 +36,9 @@ def doctor(*, vehicle: Path | None, schema: str | None, bus: str, bench: Path | 
             yield Event("line", f"{'':6}  what to do: {finding.remedy}")
     faults = sum(finding.kind == FAULT for finding in findings)
     sentence = f"{faults} fault{'' if faults == 1 else 's'} found" if faults else "no fault found"
-    data = {"findings": findings, "sentence": sentence, "exit": 1 if faults else 0}
+    drivable = bench or (FIRST_BENCH if vehicle is None and FIRST_BENCH.is_file() else None)
+    following = [f"tunefree-hil drive {drivable}"] if drivable and not faults else []
+    data = {"findings": findings, "sentence": sentence, "exit": 1 if faults else 0, "next": following}
     yield Event("result", "", data)
 
 

@@ -153,7 +153,10 @@ def _result(
         "scenarios": {name: episode.grade._asdict() for name, episode in episodes.items()},
         "hashes": {name: episode.hash for name, episode in episodes.items()},
         "figures": figures,
-        "next": [f"tunefree-hil replay {run.path} --verify", f"tunefree-hil log check {run.path}/episodes/0/vehicle.log"],
+        "next": [
+            f"tunefree-hil replay {run.path} --verify",
+            f"tunefree-hil log check {run.path}/episodes/0/vehicle.log",
+        ],
         **pace,
     }
     if verdict is not None:

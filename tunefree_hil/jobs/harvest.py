@@ -6,18 +6,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tunefree_hil.bench import Bench, follower_of
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bench import Bench, follower_of
 from tunefree_hil.bus.bench_channel import ErrorCode, Role, State, Status, decode
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.episode.columns import columns_from_frames
 from tunefree_hil.episode.frame_hash import frame_hash
 from tunefree_hil.episode.recording import Recording, save_recording
-from tunefree_hil.grade.score import ScenarioGrade, grade, vehicle_of
+from tunefree_hil.grade.score import ScenarioGrade, combine, grade, vehicle_of
 from tunefree_hil.jobs.run_folder import write_json
 from tunefree_hil.nodes.runner import Outcome
+from tunefree_hil.tune.study import Evaluation
 
 # Ends of a drive that the parameters answer for; any other error is the bench's.
 DRIVEN = (ErrorCode.DIVERGED, ErrorCode.LEFT_LANE, ErrorCode.CONTROL_ERROR)
@@ -39,6 +40,7 @@ def harvest(
     outcome: Outcome,
     folder: Path,
     *,
+    seed: int = 0,
     realtime: bool = False,
 ) -> Episode:
     """Read `folder/vehicle.log`, write columns.npz and episode.json beside it."""
@@ -65,7 +67,7 @@ def harvest(
         scenario=scenario.name,
         error=outcome.error,
     )
-    write_json(folder / "episode.json", _summary(scenario, values, outcome, graded, hashed.hex))
+    write_json(folder / "episode.json", _summary(scenario, seed, values, outcome, graded, hashed.hex))
     return Episode(recording, graded, hashed.hex, dict(hashed.foreign))
 
 
@@ -79,11 +81,17 @@ def realtime_zero_s(folder: Path) -> float:
 
 
 def _summary(
-    scenario: ScenarioSpec, values: Mapping[str, float], outcome: Outcome, graded: ScenarioGrade, sha256: str
+    scenario: ScenarioSpec,
+    seed: int,
+    values: Mapping[str, float],
+    outcome: Outcome,
+    graded: ScenarioGrade,
+    sha256: str,
 ) -> dict[str, Any]:
     return {
         "scenario": scenario.name,
         "scenario_hash": scenario.hash,
+        "seed": seed,
         "parameters": dict(values),
         "ticks": outcome.ticks,
         "error": outcome.error,
@@ -93,3 +101,10 @@ def _summary(
         "outcome": graded.outcome,
         "frame_hash": sha256,
     }
+
+
+def evaluation_of(episodes: Mapping[str, Episode]) -> Evaluation:
+    """Eq. 7 over the episodes, and each grade as plain data."""
+    grades = [episode.grade for episode in episodes.values()]
+    kept = {name: {**episode.grade._asdict(), "frame_hash": episode.hash} for name, episode in episodes.items()}
+    return Evaluation(combine(grades), kept)

@@ -69,8 +69,7 @@ class Track:
         return {name: future.result() for name, future in reading.items()}
 
     def _drive(self, scenario: ScenarioSpec, values: Mapping[str, float], folder: Path) -> Outcome:
-        seed = scenario.noise_seed if self.seed is None else self.seed
-        outcome = self.session.drive(scenario, seed, list(values.values()), folder)
+        outcome = self.session.drive(scenario, self._seed_of(scenario), list(values.values()), folder)
         self.simulated_s += outcome.ticks * self.bench.dt_s
         self.wall_s += outcome.wall_s
         self.frames += sum(outcome.logged.values())
@@ -84,11 +83,16 @@ class Track:
             )
         return outcome
 
+    def _seed_of(self, scenario: ScenarioSpec) -> int:
+        return scenario.noise_seed if self.seed is None else self.seed
+
     def _read(
         self, scenario: ScenarioSpec, values: Mapping[str, float], outcome: Outcome, folder: Path, keep: bool
     ) -> Episode:
         realtime = self.session.realtime
-        episode = harvest(self.bench, scenario, values, outcome, folder, realtime=realtime)
+        episode = harvest(
+            self.bench, scenario, values, outcome, folder, seed=self._seed_of(scenario), realtime=realtime
+        )
         if not keep:
             drop_bulk(folder)
         elif not self.session.join:

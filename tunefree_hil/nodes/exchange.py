@@ -1,6 +1,6 @@
 """How a node exchanges frames with the others: phases in lockstep, deadlines in real time (interfaces 8).
 
-A node holds two links: `vehicle` carries the DBC's frames and nothing else, `bench` carries TICK, DONE, STATUS and the like.
+A node holds two links: `vehicle` carries the frames of the DBC, `bench` carries TICK, DONE, STATUS and the like.
 A phase ends when the DONE that announces it *and* the n_tx frames it announced have arrived; the frames are then handed
 over in (id, sequence) order. Waiting has a hard limit and names who did not answer.
 """
@@ -36,7 +36,7 @@ def digest(frames: Iterable[CanFrame]) -> int:
 
 
 class Exchange:
-    """Both links of one node. `mine(phase)` tells which ids belong to a phase: 0 the vehicle's reports, 1 the commands."""
+    """Both links of one node. `ids_of_phase`: (ids of the reports, ids of the commands), SocketCAN ids."""
 
     def __init__(self, vehicle: Link, bench: Link, ids_of_phase: Sequence[frozenset[int]], tick_s: float) -> None:
         self.vehicle = vehicle

@@ -1,4 +1,4 @@
-"""What the ECU and the controller have in common: they say hello, load an episode when told, run it, say how it ended."""
+"""What ECU and controller have in common: they say hello, load an episode when told, run it, say how it ended."""
 
 from __future__ import annotations
 

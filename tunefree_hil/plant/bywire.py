@@ -7,7 +7,7 @@ power cycle, which is `init`; CLEAR clears a latched override only. Reverse and 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.maths import clamp
@@ -38,7 +38,6 @@ __all__ = [
     "Heard",
     "HeardChannel",
     "bywire",
-    "first_status",
 ]
 
 MKZ_RULES = ByWireParams()
@@ -232,8 +231,3 @@ def init_bywire(params: ByWireParams, dt_s: float) -> ByWireState:
 def bywire(params: ByWireParams = MKZ_RULES) -> Block:
     """The by-wire unit as a Block ByWireInput -> ByWireOutput."""
     return Block(init_bywire, step_bywire, params)
-
-
-def first_status(params: ByWireParams = MKZ_RULES) -> tuple[Any, ByWireStatus]:
-    """(state, status) before the first tick, for the reports of tick 0."""
-    return init_bywire(params, 0.0), ByWireStatus()

@@ -17,6 +17,7 @@ from tunefree_hil.bus.tfhub.records import (
     HELLO,
     PROTOCOL,
     REFUSED,
+    TCP_BUFFER_BYTES,
     WELCOME,
     RecordError,
     body_of,
@@ -97,6 +98,9 @@ def _connect(address: Address) -> socket.socket:
     family = socket.AF_UNIX if address.path else socket.AF_INET
     sock = socket.socket(family, socket.SOCK_STREAM)
     try:
+        if not address.path:
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, TCP_BUFFER_BYTES)
         sock.settimeout(ANSWER_S)
         sock.connect(address.path or (address.host, address.port))
     except OSError as error:
@@ -106,8 +110,6 @@ def _connect(address: Address) -> socket.socket:
             code="no_hub",
             hint="start one (tunefree-hil hub), or name the session or address of one that runs",
         ) from None
-    if not address.path:
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return sock
 
 

@@ -42,6 +42,7 @@ from tunefree_hil.bus.tfhub.session import Session
 READ_BYTES = 1 << 16
 LOG_SLICE = 96  # frames made into log text at a time, when that many wait and nothing else is to do: about 100 us
 BUSY_LIMIT = 4096  # frames that may wait for that while the hub is never idle
+LONGEST_CONTROL = 1 << 14
 SIZE_KIND = struct.Struct("<HB")
 TIME = struct.Struct("<Q")
 
@@ -154,12 +155,11 @@ class Hub:
         time_ns = self._time_ns if self.sender_clock else time.monotonic_ns()
         index, sequence = peer.index, self.sequence
         offset = first = last = count = 0
-        while end - offset >= HEAD.size:
+        while end - offset >= SIZE_KIND.size:
             size, kind = SIZE_KIND.unpack_from(buffer, offset)
             if kind != FRAME:
                 self._route(peer, first, offset, last, count)
-                if size < HEAD.size:
-                    raise RecordError("it sent bytes that are no records")
+                _check_control(peer, kind, size)
                 if end - offset < size:
                     return offset
                 self._control(peer, kind, bytes(self._view[offset : offset + size]))
@@ -207,14 +207,13 @@ class Hub:
             log.add(chunk, count)
 
     def _control(self, peer: Peer, kind: int, record: bytes) -> None:
-        if kind == HELLO and not peer.role:
+        """Act on a record that is no frame and that the peer may send."""
+        if kind == HELLO:
             reception.hello(self, peer, body_of(record))
-        elif kind == BYE and peer.role:
+        elif kind == BYE:
             reception.farewell(self, peer)
-        elif kind == REQUEST and peer.role == "owner":
-            self._requests.append((peer, record))
         else:
-            raise RecordError("it sent a record that it may not send")
+            self._requests.append((peer, record))
 
     def _answer(self) -> None:
         requests, self._requests = self._requests, []
@@ -245,3 +244,12 @@ class Hub:
         self._waker.close()
         self._woken.close()
         self.session.close()
+
+
+def _check_control(peer: Peer, kind: int, size: int) -> None:
+    """RecordError, before the rest of it is waited for, unless the peer may send such a record now."""
+    if kind not in (HELLO, BYE, REQUEST) or not HEAD.size <= size <= (HEAD.size if kind == BYE else LONGEST_CONTROL):
+        raise RecordError("it sent bytes that are no records")
+    allowed = {"": (HELLO,), "owner": (BYE, REQUEST)}.get(peer.role, (BYE,))
+    if kind not in allowed:
+        raise RecordError("it sent a record that it may not send")

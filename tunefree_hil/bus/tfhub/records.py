@@ -17,6 +17,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import CanFrame
 
 PROTOCOL = 1
+TCP_BUFFER_BYTES = 1 << 17  # in the kernel, each way: what waits belongs in the hub, where it is counted
 CHANNELS = ("vehicle", "bench")
 ENDPOINTS = {"vehicle": "veh", "bench": "bench"}  # channel -> last part of its address
 LOG_NAMES = {"vehicle": "can0", "bench": "bench"}  # channel -> its name in a log, unless told otherwise

@@ -219,7 +219,7 @@ def step(
         if params.order2 != 0.0:
             speed = (free - state.out) / dt_s
             windup2 = params.anti_windup * (clamp(speed, -RATE_PERCENT_PER_S, RATE_PERCENT_PER_S) - speed)
-    answer = InnerAnswer(out / params.percent_per_rad, status)
+    answer = InnerAnswer(out / params.percent_per_rad, status)  # not 0: 100 over a finite limit
     return MracState(1.0, gains, ref1, ref2, angle, rate, command, pull, windup1, windup2, out), answer
 
 

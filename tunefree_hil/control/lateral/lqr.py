@@ -164,7 +164,7 @@ def interpolate(params: LqrParams, speed_mps: float) -> Feedback:
     """The gains at a speed, linear between nodes, flat outside them."""
     nodes = params.speed_mps
     i = find_cell(nodes, speed_mps)
-    share = (speed_mps - nodes[i]) / (nodes[i + 1] - nodes[i])
+    share = (speed_mps - nodes[i]) / (nodes[i + 1] - nodes[i])  # not 0: strictly ascending
     if share < 0.0:
         share = 0.0
     elif share > 1.0:

@@ -1,0 +1,130 @@
+"""Faults planted in a clean log are found, each by its own words, and nothing else is."""
+
+from __future__ import annotations
+
+import pytest
+
+from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.log_check import ERROR, REMOTE, Frame, LogHealth, check_frames
+from tunefree_hil.config.load import load_vehicle
+
+TICKS = 200
+COUNTED = "THROTTLE_CMD"
+
+
+@pytest.fixture(scope="module")
+def codec() -> Codec:
+    return Codec(load_vehicle("mkz_bywire"))
+
+
+@pytest.fixture
+def clean(codec: Codec) -> list[Frame]:
+    """Every message of the folder on its period, counters counting."""
+    frames: list[Frame] = []
+    for k in range(TICKS):
+        for message in (*codec.telemetry, *codec.commands):
+            if k % message.period_ticks == 0:
+                count = k // message.period_ticks
+                signals = {message.counter: count % message.counter_modulus} if message.counter else {}
+                data = codec.encode(message, {}, signals)
+                frames.append((k * 0.01, "can0", message.key, data, 0))
+    return frames
+
+
+def of(codec: Codec, health: LogHealth, name: str):
+    return next(one for one in health.messages if one.name == name)
+
+
+def positions(frames: list[Frame], codec: Codec, name: str = COUNTED) -> list[int]:
+    return [i for i, frame in enumerate(frames) if frame[2] == codec.by_name[name].key]
+
+
+def test_a_clean_log_has_no_fault(codec: Codec, clean: list[Frame]) -> None:
+    health = check_frames(clean, codec)
+    assert health.problems == [] and health.foreign == {}
+    throttle = of(codec, health, COUNTED)
+    assert (throttle.frames, throttle.late, throttle.lost) == (TICKS, 0, 0)
+    assert throttle.rate_hz == pytest.approx(100.0)
+    assert throttle.longest_gap_s == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("missing", [1, 2, 3])
+def test_lost_frames_are_counted(codec: Codec, clean: list[Frame], missing: int) -> None:
+    gone = positions(clean, codec)[50 : 50 + missing]
+    health = check_frames([frame for i, frame in enumerate(clean) if i not in gone], codec)
+    assert of(codec, health, COUNTED).lost == missing
+    assert of(codec, health, COUNTED).late == 1
+    assert health.problems == [f"{COUNTED}: {missing} frames are missing by its counter"]
+
+
+def test_swapped_frames_are_not_lost_ones(codec: Codec, clean: list[Frame]) -> None:
+    first, second = positions(clean, codec)[50:52]
+    payload = clean[first][3], clean[second][3]
+    clean[first] = (*clean[first][:3], payload[1], 0)
+    clean[second] = (*clean[second][:3], payload[0], 0)
+    health = check_frames(clean, codec)
+    assert health.problems == [f"{COUNTED}: 1 frames came out of order"]
+    assert of(codec, health, COUNTED).lost == 0
+
+
+def test_a_sender_that_starts_anew_is_no_flood_of_swaps(codec: Codec, clean: list[Frame]) -> None:
+    message = codec.by_name[COUNTED]
+    for count, i in enumerate(positions(clean, codec)[130:]):
+        data = codec.encode(message, {}, {message.counter: count % message.counter_modulus})
+        clean[i] = (*clean[i][:3], data, 0)
+    found = of(codec, check_frames(clean, codec), COUNTED)
+    assert found.swapped <= 1 and found.lost < message.counter_modulus
+
+
+def test_a_stuck_counter(codec: Codec, clean: list[Frame]) -> None:
+    first, second = positions(clean, codec)[50:52]
+    clean[second] = (*clean[second][:3], clean[first][3], 0)
+    found = check_frames(clean, codec).problems
+    assert f"{COUNTED}: 1 times the counter stood still" in found
+
+
+def test_silence_is_named_with_its_time(codec: Codec, clean: list[Frame]) -> None:
+    name = codec.telemetry[0].name
+    gone = [i for i in positions(clean, codec, name) if 0.5 <= clean[i][0] < 1.5]
+    found = check_frames([frame for i, frame in enumerate(clean) if i not in gone], codec).problems
+    assert any(one.startswith(f"{name} is silent for 1.0") for one in found)
+
+
+def test_a_report_that_was_never_heard(codec: Codec, clean: list[Frame]) -> None:
+    name = codec.telemetry[-1].name
+    gone = positions(clean, codec, name)
+    assert check_frames([frame for i, frame in enumerate(clean) if i not in gone], codec).problems == [
+        f"{name} was never heard"
+    ]
+
+
+def test_commands_may_be_missing(codec: Codec, clean: list[Frame]) -> None:
+    keys = {message.key for message in codec.commands}
+    assert check_frames([frame for frame in clean if frame[2] not in keys], codec).problems == []
+
+
+def test_short_foreign_error_and_remote_frames(codec: Codec, clean: list[Frame]) -> None:
+    report = next(message for message in codec.telemetry if not message.allow_truncated)
+    clean += [
+        (2.00, "can0", report.key, b"\0", 0),
+        (2.01, "can0", 0x7FF, b"\0", 0),
+        (2.02, "can0", 0x7FF, b"\0", 0),
+        (2.03, "can0", 0x004, b"", ERROR),
+        (2.04, "can0", report.key, b"", REMOTE),
+        (2.00, "can0", 0x7FE, b"", 0),
+    ]
+    health = check_frames(clean, codec)
+    assert health.foreign == {0x7FE: 1, 0x7FF: 2}
+    assert of(codec, health, report.name).short == 1
+    assert [one.split(" ")[0] for one in health.problems] == [f"{report.name}:", "1", "1", "time"]
+
+
+def test_channels_tell_equal_ids_apart(codec: Codec, clean: list[Frame]) -> None:
+    other = Codec(load_vehicle("rav4_2017"))
+    lka = next(message for message in other.commands if message.channel)
+    frames: list[Frame] = [
+        (k * 0.01, channel, lka.key, bytes(8), 0) for k in range(9) for channel in ("x", lka.channel)
+    ]
+    health = check_frames(frames, other, by_channel=True)
+    assert of(other, health, lka.name).frames == 9
+    assert health.foreign == {lka.key: 9}

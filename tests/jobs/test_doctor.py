@@ -1,0 +1,139 @@
+"""doctor finds what is planted, says how to mend it, and finds nothing in what ships with the project."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.house import ROOT
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.events import Event
+from tunefree_hil.bus import kernel_link
+from tunefree_hil.bus.kernel_link import LinkState
+from tunefree_hil.jobs import machine
+from tunefree_hil.jobs.doctor import bench_findings, doctor, vehicle_findings
+from tunefree_hil.jobs.machine import FAULT, NOTE, OK
+
+
+def run(**options: Any) -> tuple[list[str], Event]:
+    found: Iterable[Event] = list(doctor(**{"vehicle": None, "schema": None, "bus": "tfhub", "bench": None, **options}))
+    *rest, result = found
+    return [event.message for event in rest], result
+
+
+@pytest.mark.parametrize("name", sorted(path.parent.name for path in (ROOT / "dbc").glob("*/vehicle.toml")))
+def test_the_vehicles_of_the_project_have_no_fault(name: str) -> None:
+    assert [finding for finding in vehicle_findings(Path(name)) if finding.kind == FAULT] == []
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "bench_configs").glob("*.toml")), ids=lambda path: path.stem)
+def test_the_bench_files_of_the_project_have_no_fault(path: Path) -> None:
+    assert [finding for finding in bench_findings(path) if finding.kind == FAULT] == []
+
+
+def test_all_faults_of_a_folder_at_once(tmp_path: Path) -> None:
+    folder = tmp_path / "mkz"
+    shutil.copytree(ROOT / "dbc" / "mkz_bywire", folder)
+    file = folder / "vehicle.toml"
+    text = file.read_text()
+    text = text.replace('signal = "SCMD"', 'signal = "SCMMD"').replace("tick_ms = 10", "tick_ms = 7")
+    file.write_text(text.replace("bitrate = 500_000", "bitrate = -1"))
+    said, result = run(vehicle=folder)
+    assert result.data["exit"] == 1
+    words = "\n".join(said)
+    assert "SCMMD" in words and "did you mean SCMD?" in words and "tick_ms" in words and "bitrate" in words
+    assert str(file) in words
+
+
+def test_a_file_that_is_no_toml_is_a_fault(tmp_path: Path) -> None:
+    (tmp_path / "vehicle.toml").write_text("schema = [")
+    _, result = run(vehicle=tmp_path)
+    assert (result.data["exit"], len(result.data["findings"])) == (1, 1)
+
+
+def test_a_wrong_name_is_the_users() -> None:
+    with pytest.raises(InputError):
+        run(vehicle=Path("no_such_car"))
+    with pytest.raises(InputError):
+        run(bench=Path("no_such_bench.toml"))
+
+
+def test_a_bench_file_is_followed(tmp_path: Path) -> None:
+    file = tmp_path / "b.toml"
+    names = 'vehicle = "mkz_bywire"\nmodel = "no_model"\nscenarios = ["left_trun"]\nweights = "heavy"\n'
+    file.write_text(f'schema = "tunefree.bench/1"\n{names}')
+    found = [finding for finding in bench_findings(file) if finding.kind == FAULT]
+    assert len(found) == 3
+    assert all(finding.remedy for finding in found)
+    assert any("left_turn" in finding.text + finding.remedy for finding in found)
+
+
+@pytest.mark.parametrize("name", ["vehicle", "model", "scenario", "weights", "bench"])
+def test_a_schema_is_json(name: str) -> None:
+    said, result = run(schema=name)
+    assert json.loads(said[0]) == result.data["schema"]
+    assert "$defs" in result.data["schema"]
+
+
+def test_this_machine() -> None:
+    said, result = run()
+    bench = "bench_configs/mkz_steer.toml"
+    assert result.data["next"] == [f"tunefree-hil drive {bench}"] * (result.data["exit"] == 0 and Path(bench).is_file())
+    kinds = {finding.kind for finding in result.data["findings"]}
+    assert kinds <= {OK, NOTE, FAULT}
+    assert any("python-can 4" in line for line in said)
+    assert any("tfhub" in line for line in said)
+    assert result.data["exit"] == (FAULT in kinds)
+
+
+def test_an_old_python_is_a_fault() -> None:
+    assert machine.python((3, 10, 1)).kind == FAULT
+    assert machine.python((3, 12, 0)).kind == OK
+
+
+def test_a_missing_package_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = machine.version_of
+    monkeypatch.setattr(machine, "version_of", lambda name: "" if name in ("cantools", "torch") else real(name))
+    found = {finding.text: finding.kind for finding in machine.packages()}
+    assert found["cantools is missing"] == FAULT
+    assert found["torch is not there (only the extra 'learn' needs it)"] == NOTE
+
+
+def test_a_missing_entry_point_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert machine.entry_point().kind == OK
+    monkeypatch.setattr(machine.metadata, "entry_points", lambda group: ())
+    assert machine.entry_point().kind == FAULT
+
+
+@pytest.mark.parametrize(
+    ("has_can", "state", "kind", "remedy"),
+    [
+        (False, LinkState(False, False, ""), NOTE, "sudo modprobe vcan"),
+        (True, LinkState(False, False, ""), NOTE, "sudo ip link add dev vcan0 type vcan"),
+        (True, LinkState(True, False, "vcan"), NOTE, "sudo ip link set up vcan0"),
+        (True, LinkState(True, True, ""), NOTE, ""),
+        (True, LinkState(True, True, "vcan"), OK, ""),
+    ],
+)
+def test_can_links(has_can: bool, state: LinkState, kind: str, remedy: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernel_link, "kernel_has_can", lambda: has_can)
+    monkeypatch.setattr(kernel_link, "link_state", lambda name: state)
+    (found,) = machine.can_links()
+    assert found.kind == kind
+    assert remedy in found.remedy and bool(remedy) == bool(found.remedy)
+
+
+def test_a_bus_that_there_is_not() -> None:
+    assert machine.which_bus("nonsense").kind == FAULT
+    assert machine.which_bus("tfhub").kind == OK
+
+
+def test_a_full_disk_is_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert machine.disk(tmp_path).kind == OK
+    monkeypatch.setattr(machine, "NEEDED_FREE_GB", 1e9)
+    assert machine.disk(tmp_path).kind == FAULT

@@ -1,0 +1,83 @@
+"""The same bits compiled: 300 ticks of each assembled body, and of the by-wire unit, in a process of their own."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+TICKS = 300
+
+
+def bits(record: Any) -> str:
+    """Every number of nested records as hex."""
+    if isinstance(record, tuple):
+        return " ".join(bits(value) for value in record)
+    return float(record).hex()
+
+
+def body_lines(kind: str, all_effects: bool) -> list[str]:
+    from tests.effects.test_effects import EFFECTS, STRONG
+    from tests.plant.drives import REST, car, command, drive
+    from tunefree_hil.base.course import Start
+    from tunefree_hil.base.records import Disturbance
+    from tunefree_hil.plant.sensors import noise_table
+
+    effects = tuple((EFFECTS[name], STRONG[name]) for name in sorted(EFFECTS)) if all_effects else ()
+    outputs = drive(
+        car(kind, effects=effects, ins_latency_s=0.02),
+        lambda t: command(0.3 if t < 1.2 else REST, REST if t < 1.6 else 0.3, 3.0 * math.sin(2.0 * t)),
+        0.01 * TICKS,
+        start=Start(2.0, -1.0, 3.0, 4.0),
+        road=Disturbance(0.02, 0.8),
+        noise=noise_table({"ins.x_m": 0.01, "report.speed_mps": 0.02}, {"report.accel_mps2": 0.01}, TICKS, 3),
+    )
+    return [bits(out) for out in outputs]
+
+
+def bywire_lines() -> list[str]:
+    from tests.plant.test_bywire import NOTHING, Bench, said
+    from tunefree_hil.plant.body import Driver
+
+    bench = Bench()
+    driver, foot = Driver(), Driver(brake_frac=0.25)
+    lines = []
+    for k in range(TICKS):
+        bench.steer_rad = math.sin(0.1 * k)
+        heard = said(0.2 + 0.001 * k, 0.15 + 0.002 * (k % 90), -1.0 + 0.01 * k, brake_clear=float(k == 150))
+        quiet = k % 3 == 2 or k > 280
+        lines.append(bits(bench.tick(NOTHING if quiet else heard, foot if 100 < k < 120 else driver)))
+    return lines
+
+
+CASES = {
+    "physics": lambda: body_lines("physics", False),
+    "reference": lambda: body_lines("reference", False),
+    "physics_effects": lambda: body_lines("physics", True),
+    "reference_effects": lambda: body_lines("reference", True),
+    "bywire": bywire_lines,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("case", CASES)
+def test_compiled_says_the_same_bits(case: str) -> None:
+    environment = {**os.environ, "TUNEFREE_JIT": "1", "PYTHONPATH": str(ROOT)}
+    code = f"from tests.plant.test_jit import CASES; print('\\n'.join(CASES[{case!r}]()))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    compiled = done.stdout.splitlines()
+    plain = CASES[case]()
+    assert len(plain) >= TICKS
+    different = [k for k, (a, b) in enumerate(zip(plain, compiled, strict=True)) if a != b]
+    assert not different, f"first at tick {different[0]}:\n{plain[different[0]]}\n{compiled[different[0]]}"
+    assert len(set(plain)) > TICKS // 8, "the case moves"

@@ -1,0 +1,43 @@
+"""The two model folders of the MKZ: their numbers are ones that the plants take, and the noise fields exist."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from tests.plant.drives import PLANTS
+from tunefree_hil.base.contracts import BodyChange
+from tunefree_hil.plant.data_sheet import DEFAULTS
+from tunefree_hil.plant.sensors import noise_table
+
+MODELS = Path(__file__).resolve().parents[2] / "bench_configs" / "models"
+
+
+def model(name: str) -> dict:
+    return tomllib.loads((MODELS / name / "model.toml").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(("name", "kind"), [("mkz_nominal", "physics"), ("mkz_reference", "reference")])
+def test_model_folder(name: str, kind: str) -> None:
+    said = model(name)
+    assert said["plant"]["kind"] == kind
+    params = said["plant"]["params"]
+    assert PLANTS[kind].make(params, BodyChange()).params == PLANTS[kind].make({}, BodyChange()).params, (
+        "the file states the defaults of the code; whoever changes one changes both"
+    )
+    assert set(PLANTS[kind].defaults) == set(params)
+    noise_table(said["noise"], said.get("bias", {}), 1, 1)
+
+
+def test_only_the_nominal_car_has_actuators_in_its_file() -> None:
+    assert set(model("mkz_nominal")["actuators"]) == {"throttle", "brake", "steer"}
+    assert "actuators" not in model("mkz_reference")
+    assert PLANTS["reference"].actuators is not None and PLANTS["physics"].actuators is None
+
+
+def test_the_two_cars_are_not_the_same() -> None:
+    reference = PLANTS["reference"].defaults
+    assert reference["mass_kg"] < DEFAULTS["mass_kg"]
+    assert reference["front_stiffness_n_per_rad"] < reference["rear_stiffness_n_per_rad"]

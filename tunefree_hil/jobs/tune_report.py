@@ -1,0 +1,150 @@
+"""What a study leaves for people: best.toml, figures, and a comparison with the best manual gains."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import tomli_w
+
+from tunefree_hil.base.errors import TunefreeError
+from tunefree_hil.bench import Bench, parameters_of
+from tunefree_hil.control.parameters import BY_NAME
+from tunefree_hil.episode.recording import load_recording
+from tunefree_hil.jobs.candidates import TUNED, baseline_vectors
+from tunefree_hil.jobs.run_folder import RunFolder, write_text
+from tunefree_hil.jobs.words import Drives, comparison, table
+from tunefree_hil.tune.compare import best_baseline
+from tunefree_hil.tune.study import Study, Trial
+
+EDGE_SHARE = 0.02  # a winner nearer than this to an edge of its box (in its scale) is said to be on it
+
+
+class Report(NamedTuple):
+    """Lines for a person, one sentence, and the same as data."""
+
+    lines: list[str]
+    sentence: str
+    data: dict[str, Any]
+
+
+def finish_report(bench: Bench, run: RunFolder, study: Study) -> Report:
+    """Write best.toml and the figures of a study with at least one trial and one baseline."""
+    best = study.best()
+    if best is None:
+        raise TunefreeError("the study has no trial", hint="--trials 1 or more")
+    standing = best_baseline(study.baselines())
+    manual = study.baselines()[standing.name]
+    values = parameters_of(bench, best.parameters)
+    sentence = comparison(standing.name, manual.scenarios, best.scenarios, (manual.score, best.score))
+    write_text(run.path / "best.toml", _best_toml(bench, best, values, standing.name, manual.score))
+    rows: dict[str, Drives] = {name: one.scenarios for name, one in study.baselines().items()}
+    scores = {name: one.score for name, one in study.baselines().items()}
+    lines = table({TUNED: best.scenarios, **rows}, {TUNED: best.score, **scores})
+    edges = on_edge(study, best)
+    if edges:
+        lines.append(f"the winner lies on an edge of its box: {', '.join(edges)}")
+    figures = _figures(bench, run, study, best, standing.name)
+    data = {
+        "best": {"slot": best.slot, "score": best.score, "parameters": best.parameters},
+        "manual": {"name": standing.name, "score": manual.score, "replans": standing.replans},
+        "baselines": scores,
+        "ratio": best.score / manual.score,
+        "on_edge": edges,
+        "figures": figures,
+    }
+    shown = ", ".join(f"{name} = {value:.4g}" for name, value in best.parameters.items())
+    return Report(lines, f"{shown}: {sentence}", data)
+
+
+def _best_toml(bench: Bench, best: Trial, values: Mapping[str, float], manual: str, manual_score: float) -> str:
+    data = {
+        "schema": "tunefree.best/1",
+        "bench": bench.file,
+        "model": bench.spec.model,
+        "slot": best.slot,
+        "score": best.score,
+        "manual": manual,
+        "manual_score": manual_score,
+        "tuned": best.parameters,
+        "parameters": dict(values),
+    }
+    return (
+        "# The winner of a study. [parameters] is complete: paste it into [controller.parameters] of a bench file.\n"
+        + tomli_w.dumps(data)
+    )
+
+
+def on_edge(study: Study, best: Trial) -> list[str]:
+    """Searched parameters whose winning value lies on an edge of its box."""
+
+    found = []
+    for axis in study.settings.space.axes:
+        if axis.grid:
+            continue
+        scale = math.log if axis.log else float
+        low, high, at = scale(axis.low), scale(axis.high), scale(best.parameters[axis.name])
+        share = (at - low) / (high - low)
+        if min(share, 1.0 - share) < EDGE_SHARE:
+            found.append(f"{axis.name} ({'low' if share < 0.5 else 'high'} edge)")
+    return found
+
+
+def _figures(bench: Bench, run: RunFolder, study: Study, best: Trial, manual_name: str) -> list[str]:
+    from tunefree_hil.figures.bars import write_bars
+    from tunefree_hil.figures.history import write_history
+    from tunefree_hil.figures.scatter import Points, Range, write_scatter
+
+    folder = run.figures()
+    trials, baselines = study.trials(), study.baselines()
+    manual = baselines[manual_name]
+    scores = [trial.score for trial in trials]
+    others = {name: one.score for name, one in baselines.items() if name != manual_name}
+    written = [write_history(folder / "history.png", scores, {f"manual ({manual_name})": manual.score, **others})]
+    axes = study.settings.space.axes
+    points = Points(
+        parameters={axis.name: [trial.parameters[axis.name] for trial in trials] for axis in axes},
+        scores=scores,
+        boxes={axis.name: Range(axis.low, axis.high, axis.log, _unit(axis.name)) for axis in axes},
+        manual={axis.name: manual.parameters[axis.name] for axis in axes},
+    )
+    written.append(write_scatter(folder / "parameters.png", points))
+    bars = {
+        f"manual ({manual_name})": {name: drive["score"] for name, drive in manual.scenarios.items()},
+        TUNED: {name: drive["score"] for name, drive in best.scenarios.items()},
+    }
+    written.append(write_bars(folder / "scenarios.png", bars))
+    written += scenario_figures(bench, run, best.slot, manual_name, manual.scenarios, best.scenarios)
+    return [str(path) for path in written]
+
+
+def scenario_figures(
+    bench: Bench, run: RunFolder, slot: int, manual_name: str, manual: Drives, tuned: Drives
+) -> list[Path]:
+    """Manual against tuned, one figure a scenario; one whose columns are gone (an old run) is left out."""
+    from tunefree_hil.figures.scenario import Drive, write_scenario
+
+    vectors = list(baseline_vectors(bench))
+    names = bench.spec.scenarios
+    written = []
+    for place, name in enumerate(names):
+        groups = {
+            f"manual ({manual_name})": (vectors.index(manual_name), manual),
+            TUNED: (len(vectors) + slot, tuned),
+        }
+        drives = []
+        for label, (group, grades) in groups.items():
+            path = run.episode(group * len(names) + place) / "columns.npz"
+            if path.is_file():
+                outcome = grades[name]["outcome"]
+                early = "" if outcome == "finished" else outcome
+                drives.append(Drive(label, load_recording(path).columns, grades[name]["score"], early))
+        if len(drives) == len(groups):
+            written.append(write_scenario(run.figures() / f"{name}.png", name, drives))
+    return written
+
+
+def _unit(name: str) -> str:
+    return BY_NAME[name].tunable.unit if name in BY_NAME else ""
