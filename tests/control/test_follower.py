@@ -286,3 +286,24 @@ def test_errors_do_not_change_with_the_place_on_the_map(kit, x, y, turn, lateral
         assert one.replan == other.replan
         for name in ("station_error_m", "speed_error_mps", "lateral_error_m", "heading_error_rad", "ref_curvature_1pm"):
             assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-8)
+
+
+def test_overrunning_a_stop_replans_to_a_wait_where_it_stands(kit):
+    """3 m past the stop line: the reference waits there until the plan pulls away, and then goes on from there."""
+
+    def speed(t):
+        return 2.0 if t < 4.0 else max(0.0, 6.0 - t) if t < 9.0 else min(2.0, t - 9.0)
+
+    def fixes():
+        for k in range(1100):
+            yield fix(x=min(0.02 * k, 13.0), speed=2.0 if k < 650 else 0.0)
+
+    answers = run(make_follower(kit.course(15.0, speed), AHEAD_M), fixes())
+    first = next(k for k, tracking in enumerate(answers) if tracking.replan)
+    assert 600 < first < 650
+    last = max(k for k, tracking in enumerate(answers) if tracking.replan)
+    assert abs(answers[last + 1].station_error_m) < 0.05
+    # Once the speed offset of the re-plan has faded, only a constant offset of the station is left.
+    assert answers[890].ref_speed_mps == pytest.approx(0.0, abs=0.2)
+    assert abs(answers[890].path_remaining_m - answers[890].station_error_m) < 1e-9  # the stop has moved with it
+    assert answers[1050].ref_speed_mps > 1.0

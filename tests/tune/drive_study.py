@@ -1,4 +1,4 @@
-"""Runs a study in a process of its own: drive_study.py FILE SAMPLER TRIALS SLEEP_S, and says what it does. For test_study_kill.py."""
+"""Runs a study in a process of its own and says how far it is: drive_study.py FILE SAMPLER TRIALS SLEEP_S."""
 
 from __future__ import annotations
 

@@ -7,12 +7,14 @@ import math
 import statistics
 from typing import Any
 
+import optuna
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.tune.drive_study import SPACE, Parameter
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.tune import sampling
 from tunefree_hil.tune.sampling import SAMPLERS, Told, learned_value, slot_seed, suggest
 from tunefree_hil.tune.space import Space, make_space
 
@@ -58,7 +60,17 @@ def test_seeds_of_slots_are_unrelated() -> None:
     assert max(seeds) < 2**32
 
 
-def test_the_sampler_is_told_the_logarithm() -> None:
+def test_the_sampler_is_told_the_logarithm(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[float] = []
+
+    def spied(**given: Any) -> optuna.trial.FrozenTrial:
+        told.append(given["value"])
+        return optuna.trial.create_trial(**given)
+
+    monkeypatch.setattr(sampling, "create_trial", spied)
+    known = history(SPACE, 3)
+    suggest(SPACE, known, sampler="tpe_relative", seed=1, slot=3)
+    assert told == [math.log(one.score) for one in known]
     assert learned_value(math.e) == pytest.approx(1.0)
     assert math.isfinite(learned_value(0.0))
     assert learned_value(0.0) < learned_value(0.01) < learned_value(10.0)

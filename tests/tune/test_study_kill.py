@@ -21,7 +21,7 @@ from tests.tune.drive_study import settings
 from tunefree_hil.tune.study import Trial, open_study, read_study
 
 ROOT = Path(__file__).resolve().parents[2]
-TRIALS, SLEEP_S = 30, 0.1  # asleep for most of a trial: kills mostly fall into an evaluation
+TRIALS, SLEEP_S = 22, 0.1  # asleep for most of a trial: kills mostly fall into an evaluation
 pytestmark = pytest.mark.slow
 
 
@@ -76,7 +76,7 @@ def test_a_study_killed_and_resumed_gives_the_same_trials(tmp_path: Path, sample
     finish(tmp_path / "whole.db", sampler)
     chance = np.random.default_rng([7, len(sampler)])
     cut = tmp_path / "cut.db"
-    for _ in range(7):
+    for _ in range(5):
         times, rest_s = int(chance.integers(1, 4)), float(chance.uniform(0.0, SLEEP_S))
         kill_after(start(cut, sampler), "filled", times, rest_s)
     assert len(facts(cut)) < TRIALS
@@ -122,7 +122,7 @@ def free_port() -> int:
 
 @pytest.fixture
 def dashboard(tmp_path: Path) -> Iterator[str]:
-    """The address of a dashboard on a study of 30 trials, one of which was interrupted."""
+    """The address of a dashboard on a study, one trial of which was interrupted."""
     path = tmp_path / "study.db"
     kill_after(start(path, "random", sleep_s=1.5), "evaluating", 3)
     finish(path, "random")

@@ -8,17 +8,15 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import msgspec
-import tomli_w
-
 from tunefree_hil.bench import Bench, model_of
+from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.schema import ScenarioSpec
 
 
 def identity_of(bench: Bench, model: str, scenarios: Iterable[ScenarioSpec]) -> dict[str, Any]:
-    """`hashes` (bench, vehicle, model, weights, scenarios) and `identity`, one hash over all that a score depends on."""
-    controller = msgspec.to_builtins(bench.spec.controller)
-    disturbed = msgspec.to_builtins([bench.spec.effects, bench.spec.faults])
+    """`hashes` of the files, and `identity`: one hash over all that a score depends on."""
+    controller = plain(bench.spec.controller)
+    disturbed = plain([bench.spec.effects, bench.spec.faults])
     hashes = {
         "bench": _sha(Path(bench.file).read_bytes()),
         "vehicle": bench.vehicle.hash,
@@ -32,17 +30,9 @@ def identity_of(bench: Bench, model: str, scenarios: Iterable[ScenarioSpec]) -> 
 
 def resolved_toml(bench: Bench) -> str:
     """The bench file as it was understood: defaults filled in, names made absolute where they were relative paths."""
-    data = _without_none(msgspec.to_builtins(bench.spec))
+    data = plain(bench.spec)
     data.pop("path", None)
-    return tomli_w.dumps(data)
-
-
-def _without_none(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_none(one) for key, one in value.items() if one is not None and one != {}}
-    if isinstance(value, list):
-        return [_without_none(one) for one in value]
-    return value
+    return to_toml(data)
 
 
 def _sha(data: bytes) -> str:

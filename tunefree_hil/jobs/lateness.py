@@ -37,7 +37,11 @@ def judge_realtime(run: RunFolder, episodes: Iterable[int]) -> dict[str, Any]:
     if known:
         from tunefree_hil.figures.jitter import write_jitter
 
-        figure = str(write_jitter(run.figures() / "jitter.png", known, LATE_S))
+        figure = str(
+            write_jitter(
+                run.figures() / "jitter.png", {role: list(map(float, rows)) for role, rows in known.items()}, LATE_S
+            )
+        )
     worst = max((node["max_ms"] for node in nodes.values()), default=float("nan"))
     words = "it was real time" if valid else "NOT real time, do not use the score"
     return {"valid": valid, "nodes": nodes, "figure": figure, "sentence": f"{words} (worst tick {worst:.1f} ms late)"}

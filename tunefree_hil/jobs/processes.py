@@ -1,4 +1,4 @@
-"""Starts the bench's processes, notices when one dies, ends them all. No orphans: they also end when the hub is gone."""
+"""Starts the bench's processes, notices when one dies, ends them all. They also end when the hub is gone."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ def _drive_again(folder: RunFolder, bench: Bench, numbers: list[int]) -> Iterato
             again = Path(scratch) / str(k)
             again.mkdir()
             scenario = find_scenario(bench, stored["scenario"])
-            session.drive(scenario, stored["seed"], list(stored["parameters"].values()), again)
+            session.drive(scenario, stored["seed"], stored["parameters"], again)
             yield k, _difference(folder, bench, k, stored, again / "vehicle.log")
 
 
@@ -116,7 +116,7 @@ def _difference(folder: RunFolder, bench: Bench, k: int, stored: dict[str, Any],
     found = compare_logs(first, again, bench.codec, bench.dt_s)
     if found is None:
         return {"sentence": "the stored hash differs although the logs agree: episode.json was changed"}
-    return {"sentence": str(found), **found._asdict()}
+    return {"sentence": found.sentence(), **found._asdict()}
 
 
 def _require_same_files(folder: RunFolder, bench: Bench, model: str) -> None:

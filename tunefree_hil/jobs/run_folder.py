@@ -1,4 +1,4 @@
-"""The run folder of interfaces 6: everything under a temporary name, then renamed; readable and resumable wherever cut off."""
+"""The run folder of interfaces 6: written under temporary names, readable and resumable wherever it was cut off."""
 
 from __future__ import annotations
 

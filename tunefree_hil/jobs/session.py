@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 
@@ -11,6 +11,7 @@ from tunefree_hil.base.errors import BenchError, PeerGone
 from tunefree_hil.bus.link import Link, Owner
 from tunefree_hil.bus.open import BusChoice, open_link, resolve_bus
 from tunefree_hil.config.schema import ScenarioSpec
+from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.jobs.node_links import TIMING_VARIABLE
 from tunefree_hil.jobs.processes import Processes
 from tunefree_hil.nodes.runner import Outcome, Runner
@@ -98,14 +99,15 @@ class Session:
         self,
         scenario: ScenarioSpec,
         seed: int,
-        parameters: Sequence[float],
+        parameters: Mapping[str, float],
         folder: Path,
         progress: Callable[[int], None] = lambda tick: None,
     ) -> Outcome:
         """One episode; `folder/vehicle.log` and `folder/bench.log` are written by the hub."""
         logs = {"vehicle": folder / "vehicle.log", "bench": folder / "bench.log"}
+        vector = [parameters[name] for name in NAMES]
         try:
-            return self.runner.drive(bytes.fromhex(scenario.hash)[:6], seed, parameters, logs, progress)
+            return self.runner.drive(bytes.fromhex(scenario.hash)[:6], seed, vector, logs, progress)
         except PeerGone as error:
             raise self.processes.explain(error) from error
 

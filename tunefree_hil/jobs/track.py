@@ -69,7 +69,7 @@ class Track:
         return {name: future.result() for name, future in reading.items()}
 
     def _drive(self, scenario: ScenarioSpec, values: Mapping[str, float], folder: Path) -> Outcome:
-        outcome = self.session.drive(scenario, self._seed_of(scenario), list(values.values()), folder)
+        outcome = self.session.drive(scenario, self._seed_of(scenario), values, folder)
         self.simulated_s += outcome.ticks * self.bench.dt_s
         self.wall_s += outcome.wall_s
         self.frames += sum(outcome.logged.values())

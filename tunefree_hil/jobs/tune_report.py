@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import tomli_w
-
 from tunefree_hil.base.errors import TunefreeError
 from tunefree_hil.bench import Bench, parameters_of
+from tunefree_hil.config.dump import to_toml
 from tunefree_hil.control.parameters import BY_NAME
 from tunefree_hil.episode.recording import load_recording
 from tunefree_hil.jobs.candidates import TUNED, baseline_vectors
@@ -73,7 +72,7 @@ def _best_toml(bench: Bench, best: Trial, values: Mapping[str, float], manual: s
     }
     return (
         "# The winner of a study. [parameters] is complete: paste it into [controller.parameters] of a bench file.\n"
-        + tomli_w.dumps(data)
+        + to_toml(data)
     )
 
 

@@ -28,7 +28,7 @@ def failures(drives: Drives) -> list[str]:
 
 
 def comparison(manual_name: str, manual: Drives, tuned: Drives, scores: tuple[float, float]) -> str:
-    """'score 0.21 -> 0.18 (-14 %) against as_shipped; lateral peak 0.21 -> 0.09 m; 6 of 7 scenarios better, u_turn most'."""
+    """'score 0.21 -> 0.18 (-14 %) against mrac_on; lateral peak 0.21 -> 0.09 m; 6 of 7 scenarios better'."""
     before, after = scores
     change = 100.0 * (after / before - 1.0) if before > 0.0 else 0.0
     parts = [f"score {before:.3f} -> {after:.3f} ({change:+.0f} %) against {manual_name}"]

@@ -17,11 +17,11 @@ from tunefree_hil.bus.tfhub.records import (
     HELLO,
     PROTOCOL,
     REFUSED,
-    TCP_BUFFER_BYTES,
     WELCOME,
     RecordError,
     body_of,
     pack_control,
+    small_buffers,
 )
 
 ANSWER_S = 5.0  # how long a hub may take for an answer
@@ -100,7 +100,7 @@ def _connect(address: Address) -> socket.socket:
     try:
         if not address.path:
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, TCP_BUFFER_BYTES)
+            small_buffers(sock)
         sock.settimeout(ANSWER_S)
         sock.connect(address.path or (address.host, address.port))
     except OSError as error:

@@ -13,7 +13,6 @@ from tunefree_hil.bus.tfhub.records import (
     PEER_GONE,
     PROTOCOL,
     REFUSED,
-    TCP_BUFFER_BYTES,
     WELCOME,
     RecordError,
     pack_control,
@@ -37,7 +36,6 @@ def accept(hub: Hub, listener: socket.socket, channel: str) -> None:
     sock.setblocking(False)
     if sock.family == socket.AF_INET:
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, TCP_BUFFER_BYTES)
     hub.board.add(sock, channel, time.monotonic() + HELLO_PATIENCE_S)
 
 

@@ -9,6 +9,7 @@ The other types carry JSON or nothing.
 from __future__ import annotations
 
 import json
+import socket
 import struct
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -17,7 +18,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import CanFrame
 
 PROTOCOL = 1
-TCP_BUFFER_BYTES = 1 << 17  # in the kernel, each way: what waits belongs in the hub, where it is counted
+TCP_BUFFER_BYTES = 1 << 17
 CHANNELS = ("vehicle", "bench")
 ENDPOINTS = {"vehicle": "veh", "bench": "bench"}  # channel -> last part of its address
 LOG_NAMES = {"vehicle": "can0", "bench": "bench"}  # channel -> its name in a log, unless told otherwise
@@ -59,6 +60,15 @@ class Raw(NamedTuple):
     flags: int
     fd: bool
     data: bytes
+
+
+def small_buffers(sock: socket.socket) -> None:
+    """Keep a TCP connection's buffers in the kernel small: what waits belongs in the hub, where it is counted.
+
+    To be called before the socket connects or listens.
+    """
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, TCP_BUFFER_BYTES)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, TCP_BUFFER_BYTES)
 
 
 def pack_control(kind: int, body: dict[str, Any] | None = None, *, sender: int = 0, sequence: int = 0) -> bytes:

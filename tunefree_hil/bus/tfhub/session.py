@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bus.tfhub.address import HUB_FILE, TOKEN_FILE, HubInfo, read_hub, session_dir
-from tunefree_hil.bus.tfhub.records import CHANNELS, ENDPOINTS
+from tunefree_hil.bus.tfhub.records import CHANNELS, ENDPOINTS, small_buffers
 
 LONGEST_PATH = 103  # bytes in sun_path without the final 0, on the system that has least (macOS)
 BACKLOG = 32
@@ -88,6 +88,7 @@ class Session:
     def _listen(self, channel: str, transport: str) -> socket.socket:
         if transport == "tcp":
             listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+            small_buffers(listener)
             listener.bind(("127.0.0.1", 0))
         else:
             listener = self._bind_unix(self.folder / ENDPOINTS[channel])
