@@ -17,7 +17,7 @@ from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.codec import Codec, MessageMap
 from tunefree_hil.bus.integrity import Order, check_counter
 from tunefree_hil.nodes.bits import StatusSignals, cause_name
-from tunefree_hil.nodes.exchange import Exchange
+from tunefree_hil.nodes.exchange import Exchange, can_key
 from tunefree_hil.nodes.timing import CycleTimes
 from tunefree_hil.plant.body import Driver
 from tunefree_hil.plant.bywire import Heard, HeardChannel
@@ -50,7 +50,7 @@ class Ears:
         """The channels of one tick; a channel without a frame is not fresh."""
         channels: dict[str, Any] = {}
         for frame in frames:
-            message = self.codec.by_id[frame.id]
+            message = self.codec.by_id[can_key(frame)]
             decoded = self.codec.decode(message, frame.data)
             values = {index: value for group, index, value in self.codec.values(message, decoded) if group == "command"}
             for channel in message.bywire:

@@ -16,15 +16,16 @@ from tunefree_hil.base.errors import BenchError, NoAnswer
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.link import Link
+from tunefree_hil.bus.message_map import EXTENDED_FLAG
 
 HARD_LIMIT_S = 5.0
 SLICE_S = 0.5  # how often a waiting node looks at the other link: a lost peer is said on both
 PHASE_ROLES = ("ecu", "controller")
 
 
-def arbitration_key(frame: CanFrame) -> tuple[bool, int]:
-    """Order of simultaneous frames: standard ids first, then by id; a stable sort keeps the sequence within an id."""
-    return (frame.extended, frame.id)
+def can_key(frame: CanFrame) -> int:
+    """SocketCAN's can_id. Order of simultaneous frames too: a stable sort keeps the sequence within an id."""
+    return frame.id | EXTENDED_FLAG if frame.extended else frame.id
 
 
 def digest(frames: Iterable[CanFrame]) -> int:
@@ -55,7 +56,7 @@ class Exchange:
 
     def announce(self, k: int, phase: int, frames: list[CanFrame], *before: Any) -> None:
         """Send this phase's vehicle frames, then `before` and DONE on the bench channel."""
-        frames.sort(key=arbitration_key)
+        frames.sort(key=can_key)
         if frames:
             self.vehicle.send(frames)
         self.say(*before, bc.Done(k, phase, len(frames), digest(frames)), k=k)
@@ -92,7 +93,7 @@ class Exchange:
         if done is None:
             return None
         frames = self._await_frames(k, phase, done.n_tx)
-        frames.sort(key=arbitration_key)
+        frames.sort(key=can_key)
         if digest(frames) != done.digest:
             raise BenchError(
                 f"tick {k}: the {len(frames)} frames of the {PHASE_ROLES[phase]} are not those it announced "
@@ -140,12 +141,13 @@ class Exchange:
         """Put arrived frames to their phase; count those that are in neither set."""
         telemetry, commands = self.ids_of_phase
         for frame in frames:
-            if frame.id in telemetry:
+            key = can_key(frame)
+            if key in telemetry:
                 self._frames[0].append(frame)
-            elif frame.id in commands:
+            elif key in commands:
                 self._frames[1].append(frame)
             else:
-                self.foreign[frame.id] = self.foreign.get(frame.id, 0) + 1
+                self.foreign[key] = self.foreign.get(key, 0) + 1
 
     def take_before(self, phase: int, stamp_s: float) -> list[CanFrame]:
         """Real time: the frames of a phase stamped before `stamp_s`; later ones stay for the next cycle."""

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from tunefree_hil.base.records import CanFrame, Measurement
 from tunefree_hil.bus.codec import Codec, Snapshot
 from tunefree_hil.bus.message_map import MessageMap
+from tunefree_hil.nodes.exchange import can_key
 from tunefree_hil.nodes.handshake import VehicleState
 
 MISSING_S = 0.2  # 20 missed periods of localization in the source (apollo_facts 1.2)
@@ -30,7 +31,7 @@ class Hearing:
     def hear(self, tick: int, frames: Iterable[CanFrame]) -> None:
         """Take in frames that have arrived by tick `tick`."""
         for frame in frames:
-            message = self.codec.by_id[frame.id]
+            message = self.codec.by_id[can_key(frame)]
             self.heard_at[message.name] = tick
             if self._payload.get(message.name) == frame.data:
                 continue  # nothing new in it
