@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import subprocess
+import sys
 import tomllib
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from tests.house import ROOT
+from tests.house import ROOT, imports, package_files
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
@@ -49,6 +51,21 @@ def test_every_dependency_is_locked_within_its_bounds(words: list[str], lock: st
         if not requirement.specifier.contains(pins.get(canonicalize_name(requirement.name), "0"), prereleases=True)
     ]
     assert not loose
+
+
+def undeclared(libraries: set[str], declared_names: set[str]) -> set[str]:
+    """Imported libraries of which no distribution is declared."""
+    known = packages_distributions()
+    names = {canonicalize_name(name) for name in declared_names}
+    return {one for one in libraries if not names & {canonicalize_name(name) for name in known.get(one, [one])}}
+
+
+def test_what_is_imported_is_declared() -> None:
+    libraries = {name.split(".")[0] for path in package_files() for _, name in imports(path.read_text())}
+    third_party = libraries - sys.stdlib_module_names - {"tunefree_hil"}
+    names = {requirement.name for requirement in declared([*PROJECT["dependencies"], *EXTRAS["learn"]])}
+    assert undeclared(third_party, names) == set()
+    assert undeclared({"can", "hypothesis"}, names) == {"hypothesis"}
 
 
 def test_locks_pin_exact_versions_and_no_local_builds() -> None:

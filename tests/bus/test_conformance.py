@@ -1,58 +1,26 @@
 """One suite for every bus that this machine can open; a row that cannot run says why it is skipped.
 
-The rows of a hub have it in a process of its own; peers that are killed are processes, too.
+The rows of a hub have it in a process of its own. What only our hub promises: test_tfhub_conformance.py.
 """
 
 from __future__ import annotations
 
-import select
-import sys
 import threading
 import time
-import uuid
 from collections.abc import Iterator
 from contextlib import ExitStack
-from pathlib import Path
-from typing import Any
 
 import can
 import pytest
 
-from tests.bus.tfhub_help import PATIENCE_S, child, eventually, frame, number_of, receive_all
-from tunefree_hil.base.errors import BenchError, InputError, PeerGone
+from tests.bus.tfhub_help import PATIENCE_S, Backend, number_of, receive_all, start_kind
 from tunefree_hil.bus.kernel_link import kernel_has_can, link_state
-from tunefree_hil.bus.tfhub import address
-from tunefree_hil.bus.tfhub.owner import Owner
-from tunefree_hil.bus.tfhub.plugin import HubBus, HubGone
-from tunefree_hil.bus.tfhub.start import HubProcess, start_hub
+from tunefree_hil.bus.tfhub.start import HubProcess
 
 BURST = 20_000
 
 
-class Backend:
-    """One kind of bus; `open` gives one more peer on its vehicle channel, closed after the test."""
-
-    def __init__(self, kind: str, folder: Path, stack: ExitStack) -> None:
-        self.kind = kind
-        self.stack = stack
-        self.hub: HubProcess | None = None
-        self.channel = "vcan0" if kind == "socketcan" else f"test-{uuid.uuid4().hex}"
-        if kind.startswith("tfhub"):
-            self.hub = stack.enter_context(start_hub(str(folder / "hub"), transport=kind.removeprefix("tfhub-")))
-
-    def open(self, name: str = "", **options: Any) -> Any:
-        if self.hub is not None:
-            options = {"role": "member", "name": name, **options}
-            bus = can.Bus(self.hub.vehicle, interface="tfhub", ignore_config=True, **options)
-        else:
-            more = {"fd": True} if self.kind == "socketcan" else {}
-            bus = can.Bus(self.channel, interface=self.kind, ignore_config=True, **more, **options)
-        return self.stack.enter_context(bus)
-
-
 def _require(kind: str) -> None:
-    if kind == "tfhub-unix" and sys.platform == "win32":
-        pytest.skip("no unix sockets on this system")
     if kind == "socketcan":
         if not kernel_has_can():
             pytest.skip("this kernel has no CAN")
@@ -64,28 +32,26 @@ ALL = ["tfhub-unix", "tfhub-tcp", "virtual", pytest.param("socketcan", marks=pyt
 LOSSLESS = ["tfhub-unix", "tfhub-tcp", "virtual"]  # a kernel socket that nobody reads overflows, by design
 
 
-def _backend(request: pytest.FixtureRequest, folder: Path) -> Iterator[Backend]:
-    _require(request.param)
+@pytest.fixture(scope="module")
+def hubs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, HubProcess]]:
+    """A hub of each transport that the tests share which leave it whole."""
+    kinds = [kind for kind in ALL if isinstance(kind, str) and kind.startswith("tfhub")]
     with ExitStack() as stack:
-        yield Backend(request.param, folder, stack)
+        folder = tmp_path_factory.mktemp("hubs")
+        yield {kind: stack.enter_context(start_kind(kind, folder / kind)) for kind in kinds}
 
 
 @pytest.fixture(params=ALL)
-def bus(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Backend]:
-    yield from _backend(request, tmp_path)
+def bus(request: pytest.FixtureRequest, hubs: dict[str, HubProcess]) -> Iterator[Backend]:
+    _require(request.param)
+    with ExitStack() as stack:
+        yield Backend(request.param, hubs.get(request.param), stack)
 
 
 @pytest.fixture(params=LOSSLESS)
-def lossless(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Backend]:
-    yield from _backend(request, tmp_path)
-
-
-@pytest.fixture(params=["tfhub-unix", "tfhub-tcp"])
-def tfhub(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Backend]:
-    yield from _backend(request, tmp_path)
-
-
-# --- every bus ---------------------------------------------------------------------------------------------------
+def lossless(request: pytest.FixtureRequest, hubs: dict[str, HubProcess]) -> Iterator[Backend]:
+    with ExitStack() as stack:
+        yield Backend(request.param, hubs.get(request.param), stack)
 
 
 def test_frames_keep_their_order_and_all_their_flags(bus: Backend) -> None:
@@ -197,7 +163,7 @@ def test_a_notifier_works(bus: Backend) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
 def test_nothing_is_lost_in_a_burst_with_a_sleeping_reader(lossless: Backend, fd: bool) -> None:
-    """As fast as they go, the reader asleep for a second. With FD 3.7 MB: more than hub and kernel keep between them."""
+    """As fast as they go, the reader asleep for a second. With FD 3.7 MB: more than hub and kernel keep."""
     a, b = lossless.open("a"), lossless.open("b")
     count = 2 * BURST if fd else BURST
     filler = bytes(56) if fd else b""
@@ -216,174 +182,3 @@ def test_nothing_is_lost_in_a_burst_with_a_sleeping_reader(lossless: Backend, fd
     thread.join()
     assert numbers == list(range(count))
     assert b.recv(0.02) is None
-
-
-# --- our hub -----------------------------------------------------------------------------------------------------
-
-
-def test_two_full_sides_do_not_wait_for_each_other(tfhub: Backend) -> None:
-    """Both send 2.7 MB before they read anything: a send that waits takes in what comes."""
-    buses = [tfhub.open("a"), tfhub.open("b")]
-    got: dict[str, list[int]] = {bus.name: [] for bus in buses}
-
-    def send_then_read(bus: HubBus) -> None:
-        for first in range(0, 30_000, 1000):
-            bus.send_frames([frame(first + i)._replace(fd=True) for i in range(1000)], PATIENCE_S)
-        while len(got[bus.name]) < 30_000:
-            frames = bus.recv_frames(PATIENCE_S)
-            assert frames
-            got[bus.name] += [number_of(found.data) for found in frames]
-
-    threads = [threading.Thread(target=send_then_read, args=(bus,)) for bus in buses]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert got == {"a": list(range(30_000)), "b": list(range(30_000))}
-
-
-def test_a_stalled_observer_stalls_nobody(tfhub: Backend) -> None:
-    assert tfhub.hub is not None
-    a, b, stalled = tfhub.open("a"), tfhub.open("b"), tfhub.open("stalled", role="observer")
-    count = 100_000
-    sent = 0
-    while sent < count:
-        a.send_frames([frame(sent + i) for i in range(1000)], PATIENCE_S)
-        sent += 1000
-        got = 0
-        while got < 1000:
-            got += len(b.recv_frames(PATIENCE_S))
-    dropped = tfhub.hub.owner.stats().dropped()["stalled"]
-    assert 0 < dropped < count
-    numbers: list[int] = []
-    while not numbers or numbers[-1] < count - 1:
-        numbers += [number_of(found.data) for found in stalled.recv_frames(PATIENCE_S)]
-    assert numbers == sorted(set(numbers)) and len(numbers) + dropped == count
-    assert stalled.dropped == dropped
-
-
-WAIT = """
-import sys, time
-from tunefree_hil.base.records import CanFrame
-from tunefree_hil.bus import HubBus
-buses = [HubBus(text, role="member", name=sys.argv[1]) for text in sys.argv[2:]]
-buses[0].send_frames([CanFrame(0x55, b"hello")])
-time.sleep(60)
-"""
-
-
-@pytest.mark.slow
-def test_a_killed_peer_is_named_once_and_the_bus_goes_on(tfhub: Backend) -> None:
-    assert tfhub.hub is not None
-    a, b = tfhub.open("a"), tfhub.open("b")
-    for _ in range(2):
-        with child(WAIT, "ecu", tfhub.hub.vehicle, tfhub.hub.bench) as process:
-            for bus in (a, b):
-                assert receive_all(bus, 1)[0].arbitration_id == 0x55
-            process.kill()
-            for bus in (a, b):
-                with pytest.raises(PeerGone, match="ecu is gone from the bus") as raised:
-                    bus.recv(PATIENCE_S)
-                assert raised.value.peer == "ecu" and isinstance(raised.value, can.CanOperationError)
-        a.send_frames([frame(1)])
-        assert b.recv_frames(PATIENCE_S) and a.recv(0.02) is None
-    assert tfhub.hub.said().count("lost member ecu") == 2
-
-
-@pytest.mark.slow
-def test_a_stopped_member_holds_the_bus_and_its_death_frees_it(tfhub: Backend) -> None:
-    assert tfhub.hub is not None
-    hub, a = tfhub.hub, tfhub.open("a")
-    with child(WAIT, "sleeper", hub.vehicle) as process:
-        assert receive_all(a, 1)
-        with pytest.raises(can.CanTimeoutError, match="a member does not read"):
-            for first in range(0, 200_000, 1000):
-                a.send_frames([frame(first + i) for i in range(1000)], 0.3)
-        assert hub.owner.stats().held_by == ("sleeper",)
-        process.kill()
-        with pytest.raises(PeerGone, match="sleeper"):
-            a.recv(PATIENCE_S)
-        b = tfhub.open("b")
-        a.send_frames([frame(7)], PATIENCE_S)
-        while number_of(b.recv_frames(PATIENCE_S)[-1].data) != 7:
-            pass
-
-
-@pytest.mark.slow
-def test_a_killed_hub_is_named_by_everybody(tfhub: Backend) -> None:
-    assert tfhub.hub is not None
-    hub = tfhub.hub
-    member, observer = tfhub.open("a"), tfhub.open("o", role="observer")
-    member.send_frames([frame(1)])
-    eventually(lambda: select.select([observer._connection.sock], [], [], 0.0)[0])
-    hub.process.kill()
-    hub.process.wait()
-    assert observer.recv(PATIENCE_S) is not None  # what had come before
-    for bus in (member, observer):
-        for _ in range(2):
-            with pytest.raises(HubGone, match=rf"hub .*pid {hub.process.pid}\) at (unix|tcp):.* is gone"):
-                bus.recv(PATIENCE_S)
-    with pytest.raises(HubGone):
-        for _ in range(100):
-            member.send(can.Message(arbitration_id=1))
-    with pytest.raises(BenchError, match="is gone"):
-        hub.owner.stats()
-    with pytest.raises(BenchError):
-        HubBus(hub.vehicle)
-    with start_hub(hub.session) as again, HubBus(again.vehicle):  # what it left behind is no hindrance
-        pass
-
-
-@pytest.mark.parametrize("garbage", [b"\xff" * 1000, b"GET / HTTP/1.0\r\n\r\n", bytes(64)])
-def test_garbage_costs_its_own_connection_only(tfhub: Backend, garbage: bytes) -> None:
-    assert tfhub.hub is not None
-    a, b, mad = tfhub.open("a"), tfhub.open("b"), tfhub.open("mad")
-    mad._connection.sock.send(garbage)
-    with pytest.raises(HubGone, match="dropped this connection"):
-        mad.recv(PATIENCE_S)
-    for bus in (a, b):
-        with pytest.raises(PeerGone, match="mad is gone"):
-            bus.recv(PATIENCE_S)
-    a.send_frames([frame(1)])
-    assert b.recv_frames(PATIENCE_S)
-    assert "dropped mad" in tfhub.hub.said()
-
-
-def test_one_name_once(tfhub: Backend) -> None:
-    tfhub.open("twin")
-    with pytest.raises(InputError, match="twin is on the bus already"):
-        tfhub.open("twin")
-
-
-def test_the_token(tmp_path: Path) -> None:
-    with start_hub(str(tmp_path / "hub"), transport="tcp") as hub:
-        info = address.read_hub(hub.session)
-        wrong = tmp_path / "wrong"
-        wrong.write_text("0" * 64)
-        for text, token_file in ((info.addresses["vehicle"], ""), (info.addresses["vehicle"], str(wrong))):
-            with pytest.raises(InputError, match="the token is wrong") as raised:
-                HubBus(text, token_file=token_file)
-            assert raised.value.code == "wrong_token"
-        with pytest.raises(InputError, match="cannot be read"):
-            HubBus(info.addresses["vehicle"], token_file=str(tmp_path / "none"))
-        with HubBus(f"{info.addresses['vehicle']}?token_file={info.token_file}"):
-            pass
-        assert "refused" in hub.said() and hub.owner.stats().lost == ()
-        with pytest.raises(InputError, match="has an owner already"):
-            Owner(hub.session)
-
-
-@pytest.mark.parametrize("text", ["tcp:0.0.0.0:4000", "tcp://192.168.1.1:4000", "tcp:example.org:4000"])
-def test_nothing_but_loopback(text: str) -> None:
-    with pytest.raises(InputError, match="not a loopback address"):
-        HubBus(text)
-
-
-def test_unknown_options_are_refused(tfhub: Backend) -> None:
-    with pytest.raises(can.CanInitializationError, match="silent"):
-        tfhub.open("a", silent=True)
-    with pytest.raises(InputError, match="role"):
-        tfhub.open("a", role="listener")
-    quiet = tfhub.open("a", listen_only=True, bitrate=500_000, fd=True, data_bitrate=2_000_000)
-    with pytest.raises(InputError, match="observer"):
-        quiet.send(can.Message(arbitration_id=1))

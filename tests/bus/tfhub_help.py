@@ -8,8 +8,9 @@ import subprocess
 import sys
 import threading
 import time
+import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from tunefree_hil.bus.tfhub import address, records
 from tunefree_hil.bus.tfhub.owner import Owner
 from tunefree_hil.bus.tfhub.plugin import HubBus
 from tunefree_hil.bus.tfhub.serve import serve
+from tunefree_hil.bus.tfhub.start import HubProcess, start_hub
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE_S = 20.0  # a time-out that only a broken hub reaches
@@ -110,6 +112,30 @@ def eventually(true: Callable[[], object]) -> None:
     while not true():
         assert time.monotonic() < deadline_s, "it never came true"
         time.sleep(0.005)
+
+
+def start_kind(kind: str, folder: Path) -> HubProcess:
+    """A hub process for a row of the conformance suite, 'tfhub-unix' or 'tfhub-tcp'."""
+    return start_hub(str(folder), transport=kind.removeprefix("tfhub-"))
+
+
+class Backend:
+    """One kind of bus; `open` gives one more peer on its vehicle channel, closed after the test."""
+
+    def __init__(self, kind: str, hub: HubProcess | None, stack: ExitStack) -> None:
+        self.kind = kind
+        self.hub = hub
+        self.stack = stack
+        self.channel = "vcan0" if kind == "socketcan" else f"test-{uuid.uuid4().hex}"
+
+    def open(self, name: str = "", **options: Any) -> Any:
+        if self.hub is not None:
+            options = {"role": "member", "name": name, **options}
+            bus = can.Bus(self.hub.vehicle, interface="tfhub", ignore_config=True, **options)
+        else:
+            more = {"fd": True} if self.kind == "socketcan" else {}
+            bus = can.Bus(self.channel, interface=self.kind, ignore_config=True, **more, **options)
+        return self.stack.enter_context(bus)
 
 
 def receive_all(bus: can.BusABC, count: int) -> list[can.Message]:

@@ -23,10 +23,11 @@ class _Child(NamedTuple):
 
 
 class Processes:
-    """The nodes of one bench. What each says goes to `folder/<name>.txt`."""
+    """The nodes of one bench. What each says goes to `folder/<name>.txt`. core: the one they share, None for any."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, core: int | None = None) -> None:
         self.folder = folder
+        self.core = core
         self.children: list[_Child] = []
         folder.mkdir(parents=True, exist_ok=True)
 
@@ -41,6 +42,8 @@ class Processes:
             env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **(environment or {})},
             start_new_session=True,
         )
+        if self.core is not None:
+            os.sched_setaffinity(process.pid, {self.core})
         self.children.append(_Child(name, process, words))
         return process.pid
 

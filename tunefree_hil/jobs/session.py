@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from tunefree_hil.base.errors import BenchError, PeerGone
 from tunefree_hil.bus.link import Link, Owner
@@ -34,6 +37,7 @@ class Session:
         realtime: bool = False,
         join: bool = False,
         jitted_ecu: bool = False,
+        core: int | None = None,
     ) -> None:
         self.bench_file = bench_file
         self.session = session
@@ -43,7 +47,7 @@ class Session:
         self.jitted_ecu = jitted_ecu
         self.bus_text, self.bench_bus = bus, bench_bus
         self.choice: BusChoice = resolve_bus(bus, session, bench_bus)
-        self.processes = Processes(words)
+        self.processes = Processes(words, core)
         self.links: list[Link] = []
 
     def __enter__(self) -> Session:
@@ -119,3 +123,26 @@ class Session:
         if hasattr(self, "owner"):
             self.owner.close()
         self.processes.stop()
+
+
+@contextmanager
+def open_lanes(count: int, bench_file: Path, words: Path, *, session: str, **more: Any) -> Iterator[list[Session]]:
+    """`count` benches side by side, each on a core of its own; `more` goes to each Session.
+
+    One lockstep bench is a chain of processes that wait for each other, so it fills one core and no more.
+    """
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+    with ExitStack() as stack:
+        lanes = []
+        for i in range(count):
+            core = cores[i % len(cores)] if count > 1 and cores else None
+            name = f"{session}-{i}" if count > 1 else session
+            lanes.append(Session(bench_file, words / str(i), session=name, core=core, **more))
+        for lane in lanes:
+            stack.enter_context(lane)
+        yield lanes
+
+
+def lanes_of(join: bool, bus: str) -> int:
+    """How many benches to run side by side: one a core, at most two; one where the nodes or the bus are given."""
+    return 1 if join or bus not in ("auto", "tfhub") else max(1, min(2, os.cpu_count() or 1))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
@@ -24,54 +26,82 @@ TIMING_LIMIT_S = 1.0
 
 
 class Track:
-    """One session and one run folder. `simulated_s`, `wall_s`, `frames` add up over all drives."""
+    """Benches side by side ("lanes") and one run folder. Which lane drives a scenario changes nothing in its frames.
 
-    def __init__(self, session: Session, bench: Bench, run: RunFolder, *, seed: int | None = None) -> None:
-        self.session = session
+    `simulated_s`, `wall_s`, `frames` add up over all drives.
+    """
+
+    def __init__(
+        self, sessions: Session | Sequence[Session], bench: Bench, run: RunFolder, *, seed: int | None = None
+    ) -> None:
+        self.sessions = [sessions] if isinstance(sessions, Session) else list(sessions)
         self.bench = bench
         self.run = run
         self.seed = seed
         self.simulated_s = 0.0
         self.wall_s = 0.0
         self.frames = 0
+        self._stopping = False
+        self._lanes = ThreadPoolExecutor(max_workers=len(self.sessions), thread_name_prefix="lane")
         self._reader = ThreadPoolExecutor(max_workers=1, thread_name_prefix="harvest")
 
     def close(self) -> None:
-        """Wait for what is being read."""
+        """End what is driven, wait for what is being read."""
+        self._stopping = True
+        for session in self.sessions:
+            with contextlib.suppress(BenchError):  # a lane whose bench is gone has ended already
+                session.runner.stop()
+        self._lanes.shutdown(wait=True, cancel_futures=True)
         self._reader.shutdown(wait=True, cancel_futures=True)
 
     @property
     def pace(self) -> dict[str, float]:
-        """Speed against real time and frames per second, for progress events."""
+        """Speed against real time and frames per second, all lanes together, for progress events."""
         if self.wall_s <= 0.0:
             return {}
         return {"speed_x": self.simulated_s / self.wall_s, "frames_per_s": self.frames / self.wall_s}
 
     def drive_all(
-        self,
-        values: Mapping[str, float],
-        scenarios: Iterable[ScenarioSpec],
-        first: int,
-        *,
-        keep: bool = True,
-        done: Callable[[str], None] = lambda name: None,
+        self, values: Mapping[str, float], scenarios: Iterable[ScenarioSpec], first: int, *, keep: bool = True
     ) -> dict[str, Episode]:
         """Episodes first, first + 1, ...: each scenario with these parameters. keep=False drops logs and columns.
 
         Raises BenchError when a drive ended for a reason that the parameters do not answer for.
         """
+        numbered = list(enumerate(scenarios, first))
+        waiting = deque(sorted(numbered, key=lambda one: -self.bench.course(one[1]).ticks))  # longest first
         reading: dict[str, Future[Episode]] = {}
-        for k, scenario in enumerate(scenarios, first):
-            folder = self.run.episode(k)
-            outcome = self._drive(scenario, values, folder)
-            done(scenario.name)
-            reading[scenario.name] = self._reader.submit(self._read, scenario, values, outcome, folder, keep)
-        return {name: future.result() for name, future in reading.items()}
+        started = time.monotonic()
 
-    def _drive(self, scenario: ScenarioSpec, values: Mapping[str, float], folder: Path) -> Outcome:
-        outcome = self.session.drive(scenario, self._seed_of(scenario), values, folder)
+        def lane(session: Session) -> None:
+            while not self._stopping:
+                try:
+                    k, scenario = waiting.popleft()
+                except IndexError:
+                    return
+                folder = self.run.episode(k)
+                outcome = self._drive(session, scenario, values, folder)
+                if keep and not session.join:
+                    gather_timing(session.processes.folder, folder)
+                reading[scenario.name] = self._reader.submit(
+                    self._read, session.realtime, scenario, values, outcome, folder, keep
+                )
+
+        driving = [self._lanes.submit(lane, session) for session in self.sessions]
+        try:
+            for future in driving:
+                future.result()
+        except BaseException:
+            waiting.clear()  # the other lanes end with the drive they are at
+            raise
+        self.wall_s += time.monotonic() - started
+        return {scenario.name: reading[scenario.name].result() for _, scenario in numbered}
+
+    def _drive(self, session: Session, scenario: ScenarioSpec, values: Mapping[str, float], folder: Path) -> Outcome:
+        for role in ROLES:
+            (session.processes.folder / f"timing-{role}.npz").unlink(missing_ok=True)
+        outcome = session.drive(scenario, self._seed_of(scenario), values, folder)
         self.simulated_s += outcome.ticks * self.bench.dt_s
-        self.wall_s += outcome.wall_s
         self.frames += sum(outcome.logged.values())
         code = ErrorCode(outcome.error_code) if outcome.error_code else ErrorCode.NONE
         if code is not ErrorCode.NONE and code not in DRIVEN:
@@ -79,7 +109,7 @@ class Track:
                 f"{scenario.name}: {code.sentence} (tick {outcome.ticks})",
                 code=code.name.lower(),
                 file=str(folder),
-                hint=f"what the nodes said: {self.run.words()}; the frames: {folder / 'vehicle.log'}",
+                hint=f"what the nodes said: {session.processes.folder}; the frames: {folder / 'vehicle.log'}",
             )
         return outcome
 
@@ -87,16 +117,19 @@ class Track:
         return scenario.noise_seed if self.seed is None else self.seed
 
     def _read(
-        self, scenario: ScenarioSpec, values: Mapping[str, float], outcome: Outcome, folder: Path, keep: bool
+        self,
+        realtime: bool,
+        scenario: ScenarioSpec,
+        values: Mapping[str, float],
+        outcome: Outcome,
+        folder: Path,
+        keep: bool,
     ) -> Episode:
-        realtime = self.session.realtime
         episode = harvest(
             self.bench, scenario, values, outcome, folder, seed=self._seed_of(scenario), realtime=realtime
         )
         if not keep:
             drop_bulk(folder)
-        elif not self.session.join:
-            gather_timing(self.session.processes.folder, folder)
         return episode
 
 

@@ -17,7 +17,7 @@ from tunefree_hil.jobs.drive import DEFAULT_ROOT, own_session
 from tunefree_hil.jobs.harvest import evaluation_of
 from tunefree_hil.jobs.identity import identity_of, resolved_toml
 from tunefree_hil.jobs.run_folder import RunFolder, drop_bulk, open_run, remove_parts, unfinished, write_text
-from tunefree_hil.jobs.session import Session
+from tunefree_hil.jobs.session import lanes_of, open_lanes
 from tunefree_hil.jobs.track import Track
 from tunefree_hil.jobs.tune_report import finish_report
 from tunefree_hil.jobs.verify import verify_winner
@@ -155,7 +155,8 @@ def _search(wish: Wish, run: RunFolder, bench: Path, study: Study) -> Iterator[E
     if not missing and left <= 0:
         return
     model = wish.bench.spec.model
-    with Session(
+    with open_lanes(
+        lanes_of(wish.join, wish.bus),
         bench,
         run.words(),
         session=wish.session,
@@ -164,9 +165,9 @@ def _search(wish: Wish, run: RunFolder, bench: Path, study: Study) -> Iterator[E
         bench_bus=wish.bench_bus,
         join=wish.join,
         jitted_ecu=is_heavy(wish.bench, model),
-    ) as session:
-        yield Event("note", f"bus: {session.choice.why}")
-        course = Search(wish, run, Track(session, wish.bench, run), study, vectors)
+    ) as lanes:
+        yield Event("note", f"bus: {lanes[0].choice.why}; {len(lanes)} benches side by side")
+        course = Search(wish, run, Track(lanes, wish.bench, run), study, vectors)
         try:
             yield from course.baselines(missing)
             yield from course.trials()

@@ -14,7 +14,7 @@ from tunefree_hil.jobs.candidates import TUNED, baseline_vectors
 from tunefree_hil.jobs.drive import own_session
 from tunefree_hil.jobs.harvest import Episode, evaluation_of
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, write_json
-from tunefree_hil.jobs.session import Session
+from tunefree_hil.jobs.session import lanes_of, open_lanes
 from tunefree_hil.jobs.track import Track
 from tunefree_hil.jobs.words import comparison, failures, table
 from tunefree_hil.tune.study import Evaluation
@@ -49,7 +49,8 @@ def verify_winner(
     results: dict[str, Evaluation] = {}
     columns: dict[str, Mapping[str, Episode]] = {}
     own = RunFolder(run.path / "verify", run.record)
-    with Session(
+    with open_lanes(
+        lanes_of(join, bus),
         Path(bench.file),
         run.words(),
         session=f"{session}-verify",
@@ -58,8 +59,8 @@ def verify_winner(
         bench_bus=bench_bus,
         join=join,
         jitted_ecu=is_heavy(bench, model),
-    ) as opened:
-        track = Track(opened, bench, own)
+    ) as lanes:
+        track = Track(lanes, bench, own)
         scenarios = [bench.scenarios[name] for name in bench.spec.verify_scenarios]
         try:
             for i, (name, values) in enumerate(vectors.items()):

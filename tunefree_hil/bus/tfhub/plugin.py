@@ -8,6 +8,7 @@ A member reads everything it is sent (or says listen=no): the bus waits for it.
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -37,10 +38,9 @@ from tunefree_hil.bus.tfhub.records import (
     unpack_raw,
 )
 
+LOG = logging.getLogger("can.tfhub")
 ROLES = ("member", "observer")
 FALSE_WORDS = ("0", "no", "false", "off")
-# What python-can and its tools pass to every interface and a hub has no use for: there is no bit time on it.
-IGNORED = {"ignore_config", "interface", "bitrate", "data_bitrate", "timing", "fd", "app_name", "preserve_timestamps"}
 
 
 class HubGone(BenchError, can.CanOperationError):
@@ -75,17 +75,17 @@ class HubBus(can.BusABC):
         listen: bool = True,
         stamps: bool = False,
         listen_only: bool = False,
+        state: can.BusState | None = None,
         token_file: str = "",
         **others: Any,
     ) -> None:
-        unknown = sorted(set(others) - IGNORED)
-        if unknown:
-            raise can.CanInitializationError(f"tfhub does not know the option {', '.join(unknown)}")
+        if others:  # python-can, its tools and its configuration files pass what some adapter needs: bit times, handles
+            LOG.info("no use for %s", ", ".join(sorted(others)))
         text, options = address.split_options(str(channel))
         self.role = options.get("role", role or "observer")
         if self.role not in ROLES:
             raise InputError(f"no role {self.role!r}", key="role", hint=f"one of {', '.join(ROLES)}")
-        if listen_only:
+        if listen_only or state is can.BusState.PASSIVE:
             self.role = "observer"
         hello = {
             "role": self.role,

@@ -30,11 +30,12 @@ class Session:
         self.session = session
         self.made_folder = _make_private(self.folder)
         self._lock_fd = self._lock()
-        self.token = secrets.token_hex(32) if transport == "tcp" else ""
         self.listeners: dict[str, socket.socket] = {}
+        self.token = secrets.token_hex(32) if transport == "tcp" else ""
         try:
             for channel in CHANNELS:
                 self.listeners[channel] = self._listen(channel, transport)
+            (self.folder / TOKEN_FILE).unlink(missing_ok=True)  # of a hub that was killed
             self.info = self._describe(transport, clock)
         except BaseException:
             self._let_go()

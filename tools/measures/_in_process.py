@@ -1,0 +1,119 @@
+"""A bench in one process: the parts of ECU and controller stepped in turn, frame for frame as over the bus.
+
+Both nodes run as they are; only the Exchange between them is another one. So the frame hash of a drive is that of the
+same drive over the bus (tests/tools/test_measures.py compares them). For sweeps over many models, and for very long drives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, cast
+
+from tunefree_hil.base.kernel import Block
+from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bench import Bench, ControllerFor, VehicleFor, follower_of, needed_messages
+from tunefree_hil.bus import bench_channel as bc
+from tunefree_hil.config.schema import ScenarioSpec
+from tunefree_hil.control.parameters import NAMES
+from tunefree_hil.episode.candump import FD, LogFrame
+from tunefree_hil.episode.columns import columns_from_frames
+from tunefree_hil.episode.frame_hash import frame_hash
+from tunefree_hil.grade.score import ScenarioGrade, grade, vehicle_of
+from tunefree_hil.nodes.controller import Assignment, ControllerPart
+from tunefree_hil.nodes.ecu import EcuPart
+from tunefree_hil.nodes.exchange import Exchange, can_key
+from tunefree_hil.nodes.timing import CycleTimes
+
+Watch = Callable[[Any], None]
+
+
+class Drive(NamedTuple):
+    """How a drive went. error: '' when it was driven to its end."""
+
+    frames: list[LogFrame]
+    ticks: int
+    error: str
+
+
+class InProcess:
+    """A model of a bench and its controller. `watch` sees the controller's state after every step."""
+
+    def __init__(self, bench: Bench, model: str = "", watch: Watch | None = None) -> None:
+        self.bench = bench
+        codec = bench.codec
+        assign = ControllerFor(bench)
+
+        def watched(scenario: bytes, parameters: Mapping[int, float]) -> Assignment:
+            task = assign(scenario, parameters)
+            return task if watch is None else task._replace(block=watch_block(task.block, watch))
+
+        said: list[str] = []
+        self.ecu = EcuPart(codec, VehicleFor(bench, model or bench.spec.model), CycleTimes(), said.append)
+        self.controller = ControllerPart(codec, needed_messages(codec), watched, CycleTimes(), said.append)
+
+    def drive(self, scenario: ScenarioSpec, values: Mapping[str, float], *, keep: bool = True) -> Drive:
+        """One drive with the scenario's own noise seed. keep=False: the frames are not kept."""
+        start = bytes.fromhex(scenario.hash)[:6]
+        parameters = {index: values[name] for index, name in enumerate(NAMES)}
+        self.ecu.load(start, scenario.noise_seed, parameters)
+        self.controller.load(start, scenario.noise_seed, parameters)
+        between = _Between(self.controller, keep)
+        self.ecu.lockstep(cast(Exchange, between), lambda message: False)
+        code = between.failure or between.end.error_code
+        return Drive(between.frames, between.end.tick, bc.ErrorCode(code).name.lower() if code else "")
+
+    def grade(self, scenario: ScenarioSpec, values: Mapping[str, float]) -> tuple[ScenarioGrade, str]:
+        """(grade, frame hash) of a drive, made as jobs/harvest.py makes them."""
+        bench, drive = self.bench, self.drive(scenario, values)
+        commands = {message.key for message in bench.codec.commands}
+        hashed = frame_hash(drive.frames, bench.dt_s, commands, bench.codec.by_id.keys())
+        follower = follower_of(bench, scenario, values)
+        recording = columns_from_frames(drive.frames, bench.codec, follower, bench.dt_s, ticks=drive.ticks)
+        vehicle = vehicle_of(bench.vehicle)
+        course = bench.course(scenario)
+        graded = grade(recording, course, bench.weights, vehicle, scenario=scenario.name, error=drive.error)
+        return graded, hashed.hex
+
+
+class _Between:
+    """What an Exchange is to the ECU: phase 1 of a tick is the controller's cycle on phase 0."""
+
+    def __init__(self, controller: ControllerPart, keep: bool) -> None:
+        self.controller = controller
+        self.keep = keep
+        self.frames: list[LogFrame] = []
+        self.failure = 0
+        self.end = bc.Status(bc.Role.ECU, bc.State.FAILED, 0, 0)
+        self._reports: list[CanFrame] = []
+
+    def announce(self, k: int, phase: int, frames: list[CanFrame], *before: Any) -> None:
+        self._reports = self._in_order(frames)
+
+    def await_phase(self, k: int, phase: int, interrupt: Callable[[Any], bool]) -> list[CanFrame] | None:
+        reply, words = self.controller.cycle(k, self._reports)
+        for word in words:
+            self.failure = self.failure or word.error_code
+            interrupt(word)
+        return self._in_order(reply)
+
+    def say(self, *messages: Any, k: int = 0) -> None:
+        for message in messages:
+            if isinstance(message, bc.Status):
+                self.end = message
+
+    def _in_order(self, frames: list[CanFrame]) -> list[CanFrame]:
+        frames.sort(key=can_key)
+        if self.keep:
+            self.frames += [LogFrame(f.time_s, "can0", can_key(f), f.data, FD if f.fd else 0) for f in frames]
+        return frames
+
+
+def watch_block(block: Block, watch: Watch) -> Block:
+    """The same Block, whose state somebody sees after every step."""
+
+    def step(params: Any, state: Any, x: Any, dt_s: float) -> tuple[Any, Any]:
+        state, y = block.step(params, state, x, dt_s)
+        watch(state)
+        return state, y
+
+    return block._replace(step=step)
