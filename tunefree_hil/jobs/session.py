@@ -51,6 +51,10 @@ class Session:
         self.links: list[Link] = []
 
     def __enter__(self) -> Session:
+        self._open()
+        return self
+
+    def _open(self) -> None:
         try:
             if not self.join:
                 self._start()
@@ -58,7 +62,11 @@ class Session:
         except BaseException:
             self.close()
             raise
-        return self
+
+    def reopen(self) -> None:
+        """End what is left of a bench that failed, and start it anew. Where the nodes are not ours, only join again."""
+        self.close()
+        self._open()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -7,6 +7,7 @@ import shutil
 import time
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent import futures
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
@@ -42,6 +43,7 @@ class Track:
         self.wall_s = 0.0
         self.frames = 0
         self._stopping = False
+        self._broken: list[Session] = []
         self._lanes = ThreadPoolExecutor(max_workers=len(self.sessions), thread_name_prefix="lane")
         self._reader = ThreadPoolExecutor(max_workers=1, thread_name_prefix="harvest")
 
@@ -68,6 +70,7 @@ class Track:
 
         Raises BenchError when a drive ended for a reason that the parameters do not answer for.
         """
+        self._mend()
         numbered = list(enumerate(scenarios, first))
         waiting = deque(sorted(numbered, key=lambda one: -self.bench.course(one[1]).ticks))  # longest first
         reading: dict[str, Future[Episode]] = {}
@@ -80,7 +83,11 @@ class Track:
                 except IndexError:
                     return
                 folder = self.run.episode(k)
-                outcome = self._drive(session, scenario, values, folder)
+                try:
+                    outcome = self._drive(session, scenario, values, folder)
+                except BenchError:
+                    self._broken.append(session)
+                    raise
                 if keep and not session.join:
                     gather_timing(session.processes.folder, folder)
                 reading[scenario.name] = self._reader.submit(
@@ -91,8 +98,9 @@ class Track:
         try:
             for future in driving:
                 future.result()
-        except BaseException:
-            waiting.clear()  # the other lanes end with the drive they are at
+        except BenchError:
+            waiting.clear()
+            futures.wait(driving)  # the other lanes end the drive they are at
             raise
         self.wall_s += time.monotonic() - started
         return {scenario.name: reading[scenario.name].result() for _, scenario in numbered}

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, is_heavy, load, parameters_of
 from tunefree_hil.jobs.candidates import baseline_vectors
@@ -196,7 +196,11 @@ class Search:
         order = list(self.vectors)
         for name in missing:
             started = time.monotonic()
-            evaluation = self._evaluate(self.vectors[name], order.index(name))
+            try:
+                evaluation = self._evaluate(self.vectors[name], order.index(name))
+            except BenchError as error:
+                yield Event("warning", f"baseline {name} failed and is driven again: {error.message}")
+                evaluation = self._evaluate(self.vectors[name], order.index(name))
             self.study.add_baseline(name, self.vectors[name], evaluation)
             self._times.append(time.monotonic() - started)
             done = len(self.study.baselines())

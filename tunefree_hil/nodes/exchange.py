@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from tunefree_hil.base.errors import BenchError, NoAnswer
+from tunefree_hil.base.errors import BenchError, NoAnswer, PeerGone
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.link import Link
@@ -110,6 +110,7 @@ class Exchange:
                 if isinstance(message, bc.Done) and message.phase == phase and message.k == k:
                     del self.inbox[: i + 1]
                     return message
+                self._notice_leaving(k, message)
                 if interrupt(message):
                     del self.inbox[: i + 1]
                     return None
@@ -121,6 +122,12 @@ class Exchange:
                     code="no_answer",
                     hint=f"look at what the {PHASE_ROLES[phase]} process printed; is it stopped or in a debugger?",
                 )
+
+    @staticmethod
+    def _notice_leaving(k: int, message: Any) -> None:
+        if isinstance(message, bc.Status) and message.state == bc.State.END and message.role != bc.Role.RUNNER:
+            name = bc.Role(message.role).name.lower()
+            raise PeerGone(name, f"tick {k}: the {name} has left the bench", code="node_lost")
 
     def _await_frames(self, k: int, phase: int, n_tx: int) -> list[CanFrame]:
         limit_s = time.monotonic() + HARD_LIMIT_S

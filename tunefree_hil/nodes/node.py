@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 from collections.abc import Callable
 from typing import Any, Protocol
 
 from tunefree_hil.base.clock import Clock
-from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.nodes.exchange import Exchange
 
@@ -47,14 +48,26 @@ class Node:
             self.exchange.say(message)
 
     def serve(self) -> None:
-        """Say hello, then answer the runner for ever."""
-        self.hello()
+        """Say hello, then answer the runner for ever. Whatever ends that is said on the bench channel."""
+        try:
+            self.hello()
+            self._serve()
+        except BaseException:
+            self._say_leaving()
+            raise
+
+    def _serve(self) -> None:
         while True:
             message = self.exchange.next_message(WAIT_S)
-            if isinstance(message, bc.Status) and message.state == bc.State.END:
+            if isinstance(message, bc.Status) and message.role == bc.Role.RUNNER and message.state == bc.State.END:
                 return
             if message is not None:
                 self._answer(message)
+
+    def _say_leaving(self) -> None:
+        """The others need not wait for us; where the bus itself is gone there is nobody to tell."""
+        with contextlib.suppress(BenchError):
+            self.exchange.say(bc.Status(self.part.role, bc.State.END, bc.ErrorCode.INTERNAL, 0))
 
     def _answer(self, message: Any) -> None:
         if isinstance(message, bc.Hello) and message.role == bc.Role.RUNNER and message.part == 0:

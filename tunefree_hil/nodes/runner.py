@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tunefree_hil.base.errors import BenchError, NoAnswer
+from tunefree_hil.base.errors import BenchError, NoAnswer, PeerGone
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.link import Link, Owner
 from tunefree_hil.nodes.exchange import HARD_LIMIT_S
@@ -110,6 +110,7 @@ class Runner:
         waiting = {bc.Role.ECU, bc.Role.CONTROLLER}
         while waiting:
             for message in self._listen():
+                self._refuse_leaving(message)
                 if isinstance(message, bc.Status) and message.role in waiting:
                     self._refuse_failed(message)
                     if message.state == bc.State.READY:
@@ -117,6 +118,19 @@ class Runner:
             if time.monotonic() > limit:
                 names = " and ".join(sorted(role.name.lower() for role in waiting))
                 raise NoAnswer(f"{names} did not load the episode within {LOAD_LIMIT_S:g} s", code="no_answer")
+
+    def _refuse_leaving(self, message: Any) -> None:
+        """Raise PeerGone when a node says that it leaves; where it is ours, with its own last words."""
+        if isinstance(message, bc.Status) and message.state == bc.State.END:
+            time.sleep(0.3)
+            self.check()
+            name = bc.Role(message.role).name.lower()
+            raise PeerGone(
+                name,
+                f"the {name} has left the bench",
+                code="node_lost",
+                hint="it says why where it runs; start it again, then the same command",
+            )
 
     def _refuse_failed(self, message: bc.Status) -> None:
         if message.state != bc.State.FAILED:
@@ -140,6 +154,7 @@ class Runner:
             if messages:
                 heard = now
             for message in messages:
+                self._refuse_leaving(message)
                 if isinstance(message, bc.Status) and message.role == bc.Role.CONTROLLER and message.error_code:
                     code = code or message.error_code
                 if isinstance(message, bc.Status) and message.role == bc.Role.ECU:
