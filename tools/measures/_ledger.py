@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER = "runs/measures"  # of the options of every measure that writes as it goes
 FIGURES = "docs/figures"
 # What a score depends on. The hub and the processes carry the frames, but cannot change what is in them.
-COUNTED = ("base", "bus", "config", "control", "effects", "plant", "episode", "grade", "nodes", "bench", "tune")
+COUNTED = ("base", "bus", "config", "control", "effects", "plant", "episode", "grade", "nodes", "bench", "tune", "jobs/harvest.py")
 CARRIERS = "bus/tfhub/"
 
 
@@ -70,8 +70,8 @@ def code_hash() -> str:
     """SHA-256 over the code that makes a score; comments, docstrings and layout do not count."""
     digest = hashlib.sha256()
     package = ROOT / "tunefree_hil"
-    for folder in COUNTED:
-        for path in sorted((package / folder).rglob("*.py")):
+    for name in COUNTED:
+        for path in sorted((package / name).rglob("*.py")) or [package / name]:
             place = path.relative_to(package).as_posix()
             if not place.startswith(CARRIERS):
                 digest.update(place.encode() + meaning(path.read_text(encoding="utf-8")).encode())

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 
 class Event(NamedTuple):
-    """kind: 'note' (one line), 'warning', 'progress' (data: done, total, eta_s, ...), 'result' (the last one).
+    """kind: 'note' (one line), 'warning', 'progress' (data: done, total, eta_s, ...), 'line' (a job's product, for
+    stdout), 'result' (the last one). data['resume'] of any event: the command that goes on after Ctrl-C.
 
     A result's data holds `sentence`, `next` (commands that work as pasted), `status` and whatever `--json` gives.
     """

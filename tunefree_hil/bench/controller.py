@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,11 @@ from tunefree_hil.control import calibration_map
 from tunefree_hil.control.build import PartNames, build
 from tunefree_hil.control.contract import Settings, VehicleConstants
 from tunefree_hil.control.follower import make_follower
-from tunefree_hil.control.parameters import RICCATI_CODES, by_index, check_complete, round32, study_values
+from tunefree_hil.control.parameters import BY_NAME, RICCATI_CODES, by_index, check_complete, round32, study_values
 from tunefree_hil.nodes.controller import Assignment
 from tunefree_hil.nodes.hearing import CHASSIS, INS
+
+LARGEST32 = 3.4028234e38
 
 
 def constants_of(vehicle: VehicleSpec) -> VehicleConstants:
@@ -51,9 +54,41 @@ def constants_of(vehicle: VehicleSpec) -> VehicleConstants:
     )
 
 
+def require_in_box(name: str, value: float, *, file: str = "", key: str = "") -> None:
+    """Raise InputError for a value that a person gave outside its published box; the shipped manual values may.
+
+    Compared as binary32, which is what the controller gets. Names that are not of interfaces 7 are let through.
+    """
+    row = BY_NAME.get(name)
+    if row is None:
+        return
+    low, high, choices = row.tunable.low, row.tunable.high, row.tunable.choices
+    if math.isfinite(value) and abs(value) < LARGEST32:
+        sent = round32(value)
+        inside = sent in choices if choices else round32(low) <= sent <= round32(high)
+        if inside or sent in (round32(row.manual), round32(row.manual if row.fixed is None else row.fixed)):
+            return
+    box = " or ".join(f"{one:g}" for one in choices) if choices else f"{low:g} to {high:g}"
+    manual = "" if choices or low <= row.manual <= high else f", or {row.manual:g} as shipped"
+    unit = f" {row.tunable.unit}" if row.tunable.unit != "1" else ""
+    raise InputError(
+        f"{name} = {value:g} is outside its box",
+        code="outside_box",
+        file=file,
+        key=key,
+        hint=f"give {box}{unit}{manual}",
+    )
+
+
 def parameters_of(bench: Bench, chosen: Mapping[str, float] | None = None) -> dict[str, float]:
-    """A complete vector (binary32): a study's fixed values, the bench file's, then `chosen`."""
+    """A complete vector (binary32): a study's fixed values, the bench file's, then `chosen`.
+
+    Raises InputError where the bench file gives a value outside its box; `chosen` is the caller's to check.
+    """
     controller = bench.spec.controller
+    require_in_box("look_ahead_m", controller.look_ahead_m, file=bench.file, key="controller.look_ahead_m")
+    for name, value in controller.parameters.items():
+        require_in_box(name, value, file=bench.file, key=f"controller.parameters.{name}")
     values = study_values()
     values |= {"riccati": RICCATI_CODES[controller.riccati], "look_ahead_m": controller.look_ahead_m}
     values |= controller.parameters

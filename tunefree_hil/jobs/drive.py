@@ -9,7 +9,7 @@ from typing import Any
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import Bench, is_heavy, load, parameters_of
+from tunefree_hil.bench import Bench, is_heavy, load, parameters_of, require_in_box
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.control.parameters import NAMES
@@ -99,6 +99,7 @@ def chosen_parameters(texts: list[str]) -> dict[str, float]:
             raise InputError(
                 f"{text!r} gives no number", code="bad_parameter", key="--parameter", hint=f"--parameter {name}=0.1"
             ) from None
+        require_in_box(name, chosen[name], key="--parameter")
     return chosen
 
 

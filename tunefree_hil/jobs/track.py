@@ -105,6 +105,12 @@ class Track:
         self.wall_s += time.monotonic() - started
         return {scenario.name: reading[scenario.name].result() for _, scenario in numbered}
 
+    def _mend(self) -> None:
+        """Start anew the benches that failed in the last drives: a lost node fails a trial, not the study."""
+        broken, self._broken = self._broken, []
+        for session in broken:
+            session.reopen()
+
     def _drive(self, session: Session, scenario: ScenarioSpec, values: Mapping[str, float], folder: Path) -> Outcome:
         for role in ROLES:
             (session.processes.folder / f"timing-{role}.npz").unlink(missing_ok=True)
