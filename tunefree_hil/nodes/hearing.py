@@ -36,9 +36,10 @@ class Hearing:
             if self._payload.get(message.name) == frame.data:
                 continue  # nothing new in it
             self._payload[message.name] = frame.data
-            decoded = self.snapshot.hear(message, frame.data)
             if message.states:
-                self._note_bits(message, decoded)
+                self._note_bits(message, self.snapshot.hear(message, frame.data))
+            else:
+                self.snapshot.take(message, frame.data)
 
     def _note_bits(self, message: MessageMap, decoded: Mapping[str, float]) -> None:
         active = set()

@@ -1,0 +1,99 @@
+"""What a node makes of frames: values, state bits, the age of each message."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import pytest
+
+from tunefree_hil.base.records import CanFrame, Ins, Report
+from tunefree_hil.bus.codec import Codec
+from tunefree_hil.nodes.handshake import VehicleState
+from tunefree_hil.nodes.hearing import CHASSIS, INS, Hearing
+
+ENABLED = ("BRAKE_REPORT", "THROTTLE_REPORT", "STEERING_REPORT")
+
+
+def frame(codec: Codec, name: str, signals: Mapping[str, float] | None = None, report: Report | None = None) -> CanFrame:
+    message = codec.by_name[name]
+    records = {"report": report} if report is not None else {}
+    return CanFrame(message.can_id, codec.encode(message, records, signals or {}), message.extended, message.fd)
+
+
+def enabled_frames(codec: Codec) -> list[CanFrame]:
+    return [frame(codec, name, {"ENABLED": 1.0}) for name in ENABLED]
+
+
+def test_nothing_heard_is_nan_and_unknown(codec: Codec) -> None:
+    hearing = Hearing(codec, 0.01)
+    assert all(math.isnan(value) for record in hearing.measurement() for value in record)
+    assert hearing.state() == VehicleState()._replace(enabled=True)
+    assert not hearing.state().known
+
+
+def test_values_are_kept_until_the_next(codec: Codec) -> None:
+    hearing = Hearing(codec, 0.01)
+    report = Report()._replace(speed_mps=5.0, steer_rad=0.5)
+    hearing.hear(0, [frame(codec, "STEERING_REPORT", report=report)])
+    hearing.hear(1, [frame(codec, "GYRO", report=Report()._replace(yaw_rate_radps=0.1))])
+    heard = hearing.measurement()
+    assert heard.report.speed_mps == pytest.approx(5.0, abs=0.01)
+    assert heard.report.steer_rad == pytest.approx(0.5, abs=0.01)
+    assert heard.report.yaw_rate_radps == pytest.approx(0.1, abs=0.001)
+    assert heard.ins == pytest.approx(Ins(), nan_ok=True)
+
+
+def test_every_channel_must_say_enabled(codec: Codec) -> None:
+    hearing = Hearing(codec, 0.01)
+    for name in ENABLED[:2]:
+        hearing.hear(0, [frame(codec, name, {"ENABLED": 1.0})])
+        assert not hearing.state().known
+    hearing.hear(0, [frame(codec, ENABLED[2], {"ENABLED": 0.0})])
+    assert hearing.state() == VehicleState(known=True, enabled=False)
+    hearing.hear(1, [frame(codec, ENABLED[2], {"ENABLED": 1.0})])
+    assert hearing.state() == VehicleState(known=True, enabled=True)
+
+
+@pytest.mark.parametrize(
+    ("message", "signal", "value", "condition"),
+    [
+        ("BRAKE_REPORT", "OVERRIDE", 1.0, "override"),
+        ("GEAR_REPORT", "OVERRIDE", 1.0, "override"),
+        ("THROTTLE_REPORT", "FLT1", 1.0, "fault"),
+        ("STEERING_REPORT", "FLTCAL", 1.0, "fault"),
+        ("BRAKE_REPORT", "FLTWDC", 1.0, "fault"),
+        ("STEERING_REPORT", "TMOUT", 1.0, "fault"),
+        ("BRAKE_REPORT", "WDCBRK", 1.0, "fault"),
+        ("BRAKE_REPORT", "WDCSRC", 14.0, "fault"),
+        ("GEAR_REPORT", "FLTBUS", 1.0, ""),  # effect "warn"
+    ],
+)
+def test_state_bits(codec: Codec, message: str, signal: str, value: float, condition: str) -> None:
+    hearing = Hearing(codec, 0.01)
+    hearing.hear(0, enabled_frames(codec))
+    own = {"ENABLED": 1.0} if message in ENABLED else {}
+    hearing.hear(1, [frame(codec, message, {**own, signal: value})])
+    expected = VehicleState(known=True, enabled=True, override=condition == "override", fault=condition == "fault")
+    assert hearing.state() == expected
+    hearing.hear(2, [frame(codec, message, own)])
+    assert hearing.state() == VehicleState(known=True, enabled=True)
+
+
+def test_the_age_of_a_message(codec: Codec) -> None:
+    """0.2 s, counted from tick 0 for what was never heard; the same payload again is heard too."""
+    needed = {INS: ["INS_POS_LOCAL"], CHASSIS: ["STEERING_REPORT"]}
+    hearing = Hearing(codec, 0.01)
+    same = frame(codec, "INS_POS_LOCAL")
+    for k in range(0, 31, 10):
+        hearing.hear(k, [same, frame(codec, "STEERING_REPORT")])
+    assert hearing.missing(50, needed) is None
+    assert hearing.missing(51, needed) == (INS, ["INS_POS_LOCAL"])
+    hearing.hear(51, [same])
+    assert hearing.missing(51, needed) == (CHASSIS, ["STEERING_REPORT"])
+    assert Hearing(codec, 0.01).missing(20, needed) is None
+    assert Hearing(codec, 0.01).missing(21, needed) == (INS, ["INS_POS_LOCAL"])
+
+
+def test_a_longer_tick_has_fewer_ticks_in_its_limit(codec: Codec) -> None:
+    assert Hearing(codec, 0.02).limit_ticks == 10
