@@ -35,7 +35,9 @@ def write_scenario(folder: Path, name: str = "tiny", duration_s: float = 2.0, cu
     return path
 
 
-def write_bench(folder: Path, *, duration_s: float = 2.0, more: str = "", scenarios: tuple[str, ...] = ("tiny",)) -> Path:
+def write_bench(
+    folder: Path, *, duration_s: float = 2.0, more: str = "", scenarios: tuple[str, ...] = ("tiny",)
+) -> Path:
     """A bench file in `folder` that drives these scenarios; `more`: further lines of TOML before [tune]."""
     for name in scenarios:
         write_scenario(folder, name, duration_s)

@@ -15,7 +15,9 @@ from tunefree_hil.nodes.hearing import CHASSIS, INS, Hearing
 ENABLED = ("BRAKE_REPORT", "THROTTLE_REPORT", "STEERING_REPORT")
 
 
-def frame(codec: Codec, name: str, signals: Mapping[str, float] | None = None, report: Report | None = None) -> CanFrame:
+def frame(
+    codec: Codec, name: str, signals: Mapping[str, float] | None = None, report: Report | None = None
+) -> CanFrame:
     message = codec.by_name[name]
     records = {"report": report} if report is not None else {}
     return CanFrame(message.can_id, codec.encode(message, records, signals or {}), message.extended, message.fd)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
 import time
@@ -19,6 +20,8 @@ from tunefree_hil.jobs.identity import identity_of
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.session import Session
 from tunefree_hil.jobs.track import Track
+
+_numbers = itertools.count()  # one worker opens several benches, one after the other
 
 
 class Rig:
@@ -43,7 +46,7 @@ class Rig:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._open.close()
-        if kind is None:
+        if kind is None or issubclass(kind, KeyboardInterrupt):
             shutil.rmtree(self.folder, ignore_errors=True)
 
     def evaluate(self, values: Mapping[str, float]) -> dict[str, Any]:
@@ -67,7 +70,7 @@ class Rig:
         session = Session(
             Path(self.bench.file),
             run.words(),
-            session=f"measure-{os.getpid()}",
+            session=f"measure-{os.getpid()}-{next(_numbers)}",
             model=self.model,
             jitted_ecu=is_heavy(self.bench, self.model),
         )

@@ -235,13 +235,15 @@ def _say(words: str) -> None:
     print(words, file=sys.stderr, flush=True)
 
 
-def write_figure(rows: Mapping[str, Sequence[float]], plan: Plan, figures: str, name: str) -> str:
-    """Dots by row to `<figures>/<name>.png`."""
+def write_figure(rows: Mapping[str, Sequence[float]], plan: Plan, manual: str, figures: str, name: str) -> str:
+    """Dots by row to `<figures>/<name>.png`; manual: the best baseline."""
     from tunefree_hil.figures.dots import write_dots
 
     path = Path(figures) / f"{name}.png"
     what = f"score on {len(plan.verify_scenarios)} unseen scenarios, {plan.loaded().spec.verify_model} (lower is better)"
-    return str(write_dots(path, dict(reversed(list(rows.items()))), what))
+    searched = {label: rows[label] for label in ("tuned", "random search")}
+    others = sorted(rows.keys() - searched.keys(), key=lambda label: rows[label])
+    return str(write_dots(path, searched | {label: rows[label] for label in others}, what, manual))
 
 
 __all__ = ["FIGURES", "FOLDER", "make_plan", "measure_tuning", "write_figure"]

@@ -27,5 +27,5 @@ def measure(
         bench, NAME, trials=trials, scenarios=scenarios, verify_scenarios=verify_scenarios, folder=folder
     )
     answer, rows = measure_tuning(plan, seeds, workers)
-    answer["detail"]["figure"] = write_figure(rows, plan, figures, NAME)
+    answer["detail"]["figure"] = write_figure(rows, plan, answer["detail"]["manual"], figures, NAME)
     return answer

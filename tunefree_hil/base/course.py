@@ -12,8 +12,8 @@ class Course(NamedTuple):
 
     By time, row k at k * dt_s, `ticks + 1` rows (look-ups beyond the end use the last row):
     station_m (path length driven), speed_mps, accel_mps2, and the road: grade_rad, friction_frac.
-    By station, row i at first_station_m + i * spacing_m: the path itself, prolonged straight on at both ends so that the
-    nose and the tail of the vehicle have something to project on. Station 0 is where the rear axle stands at t = 0.
+    By station, row i at first_station_m + i * spacing_m: the path itself, prolonged straight on at both ends so that
+    the nose and the tail of the vehicle have something to project on. Station 0 is where the rear axle stands at t = 0.
     """
 
     dt_s: float

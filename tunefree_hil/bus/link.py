@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import can
 
 from tunefree_hil.base.errors import BenchError, InputError, NoAnswer
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.tfhub.owner import HubStats, Owner, PeerStats
+from tunefree_hil.bus.tfhub.pair import HubPair
 from tunefree_hil.bus.tfhub.plugin import HubBus
 from tunefree_hil.bus.tfhub.records import EFF_MASK
 
@@ -105,6 +106,55 @@ class HubLink:
         self._bus.shutdown()
 
 
+class PairLink:
+    """One channel of a HubPair as a Link."""
+
+    def __init__(self, pair: HubPair, channel: int) -> None:
+        self.name = pair.name
+        self.errors: Counter[str] = Counter()
+        self._pair = pair
+        self._channel = channel
+
+    @property
+    def remote_frames(self) -> int:
+        """Remote frames seen so far."""
+        return self._pair.remote_frames[self._channel]
+
+    def send(self, frames: Sequence[CanFrame]) -> None:
+        """See Link."""
+        vehicle, bench = (frames, ()) if self._channel == 0 else ((), frames)
+        try:
+            self._pair.send(vehicle, bench)
+        except can.CanTimeoutError as error:
+            raise NoAnswer(str(error), code="bus_held") from None
+
+    def receive(self, timeout_s: float) -> list[CanFrame]:
+        """See Link."""
+        frames = self._pair.receive(self._channel, timeout_s)
+        if self._pair.error_frames:
+            latest, self._pair.error_frames = self._pair.error_frames, []
+            for raw in latest:
+                _note_error(self.errors, raw.can_id & EFF_MASK, self._pair.info)
+        return frames
+
+    def close(self) -> None:
+        """See Link; closes both."""
+        self._pair.close()
+
+
+class Links(NamedTuple):
+    """Both channels of a node. `send_both(vehicle, bench)`: the vehicle's frames first, in as few writes as can be."""
+
+    vehicle: Link
+    bench: Link
+    send_both: Callable[[Sequence[CanFrame], Sequence[CanFrame]], None]
+
+    def close(self) -> None:
+        """Leave both."""
+        self.vehicle.close()
+        self.bench.close()
+
+
 class CanLink:
     """A Link over any other bus of python-can. `keeps_stamps`: the bus carries the senders' own stamps."""
 
@@ -187,4 +237,4 @@ def _note_error(errors: Counter[str], classes: int, bus: str) -> None:
         raise BenchError(f"{bus} is bus-off", code="bus_off", hint="wiring, bit rate, another node that disturbs?")
 
 
-__all__ = ["CanLink", "HubLink", "HubStats", "Link", "Owner", "PeerStats"]
+__all__ = ["CanLink", "HubLink", "HubStats", "Link", "Links", "Owner", "PairLink", "PeerStats"]

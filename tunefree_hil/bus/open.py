@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import can
 
 from tunefree_hil.base.errors import BenchError, InputError
+from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.kernel_link import MAKE_VCAN, kernel_has_can, link_state
-from tunefree_hil.bus.link import CanLink, HubLink, Link
+from tunefree_hil.bus.link import CanLink, HubLink, Link, Links, PairLink
 from tunefree_hil.bus.tfhub import address
 from tunefree_hil.bus.tfhub.handshake import default_name
+from tunefree_hil.bus.tfhub.pair import HubPair
 from tunefree_hil.bus.tfhub.plugin import HubBus
 from tunefree_hil.bus.tfhub.records import CHANNELS
 
@@ -61,11 +64,13 @@ def open_link(
     role: str = "member",
     stamps: bool = False,
     fd: bool = False,
+    only: Sequence[int] = (),
 ) -> Link:
     """Open one channel of a choice, or an address as it stands in one.
 
     `role` observer only listens. `stamps`: this member stamps its frames itself (lockstep). `fd`: CAN FD, sent with
-    bit-rate switch. InputError where transmitting is refused, BenchError where the bus does not open.
+    bit-rate switch. `only`: on a hub, hand over only what comes together with one of these ids. InputError where
+    transmitting is refused, BenchError where the bus does not open.
     """
     if channel not in CHANNELS:
         raise InputError(f"no channel {channel!r}", key="channel", hint=f"one of {', '.join(CHANNELS)}")
@@ -75,7 +80,7 @@ def open_link(
         text = choice
     kind, _, rest = text.partition(":")
     if kind == "tfhub":
-        return HubLink(HubBus(_endpoint_of(rest, channel), role=role, name=name, stamps=stamps))
+        return HubLink(HubBus(_endpoint_of(rest, channel), role=role, name=name, stamps=stamps, only=only))
     may_send = role == "member"
     if kind == "socketcan" and rest:
         _require_socketcan(rest)
@@ -89,6 +94,28 @@ def open_link(
         may_send=may_send,
         keeps_stamps=kind == "virtual" and stamps,
     )
+
+
+def open_links(choice: BusChoice, *, name: str = "", stamps: bool = False, fd: bool = False) -> Links:
+    """Both channels of a member; over one connection where both are channels of one hub."""
+    vehicle, bench = (text.partition(":") for text in (choice.vehicle_address, choice.bench_address))
+    if vehicle[0] == bench[0] == "tfhub" and _session_of(vehicle[2]) == _session_of(bench[2]):
+        pair = HubPair(_endpoint_of(vehicle[2], "vehicle"), name=name, stamps=stamps)
+        return Links(PairLink(pair, 0), PairLink(pair, 1), pair.send)
+    links = [open_link(choice, "vehicle", name=name, stamps=stamps, fd=fd)]
+    try:
+        links.append(open_link(choice, "bench", name=name, stamps=stamps))
+    except BaseException:
+        links[0].close()
+        raise
+
+    def send_both(vehicle_frames: Sequence[CanFrame], bench_frames: Sequence[CanFrame]) -> None:
+        if vehicle_frames:
+            links[0].send(vehicle_frames)
+        if bench_frames:
+            links[1].send(bench_frames)
+
+    return Links(links[0], links[1], send_both)
 
 
 def require_virtual_link(name: str) -> None:
@@ -187,4 +214,4 @@ def _python_can(kind: str, rest: str, fd: bool, stamps: bool) -> can.BusABC:
         raise BenchError(f"{kind}:{rest} does not open: {error}", code="bus_error") from error
 
 
-__all__ = ["BusChoice", "open_link", "require_virtual_link", "resolve_bus"]
+__all__ = ["BusChoice", "open_link", "open_links", "require_virtual_link", "resolve_bus"]

@@ -18,26 +18,24 @@ SPREAD = 0.32  # height of a row over which its dots are spread, so that equal s
 WIDE = 6.0  # from this ratio of the largest to the smallest score on the axis is logarithmic
 
 
-def write_dots(path: Path, rows: Mapping[str, Sequence[float]], what: str) -> Path:
+def write_dots(path: Path, rows: Mapping[str, Sequence[float]], what: str, best: str = "") -> Path:
     """Write the figure of `draw_dots` to `path` as PNG."""
-    return style.save(draw_dots(rows, what), path)
+    return style.save(draw_dots(rows, what, best), path)
 
 
-def draw_dots(rows: Mapping[str, Sequence[float]], what: str) -> Figure:
+def draw_dots(rows: Mapping[str, Sequence[float]], what: str, best: str = "") -> Figure:
     """rows: scores by label, lower is better, drawn from the top; one score for a baseline, one a seed for a search.
 
-    A row of several has a bar at its median. The best row of a single score is the line that others have to beat.
-    `what`: the label of the axis. "tuned" has its own look, as everywhere.
+    A row of several has a bar at its median. `what`: the label of the axis. `best`: the row, of one score, that "tuned"
+    has to beat: a line through all rows.
     """
     figure = style.new_figure(11.0, 2.3 + 0.55 * len(rows))
     axes = figure.add_subplot()
-    singles = {label: scores[0] for label, scores in rows.items() if len(scores) == 1}
-    best = min(singles, key=lambda label: singles[label]) if singles else ""
     for row, (label, scores) in enumerate(rows.items()):
         look = style.TUNED if label.startswith("tuned") else style.MANUAL if label == best else style.OTHERS[0]
         _draw_row(axes, row, scores, look)
     if best:
-        axes.axvline(singles[best], color=style.MANUAL.colour, linestyle="--", linewidth=1.8, zorder=2)
+        axes.axvline(rows[best][0], color=style.MANUAL.colour, linestyle="--", linewidth=1.8, zorder=2)
     style.dress(axes, what, "")
     _scale(axes, [score for scores in rows.values() for score in scores])
     axes.set_yticks(range(len(rows)), list(rows), fontsize=style.FONT_PT)

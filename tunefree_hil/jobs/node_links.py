@@ -13,8 +13,8 @@ from pathlib import Path
 from tunefree_hil.base.clock import Clock, RealClock
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bench import Bench
-from tunefree_hil.bus.link import Link
-from tunefree_hil.bus.open import BusChoice, open_link, resolve_bus
+from tunefree_hil.bus.link import Links
+from tunefree_hil.bus.open import open_links, resolve_bus
 from tunefree_hil.nodes.exchange import Exchange
 
 PATIENCE_S = 60.0  # a node may be started before its hub
@@ -34,29 +34,22 @@ def open_exchange(
 ) -> Iterator[tuple[Exchange, Clock, str]]:
     """(exchange, clock, where in words) for a node; leaves the bus in good order."""
     choice = resolve_bus(bus, session, bench_bus)
-    links: list[Link] = []
+    links = patiently(lambda: open_links(choice, name=name, stamps=not realtime), f"{name}: waiting for a hub")
+    codec = bench.codec
+    ids = (
+        frozenset(message.key for message in codec.telemetry),
+        frozenset(message.key for message in codec.commands),
+    )
+    sys.setswitchinterval(SWITCH_S)
+    gc.disable()  # a tick makes no cycles; the node collects between episodes (nodes/node.py)
     try:
-        for channel in ("vehicle", "bench"):
-            links.append(_patiently(choice, channel, name, realtime))
-        codec = bench.codec
-        ids = (
-            frozenset(message.key for message in codec.telemetry),
-            frozenset(message.key for message in codec.commands),
-        )
-        sys.setswitchinterval(SWITCH_S)
-        gc.disable()  # a tick makes no cycles; the node collects between episodes (nodes/node.py)
-        yield Exchange(links[0], links[1], ids, bench.dt_s), RealClock(), choice.why
+        yield Exchange(links.vehicle, links.bench, ids, bench.dt_s, links.send_both), RealClock(), choice.why
     finally:
-        for link in links:
-            link.close()
+        links.close()
 
 
-def _patiently(choice: BusChoice, channel: str, name: str, realtime: bool) -> Link:
-    return patiently(lambda: open_link(choice, channel, name=name, stamps=not realtime), f"{name}: waiting for a hub")
-
-
-def patiently(open_it: Callable[[], Link], words: str) -> Link:
-    """Open a link, again and again while no hub is there yet; says so once after a second."""
+def patiently(open_it: Callable[[], Links], words: str) -> Links:
+    """Open the links, again and again while no hub is there yet; says so once after a second."""
     begun, said = time.monotonic(), False
     while True:
         try:

@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any
 
 from tunefree_hil.base.errors import BenchError, PeerGone
+from tunefree_hil.bus.bench_channel import FAULT_ID, HELLO_ID, STATUS_ID
 from tunefree_hil.bus.link import Link, Owner
 from tunefree_hil.bus.open import BusChoice, open_link, resolve_bus
 from tunefree_hil.config.schema import ScenarioSpec
@@ -20,6 +21,7 @@ from tunefree_hil.jobs.processes import Processes
 from tunefree_hil.nodes.runner import Outcome, Runner
 
 START_LIMIT_S = 30.0
+RUNNER_HEARS = (STATUS_ID, HELLO_ID, FAULT_ID)  # not every TICK and DONE: the runner is no part of the lockstep
 
 
 class Session:
@@ -89,7 +91,7 @@ class Session:
 
     def _conduct(self) -> Runner:
         owner = self._patiently(lambda: Owner(self.session, name="runner"))
-        bench = open_link(self.choice, "bench", name="runner")
+        bench = open_link(self.choice, "bench", name="runner", only=RUNNER_HEARS)
         self.owner = owner
         self.links.append(bench)
         runner = Runner(bench, owner, self.processes.check)
@@ -113,13 +115,12 @@ class Session:
         seed: int,
         parameters: Mapping[str, float],
         folder: Path,
-        progress: Callable[[int], None] = lambda tick: None,
     ) -> Outcome:
         """One episode; `folder/vehicle.log` and `folder/bench.log` are written by the hub."""
         logs = {"vehicle": folder / "vehicle.log", "bench": folder / "bench.log"}
         vector = [parameters[name] for name in NAMES]
         try:
-            return self.runner.drive(bytes.fromhex(scenario.hash)[:6], seed, vector, logs, progress)
+            return self.runner.drive(bytes.fromhex(scenario.hash)[:6], seed, vector, logs)
         except PeerGone as error:
             raise self.processes.explain(error) from error
 

@@ -39,9 +39,17 @@ def digest(frames: Iterable[CanFrame]) -> int:
 class Exchange:
     """Both links of one node. `ids_of_phase`: (ids of the reports, ids of the commands), SocketCAN ids."""
 
-    def __init__(self, vehicle: Link, bench: Link, ids_of_phase: Sequence[frozenset[int]], tick_s: float) -> None:
+    def __init__(
+        self,
+        vehicle: Link,
+        bench: Link,
+        ids_of_phase: Sequence[frozenset[int]],
+        tick_s: float,
+        send_both: Callable[[list[CanFrame], list[CanFrame]], None] | None = None,
+    ) -> None:
         self.vehicle = vehicle
         self.bench = bench
+        self._send_both = send_both or self._send_apart
         self.ids_of_phase = ids_of_phase
         self.tick_s = tick_s
         self.inbox: list[Any] = []  # bench messages that nobody has looked at yet
@@ -51,15 +59,22 @@ class Exchange:
 
     def say(self, *messages: Any, k: int = 0) -> None:
         """Send bench messages, stamped with tick k."""
+        self.bench.send(self._bench_frames(messages, k))
+
+    def _bench_frames(self, messages: Iterable[Any], k: int) -> list[CanFrame]:
         stamp_s = k * self.tick_s
-        self.bench.send([bc.encode(message)._replace(time_s=stamp_s) for message in messages])
+        return [bc.encode(message)._replace(time_s=stamp_s) for message in messages]
 
     def announce(self, k: int, phase: int, frames: list[CanFrame], *before: Any) -> None:
         """Send this phase's vehicle frames, then `before` and DONE on the bench channel."""
         frames.sort(key=can_key)
+        done = bc.Done(k, phase, len(frames), digest(frames))
+        self._send_both(frames, self._bench_frames((*before, done), k))
+
+    def _send_apart(self, frames: list[CanFrame], bench_frames: list[CanFrame]) -> None:
         if frames:
             self.vehicle.send(frames)
-        self.say(*before, bc.Done(k, phase, len(frames), digest(frames)), k=k)
+        self.bench.send(bench_frames)
 
     def listen(self, timeout_s: float) -> list[Any]:
         """The bench messages not yet looked at; waits up to timeout_s for the first."""

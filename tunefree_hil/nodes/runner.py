@@ -18,6 +18,7 @@ from tunefree_hil.nodes.exchange import HARD_LIMIT_S
 
 LOOK_S = 0.005
 LOAD_LIMIT_S = 120.0  # a jitted plant compiles while it loads
+SILENT_LIMIT_S = HARD_LIMIT_S + 2.0  # the node that waits says it first, and knows more
 LEAD_MS = 200  # real time: from RUN to tick 0
 
 
@@ -67,8 +68,6 @@ class Runner:
         seed: int,
         parameters: Sequence[float],
         logs: dict[str, Path],
-        progress: Callable[[int], None] = lambda tick: None,
-        duration_s: float = 0.0,
     ) -> Outcome:
         """Drive one episode to its end or failure; the hub writes the logs.
 
@@ -82,7 +81,7 @@ class Runner:
         started = time.monotonic()
         try:
             self._say(bc.Status(bc.Role.RUNNER, bc.State.RUN, 0, LEAD_MS))
-            ticks, code = self._await_end(progress, duration_s)
+            ticks, code = self._await_end()
         finally:
             wall_s = time.monotonic() - started
             logged = self.owner.stop_log()
@@ -144,23 +143,42 @@ class Runner:
             hint=f"the {role} says why in its own words, where it runs; do both have the same files?",
         )
 
-    def _await_end(self, progress: Callable[[int], None], duration_s: float) -> tuple[int, int]:
-        silent_limit_s = HARD_LIMIT_S + 2.0  # the node waiting inside says it first, and knows more
-        heard = time.monotonic()
+    def _await_end(self) -> tuple[int, int]:
+        """(ticks, error code) that the ECU ends with; a failure that the controller said first counts."""
+        watch = Silence(self.owner)
         code = 0
         while True:
-            messages = self._listen()
-            now = time.monotonic()
-            if messages:
-                heard = now
-            for message in messages:
+            for message in self._listen():
                 self._refuse_leaving(message)
-                if isinstance(message, bc.Status) and message.role == bc.Role.CONTROLLER and message.error_code:
+                if not isinstance(message, bc.Status):
+                    continue
+                if message.role == bc.Role.CONTROLLER:
                     code = code or message.error_code
-                if isinstance(message, bc.Status) and message.role == bc.Role.ECU:
-                    if message.state in (bc.State.FINISHED, bc.State.FAILED):
-                        return message.tick, code or message.error_code
-                elif isinstance(message, bc.Tick):
-                    progress(message.k)
-            if now - heard > silent_limit_s:
-                raise NoAnswer(f"the bench has been silent for {silent_limit_s:g} s", code="no_answer")
+                elif message.role == bc.Role.ECU and message.state in (bc.State.FINISHED, bc.State.FAILED):
+                    return message.tick, code or message.error_code
+            watch.look()
+
+
+class Silence:
+    """Notices a bench on which nothing moves any more: the hub's own count of frames stands still."""
+
+    def __init__(self, owner: Owner) -> None:
+        self.owner = owner
+        self._frames = -1
+        self._moved = self._looked = time.monotonic()
+
+    def look(self) -> None:
+        """Raise NoAnswer when no frame has passed for SILENT_LIMIT_S."""
+        now = time.monotonic()
+        if now - self._looked < 1.0:
+            return
+        self._looked = now
+        frames = sum(self.owner.stats().frames.values())
+        if frames != self._frames:
+            self._frames, self._moved = frames, now
+        elif now - self._moved > SILENT_LIMIT_S:
+            raise NoAnswer(
+                f"no frame has passed for {SILENT_LIMIT_S:g} s",
+                code="no_answer",
+                hint="are the ECU and the controller stopped? look where they run",
+            )

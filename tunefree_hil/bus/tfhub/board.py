@@ -7,7 +7,7 @@ import socket
 from collections.abc import Callable
 
 from tunefree_hil.bus.tfhub.peers import HIGH_BYTES, LOW_BYTES, Peer
-from tunefree_hil.bus.tfhub.records import CHANNELS
+from tunefree_hil.bus.tfhub.records import CHANNELS, as_other, has_one_of
 
 READ, WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
 KNOWN = 4  # bit of Peer.events: the board holds the connection, even when it waits for nothing from it
@@ -38,10 +38,11 @@ class Board:
         """A stranger has said who it is; it gets `welcome` first and then what it listens to."""
         self.strangers.remove(peer)
         self.owe(peer, welcome)
-        if peer.listen:
-            self.listeners[peer.channel].append(peer)
-        if peer.role == "member":
-            self.pause_senders(peer.channel)
+        for channel in peer.channels:
+            if peer.listen:
+                self.listeners[channel].append(peer)
+            if peer.role == "member":
+                self.pause_senders(channel)
 
     def forget(self, peer: Peer) -> None:
         """Close a connection and let go of everything that belonged to it."""
@@ -51,7 +52,7 @@ class Board:
         peer.sock.close()
         self.peers.remove(peer)
         self.dirty.discard(peer)
-        for group in (self.strangers, self.listeners[peer.channel]):
+        for group in (self.strangers, *self.listeners.values()):
             if peer in group:
                 group.remove(peer)
         self._release(peer)
@@ -76,15 +77,17 @@ class Board:
         peer.give(record, 0)
         self.dirty.add(peer)
 
-    def deliver(self, sender: Peer, chunk: bytes, frames: int) -> None:
-        """Owe frames to all others of the sender's channel, and to the sender when it wants its echo."""
-        for peer in self.listeners[sender.channel]:
+    def deliver(self, sender: Peer, channel: str, chunk: bytes, frames: int) -> None:
+        """Owe frames to all others of a channel, and to the sender when it wants its echo."""
+        for peer in self.listeners[channel]:
             if peer is sender and not peer.echo:
+                continue
+            if peer.only and not has_one_of(chunk, frames, peer.only):
                 continue
             if peer.role == "observer":
                 peer.give(chunk, frames, self.observer_bytes)
             else:
-                peer.give(chunk, frames)
+                peer.give(chunk if peer.channel == channel else as_other(chunk, frames), frames)
                 if peer.owed > HIGH_BYTES:
                     self._hold(peer)
             self.dirty.add(peer)
@@ -107,21 +110,23 @@ class Board:
     # --- back-pressure -------------------------------------------------------------------------------------------
 
     def _hold(self, member: Peer) -> None:
-        """A member does not keep up: read from no sender of its channel until it does."""
-        if member not in self.holders[member.channel]:
-            self.holders[member.channel].append(member)
-            self.pause_senders(member.channel)
+        """A member does not keep up: read from no sender of its channels until it does."""
+        for channel in member.channels:
+            if member not in self.holders[channel]:
+                self.holders[channel].append(member)
+                self.pause_senders(channel)
 
     def _release(self, member: Peer) -> None:
         """It keeps up again, or is gone."""
-        if member in self.holders[member.channel]:
-            self.holders[member.channel].remove(member)
-            self.pause_senders(member.channel)
+        for channel in member.channels:
+            if member in self.holders[channel]:
+                self.holders[channel].remove(member)
+                self.pause_senders(channel)
 
     def pause_senders(self, channel: str) -> None:
-        """Read from the members of a channel exactly when nobody holds it."""
-        held = bool(self.holders[channel])
+        """Read from the members of a channel exactly when nobody holds one of their channels."""
         for peer in self.peers:
-            if peer.role == "member" and peer.channel == channel:
+            if peer.role == "member" and channel in peer.channels:
+                held = any(self.holders[one] for one in peer.channels)
                 peer.paused = held
                 self.watch(peer, (0 if held else READ) | (peer.events & WRITE))

@@ -50,6 +50,8 @@ class Connection:
         While the hub does not take them, what it sends is read, so that two full sides cannot wait for each other.
         """
         with self._sending:
+            if self.gone:
+                raise ConnectionGone(self.gone)
             if self._unsent:
                 data, self._unsent = self._unsent + data, b""
             try:

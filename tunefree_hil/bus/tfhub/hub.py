@@ -26,9 +26,11 @@ from tunefree_hil.bus.tfhub.records import (
     FRAME,
     HEAD,
     HELLO,
+    KIND_AT,
     LEN_AT,
     LOG_NAMES,
     NUMBER,
+    OTHER,
     REQUEST,
     STAMP,
     STAMP_AT,
@@ -155,10 +157,14 @@ class Hub:
         time_ns = self._time_ns if self.sender_clock else time.monotonic_ns()
         index, sequence = peer.index, self.sequence
         offset = first = last = count = 0
+        run = FRAME  # what the frames from `first` on are: of the peer's own channel, or OTHER
         while end - offset >= SIZE_KIND.size:
             size, kind = SIZE_KIND.unpack_from(buffer, offset)
-            if kind != FRAME:
-                self._route(peer, first, offset, last, count)
+            if kind != run and (kind == FRAME or (kind == OTHER and peer.also)):
+                self._route(peer, first, offset, last, count, run)
+                run, first, count, sequence = kind, offset, 0, self.sequence
+            if kind != run:
+                self._route(peer, first, offset, last, count, run)
                 _check_control(peer, kind, size)
                 if end - offset < size:
                     return offset
@@ -170,14 +176,15 @@ class Hub:
                 own_stamps = self.sender_clock and peer.stamps
                 continue
             if size != CLASSIC.size and size != FD.size:
-                self._route(peer, first, offset, last, count)
+                self._route(peer, first, offset, last, count, run)
                 raise RecordError("it sent bytes that are no records")
             if end - offset < size:
                 break
             if buffer[offset + LEN_AT] > (8 if size == CLASSIC.size else 64):
-                self._route(peer, first, offset, last, count)
+                self._route(peer, first, offset, last, count, run)
                 raise RecordError("it sent a frame that is too long")
             sequence += 1
+            buffer[offset + KIND_AT] = FRAME
             if own_stamps:
                 NUMBER.pack_into(buffer, offset + STAMP_AT, index, sequence)
             else:
@@ -185,23 +192,23 @@ class Hub:
             last = offset
             offset += size
             count += 1
-        self._route(peer, first, offset, last, count)
+        self._route(peer, first, offset, last, count, run)
         return offset
 
-    def _route(self, peer: Peer, first: int, end: int, last: int, count: int) -> None:
-        """Owe `count` stamped frames, the last of which begins at `last`, to all others of the channel."""
+    def _route(self, peer: Peer, first: int, end: int, last: int, count: int, run: int) -> None:
+        """Owe `count` stamped frames, the last of which begins at `last`, to all others of their channel."""
         if not count:
             return
         if peer.role != "member":
             raise RecordError(f"it sent frames as {peer.role or 'a stranger'}")
         chunk = bytes(self._view[first:end])
-        channel = peer.channel
+        channel = peer.channel if run == FRAME else peer.also
         self.sequence += count
         self.frames[channel] += count
         peer.sent += count
         if self.sender_clock and peer.stamps:
             self._time_ns = TIME.unpack_from(self._buffer, last + TIME_AT)[0]
-        self.board.deliver(peer, chunk, count)
+        self.board.deliver(peer, channel, chunk, count)
         log = self.logs.get(channel)
         if log is not None:
             log.add(chunk, count)

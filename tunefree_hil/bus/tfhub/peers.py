@@ -31,6 +31,8 @@ class Peer:
     index: int = 0
     echo: bool = False  # gets its own frames back
     listen: bool = True
+    also: str = ""  # the other channel, where this connection carries both (records.OTHER)
+    only: frozenset[int] = frozenset()  # gets only chunks with a frame of one of these ids; empty: all
     stamps: bool = False
     mourned: bool = False  # its process's loss has been announced
     rest: bytes = b""  # the beginning of a record whose end has not come yet
@@ -42,6 +44,11 @@ class Peer:
     begun: bool = False  # the queue's first chunk is partly written
     events: int = 0  # as registered with the selector
     paused: bool = False  # not read from, because a member holds the bus
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels that it is on."""
+        return (self.channel, self.also) if self.also else (self.channel,)
 
     def give(self, chunk: bytes, frames: int, ring_bytes: int = 0) -> None:
         """Owe it `chunk`. With ring_bytes the oldest frames make room, and are counted in `dropped`."""

@@ -61,7 +61,8 @@ class HubBus(can.BusABC):
     `channel`: an address of `address.py`, with options `?role=...&name=...&echo=yes&listen=no&stamps=yes&token_file=..`
     that may be keywords, too. `role` observer (default) or member. `stamps`: on a hub with the clock 'sender'
     this member's own time stamps are kept. `send` and `recv` raise HubGone; `recv` of a member raises MemberGone once
-    for each member that is lost, after what it had sent.
+    for each member that is lost, after what it had sent. `only`: hand over only what comes together with one of these
+    ids, for one who wants little. `both`: this connection carries the other channel too; only `pair.py` reads that.
     """
 
     def __init__(
@@ -77,6 +78,8 @@ class HubBus(can.BusABC):
         listen_only: bool = False,
         state: can.BusState | None = None,
         token_file: str = "",
+        both: bool = False,
+        only: Sequence[int] = (),
         **others: Any,
     ) -> None:
         if others:  # python-can, its tools and its configuration files pass what some adapter needs: bit times, handles
@@ -92,6 +95,8 @@ class HubBus(can.BusABC):
             "echo": _yes(options.get("echo"), receive_own_messages),
             "listen": _yes(options.get("listen"), listen),
             "stamps": _yes(options.get("stamps"), stamps),
+            "both": both,
+            "only": list(only),
         }
         where = address.parse(text, options.get("token_file", token_file))
         self._connection = Connection(where, hello, options.get("name", name))

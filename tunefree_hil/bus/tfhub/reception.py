@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from tunefree_hil.bus.tfhub.peers import Peer
 from tunefree_hil.bus.tfhub.records import (
+    CHANNELS,
     PEER_GONE,
     PROTOCOL,
     REFUSED,
@@ -74,6 +75,8 @@ def hello(hub: Hub, peer: Peer, body: dict[str, Any]) -> None:
         _refuse(hub, peer, *refusal)
         return
     peer.role, peer.name, peer.pid = role, name, pid
+    peer.also = _other_channel(peer, body)
+    peer.only = frozenset(can_id for can_id in body.get("only") or () if isinstance(can_id, int))
     peer.echo, peer.stamps = body.get("echo") is True, body.get("stamps") is True
     peer.listen = role != "owner" and body.get("listen") is not False
     peer.index = min(set(range(1, MOST_PEERS + 1)) - {other.index for other in hub.board.peers})
@@ -109,7 +112,7 @@ def _refusal(hub: Hub, peer: Peer, body: dict[str, Any], role: str, name: str) -
     for other in hub.board.peers:
         if role == other.role == "owner":
             return "owned", f"this hub has an owner already: {other.name}, pid {other.pid}", "start a hub of your own"
-        if role != "owner" and other.role in ("member", "observer") and _same(other, peer.channel, name):
+        if role != "owner" and other.role in ("member", "observer") and _same(other, peer, body, name):
             there = f"{name} is on the bus already (pid {other.pid})"
             return "duplicate_name", there, "choose another name: ?name=..."
     if len(hub.board.peers) > MOST_PEERS:
@@ -117,13 +120,19 @@ def _refusal(hub: Hub, peer: Peer, body: dict[str, Any], role: str, name: str) -
     return None
 
 
-def _same(other: Peer, channel: str, name: str) -> bool:
-    return other.channel == channel and other.name == name
+def _other_channel(peer: Peer, body: dict[str, Any]) -> str:
+    """The second channel of a joint connection; only members have one."""
+    return next((one for one in CHANNELS if one != peer.channel), "") if body.get("both") is True else ""
+
+
+def _same(other: Peer, peer: Peer, body: dict[str, Any], name: str) -> bool:
+    wanted = {peer.channel, _other_channel(peer, body)} - {""}
+    return bool(wanted & set(other.channels)) and other.name == name
 
 
 def _free_name(hub: Hub, channel: str, name: str) -> str:
     """`name`, or with a number behind it when it is taken."""
-    taken = {other.name for other in hub.board.peers if other.channel == channel and other.role}
+    taken = {other.name for other in hub.board.peers if channel in other.channels and other.role}
     number, free = 1, name
     while free in taken:
         number += 1

@@ -25,6 +25,7 @@ LOG_NAMES = {"vehicle": "can0", "bench": "bench"}  # channel -> its name in a lo
 
 # record types
 FRAME, HELLO, WELCOME, REFUSED, BYE, PEER_GONE, DROPPED, REQUEST, REPLY, END = range(1, 11)
+OTHER = 11  # a frame of the channel that a joint connection carries beside its own
 
 # struct can_frame: can_id u32, len u8, 3 bytes, 8 data bytes; canfd_frame: can_id u32, len u8, flags u8, 2, 64
 HEAD = struct.Struct("<HBBQQ")
@@ -33,8 +34,11 @@ CLASSIC = struct.Struct("<HBBQQIB3x8s")
 FD = struct.Struct("<HBBQQIBB2x64s")
 STAMP = struct.Struct("<BQQ")  # sender, sequence, time; at STAMP_AT of a record
 NUMBER = struct.Struct("<BQ")  # the same without time
+KIND_AT = 2
 STAMP_AT = 3
 TIME_AT = 12
+ID = struct.Struct("<I")
+ID_AT = 20
 LEN_AT = 24  # of the frame's length byte in a FRAME record
 DATA_AT = 28
 
@@ -124,6 +128,29 @@ def pack_frames(frames: Iterable[CanFrame], brs: bool = True) -> bytes:
         else:
             parts.append(pack_raw(can_id, data, time_ns, fd=fd, flags=flags if fd else 0))
     return b"".join(parts)
+
+
+def as_other(records: bytes, count: int) -> bytes:
+    """`count` FRAME records as OTHER records."""
+    marked = bytearray(records)
+    if len(marked) == count * CLASSIC.size:
+        marked[KIND_AT :: CLASSIC.size] = bytes([OTHER]) * count
+        return bytes(marked)
+    at = 0
+    while at < len(marked):
+        marked[at + KIND_AT] = OTHER
+        at += marked[at] | marked[at + 1] << 8
+    return bytes(marked)
+
+
+def has_one_of(records: bytes, count: int, ids: frozenset[int]) -> bool:
+    """Whether one of `count` records is a frame with one of these ids (flag bits left out)."""
+    at = 0
+    for _ in range(count):
+        if ID.unpack_from(records, at + ID_AT)[0] & EFF_MASK in ids:
+            return True
+        at += records[at] | records[at + 1] << 8
+    return False
 
 
 def plain_frames(data: bytes) -> list[CanFrame] | None:

@@ -1,0 +1,125 @@
+"""Both channels of a hub over one connection: half the wake-ups of two, which is what a lockstep tick is made of."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import NoReturn
+
+from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus.tfhub.connection import ConnectionGone
+from tunefree_hil.bus.tfhub.plugin import HubBus
+from tunefree_hil.bus.tfhub.records import (
+    CLASSIC,
+    EFF_FLAG,
+    EFF_MASK,
+    ERR_FLAG,
+    FRAME,
+    NO_DATA,
+    OTHER,
+    RTR_FLAG,
+    Raw,
+    as_other,
+    pack_frames,
+    unpack_raw,
+)
+
+SEND_S = 10.0
+
+
+class HubPair:
+    """A member on both channels. `receive(0)` reads the vehicle channel, `receive(1)` the bench channel."""
+
+    def __init__(self, vehicle_address: str, *, name: str = "", stamps: bool = False) -> None:
+        self._bus = HubBus(vehicle_address, role="member", name=name, stamps=stamps, both=True)
+        self._connection = self._bus._connection
+        self._frames: tuple[list[CanFrame], list[CanFrame]] = ([], [])
+        self.name = self._bus.name
+        self.error_frames: list[Raw] = []
+        self.remote_frames = [0, 0]
+        self.closed = False
+
+    def send(self, vehicle: Sequence[CanFrame], bench: Sequence[CanFrame]) -> None:
+        """Vehicle frames, then bench frames, in one write."""
+        data = pack_frames(vehicle) if vehicle else b""
+        if bench:
+            data += as_other(pack_frames(bench), len(bench))
+        if data:
+            self._bus._transmit(data, SEND_S)
+
+    def receive(self, channel: int, timeout_s: float) -> list[CanFrame]:
+        """All that has arrived on a channel; waits up to timeout_s for the first. See link.Link.receive."""
+        deadline_s = time.monotonic() + timeout_s
+        rest_s = timeout_s
+        while True:
+            if self._frames[channel]:
+                return self._take(channel)
+            data = self._connection.fresh(rest_s)
+            if data and not self._sort(data):
+                self._connection.put_back(data)
+            if not data or self._connection.buffer:
+                self._one_by_one(rest_s if not data and self._connection.careful else 0.0)
+            if self._frames[channel]:
+                return self._take(channel)
+            rest_s = deadline_s - time.monotonic()
+            if rest_s <= 0.0:
+                return []
+
+    def close(self) -> None:
+        """Leave the bus in good order."""
+        if not self.closed:
+            self.closed = True
+            self._bus.shutdown()
+
+    def _take(self, channel: int) -> list[CanFrame]:
+        frames = list(self._frames[channel])
+        self._frames[channel].clear()
+        return frames
+
+    def _sort(self, data: bytes) -> bool:
+        """Put whole records of classic data frames to their channels; False, and nothing done, for anything else."""
+        if len(data) % CLASSIC.size:
+            return False
+        found: tuple[list[CanFrame], list[CanFrame]] = ([], [])
+        make = tuple.__new__
+        for size, kind, _, _, time_ns, can_id, length, payload in CLASSIC.iter_unpack(data):
+            if size != CLASSIC.size or (kind != FRAME and kind != OTHER) or can_id & NO_DATA:
+                return False
+            part = payload if length == 8 else payload[:length]
+            frame = make(CanFrame, (can_id & EFF_MASK, part, can_id > EFF_MASK, False, time_ns / 1e9))
+            found[kind == OTHER].append(frame)
+        self._frames[0].extend(found[0])
+        self._frames[1].extend(found[1])
+        return True
+
+    def _one_by_one(self, timeout_s: float) -> None:
+        """The slow path: FD, error and remote frames, records of other types, a record that has not come whole."""
+        connection = self._connection
+        try:
+            while connection.fill(timeout_s):
+                timeout_s = 0.0
+                kind, record = connection.kind(), connection.take()
+                if kind not in (FRAME, OTHER):
+                    self._bus._control(record)
+                    continue
+                self._sort_raw(unpack_raw(record), int(kind == OTHER))
+        except ConnectionGone as error:
+            self._raise_gone(error)
+
+    def _sort_raw(self, raw: Raw, channel: int) -> None:
+        if raw.can_id & ERR_FLAG:
+            self.error_frames.append(raw)
+        elif raw.can_id & RTR_FLAG:
+            self.remote_frames[channel] += 1
+        else:
+            extended = bool(raw.can_id & EFF_FLAG)
+            frame = CanFrame(raw.can_id & EFF_MASK, raw.data, extended, raw.fd, raw.time_ns / 1e9)
+            self._frames[channel].append(frame)
+
+    def _raise_gone(self, error: ConnectionGone) -> NoReturn:
+        raise self._bus._gone(error) from None
+
+    @property
+    def info(self) -> str:
+        """The bus in words."""
+        return self._bus.channel_info
