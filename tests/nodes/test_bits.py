@@ -34,7 +34,7 @@ def test_enabled(codec: Codec) -> None:
 )
 @pytest.mark.parametrize(("channel", "message"), [("brake", "BRAKE"), ("throttle", "THROTTLE"), ("steer", "STEERING")])
 def test_a_channel_speaks_in_its_own_report(codec: Codec, channel: str, message: str, field: str, signal: str) -> None:
-    status = ByWireStatus(**{channel: ChannelStatus(**{field: 1.0})})
+    status = ByWireStatus()._replace(**{channel: ChannelStatus()._replace(**{field: 1.0})})
     assert active(codec, status) == {f"{message}_REPORT.{signal}"}
 
 

@@ -1,4 +1,4 @@
-"""The simulated vehicle as a node: what it hears, what it answers, its watchdog, a scripted driver, when frames are due."""
+"""The simulated vehicle as a node: what it hears and answers, its watchdog, a scripted driver, when frames are due."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Car:
         for message in self.codec.commands:
             if self.k % message.period_ticks or message.name in leave_out:
                 continue
-            signals: dict[str, float] = {message.enable: enable} if message.enable else {}
+            signals: dict[str, float] = {message.enable: 1.0} if message.enable else {}
             if message.counter:
                 count = 0 if message.name in frozen else self.k % message.counter_modulus
                 signals[message.counter] = float(count)
@@ -207,7 +207,7 @@ def test_the_same_commands_give_the_same_frames(car: Car) -> None:
 
 
 def answers(car: Car, ticks: int, said: Any = None) -> tuple[list[list[CanFrame]], list[list[CanFrame]]]:
-    """(vehicle batches, bench batches) of a controller that answers `ticks` ticks; `said` stands before its last DONE."""
+    """(vehicle batches, bench batches) of a controller that answers `ticks` ticks; `said` before its last DONE."""
     other = FakeLink()
     exchange = Exchange(FakeLink(), other, (frozenset(), frozenset()), 0.01)
     vehicle = exchange.vehicle

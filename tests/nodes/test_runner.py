@@ -11,8 +11,9 @@ import pytest
 from tests.nodes.memory import FakeLink, FakeTime
 from tunefree_hil.base.errors import BenchError, NoAnswer, PeerGone
 from tunefree_hil.bus import bench_channel as bc
+from tunefree_hil.bus.link import HubStats
 from tunefree_hil.nodes import runner as module
-from tunefree_hil.nodes.runner import LEAD_MS, Outcome, Runner
+from tunefree_hil.nodes.runner import LEAD_MS, SILENT_LIMIT_S, Outcome, Runner
 
 ECU, CONTROLLER, RUNNER = bc.Role.ECU, bc.Role.CONTROLLER, bc.Role.RUNNER
 READY = [bc.Status(role, bc.State.READY, 0, 0) for role in (ECU, CONTROLLER)]
@@ -23,6 +24,11 @@ class FakeOwner:
 
     def __init__(self) -> None:
         self.calls: list[str] = []
+        self.frames, self.more = 0, 0  # that have passed, and how many more at each look
+
+    def stats(self) -> HubStats:
+        self.frames += self.more
+        return HubStats("s", "sender", {"vehicle": self.frames, "bench": 1}, (), (), (), ())
 
     def start_log(self, paths: Any) -> None:
         self.calls.append(f"start {sorted(paths)}")
@@ -81,10 +87,9 @@ def test_who_does_not_say_hello_is_named(clock: FakeTime, present: tuple[bc.Role
 def test_an_episode(clock: FakeTime) -> None:
     ticks = [[bc.Tick(k)] for k in range(3)]
     desk = Desk(clock, READY, *ticks, [ended(bc.State.FINISHED, 0, 3)])
-    seen: list[int] = []
-    outcome = desk.drive(progress=seen.append)
+    outcome = desk.drive()
     assert (outcome.ticks, outcome.error_code, outcome.error, outcome.logged) == (3, 0, "", {"vehicle": 7})
-    assert seen == [0, 1, 2] and outcome.wall_s > 0.0
+    assert outcome.wall_s > 0.0
     assert desk.owner.calls == ["start ['vehicle']", "stop"]
     assert desk.link.words() == [
         bc.Episode(b"abcdef", 5),
@@ -117,9 +122,19 @@ def test_a_node_that_does_not_load_is_named(clock: FakeTime, there: tuple[Any, .
 
 def test_silence_of_the_bench_ends_it_and_the_log_is_closed(clock: FakeTime) -> None:
     desk = Desk(clock, READY, [bc.Tick(0)])
-    with pytest.raises(NoAnswer, match="silent for 7 s"):
+    started_s = clock.now_s
+    with pytest.raises(NoAnswer, match="no frame has passed for 7 s"):
         desk.drive()
     assert desk.owner.calls[-1] == "stop"
+    assert SILENT_LIMIT_S <= clock.now_s - started_s <= SILENT_LIMIT_S + 3.0
+
+
+def test_a_slow_drive_is_no_silence(clock: FakeTime) -> None:
+    """Nothing for the runner itself in 60 s, but the hub's count moves."""
+    desk = Desk(clock, READY, *[[] for _ in range(12000)], [ended(bc.State.FINISHED, 0, 9)])
+    desk.owner.more = 1
+    assert desk.drive().ticks == 9
+    assert clock.now_s > 150.0
 
 
 def test_a_node_that_leaves_in_the_drive_is_named(clock: FakeTime) -> None:

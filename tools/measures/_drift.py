@@ -44,7 +44,7 @@ class _Gains:
 def drift(bench: Bench, model: Path, values: Mapping[str, float], minutes: int) -> dict[str, Any]:
     """Kx and Kr over `minutes` straight on at 10 m/s; changes are against the gains at the start.
 
-    second_half: change from the middle to the end, which an equilibrium does not have. `model` has BIAS in it.
+    second_half: change from the middle to the end, which an equilibrium does not have. `model` has the offsets in it.
     """
     with tempfile.TemporaryDirectory() as folder:
         scenario = load_scenario(_straight(Path(folder), minutes))

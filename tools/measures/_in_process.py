@@ -1,7 +1,7 @@
 """A bench in one process: the parts of ECU and controller stepped in turn, frame for frame as over the bus.
 
 Both nodes run as they are; only the Exchange between them is another one. So the frame hash of a drive is that of the
-same drive over the bus (tests/tools/test_measures.py compares them). For sweeps over many models, and for very long drives.
+same drive over the bus (tests/tools/test_measures.py compares them). For sweeps over models, and for very long drives.
 """
 
 from __future__ import annotations

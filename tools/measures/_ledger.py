@@ -19,12 +19,15 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER = "runs/measures"  # of the options of every measure that writes as it goes
 FIGURES = "docs/figures"
 # What a score depends on. The hub and the processes carry the frames, but cannot change what is in them.
-COUNTED = ("base", "bus", "config", "control", "effects", "plant", "episode", "grade", "nodes", "bench", "tune", "jobs/harvest.py")
+COUNTED = (
+    "base", "bus", "config", "control", "effects", "plant", "episode", "grade", "nodes", "bench", "tune",
+    "jobs/harvest.py",
+)  # fmt: skip
 CARRIERS = "bus/tfhub/"
 
 
 class Ledger:
-    """The lines of one measure. Each writer has a file of its own, all read all; a line cut off by a kill is dropped."""
+    """The lines of one measure. Each writer has its own file, all read all; a line cut off by a kill is dropped."""
 
     def __init__(self, folder: Path, writer: str = "main") -> None:
         self.folder = folder

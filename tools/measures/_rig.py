@@ -81,7 +81,8 @@ class Rig:
 
 def standing(bench: Bench, model: str, scenarios: Sequence[ScenarioSpec]) -> dict[str, str]:
     """All that a score depends on, but the vector: files and code."""
-    return {"identity": identity_of(bench, model, scenarios)["identity"], "model": Path(model).name, "code": code_hash()}
+    identity = identity_of(bench, model, scenarios)["identity"]
+    return {"identity": identity, "model": Path(model).name, "code": code_hash()}
 
 
 def failed(scenarios: Mapping[str, Mapping[str, Any]]) -> list[str]:

@@ -239,10 +239,10 @@ def write_figure(rows: Mapping[str, Sequence[float]], plan: Plan, manual: str, f
     """Dots by row to `<figures>/<name>.png`; manual: the best baseline."""
     from tunefree_hil.figures.dots import write_dots
 
-    path = Path(figures) / f"{name}.png"
-    what = f"score on {len(plan.verify_scenarios)} unseen scenarios, {plan.loaded().spec.verify_model} (lower is better)"
+    path, model = Path(figures) / f"{name}.png", plan.loaded().spec.verify_model
+    what = f"score on {len(plan.verify_scenarios)} unseen scenarios, {model} (lower is better)"
     searched = {label: rows[label] for label in ("tuned", "random search")}
-    others = sorted(rows.keys() - searched.keys(), key=lambda label: rows[label])
+    others = sorted(rows.keys() - searched.keys(), key=lambda label: rows[label][0])
     return str(write_dots(path, searched | {label: rows[label] for label in others}, what, manual))
 
 

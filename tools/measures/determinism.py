@@ -65,9 +65,11 @@ def _run(bench: Bench, scenario: ScenarioSpec, rng: Random, burners: int) -> dic
         nodes = Processes(folder / "nodes")
         try:
             pids = _start(bench, nodes, order, f"same-{os.getpid()}-{rng.randrange(10**6)}", rng)
-            with _join(bench, folder, pids["session"], nodes) as session:
-                with _held_up([pids[name] for name in order], rng) as stops:
-                    outcome = session.drive(scenario, scenario.noise_seed, values, folder)
+            with (
+                _join(bench, folder, pids["session"], nodes) as session,
+                _held_up([pids[name] for name in order], rng) as stops,
+            ):
+                outcome = session.drive(scenario, scenario.noise_seed, values, folder)
         finally:
             nodes.stop()
         episode = harvest(bench, scenario, values, outcome, folder)

@@ -53,6 +53,7 @@ class Straight(NamedTuple):
     folder: str
     label: str
     searched: dict[str, float]
+    bias: dict[str, float]
     minutes: int
 
 
@@ -69,8 +70,8 @@ def measure(
     """Of each actuator: MRAC off; tuned (T_ref and p, a study of `trials`); p = 0 at the same T_ref.
 
     The cells are driven in one process, which gives the frames of the bus (detail: same_frames_over_the_bus). Then
-    `minutes` straight on with noise and offsets, with the tuned gains of the data sheet's actuator and with the
-    strongest adaptation; 0 leaves that out. Goes on when called again.
+    `minutes` straight on with noise and offsets, with the parameters tuned for the data sheet's actuator and with the
+    largest p of the box, that one without offsets too; 0 leaves this out. Goes on when called again.
     """
     before, own = machine(), str(Path(folder) / NAME)
     grid = [(dead, lag) for dead in DEAD_TIMES_S for lag in LAGS_S]
@@ -97,8 +98,12 @@ def measure(
         "figure": _figure(found, ratios, figures),
     }
     if minutes:
-        straights = [Straight(bench, own, TUNED, tuned, minutes), Straight(bench, own, "strongest", STRONGEST, minutes)]
-        detail["straight"] = {"bias": BIAS} | dict(side_by_side(work_straight, straights, workers))
+        straights = [
+            Straight(bench, own, TUNED, tuned, BIAS, minutes),
+            Straight(bench, own, "strongest", STRONGEST, BIAS, minutes),
+            Straight(bench, own, "strongest, no offsets", STRONGEST, {}, minutes),
+        ]
+        detail["straight"] = dict(side_by_side(work_straight, straights, workers))
     return summary(ratios, "of the peak without MRAC", rounded(detail))
 
 
@@ -159,15 +164,15 @@ def _tune(job: Cell, bench: Bench, drive: _Drives, identity: str, folder: Path) 
 def work_straight(job: Straight) -> tuple[str, dict[str, Any]]:
     """(label, how Kx and Kr moved)."""
     bench = load(job.bench)
-    ledger = Ledger(Path(job.folder), f"straight-{job.label}")
+    ledger = Ledger(Path(job.folder), f"straight-{job.label.replace(', ', '-').replace(' ', '-')}")
     with tempfile.TemporaryDirectory() as folder:
-        model = write_model(bench, Path(folder) / "model", 0.10, 0.077, BIAS)
+        model = write_model(bench, Path(folder) / "model", 0.10, 0.077, job.bias)
         depends = {**standing(bench, str(model), []), "what": "straight", "searched": job.searched,
                    "minutes": job.minutes}  # fmt: skip
         known = ledger.find(depends)
         if known is None:
             moved = drift(bench, model, parameters_of(bench, job.searched), job.minutes)
-            known = ledger.keep(depends, {"parameters": job.searched, **moved})
+            known = ledger.keep(depends, {"parameters": job.searched, "bias": job.bias, **moved})
     return job.label, known
 
 

@@ -23,9 +23,7 @@ def measure(
     """Study and random search with `seeds` seeds, all baselines. 0 trials: the bench file's number. Goes on when called
     again. `workers` benches run side by side, one a core.
     """
-    plan = make_plan(
-        bench, NAME, trials=trials, scenarios=scenarios, verify_scenarios=verify_scenarios, folder=folder
-    )
+    plan = make_plan(bench, NAME, trials=trials, scenarios=scenarios, verify_scenarios=verify_scenarios, folder=folder)
     answer, rows = measure_tuning(plan, seeds, workers)
     answer["detail"]["figure"] = write_figure(rows, plan, answer["detail"]["manual"], figures, NAME)
     return answer

@@ -69,7 +69,7 @@ def open_link(
     """Open one channel of a choice, or an address as it stands in one.
 
     `role` observer only listens. `stamps`: this member stamps its frames itself (lockstep). `fd`: CAN FD, sent with
-    bit-rate switch. `only`: on a hub, hand over only what comes together with one of these ids. InputError where
+    bit-rate switch. `only`: on a hub, only frames with these ids are handed over. InputError where
     transmitting is refused, BenchError where the bus does not open.
     """
     if channel not in CHANNELS:

@@ -1,4 +1,4 @@
-"""A quantity over two properties of the vehicle, as numbers in coloured cells: where it helps, and where it does not."""
+"""A quantity over two properties of the vehicle, as numbers in coloured cells: where it helps, and where not."""
 
 from __future__ import annotations
 

@@ -26,6 +26,7 @@ def main() -> int:
     parser.add_argument("--vehicle-log-name", default=LOG_NAMES["vehicle"], help="channel name in the vehicle's log")
     parser.add_argument("--bench-log-name", default=LOG_NAMES["bench"], help="channel name in the bench's log")
     parser.add_argument("--observer-kib", type=int, default=OBSERVER_BYTES >> 10, help="what an observer may be owed")
+    parser.add_argument("--say-ready", action="store_true", help="write a line to stdout when it listens")
     given = parser.parse_args()
     try:
         why = serve(
@@ -35,7 +36,7 @@ def main() -> int:
             standalone=given.standalone,
             log_names={"vehicle": given.vehicle_log_name, "bench": given.bench_log_name},
             observer_bytes=given.observer_kib << 10,
-            ready=_announce if given.standalone else None,
+            ready=_say_ready if given.say_ready else _announce,
         )
     except TunefreeError as error:
         say_on_stderr(str(error))
@@ -43,6 +44,11 @@ def main() -> int:
     if given.standalone:
         say_on_stderr(f"{given.session} ends: {why}")
     return 0
+
+
+def _say_ready(_: HubInfo) -> None:
+    sys.stdout.write("ready\n")  # start.py waits for it
+    sys.stdout.flush()
 
 
 def _announce(info: HubInfo) -> None:

@@ -7,7 +7,7 @@ import socket
 from collections.abc import Callable
 
 from tunefree_hil.bus.tfhub.peers import HIGH_BYTES, LOW_BYTES, Peer
-from tunefree_hil.bus.tfhub.records import CHANNELS, as_other, has_one_of
+from tunefree_hil.bus.tfhub.records import CHANNELS, as_other, only_these
 
 READ, WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
 KNOWN = 4  # bit of Peer.events: the board holds the connection, even when it waits for nothing from it
@@ -82,15 +82,22 @@ class Board:
         for peer in self.listeners[channel]:
             if peer is sender and not peer.echo:
                 continue
-            if peer.only and not has_one_of(chunk, frames, peer.only):
+            if peer.only:
+                kept = only_these(chunk, frames, peer.only)
+                if kept:
+                    self._give(peer, channel, b"".join(kept), len(kept))
                 continue
-            if peer.role == "observer":
-                peer.give(chunk, frames, self.observer_bytes)
-            else:
-                peer.give(chunk if peer.channel == channel else as_other(chunk, frames), frames)
-                if peer.owed > HIGH_BYTES:
-                    self._hold(peer)
-            self.dirty.add(peer)
+            self._give(peer, channel, chunk, frames)
+
+    def _give(self, peer: Peer, channel: str, chunk: bytes, frames: int) -> None:
+        """Owe one peer frames of a channel; an observer's are a ring, a member that falls behind holds the bus."""
+        if peer.role == "observer":
+            peer.give(chunk, frames, self.observer_bytes)
+        else:
+            peer.give(chunk if peer.channel == channel else as_other(chunk, frames), frames)
+            if peer.owed > HIGH_BYTES:
+                self._hold(peer)
+        self.dirty.add(peer)
 
     def flush(self, failed: Callable[[Peer], None]) -> None:
         """Write what is owed, as far as the sockets take it; `failed` gets each peer that cannot be written to."""

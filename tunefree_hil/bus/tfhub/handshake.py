@@ -53,10 +53,9 @@ def join(address: Address, hello: dict[str, Any], name: str = "") -> tuple[socke
     InputError or BenchError say why there is none; nothing beyond the welcome has been read from the socket.
     """
     body = {"protocol": PROTOCOL, "name": name or default_name(), "fixed_name": bool(name), "pid": os.getpid()}
-    token = _token(address)
     sock = _connect(address)
     try:
-        sock.sendall(pack_control(HELLO, {**body, **hello, "token": token}))
+        sock.sendall(pack_control(HELLO, {**body, **hello, "token": _token(address)}))
         head = _read(sock, HEAD.size)
         size, kind = struct.unpack_from("<HB", head)
         answer = body_of(head + _read(sock, max(0, size - HEAD.size)))

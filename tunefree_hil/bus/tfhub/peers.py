@@ -32,7 +32,7 @@ class Peer:
     echo: bool = False  # gets its own frames back
     listen: bool = True
     also: str = ""  # the other channel, where this connection carries both (records.OTHER)
-    only: frozenset[int] = frozenset()  # gets only chunks with a frame of one of these ids; empty: all
+    only: frozenset[int] = frozenset()  # gets only frames with one of these ids; empty: all
     stamps: bool = False
     mourned: bool = False  # its process's loss has been announced
     rest: bytes = b""  # the beginning of a record whose end has not come yet

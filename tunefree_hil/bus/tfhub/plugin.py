@@ -61,8 +61,8 @@ class HubBus(can.BusABC):
     `channel`: an address of `address.py`, with options `?role=...&name=...&echo=yes&listen=no&stamps=yes&token_file=..`
     that may be keywords, too. `role` observer (default) or member. `stamps`: on a hub with the clock 'sender'
     this member's own time stamps are kept. `send` and `recv` raise HubGone; `recv` of a member raises MemberGone once
-    for each member that is lost, after what it had sent. `only`: hand over only what comes together with one of these
-    ids, for one who wants little. `both`: this connection carries the other channel too; only `pair.py` reads that.
+    for each member that is lost, after what it had sent. `only`: the hub hands over only frames with these ids, to one
+    who wants little. `both`: this connection carries the other channel too; only `pair.py` reads that.
     """
 
     def __init__(

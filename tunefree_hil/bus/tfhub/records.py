@@ -143,14 +143,15 @@ def as_other(records: bytes, count: int) -> bytes:
     return bytes(marked)
 
 
-def has_one_of(records: bytes, count: int, ids: frozenset[int]) -> bool:
-    """Whether one of `count` records is a frame with one of these ids (flag bits left out)."""
-    at = 0
+def only_these(records: bytes, count: int, ids: frozenset[int]) -> list[bytes]:
+    """Those of `count` records that are frames with one of these ids (flag bits left out)."""
+    kept, at = [], 0
     for _ in range(count):
+        end = at + (records[at] | records[at + 1] << 8)
         if ID.unpack_from(records, at + ID_AT)[0] & EFF_MASK in ids:
-            return True
-        at += records[at] | records[at + 1] << 8
-    return False
+            kept.append(records[at:end])
+        at = end
+    return kept
 
 
 def plain_frames(data: bytes) -> list[CanFrame] | None:

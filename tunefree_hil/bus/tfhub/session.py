@@ -35,7 +35,8 @@ class Session:
         try:
             for channel in CHANNELS:
                 self.listeners[channel] = self._listen(channel, transport)
-            (self.folder / TOKEN_FILE).unlink(missing_ok=True)  # of a hub that was killed
+            for name in (HUB_FILE, TOKEN_FILE):  # of a hub that was killed
+                (self.folder / name).unlink(missing_ok=True)
             self.info = self._describe(transport, clock)
         except BaseException:
             self._let_go()

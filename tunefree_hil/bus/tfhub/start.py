@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -12,7 +13,7 @@ from tunefree_hil.bus.tfhub import address
 from tunefree_hil.bus.tfhub.owner import Owner
 from tunefree_hil.bus.tfhub.records import LOG_NAMES
 
-START_S = 20.0  # patience with a slow machine; a hub that fails is noticed at once
+READY = b"ready"
 END_S = 5.0
 
 
@@ -62,39 +63,28 @@ def start_hub(
     session: str, *, clock: str = "real", transport: str = "unix", vehicle_log_name: str = LOG_NAMES["vehicle"]
 ) -> HubProcess:
     """A hub in its own process with us as owner. InputError when one runs in that session, BenchError when it fails."""
-    command = [sys.executable, "-m", "tunefree_hil.bus.tfhub", "--session", session, "--clock", clock]
+    command = [sys.executable, "-m", "tunefree_hil.bus.tfhub", "--session", session, "--clock", clock, "--say-ready"]
     command += ["--vehicle-log-name", vehicle_log_name] + (["--tcp"] if transport == "tcp" else [])
     words = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process; a pipe could fill and block it
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=words)
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=words)
     try:
-        return HubProcess(process, _own(process, session), session, words)
-    except BenchError as error:
+        _wait_until_ready(process, words)
+        return HubProcess(process, Owner(session, name=f"owner-{os.getpid()}"), session, words)
+    except BaseException:
         process.kill()
-        status = process.wait(END_S)
-        words.seek(0)
-        said = words.read().decode(errors="replace").strip()
+        process.wait(END_S)
         words.close()
-        kind = InputError if status == InputError.exit_status else BenchError
-        raise kind(f"the hub could not be started: {said or error}", code="hub_failed", key="--session") from None
+        raise
 
 
-def _own(process: subprocess.Popen[bytes], session: str) -> Owner:
-    """Wait for our own hub, not for another one that may run in the session."""
-    waited_s = 0.0
-    while waited_s < START_S:
-        if process.poll() is not None:
-            break
-        try:
-            owner = Owner(session, name=f"owner-{process.pid}", wait_s=0.05)
-        except BenchError as error:
-            if error.code != "no_hub":
-                raise
-            waited_s += 0.05
-            continue
-        except InputError:  # another hub with its owner: ours is about to say so and end
-            process.wait(END_S)
-            break
-        if owner.pid == process.pid:
-            return owner
-        owner.close()
-    raise BenchError(f"no hub came up in session {session}", code="no_hub")
+def _wait_until_ready(process: subprocess.Popen[bytes], words: BinaryIO) -> None:
+    """Read the line that the hub writes when it listens; its own words become the error when it ends instead."""
+    assert process.stdout is not None
+    with process.stdout as stdout:
+        if stdout.readline().strip() == READY:
+            return
+    status = process.wait(END_S)
+    words.seek(0)
+    said = words.read().decode(errors="replace").strip() or f"exit status {status}"
+    kind = InputError if status == InputError.exit_status else BenchError
+    raise kind(f"the hub could not be started: {said}", code="hub_failed")
