@@ -70,6 +70,8 @@ def test_a_record_holds_struct_can_frame() -> None:
         CanFrame(0x20000000, b"", True),
         CanFrame(-1, b""),
         CanFrame(1, bytes(9)),
+        CanFrame(1, b"", time_s=-0.01),
+        CanFrame(1, b"", time_s=float("nan")),
         CanFrame(1, bytes(65), False, True),
     ],
 )

@@ -11,13 +11,12 @@ from typing import Any
 
 import pytest
 
-from tests.bench.tiny import hash_of
+from tests.bench.tiny import hash_of, write_bench
 from tests.jobs.command import tunefree
 from tests.nodes.memory import MemoryBus
 from tunefree_hil.base.clock import SimClock
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bench import Bench, ControllerFor, VehicleFor, needed_messages, parameters_of
-from tunefree_hil.bus import bench_channel as bc
+from tunefree_hil.bench import Bench, ControllerFor, VehicleFor, load, needed_messages, parameters_of
 from tunefree_hil.bus.link import HubStats
 from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.episode.candump import LogFrame
@@ -131,14 +130,15 @@ def test_an_unknown_scenario_is_refused_by_both_with_the_files_there_are(bench: 
 
 
 @pytest.mark.slow
-def test_a_drive_that_leaves_its_lane_ends_at_once(bench: Bench, tiny: Path) -> None:
-    """The wheels hardly steer with such weights: the controller says so, the ECU ends at that tick."""
-    values = {**parameters_of(bench), "lqr.q1": 1e-9, "lqr.q3": 1e-9, "mrac.enable": 0.0}
-    values |= {name: 0.0 for name in ("lqr.q2", "lqr.q4")}
-    start = bench.scenarios["tiny"]
-    assert start.hash.startswith(hash_of(tiny).hex())
+def test_a_drive_that_leaves_its_lane_ends_at_once_and_the_next_one_is_whole(tmp_path: Path) -> None:
+    write_bench(tmp_path, scenarios=("tiny", "wild"))
+    wild = tmp_path / "scenarios" / "wild.toml"
+    wild.write_text(wild.read_text().replace("lateral_m = 0.1", "lateral_m = 1.2, heading_rad = 0.35"))
+    bench = load(tmp_path / "b.toml")
+    values = parameters_of(bench)
     with in_one_process(bench) as one:
-        outcome, _ = one.drive(hash_of(tiny), 3, values)
-        again, _ = one.drive(hash_of(tiny), 3, parameters_of(bench))
-    assert outcome.error in ("", bc.ErrorCode.LEFT_LANE.name.lower())
-    assert again.error == "" and again.ticks == 200
+        outcome, _ = one.drive(hash_of(tmp_path, "wild"), 3, values)
+        again, _ = one.drive(hash_of(tmp_path), 3, values)
+    assert outcome.error == "left_lane" and 5 < outcome.ticks < 100
+    assert [words for words in one.words if "left_lane" in words and f"tick {outcome.ticks - 1}" in words]
+    assert (again.error, again.ticks) == ("", 200)

@@ -20,7 +20,7 @@ MINUTE_S = 60.0
 
 
 class _Gains:
-    """Sees every step; keeps the extremes, and the gains at each full minute."""
+    """Sees every step; keeps the extremes, and at each full minute the gains and the largest steering command in it."""
 
     def __init__(self, dt_s: float) -> None:
         self.per_minute = round(MINUTE_S / dt_s)
@@ -28,6 +28,8 @@ class _Gains:
         self.start = self.last = (0.0, 0.0)
         self.largest = [0.0, 0.0]
         self.minutes: list[tuple[float, float]] = []
+        self.steer_rad: list[float] = []
+        self._steer_rad = 0.0
 
     def __call__(self, state: Any) -> None:
         inner = next(part for part in state if isinstance(part, MracState))
@@ -36,15 +38,19 @@ class _Gains:
             self.start = now
         self.ticks += 1
         self.largest = [max(old, abs(a - b)) for old, a, b in zip(self.largest, now, self.start, strict=True)]
+        self._steer_rad = max(self._steer_rad, abs(float(state[-1])))  # the cascade's last state: its last command
         if self.ticks % self.per_minute == 0:
             self.minutes.append(now)
+            self.steer_rad.append(self._steer_rad)
+            self._steer_rad = 0.0
         self.last = now
 
 
 def drift(bench: Bench, model: Path, values: Mapping[str, float], minutes: int) -> dict[str, Any]:
     """Kx and Kr over `minutes` straight on at 10 m/s; changes are against the gains at the start.
 
-    second_half: change from the middle to the end, which an equilibrium does not have. `model` has the offsets in it.
+    second_half: change from the middle to the end, which an equilibrium does not have. steer_*: the largest steering
+    command (rad at the wheel) of the second and the last minute: what a drift does. `model` has the offsets in it.
     """
     with tempfile.TemporaryDirectory() as folder:
         scenario = load_scenario(_straight(Path(folder), minutes))
@@ -61,6 +67,9 @@ def drift(bench: Bench, model: Path, values: Mapping[str, float], minutes: int) 
         "kr_largest_change": gains.largest[1],
         "kx_change_second_half": gains.last[0] - middle[0],
         "kr_change_second_half": gains.last[1] - middle[1],
+        "kx_each_minute": [kx for kx, _ in gains.minutes],
+        "steer_begin_rad": max(gains.steer_rad[1:2], default=None),
+        "steer_end_rad": gains.steer_rad[-1] if gains.steer_rad else None,
     }
 
 

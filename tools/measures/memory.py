@@ -11,22 +11,23 @@ from tools.measures._summary import rounded, summary
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.jobs.session import Session
 
-VALUE = "MB, largest resident size of the largest node, the compiled ECU among them (median of sessions)"
+VALUE = "MB, peak resident size of the largest node, the compiled ECU among them (median of sessions)"
 LIMITS_MB = {"plain": 150.0, "compiled": 250.0}  # design D1
 
 
 def measure(runs: int = 3, scenarios: str = "", bench: str = "bench_configs/mkz_steer.toml") -> dict[str, Any]:
     """`runs` sessions of each kind drive all scenarios of the bench file, then their nodes are looked at.
 
-    plain: nominal plant, nothing compiled. compiled: reference plant, its ECU compiled.
+    plain: nominal plant, nothing compiled. compiled: reference plant, its ECU compiled. resident: after the last drive,
+    where the peak may be of an instant (compiling).
     """
     loaded = load(bench)
     names = [name for name in loaded.spec.scenarios if not scenarios or name in scenarios.split(",")]
     plain = [_session_mb(loaded, loaded.spec.model, names, compiled=False) for _ in range(runs)]
     compiled = [_session_mb(loaded, loaded.spec.verify_model, names, compiled=True) for _ in range(runs)]
-    uncompiled = [mb for session in plain for mb in session.values()]
-    uncompiled += [mb for session in compiled for node, mb in session.items() if node != "ecu"]
-    largest = {"plain": max(uncompiled), "compiled": max(session["ecu"] for session in compiled)}
+    uncompiled = [mb for session in plain for mb in session["peak"].values()]
+    uncompiled += [mb for session in compiled for node, mb in session["peak"].items() if node != "ecu"]
+    largest = {"plain": max(uncompiled), "compiled": max(session["peak"]["ecu"] for session in compiled)}
     detail = {
         "scenarios": names,
         loaded.spec.model: plain,
@@ -36,12 +37,12 @@ def measure(runs: int = 3, scenarios: str = "", bench: str = "bench_configs/mkz_
         "limits_mb": LIMITS_MB,
         "holds": {kind: largest[kind] <= limit for kind, limit in LIMITS_MB.items()},
     }
-    each = [max([*one.values(), *other.values()]) for one, other in zip(plain, compiled, strict=True)]
+    each = [max([*one["peak"].values(), *other["peak"].values()]) for one, other in zip(plain, compiled, strict=True)]
     return summary(each, "MB", rounded(detail))
 
 
-def _session_mb(bench: Bench, model: str, names: list[str], *, compiled: bool) -> dict[str, float]:
-    """Node -> MB after all these drives in one session."""
+def _session_mb(bench: Bench, model: str, names: list[str], *, compiled: bool) -> dict[str, dict[str, float]]:
+    """{peak, resident: node -> MB} after all these drives in one session."""
     with (
         tempfile.TemporaryDirectory() as folder,
         Session(
@@ -57,4 +58,14 @@ def _session_mb(bench: Bench, model: str, names: list[str], *, compiled: bool) -
             episode.mkdir()
             scenario = bench.scenarios[name]
             session.drive(scenario, scenario.noise_seed, parameters_of(bench), episode)
-        return session.processes.memory_mb()
+        return {"peak": session.processes.memory_mb(), "resident": _resident_mb(session)}
+
+
+def _resident_mb(session: Session) -> dict[str, float]:
+    """Node -> MB at this moment."""
+    sizes = {}
+    for child in session.processes.children:
+        status = Path(f"/proc/{child.process.pid}/status")
+        lines = [line for line in status.read_text().splitlines() if line.startswith("VmRSS")]
+        sizes[child.name] = float(lines[0].split()[1]) / 1024.0
+    return sizes

@@ -74,7 +74,11 @@ def scenario_of_hash(bench: Bench, start: bytes) -> ScenarioSpec:
             return scenario
     known = []
     for name in available("scenario", bench.file):
-        scenario = load_scenario(name, bench.file)
+        try:
+            scenario = load_scenario(name, bench.file)
+        except InputError:
+            known.append(f"{name} (not readable)")  # not what was asked for, so not what is wrong here
+            continue
         if scenario.hash.startswith(wanted):
             return scenario
         known.append(f"{name} ({scenario.hash[:12]})")

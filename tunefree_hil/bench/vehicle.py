@@ -23,6 +23,13 @@ from tunefree_hil.plant.vehicle import assemble, for_episode
 
 PLANTS = {"physics": "single_track", "reference": "reference"}  # [plant] kind -> file in plant/
 HEAVY = ("reference",)  # kinds whose node runs compiled
+FAULT_KINDS = ("driver_override",)
+HANDS = {  # a fault's channel -> what the driver does there; whatever the value, a moved lever is moved
+    "throttle": "throttle_frac",
+    "brake": "brake_frac",
+    "steer": "steer_torque_nm",
+    "gear": "gear_override",
+}
 
 
 class VehicleFor:
@@ -43,6 +50,7 @@ class VehicleFor:
                 hint="report_ticks and command_ticks of at least 1",
             )
         block = bywire(_bywire_params(bench.vehicle))
+        self.driver = driver_script(bench.spec.faults, bench.file)
         self.unit = make_unit(self.body, block, timing.command_ticks - own, timing.report_ticks - own)
         self.phases = phases(bench.codec, timing.phase_seed)
 
@@ -51,7 +59,7 @@ class VehicleFor:
         course = self.bench.course(spec)
         noise = noise_table(self.model.noise, self.model.bias, course.ticks + 1, seed)
         body = for_episode(self.body, start_of(spec, course), noise)
-        return Vehicle(self.unit, body, course, self.bench.dt_s, self.phases, driver_script(self.bench.spec.faults))
+        return Vehicle(self.unit, body, course, self.bench.dt_s, self.phases, self.driver)
 
 
 def is_heavy(bench: Bench, model: str) -> bool:
@@ -78,7 +86,7 @@ def _body_of(bench: Bench, model: ModelSpec) -> Any:
             load_plant(model.plant.kind),
             model.plant.params,
             channels,
-            effects=effects_of([*model.effects, *bench.spec.effects], rest),
+            effects=effects_of(model.effects, rest, file) + effects_of(bench.spec.effects, rest, bench.file),
             rest_frac=(rest, rest),
             ins_latency_s=vehicle.ins_frame.latency_s,
             ins_specific_force=bool(ins_accel and ins_accel.specific_force),
@@ -120,13 +128,17 @@ def actuator_params(spec: ActuatorSpec, rest: float) -> ActuatorParams:
     )
 
 
-def effects_of(specs: Sequence[EffectSpec], rest: float) -> list[tuple[Port, Any]]:
-    """The effects of a model and a bench file, ready for `assemble`."""
+def effects_of(specs: Sequence[EffectSpec], rest: float, file: str = "") -> list[tuple[Port, Any]]:
+    """The effects of a model or a bench file (`file`, for mistakes), ready for `assemble`."""
     made = []
-    for spec in specs:
-        effect = parts.load("tunefree_hil.effects", spec.name, "EFFECT")
-        pedal = effect.port.value.split()[0] in ("throttle", "brake")
-        made.append((effect.port, make_effect(effect, spec.params, rest=rest if pedal else 0.0, name=spec.name)))
+    for i, spec in enumerate(specs):
+        try:
+            effect = parts.load("tunefree_hil.effects", spec.name, "EFFECT")
+            pedal = effect.port.value.split()[0] in ("throttle", "brake")
+            made.append((effect.port, make_effect(effect, spec.params, rest=rest if pedal else 0.0, name=spec.name)))
+        except InputError as error:
+            error.file, error.key = file, f"effects[{i}]" + (f".params.{error.key}" if error.key else "")
+            raise
     return made
 
 
@@ -164,35 +176,30 @@ def _bywire_params(vehicle: VehicleSpec) -> ByWireParams:
     )
 
 
-def driver_script(faults: Sequence[FaultSpec]) -> Any:
-    """The person in the seat by tick, from the bench file's `driver_override` faults."""
-    scripted = [fault for fault in faults if fault.kind == "driver_override"]
+def driver_script(faults: Sequence[FaultSpec], file: str = "") -> Any:
+    """The person in the seat by tick, from a bench file's faults. Raises InputError for one that cannot be scripted."""
+    for i, fault in enumerate(faults):
+        if fault.kind not in FAULT_KINDS:
+            known = ", ".join(FAULT_KINDS)
+            raise InputError(
+                f"no fault kind {fault.kind!r}", code="unknown_fault_kind", file=file, key=f"faults[{i}].kind",
+                hint=f"there is {known}",
+            )  # fmt: skip
+        if fault.channel not in HANDS:
+            raise InputError(
+                f"a driver has no {fault.channel!r}", code="unknown_fault_channel", file=file,
+                key=f"faults[{i}].channel", hint=f"one of {', '.join(HANDS)}",
+            )  # fmt: skip
 
     @lru_cache(maxsize=4)
     def by_active(active: tuple[int, ...]) -> Driver:
         driver = Driver()
         for i in active:
-            driver = _hands_on(driver, scripted[i])
+            channel = faults[i].channel
+            driver = driver._replace(**{HANDS[channel]: 1.0 if channel == "gear" else faults[i].value})
         return driver
 
     def driver(tick: int) -> Driver:
-        return by_active(tuple(i for i, fault in enumerate(scripted) if fault.from_tick <= tick < fault.to_tick))
+        return by_active(tuple(i for i, fault in enumerate(faults) if fault.from_tick <= tick < fault.to_tick))
 
     return driver
-
-
-def _hands_on(driver: Driver, fault: FaultSpec) -> Driver:
-    if fault.channel == "throttle":
-        return driver._replace(throttle_frac=fault.value)
-    if fault.channel == "brake":
-        return driver._replace(brake_frac=fault.value)
-    if fault.channel == "steer":
-        return driver._replace(steer_torque_nm=fault.value)
-    if fault.channel == "gear":
-        return driver._replace(gear_override=1.0)
-    raise InputError(
-        f"a driver has no {fault.channel!r}",
-        code="unknown_fault_channel",
-        key="faults.channel",
-        hint="throttle, brake, steer or gear",
-    )

@@ -9,7 +9,7 @@ from typing import Any
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import Bench, is_heavy, load, parameters_of, require_in_box
+from tunefree_hil.bench import Bench, is_heavy, load, parameters_of, require_buildable, require_in_box
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.control.parameters import NAMES
@@ -44,15 +44,14 @@ def drive(
     values = parameters_of(loaded, chosen)
     model_name = model or loaded.spec.model
     scenarios = [find_scenario(loaded, scenario)] if scenario else [loaded.scenarios[n] for n in loaded.spec.scenarios]
-    for one in scenarios:
-        loaded.course(one)  # says what the vehicle cannot drive before anything is started
+    require_buildable(loaded, model_name, scenarios, values, realtime=realtime)
     identity = identity_of(loaded, model_name, scenarios)
     record = {"command": "drive", "bench": str(bench), "model": model_name, "realtime": realtime, **identity}
     run = RunFolder.create(out or DEFAULT_ROOT, f"drive-{bench.stem}", {**record, "seed": seed, "parameters": values})
-    write_text(run.path / "bench.toml", resolved_toml(loaded))
+    write_text(run.path / "bench.toml", resolved_toml(loaded, scenarios))
     yield Event("note", f"run folder {run.path}")
     with Session(
-        bench,
+        run.path / "bench.toml",
         run.words(),
         session=session or own_session(),
         model=model_name,
@@ -104,8 +103,9 @@ def chosen_parameters(texts: list[str]) -> dict[str, float]:
 
 
 def find_scenario(bench: Bench, name: str) -> ScenarioSpec:
-    """A scenario of the bench file, or any other file of that name or path."""
-    return bench.scenarios[name] if name in bench.scenarios else load_scenario(name, bench.file)
+    """A scenario of the bench file by its name there or its own, or any other file of that name or path."""
+    own = {scenario.name: scenario for scenario in bench.scenarios.values()} | dict(bench.scenarios)
+    return own[name] if name in own else load_scenario(name, bench.file)
 
 
 def draw(run: RunFolder, episodes: Mapping[str, Episode], label: str = "drive") -> list[str]:

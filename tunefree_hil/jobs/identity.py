@@ -8,8 +8,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, model_of
 from tunefree_hil.config.dump import plain, to_toml
+from tunefree_hil.config.find import find
 from tunefree_hil.config.schema import ScenarioSpec
 
 
@@ -28,11 +30,33 @@ def identity_of(bench: Bench, model: str, scenarios: Iterable[ScenarioSpec]) -> 
     return {"hashes": hashes, "identity": _sha(json.dumps(counted, sort_keys=True).encode())}
 
 
-def resolved_toml(bench: Bench) -> str:
-    """The bench file as it was understood: defaults filled in, names made absolute where they were relative paths."""
-    data = plain(bench.spec)
+def resolved_toml(bench: Bench, scenarios: Iterable[ScenarioSpec] | None = None) -> str:
+    """The bench file as it was understood, to be read from the run folder: defaults filled in, and absolute paths
+    where a name is found only beside the bench file. `scenarios`: those to name instead of the file's own.
+    """
+    spec, data = bench.spec, plain(bench.spec)
     data.pop("path", None)
+    for key in ("vehicle", "model", "verify_model", "weights"):
+        if data.get(key):
+            data[key] = _anywhere(key.removeprefix("verify_"), data[key], bench.file)
+    for key, names in (("scenarios", spec.scenarios), ("verify_scenarios", spec.verify_scenarios)):
+        data[key] = [_anywhere("scenario", name, bench.file) for name in names]
+    if scenarios is not None:
+        named = {scenario.hash: name for name, scenario in bench.scenarios.items()}
+        data["scenarios"] = [_anywhere("scenario", named.get(one.hash, one.path), bench.file) for one in scenarios]
+    beside = Path(bench.file).parent / spec.controller.calibration
+    if spec.controller.calibration and beside.is_file():
+        data["controller"]["calibration"] = str(beside.resolve())
     return to_toml(data)
+
+
+def _anywhere(kind: str, name: str, near: str) -> str:
+    """`name` where it means the same file without the bench file, else that file's path."""
+    path = find(kind, name, near)
+    try:
+        return name if find(kind, name) == path else str(path)
+    except InputError:
+        return str(path)
 
 
 def _sha(data: bytes) -> str:

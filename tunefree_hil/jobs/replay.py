@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,10 +14,11 @@ from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.episode.compare import compare_logs
 from tunefree_hil.episode.frame_hash import frame_hash
 from tunefree_hil.jobs.drive import find_scenario, own_session
-from tunefree_hil.jobs.run_folder import RunFolder, open_run
+from tunefree_hil.jobs.run_folder import RunFolder, open_run, read_json
 from tunefree_hil.jobs.session import Session
 
 DIFFERS = 1  # exit status
+SUMMARY_KEYS = ("frame_hash", "parameters", "scenario", "seed")
 
 
 def replay(run: Path, *, episode: int | None, verify: bool) -> Iterator[Event]:
@@ -30,7 +30,7 @@ def replay(run: Path, *, episode: int | None, verify: bool) -> Iterator[Event]:
             file=str(run),
             hint="drive it in lockstep (without --realtime)",
         )
-    bench = load(run / "bench.toml")
+    bench = load(folder.bench_file())
     numbers = _numbers(folder, episode)
     differing: list[dict[str, Any]] = []
     if verify:
@@ -68,7 +68,11 @@ def _summary(folder: RunFolder, k: int) -> dict[str, Any]:
     path = folder.path / "episodes" / str(k) / "episode.json"
     if not path.is_file():
         raise InputError("is not there: the episode was cut off", file=str(path), hint="leave this episode out")
-    return json.loads(path.read_text())
+    stored = read_json(path)
+    missing = [key for key in SUMMARY_KEYS if key not in stored]
+    if missing:
+        raise InputError("is not there", file=str(path), key=missing[0], hint="leave this episode out: --episode K")
+    return stored
 
 
 def _hash(bench: Bench, log: Path) -> str:
@@ -107,16 +111,19 @@ def _drive_again(folder: RunFolder, bench: Bench, numbers: list[int]) -> Iterato
 
 
 def _difference(folder: RunFolder, bench: Bench, k: int, stored: dict[str, Any], again: Path) -> dict[str, Any] | None:
-    """None where the hash is the stored one, else the first differing tick, id and signal with both values."""
-    if _hash(bench, again) == stored["frame_hash"]:
-        return None
+    """None where hash and log are the stored ones, else the first differing tick, id and signal with both values."""
     first = folder.path / "episodes" / str(k) / "vehicle.log"
+    same_hash = _hash(bench, again) == stored["frame_hash"]
     if not first.is_file():
-        return {"sentence": "the frame hash differs (its log was not kept, so where cannot be said)"}
+        words = "the frame hash differs (its log was not kept, so where cannot be said)"
+        return None if same_hash else {"sentence": words}
     found = compare_logs(first, again, bench.codec, bench.dt_s)
-    if found is None:
+    if found is not None:
+        changed = "; the stored hash is that of the second, so the stored log was changed" if same_hash else ""
+        return {"sentence": found.sentence() + changed, **found._asdict()}
+    if not same_hash:
         return {"sentence": "the stored hash differs although the logs agree: episode.json was changed"}
-    return {"sentence": found.sentence(), **found._asdict()}
+    return None
 
 
 def _require_same_files(folder: RunFolder, bench: Bench, model: str) -> None:

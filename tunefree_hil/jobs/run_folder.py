@@ -85,6 +85,15 @@ class RunFolder:
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 
+    def bench_file(self) -> Path:
+        """The resolved bench file. Raises InputError where the run was cut off before it was written."""
+        path = self.path / "bench.toml"
+        if not path.is_file():
+            raise InputError(
+                "has no bench.toml: it was cut off before it began", file=str(self.path), hint="start anew"
+            )
+        return path
+
     def words(self) -> Path:
         """Where the nodes' own words go."""
         return self.path / "nodes"
@@ -96,6 +105,17 @@ class RunFolder:
         return folder
 
 
+def read_json(file: Path) -> dict[str, Any]:
+    """The object in a JSON file of a run. Raises InputError that names the file."""
+    try:
+        found = json.loads(file.read_text())
+    except ValueError as error:
+        raise InputError(
+            f"not readable JSON ({error})", file=str(file), hint="this run cannot be used; start anew"
+        ) from error
+    return found if isinstance(found, dict) else {}
+
+
 def open_run(path: Path) -> RunFolder:
     """Read a run folder. Raises InputError when it is none, of another version, or cut off before it began."""
     file = path / "run.json"
@@ -103,13 +123,8 @@ def open_run(path: Path) -> RunFolder:
         raise InputError("there is no such run folder", file=str(path), hint="`ls runs` shows the runs")
     if not file.is_file():
         raise InputError("not a run folder: it has no run.json", file=str(path), hint="give the folder of a run")
-    try:
-        record = json.loads(file.read_text())
-    except ValueError as error:
-        raise InputError(
-            f"not readable JSON ({error})", file=str(file), hint="this run cannot be used; start anew"
-        ) from error
-    schema = record.get("schema") if isinstance(record, dict) else None
+    record = read_json(file)
+    schema = record.get("schema")
     if schema != SCHEMA:
         raise InputError(
             f"schema is {schema!r}, this version reads {SCHEMA!r}",
@@ -117,7 +132,8 @@ def open_run(path: Path) -> RunFolder:
             key="schema",
             hint="use the version of tunefree_hil that wrote it",
         )
-    theirs = str(record["versions"].get("tunefree_hil", "?"))
+    made_with = record.get("versions")
+    theirs = str(made_with.get("tunefree_hil", "?") if isinstance(made_with, dict) else "?")
     if theirs.split(".")[:2] != __version__.split(".")[:2]:
         raise InputError(
             f"written by tunefree_hil {theirs}, this is {__version__}",
@@ -135,7 +151,7 @@ def unfinished(root: Path, name: str, same: dict[str, Any]) -> RunFolder | None:
             run = open_run(path)
         except InputError:
             continue
-        if not run.record["complete"] and all(run.record.get(key) == value for key, value in same.items()):
+        if not run.record.get("complete") and all(run.record.get(key) == value for key, value in same.items()):
             return run
     return None
 

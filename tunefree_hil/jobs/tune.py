@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import Bench, is_heavy, load, parameters_of
+from tunefree_hil.bench import Bench, is_heavy, load, parameters_of, require_buildable
 from tunefree_hil.jobs.candidates import baseline_vectors
 from tunefree_hil.jobs.drive import DEFAULT_ROOT, own_session
 from tunefree_hil.jobs.harvest import evaluation_of
@@ -67,6 +67,7 @@ def tune(
             hint="leave --study out: the study is kept in the run folder's study.db",
         )
     loaded = load(bench)
+    _require_buildable(loaded, verify)
     settings, identity = _settings(loaded, set_name, sampler, seed, scale)
     wanted = trials or loaded.spec.tune.trials
     command = _command(bench, trials, set_name, sampler, seed, scale, bus, out, verify)
@@ -90,6 +91,15 @@ def tune(
         f"optuna-dashboard sqlite:///{run.path}/study.db",
     ]
     yield Event("result", sentence, {"sentence": sentence, "run": str(run.path), **data})
+
+
+def _require_buildable(bench: Bench, verify: bool) -> None:
+    """Raise InputError for what a node could not build, now rather than after hours."""
+    values = parameters_of(bench)
+    require_buildable(bench, bench.spec.model, [bench.scenarios[name] for name in bench.spec.scenarios], values)
+    if verify and bench.spec.verify_model:
+        scenarios = [bench.scenarios[name] for name in bench.spec.verify_scenarios]
+        require_buildable(bench, bench.spec.verify_model, scenarios, values)
 
 
 def _settings(

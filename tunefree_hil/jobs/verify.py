@@ -29,7 +29,7 @@ def verify(run: Path, *, bus: str, bench_bus: str, join: bool, session: str) -> 
         raise InputError(
             f"is a run of {folder.record.get('command')!r}", file=str(run), hint="give the run folder of a tune"
         )
-    loaded = load(run / "bench.toml")
+    loaded = load(folder.bench_file())
     found = yield from verify_winner(
         loaded, folder, bus=bus, bench_bus=bench_bus, session=session or own_session(), join=join
     )

@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from tunefree_hil.base.errors import TunefreeError
-from tunefree_hil.bus.tfhub.address import HubInfo
+from tunefree_hil.bus.tfhub.address import DEFAULT_TRANSPORT, HubInfo
 from tunefree_hil.bus.tfhub.peers import OBSERVER_BYTES
 from tunefree_hil.bus.tfhub.records import LOG_NAMES
 from tunefree_hil.bus.tfhub.serve import say_on_stderr, serve
@@ -31,7 +31,7 @@ def main() -> int:
     try:
         why = serve(
             given.session,
-            transport="tcp" if given.tcp else "unix",
+            transport="tcp" if given.tcp else DEFAULT_TRANSPORT,
             clock=given.clock,
             standalone=given.standalone,
             log_names={"vehicle": given.vehicle_log_name, "bench": given.bench_log_name},

@@ -9,15 +9,18 @@ from __future__ import annotations
 import ipaddress
 import json
 import os
+import socket
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 from urllib.parse import parse_qsl
 
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bus.tfhub.records import CHANNELS, ENDPOINTS
 
+Transport = Literal["unix", "tcp"]
 HUB_FILE = "hub.json"
+DEFAULT_TRANSPORT: Transport = "unix" if hasattr(socket, "AF_UNIX") else "tcp"
 TOKEN_FILE = "token"
 OPTIONS = ("role", "name", "token_file", "listen", "echo", "stamps")
 

@@ -94,6 +94,8 @@ def _refused(address: Address, body: dict[str, Any]) -> InputError | BenchError:
 
 
 def _connect(address: Address) -> socket.socket:
+    if address.path and not hasattr(socket, "AF_UNIX"):
+        raise InputError("this system has no unix sockets", key="channel", hint="start the hub with --tcp")
     family = socket.AF_UNIX if address.path else socket.AF_INET
     sock = socket.socket(family, socket.SOCK_STREAM)
     try:

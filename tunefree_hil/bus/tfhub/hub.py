@@ -124,7 +124,7 @@ class Hub:
             self.board.flush(self._write_failed)
         if write_log and (not ready or waiting > BUSY_LIMIT):
             for log in self.logs.values():
-                log.work(LOG_SLICE)
+                log.work(max(LOG_SLICE, log.waiting - BUSY_LIMIT))
         reception.enforce_deadlines(self)
 
     def _read(self, peer: Peer) -> None:

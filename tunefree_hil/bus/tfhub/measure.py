@@ -14,16 +14,19 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus.tfhub.address import DEFAULT_TRANSPORT, Transport
 from tunefree_hil.bus.tfhub.plugin import HubBus
 from tunefree_hil.bus.tfhub.start import HubProcess, start_hub
 
 PATIENCE_S = 30.0
 STOP_ID = 0x7FF
 READY_ID = 0x7FE
+TICK_ID, DONE_ID = 0x10, 0x11
+TICK_FRAMES = 2  # TICK and DONE of phase 0
 PHASE_FRAMES = (12, 3)  # vehicle frames a tick of ECU and controller, about those of the first vehicle
 
 
-def measure_hub(rounds: int = 5000, transport: str = "unix", log: bool = True) -> dict[str, float]:
+def measure_hub(rounds: int = 5000, transport: Transport = DEFAULT_TRANSPORT, log: bool = True) -> dict[str, float]:
     """Round trip (us, p50 and p99), frames/s to each of two receivers, and a lockstep tick (us) of bus work alone.
 
     `rounds` of each; the burst has 4 frames for each round. With `log` the hub records all the while, as in an episode.
@@ -66,17 +69,13 @@ def _peer(kind: str, hub: HubProcess, number: int = 0) -> Iterator[subprocess.Po
         process.wait()
 
 
-def _until(bus: HubBus, identifier: int, count: int) -> int:
-    """Receive until `count` frames of one id have come; how many others came."""
-    others = 0
+def _until(bus: HubBus, identifier: int, count: int) -> None:
+    """Receive until `count` frames of one id have come."""
     while count > 0:
         frames = bus.recv_frames(PATIENCE_S)
         if not frames:
             raise TimeoutError(f"{bus.name} heard nothing for {PATIENCE_S} s")
-        found = sum(frame.id == identifier for frame in frames)
-        count -= found
-        others += len(frames) - found
-    return others
+        count -= sum(frame.id == identifier for frame in frames)
 
 
 def _round_trips(hub: HubProcess, rounds: int) -> list[float]:
@@ -121,8 +120,8 @@ def _ticks(hub: HubProcess, count: int) -> list[float]:
             start_s = time.perf_counter()
             time_s = tick * 0.01
             vehicle.send_frames([CanFrame(0x100 + i, bytes(8), False, False, time_s) for i in range(PHASE_FRAMES[0])])
-            bench.send_frames([CanFrame(0x10, bytes(8), False, False, time_s)] * 2)
-            _until(bench, 0x11, 1)
+            bench.send_frames([CanFrame(TICK_ID, bytes(8), False, False, time_s)] * TICK_FRAMES)
+            _until(bench, DONE_ID, 1)
             got = 0
             while got < PHASE_FRAMES[1]:
                 got += len(vehicle.recv_frames(PATIENCE_S))
@@ -154,14 +153,20 @@ def _controller(vehicle: str, bench: str, number: int) -> None:
     answer = [CanFrame(0x300 + i, bytes(8)) for i in range(PHASE_FRAMES[1])]
     with first, second:
         second.send_frames([CanFrame(READY_ID, b"")])
+        heard = 0
         while True:
-            if any(frame.id == STOP_ID for frame in second.recv_frames(PATIENCE_S)):
-                return
+            for frame in second.recv_frames(PATIENCE_S):
+                if frame.id == STOP_ID:
+                    return
+                heard += frame.id == TICK_ID  # and not the tuner's READY
+            if heard < TICK_FRAMES:
+                continue
+            heard = 0
             got = 0
             while got < PHASE_FRAMES[0]:
                 got += len(first.recv_frames(PATIENCE_S))
             first.send_frames(answer)
-            second.send_frames([CanFrame(0x11, bytes(8))])
+            second.send_frames([CanFrame(DONE_ID, bytes(8))])
 
 
 def _tuner(vehicle: str, bench: str, number: int) -> None:

@@ -120,6 +120,8 @@ def pack_frames(frames: Iterable[CanFrame], brs: bool = True) -> bytes:
     for identifier, data, extended, fd, time_s in frames:
         if not 0 <= identifier <= EFF_MASK:
             raise InputError(f"{identifier:#x} is no CAN id", hint="ids have 11 bits, or 29 when extended")
+        if not time_s >= 0.0:
+            raise InputError(f"a frame's stamp is {time_s} s", hint="stamps begin at 0")
         can_id = identifier | EFF_FLAG if extended else identifier
         time_ns = round(time_s * 1e9)
         length = len(data)

@@ -11,13 +11,12 @@ from datetime import UTC, datetime
 from typing import Any, Literal
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bus.tfhub.address import HubInfo
+from tunefree_hil.bus.tfhub.address import DEFAULT_TRANSPORT, HubInfo, Transport
 from tunefree_hil.bus.tfhub.hub import Hub
 from tunefree_hil.bus.tfhub.peers import OBSERVER_BYTES
 from tunefree_hil.bus.tfhub.records import LOG_NAMES
 from tunefree_hil.bus.tfhub.session import Session
 
-Transport = Literal["unix", "tcp"]
 HubClock = Literal["real", "sender"]
 
 
@@ -30,7 +29,7 @@ def say_on_stderr(line: str) -> None:
 def serve(
     session: str = "default",
     *,
-    transport: Transport = "unix",
+    transport: Transport = DEFAULT_TRANSPORT,
     clock: HubClock = "real",
     standalone: bool = False,
     log_names: Mapping[str, str] = LOG_NAMES,

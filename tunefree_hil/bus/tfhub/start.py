@@ -10,6 +10,7 @@ from typing import BinaryIO, NamedTuple
 
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bus.tfhub import address
+from tunefree_hil.bus.tfhub.address import DEFAULT_TRANSPORT, Transport
 from tunefree_hil.bus.tfhub.owner import Owner
 from tunefree_hil.bus.tfhub.records import LOG_NAMES
 
@@ -60,7 +61,11 @@ class HubProcess(NamedTuple):
 
 
 def start_hub(
-    session: str, *, clock: str = "real", transport: str = "unix", vehicle_log_name: str = LOG_NAMES["vehicle"]
+    session: str,
+    *,
+    clock: str = "real",
+    transport: Transport = DEFAULT_TRANSPORT,
+    vehicle_log_name: str = LOG_NAMES["vehicle"],
 ) -> HubProcess:
     """A hub in its own process with us as owner. InputError when one runs in that session, BenchError when it fails."""
     command = [sys.executable, "-m", "tunefree_hil.bus.tfhub", "--session", session, "--clock", clock, "--say-ready"]

@@ -1,0 +1,25 @@
+"""Builds once, before any process starts, what the nodes will build: who started it is told of a mistake."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from tunefree_hil.bench.controller import ControllerFor
+from tunefree_hil.bench.load import Bench
+from tunefree_hil.bench.vehicle import VehicleFor
+from tunefree_hil.config.schema import ScenarioSpec
+from tunefree_hil.control.parameters import NAMES
+
+
+def require_buildable(
+    bench: Bench, model: str, scenarios: Sequence[ScenarioSpec], values: Mapping[str, float], *, realtime: bool = False
+) -> None:
+    """Raise InputError for a model, effect, fault, controller part or scenario that cannot be had. About 0.1 s."""
+    for scenario in scenarios:
+        bench.course(scenario)
+    VehicleFor(bench, model, realtime=realtime)
+    if scenarios:
+        one = replace(bench, scenarios={scenario.name: scenario for scenario in scenarios})
+        start = bytes.fromhex(scenarios[0].hash)[:6]
+        ControllerFor(one)(start, {index: values[name] for index, name in enumerate(NAMES)})
