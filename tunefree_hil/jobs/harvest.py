@@ -89,6 +89,7 @@ def _summary(
     sha256: str,
 ) -> dict[str, Any]:
     return {
+        "schema": "tunefree.episode/1",
         "scenario": scenario.name,
         "scenario_hash": scenario.hash,
         "seed": seed,

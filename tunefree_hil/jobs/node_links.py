@@ -11,10 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from tunefree_hil.base.clock import Clock, RealClock
-from tunefree_hil.base.errors import BenchError
+from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bench import Bench
 from tunefree_hil.bus.link import Links
-from tunefree_hil.bus.open import open_links, resolve_bus
+from tunefree_hil.bus.open import open_links, require_virtual_link, resolve_bus
 from tunefree_hil.nodes.exchange import Exchange
 
 PATIENCE_S = 60.0  # a node may be started before its hub
@@ -28,12 +28,29 @@ def timing_folder() -> Path | None:
     return Path(text) if text else None
 
 
+def usable_bus(bus: str, session: str, bench_bus: str) -> BusChoice:
+    """What --bus means, for processes of their own. Raises InputError where they could not meet or must not transmit."""
+    choice = resolve_bus(bus, session, bench_bus)
+    for text in (choice.vehicle_address, choice.bench_address):
+        kind, _, name = text.partition(":")
+        if kind == "socketcan":
+            require_virtual_link(name)
+        if kind == "virtual":
+            raise InputError(
+                "python-can's virtual bus does not leave a process, and hub, ECU and controller have one each",
+                code="one_process",
+                key="--bus",
+                hint="use --bus tfhub, which needs no kernel support either",
+            )
+    return choice
+
+
 @contextmanager
 def open_exchange(
     bench: Bench, name: str, bus: str, bench_bus: str, session: str, *, realtime: bool
 ) -> Iterator[tuple[Exchange, Clock, str]]:
     """(exchange, clock, where in words) for a node; leaves the bus in good order."""
-    choice = resolve_bus(bus, session, bench_bus)
+    choice = usable_bus(bus, session, bench_bus)
     links = patiently(lambda: open_links(choice, name=name, stamps=not realtime), f"{name}: waiting for a hub")
     codec = bench.codec
     ids = (

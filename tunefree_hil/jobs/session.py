@@ -13,10 +13,10 @@ from typing import Any
 from tunefree_hil.base.errors import BenchError, PeerGone
 from tunefree_hil.bus.bench_channel import FAULT_ID, HELLO_ID, STATUS_ID
 from tunefree_hil.bus.link import Link, Owner
-from tunefree_hil.bus.open import BusChoice, open_link, resolve_bus
+from tunefree_hil.bus.open import BusChoice, open_link
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.control.parameters import NAMES
-from tunefree_hil.jobs.node_links import TIMING_VARIABLE
+from tunefree_hil.jobs.node_links import TIMING_VARIABLE, usable_bus
 from tunefree_hil.jobs.processes import Processes
 from tunefree_hil.nodes.runner import Outcome, Runner
 
@@ -48,7 +48,9 @@ class Session:
         self.join = join
         self.jitted_ecu = jitted_ecu
         self.bus_text, self.bench_bus = bus, bench_bus
-        self.choice: BusChoice = resolve_bus(bus, session, bench_bus)
+        self.choice: BusChoice = usable_bus(bus, session, bench_bus)
+        if bus.startswith("tfhub:"):  # it names the session
+            self.session = self.choice.bench_address.removeprefix("tfhub:").rpartition("/")[0]
         self.processes = Processes(words, core)
         self.links: list[Link] = []
 

@@ -74,7 +74,7 @@ def verify_winner(
     for line in table({n: e.scenarios for n, e in results.items()}, {n: e.score for n, e in results.items()}):
         yield Event("note", line)
     found["figures"] = _figures(run, columns, found["manual"])
-    write_json(run.path / "verify.json", found)
+    write_json(run.path / "verify.json", {"schema": "tunefree.verify/1", **found})
     return found
 
 
