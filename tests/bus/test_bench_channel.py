@@ -83,6 +83,12 @@ def test_a_foreign_frame_is_none(can_id: int, data: bytes, extended: bool) -> No
         assert bc.decode(frame) is not None
 
 
+@pytest.mark.parametrize("data", [b"\0\0\0\0abcd", b"\2\3\x30\0abcd", b"\2\4\x30\0abcd"])
+def test_a_chunk_beyond_its_text_is_none(data: bytes) -> None:
+    """Parts 0 of 0, 3 of 3, 4 of 3: nobody sends that, and it would never be complete."""
+    assert bc.decode(CanFrame(bc.HELLO_ID, data)) is None
+
+
 def test_a_parameter_is_rounded_to_binary32() -> None:
     heard = bc.decode(bc.encode(bc.Param(3, 16, 0.1)))
     assert heard.value == struct.unpack("<f", struct.pack("<f", 0.1))[0] != 0.1

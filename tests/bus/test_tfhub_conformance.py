@@ -6,6 +6,7 @@ The hub is a process of its own, and so are peers that are killed.
 from __future__ import annotations
 
 import select
+import socket
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -14,7 +15,18 @@ from pathlib import Path
 import can
 import pytest
 
-from tests.bus.tfhub_help import PATIENCE_S, Backend, child, eventually, frame, number_of, receive_all, start_kind
+from tests.bus.tfhub_help import (
+    PATIENCE_S,
+    Backend,
+    child,
+    eventually,
+    frame,
+    hello,
+    last_word,
+    number_of,
+    receive_all,
+    start_kind,
+)
 from tunefree_hil.base.errors import BenchError, InputError, PeerGone
 from tunefree_hil.bus.tfhub import address
 from tunefree_hil.bus.tfhub.owner import Owner
@@ -188,6 +200,11 @@ def test_the_token(tmp_path: Path) -> None:
             with pytest.raises(InputError, match="the token is wrong") as raised:
                 HubBus(text, token_file=token_file)
             assert raised.value.code == "wrong_token"
+        odd = address.parse(info.addresses["vehicle"])
+        for token in (3, "\ud800", None, "x" * 5000):  # no such thing may hurt the hub
+            with socket.create_connection((odd.host, odd.port)) as sock:
+                sock.sendall(hello(token=token))
+                assert "the token is wrong" in last_word(sock)["message"]
         with pytest.raises(InputError, match="cannot be read"):
             HubBus(info.addresses["vehicle"], token_file=str(tmp_path / "none"))
         with HubBus(f"{info.addresses['vehicle']}?token_file={info.token_file}"):

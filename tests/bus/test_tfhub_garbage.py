@@ -41,6 +41,11 @@ def hub(tmp_path: Path) -> Iterator[ThreadHub]:
         (hello(name="x") + records.pack_control(records.REQUEST, {"op": "stats"}), "may not send"),
         (hello(name="x") + hello(name="x"), "may not send"),
         (hello(name="x", role="owner2"), "no role"),
+        (hello(name="x", only=5), "no list of ids"),
+        (hello(name="x", only=[[]]), "no list of ids"),
+        (hello(name=["x"]), "no role"),
+        (hello(name="x", both="yes", echo=[], listen={}, stamps=1, token=3) + b"\xff" * 20, "no records"),
+        (records.HEAD.pack(records.HEAD.size + 10_000, records.HELLO, 0, 0, 0) + b"[" * 10_000, "without JSON"),
         (records.HEAD.pack(21, records.HELLO, 0, 0, 0) + b"{", "without JSON"),
     ],
 )

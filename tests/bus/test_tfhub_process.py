@@ -86,7 +86,8 @@ def test_a_hub_that_cannot_start_is_told(tmp_path: Path) -> None:
 
 def test_a_killed_hub_is_replaced(tmp_path: Path) -> None:
     session = str(tmp_path / "hub")
-    for transport in ("unix", "tcp", "unix"):
+    transports: tuple[address.Transport, ...] = ("unix", "tcp", "unix")
+    for transport in transports:
         hub = start_hub(session, transport=transport)
         hub.process.kill()
         hub.process.wait()
@@ -150,7 +151,7 @@ def test_the_plugin_does_not_import_cantools() -> None:
 
 
 @pytest.mark.parametrize("transport", ["unix", "tcp"])
-def test_measure(transport: str) -> None:
+def test_measure(transport: address.Transport) -> None:
     found = measure_hub(rounds=100, transport=transport)
     assert set(found) == {
         "rounds",

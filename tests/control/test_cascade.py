@@ -58,10 +58,11 @@ def test_command_is_clamped_to_the_vehicle(kit):
         (see(y=-2.01), cascade.ERROR_LEFT_LANE),
         (see(heading=1.5), 0.0),
         (see(heading=1.6), cascade.ERROR_DIVERGED),
-        (see(x=math.nan), cascade.ERROR_DIVERGED),
+        (see(20, x=math.nan), cascade.ERROR_DIVERGED),
         (see(y=math.inf), cascade.ERROR_DIVERGED),
-        (see(speed=math.nan), cascade.ERROR_DIVERGED),
-        (see(steer=math.nan), cascade.ERROR_DIVERGED),
+        (see(speed=math.inf), cascade.ERROR_DIVERGED),
+        (see(20, speed=math.nan), cascade.ERROR_DIVERGED),
+        (see(20, steer=math.nan), cascade.ERROR_DIVERGED),
     ],
 )
 def test_supervision(block, sight, code):
@@ -71,6 +72,21 @@ def test_supervision(block, sight, code):
         lane = lane._replace(lane_half_width_m=20.0)
     own = block._replace(params=(*block.params[:5], lane))
     assert first(own, sight)[1].error_code == code
+
+
+@pytest.mark.parametrize("missing", [{"x": math.nan}, {"speed": math.nan}, {"steer": math.nan}])
+def test_what_has_not_been_heard_yet_is_no_divergence(block, missing):
+    """A message of 50 ms has its first turn at tick 4: until then the car rolls on, from then on as if begun there."""
+    state = block.init(block.params, DT_S)
+    for k in range(4):
+        state, waiting = block.step(block.params, state, see(k, **missing), DT_S)
+        assert waiting.error_code == 0.0
+        assert waiting.command[:5] == (0.15, 0.15, 0.0, GEAR_DRIVE, 0.0)
+    heard = see(4, x=0.2, y=0.1)
+    state, decision = block.step(block.params, state, heard, DT_S)
+    assert decision.command[:5] == first(block, heard)[1].command[:5]
+    _, lost = block.step(block.params, state, see(5, **missing), DT_S)
+    assert lost.error_code == cascade.ERROR_DIVERGED
 
 
 def test_lane_is_that_of_the_original_path(kit):

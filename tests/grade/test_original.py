@@ -142,10 +142,21 @@ def test_what_cannot_be_recomputed_is_none() -> None:
     blind = make_recording({name: values for name, values in recording.columns.items() if name != "x_m"}, DT_S)
     found = samples_against_original(blind, COURSE, REAR_AXLE_M)
     assert all(getattr(found, name) is None for name in ERRORS[:5])
-    still = make_recording({n: v for n, v in recording.columns.items() if n != "yaw_rate_radps"}, DT_S)
-    found = samples_against_original(still, COURSE, REAR_AXLE_M)
-    assert found.heading_error_rate_radps is None
-    assert found.lateral_error_m is not None
+    for name in ("heading_error_rate_radps", "speed_error_mps"):
+        partly = make_recording({n: v for n, v in recording.columns.items() if n != name}, DT_S)
+        found = samples_against_original(partly, COURSE, REAR_AXLE_M)
+        assert getattr(found, name) is None
+        assert found.lateral_error_m is not None
+
+
+def test_the_chassis_sensors_have_no_say_in_the_errors() -> None:
+    """Speed and yaw rate are those of the follower, the INS's; the columns of these names are the chassis's."""
+    recording, _, _ = drive(1.2, 0.5)
+    off = {"speed_mps": recording.columns["speed_mps"] + 0.3, "yaw_rate_radps": recording.columns["yaw_rate_radps"] - 0.1}
+    found = against_original(make_recording({**recording.columns, **off}, DT_S))
+    for name, values in against_original(recording).items():
+        if name in ERRORS:
+            np.testing.assert_array_equal(found[name], values, err_msg=name)
 
 
 def test_a_recording_without_a_follower() -> None:

@@ -105,6 +105,32 @@ def test_a_metric_that_could_not_be_had_is_dropped_and_the_rest_renormalised() -
     assert found.score == pytest.approx(0.4)
 
 
+def test_the_same_weights_count_in_every_drive_of_a_scenario() -> None:
+    """A re-plan's blend bends the current trajectory: that does not bring in a harsh metric that the plan has not."""
+    spec = weights(lateral_err_peak=4.0, lateral_err_std_harsh=4.0, station_err_std_harsh=1.0)
+    blend = np.where((np.arange(200) > 100) & (np.arange(200) < 160), 1.0, 0.0)
+    replan = np.eye(1, 200, 100)[0]
+    calm = score(spec, lateral_error_m=0.2, replan=replan)
+    bent = score(spec, lateral_error_m=0.2, replan=replan, ref_curvature_1pm=0.08 * blend, ref_accel_mps2=1.5 * blend)
+    assert bent.dropped == calm.dropped == ("lateral_err_std_harsh", "station_err_std_harsh")
+    assert bent.score == calm.score == pytest.approx(1.4)
+
+
+def test_harsh_metrics_count_where_the_course_is_harsh() -> None:
+    spec = ScenarioSpec(
+        schema="tunefree.scenario/1",
+        name="bend",
+        speed=ProfileSpec(t_s=[0.0, 1.0, 2.0], value=[5.0, 5.0, 3.0]),
+        curvature=ProfileSpec(t_s=[0.0, 2.0], value=[0.06, 0.06]),
+    )
+    bend = build_course(spec, DT_S)
+    driven = recording(ref_curvature_1pm=0.06, ref_accel_mps2=np.asarray(bend.accel_mps2)[:200], lateral_error_m=0.1)
+    found = grade(driven, bend, weights(lateral_err_std_harsh=1.0, station_err_std_harsh=1.0), MKZ)
+    assert found.dropped == ()
+    assert found.metrics["lateral_err_std_harsh"] == pytest.approx(0.1 / (0.06 * 5.0 * 2.8448), rel=0.01)
+    assert found.metrics["station_err_std_harsh"] == 0.0
+
+
 def test_each_replan_costs_1() -> None:
     replan = np.zeros(200)
     replan[[20, 150]] = 1.0

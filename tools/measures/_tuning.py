@@ -36,6 +36,7 @@ class Plan(NamedTuple):
     scenarios: tuple[str, ...]
     verify_scenarios: tuple[str, ...]
     trials: int
+    over_bus: bool  # the searches; the judging always is
 
     def loaded(self) -> Bench:
         """The bench file, read."""
@@ -58,7 +59,9 @@ class Judging(NamedTuple):
     vectors: dict[str, dict[str, float]]
 
 
-def make_plan(bench: str, name: str, *, trials: int, scenarios: str, verify_scenarios: str, folder: str) -> Plan:
+def make_plan(
+    bench: str, name: str, *, trials: int, scenarios: str, verify_scenarios: str, folder: str, over_bus: bool = False
+) -> Plan:
     """Options as a plan: 0 trials and '' scenarios are the bench file's; scenarios are given with commas between."""
     spec = load(bench).spec
 
@@ -71,6 +74,7 @@ def make_plan(bench: str, name: str, *, trials: int, scenarios: str, verify_scen
         chosen(scenarios, spec.scenarios),
         chosen(verify_scenarios, spec.verify_scenarios),
         trials or spec.tune.trials,
+        over_bus,
     )
 
 
@@ -108,10 +112,22 @@ def measure_tuning(plan: Plan, seeds: int, workers: int) -> tuple[dict[str, Any]
         "baselines_on_model": {name: on_model[name]["score"] for name in baselines},
         "seconds_a_study": float(np.median([found["seconds"] for found in winners.values()])),
         "workers": workers,
+        "searched": "over the bus" if plan.over_bus else "in one process",
+        "same_frames_over_the_bus": _same_frames(winners, on_model),
     }
     for line in detail["beaten"].values():
         _say(line["words"])
     return summary(ratios, "of the best manual score", rounded(detail)), rows
+
+
+def _same_frames(winners: Mapping[str, Scored], on_model: Mapping[str, Scored]) -> str:
+    """In how many drives of the winners the search saw the frames that the bus carried when they were judged."""
+    pairs = [
+        (drive["frame_hash"], on_model[name]["scenarios"][scenario]["frame_hash"])
+        for name, found in winners.items()
+        for scenario, drive in found["scenarios"].items()
+    ]
+    return f"{sum(one == other for one, other in pairs)} of {len(pairs)}"
 
 
 def standings(rows: Mapping[str, Sequence[float]], judged: Mapping[str, Scored]) -> dict[str, dict[str, Any]]:
@@ -162,7 +178,7 @@ def _searched(job: Search, bench: Bench, ledger: Ledger, identity: str) -> Score
     seconds: list[float] = []
     with (
         tempfile.TemporaryDirectory() as folder,
-        Rig(bench, bench.spec.model, job.plan.scenarios, ledger) as rig,
+        Rig(bench, bench.spec.model, job.plan.scenarios, ledger, over_bus=job.plan.over_bus) as rig,
         open_study(Path(folder) / "study.db", settings) as study,
     ):
 
@@ -181,6 +197,7 @@ def _searched(job: Search, bench: Bench, ledger: Ledger, identity: str) -> Score
             "trials": len(study.trials()),
             "slot": best.slot,
             "score": best.score,
+            "scenarios": best.scenarios,
             "parameters": best.parameters,
             "values": parameters_of(bench, best.parameters),
             "seconds": sum(seconds),

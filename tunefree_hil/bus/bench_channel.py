@@ -188,10 +188,12 @@ def _pack_hello(hello: Hello) -> bytes:
     return _HELLO.pack(hello.role, places & 0xFFFF, places >> 16, hello.text)
 
 
-def _unpack_hello(data: bytes) -> Hello:
+def _unpack_hello(data: bytes) -> Hello | None:
+    """None for a chunk that no text has."""
     role, low, high, text = _HELLO.unpack(data)
     places = low | high << 16
-    return Hello(role, places & 0xFFF, places >> 12, text)
+    part, parts = places & 0xFFF, places >> 12
+    return Hello(role, part, parts, text) if part < parts else None
 
 
 def hello_messages(role: int, name: str, parameters: Sequence[str] | Mapping[int, str] = ()) -> list[Hello]:

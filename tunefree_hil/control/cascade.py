@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.course import Tracking
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.maths import clamp, is_finite
-from tunefree_hil.base.records import GEAR_DRIVE, NAN, Command, Measurement
-from tunefree_hil.control.contract import Settings, VehicleConstants
+from tunefree_hil.base.records import GEAR_DRIVE, NAN, Command, Ins, Measurement
+from tunefree_hil.control.contract import Settings, VehicleConstants, chassis_speed_of, speed_of
 
 ERROR_DIVERGED = 1.0  # a number that is not finite, or |heading error to the path| beyond the bound
 ERROR_LEFT_LANE = 2.0  # |lateral error to the original path| beyond half the lane
+FIRST_FRAMES_S = 0.2  # so long a needed value may still be unheard (20 missed periods, apollo_facts 1.2)
 STOP_BRAKE_FRAC = 0.5  # the shipped emergency stop (apollo_facts 1.2)
 
 
@@ -61,7 +62,7 @@ def make_guard(vehicle: VehicleConstants, settings: Settings, absent: frozenset[
         vehicle.accel_high_mps2,
         settings.lane_half_width_m,
         settings.divergence_heading_rad,
-        0.0 if "report.speed_mps" in absent else 1.0,
+        chassis_speed_of(absent),
     )
 
 
@@ -72,22 +73,24 @@ def assemble(follower: Block, lateral: Block, longitudinal: Block, inner: Block,
 
     def init(params: Any, dt_s: float) -> Any:
         states = tuple(part.init(own, dt_s) for part, own in zip(parts, params, strict=False))
-        return (*states, 0.0)
+        return (*states, 0.0, 0.0)
 
     @kernel
     def step(params: Any, state: Any, x: Sight, dt_s: float) -> tuple[Any, Decision]:
         measurement = x.measurement
         bounds = params[5]
-        speed_mps = measurement.report.speed_mps if bounds.chassis_speed != 0.0 else measurement.ins.speed_mps
+        early = state[6] == 0.0 and x.tick * dt_s < FIRST_FRAMES_S
+        speed_mps = speed_of(measurement, bounds.chassis_speed)
         follower_state, tracking = follow(params[0], state[0], (x.tick, measurement.ins), dt_s)
         if not is_finite(tracking.path_lateral_error_m + speed_mps):
-            return state, stop(bounds, tracking, state[5])
+            return state, without(bounds, tracking, state[5], early, pose_sum(measurement.ins) + speed_mps)
         lateral_state, wish_rad = steer(params[1], state[1], (tracking, measurement), dt_s)
         longitudinal_state, pedals = pedal(params[2], state[2], (tracking, measurement), dt_s)
         inner_state, answer = tame(params[3], state[3], (wish_rad, measurement.report.steer_rad, speed_mps), dt_s)
         limit_state, steer_rad = limit(params[4], state[4], (answer.steer_rad, speed_mps), dt_s)
-        if not is_finite(steer_rad + pedals.throttle_frac + pedals.brake_frac + pedals.accel_mps2):
-            return state, stop(bounds, tracking, state[5])
+        total = steer_rad + pedals.throttle_frac + pedals.brake_frac + pedals.accel_mps2
+        if not is_finite(total):
+            return state, without(bounds, tracking, state[5], early, total)
         steer_rad = clamp(steer_rad, -bounds.steer_limit_rad, bounds.steer_limit_rad)
         command = Command(
             clamp(pedals.throttle_frac, 0.0, bounds.throttle_limit_frac),
@@ -99,7 +102,7 @@ def assemble(follower: Block, lateral: Block, longitudinal: Block, inner: Block,
         )
         code = supervise(bounds, tracking)
         decision = Decision(command, tracking, wish_rad, pedals.accel_mps2, answer.status, code)
-        states = (follower_state, lateral_state, longitudinal_state, inner_state, limit_state, steer_rad)
+        states = (follower_state, lateral_state, longitudinal_state, inner_state, limit_state, steer_rad, 1.0)
         return states, decision
 
     tunables = lateral.tunables + longitudinal.tunables + inner.tunables
@@ -114,6 +117,24 @@ def supervise(guard: Guard, tracking: Tracking) -> float:
     if abs(tracking.path_lateral_error_m) > guard.lane_half_width_m:
         return ERROR_LEFT_LANE
     return 0.0
+
+
+@kernel
+def pose_sum(ins: Ins) -> float:
+    """NaN where a part of the pose has not been heard, infinite where one is."""
+    return ins.x_m + ins.y_m + ins.heading_rad + ins.speed_mps
+
+
+@kernel
+def without(guard: Guard, tracking: Tracking, steer_rad: float, early: bool, total: float) -> Decision:
+    """The answer to a sum of needed numbers that is not finite. early: no tick has been complete yet.
+
+    NaN is then a message that has not had its turn (periods and phases differ): roll on. Else it is divergence.
+    """
+    if early and total != total:
+        rest = guard.rest_pedal_frac
+        return Decision(Command(rest, rest, steer_rad, GEAR_DRIVE, 0.0, NAN), tracking, NAN, NAN, 0.0, 0.0)
+    return stop(guard, tracking, steer_rad)
 
 
 @kernel

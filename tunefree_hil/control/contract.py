@@ -10,12 +10,14 @@ start gains) or, shorter, a plain `Block` whose params are a NamedTuple with one
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.contracts import Block, Tunable
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.kernel import kernel
+from tunefree_hil.base.records import Measurement
 
 
 class VehicleConstants(NamedTuple):
@@ -111,6 +113,17 @@ class Recipe(NamedTuple):
 
     make: Callable[[Setup], Block]
     tunables: tuple[Tunable, ...] = ()
+
+
+def chassis_speed_of(absent: Collection[str]) -> float:
+    """1 where the vehicle's chassis reports its speed, 0 where it does not; for `speed_of`."""
+    return 0.0 if "report.speed_mps" in absent else 1.0
+
+
+@kernel
+def speed_of(measurement: Measurement, chassis_speed: float) -> float:
+    """The speed that gains, map and bounds go by: the chassis's own, the INS's where there is none (apollo_facts 4.4)."""
+    return measurement.report.speed_mps if chassis_speed != 0.0 else measurement.ins.speed_mps
 
 
 def bind(part: Recipe | Block, setup: Setup) -> Block:

@@ -4,6 +4,10 @@ It runs in the controller at every tick and again wherever errors are worked out
 in interfaces 6. Station runs along the original path throughout; the current trajectory is that path plus the lateral
 and speed offsets of the last re-plan, so it is the same until the first one.
 
+The heading error's rate is yaw rate - kappa v_ref (apollo_facts 3.1) with the kappa of the foot and the v_ref of this
+time, as the columns of interfaces 6 go; shipped takes both at the foot. No look-up goes to the nearest row, as shipped
+ones do: feet are continuous, and times are read between rows.
+
 At the tick of a re-plan the errors are still against the trajectory that was too far away (they show why), from the
 next tick on they are against the new one.
 """
@@ -179,9 +183,7 @@ def bent(curvature_1pm: float, offset_m: float, slope: float, bend_1pm: float) -
 
     The path's curvature counts as constant over the blend, which leaves out offset times its change.
     """
-    shrink = 1.0 - curvature_1pm * offset_m
-    if shrink < SHRINK_FLOOR:
-        shrink = SHRINK_FLOOR
+    shrink = max(1.0 - curvature_1pm * offset_m, SHRINK_FLOOR)
     turn_rad = math.atan(slope / shrink)
     cos = math.cos(turn_rad)
     grown_1pm = (bend_1pm + curvature_1pm * slope * slope / shrink) * cos * cos / shrink
@@ -191,9 +193,7 @@ def bent(curvature_1pm: float, offset_m: float, slope: float, bend_1pm: float) -
 @kernel
 def speed_along(rear: Foot, ins: Ins) -> float:
     """Rate of the station: v cos(heading error) / (1 - kappa d) at the rear axle (apollo_facts 4.1)."""
-    shrink = 1.0 - rear.curvature_1pm * rear.lateral_m
-    if shrink < SHRINK_FLOOR:
-        shrink = SHRINK_FLOOR
+    shrink = max(1.0 - rear.curvature_1pm * rear.lateral_m, SHRINK_FLOOR)
     return ins.speed_mps * math.cos(ins.heading_rad - rear.heading_rad) / shrink
 
 
@@ -240,9 +240,7 @@ def anchor(
     length_m = rules.blend_s * rolling_mps
     if length_m < rules.blend_least_m:
         length_m = rules.blend_least_m
-    shrink = 1.0 - mass.curvature_1pm * mass.lateral_m
-    if shrink < SHRINK_FLOOR:
-        shrink = SHRINK_FLOOR
+    shrink = max(1.0 - mass.curvature_1pm * mass.lateral_m, SHRINK_FLOOR)
     cos = math.cos(lane.path_heading_error_rad)
     slope = 0.0  # across the path or backwards: the offset only
     if cos > PREVIEW_COS_FLOOR:

@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tunefree_hil.base.course import Course
+from tunefree_hil.episode.feasible import curvature_by_time
 from tunefree_hil.episode.recording import Recording
 
 Array = np.ndarray
@@ -149,6 +151,24 @@ def metric(name: str, samples: Samples, scales: Scales, *, as_published: bool = 
     if kept is None or divisor is None:
         return None
     return rms(error[kept] / divisor[kept])
+
+
+def is_planned(name: str, plan: Samples) -> bool:
+    """Whether the plan itself has the 5 samples that a metric of METRICS needs. plan: what samples_of_plan gives."""
+    row = METRICS[name]
+    kept = _where(row.where, plan) if isinstance(row, Rms) else None
+    return kept is None or int(np.count_nonzero(kept)) >= LEAST_SAMPLES
+
+
+def samples_of_plan(course: Course) -> Samples:
+    """The references of a course as planned, one row a tick; no errors."""
+    references = dict.fromkeys(Samples._fields)
+    references |= {
+        "ref_speed_mps": np.asarray(course.speed_mps),
+        "ref_accel_mps2": np.asarray(course.accel_mps2),
+        "ref_curvature_1pm": curvature_by_time(course),
+    }
+    return Samples(**references)
 
 
 def rms(values: Array) -> float | None:

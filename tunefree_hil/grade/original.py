@@ -2,8 +2,8 @@
 
 Until the first re-plan the current trajectory is the original one, so the columns are taken as they are. From then on:
 lateral and heading error against the path itself; station and speed against the plan, whose clock and station are set
-to where the vehicle is at each re-plan (it need not catch up) but which is not blended from the measured speed. The
-foot of a point is defined as in control/path.py (there tick by tick, here all rows at once, to 1e-9 m the same), the
+to where the vehicle is at each re-plan (it need not catch up) but which is not blended from the measured speed. Speed
+along the path and yaw rate are the ones that the follower saw (the INS's), read back from its columns. The foot of a point is defined as in control/path.py (there tick by tick, here all rows at once, to 1e-9 m the same), the
 plan's clock is set by control/schedule.py itself.
 """
 
@@ -24,7 +24,6 @@ Array = np.ndarray
 STRIDE = 10  # rows between the feet that are looked for one after the other
 NEWTON_STEPS = 4
 WALK_STEPS = 6
-SHRINK_FLOOR = 0.01  # least 1 - kappa d, as in control/follower.py
 
 
 class Feet(NamedTuple):
@@ -50,14 +49,15 @@ class _Tables(NamedTuple):
 def samples_against_original(recording: Recording, course: Course, rear_axle_m: float) -> Samples:
     """As samples_of, but against the original path. rear_axle_m: rear axle (INS point) to centre of mass.
 
-    Where position or speed could not be had, the errors that need them are None after a re-plan.
+    Where position or an error against the current trajectory could not be had, the errors that need it are None after
+    a re-plan.
     """
     current = samples_of(recording)
     replan = recording.get("replan")
     anchors = np.flatnonzero(replan > 0.5) if replan is not None else np.empty(0, dtype=int)
     if len(anchors) == 0:
         return current
-    if not {"x_m", "y_m", "heading_rad", "speed_mps"} <= recording.columns.keys():
+    if not {"x_m", "y_m", "heading_rad"} <= recording.columns.keys():
         return current._replace(**dict.fromkeys(_ERRORS))
     first = int(anchors[0]) + 1  # at the tick of a re-plan the errors are still against the old trajectory
     again = _recompute(recording, course, rear_axle_m, anchors)
@@ -75,7 +75,7 @@ def _join(before: Array | None, after: Array | None, first: int) -> Array | None
 
 def _recompute(recording: Recording, course: Course, rear_axle_m: float, anchors: Array) -> Samples:
     """All rows against the original path and the plan as it was re-anchored."""
-    x, y, heading, speed = (recording.columns[name] for name in ("x_m", "y_m", "heading_rad", "speed_mps"))
+    x, y, heading = (recording.columns[name] for name in ("x_m", "y_m", "heading_rad"))
     tables = _tables(course)
     mass = find_feet(tables, x + rear_axle_m * np.cos(heading), y + rear_axle_m * np.sin(heading))
     rear = find_feet(tables, x, y)
@@ -85,19 +85,29 @@ def _recompute(recording: Recording, course: Course, rear_axle_m: float, anchors
     ref_speed = np.interp(plan_s, rows_s, course.speed_mps)
     beyond_m = np.maximum(plan_s - rows_s[-1], 0.0) * course.speed_mps[-1]
     ref_station = np.interp(plan_s, rows_s, course.station_m) + beyond_m + offset_m
-    shrink = np.maximum(1.0 - rear.curvature_1pm * rear.lateral_m, SHRINK_FLOOR)
-    along = speed * np.cos(heading - rear.heading_rad) / shrink
-    yaw_rate = recording.get("yaw_rate_radps")
-    return samples_of(recording)._replace(
+    current = samples_of(recording)
+    along, yaw_rate = _seen(current)
+    return current._replace(
         ref_speed_mps=ref_speed,
         ref_accel_mps2=np.interp(plan_s, rows_s, course.accel_mps2),
         ref_curvature_1pm=mass.curvature_1pm,
         station_error_m=ref_station - rear.station_m,
-        speed_error_mps=ref_speed - along,
+        speed_error_mps=None if along is None else ref_speed - along,
         lateral_error_m=mass.lateral_m,
         heading_error_rad=_wrap(heading - mass.heading_rad),
         heading_error_rate_radps=None if yaw_rate is None else yaw_rate - mass.curvature_1pm * ref_speed,
     )
+
+
+def _seen(current: Samples) -> tuple[Array | None, Array | None]:
+    """(speed along the path, yaw rate) as the follower took its errors from them."""
+    speed, curvature = current.ref_speed_mps, current.ref_curvature_1pm
+    along = yaw_rate = None
+    if speed is not None and current.speed_error_mps is not None:
+        along = speed - current.speed_error_mps
+    if speed is not None and curvature is not None and current.heading_error_rate_radps is not None:
+        yaw_rate = current.heading_error_rate_radps + curvature * speed
+    return along, yaw_rate
 
 
 def _clock(course: Course, station_m: Array, anchors: Array) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from tunefree_hil.base.course import Course
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import VehicleSpec, WeightsSpec
 from tunefree_hil.episode.recording import Recording
-from tunefree_hil.grade.metrics import METRICS, Samples, Scales, metric, samples_of
+from tunefree_hil.grade.metrics import METRICS, Samples, Scales, is_planned, metric, samples_of, samples_of_plan
 from tunefree_hil.grade.original import samples_against_original
 
 FINISHED = "finished"
@@ -91,12 +91,17 @@ def grade(
 
     error: name of the error that ended the drive, '' for none; any error scores failure_score, so errors of the bench
     (a lost process, somebody's stop) are not to be graded. Leaving the lane and diverging are also found in the columns
-    themselves. Raises InputError for a recording that ends early without an error, or in which nothing can be graded.
+    themselves. A metric of samples that the course does not plan (harsh ones) is None whatever a re-plan's blend made
+    of the reference, so that the same weights count in every drive of a scenario. Raises InputError for a recording that ends early without an error, or in which nothing can be graded.
     """
     original = samples_against_original(recording, course, vehicle.rear_axle_m)
     samples = original if weights.against == "original" else samples_of(recording)
     scales = Scales(vehicle.wheelbase_m, vehicle.steer_rad, vehicle.steer_rate_radps, recording.dt_s)
-    metrics = {name: metric(name, samples, scales, as_published=weights.as_published) for name in METRICS}
+    plan = samples_of_plan(course)
+    metrics = {
+        name: metric(name, samples, scales, as_published=weights.as_published) if is_planned(name, plan) else None
+        for name in METRICS
+    }
     outcome = error or judge(original, weights)
     replans = _replans(recording)
     dropped = tuple(name for name, weight in weights.metrics.items() if weight > 0.0 and metrics[name] is None)

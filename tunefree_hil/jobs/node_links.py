@@ -14,7 +14,7 @@ from tunefree_hil.base.clock import Clock, RealClock
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bench import Bench
 from tunefree_hil.bus.link import Links
-from tunefree_hil.bus.open import open_links, require_virtual_link, resolve_bus
+from tunefree_hil.bus.open import BusChoice, open_links, require_virtual_link, resolve_bus
 from tunefree_hil.nodes.exchange import Exchange
 
 PATIENCE_S = 60.0  # a node may be started before its hub
@@ -29,7 +29,7 @@ def timing_folder() -> Path | None:
 
 
 def usable_bus(bus: str, session: str, bench_bus: str) -> BusChoice:
-    """What --bus means, for processes of their own. Raises InputError where they could not meet or must not transmit."""
+    """What --bus means for processes of their own. InputError where they could not meet, or must not transmit."""
     choice = resolve_bus(bus, session, bench_bus)
     for text in (choice.vehicle_address, choice.bench_address):
         kind, _, name = text.partition(":")
@@ -71,6 +71,10 @@ def patiently(open_it: Callable[[], Links], words: str) -> Links:
     while True:
         try:
             return open_it()
+        except InputError as error:
+            if error.code == "duplicate_name":
+                error.hint = "end that one, or use another --session for a bench of your own"
+            raise
         except BenchError as error:
             waited_s = time.monotonic() - begun
             if error.code != "no_hub" or waited_s > PATIENCE_S:

@@ -36,14 +36,15 @@ class Processes:
         """Start `tunefree-hil ARGUMENTS`; its process id. In a session of its own, so Ctrl-C reaches only us."""
         words = self.folder / f"{name}.txt"
         said_before = words.stat().st_size if words.exists() else 0
-        process = subprocess.Popen(
-            [sys.executable, "-m", "tunefree_hil", *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=words.open("ab"),
-            stderr=subprocess.STDOUT,
-            env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **(environment or {})},
-            start_new_session=True,
-        )
+        with words.open("ab") as file:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "tunefree_hil", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **(environment or {})},
+                start_new_session=True,
+            )
         if self.core is not None:
             os.sched_setaffinity(process.pid, {self.core})
         self.children.append(_Child(name, process, words, said_before))

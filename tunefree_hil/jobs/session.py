@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from tunefree_hil.base.errors import BenchError, PeerGone
+from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bus.bench_channel import FAULT_ID, HELLO_ID, STATUS_ID
 from tunefree_hil.bus.link import Link, Owner
 from tunefree_hil.bus.open import BusChoice, open_link
@@ -83,7 +83,7 @@ class Session:
             common += ["--bench-bus", self.bench_bus]
         clock = "real" if self.realtime else "sender"
         pace = ["--realtime"] if self.realtime else []
-        self.processes.start("hub", ["hub", "--session", self.session, "--clock", clock, "--owned"])
+        self.hub_pid = self.processes.start("hub", ["hub", "--session", self.session, "--clock", clock, "--owned"])
         model = ["--model", self.model] if self.model else []
         timing = {TIMING_VARIABLE: str(self.processes.folder)}
         compiled = {"TUNEFREE_JIT": "1" if self.jitted_ecu else "0"}
@@ -92,13 +92,26 @@ class Session:
         self.processes.start("controller", ["controller", str(self.bench_file), *common, *pace], {**timing, **plain})
 
     def _conduct(self) -> Runner:
-        owner = self._patiently(lambda: Owner(self.session, name="runner"))
+        owner = self._patiently(self._own)
         bench = open_link(self.choice, "bench", name="runner", only=RUNNER_HEARS)
         self.owner = owner
         self.links.append(bench)
         runner = Runner(bench, owner, self.processes.check)
         runner.meet(START_LIMIT_S)
         return runner
+
+    def _own(self) -> Owner:
+        """Own the hub; where we started one, that one. Raises InputError when somebody else's hub has the session."""
+        owner = Owner(self.session, name="runner")
+        if not self.join and owner.pid != self.hub_pid:
+            owner.close()
+            raise InputError(
+                f"session {self.session} is in use by another hub, pid {owner.pid}",
+                code="session_in_use",
+                key="--session",
+                hint="join its bench with --join, or leave --session out for a bench of your own",
+            )
+        return owner
 
     def _patiently(self, open_it: Callable[[], Owner]) -> Owner:
         limit = time.monotonic() + START_LIMIT_S
@@ -123,7 +136,7 @@ class Session:
         vector = [parameters[name] for name in NAMES]
         try:
             return self.runner.drive(bytes.fromhex(scenario.hash)[:6], seed, vector, logs)
-        except PeerGone as error:
+        except BenchError as error:  # a process that failed knows more of it than those who lost it
             raise self.processes.explain(error) from error
 
     def close(self) -> None:

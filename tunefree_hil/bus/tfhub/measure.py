@@ -15,13 +15,14 @@ from pathlib import Path
 
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.tfhub.address import DEFAULT_TRANSPORT, Transport
+from tunefree_hil.bus.tfhub.pair import HubPair
 from tunefree_hil.bus.tfhub.plugin import HubBus
 from tunefree_hil.bus.tfhub.start import HubProcess, start_hub
 
 PATIENCE_S = 30.0
 STOP_ID = 0x7FF
 READY_ID = 0x7FE
-TICK_ID, DONE_ID = 0x10, 0x11
+TICK_ID, DONE_ID, ANSWER_ID = 0x10, 0x11, 0x300
 TICK_FRAMES = 2  # TICK and DONE of phase 0
 PHASE_FRAMES = (12, 3)  # vehicle frames a tick of ECU and controller, about those of the first vehicle
 
@@ -110,24 +111,36 @@ def _burst(hub: HubProcess, count: int) -> float:
 
 
 def _ticks(hub: HubProcess, count: int) -> list[float]:
-    """Times of ticks in us: phase 0 here, phase 1 in another process, and a third that listens to the bench channel."""
-    vehicle = HubBus(hub.vehicle, role="member", name="ecu", stamps=True)
-    bench = HubBus(hub.bench, role="member", name="ecu", stamps=True)
+    """Times of ticks in us, over joint connections as the nodes have them: phase 0 here, phase 1 in another process.
+
+    A third process is on the bench channel and, as a runner, hears only what it asked for.
+    """
+    pair = HubPair(hub.vehicle, name="ecu", stamps=True)
     times = []
-    with vehicle, bench, _peer("controller", hub), _peer("tuner", hub):
-        _until(bench, READY_ID, 2)
-        for tick in range(count):
-            start_s = time.perf_counter()
-            time_s = tick * 0.01
-            vehicle.send_frames([CanFrame(0x100 + i, bytes(8), False, False, time_s) for i in range(PHASE_FRAMES[0])])
-            bench.send_frames([CanFrame(TICK_ID, bytes(8), False, False, time_s)] * TICK_FRAMES)
-            _until(bench, DONE_ID, 1)
-            got = 0
-            while got < PHASE_FRAMES[1]:
-                got += len(vehicle.recv_frames(PATIENCE_S))
-            times.append((time.perf_counter() - start_s) * 1e6)
-        bench.send_frames([CanFrame(STOP_ID, b"")])
+    try:
+        with _peer("controller", hub), _peer("tuner", hub):
+            _gather(pair, 1, READY_ID, 2)
+            for tick in range(count):
+                start_s = time.perf_counter()
+                time_s = tick * 0.01
+                phase = [CanFrame(0x100 + i, bytes(8), False, False, time_s) for i in range(PHASE_FRAMES[0])]
+                pair.send(phase, [CanFrame(TICK_ID, bytes(8), False, False, time_s)] * TICK_FRAMES)
+                _gather(pair, 1, DONE_ID, 1)
+                _gather(pair, 0, ANSWER_ID, PHASE_FRAMES[1])
+                times.append((time.perf_counter() - start_s) * 1e6)
+            pair.send([], [CanFrame(STOP_ID, b"")])
+    finally:
+        pair.close()
     return times
+
+
+def _gather(pair: HubPair, channel: int, identifier: int, count: int) -> None:
+    """Receive on a channel until `count` frames of one id have come."""
+    while count > 0:
+        frames = pair.receive(channel, PATIENCE_S)
+        if not frames:
+            raise TimeoutError(f"{pair.name} heard nothing for {PATIENCE_S} s")
+        count -= sum(frame.id == identifier for frame in frames)
 
 
 def _echo(vehicle: str, bench: str, number: int) -> None:
@@ -148,29 +161,25 @@ def _drain(vehicle: str, bench: str, number: int) -> None:
 
 
 def _controller(vehicle: str, bench: str, number: int) -> None:
-    first = HubBus(vehicle, role="member", name="controller", stamps=True)
-    second = HubBus(bench, role="member", name="controller", stamps=True)
-    answer = [CanFrame(0x300 + i, bytes(8)) for i in range(PHASE_FRAMES[1])]
-    with first, second:
-        second.send_frames([CanFrame(READY_ID, b"")])
-        heard = 0
-        while True:
-            for frame in second.recv_frames(PATIENCE_S):
-                if frame.id == STOP_ID:
-                    return
-                heard += frame.id == TICK_ID  # and not the tuner's READY
-            if heard < TICK_FRAMES:
-                continue
-            heard = 0
-            got = 0
+    pair = HubPair(vehicle, name="controller", stamps=True)
+    answer = [CanFrame(ANSWER_ID, bytes(8))] * PHASE_FRAMES[1]
+    pair.send([], [CanFrame(READY_ID, b"")])
+    heard = 0
+    while True:
+        for frame in pair.receive(1, PATIENCE_S):
+            if frame.id == STOP_ID:
+                pair.close()
+                return
+            heard += frame.id == TICK_ID  # and not the tuner's READY
+        if heard == TICK_FRAMES:
+            heard, got = 0, 0
             while got < PHASE_FRAMES[0]:
-                got += len(first.recv_frames(PATIENCE_S))
-            first.send_frames(answer)
-            second.send_frames([CanFrame(DONE_ID, bytes(8))])
+                got += len(pair.receive(0, PATIENCE_S))
+            pair.send(answer, [CanFrame(DONE_ID, bytes(8))])
 
 
 def _tuner(vehicle: str, bench: str, number: int) -> None:
-    with HubBus(bench, role="member", name="tuner") as bus:
+    with HubBus(bench, role="member", name="tuner", only=(STOP_ID,)) as bus:
         bus.send_frames([CanFrame(READY_ID, b"")])
         _until(bus, STOP_ID, 1)
 

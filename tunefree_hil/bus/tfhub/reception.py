@@ -67,6 +67,9 @@ def hello(hub: Hub, peer: Peer, body: dict[str, Any]) -> None:
     role, name, pid = body.get("role"), body.get("name"), body.get("pid")
     if role not in ROLES or not isinstance(name, str) or not isinstance(pid, int):
         raise RecordError("its hello has no role, name or pid")
+    only = body.get("only", [])
+    if not isinstance(only, list) or not all(isinstance(can_id, int) for can_id in only):
+        raise RecordError("its hello has no list of ids")
     name = "".join(letter if letter.isprintable() else "?" for letter in name)[:80] or "nameless"
     if not body.get("fixed_name", True):
         name = _free_name(hub, peer.channel, name)
@@ -76,7 +79,7 @@ def hello(hub: Hub, peer: Peer, body: dict[str, Any]) -> None:
         return
     peer.role, peer.name, peer.pid = role, name, pid
     peer.also = _other_channel(peer, body)
-    peer.only = frozenset(can_id for can_id in body.get("only") or () if isinstance(can_id, int))
+    peer.only = frozenset(only)
     peer.echo, peer.stamps = body.get("echo") is True, body.get("stamps") is True
     peer.listen = role != "owner" and body.get("listen") is not False
     peer.index = min(set(range(1, MOST_PEERS + 1)) - {other.index for other in hub.board.peers})
@@ -105,7 +108,7 @@ def _refusal(hub: Hub, peer: Peer, body: dict[str, Any], role: str, name: str) -
     """(code, message, hint) when the peer may not come in."""
     token = hub.session.token
     given = body.get("token")
-    if token and not (isinstance(given, str) and hmac.compare_digest(token.encode(), given.encode())):
+    if token and not (isinstance(given, str) and hmac.compare_digest(token.encode(), given.encode(errors="replace"))):
         return "wrong_token", "the token is wrong", "name the token file of the hub's session: ?token_file=..."
     if body.get("protocol") != PROTOCOL:
         return "protocol", f"this hub speaks protocol {PROTOCOL}, not {body.get('protocol')}", "use one version for all"

@@ -87,7 +87,7 @@ def body_of(record: bytes) -> dict[str, Any]:
     """The JSON object of a control record. RecordError when it is none."""
     try:
         body = json.loads(record[HEAD.size :] or b"{}")
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise RecordError(f"a control record without JSON: {error}") from error
     if not isinstance(body, dict):
         raise RecordError("a control record whose JSON is no object")

@@ -15,7 +15,7 @@ from tunefree_hil.base.kernel import buffer, kernel, table
 from tunefree_hil.base.maths import find_cell, lerp_table
 from tunefree_hil.base.records import Measurement
 from tunefree_hil.control import riccati
-from tunefree_hil.control.contract import LeadLag, Recipe, Setup, VehicleConstants
+from tunefree_hil.control.contract import LeadLag, Recipe, Setup, VehicleConstants, chassis_speed_of, speed_of
 from tunefree_hil.control.filters import FirstOrder, first_order, first_order_step
 from tunefree_hil.control.parameters import RICCATI_CODES, tunables_of
 
@@ -90,7 +90,7 @@ def make(setup: Setup) -> Block:
         steer_ratio=vehicle.steer_ratio,
         lead_lag_weight=lead_lag.weight,
         lead_lag=first_order(lead_lag, setup.dt_s),
-        chassis_speed=0.0 if "report.speed_mps" in setup.absent else 1.0,
+        chassis_speed=chassis_speed_of(setup.absent),
     )
     return Block(init, step, params, CONTROLLER.tunables)
 
@@ -142,7 +142,7 @@ def init(params: LqrParams, dt_s: float) -> LqrState:
 def step(params: LqrParams, state: LqrState, x: tuple[Tracking, Measurement], dt_s: float) -> tuple[LqrState, float]:
     """delta_cmd = -K X + delta_ff (eq. 3), times the steering ratio."""
     tracking, measurement = x
-    v = measurement.report.speed_mps if params.chassis_speed != 0.0 else measurement.ins.speed_mps
+    v = speed_of(measurement, params.chassis_speed)
     k = interpolate(params, abs(v))
     lateral_m, heading_rad = tracking.lateral_error_m, tracking.heading_error_rad
     if params.look_ahead_m != 0.0:

@@ -1,4 +1,9 @@
-"""Longitudinal control (eq. 2, apollo_facts 4): station and speed PID in cascade, preview, open-loop map."""
+"""Longitudinal control (eq. 2, apollo_facts 4): station and speed PID in cascade, preview, open-loop map.
+
+Different from the shipped controller on purpose: a pedal at rest is the vehicle's rest duty, not 0, and the least that
+is pressed is that too (shipped 15.4 % and 14.5 %, of one car); the plan is read between its rows, not at the nearest;
+forward gear only, so no neutral and no mirrored rules; no gate on the steering. The slope term is off, as shipped.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +15,7 @@ from tunefree_hil.base.kernel import kernel
 from tunefree_hil.base.maths import clamp
 from tunefree_hil.base.records import Measurement
 from tunefree_hil.control.calibration_map import CalibrationMap, lookup
-from tunefree_hil.control.contract import Pedals, Recipe, Setup
+from tunefree_hil.control.contract import Pedals, Recipe, Setup, chassis_speed_of, speed_of
 from tunefree_hil.control.parameters import tunables_of
 
 STATION_LIMIT_M = 2.0
@@ -53,7 +58,7 @@ def make(setup: Setup) -> Block:
         values["speed.ki_high"],
         setup.calibration,
         setup.vehicle.rest_pedal_frac,
-        0.0 if "report.speed_mps" in setup.absent else 1.0,
+        chassis_speed_of(setup.absent),
     )
     return Block(init, step, params, CONTROLLER.tunables)
 
@@ -66,7 +71,7 @@ def init(params: PidParams, dt_s: float) -> PidState:
 def step(params: PidParams, state: PidState, x: tuple[Tracking, Measurement], dt_s: float) -> tuple[PidState, Pedals]:
     """a_cmd = a_ref + K_P (e_v + K_Px e_x) + K_I integral of the same (eq. 2); u = f_map(a_cmd, v)."""
     tracking, measurement = x
-    v = measurement.report.speed_mps if params.chassis_speed != 0.0 else measurement.ins.speed_mps
+    v = speed_of(measurement, params.chassis_speed)
     station_m = clamp(tracking.station_error_m, -STATION_LIMIT_M, STATION_LIMIT_M)
     error_mps = clamp(tracking.speed_error_mps + params.station_kp * station_m, -SPEED_LIMIT_MPS, SPEED_LIMIT_MPS)
     kp, ki = params.kp_high, params.ki_high
