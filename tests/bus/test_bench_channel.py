@@ -26,7 +26,7 @@ PLAIN = st.one_of(
 )
 EPISODE = st.builds(bc.Episode, st.binary(min_size=6, max_size=6), U16)
 PARTS = st.integers(1, 4095).flatmap(lambda n: st.tuples(st.integers(0, n - 1), st.just(n)))
-HELLO = st.builds(lambda r, p, t: bc.Hello(r, *p, t), U8, PARTS, st.binary(min_size=4, max_size=4))
+HELLO = st.builds(lambda r, p, t: bc.Hello(r, p[0], p[1], t), U8, PARTS, st.binary(min_size=4, max_size=4))
 SIGNALS = {
     bc.Tick: ("K",),
     bc.Done: ("K", "PHASE", "N_TX", "DIGEST"),

@@ -8,28 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.control.fixes import AHEAD_M, DT_S, fix, run, straight
 from tunefree_hil.base.records import Ins
 from tunefree_hil.control.follower import make_follower
-
-DT_S = 0.01
-AHEAD_M = 1.4224
-
-
-def run(block, fixes, first=0):
-    """Trackings of consecutive fixes."""
-    state, answers = block.init(block.params, DT_S), []
-    for k, ins in enumerate(fixes, first):
-        state, tracking = block.step(block.params, state, (k, ins), DT_S)
-        answers.append(tracking)
-    return answers
-
-
-def straight(kit, seconds=20.0, speed=5.0):
-    return kit.course(seconds, lambda t: speed)
-
-
-def fix(x=0.0, y=0.0, heading=0.0, speed=5.0, yaw_rate=0.0):
-    return Ins(x, y, heading, speed, 0.0, yaw_rate)
 
 
 def follow_circle(curvature, speed, ticks, lateral=0.0):

@@ -152,7 +152,10 @@ def test_what_cannot_be_recomputed_is_none() -> None:
 def test_the_chassis_sensors_have_no_say_in_the_errors() -> None:
     """Speed and yaw rate are those of the follower, the INS's; the columns of these names are the chassis's."""
     recording, _, _ = drive(1.2, 0.5)
-    off = {"speed_mps": recording.columns["speed_mps"] + 0.3, "yaw_rate_radps": recording.columns["yaw_rate_radps"] - 0.1}
+    off = {
+        "speed_mps": recording.columns["speed_mps"] + 0.3,
+        "yaw_rate_radps": recording.columns["yaw_rate_radps"] - 0.1,
+    }
     found = against_original(make_recording({**recording.columns, **off}, DT_S))
     for name, values in against_original(recording).items():
         if name in ERRORS:

@@ -122,7 +122,7 @@ def chassis_speed_of(absent: Collection[str]) -> float:
 
 @kernel
 def speed_of(measurement: Measurement, chassis_speed: float) -> float:
-    """The speed that gains, map and bounds go by: the chassis's own, the INS's where there is none (apollo_facts 4.4)."""
+    """The speed that gains, map and bounds go by: the chassis's (apollo_facts 4.4), the INS's where there is none."""
     return measurement.report.speed_mps if chassis_speed != 0.0 else measurement.ins.speed_mps
 
 

@@ -2,7 +2,8 @@
 
 Notation of apollo_facts 6.1: e the error, V = max(|v_ref|, 1.0 m/s), C = max(|kappa_ref|, 0.02852 1/m), L the
 wheelbase, T = N_f dt = 1 s. RMS = sqrt(sum s^2 / (N - 1)). Every metric is dimensionless, 0 is perfect, and it is None
-(never 0) where a column is missing or fewer than 5 samples count.
+(never 0) where a column is missing or fewer than 5 samples count. Different from the source on purpose: the harsh
+heading rate uses the rate (AS_PUBLISHED keeps the slip), and lateral jerk is that of v * yaw rate.
 """
 
 from __future__ import annotations

@@ -3,8 +3,9 @@
 Until the first re-plan the current trajectory is the original one, so the columns are taken as they are. From then on:
 lateral and heading error against the path itself; station and speed against the plan, whose clock and station are set
 to where the vehicle is at each re-plan (it need not catch up) but which is not blended from the measured speed. Speed
-along the path and yaw rate are the ones that the follower saw (the INS's), read back from its columns. The foot of a point is defined as in control/path.py (there tick by tick, here all rows at once, to 1e-9 m the same), the
-plan's clock is set by control/schedule.py itself.
+along the path and yaw rate are the ones that the follower saw (the INS's), read back from its columns. The foot of a
+point is defined as in control/path.py (there tick by tick, here all rows at once, to 1e-9 m the same), the plan's clock
+is set by control/schedule.py itself.
 """
 
 from __future__ import annotations

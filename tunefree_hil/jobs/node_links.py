@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import sys
 import time
@@ -58,7 +57,6 @@ def open_exchange(
         frozenset(message.key for message in codec.commands),
     )
     sys.setswitchinterval(SWITCH_S)
-    gc.disable()  # a tick makes no cycles; the node collects between episodes (nodes/node.py)
     try:
         yield Exchange(links.vehicle, links.bench, ids, bench.dt_s, links.send_both), RealClock(), choice.why
     finally:

@@ -84,7 +84,6 @@ class Node:
 
     def _load(self, episode: bc.Episode) -> None:
         self._ready = True
-        gc.collect()
         self.exchange.clear()
         try:
             self.part.load(episode.scenario, episode.seed, dict(self._parameters))
@@ -92,17 +91,22 @@ class Node:
             code = bc.ErrorCode.UNKNOWN_SCENARIO if error.code == "unknown_scenario" else bc.ErrorCode.CONTROL_ERROR
             self.exchange.say(bc.Status(self.part.role, bc.State.FAILED, code, 0))
             raise
+        gc.collect()
         self.exchange.say(bc.Status(self.part.role, bc.State.READY, 0, 0))
 
     def _run(self, lead_ms: float) -> None:
         if self._episode is None:
             return
         self._episode, self._ready = None, False
-        if self.realtime:
-            zero_s = self.exchange.run_stamp_s + lead_ms * 1e-3
-            self.part.realtime(self.exchange, self.clock, zero_s, self._stopped)
-        else:
-            self.part.lockstep(self.exchange, self._stopped)
+        gc.disable()  # a tick makes no cycles; what loading left was collected before it was said to be ready
+        try:
+            if self.realtime:
+                zero_s = self.exchange.run_stamp_s + lead_ms * 1e-3
+                self.part.realtime(self.exchange, self.clock, zero_s, self._stopped)
+            else:
+                self.part.lockstep(self.exchange, self._stopped)
+        finally:
+            gc.enable()
 
     @staticmethod
     def _stopped(message: Any) -> bool:

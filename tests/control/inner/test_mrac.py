@@ -8,6 +8,7 @@ import pytest
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.control.contract import Settings, Setup, VehicleConstants
+from tunefree_hil.control.filters import SecondOrderState, butterworth, second_order_step
 from tunefree_hil.control.inner import mrac
 from tunefree_hil.control.parameters import BASELINES
 
@@ -99,6 +100,33 @@ def test_gains_stay_within_the_clamp():
         drive.tick()
         assert params.x_low <= drive.state.gains.x1 <= 0.0
         assert 1.0 <= drive.state.gains.r <= params.r_high
+
+
+def ringing(x_gain):
+    """Growth of the swing from 3 to 8 s after a pulse, gains frozen, behind the actuator of the data sheet.
+
+    Low-pass of 10 Hz, dead time 0.1 s and a tick each way, lag 0.0773 s: what |Kx| = 1.56 brings to the edge.
+    """
+    drive = Drive(make(), tau_s=0.0773, speed_mps=0.19)  # too slow for adaption
+    drive.state = drive.state._replace(gains=mrac.Gains(x_gain, 0.0, 1.0 - x_gain))
+    low_pass, delays, line = butterworth(10.0, DT_S), SecondOrderState(0.0, 0.0), [0.0] * 12
+    angles = []
+    for k in range(800):
+        x = (0.01 if k < 20 else 0.0, drive.angle / 100.0 * LIMIT_RAD, drive.speed_mps)
+        drive.state, answer = drive.block.step(drive.block.params, drive.state, x, DT_S)
+        delays, smooth_rad = second_order_step(low_pass, delays, answer.steer_rad)
+        line.append(smooth_rad / LIMIT_RAD * 100.0)
+        drive.angle += (1.0 - math.exp(-DT_S / 0.0773)) * (line.pop(0) - drive.angle)
+        angles.append(abs(drive.angle))
+    return max(angles[700:]) / max(angles[200:300])
+
+
+def test_dead_time_bounds_the_gain_that_the_loop_stands():
+    """The shipped clamp stays below it, that of the published study lets adaption run far beyond (mrac.py says why)."""
+    assert ringing(-1.4) < 0.9 < 1.1 < ringing(-1.7)
+    shipped, study = make(clamp_s=0.08).params, make(clamp_s=0.01).params
+    assert ringing(shipped.x_low) < 0.01
+    assert study.x_low < 5.0 * -1.7
 
 
 def test_no_adaption_below_0_2_mps():
