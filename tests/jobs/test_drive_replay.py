@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import random
 import shutil
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.bench.tiny import write_bench, write_scenario
-from tests.jobs.command import Ended, eventually, finish, new_session, no_orphans, nodes_of, one_message, start, tunefree
+from tests.jobs.command import (
+    Ended,
+    eventually,
+    finish,
+    new_session,
+    no_orphans,
+    nodes_of,
+    one_message,
+    start,
+    tunefree,
+)
 from tunefree_hil.jobs.run_folder import drop_bulk
 
 pytestmark = pytest.mark.slow
@@ -172,22 +184,18 @@ def test_a_file_that_changed_since_is_named(driven: Ended, tmp_path: Path) -> No
     one_message(done, "scenarios changed since", "hashes.scenarios")
 
 
-def stutter(session: str, chance: random.Random) -> Iterator[int]:
-    """Stop and go on one node after the other for a few milliseconds while they live."""
-    for name in iter(lambda: chance.choice(("hub", "ecu", "controller")), ""):
-        pid = nodes_of(session).get(name)
-        if pid is None:
-            return
-        try:
-            import os
-
+def stutter(session: str, chance: random.Random) -> int:
+    """Stop one node or another for a few milliseconds, again and again while all live; how often."""
+    stops = 0
+    while len(nodes := nodes_of(session)) == 3:
+        pid = nodes[chance.choice(sorted(nodes))]
+        with contextlib.suppress(ProcessLookupError):  # it ended by itself
             os.kill(pid, signal.SIGSTOP)
             time.sleep(chance.uniform(0.001, 0.02))
             os.kill(pid, signal.SIGCONT)
-        except ProcessLookupError:
-            return
+            stops += 1
         time.sleep(chance.uniform(0.0, 0.02))
-        yield pid
+    return stops
 
 
 def test_the_frames_do_not_depend_on_who_is_slow(driven: Ended, tmp_path: Path) -> None:
@@ -199,7 +207,7 @@ def test_the_frames_do_not_depend_on_who_is_slow(driven: Ended, tmp_path: Path) 
         with no_orphans(session):
             process = start("drive", bench, "--session", session, "--out", tmp_path / "runs", "--json")
             eventually(lambda session=session: len(nodes_of(session)) == 3)
-            stops = sum(1 for _ in stutter(session, chance))
+            stops = stutter(session, chance)
             done = finish(process)
         assert done.status == 0, done.words
         assert stops > 10

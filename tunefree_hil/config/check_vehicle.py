@@ -11,7 +11,7 @@ from tunefree_hil.config.find import nearest
 from tunefree_hil.config.schema import FieldSpec, VehicleSpec
 
 WHEELS = "wheel_speed_radps"
-CONDITIONS = ("enabled", "override", "fault", "timeout", "watchdog")
+CONDITIONS = ("enabled", "override", "driver", "fault", "timeout", "watchdog")
 ACTUATORS = ("throttle", "brake", "steer", "gear", "accel", "steer_torque")
 # Alternative command sets (interfaces 2): the one in use counts, its echoes in the reports too.
 PEDALS = ("throttle_frac", "brake_frac")

@@ -77,7 +77,7 @@ def drive(
     figures = draw(run, episodes)
     verdict = judge_realtime(run, range(len(scenarios))) if realtime else None
     score = combine([episode.grade for episode in episodes.values()])
-    run.finish(score=score, hashes={name: episode.hash for name, episode in episodes.items()})
+    run.finish(score=score, frame_hashes={name: episode.hash for name, episode in episodes.items()})
     yield _result(run, episodes, score, figures, verdict, track.pace)
 
 

@@ -16,6 +16,7 @@ from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.integrity import next_counter
 from tunefree_hil.control.cascade import Sight
 from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.handshake import Handshake, Stage
@@ -158,6 +159,6 @@ class ControllerPart:
             signals[message.clear] = clear
         if message.counter:
             signals[message.counter] = float(self._counters[message.name])
-            self._counters[message.name] = (self._counters[message.name] + 1) % message.counter_modulus
+            self._counters[message.name] = next_counter(self._counters[message.name], message.counter_modulus)
         data = self.codec.encode(message, records, signals)
         return CanFrame(message.can_id, data, message.extended, message.fd, k * self.task.dt_s)

@@ -13,13 +13,7 @@ CAUSES: dict[str, float] = {"none": 0.0, "other": 1.0} | {
     for i, channel in enumerate(("brake", "throttle", "steer"))
     for j, cause in enumerate(_CHANNEL_CAUSES)
 }  # the watchdog's causes, by the name that vehicle.toml gives them
-OTHER = CAUSES["other"]
-BRAKE_COUNTER, BRAKE_DISABLED = CAUSES["brake_counter"], CAUSES["brake_disabled"]
-BRAKE_TIMEOUT, BRAKE_REPORT_TIMEOUT = CAUSES["brake_timeout"], CAUSES["brake_report_timeout"]
-THROTTLE_COUNTER, THROTTLE_DISABLED = CAUSES["throttle_counter"], CAUSES["throttle_disabled"]
-THROTTLE_TIMEOUT, THROTTLE_REPORT_TIMEOUT = CAUSES["throttle_timeout"], CAUSES["throttle_report_timeout"]
-STEER_COUNTER, STEER_DISABLED = CAUSES["steer_counter"], CAUSES["steer_disabled"]
-STEER_TIMEOUT, STEER_REPORT_TIMEOUT = CAUSES["steer_timeout"], CAUSES["steer_report_timeout"]
+BRAKE_COUNTER, THROTTLE_COUNTER, STEER_COUNTER = (CAUSES[f"{name}_counter"] for name in ("brake", "throttle", "steer"))
 
 
 class HeardChannel(NamedTuple):

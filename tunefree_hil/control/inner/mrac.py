@@ -2,7 +2,7 @@
 
 Inside this file signals are percent of the steering limit (the box of `mrac.p` presumes it), x = [angle, its rate].
 Form "apollo" is the shipped law (bounds, anti-windup, clamping rule), form "paper" is eq. 6 with nothing round it.
-The law knows no dead time: behind the data sheet's actuator the loop through Kx stands |Kx| of about 1.5 (test_mrac.py).
+The law knows no dead time: behind the data sheet's actuator the loop through Kx stands |Kx| of about 1.5 (test_mrac).
 mrac.clamp_s = 0.08 s keeps it below 0.54, 0.01 s lets it grow to 11, and in a tight turn a p of 1e-3 takes it there.
 Model order 1 has the reference time constant `mrac.t_ref_s`; order 2 its natural frequency and damping from Settings.
 """
