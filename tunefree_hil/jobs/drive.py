@@ -17,7 +17,7 @@ from tunefree_hil.grade.score import combine
 from tunefree_hil.jobs.harvest import Episode
 from tunefree_hil.jobs.identity import identity_of, resolved_toml
 from tunefree_hil.jobs.lateness import judge_realtime
-from tunefree_hil.jobs.node_links import usable_bus
+from tunefree_hil.jobs.node_links import require_recorder, usable_bus
 from tunefree_hil.jobs.run_folder import RunFolder, write_text
 from tunefree_hil.jobs.session import Session
 from tunefree_hil.jobs.track import Track
@@ -47,7 +47,7 @@ def drive(
     scenarios = [find_scenario(loaded, scenario)] if scenario else [loaded.scenarios[n] for n in loaded.spec.scenarios]
     require_buildable(loaded, model_name, scenarios, values, realtime=realtime)
     session = session or own_session()
-    usable_bus(bus, session, bench_bus)
+    require_recorder(usable_bus(bus, session, bench_bus))
     identity = identity_of(loaded, model_name, scenarios)
     record = {"command": "drive", "bench": str(bench), "model": model_name, "realtime": realtime, **identity}
     run = RunFolder.create(out or DEFAULT_ROOT, f"drive-{bench.stem}", {**record, "seed": seed, "parameters": values})

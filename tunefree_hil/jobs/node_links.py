@@ -30,6 +30,9 @@ def timing_folder() -> Path | None:
 def usable_bus(bus: str, session: str, bench_bus: str) -> BusChoice:
     """What --bus means for processes of their own. InputError where they could not meet, or must not transmit."""
     choice = resolve_bus(bus, session, bench_bus)
+    if bus == "auto" and choice.kind == "socketcan":  # found up, but a drive could not be recorded from it
+        why = f"tfhub, session {session}: vcan0 is up, but drives cannot be recorded from SocketCAN yet"
+        choice = resolve_bus("tfhub", session, bench_bus)._replace(why=why)
     for text in (choice.vehicle_address, choice.bench_address):
         kind, _, name = text.partition(":")
         if kind == "socketcan":
@@ -42,6 +45,17 @@ def usable_bus(bus: str, session: str, bench_bus: str) -> BusChoice:
                 hint="use --bus tfhub, which needs no kernel support either",
             )
     return choice
+
+
+def require_recorder(choice: BusChoice) -> None:
+    """Raise InputError for a vehicle bus that nobody records: only the hub writes logs in this version."""
+    if choice.kind != "tfhub":
+        raise InputError(
+            f"drives cannot be recorded from {choice.kind} yet",
+            code="not_built",
+            key="--bus",
+            hint="use --bus tfhub; single nodes (ecu, controller) do open a vcan link",
+        )
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from tunefree_hil.bus.link import Link, Owner
 from tunefree_hil.bus.open import BusChoice, open_link
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.control.parameters import NAMES
-from tunefree_hil.jobs.node_links import TIMING_VARIABLE, usable_bus
+from tunefree_hil.jobs.node_links import TIMING_VARIABLE, require_recorder, usable_bus
 from tunefree_hil.jobs.processes import Processes
 from tunefree_hil.nodes.runner import Outcome, Runner
 
@@ -49,6 +49,7 @@ class Session:
         self.jitted_ecu = jitted_ecu
         self.bus_text, self.bench_bus = bus, bench_bus
         self.choice: BusChoice = usable_bus(bus, session, bench_bus)
+        require_recorder(self.choice)
         if bus.startswith("tfhub:"):  # it names the session
             self.session = self.choice.bench_address.removeprefix("tfhub:").rpartition("/")[0]
         self.processes = Processes(words, core)

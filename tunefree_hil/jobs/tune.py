@@ -16,7 +16,7 @@ from tunefree_hil.jobs.candidates import baseline_vectors
 from tunefree_hil.jobs.drive import DEFAULT_ROOT, own_session
 from tunefree_hil.jobs.harvest import evaluation_of
 from tunefree_hil.jobs.identity import identity_of, resolved_toml
-from tunefree_hil.jobs.node_links import usable_bus
+from tunefree_hil.jobs.node_links import require_recorder, usable_bus
 from tunefree_hil.jobs.run_folder import RunFolder, drop_bulk, open_run, remove_parts, unfinished, write_text
 from tunefree_hil.jobs.session import lanes_of, open_lanes
 from tunefree_hil.jobs.track import Track
@@ -69,7 +69,7 @@ def tune(
         )
     loaded = load(bench)
     _require_buildable(loaded, verify)
-    usable_bus(bus, session or own_session(), bench_bus)
+    require_recorder(usable_bus(bus, session or own_session(), bench_bus))
     settings, identity = _settings(loaded, set_name, sampler, seed, scale)
     wanted = trials or loaded.spec.tune.trials
     command = _command(bench, trials, set_name, sampler, seed, scale, bus, out, verify)
