@@ -10,24 +10,23 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 JITTED = os.environ.get("TUNEFREE_JIT", "0") == "1"
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-if JITTED:
+
+def kernel(function: F) -> F:
+    """Mark `function` as a kernel; where kernels are compiled, compile it.
+
+    Never `cache=True`: a cached caller would keep the old code of an edited callee.
+    """
+    if not JITTED:
+        return function
     from numba import njit
 
-    def kernel(function: F) -> F:
-        """Compile `function`. Never `cache=True`: a cached caller would keep the old code of an edited callee."""
-        return njit(nogil=True, error_model="python")(function)
-
-else:
-
-    def kernel(function: F) -> F:
-        """Mark `function` as a kernel; plain Python in this process."""
-        return function
+    return cast(F, njit(nogil=True, error_model="python")(function))
 
 
 def table(values: Iterable[float]) -> Any:
