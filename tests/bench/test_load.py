@@ -138,3 +138,10 @@ def test_a_broken_scenario_of_somebody_else_does_not_hide_the_answer(file: Path,
     bench = load(file)
     write_scenario(tmp_path, "zebra", 3.0)
     assert scenario_of_hash(bench, hash_of(tmp_path, "zebra")).name == "zebra"
+
+
+def test_two_scenarios_of_one_name_are_refused(file: Path, tmp_path: Path) -> None:
+    other = write_scenario(tmp_path / "else", "tiny", 3.0)
+    change(file, '\nscenarios = ["tiny"]', f'\nscenarios = ["tiny", "{other}"]')
+    error = mistake(lambda: load(file))
+    assert (error.file, error.key) == (str(file), "scenarios") and str(other) in error.message

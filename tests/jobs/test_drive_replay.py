@@ -27,6 +27,7 @@ from tests.jobs.command import (
     start,
     tunefree,
 )
+from tunefree_hil.cli.entry import run as command_line
 from tunefree_hil.jobs.run_folder import drop_bulk
 
 pytestmark = pytest.mark.slow
@@ -139,7 +140,10 @@ def cut(path: str, size: int) -> Callable[[Path], None]:
 
 
 def write(path: str, text: str) -> Callable[[Path], None]:
-    return lambda run: (run / path).write_text(text) and None
+    def spoil(run: Path) -> None:
+        (run / path).write_text(text)
+
+    return spoil
 
 
 def remove(path: str) -> Callable[[Path], None]:
@@ -164,12 +168,11 @@ SPOILT = {
 
 
 @pytest.mark.parametrize("name", SPOILT)
-def test_a_spoilt_run_is_one_message(name: str, run: Path) -> None:
+def test_a_spoilt_run_is_one_message(name: str, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     spoil, parts = SPOILT[name]
     spoil(run)
-    done = tunefree("replay", run, "--verify")
-    assert done.status == 2
-    one_message(done, str(run), *parts)
+    assert command_line(["replay", str(run)]) == 2
+    one_message(Ended(2, capsys.readouterr().err, {}, [], 0.0), str(run), *parts)
 
 
 def test_a_file_that_changed_since_is_named(driven: Ended, tmp_path: Path) -> None:

@@ -31,13 +31,19 @@ SLACK_S = 8.0  # of a machine with other work, and to end a process that does no
 
 
 class Bench:
-    """A drive of a minute under way in a session of its own."""
+    """A drive under way in a session of its own."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, duration_s: float = 60.0) -> None:
         self.session = new_session()
         self.folder = folder
         self.process = start(
-            "drive", write_bench(folder, duration_s=60.0), "--session", self.session, "--out", folder / "runs", "--json"
+            "drive",
+            write_bench(folder, duration_s=duration_s),
+            "--session",
+            self.session,
+            "--out",
+            folder / "runs",
+            "--json",
         )
 
     def under_way(self) -> dict[str, int]:
@@ -83,11 +89,13 @@ def test_a_drive_that_is_ended_leaves_nothing(bench: Bench, number: int, status:
     assert done.status == status and "Traceback" not in done.words
 
 
-def test_a_full_disk_is_said_with_the_file(bench: Bench) -> None:
+def test_a_full_disk_is_said_with_the_file(tmp_path: Path) -> None:
     """The hub, which writes the logs, may write no file beyond 100 kB from now on."""
-    hub = bench.under_way()["hub"]
-    resource.prlimit(hub, resource.RLIMIT_FSIZE, (100_000, 100_000))
-    done = finish(bench.process, patience_s=60.0)
+    bench = Bench(tmp_path, 15.0)
+    with no_orphans(bench.session):
+        hub = bench.under_way()["hub"]
+        resource.prlimit(hub, resource.RLIMIT_FSIZE, (100_000, 100_000))
+        done = finish(bench.process, patience_s=60.0)
     assert done.status == 3
     one_message(done, "vehicle.log")
     assert not list(bench.folder.glob("runs/*/episodes/0/vehicle.log")), "no log that looks whole"

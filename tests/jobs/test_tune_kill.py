@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.bench.tiny import write_bench
-from tests.jobs.command import Ended, eventually, finish, new_session, no_orphans, nodes_of, start
+from tests.jobs.command import Ended, eventually, finish, new_session, no_orphans, processes_of, start
 from tunefree_hil.tune.study import read_study
 
 pytestmark = pytest.mark.slow
@@ -89,9 +89,9 @@ def test_a_node_that_is_killed_costs_an_attempt_and_nothing_else(calm: Tune, tmp
     with no_orphans(session, OWNER_PATIENCE_S):
         process = start(*tune.words, "--session", session)
         eventually(lambda: list(tmp_path.glob("runs/*/episodes/1/episode.json")), what="the second drive")
-        for name, pid in nodes_of(session).items():
-            if name == "controller":
-                os.kill(pid, signal.SIGKILL)
+        for one in processes_of(session):
+            if one.command == "controller":  # of each bench that runs side by side
+                os.kill(one.pid, signal.SIGKILL)
         done = finish(process)
     assert done.status == 0, done.words
     assert "was killed by signal 9" in done.words and "again" in done.words

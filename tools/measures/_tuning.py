@@ -125,7 +125,7 @@ def _same_frames(winners: Mapping[str, Scored], on_model: Mapping[str, Scored]) 
     pairs = [
         (drive["frame_hash"], on_model[name]["scenarios"][scenario]["frame_hash"])
         for name, found in winners.items()
-        for scenario, drive in found["scenarios"].items()
+        for scenario, drive in found.get("scenarios", {}).items()
     ]
     return f"{sum(one == other for one, other in pairs)} of {len(pairs)}"
 

@@ -48,8 +48,24 @@ def load(path: Path | str) -> Bench:
     vehicle = load_vehicle(spec.vehicle, spec.path)
     names = dict.fromkeys([*spec.scenarios, *spec.verify_scenarios])
     scenarios = {name: load_scenario(name, spec.path) for name in names}
+    _refuse_namesakes(spec, scenarios)
     dt_s = vehicle.tick_ms * 1e-3
     return Bench(spec, vehicle, Codec(vehicle), load_weights(spec.weights, spec.path), scenarios, dt_s)
+
+
+def _refuse_namesakes(spec: BenchSpec, scenarios: Mapping[str, ScenarioSpec]) -> None:
+    """Results are kept by the name that a scenario gives itself."""
+    known: dict[str, ScenarioSpec] = {}
+    for scenario in scenarios.values():
+        other = known.setdefault(scenario.name, scenario)
+        if other.path != scenario.path:
+            raise InputError(
+                f"{other.path} and {scenario.path} both have the name {scenario.name!r}",
+                code="same_name",
+                file=spec.path,
+                key="scenarios",
+                hint="give one of them another `name`",
+            )
 
 
 def model_of(bench: Bench, name: str) -> ModelSpec:

@@ -14,6 +14,7 @@ from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bench import Bench
 from tunefree_hil.bus.link import Links
 from tunefree_hil.bus.open import BusChoice, open_links, require_virtual_link, resolve_bus
+from tunefree_hil.jobs.processes import starter_is_gone
 from tunefree_hil.nodes.exchange import Exchange
 
 PATIENCE_S = 60.0  # a node may be started before its hub
@@ -89,7 +90,7 @@ def patiently(open_it: Callable[[], Links], words: str) -> Links:
             raise
         except BenchError as error:
             waited_s = time.monotonic() - begun
-            if error.code != "no_hub" or waited_s > PATIENCE_S:
+            if error.code != "no_hub" or waited_s > PATIENCE_S or starter_is_gone():
                 raise
             if waited_s > 1.0 and not said:
                 said = True

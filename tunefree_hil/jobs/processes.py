@@ -14,6 +14,13 @@ from tunefree_hil.base.errors import BenchError, PeerGone
 
 TAIL_LINES = 12
 END_S = 3.0
+STARTER_VARIABLE = "TUNEFREE_STARTER"  # process id of whoever started a node and will end it
+
+
+def starter_is_gone() -> bool:
+    """Whether this process was started by `Processes` whose own process is gone."""
+    starter = os.environ.get(STARTER_VARIABLE, "")
+    return bool(starter) and os.getppid() != int(starter)
 
 
 class _Child(NamedTuple):
@@ -34,6 +41,7 @@ class Processes:
 
     def start(self, name: str, arguments: Sequence[str], environment: dict[str, str] | None = None) -> int:
         """Start `tunefree-hil ARGUMENTS`; its process id. In a session of its own, so Ctrl-C reaches only us."""
+        own = {STARTER_VARIABLE: str(os.getpid())}
         words = self.folder / f"{name}.txt"
         said_before = words.stat().st_size if words.exists() else 0
         with words.open("ab") as file:
@@ -42,7 +50,7 @@ class Processes:
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=subprocess.STDOUT,
-                env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **(environment or {})},
+                env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **own, **(environment or {})},
                 start_new_session=True,
             )
         if self.core is not None:

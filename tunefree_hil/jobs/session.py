@@ -21,6 +21,7 @@ from tunefree_hil.jobs.processes import Processes
 from tunefree_hil.nodes.runner import Outcome, Runner
 
 START_LIMIT_S = 30.0
+JOIN_LIMIT_S = 10.0  # the nodes run already, or have just been started
 RUNNER_HEARS = (STATUS_ID, HELLO_ID, FAULT_ID)  # not every TICK and DONE: the runner is no part of the lockstep
 
 
@@ -99,7 +100,7 @@ class Session:
         self.owner = owner
         self.links.append(bench)
         runner = Runner(bench, owner, self.processes.check)
-        runner.meet(START_LIMIT_S)
+        runner.meet(JOIN_LIMIT_S if self.join else START_LIMIT_S)
         return runner
 
     def _own(self) -> Owner:

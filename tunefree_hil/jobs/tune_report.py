@@ -126,7 +126,7 @@ def scenario_figures(
     from tunefree_hil.figures.scenario import Drive, write_scenario
 
     vectors = list(baseline_vectors(bench))
-    names = bench.spec.scenarios
+    names = [bench.scenarios[name].name for name in bench.spec.scenarios]
     written = []
     for place, name in enumerate(names):
         groups = {
