@@ -1,7 +1,14 @@
 """From a bench file to Blocks, codec and scenarios: the only place that knows every concrete choice."""
 
 from tunefree_hil.bench.check import require_buildable
-from tunefree_hil.bench.controller import ControllerFor, follower_of, needed_messages, parameters_of, require_in_box
+from tunefree_hil.bench.controller import (
+    ControllerFor,
+    calibration_path,
+    follower_of,
+    needed_messages,
+    parameters_of,
+    require_in_box,
+)
 from tunefree_hil.bench.load import Bench, load, model_of, scenario_of_hash
 from tunefree_hil.bench.vehicle import VehicleFor, is_heavy
 
@@ -9,6 +16,7 @@ __all__ = [
     "Bench",
     "ControllerFor",
     "VehicleFor",
+    "calibration_path",
     "follower_of",
     "is_heavy",
     "load",

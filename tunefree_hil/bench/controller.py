@@ -104,13 +104,18 @@ def settings_of(bench: Bench) -> Settings:
     )
 
 
-def calibration_of(bench: Bench) -> Any:
-    """The open-loop map: the bench file's own, else that of its model."""
+def calibration_path(bench: Bench) -> Path:
+    """File of the open-loop map: the bench file's own, else that of its model."""
     own = bench.spec.controller.calibration
     if own:
         beside = Path(bench.file).parent / own
-        return calibration_map.load(beside if beside.is_file() else Path(own))
-    return calibration_map.load(Path(model_of(bench, bench.spec.model).folder) / "calibration.npz")
+        return beside if beside.is_file() else Path(own)
+    return Path(model_of(bench, bench.spec.model).folder) / "calibration.npz"
+
+
+def calibration_of(bench: Bench) -> Any:
+    """The open-loop map."""
+    return calibration_map.load(calibration_path(bench))
 
 
 def follower_of(bench: Bench, scenario: ScenarioSpec, values: Mapping[str, float]) -> Block:

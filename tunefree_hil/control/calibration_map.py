@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -61,7 +62,7 @@ def load(path: Path) -> CalibrationMap:
             if lacking:
                 raise InputError(f"lacks {', '.join(lacking)}", code="bad_calibration", file=str(path), hint=hint)
             columns = [np.asarray(archive[key], dtype=np.float64) for key in KEYS]
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, EOFError, BadZipFile) as error:
         raise InputError(f"cannot be read: {error}", code="bad_calibration", file=str(path), hint=hint) from error
     if any(column.ndim != 1 or not np.all(np.isfinite(column)) for column in columns):
         raise InputError(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bench import Bench, model_of
+from tunefree_hil.bench import Bench, calibration_path, model_of
 from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.find import find
 from tunefree_hil.config.schema import ScenarioSpec
@@ -17,12 +17,13 @@ from tunefree_hil.config.schema import ScenarioSpec
 
 def identity_of(bench: Bench, model: str, scenarios: Iterable[ScenarioSpec]) -> dict[str, Any]:
     """`hashes` of the files, and `identity`: one hash over all that a score depends on."""
-    controller = plain(bench.spec.controller)
+    controller = {key: value for key, value in plain(bench.spec.controller).items() if key != "calibration"}
     disturbed = plain([bench.spec.effects, bench.spec.faults])
     hashes = {
         "bench": _sha(Path(bench.file).read_bytes()),
         "vehicle": bench.vehicle.hash,
         "model": model_of(bench, model).hash,
+        "calibration": _sha(calibration_path(bench).read_bytes()),
         "weights": _sha(Path(bench.weights.path).read_bytes()),
         "scenarios": {scenario.name: scenario.hash for scenario in scenarios},
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -98,6 +99,7 @@ class Processes:
         for child in self.children:
             if child.process.poll() is None:
                 child.process.terminate()
+                child.process.send_signal(signal.SIGCONT)  # one that is stopped would not hear it
         limit = time.monotonic() + END_S
         for child in self.children:
             try:

@@ -82,10 +82,13 @@ class Runner:
         try:
             self._say(bc.Status(bc.Role.RUNNER, bc.State.RUN, 0, LEAD_MS))
             ticks, code = self._await_end()
-        finally:
-            wall_s = time.monotonic() - started
-            logged = self.owner.stop_log()
-        return Outcome(ticks, code, logged, wall_s)
+        except HubSilent:
+            raise  # it would not answer stop_log either
+        except BaseException:
+            self.owner.stop_log()
+            raise
+        wall_s = time.monotonic() - started
+        return Outcome(ticks, code, self.owner.stop_log(), wall_s)
 
     def stop(self) -> None:
         """Ask the running episode to end."""
@@ -159,6 +162,10 @@ class Runner:
             watch.look()
 
 
+class HubSilent(NoAnswer):
+    """The hub itself does not answer."""
+
+
 class Silence:
     """Notices a bench on which nothing moves any more: the hub's own count of frames stands still."""
 
@@ -173,7 +180,10 @@ class Silence:
         if now - self._looked < 1.0:
             return
         self._looked = now
-        frames = sum(self.owner.stats().frames.values())
+        try:
+            frames = sum(self.owner.stats().frames.values())
+        except NoAnswer as error:
+            raise HubSilent(error.message, code="no_answer", hint="is the hub stopped? look where it runs") from error
         if frames != self._frames:
             self._frames, self._moved = frames, now
         elif now - self._moved > SILENT_LIMIT_S:

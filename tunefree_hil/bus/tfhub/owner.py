@@ -14,6 +14,7 @@ from tunefree_hil.bus.tfhub.connection import Connection, ConnectionGone
 from tunefree_hil.bus.tfhub.records import REPLY, REQUEST, body_of, pack_control
 
 REPLY_S = 60.0  # a disk may be slow; a hub that is gone is noticed at once
+STATS_S = 5.0  # these need no disk: a hub that does not say them is stopped
 
 
 class PeerStats(NamedTuple):
@@ -85,8 +86,10 @@ class Owner:
         connection = self._connection
         try:
             connection.send(pack_control(REQUEST, request), REPLY_S)
-            if not connection.fill(REPLY_S):
-                raise NoAnswer(f"the {connection} did not answer {request['op']} within {REPLY_S:g} s")
+            patience_s = STATS_S if request["op"] == "stats" else REPLY_S
+            if not connection.fill(patience_s):
+                words = f"the {connection} did not answer {request['op']} within {patience_s:g} s"
+                raise NoAnswer(words, code="no_answer")
             kind, record = connection.kind(), connection.take()
         except ConnectionGone as error:
             raise BenchError(f"the {connection} is gone: {error}", code="hub_gone") from None

@@ -135,7 +135,11 @@ def start_gains(t_ref_s: float, vehicle: VehicleConstants, settings: Settings) -
 
 
 def first_order(t_ref_s: float, dt_s: float) -> Tustin:
-    """a = -1/T, b = 1/T."""
+    """a = -1/T, b = 1/T. Raises InputError for a time constant that is none."""
+    if t_ref_s <= 0.0:
+        raise InputError(
+            f"mrac.t_ref_s = {t_ref_s} is no time constant", code="bad_mrac", key="mrac.t_ref_s", hint="give it above 0"
+        )
     half = 0.5 * dt_s / t_ref_s
     return Tustin((1.0 - half) / (1.0 + half), 0.0, 0.0, 0.0, half / (1.0 + half), 0.0)
 
