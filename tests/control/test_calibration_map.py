@@ -63,9 +63,11 @@ def test_files(tmp_path):
         load(path)
     np.savez(path, speed_mps=[0.0, 0.0], accel_mps2=[0.0, 1.0], command_frac=[0.1, 0.2])
     assert lookup(load(path), 0.0, 0.5) == pytest.approx(0.15)
-    path.write_bytes(b"not a zip file")
-    with pytest.raises(InputError, match="cannot be read"):
-        load(path)
+    whole = path.read_bytes()
+    for spoilt in (b"not a zip file", whole[: len(whole) // 2], b""):
+        path.write_bytes(spoilt)
+        with pytest.raises(InputError, match="cannot be read"):
+            load(path)
 
 
 def test_sweep_keeps_both_dead_bands():

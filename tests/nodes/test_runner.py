@@ -160,3 +160,17 @@ def test_stop_and_end_are_said(clock: FakeTime) -> None:
     desk.runner.stop()
     desk.runner.end()
     assert [message.state for message in desk.link.words()] == [bc.State.STOP, bc.State.END]
+
+
+def test_a_stopped_hub_is_named_and_not_asked_again(clock: FakeTime) -> None:
+    ready = [bc.Status(role, bc.State.READY, 0, 0) for role in (ECU, CONTROLLER)]
+    desk = Desk(clock, ready)
+
+    def silent() -> HubStats:
+        raise NoAnswer("the hub did not answer stats within 5 s")
+
+    desk.owner.stats = silent  # type: ignore[method-assign]
+    with pytest.raises(NoAnswer, match="the hub did not answer") as caught:
+        desk.drive()
+    assert isinstance(caught.value, module.HubSilent)
+    assert "stop" not in desk.owner.calls

@@ -57,7 +57,7 @@ def load(path: Path) -> CalibrationMap:
     if not path.is_file():
         raise InputError("no such file", code="no_calibration", file=str(path), hint=hint)
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             lacking = [key for key in KEYS if key not in archive.files]
             if lacking:
                 raise InputError(f"lacks {', '.join(lacking)}", code="bad_calibration", file=str(path), hint=hint)

@@ -214,6 +214,12 @@ def test_order_2_tracks_a_lag_of_second_order():
     assert max(peaks) == pytest.approx(10.015, abs=0.003)
 
 
+@pytest.mark.parametrize("t_ref_s", [0.0, -0.1])
+def test_a_reference_needs_a_time_constant(t_ref_s):
+    with pytest.raises(InputError, match="no time constant"):
+        mrac.first_order(t_ref_s, 0.01)
+
+
 def test_lyapunov_check():
     pb1, pb2 = mrac.second_order_pb(1.0, Settings())
     assert pb1 == pytest.approx(0.5)
