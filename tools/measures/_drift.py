@@ -38,7 +38,7 @@ class _Gains:
             self.start = now
         self.ticks += 1
         self.largest = [max(old, abs(a - b)) for old, a, b in zip(self.largest, now, self.start, strict=True)]
-        self._steer_rad = max(self._steer_rad, abs(float(state[-1])))  # the cascade's last state: its last command
+        self._steer_rad = max(self._steer_rad, abs(float(state[-2])))  # the cascade: its last steering command
         if self.ticks % self.per_minute == 0:
             self.minutes.append(now)
             self.steer_rad.append(self._steer_rad)

@@ -101,6 +101,7 @@ def settings_of(bench: Bench) -> Settings:
     return Settings(
         lane_half_width_m=bench.weights.lane_half_width_m,
         divergence_heading_rad=bench.weights.divergence_heading_rad,
+        mrac_dead_zone=bench.spec.controller.mrac_dead_zone,
     )
 
 

@@ -188,6 +188,7 @@ class ControllerSpec(Spec, frozen=True, kw_only=True):
     inner: str = "mrac"
     riccati: Literal["converged", "apollo150"] = "converged"
     look_ahead_m: float = 0.0
+    mrac_dead_zone: float = 0.5  # percent of the steering limit within which MRAC does not adapt; 0: as published
     calibration: str = ""  # another calibration.npz than the model's
     parameters: dict[str, float] = field(default_factory=dict)  # by the names of interfaces 7
 

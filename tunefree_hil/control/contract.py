@@ -93,6 +93,7 @@ class Settings(NamedTuple):
     mrac_natural_radps: float = 10.0  # reference model of order 2
     mrac_damping: float = 0.9
     mrac_anti_windup: float = 1e-4
+    mrac_dead_zone: float = 0.0  # percent of the steering limit; 0: as published (a bench file's default is above 0)
     mrac_shape: tuple[float, float, float] | None = None  # order 2: P / p as (p11, p12, p22); None: solved
 
 

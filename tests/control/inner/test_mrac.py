@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 
 import pytest
 
@@ -180,6 +181,29 @@ def test_rate_status():
     out, status = drive.tick(99.0)  # 1.364 x 99 % in one tick
     assert (out, status) == (100.0, 1.0)
     assert drive.tick(-99.0)[1] == -2.0
+
+
+def test_dead_zone_holds_the_gains_where_only_noise_and_an_offset_are():
+    """Without it they drift (eq. 6 integrates the product of two offsets); with it a real error still counts."""
+    moved = {}
+    for zone in (0.0, 0.5):
+        drive = Drive(make(Settings(mrac_dead_zone=zone), p=0.1))
+        start, chance = drive.state.gains, random.Random(1)
+        for _ in range(6000):
+            drive.tick(0.3 + chance.gauss(0.0, 0.05))
+            drive.angle = 0.45 + chance.gauss(0.0, 0.02)  # an offset sensor: 0.15 % that no gain can take away
+        moved[zone] = abs(drive.state.gains.x1 - start.x1)
+        if zone:
+            drive.rms_percent(20.0)
+            assert drive.state.gains != start
+    assert moved[0.0] > 0.05
+    assert moved[0.5] == 0.0
+
+
+@pytest.mark.parametrize(("error", "share"), [(0.2, 0.0), (-0.5, 0.0), (1.0, 0.5), (-2.0, 0.75)])
+def test_dead_zone_is_continuous(error, share):
+    assert mrac.beyond(error, 0.5) == pytest.approx(share)
+    assert mrac.beyond(error, 0.0) == 1.0
 
 
 def test_disabled_is_the_wish_bit_for_bit():

@@ -4,6 +4,9 @@ Inside this file signals are percent of the steering limit (the box of `mrac.p` 
 Form "apollo" is the shipped law (bounds, anti-windup, clamping rule), form "paper" is eq. 6 with nothing round it.
 The law knows no dead time: behind the data sheet's actuator the loop through Kx stands |Kx| of about 1.5 (test_mrac).
 mrac.clamp_s = 0.08 s keeps it below 0.54, 0.01 s lets it grow to 11, and in a tight turn a p of 1e-3 takes it there.
+On a straight road nothing but noise and sensor offsets drives eq. 6, and the gains drift for as long as it lasts.
+Settings.mrac_dead_zone therefore takes an error that small for none (dead-zone modification: Peterson and Narendra 1982,
+Ioannou and Sun, Robust Adaptive Control, 8.4.3), continuously: a larger error counts for what is over it.
 Model order 1 has the reference time constant `mrac.t_ref_s`; order 2 its natural frequency and damping from Settings.
 """
 
@@ -54,6 +57,7 @@ class MracParams(NamedTuple):
     pb1: float  # P B
     pb2: float
     gamma: float
+    dead_zone: float
     anti_windup: float
     clamped: float
     x_low: float
@@ -105,6 +109,7 @@ def make(setup: Setup) -> Block:
         pb1=pb1,
         pb2=pb2,
         gamma=values["mrac.gamma"],
+        dead_zone=0.0 if plain else settings.mrac_dead_zone,
         anti_windup=0.0 if plain else settings.mrac_anti_windup,
         clamped=1.0 if clamp_s > 0.0 and not order2 and not plain else 0.0,
         x_low=1.0 - tau_s / clamp_s if clamp_s > 0.0 else 0.0,
@@ -211,7 +216,7 @@ def step(
     if params.plain == 0.0:
         ref1, _ = bounded(ref1, state.ref1, largest, dt_s)
     error1, error2 = angle - ref1 + state.windup1, rate - ref2 + state.windup2
-    pull = error1 * params.pb1 + error2 * params.pb2
+    pull = beyond(error1, params.dead_zone) * (error1 * params.pb1 + error2 * params.pb2)
     gains = state.gains
     if abs(speed_mps) >= ADAPT_ABOVE_MPS:
         gains = adapt(params, state, angle, rate, command, pull, dt_s)
@@ -227,6 +232,15 @@ def step(
             windup2 = params.anti_windup * (clamp(speed, -RATE_PERCENT_PER_S, RATE_PERCENT_PER_S) - speed)
     answer = InnerAnswer(out / params.percent_per_rad, status)  # not 0: 100 over a finite limit
     return MracState(1.0, gains, ref1, ref2, angle, rate, command, pull, windup1, windup2, out), answer
+
+
+@kernel
+def beyond(error: float, dead_zone: float) -> float:
+    """Share of an error that is over the dead zone: 0 within it, 1 far out or where there is none."""
+    size = abs(error)
+    if size <= dead_zone:
+        return 1.0 if dead_zone == 0.0 else 0.0
+    return (size - dead_zone) / size  # size > dead_zone >= 0
 
 
 @kernel
