@@ -193,11 +193,15 @@ def test_a_cell_is_tuned_once(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_straight_drive_shows_how_the_gains_move(tmp_path: Path) -> None:
-    label, moved = mrac.work_straight(mrac.Straight(str(STEER), str(tmp_path), "x", mrac.STRONGEST, {}, 1))
+    straight = mrac.Straight(str(STEER), str(tmp_path), "x", mrac.STRONGEST, {}, 1)
+    label, moved = mrac.work_straight(straight)
     assert (label, moved["minutes"], moved["error"]) == ("x", 1.0, "")
     tau_s = (0.1 + 0.17) / 2.2
     assert moved["kr_start"] == pytest.approx(tau_s / mrac.STRONGEST["mrac.t_ref_s"], rel=1e-6)
-    assert 0.0 < abs(moved["kx_change_second_half"]) <= 2.0 * moved["kx_largest_change"]
+    _, published = mrac.work_straight(straight._replace(label="y", dead_zone=0.0))
+    assert 0.0 < abs(published["kx_change_second_half"]) <= 2.0 * published["kx_largest_change"]
+    assert moved["kx_largest_change"] < 0.5 * published["kx_largest_change"]
+    assert 0.0 < moved["steer_end_rad"] < 0.5
 
 
 @pytest.mark.slow

@@ -7,10 +7,12 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace as with_values
 
 from tools.measures._drift import BIAS, drift
 from tools.measures._in_process import InProcess
@@ -55,6 +57,7 @@ class Straight(NamedTuple):
     searched: dict[str, float]
     bias: dict[str, float]
     minutes: int
+    dead_zone: float | None = None  # None: the bench file's
 
 
 def measure(
@@ -71,7 +74,8 @@ def measure(
 
     The cells are driven in one process, which gives the frames of the bus (detail: same_frames_over_the_bus). Then
     `minutes` straight on with noise and offsets, with the parameters tuned for the data sheet's actuator and with the
-    largest p of the box, that one without offsets too; 0 leaves this out. Goes on when called again.
+    largest p of the box, that one without offsets and the tuned one without the dead zone too; 0 leaves this out. Goes
+    on when called again.
     """
     before, own = machine(), str(Path(folder) / NAME)
     grid = [(dead, lag) for dead in DEAD_TIMES_S for lag in LAGS_S]
@@ -102,6 +106,7 @@ def measure(
             Straight(bench, own, TUNED, tuned, BIAS, minutes),
             Straight(bench, own, "strongest", STRONGEST, BIAS, minutes),
             Straight(bench, own, "strongest, no offsets", STRONGEST, {}, minutes),
+            Straight(bench, own, "tuned, no dead zone", tuned, BIAS, minutes, 0.0),
         ]
         detail["straight"] = dict(side_by_side(work_straight, straights, workers))
     return summary(ratios, "of the peak without MRAC", rounded(detail))
@@ -164,6 +169,9 @@ def _tune(job: Cell, bench: Bench, drive: _Drives, identity: str, folder: Path) 
 def work_straight(job: Straight) -> tuple[str, dict[str, Any]]:
     """(label, how Kx and Kr moved)."""
     bench = load(job.bench)
+    if job.dead_zone is not None:
+        controller = with_values(bench.spec.controller, mrac_dead_zone=job.dead_zone)
+        bench = replace(bench, spec=with_values(bench.spec, controller=controller))
     ledger = Ledger(Path(job.folder), f"straight-{job.label.replace(', ', '-').replace(' ', '-')}")
     with tempfile.TemporaryDirectory() as folder:
         model = write_model(bench, Path(folder) / "model", 0.10, 0.077, job.bias)

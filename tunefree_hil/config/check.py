@@ -85,7 +85,7 @@ def check_bench(spec: BenchSpec) -> Found:
         if name not in PARAMETERS and not own:
             yield f"controller.parameters.{name}", "no such parameter", nearest(name, PARAMETERS)
     if not 0.0 <= spec.controller.mrac_dead_zone <= 100.0:
-        yield "controller.mrac_dead_zone", f"{spec.controller.mrac_dead_zone:g}", "percent of the steering limit, 0 to 100"
+        yield "controller.mrac_dead_zone", f"{spec.controller.mrac_dead_zone:g}", "percent of the limit, 0 to 100"
     yield from _tune(spec, own)
     for i, fault in enumerate(spec.faults):
         if not 0 <= fault.from_tick < fault.to_tick:

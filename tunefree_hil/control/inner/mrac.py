@@ -5,7 +5,7 @@ Form "apollo" is the shipped law (bounds, anti-windup, clamping rule), form "pap
 The law knows no dead time: behind the data sheet's actuator the loop through Kx stands |Kx| of about 1.5 (test_mrac).
 mrac.clamp_s = 0.08 s keeps it below 0.54, 0.01 s lets it grow to 11, and in a tight turn a p of 1e-3 takes it there.
 On a straight road nothing but noise and sensor offsets drives eq. 6, and the gains drift for as long as it lasts.
-Settings.mrac_dead_zone therefore takes an error that small for none (dead-zone modification: Peterson and Narendra 1982,
+Settings.mrac_dead_zone takes an error that small for none (dead-zone modification: Peterson and Narendra 1982,
 Ioannou and Sun, Robust Adaptive Control, 8.4.3), continuously: a larger error counts for what is over it.
 Model order 1 has the reference time constant `mrac.t_ref_s`; order 2 its natural frequency and damping from Settings.
 """
