@@ -14,7 +14,8 @@ from tunefree_hil.base.records import GEAR_DRIVE, CanFrame, Command
 from tunefree_hil.bench import VehicleFor, load
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.codec import Codec
-from tunefree_hil.nodes.ecu import Ears, EcuPart
+from tunefree_hil.nodes.ears import Ears
+from tunefree_hil.nodes.ecu import EcuPart
 from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.timing import CycleTimes
 from tunefree_hil.plant.bywire import CAUSES
