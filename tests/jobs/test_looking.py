@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tunefree_hil.base.errors import InputError
@@ -12,7 +13,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bus.codec import Codec
 from tunefree_hil.config.load import load_scenario, load_vehicle
 from tunefree_hil.jobs import log
-from tunefree_hil.jobs.scenarios import describe, scenarios
+from tunefree_hil.jobs.scenarios import describe, export, scenarios
 
 SCENARIO = """
 schema = "tunefree.scenario/1"
@@ -153,3 +154,18 @@ def test_the_measured_drive(shared_data: Path) -> None:
     _, result = lines(log.check(path, "rav4_2017"))
     assert result.data["problems"] == ["STEERING_LKA: 4 frames came out of order"]
     assert result.data["foreign"][0x343] == 600
+
+
+def test_scenarios_export_the_reference_drive(tmp_path: Path) -> None:
+    events = list(export(vehicle="mkz_bywire", name="u_turn", folder=tmp_path))
+    spec = load_scenario("u_turn")
+    path = tmp_path / f"{spec.hash[:12]}.csv"
+    assert events[-1].kind == "result" and [one.name for one in tmp_path.iterdir()] == [path.name]
+    names = path.read_text().splitlines()[0].split(",")
+    rows = np.loadtxt(path, delimiter=",", skiprows=1)
+    t_s, x_m, y_m, heading_rad, speed_mps = rows[:, :5].T
+    assert names[:5] == ["t_s", "x_m", "y_m", "heading_rad", "speed_mps"] and np.isfinite(rows).all()
+    assert np.allclose(np.diff(t_s), 0.01)
+    # the points move at the planned speed, the way they head
+    assert np.hypot(np.diff(x_m), np.diff(y_m)).sum() == pytest.approx(speed_mps[:-1].sum() * 0.01, rel=0.01)
+    assert abs(heading_rad[-1] - heading_rad[0]) == pytest.approx(np.pi, abs=0.3)

@@ -20,17 +20,21 @@ LogPath = Annotated[Path, typer.Argument(metavar="LOG", help="candump text, such
 def scenarios(
     name: Annotated[str | None, typer.Argument(help="show this one in full")] = None,
     vehicle: Vehicle = None,
+    export: Annotated[Path | None, typer.Option(help="write each reference drive as CSV into this folder")] = None,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
     """List the manoeuvres.
 
-    With a vehicle also whether it can drive them.
+    With a vehicle also whether it can drive them. With --export, what a controller of your own needs to follow them.
     """
 
     def job() -> Iterable[Event]:
+        from tunefree_hil.jobs.scenarios import export as write
         from tunefree_hil.jobs.scenarios import scenarios as run
 
+        if export is not None:
+            return write(vehicle=vehicle, name=name, folder=export)
         return run(vehicle=vehicle, name=name)
 
     return present("scenarios", job, plain=plain, as_json=as_json)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+from tunefree_hil.base.course import Course
 from tunefree_hil.base.events import Event
 
 TICK_S = 0.01  # the grid on which a course is built where no vehicle says its own
+EXPORTED = "t_s,x_m,y_m,heading_rad,speed_mps,accel_mps2,curvature_1pm"
 
 
 def scenarios(*, vehicle: str | None, name: str | None) -> Iterator[Event]:
@@ -24,6 +27,44 @@ def scenarios(*, vehicle: str | None, name: str | None) -> Iterator[Event]:
     bad = [row["name"] for row in rows if row["problems"]]
     data = {"scenarios": rows, "exit": 1 if bad else 0, "next": []}
     yield Event("result", "", {**data, "sentence": _sentence(len(rows), bad, vehicle)})
+
+
+def export(*, vehicle: str | None, name: str | None, folder: Path) -> Iterator[Event]:
+    """Write each scenario's reference drive as `folder/<start of its hash>.csv`: what a foreign controller needs.
+
+    The start: the first 12 digits, which EPISODE carries. One row a tick; x, y, heading, curvature: of the path where
+    the rear axle is planned to be then (SI).
+    """
+    from tunefree_hil.config.find import available
+    from tunefree_hil.config.load import load_scenario, load_vehicle
+    from tunefree_hil.episode.scenario import build_course
+
+    tick_s = load_vehicle(vehicle).tick_ms / 1000.0 if vehicle else TICK_S
+    folder.mkdir(parents=True, exist_ok=True)
+    specs = [load_scenario(one) for one in ([name] if name else available("scenario"))]
+    for spec in specs:
+        path = folder / f"{spec.hash[:12]}.csv"
+        part = path.with_suffix(".part")
+        part.write_text(_csv(build_course(spec, tick_s)), encoding="ascii")
+        part.replace(path)
+        yield Event("line", f"{spec.name:<20}{path}")
+    sentence = f"{len(specs)} reference drives in {folder}"
+    yield Event("result", sentence, {"sentence": sentence, "folder": str(folder), "next": []})
+
+
+def _csv(course: Course) -> str:
+    """The columns of `export`."""
+    import numpy as np
+
+    path_m = course.first_station_m + course.spacing_m * np.arange(len(course.path_x_m))
+    stations = np.array(course.station_m)
+    columns = [course.dt_s * np.arange(len(stations))]
+    columns += [np.interp(stations, path_m, np.array(one)) for one in (course.path_x_m, course.path_y_m)]
+    columns += [np.interp(stations, path_m, np.array(course.path_heading_rad))]
+    columns += [np.array(course.speed_mps), np.array(course.accel_mps2)]
+    columns += [np.interp(stations, path_m, np.array(course.path_curvature_1pm))]
+    rows = [",".join(f"{value:.6f}" for value in row) for row in np.column_stack(columns)]
+    return "\n".join([EXPORTED, *rows, ""])
 
 
 def describe(spec: Any, vehicle: Any = None) -> dict[str, Any]:
