@@ -30,11 +30,12 @@ def scenarios(
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.scenarios import export as write
+        if export is not None:
+            from tunefree_hil.jobs.scenarios import export as write
+
+            return write(vehicle=vehicle, name=name, folder=export)
         from tunefree_hil.jobs.scenarios import scenarios as run
 
-        if export is not None:
-            return write(vehicle=vehicle, name=name, folder=export)
         return run(vehicle=vehicle, name=name)
 
     return present("scenarios", job, plain=plain, as_json=as_json)
