@@ -1,18 +1,24 @@
-"""How late the nodes' ticks are in real time, with nothing else to do for the machine."""
+"""How late the nodes' ticks are in real time: on an idle machine, and with every core burning; and what it changes."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
+import subprocess
+import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from tools.measures._in_process import InProcess
 from tools.measures._ledger import FIGURES
 from tools.measures._summary import RESAMPLES, machine, rounded
 from tunefree_hil.bench import Bench, is_heavy, load, parameters_of
+from tunefree_hil.grade.score import ScenarioGrade
 from tunefree_hil.jobs.lateness import LATE_S, NEVER_LATER_S, judge_realtime
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.session import Session
@@ -23,38 +29,90 @@ BLOCK_S = 1.0  # ticks near one another are late together: whole seconds are dra
 
 
 def measure(
-    seconds: int = 60, model: str = "", bench: str = "bench_configs/mkz_steer.toml", figures: str = FIGURES
+    seconds: int = 600,
+    burning_s: int = 60,
+    model: str = "",
+    bench: str = "bench_configs/mkz_steer.toml",
+    figures: str = FIGURES,
 ) -> dict[str, Any]:
-    """Drive scenarios of the bench file one after the other until `seconds` are full.
+    """Drive scenarios of the bench file one after the other until `seconds` are full; then `burning_s` with a busy
+    process on each core.
 
     n counts ticks of one node; low and high are the 95 % interval of the p99 by bootstrap over blocks of 1 s.
+    agreement: tracking figures in real time against those in lockstep, by scenario.
     """
     before, loaded = machine(), load(bench)
-    with tempfile.TemporaryDirectory() as folder:
-        run = RunFolder(Path(folder), {})
-        names = _drive(loaded, model or loaded.spec.model, run, seconds)
-        verdict = judge_realtime(run, range(len(names)))
-        late = {role: _late_s(run, role, len(names)) for role in ROLES}
-    later = max(late, key=lambda role: float(np.percentile(late[role], 99)))
-    low, high = _interval_s(late[later], round(BLOCK_S / loaded.dt_s))
-    detail = {
+    idle = _paced(loaded, model or loaded.spec.model, seconds)
+    later = max(idle.late, key=lambda role: float(np.percentile(idle.late[role], 99)))
+    low, high = _interval_s(idle.late[later], round(BLOCK_S / loaded.dt_s))
+    detail: dict[str, Any] = {
         "machine": before,
-        "scenarios": names,
-        "nodes": verdict["nodes"],
+        "scenarios": len(idle.names),
+        "nodes": idle.verdict["nodes"],
         "later_node": later,
         "late_means_ms": 1e3 * LATE_S,
         "never_later_than_ms": 1e3 * NEVER_LATER_S,
-        "was_real_time": verdict["valid"],
-        "figure": _figure(late, figures),
+        "was_real_time": idle.verdict["valid"],
+        "agreement": _agreement(loaded, model or loaded.spec.model, idle),
+        "figure": _figure(idle.late, figures),
     }
-    value = 1e3 * float(np.percentile(late[later], 99))
-    return {"value": value, "unit": "ms", "n": len(late[later]), "low": 1e3 * low, "high": 1e3 * high,
+    if burning_s:
+        with _burners():
+            busy = _paced(loaded, model or loaded.spec.model, burning_s)
+        detail["burning"] = {"nodes": busy.verdict["nodes"], "was_real_time": busy.verdict["valid"]}
+    value = 1e3 * float(np.percentile(idle.late[later], 99))
+    return {"value": value, "unit": "ms", "n": len(idle.late[later]), "low": 1e3 * low, "high": 1e3 * high,
             "detail": rounded(detail)}  # fmt: skip
 
 
-def _drive(bench: Bench, model: str, run: RunFolder, seconds: float) -> list[str]:
-    """The scenarios driven, in order; what was driven is read before the next begins."""
+class Paced(NamedTuple):
+    """Drives in real time: scenarios in order, verdict, lateness by node, the last grade of each scenario."""
+
+    names: list[str]
+    verdict: dict[str, Any]
+    late: dict[str, np.ndarray]
+    grades: dict[str, ScenarioGrade]
+
+
+def _paced(bench: Bench, model: str, seconds: float) -> Paced:
+    with tempfile.TemporaryDirectory() as folder:
+        run = RunFolder(Path(folder), {})
+        names, grades = _drive(bench, model, run, seconds)
+        verdict = judge_realtime(run, range(len(names)))
+        return Paced(names, verdict, {role: _late_s(run, role, len(names)) for role in ROLES}, grades)
+
+
+@contextlib.contextmanager
+def _burners() -> Iterator[None]:
+    """A busy process for each core."""
+    burners = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 1)]
+    try:
+        yield
+    finally:
+        for burner in burners:
+            burner.kill()
+            burner.wait()
+
+
+def _agreement(bench: Bench, model: str, paced: Paced) -> dict[str, Any]:
+    """Score and lateral peak (m) of each scenario in real time and in lockstep, and the largest difference."""
+    lockstep = InProcess(bench, model)
+    rows = {}
+    for name, timed in paced.grades.items():
+        stepped, _ = lockstep.grade(bench.scenarios[name], parameters_of(bench))
+        peaks = [0.5 * (one.metrics["lateral_err_peak"] or 0.0) for one in (timed, stepped)]
+        rows[name] = {"score": [timed.score, stepped.score], "lateral_peak_m": peaks}
+    return {
+        "realtime_and_lockstep": rows,
+        "largest_score_difference": max(abs(a - b) for a, b in (row["score"] for row in rows.values())),
+        "largest_peak_difference_m": max(abs(a - b) for a, b in (row["lateral_peak_m"] for row in rows.values())),
+    }
+
+
+def _drive(bench: Bench, model: str, run: RunFolder, seconds: float) -> tuple[list[str], dict[str, ScenarioGrade]]:
+    """The scenarios driven, in order, and their last grades; what was driven is read before the next begins."""
     driven: list[str] = []
+    grades: dict[str, ScenarioGrade] = {}
     with Session(
         Path(bench.file),
         run.words(),
@@ -67,12 +125,13 @@ def _drive(bench: Bench, model: str, run: RunFolder, seconds: float) -> list[str
         try:
             for name in itertools.cycle(bench.spec.scenarios):
                 if track.simulated_s >= seconds:
-                    return driven
-                track.drive_all(parameters_of(bench), [bench.scenarios[name]], len(driven))
+                    return driven, grades
+                found = track.drive_all(parameters_of(bench), [bench.scenarios[name]], len(driven))
+                grades[name] = next(iter(found.values())).grade
                 driven.append(name)
         finally:
             track.close()
-    return driven
+    return driven, grades
 
 
 def _late_s(run: RunFolder, role: str, episodes: int) -> np.ndarray:

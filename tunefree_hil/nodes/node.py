@@ -11,6 +11,7 @@ from tunefree_hil.base.clock import Clock
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.nodes.exchange import Exchange
+from tunefree_hil.nodes.priority import lock_memory, punctual
 
 WAIT_S = 0.5
 
@@ -92,6 +93,8 @@ class Node:
             self.exchange.say(bc.Status(self.part.role, bc.State.FAILED, code, 0))
             raise
         gc.collect()
+        if self.realtime:
+            lock_memory()  # now, as it takes a while
         self.exchange.say(bc.Status(self.part.role, bc.State.READY, 0, 0))
 
     def _run(self, lead_ms: float) -> None:
@@ -102,7 +105,8 @@ class Node:
         try:
             if self.realtime:
                 zero_s = self.exchange.run_stamp_s + lead_ms * 1e-3
-                self.part.realtime(self.exchange, self.clock, zero_s, self._stopped)
+                with punctual():
+                    self.part.realtime(self.exchange, self.clock, zero_s, self._stopped)
             else:
                 self.part.lockstep(self.exchange, self._stopped)
         finally:
