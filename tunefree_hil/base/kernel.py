@@ -12,7 +12,10 @@ import os
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeVar, cast
 
-JITTED = os.environ.get("TUNEFREE_JIT", "0") == "1"
+MODE = os.environ.get("TUNEFREE_JIT", "0")
+BATCH = MODE == "batch"
+JITTED = MODE == "1"
+ARRAYS = JITTED or BATCH
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -23,6 +26,7 @@ def kernel(function: F) -> F:
     Never `cache=True`: a cached caller would keep the old code of an edited callee.
     """
     if not JITTED:
+        function.__dict__["kernel"] = True
         return function
     from numba import njit
 
@@ -31,7 +35,7 @@ def kernel(function: F) -> F:
 
 def table(values: Iterable[float]) -> Any:
     """A read-only row of floats: an array where kernels are compiled, else a tuple (three times faster to index)."""
-    if JITTED:
+    if ARRAYS:
         import numpy as np
 
         return np.array([float(value) for value in values], dtype=np.float64)
@@ -40,11 +44,50 @@ def table(values: Iterable[float]) -> Any:
 
 def buffer(length: int, fill: float = 0.0) -> Any:
     """A mutable row of floats that a state owns: an array where kernels are compiled, else a list."""
-    if JITTED:
+    if ARRAYS:
         import numpy as np
 
         return np.full(length, fill, dtype=np.float64)
     return [float(fill)] * length
+
+
+def compiled(function: F) -> F:
+    """`function`, a kernel, compiled with all that it calls in a batch's process, else as it is.
+
+    Its arguments may hold buffers, its answer numbers only: nothing in it counts references to arrays.
+    """
+    if not BATCH:
+        return function
+    from numba import njit
+    from numba.extending import register_jitable
+
+    options = {"nogil": True, "error_model": "numpy", "_nrt": False}
+    for callee in callees(function):
+        if not callee.__dict__.get("registered"):
+            callee.__dict__["registered"] = True
+            register_jitable(**options, no_cpython_wrapper=True, no_cfunc_wrapper=True)(callee)
+    return cast(F, njit(**options)(function))
+
+
+def callees(function: Callable[..., Any]) -> list[Callable[..., Any]]:
+    """The kernels that a kernel calls, and they, without itself: found by name in globals and closures."""
+    found: dict[Any, None] = {}
+    todo = [function]
+    while todo:
+        for value in _named_in(todo.pop()):
+            if getattr(value, "kernel", False) and value not in found and value is not function:
+                found[value] = None
+                todo.append(value)
+    return list(found)
+
+
+def _named_in(function: Any) -> list[Any]:
+    """Values of the globals and free variables that a function names, and of attributes of modules among them."""
+    code, known = function.__code__, function.__globals__
+    values = [known[name] for name in code.co_names if name in known]
+    values += [getattr(value, name) for value in values if type(value) is type(os) for name in code.co_names
+               if hasattr(value, name)]
+    return values + [cell.cell_contents for cell in function.__closure__ or ()]
 
 
 class Block(NamedTuple):

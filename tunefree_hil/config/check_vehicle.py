@@ -11,7 +11,8 @@ from tunefree_hil.config.find import nearest
 from tunefree_hil.config.schema import FieldSpec, VehicleSpec
 
 WHEELS = "wheel_speed_radps"
-CONDITIONS = ("enabled", "override", "driver", "fault", "timeout", "watchdog")
+CONDITIONS = ("enabled", "override", "driver", "fault", "timeout", "watchdog", "e2e")
+E2E_CAUSES = ("", "some_lost", "repeated", "wrong_sequence", "wrong_crc", "no_new_data", "initial")
 ACTUATORS = ("throttle", "brake", "steer", "gear", "accel", "steer_torque")
 # Alternative command sets (interfaces 2): the one in use counts, its echoes in the reports too.
 PEDALS = ("throttle_frac", "brake_frac")
@@ -160,3 +161,5 @@ def _states(spec: VehicleSpec) -> Found:
         for i, state in enumerate(states):
             if not state.message or not state.signal:
                 yield f"state.{condition}[{i}]", "message and signal are needed", "name both"
+            if condition == "e2e" and state.cause not in E2E_CAUSES:
+                yield f"state.e2e[{i}].cause", f"no E2E status {state.cause!r}", nearest(state.cause, E2E_CAUSES[1:])

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.integrity import BELIEVED, E2eStatus
 from tunefree_hil.bus.message_map import MessageMap, StateMap
 from tunefree_hil.plant.bywire import CAUSES, ByWireStatus, ChannelStatus
 
 _CHANNELS = ("throttle", "brake", "steer")
 _FROM_STATUS = {"enabled": "enabled", "override": "override", "timeout": "timeout", "driver": "driver"}
 COUNTER_CAUSE = "watchdog"  # cause of a fault bit that says: this channel's counter does not count
+E2E = "e2e"  # condition: this channel's commands have the E2E status `cause` ('': none that is believed); or a cause
 
 
 def set_bits(message: MessageMap, status: ByWireStatus) -> dict[str, float]:
@@ -36,6 +38,10 @@ def _holds(state: StateMap, status: ByWireStatus) -> bool:
 
 
 def _channel_holds(state: StateMap, channel: ChannelStatus) -> bool:
+    if state.condition == E2E and state.cause:
+        return channel.e2e == E2eStatus[state.cause.upper()]
+    if state.condition == E2E or state.cause == E2E:
+        return channel.e2e not in BELIEVED
     if state.condition == "fault":
         return state.cause == COUNTER_CAUSE and channel.counter_fault > 0.5
     name = _FROM_STATUS.get(state.condition)

@@ -121,15 +121,15 @@ def find_cause(channel: ChannelState, first_code: float, may_not_drop: float) ->
 
 
 @kernel
-def settle(rules: ChannelRules, state: ChannelState, allowed: float) -> tuple[ChannelState, ChannelStatus]:
-    """Decide whether the channel is enabled in this tick."""
+def settle(rules: ChannelRules, state: ChannelState, allowed: float, e2e: float) -> tuple[ChannelState, ChannelStatus]:
+    """Decide whether the channel is enabled in this tick; the E2E status of its message is passed on."""
     enabled = 1.0 if allowed > 0.5 and state.wanted > 0.5 and state.age_ticks < rules.timeout_ticks else 0.0
     kept = ChannelState(
         state.value, state.wanted, state.ignore, enabled, state.override, state.timeout, state.counter_fault,
         0.0, state.age_ticks, state.driver_ticks, state.override_ticks,
     )  # fmt: skip
     driver = 1.0 if state.driver_ticks >= rules.driver_ticks else 0.0
-    return kept, ChannelStatus(enabled, state.override, driver, state.timeout, state.counter_fault)
+    return kept, ChannelStatus(enabled, state.override, driver, state.timeout, state.counter_fault, e2e)
 
 
 @kernel
@@ -198,9 +198,9 @@ def step_bywire(
         cause = find_cause(steer, STEER_COUNTER, moving)
 
     allowed = 1.0 if overridden < 0.5 and cause < 0.5 else 0.0
-    throttle, throttle_status = settle(params.throttle, throttle, allowed)
-    brake, brake_status = settle(params.brake, brake, allowed)
-    steer, steer_status = settle(params.steer, steer, allowed)
+    throttle, throttle_status = settle(params.throttle, throttle, allowed, heard.throttle.e2e)
+    brake, brake_status = settle(params.brake, brake, allowed, heard.brake.e2e)
+    steer, steer_status = settle(params.steer, steer, allowed, heard.steer.e2e)
     gear = shift(params, state.gear, heard.gear, x.speed_mps) if gear_override < 0.5 else state.gear
 
     throttle_frac = pedal(params.throttle, throttle, driver.throttle_frac)

@@ -20,6 +20,8 @@ class HeardChannel(NamedTuple):
     """One channel's command frame of this tick; without a new one (fresh = 0) nothing else here counts.
 
     enable, clear, ignore, counter_ok are 0 or 1. A frame with clear = 1 is not held to the counter (DLC 4 frames).
+    e2e counts at every tick: the code of the message's E2E status (bus/integrity.py), 0 where all is well or nothing is
+    protected. A frame that is not believed is not fresh.
     """
 
     value: float = 0.0
@@ -28,6 +30,7 @@ class HeardChannel(NamedTuple):
     ignore: float = 0.0
     counter_ok: float = 1.0
     fresh: float = 0.0
+    e2e: float = 0.0
 
 
 class Heard(NamedTuple):
@@ -50,13 +53,14 @@ class ByWireInput(NamedTuple):
 
 
 class ChannelStatus(NamedTuple):
-    """Bits of one channel's report, each 0 or 1."""
+    """Bits of one channel's report, each 0 or 1; e2e is the E2E status of its command message, a code."""
 
     enabled: float = 0.0
     override: float = 0.0
     driver: float = 0.0
     timeout: float = 0.0
     counter_fault: float = 0.0
+    e2e: float = 0.0
 
 
 class ByWireStatus(NamedTuple):
