@@ -28,6 +28,7 @@ ERRORS = (
     "ref_speed_mps",
     "ref_accel_mps2",
     "ref_curvature_1pm",
+    "lateral_error_rate_mps",
 )
 
 

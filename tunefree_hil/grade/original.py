@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.base.course import Course
+from tunefree_hil.control.follower import SHRINK_FLOOR
 from tunefree_hil.control.schedule import Schedule, station_at, time_of
 from tunefree_hil.episode.recording import Recording
 from tunefree_hil.grade.metrics import Samples, samples_of
@@ -25,6 +26,7 @@ Array = np.ndarray
 STRIDE = 10  # rows between the feet that are looked for one after the other
 NEWTON_STEPS = 4
 WALK_STEPS = 6
+LEAST_COS = 1e-3
 
 
 class Feet(NamedTuple):
@@ -66,7 +68,14 @@ def samples_against_original(recording: Recording, course: Course, rear_axle_m: 
     return current._replace(**joined)
 
 
-_ERRORS = ("station_error_m", "speed_error_mps", "lateral_error_m", "heading_error_rad", "heading_error_rate_radps")
+_ERRORS = (
+    "station_error_m",
+    "speed_error_mps",
+    "lateral_error_m",
+    "lateral_error_rate_mps",
+    "heading_error_rad",
+    "heading_error_rate_radps",
+)
 _REFERENCES = ("ref_speed_mps", "ref_accel_mps2", "ref_curvature_1pm")
 
 
@@ -88,6 +97,7 @@ def _recompute(recording: Recording, course: Course, rear_axle_m: float, anchors
     ref_station = np.interp(plan_s, rows_s, course.station_m) + beyond_m + offset_m
     current = samples_of(recording)
     along, yaw_rate = _seen(current)
+    heading_error = _wrap(heading - mass.heading_rad)
     return current._replace(
         ref_speed_mps=ref_speed,
         ref_accel_mps2=np.interp(plan_s, rows_s, course.accel_mps2),
@@ -95,9 +105,16 @@ def _recompute(recording: Recording, course: Course, rear_axle_m: float, anchors
         station_error_m=ref_station - rear.station_m,
         speed_error_mps=None if along is None else ref_speed - along,
         lateral_error_m=mass.lateral_m,
-        heading_error_rad=_wrap(heading - mass.heading_rad),
+        lateral_error_rate_mps=None if along is None else _speed(along, rear, heading) * np.sin(heading_error),
+        heading_error_rad=heading_error,
         heading_error_rate_radps=None if yaw_rate is None else yaw_rate - mass.curvature_1pm * ref_speed,
     )
+
+
+def stations_of(recording: Recording, course: Course) -> Array | None:
+    """Station of the rear axle along the original path, row by row, m; None without a position."""
+    x, y = recording.get("x_m"), recording.get("y_m")
+    return None if x is None or y is None else find_feet(_tables(course), x, y).station_m
 
 
 def _seen(current: Samples) -> tuple[Array | None, Array | None]:
@@ -109,6 +126,16 @@ def _seen(current: Samples) -> tuple[Array | None, Array | None]:
     if speed is not None and curvature is not None and current.heading_error_rate_radps is not None:
         yaw_rate = current.heading_error_rate_radps + curvature * speed
     return along, yaw_rate
+
+
+def _speed(along: Array, rear: Feet, heading: Array) -> Array:
+    """The INS's speed, of which `along` is the rate of the station (control/follower.py `speed_along`, the way back).
+
+    NaN across the path, where it cannot be told.
+    """
+    cos = np.cos(heading - rear.heading_rad)
+    shrink = np.maximum(1.0 - rear.curvature_1pm * rear.lateral_m, SHRINK_FLOOR)
+    return along * shrink / np.where(np.abs(cos) > LEAST_COS, cos, np.nan)
 
 
 def _clock(course: Course, station_m: Array, anchors: Array) -> tuple[Array, Array]:
@@ -153,12 +180,18 @@ def _follow(tables: _Tables, xs: list[float], ys: list[float]) -> list[float]:
     """Stations of the feet of a few points, each looked for from the one before; the first from station 0."""
     last = len(tables.x_m) - 1
     px, py, cos, sin = tables.x_m.tolist(), tables.y_m.tolist(), tables.cos.tolist(), tables.sin.tolist()
+    first_m, spacing_m = tables.first_m, tables.spacing_m
     station, found = 0.0, []
     for x, y in zip(xs, ys, strict=True):
+        before = -1
         for _ in range(NEWTON_STEPS):
-            cell = min(max(round((station - tables.first_m) / tables.spacing_m), 0), last)
+            cell = round((station - first_m) / spacing_m)
+            cell = 0 if cell < 0 else last if cell > last else cell
+            if cell == before:  # every further step would give the same
+                break
+            before = cell
             along = (x - px[cell]) * cos[cell] + (y - py[cell]) * sin[cell]
-            station = tables.first_m + cell * tables.spacing_m + along
+            station = first_m + cell * spacing_m + along
         found.append(station)
     return found
 
