@@ -25,6 +25,8 @@ def changed(repo: Path, tmp_path: Path, *changes: tuple[str, str], vehicle: str 
     ("old", "new", "key", "words", "hint"),
     [
         ("[report.gear]", "[report.gears]", "report.gears", "no such record field", "gear"),
+        ('"BO", cause = "output"', '"BO", cause = "lamp"', "state.brake_light[2].cause", "lamp", "output"),
+        ('5, cause = "vehicle"', '5, cause = "engine"', "state.gear_reject[1].cause", "engine", "vehicle"),
         ("[report.gear]", "[report.gears]", "report.gear", "neither mapped nor", "absent"),
         ("absent = []", 'absent = ["report.gear"]', "report.gear", "mapped and listed", "remove"),
         ("absent = []", 'absent = ["report.gaer"]', "absent[0]", "no such record field", "report.gear"),

@@ -65,7 +65,7 @@ high = 1.0
 name = "steer_rate_limit"
 params = { rate_radps = inf }
 [[faults]]
-channel = "vehicle"
+channel = "brake"
 kind = "driver_override"
 from_tick = 10
 to_tick = 20

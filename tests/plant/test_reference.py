@@ -14,15 +14,19 @@ from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.plant.reference import PLANT
 from tunefree_hil.plant.reference_car import DEFAULTS
 from tunefree_hil.plant.reference_maps import (
+    AS_PUBLISHED,
+    BRAKE_NM,
     SPEEDS_MPS,
     THROTTLE_FRAC,
     THROTTLE_MPS2,
     TOOTH_FRAC,
     Gearbox,
+    MapShape,
     first_gearbox,
     gear_factor,
     maps_of,
     step_gearbox,
+    table_duty,
 )
 from tunefree_hil.plant.vehicle import steady_accel
 
@@ -172,6 +176,58 @@ def test_braking_in_a_turn_uses_up_side_grip() -> None:
         return abs(outputs[-1].motion.lateral_accel_mps2)
 
     assert turning(0.32) < 0.8 * turning(REST)
+
+
+def test_the_published_shape_changes_no_bit() -> None:
+    """Another vehicle's factors are 1 for the car of the tables: the same numbers bit for bit, not nearly."""
+    assert maps_of(0.01, 0.7, 0.335, AS_PUBLISHED) == maps_of(0.01, 0.7, 0.335)
+    assert [float(nm) for nm in maps_of(0.01, 0.7, 0.335).brake_n] == [nm / 0.335 for nm in BRAKE_NM]
+    for duty in (0.15, 0.1737, 0.2999999, 0.8):
+        assert table_duty(duty, 0.15, 1.0) == duty
+    assert table_duty(0.0, 0.0, 0.65) == 0.15 and table_duty(1.0, 0.0, 0.65) == pytest.approx(0.80)
+
+
+OTHER = {**AT_ONCE, "rest_pedal_frac": 0.0, "throttle_scale": 0.65, "brake_scale": 0.25}
+
+
+@pytest.mark.parametrize("speed_mps", [0.5, 6.0, 12.0])
+def test_a_pedal_of_another_scale_does_the_same(speed_mps: float) -> None:
+    """Per cent of a pedal instead of raw duty: the same push and the same braking at the duty that it stands for."""
+    for duty in (0.0, 0.3, 0.9):
+        got = steady_accel(PLANT, OTHER, speed_mps, duty, 0.0, dt_s=0.001)
+        assert got == pytest.approx(accel(speed_mps, throttle=0.15 + 0.65 * duty), abs=1e-9)
+        got = steady_accel(PLANT, OTHER, speed_mps, 0.0, duty, dt_s=0.001)
+        assert got == pytest.approx(accel(speed_mps, brake=0.15 + 0.25 * duty), abs=1e-9)
+
+
+def test_drums_pull_themselves_on() -> None:
+    """With a servo the force grows faster than the pedal; at the table's end it is 1 + servo times as much."""
+    plain, drum = maps_of(0.01, 0.7, 0.335), maps_of(0.01, 0.7, 0.335, MapShape(brake_gain=1.5, brake_servo=0.4))
+    shares = [float(b) / float(a) for a, b in zip(plain.brake_n, drum.brake_n, strict=True) if float(a) > 0.0]
+    assert shares == sorted(shares) and shares[-1] == pytest.approx(1.5 * 1.4) and shares[0] == pytest.approx(1.5, 1e-2)
+
+
+def test_gains_scale_what_they_say() -> None:
+    weak = {**AT_ONCE, "drive_gain": 0.5}
+    push = steady_accel(PLANT, weak, 5.0, 0.35, REST, dt_s=0.001) - accel(5.0)
+    assert push == pytest.approx(0.5 * (accel(5.0, throttle=0.35) - accel(5.0)), rel=1e-6)
+    early = maps_of(0.01, 0.7, 0.335, MapShape(shift_gain=0.5))
+    assert step_gearbox(early, Gearbox(0.0, 0.0), 0.2, 2.3, 0.001).gear == 1.0
+    assert first_gearbox(2.3, 0.5).gear == 1.0 and first_gearbox(2.3).gear == 0.0
+
+
+def test_rear_drive_leaves_the_front_wheels_their_grip() -> None:
+    """On ice a driven front axle loses side force, a driven rear axle lets the tail step out: more yaw."""
+    ice = Disturbance(0.0, 0.25)
+
+    def turning(front_frac: float) -> float:
+        body = car("reference", {"drive_front_frac": front_frac})
+        outputs = drive(
+            body, lambda t: command(0.5 if t > 1.0 else REST, REST, 2.0), 2.2, start=Start(speed_mps=8.0), road=ice
+        )
+        return abs(outputs[-1].motion.yaw_rate_radps)
+
+    assert turning(0.0) > 1.05 * turning(1.0)
 
 
 def test_an_accelerometer_feels_the_slope() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from tunefree_hil.base.records import GROUPS
+from tunefree_hil.config.fault_check import check_faults
 from tunefree_hil.config.find import nearest
 from tunefree_hil.config.schema import (
     BenchSpec,
@@ -80,29 +81,40 @@ def check_bench(spec: BenchSpec) -> Found:
     """Names, boxes and counts."""
     if not spec.scenarios:
         yield "scenarios", "it is empty", "name at least one scenario"
-    own = any(":" in part for part in (spec.controller.lateral, spec.controller.longitudinal, spec.controller.inner))
+    parts = (spec.controller.lateral, spec.controller.longitudinal, spec.controller.inner)
+    own = bool(spec.controller.command) or any(":" in part for part in parts)
+    if spec.controller.command and not all(spec.controller.command):
+        yield "controller.command", "a word of it is empty", "give the program, then its arguments"
     for name in spec.controller.parameters:
-        if name not in PARAMETERS and not own:
+        if name not in PARAMETERS and not own and not is_foreign(name):
             yield f"controller.parameters.{name}", "no such parameter", nearest(name, PARAMETERS)
     if not 0.0 <= spec.controller.mrac_dead_zone <= 100.0:
         yield "controller.mrac_dead_zone", f"{spec.controller.mrac_dead_zone:g}", "percent of the limit, 0 to 100"
     yield from _tune(spec, own)
-    for i, fault in enumerate(spec.faults):
-        if not 0 <= fault.from_tick < fault.to_tick:
-            yield f"faults[{i}]", f"from_tick {fault.from_tick}, to_tick {fault.to_tick}", "0 <= from_tick < to_tick"
+    yield from check_faults(spec.faults)
+
+
+def is_foreign(name: str) -> bool:
+    """Whether a name can be that of somebody else's controller: 'group.name' of a group that is none of ours.
+
+    Whether that controller has it is known when it says hello (interfaces 8).
+    """
+    group, dot, rest = name.partition(".")
+    return bool(group and dot and rest) and group not in {known.partition(".")[0] for known in PARAMETERS}
 
 
 def _tune(spec: BenchSpec, own: bool) -> Found:
     tune = spec.tune
     if tune.set and tune.parameters:
         yield "tune.parameters", f"the set {tune.set!r} is given too", "give a set, or parameters"
-    for name in ("trials", "in_flight"):
-        if getattr(tune, name) < 1:
-            yield f"tune.{name}", f"{getattr(tune, name)} is below 1", "give a whole number from 1 on"
+    if tune.trials < 1:
+        yield "tune.trials", f"{tune.trials} is below 1", "give a whole number from 1 on"
+    if tune.in_flight < 0:
+        yield "tune.in_flight", f"{tune.in_flight} is below 0", "give a whole number from 0 on"
     seen: set[str] = set()
     for i, parameter in enumerate(tune.parameters):
         key = f"tune.parameters[{i}]"
-        if parameter.name not in PARAMETERS and not own:
+        if parameter.name not in PARAMETERS and not own and not is_foreign(parameter.name):
             yield f"{key}.name", f"no parameter {parameter.name!r}", nearest(parameter.name, PARAMETERS)
         if parameter.name in seen:
             yield f"{key}.name", f"{parameter.name} is listed twice", "remove one"

@@ -11,7 +11,15 @@ from tunefree_hil.config.find import nearest
 from tunefree_hil.config.schema import FieldSpec, VehicleSpec
 
 WHEELS = "wheel_speed_radps"
-CONDITIONS = ("enabled", "override", "driver", "fault", "timeout", "watchdog")
+CONDITIONS = ("enabled", "override", "driver", "fault", "timeout", "watchdog", "e2e", "brake_light", "gear_command",
+              "gear_reject")  # fmt: skip
+# The causes that a condition knows; the others': plant/bywire_words.py, and names of the folder's own.
+STATE_CAUSES = {
+    "e2e": ("", "some_lost", "repeated", "wrong_sequence", "wrong_crc", "no_new_data", "initial"),
+    "brake_light": ("input", "command", "output"),
+    "gear_command": ("park", "reverse", "neutral", "drive", "low"),
+    "gear_reject": ("override", "vehicle"),
+}
 ACTUATORS = ("throttle", "brake", "steer", "gear", "accel", "steer_torque")
 # Alternative command sets (interfaces 2): the one in use counts, its echoes in the reports too.
 PEDALS = ("throttle_frac", "brake_frac")
@@ -160,3 +168,6 @@ def _states(spec: VehicleSpec) -> Found:
         for i, state in enumerate(states):
             if not state.message or not state.signal:
                 yield f"state.{condition}[{i}]", "message and signal are needed", "name both"
+            known = STATE_CAUSES.get(condition)
+            if known is not None and state.cause not in known:
+                yield f"state.{condition}[{i}].cause", f"no cause {state.cause!r}", nearest(state.cause, known)

@@ -16,6 +16,7 @@ from tunefree_hil.config.check import check_bench, check_model, check_scenario, 
 from tunefree_hil.config.check_vehicle import check_fields
 from tunefree_hil.config.convert import SET_BY_LOADER, convert, read_toml
 from tunefree_hil.config.find import find, nearest
+from tunefree_hil.config.import_schema import ImportSpec, check_import
 from tunefree_hil.config.schema import BenchSpec, ModelSpec, ScenarioSpec, Spec, VehicleSpec, WeightsSpec
 
 SPECS: dict[str, type[Spec]] = {
@@ -24,6 +25,7 @@ SPECS: dict[str, type[Spec]] = {
     "scenario": ScenarioSpec,
     "weights": WeightsSpec,
     "bench": BenchSpec,
+    "import": ImportSpec,
 }
 Name = str | Path
 
@@ -75,8 +77,16 @@ def load_bench(name: Name, near: Name | None = None) -> BenchSpec:
     return replace(spec, path=str(path))
 
 
+def load_import(name: Name) -> ImportSpec:
+    """A mapping file of `log import`, by its path. `hash`: SHA-256 of the file's bytes."""
+    path = Path(name)
+    spec = convert(read_toml(path), ImportSpec, path)
+    _refuse(path, check_import(spec))
+    return replace(spec, path=str(path), hash=_hash([path]))
+
+
 def json_schema(name: str) -> dict[str, Any]:
-    """The JSON Schema of a kind of file: vehicle, model, scenario, weights or bench."""
+    """The JSON Schema of a kind of file: vehicle, model, scenario, weights, bench or import."""
     if name not in SPECS:
         raise InputError(f"no schema {name!r}", code="unknown_schema", key="schema", hint=nearest(name, SPECS))
     schema = msgspec.json.schema(SPECS[name])

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from msgspec import field
+from msgspec.structs import replace
 
 from tunefree_hil.config.vehicle_schema import (
     E2eSpec,
@@ -55,6 +56,7 @@ __all__ = [
     "VehicleSpec",
     "WeightsSpec",
     "value_of",
+    "with_controller",
 ]
 
 
@@ -190,7 +192,8 @@ class ControllerSpec(Spec, frozen=True, kw_only=True):
     look_ahead_m: float = 0.0
     mrac_dead_zone: float = 0.5  # percent of the steering limit within which MRAC does not adapt; 0: as published
     calibration: str = ""  # another calibration.npz than the model's
-    parameters: dict[str, float] = field(default_factory=dict)  # by the names of interfaces 7
+    parameters: dict[str, float] = field(default_factory=dict)  # by the names of interfaces 7, or its own ones
+    command: list[str] = field(default_factory=list)  # starts a controller of the user's own instead of ours
 
 
 class ParameterSpec(Spec, frozen=True, kw_only=True):
@@ -207,13 +210,17 @@ class TuneSpec(Spec, frozen=True, kw_only=True):
     parameters: list[ParameterSpec] = field(default_factory=list)
     trials: int = 40
     sampler: Literal["tpe_independent", "tpe_relative", "random"] = "tpe_independent"
-    in_flight: int = 1
+    in_flight: int = 0  # trials asked together; 0: 8 in a batch, 1 over the bus
 
 
 class FaultSpec(Spec, frozen=True, kw_only=True):
-    """A scripted fault. kind 'driver_override' (channel throttle|brake|steer|gear, value = the driver's input)."""
+    """A scripted fault at ticks from_tick <= k < to_tick; kinds and what `value` means: config/fault_check.py.
 
-    channel: str
+    driver_override: channel throttle|brake|steer|gear, value = the driver's input; peer_stop: channel ecu|controller;
+    every other kind disturbs the frames of `message`, where they are sent. Chance comes from (seed, tick).
+    """
+
+    channel: str = ""
     message: str = ""
     kind: str
     from_tick: int
@@ -238,6 +245,11 @@ class BenchSpec(Spec, frozen=True, kw_only=True):
     effects: list[EffectSpec] = field(default_factory=list)
     faults: list[FaultSpec] = field(default_factory=list)
     path: str = ""
+
+
+def with_controller(spec: BenchSpec, command: list[str]) -> BenchSpec:
+    """The same bench with another controller program; none given: the bench's own."""
+    return replace(spec, controller=replace(spec.controller, command=command)) if command else spec
 
 
 def value_of(number: Number) -> float:

@@ -19,14 +19,18 @@ class SignalSpec(Spec, frozen=True, kw_only=True):
 
 
 class E2eSpec(Spec, frozen=True, kw_only=True):
-    """End-to-end protection of a message (functions in bus/integrity.py)."""
+    """End-to-end protection of a message (functions in bus/e2e.py and bus/integrity.py).
 
-    profile: str = "none"
-    data_ids: list[int] = field(default_factory=list)
-    id_mode: str = ""
+    crc, counter, nibble name signals; max_delta is the widest step between two frames' counters that still passes.
+    """
+
+    profile: str = "none"  # P01 | P02
+    data_ids: list[int] = field(default_factory=list)  # one in P01, sixteen in P02
+    id_mode: str = ""  # P01: both | alternating | low | nibble
     max_delta: int = 1
     crc: str = ""
     counter: str = ""
+    nibble: str = ""  # id mode nibble: the signal that carries bits 8..11 of the data id
 
 
 class FieldSpec(Spec, frozen=True, kw_only=True):
@@ -75,6 +79,7 @@ class ExtraSpec(Spec, frozen=True, kw_only=True):
     channel: str = ""
     allow_truncated: bool = False
     constants: dict[str, float] = field(default_factory=dict)
+    e2e: E2eSpec = E2eSpec()
     assumed: str = ""
 
 
@@ -102,6 +107,8 @@ class LimitsSpec(Spec, frozen=True, kw_only=True):
     accel_mps2: list[float] = field(default_factory=lambda: [-6.0, 2.0])  # low, high
     lateral_accel_mps2: float = 5.0
     speed_mps: float = 40.0
+    brake_rate_per_s: float = 20.0  # the by-wire unit lets the brake demand change no faster (apollo_facts 7.3)
+    watchdog_brake_frac: float = 0.30  # duty with which its watchdog brakes
     assumed: list[str] = field(default_factory=list)
 
 
@@ -129,6 +136,8 @@ class OverrideSpec(Spec, frozen=True, kw_only=True):
     throttle_s: float = 0.1
     driver_frac: float = 0.18
     driver_s: float = 0.02
+    steer_nm: float = 3.0  # |torque of the driver's hand|
+    steer_s: float = 0.1
     assumed: str = ""
 
 
@@ -152,5 +161,6 @@ class VehicleSpec(Spec, frozen=True, kw_only=True):
     override: OverrideSpec = OverrideSpec()
     limits: LimitsSpec
     nominal: NominalSpec = NominalSpec()
+    manual_gains: Literal["rule_based", "as_shipped"] = "rule_based"  # as_shipped: those of interfaces 7 are this one's
     folder: str = ""
     hash: str = ""

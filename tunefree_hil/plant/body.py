@@ -72,14 +72,17 @@ class Plant(NamedTuple):
     """What a kind of plant exports as PLANT.
 
     make(params, change) -> chassis Block on ChassisParams. actuators(params) -> Block Command -> Actuation for a
-    whole vehicle with actuators of its own, None where `[actuators]` of model.toml rules. The whole vehicle is stepped
-    `substeps` times a tick. `defaults`: every key that [plant.params] may set, with its default.
+    whole vehicle with actuators of its own, None where `[actuators]` of model.toml rules; dead_times and lags then name
+    the keys of [plant.params] that are their times. The whole vehicle is stepped `substeps` times a tick. `defaults`:
+    every key that [plant.params] may set, with its default.
     """
 
     make: Callable[[Mapping[str, float], BodyChange], Block]
     defaults: Mapping[str, float]
     substeps: int = 1
     actuators: Callable[[Mapping[str, float]], Block] | None = None
+    dead_times: tuple[str, ...] = ()
+    lags: tuple[str, ...] = ()
 
 
 class Laden(NamedTuple):

@@ -15,6 +15,7 @@ from tunefree_hil.base.records import GEAR_NEUTRAL, GEAR_PARK, GEAR_REVERSE, Com
 from tunefree_hil.plant.bywire_words import (
     BRAKE_COUNTER,
     CAUSES,
+    GEAR_REJECTS,
     STEER_COUNTER,
     THROTTLE_COUNTER,
     ByWireInput,
@@ -29,6 +30,7 @@ from tunefree_hil.plant.bywire_words import (
 
 __all__ = [
     "CAUSES",
+    "GEAR_REJECTS",
     "ByWireInput",
     "ByWireOutput",
     "ByWireParams",
@@ -41,6 +43,7 @@ __all__ = [
 ]
 
 MKZ_RULES = ByWireParams()
+OVERRIDDEN, OF_VEHICLE = GEAR_REJECTS["override"], GEAR_REJECTS["vehicle"]
 
 
 class ChannelState(NamedTuple):
@@ -68,6 +71,10 @@ class ByWireState(NamedTuple):
     gear: float
     gear_override: float
     cause: float
+    gear_wish: float  # last heard
+    light_input: float
+    light_command: float
+    light_output: float
     brake_frac: float  # behind the ramp
     hold_rad: float  # where the steering stays while it is not enabled
 
@@ -121,15 +128,15 @@ def find_cause(channel: ChannelState, first_code: float, may_not_drop: float) ->
 
 
 @kernel
-def settle(rules: ChannelRules, state: ChannelState, allowed: float) -> tuple[ChannelState, ChannelStatus]:
-    """Decide whether the channel is enabled in this tick."""
+def settle(rules: ChannelRules, state: ChannelState, allowed: float, e2e: float) -> tuple[ChannelState, ChannelStatus]:
+    """Decide whether the channel is enabled in this tick; the E2E status of its message is passed on."""
     enabled = 1.0 if allowed > 0.5 and state.wanted > 0.5 and state.age_ticks < rules.timeout_ticks else 0.0
     kept = ChannelState(
         state.value, state.wanted, state.ignore, enabled, state.override, state.timeout, state.counter_fault,
         0.0, state.age_ticks, state.driver_ticks, state.override_ticks,
     )  # fmt: skip
     driver = 1.0 if state.driver_ticks >= rules.driver_ticks else 0.0
-    return kept, ChannelStatus(enabled, state.override, driver, state.timeout, state.counter_fault)
+    return kept, ChannelStatus(enabled, state.override, driver, state.timeout, state.counter_fault, e2e)
 
 
 @kernel
@@ -140,6 +147,21 @@ def shift(params: ByWireParams, gear: float, wish: float, speed_mps: float) -> f
     if wish in (GEAR_PARK, GEAR_REVERSE) and speed_mps > params.standstill_mps:
         return gear
     return wish
+
+
+@kernel
+def reject(gear: float, wish: float, gear_override: float) -> float:
+    """Why the gear that was wished last is not in; a code of GEAR_REJECTS."""
+    if wish < 0.5 or wish == gear:
+        return 0.0
+    return OVERRIDDEN if gear_override > 0.5 else OF_VEHICLE
+
+
+@kernel
+def light(params: ByWireParams, on: float, duty_frac: float) -> float:
+    """The brake light that a duty asks for, with hysteresis."""
+    level = params.light_off_frac if on > 0.5 else params.light_on_frac
+    return 1.0 if duty_frac > level else 0.0
 
 
 @kernel
@@ -198,9 +220,9 @@ def step_bywire(
         cause = find_cause(steer, STEER_COUNTER, moving)
 
     allowed = 1.0 if overridden < 0.5 and cause < 0.5 else 0.0
-    throttle, throttle_status = settle(params.throttle, throttle, allowed)
-    brake, brake_status = settle(params.brake, brake, allowed)
-    steer, steer_status = settle(params.steer, steer, allowed)
+    throttle, throttle_status = settle(params.throttle, throttle, allowed, heard.throttle.e2e)
+    brake, brake_status = settle(params.brake, brake, allowed, heard.brake.e2e)
+    steer, steer_status = settle(params.steer, steer, allowed, heard.steer.e2e)
     gear = shift(params, state.gear, heard.gear, x.speed_mps) if gear_override < 0.5 else state.gear
 
     throttle_frac = pedal(params.throttle, throttle, driver.throttle_frac)
@@ -212,20 +234,32 @@ def step_bywire(
         hold_rad = clamp(steer.value, params.steer.low, params.steer.high)
     elif state.steer.enabled > 0.5:
         hold_rad = x.steer_rad
-    kept = ByWireState(throttle, brake, steer, gear, gear_override, cause, brake_frac, hold_rad)
+    gear_wish = heard.gear if heard.gear > 0.5 else state.gear_wish
     applied_frac = driver.brake_frac if driver.brake_frac > brake_frac else brake_frac
+    asked_frac = brake_frac if brake.enabled > 0.5 or cause > 0.5 else 0.0
+    light_input = light(params, state.light_input, driver.brake_frac)
+    light_command = light(params, state.light_command, asked_frac)
+    light_output = light(params, state.light_output, applied_frac)
+    kept = ByWireState(
+        throttle, brake, steer, gear, gear_override, cause, gear_wish, light_input, light_command, light_output,
+        brake_frac, hold_rad,
+    )  # fmt: skip
     command = Command(throttle_frac, applied_frac, hold_rad, gear, math.nan, math.nan)
     braking = 1.0 if cause > 0.5 else 0.0
-    return kept, ByWireOutput(
-        command, ByWireStatus(throttle_status, brake_status, steer_status, gear_override, braking, cause)
-    )
+    status = ByWireStatus(
+        throttle_status, brake_status, steer_status, gear_override, braking, cause,
+        light_input, light_command, light_output, gear_wish, reject(gear, gear_wish, gear_override),
+    )  # fmt: skip
+    return kept, ByWireOutput(command, status)
 
 
 def init_bywire(params: ByWireParams, dt_s: float) -> ByWireState:
     """Power-up: nothing heard, nothing enabled, no fault, steering straight."""
     never = max(params.throttle.timeout_ticks, params.brake.timeout_ticks, params.steer.timeout_ticks)
     channel = ChannelState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, float(never), 0.0, 0.0)
-    return ByWireState(channel, channel, channel, params.first_gear, 0.0, 0.0, params.brake.low, 0.0)
+    return ByWireState(
+        channel, channel, channel, params.first_gear, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, params.brake.low, 0.0
+    )  # fmt: skip
 
 
 def bywire(params: ByWireParams = MKZ_RULES) -> Block:

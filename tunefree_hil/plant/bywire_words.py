@@ -16,10 +16,15 @@ CAUSES: dict[str, float] = {"none": 0.0, "other": 1.0} | {
 BRAKE_COUNTER, THROTTLE_COUNTER, STEER_COUNTER = (CAUSES[f"{name}_counter"] for name in ("brake", "throttle", "steer"))
 
 
+GEAR_REJECTS: dict[str, float] = {"none": 0.0, "override": 1.0, "vehicle": 2.0}  # why a wished gear is not taken
+
+
 class HeardChannel(NamedTuple):
     """One channel's command frame of this tick; without a new one (fresh = 0) nothing else here counts.
 
     enable, clear, ignore, counter_ok are 0 or 1. A frame with clear = 1 is not held to the counter (DLC 4 frames).
+    e2e counts at every tick: the code of the message's E2E status (bus/integrity.py), 0 where all is well or nothing is
+    protected. A frame that is not believed is not fresh.
     """
 
     value: float = 0.0
@@ -28,6 +33,7 @@ class HeardChannel(NamedTuple):
     ignore: float = 0.0
     counter_ok: float = 1.0
     fresh: float = 0.0
+    e2e: float = 0.0
 
 
 class Heard(NamedTuple):
@@ -50,17 +56,22 @@ class ByWireInput(NamedTuple):
 
 
 class ChannelStatus(NamedTuple):
-    """Bits of one channel's report, each 0 or 1."""
+    """Bits of one channel's report, each 0 or 1; e2e is the E2E status of its command message, a code."""
 
     enabled: float = 0.0
     override: float = 0.0
     driver: float = 0.0
     timeout: float = 0.0
     counter_fault: float = 0.0
+    e2e: float = 0.0
 
 
 class ByWireStatus(NamedTuple):
-    """The bits of the reports. watchdog_cause is a code of CAUSES, 0 while nothing is wrong."""
+    """The bits of the reports. watchdog_cause is a code of CAUSES, 0 while nothing is wrong.
+
+    light_input, light_command, light_output: brake light asked for by the foot, by the unit, and on. gear_wish: the
+    last gear commanded, GEAR_NONE before the first; gear_reject, a code of GEAR_REJECTS, says why it is not in.
+    """
 
     throttle: ChannelStatus = ChannelStatus()
     brake: ChannelStatus = ChannelStatus()
@@ -68,6 +79,11 @@ class ByWireStatus(NamedTuple):
     gear_override: float = 0.0
     watchdog_braking: float = 0.0
     watchdog_cause: float = 0.0
+    light_input: float = 0.0
+    light_command: float = 0.0
+    light_output: float = 0.0
+    gear_wish: float = 0.0
+    gear_reject: float = 0.0
 
 
 class ByWireOutput(NamedTuple):
@@ -102,4 +118,6 @@ class ByWireParams(NamedTuple):
     watchdog_brake_frac: float = 0.30  # assumed
     standstill_mps: float = 0.1  # assumed
     check_counter: float = 1.0
+    light_on_frac: float = 0.22  # brake duty, with hysteresis (apollo_facts 7.4)
+    light_off_frac: float = 0.20
     first_gear: float = GEAR_DRIVE

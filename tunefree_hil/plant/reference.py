@@ -20,6 +20,7 @@ from tunefree_hil.plant import reference_actuators
 from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion
 from tunefree_hil.plant.reference_car import DEFAULTS, constants_of
 from tunefree_hil.plant.reference_maps import (
+    MAP_REST_FRAC,
     Gearbox,
     brake_force_n,
     drive_force_n,
@@ -27,8 +28,9 @@ from tunefree_hil.plant.reference_maps import (
     gear_factor,
     idle_force_n,
     step_gearbox,
+    table_duty,
 )
-from tunefree_hil.plant.reference_tyres import BRAKE_FRONT_FRAC, Chassis, Loads, Tyre, four_tyres, side_n
+from tunefree_hil.plant.reference_tyres import Chassis, Loads, Tyre, four_tyres, side_n
 
 PARKED_N = 1.0e6  # what a locked gearbox holds
 
@@ -64,7 +66,7 @@ class ReferenceState(NamedTuple):
     loads: Loads
     drive_n: float
     box: Gearbox
-    brake_frac: float
+    brake_frac: float  # in the tables' duty
 
 
 @kernel
@@ -161,18 +163,20 @@ def step_reference(
     """One step of 1 ms."""
     p = params.constants
     act, was = x.actuation, state.motion
+    throttle = table_duty(act.throttle_frac, p.rest_frac, p.throttle_scale)
+    brake = table_duty(act.brake_frac, p.rest_frac, p.brake_scale)
     brake_frac = state.brake_frac
-    if act.brake_frac > brake_frac:
-        brake_frac = act.brake_frac
-    elif act.brake_frac < brake_frac - p.hysteresis_frac:
-        brake_frac = act.brake_frac + p.hysteresis_frac
+    if brake > brake_frac:
+        brake_frac = brake
+    elif brake < brake_frac - p.hysteresis_frac:
+        brake_frac = brake + p.hysteresis_frac
     brake_n = brake_force_n(p.maps, brake_frac)
-    box = step_gearbox(p.maps, state.box, act.throttle_frac, was.speed_mps, dt_s)
+    box = step_gearbox(p.maps, state.box, throttle, was.speed_mps, dt_s)
     engine_n, drive_n = 0.0, 0.0
     if act.gear >= GEAR_DRIVE:
-        asked_n = drive_force_n(p.maps, act.throttle_frac, was.speed_mps) * gear_factor(p.maps, box, was.speed_mps)
+        asked_n = drive_force_n(p.maps, throttle, was.speed_mps) * gear_factor(p.maps, box, was.speed_mps)
         drive_n = caught_up(state.drive_n, asked_n, p.drive_lag_s, dt_s)
-        engine_n = drive_n + idle_force_n(p.maps, was.speed_mps, act.brake_frac, p.rest_frac)
+        engine_n = drive_n + idle_force_n(p.maps, was.speed_mps, brake, MAP_REST_FRAC)
     elif act.gear == GEAR_PARK:
         brake_n = brake_n + PARKED_N
     slope = x.road.grade_rad + p.grade_rad
@@ -182,8 +186,8 @@ def step_reference(
 
     front_n = state.slips.front_left * p.front_stiffness + state.slips.front_right * p.front_stiffness
     angle = act.steer_rad * p.inverse_ratio - p.compliance * front_n
-    front_asked_n = 0.5 * (engine_n - BRAKE_FRONT_FRAC * brake_n)
-    rear_asked_n = -0.5 * (1.0 - BRAKE_FRONT_FRAC) * brake_n
+    front_asked_n = 0.5 * (p.drive_front_frac * engine_n - p.brake_front_frac * brake_n)
+    rear_asked_n = 0.5 * (1.0 - p.drive_front_frac) * engine_n - 0.5 * (1.0 - p.brake_front_frac) * brake_n
     fl, fr, rl, rr = four_tyres(p, state.loads, x.road.friction_frac, front_asked_n, rear_asked_n, angle)
     calm = 1.0 + was.speed_mps * was.speed_mps * 0.1
     now = Step(fl, fr, rl, rr, slope_n + p.rolling_n, p.hold_s / calm)
@@ -242,7 +246,8 @@ def init_reference(params: ChassisParams, dt_s: float) -> ReferenceState:
     p, speed_mps = params.constants, params.start.speed_mps
     slips = Slips(speed_mps, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     motion = rolling_motion(params.start, p.wheel_radius_m)
-    return ReferenceState(motion, slips, Loads(0.0, 0.0), 0.0, first_gearbox(speed_mps), p.rest_frac)
+    box = first_gearbox(speed_mps, p.shift_gain)
+    return ReferenceState(motion, slips, Loads(0.0, 0.0), 0.0, box, MAP_REST_FRAC)
 
 
 def make(params: Mapping[str, float], change: BodyChange) -> Block:
@@ -250,4 +255,11 @@ def make(params: Mapping[str, float], change: BodyChange) -> Block:
     return Block(init_reference, step_reference, ChassisParams(constants_of(params, change)))
 
 
-PLANT = Plant(make, DEFAULTS, substeps=10, actuators=reference_actuators.own_actuators)
+PLANT = Plant(
+    make,
+    DEFAULTS,
+    substeps=10,
+    actuators=reference_actuators.own_actuators,
+    dead_times=reference_actuators.DEAD_TIMES,
+    lags=reference_actuators.LAGS,
+)

@@ -26,6 +26,15 @@ DEFAULTS: dict[str, float] = {
     "brake_release_s": 0.04,
     "rest_pedal_frac": 0.15,
 }
+DEAD_TIMES = ("steer_dead_time_s", "throttle_dead_time_s", "brake_dead_time_s")
+LAGS = (
+    "steer_lag_s",
+    "steer_motor_s",
+    "throttle_press_s",
+    "throttle_release_s",
+    "brake_press_s",
+    "brake_release_s",
+)
 
 
 class OwnParams(NamedTuple):

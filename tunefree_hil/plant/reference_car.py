@@ -8,7 +8,7 @@ from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.units import AIR_DENSITY_KGPM3, G_MPS2
 from tunefree_hil.plant import reference_actuators
 from tunefree_hil.plant.body import filled, laden
-from tunefree_hil.plant.reference_maps import maps_of
+from tunefree_hil.plant.reference_maps import MapShape, maps_of
 from tunefree_hil.plant.reference_tyres import Chassis, static_loads_n
 
 DEFAULTS: dict[str, float] = {
@@ -31,7 +31,17 @@ DEFAULTS: dict[str, float] = {
     "slip_stiffness_n": 8.0e4,
     "body_lag_s": 0.12,
     "drive_lag_s": 0.18,
-    "hysteresis_frac": 0.008,
+    "hysteresis_frac": 0.008,  # of the brake pedal, in the published tables' duty
+    "drive_front_frac": 1.0,
+    "brake_front_frac": 0.65,
+    # The published tables (reference_maps.py) made another vehicle's: their duty per own duty, factors on their forces
+    "throttle_scale": 1.0,
+    "brake_scale": 1.0,
+    "drive_gain": 1.0,
+    "idle_gain": 1.0,
+    "brake_gain": 1.0,
+    "brake_servo": 0.0,
+    "shift_gain": 1.0,
     "rolling_frac": 0.010,
     "drag_area_m2": 0.70,
 }
@@ -69,10 +79,20 @@ def constants_of(params: Mapping[str, float], change: BodyChange) -> Chassis:
         inverse_slip=1.0 / v["slip_stiffness_n"],
         body_lag_s=v["body_lag_s"],
         drive_lag_s=v["drive_lag_s"],
+        drive_front_frac=v["drive_front_frac"],
+        brake_front_frac=v["brake_front_frac"],
         hysteresis_frac=v["hysteresis_frac"],
         rest_frac=v["rest_pedal_frac"],
+        throttle_scale=v["throttle_scale"],
+        brake_scale=v["brake_scale"],
+        shift_gain=v["shift_gain"],
         rolling_n=v["rolling_frac"] * car.mass_kg * G_MPS2,
         drag_kgpm=0.5 * AIR_DENSITY_KGPM3 * v["drag_area_m2"],
         grade_rad=change.grade_rad,
-        maps=maps_of(v["rolling_frac"], v["drag_area_m2"], v["wheel_radius_m"]),
+        maps=maps_of(
+            v["rolling_frac"],
+            v["drag_area_m2"],
+            v["wheel_radius_m"],
+            MapShape(*(v[name] for name in MapShape._fields)),
+        ),
     )

@@ -4,6 +4,8 @@ Drive: the calibration table's accelerations less its coasting, as a force at 17
 Above 10 m/s, where the table ends, each duty keeps the power it has there. Coasting (creep below 2 m/s, engine drag
 above) is the table's with pedals at rest. Brake: the by-wire maker's duty-to-torque table with hysteresis; it is flat
 above 0.326 duty, where the calibration table goes on, and at 0.22 duty it brakes harder than that table says.
+Another vehicle has the same shapes, stretched by `MapShape`: its own duty, forces, shift speeds, and drum brakes, whose
+shoes pull themselves on. The MKZ's shape changes no bit.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from tunefree_hil.base.maths import clamp, find_cell, lerp_table
 from tunefree_hil.base.units import AIR_DENSITY_KGPM3, G_MPS2
 
 MAP_MASS_KG = 1736.35  # the car that the tables describe (apollo_facts 7.4)
+MAP_REST_FRAC = 0.15  # its pedals' duty with no foot on them
 LAST_MPS = 10.0  # where the calibration table ends
 SPEEDS_MPS = (0.0, 0.4, 1.0, 2.0, 3.0, 5.0, 7.0, LAST_MPS)
 COAST_MPS2 = (0.40, 0.38, 0.28, -0.05, -0.12, -0.19, -0.24, -0.27)
@@ -54,6 +57,22 @@ class Maps(NamedTuple):
     upshift_mps: Any
 
 
+class MapShape(NamedTuple):
+    """A vehicle beside the one that the tables describe: factors on their forces and speeds, 1 for that one.
+
+    brake_servo: how much of the brake's force pulls it on further, as a share at the table's last force (0: disc).
+    """
+
+    drive_gain: float = 1.0
+    idle_gain: float = 1.0
+    brake_gain: float = 1.0
+    brake_servo: float = 0.0
+    shift_gain: float = 1.0
+
+
+AS_PUBLISHED = MapShape()
+
+
 class Gearbox(NamedTuple):
     """Gear in use (0 is the lowest) and the time left of the shift under way."""
 
@@ -61,15 +80,16 @@ class Gearbox(NamedTuple):
     shift_s: float
 
 
-def maps_of(rolling_frac: float, drag_area_m2: float, wheel_radius_m: float) -> Maps:
+def maps_of(rolling_frac: float, drag_area_m2: float, wheel_radius_m: float, shape: MapShape = AS_PUBLISHED) -> Maps:
     """Tables in newtons: what rolling resistance and drag take is added, so that the sum is the published number."""
+    most_nm = max(BRAKE_NM)
     drag = 0.5 * AIR_DENSITY_KGPM3 * drag_area_m2
     idle = [
-        MAP_MASS_KG * (coast + rolling_frac * G_MPS2) + drag * speed * speed
+        (MAP_MASS_KG * (coast + rolling_frac * G_MPS2) + drag * speed * speed) * shape.idle_gain
         for speed, coast in zip(SPEEDS_MPS, COAST_MPS2, strict=True)
     ]
     drive = [
-        MAP_MASS_KG * max(accel - coast, 0.0)
+        MAP_MASS_KG * max(accel - coast, 0.0) * shape.drive_gain
         for row, coast in zip(THROTTLE_MPS2, COAST_MPS2, strict=True)
         for accel in (coast, *row)
     ]
@@ -79,9 +99,18 @@ def maps_of(rolling_frac: float, drag_area_m2: float, wheel_radius_m: float) -> 
         table(THROTTLE_FRAC),
         table(drive),
         table(BRAKE_FRAC),
-        table(torque / wheel_radius_m for torque in BRAKE_NM),
-        table(UPSHIFT_MPS),
+        table(
+            torque / wheel_radius_m * shape.brake_gain * (1.0 + shape.brake_servo * torque / most_nm)
+            for torque in BRAKE_NM
+        ),
+        table(speed * shape.shift_gain for speed in UPSHIFT_MPS),
     )
+
+
+@kernel
+def table_duty(duty: float, rest_frac: float, scale: float) -> float:
+    """The tables' duty for a pedal that rests at rest_frac; scale: tables' duty per own duty. Exact for the MKZ's."""
+    return duty + (duty - rest_frac) * (scale - 1.0) + (MAP_REST_FRAC - rest_frac)
 
 
 @kernel
@@ -142,6 +171,6 @@ def gear_factor(maps: Maps, box: Gearbox, speed_mps: float) -> float:
     return (1.0 + TOOTH_FRAC * (0.5 - place)) * (1.0 - hole)
 
 
-def first_gearbox(speed_mps: float) -> Gearbox:
+def first_gearbox(speed_mps: float, shift_gain: float = 1.0) -> Gearbox:
     """The gear of a car that has been rolling at this speed with a light foot."""
-    return Gearbox(float(sum(1 for upshift in UPSHIFT_MPS if speed_mps > upshift)), 0.0)
+    return Gearbox(float(sum(1 for upshift in UPSHIFT_MPS if speed_mps > upshift * shift_gain)), 0.0)

@@ -16,7 +16,6 @@ SHAPE = 1.3  # C of the sine form
 LOAD_ON_GRIP = 0.06  # friction lost per nominal load more
 LOAD_ON_STIFFNESS = 0.15  # the same of the stiffness, per load
 LEAST_N = 100.0  # a wheel never carries less
-BRAKE_FRONT_FRAC = 0.65
 ABS_FRAC = 0.95  # of the grip at most, so that some is left to steer with
 
 
@@ -84,8 +83,13 @@ class Chassis(NamedTuple):
     inverse_slip: float  # longitudinal slip per N
     body_lag_s: float
     drive_lag_s: float
-    hysteresis_frac: float
-    rest_frac: float
+    drive_front_frac: float  # share of the drive on the front axle: 1 front-wheel drive, 0 rear
+    brake_front_frac: float
+    hysteresis_frac: float  # in the tables' duty, like all below
+    rest_frac: float  # the pedals' own duty at rest
+    throttle_scale: float  # tables' duty per own duty
+    brake_scale: float
+    shift_gain: float
     rolling_n: float
     drag_kgpm: float
     grade_rad: float

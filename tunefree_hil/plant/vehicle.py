@@ -17,7 +17,6 @@ from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.records import GEAR_DRIVE, NAN, Actuation, Command, Disturbance
 from tunefree_hil.plant.actuators import ActuatorParams, actuators
 from tunefree_hil.plant.body import (
-    NOBODY,
     BodyInput,
     BodyOutput,
     ChassisInput,
@@ -54,7 +53,7 @@ class Body(NamedTuple):
 
     block: Block
     rest: Command
-    ins_ticks: int
+    eyes: Block  # sensors
     seen: Block  # effects on the measurement
 
 
@@ -91,9 +90,10 @@ def assemble(
     seen = seen_of(effects)
     ins_ticks = round(ins_latency_s / dt_s)
     quiet = SensorParams(noise_table({}, {}, 0, 0), ins_ahead_m, 1.0 if ins_specific_force else 0.0)
-    block = _body(front, behind, chassis, sensors(quiet, ins_ticks), seen, plant.substeps, ins_ticks)
+    eyes = sensors(quiet, ins_ticks)
+    block = _body(front, behind, chassis, eyes, seen, plant.substeps, ins_ticks)
     rest = Command(rest_frac[0], rest_frac[1], 0.0, GEAR_DRIVE, NAN, NAN)
-    return Body(block, rest, ins_ticks, seen)
+    return Body(block, rest, eyes, seen)
 
 
 def for_episode(body: Body, start: Start, noise: Any = None) -> Body:
@@ -104,16 +104,19 @@ def for_episode(body: Body, start: Start, noise: Any = None) -> Body:
     return body._replace(block=body.block._replace(params=new))
 
 
-def first_output(body: Body, dt_s: float, driver: Driver = NOBODY) -> tuple[Any, BodyOutput]:
-    """(state, output) of tick 0: rolling straight at the start, actuators at rest; no step has been made."""
+def first_output(body: Body, dt_s: float, driver: Driver | None = None) -> tuple[Any, BodyOutput]:
+    """(state, output) of tick 0: rolling straight at the start, actuators at rest; no step has been made.
+
+    driver: None is nobody, both pedals at the vehicle's own rest.
+    """
+    driver = driver or Driver(body.rest.throttle_frac, body.rest.brake_frac)
     block = body.block
     state = block.init(block.params, dt_s)
     params = block.params
     motion = rolling_motion(params.chassis.start, params.chassis.constants.wheel_radius_m)
     actuation = Actuation(body.rest.throttle_frac, body.rest.brake_frac, 0.0, body.rest.gear)
     x = SensorInput(motion, actuation, body.rest, driver)
-    eyes = sensors(params.sensors, body.ins_ticks)
-    eye_state, seen = eyes.step(params.sensors, state.sensors, x, dt_s)
+    eye_state, seen = body.eyes.step(params.sensors, state.sensors, x, dt_s)
     ends, seen = body.seen.step(params.ends, state.ends, seen, dt_s)
     return state._replace(sensors=eye_state, ends=ends), BodyOutput(actuation, motion, seen)
 

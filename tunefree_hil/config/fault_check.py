@@ -1,0 +1,74 @@
+"""What a [[faults]] table of a bench file says wrongly by itself; against its vehicle: bench/faults.py.
+
+The kinds that disturb CRC and counter have CANoe's names: value, freeze, random, offset (anchors A7).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from tunefree_hil.config.find import nearest
+from tunefree_hil.config.schema import FaultSpec
+
+DRIVER, PEER = "driver_override", "peer_stop"
+CRC_KINDS = ("crc_value", "crc_freeze", "crc_random", "crc_offset")
+COUNTER_KINDS = ("counter_value", "counter_freeze", "counter_random", "counter_offset")
+FRAME_KINDS = ("drop", "delay", "duplicate", "corrupt", *CRC_KINDS, *COUNTER_KINDS, "stale", "burst")  # of one message
+FAULT_KINDS = (DRIVER, PEER, *FRAME_KINDS)  # a FAULT frame's code is the place here, from 0 on
+HANDS = ("throttle", "brake", "steer", "gear")  # channels of a driver
+PEERS = ("ecu", "controller")
+MOST_FRAMES, MOST_SEED = 1000, 65535
+# What `value` means, lowest and highest; a kind that is not here has none.
+VALUES = {
+    "delay": ("ticks", 1, 10_000),
+    "corrupt": ("bits to flip", 1, 512),
+    "crc_value": ("the CRC", 0, 255),
+    "crc_offset": ("what is added to the CRC", 1, 255),
+    "counter_value": ("the counter", 0, 65535),
+    "counter_offset": ("what is added to the counter", 1, 65535),
+    "burst": ("extra copies", 1, MOST_FRAMES),
+}
+
+Found = Iterator[tuple[str, str, str]]
+
+
+def check_faults(faults: Sequence[FaultSpec]) -> Found:
+    """Every problem, by key."""
+    for i, fault in enumerate(faults):
+        key = f"faults[{i}]"
+        if not 0 <= fault.from_tick < fault.to_tick:
+            yield key, f"from_tick {fault.from_tick}, to_tick {fault.to_tick}", "0 <= from_tick < to_tick"
+        if not 0 <= fault.seed <= MOST_SEED:
+            yield f"{key}.seed", f"{fault.seed} does not fit", f"give 0 to {MOST_SEED}"
+        if fault.kind not in FAULT_KINDS:
+            yield f"{key}.kind", f"no fault kind {fault.kind!r}", f"there is {', '.join(FAULT_KINDS)}"
+        else:
+            yield from _place(key, fault)
+            yield from _value(key, fault)
+
+
+def _place(key: str, fault: FaultSpec) -> Found:
+    if fault.kind in FRAME_KINDS:
+        if not fault.message:
+            yield f"{key}.message", f"{fault.kind} needs it", "name a message of the vehicle's DBC"
+        if fault.channel not in ("", "vehicle"):
+            yield f"{key}.channel", f"{fault.channel!r} has no messages", 'leave it out, or "vehicle"'
+        return
+    known = HANDS if fault.kind == DRIVER else PEERS
+    if fault.channel not in known:
+        who = "a driver has no" if fault.kind == DRIVER else "no peer"
+        yield f"{key}.channel", f"{who} {fault.channel!r}", nearest(fault.channel, known)
+    if fault.message:
+        yield f"{key}.message", f"{fault.kind} is of no message", "remove the key"
+
+
+def _value(key: str, fault: FaultSpec) -> Found:
+    if fault.kind == DRIVER:
+        return
+    if fault.kind not in VALUES:
+        if fault.value != 0.0:
+            yield f"{key}.value", f"{fault.kind} has no value", "remove the key"
+        return
+    what, low, high = VALUES[fault.kind]
+    if not low <= fault.value <= high or fault.value != int(fault.value):
+        yield f"{key}.value", f"{fault.value:g} is not {what}", f"give a whole number from {low} to {high}"
