@@ -170,7 +170,7 @@ def test_a_fault_that_cannot_be_scripted_is_refused_at_the_start(
 ) -> None:
     """Not at the tick at which it begins, when the drive is under way."""
     text = f'[[faults]]\nchannel = "{channel}"\nkind = "{kind}"\nfrom_tick = 10\nto_tick = 20\n'
-    bench = load(write_bench(tmp_path, more=text))
+    file = write_bench(tmp_path, more=text)
     with pytest.raises(InputError) as caught:
-        VehicleFor(bench, "mkz_nominal")(hash_of(tmp_path), 1)
-    assert (caught.value.file, caught.value.key) == (bench.file, key)
+        load(file)
+    assert (caught.value.file, caught.value.key) == (str(file), key)

@@ -37,6 +37,7 @@ class FakeLink:
         self.name = "fake"
         self.errors: Counter[str] = Counter()
         self.remote_frames = 0
+        self.refused: Sequence[CanFrame] = ()
         self.clock = clock or FakeTime()
         self.waiting: list[CanFrame] = []
         self.later: list[list[CanFrame]] = []

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.bus.codec import Codec
 from tunefree_hil.nodes.bits import StatusSignals, cause_name, set_bits
-from tunefree_hil.plant.bywire import CAUSES, ByWireStatus, ChannelStatus
+from tunefree_hil.plant.bywire import CAUSES, GEAR_REJECTS, ByWireStatus, ChannelStatus
 
 WELL = ChannelStatus(enabled=1.0)
 ALL_WELL = ByWireStatus(WELL, WELL, WELL)
@@ -76,3 +77,14 @@ def test_signals_are_worked_out_when_the_status_changes(codec: Codec) -> None:
     assert signals.of(ByWireStatus(WELL, WELL, WELL)) is first
     assert first["BRAKE_REPORT"]["ENABLED"] == 1.0 and first["GYRO"] == {}
     assert signals.of(ByWireStatus())["BRAKE_REPORT"]["ENABLED"] == 0.0
+
+
+def test_lights_gear_and_the_throttles_own_source_code(codec: Codec) -> None:
+    """apollo_facts 7.2: BO, BC, BI; CMD and REJECT of the gear report; the watchdog's source in both reports."""
+    lit = ByWireStatus(light_input=1.0, light_output=1.0)
+    assert active(codec, lit) == {"BRAKE_REPORT.BI", "BRAKE_REPORT.BO"}
+    assert active(codec, ByWireStatus(light_command=1.0)) == {"BRAKE_REPORT.BC"}
+    wished = bits(codec, ByWireStatus(gear_wish=GEAR_DRIVE, gear_reject=GEAR_REJECTS["vehicle"]))["GEAR_REPORT"]
+    assert (wished["CMD"], wished["REJECT"]) == (4.0, 5.0)
+    tripped = bits(codec, ByWireStatus(watchdog_braking=1.0, watchdog_cause=CAUSES["steer_timeout"]))
+    assert tripped["THROTTLE_REPORT"]["WDCSRC"] == tripped["BRAKE_REPORT"]["WDCSRC"] == 14.0

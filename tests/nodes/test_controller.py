@@ -181,7 +181,8 @@ def test_a_message_that_is_missing_for_0_2_s_is_named(seat: Seat, silent: str, c
         assert words == [] and sent, f"tick {k}: 0.2 s are not over"
     sent, words = seat.cycle(21, rest)
     assert sent == {} and words == [bc.Status(bc.Role.CONTROLLER, bc.State.FAILED, code, 21)]
-    assert silent in seat.said[0] and "0.2 s" in seat.said[0]
+    assert "no new data" in seat.said[0] and silent in seat.said[0], "named at once"
+    assert silent in seat.said[-1] and "0.2 s" in seat.said[-1]
     assert seat.cycle(22) == ({}, [])
 
 

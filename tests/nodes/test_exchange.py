@@ -228,3 +228,25 @@ def test_the_digest_tells_changed_payloads_apart() -> None:
     missed = [data for data in changes if digest([CanFrame(0x61, data)]) == first]
     assert len(missed) <= 3
     assert len({digest(list(order)) for order in permutations(FRAMES)}) == 24
+
+
+def test_only_what_a_full_queue_took_is_announced() -> None:
+    """Real time on SocketCAN: a frame that was dropped must not look lost, or a foreign one."""
+    exchange, vehicle, bench = exchange_of()
+    exchange = Exchange(vehicle, bench, (REPORTS, COMMANDS), 0.01, drops=True)
+    vehicle.refused = (FRAMES[3],)
+    exchange.announce(4, 0, list(FRAMES))
+    assert bench.words() == [done_of(4, 0, FRAMES[:3])]
+    assert exchange.refused == 1
+    vehicle.refused = ()
+    exchange.announce(5, 0, list(FRAMES), bc.Tick(5))
+    assert bench.words()[1:] == [bc.Tick(5), done_of(5, 0, FRAMES)]
+
+
+def test_frames_lost_between_episodes_are_nobodys() -> None:
+    exchange, vehicle, _ = exchange_of()
+    vehicle.trouble = BenchError("3 frames did not fit", code="rx_overflow")
+    exchange.clear()
+    vehicle.trouble = BenchError("vcan0 went down", code="link_down")
+    with pytest.raises(BenchError, match="went down"):
+        exchange.clear()

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 
 import pytest
 
+from tests.bus.e2e_car import write_car
 from tunefree_hil.base.records import CanFrame, Ins, Report
 from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.frame_writer import FrameWriter
+from tunefree_hil.bus.integrity import E2eStatus
+from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.nodes.handshake import VehicleState
 from tunefree_hil.nodes.hearing import CHASSIS, INS, Hearing
 
@@ -99,3 +104,48 @@ def test_the_age_of_a_message(codec: Codec) -> None:
 
 def test_a_longer_tick_has_fewer_ticks_in_its_limit(codec: Codec) -> None:
     assert Hearing(codec, 0.02).limit_ticks == 10
+
+
+@pytest.fixture
+def little(tmp_path: Path) -> Codec:
+    return Codec(load_vehicle(write_car(tmp_path)))
+
+
+def protected(writer: FrameWriter, speed_mps: float, enabled: float = 1.0) -> CanFrame:
+    message = writer.codec.by_name["STATE"]
+    return writer.write(message, {"report": Report()._replace(speed_mps=speed_mps)}, {"EN": enabled}, 0.0)
+
+
+def test_a_protected_report_is_invalid_until_proven(little: Codec) -> None:
+    hearing, writer = Hearing(little, 0.01), FrameWriter(little)
+    hearing.hear(0, [protected(writer, 3.0)])
+    assert math.isnan(hearing.measurement().report.speed_mps) and not hearing.state().known
+    hearing.hear(2, [protected(writer, 4.0)])
+    assert hearing.measurement().report.speed_mps == pytest.approx(4.0) and hearing.state().known
+
+
+def test_a_broken_or_repeated_report_changes_nothing(little: Codec) -> None:
+    hearing, writer = Hearing(little, 0.01), FrameWriter(little)
+    good = [protected(writer, 3.0) for _ in range(2)]
+    hearing.hear(0, good[:1])
+    hearing.hear(2, good[1:])
+    other = protected(writer, 9.0, 0.0)
+    hearing.hear(4, [other._replace(data=other.data[:-1] + b"\x01")])
+    assert hearing.measurement().report.speed_mps == pytest.approx(3.0) and hearing.state().enabled
+    hearing.hear(6, good[1:])
+    assert hearing.heard_at["STATE"] == 2, "a repeated frame is no news"
+
+
+def test_a_report_that_is_not_believed_for_0_2_s_is_missing_with_its_status(little: Codec) -> None:
+    """Whether anybody asked for it or not."""
+    hearing, writer = Hearing(little, 0.01), FrameWriter(little)
+    needed: dict[str, list[str]] = {INS: [], CHASSIS: []}
+    for k in range(0, 10, 2):
+        hearing.hear(k, [protected(writer, 3.0)])
+    for k in range(10, 30, 2):
+        frame = protected(writer, 3.0)
+        hearing.hear(k, [frame._replace(data=bytes((frame.data[0] ^ 255,)) + frame.data[1:])])
+        assert hearing.missing(k, needed) is None
+    assert hearing.missing(29, needed) == (CHASSIS, ["STATE"])
+    assert hearing.why("STATE") == "STATE (wrong CRC)" and hearing.why("OTHER") == "OTHER"
+    assert hearing.reception.troubles()["STATE"][E2eStatus.WRONG_CRC] == 10

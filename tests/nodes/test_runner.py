@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tests.nodes.memory import FakeLink, FakeTime
-from tunefree_hil.base.errors import BenchError, NoAnswer, PeerGone
+from tunefree_hil.base.errors import BenchError, InputError, NoAnswer, PeerGone
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.link import HubStats
 from tunefree_hil.nodes import runner as module
@@ -174,3 +174,18 @@ def test_a_stopped_hub_is_named_and_not_asked_again(clock: FakeTime) -> None:
         desk.drive()
     assert isinstance(caught.value, module.HubSilent)
     assert "stop" not in desk.owner.calls
+
+
+def test_parameters_of_the_list_and_announced_ones_are_sent_by_their_index(clock: FakeTime) -> None:
+    hellos = [*bc.hello_messages(ECU, "mkz", []), *bc.hello_messages(CONTROLLER, "own", ["own.gain", "own.lag_s"])]
+    desk = Desk(clock, hellos, READY, [ended(bc.State.FINISHED, 0, 3)])
+    desk.runner.meet()
+    assert desk.runner.announced() == {16: "own.gain", 17: "own.lag_s"}
+    values = desk.runner.indexed({"own.lag_s": 0.5, "lqr.q1": 0.25, "own.gain": 2.0})
+    assert values == {17: 0.5, 2: 0.25, 16: 2.0}
+    with pytest.raises(InputError, match=r"the controller own has no parameter own\.gian") as caught:
+        desk.runner.indexed({"own.gian": 1.0})
+    assert "own.gain, own.lag_s" in caught.value.hint
+    desk.runner.drive(b"abcdef" + bytes(26), 5, values, {})
+    sent = [message for message in desk.link.words() if isinstance(message, bc.Param)]
+    assert sent == [bc.Param(17, 3, 0.5), bc.Param(2, 3, 0.25), bc.Param(16, 3, 2.0)]

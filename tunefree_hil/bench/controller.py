@@ -10,9 +10,10 @@ from typing import Any
 from tunefree_hil.base.course import Course
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
+from tunefree_hil.bench.faults import CONTROLLER, faults_of
 from tunefree_hil.bench.load import Bench, model_of, scenario_of_hash
 from tunefree_hil.bus.codec import Codec
-from tunefree_hil.config.schema import ScenarioSpec, VehicleSpec
+from tunefree_hil.config.schema import ParameterSpec, ScenarioSpec, VehicleSpec
 from tunefree_hil.control import calibration_map
 from tunefree_hil.control.build import PartNames, build
 from tunefree_hil.control.contract import Settings, VehicleConstants
@@ -22,6 +23,7 @@ from tunefree_hil.nodes.controller import Assignment
 from tunefree_hil.nodes.hearing import CHASSIS, INS
 
 LARGEST32 = 3.4028234e38
+KEPT = 32  # gain tables, and path tables
 
 
 def constants_of(vehicle: VehicleSpec) -> VehicleConstants:
@@ -91,9 +93,23 @@ def parameters_of(bench: Bench, chosen: Mapping[str, float] | None = None) -> di
         require_in_box(name, value, file=bench.file, key=f"controller.parameters.{name}")
     values = study_values()
     values |= {"riccati": RICCATI_CODES[controller.riccati], "look_ahead_m": controller.look_ahead_m}
-    values |= controller.parameters
+    own = own_parameters(bench)
+    values |= own | controller.parameters
     values |= dict(chosen or {})
-    return {name: round32(value) for name, value in check_complete(values).items()}
+    return {name: round32(value) for name, value in check_complete(values, tuple(own)).items()}
+
+
+def own_parameters(bench: Bench) -> dict[str, float]:
+    """Parameters of the user's own controller that the bench file names: its value, else the middle of the box."""
+    given = {name: value for name, value in bench.spec.controller.parameters.items() if name not in BY_NAME}
+    searched = [one for one in bench.spec.tune.parameters if one.name not in BY_NAME and one.name not in given]
+    return given | {one.name: _middle(one) for one in searched}
+
+
+def _middle(spec: ParameterSpec) -> float:
+    if spec.choices:
+        return spec.choices[0]
+    return math.sqrt(spec.low * spec.high) if spec.scale == "log" else 0.5 * (spec.low + spec.high)
 
 
 def settings_of(bench: Bench) -> Settings:
@@ -125,23 +141,31 @@ def follower_of(bench: Bench, scenario: ScenarioSpec, values: Mapping[str, float
 
 
 class ControllerFor:
-    """(scenario, parameters by index) -> Assignment. The gain table is kept while the parameters stay the same."""
+    """(scenario, parameters by index) -> Assignment. Gain tables of the last parameters and path tables are kept."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
         self.constants = constants_of(bench.vehicle)
         self.calibration = calibration_of(bench)
-        self._built: tuple[dict[str, float], Block] | None = None
+        self.faults = faults_of(bench, CONTROLLER)
+        self._built: dict[tuple[float, ...], Block] = {}
+        self._followers: dict[str, Block] = {}
 
     def __call__(self, scenario: bytes, parameters: Mapping[int, float]) -> Assignment:
         spec = scenario_of_hash(self.bench, scenario)
         values = by_index(parameters)
         course = self.bench.course(spec)
-        if self._built is None or self._built[0] != values:
-            self._built = (values, self._build(values, course))
-        block = self._built[1]
-        follower = follower_of(self.bench, spec, values)
-        return Assignment(block._replace(params=(follower.params, *block.params[1:])), course.ticks, self.bench.dt_s)
+        key = tuple(values.values())
+        if key not in self._built:
+            _make_room(self._built)
+            self._built[key] = self._build(values, course)
+        block = self._built[key]
+        if spec.hash not in self._followers:
+            _make_room(self._followers)
+            self._followers[spec.hash] = follower_of(self.bench, spec, values)
+        follower = self._followers[spec.hash].params._replace(look_ahead_m=values["look_ahead_m"])
+        params = (follower, *block.params[1:])
+        return Assignment(block._replace(params=params), course.ticks, self.bench.dt_s, self.faults)
 
     def _build(self, values: dict[str, float], course: Course) -> Block:
         controller = self.bench.spec.controller
@@ -155,6 +179,12 @@ class ControllerFor:
             names=PartNames(controller.lateral, controller.longitudinal, controller.inner),
             absent=self.bench.vehicle.absent,
         )
+
+
+def _make_room(kept: dict[Any, Any]) -> None:
+    """Forget the oldest of too many."""
+    if len(kept) >= KEPT:
+        del kept[next(iter(kept))]
 
 
 def needed_messages(codec: Codec) -> dict[str, list[str]]:

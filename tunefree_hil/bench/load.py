@@ -8,7 +8,9 @@ from pathlib import Path
 
 from tunefree_hil.base.course import Course
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.bus.check_vehicle import check_vehicle, one_error
 from tunefree_hil.bus.codec import Codec
+from tunefree_hil.config.check_vehicle import check_fields
 from tunefree_hil.config.find import available
 from tunefree_hil.config.load import load_bench, load_model, load_scenario, load_vehicle, load_weights
 from tunefree_hil.config.schema import BenchSpec, ModelSpec, ScenarioSpec, VehicleSpec, WeightsSpec
@@ -45,12 +47,23 @@ class Bench:
 def load(path: Path | str) -> Bench:
     """Read a bench file and what it names. Raises InputError that names file and key."""
     spec = load_bench(path)
-    vehicle = load_vehicle(spec.vehicle, spec.path)
+    vehicle = whole_vehicle(spec.vehicle, spec.path)
     names = dict.fromkeys([*spec.scenarios, *spec.verify_scenarios])
     scenarios = {name: load_scenario(name, spec.path) for name in names}
     _refuse_namesakes(spec, scenarios)
     dt_s = vehicle.tick_ms * 1e-3
     return Bench(spec, vehicle, Codec(vehicle), load_weights(spec.weights, spec.path), scenarios, dt_s)
+
+
+def whole_vehicle(name: Path | str, near: Path | str | None = None) -> VehicleSpec:
+    """A vehicle folder. Raises one InputError with all that is wrong with it, vehicle.toml by itself and its DBC."""
+    vehicle = load_vehicle(name, near, check=False)
+    problems = check_fields(vehicle)
+    known = {(problem.key, problem.message) for problem in problems}
+    problems += [one for one in check_vehicle(vehicle) if (one.key, one.message) not in known]
+    if problems:
+        raise one_error(problems)
+    return vehicle
 
 
 def _refuse_namesakes(spec: BenchSpec, scenarios: Mapping[str, ScenarioSpec]) -> None:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 from tunefree_hil.base import parts
 from tunefree_hil.base.contracts import Port, make_effect
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.bench.faults import ECU, driver_script, faults_of
 from tunefree_hil.bench.load import Bench, model_of, scenario_of_hash
 from tunefree_hil.bus.wire import phases
-from tunefree_hil.config.schema import ActuatorSpec, EffectSpec, FaultSpec, ModelSpec, VehicleSpec, value_of
+from tunefree_hil.config.schema import ActuatorSpec, EffectSpec, ModelSpec, value_of
 from tunefree_hil.episode.scenario import start_of
 from tunefree_hil.nodes.ecu import Vehicle
 from tunefree_hil.plant.actuators import ActuatorParams
-from tunefree_hil.plant.body import Driver, Plant
+from tunefree_hil.plant.body import Plant
 from tunefree_hil.plant.bywire import ByWireParams, ChannelRules, bywire
 from tunefree_hil.plant.sensors import noise_table
 from tunefree_hil.plant.unit import make_unit
@@ -23,22 +23,18 @@ from tunefree_hil.plant.vehicle import assemble, for_episode
 
 PLANTS = {"physics": "single_track", "reference": "reference"}  # [plant] kind -> file in plant/
 HEAVY = ("reference",)  # kinds whose node runs compiled
-FAULT_KINDS = ("driver_override",)
-HANDS = {  # a fault's channel -> what the driver does there; whatever the value, a moved lever is moved
-    "throttle": "throttle_frac",
-    "brake": "brake_frac",
-    "steer": "steer_torque_nm",
-    "gear": "gear_override",
-}
 
 
 class VehicleFor:
-    """(scenario, seed) -> Vehicle: the simulated vehicle at a scenario's start. Its step is made once."""
+    """(scenario, seed) -> Vehicle: the simulated vehicle at a scenario's start. Its step is made once.
 
-    def __init__(self, bench: Bench, model: str, *, realtime: bool = False) -> None:
+    model: the name of a model folder, or what was read of one.
+    """
+
+    def __init__(self, bench: Bench, model: str | ModelSpec, *, realtime: bool = False) -> None:
         self.bench = bench
-        self.model_name = model
-        self.model = model_of(bench, model)
+        self.model = model_of(bench, model) if isinstance(model, str) else model
+        self.model_name = model if isinstance(model, str) else model.folder
         self.body = _body_of(bench, self.model)
         timing = self.model.timing
         own = 1 if realtime else 0  # real time: one tick each way is the bus's own
@@ -49,8 +45,9 @@ class VehicleFor:
                 key="timing",
                 hint="report_ticks and command_ticks of at least 1",
             )
-        block = bywire(_bywire_params(bench.vehicle))
-        self.driver = driver_script(bench.spec.faults, bench.file)
+        block = bywire(_bywire_params(bench))
+        self.driver = driver_script(bench.spec.faults, bench.vehicle.nominal.rest_pedal_frac)
+        self.faults = faults_of(bench, ECU)
         self.unit = make_unit(self.body, block, timing.command_ticks - own, timing.report_ticks - own)
         self.phases = phases(bench.codec, timing.phase_seed)
 
@@ -59,7 +56,7 @@ class VehicleFor:
         course = self.bench.course(spec)
         noise = noise_table(self.model.noise, self.model.bias, course.ticks + 1, seed)
         body = for_episode(self.body, start_of(spec, course), noise)
-        return Vehicle(self.unit, body, course, self.bench.dt_s, self.phases, self.driver)
+        return Vehicle(self.unit, body, course, self.bench.dt_s, self.phases, self.driver, self.faults)
 
 
 def is_heavy(bench: Bench, model: str) -> bool:
@@ -142,8 +139,9 @@ def effects_of(specs: Sequence[EffectSpec], rest: float, file: str = "") -> list
     return made
 
 
-def _bywire_params(vehicle: VehicleSpec) -> ByWireParams:
+def _bywire_params(bench: Bench) -> ByWireParams:
     """Rules of the by-wire unit from the vehicle folder; what it does not state keeps the unit's defaults."""
+    vehicle = bench.vehicle
     limits, rest, rules, tick_s = (
         vehicle.limits,
         vehicle.nominal.rest_pedal_frac,
@@ -169,37 +167,12 @@ def _bywire_params(vehicle: VehicleSpec) -> ByWireParams:
         brake=pedal("brake", rules.brake_frac, rules.brake_s, limits.brake_frac),
         steer=default.steer._replace(
             timeout_ticks=timeouts.get("steer_rad", default.steer.timeout_ticks),
+            override_level=rules.steer_nm,
+            override_ticks=round(rules.steer_s / tick_s),
             low=-limits.steer_rad,
             high=limits.steer_rad,
         ),
-        check_counter=1.0 if any(spec.counter for spec in vehicle.command.values()) else 0.0,
+        brake_ramp_per_tick=limits.brake_rate_per_s * tick_s,
+        watchdog_brake_frac=limits.watchdog_brake_frac,
+        check_counter=1.0 if any(message.counter for message in bench.codec.commands) else 0.0,  # E2E's or a plain one
     )
-
-
-def driver_script(faults: Sequence[FaultSpec], file: str = "") -> Any:
-    """The person in the seat by tick, from a bench file's faults. Raises InputError for one that cannot be scripted."""
-    for i, fault in enumerate(faults):
-        if fault.kind not in FAULT_KINDS:
-            known = ", ".join(FAULT_KINDS)
-            raise InputError(
-                f"no fault kind {fault.kind!r}", code="unknown_fault_kind", file=file, key=f"faults[{i}].kind",
-                hint=f"there is {known}",
-            )  # fmt: skip
-        if fault.channel not in HANDS:
-            raise InputError(
-                f"a driver has no {fault.channel!r}", code="unknown_fault_channel", file=file,
-                key=f"faults[{i}].channel", hint=f"one of {', '.join(HANDS)}",
-            )  # fmt: skip
-
-    @lru_cache(maxsize=4)
-    def by_active(active: tuple[int, ...]) -> Driver:
-        driver = Driver()
-        for i in active:
-            channel = faults[i].channel
-            driver = driver._replace(**{HANDS[channel]: 1.0 if channel == "gear" else faults[i].value})
-        return driver
-
-    def driver(tick: int) -> Driver:
-        return by_active(tuple(i for i, fault in enumerate(faults) if fault.from_tick <= tick < fault.to_tick))
-
-    return driver

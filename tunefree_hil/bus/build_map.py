@@ -9,6 +9,7 @@ from cantools.database.can import Message
 
 from tunefree_hil.base.records import GROUPS, WHEEL_FIELDS
 from tunefree_hil.bus.dbc import signal_map
+from tunefree_hil.bus.e2e import Nibble, Protection
 from tunefree_hil.bus.message_map import (
     BYWIRE_PREFIXES,
     COMMAND,
@@ -23,7 +24,7 @@ from tunefree_hil.bus.message_map import (
 from tunefree_hil.bus.plan import heading_turn, make_plan, sort_terms
 
 if TYPE_CHECKING:
-    from tunefree_hil.config.schema import FieldSpec, VehicleSpec
+    from tunefree_hil.config.schema import E2eSpec, FieldSpec, VehicleSpec
 
 ROLES = ("enable", "clear", "ignore", "counter", "checksum")
 WHEELS = "wheel_speed_radps"
@@ -84,8 +85,11 @@ def _build(spec: VehicleSpec, message: Message, channel: str, found: list[Entry]
     signals = {signal.name: signal_map(signal, message.length) for signal in message.signals}
     fields = tuple(_field(entry, signals) for entry in found)
     roles = {role: _first(getattr(entry.spec, role) for entry in found) for role in ROLES}
-    roles["counter"] = roles["counter"] or _first(entry.spec.e2e.counter for entry in found)
-    roles["checksum"] = roles["checksum"] or _first(entry.spec.e2e.crc for entry in found)
+    e2e = _e2e(spec, message.name, found)
+    if e2e is not None:
+        roles["counter"] = roles["counter"] or e2e.counter
+        roles["checksum"] = roles["checksum"] or e2e.crc
+    protection = _protection(e2e, signals, message.length)
     states = _states(spec, message.name)
     constants = _constants(spec, message.name, found)
     raw = {name for name in roles.values() if name} | {state.signal for state in states}
@@ -99,7 +103,7 @@ def _build(spec: VehicleSpec, message: Message, channel: str, found: list[Entry]
         period_ticks=period_ms(spec, message, found) // spec.tick_ms,
         timeout_ticks=max((entry.spec.timeout_ms for entry in found), default=0) // spec.tick_ms,
         fields=fields,
-        counter_modulus=1 << signals[roles["counter"]].bits if roles["counter"] else 0,
+        counter_modulus=_modulus(protection, signals, roles["counter"]),
         channel=channel,
         allow_truncated=_truncated(spec, message.name, found),
         constants=constants,
@@ -107,8 +111,50 @@ def _build(spec: VehicleSpec, message: Message, channel: str, found: list[Entry]
         states=states,
         signals=signals,
         plan=make_plan(signals, fields, raw, constants),
+        unproven_frames=1 if protection else 0,
+        e2e=protection,
+        e2e_max_delta=e2e.max_delta if e2e else 1,
         **roles,
     )
+
+
+def _e2e(spec: VehicleSpec, name: str, found: list[Entry]) -> E2eSpec | None:
+    """A message's protection: what any of its fields, or its [extra] entry, says of it. None: nothing."""
+    said = [entry.spec.e2e for entry in found] + ([spec.extra[name].e2e] if name in spec.extra else [])
+    chosen = [one for one in said if one.profile != "none"] or [one for one in said if one.counter]
+    return chosen[0] if chosen else None
+
+
+def _protection(e2e: E2eSpec | None, signals: Mapping[str, SignalMap], length: int) -> Protection | None:
+    if e2e is None or e2e.profile == "none":
+        return None
+
+    def nibble(name: str) -> Nibble:
+        byte, bit = _lowest_bit(signals[name], length)
+        return Nibble(byte, bit)
+
+    id_mode = (e2e.id_mode or "both") if e2e.profile == "P01" else ""
+    return Protection(
+        e2e.profile,
+        tuple(e2e.data_ids),
+        id_mode,
+        _lowest_bit(signals[e2e.crc], length)[0],
+        nibble(e2e.counter),
+        nibble(e2e.nibble) if id_mode == "nibble" else None,
+    )
+
+
+def _lowest_bit(signal: SignalMap, length: int) -> tuple[int, int]:
+    """(byte, bit in it) of a signal's lowest bit."""
+    byte = signal.shift // 8
+    return (length - 1 - byte if signal.big_endian else byte), signal.shift % 8
+
+
+def _modulus(protection: Protection | None, signals: Mapping[str, SignalMap], counter: str) -> int:
+    """At which value the counter rolls over; 0 where there is none."""
+    if protection is not None:
+        return protection.modulus
+    return 1 << signals[counter].bits if counter else 0
 
 
 def _first(names: Iterable[str]) -> str:

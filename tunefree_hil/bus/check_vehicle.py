@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING
 from cantools.database.can import Message
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bus import integrity
 from tunefree_hil.bus.build_map import ROLES, Entry, by_message, entries, period_ms
+from tunefree_hil.bus.check_protection import check_protection
+from tunefree_hil.bus.check_units import check_unit
 from tunefree_hil.bus.dbc import bit_range, declared_raw, overlaps, raw_range, read_network, signal_map
 
 if TYPE_CHECKING:
-    from tunefree_hil.config.schema import VehicleSpec
+    from tunefree_hil.config.schema import E2eSpec, VehicleSpec
 
 MOST_BITS = 52  # a raw value stays exact in binary64
 
@@ -28,7 +29,8 @@ def check_vehicle(spec: VehicleSpec, network: Mapping[str, Message] | None = Non
     """Every problem of a folder, each with key and hint; an empty list means that a Codec can be made of it."""
     if network is None:
         network = read_network(spec)
-    return list(_Check(spec, network).run())
+    found = {(problem.key, problem.message): problem for problem in _Check(spec, network).run()}
+    return list(found.values())  # a mistake in a field of four wheels is one
 
 
 def one_error(problems: list[InputError]) -> InputError:
@@ -63,6 +65,7 @@ class _Check:
         for name, extra in self.spec.extra.items():
             if (yield from self._message(f"extra.{name}", name)):
                 yield from self._constants(f"extra.{name}", name, extra.constants)
+                yield from self._protection(f"extra.{name}", name, extra.e2e, extra.constants)
         yield from self._states()
         for (name, _), found in by_message(self.entries).items():
             if name in self.network:
@@ -97,15 +100,20 @@ class _Check:
         message = entry.spec.message
         if not (yield from self._message(entry.key, message)):
             return
-        for name, _ in entry.parts:
+        for name, scale in entry.parts:
             if (yield from self._signal(f"{entry.key}.signal", message, name)):
                 yield from self._value_signal(entry, name)
+                unit = self.network[message].get_signal_by_name(name).unit
+                wrong = check_unit(entry.name, unit, scale * entry.spec.scale)
+                if wrong:
+                    yield self.problem(f"{entry.key}.scale", f"{name}: {wrong[0]}", wrong[1])
         for role in ROLES:
             name = getattr(entry.spec, role)
             if name and (yield from self._signal(f"{entry.key}.{role}", message, name)):
                 yield from self._role_signal(entry, role, name)
         yield from self._constants(entry.key, message, entry.spec.constants)
-        yield from self._protection(entry)
+        used = [*(part for part, _ in entry.parts), *entry.spec.constants]
+        yield from self._protection(entry.key, message, entry.spec.e2e, used)
 
     def _value_signal(self, entry: Entry, name: str) -> Iterator[InputError]:
         message = self.network[entry.spec.message]
@@ -146,16 +154,9 @@ class _Check:
                 ends = f"{low * signal.scale + signal.offset:g} to {high * signal.scale + signal.offset:g}"
                 yield self.problem(where, f"{value:g} is outside what {name} can say", f"it says {ends}")
 
-    def _protection(self, entry: Entry) -> Iterator[InputError]:
-        e2e = entry.spec.e2e
-        key = f"{entry.key}.e2e"
-        if e2e.profile not in integrity.PROFILES:
-            known = ", ".join(integrity.PROFILES)
-            yield self.problem(f"{key}.profile", f"no end-to-end profile {e2e.profile!r}", f"there is {known}")
-        for role in ("crc", "counter"):
-            name = getattr(e2e, role)
-            if name:
-                yield from self._signal(f"{key}.{role}", entry.spec.message, name)
+    def _protection(self, key: str, name: str, e2e: E2eSpec, used: Iterable[str]) -> Iterator[InputError]:
+        for where, message, hint, code in check_protection(f"{key}.e2e", e2e, self.network[name], set(used)):
+            yield self.problem(where, message, hint, code)
 
     def _states(self) -> Iterator[InputError]:
         for condition, states in self.spec.state.items():
@@ -179,6 +180,11 @@ class _Check:
             if len(said) > 1:
                 listed = " and ".join(f"{value} by [{key}]" for value, key in said.items())
                 yield self.problem(f"{first.key}.{what}", f"{name} has {listed}", "a message has one")
+        protected = [entry for entry in found if entry.spec.e2e.profile != "none"]
+        for entry in protected[1:]:
+            if entry.spec.e2e != protected[0].spec.e2e:
+                hint = f"give both the same, or leave it to [{protected[0].key}]"
+                yield self.problem(f"{entry.key}.e2e", f"[{protected[0].key}] protects {name} otherwise", hint)
         if len({entry.group == "command" for entry in found}) > 1:
             yield self.problem(first.key, f"{name} is both command and report", "a message goes one way")
         cycle_ms, said_ms = self.network[name].cycle_time, period_ms(self.spec, self.network[name], found)

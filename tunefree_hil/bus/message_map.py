@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from tunefree_hil.bus.e2e import Protection
+
 EXTENDED_FLAG = 0x8000_0000  # SocketCAN's EFF bit: tells the 29-bit id from the 11-bit id of the same number
 TWO_PI = 6.283185307179586
 COMMAND, TELEMETRY = "command", "telemetry"
@@ -154,6 +156,9 @@ class MessageMap:
     states: tuple[StateMap, ...]
     signals: Mapping[str, SignalMap] = field(repr=False)
     plan: Plan = field(repr=False)
+    unproven_frames: int = 0  # first frames of an episode whose values nobody takes: 1 with end-to-end protection
+    e2e: Protection | None = None  # bus/e2e.py
+    e2e_max_delta: int = 1  # the widest step of a protected counter that still passes
 
     @property
     def key(self) -> int:

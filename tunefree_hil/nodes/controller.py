@@ -16,9 +16,10 @@ from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.codec import Codec
-from tunefree_hil.bus.integrity import next_counter
+from tunefree_hil.bus.frame_writer import FrameWriter
 from tunefree_hil.control.cascade import Sight
 from tunefree_hil.nodes.exchange import Exchange
+from tunefree_hil.nodes.faults import FaultFilter, ScriptedFault
 from tunefree_hil.nodes.handshake import Handshake, Stage
 from tunefree_hil.nodes.hearing import CHASSIS, INS, Hearing
 from tunefree_hil.nodes.timing import CycleTimes
@@ -38,6 +39,7 @@ class Assignment(NamedTuple):
     block: Block
     ticks: int
     dt_s: float
+    faults: Sequence[ScriptedFault] = ()
 
 
 class ControllerPart:
@@ -59,7 +61,7 @@ class ControllerPart:
         self.times = times
         self.say = say
         self.names: list[str] = []
-        self._counters = {message.name: 0 for message in codec.commands}
+        self._writer = FrameWriter(codec)
         self._failed = 0
 
     def load(self, scenario: bytes, seed: int, parameters: dict[int, float]) -> None:
@@ -70,7 +72,8 @@ class ControllerPart:
         self.hearing = Hearing(self.codec, self.task.dt_s)
         self.handshake = Handshake()
         self._failed = 0
-        self._counters = {message.name: 0 for message in self.codec.commands}
+        self._writer.restart()
+        self._faults = FaultFilter(self.task.faults)
 
     def lockstep(self, exchange: Exchange, stopped: Callable[[Any], bool]) -> None:
         """One step for each full phase 0."""
@@ -83,7 +86,7 @@ class ControllerPart:
             reply, words = self.cycle(k, frames)
             self.times.note(0.0, time.perf_counter() - started)
             exchange.announce(k, 1, reply, *words)
-        self.times.save("controller")
+        self._save()
 
     def realtime(self, exchange: Exchange, clock: Clock, zero_s: float, stopped: Callable[[Any], bool]) -> None:
         """One step at each deadline, with the frames stamped before it."""
@@ -98,17 +101,25 @@ class ControllerPart:
             exchange.announce(k, 1, reply, *words)
             if any(stopped(message) for message in exchange.listen(0.0)):
                 break
-        self.times.save("controller")
+        self._save()
 
-    def cycle(self, k: int, frames: Sequence[CanFrame]) -> tuple[list[CanFrame], list[bc.Status]]:
-        """One control cycle: the command frames to send and what to say about it."""
+    def cycle(self, k: int, frames: Sequence[CanFrame]) -> tuple[list[CanFrame], list[Any]]:
+        """One control cycle: the command frames to send, scripted faults and all, and what to say about it."""
+        reply, words = self._decide(k, frames)
+        begun = [bc.Fault(self.role, fault.index, fault.code, k) for fault in self._faults.begun(k)]
+        return self._faults.apply(k, reply, self.task.dt_s), [*begun, *words]
+
+    def _decide(self, k: int, frames: Sequence[CanFrame]) -> tuple[list[CanFrame], list[bc.Status]]:
         hearing = self.hearing
         hearing.hear(k, frames)
+        for notice in hearing.reception.notices():
+            self.say(f"controller: {notice}")
         if self._failed:
             return [], []
         missing = hearing.missing(k, self.needed)
         if missing is not None:
-            return [], [self._fail(k, MISSING_CODES[missing[0]], f"not heard for 0.2 s: {', '.join(missing[1])}")]
+            late = ", ".join(hearing.why(name) for name in missing[1])
+            return [], [self._fail(k, MISSING_CODES[missing[0]], f"not heard for 0.2 s: {late}")]
         stage = self.handshake.look(k, hearing.state())
         if stage in STAGE_CODES:
             return self._quiet_frames(k), [self._fail(k, STAGE_CODES[stage], stage.value)]
@@ -119,6 +130,13 @@ class ControllerPart:
         if decision.error_code:
             words.append(self._fail(k, bc.ErrorCode(int(decision.error_code)), "supervision ended the drive"))
         return self._frames(k, decision.command), words
+
+    def _save(self) -> None:
+        """Times and counts of the episode, and what was wrong with the frames in words."""
+        reception = self.hearing.reception
+        self.times.save("controller", reception.troubles())
+        if words := reception.summary():
+            self.say(f"controller: heard: {words}")
 
     def _fail(self, k: int, code: bc.ErrorCode, why: str) -> bc.Status:
         self._failed = int(code)
@@ -136,13 +154,7 @@ class ControllerPart:
     def _clear_frames(self, k: int) -> list[CanFrame]:
         """DLC 4: an 8-byte frame without a proper counter would trip the watchdog (apollo_facts 7.3)."""
         return [
-            CanFrame(
-                message.can_id,
-                self.codec.encode(message, {}, {message.clear: 1.0}, min(4, message.length)),
-                message.extended,
-                message.fd,
-                k * self.task.dt_s,
-            )
+            self._writer.write_short(message, {message.clear: 1.0}, min(4, message.length), k * self.task.dt_s)
             for message in self.codec.commands
             if message.clear
         ]
@@ -157,8 +169,4 @@ class ControllerPart:
             signals[message.enable] = enable
         if message.clear:
             signals[message.clear] = clear
-        if message.counter:
-            signals[message.counter] = float(self._counters[message.name])
-            self._counters[message.name] = next_counter(self._counters[message.name], message.counter_modulus)
-        data = self.codec.encode(message, records, signals)
-        return CanFrame(message.can_id, data, message.extended, message.fd, k * self.task.dt_s)
+        return self._writer.write(message, records, signals, k * self.task.dt_s)

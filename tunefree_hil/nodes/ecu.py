@@ -15,9 +15,11 @@ from tunefree_hil.base.course import Course
 from tunefree_hil.base.records import CanFrame, Disturbance
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.frame_writer import FrameWriter
 from tunefree_hil.nodes.bits import StatusSignals, cause_name
 from tunefree_hil.nodes.ears import Ears
 from tunefree_hil.nodes.exchange import Exchange
+from tunefree_hil.nodes.faults import FaultFilter, ScriptedFault
 from tunefree_hil.nodes.timing import CycleTimes
 from tunefree_hil.plant.body import Driver
 from tunefree_hil.plant.bywire import Heard
@@ -34,6 +36,7 @@ class Vehicle(NamedTuple):
     dt_s: float
     phases: Mapping[str, int]  # tick of its period on which each message goes out
     driver: Callable[[int], Driver]  # the person in the seat, by tick
+    faults: Sequence[ScriptedFault] = ()
 
 
 class EcuPart:
@@ -54,6 +57,7 @@ class EcuPart:
         self.say = say
         self.names: list[str] = []
         self._signals = StatusSignals(codec)
+        self._writer = FrameWriter(codec)
         self._failure = 0
 
     def load(self, scenario: bytes, seed: int, parameters: dict[int, float]) -> None:
@@ -61,6 +65,8 @@ class EcuPart:
         self.car = self.assign(scenario, seed)
         self._params, self._state, self._said = self.car.unit.start(self.car.body, self.car.dt_s)
         self._ears = Ears(self.codec)
+        self._writer.restart()
+        self._faults = FaultFilter(self.car.faults)
         self._cause = 0.0
         self._failure = 0
         self._warm_up()
@@ -96,7 +102,7 @@ class EcuPart:
         self.times.begin()
         self._stopped = stopped
         ticks = 0
-        exchange.vehicle.send(self._publish(0, 0))
+        exchange.announce(0, 0, self._publish(0, 0))  # announced too: whoever records counts frames by it
         for k in range(self.car.course.ticks):
             deadline_s = zero_s + k * self.car.dt_s
             clock.sleep_until(deadline_s)
@@ -121,7 +127,10 @@ class EcuPart:
 
     def _end(self, exchange: Exchange, ticks: int) -> None:
         state = bc.State.FAILED if self._failure else bc.State.FINISHED
-        self.times.save("ecu")
+        reception = self._ears.reception
+        self.times.save("ecu", reception.troubles())
+        if words := reception.summary():
+            self.say(f"ecu: heard: {words}")
         exchange.say(bc.Status(self.role, state, self._failure, ticks), k=ticks)
 
     def _publish(self, k: int, used_at: int) -> list[CanFrame]:
@@ -130,17 +139,22 @@ class EcuPart:
         records = {"report": said.measurement.report, "ins": said.measurement.ins}
         signals = self._signals.of(said.status)
         stamp_s = k * car.dt_s
-        encode = self.codec.encode
-        return [
-            CanFrame(m.can_id, encode(m, records, signals[m.name]), m.extended, m.fd, stamp_s)
+        write = self._writer.write
+        frames = [
+            write(m, records, signals[m.name], stamp_s)
             for m in self.codec.telemetry
             if (used_at + car.phases[m.name]) % m.period_ticks == 0
         ]
+        return self._faults.apply(k, frames, car.dt_s)
 
     def _step(self, exchange: Exchange, k: int, frames: Sequence[CanFrame]) -> None:
         car = self.car
         road = Disturbance(float(car.course.grade_rad[k]), float(car.course.friction_frac[k]))
         x = UnitInput(self._ears.hear(frames), car.driver(k), road)
+        for fault in self._faults.begun(k):
+            exchange.say(bc.Fault(self.role, fault.index, fault.code, k), k=k)
+        for notice in self._ears.reception.notices():
+            self.say(f"ecu: {notice}")
         self._state, self._said = car.unit.step(self._params, self._state, x, car.dt_s)
         cause = self._said.status.watchdog_cause
         if cause != self._cause:

@@ -8,36 +8,24 @@ over in (id, sequence) order. Waiting has a hard limit and names who did not ans
 from __future__ import annotations
 
 import time
-import zlib
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from tunefree_hil.base.errors import BenchError, NoAnswer, PeerGone
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
+from tunefree_hil.bus.ledger import PHASE_ROLES, can_key, digest
 from tunefree_hil.bus.link import Link
-from tunefree_hil.bus.message_map import EXTENDED_FLAG
 
 HARD_LIMIT_S = 5.0
 SLICE_S = 0.5  # how often a waiting node looks at the other link: a lost peer is said on both
-PHASE_ROLES = ("ecu", "controller")
-
-
-def can_key(frame: CanFrame) -> int:
-    """SocketCAN's can_id. Order of simultaneous frames too: a stable sort keeps the sequence within an id."""
-    return frame.id | EXTENDED_FLAG if frame.extended else frame.id
-
-
-def digest(frames: Iterable[CanFrame]) -> int:
-    """16-bit check of a phase's frames, in (id, sequence) order (DONE, interfaces 8)."""
-    crc = 0
-    for frame in frames:
-        crc = zlib.crc32(frame.data, zlib.crc32(frame.id.to_bytes(4, "little"), crc))
-    return crc & 0xFFFF
 
 
 class Exchange:
-    """Both links of one node. `ids_of_phase`: (ids of the reports, ids of the commands), SocketCAN ids."""
+    """Both links of one node. `ids_of_phase`: (ids of the reports, ids of the commands), SocketCAN ids.
+
+    `drops`: the vehicle's link may leave frames unsent (SocketCAN in real time), so DONE announces what was taken.
+    """
 
     def __init__(
         self,
@@ -46,6 +34,8 @@ class Exchange:
         ids_of_phase: Sequence[frozenset[int]],
         tick_s: float,
         send_both: Callable[[list[CanFrame], list[CanFrame]], None] | None = None,
+        *,
+        drops: bool = False,
     ) -> None:
         self.vehicle = vehicle
         self.bench = bench
@@ -55,6 +45,9 @@ class Exchange:
         self.inbox: list[Any] = []  # bench messages that nobody has looked at yet
         self.run_stamp_s = 0.0  # when STATUS RUN passed the bus: the same for all who heard it
         self.foreign: dict[int, int] = {}  # id -> count of frames that are in neither set
+        self.heard = 0  # frames of the other node that were taken in real time
+        self.refused = 0  # frames that a full transmit queue did not take in time (`drops`)
+        self._drops = drops
         self._frames: tuple[list[CanFrame], list[CanFrame]] = ([], [])
 
     def say(self, *messages: Any, k: int = 0) -> None:
@@ -68,8 +61,22 @@ class Exchange:
     def announce(self, k: int, phase: int, frames: list[CanFrame], *before: Any) -> None:
         """Send this phase's vehicle frames, then `before` and DONE on the bench channel."""
         frames.sort(key=can_key)
+        if self._drops:
+            frames = self._send_what_goes(frames)
+            bench_frames = self._bench_frames((*before, bc.Done(k, phase, len(frames), digest(frames))), k)
+            self.bench.send(bench_frames)
+            return
         done = bc.Done(k, phase, len(frames), digest(frames))
         self._send_both(frames, self._bench_frames((*before, done), k))
+
+    def _send_what_goes(self, frames: list[CanFrame]) -> list[CanFrame]:
+        """Real time on a bus whose queue may be full: what was taken; the rest is dropped and counted."""
+        if not frames:
+            return frames
+        self.vehicle.send(frames)
+        refused = self.vehicle.refused
+        self.refused += len(refused)
+        return frames[: len(frames) - len(refused)]
 
     def _send_apart(self, frames: list[CanFrame], bench_frames: list[CanFrame]) -> None:
         if frames:
@@ -110,9 +117,10 @@ class Exchange:
         frames = self._await_frames(k, phase, done.n_tx)
         frames.sort(key=can_key)
         if digest(frames) != done.digest:
+            surplus = f"{len(frames) - done.n_tx} more came" if len(frames) > done.n_tx else "their contents differ"
             raise BenchError(
                 f"tick {k}: the {len(frames)} frames of the {PHASE_ROLES[phase]} are not those it announced "
-                f"({', '.join(f'0x{frame.id:X}' for frame in frames)})",
+                f"({', '.join(f'0x{frame.id:X}' for frame in frames)}): {surplus}, so another node sends these ids",
                 code="digest",
                 hint="another process sends this vehicle's ids on the same bus; end it, or use another --session",
             )
@@ -177,11 +185,16 @@ class Exchange:
         waiting = self._frames[phase]
         taken = [frame for frame in waiting if frame.time_s < stamp_s]
         if taken:
+            self.heard += len(taken)
             waiting[:] = [frame for frame in waiting if frame.time_s >= stamp_s]
         return taken
 
     def clear(self) -> None:
-        """Forget what an ended episode left behind."""
-        self.sort_in(self.vehicle.receive(0.0))
+        """Forget what an ended episode left behind, and what a full receive queue lost of it."""
+        try:
+            self.sort_in(self.vehicle.receive(0.0))
+        except BenchError as error:
+            if error.code != "rx_overflow":
+                raise
         for waiting in self._frames:
             waiting.clear()

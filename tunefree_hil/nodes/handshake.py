@@ -4,7 +4,8 @@
       └── override latched ──> CLEARING ──┘
 
 EN is set from the first command on; the vehicle must answer within `limit_ticks` (20 looks of 20 ms in the source).
-A lost engagement is never taken back by itself: that needs a new request.
+A lost engagement is never taken back by itself: that needs a new request. The steps are a kernel, `look`, so that a
+compiled batch takes the same ones; `Handshake` is what a node holds.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ from __future__ import annotations
 from enum import Enum
 from typing import NamedTuple
 
+from tunefree_hil.base.kernel import kernel
+
 ANSWER_LIMIT_TICKS = 40  # 20 x 20 ms
 CLEAR_EVERY_TICKS = 5  # 20 Hz
 
 
 class Stage(Enum):
-    """Where the take-over stands."""
+    """Where the take-over stands, in the order of the kernel's codes."""
 
     ENABLING = "waiting for the vehicle to report every channel enabled"
     CLEARING = "an override is latched: sending clear frames"
@@ -28,7 +31,9 @@ class Stage(Enum):
     DROPPED = "a by-wire channel left the enabled state by itself"
 
 
-ENDED = (Stage.NOT_ENABLED, Stage.OVERRIDE, Stage.FAULT, Stage.DROPPED)
+STAGES = tuple(Stage)
+ENABLING, CLEARING, ENGAGED, NOT_ENABLED, OVERRIDE, FAULT, DROPPED = range(len(STAGES))  # from NOT_ENABLED on: ended
+ENDED = STAGES[NOT_ENABLED:]
 
 
 class VehicleState(NamedTuple):
@@ -40,54 +45,71 @@ class VehicleState(NamedTuple):
     fault: bool = False
 
 
+class Progress(NamedTuple):
+    """State of `look`: code of the stage, the tick since which it waits, whether clear frames are due now."""
+
+    stage: int = ENABLING
+    since: int = 0
+    clear_now: bool = False
+
+
+@kernel
+def watch(state: VehicleState) -> int:
+    """The stage after an engaged tick."""
+    if state.fault:
+        return FAULT
+    if state.override:
+        return OVERRIDE
+    return ENGAGED if state.enabled else DROPPED
+
+
+@kernel
+def look(progress: Progress, tick: int, state: VehicleState, limit_ticks: int) -> Progress:
+    """Advance by one tick. An ended stage stays."""
+    stage, since = progress.stage, progress.since
+    if stage >= NOT_ENABLED:
+        return Progress(stage, since, False)
+    if stage == ENGAGED:
+        return Progress(watch(state), since, False)
+    if state.fault:
+        return Progress(FAULT, since, False)
+    if state.override:
+        if stage != CLEARING:
+            since = tick
+        waited = tick - since
+        if waited >= limit_ticks:
+            return Progress(NOT_ENABLED, since, False)
+        return Progress(CLEARING, since, int(waited) % int(CLEAR_EVERY_TICKS) == 0)  # not 0: a constant
+    if stage == CLEARING:
+        since = tick
+    if state.known and state.enabled:
+        return Progress(ENGAGED, since, False)
+    return Progress(NOT_ENABLED if tick - since >= limit_ticks else ENABLING, since, False)
+
+
 class Handshake:
     """One engagement. `look(tick, state)` once a tick gives the stage; `enable`, `clear_now` say what to send."""
 
     def __init__(self, limit_ticks: int = ANSWER_LIMIT_TICKS) -> None:
         self.limit_ticks = limit_ticks
-        self.stage = Stage.ENABLING
-        self.clear_now = False
-        self._since = 0
+        self._progress = Progress()
+
+    @property
+    def stage(self) -> Stage:
+        """Where the take-over stands."""
+        return STAGES[self._progress.stage]
+
+    @property
+    def clear_now(self) -> bool:
+        """Whether clear frames are to be sent at this tick."""
+        return self._progress.clear_now
 
     @property
     def enable(self) -> bool:
         """Whether commands go out with their enable bit set."""
-        return self.stage in (Stage.ENABLING, Stage.ENGAGED)
+        return self._progress.stage in (ENABLING, ENGAGED)
 
     def look(self, tick: int, state: VehicleState) -> Stage:
         """Advance by one tick. An ended stage stays."""
-        self.clear_now = False
-        if self.stage in ENDED:
-            return self.stage
-        if self.stage is Stage.ENGAGED:
-            self.stage = self._watch(state)
-        elif state.fault:
-            self.stage = Stage.FAULT
-        elif state.override:
-            self._clear(tick)
-        else:
-            self._enable(tick, state)
+        self._progress = look(self._progress, tick, state, self.limit_ticks)
         return self.stage
-
-    @staticmethod
-    def _watch(state: VehicleState) -> Stage:
-        if state.fault:
-            return Stage.FAULT
-        if state.override:
-            return Stage.OVERRIDE
-        return Stage.ENGAGED if state.enabled else Stage.DROPPED
-
-    def _clear(self, tick: int) -> None:
-        if self.stage is not Stage.CLEARING:
-            self.stage, self._since = Stage.CLEARING, tick
-        self.clear_now = (tick - self._since) % CLEAR_EVERY_TICKS == 0
-        if tick - self._since >= self.limit_ticks:
-            self.stage, self.clear_now = Stage.NOT_ENABLED, False
-
-    def _enable(self, tick: int, state: VehicleState) -> None:
-        if self.stage is Stage.CLEARING:
-            self.stage, self._since = Stage.ENABLING, tick
-        if state.known and state.enabled:
-            self.stage = Stage.ENGAGED
-        elif tick - self._since >= self.limit_ticks:
-            self.stage = Stage.NOT_ENABLED

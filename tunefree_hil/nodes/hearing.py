@@ -1,4 +1,7 @@
-"""What a node makes of the frames it hears: the latest records, the state bits, and how old each message is."""
+"""What a node makes of the frames it hears: the latest records, the state bits, and how old each message is.
+
+A frame of a protected message that is not believed changes none of them, and does not count as heard.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from tunefree_hil.bus.codec import Codec, Snapshot
 from tunefree_hil.bus.message_map import MessageMap
 from tunefree_hil.nodes.exchange import can_key
 from tunefree_hil.nodes.handshake import VehicleState
+from tunefree_hil.nodes.reception import Reception
 
 MISSING_S = 0.2  # 20 missed periods of localization in the source (apollo_facts 1.2)
 INS, CHASSIS = "ins", "chassis"
@@ -20,6 +24,8 @@ class Hearing:
     def __init__(self, codec: Codec, tick_s: float) -> None:
         self.codec = codec
         self.snapshot = Snapshot(codec)
+        self.reception = Reception(codec.telemetry)
+        self._protected = {message.name: _group(message) for message in codec.telemetry if message.e2e is not None}
         self.limit_ticks = round(MISSING_S / tick_s)
         self.heard_at: dict[str, int] = {}
         self._enable_messages = {
@@ -32,6 +38,8 @@ class Hearing:
         """Take in frames that have arrived by tick `tick`."""
         for frame in frames:
             message = self.codec.by_id[can_key(frame)]
+            if not self.reception.hear(message, frame.data, tick):
+                continue
             self.heard_at[message.name] = tick
             if self._payload.get(message.name) == frame.data:
                 continue  # nothing new in it
@@ -40,6 +48,7 @@ class Hearing:
                 self._note_bits(message, self.snapshot.hear(message, frame.data))
             else:
                 self.snapshot.take(message, frame.data)
+        self.reception.end_tick(tick)
 
     def _note_bits(self, message: MessageMap, decoded: Mapping[str, float]) -> None:
         active = set()
@@ -69,9 +78,22 @@ class Hearing:
         return Measurement(self.snapshot.report(), self.snapshot.ins())
 
     def missing(self, tick: int, needed: Mapping[str, Iterable[str]]) -> tuple[str, list[str]] | None:
-        """(group, messages) of the first group of which a needed message has not been heard for 0.2 s, or None."""
+        """(group, messages) of the first group of which a message is not there, or None.
+
+        That is: not heard, or not believed, for 0.2 s. `needed` names messages by group; protected ones all count.
+        """
         for group, messages in needed.items():
-            late = [name for name in messages if tick - self.heard_at.get(name, 0) > self.limit_ticks]
+            protected = [name for name, own in self._protected.items() if own == group]
+            names = dict.fromkeys([*messages, *protected])
+            late = [name for name in names if tick - self.heard_at.get(name, 0) > self.limit_ticks]
             if late:
                 return group, late
         return None
+
+    def why(self, name: str) -> str:
+        """A missing message in words, with its E2E status where it is protected."""
+        return f"{name} ({self.reception.status(name).words})" if name in self._protected else name
+
+
+def _group(message: MessageMap) -> str:
+    return INS if any(one.group == "ins" for one in message.fields) else CHASSIS

@@ -7,13 +7,14 @@ every few milliseconds and calls a silence of 5 s by name.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
-from tunefree_hil.base.errors import BenchError, NoAnswer, PeerGone
+from tunefree_hil.base.errors import BenchError, InputError, NoAnswer, PeerGone
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.link import Link, Owner
+from tunefree_hil.bus.link import Link
+from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.nodes.exchange import HARD_LIMIT_S
 
 LOOK_S = 0.005
@@ -36,10 +37,27 @@ class Outcome(NamedTuple):
         return bc.ErrorCode(self.error_code).name.lower() if self.error_code else ""
 
 
-class Runner:
-    """One bench, one episode after the other. `check()` raises when a process of ours has died."""
+class Counted(Protocol):
+    """`frames`: channel -> frames that have passed so far."""
 
-    def __init__(self, bench: Link, owner: Owner, check: Callable[[], None] = lambda: None) -> None:
+    @property
+    def frames(self) -> Mapping[str, int]: ...
+
+
+class Keeper(Protocol):
+    """Who writes the logs and counts frames: a hub's owner (bus/tfhub/owner.py) or a recorder's (recorder_owner.py)."""
+
+    def start_log(self, paths: Mapping[str, Any]) -> None: ...
+
+    def stop_log(self) -> dict[str, int]: ...
+
+    def stats(self) -> Counted: ...
+
+
+class Runner:
+    """One bench, one episode after the other. `check()` raises when a process of ours has died, or the bus is ill."""
+
+    def __init__(self, bench: Link, owner: Keeper, check: Callable[[], None] = lambda: None) -> None:
         self.bench = bench
         self.owner = owner
         self.check = check
@@ -55,27 +73,55 @@ class Runner:
                 if isinstance(message, bc.Hello):
                     self.collector.add(message)
             if time.monotonic() > limit:
-                missing = [role.name.lower() for role in needed if not self.collector.complete(role)]
-                raise NoAnswer(
-                    f"no hello from {' and '.join(missing)} within {limit_s:g} s",
-                    code="node_missing",
-                    hint="start `tunefree-hil ecu` and `tunefree-hil controller` on the same --session",
-                )
+                raise self._nobody([role for role in needed if not self.collector.complete(role)], limit_s)
+        self.announced()  # a text that cannot be read is said now
+
+    def _nobody(self, missing: Sequence[bc.Role], limit_s: float) -> NoAnswer:
+        """Who said no HELLO, or not all of it; a controller of the user's own is told what it has to say."""
+        message = f"no hello from {' and '.join(role.name.lower() for role in missing)} within {limit_s:g} s"
+        here, all_of_it = self.collector.arrived(bc.Role.CONTROLLER)
+        if bc.Role.CONTROLLER in missing and here:
+            message += f"; {here} of {all_of_it} parts of the controller's came"
+        hint = "start `tunefree-hil ecu` and `tunefree-hil controller` on the same --session"
+        if missing == [bc.Role.CONTROLLER]:
+            hint += f"; a controller of your own has to send {bc.HELLO_WORDS}"
+        return NoAnswer(message, code="node_missing", hint=hint)
+
+    def announced(self) -> dict[int, str]:
+        """{index: name} of the parameters that a controller of the user's own announced (interfaces 7)."""
+        return self.collector.parameters(bc.Role.CONTROLLER)
+
+    def indexed(self, parameters: Mapping[str, float]) -> dict[int, float]:
+        """PARAM index -> value, by the list of interfaces 7 and by what the controller announced.
+
+        Raises InputError for a name that is in neither.
+        """
+        announced = self.announced()
+        indices = {name: index for index, name in [*enumerate(NAMES), *announced.items()]}
+        unknown = [name for name in parameters if name not in indices]
+        if unknown:
+            raise InputError(
+                f"the controller {self.collector.name(bc.Role.CONTROLLER)} has no parameter {', '.join(unknown)}",
+                code="unknown_parameter",
+                hint=f"it announced {', '.join(announced.values()) or 'none of its own'}",
+            )
+        return {indices[name]: value for name, value in parameters.items()}
 
     def drive(
         self,
         scenario: bytes,
         seed: int,
-        parameters: Sequence[float],
+        parameters: Sequence[float] | Mapping[int, float],
         logs: dict[str, Path],
     ) -> Outcome:
-        """Drive one episode to its end or failure; the hub writes the logs.
+        """Drive one episode to its end or failure; hub or recorder write the logs.
 
-        scenario: content hash, of which EPISODE carries 6 bytes. Raises BenchError, NoAnswer, PeerGone.
+        scenario: content hash, of which EPISODE carries 6 bytes. parameters: values from index 0 on, or by index
+        (`indexed`). Raises BenchError, NoAnswer, PeerGone.
         """
         self._say(bc.Episode(scenario[:6], seed))
-        count = len(parameters)
-        self._say(*[bc.Param(index, count, value) for index, value in enumerate(parameters)])
+        values = parameters if isinstance(parameters, Mapping) else dict(enumerate(parameters))
+        self._say(*[bc.Param(index, len(values), value) for index, value in values.items()])
         self._await_ready()
         self.owner.start_log(logs)
         started = time.monotonic()
@@ -163,13 +209,13 @@ class Runner:
 
 
 class HubSilent(NoAnswer):
-    """The hub itself does not answer."""
+    """The hub, or the recorder, does not answer itself."""
 
 
 class Silence:
-    """Notices a bench on which nothing moves any more: the hub's own count of frames stands still."""
+    """Notices a bench on which nothing moves any more: the hub's or recorder's count of frames stands still."""
 
-    def __init__(self, owner: Owner) -> None:
+    def __init__(self, owner: Keeper) -> None:
         self.owner = owner
         self._frames = -1
         self._moved = self._looked = time.monotonic()
@@ -183,7 +229,7 @@ class Silence:
         try:
             frames = sum(self.owner.stats().frames.values())
         except NoAnswer as error:
-            raise HubSilent(error.message, code="no_answer", hint="is the hub stopped? look where it runs") from error
+            raise HubSilent(error.message, code="no_answer", hint="is it stopped? look where it runs") from error
         if frames != self._frames:
             self._frames, self._moved = frames, now
         elif now - self._moved > SILENT_LIMIT_S:

@@ -1,0 +1,89 @@
+"""What a node notices of a stream of frames: statuses, silence, crowds; each said once, all counted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.bus.e2e_car import write_car
+from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.frame_writer import FrameWriter
+from tunefree_hil.bus.integrity import E2eStatus
+from tunefree_hil.config.load import load_vehicle
+from tunefree_hil.nodes.reception import TOO_MANY, Notice, Reception
+
+
+@pytest.fixture
+def little(tmp_path: Path) -> Codec:
+    return Codec(load_vehicle(write_car(tmp_path)))
+
+
+def run(codec: Codec, name: str, counts: dict[int, int], ticks: int) -> Reception:
+    """`ticks` ticks of one message by its period; counts: other numbers of frames than 1, by tick."""
+    message, writer, reception = codec.by_name[name], FrameWriter(codec), Reception(codec.telemetry)
+    for k in range(ticks):
+        due = k % message.period_ticks == 0
+        for _ in range(counts.get(k, int(due))):
+            reception.hear(message, writer.write(message, {}, {}, 0.0).data, k)
+        reception.end_tick(k)
+    return reception
+
+
+def of(reception: Reception, name: str) -> list[tuple[int, str]]:
+    return [(one.tick, one.what) for one in reception.notices() if one.message == name]
+
+
+@pytest.mark.parametrize("name", ["GYRO", "BRAKE_REPORT", "GEAR_REPORT"])
+def test_good_frames_are_nothing_to_speak_of(codec: Codec, name: str) -> None:
+    reception = run(codec, name, {}, 200)
+    assert of(reception, name) == [] and name not in reception.troubles()
+
+
+@pytest.mark.parametrize(("name", "period"), [("GYRO", 1), ("BRAKE_REPORT", 2), ("GEAR_REPORT", 5)])
+def test_silence_is_noticed_once_and_counted_by_period(codec: Codec, name: str, period: int) -> None:
+    """One tick of grace; then it is named, although nothing about the message is protected."""
+    silent = {k: 0 for k in range(50, 50 + 10 * period)}
+    reception = run(codec, name, silent, 100 + 20 * period)
+    last = 50 - period
+    assert of(reception, name) == [(last + period + 2, "no new data")]
+    assert reception.troubles()[name][E2eStatus.NO_NEW_DATA] in (8, 9, 10)
+
+
+def test_a_frame_that_comes_one_tick_late_is_none_of_that(codec: Codec) -> None:
+    """Real time: a frame misses its deadline and comes with the next one."""
+    reception = run(codec, "GYRO", {50: 0, 51: 2, 70: 0, 71: 2, 90: 0, 91: 2}, 120)
+    assert of(reception, "GYRO") == []
+
+
+@pytest.mark.parametrize(("name", "period"), [("GYRO", 1), ("BRAKE_REPORT", 2), ("GEAR_REPORT", 5)])
+def test_copies_are_noticed_within_250_ms_without_any_counter(codec: Codec, name: str, period: int) -> None:
+    twice = {k: 2 for k in range(50, 150, period)}
+    ((tick, what),) = of(run(codec, name, twice, 150), name)
+    assert what == TOO_MANY and tick - 50 <= 3 * period
+
+
+def test_what_a_gap_held_up_may_come_at_once(codec: Codec) -> None:
+    """A stall of 40 ms, then four frames together: silence was said, a crowd is not."""
+    held = {50: 0, 51: 0, 52: 0, 53: 4}
+    assert [what for _, what in of(run(codec, "GYRO", held, 80), "GYRO")] == ["no new data"]
+
+
+def test_a_protected_message_is_named_by_its_status(little: Codec) -> None:
+    message, writer, reception = little.by_name["STATE"], FrameWriter(little), Reception(little.telemetry)
+    frames = [writer.write(message, {}, {}, 0.0).data for _ in range(8)]
+    heard = []
+    for k, data in enumerate([frames[0], frames[1], frames[1], b"\xaa" * 16, frames[2], frames[3], frames[3]]):
+        heard.append(reception.hear(message, data, 2 * k))
+        reception.end_tick(2 * k)
+    assert heard == [False, True, False, False, True, True, False], "the first one only says where the counter stands"
+    words = [str(one) for one in reception.notices()]
+    assert words == ["tick 4: STATE: repeated", "tick 6: STATE: wrong CRC"], "each kind once"
+    assert reception.notices() == []
+    assert reception.troubles() == {"STATE": [3, 0, 2, 0, 1, 0, 1, 0]}
+    assert reception.summary() == "STATE 2 repeated, 1 wrong CRC"
+    assert reception.status("STATE") is E2eStatus.REPEATED
+
+
+def test_a_notice_in_words() -> None:
+    assert str(Notice(12, "STATE", "wrong CRC")) == "tick 12: STATE: wrong CRC"

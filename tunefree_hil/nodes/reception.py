@@ -1,0 +1,117 @@
+"""What a node notices of the frames it hears: E2E status, arrival and rate of every message, in words and counts.
+
+Statuses are exact and never stop a drive by themselves; who needs a message decides what its status means. Each kind
+of trouble of a message is said once an episode, at its first tick, and counted to the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from tunefree_hil.bus.integrity import E2eStatus, Receiver
+from tunefree_hil.bus.message_map import MessageMap
+
+TOO_MANY = "more frames than are due"
+MOST_EXTRA = 2.0  # extra frames before it is said
+MOST_FREE = 3.0  # of those that come after a gap
+FORGOTTEN = 0.25  # a frame that comes alone makes up for this much
+UNREMARKABLE = (E2eStatus.OK, E2eStatus.INITIAL)
+
+
+class Notice(NamedTuple):
+    """Something wrong with a message, first seen at `tick`."""
+
+    tick: int
+    message: str
+    what: str
+
+    def __str__(self) -> str:
+        return f"tick {self.tick}: {self.message}: {self.what}"
+
+
+class _Crowd:
+    """Frames of a message that came together with another one, which no sender means; a little forgets itself.
+
+    What a gap held up comes all at once in real time: that many are free.
+    """
+
+    def __init__(self, period_ticks: int) -> None:
+        self.period = max(period_ticks, 1)
+        self.extra = 0.0
+        self.at = -1
+
+    def hear(self, tick: int) -> bool:
+        """Take in a frame; True where there are too many."""
+        gap = (tick - self.at) / self.period - 1.0
+        if tick == self.at:
+            self.extra += 1.0
+        elif gap > 0.0:
+            self.extra = max(-MOST_FREE, self.extra - gap)
+        else:
+            self.extra -= max(-FORGOTTEN, min(FORGOTTEN, self.extra))
+        self.at = tick
+        return self.extra > MOST_EXTRA
+
+
+class Reception:
+    """The messages of one direction, as one node hears them in one episode."""
+
+    def __init__(self, messages: Iterable[MessageMap]) -> None:
+        self.receivers = {message.name: Receiver(message) for message in messages}
+        self._all = tuple(self.receivers.values())
+        self._crowds = {one.message.name: _Crowd(one.message.period_ticks) for one in self._all}
+        self._seen: set[tuple[str, str]] = set()
+        self._new: list[Notice] = []
+        self.too_many: dict[str, int] = {}
+
+    def hear(self, message: MessageMap, data: bytes, tick: int) -> bool:
+        """Take in a frame that has arrived by `tick`; whether its values may be taken."""
+        receiver = self.receivers[message.name]
+        status = receiver.hear(tick, data)
+        if status not in UNREMARKABLE:
+            self._notice(tick, message.name, status.words)
+        if self._crowds[message.name].hear(tick):
+            self.too_many[message.name] = self.too_many.get(message.name, 0) + 1
+            self._notice(tick, message.name, TOO_MANY)
+        return receiver.believed
+
+    def end_tick(self, tick: int) -> None:
+        """All frames of `tick` are heard: notice who is overdue."""
+        for receiver in self._all:
+            if receiver.look(tick):
+                self._notice(tick, receiver.message.name, E2eStatus.NO_NEW_DATA.words)
+
+    def status(self, name: str) -> E2eStatus:
+        """A message's status now."""
+        return self.receivers[name].status
+
+    def notices(self) -> list[Notice]:
+        """What is new since the last call."""
+        new, self._new = self._new, []
+        return new
+
+    def troubles(self) -> dict[str, list[int]]:
+        """Messages with which something was wrong: frames by E2eStatus in its order, then those beyond what was due."""
+        found = {}
+        for name, receiver in self.receivers.items():
+            row = [*receiver.counts, self.too_many.get(name, 0)]
+            if sum(row) > sum(row[status] for status in UNREMARKABLE):
+                found[name] = row
+        return found
+
+    def summary(self) -> str:
+        """What was wrong, message by message, in one line; '' when nothing was."""
+        parts = []
+        for name, row in self.troubles().items():
+            words = [
+                f"{row[status]} {status.words}" for status in E2eStatus if row[status] and status not in UNREMARKABLE
+            ]
+            words += [f"{row[-1]} {TOO_MANY}"] if row[-1] else []
+            parts.append(f"{name} {', '.join(words)}")
+        return "; ".join(parts)
+
+    def _notice(self, tick: int, name: str, what: str) -> None:
+        if (name, what) not in self._seen:
+            self._seen.add((name, what))
+            self._new.append(Notice(tick, name, what))
