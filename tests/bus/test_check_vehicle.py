@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.house import ROOT
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.check_vehicle import check_vehicle
 from tunefree_hil.bus.codec import Codec
@@ -39,7 +40,7 @@ def problems_of(folder: Path) -> dict[str, InputError]:
     return {problem.key: problem for problem in check_vehicle(load_vehicle(folder, check=False))}
 
 
-@pytest.mark.parametrize("name", ["mkz_bywire", "rav4_2017"])
+@pytest.mark.parametrize("name", sorted(path.parent.name for path in (ROOT / "dbc").glob("*/vehicle.toml")))
 def test_our_vehicles_have_no_problem(name: str) -> None:
     assert check_vehicle(load_vehicle(name)) == []
 
@@ -63,6 +64,8 @@ def test_our_vehicles_have_no_problem(name: str) -> None:
         ('"PC"\nperiod_ms = 20', '"PC"\nperiod_ms = 10', "report.throttle_input_frac.period_ms", "one"),
         ('"PC"\nperiod_ms = 20', '"PO"\nperiod_ms = 20', "report.throttle_frac", "absent"),
         ('"YAW"\nperiod_ms = 10', '"YAW"\nperiod_ms = 30', "report.yaw_rate_radps.period_ms", "same"),
+        ('"ANGLE"\nscale = 0.017453292519943295', '"ANGLE"\nscale = 1.0', "report.steer_rad.scale", "0.0174532925"),
+        ('"STEERING_REPORT"\nsignal = "SPEED"', '"GYRO"\nsignal = "ROLL"', "report.speed_mps.scale", "unit"),
         ('"THROTTLE_CMD"\nsignal = "PCMD"', '"THROTTLE_REPORT"\nsignal = "PI"', "command.throttle_frac", "one way"),
     ],
 )  # fmt: skip

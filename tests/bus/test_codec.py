@@ -11,6 +11,7 @@ from cantools.database.conversion import BaseConversion
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.house import ROOT
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import GROUPS, CanFrame, Command, Ins, Report
 from tunefree_hil.bus.codec import Codec, Snapshot
@@ -19,7 +20,7 @@ from tunefree_hil.bus.message_map import MessageMap
 from tunefree_hil.bus.plan import make_plan
 from tunefree_hil.config.load import load_vehicle
 
-VEHICLES = ("mkz_bywire", "rav4_2017")
+VEHICLES = sorted(path.parent.name for path in (ROOT / "dbc").glob("*/vehicle.toml"))
 CODECS = {name: Codec(load_vehicle(name)) for name in VEHICLES}
 NETWORKS = {name: read_network(load_vehicle(name)) for name in VEHICLES}
 ALL = [(name, message) for name, codec in CODECS.items() for message in (*codec.commands, *codec.telemetry)]

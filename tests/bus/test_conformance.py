@@ -5,6 +5,7 @@ The rows of a hub have it in a process of its own. What only our hub promises: t
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from tunefree_hil.bus.kernel_link import kernel_has_can, link_state
 from tunefree_hil.bus.tfhub.start import HubProcess
 
 BURST = 20_000
+SO_RXQ_OVFL = 40  # asm-generic/socket.h
 
 
 def _require(kind: str) -> None:
@@ -29,7 +31,7 @@ def _require(kind: str) -> None:
 
 
 ALL = ["tfhub-unix", "tfhub-tcp", "virtual", pytest.param("socketcan", marks=pytest.mark.vcan)]
-LOSSLESS = ["tfhub-unix", "tfhub-tcp", "virtual"]  # a kernel socket that nobody reads overflows, by design
+LOSSLESS = ["tfhub-unix", "tfhub-tcp", "virtual"]  # a kernel socket that nobody reads overflows: a row of its own
 
 
 @pytest.fixture(scope="module")
@@ -109,12 +111,13 @@ def _send_numbers(bus: Backend, sender: can.BusABC, identifier: int) -> None:
 
 def test_nobody_hears_himself_unless_he_wants_to(bus: Backend) -> None:
     a, b, echo = bus.open("a"), bus.open("b"), bus.open("echo", receive_own_messages=True)
+    foreign = bus.kind != "socketcan"  # there is_rx means "from another computer", and on vcan nothing is
     a.send(can.Message(arbitration_id=1, is_extended_id=False))
-    assert [(m.arbitration_id, m.is_rx) for m in receive_all(echo, 1)] == [(1, True)]
+    assert [(m.arbitration_id, m.is_rx) for m in receive_all(echo, 1)] == [(1, foreign)]
     echo.send(can.Message(arbitration_id=2, is_extended_id=False))
     assert [(m.arbitration_id, m.is_rx) for m in receive_all(echo, 1)] == [(2, False)]
-    assert [(m.arbitration_id, m.is_rx) for m in receive_all(b, 2)] == [(1, True), (2, True)]
-    assert [(m.arbitration_id, m.is_rx) for m in receive_all(a, 1)] == [(2, True)]
+    assert [(m.arbitration_id, m.is_rx) for m in receive_all(b, 2)] == [(1, foreign), (2, foreign)]
+    assert [(m.arbitration_id, m.is_rx) for m in receive_all(a, 1)] == [(2, foreign)]
     assert a.recv(0.02) is None
 
 
@@ -182,3 +185,31 @@ def test_nothing_is_lost_in_a_burst_with_a_sleeping_reader(lossless: Backend, fd
     thread.join()
     assert numbers == list(range(count))
     assert b.recv(0.02) is None
+
+
+@pytest.mark.vcan
+@pytest.mark.parametrize("bus", ["socketcan"], indirect=True)
+def test_a_burst_into_a_kernel_socket_loses_exactly_what_the_kernel_says(bus: Backend) -> None:
+    """Nobody reads until all is sent. SO_RXQ_OVFL comes with each frame: how many were dropped before it."""
+    sender = bus.open("a")
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as reader:
+        reader.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
+        reader.bind((bus.channel,))
+        for number in range(BURST):
+            sender.send(can.Message(arbitration_id=1, is_extended_id=False, data=number.to_bytes(8, "little")))
+        kept = [_kernel_frame(reader)[0] for _ in range(10)]  # room again
+        sender.send(can.Message(arbitration_id=1, is_extended_id=False, data=BURST.to_bytes(8, "little")))
+        lost = 0
+        while kept[-1] != BURST:
+            number, lost = _kernel_frame(reader)
+            kept.append(number)
+    assert kept == sorted(set(kept)) and 0 < lost < BURST
+    assert len(kept) + lost == BURST + 1
+
+
+def _kernel_frame(reader: socket.socket) -> tuple[int, int]:
+    """(number in the frame, frames lost before it)."""
+    reader.settimeout(PATIENCE_S)
+    frame, extra, _, _ = reader.recvmsg(72, socket.CMSG_SPACE(4))
+    dropped = [int.from_bytes(data, "little") for _, kind, data in extra if kind == SO_RXQ_OVFL]
+    return number_of(frame[8:16]), dropped[0] if dropped else 0

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tunefree_hil.bus.codec import Codec
-from tunefree_hil.bus.log_check import ERROR, REMOTE, Frame, LogHealth, check_frames
+from tunefree_hil.bus.e2e import protect
+from tunefree_hil.bus.log_check import ERROR, REMOTE, Frame, LogHealth, check_frames, declared_ranges
 from tunefree_hil.config.load import load_vehicle
 
 TICKS = 200
@@ -128,3 +129,41 @@ def test_channels_tell_equal_ids_apart(codec: Codec, clean: list[Frame]) -> None
     health = check_frames(frames, other, by_channel=True)
     assert of(other, health, lka.name).frames == 9
     assert health.foreign == {lka.key: 9}
+
+
+def test_a_wrong_crc_is_found_and_its_counter_not_believed() -> None:
+    van = Codec(load_vehicle("van_e2e"))
+    message = next(one for one in van.telemetry if one.e2e is not None)
+    frames: list[Frame] = []
+    for k in range(40):
+        data = protect(message.e2e, van.encode(message, {}, {}), k % message.e2e.modulus)  # type: ignore[arg-type,union-attr]
+        frames.append((k * message.period_ticks * 0.01, "can0", message.key, data, 1))
+    assert not [one for one in check_frames(frames, van).problems if message.name in one]
+    torn = bytearray(frames[20][3])
+    torn[-1] ^= 0x40
+    frames[20] = (*frames[20][:3], bytes(torn), 1)
+    health = check_frames(frames, van)
+    found = of(van, health, message.name)
+    assert found.broken == 1 and found.lost == 1, "the frame that is not believed is missing"
+    assert f"{message.name}: the CRC or data id of 1 frames does not fit" in health.problems
+
+
+def test_without_a_profile_nothing_is_said_of_crcs(codec: Codec, clean: list[Frame]) -> None:
+    assert all(one.broken is None for one in check_frames(clean, codec).messages)
+
+
+def test_values_beyond_the_declared_range(codec: Codec, clean: list[Frame]) -> None:
+    message, (name, (_, high)) = next(
+        (one, next(iter(ranges.items()))) for one in codec.telemetry if (ranges := declared_ranges(one))
+    )
+    signal = message.signals[name]
+    raw = signal.raw_high + 1
+    i = positions(clean, codec, message.name)[5]
+    data = codec.encode(message, {}, {name: raw})
+    clean[i] = (*clean[i][:3], data, 0)
+    health = check_frames(clean, codec)
+    assert of(codec, health, message.name).beyond == 1
+    assert [
+        one for one in health.problems if one.startswith(f"{message.name}: {name} is outside") and "1 frames" in one
+    ]
+    assert raw * signal.factor + signal.offset > high

@@ -25,6 +25,7 @@ from tunefree_hil.bus.tfhub.start import HubProcess, start_hub
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE_S = 20.0  # a time-out that only a broken hub reaches
+SO_RCVBUFFORCE = 33  # asm-generic/socket.h; beyond net.core.rmem_max, for root
 
 
 class ThreadHub:
@@ -135,7 +136,10 @@ class Backend:
         else:
             more = {"fd": True} if self.kind == "socketcan" else {}
             bus = can.Bus(self.channel, interface=self.kind, ignore_config=True, **more, **options)
-        return self.stack.enter_context(bus)
+        bus = self.stack.enter_context(bus)
+        if self.kind == "socketcan":  # the kernel's own 208 kB hold 277 frames, and what comes then is lost
+            bus.socket.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, 4 << 20)
+        return bus
 
 
 def receive_all(bus: can.BusABC, count: int) -> list[can.Message]:

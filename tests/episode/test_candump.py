@@ -12,7 +12,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.episode.candump import BRS, ERROR, ESI, EXTENDED_BIT, FD, RTR, LogFrame, parse_candump, read_candump
+from tunefree_hil.bus.formats.rows import SENT, Row
+from tunefree_hil.episode.candump import (
+    BRS,
+    ERROR,
+    ESI,
+    EXTENDED_BIT,
+    FD,
+    RTR,
+    LogFrame,
+    parse_candump,
+    read_candump,
+    read_rows,
+    write_candump,
+)
 
 GOOD = "(0.000000) vcan0 062#0011\n(0.010000) vcan0 063#\n"
 
@@ -110,3 +123,29 @@ def test_a_real_log(shared_data: Path) -> None:
     assert len(found) == 37975
     assert sum(frame.can_id == 0x0B4 for frame in found) == 2487
     assert {frame.channel for frame in found} == {"can0", "can1", "can128", "can129"}
+
+
+ROWS = [
+    Row(46408.58493, "can0", 0x123, b"\x01\x02"),
+    Row(46408.584943, "can128", 0x123 | EXTENDED_BIT, b"", SENT),
+    Row(46408.59, "can0", 0x7FF, bytes(64), FD | BRS | ESI),
+    Row(46408.59, "can0", 0x7FF, b"", FD),
+    Row(46408.6, "can0", 0x11, b"", RTR, 4),
+    Row(46408.6, "can0", 0x11, b"", RTR),
+    Row(46408.7, "can0", 0x44, bytes(8), ERROR),
+]
+
+
+def test_rows_come_back_with_direction_and_remote_length(tmp_path: Path) -> None:
+    write_candump(tmp_path / "x.log", ROWS)
+    assert read_rows(tmp_path / "x.log") == ROWS
+    text = (tmp_path / "x.log").read_text()
+    assert "(46408.584943) can128 00000123# T\n" in text and "(46408.600000) can0 011#R4 R\n" in text
+    with CanutilsLogReader(tmp_path / "x.log") as theirs:
+        assert [message.arbitration_id for message in theirs][:2] == [0x123, 0x123]
+
+
+def test_nine_decimals_only_where_they_are_needed(tmp_path: Path) -> None:
+    for text in ("(0.500000)", "(0.123456789)", "(1724850000.123456)"):
+        write_candump(tmp_path / "x.log", [Row(float(text.strip("()")), "can0", 1, b"")])
+        assert (tmp_path / "x.log").read_text() == f"{text} can0 001#\n"

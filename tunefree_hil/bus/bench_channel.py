@@ -17,6 +17,12 @@ from tunefree_hil.base.records import CanFrame
 
 TICK_ID, DONE_ID, STATUS_ID, EPISODE_ID, PARAM_ID, FAULT_ID, HELLO_ID = range(0x6E0, 0x6E7)
 FIRST_OWN_INDEX = 16  # a user's controller numbers its own parameters from here on (interfaces 7)
+LAST_INDEX = 255  # PARAM's index is one byte
+HELLO_WORDS = (
+    f"HELLO (id 0x{HELLO_ID:X}, role 2) when it starts and whenever the runner does: its name, then a line "
+    f"'INDEX NAME' for each parameter of its own, from index {FIRST_OWN_INDEX} on, four bytes a frame "
+    "(docs/controller.md)"
+)
 NOT_SCRIPTED = 255  # Fault.index of a fault that no bench file asked for
 CHUNK_BYTES = 4
 MAX_PARTS = 4095
@@ -242,12 +248,33 @@ class HelloCollector:
         return self._lines(role)[0] if self.complete(role) else ""
 
     def parameters(self, role: int) -> dict[int, str]:
-        """{index: name} of the parameters a role announced; empty until its text is complete."""
-        if not self.complete(role):
-            return {}
-        pairs = [line.split(" ", 1) for line in self._lines(role)[1:]]
-        return {int(index): name for index, name in pairs}
+        """{index: name} of the parameters a role announced; empty until its text is complete.
+
+        Raises InputError for a line that is not 'INDEX NAME' with an index of its own range, or for one said twice.
+        """
+        found: dict[int, str] = {}
+        for line in self._lines(role)[1:] if self.complete(role) else ():
+            index, _, name = line.partition(" ")
+            number = int(index) if index.isascii() and index.isdigit() else -1
+            if not (FIRST_OWN_INDEX <= number <= LAST_INDEX and name.strip()):
+                raise _bad_hello(role, line, f"is not 'INDEX NAME', index {FIRST_OWN_INDEX} to {LAST_INDEX}")
+            if number in found or name in found.values():
+                raise _bad_hello(role, line, "repeats an index or a name")
+            found[number] = name
+        return found
+
+    def arrived(self, role: int) -> tuple[int, int]:
+        """(chunks that are here, chunks there are) of a role's text; (0, 0) where it said nothing yet."""
+        return len(self._chunks.get(role, ())), self._parts.get(role, 0)
 
     def _lines(self, role: int) -> list[str]:
         chunks = self._chunks[role]
-        return b"".join(chunks[i] for i in sorted(chunks)).rstrip(b"\0").decode().split("\n")
+        text = b"".join(chunks[i] for i in sorted(chunks)).rstrip(b"\0")
+        return text.decode(errors="backslashreplace").split("\n")
+
+
+def _bad_hello(role: int, line: str, problem: str) -> InputError:
+    name = Role(role).name.lower()
+    return InputError(
+        f"the {name}'s line {line!r} {problem}", code="bad_hello", key="HELLO", hint=f"it has to send {HELLO_WORDS}"
+    )

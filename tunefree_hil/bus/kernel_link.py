@@ -4,28 +4,40 @@ from __future__ import annotations
 
 import socket
 import struct
+from contextlib import suppress
+from pathlib import Path
 from typing import NamedTuple
 
+from tunefree_hil.base.errors import InputError
+
 IFF_UP = 0x1
+ARPHRD_CAN = "280"  # linux/if_arp.h
+SYS_NET = Path("/sys/class/net")
 # linux/rtnetlink.h, linux/if_link.h
 RTM_NEWLINK, RTM_GETLINK, NLM_F_REQUEST = 16, 18, 1
-IFLA_IFNAME, IFLA_LINKINFO, IFLA_INFO_KIND = 3, 18, 1
+IFLA_IFNAME, IFLA_MTU, IFLA_TXQLEN, IFLA_LINKINFO, IFLA_INFO_KIND = 3, 4, 13, 18, 1
 MESSAGE = struct.Struct("=IHHII")  # nlmsghdr: length, type, flags, sequence, port
 INTERFACE = struct.Struct("=BxHiII")  # ifinfomsg: family, type, index, flags, change
 ATTRIBUTE = struct.Struct("=HH")  # rtattr: length, type
 
-MAKE_VCAN = (
-    "on a kernel with CAN: sudo modprobe vcan && sudo ip link add dev {name} type vcan && sudo ip link set up {name};"
-    " everywhere: --bus tfhub"
-)
+NUMBER = struct.Struct("=I")
+CREDENTIALS = struct.Struct("=iII")  # SO_PEERCRED: pid, uid, gid
+CLASSIC_MTU, FD_MTU = 16, 72  # sizes of struct can_frame and canfd_frame
+
+# mtu 72: the link carries CAN FD too
+ADD_VCAN = "sudo modprobe vcan && sudo ip link add dev {name} type vcan && sudo ip link set dev {name} mtu 72 up"
+MAKE_VCAN = "on a kernel with CAN: " + ADD_VCAN + "; everywhere: --bus tfhub"
+MAKE_FD = "sudo ip link set down {name} && sudo ip link set {name} mtu 72 && sudo ip link set up {name}"
 
 
 class LinkState(NamedTuple):
-    """One network link. `kind` is '' for hardware and for a link that does not exist."""
+    """One network link. `kind` is '' for hardware and for a link that does not exist; mtu 72 carries CAN FD."""
 
     exists: bool
     up: bool
     kind: str
+    mtu: int = FD_MTU
+    queue: int = 0  # txqueuelen: frames
 
 
 def kernel_has_can() -> bool:
@@ -48,9 +60,77 @@ def link_state(name: str) -> LinkState:
     if answer is None:
         return LinkState(False, False, "")
     _, _, _, flags, _ = INTERFACE.unpack_from(answer)
-    info = _attributes(answer[INTERFACE.size :]).get(IFLA_LINKINFO, b"")
-    kind = _attributes(info).get(IFLA_INFO_KIND, b"").rstrip(b"\0").decode("ascii", "replace")
-    return LinkState(True, bool(flags & IFF_UP), kind)
+    told = _attributes(answer[INTERFACE.size :])
+    info = _attributes(told.get(IFLA_LINKINFO, b""))
+    kind = info.get(IFLA_INFO_KIND, b"").rstrip(b"\0").decode("ascii", "replace")
+    return LinkState(True, bool(flags & IFF_UP), kind, _number(told, IFLA_MTU), _number(told, IFLA_TXQLEN))
+
+
+def can_names() -> list[str]:
+    """Names of the kernel's CAN links (ARPHRD_CAN, 280), in order; [] where /sys is not there."""
+    found = []
+    for path in sorted(SYS_NET.glob("*/type")) if SYS_NET.is_dir() else []:
+        with suppress(OSError):  # it went while we looked
+            if path.read_text().strip() == ARPHRD_CAN:
+                found.append(path.parent.name)
+    return found
+
+
+def kernel_drops(name: str) -> int:
+    """Frames of this link that the kernel dropped before any socket saw them (net.core.netdev_max_backlog)."""
+    with suppress(OSError, ValueError):
+        return int((SYS_NET / name / "statistics" / "rx_dropped").read_text())
+    return 0
+
+
+class Claim:
+    """Holds a link for one bench of ours, so that two drives on one machine do not meet on it; ends with the process.
+
+    A name in the abstract unix namespace, which like the link itself belongs to the network namespace.
+    Raises InputError that names the holder.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            self._socket.bind(_claim_of(name))
+            self._socket.listen(4096)  # whoever asks for the holder is never accepted
+        except OSError:
+            self._socket.close()
+            raise InputError(
+                f"{name} carries another bench of yours already, pid {holder(name)}",
+                code="link_in_use",
+                key="--bus",
+                hint="end that one, use another link, or --bus tfhub, where benches do not meet",
+            ) from None
+
+    def close(self) -> None:
+        """Give it up."""
+        self._socket.close()
+
+
+def holder(name: str) -> int:
+    """Process id of the bench that holds a link (Claim); 0 for none, -1 where it cannot be known."""
+    if not hasattr(socket, "SO_PEERCRED"):
+        return 0
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(_claim_of(name))
+            return CREDENTIALS.unpack(probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size))[0]
+        except BlockingIOError:
+            return -1
+        except OSError:
+            return 0
+
+
+def _claim_of(name: str) -> str:
+    return f"\0tunefree-hil-link-{name}"
+
+
+def _number(attributes: dict[int, bytes], kind: int) -> int:
+    data = attributes.get(kind, b"")
+    return NUMBER.unpack(data)[0] if len(data) == NUMBER.size else 0
 
 
 def _ask(name: str) -> bytes | None:

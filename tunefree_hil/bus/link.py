@@ -12,6 +12,7 @@ import can
 
 from tunefree_hil.base.errors import BenchError, InputError, NoAnswer
 from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus.error_frames import note_error
 from tunefree_hil.bus.tfhub.owner import HubStats, Owner, PeerStats
 from tunefree_hil.bus.tfhub.pair import HubPair
 from tunefree_hil.bus.tfhub.plugin import HubBus
@@ -19,28 +20,15 @@ from tunefree_hil.bus.tfhub.records import EFF_MASK
 
 SEND_S = 10.0  # how long a send may wait for a bus that somebody holds
 MOST_AT_ONCE = 4096  # frames that one receive of a foreign bus hands over, so that a flood cannot keep it for ever
-BUS_OFF = 0x40
-# linux/can/error.h: classes of an error frame, in its id
-ERROR_CLASSES = {
-    0x001: "tx_timeout",
-    0x002: "lost_arbitration",
-    0x004: "controller",
-    0x008: "protocol",
-    0x010: "transceiver",
-    0x020: "no_ack",
-    BUS_OFF: "bus_off",
-    0x080: "bus_error",
-    0x100: "restarted",
-    0x200: "counters",
-}
 
 
 class Link(Protocol):
     """One channel of one bus.
 
     `time_s` of a received frame is its stamp: virtual time on a hub with the clock 'sender' (and where members stamp on
-    a virtual bus), else CLOCK_MONOTONIC seconds. `errors` counts error frames by name (ERROR_CLASSES), `remote_frames`
-    the remote frames of foreign tools; neither is ever handed over as data.
+    a virtual bus), else CLOCK_MONOTONIC seconds. `errors` counts error frames by name (error_frames.py),
+    `remote_frames` the remote frames of foreign tools; neither is ever handed over as data. `refused`: the frames of
+    the last send that a full queue did not take, where a late frame is worse than none (SocketCAN in real time).
     """
 
     @property
@@ -51,6 +39,9 @@ class Link(Protocol):
 
     @property
     def remote_frames(self) -> int: ...
+
+    @property
+    def refused(self) -> Sequence[CanFrame]: ...
 
     def send(self, frames: Sequence[CanFrame]) -> None:
         """In this order; one write where the bus allows it. BenchError when the bus is gone or does not take them."""
@@ -68,6 +59,8 @@ class Link(Protocol):
 
 class HubLink:
     """A Link over a hub's fast path."""
+
+    refused: Sequence[CanFrame] = ()
 
     def __init__(self, bus: HubBus, brs: bool = True) -> None:
         self.name = bus.name
@@ -98,7 +91,7 @@ class HubLink:
         if self._bus.error_frames:
             latest, self._bus.error_frames = self._bus.error_frames, []
             for raw in latest:
-                _note_error(self.errors, raw.can_id & EFF_MASK, self._bus.channel_info)
+                note_error(self.errors, raw.can_id & EFF_MASK, raw.data, self._bus.channel_info)
         return frames
 
     def close(self) -> None:
@@ -108,6 +101,8 @@ class HubLink:
 
 class PairLink:
     """One channel of a HubPair as a Link."""
+
+    refused: Sequence[CanFrame] = ()
 
     def __init__(self, pair: HubPair, channel: int) -> None:
         self.name = pair.name
@@ -134,7 +129,7 @@ class PairLink:
         if self._pair.error_frames:
             latest, self._pair.error_frames = self._pair.error_frames, []
             for raw in latest:
-                _note_error(self.errors, raw.can_id & EFF_MASK, self._pair.info)
+                note_error(self.errors, raw.can_id & EFF_MASK, raw.data, self._pair.info)
         return frames
 
     def close(self) -> None:
@@ -157,6 +152,8 @@ class Links(NamedTuple):
 
 class CanLink:
     """A Link over any other bus of python-can. `keeps_stamps`: the bus carries the senders' own stamps."""
+
+    refused: Sequence[CanFrame] = ()
 
     def __init__(
         self, bus: can.BusABC, name: str, *, may_send: bool, keeps_stamps: bool = False, brs: bool = True
@@ -220,21 +217,13 @@ class CanLink:
 
     def _sort(self, message: can.Message, frames: list[CanFrame]) -> None:
         if message.is_error_frame:
-            _note_error(self.errors, message.arbitration_id, self._bus.channel_info)
+            note_error(self.errors, message.arbitration_id, bytes(message.data), self._bus.channel_info)
         elif message.is_remote_frame:
             self.remote_frames += 1
         else:
             data = bytes(message.data)
             extended = message.is_extended_id
             frames.append(CanFrame(message.arbitration_id, data, extended, message.is_fd, message.timestamp))
-
-
-def _note_error(errors: Counter[str], classes: int, bus: str) -> None:
-    """Count an error frame under each class it names. BenchError when it says that the bus is off."""
-    names = [name for bit, name in ERROR_CLASSES.items() if classes & bit]
-    errors.update(names or ["no_class"])
-    if classes & BUS_OFF:
-        raise BenchError(f"{bus} is bus-off", code="bus_off", hint="wiring, bit rate, another node that disturbs?")
 
 
 __all__ = ["CanLink", "HubLink", "HubStats", "Link", "Links", "Owner", "PairLink", "PeerStats"]

@@ -1,11 +1,12 @@
-"""Judges recorded frames by a vehicle's folder: rates, gaps, counters, lengths, what is foreign."""
+"""Judges recorded frames by a vehicle's folder: rates, gaps, counters, CRCs, lengths, values, what is foreign."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.e2e import is_intact
 from tunefree_hil.bus.integrity import Order, check_counter
 from tunefree_hil.bus.message_map import COMMAND, MessageMap
 
@@ -19,6 +20,8 @@ class MessageHealth(NamedTuple):
     """One message of the folder as heard.
 
     late: gaps above 1.5 periods. By its counter: lost, repeated, swapped (came after a later one). short: bytes lack.
+    broken: CRC or data id do not fit; None where the folder has no profile to check them by. beyond: a value outside
+    the range that the DBC declares.
     """
 
     name: str
@@ -32,6 +35,8 @@ class MessageHealth(NamedTuple):
     repeated: int
     swapped: int
     short: int
+    broken: int | None
+    beyond: int
 
 
 class _Counter:
@@ -73,7 +78,9 @@ class _Ear:
         self.period_s = message.period_ticks * tick_s
         self.limit_s = max(LONG * self.period_s, message.timeout_ticks * tick_s)
         self.counter = _Counter(message.counter_modulus or 1)
-        self.frames = self.late = self.short = 0
+        self.frames = self.late = self.short = self.broken = 0
+        self.beyond: dict[str, int] = {}
+        self.ranges = declared_ranges(message)
         self.first_s = self.last_s = self.longest_gap_s = 0.0
         self.longest_at_s = 0.0
 
@@ -90,10 +97,18 @@ class _Ear:
         self.last_s = time_s
         if not codec.fits(self.message, data):
             self.short += 1
-        elif self.message.counter:
-            heard = codec.decode(self.message, data).get(self.message.counter)
-            if heard is not None:  # a truncated frame may end before it
-                self.counter.hear(int(heard))
+        elif self.message.e2e is not None and not is_intact(self.message.e2e, data):
+            self.broken += 1  # what is in it says nothing, its counter neither
+        else:
+            self._look_into(codec.decode(self.message, data))
+
+    def _look_into(self, decoded: Mapping[str, float]) -> None:
+        """Count on, and notice values that the DBC says there are not."""
+        if self.message.counter in decoded:  # a truncated frame may end before it
+            self.counter.hear(int(decoded[self.message.counter]))
+        for name, (low, high) in self.ranges.items():
+            if name in decoded and not low <= decoded[name] <= high:
+                self.beyond[name] = self.beyond.get(name, 0) + 1
 
     def health(self) -> MessageHealth:
         """The counts."""
@@ -101,7 +116,9 @@ class _Ear:
         rate_hz = (self.frames - 1) / span_s if self.frames > 1 and span_s > 0.0 else 0.0
         one, counter = self.message, self.counter
         said = (one.name, one.kind, 1000.0 * self.period_s, self.frames, rate_hz, self.longest_gap_s, self.late)
-        return MessageHealth(*said, counter.lost, counter.repeated, counter.swapped, self.short)
+        broken = None if one.e2e is None else self.broken
+        beyond = sum(self.beyond.values())
+        return MessageHealth(*said, counter.lost, counter.repeated, counter.swapped, self.short, broken, beyond)
 
     def problems(self) -> list[str]:
         """What is wrong with this message. Commands may be missing: a log can be made before anyone commands."""
@@ -112,6 +129,11 @@ class _Ear:
             found.append(f"{name} is silent for {self.longest_gap_s:.2f} s from {self.longest_at_s:.2f} s on")
         if self.short:
             found.append(f"{name}: {self.short} frames are shorter than the DBC says")
+        if self.broken:
+            found.append(f"{name}: the CRC or data id of {self.broken} frames does not fit")
+        for signal, count in self.beyond.items():
+            low, high = self.ranges[signal]
+            found.append(f"{name}: {signal} is outside its [{low:g}, {high:g}] in {count} frames")
         if self.counter.lost:
             found.append(f"{name}: {self.counter.lost} frames are missing by its counter")
         if self.counter.repeated:
@@ -119,6 +141,19 @@ class _Ear:
         if self.counter.swapped:
             found.append(f"{name}: {self.counter.swapped} frames came out of order")
         return found
+
+
+def declared_ranges(message: MessageMap) -> dict[str, tuple[float, float]]:
+    """Physical (low, high) of the signals whose DBC declares less than their bits can say; half a step of slack."""
+    found = {}
+    codes = {message.enable, message.clear, message.ignore, message.counter, message.checksum}
+    codes |= {state.signal for state in message.states}
+    for name, signal in message.signals.items():
+        low, high = (-(signal.mask + 1) // 2, signal.mask // 2) if signal.signed else (0, signal.mask)
+        if name not in codes and not signal.is_float and (signal.raw_low, signal.raw_high) != (low, high):
+            ends = [raw * signal.factor + signal.offset for raw in (signal.raw_low - 0.5, signal.raw_high + 0.5)]
+            found[name] = (min(ends), max(ends))
+    return found
 
 
 def check_frames(frames: Iterable[Frame], codec: Codec, by_channel: bool = False) -> LogHealth:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -9,8 +10,9 @@ import can
 
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.records import CanFrame
-from tunefree_hil.bus.kernel_link import MAKE_VCAN, kernel_has_can, link_state
+from tunefree_hil.bus.kernel_link import FD_MTU, MAKE_FD, MAKE_VCAN, holder, kernel_has_can, link_state
 from tunefree_hil.bus.link import CanLink, HubLink, Link, Links, PairLink
+from tunefree_hil.bus.socketcan import Options, open_socketcan
 from tunefree_hil.bus.tfhub import address
 from tunefree_hil.bus.tfhub.handshake import default_name
 from tunefree_hil.bus.tfhub.pair import HubPair
@@ -44,7 +46,7 @@ def resolve_bus(text: str = "auto", session: str = "default", bench_bus: str = "
     elif kind == "socketcan" and rest:
         _require_socketcan(rest)
         why = f"SocketCAN {rest}, because --bus says so; the bench channel over tfhub, session {session}"
-        choice = BusChoice("socketcan", text, _hub(session, "bench"), why)
+        choice = BusChoice("socketcan", f"socketcan:{rest}", _hub(session, "bench"), why)
     elif kind == "virtual":
         name = rest or session
         why = "python-can's virtual bus, within this one process"
@@ -53,7 +55,17 @@ def resolve_bus(text: str = "auto", session: str = "default", bench_bus: str = "
         raise InputError(f"{text} is not open to a bench: {NO_GATE}", code="no_gate", key="--bus", hint=USE_VIRTUAL)
     else:
         raise InputError(f"no bus {text!r}", key="--bus", hint=f"one of {KINDS}")
-    return choice._replace(bench_address=_bench_address(bench_bus, session)) if bench_bus else choice
+    if not bench_bus:
+        return choice
+    bench = _bench_address(bench_bus, session)
+    if bench == choice.vehicle_address:
+        raise InputError(
+            f"{bench} is the vehicle's link, and the bench channel never shares it",
+            code="same_link",
+            key="--bench-bus",
+            hint="leave --bench-bus out, or give another vcan link: socketcan:vcan1",
+        )
+    return choice._replace(bench_address=bench, why=choice.why.partition(";")[0] + f"; the bench channel over {bench}")
 
 
 def open_link(
@@ -65,12 +77,13 @@ def open_link(
     stamps: bool = False,
     fd: bool = False,
     only: Sequence[int] = (),
+    options: Options | None = None,
 ) -> Link:
     """Open one channel of a choice, or an address as it stands in one.
 
     `role` observer only listens. `stamps`: this member stamps its frames itself (lockstep). `fd`: CAN FD, sent with
-    bit-rate switch. `only`: on a hub, only frames with these ids are handed over. InputError where
-    transmitting is refused, BenchError where the bus does not open.
+    bit-rate switch. `only`: on a hub and on SocketCAN, only frames with these ids are handed over. `options`: of a
+    SocketCAN link; the others win. InputError where transmitting is refused, BenchError where the bus does not open.
     """
     if channel not in CHANNELS:
         raise InputError(f"no channel {channel!r}", key="channel", hint=f"one of {', '.join(CHANNELS)}")
@@ -86,25 +99,38 @@ def open_link(
         _require_socketcan(rest)
         if may_send:
             require_virtual_link(rest)
-    elif kind != "virtual":
+        if fd:
+            require_fd_link(rest)
+        given = (options or Options())._replace(may_send=may_send, fd=fd, only=only)
+        return open_socketcan(rest, name or default_name(), given)
+    if kind != "virtual":
         raise InputError(f"{text} is not open to a bench: {NO_GATE}", code="no_gate", key="--bus", hint=USE_VIRTUAL)
-    return CanLink(
-        _python_can(kind, rest, fd, stamps),
-        name or default_name(),
-        may_send=may_send,
-        keeps_stamps=kind == "virtual" and stamps,
-    )
+    return CanLink(_virtual(rest, stamps), name or default_name(), may_send=may_send, keeps_stamps=stamps)
 
 
-def open_links(choice: BusChoice, *, name: str = "", stamps: bool = False, fd: bool = False) -> Links:
-    """Both channels of a member; over one connection where both are channels of one hub."""
+def open_links(
+    choice: BusChoice,
+    *,
+    name: str = "",
+    stamps: bool = False,
+    fd: bool = False,
+    only: Sequence[int] = (),
+    options: Options | None = None,
+) -> Links:
+    """Both channels of a member; over one connection where both are channels of one hub.
+
+    `only`, `options`: of the vehicle's link where that is SocketCAN, as open_link. On the bench channel nothing is
+    dropped, so of `options` only patience and `alive` count there.
+    """
     vehicle, bench = (text.partition(":") for text in (choice.vehicle_address, choice.bench_address))
     if vehicle[0] == bench[0] == "tfhub" and _session_of(vehicle[2]) == _session_of(bench[2]):
         pair = HubPair(_endpoint_of(vehicle[2], "vehicle"), name=name, stamps=stamps)
         return Links(PairLink(pair, 0), PairLink(pair, 1), pair.send)
-    links = [open_link(choice, "vehicle", name=name, stamps=stamps, fd=fd)]
+    kept = only if vehicle[0] == "socketcan" else ()
+    links = [open_link(choice, "vehicle", name=name, stamps=stamps, fd=fd, only=kept, options=options)]
+    patient = Options(alive=options.alive if options else None)
     try:
-        links.append(open_link(choice, "bench", name=name, stamps=stamps))
+        links.append(open_link(choice, "bench", name=name, stamps=stamps, options=patient))
     except BaseException:
         links[0].close()
         raise
@@ -116,6 +142,18 @@ def open_links(choice: BusChoice, *, name: str = "", stamps: bool = False, fd: b
             links[1].send(bench_frames)
 
     return Links(links[0], links[1], send_both)
+
+
+def alone_on(vehicle: Link) -> Links:
+    """The links of a node without a bench channel: nobody says anything there, and nobody hears it."""
+    bus = f"alone-{id(vehicle)}"
+    bench = CanLink(_virtual(bus, False), vehicle.name, may_send=True)
+
+    def send_both(vehicle_frames: Sequence[CanFrame], bench_frames: Sequence[CanFrame]) -> None:
+        if vehicle_frames:
+            vehicle.send(vehicle_frames)
+
+    return Links(vehicle, bench, send_both)
 
 
 def require_virtual_link(name: str) -> None:
@@ -132,13 +170,29 @@ def require_virtual_link(name: str) -> None:
     )
 
 
+def require_fd_link(name: str) -> None:
+    """InputError for a link that carries classic frames only, with the command that changes it."""
+    state = link_state(name)
+    if state.mtu < FD_MTU:
+        raise InputError(
+            f"{name} is a classic CAN link (mtu {state.mtu}), and this vehicle sends CAN FD frames (mtu {FD_MTU})",
+            code="classic_link",
+            key="--bus",
+            hint=MAKE_FD.format(name=name),
+        )
+
+
 def _auto(session: str) -> BusChoice:
-    """SocketCAN when vcan0 is there, up and of kind vcan, else tfhub."""
+    """SocketCAN when vcan0 is there, up, of kind vcan and carries no other bench of ours, else tfhub."""
     state = link_state(DEFAULT_LINK)
-    if state.exists and state.up and state.kind == "vcan" and kernel_has_can():
+    there = state.exists and state.up and state.kind == "vcan" and kernel_has_can()
+    used_by = holder(DEFAULT_LINK) if there else 0
+    if there and used_by in (0, os.getpid()):
         why = f"SocketCAN {DEFAULT_LINK}, because it is up; the bench channel over tfhub, session {session}"
         return BusChoice("socketcan", f"socketcan:{DEFAULT_LINK}", _hub(session, "bench"), why)
-    if not kernel_has_can():
+    if used_by:
+        reason = f"{DEFAULT_LINK} carries another bench, pid {used_by}"
+    elif not kernel_has_can():
         reason = "this kernel has no CAN"
     elif not state.exists:
         reason = f"there is no {DEFAULT_LINK}"
@@ -204,14 +258,12 @@ def _endpoint_of(text: str, channel: str) -> str:
     return address.endpoint(plain, channel)
 
 
-def _python_can(kind: str, rest: str, fd: bool, stamps: bool) -> can.BusABC:
-    """Open a bus of python-can without what its configuration files say."""
+def _virtual(name: str, stamps: bool) -> can.BusABC:
+    """python-can's bus within this process, without what its configuration files say."""
     try:
-        if kind == "virtual":
-            return can.Bus(rest, interface="virtual", preserve_timestamps=stamps, ignore_config=True)
-        return can.Bus(rest, interface="socketcan", fd=fd, ignore_config=True)
+        return can.Bus(name, interface="virtual", preserve_timestamps=stamps, ignore_config=True)
     except (can.CanError, OSError) as error:
-        raise BenchError(f"{kind}:{rest} does not open: {error}", code="bus_error") from error
+        raise BenchError(f"virtual:{name} does not open: {error}", code="bus_error") from error
 
 
-__all__ = ["BusChoice", "open_link", "open_links", "require_virtual_link", "resolve_bus"]
+__all__ = ["BusChoice", "alone_on", "open_link", "open_links", "require_fd_link", "require_virtual_link", "resolve_bus"]

@@ -1,16 +1,18 @@
-"""Fast reader of candump text logs (`candump -L` / `-l`), ours and anybody's.
+"""Fast reader of candump text logs (`candump -L` / `-l`), ours and anybody's, and a writer.
 
 A line: `(12.340000) vcan0 062#0011` ; FD `123##1AABB` (one flag digit); remote `123#R4`; error frames have bit 29 of
-the id set; 8 hex digits mean an extended id; ` R` or ` T` may follow (can_hil_anchors A).
+the id set; 8 hex digits mean an extended id; ` R` or ` T` (sent) may follow (can_hil_anchors A9).
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.bus.formats.rows import LONGEST_LINE, SENT, Row, Survey, survey
 
 FD, BRS, ESI, RTR, ERROR = 1, 2, 4, 8, 16  # flags; the first four as in interfaces 8
 EXTENDED_BIT = 0x80000000  # SocketCAN's EFF: tells the 29-bit id from the 11-bit id of the same number
@@ -18,10 +20,11 @@ EXTENDED_BIT = 0x80000000  # SocketCAN's EFF: tells the 29-bit id from the 11-bi
 _ERROR_BIT = 0x20000000
 _ID_MASK = 0x1FFFFFFF
 _HEX = "[0-9A-Fa-f]"
-_LINE = rf"\((\d+\.\d+)\) +(\S+) +({_HEX}{{8}}|{_HEX}{{3}})#(#{_HEX})?({_HEX}*|[Rr]{_HEX}?)(?: +[RT])?[ \t\r]*"
+_LINE = rf"\((\d+\.\d+)\) +(\S+) +({_HEX}{{8}}|{_HEX}{{3}})#(#{_HEX})?({_HEX}*|[Rr]{_HEX}?)(?: +([RT]))?[ \t\r]*"
 _LINES = re.compile(rf"^{_LINE}$", re.MULTILINE)
 _ONE_LINE = re.compile(_LINE)
 _SCREEN = re.compile(r"\s*(\(\S+\)\s+)?\S+\s+[0-9A-Fa-f]{3,8}\s+\[\d+\]")
+BLOCK_BYTES = 1 << 20  # of text that are parsed at once
 _HINT = "record with `candump -l CHANNEL`, or the bench's own vehicle.log"
 
 
@@ -41,35 +44,123 @@ def read_candump(path: Path, *, allow_cut: bool = False) -> list[LogFrame]:
     `allow_cut`: a last line that was cut off (a run that was killed) is left out instead of refused. Raises InputError
     with file and line for a log that is missing, empty, cut off or no candump log at all.
     """
-    return parse_candump(_text_of(path), str(path), allow_cut=allow_cut)
+    return [frame for frame, _ in _parse(_blocks_of(path), str(path), allow_cut)]
+
+
+def read_rows(path: Path, *, allow_cut: bool = False) -> Iterator[Row]:
+    """As read_candump, one by one, with what only other formats ask for: direction, and a remote frame's length."""
+    for frame, groups in _parse(_blocks_of(path), str(path), allow_cut):
+        flags = frame[4] | SENT if groups[5] == "T" else frame[4]
+        yield Row(*frame[:4], flags, _asked(groups[4]) if flags & RTR else 0)
+
+
+def write_candump(path: Path, rows: Iterable[Row], seen: Survey | None = None) -> None:
+    """Write rows as a log that candump's own tools read (canplayer takes six or nine decimals).
+
+    Nine where a stamp is finer than a microsecond. Directions are written when a frame was sent. seen: of these rows;
+    without it they are gone through twice.
+    """
+    if seen is None:
+        rows = list(rows)
+        seen = survey(rows)
+    digits = 6 if seen.micro else 9
+    ids: dict[tuple[int, int], str] = {}
+    with path.open("w", encoding="ascii", newline="\n") as file:
+        for row in rows:
+            key = row.can_id, row.flags & ERROR
+            name = ids.get(key) or ids.setdefault(key, _digits(*key))
+            way = (" T" if row.flags & SENT else " R") if seen.sent else ""
+            file.write(f"({row.time_s:.{digits}f}) {row.channel} {name}#{_payload(row)}{way}\n")
+
+
+def _digits(can_id: int, error: int) -> str:
+    if error:
+        return f"{_ERROR_BIT | can_id & _ID_MASK:08X}"
+    return f"{can_id & _ID_MASK:08X}" if can_id & EXTENDED_BIT else f"{can_id:03X}"
+
+
+def _payload(row: Row) -> str:
+    if row.flags & RTR:
+        return f"R{row.dlc:X}" if row.dlc else "R"
+    fd = f"#{row.flags >> 1 & 3:X}" if row.flags & FD else ""
+    return fd + row.data.hex().upper()
+
+
+def _asked(text: str) -> int:
+    """The length that a remote frame asks for: 'R4' -> 4."""
+    return int(text[1:] or "0", 16)
 
 
 def parse_candump(text: str, file: str, *, allow_cut: bool = False) -> list[LogFrame]:
     """As read_candump, of a text; `file` is what errors name."""
-    if text and not text.endswith("\n"):
-        whole, _, rest = text.rpartition("\n")
-        if not allow_cut:
-            raise _problem(
-                file, text.count("\n") + 1, f"the log is cut off in this line: {rest[:60]!r}", "truncated_log"
-            )
-        text = whole + "\n" if whole else ""
-    found = _LINES.findall(text)
-    if len(found) != text.count("\n"):
-        _explain(text, file, len(found))
-    if not found:
-        raise InputError("the log is empty: there is not one frame in it", code="empty_log", file=file, hint=_HINT)
+    return [frame for frame, _ in _parse([text], file, allow_cut)]
+
+
+def cut_line(path: Path) -> str:
+    """What is left of a last line that was cut off, '' where the log ends as it should."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(max(0, size - LONGEST_LINE))
+        tail = file.read()
+    return tail.rpartition(b"\n")[2].decode("ascii", "replace")
+
+
+def _blocks_of(path: Path) -> Iterator[str]:
+    """The text in pieces of whole lines; only the last may lack its end."""
+    if not path.is_file():
+        raise InputError("there is no such log", code="no_log", file=str(path), hint="check the path")
+    rest, done = b"", 0
+    with path.open("rb") as file:
+        while piece := file.read(BLOCK_BYTES):
+            whole, end, rest_of_piece = piece.rpartition(b"\n")
+            block, rest = (rest + whole + end, rest_of_piece) if end else (b"", rest + piece)
+            if len(rest) > LONGEST_LINE:
+                block, rest = block + rest, b""  # no log has such a line: what it is says the parser
+            yield _ascii(block, done, path)
+            done += len(block)
+    yield _ascii(rest, done, path)
+
+
+def _ascii(block: bytes, done: int, path: Path) -> str:
     try:
-        return _frames(found)
-    except ValueError:
-        raise _odd_data(text, file) from None
+        return block.decode("ascii")
+    except UnicodeDecodeError as error:
+        message = f"not a text log (byte {done + error.start} is not ASCII)"
+        raise InputError(message, code="foreign_log", file=str(path), hint=_HINT) from None
 
 
-def _frames(found: list[tuple[str, str, str, str, str]]) -> list[LogFrame]:
+Groups = tuple[str, ...]  # of one line, by _LINE
+
+
+def _parse(blocks: Iterable[str], file: str, allow_cut: bool) -> Iterator[tuple[LogFrame, Groups]]:
+    """Each frame with the groups of its line. A block is whole lines; only the last may lack its end."""
+    lines, good, rest = 0, 0, ""
+    for block in blocks:
+        if rest:
+            raise _problem(file, lines + 1, f"not a frame: {rest[:60]!r}", "foreign_log" if not good else "bad_line")
+        text, _, rest = block.rpartition("\n")
+        text += "\n" if text else ""
+        found: list[Groups] = _LINES.findall(text)
+        count = text.count("\n")
+        if len(found) != count:
+            _explain(text, file, lines, good or len(found))
+        try:
+            yield from zip(_frames(found), found, strict=True)
+        except ValueError:
+            raise _odd_data(text, file, lines) from None
+        lines, good = lines + count, good + len(found)
+    if rest and not allow_cut:
+        raise _problem(file, lines + 1, f"the log is cut off in this line: {rest[:60]!r}", "truncated_log")
+    if not good:
+        raise InputError("the log is empty: there is not one frame in it", code="empty_log", file=file, hint=_HINT)
+
+
+def _frames(found: list[tuple[str, ...]]) -> list[LogFrame]:
     """Make frames of the regular expression's groups. ValueError for an odd number of data digits."""
     ids = {digits: _identify(digits) for digits in {groups[2] for groups in found}}
     frames = []
     from_hex, make = bytes.fromhex, LogFrame._make
-    for time, channel, digits, fd, data in found:
+    for time, channel, digits, fd, data, _ in found:
         can_id, flags = ids[digits]
         if fd:
             flags |= FD | (int(fd[1], 16) & 3) << 1
@@ -90,20 +181,9 @@ def _identify(digits: str) -> tuple[int, int]:
     return number & _ID_MASK | EXTENDED_BIT, 0
 
 
-def _text_of(path: Path) -> str:
-    if not path.is_file():
-        raise InputError("there is no such log", code="no_log", file=str(path), hint="check the path")
-    try:
-        return path.read_bytes().decode("ascii")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"not a text log (byte {error.start} is not ASCII)", code="foreign_log", file=str(path), hint=_HINT
-        ) from None
-
-
-def _explain(text: str, file: str, good: int) -> None:
-    """Raise the error of the first line that is not a frame; blank lines are no fault."""
-    for number, line in enumerate(text.splitlines(), 1):
+def _explain(text: str, file: str, before: int, good: int) -> None:
+    """Raise the error of the first line that is not a frame; blank lines are no fault. before: lines ahead of text."""
+    for number, line in enumerate(text.splitlines(), before + 1):
         if not line.strip() or _ONE_LINE.fullmatch(line):
             continue
         if good == 0 and _SCREEN.match(line):
@@ -112,8 +192,8 @@ def _explain(text: str, file: str, good: int) -> None:
         raise _problem(file, number, f"{what}: {line[:60]!r}", "foreign_log" if good == 0 else "bad_line")
 
 
-def _odd_data(text: str, file: str) -> InputError:
-    for number, line in enumerate(text.splitlines(), 1):
+def _odd_data(text: str, file: str, before: int) -> InputError:
+    for number, line in enumerate(text.splitlines(), before + 1):
         match = _ONE_LINE.fullmatch(line)
         if match and len(match[5]) % 2 and match[5][0] not in "Rr":
             return _problem(file, number, f"odd number of data digits: {line[:60]!r}", "bad_line")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from tunefree_hil.base.errors import BenchError
+from tunefree_hil.bus.tfhub.guard import Guard
 from tunefree_hil.bus.tfhub.log import CandumpLog
 from tunefree_hil.bus.tfhub.records import CHANNELS, REPLY, RecordError, pack_control
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 def answer(hub: Hub, body: dict[str, Any]) -> bytes:
     """The REPLY to one request: {"ok": ...} or {"error": ...}. RecordError for a request that there is not."""
-    operations = {"start_log": _start_log, "stop_log": _stop_log, "stats": _stats}
+    operations = {"start_log": _start_log, "stop_log": _stop_log, "stats": _stats, "guard": _guard}
     operation = operations.get(str(body.get("op")))
     if operation is None:
         raise RecordError(f"it asked for {body.get('op')!r}")
@@ -56,6 +57,16 @@ def _stop_log(hub: Hub, body: dict[str, Any]) -> dict[str, int]:
     if errors:
         raise errors[0]
     return {channel: log.frames for channel, log in logs.items()}
+
+
+def _guard(hub: Hub, body: dict[str, Any]) -> list[dict[str, Any]]:
+    """With "ids": watch these from now on, and forget what was seen. Without: what strangers have sent since."""
+    if "ids" in body:
+        ids = body["ids"]
+        if not isinstance(ids, list) or not all(isinstance(can_id, int) for can_id in ids):
+            raise RecordError("it asked to watch what are no ids")
+        hub.guard = Guard(frozenset(ids))
+    return hub.guard.seen()
 
 
 def _stats(hub: Hub, body: dict[str, Any]) -> dict[str, Any]:

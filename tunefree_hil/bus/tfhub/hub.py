@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 
 from tunefree_hil.bus.tfhub import control, reception
 from tunefree_hil.bus.tfhub.board import READ, WRITE, Board
+from tunefree_hil.bus.tfhub.guard import VEHICLE, Guard
 from tunefree_hil.bus.tfhub.log import CandumpLog
 from tunefree_hil.bus.tfhub.peers import OBSERVER_BYTES, Peer
 from tunefree_hil.bus.tfhub.records import (
@@ -77,6 +78,7 @@ class Hub:
         self.sequence = 0
         self.logs: dict[str, CandumpLog] = {}
         self.lost: deque[str] = deque(maxlen=100)
+        self.guard = Guard()
         self.ended = ""
         self.owner_deadline_s = 0.0 if standalone else time.monotonic() + reception.OWNER_PATIENCE_S
         self._time_ns = 0  # latest virtual time
@@ -208,6 +210,8 @@ class Hub:
         peer.sent += count
         if self.sender_clock and peer.stamps:
             self._time_ns = TIME.unpack_from(self._buffer, last + TIME_AT)[0]
+        if self.guard.ids and channel == VEHICLE:
+            self.guard.watch(self.board.peers, peer, chunk)
         self.board.deliver(peer, channel, chunk, count)
         log = self.logs.get(channel)
         if log is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -45,6 +45,15 @@ class HubStats(NamedTuple):
         return {peer.name: peer.dropped for peer in self.peers if peer.role == "observer"}
 
 
+class Stranger(NamedTuple):
+    """A member that is no node of the bench and has sent a vehicle's id (SocketCAN's, EFF bit included)."""
+
+    name: str
+    pid: int
+    can_id: int
+    count: int
+
+
 class Owner:
     """Open it soon after the hub was started: a hub (unless standalone) ends without one.
 
@@ -72,6 +81,14 @@ class Owner:
         lists = {key: tuple(found[key]) for key in ("lost", "held_by", "log_failures")}
         return HubStats(found["session"], found["clock"], found["frames"], peers, **lists)
 
+    def guard(self, ids: Iterable[int]) -> None:
+        """From now on notice these ids (EFF bit included) on the vehicle channel from anyone but the bench's nodes."""
+        self._ask({"op": "guard", "ids": sorted(ids)})
+
+    def strangers(self) -> list[Stranger]:
+        """Who has sent the guarded ids since `guard` without being a node: one entry a member and id."""
+        return [Stranger(**one) for one in self._ask({"op": "guard"})]
+
     def close(self) -> None:
         """Give the hub up; it ends, unless it is standalone."""
         self._connection.close()
@@ -86,7 +103,7 @@ class Owner:
         connection = self._connection
         try:
             connection.send(pack_control(REQUEST, request), REPLY_S)
-            patience_s = STATS_S if request["op"] == "stats" else REPLY_S
+            patience_s = STATS_S if request["op"] in ("stats", "guard") else REPLY_S
             if not connection.fill(patience_s):
                 words = f"the {connection} did not answer {request['op']} within {patience_s:g} s"
                 raise NoAnswer(words, code="no_answer")

@@ -1,0 +1,69 @@
+"""Vector's binary log, .blf, by python-can's reader and writer.
+
+python-can drops the base of stamps that are no dates (below the year 1990) and cuts those before the first frame to it;
+so the writer is given its base here: 0 for such stamps, else the earliest one (can_hil_anchors A10).
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import can
+from can.io.blf import BLFParseError
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.bus.formats.rows import (
+    Format,
+    Lost,
+    Row,
+    Survey,
+    floor_ms,
+    hold_numbered,
+    message_of,
+    number_of,
+    row_of,
+    unreadable,
+)
+
+DATES_FROM_S = 631152000.0  # 1990: python-can takes a stamp from here on for a date
+HIGHEST_CHANNEL = 65534
+LEAST_BYTES = 144  # of the file's header
+
+
+def read(path: Path) -> Iterator[Row]:
+    """Frames in the file's order. InputError for a file that is cut off or no BLF at all."""
+    size = path.stat().st_size
+    if size < LEAST_BYTES:
+        raise unreadable(path, "BLF", EOFError(f"{size} bytes are less than its header"))
+    try:
+        with path.open("rb") as file, can.BLFReader(file) as reader:
+            if reader.file_size > size:
+                raise InputError(
+                    f"cut off: {size} of {reader.file_size} bytes are there",
+                    code="truncated_log",
+                    file=str(path),
+                    hint="copy it again",
+                )
+            yield from map(row_of, reader)
+    except (BLFParseError, struct.error, zlib.error, ValueError, EOFError) as error:
+        raise unreadable(path, "BLF", error) from error
+
+
+def write(path: Path, rows: Iterable[Row], seen: Survey) -> None:
+    """Write rows that `hold` has given."""
+    base_s = floor_ms(seen.earliest_s)
+    with can.BLFWriter(path) as writer:
+        writer.start_timestamp = base_s if base_s >= DATES_FROM_S else 0.0
+        for row in rows:
+            writer.on_message_received(message_of(row, number_of(row)))
+
+
+def hold(rows: Iterable[Row], seen: Survey, lost: Lost) -> Iterable[Row]:
+    """All frames, stamps and directions are kept; channels are numbers."""
+    return hold_numbered(rows, seen, lost, HIGHEST_CHANNEL)
+
+
+FORMAT = Format("blf", read, write, hold)
