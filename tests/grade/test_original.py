@@ -15,7 +15,7 @@ from tunefree_hil.control.path import cell_of, make_path, project
 from tunefree_hil.episode.recording import Recording, make_recording
 from tunefree_hil.episode.scenario import build_course
 from tunefree_hil.grade.metrics import samples_of
-from tunefree_hil.grade.original import _tables, find_feet, samples_against_original
+from tunefree_hil.grade.original import find_feet, samples_against_original, tables_of
 
 DT_S = 0.01
 REAR_AXLE_M = 1.4224
@@ -28,6 +28,7 @@ ERRORS = (
     "ref_speed_mps",
     "ref_accel_mps2",
     "ref_curvature_1pm",
+    "lateral_error_rate_mps",
 )
 
 
@@ -124,7 +125,7 @@ def test_feet_keep_the_branch_and_skip_what_is_not_known() -> None:
     x, y = recording.columns["x_m"].copy(), recording.columns["y_m"].copy()
     x[:7] = math.nan
     y[500] = math.nan
-    feet = find_feet(_tables(COURSE), x, y)
+    feet = find_feet(tables_of(COURSE), x, y)
     path = make_path(COURSE)
     cell, expected = cell_of(path, 0.0), []
     for k in range(len(x)):

@@ -265,7 +265,7 @@ def test_numbers_of_the_vehicle() -> None:
             nominal=NominalSpec(**nominal),
         )  # fmt: skip
 
-    assert vehicle_of(vehicle(wheelbase_m=3.0, front_axle_m=1.2)) == pytest.approx((3.0, 1.8, 8.0, 8.5))
-    assert vehicle_of(vehicle(wheelbase_m=3.0)) == pytest.approx((3.0, 1.5, 8.0, 8.5))
+    assert vehicle_of(vehicle(wheelbase_m=3.0, front_axle_m=1.2)) == pytest.approx((3.0, 1.8, 8.0, 8.5, 0.0))
+    assert vehicle_of(vehicle(wheelbase_m=3.0)) == pytest.approx((3.0, 1.5, 8.0, 8.5, 0.0))
     with pytest.raises(InputError, match=r"car/vehicle.toml, key nominal.wheelbase_m"):
         vehicle_of(vehicle(steer_ratio=16.0))

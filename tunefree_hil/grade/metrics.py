@@ -1,4 +1,6 @@
-"""The metrics of a drive: the 15 that the source weights (apollo_facts 6.1, 6.2; the paper's Table II) and three more.
+"""The metrics that a score may weigh: the source's 15 (apollo_facts 6.1, 6.2; the paper's Table II) and three more.
+
+All 42 of the source, of which these are a part, are in table.py; they are computed where somebody asks for a profile.
 
 Notation of apollo_facts 6.1: e the error, V = max(|v_ref|, 1.0 m/s), C = max(|kappa_ref|, 0.02852 1/m), L the
 wheelbase, T = N_f dt = 1 s. RMS = sqrt(sum s^2 / (N - 1)). Every metric is dimensionless, 0 is perfect, and it is None
@@ -43,6 +45,7 @@ class Samples(NamedTuple):
     station_error_m: Array | None
     speed_error_mps: Array | None
     lateral_error_m: Array | None
+    lateral_error_rate_mps: Array | None
     heading_error_rad: Array | None
     heading_error_rate_radps: Array | None
     cmd_steer_rad: Array | None
@@ -80,35 +83,45 @@ class Peak(NamedTuple):
 
 
 class Own(NamedTuple):
-    """A formula of its own."""
+    """RMS of a series of its own; `needs`: the samples that it is made of."""
 
-    formula: Callable[[Samples, Scales], float | None]
+    series: Callable[[Samples, Scales], Array | None]
+    needs: tuple[str, ...]
 
 
-def steer_rate_rms(samples: Samples, scales: Scales) -> float | None:
-    """RMS of the steering command's rate (difference of one tick) / limit of the steering rate."""
+def steer_rate(samples: Samples, scales: Scales) -> Array | None:
+    """The steering command's rate (difference of one tick) / limit of the steering rate."""
     if samples.cmd_steer_rad is None:
         return None
-    return rms(np.diff(samples.cmd_steer_rad) / (scales.dt_s * scales.steer_rate_radps))
+    return np.diff(samples.cmd_steer_rad) / (scales.dt_s * scales.steer_rate_radps)
 
 
-def steering_control_usage(samples: Samples, scales: Scales) -> float | None:
-    """RMS of the steering command / limit (6.1: RMS(command / 100), command in percent of the limit)."""
-    return None if samples.cmd_steer_rad is None else rms(samples.cmd_steer_rad / scales.steer_rad)
+def steering_usage(samples: Samples, scales: Scales) -> Array | None:
+    """The steering command / limit (6.1: command / 100, command in percent of the limit)."""
+    return None if samples.cmd_steer_rad is None else samples.cmd_steer_rad / scales.steer_rad
 
 
-def lateral_jerk_rms(samples: Samples, scales: Scales) -> float | None:
-    """RMS of d/dt (v * yaw rate) / 2 m/s^3, between means over 0.1 s.
+def lateral_jerk(samples: Samples, scales: Scales) -> Array | None:
+    """d/dt (v * yaw rate) / 2 m/s^3, between means over 0.1 s.
 
     The source's "lateral acceleration" is a_lon sin(heading error) (3.1); this is the one that passengers feel.
     """
     if samples.speed_mps is None or samples.yaw_rate_radps is None:
         return None
-    ticks = max(1, round(JERK_WINDOW_S / scales.dt_s))
-    lateral = samples.speed_mps * samples.yaw_rate_radps
-    windows = len(lateral) // ticks
-    means = lateral[: windows * ticks].reshape(windows, ticks).mean(axis=1)
-    return rms(np.diff(means) / (ticks * scales.dt_s * LATERAL_JERK_MPS3))
+    ticks = window_ticks(scales.dt_s)
+    means = window_means(samples.speed_mps * samples.yaw_rate_radps, ticks)
+    return np.diff(means) / (ticks * scales.dt_s * LATERAL_JERK_MPS3)
+
+
+def window_ticks(dt_s: float) -> int:
+    """Ticks of the window over which a signal is averaged before it is differentiated."""
+    return max(1, round(JERK_WINDOW_S / dt_s))
+
+
+def window_means(values: Array, ticks: int) -> Array:
+    """Means of windows that follow each other; a rest shorter than a window is left out."""
+    windows = len(values) // ticks
+    return values[: windows * ticks].reshape(windows, ticks).mean(axis=1)
 
 
 METRICS: dict[str, Rms | Peak | Own] = {
@@ -127,36 +140,78 @@ METRICS: dict[str, Rms | Peak | Own] = {
     "lateral_err_peak": Peak("lateral_error_m", 0.5),
     "heading_err_peak": Peak("heading_error_rad", 0.5236),
     "heading_err_rate_peak": Peak("heading_error_rate_radps", 0.5236),
-    "steer_rate_rms": Own(steer_rate_rms),
-    "lateral_jerk_rms": Own(lateral_jerk_rms),
-    "steering_control_usage": Own(steering_control_usage),
+    "steer_rate_rms": Own(steer_rate, ("cmd_steer_rad",)),
+    "lateral_jerk_rms": Own(lateral_jerk, ("speed_mps", "yaw_rate_radps")),
+    "steering_control_usage": Own(steering_usage, ("cmd_steer_rad",)),
 }
 
 # 6.1: as written, this one divides the heading error itself, not its rate, by C V
-AS_PUBLISHED: dict[str, Rms | Peak | Own] = {
-    "heading_err_rate_std_harsh": Rms("heading_error_rad", "CV", "harsh curvature")
-}
+Row = Rms | Peak | Own
+AS_PUBLISHED: dict[str, Row] = {"heading_err_rate_std_harsh": Rms("heading_error_rad", "CV", "harsh curvature")}
+
+
+class Sharing:
+    """Samples of one drive with what several metrics have in common: which samples count, and their divisors."""
+
+    def __init__(self, samples: Samples, scales: Scales) -> None:
+        self.samples = samples
+        self.scales = scales
+        self._kept: dict[str, Array | None] = {}
+        self._divisors: dict[str, Array | None] = {}
+        self._cut: dict[tuple[str, str], Array] = {}
+
+    def series(self, row: Rms | Peak | Own) -> Array | None:
+        """What a metric takes the RMS or the peak of, one value a sample that counts; None where a column is missing.
+
+        A Peak's is not yet divided by its threshold. Samples that are not finite are still in it.
+        """
+        if isinstance(row, Own):
+            return row.series(self.samples, self.scales)
+        error = getattr(self.samples, row.error)
+        if error is None or isinstance(row, Peak):
+            return error
+        kept = self.kept(row.where)
+        if row.by not in self._divisors:
+            self._divisors[row.by] = _divisor(row.by, self.samples, self.scales)
+        divisor = self._divisors[row.by]
+        if kept is None or divisor is None:
+            return None
+        key = (row.by, row.where)
+        if key not in self._cut:
+            self._cut[key] = divisor[kept]
+        return error[kept] / self._cut[key]
+
+    def kept(self, where: str) -> Array | None:
+        """The samples that count, as flags."""
+        if where not in self._kept:
+            self._kept[where] = _where(where, self.samples)
+        return self._kept[where]
+
+    def metric(self, row: Rms | Peak | Own) -> float | None:
+        """The metric of a row."""
+        series = self.series(row)
+        if series is None:
+            return None
+        return peak(series, row.threshold) if isinstance(row, Peak) else rms(series)
+
+
+def row_of(name: str, *, as_published: bool = False) -> Rms | Peak | Own:
+    """The row of a metric; `as_published` keeps the source's slip. KeyError for an unknown name."""
+    return AS_PUBLISHED.get(name, METRICS[name]) if as_published else METRICS[name]
 
 
 def metric(name: str, samples: Samples, scales: Scales, *, as_published: bool = False) -> float | None:
-    """One metric by its name in METRICS; `as_published` keeps the source's slip. KeyError for an unknown name."""
-    row = AS_PUBLISHED.get(name, METRICS[name]) if as_published else METRICS[name]
-    if isinstance(row, Own):
-        return row.formula(samples, scales)
-    error = getattr(samples, row.error)
-    if error is None:
-        return None
-    if isinstance(row, Peak):
-        return peak(error, row.threshold)
-    kept, divisor = _where(row.where, samples), _divisor(row.by, samples, scales)
-    if kept is None or divisor is None:
-        return None
-    return rms(error[kept] / divisor[kept])
+    """One metric by its name in METRICS. KeyError for an unknown name."""
+    return Sharing(samples, scales).metric(row_of(name, as_published=as_published))
 
 
 def is_planned(name: str, plan: Samples) -> bool:
     """Whether the plan itself has the 5 samples that a metric of METRICS needs. plan: what samples_of_plan gives."""
-    row = METRICS[name]
+    return is_planned_row(METRICS[name], plan)
+
+
+def is_planned_row(row: Rms | Peak | Own, plan: Samples) -> bool:
+    """As is_planned, of a row."""
     kept = _where(row.where, plan) if isinstance(row, Rms) else None
     return kept is None or int(np.count_nonzero(kept)) >= LEAST_SAMPLES
 

@@ -16,15 +16,18 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.base.course import Course
+from tunefree_hil.control.follower import SHRINK_FLOOR
 from tunefree_hil.control.schedule import Schedule, station_at, time_of
 from tunefree_hil.episode.recording import Recording
+from tunefree_hil.grade.kept import Kept
 from tunefree_hil.grade.metrics import Samples, samples_of
 
 Array = np.ndarray
 
-STRIDE = 10  # rows between the feet that are looked for one after the other
+STRIDE = 20  # rows between the feet that are looked for one after the other
 NEWTON_STEPS = 4
 WALK_STEPS = 6
+LEAST_COS = 1e-3
 
 
 class Feet(NamedTuple):
@@ -37,6 +40,8 @@ class Feet(NamedTuple):
 
 
 class _Tables(NamedTuple):
+    """A course as arrays: the path by station, the plan by time."""
+
     first_m: float
     spacing_m: float
     x_m: Array
@@ -45,6 +50,11 @@ class _Tables(NamedTuple):
     curvature_1pm: Array
     cos: Array
     sin: Array
+    nodes: list[tuple[float, float, float, float]]  # x, y, cos, sin, for what is looked up one by one
+    plan_s: Array
+    plan_station_m: Array
+    plan_speed_mps: Array
+    plan_accel_mps2: Array
 
 
 def samples_against_original(recording: Recording, course: Course, rear_axle_m: float) -> Samples:
@@ -66,7 +76,14 @@ def samples_against_original(recording: Recording, course: Course, rear_axle_m: 
     return current._replace(**joined)
 
 
-_ERRORS = ("station_error_m", "speed_error_mps", "lateral_error_m", "heading_error_rad", "heading_error_rate_radps")
+_ERRORS = (
+    "station_error_m",
+    "speed_error_mps",
+    "lateral_error_m",
+    "lateral_error_rate_mps",
+    "heading_error_rad",
+    "heading_error_rate_radps",
+)
 _REFERENCES = ("ref_speed_mps", "ref_accel_mps2", "ref_curvature_1pm")
 
 
@@ -75,29 +92,38 @@ def _join(before: Array | None, after: Array | None, first: int) -> Array | None
 
 
 def _recompute(recording: Recording, course: Course, rear_axle_m: float, anchors: Array) -> Samples:
-    """All rows against the original path and the plan as it was re-anchored."""
+    """All rows from the first re-plan on against the original path and the plan as it was re-anchored."""
     x, y, heading = (recording.columns[name] for name in ("x_m", "y_m", "heading_rad"))
-    tables = _tables(course)
-    mass = find_feet(tables, x + rear_axle_m * np.cos(heading), y + rear_axle_m * np.sin(heading))
-    rear = find_feet(tables, x, y)
+    tables, first = tables_of(course), int(anchors[0])
+    near_m = near_stations(tables, x, y)
+    rear = find_feet(tables, x, y, near_m, first)
+    ahead_x, ahead_y = rear_axle_m * np.cos(heading), rear_axle_m * np.sin(heading)
+    mass = find_feet(tables, x + ahead_x, y + ahead_y, near_m + rear_axle_m, first)
     shift_s, offset_m = _clock(course, rear.station_m, anchors)
     plan_s = np.arange(recording.ticks) * course.dt_s - shift_s
-    rows_s = np.arange(course.ticks + 1) * course.dt_s
-    ref_speed = np.interp(plan_s, rows_s, course.speed_mps)
-    beyond_m = np.maximum(plan_s - rows_s[-1], 0.0) * course.speed_mps[-1]
-    ref_station = np.interp(plan_s, rows_s, course.station_m) + beyond_m + offset_m
+    ref_speed = np.interp(plan_s, tables.plan_s, tables.plan_speed_mps)
+    beyond_m = np.maximum(plan_s - tables.plan_s[-1], 0.0) * tables.plan_speed_mps[-1]
+    ref_station = np.interp(plan_s, tables.plan_s, tables.plan_station_m) + beyond_m + offset_m
     current = samples_of(recording)
     along, yaw_rate = _seen(current)
+    heading_error = _wrap(heading - mass.heading_rad)
     return current._replace(
         ref_speed_mps=ref_speed,
-        ref_accel_mps2=np.interp(plan_s, rows_s, course.accel_mps2),
+        ref_accel_mps2=np.interp(plan_s, tables.plan_s, tables.plan_accel_mps2),
         ref_curvature_1pm=mass.curvature_1pm,
         station_error_m=ref_station - rear.station_m,
         speed_error_mps=None if along is None else ref_speed - along,
         lateral_error_m=mass.lateral_m,
-        heading_error_rad=_wrap(heading - mass.heading_rad),
+        lateral_error_rate_mps=None if along is None else _speed(along, rear, heading) * np.sin(heading_error),
+        heading_error_rad=heading_error,
         heading_error_rate_radps=None if yaw_rate is None else yaw_rate - mass.curvature_1pm * ref_speed,
     )
+
+
+def stations_of(recording: Recording, course: Course) -> Array | None:
+    """Station of the rear axle along the original path, row by row, m; None without a position."""
+    x, y = recording.get("x_m"), recording.get("y_m")
+    return None if x is None or y is None else find_feet(tables_of(course), x, y).station_m
 
 
 def _seen(current: Samples) -> tuple[Array | None, Array | None]:
@@ -109,6 +135,16 @@ def _seen(current: Samples) -> tuple[Array | None, Array | None]:
     if speed is not None and curvature is not None and current.heading_error_rate_radps is not None:
         yaw_rate = current.heading_error_rate_radps + curvature * speed
     return along, yaw_rate
+
+
+def _speed(along: Array, rear: Feet, heading: Array) -> Array:
+    """The INS's speed, of which `along` is the rate of the station (control/follower.py `speed_along`, the way back).
+
+    NaN across the path, where it cannot be told.
+    """
+    cos = np.cos(heading - rear.heading_rad)
+    shrink = np.maximum(1.0 - rear.curvature_1pm * rear.lateral_m, SHRINK_FLOOR)
+    return along * shrink / np.where(np.abs(cos) > LEAST_COS, cos, np.nan)
 
 
 def _clock(course: Course, station_m: Array, anchors: Array) -> tuple[Array, Array]:
@@ -128,37 +164,57 @@ def _clock(course: Course, station_m: Array, anchors: Array) -> tuple[Array, Arr
     return shift_s, offset_m
 
 
-def find_feet(tables: _Tables, x_m: Array, y_m: Array) -> Feet:
-    """The feet of points that follow each other along the path; NaN where a point is not finite.
+def find_feet(tables: _Tables, x_m: Array, y_m: Array, near_m: Array | None = None, first: int = 0) -> Feet:
+    """The feet of points that follow each other along the path; NaN where a point is not finite, and before `first`.
 
-    Every tenth foot is looked for from the one before (so the branch that is driven is kept where the path passes near
-    itself), those between start from the line through these.
+    near_m: stations to look from, row by row; None to find them.
     """
-    good = np.flatnonzero(np.isfinite(x_m) & np.isfinite(y_m))
+    rows = np.flatnonzero(np.isfinite(x_m) & np.isfinite(y_m))
     result = Feet(*(np.full(len(x_m), np.nan) for _ in range(4)))
-    if len(good) == 0:
+    if len(rows) == 0:
         return result
-    x, y = x_m[good], y_m[good]
-    some = np.append(np.arange(0, len(good) - 1, STRIDE), len(good) - 1)
-    guess = np.interp(np.arange(len(good)), some, _follow(tables, x[some].tolist(), y[some].tolist()))
+    guess = near_stations(tables, x_m, y_m) if near_m is None else near_m
+    rows = rows[np.searchsorted(rows, first) :]
+    x, y, guess = x_m[rows], y_m[rows], guess[rows]
+    cell = _cells(tables, guess)
     for _ in range(NEWTON_STEPS):
-        cell = _cells(tables, guess)
         guess = tables.first_m + cell * tables.spacing_m + _along(tables, cell, x, y)
-    for column, values in zip(result, _feet(tables, _settle(tables, _cells(tables, guess), x, y), x, y), strict=True):
-        column[good] = values
+        before, cell = cell, _cells(tables, guess)
+        if np.array_equal(cell, before):  # every further step would give the same
+            break
+    for column, values in zip(result, _feet(tables, _settle(tables, cell, x, y), x, y), strict=True):
+        column[rows] = values
     return result
+
+
+def near_stations(tables: _Tables, x_m: Array, y_m: Array) -> Array:
+    """Stations near the feet, for every row; 0 where no point is finite.
+
+    Every twentieth foot is looked for from the one before (so the branch that is driven is kept where the path passes
+    near itself), those between lie on the line through these.
+    """
+    rows = np.flatnonzero(np.isfinite(x_m) & np.isfinite(y_m))
+    if len(rows) == 0:
+        return np.zeros(len(x_m))
+    some = np.append(rows[:-1:STRIDE], rows[-1])
+    return np.interp(np.arange(len(x_m)), some, _follow(tables, x_m[some].tolist(), y_m[some].tolist()))
 
 
 def _follow(tables: _Tables, xs: list[float], ys: list[float]) -> list[float]:
     """Stations of the feet of a few points, each looked for from the one before; the first from station 0."""
-    last = len(tables.x_m) - 1
-    px, py, cos, sin = tables.x_m.tolist(), tables.y_m.tolist(), tables.cos.tolist(), tables.sin.tolist()
+    nodes, first_m, spacing_m = tables.nodes, tables.first_m, tables.spacing_m
+    last = len(nodes) - 1
     station, found = 0.0, []
     for x, y in zip(xs, ys, strict=True):
+        before = -1
         for _ in range(NEWTON_STEPS):
-            cell = min(max(round((station - tables.first_m) / tables.spacing_m), 0), last)
-            along = (x - px[cell]) * cos[cell] + (y - py[cell]) * sin[cell]
-            station = tables.first_m + cell * tables.spacing_m + along
+            cell = round((station - first_m) / spacing_m)
+            cell = 0 if cell < 0 else last if cell > last else cell
+            if cell == before:  # every further step would give the same
+                break
+            before = cell
+            node_x, node_y, cos, sin = nodes[cell]
+            station = first_m + cell * spacing_m + ((x - node_x) * cos + (y - node_y) * sin)
         found.append(station)
     return found
 
@@ -197,17 +253,26 @@ def _feet(tables: _Tables, cell: Array, x: Array, y: Array) -> Feet:
 
 
 def _tables(course: Course) -> _Tables:
-    heading = np.asarray(course.path_heading_rad)
+    heading, x, y = (np.asarray(values) for values in (course.path_heading_rad, course.path_x_m, course.path_y_m))
+    cos, sin = np.cos(heading), np.sin(heading)
     return _Tables(
         course.first_station_m,
         course.spacing_m,
-        np.asarray(course.path_x_m),
-        np.asarray(course.path_y_m),
+        x,
+        y,
         heading,
         np.asarray(course.path_curvature_1pm),
-        np.cos(heading),
-        np.sin(heading),
+        cos,
+        sin,
+        list(zip(x.tolist(), y.tolist(), cos.tolist(), sin.tolist(), strict=True)),
+        np.arange(course.ticks + 1) * course.dt_s,
+        np.asarray(course.station_m),
+        np.asarray(course.speed_mps),
+        np.asarray(course.accel_mps2),
     )
+
+
+tables_of = Kept(_tables)
 
 
 def _cells(tables: _Tables, station_m: Array) -> Array:

@@ -16,7 +16,17 @@ from tunefree_hil.base.course import Course
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import VehicleSpec, WeightsSpec
 from tunefree_hil.episode.recording import Recording
-from tunefree_hil.grade.metrics import METRICS, Samples, Scales, is_planned, metric, samples_of, samples_of_plan
+from tunefree_hil.grade.kept import Kept
+from tunefree_hil.grade.metrics import (
+    METRICS,
+    Samples,
+    Scales,
+    Sharing,
+    is_planned,
+    row_of,
+    samples_of,
+    samples_of_plan,
+)
 from tunefree_hil.grade.original import samples_against_original
 
 FINISHED = "finished"
@@ -32,6 +42,7 @@ class GradeVehicle(NamedTuple):
     rear_axle_m: float  # rear axle (INS point) to centre of mass
     steer_rad: float
     steer_rate_radps: float
+    rest_pedal_frac: float = 0.0  # duty of a pedal that nobody touches
 
 
 class ScenarioGrade(NamedTuple):
@@ -62,7 +73,11 @@ def vehicle_of(spec: VehicleSpec) -> GradeVehicle:
         )
     front_axle_m = nominal.front_axle_m if nominal.front_axle_m is not None else 0.5 * nominal.wheelbase_m
     return GradeVehicle(
-        nominal.wheelbase_m, nominal.wheelbase_m - front_axle_m, spec.limits.steer_rad, spec.limits.steer_rate_radps
+        nominal.wheelbase_m,
+        nominal.wheelbase_m - front_axle_m,
+        spec.limits.steer_rad,
+        spec.limits.steer_rate_radps,
+        nominal.rest_pedal_frac,
     )
 
 
@@ -98,9 +113,9 @@ def grade(
     original = samples_against_original(recording, course, vehicle.rear_axle_m)
     samples = original if weights.against == "original" else samples_of(recording)
     scales = Scales(vehicle.wheelbase_m, vehicle.steer_rad, vehicle.steer_rate_radps, recording.dt_s)
-    plan = samples_of_plan(course)
+    sharing, planned = Sharing(samples, scales), planned_metrics(course)
     metrics = {
-        name: metric(name, samples, scales, as_published=weights.as_published) if is_planned(name, plan) else None
+        name: sharing.metric(row_of(name, as_published=weights.as_published)) if name in planned else None
         for name in METRICS
     }
     outcome = error or judge(original, weights)
@@ -112,6 +127,19 @@ def grade(
         _require_whole(recording, course, scenario)
         score = min(weighted_mean(metrics, weights) + weights.replan_penalty * replans, weights.failure_score)
     return ScenarioGrade(scenario, score, metrics, replans, outcome, course.ticks, dropped)
+
+
+def planned_metrics(course: Course) -> frozenset[str]:
+    """The metrics of METRICS whose samples the course plans (is_planned)."""
+    return _planned(course)
+
+
+def _plan(course: Course) -> frozenset[str]:
+    plan = samples_of_plan(course)
+    return frozenset(name for name in METRICS if is_planned(name, plan))
+
+
+_planned = Kept(_plan)
 
 
 def judge(original: Samples, weights: WeightsSpec) -> str:

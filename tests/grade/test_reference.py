@@ -1,0 +1,89 @@
+"""A reference from a CSV: the same course as the scenario it was sampled from, and mistakes named by row and column."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.house import ROOT
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.config.load import load_scenario
+from tunefree_hil.episode.feasible import curvature_by_time
+from tunefree_hil.episode.scenario import build_course
+from tunefree_hil.grade.reference import read_reference
+
+DT_S = 0.01
+U_TURN = build_course(load_scenario(ROOT / "bench_configs" / "scenarios" / "u_turn.toml"), DT_S)
+COLUMNS = ("t_s", "station_m", "x_m", "y_m", "heading_rad", "speed_mps", "curvature_1pm")
+
+
+def rows_of(stride: int) -> np.ndarray:
+    """Every `stride`-th tick of the U-turn, in the order of COLUMNS; shifted and turned into another frame."""
+    ticks = np.arange(0, U_TURN.ticks + 1, stride)
+    station = np.asarray(U_TURN.station_m)[ticks]
+    at = U_TURN.first_station_m + np.arange(len(U_TURN.path_x_m)) * U_TURN.spacing_m
+    x, y = np.interp(station, at, U_TURN.path_x_m), np.interp(station, at, U_TURN.path_y_m)
+    heading = np.interp(station, at, U_TURN.path_heading_rad)
+    curvature = curvature_by_time(U_TURN)[ticks]
+    speed = np.asarray(U_TURN.speed_mps)[ticks]
+    return np.stack([ticks * DT_S, station, 400.0 - y, 30.0 + x, heading + np.pi / 2.0, speed, curvature], axis=1)
+
+
+def write(path: Path, names: tuple[str, ...], rows: np.ndarray) -> str:
+    columns = [COLUMNS.index(name) for name in names]
+    lines = [",".join(names), *(",".join(f"{value:.9g}" for value in row[columns]) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("names", "tolerance_m"),
+    [(COLUMNS, 0.005), (("t_s", "x_m", "y_m", "speed_mps"), 0.03), (("station_m", "x_m", "y_m", "speed_mps"), 0.03)],
+)
+def test_points_of_a_scenario_give_its_course(tmp_path: Path, names: tuple[str, ...], tolerance_m: float) -> None:
+    found = read_reference(write(tmp_path / "points.csv", names, rows_of(10)), DT_S)
+    course = found.course
+    assert found.world and found.name == "points"
+    assert abs(course.ticks - U_TURN.ticks) <= 10
+    rows = min(course.ticks, U_TURN.ticks)
+    np.testing.assert_allclose(course.speed_mps[:rows], U_TURN.speed_mps[:rows], atol=0.05)
+    np.testing.assert_allclose(course.station_m[:rows], U_TURN.station_m[:rows], atol=0.06)
+    nodes = min(len(course.path_x_m), len(U_TURN.path_x_m)) - 2
+    np.testing.assert_allclose(course.path_x_m[:nodes], 400.0 - np.asarray(U_TURN.path_y_m[:nodes]), atol=tolerance_m)
+    np.testing.assert_allclose(course.path_y_m[:nodes], 30.0 + np.asarray(U_TURN.path_x_m[:nodes]), atol=tolerance_m)
+    turned = np.asarray(U_TURN.path_heading_rad[:nodes]) + np.pi / 2.0
+    np.testing.assert_allclose(course.path_heading_rad[:nodes], turned, atol=0.05)
+
+
+def test_a_scenario_by_name() -> None:
+    found = read_reference("u_turn", DT_S)
+    assert not found.world and found.name == "u_turn" and found.course.ticks == U_TURN.ticks and len(found.hash) == 64
+
+
+BROKEN = [
+    ("x_m,speed_mps\n0,1\n", "y_m", "has no column 'y_m'"),
+    ("x_m,y_m,speed_mps\n0,0,1\n1,0,1\n", "", "has 2 points"),
+    ("x_m,y_m,speed_mps\n0,0,1\n1,zero,1\n2,0,1\n", "y_m", "row 3: 'zero'"),
+    ("x_m,y_m,speed_mps\n0,0,1\n1,0\n2,0,1\n", "speed_mps", "row 3: ''"),
+    ("x_m,y_m,speed_mps\n0,0,1\n1,0,-1\n2,0,1\n", "speed_mps", "negative"),
+    ("x_m,y_m,speed_mps\n0,0,1\n1,0,0\n2,0,0\n", "t_s", "for how long"),
+    ("t_s,x_m,y_m,speed_mps\n0,0,0,1\n2,1,0,1\n1,2,0,1\n", "t_s", "row 4 does not"),
+    ("t_s,x_m,y_m,speed_mps\n0,0,0,1\n1,0,0,1\n2,0,0,1\n", "", "do not move on"),
+    ("", "x_m", "has no column"),
+]
+
+
+@pytest.mark.parametrize(("text", "key", "part"), BROKEN)
+def test_mistakes_are_named(tmp_path: Path, text: str, key: str, part: str) -> None:
+    path = tmp_path / "p.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_reference(str(path), DT_S)
+    assert part in caught.value.message and caught.value.key == key and caught.value.file == str(path)
+
+
+def test_a_file_that_is_not_there() -> None:
+    with pytest.raises(InputError, match=r"no such file"):
+        read_reference("nowhere.csv", DT_S)

@@ -1,0 +1,84 @@
+"""Where a score difference comes from: a table of scenarios by terms, coloured by who wins; its cells add up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tunefree_hil.figures import style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLOURS = "RdBu_r"  # blue: the winner is better; red: the other one; can be told apart by the colour-blind
+DARK = 0.62  # of the colour scale, above which the ink is white
+LEAST_IN = 9.0
+LEAST_PT = 10.5
+PT_PER_IN = 0.76  # of the figure's width: a wide table is shown smaller, so its words are larger
+WITHIN = 0.95  # share of the cells whose size the colour scale tells apart
+TOTAL = "sum"
+
+
+def write_heat(path: Path, terms: Mapping[str, Mapping[str, float]], title: str) -> Path:
+    """Write the figure of `draw_heat` to `path` as PNG."""
+    return style.save(draw_heat(terms, title), path)
+
+
+def draw_heat(terms: Mapping[str, Mapping[str, float]], title: str) -> Figure:
+    """terms: by scenario, then by term, winner - other; in thousandths of the score. Terms that are 0 are left out."""
+    scenarios = list(terms)
+    names = [name for name in terms[scenarios[0]] if any(abs(terms[one][name]) > 0.0 for one in scenarios)]
+    cells = np.array([[terms[one][name] for name in names] for one in scenarios]).reshape(len(scenarios), len(names))
+    table = _with_sums(1e3 * cells)
+    width_in = max(LEAST_IN, 3.8 + 0.72 * (len(names) + 1))
+    size = max(LEAST_PT, PT_PER_IN * width_in)
+    figure = style.new_figure(width_in, 3.6 + 0.5 * (len(scenarios) + 1))
+    axes = figure.add_subplot()
+    limit = _limit(1e3 * np.abs(cells))
+    shown = np.clip(table, -limit, limit)
+    axes.imshow(shown, cmap=COLOURS, vmin=-limit, vmax=limit, aspect="auto")
+    for row, column in np.ndindex(*table.shape):
+        ink = "white" if abs(shown[row, column]) > DARK * limit else style.INK
+        outer = row == len(scenarios) or column == len(names)
+        axes.text(
+            column, row, _cell(float(table[row, column])), ha="center", va="center", fontsize=size, color=ink,
+            fontweight="bold" if outer else "normal",
+        )  # fmt: skip
+    _labels(axes, [*names, TOTAL], [*scenarios, TOTAL], size)
+    axes.axhline(len(scenarios) - 0.5, color=style.INK, linewidth=1.6)
+    axes.axvline(len(names) - 0.5, color=style.INK, linewidth=1.6)
+    axes.set_xlabel("thousandths of the score, winner - manual; negative (blue): winner better", fontsize=size)
+    style.headline(figure, title)
+    return figure
+
+
+def _limit(sizes: np.ndarray) -> float:
+    """End of the colour scale: what few cells exceed, or one large cell would leave all others white."""
+    known = sizes[sizes > 0.0]
+    return float(np.quantile(known, WITHIN)) if known.size else 1.0
+
+
+def _with_sums(cells: np.ndarray) -> np.ndarray:
+    """A last column and a last row with the sums."""
+    wide = np.hstack([cells, cells.sum(axis=1, keepdims=True)])
+    return np.vstack([wide, wide.sum(axis=0, keepdims=True)])
+
+
+def _cell(value: float) -> str:
+    """Short enough for a cell; 0 where it would round to it."""
+    if abs(value) < 0.05:
+        return "0"
+    return f"{value:+.0f}" if abs(value) >= 99.5 else f"{value:+.1f}"
+
+
+def _labels(axes: Axes, columns: Sequence[str], rows: Sequence[str], size: float) -> None:
+    axes.set_xticks(range(len(columns)), columns, rotation=40, ha="left", rotation_mode="anchor", fontsize=size)
+    axes.xaxis.tick_top()
+    axes.set_yticks(range(len(rows)), rows, fontsize=size)
+    axes.tick_params(length=0)
+    for side in axes.spines.values():
+        side.set_visible(False)

@@ -1,0 +1,168 @@
+"""The reference path that a log is held against: a scenario file, or a table of points (CSV), as a Course.
+
+A CSV has a header with x_m, y_m and speed_mps, and t_s where times are known; station_m, heading_rad and curvature_1pm
+may be left out and are then taken from the points. Its coordinates are those of the INS frames, its points those of the
+rear axle's middle. Without t_s the times follow from stations and speeds.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from tunefree_hil.base.course import Course
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.kernel import table
+from tunefree_hil.config.load import load_scenario
+from tunefree_hil.episode.scenario import PROLONGED_M, SPACING_M, build_course
+
+Array = np.ndarray
+
+NEEDED = ("x_m", "y_m", "speed_mps")
+KNOWN = ("t_s", "station_m", "x_m", "y_m", "heading_rad", "speed_mps", "curvature_1pm")
+LEAST_POINTS = 3
+LEAST_ADVANCE_M = 1e-6  # rows nearer together than this are one place
+LEAST_PACE_MPS = 0.05  # below it, a table without times does not say how long the vehicle stands
+
+
+class Reference(NamedTuple):
+    """What was planned. world: its coordinates are meant to be those of the log (a CSV), not a place of its own."""
+
+    name: str
+    course: Course
+    world: bool
+    hash: str  # of the scenario file; '' for a CSV
+
+
+def read_reference(name: str, dt_s: float) -> Reference:
+    """A reference by the path of a CSV, or by name or path of a scenario. Raises InputError that says what is wrong."""
+    path = Path(name)
+    if path.suffix.lower() == ".csv":
+        return Reference(path.stem, course_of_points(read_points(path), dt_s, str(path)), True, "")
+    spec = load_scenario(name)
+    return Reference(spec.name, build_course(spec, dt_s), False, spec.hash)
+
+
+def read_points(path: Path) -> dict[str, Array]:
+    """The columns of a CSV by name. Raises InputError that names file and column or line."""
+    if not path.is_file():
+        raise InputError("there is no such file", code="no_path", file=str(path), hint="give a CSV or a scenario")
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
+    header = [word.strip() for word in rows[0]] if rows else []
+    for wanted in NEEDED:
+        if wanted not in header:
+            raise InputError(
+                f"has no column {wanted!r}; its columns are {', '.join(header) or 'none'}",
+                code="bad_path",
+                file=str(path),
+                key=wanted,
+                hint=f"a header line with some of {', '.join(KNOWN)}, SI units",
+            )
+    if len(rows) - 1 < LEAST_POINTS:
+        raise InputError(f"has {len(rows) - 1} points, needs {LEAST_POINTS}", code="bad_path", file=str(path))
+    columns = {name: np.empty(len(rows) - 1) for name in header if name in KNOWN}
+    for i, row in enumerate(rows[1:]):
+        for name, column in columns.items():
+            column[i] = _number(row, header.index(name), f"{path}", i + 2, name)
+    return columns
+
+
+def _number(row: list[str], at: int, file: str, line: int, name: str) -> float:
+    """One cell as a finite number."""
+    try:
+        value = float(row[at])
+    except (ValueError, IndexError):
+        value = math.nan
+    if not math.isfinite(value):
+        shown = row[at] if at < len(row) else ""
+        raise InputError(f"row {line}: {shown!r} is no finite number", code="bad_path", file=file, key=name)
+    return value
+
+
+def course_of_points(points: dict[str, Array], dt_s: float, file: str) -> Course:
+    """A Course through the points. `file` is what errors name."""
+    x, y, speed = points["x_m"], points["y_m"], points["speed_mps"]
+    if speed.min() < 0.0:
+        raise InputError("speed is negative: reverse is not supported", code="bad_path", file=file, key="speed_mps")
+    gone = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    station = points["station_m"] - points["station_m"][0] if "station_m" in points else gone
+    _require_ascending(station, "station_m", file, strictly=False)
+    moves = np.concatenate([[True], np.diff(station) > LEAST_ADVANCE_M])
+    if np.count_nonzero(moves) < LEAST_POINTS:
+        raise InputError("the points do not move on: a path needs three places", code="bad_path", file=file)
+    time = points["t_s"] - points["t_s"][0] if "t_s" in points else _times(station, speed, file)
+    _require_ascending(time, "t_s", file, strictly=True)
+    ticks = max(1, math.floor(time[-1] / dt_s + 1e-6))
+    at = np.arange(ticks + 1) * dt_s
+    by_station = _by_station(points, station[moves], moves)
+    return Course(
+        dt_s=dt_s,
+        ticks=ticks,
+        station_m=table(np.interp(at, time, station)),
+        speed_mps=table(np.interp(at, time, speed)),
+        accel_mps2=table(np.interp(at, time, np.gradient(speed, time))),
+        grade_rad=table(np.zeros(ticks + 1)),
+        friction_frac=table(np.ones(ticks + 1)),
+        first_station_m=-PROLONGED_M,
+        spacing_m=SPACING_M,
+        path_x_m=table(by_station[0]),
+        path_y_m=table(by_station[1]),
+        path_heading_rad=table(by_station[2]),
+        path_curvature_1pm=table(by_station[3]),
+    )
+
+
+def _require_ascending(values: Array, name: str, file: str, *, strictly: bool) -> None:
+    steps = np.diff(values)
+    wrong = steps <= 0.0 if strictly else steps < 0.0
+    if wrong.any():
+        row = int(np.argmax(wrong)) + 3
+        raise InputError(f"must ascend; row {row} does not", code="bad_path", file=file, key=name)
+
+
+def _times(station_m: Array, speed_mps: Array, file: str) -> Array:
+    """When each point is passed, from stations and the mean speed between points."""
+    pace = 0.5 * (speed_mps[1:] + speed_mps[:-1])
+    if pace.min() < LEAST_PACE_MPS:
+        raise InputError(
+            f"row {int(pace.argmin()) + 3}: the plan stands still, and without times nobody knows for how long",
+            code="bad_path",
+            file=file,
+            key="t_s",
+            hint="add a column t_s",
+        )
+    return np.concatenate([[0.0], np.cumsum(np.diff(station_m) / pace)])
+
+
+def _by_station(points: dict[str, Array], station_m: Array, moves: Array) -> tuple[Array, Array, Array, Array]:
+    """x, y, heading and curvature every SPACING_M, prolonged straight on at both ends."""
+    x, y = points["x_m"][moves], points["y_m"][moves]
+    if "heading_rad" in points:
+        heading = np.unwrap(points["heading_rad"][moves])
+    else:
+        heading = np.unwrap(np.arctan2(np.gradient(y, station_m), np.gradient(x, station_m)))
+    given = points.get("curvature_1pm")
+    curvature = np.gradient(heading, station_m) if given is None else given[moves]
+    cells = round(PROLONGED_M / SPACING_M) + math.ceil((station_m[-1] + PROLONGED_M) / SPACING_M)
+    at = -PROLONGED_M + np.arange(cells + 1) * SPACING_M
+    inside = np.clip(at, 0.0, station_m[-1])
+    beyond = at - inside
+    angle = np.interp(inside, station_m, heading)
+    xs = _hermite(inside, station_m, x, np.cos(heading)) + beyond * np.cos(angle)
+    ys = _hermite(inside, station_m, y, np.sin(heading)) + beyond * np.sin(angle)
+    return xs, ys, angle, np.where(beyond == 0.0, np.interp(inside, station_m, curvature), 0.0)
+
+
+def _hermite(at: Array, nodes: Array, values: Array, slopes: Array) -> Array:
+    """Cubic through values with slopes (a chord of a bend would lie inside it)."""
+    i = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 2)
+    span = nodes[i + 1] - nodes[i]
+    u = (at - nodes[i]) / span
+    rest = 1.0 - u
+    ends = rest * rest * (1.0 + 2.0 * u) * values[i] + u * u * (3.0 - 2.0 * u) * values[i + 1]
+    return ends + span * u * rest * (rest * slopes[i] - u * slopes[i + 1])
