@@ -18,6 +18,7 @@ import pytest
 from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
 from tunefree_hil.cli.entry import run
+from tunefree_hil.jobs.tune_wish import Asked
 
 Fake = Callable[..., list[tuple[tuple[Any, ...], dict[str, Any]]]]
 
@@ -55,21 +56,6 @@ DRIVE = {
     "out": None,
     "parameters": [],
 }
-TUNE = {
-    "trials": None,
-    "set_name": None,
-    "sampler": None,
-    "seed": None,
-    "scale": "log",
-    "bus": "auto",
-    "bench_bus": "",
-    "join": False,
-    "session": "",
-    "out": None,
-    "resume": None,
-    "verify": True,
-    "study": None,
-}
 
 
 @pytest.mark.parametrize(
@@ -91,22 +77,43 @@ TUNE = {
                 "out": Path("runs"),
             },
         ),
-        ("tune b.toml", "tune", (BENCH,), TUNE),
+        ("tune b.toml", "tune", (Asked(BENCH),), {}),
         (
-            "tune b.toml --trials 5 --set lateral --scale linear --no-verify --sampler random --study x",
+            "tune b.toml --trials 5 --set lateral --scale linear --no-verify --sampler random --study x --realtime",
             "tune",
-            (BENCH,),
-            {
-                **TUNE,
-                "trials": 5,
-                "set_name": "lateral",
-                "scale": "linear",
-                "verify": False,
-                "sampler": "random",
-                "study": "x",
-            },
+            (
+                Asked(
+                    BENCH,
+                    trials=5,
+                    set_name="lateral",
+                    scale="linear",
+                    verify=False,
+                    sampler="random",
+                    study="x",
+                    realtime=True,
+                ),
+            ),
+            {},
         ),
-        ("tune --resume runs/x", "tune", (Path("runs/x/bench.toml"),), {**TUNE, "resume": Path("runs/x")}),
+        (
+            "tune b.toml --backend batch --confirm 5 --in-flight 4 --benches 2 --seed 9 --join --controller ./c",
+            "tune",
+            (
+                Asked(
+                    BENCH,
+                    backend="batch",
+                    confirm=5,
+                    in_flight=4,
+                    benches=2,
+                    seed=9,
+                    join=True,
+                    session="default",
+                    controller="./c",
+                ),
+            ),
+            {},
+        ),
+        ("tune --resume runs/x", "tune", (Asked(Path("runs/x/bench.toml"), resume=Path("runs/x")),), {}),
         ("verify runs/x --bus tfhub", "verify", (Path("runs/x"),), {"bus": "tfhub"}),
         ("replay runs/x --episode 3 --verify", "replay", (Path("runs/x"),), {"episode": 3, "verify": True}),
         ("hub --clock real --owned", "hub", (), {"session": "default", "clock": "real", "owned": True}),
@@ -126,9 +133,9 @@ def test_options_reach_the_job(
 
 
 def test_log_commands(fake: Fake) -> None:
-    checks = fake("log", "check")
+    checks = fake("log_check", "check")
     assert run(["log", "check", "a.log", "--vehicle", "mkz"]) == 0
-    shows = fake("log", "show")
+    shows = fake("log_show", "show")
     assert run(["log", "show", "a.log", "--signal", "PO", "--signal", "speed_mps"]) == 0
     assert checks == [((Path("a.log"), "mkz"), {})]
     assert shows == [((Path("a.log"), None, ["PO", "speed_mps"]), {})]

@@ -111,21 +111,37 @@ def test_a_missing_entry_point_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize(
-    ("has_can", "state", "kind", "remedy"),
+    ("state", "kind", "text", "remedy"),
     [
-        (False, LinkState(False, False, ""), NOTE, "sudo modprobe vcan"),
-        (True, LinkState(False, False, ""), NOTE, "sudo ip link add dev vcan0 type vcan"),
-        (True, LinkState(True, False, "vcan"), NOTE, "sudo ip link set up vcan0"),
-        (True, LinkState(True, True, ""), NOTE, ""),
-        (True, LinkState(True, True, "vcan"), OK, ""),
+        (LinkState(False, False, ""), NOTE, "there is no vcan0", "sudo ip link add dev vcan0 type vcan"),
+        (LinkState(True, False, "vcan"), NOTE, "vcan0 is down", "sudo ip link set up vcan0"),
+        (LinkState(True, True, "", 16, 10), NOTE, "hardware, mtu 16", "sudo ip link set vcan0 txqueuelen 1000"),
+        (LinkState(True, True, "", 72, 1000), NOTE, "never transmit", ""),
+        (LinkState(True, True, "vcan", 16, 1000), NOTE, "classic CAN only", "sudo ip link set vcan0 mtu 72"),
+        (LinkState(True, True, "vcan", 72, 1000), OK, "vcan, mtu 72 (classic CAN and CAN FD), txqueuelen 1000", ""),
     ],
 )
-def test_can_links(has_can: bool, state: LinkState, kind: str, remedy: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kernel_link, "kernel_has_can", lambda: has_can)
+def test_a_can_link(state: LinkState, kind: str, text: str, remedy: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernel_link, "link_state", lambda name: state)
-    (found,) = machine.can_links()
-    assert found.kind == kind
+    found = machine.can_link("vcan0")
+    assert found.kind == kind and text in found.text
     assert remedy in found.remedy and bool(remedy) == bool(found.remedy)
+
+
+def test_can_links(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without CAN one note with the commands that make both links; with it every link there is."""
+    monkeypatch.setattr(kernel_link, "kernel_has_can", lambda: False)
+    (found,) = machine.can_links()
+    assert found.kind == NOTE and "no CAN" in found.text
+    for command in ("modprobe vcan", "ip link add dev vcan0 type vcan", "ip link set dev vcan1 mtu 72 up"):
+        assert command in found.remedy
+    monkeypatch.setattr(kernel_link, "kernel_has_can", lambda: True)
+    monkeypatch.setattr(kernel_link, "can_names", lambda: ["can0", "vcan0"])
+    monkeypatch.setattr(
+        kernel_link, "link_state", lambda name: LinkState(name != "vcan1", True, "vcan"[: 4 * (name > "v")])
+    )
+    told = {finding.text.split()[0]: finding.kind for finding in machine.can_links()}
+    assert told == {"vcan0": OK, "the": NOTE, "can0": NOTE}
 
 
 def test_a_bus_that_there_is_not() -> None:

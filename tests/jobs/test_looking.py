@@ -12,7 +12,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bus.codec import Codec
 from tunefree_hil.config.load import load_scenario, load_vehicle
-from tunefree_hil.jobs import log
+from tunefree_hil.jobs import log_check, log_show
 from tunefree_hil.jobs.scenarios import describe, export, scenarios
 
 SCENARIO = """
@@ -90,7 +90,7 @@ def write_log(path: Path, codec: Codec, ticks: int = 100, leave_out: str = "") -
 
 def test_a_whole_log(tmp_path: Path, codec: Codec) -> None:
     path = write_log(tmp_path / "a.log", codec)
-    said, result = lines(log.check(path, "mkz_bywire"))
+    said, result = lines(log_check.check(path, "mkz_bywire"))
     assert result.data["exit"] == 0
     assert result.data["sentence"].endswith("in 0.99 s: the log is whole")
     assert len(said) == 1 + len(codec.telemetry) + len(codec.commands)
@@ -100,7 +100,7 @@ def test_a_log_with_a_silent_message_and_a_cut_end(tmp_path: Path, codec: Codec)
     silent = codec.telemetry[0].name
     path = write_log(tmp_path / "a.log", codec, leave_out=silent)
     path.write_text(path.read_text()[:-4])
-    said, result = lines(log.check(path, "mkz_bywire"))
+    said, result = lines(log_check.check(path, "mkz_bywire"))
     assert result.data["exit"] == 1
     faults = [line for line in said if line.startswith("fault: ")]
     assert len(faults) >= 2
@@ -112,13 +112,13 @@ def test_the_run_folder_knows_the_vehicle(tmp_path: Path, codec: Codec) -> None:
     (tmp_path / "bench.toml").write_text(bench)
     folder = tmp_path / "episodes" / "0"
     folder.mkdir(parents=True)
-    _, result = lines(log.check(write_log(folder / "vehicle.log", codec), None))
+    _, result = lines(log_check.check(write_log(folder / "vehicle.log", codec), None))
     assert Path(result.data["vehicle"]).name == "mkz_bywire"
 
 
 def test_a_lone_log_needs_its_vehicle(tmp_path: Path, codec: Codec) -> None:
     with pytest.raises(InputError, match="vehicle is not known"):
-        list(log.check(write_log(tmp_path / "a.log", codec), None))
+        list(log_check.check(write_log(tmp_path / "a.log", codec), None))
 
 
 def test_frames_are_decoded(tmp_path: Path, codec: Codec) -> None:
@@ -126,7 +126,7 @@ def test_frames_are_decoded(tmp_path: Path, codec: Codec) -> None:
     path = write_log(tmp_path / "a.log", codec, ticks=1)
     with path.open("a") as file:
         file.write("(0.020000) can0 7FF#0102\n")
-    said, result = lines(log.show(path, "mkz_bywire", []))
+    said, result = lines(log_show.show(path, "mkz_bywire", []))
     assert said[-1] == "0.020000 can0 7FF (foreign) 0102"
     assert result.data["shown"] == result.data["frames"] == len(said)
     field = report.fields[0]
@@ -135,14 +135,14 @@ def test_frames_are_decoded(tmp_path: Path, codec: Codec) -> None:
 
 def test_only_what_was_asked_for(tmp_path: Path, codec: Codec) -> None:
     path = write_log(tmp_path / "a.log", codec, ticks=3)
-    said, result = lines(log.show(path, "mkz_bywire", ["throttle_frac"]))
+    said, result = lines(log_show.show(path, "mkz_bywire", ["throttle_frac"]))
     assert said and all("throttle_frac=" in line and "brake" not in line for line in said)
     assert result.data["shown"] == len(said) < result.data["frames"]
 
 
 def test_a_signal_that_there_is_not(tmp_path: Path, codec: Codec) -> None:
     with pytest.raises(InputError) as caught:
-        list(log.show(write_log(tmp_path / "a.log", codec), "mkz_bywire", ["trottle_frac"]))
+        list(log_show.show(write_log(tmp_path / "a.log", codec), "mkz_bywire", ["trottle_frac"]))
     assert "throttle_frac" in caught.value.hint
 
 
@@ -151,7 +151,7 @@ def test_the_measured_drive(shared_data: Path) -> None:
     path = shared_data / "comma2k19_rav4" / "drive.candump.log"
     if not path.is_file():
         pytest.skip("no comma2k19_rav4/drive.candump.log in ../shared/data")
-    _, result = lines(log.check(path, "rav4_2017"))
+    _, result = lines(log_check.check(path, "rav4_2017"))
     assert result.data["problems"] == ["STEERING_LKA: 4 frames came out of order"]
     assert result.data["foreign"][0x343] == 600
 

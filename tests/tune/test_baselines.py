@@ -10,7 +10,16 @@ import pytest
 from tunefree_hil.base.contracts import Tunable
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.control.parameters import BASELINES, NAMES, check_complete, round32
-from tunefree_hil.tune.baselines import RuleInputs, clipped, complete, first_trial, lag_of_order_2_s, rule_based
+from tunefree_hil.tune.baselines import (
+    RuleInputs,
+    clipped,
+    complete,
+    first_trial,
+    lag_of_order_2_s,
+    manual_vectors,
+    opening,
+    rule_based,
+)
 from tunefree_hil.tune.space import Space, make_space, resolve
 
 MKZ = RuleInputs(
@@ -43,6 +52,22 @@ def test_the_first_trial_is_manual_with_mrac_clipped() -> None:
 def test_a_parameter_without_a_manual_value_starts_in_the_middle() -> None:
     space = make_space([Tunable("mine.a", "1", 0.01, 1.0), Tunable("mine.b", "1", 0.0, 4.0, "linear")])
     assert first_trial(space) == pytest.approx({"mine.a": 0.1, "mine.b": 2.0})
+
+
+def test_only_the_vehicle_that_gains_were_shipped_for_has_them() -> None:
+    rule = rule_based(MKZ)
+    own, other = manual_vectors(rule, shipped=True), manual_vectors(rule, shipped=False)
+    assert list(own) == [*BASELINES, "rule_based"] and own["rule_based"] == other["rule_based"] == rule
+    assert not set(other) & set(BASELINES) and all(name == "rule_based" or "borrowed" in name for name in other)
+    assert other["borrowed_mrac_on"] == BASELINES["mrac_on"] and other["borrowed"]["look_ahead_m"] == 0.0
+    assert opening(own) == BASELINES["mrac_on"] and opening(other) == rule
+
+
+def test_a_study_can_open_with_rule_based() -> None:
+    space = resolve("complete", [])
+    rule = rule_based(MKZ)
+    first = first_trial(space, rule)
+    assert first == space.fit({name: rule[name] for name in space.names}) != first_trial(space)
 
 
 def test_clipping_names_what_it_moved() -> None:

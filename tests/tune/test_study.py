@@ -16,6 +16,7 @@ import pytest
 
 from tests.tune.drive_study import FIRST, SPACE, Parameter, bowl, settings
 from tunefree_hil.base.errors import BenchError, InputError, PeerGone, TunefreeError
+from tunefree_hil.tune.filling import points_of
 from tunefree_hil.tune.sampling import SAMPLERS, Told, suggest
 from tunefree_hil.tune.space import make_space
 from tunefree_hil.tune.study import Evaluation, Study, Trial, open_study, read_study
@@ -124,7 +125,7 @@ def test_an_interrupted_study_goes_on_where_it_was(opened: Open, sampler: str, t
 @pytest.mark.parametrize("stage", ["waiting", "running", "half asked", "scored"])
 def test_what_a_kill_leaves_behind_is_told_fail(opened: Open, stage: str) -> None:
     cut = opened(done=12)
-    asked_for = cut._parameters_of(12, cut.trials())
+    asked_for = points_of(cut.settings, cut.trials(), [12])[12]
     cut._optuna.enqueue_trial(asked_for, user_attrs={"slot": 12})
     if stage != "waiting":
         few = dict(list(cut._stored.items())[:2]) if stage == "half asked" else cut._stored

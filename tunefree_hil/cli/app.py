@@ -10,7 +10,7 @@ import typer
 from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.cli import bench_commands, data_commands, run_commands
+from tunefree_hil.cli import bench_commands, data_commands, grade_commands, run_commands
 from tunefree_hil.cli.options import AsJson, Plain
 from tunefree_hil.cli.output import present
 from tunefree_hil.cli.overview import MISSING, overview
@@ -45,6 +45,8 @@ def _not_built(name: str) -> Callable[..., Any]:
 
 ANYTHING = {"allow_extra_args": True, "ignore_unknown_options": True}
 for _command in (run_commands.drive, run_commands.tune, run_commands.verify, run_commands.replay):
+    app.command()(_command)
+for _command in (grade_commands.grade, grade_commands.compare, grade_commands.explain):
     app.command()(_command)
 app.command("learn", context_settings=ANYTHING, help=f"Learn a vehicle from logs ({MISSING}).")(_not_built("learn"))
 app.command("gap", context_settings=ANYTHING, help=f"Name what a simulation lacks ({MISSING}).")(_not_built("gap"))

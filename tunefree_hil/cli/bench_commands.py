@@ -62,6 +62,9 @@ def ecu(
     bench_bus: BenchBus = "",
     session: Session = DEFAULT_SESSION,
     realtime: Realtime = False,
+    scenario: Annotated[
+        str | None, typer.Option(help="no runner: drive this one in real time for whoever sends commands (canplayer)")
+    ] = None,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
@@ -70,7 +73,15 @@ def ecu(
     def job() -> Iterable[Event]:
         from tunefree_hil.jobs.ecu import ecu as run
 
-        return run(bench, model=model, bus=bus, bench_bus=bench_bus, session=session, realtime=realtime)
+        return run(
+            bench,
+            model=model,
+            bus=bus,
+            bench_bus=bench_bus,
+            session=session,
+            realtime=realtime,
+            scenario=scenario,
+        )
 
     return present("ecu", job, plain=plain, as_json=as_json, first=f"ecu of {bench}")
 

@@ -1,4 +1,4 @@
-"""Commands that look: scenarios, doctor, log check, log show."""
+"""Commands that look, and those for logs: scenarios, doctor, log check, show, plot, convert, import."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tunefree_hil.cli.output import present
 
 log = typer.Typer(rich_markup_mode=None, add_completion=False)
 
-LogPath = Annotated[Path, typer.Argument(metavar="LOG", help="candump text, such as vehicle.log of an episode")]
+LogPath = Annotated[Path, typer.Argument(metavar="LOG", help="a log: candump, blf, asc, csv, mf4, ROS bag")]
 
 
 def scenarios(
@@ -66,11 +66,11 @@ def doctor(
 def log_check(path: LogPath, vehicle: Vehicle = None, plain: Plain = False, as_json: AsJson = False) -> int:
     """Count and judge the frames of a log.
 
-    Known, foreign, late, missing, broken. Exit status 1 when the log does not hold.
+    Rates, gaps, counters, CRCs, what does not decode or is foreign. Exit status 1 when the log does not hold.
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.log import check
+        from tunefree_hil.jobs.log_check import check
 
         return check(path, vehicle)
 
@@ -88,8 +88,70 @@ def log_show(
     """Print a log decoded, one line a frame."""
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.log import show
+        from tunefree_hil.jobs.log_show import show
 
         return show(path, vehicle, signal or [])
 
     return present("log show", job, plain=plain, as_json=as_json)
+
+
+@log.command("plot")
+def log_plot(
+    path: LogPath,
+    signals: Annotated[list[str], typer.Argument(metavar="SIGNALS...", help="report.speed_mps, MESSAGE.SIGNAL ...")],
+    vehicle: Vehicle = None,
+    out: Annotated[Path | None, typer.Option(help="PNG to write; default: the log's name with .png")] = None,
+    plain: Plain = False,
+    as_json: AsJson = False,
+) -> int:
+    """Draw signals of a log over time, a panel a unit, gaps visible."""
+
+    def job() -> Iterable[Event]:
+        from tunefree_hil.jobs.log_plot import plot
+
+        return plot(path, vehicle, signals, out)
+
+    return present("log plot", job, plain=plain, as_json=as_json)
+
+
+@log.command("convert")
+def log_convert(
+    path: LogPath,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="ends in .log .blf .asc .csv .mf4 .bag or .ros2")],
+    channel: Annotated[list[str] | None, typer.Option(help="only this channel, again for more")] = None,
+    to: Annotated[str, typer.Option("--format", help="candump, blf, asc, csv, mf4, ros1 or ros2")] = "",
+    plain: Plain = False,
+    as_json: AsJson = False,
+) -> int:
+    """Write a log in another format.
+
+    Says what that cannot hold, with counts, and reads the result back to prove it.
+    """
+
+    def job() -> Iterable[Event]:
+        from tunefree_hil.jobs.log_convert import convert
+
+        return convert(path, out, channels=channel or [], to=to)
+
+    return present("log convert", job, plain=plain, as_json=as_json)
+
+
+@log.command("import")
+def log_import(
+    path: Annotated[Path, typer.Argument(metavar="CSV", help="a test drive: one row a sample, a head line")],
+    mapping: Annotated[Path, typer.Option("--map", help="mapping file: column -> record field, unit, clock")],
+    out: Annotated[Path, typer.Option(help="folder to write: drive.log and the vehicle folder it is read with")],
+    plain: Plain = False,
+    as_json: AsJson = False,
+) -> int:
+    """Bring a CSV of a test drive in.
+
+    As a candump log through a DBC that is invented for it. Refuses unsorted times and units that contradict each other.
+    """
+
+    def job() -> Iterable[Event]:
+        from tunefree_hil.jobs.log_import import import_csv
+
+        return import_csv(path, mapping, out)
+
+    return present("log import", job, plain=plain, as_json=as_json)

@@ -36,12 +36,22 @@ class Scale(StrEnum):
     linear = "linear"
 
 
+class Backend(StrEnum):
+    """What drives the trials."""
+
+    bus = "bus"
+    batch = "batch"
+
+
 class ParameterSet(StrEnum):
     """Which parameters are tuned (interfaces 7)."""
 
     mrac = "mrac"
     lateral = "lateral"
     complete = "complete"
+
+
+Controller = Annotated[str, typer.Option(metavar="CMD", help="start this program instead of our controller")]
 
 
 def drive(
@@ -56,6 +66,7 @@ def drive(
     session: Session = "",
     out: Out = None,
     parameter: Annotated[list[str] | None, typer.Option(help="NAME=VALUE, again for more")] = None,
+    controller: Controller = "",
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
@@ -76,6 +87,7 @@ def drive(
             session=session_of(session, join),
             out=out,
             parameters=parameter or [],
+            controller=controller,
         )
 
     return present("drive", job, plain=plain, as_json=as_json, first=f"drive {bench}")
@@ -95,7 +107,15 @@ def tune(
     out: Out = None,
     resume: Annotated[Path | None, typer.Option(help="go on with this run folder")] = None,
     verify: Annotated[bool, typer.Option(help="drive the winner on the verify model at the end")] = True,
-    study: Annotated[str | None, typer.Option(help="another study storage: postgresql://...")] = None,
+    study: Annotated[
+        str | None, typer.Option(metavar="URL", help="work on a shared study: postgresql://USER@HOST/DATABASE#STUDY")
+    ] = None,
+    backend: Annotated[Backend, typer.Option(help="batch: compiled, its best confirmed over the bus")] = Backend.bus,
+    benches: Annotated[int, typer.Option(min=0, help="benches side by side; 0: one a core, at most two")] = 0,
+    in_flight: Annotated[int, typer.Option(min=0, help="trials asked together; 0: the bench file's")] = 0,
+    realtime: Realtime = False,
+    controller: Controller = "",
+    confirm: Annotated[int, typer.Option(min=1, metavar="K", help="of a batch, how many the bus drives again")] = 3,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
@@ -107,22 +127,31 @@ def tune(
     def job() -> Iterable[Event]:
         bench_file = _bench_of(bench, resume)
         from tunefree_hil.jobs.tune import tune as run
+        from tunefree_hil.jobs.tune_wish import Asked
 
         return run(
-            bench_file,
-            trials=trials,
-            set_name=set_name.value if set_name else None,
-            sampler=sampler,
-            seed=seed,
-            scale=scale.value,
-            bus=bus,
-            bench_bus=bench_bus,
-            join=join,
-            session=session_of(session, join),
-            out=out,
-            resume=resume,
-            verify=verify,
-            study=study,
+            Asked(
+                bench=bench_file,
+                trials=trials,
+                set_name=set_name.value if set_name else None,
+                sampler=sampler,
+                seed=seed,
+                scale=scale.value,
+                bus=bus,
+                bench_bus=bench_bus,
+                join=join,
+                session=session_of(session, join),
+                out=out,
+                resume=resume,
+                verify=verify,
+                study=study,
+                backend=backend.value,
+                benches=benches,
+                in_flight=in_flight,
+                realtime=realtime,
+                controller=controller,
+                confirm=confirm,
+            )
         )
 
     return present("tune", job, plain=plain, as_json=as_json, first=f"tune {bench or resume or ''}".strip())

@@ -2,25 +2,40 @@
 
 from __future__ import annotations
 
-from tunefree_hil.bench import Bench, model_of, parameters_of
-from tunefree_hil.config.schema import ActuatorSpec, value_of
-from tunefree_hil.control.parameters import BASELINES
-from tunefree_hil.tune.baselines import RuleInputs, lag_of_order_2_s, rule_based
+from collections.abc import Mapping
+
+from tunefree_hil.bench import Bench, model_of, own_parameters, parameters_of
+from tunefree_hil.config.schema import ActuatorSpec, ModelSpec, VehicleSpec, value_of
+from tunefree_hil.config.vehicle_schema import LatencySpec
+from tunefree_hil.control.inner.mrac import RISE_PER_TAU
+from tunefree_hil.tune.baselines import RuleInputs, lag_of_order_2_s, manual_vectors, opening, rule_based
 
 TUNED = "tuned"
+GIVEN = "given"  # the bench file's own values for somebody else's controller: nobody knows manual gains for that
 
 
 def baseline_vectors(bench: Bench) -> dict[str, dict[str, float]]:
-    """Manual baselines by name, and `rule_based` from the data sheet and the model's actuators."""
-    vectors = {name: parameters_of(bench, values) for name, values in BASELINES.items()}
-    vectors["rule_based"] = parameters_of(bench, rule_based(_rule_inputs(bench)))
-    return vectors
+    """The vehicle's manual baselines by name; `rule_based` is worked out from data sheet and the model's actuators.
+
+    Where the bench file names parameters of somebody else's controller there is one: the values that it gives.
+    """
+    if own_parameters(bench):
+        return {GIVEN: parameters_of(bench)}
+    shipped = bench.vehicle.manual_gains == "as_shipped"
+    vectors = manual_vectors(rule_based(_rule_inputs(bench)), shipped=shipped)
+    return {name: parameters_of(bench, values) for name, values in vectors.items()}
+
+
+def opening_of(vectors: Mapping[str, Mapping[str, float]]) -> Mapping[str, float]:
+    """Which of the baselines opens a study."""
+    return vectors[GIVEN] if GIVEN in vectors else opening(vectors)
 
 
 def _rule_inputs(bench: Bench) -> RuleInputs:
     model = model_of(bench, bench.spec.model)
-    vehicle, actuators = bench.vehicle, model.actuators
-    slow = max((actuators[name] for name in ("throttle", "brake") if name in actuators), key=_delay_s)
+    vehicle = bench.vehicle
+    actuators = {name: _actuator(bench.vehicle, model, name) for name in ("throttle", "brake", "steer")}
+    slow = max(actuators["throttle"], actuators["brake"], key=_delay_s)
     fastest = max(max(scenario.speed.value) for scenario in bench.scenarios.values())
     return RuleInputs(
         steer_lag_s=_lag_s(actuators["steer"]),
@@ -33,6 +48,14 @@ def _rule_inputs(bench: Bench) -> RuleInputs:
         lateral_accel_mps2=vehicle.limits.lateral_accel_mps2,
         speed_mps=fastest,
     )
+
+
+def _actuator(vehicle: VehicleSpec, model: ModelSpec, channel: str) -> ActuatorSpec:
+    """A channel as the model folder has it, as the data sheet where the model has actuators of its own."""
+    if channel in model.actuators:
+        return model.actuators[channel]
+    latency = vehicle.latency.get(channel, LatencySpec())
+    return ActuatorSpec(dead_time_s=latency.dead_time_s, lag_s=latency.rise_time_s / RISE_PER_TAU)
 
 
 def _lag_s(spec: ActuatorSpec) -> float:

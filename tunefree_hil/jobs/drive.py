@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import Bench, is_heavy, load, parameters_of, require_buildable, require_in_box
+from tunefree_hil.bench import Bench, is_heavy, load, own_parameters, parameters_of, require_buildable, require_in_box
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.grade.score import combine
+from tunefree_hil.jobs.foreign import command_of, with_command
 from tunefree_hil.jobs.harvest import Episode
 from tunefree_hil.jobs.identity import identity_of, resolved_toml
 from tunefree_hil.jobs.lateness import judge_realtime
-from tunefree_hil.jobs.node_links import require_recorder, usable_bus
+from tunefree_hil.jobs.node_links import bus_for
 from tunefree_hil.jobs.run_folder import RunFolder, write_text
 from tunefree_hil.jobs.session import Session
 from tunefree_hil.jobs.track import Track
@@ -38,16 +39,17 @@ def drive(
     session: str,
     out: Path | None,
     parameters: list[str],
+    controller: str = "",
 ) -> Iterator[Event]:
     """Drive one scenario or all of the bench file. Real time: exit 4 when it was not."""
-    loaded = load(bench)
-    chosen = chosen_parameters(parameters)
+    loaded = with_command(load(bench), controller)
+    chosen = chosen_parameters(parameters, own_parameters(loaded))
     values = parameters_of(loaded, chosen)
     model_name = model or loaded.spec.model
     scenarios = [find_scenario(loaded, scenario)] if scenario else [loaded.scenarios[n] for n in loaded.spec.scenarios]
     require_buildable(loaded, model_name, scenarios, values, realtime=realtime)
     session = session or own_session()
-    require_recorder(usable_bus(bus, session, bench_bus))
+    bus_for(loaded, bus, session, bench_bus)
     identity = identity_of(loaded, model_name, scenarios)
     record = {"command": "drive", "bench": str(bench), "model": model_name, "realtime": realtime, **identity}
     run = RunFolder.create(out or DEFAULT_ROOT, f"drive-{bench.stem}", {**record, "seed": seed, "parameters": values})
@@ -63,6 +65,7 @@ def drive(
         realtime=realtime,
         join=join,
         jitted_ecu=is_heavy(loaded, model_name),
+        controller_command=command_of(loaded),
     ) as bench_session:
         yield Event("note", f"bus: {bench_session.choice.why}")
         track = Track(bench_session, loaded, run, seed=seed)
@@ -70,12 +73,15 @@ def drive(
         try:
             for i, one in enumerate(scenarios):
                 episodes |= track.drive_all(values, [one], i)
-                data = {"label": "scenario", "done": i + 1, "total": len(scenarios), **track.pace}
+                rest_s = sum(loaded.course(later).ticks for later in scenarios[i + 1 :]) * loaded.dt_s
+                eta_s = rest_s / track.pace.get("speed_x", 1.0)
+                data = {"label": "scenario", "done": i + 1, "total": len(scenarios), "eta_s": eta_s, **track.pace}
                 yield Event("progress", _line(one.name, episodes[one.name]), data)
         finally:
             track.close()
+        yield from (Event("warning", words) for words in bench_session.notes)
     figures = draw(run, episodes)
-    verdict = judge_realtime(run, range(len(scenarios))) if realtime else None
+    verdict = judge_realtime(run, range(len(scenarios)), loaded.codec) if realtime else None
     score = combine([episode.grade for episode in episodes.values()])
     run.finish(score=score, frame_hashes={name: episode.hash for name, episode in episodes.items()})
     yield _result(run, episodes, score, figures, verdict, track.pace)
@@ -86,14 +92,15 @@ def own_session() -> str:
     return f"run-{os.getpid()}"
 
 
-def chosen_parameters(texts: list[str]) -> dict[str, float]:
-    """NAME=VALUE pairs. Raises InputError that names a wrong one."""
+def chosen_parameters(texts: list[str], own: Iterable[str] = ()) -> dict[str, float]:
+    """NAME=VALUE pairs; own: names of somebody else's controller. Raises InputError that names a wrong one."""
+    known = [*NAMES, *own]
     chosen = {}
     for text in texts:
         name, _, value = text.partition("=")
-        if name not in NAMES:
+        if name not in known:
             raise InputError(
-                f"no parameter {name!r}", code="unknown_parameter", key="--parameter", hint=f"one of {', '.join(NAMES)}"
+                f"no parameter {name!r}", code="unknown_parameter", key="--parameter", hint=f"one of {', '.join(known)}"
             )
         try:
             chosen[name] = float(value)

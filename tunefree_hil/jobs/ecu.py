@@ -5,21 +5,56 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from tunefree_hil.base.clock import Clock
 from tunefree_hil.base.events import Event
+from tunefree_hil.config.load import load_scenario
+from tunefree_hil.config.schema import ScenarioSpec
+from tunefree_hil.nodes.ecu import EcuPart
+from tunefree_hil.nodes.exchange import Exchange
+
+LEAD_S = 0.2  # from being ready to tick 0
 
 
-def ecu(bench: Path, *, model: str | None, bus: str, bench_bus: str, session: str, realtime: bool) -> Iterator[Event]:
-    """Serve episodes on the bus until the runner says end or the bus is gone."""
+def ecu(
+    bench: Path,
+    *,
+    model: str | None,
+    bus: str,
+    bench_bus: str,
+    session: str,
+    realtime: bool,
+    scenario: str | None = None,
+) -> Iterator[Event]:
+    """Serve episodes on the bus until the runner says end or the bus is gone.
+
+    `scenario`: no runner, no bench channel: drive this one in real time, once, for whoever sends the command frames
+    (cansend, canplayer, a controller of the user's own).
+    """
     from tunefree_hil.bench import VehicleFor, load
     from tunefree_hil.jobs.node_links import open_exchange, timing_folder
-    from tunefree_hil.nodes.ecu import EcuPart
     from tunefree_hil.nodes.node import Node
     from tunefree_hil.nodes.timing import CycleTimes
 
     parts = load(bench)
+    alone = (parts.scenarios.get(scenario) or load_scenario(scenario, parts.file)) if scenario else None
+    realtime = realtime or alone is not None
     assign = VehicleFor(parts, model or parts.spec.model, realtime=realtime)
-    with open_exchange(parts, "ecu", bus, bench_bus, session, realtime=realtime) as (exchange, clock, where):
+    with open_exchange(parts, "ecu", bus, bench_bus, session, realtime=realtime, alone=alone is not None) as opened:
+        exchange, clock, where = opened
         yield Event("note", f"ecu: {parts.vehicle.name} ({assign.model_name}) on {where}")
         part = EcuPart(parts.codec, assign, CycleTimes(timing_folder()))
+        if alone is not None:
+            yield Event("note", f"ecu: {alone.name}, {parts.course(alone).ticks * parts.dt_s:g} s, begins now")
+            yield drive_alone(part, exchange, clock, alone)
+            return
         Node(part, exchange, assign.model_name, clock, realtime).serve()
     yield Event("result", "", {"sentence": "ecu: told to end", "next": []})
+
+
+def drive_alone(part: EcuPart, exchange: Exchange, clock: Clock, scenario: ScenarioSpec) -> Event:
+    """One scenario in real time without a runner; the result says how many command frames were heard."""
+    part.load(bytes.fromhex(scenario.hash)[:6], scenario.noise_seed, {})
+    exchange.clear()
+    part.realtime(exchange, clock, clock.now_s() + LEAD_S, lambda message: False)
+    sentence = f"ecu: {scenario.name} driven to its end; {exchange.heard} command frames heard"
+    return Event("result", "", {"sentence": sentence, "heard": exchange.heard, "next": []})

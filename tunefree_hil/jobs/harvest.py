@@ -18,7 +18,7 @@ from tunefree_hil.episode.recording import Recording, save_recording
 from tunefree_hil.grade.score import ScenarioGrade, combine, grade, vehicle_of
 from tunefree_hil.jobs.run_folder import write_json
 from tunefree_hil.nodes.runner import Outcome
-from tunefree_hil.tune.study import Evaluation
+from tunefree_hil.tune.trial import Evaluation
 
 # Ends of a drive that the parameters answer for; any other error is the bench's.
 DRIVEN = (ErrorCode.DIVERGED, ErrorCode.LEFT_LANE, ErrorCode.CONTROL_ERROR)

@@ -13,13 +13,14 @@ from tunefree_hil.bench import Bench, calibration_path, model_of
 from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.find import find
 from tunefree_hil.config.schema import ScenarioSpec
+from tunefree_hil.jobs.foreign import command_of, program_hashes
 
 
 def identity_of(bench: Bench, model: str, scenarios: Iterable[ScenarioSpec]) -> dict[str, Any]:
     """`hashes` of the files, and `identity`: one hash over all that a score depends on."""
     controller = {key: value for key, value in plain(bench.spec.controller).items() if key != "calibration"}
     disturbed = plain([bench.spec.effects, bench.spec.faults])
-    hashes = {
+    hashes: dict[str, Any] = {
         "bench": _sha(Path(bench.file).read_bytes()),
         "vehicle": bench.vehicle.hash,
         "model": model_of(bench, model).hash,
@@ -27,6 +28,8 @@ def identity_of(bench: Bench, model: str, scenarios: Iterable[ScenarioSpec]) -> 
         "weights": _sha(Path(bench.weights.path).read_bytes()),
         "scenarios": {scenario.name: scenario.hash for scenario in scenarios},
     }
+    if bench.spec.controller.command:
+        hashes["controller"] = program_hashes(bench)
     counted = [{key: value for key, value in hashes.items() if key != "bench"}, controller, disturbed]
     return {"hashes": hashes, "identity": _sha(json.dumps(counted, sort_keys=True).encode())}
 
@@ -45,6 +48,8 @@ def resolved_toml(bench: Bench, scenarios: Iterable[ScenarioSpec] | None = None)
     if scenarios is not None:
         named = {scenario.hash: name for name, scenario in bench.scenarios.items()}
         data["scenarios"] = [_anywhere("scenario", named.get(one.hash, one.path), bench.file) for one in scenarios]
+    if spec.controller.command:
+        data["controller"]["command"] = command_of(bench)
     beside = Path(bench.file).parent / spec.controller.calibration
     if spec.controller.calibration and beside.is_file():
         data["controller"]["calibration"] = str(beside.resolve())

@@ -17,6 +17,7 @@ from tunefree_hil.base.errors import TunefreeError
 OK, NOTE, FAULT = "ok", "note", "fault"
 OLDEST_PYTHON = (3, 11)
 NEEDED_FREE_GB = 1.0
+ENOUGH_QUEUE = 100  # frames; hardware links come with 10, and a burst of one tick can be longer
 REINSTALL = "make venv, or: pip install -e ."
 EXTRAS = {"torch": "learn", "pytest": "test"}
 
@@ -76,24 +77,39 @@ def entry_point() -> Finding:
     return Finding(FAULT, "python-can does not know the interface tfhub", REINSTALL)
 
 
-def can_links(name: str = "vcan0") -> Iterator[Finding]:
-    """Whether the kernel has CAN, and a virtual link that is up. Without either tfhub does the same, so no faults."""
-    from tunefree_hil.bus.kernel_link import kernel_has_can, link_state
+def can_links(wanted: tuple[str, ...] = ("vcan0", "vcan1")) -> Iterator[Finding]:
+    """Every CAN link of this kernel, and the bench's two (`wanted`). Without them tfhub does: no faults."""
+    from tunefree_hil.bus.kernel_link import ADD_VCAN, can_names, kernel_has_can
 
-    make = f"sudo modprobe vcan && sudo ip link add dev {name} type vcan && sudo ip link set up {name}"
+    make = " && ".join(ADD_VCAN.format(name=name) for name in wanted)
     if not kernel_has_can():
         text = "this kernel has no CAN (containers, WSL2 and many clouds have none); the bench takes tfhub"
         yield Finding(NOTE, text, f"on a kernel with CAN: {make}")
         return
+    for name in dict.fromkeys([*wanted, *can_names()]):
+        yield can_link(name)
+
+
+def can_link(name: str) -> Finding:
+    """One CAN link: its kind, whether it is up, what frames it carries, how many may wait to be sent."""
+    from tunefree_hil.bus.kernel_link import ADD_VCAN, FD_MTU, MAKE_FD, holder, link_state
+
     state = link_state(name)
     if not state.exists:
-        yield Finding(NOTE, f"the kernel has CAN, but there is no {name}; the bench takes tfhub", make)
-    elif state.kind != "vcan":
-        yield Finding(NOTE, f"{name} is no virtual link ({state.kind or 'hardware'}): we never transmit on it", "")
-    elif not state.up:
-        yield Finding(NOTE, f"{name} is down; the bench takes tfhub", f"sudo ip link set up {name}")
-    else:
-        yield Finding(OK, f"{name} is up", "")
+        use = "the bench takes tfhub" if name == "vcan0" else "the bench channel runs over tfhub"
+        return Finding(NOTE, f"the kernel has CAN, but there is no {name}; {use}", ADD_VCAN.format(name=name))
+    carries = "classic CAN and CAN FD" if state.mtu >= FD_MTU else "classic CAN only"
+    what = f"{state.kind or 'hardware'}, mtu {state.mtu} ({carries}), txqueuelen {state.queue}"
+    if state.kind != "vcan":
+        longer = f"sudo ip link set {name} txqueuelen 1000" if state.queue < ENOUGH_QUEUE else ""
+        text = f"{name} is no virtual link ({what}): we never transmit on it, and its bit rate is `ip link`'s to set"
+        return Finding(NOTE, text, longer)
+    if not state.up:
+        return Finding(NOTE, f"{name} is down ({what})", f"sudo ip link set up {name}")
+    if state.mtu < FD_MTU:
+        return Finding(NOTE, f"{name} is up ({what})", MAKE_FD.format(name=name))
+    used_by = holder(name)
+    return Finding(OK, f"{name} is up ({what}){f'; in use by a bench, pid {used_by}' if used_by else ''}", "")
 
 
 def which_bus(text: str) -> Finding:

@@ -11,10 +11,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from tunefree_hil.base.errors import BenchError, PeerGone
+from tunefree_hil.base.errors import BenchError, InputError, PeerGone
 
 TAIL_LINES = 12
 END_S = 3.0
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 STARTER_VARIABLE = "TUNEFREE_STARTER"  # process id of whoever started a node and will end it
 
 
@@ -41,19 +42,46 @@ class Processes:
         folder.mkdir(parents=True, exist_ok=True)
 
     def start(self, name: str, arguments: Sequence[str], environment: dict[str, str] | None = None) -> int:
-        """Start `tunefree-hil ARGUMENTS`; its process id. In a session of its own, so Ctrl-C reaches only us."""
+        """Start `tunefree-hil ARGUMENTS`; its process id."""
+        return self.run(name, [sys.executable, "-m", "tunefree_hil", *arguments], environment)
+
+    def run(
+        self,
+        name: str,
+        command: Sequence[str],
+        environment: dict[str, str] | None = None,
+        pass_fds: Sequence[int] = (),
+    ) -> int:
+        """Start any command as a node; its process id. In a session of its own, so Ctrl-C reaches only us.
+
+        Raises InputError for a command that is not there.
+        """
         own = {STARTER_VARIABLE: str(os.getpid())}
         words = self.folder / f"{name}.txt"
         said_before = words.stat().st_size if words.exists() else 0
-        with words.open("ab") as file:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "tunefree_hil", *arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=file,
-                stderr=subprocess.STDOUT,
-                env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **own, **(environment or {})},
-                start_new_session=True,
-            )
+        try:
+            with words.open("ab") as file:
+                process = subprocess.Popen(
+                    list(command),
+                    stdin=subprocess.DEVNULL,
+                    stdout=file,
+                    stderr=subprocess.STDOUT,
+                    env={
+                        **os.environ,
+                        "OMP_NUM_THREADS": "1",
+                        "OPENBLAS_NUM_THREADS": "1",
+                        **own,
+                        **(environment or {}),
+                    },
+                    start_new_session=True,
+                    pass_fds=pass_fds,
+                )
+        except (FileNotFoundError, PermissionError) as error:
+            raise InputError(
+                f"the {name} {command[0]} does not start: {error.strerror}",
+                code="no_command",
+                hint="build it first, or give its path",
+            ) from error
         if self.core is not None:
             os.sched_setaffinity(process.pid, {self.core})
         self.children.append(_Child(name, process, words, said_before))

@@ -14,6 +14,7 @@ from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.episode.compare import compare_logs
 from tunefree_hil.episode.frame_hash import frame_hash
 from tunefree_hil.jobs.drive import find_scenario, own_session
+from tunefree_hil.jobs.foreign import command_of, program_hashes, require_one
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, read_json
 from tunefree_hil.jobs.session import Session
 
@@ -91,6 +92,7 @@ def _read_again(folder: RunFolder, bench: Bench, numbers: list[int]) -> Iterator
 def _drive_again(folder: RunFolder, bench: Bench, numbers: list[int]) -> Iterator[tuple[int, dict[str, Any] | None]]:
     model = folder.record.get("model") or bench.spec.model
     _require_same_files(folder, bench, model)
+    require_one(bench, _summary(folder, numbers[0])["parameters"], join=False)
     with (
         tempfile.TemporaryDirectory(prefix="tunefree-replay-") as scratch,
         Session(
@@ -99,6 +101,7 @@ def _drive_again(folder: RunFolder, bench: Bench, numbers: list[int]) -> Iterato
             session=f"{own_session()}-replay",
             model=model,
             jitted_ecu=is_heavy(bench, model),
+            controller_command=command_of(bench),
         ) as session,
     ):
         for k in numbers:
@@ -133,6 +136,7 @@ def _require_same_files(folder: RunFolder, bench: Bench, model: str) -> None:
         "vehicle": bench.vehicle.hash,
         "model": model_of(bench, model).hash,
         "scenarios": {name: find_scenario(bench, name).hash for name in stored.get("scenarios", {})},
+        "controller": program_hashes(bench),
     }
     changed = [key for key, value in now.items() if key in stored and stored[key] != value]
     if changed:

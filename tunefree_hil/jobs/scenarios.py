@@ -40,16 +40,21 @@ def export(*, vehicle: str | None, name: str | None, folder: Path) -> Iterator[E
     from tunefree_hil.episode.scenario import build_course
 
     tick_s = load_vehicle(vehicle).tick_ms / 1000.0 if vehicle else TICK_S
-    folder.mkdir(parents=True, exist_ok=True)
     specs = [load_scenario(one) for one in ([name] if name else available("scenario"))]
     for spec in specs:
-        path = folder / f"{spec.hash[:12]}.csv"
-        part = path.with_suffix(".part")
-        part.write_text(_csv(build_course(spec, tick_s)), encoding="ascii")
-        part.replace(path)
-        yield Event("line", f"{spec.name:<20}{path}")
+        yield Event("line", f"{spec.name:<20}{write_drive(build_course(spec, tick_s), spec.hash, folder)}")
     sentence = f"{len(specs)} reference drives in {folder}"
     yield Event("result", sentence, {"sentence": sentence, "folder": str(folder), "next": []})
+
+
+def write_drive(course: Course, content_hash: str, folder: Path) -> Path:
+    """Write the reference drive of the scenario with this content hash (hex) as `export` does."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{content_hash[:12]}.csv"
+    part = path.with_suffix(".part")
+    part.write_text(_csv(course), encoding="ascii")
+    part.replace(path)
+    return path
 
 
 def _csv(course: Course) -> str:

@@ -7,9 +7,9 @@ import shutil
 import time
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent import futures
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,10 +20,19 @@ from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.jobs.harvest import DRIVEN, Episode, harvest
 from tunefree_hil.jobs.run_folder import RunFolder, drop_bulk
 from tunefree_hil.jobs.session import Session
+from tunefree_hil.jobs.strangers import watched
 from tunefree_hil.nodes.runner import Outcome
 
 ROLES = ("ecu", "controller")
 TIMING_LIMIT_S = 1.0
+
+
+class DriveJob(NamedTuple):
+    """One drive: its number in the run folder, what to drive, with which complete vector."""
+
+    k: int
+    scenario: ScenarioSpec
+    values: Mapping[str, float]
 
 
 class Track:
@@ -70,40 +79,51 @@ class Track:
 
         Raises BenchError when a drive ended for a reason that the parameters do not answer for.
         """
+        jobs = [DriveJob(k, scenario, values) for k, scenario in enumerate(scenarios, first)]
+        found = self.drive_some(jobs, keep=keep)
+        for one in found.values():
+            if isinstance(one, BenchError):
+                raise one
+        return {job.scenario.name: one for job in jobs if isinstance(one := found[job.k], Episode)}
+
+    def drive_some(
+        self, jobs: Sequence[DriveJob], *, keep: bool = True, go_on: bool = False
+    ) -> dict[int, Episode | BenchError]:
+        """What became of each job by its number; the lanes share them. keep=False drops logs and columns.
+
+        go_on: a drive that fails ends its lane only; else it ends all, and those not begun have its error too.
+        """
         self._mend()
-        numbered = list(enumerate(scenarios, first))
-        waiting = deque(sorted(numbered, key=lambda one: -self.bench.course(one[1]).ticks))  # longest first
-        reading: dict[str, Future[Episode]] = {}
+        waiting = deque(sorted(jobs, key=lambda job: -self.bench.course(job.scenario).ticks))  # longest first
+        reading: dict[int, Future[Episode]] = {}
+        failed: dict[int, BenchError] = {}
         started = time.monotonic()
 
         def lane(session: Session) -> None:
-            while not self._stopping:
+            while not self._stopping and (go_on or not failed):
                 try:
-                    k, scenario = waiting.popleft()
+                    job = waiting.popleft()
                 except IndexError:
                     return
-                folder = self.run.episode(k)
+                folder = self.run.episode(job.k)
                 try:
-                    outcome = self._drive(session, scenario, values, folder)
-                except BenchError:
+                    outcome = self._drive(session, job.scenario, job.values, folder)
+                except BenchError as error:
+                    failed[job.k] = error
                     self._broken.append(session)
-                    raise
+                    if session.realtime:
+                        gather_timing(session.processes.folder, folder, _timed(session))
+                    return
                 if keep and not session.join:
-                    gather_timing(session.processes.folder, folder)
-                reading[scenario.name] = self._reader.submit(
-                    self._read, session.realtime, scenario, values, outcome, folder, keep
-                )
+                    gather_timing(session.processes.folder, folder, _timed(session))
+                reading[job.k] = self._reader.submit(self._read, session.realtime, job, outcome, folder, keep)
 
         driving = [self._lanes.submit(lane, session) for session in self.sessions]
-        try:
-            for future in driving:
-                future.result()
-        except BenchError:
-            waiting.clear()
-            futures.wait(driving)  # the other lanes end the drive they are at
-            raise
+        for future in driving:
+            future.result()
         self.wall_s += time.monotonic() - started
-        return {scenario.name: reading[scenario.name].result() for _, scenario in numbered}
+        first = next(iter(failed.values()), BenchError("the drives were stopped", code="stopped"))
+        return {job.k: failed.get(job.k) or (reading[job.k].result() if job.k in reading else first) for job in jobs}
 
     def _mend(self) -> None:
         """Start anew the benches that failed in the last drives: a lost node fails a trial, not the study."""
@@ -114,7 +134,8 @@ class Track:
     def _drive(self, session: Session, scenario: ScenarioSpec, values: Mapping[str, float], folder: Path) -> Outcome:
         for role in ROLES:
             (session.processes.folder / f"timing-{role}.npz").unlink(missing_ok=True)
-        outcome = session.drive(scenario, self._seed_of(scenario), values, folder)
+        with watched(session.owner, self.bench.codec):
+            outcome = session.drive(scenario, self._seed_of(scenario), values, folder)
         self.simulated_s += outcome.ticks * self.bench.dt_s
         self.frames += sum(outcome.logged.values())
         code = ErrorCode(outcome.error_code) if outcome.error_code else ErrorCode.NONE
@@ -130,28 +151,27 @@ class Track:
     def _seed_of(self, scenario: ScenarioSpec) -> int:
         return scenario.noise_seed if self.seed is None else self.seed
 
-    def _read(
-        self,
-        realtime: bool,
-        scenario: ScenarioSpec,
-        values: Mapping[str, float],
-        outcome: Outcome,
-        folder: Path,
-        keep: bool,
-    ) -> Episode:
-        episode = harvest(
-            self.bench, scenario, values, outcome, folder, seed=self._seed_of(scenario), realtime=realtime
-        )
+    def _read(self, realtime: bool, job: DriveJob, outcome: Outcome, folder: Path, keep: bool) -> Episode:
+        seed = self._seed_of(job.scenario)
+        episode = harvest(self.bench, job.scenario, job.values, outcome, folder, seed=seed, realtime=realtime)
         if not keep:
             drop_bulk(folder)
         return episode
 
 
-def gather_timing(words: Path, folder: Path) -> dict[str, np.ndarray]:
-    """Put the nodes' cycle times of the last episode into `folder/timing.npz`; {'ecu_late_s': ..., ...}."""
+def _timed(session: Session) -> tuple[str, ...]:
+    """Who writes cycle times; a controller of the user's own does not."""
+    return ROLES[:1] if session.controller_command else ROLES
+
+
+def gather_timing(words: Path, folder: Path, roles: Sequence[str] = ROLES) -> dict[str, np.ndarray]:
+    """Put the nodes' cycle times of the last episode into `folder/timing.npz`; {'ecu_late_s': ..., ...}.
+
+    roles: those that write them.
+    """
     found: dict[str, np.ndarray] = {}
     limit = time.monotonic() + TIMING_LIMIT_S
-    for role in ROLES:
+    for role in roles:
         path = words / f"timing-{role}.npz"
         while not path.is_file() and time.monotonic() < limit:
             time.sleep(0.01)

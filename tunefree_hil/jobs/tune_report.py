@@ -13,11 +13,14 @@ from tunefree_hil.config.dump import to_toml
 from tunefree_hil.control.parameters import BY_NAME
 from tunefree_hil.episode.recording import load_recording
 from tunefree_hil.jobs.candidates import TUNED, baseline_vectors
+from tunefree_hil.jobs.confirm import Confirmed
 from tunefree_hil.jobs.run_folder import RunFolder, write_text
 from tunefree_hil.jobs.words import Drives, comparison, table
 from tunefree_hil.tune.compare import best_baseline
-from tunefree_hil.tune.study import Study, Trial
+from tunefree_hil.tune.journal import slot_key
+from tunefree_hil.tune.trial import Scored, Trial
 
+DIFFERS = 1  # exit status
 EDGE_SHARE = 0.02  # a winner nearer than this to an edge of its box (in its scale) is said to be on it
 
 
@@ -29,8 +32,11 @@ class Report(NamedTuple):
     data: dict[str, Any]
 
 
-def finish_report(bench: Bench, run: RunFolder, study: Study) -> Report:
-    """Write best.toml and the figures of a study with at least one trial and one baseline."""
+def finish_report(bench: Bench, run: RunFolder, study: Scored, confirmed: Confirmed | None = None) -> Report:
+    """Write best.toml and the figures of a study with at least one trial and one baseline.
+
+    confirmed: of a batch; its winner is the best of those that the bus confirmed.
+    """
     best = study.best()
     if best is None:
         raise TunefreeError("the study has no trial", hint="--trials 1 or more")
@@ -47,6 +53,7 @@ def finish_report(bench: Bench, run: RunFolder, study: Study) -> Report:
         lines.append(f"the winner lies on an edge of its box: {', '.join(edges)}")
     figures = _figures(bench, run, study, best, standing.name)
     data = {
+        "over": "bus",
         "best": {"slot": best.slot, "score": best.score, "parameters": best.parameters},
         "manual": {"name": standing.name, "score": manual.score, "replans": standing.replans},
         "baselines": scores,
@@ -55,7 +62,33 @@ def finish_report(bench: Bench, run: RunFolder, study: Study) -> Report:
         "figures": figures,
     }
     shown = ", ".join(f"{name} = {value:.4g}" for name, value in best.parameters.items())
-    return Report(lines, f"{shown}: {sentence}", data)
+    report = Report(lines, f"{shown}: {sentence}", data)
+    return report if confirmed is None else _with_batch(report, confirmed, best)
+
+
+def _with_batch(report: Report, confirmed: Confirmed, best: Trial) -> Report:
+    """The same, with batch and bus beside each other; exit 1 where they differ."""
+    scores, key = confirmed.scores(), slot_key(best.slot)
+    different = [name for name, one in scores.items() if not one.equal]
+    trials = confirmed.trials()
+    driven = [trial for trial in trials if slot_key(trial.slot) in scores]
+    lines = [f"over the bus: {len(driven)} of {len(trials)} trials and the baselines; the others are the batch's"]
+    width = max(len(name) for name in scores)
+    lines.append(f"{'':{width}}     batch       bus")
+    for name, one in sorted(scores.items(), key=lambda item: item[1].bus):
+        words = ("equal" if one.equal else "DIFFERENT") + (", the winner" if name == key else "")
+        lines.append(f"{name:{width}}  {one.batch:8.6f}  {one.bus:8.6f}  {words}")
+    agreed = f"batch and bus agree in {len(scores) - len(different)} of {len(scores)} scores"
+    sentence = f"{report.sentence}; confirmed over the bus, {agreed}"
+    data = {
+        **report.data,
+        "over": "bus",
+        "trials_over": "batch",
+        "confirmed": {name: {**one._asdict(), "equal": one.equal} for name, one in scores.items()},
+        "different": different,
+        "exit": DIFFERS if different else 0,
+    }
+    return Report([*report.lines, *lines], sentence, data)
 
 
 def _best_toml(bench: Bench, best: Trial, values: Mapping[str, float], manual: str, manual_score: float) -> str:
@@ -76,7 +109,7 @@ def _best_toml(bench: Bench, best: Trial, values: Mapping[str, float], manual: s
     )
 
 
-def on_edge(study: Study, best: Trial) -> list[str]:
+def on_edge(study: Scored, best: Trial) -> list[str]:
     """Searched parameters whose winning value lies on an edge of its box."""
 
     found = []
@@ -91,7 +124,7 @@ def on_edge(study: Study, best: Trial) -> list[str]:
     return found
 
 
-def _figures(bench: Bench, run: RunFolder, study: Study, best: Trial, manual_name: str) -> list[str]:
+def _figures(bench: Bench, run: RunFolder, study: Scored, best: Trial, manual_name: str) -> list[str]:
     from tunefree_hil.figures.bars import write_bars
     from tunefree_hil.figures.history import write_history
     from tunefree_hil.figures.scatter import Points, Range, write_scatter

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import tomllib
 from collections.abc import Generator, Iterator, Mapping
 from pathlib import Path
@@ -12,12 +13,13 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, is_heavy, load, parameters_of
 from tunefree_hil.jobs.candidates import TUNED, baseline_vectors
 from tunefree_hil.jobs.drive import own_session
+from tunefree_hil.jobs.foreign import command_of
 from tunefree_hil.jobs.harvest import Episode, evaluation_of
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, write_json
 from tunefree_hil.jobs.session import lanes_of, open_lanes
 from tunefree_hil.jobs.track import Track
 from tunefree_hil.jobs.words import comparison, failures, table
-from tunefree_hil.tune.study import Evaluation
+from tunefree_hil.tune.trial import Evaluation
 
 NOT_HOLDING = 1  # exit status
 
@@ -59,14 +61,17 @@ def verify_winner(
         bench_bus=bench_bus,
         join=join,
         jitted_ecu=is_heavy(bench, model),
+        controller_command=command_of(bench),
     ) as lanes:
         track = Track(lanes, bench, own)
         scenarios = [bench.scenarios[name] for name in bench.spec.verify_scenarios]
+        started = time.monotonic()
         try:
             for i, (name, values) in enumerate(vectors.items()):
                 episodes = track.drive_all(values, scenarios, i * len(scenarios))
                 columns[name], results[name] = episodes, evaluation_of(episodes)
-                data = {"label": "verify", "done": i + 1, "total": len(vectors), **track.pace}
+                eta_s = (time.monotonic() - started) / (i + 1) * (len(vectors) - i - 1)
+                data = {"label": "verify", "done": i + 1, "total": len(vectors), "eta_s": eta_s, **track.pace}
                 yield Event("progress", f"{name} scores {results[name].score:.3f} on {model}", data)
         finally:
             track.close()

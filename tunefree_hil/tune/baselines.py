@@ -1,7 +1,10 @@
 """What a tuned result is held against: the manual gains, and gains that a textbook gives (interfaces 7).
 
-The manual baselines stand in `control/parameters.py` as complete vectors. Here: which of them opens a study, what
-clipping does to one, and the vector `rule_based`, worked out from a data sheet without any drive.
+The shipped baselines stand in `control/parameters.py` as complete vectors. Here: which of them a vehicle has, which one
+opens a study, what clipping does to one, and the vector `rule_based`, worked out from a data sheet without any drive.
+
+A vehicle folder says with `manual_gains` whether the shipped gains are its own. Where they are not, its manual gains
+are `rule_based`; those of the other vehicle are still scored, look-ahead 0, and called what they are: borrowed.
 """
 
 from __future__ import annotations
@@ -15,6 +18,8 @@ from tunefree_hil.control.parameters import BASELINES, round32, study_values
 from tunefree_hil.tune.space import Axis, Space
 
 FIRST_TRIAL = "mrac_on"  # with look-ahead 0 (interfaces 7)
+RULE_BASED = "rule_based"
+BORROWED = {"borrowed": "as_shipped", "borrowed_mrac_on": "mrac_on"}  # another vehicle's gains, under names that say so
 
 # What Bryson's rule may let go wrong: the thresholds of the published peak metrics (apollo_facts 6.1).
 LARGEST_LATERAL_M, LARGEST_LATERAL_RATE_MPS = 0.5, 0.5
@@ -46,9 +51,24 @@ def complete(searched: Mapping[str, float]) -> dict[str, float]:
     return {**study_values(), **searched}
 
 
-def first_trial(space: Space) -> dict[str, float]:
-    """Slot 0 of a study: the manual gains with MRAC on, clipped into the box; the middle of a box that has none."""
-    manual = BASELINES[FIRST_TRIAL]
+def manual_vectors(rule: Mapping[str, float], *, shipped: bool) -> dict[str, dict[str, float]]:
+    """The baselines of a vehicle by name, as they are, unclipped. rule: its `rule_based` vector.
+
+    shipped: the shipped gains were made for this vehicle (`manual_gains = "as_shipped"` in vehicle.toml).
+    """
+    if shipped:
+        return {**{name: dict(values) for name, values in BASELINES.items()}, RULE_BASED: dict(rule)}
+    return {RULE_BASED: dict(rule), **{name: dict(BASELINES[source]) for name, source in BORROWED.items()}}
+
+
+def opening(vectors: Mapping[str, Mapping[str, float]]) -> Mapping[str, float]:
+    """Of a vehicle's baselines the one that opens a study: the shipped gains with MRAC on, else `rule_based`."""
+    return vectors.get(FIRST_TRIAL, vectors[RULE_BASED])
+
+
+def first_trial(space: Space, opens: Mapping[str, float] | None = None) -> dict[str, float]:
+    """Slot 0 of a study: the manual gains with MRAC on (or `opens`), clipped; the middle of a box that has none."""
+    manual = BASELINES[FIRST_TRIAL] if opens is None else opens
     return space.fit({axis.name: manual.get(axis.name, _middle(axis)) for axis in space.axes})
 
 

@@ -3,13 +3,14 @@
 The sampler never sees the study file. It gets a study in memory, rebuilt from the finished slots in slot order, because
 what Optuna keeps is shaped by accidents: a kill leaves a RUNNING and then a FAIL trial behind, every trial after it
 gets a higher number, TPE orders its kernels (and so their weights, and ties between equal scores) by that number, and
-RUNNING trials repel it. In the rebuilt study the trial of slot n has number n, and none has any other state.
+RUNNING trials repel it. In the rebuilt study the trial of slot n has number n, and none has any other
+state but those that are to be tried at the same time.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -49,7 +50,24 @@ def suggest(space: Space, history: Sequence[Told], *, sampler: str, seed: int, s
 
     `history`: the finished slots in slot order. Raises InputError for an unknown sampler.
     """
-    memory = optuna.create_study(direction="minimize", sampler=_make_sampler(sampler, slot_seed(seed, slot)))
+    return suggest_some(space, history, sampler=sampler, seed=seed, slots=[slot])[0]
+
+
+def suggest_some(
+    space: Space,
+    history: Sequence[Told],
+    *,
+    sampler: str,
+    seed: int,
+    slots: Sequence[int],
+    pending: Sequence[Mapping[str, float]] = (),
+) -> list[dict[str, float]]:
+    """One set of parameters for each of `slots`, which are to be tried at the same time.
+
+    `pending`: sets that are in flight already. A sampler that learns keeps away from them, and from the earlier ones of
+    these slots (Optuna's constant liar), so the answer depends on the arguments alone.
+    """
+    memory = optuna.create_study(direction="minimize", sampler=_make_sampler(sampler, slot_seed(seed, slots[0])))
     distributions = {axis.name: axis.sampled() for axis in space.axes}
     if sampler != "random":
         memory.add_trials(
@@ -60,17 +78,24 @@ def suggest(space: Space, history: Sequence[Told], *, sampler: str, seed: int, s
             )
             for told in history
         )
-    drawn = memory.ask(distributions).params
-    return {axis.name: axis.from_sampler(drawn[axis.name]) for axis in space.axes}
+        for point in pending:
+            memory.enqueue_trial({axis.name: axis.to_sampler(point[axis.name]) for axis in space.axes})
+            memory.ask(distributions)
+    found: list[dict[str, float]] = []
+    for slot in slots:
+        memory.sampler = _make_sampler(sampler, slot_seed(seed, slot), in_flight=bool(pending or found))
+        drawn = memory.ask(distributions).params
+        found.append({axis.name: axis.from_sampler(drawn[axis.name]) for axis in space.axes})
+    return found
 
 
-def _make_sampler(name: str, seed: int) -> BaseSampler:
+def _make_sampler(name: str, seed: int, *, in_flight: bool = False) -> BaseSampler:
     """A fresh sampler. Only arguments that Optuna 5 neither deprecates nor calls experimental (opt_anchors A)."""
     if name == "random":
         return RandomSampler(seed=seed)
     if name in SAMPLERS:
-        # Paper, Table III and III-B.2: independent or relative sampling. No liar: nothing is in flight in the memory.
-        return TPESampler(seed=seed, multivariate=name == "tpe_relative", constant_liar=False)
+        # Paper, Table III and III-B.2: independent or relative sampling; the liar where others are in flight.
+        return TPESampler(seed=seed, multivariate=name == "tpe_relative", constant_liar=in_flight)
     raise InputError(
         f"no sampler {name!r}", code="unknown_sampler", key="tune.sampler", hint=f"use one of {', '.join(SAMPLERS)}"
     )

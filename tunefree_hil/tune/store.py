@@ -23,14 +23,16 @@ from tunefree_hil.tune.space import Space, from_description
 
 STUDY_NAME = "tunefree"
 BUSY_S = 60.0  # how long to wait while somebody else, such as the dashboard, holds the file
-_SETTINGS, _VERSIONS = "settings", "optuna_versions"
+SETTINGS, VERSIONS = "settings", "optuna_versions"
 
 
 class Settings(NamedTuple):
     """What makes a study this study: with these, slot n has the same parameters on every machine with this Optuna.
 
     bench_hash: of all that a score depends on (bench file, DBC, model, scenarios, weights). first: the parameters of
-    slot 0, already inside the space; empty where slot 0 is left to the sampler.
+    slot 0, already inside the space; empty where slot 0 is left to the sampler. in_flight: slots that are asked
+    together, a generation: their parameters depend on the generations before them alone. 0: many workers, each asks
+    when it is free, and parameters depend on what is finished by then.
     """
 
     space: Space
@@ -38,6 +40,7 @@ class Settings(NamedTuple):
     sampler: str
     bench_hash: str
     first: dict[str, float]
+    in_flight: int = 1
 
     def described(self) -> dict[str, Any]:
         """As plain data, for the file and for comparison."""
@@ -47,6 +50,7 @@ class Settings(NamedTuple):
             "sampler": self.sampler,
             "bench_hash": self.bench_hash,
             "first": self.first,
+            "in_flight": self.in_flight,
         }
 
 
@@ -59,6 +63,8 @@ def check_settings(settings: Settings) -> None:
         raise InputError(
             f"no sampler {settings.sampler!r}", code="unknown_sampler", key="tune.sampler", hint=f"use one of {known}"
         )
+    if settings.in_flight < 0:
+        raise InputError(f"in_flight is {settings.in_flight}", code="bad_in_flight", key="tune.in_flight")
     if settings.first and settings.space.fit(settings.first) != settings.first:
         raise InputError("the first trial lies outside the box", code="bad_parameter", hint="clip it with Space.fit")
 
@@ -76,19 +82,14 @@ def open_file(path: Path, settings: Settings) -> StudyFile:
     if not path.exists():
         _create_file(path, settings)
     file = read_file(path)
-    differences = differing(file.study.user_attrs[_SETTINGS], settings.described())
-    if differences:
+    try:
+        refuse_differing(file.study.user_attrs[SETTINGS], settings, path)
+    except InputError:
         close_file(file)
-        raise InputError(
-            "the study was started with other settings: " + "; ".join(differences.values()),
-            code="study_settings",
-            file=str(path),
-            key=", ".join(differences),
-            hint="resume with the settings it was started with, or start a new run folder",
-        )
+        raise
     versions = versions_of(file.study)
     if versions[-1] != optuna.__version__:
-        file.study.set_user_attr(_VERSIONS, [*versions, optuna.__version__])
+        file.study.set_user_attr(VERSIONS, [*versions, optuna.__version__])
     return file
 
 
@@ -112,20 +113,38 @@ def close_file(file: StudyFile) -> None:
 
 def stored_settings(study: optuna.Study) -> Settings:
     """The settings a study was started with."""
-    stored = study.user_attrs[_SETTINGS]
+    stored = study.user_attrs[SETTINGS]
     space = from_description(stored["parameters"])
-    return Settings(space, stored["seed"], stored["sampler"], stored["bench_hash"], stored["first"])
+    known = (stored["seed"], stored["sampler"], stored["bench_hash"], stored["first"], stored.get("in_flight", 1))
+    return Settings(space, *known)
 
 
 def versions_of(study: optuna.Study) -> tuple[str, ...]:
     """The versions of Optuna that worked on it, in order. More than one: a resume may have left the original course."""
-    return tuple(study.user_attrs[_VERSIONS])
+    return tuple(study.user_attrs[VERSIONS])
+
+
+def refuse_differing(stored: Mapping[str, Any], settings: Settings, where: Path | str) -> None:
+    """Raise InputError that names what differs between the settings of the study at `where` and those asked for."""
+    differences = differing(stored, settings.described())
+    if differences:
+        raise InputError(
+            "the study was started with other settings: " + "; ".join(differences.values()),
+            code="study_settings",
+            file=str(where),
+            key=", ".join(differences),
+            hint="resume with the settings it was started with, or start a new run folder",
+        )
 
 
 def differing(stored: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, str]:
     """What differs between two sets of settings: by key, a clause for a person."""
-    found = {key: f"{key} was {stored[key]}, now {asked[key]}" for key in ("seed", "sampler", "bench_hash")}
-    found = {key: text for key, text in found.items() if stored[key] != asked[key]}
+    stored = {"in_flight": 1, **stored}  # studies of before say nothing of it
+    found = {
+        key: f"{key} was {stored[key]}, now {asked[key]}"
+        for key in ("seed", "sampler", "bench_hash", "in_flight")
+        if stored[key] != asked[key]
+    }
     for group in ("parameters", "first"):
         before, now = stored[group], asked[group]
         if list(before) != list(now):
@@ -161,8 +180,8 @@ def _create_file(path: Path, settings: Settings) -> None:
         left_over.unlink(missing_ok=True)
     storage = _storage(part)
     study = optuna.create_study(study_name=STUDY_NAME, storage=storage, direction="minimize")
-    study.set_user_attr(_SETTINGS, settings.described())
-    study.set_user_attr(_VERSIONS, [optuna.__version__])
+    study.set_user_attr(SETTINGS, settings.described())
+    study.set_user_attr(VERSIONS, [optuna.__version__])
     close_file(StudyFile(study, storage))
     os.replace(part, path)
 
@@ -177,7 +196,7 @@ def _check_ours(path: Path) -> None:
     try:
         ours = file.execute(
             "SELECT 1 FROM studies JOIN study_user_attributes USING (study_id) WHERE study_name = ? AND key = ?",
-            (STUDY_NAME, _SETTINGS),
+            (STUDY_NAME, SETTINGS),
         ).fetchone()
     except sqlite3.DatabaseError as problem:
         message = f"this is not an Optuna study ({problem})"

@@ -1,0 +1,104 @@
+"""Importance, edges and slices on functions whose answer is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tunefree_hil.control.parameters import box32
+from tunefree_hil.tune.insight import FEWEST, edge_of, edges, importance, rank_correlation, slice_points
+from tunefree_hil.tune.space import Axis, Space, resolve
+from tunefree_hil.tune.study import Trial
+
+LOG = Axis("a", *box32(0.01, 1.0), True)  # as every box is: rounded inward to binary32
+LINEAR = Axis("b", 0.0, 2.0, False)
+STEPPED = Axis("c", 0.0, 3.0, False, (0.0, 1.0, 2.0, 3.0))
+SWITCH = Axis("d", 0.0, 1.0, False, (0.0, 1.0), True)
+SPACE = Space((LINEAR, LOG, STEPPED, SWITCH))
+
+
+def trials(n: int, seed: int = 1) -> list[Trial]:
+    """a matters most, b less (larger is worse), the rest nothing."""
+    chance = np.random.default_rng(seed)
+    found = []
+    for slot in range(n):
+        values = {
+            "a": LOG.fit(math.exp(chance.uniform(math.log(0.01), 0.0))),
+            "b": LINEAR.fit(chance.uniform(0.0, 2.0)),
+            "c": float(chance.integers(4)),
+            "d": float(chance.integers(2)),
+        }
+        score = 0.1 + (math.log(values["a"]) + 2.0) ** 2 + 0.4 * values["b"]
+        found.append(Trial(slot, slot, values, score, {}))
+    return found
+
+
+def test_what_matters_comes_first() -> None:
+    found = importance(SPACE, trials(300))
+    assert next(iter(found)) == "a"
+    shares = [one.share for one in found.values() if one.share is not None]
+    assert len(shares) == 4 and sum(shares) == pytest.approx(1.0) and shares == sorted(shares, reverse=True)
+    assert found["a"].share is not None and found["a"].share > 0.5
+    assert all(one.n == 300 for one in found.values())
+    assert found["b"].rank > 0.05
+
+
+def test_importance_is_a_function_of_the_trials() -> None:
+    assert importance(SPACE, trials(40)) == importance(SPACE, trials(40))
+
+
+def test_few_trials_have_ranks_only() -> None:
+    found = importance(SPACE, trials(FEWEST - 1))
+    assert all(one.share is None and one.n == FEWEST - 1 for one in found.values())
+    assert all(one.rank == 0.0 for one in importance(SPACE, trials(1)).values())
+
+
+@given(st.lists(st.integers(-50, 50), min_size=3, max_size=20, unique=True))
+def test_ranks_know_order_only(values: list[int]) -> None:
+    data = 0.1 * np.array(values)
+    assert rank_correlation(data, np.exp(data)) == pytest.approx(1.0)
+    assert rank_correlation(data, -(data**3)) == pytest.approx(-1.0)
+    assert rank_correlation(data, np.ones(len(data))) == 0.0
+
+
+def test_equal_values_share_their_rank() -> None:
+    assert rank_correlation(np.array([1.0, 1.0, 2.0]), np.array([1.0, 2.0, 3.0])) == pytest.approx(math.sqrt(0.75))
+
+
+@pytest.mark.parametrize(
+    ("axis", "value", "edge"),
+    [
+        (LOG, LOG.low, "lower"),
+        (LOG, 0.01 * 100.0**0.009, "lower"),
+        (LOG, 0.01 * 100.0**0.011, ""),
+        (LOG, 100.0**-0.009, "upper"),
+        (LINEAR, 0.019, "lower"),
+        (LINEAR, 1.97, ""),
+        (STEPPED, 3.0, "upper"),
+        (SWITCH, 1.0, ""),
+    ],
+)
+def test_edges_are_one_percent_of_the_range(axis: Axis, value: float, edge: str) -> None:
+    assert edge_of(axis, value) == edge
+
+
+def test_an_edge_in_words() -> None:
+    values = {"a": 0.01, "b": 1.0, "c": 1.0, "d": 1.0}
+    assert edges(SPACE, values) == ["a sits on the lower edge of its box (0.01 to 1): widen it"]
+
+
+@given(st.sampled_from([*SPACE.axes, *resolve("complete", []).axes]), st.integers(2, 30))
+def test_slices_reach_both_edges_and_stay_in_the_box(axis: Axis, points: int) -> None:
+    found = slice_points(axis, points)
+    assert (found[0], found[-1]) == (axis.low, axis.high)
+    assert found == sorted(set(found)) and all(axis.fit(value) == value for value in found)
+    assert len(found) == (min(points, len(axis.grid)) if axis.grid else points)
+
+
+def test_one_point_is_no_slice() -> None:
+    with pytest.raises(ValueError, match="two"):
+        slice_points(LOG, 1)

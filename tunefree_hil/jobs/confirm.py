@@ -1,0 +1,89 @@
+"""Confirm: what a batch found best, and the baselines, driven again over the bus, which alone names a winner."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from tunefree_hil.base.events import Event
+from tunefree_hil.bench import Bench, parameters_of
+from tunefree_hil.jobs.evaluators import BusEvaluator, Candidate
+from tunefree_hil.jobs.search import Vectors
+from tunefree_hil.tune.journal import Journal, slot_key
+from tunefree_hil.tune.trial import Baseline, Trial
+
+
+class Scores(NamedTuple):
+    """One candidate's score in the batch and over the bus."""
+
+    batch: float
+    bus: float
+
+    @property
+    def equal(self) -> bool:
+        return self.batch == self.bus
+
+
+class Confirmed:
+    """The study as the bus confirmed it: the best of the confirmed trials, and the baselines over the bus."""
+
+    def __init__(self, journal: Journal) -> None:
+        self.settings = journal.settings
+        self._journal = journal
+        self._over_bus = journal.confirmed()
+
+    def trials(self) -> list[Trial]:
+        """All trials; those that were confirmed as the bus has them."""
+        return [self._confirmed(trial) or trial for trial in self._journal.trials()]
+
+    def best(self) -> Trial | None:
+        """The lowest over the bus, the earliest of equals."""
+        known = [one for trial in self._journal.trials() if (one := self._confirmed(trial)) is not None]
+        return min(known, key=lambda trial: (trial.score, trial.slot), default=None)
+
+    def baselines(self) -> dict[str, Baseline]:
+        """Over the bus."""
+        return {
+            name: Baseline(one.parameters, self._over_bus[name].score, self._over_bus[name].scenarios)
+            for name, one in self._journal.baselines().items()
+            if name in self._over_bus
+        }
+
+    def scores(self) -> dict[str, Scores]:
+        """Batch and bus side by side, by `slot_key` or the baseline's name."""
+        batch = {slot_key(trial.slot): trial.score for trial in self._journal.trials()}
+        batch |= {name: one.score for name, one in self._journal.baselines().items()}
+        return {key: Scores(batch[key], one.score) for key, one in self._over_bus.items()}
+
+    def _confirmed(self, trial: Trial) -> Trial | None:
+        one = self._over_bus.get(slot_key(trial.slot))
+        return trial._replace(score=one.score, scenarios=one.scenarios) if one else None
+
+
+def to_confirm(journal: Journal, best: int) -> dict[str, Trial | None]:
+    """Keys of what the bus has not said yet: the `best` trials of the lowest score, and every baseline (None)."""
+    chosen = sorted(journal.trials(), key=lambda trial: (trial.score, trial.slot))[:best]
+    keys: dict[str, Trial | None] = {slot_key(trial.slot): trial for trial in chosen}
+    keys |= dict.fromkeys(journal.baselines())
+    return {key: trial for key, trial in keys.items() if key not in journal.confirmed()}
+
+
+def confirm(
+    bench: Bench, journal: Journal, evaluator: BusEvaluator, vectors: Vectors, missing: dict[str, Trial | None]
+) -> Iterator[Event]:
+    """Drive what is missing, one candidate after the other, and store what the bus says."""
+    started, order = time.monotonic(), list(vectors)
+    for done, (key, trial) in enumerate(missing.items(), 1):
+        if trial is None:
+            candidate = Candidate(order.index(key), vectors[key])
+        else:
+            candidate = Candidate(len(order) + trial.slot, parameters_of(bench, trial.parameters))
+        (evaluation,) = evaluator.evaluate([candidate])
+        journal.confirm(key, evaluation)
+        scores = Confirmed(journal).scores()[key]
+        words = "equal" if scores.equal else "DIFFERENT"
+        each_s = (time.monotonic() - started) / done
+        data = {"label": "confirm", "done": done, "total": len(missing), "eta_s": each_s * (len(missing) - done)}
+        message = f"{key}: batch {scores.batch:.6f}, bus {scores.bus:.6f}, {words}"
+        yield Event("progress" if scores.equal else "warning", message, {**data, **evaluator.pace})

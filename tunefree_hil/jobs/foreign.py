@@ -1,0 +1,86 @@
+"""Somebody else's controller: any process that speaks the vehicle's DBC and bench.dbc (interfaces 7 and 8)."""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.bench import Bench
+from tunefree_hil.bus.bench_channel import HELLO_WORDS
+from tunefree_hil.config.schema import with_controller
+from tunefree_hil.control.parameters import NAMES
+from tunefree_hil.jobs.session import Session
+
+
+def with_command(bench: Bench, text: str) -> Bench:
+    """The bench with the controller program of `--controller 'CMD'`; '' leaves it as the bench file says.
+
+    Words that name a file are the shell's: from the folder where one is, wherever the bench file lies.
+    """
+    try:
+        words = shlex.split(text)
+    except ValueError as error:
+        hint = "--controller 'PROGRAM ARGUMENT ...', quoted as for a shell"
+        raise InputError(f"{text!r}: {error}", code="bad_command", key="--controller", hint=hint) from None
+    here = [str(Path(word).resolve()) if _is_path(word, Path()) else word for word in words]
+    return replace(bench, spec=with_controller(bench.spec, here))
+
+
+def command_of(bench: Bench) -> list[str] | None:
+    """The program to start instead of our controller, None for ours.
+
+    A word that names a file beside the bench file ('../build/controller') is that file.
+    """
+    folder = Path(bench.file).parent
+    words = bench.spec.controller.command
+    return [str((folder / word).resolve()) if _is_path(word, folder) else word for word in words] or None
+
+
+def program_hashes(bench: Bench) -> dict[str, str]:
+    """SHA-256 by name of the files of the controller's command: a program that was built anew is another one."""
+    files = [Path(word) for word in command_of(bench) or [] if _is_path(word, Path())]
+    return {path.name: f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}" for path in files}
+
+
+def _is_path(word: str, folder: Path) -> bool:
+    return "/" in word and (folder / word).is_file()
+
+
+def own_names(names: Iterable[str]) -> list[str]:
+    """Those that are none of interfaces 7."""
+    return [name for name in names if name not in NAMES]
+
+
+def require_one(bench: Bench, names: Iterable[str], *, join: bool) -> None:
+    """Raise InputError where foreign parameters are searched and no foreign controller is to be had."""
+    own = own_names(names)
+    controller = bench.spec.controller
+    parts = any(":" in part for part in (controller.lateral, controller.longitudinal, controller.inner))
+    if own and not (controller.command or join or parts):
+        raise InputError(
+            f"our controller has no parameter {', '.join(own)}",
+            code="unknown_parameter",
+            file=bench.file,
+            key="tune.parameters",
+            hint="name the controller that has it: [controller] command = [...], --controller 'CMD', or --join",
+        )
+
+
+def require_announced(bench: Bench, lanes: Sequence[Session], names: Iterable[str]) -> None:
+    """Raise InputError where the controller did not announce a parameter that is searched."""
+    own = own_names(names)
+    announced = list(lanes[0].runner.announced().values()) if own else []
+    missing = [name for name in own if name not in announced]
+    if missing:
+        hint = f"it announced {', '.join(announced)}: search some of those, or let it announce this one too"
+        raise InputError(
+            f"the controller announces no parameter {', '.join(missing)}",
+            code="not_announced",
+            file=bench.file,
+            key="tune.parameters",
+            hint=hint if announced else f"it announced none at all; it has to send {HELLO_WORDS}",
+        )
