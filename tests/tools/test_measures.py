@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.house import ROOT
-from tools.measures import _ledger, _tuning, determinism, hub, lockstep, mrac, realtime, tune2
+from tools.measures import _ledger, _tuning, determinism, faults, hub, lockstep, mrac, realtime, tune2
 from tools.measures._in_process import InProcess
 from tools.measures._ledger import Ledger, meaning
 from tools.measures._rig import Rig
@@ -240,3 +240,13 @@ def test_speed_and_hub_are_measured() -> None:
     answer = hub.measure(runs=1, rounds=200)
     unix = answer["detail"]["unix"]
     assert 0.0 < answer["value"] <= unix["round_trip_p99_us"]["median"]
+
+
+@pytest.mark.slow
+def test_no_fault_of_a_sample_is_silent_and_a_silent_one_would_be_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = faults.measure(every=29)
+    assert (found["value"], found["detail"]["silent"]) == (0, [])
+    assert found["n"] + found["detail"]["not_detectable_by_protocol"] == found["detail"]["rows"] > 20
+    monkeypatch.setitem(faults.VALUES, "delay", 1.0)  # one tick late is within a receiver's grace
+    rows = faults.rows_of(load(STEER), every=29)
+    assert {row.answer == faults.SILENT for row in rows if row.kind == "delay"} == {True}

@@ -4,12 +4,14 @@
  *   controller VEHICLE-BUS BENCH-BUS PATHS [TOKEN-FILE]
  *
  * VEHICLE-BUS, BENCH-BUS: tcp:127.0.0.1:PORT of a hub or socketcan:NAME. PATHS: the folder that
- * `tunefree-hil scenarios --export` wrote. Lockstep only. */
+ * `tunefree-hil scenarios --export` wrote, or the {paths} of a bench file's command. Lockstep only. */
 #include <math.h>
 #include <poll.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/types.h>
+#include <unistd.h>
 
 #include "bench.h"
 #include "drive.h"
@@ -20,7 +22,7 @@
 enum { RUNNER, ECU, CONTROLLER };                                        /* ROLE */
 enum { READY = 2, RUN = 3, FINISHED = 4, FAILED = 5, STOP = 6, END = 7 }; /* STATE */
 enum { DIVERGED = 1, LEFT_LANE = 2, UNKNOWN_SCENARIO = 8 };              /* ERROR */
-enum { FIRST_INDEX = 16, MOST = 64, PERIOD_MISC = 5 };
+enum { FIRST_INDEX = 16, MOST = 64, PERIOD_MISC = 5, WAIT_MS = 5000, LOOK_MS = 1000 };
 static const double TICK_S = 0.01, HALF_LANE_M = 2.0, QUARTER_TURN_RAD = 1.5707963267948966;
 static const double RAD_PER_DEG = 0.017453292519943295;
 
@@ -201,24 +203,44 @@ static void take_parameter(Node *node, const Frame *frame)
         node->parameters[said.index - FIRST_INDEX] = (double)said.value;
 }
 
+/* Whether the vehicle sends it: other nodes' frames do not count. */
+static int is_report(uint32_t id)
+{
+    static const uint32_t REPORTS[] = {
+        VEHICLE_BRAKE_REPORT_FRAME_ID,         VEHICLE_THROTTLE_REPORT_FRAME_ID, VEHICLE_STEERING_REPORT_FRAME_ID,
+        VEHICLE_GEAR_REPORT_FRAME_ID,          VEHICLE_WHEEL_SPEED_FRAME_ID,     VEHICLE_ACCEL_FRAME_ID,
+        VEHICLE_GYRO_FRAME_ID,                 VEHICLE_INS_POS_LOCAL_FRAME_ID,   VEHICLE_INS_VEL_YAW_LOCAL_FRAME_ID,
+        VEHICLE_INS_ANGULAR_VELOCITY_FRAME_ID, VEHICLE_INS_VELOCITY_FRAME_ID,    VEHICLE_INS_ACCELERATION_FRAME_ID,
+    };
+    for (size_t i = 0; i < sizeof REPORTS / sizeof *REPORTS; i++)
+        if (REPORTS[i] == id)
+            return 1;
+    return 0;
+}
+
 /* DONE of the ECU: wait until the n_tx frames it announced have arrived. */
 static void await_frames(Node *node, int count)
 {
+    if (count > MOST)
+        fail("the ECU announced %d frames, %d are the most that are taken", count, MOST);
     while (node->waiting_count < count) {
-        if (link_take(node->vehicle, node->waiting + node->waiting_count)) {
-            uint32_t id = node->waiting[node->waiting_count].id;
-            int ours = id == VEHICLE_BRAKE_CMD_FRAME_ID || id == VEHICLE_THROTTLE_CMD_FRAME_ID ||
-                       id == VEHICLE_STEERING_CMD_FRAME_ID || id == VEHICLE_GEAR_CMD_FRAME_ID ||
-                       id == VEHICLE_MISC_CMD_FRAME_ID;
-            int known = ours || (id >= VEHICLE_BRAKE_CMD_FRAME_ID && id <= VEHICLE_GYRO_FRAME_ID) ||
-                        (id >= VEHICLE_INS_POS_LOCAL_FRAME_ID && id <= VEHICLE_INS_ACCELERATION_FRAME_ID);
-            node->waiting_count += known && !ours && node->waiting_count < MOST - 1;
+        Frame *next = node->waiting + node->waiting_count;
+        if (link_take(node->vehicle, next)) {
+            node->waiting_count += is_report(next->id);
             continue;
         }
         struct pollfd ready = { link_fd(node->vehicle), POLLIN, 0 };
-        if (poll(&ready, 1, 5000) <= 0)
+        if (poll(&ready, 1, WAIT_MS) <= 0)
             fail("the ECU announced %d frames, %d arrived", count, node->waiting_count);
     }
+}
+
+/* Without a hub nobody says that the bench is gone: end with whoever started us (docs/controller.md). */
+static void follow_starter(void)
+{
+    const char *starter = getenv("TUNEFREE_STARTER");
+    if (starter && *starter && getppid() != (pid_t)atol(starter))
+        fail("whoever started this is gone");
 }
 
 static void answer(Node *node, const Frame *frame)
@@ -269,6 +291,7 @@ int main(int count, char **words)
         while (link_take(node.bench, &frame))
             answer(&node, &frame);
         struct pollfd ready = { link_fd(node.bench), POLLIN, 0 };
-        poll(&ready, 1, 1000);
+        if (poll(&ready, 1, LOOK_MS) == 0)
+            follow_starter();
     }
 }

@@ -55,17 +55,15 @@ static uint64_t get(const uint8_t *at, int bytes)
 
 static void write_all(Link *link, const uint8_t *data, size_t size)
 {
-    while (size > 0) {
+    for (int waited_ms = 0; size > 0;) {
         ssize_t sent = send(link->fd, data, size, MSG_NOSIGNAL);
-        if (sent < 0 && (errno == EAGAIN || errno == ENOBUFS)) {
-            struct pollfd ready = { link->fd, POLLOUT, 0 };
-            if (poll(&ready, 1, WAIT_MS) <= 0)
-                fail("the bus takes no frames");
-        } else if (sent <= 0) {
-            fail("the bus is gone: %s", strerror(errno));
-        } else {
+        if (sent > 0) {
             data += sent;
             size -= (size_t)sent;
+        } else if (errno == ENOBUFS && waited_ms++ < WAIT_MS) {
+            usleep(1000); /* a transmit queue is full; poll() would call it writable */
+        } else if (errno != EINTR) {
+            fail("the bus takes no frames: %s", strerror(errno));
         }
     }
 }
@@ -142,7 +140,7 @@ static void open_hub(Link *link, const char *where, const char *token_file, cons
         fclose(file);
     token[strcspn(token, "\r\n")] = '\0';
     link->fd = socket(AF_INET, SOCK_STREAM, 0);
-    if (connect(link->fd, (struct sockaddr *)&address, sizeof address) < 0)
+    if (link->fd < 0 || connect(link->fd, (struct sockaddr *)&address, sizeof address) < 0)
         fail("no hub listens at %s: %s", where, strerror(errno));
     setsockopt(link->fd, IPPROTO_TCP, TCP_NODELAY, &(int){ 1 }, sizeof(int));
     link->is_hub = 1;
@@ -156,10 +154,13 @@ static void open_socketcan(Link *link, const char *name)
     link->fd = socket(AF_CAN, SOCK_RAW, CAN_RAW);
     if (link->fd < 0)
         fail("this kernel has no CAN: %s", strerror(errno));
-    strncpy(asked.ifr_name, name, IFNAMSIZ - 1);
+    if (strlen(name) >= IFNAMSIZ)
+        fail("%s is no name of a link", name);
+    strcpy(asked.ifr_name, name);
     if (ioctl(link->fd, SIOCGIFINDEX, &asked) < 0)
         fail("there is no link %s: %s", name, strerror(errno));
-    setsockopt(link->fd, SOL_SOCKET, SO_RCVBUF, &(int){ 1 << 20 }, sizeof(int));
+    if (setsockopt(link->fd, SOL_SOCKET, SO_RCVBUFFORCE, &(int){ 1 << 22 }, sizeof(int)) < 0) /* root's only */
+        setsockopt(link->fd, SOL_SOCKET, SO_RCVBUF, &(int){ 1 << 22 }, sizeof(int));
     address.can_ifindex = asked.ifr_ifindex;
     if (bind(link->fd, (struct sockaddr *)&address, sizeof address) < 0)
         fail("%s does not open: %s", name, strerror(errno));
@@ -212,8 +213,8 @@ static int take_socketcan(Link *link, Frame *frame)
         ssize_t got = recv(link->fd, &raw, sizeof raw, MSG_DONTWAIT);
         if (got < 0 && (errno == EAGAIN || errno == EINTR))
             return 0;
-        if (got < (ssize_t)sizeof raw)
-            fail("the bus is gone: %s", strerror(errno));
+        if (got != (ssize_t)sizeof raw)
+            fail("the bus is gone: %s", got < 0 ? strerror(errno) : "what it gives is no CAN frame");
         if (!(raw.can_id & (CAN_EFF_FLAG | CAN_RTR_FLAG | CAN_ERR_FLAG)))
             break;
     }

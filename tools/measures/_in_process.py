@@ -6,14 +6,15 @@ same drive over the bus (tests/tools/test_measures.py compares them). For sweeps
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bench import Bench, ControllerFor, VehicleFor, follower_of, needed_messages
+from tunefree_hil.bench.faults import CONTROLLER, ECU, driver_script, faults_of
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.config.schema import ScenarioSpec
+from tunefree_hil.config.schema import FaultSpec, ScenarioSpec
 from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.episode.candump import FD, LogFrame
 from tunefree_hil.episode.columns import columns_from_frames
@@ -28,11 +29,16 @@ Watch = Callable[[Any], None]
 
 
 class Drive(NamedTuple):
-    """How a drive went. error: '' when it was driven to its end."""
+    """How a drive went. error: '' when it was driven to its end.
+
+    words: Status and Fault messages of both nodes; said: what they said to people.
+    """
 
     frames: list[LogFrame]
     ticks: int
     error: str
+    words: list[Any]
+    said: list[str]
 
 
 class InProcess:
@@ -47,20 +53,33 @@ class InProcess:
             task = assign(scenario, parameters)
             return task if watch is None else task._replace(block=watch_block(task.block, watch))
 
-        said: list[str] = []
-        self.ecu = EcuPart(codec, VehicleFor(bench, model or bench.spec.model), CycleTimes(), said.append)
-        self.controller = ControllerPart(codec, needed_messages(codec), watched, CycleTimes(), said.append)
+        self._said: list[str] = []
+        self._vehicle, self._assign = VehicleFor(bench, model or bench.spec.model), assign
+        self.ecu = EcuPart(codec, self._vehicle, CycleTimes(), lambda text: self._said.append(text))
+        self.controller = ControllerPart(
+            codec, needed_messages(codec), watched, CycleTimes(), lambda text: self._said.append(text)
+        )
 
-    def drive(self, scenario: ScenarioSpec, values: Mapping[str, float], *, keep: bool = True) -> Drive:
-        """One drive with the scenario's own noise seed. keep=False: the frames are not kept."""
+    def script(self, faults: Sequence[FaultSpec]) -> None:
+        """From now on with these faults instead of the bench file's. Raises InputError as a bench file would."""
+        bench = self.bench
+        self._vehicle.faults, self._assign.faults = faults_of(bench, ECU, faults), faults_of(bench, CONTROLLER, faults)
+        self._vehicle.driver = driver_script(faults, bench.vehicle.nominal.rest_pedal_frac)
+
+    def drive(
+        self, scenario: ScenarioSpec, values: Mapping[str, float], *, keep: bool = True, until: int | None = None
+    ) -> Drive:
+        """One drive with the scenario's own noise seed. keep=False: the frames are not kept. until: stopped there."""
+        self._said = []
         start = bytes.fromhex(scenario.hash)[:6]
         parameters = {index: values[name] for index, name in enumerate(NAMES)}
         self.ecu.load(start, scenario.noise_seed, parameters)
         self.controller.load(start, scenario.noise_seed, parameters)
-        between = _Between(self.controller, keep)
+        between = _Between(self.controller, keep, until)
         self.ecu.lockstep(cast(Exchange, between), lambda message: False)
         code = between.failure or between.end.error_code
-        return Drive(between.frames, between.end.tick, bc.ErrorCode(code).name.lower() if code else "")
+        error = bc.ErrorCode(code).name.lower() if code else ""
+        return Drive(between.frames, between.end.tick, error, between.words, self._said)
 
     def grade(self, scenario: ScenarioSpec, values: Mapping[str, float]) -> tuple[ScenarioGrade, str]:
         """(grade, frame hash) of a drive, made as jobs/harvest.py makes them."""
@@ -78,9 +97,11 @@ class InProcess:
 class _Between:
     """What an Exchange is to the ECU: phase 1 of a tick is the controller's cycle on phase 0."""
 
-    def __init__(self, controller: ControllerPart, keep: bool) -> None:
+    def __init__(self, controller: ControllerPart, keep: bool, until: int | None) -> None:
         self.controller = controller
         self.keep = keep
+        self.until = until
+        self.words: list[Any] = []
         self.frames: list[LogFrame] = []
         self.failure = 0
         self.end = bc.Status(bc.Role.ECU, bc.State.FAILED, 0, 0)
@@ -90,13 +111,18 @@ class _Between:
         self._reports = self._in_order(frames)
 
     def await_phase(self, k: int, phase: int, interrupt: Callable[[Any], bool]) -> list[CanFrame] | None:
+        if k == self.until:
+            return None
         reply, words = self.controller.cycle(k, self._reports)
+        self.words += words
         for word in words:
-            self.failure = self.failure or word.error_code
+            if isinstance(word, bc.Status):
+                self.failure = self.failure or word.error_code
             interrupt(word)
         return self._in_order(reply)
 
     def say(self, *messages: Any, k: int = 0) -> None:
+        self.words += messages
         for message in messages:
             if isinstance(message, bc.Status):
                 self.end = message
