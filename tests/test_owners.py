@@ -51,6 +51,7 @@ def heavy_after(code: str) -> list[str]:
 
 def test_the_table_of_owners_is_read() -> None:
     assert OWNERS["can"] == OWNERS["cantools"] == OWNERS["serial"] == ["bus/"]
+    assert OWNERS["asammdf"] == OWNERS["rosbags"] == OWNERS["apsw"] == ["bus/formats/"]
     assert OWNERS["numba"] == ["base/kernel.py"]
     assert OWNERS["msgspec"] == ["config/"]
     assert "numpy" not in OWNERS

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterable
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -39,8 +40,7 @@ def locked(name: str) -> dict[str, str]:
     ("words", "lock"),
     [
         (PROJECT["dependencies"], "requirements.lock"),
-        (EXTRAS["learn"], "requirements-test.lock"),
-        (EXTRAS["test"], "requirements-test.lock"),
+        *((words, "requirements-test.lock") for words in EXTRAS.values()),
     ],
 )
 def test_every_dependency_is_locked_within_its_bounds(words: list[str], lock: str) -> None:
@@ -60,12 +60,27 @@ def undeclared(libraries: set[str], declared_names: set[str]) -> set[str]:
     return {one for one in libraries if not names & {canonicalize_name(name) for name in known.get(one, [one])}}
 
 
+def names_of(*extras: str) -> set[str]:
+    """Every install has the dependencies; an extra adds its own."""
+    words = [word for extra in extras for word in EXTRAS[extra]]
+    return {requirement.name for requirement in declared([*PROJECT["dependencies"], *words])}
+
+
+def third_party(files: Iterable[Path]) -> set[str]:
+    """The libraries that these files import."""
+    libraries = {name.split(".")[0] for path in files for _, name in imports(path.read_text())}
+    return libraries - sys.stdlib_module_names - {"tunefree_hil", "tests", "tools", "conftest"}
+
+
 def test_what_is_imported_is_declared() -> None:
-    libraries = {name.split(".")[0] for path in package_files() for _, name in imports(path.read_text())}
-    third_party = libraries - sys.stdlib_module_names - {"tunefree_hil"}
-    names = {requirement.name for requirement in declared([*PROJECT["dependencies"], *EXTRAS["learn"]])}
-    assert undeclared(third_party, names) == set()
+    names = names_of(*(extra for extra in EXTRAS if extra != "test"))
+    assert undeclared(third_party(package_files()), names) == set()
     assert undeclared({"can", "hypothesis"}, names) == {"hypothesis"}
+
+
+def test_what_tests_and_tools_import_is_declared() -> None:
+    files = [path for folder in ("tests", "tools") for path in (ROOT / folder).rglob("*.py")]
+    assert undeclared(third_party(files), names_of(*EXTRAS)) == set()
 
 
 def test_locks_pin_exact_versions_and_no_local_builds() -> None:

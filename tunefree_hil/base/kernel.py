@@ -10,9 +10,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
+from types import FunctionType
 from typing import Any, NamedTuple, TypeVar, cast
 
-JITTED = os.environ.get("TUNEFREE_JIT", "0") == "1"
+from tunefree_hil.base.kernel_cache import KernelCache, cache_folder, named_in
+
+MODE = os.environ.get("TUNEFREE_JIT", "0")
+BATCH = MODE == "batch"
+JITTED = MODE == "1"
+ARRAYS = JITTED or BATCH
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -23,6 +29,7 @@ def kernel(function: F) -> F:
     Never `cache=True`: a cached caller would keep the old code of an edited callee.
     """
     if not JITTED:
+        function.__dict__["kernel"] = True
         return function
     from numba import njit
 
@@ -31,7 +38,7 @@ def kernel(function: F) -> F:
 
 def table(values: Iterable[float]) -> Any:
     """A read-only row of floats: an array where kernels are compiled, else a tuple (three times faster to index)."""
-    if JITTED:
+    if ARRAYS:
         import numpy as np
 
         return np.array([float(value) for value in values], dtype=np.float64)
@@ -40,11 +47,45 @@ def table(values: Iterable[float]) -> Any:
 
 def buffer(length: int, fill: float = 0.0) -> Any:
     """A mutable row of floats that a state owns: an array where kernels are compiled, else a list."""
-    if JITTED:
+    if ARRAYS:
         import numpy as np
 
         return np.full(length, fill, dtype=np.float64)
     return [float(fill)] * length
+
+
+def compiled(function: F) -> F:
+    """`function`, a kernel, compiled with all that it calls in a batch's process, else as it is.
+
+    Its arguments may hold buffers, its answer numbers only: nothing in it counts references to arrays.
+    """
+    if not BATCH:
+        return function
+    from numba import njit
+    from numba.extending import register_jitable
+
+    options = {"nogil": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
+    called = callees(function)
+    for callee in called:
+        if not callee.__dict__.get("registered"):
+            callee.__dict__["registered"] = True
+            register_jitable(**options, no_cpython_wrapper=True)(callee)
+    dispatcher = njit(**options)(function)
+    setattr(dispatcher, "_cache", KernelCache(function, called, cache_folder()))  # noqa: B010 - numba names no such
+    return cast(F, dispatcher)
+
+
+def callees(function: Callable[..., Any]) -> list[Callable[..., Any]]:
+    """The kernels that a kernel calls, and they in turn, without itself: found by name in globals and closures."""
+    found: dict[Any, None] = {}
+    todo: list[Any] = [function]
+    while todo:
+        for _, value in named_in(todo.pop()):
+            is_kernel = isinstance(value, FunctionType) and "kernel" in value.__dict__
+            if is_kernel and value is not function and value not in found:
+                found[value] = None
+                todo.append(value)
+    return list(found)
 
 
 class Block(NamedTuple):

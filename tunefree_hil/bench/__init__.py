@@ -6,6 +6,7 @@ from tunefree_hil.bench.controller import (
     calibration_path,
     follower_of,
     needed_messages,
+    own_parameters,
     parameters_of,
     require_in_box,
 )
@@ -22,6 +23,7 @@ __all__ = [
     "load",
     "model_of",
     "needed_messages",
+    "own_parameters",
     "parameters_of",
     "require_buildable",
     "require_in_box",

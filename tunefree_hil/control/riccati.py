@@ -10,7 +10,7 @@ worth all the recursion's rounds so far, and it goes on to rounding error.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from tunefree_hil.base.kernel import buffer, kernel
 
@@ -184,22 +184,49 @@ def double(
     return rounds
 
 
-def gain(a: Any, b: Any, q: Any, weight: float, shipped: bool) -> tuple[list[float], list[float], int]:
-    """(K, P, rounds) for flat A (n n), B (n), Q (n n) and the weight r of the one input.
+class Work(NamedTuple):
+    """Buffers that `converge` uses up: six of n n, one of 2 n n, one of n."""
 
-    `shipped`: the recursion with its cap; else the converged solution.
+    g: Any
+    used: Any
+    w: Any
+    v: Any
+    t: Any
+    left: Any
+    pair: Any
+    row: Any
+
+
+def make_work(n: int) -> Work:
+    """The buffers for n states."""
+    squares = [buffer(n * n) for _ in range(6)]
+    return Work(*[*squares, buffer(2 * n * n), buffer(n)])
+
+
+@kernel
+def solve_gain(gain: Any, p: Any, a: Any, b: Any, q: Any, weight: float, n: int, shipped: bool, work: Work) -> int:
+    """K into gain, P into p, for flat A (n n), B (n), Q (n n) and the weight r of the one input; the rounds it took.
+
+    `shipped`: the recursion with its cap; else the converged solution. a, b, q are left as they are.
     """
-    n = len(b)
-    p, square = buffer(n * n), [buffer(n * n) for _ in range(6)]
     if shipped:
-        rounds = recurse(p, a, b, q, weight, n, SHIPPED_ROUNDS, SHIPPED_TOLERANCE, square[0], buffer(n))
+        rounds = recurse(p, a, b, q, weight, n, SHIPPED_ROUNDS, SHIPPED_TOLERANCE, work.w, work.row)
     else:
-        g, used = square[4], square[5]
-        for i in range(n * n):
-            p[i], used[i], g[i] = q[i], a[i], b[i // n] * b[i % n] / weight
+        inverse = 1.0 / weight if weight != 0.0 else 0.0
+        for i in range(n):
+            for j in range(n):
+                at = i * n + j
+                p[at], work.used[at], work.g[at] = q[at], a[at], b[i] * b[j] * inverse
         rounds = double(
-            p, used, g, n, DOUBLINGS, DOUBLING_TOLERANCE, square[0], square[1], square[2], square[3], buffer(2 * n * n)
+            p, work.used, work.g, n, DOUBLINGS, DOUBLING_TOLERANCE, work.w, work.v, work.t, work.left, work.pair
         )
-    row = buffer(n)
-    gain_of(row, p, a, b, weight, n)
+    gain_of(gain, p, a, b, weight, n)
+    return rounds
+
+
+def gain(a: Any, b: Any, q: Any, weight: float, shipped: bool) -> tuple[list[float], list[float], int]:
+    """(K, P, rounds) of one system, as `solve_gain`."""
+    n = len(b)
+    row, p = buffer(n), buffer(n * n)
+    rounds = solve_gain(row, p, a, b, q, weight, n, shipped, make_work(n))
     return [float(value) for value in row], [float(value) for value in p], int(rounds)

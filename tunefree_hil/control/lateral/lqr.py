@@ -7,11 +7,12 @@ The gains are worked out at build for a row of speeds and interpolated.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.contracts import Block
 from tunefree_hil.base.course import Tracking
-from tunefree_hil.base.kernel import buffer, kernel, table
+from tunefree_hil.base.kernel import buffer, compiled, kernel, table
 from tunefree_hil.base.maths import find_cell, lerp_table
 from tunefree_hil.base.records import Measurement
 from tunefree_hil.control import riccati
@@ -71,7 +72,7 @@ def make(setup: Setup) -> Block:
     values, vehicle = setup.values, setup.vehicle
     weights = (values["lqr.q1"], values["lqr.q2"], values["lqr.q3"], values["lqr.q4"])
     shipped = values["riccati"] == RICCATI_CODES["apollo150"]
-    rows = [gains_at(speed, weights, vehicle, setup.dt_s, shipped=shipped) for speed in NODES_MPS]
+    rows = gain_rows(NODES_MPS, weights, vehicle, setup.dt_s, shipped=shipped)
     length_m, rear_axle_m = vehicle.wheelbase_m, vehicle.rear_axle_m
     rear_slip = vehicle.front_axle_m * vehicle.mass_kg / (vehicle.rear_stiffness_n_per_rad * length_m)
     front_slip = rear_axle_m * vehicle.mass_kg / (vehicle.front_stiffness_n_per_rad * length_m)
@@ -96,23 +97,99 @@ def make(setup: Setup) -> Block:
 
 
 def model(speed_mps: float, vehicle: VehicleConstants, dt_s: float) -> tuple[Any, Any]:
-    """(A, B), flat by rows, of the lateral error model: Tustin for A, forward Euler for B (apollo_facts 3.2)."""
-    v = max(speed_mps, SPEED_FLOOR_MPS)
-    front, rear = vehicle.front_stiffness_n_per_rad, vehicle.rear_stiffness_n_per_rad
-    lf, lr, mass, inertia = vehicle.front_axle_m, vehicle.rear_axle_m, vehicle.mass_kg, vehicle.yaw_inertia_kgm2
+    """(A, B), flat by rows, of the lateral error model (`fill_model`)."""
+    a, b, work = buffer(16), buffer(4), riccati.make_work(4)
+    fill_model(a, b, max(speed_mps, SPEED_FLOOR_MPS), car_of(vehicle), dt_s, work.w)
+    return a, b
+
+
+class Car(NamedTuple):
+    """The single-track car of the model: axle stiffness, places of the axles, mass and inertia."""
+
+    front: float
+    rear: float
+    lf: float
+    lr: float
+    mass: float  # not 0: config/load.py refuses it
+    inertia: float  # not 0: config/load.py refuses it
+
+
+def car_of(vehicle: VehicleConstants) -> Car:
+    """The numbers of a vehicle that the model needs."""
+    return Car(
+        vehicle.front_stiffness_n_per_rad,
+        vehicle.rear_stiffness_n_per_rad,
+        vehicle.front_axle_m,
+        vehicle.rear_axle_m,
+        vehicle.mass_kg,
+        vehicle.yaw_inertia_kgm2,
+    )
+
+
+@kernel
+def fill_model(a: Any, b: Any, v: float, car: Car, dt_s: float, minus: Any) -> None:
+    """A and B at a speed v > 0: Tustin for A, forward Euler for B (apollo_facts 3.2). minus: a buffer of 16."""
+    front, rear, lf, lr, mass, inertia = car.front, car.rear, car.lf, car.lr, car.mass, car.inertia
     total, turning, damping = front + rear, lr * rear - lf * front, lf * lf * front + lr * lr * rear
+    if v <= 0.0 or mass <= 0.0 or inertia <= 0.0:
+        return
     lateral = (0.0, -total / (mass * v), total / mass, turning / (mass * v))
     heading = (0.0, turning / (inertia * v), -turning / inertia, -damping / (inertia * v))
     continuous = (0.0, 1.0, 0.0, 0.0) + lateral + (0.0, 0.0, 0.0, 1.0) + heading
-    minus, plus = buffer(16), buffer(16)
     for i in range(16):
-        one = 1.0 if i % 5 == 0 else 0.0
+        one = 1.0 if i in (0, 5, 10, 15) else 0.0
         half = 0.5 * dt_s * continuous[i]
-        minus[i], plus[i] = one - half, one + half
-    riccati.solve(minus, plus, 4, 4)
-    b = buffer(4)
-    b[1], b[3] = dt_s * front / mass, dt_s * lf * front / inertia
-    return plus, b
+        minus[i], a[i] = one - half, one + half
+    riccati.solve(minus, a, 4, 4)
+    b[0], b[1], b[2], b[3] = 0.0, dt_s * front / mass, 0.0, dt_s * lf * front / inertia
+
+
+class Solver(NamedTuple):
+    """Buffers for `fill_gains`: A, B, Q, P, K, and riccati's own."""
+
+    a: Any
+    b: Any
+    q: Any
+    p: Any
+    gain: Any
+    work: riccati.Work
+
+
+@kernel
+def fill_gains(
+    rows: Any, speeds: Any, weights: tuple[float, float, float, float], car: Car, dt_s: float, shipped: bool, s: Solver
+) -> None:
+    """K1..K4 at each speed into rows, for Q1..Q4 (eq. 4) with the gain scheduler on Q1 and Q3."""
+    for k in range(len(speeds)):
+        speed = float(speeds[k])
+        fill_model(s.a, s.b, speed if speed > SPEED_FLOOR_MPS else SPEED_FLOOR_MPS, car, dt_s, s.work.w)
+        for i in range(16):
+            s.q[i] = 0.0
+        s.q[0] = weights[0] * lerp_table(SCHEDULE_MPS, LATERAL_RATIO, speed)
+        s.q[5] = weights[1]
+        s.q[10] = weights[2] * lerp_table(SCHEDULE_MPS, HEADING_RATIO, speed)
+        s.q[15] = weights[3]
+        riccati.solve_gain(s.gain, s.p, s.a, s.b, s.q, INPUT_WEIGHT, 4, shipped, s.work)
+        for j in range(4):
+            rows[4 * k + j] = float(s.gain[j])
+
+
+fill_gains_fast = compiled(fill_gains)
+
+
+def gain_rows(
+    speeds_mps: Sequence[float],
+    weights: tuple[float, float, float, float],
+    vehicle: VehicleConstants,
+    dt_s: float,
+    *,
+    shipped: bool,
+) -> list[list[float]]:
+    """K1..K4 at each speed for Q1..Q4 (`fill_gains`)."""
+    rows = buffer(4 * len(speeds_mps))
+    solver = Solver(buffer(16), buffer(4), buffer(16), buffer(16), buffer(4), riccati.make_work(4))
+    fill_gains_fast(rows, table(speeds_mps), weights, car_of(vehicle), dt_s, shipped, solver)
+    return [[float(rows[4 * k + j]) for j in range(4)] for k in range(len(speeds_mps))]
 
 
 def gains_at(
@@ -123,15 +200,8 @@ def gains_at(
     *,
     shipped: bool,
 ) -> list[float]:
-    """K1..K4 at one speed for Q1..Q4 (eq. 4), with the gain scheduler on Q1 and Q3."""
-    a, b = model(speed_mps, vehicle, dt_s)
-    q = buffer(16)
-    q[0] = weights[0] * lerp_table(SCHEDULE_MPS, LATERAL_RATIO, speed_mps)
-    q[5] = weights[1]
-    q[10] = weights[2] * lerp_table(SCHEDULE_MPS, HEADING_RATIO, speed_mps)
-    q[15] = weights[3]
-    gains, _, _ = riccati.gain(a, b, q, INPUT_WEIGHT, shipped)
-    return gains
+    """K1..K4 at one speed."""
+    return gain_rows((speed_mps,), weights, vehicle, dt_s, shipped=shipped)[0]
 
 
 def init(params: LqrParams, dt_s: float) -> LqrState:

@@ -1,0 +1,166 @@
+"""State bits from the by-wire unit's status to what the controller makes of them, as a kernel: no frames in between.
+
+The rules are those of nodes/bits.py (what a report says) and nodes/hearing.py (what that means), as tables of numbers;
+tests/batch/test_bits.py holds them against each other over random statuses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.kernel import buffer, kernel, table
+from tunefree_hil.bus.message_map import MessageMap, StateMap
+from tunefree_hil.nodes.bits import COUNTER_CAUSE
+from tunefree_hil.nodes.handshake import VehicleState
+from tunefree_hil.plant.bywire import CAUSES, ByWireStatus, ChannelStatus
+
+NEVER, CAUSE, BRAKING, GEAR, CHANNEL = 0.0, 1.0, 2.0, 3.0, 4.0  # what a row looks at
+DISABLED, OVERRIDE, FAULT = 0, 1, 2  # what a message may say, three numbers a message
+CHANNELS = ("throttle", "brake", "steer")
+ANY = 3.0
+SIGNS = {"override": OVERRIDE, "fault": FAULT, "timeout": FAULT, "watchdog": FAULT}
+
+
+class BitParams(NamedTuple):
+    """One row a state of vehicle.toml, message by message; signals have one entry for each signal of each message."""
+
+    first_row: Any  # of message i, up to first_row[i + 1]
+    first_signal: Any
+    signal: Any  # of a row
+    kind: Any
+    channel: Any
+    field: Any  # of ChannelStatus, or the watchdog's code
+    active: Any
+    said: Any  # what is read where `active` was written
+    sign: Any  # DISABLED, OVERRIDE, FAULT; -1: a warning only
+    rest: Any  # of a signal: what is read where no row holds
+    enables: Any  # of a message: 1 where its enable bits must have been heard
+
+
+class BitState(NamedTuple):
+    """Buffers: what each message says now and what was heard of it (three a message), who was heard, scratch."""
+
+    now: Any
+    heard: Any
+    known: Any
+    value: Any
+    told: Any
+
+
+def bit_params(messages: Sequence[MessageMap]) -> BitParams:
+    """The tables of some messages, in this order."""
+    rows: list[tuple[float, ...]] = []
+    first_row, first_signal, rest = [0], [0], []
+    for message in messages:
+        names = list(dict.fromkeys(state.signal for state in message.states))
+        for name in names:
+            first = next(state for state in message.states if state.signal == name)
+            low = 1.0 - first.active if first.active in (0, 1) else 0.0
+            rest.append(_read_back(message, name, low))
+        for state in message.states:
+            said = _read_back(message, state.signal, state.active)
+            at = float(first_signal[-1] + names.index(state.signal))
+            rows.append((at, *_looks_at(state), float(state.active), said, _sign(state)))
+        first_row.append(len(rows))
+        first_signal.append(first_signal[-1] + len(names))
+    columns = [table(row[i] for row in rows) for i in range(7)]
+    enables = [float(any(state.condition == "enabled" for state in message.states)) for message in messages]
+    return BitParams(*[table(first_row), table(first_signal), *columns, table(rest), table(enables)])
+
+
+def init_bits(params: BitParams) -> BitState:
+    """Nothing heard yet."""
+    messages, signals = len(params.enables), max(len(params.rest), 1)
+    three = 3 * max(messages, 1)
+    return BitState(buffer(three), buffer(three), buffer(max(messages, 1)), buffer(signals), buffer(signals))
+
+
+@kernel
+def holds(kind: float, channel: float, field: float, status: ByWireStatus) -> bool:
+    """Whether what a row looks at holds."""
+    if kind == CAUSE:
+        return status.watchdog_cause == field
+    if kind == BRAKING:
+        return status.watchdog_braking > 0.5
+    if kind == GEAR:
+        return status.gear_override > 0.5
+    if kind != CHANNEL:
+        return False
+    at = int(field)
+    if channel in (0.0, ANY) and status.throttle[at] > 0.5:
+        return True
+    if channel in (1.0, ANY) and status.brake[at] > 0.5:
+        return True
+    return channel in (2.0, ANY) and status.steer[at] > 0.5
+
+
+@kernel
+def say_bits(p: BitParams, state: BitState, status: ByWireStatus) -> None:
+    """What each message would say of a status: to be called when the status has changed."""
+    value, told = state.value, state.told
+    for i in range(len(p.rest)):
+        value[i], told[i] = float(p.rest[i]), 0.0
+    for i in range(len(p.kind)):
+        at = int(p.signal[i])
+        if told[at] == 0.0 and holds(float(p.kind[i]), float(p.channel[i]), float(p.field[i]), status):
+            value[at], told[at] = float(p.said[i]), 1.0
+    for m in range(len(p.enables)):
+        for j in range(3):
+            state.now[3 * m + j] = 0.0
+        for i in range(int(p.first_row[m]), int(p.first_row[m + 1])):
+            sign = int(p.sign[i])
+            if sign >= 0:
+                hit = value[int(p.signal[i])] == p.active[i]
+                if hit != (sign == DISABLED):  # an enabled bit speaks when it is not set
+                    state.now[3 * m + sign] = 1.0
+
+
+@kernel
+def hear_bits(state: BitState, m: int) -> None:
+    """The controller hears message m."""
+    for j in range(3):
+        state.heard[3 * m + j] = float(state.now[3 * m + j])
+    state.known[m] = 1.0
+
+
+@kernel
+def vehicle_state(p: BitParams, state: BitState) -> VehicleState:
+    """All that has been heard, together."""
+    known, disabled, override, fault = True, False, False, False
+    for m in range(len(p.enables)):
+        if p.enables[m] > state.known[m]:
+            known = False
+        disabled = disabled or state.heard[3 * m + DISABLED] > 0.5
+        override = override or state.heard[3 * m + OVERRIDE] > 0.5
+        fault = fault or state.heard[3 * m + FAULT] > 0.5
+    return VehicleState(known, not disabled, override, fault)
+
+
+def _looks_at(state: StateMap) -> tuple[float, float, float]:
+    """(kind, channel, field) of a row."""
+    if state.condition == "watchdog":
+        return (CAUSE, 0.0, CAUSES.get(state.cause, -1.0)) if state.cause else (BRAKING, 0.0, 0.0)
+    if state.bywire == "gear":
+        return (GEAR if state.condition == "override" else NEVER, 0.0, 0.0)
+    channel = float(CHANNELS.index(state.bywire)) if state.bywire else ANY
+    if state.condition == "fault":
+        counts = state.cause == COUNTER_CAUSE
+        return (CHANNEL if counts else NEVER, channel, float(ChannelStatus._fields.index("counter_fault")))
+    if state.condition not in ("enabled", "override", "timeout", "driver"):
+        return (NEVER, channel, 0.0)
+    return (CHANNEL, channel, float(ChannelStatus._fields.index(state.condition)))
+
+
+def _sign(state: StateMap) -> float:
+    """What a row tells the controller; -1 for nothing."""
+    if state.effect == "warn":
+        return -1.0
+    return float(DISABLED if state.condition == "enabled" else SIGNS.get(state.condition, -1))
+
+
+def _read_back(message: MessageMap, name: str, value: float) -> float:
+    """What the other side reads of a raw value written into a signal of its width."""
+    signal = message.signals[name]
+    sign = 1 << (signal.bits - 1) if signal.signed else 0
+    return float(((int(value) & signal.mask) ^ sign) - sign)

@@ -1,0 +1,219 @@
+"""One drive in one kernel: ECU, bus and controller tick by tick as the nodes go (docs/architecture.md, one tick).
+
+It ends with the course, or at the tick at which the controller says a failure. Rows: what is on the bus and what the
+reference follower says of it, column by column, as episode/columns.py reads them off a log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.kernel import compiled, kernel
+from tunefree_hil.base.records import Disturbance, Ins, Measurement
+from tunefree_hil.batch.bits import BitParams, BitState, hear_bits, say_bits, vehicle_state
+from tunefree_hil.batch.commands import (
+    CommandParams,
+    CommandState,
+    heard_commands,
+    send,
+    send_nothing,
+    send_quiet,
+)
+from tunefree_hil.bus.wire import WireParams, WireState, ins_heard, pass_on, report_heard
+from tunefree_hil.control.cascade import Sight
+from tunefree_hil.nodes.handshake import CLEARING, NOT_ENABLED, Progress, look
+from tunefree_hil.plant.body import Driver
+from tunefree_hil.plant.bywire import ByWireStatus
+from tunefree_hil.plant.unit import Said, UnitInput
+
+NEEDS_THE_BUS = -1.0  # an override latched before the take-over: clear frames are not modelled here
+REPORT, INS, COMMAND, TRACKING = 0, 20, 26, 32  # first column of each record
+WIDTH = 52
+
+
+class LinkParams(NamedTuple):
+    """The bus between the two. bits: of the messages with states, whose period, phase and frames that are not believed
+    stand beside. missing_tick: at which the controller misses a needed message (-1: never). By stage: its error code.
+    """
+
+    report: WireParams
+    ins: WireParams
+    bits: BitParams
+    bit_period: Any
+    bit_phase: Any
+    bit_unproven: Any
+    command: CommandParams
+    missing_tick: int
+    missing_code: float
+    stage_codes: Any
+    limit_ticks: int
+
+
+class LinkState(NamedTuple):
+    """What is under way. bit_sent: frames so far of each message with states."""
+
+    report: WireState
+    ins: WireState
+    bits: BitState
+    bit_sent: Any
+    command: CommandState
+
+
+class Setting(NamedTuple):
+    """What a drive is set in: length, road by tick, and the person in the seat (rows of 6; the last one stays)."""
+
+    ticks: int
+    dt_s: float
+    grade_rad: Any
+    friction_frac: Any
+    driver: Any
+
+
+class Rider(NamedTuple):
+    """Params and first state of controller and follower."""
+
+    control: Any
+    control_state: Any
+    follower: Any
+    follower_state: Any
+
+
+class Ridden(NamedTuple):
+    """Params, first state and first words of the vehicle."""
+
+    params: Any
+    state: Any
+    said: Said
+
+
+class End(NamedTuple):
+    """Ticks driven, and the error code that ended the drive (0: none)."""
+
+    ticks: int
+    code: float
+
+
+@kernel
+def same_status(a: ByWireStatus, b: ByWireStatus) -> bool:
+    """Whether all bits that a report may say are the same."""
+    for i in range(6):
+        if a.throttle[i] != b.throttle[i] or a.brake[i] != b.brake[i] or a.steer[i] != b.steer[i]:
+            return False
+    return (
+        a.gear_override == b.gear_override
+        and a.watchdog_braking == b.watchdog_braking
+        and a.watchdog_cause == b.watchdog_cause
+    )
+
+
+@kernel
+def publish_bits(p: LinkParams, state: LinkState, tick: int) -> None:
+    """The state bits that go out and are heard at this tick."""
+    for m in range(len(p.bit_period)):
+        if int(tick + p.bit_phase[m]) % int(p.bit_period[m]) == 0:  # not 0: a period is a tick or more
+            state.bit_sent[m] += 1.0
+            if state.bit_sent[m] > p.bit_unproven[m]:
+                hear_bits(state.bits, m)
+
+
+@kernel
+def driver_at(rows: Any, tick: int) -> Driver:
+    """The person in the seat."""
+    at = min(tick, len(rows) // 6 - 1) * 6
+    return Driver(
+        float(rows[at]), float(rows[at + 1]), float(rows[at + 2]),
+        float(rows[at + 3]), float(rows[at + 4]), float(rows[at + 5]),
+    )  # fmt: skip
+
+
+@kernel
+def ins_sent(state: WireState) -> Ins:
+    """The INS as a log has it."""
+    s = state.sent
+    return Ins(float(s[0]), float(s[1]), float(s[2]), float(s[3]), float(s[4]), float(s[5]))
+
+
+@kernel
+def write_row(out: Any, rows: int, tick: int, link: LinkState, tracking: Any) -> None:
+    """Row `tick` of the columns."""
+    for i in range(20):
+        out[(REPORT + i) * rows + tick] = float(link.report.sent[i])
+        out[(TRACKING + i) * rows + tick] = tracking[i]
+    for i in range(6):
+        out[(INS + i) * rows + tick] = float(link.ins.sent[i])
+        out[(COMMAND + i) * rows + tick] = float(link.command.wire.sent[i])
+
+
+def make_episode(control: Callable[..., Any], unit: Callable[..., Any], follow: Callable[..., Any]) -> Any:
+    """The kernel of a structure: drive(p, link, setting, rider, car, out) -> End.
+
+    control, unit, follow: steps of the controller, the vehicle (plant/unit.py) and the reference follower. out: a
+    buffer of WIDTH * ticks numbers. The states in `link`, `rider` and `car` are used up.
+
+    The follower of the columns is the controller's own as long as that has seen what the log has; from the first tick
+    at which it has not (a protected INS frame it did not take, a step it threw away) it runs beside it.
+    """
+
+    @kernel
+    def drive(p: LinkParams, link: LinkState, setting: Setting, rider: Rider, car: Ridden, out: Any) -> End:
+        rows, dt_s = setting.ticks, setting.dt_s
+        control_state, follower_state = rider.control_state, rider.follower_state
+        car_state, said, status = car.state, car.said, car.said.status
+        progress = Progress(0, 0, False)
+        apart = False
+        say_bits(p.bits, link.bits, status)
+        for k in range(rows):
+            if not same_status(said.status, status):
+                status = said.status
+                say_bits(p.bits, link.bits, status)
+            pass_on(p.report, link.report, said.measurement.report)
+            pass_on(p.ins, link.ins, said.measurement.ins)
+            publish_bits(p, link, k)
+            fix = ins_sent(link.ins)
+            code = 0.0
+            if k == p.missing_tick:
+                code = p.missing_code
+                send_nothing(p.command, link.command)
+                follower_state, tracking = follow(rider.follower, follower_state, (k, fix), dt_s)
+            else:
+                progress = look(progress, k, vehicle_state(p.bits, link.bits), p.limit_ticks)
+                if progress.stage >= NOT_ENABLED or progress.stage == CLEARING:
+                    code = float(p.stage_codes[progress.stage])
+                    send_quiet(p.command, link.command)
+                    follower_state, tracking = follow(rider.follower, follower_state, (k, fix), dt_s)
+                else:
+                    seen = Measurement(report_heard(link.report), ins_heard(link.ins))
+                    before = control_state
+                    control_state, decision = control(rider.control, control_state, Sight(k, seen), dt_s)
+                    send(p.command, link.command, k, decision.command)
+                    code = decision.error_code
+                    tracking = decision.tracking
+                    if not apart:
+                        thrown_away = decision.accel_cmd_mps2 != decision.accel_cmd_mps2
+                        if thrown_away or not same_ins(seen.ins, fix):
+                            apart = True
+                            follower_state = before[0]
+                    if apart:
+                        follower_state, tracking = follow(rider.follower, follower_state, (k, fix), dt_s)
+                    else:
+                        follower_state = control_state[0]
+            write_row(out, rows, k, link, tracking)
+            if code != 0.0:
+                return End(k + 1, code)
+            road = Disturbance(float(setting.grade_rad[k]), float(setting.friction_frac[k]))
+            heard = heard_commands(p.command, link.command)
+            car_state, said = unit(car.params, car_state, UnitInput(heard, driver_at(setting.driver, k), road), dt_s)
+        return End(rows, 0.0)
+
+    return compiled(drive)
+
+
+@kernel
+def same_ins(a: Ins, b: Ins) -> bool:
+    """Whether two fixes are the same, unheard fields (NaN) included."""
+    for i in range(6):
+        unheard = a[i] != a[i] and b[i] != b[i]
+        if a[i] != b[i] and not unheard:
+            return False
+    return True

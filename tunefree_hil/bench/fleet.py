@@ -1,0 +1,62 @@
+"""Many drives in this process: a Simulator, threads that share its drives, and each drive's grade."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+from tunefree_hil.bench.load import Bench
+from tunefree_hil.bench.simulator import Job, Simulator
+from tunefree_hil.episode.recording import Recording
+from tunefree_hil.grade.score import ScenarioGrade, grade, vehicle_of
+
+GRADED = ("", "diverged", "left_lane", "control_error")  # ends that the parameters answer for; the rest is the bench's
+
+
+class Driven(NamedTuple):
+    """How a drive went. ticks: rows driven; error: '' when it was driven to its end, else the error's name.
+
+    grade: None where the bench failed and not the parameters. recording: only where asked for. hash: no frames are
+    made here, so None.
+    """
+
+    grade: ScenarioGrade | None
+    ticks: int
+    error: str
+    recording: Recording | None = None
+    hash: str | None = None
+
+
+class Fleet:
+    """Drives of a bench and a model, `threads` at once (None: one a core that this process may use).
+
+    Kernels let go of the interpreter's lock while they run, so that threads do use the cores.
+    """
+
+    def __init__(self, bench: Bench, model: str, extra_effects: Sequence[str], threads: int | None = None) -> None:
+        self.simulator = Simulator(bench, model, extra_effects)
+        self._vehicle = vehicle_of(bench.vehicle)
+        self._pool = ThreadPoolExecutor(threads or len(os.sched_getaffinity(0)))
+
+    def drive(self, jobs: Sequence[Job], *, columns: bool = False) -> list[Driven]:
+        """The drives, in the order of `jobs`. What one of them raises is raised when the others are done."""
+        first = [self._one(job, columns) for job in jobs[:1]]  # it may compile: the others wait for that anyhow
+        return first + list(self._pool.map(lambda job: self._one(job, columns), jobs[1:]))
+
+    def close(self) -> None:
+        """Let go of the threads."""
+        self._pool.shutdown(cancel_futures=True)
+
+    def _one(self, job: Job, columns: bool) -> Driven:
+        simulator, scenario = self.simulator, job.scenario
+        drive = simulator.drive(job)
+        bench = simulator.bench
+        graded = None
+        if drive.error in GRADED:
+            course = bench.course(scenario)
+            graded = grade(
+                drive.recording, course, bench.weights, self._vehicle, scenario=scenario.name, error=drive.error
+            )
+        return Driven(graded, drive.ticks, drive.error, drive.recording if columns else None)

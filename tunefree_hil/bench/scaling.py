@@ -1,0 +1,95 @@
+"""A model whose actuators are quicker or slower than its folder says: other numbers, the same structure.
+
+Effects can only add to a delay; a factor below 1 needs the model's own numbers. Nothing is compiled for another factor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.bench.vehicle import load_plant
+from tunefree_hil.config.schema import ActuatorSpec, ModelSpec, Spec, value_of
+
+DEAD_TIME, LAG = "dead_time", "lag"
+SCALES = (DEAD_TIME, LAG)
+
+S = TypeVar("S", bound=Spec)
+
+
+def scaled(model: ModelSpec, scale: Mapping[str, float]) -> ModelSpec:
+    """The model with the dead times and lags of all its actuators times scale["dead_time"] and scale["lag"].
+
+    Raises InputError for another name, a factor that is not above 0, or a plant that does not say which of its
+    parameters are these times.
+    """
+    for name, factor in scale.items():
+        if name not in SCALES or not (math.isfinite(factor) and factor > 0.0):
+            raise InputError(
+                f"{name} = {factor} scales nothing",
+                code="bad_scale",
+                key=name,
+                hint=f"a factor above 0 for {' or '.join(SCALES)}",
+            )
+    if not scale:
+        return model
+    times = own_times(model)
+    if times is None:
+        late, lag = scale.get(DEAD_TIME, 1.0), scale.get(LAG, 1.0)
+        return _with(model, actuators={name: _actuator(one, late, lag) for name, one in model.actuators.items()})
+    params = {**load_plant(model.plant.kind).defaults, **model.plant.params}
+    params |= {key: factor * params[key] for name, factor in scale.items() for key in times[name]}
+    return _with(model, plant=_with(model.plant, params=params))
+
+
+def own_times(model: ModelSpec) -> dict[str, tuple[str, ...]] | None:
+    """Parameters of a plant with actuators of its own that are dead times and lags; None where [actuators] rules.
+
+    Raises InputError where the plant does not say.
+    """
+    plant = load_plant(model.plant.kind)
+    if plant.actuators is None:
+        return None
+    times = {DEAD_TIME: plant.dead_times, LAG: plant.lags}
+    silent = [name for name, keys in times.items() if not keys]
+    if silent:
+        raise InputError(
+            f"plant {model.plant.kind!r} does not say which of its parameters are its {' and '.join(silent)}",
+            code="unknown_times",
+            file=f"{model.folder}/model.toml",
+            key="plant.kind",
+            hint="PLANT.dead_times and PLANT.lags name them",
+        )
+    return times
+
+
+def mass_of(model: ModelSpec) -> float:
+    """The unladen mass [kg] of the model's plant. Raises InputError where it has none."""
+    mass_kg = {**load_plant(model.plant.kind).defaults, **model.plant.params}.get("mass_kg")
+    if mass_kg is None:
+        raise InputError(
+            f"plant {model.plant.kind!r} has no parameter mass_kg",
+            code="unknown_mass",
+            file=f"{model.folder}/model.toml",
+            key="plant.params.mass_kg",
+            hint="a plant whose mass may be changed has it in PLANT.defaults",
+        )
+    return mass_kg
+
+
+def _actuator(spec: ActuatorSpec, late: float, lag: float) -> ActuatorSpec:
+    """A channel; the lag of order 2 is in its natural frequency."""
+    return _with(
+        spec,
+        dead_time_s=late * value_of(spec.dead_time_s),
+        lag_s=lag * value_of(spec.lag_s),
+        natural_hz=value_of(spec.natural_hz) / lag,
+    )
+
+
+def _with(spec: S, **changes: Any) -> S:
+    """The same spec with other values in some fields."""
+    fields = {name: getattr(spec, name) for name in spec.__struct_fields__}
+    return type(spec)(**{**fields, **changes})
