@@ -109,3 +109,32 @@ def test_a_stopped_controller_is_named_by_the_vehicle_and_the_other_way_round(be
         vehicle = [one for one in done.frames if 0.5 <= one.time_s < 0.7]
         silent = {m.key for m in (bench.codec.commands if peer == "controller" else bench.codec.telemetry)}
         assert vehicle and not {one.can_id for one in vehicle} & silent
+
+
+def test_what_the_unit_tells_is_in_its_frames(bench: Bench) -> None:
+    """Watchdog with its source in both reports, brake lights, gear command (apollo_facts 7.2), as they go out."""
+    rig, values, codec = InProcess(bench), parameters_of(bench), bench.codec
+
+    def told(script: Sequence[FaultSpec], name: str, tick: int) -> dict[str, float]:
+        rig.script(script)
+        frames = rig.drive(bench.scenarios["tiny"], values, until=tick + 1).frames
+        message = codec.by_name[name]
+        last = [one for one in frames if one.can_id == message.key and one.time_s <= tick * bench.dt_s + 1e-9][-1]
+        return dict(codec.decode(message, last.data))
+
+    well = told([], "BRAKE_REPORT", 100)
+    assert [well[name] for name in ("BI", "BC", "BO", "WDCBRK", "WDCSRC", "ENABLED")] == [0, 0, 0, 0, 0, 1]
+    gear = told([], "GEAR_REPORT", 100)
+    assert (gear["CMD"], gear["REJECT"], gear["OVERRIDE"]) == (4, 0, 0)
+
+    stop = [FaultSpec(kind="peer_stop", channel="controller", from_tick=50, to_tick=100)]
+    braking = told(stop, "BRAKE_REPORT", 100)
+    assert braking["WDCSRC"] in (6, 10, 14), "a command's time-out"
+    assert [braking[name] for name in ("BI", "BC", "BO", "WDCBRK", "ENABLED")] == [0, 1, 1, 1, 0]
+    assert told(stop, "THROTTLE_REPORT", 100)["WDCSRC"] == braking["WDCSRC"]
+
+    foot = [FaultSpec(kind="driver_override", channel="brake", value=0.4, from_tick=50, to_tick=100)]
+    pressed = told(foot, "BRAKE_REPORT", 58)
+    assert [pressed[name] for name in ("BI", "BC", "BO", "DRIVER", "WDCBRK", "WDCSRC")] == [1, 0, 1, 1, 0, 0]
+    lever = [FaultSpec(kind="driver_override", channel="gear", value=0.0, from_tick=50, to_tick=100)]
+    assert told(lever, "GEAR_REPORT", 58)["OVERRIDE"] == 1

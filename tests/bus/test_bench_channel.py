@@ -112,7 +112,14 @@ def test_what_does_not_fit_is_said(message: Any) -> None:
 NAMES = st.text(st.characters(exclude_characters="\0\n", exclude_categories=["Cs"]), min_size=1, max_size=30)
 
 
-@given(NAMES, st.dictionaries(st.integers(0, 255), NAMES, max_size=12))
+OWN = st.lists(NAMES.filter(str.strip), max_size=12, unique=True).flatmap(
+    lambda names: st.lists(
+        st.integers(bc.FIRST_OWN_INDEX, 255), min_size=len(names), max_size=len(names), unique=True
+    ).map(lambda indices: dict(zip(indices, names, strict=True)))
+)
+
+
+@given(NAMES, OWN)
 def test_names_of_any_length_arrive(name: str, parameters: dict[int, str]) -> None:
     collector = bc.HelloCollector()
     frames = bc.hello_frames(bc.Role.CONTROLLER, name, parameters)
@@ -124,9 +131,22 @@ def test_names_of_any_length_arrive(name: str, parameters: dict[int, str]) -> No
     assert collector.parameters(bc.Role.CONTROLLER) == parameters
 
 
+@pytest.mark.parametrize(
+    "lines",
+    ["pi.kp 16", "15 pi.kp", "256 pi.kp", "16", "16 ", "-16 pi.kp", "1\u0666 pi.kp", "16 a\n16 b", "16 a\n17 a"],
+)
+def test_a_parameter_that_is_not_announced_as_it_should_is_said(lines: str) -> None:
+    collector = bc.HelloCollector()
+    for message in bc.hello_messages(bc.Role.CONTROLLER, f"mine\n{lines}"):
+        collector.add(message)
+    with pytest.raises(InputError, match="the controller's line ") as caught:
+        collector.parameters(bc.Role.CONTROLLER)
+    assert "INDEX NAME" in caught.value.hint and caught.value.code == "bad_hello"
+
+
 def test_own_parameters_are_numbered_from_16_on() -> None:
     collector = bc.HelloCollector()
-    for message in bc.hello_messages(bc.Role.CONTROLLER, "mine", ["k.one", "k.two"]):
+    for message in bc.hello_messages(bc.Role.CONTROLLER, "mine", ["k.one", "k.two\n"]):
         collector.add(message)
     assert collector.parameters(bc.Role.CONTROLLER) == {16: "k.one", 17: "k.two"}
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+from tests.bus.e2e_car import write_car
 from tunefree_hil.bus.codec import Codec
 from tunefree_hil.bus.e2e import protect
 from tunefree_hil.bus.log_check import ERROR, REMOTE, Frame, LogHealth, check_frames, declared_ranges
@@ -131,19 +134,19 @@ def test_channels_tell_equal_ids_apart(codec: Codec, clean: list[Frame]) -> None
     assert health.foreign == {lka.key: 9}
 
 
-def test_a_wrong_crc_is_found_and_its_counter_not_believed() -> None:
-    van = Codec(load_vehicle("van_e2e"))
-    message = next(one for one in van.telemetry if one.e2e is not None)
+def test_a_wrong_crc_is_found_and_its_counter_not_believed(tmp_path: Path) -> None:
+    car = Codec(load_vehicle(write_car(tmp_path)))
+    message = next(one for one in car.telemetry if one.e2e is not None)
     frames: list[Frame] = []
     for k in range(40):
-        data = protect(message.e2e, van.encode(message, {}, {}), k % message.e2e.modulus)  # type: ignore[arg-type,union-attr]
+        data = protect(message.e2e, car.encode(message, {}, {}), k % message.e2e.modulus)  # type: ignore[arg-type,union-attr]
         frames.append((k * message.period_ticks * 0.01, "can0", message.key, data, 1))
-    assert not [one for one in check_frames(frames, van).problems if message.name in one]
+    assert not [one for one in check_frames(frames, car).problems if message.name in one]
     torn = bytearray(frames[20][3])
     torn[-1] ^= 0x40
     frames[20] = (*frames[20][:3], bytes(torn), 1)
-    health = check_frames(frames, van)
-    found = of(van, health, message.name)
+    health = check_frames(frames, car)
+    found = of(car, health, message.name)
     assert found.broken == 1 and found.lost == 1, "the frame that is not believed is missing"
     assert f"{message.name}: the CRC or data id of 1 frames does not fit" in health.problems
 

@@ -47,9 +47,10 @@ def hubs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, HubProc
 
 
 @pytest.fixture(params=ROWS)
-def tfhub(request: pytest.FixtureRequest, hubs: dict[str, HubProcess]) -> Iterator[Backend]:
+def tfhub(request: pytest.FixtureRequest) -> Iterator[Backend]:
     if request.param not in KINDS:
         pytest.skip(NO_PEERS)
+    hubs: dict[str, HubProcess] = request.getfixturevalue("hubs")
     with ExitStack() as stack:
         yield Backend(request.param, hubs[request.param], stack)
 

@@ -13,19 +13,19 @@ import pytest
 from tunefree_hil.base.events import Event
 from tunefree_hil.cli.entry import run
 
-GRADE = {"vehicle": None, "path": "u_turn", "align": "auto", "start_s": None, "weights": "default", "out": None}
+GRADE = {"vehicle": None, "path": "u_turn", "align": "auto", "start_s": None, "weights": None, "out": None}
 COMPARE = {"fail_if": [], "weights": None, "out": None}
 
 
 @pytest.mark.parametrize(
     ("words", "module", "function", "arguments", "options"),
     [
-        (["grade", "a.log", "--path", "u_turn"], "grade", "grade_log", (Path("a.log"),), GRADE),
+        (["grade", "a.log", "--path", "u_turn"], "grade_run", "grade_any", ("a.log",), GRADE),
         (
             ["grade", "a.blf", "--path", "p.csv", "--vehicle", "v", "--align", "start", "--start-s", "2.5"],
-            "grade",
-            "grade_log",
-            (Path("a.blf"),),
+            "grade_run",
+            "grade_any",
+            ("a.blf",),
             {**GRADE, "path": "p.csv", "vehicle": "v", "align": "start", "start_s": 2.5},
         ),
         (["compare", "a", "b"], "compare", "compare", (["a", "b"],), COMPARE),
@@ -81,7 +81,8 @@ def test_options_reach_the_job(
 @pytest.mark.parametrize(
     ("words", "part"),
     [
-        (["grade", "a.log"], "--path"),
+        (["grade", "a.log"], "no such file"),
+        (["grade", "pyproject.toml"], "--path"),
         (["grade", "nowhere.log", "--path", "u_turn", "--vehicle", "mkz_bywire"], "no such"),
         (["grade", "a.log", "--path", "u_turn", "--align", "somehow"], "--align"),
         (["compare"], "RUN"),

@@ -8,10 +8,13 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.bench.test_every_vehicle import first_benches
 from tunefree_hil.base.kernel import buffer
+from tunefree_hil.bench import load
+from tunefree_hil.bench.controller import constants_of
 from tunefree_hil.control import riccati
 from tunefree_hil.control.contract import VehicleConstants
-from tunefree_hil.control.lateral.lqr import NODES_MPS, model
+from tunefree_hil.control.lateral.lqr import HEADING_RATIO, LATERAL_RATIO, NODES_MPS, SCHEDULE_MPS, gain_rows, model
 
 MKZ = VehicleConstants()
 UNEQUAL = VehicleConstants(mass_kg=1600.0, front_axle_m=1.1, front_stiffness_n_per_rad=9e4)
@@ -31,6 +34,24 @@ def test_doubling_equals_scipy_at_all_nodes(vehicle, weights):
         assert np.max(np.abs(np.array(gains) - expected)) < 1e-10
         assert rounds < 25
         assert np.max(np.abs(np.linalg.eigvals(flat_a - flat_b @ np.reshape(gains, (1, 4))))) < 1.0
+
+
+@pytest.mark.parametrize("path", first_benches(), ids=lambda path: path.stem)
+@settings(max_examples=2, deadline=None)
+@given(logs=st.tuples(st.floats(-2.0, 0.0), st.floats(-3.0, -1.0), st.floats(-2.0, 0.0), st.floats(-3.0, -1.0)))
+def test_gains_of_every_vehicle_at_all_nodes_are_scipys(path, logs):
+    """With the gain scheduler's weights, over the box of Q."""
+    vehicle = constants_of(load(path).vehicle)
+    weights = tuple(10.0**value for value in logs)
+    rows = gain_rows(NODES_MPS, weights, vehicle, 0.01, shipped=False)
+    for speed, gains in zip(NODES_MPS, rows, strict=True):
+        a, b = (np.reshape(flat, (4, -1)) for flat in model(speed, vehicle, 0.01))
+        lateral, heading = (np.interp(speed, SCHEDULE_MPS, row) for row in (LATERAL_RATIO, HEADING_RATIO))
+        p = scipy.linalg.solve_discrete_are(
+            a, b, np.diag(np.multiply(weights, (lateral, 1.0, heading, 1.0))), np.eye(1)
+        )
+        expected = np.linalg.solve(1.0 + b.T @ p @ b, b.T @ p @ a).ravel()
+        assert np.max(np.abs(np.array(gains) - expected)) < 1e-10
 
 
 def test_recursion_without_cap_comes_to_the_same_solution():

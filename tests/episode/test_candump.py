@@ -138,7 +138,7 @@ ROWS = [
 
 def test_rows_come_back_with_direction_and_remote_length(tmp_path: Path) -> None:
     write_candump(tmp_path / "x.log", ROWS)
-    assert read_rows(tmp_path / "x.log") == ROWS
+    assert list(read_rows(tmp_path / "x.log")) == ROWS
     text = (tmp_path / "x.log").read_text()
     assert "(46408.584943) can128 00000123# T\n" in text and "(46408.600000) can0 011#R4 R\n" in text
     with CanutilsLogReader(tmp_path / "x.log") as theirs:

@@ -94,3 +94,34 @@ def test_windows_do_not_reach_over_gaps(tmp_path: Path) -> None:
     found = findings(tmp_path, rows)
     assert all(one.holds for one in found)
     assert all(one.factor == pytest.approx(1.0, abs=0.03) for one in found)
+
+
+RADIUS_M = 0.35
+
+
+def wheels(folder: Path, factor: float) -> list[Finding]:
+    """A drive whose wheels roll at `factor` times the reported speed, by the wheel radius."""
+    head = 'schema = "tunefree.import/1"\nname = "w"\nsource = "test"\n[clock]\ncolumn = "t"\n'
+    named = {f"w{at}": f"report.wheel_{at}_radps" for at in ("fl", "fr", "rl", "rr")} | {"v": "report.speed_mps"}
+    tables = [
+        f'[[columns]]\ncolumn = "{column}"\nfield = "{field}"\nunit = "{"m/s" if column == "v" else "rad/s"}"\n'
+        for column, field in named.items()
+    ]
+    (folder / "m.toml").write_text(head + "".join(tables))
+    rows = [
+        {"t": row["t"], "v": row["v"]} | {name: factor * row["v"] / RADIUS_M for name in named if name != "v"}
+        for row in motion()
+    ]
+    drive = read_csv_drive(write_csv(folder / "d.csv", rows), load_import(folder / "m.toml"))
+    return check_units(drive, wheel_radius_m=RADIUS_M)
+
+
+def test_wheels_and_speed(tmp_path: Path) -> None:
+    (found,) = wheels(tmp_path, 1.02)
+    assert found.check == "wheels_and_speed" and found.holds and found.factor == pytest.approx(1.0 / 1.02)
+
+
+def test_wheels_in_revolutions_are_named(tmp_path: Path) -> None:
+    """All four are said to be in rad/s and are in rpm: one of them alone would not do."""
+    (found,) = [one for one in wheels(tmp_path, 60.0 / (2.0 * 3.141592653589793)) if one.check == "wheels_and_speed"]
+    assert found.holds is False and "'wfl' and 'wfr' and 'wrl' and 'wrr' in rpm" in found.words

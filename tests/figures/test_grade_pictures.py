@@ -100,7 +100,16 @@ def test_a_term_that_is_0_everywhere_has_no_column() -> None:
     data = {name: {"a": 0.1, "failure or cap": 0.0} for name in SCENARIOS}
     said = words(heat.draw_heat(data, "winner against manual"))
     assert "a" in said and "failure or cap" not in said
-    assert "sum" in words(heat.draw_heat({"s": {"a": 0.0}}, "nothing differs"))
+    same = words(heat.draw_heat({"s": {"a": 0.0}}, "nothing differs"))
+    assert "sum" in same and "no difference in any term" in same
+
+
+def test_a_term_that_would_be_shown_as_0_is_counted_and_summed() -> None:
+    figure = heat.draw_heat({"s": {"a": 0.0004, "b": 0.00004}, "t": {"a": 0.0, "b": 0.00003}}, "title")
+    said = words(figure)
+    assert "a" in said and "b" not in said
+    assert any("1 terms differ by less than 0.05" in one for one in said)
+    assert said.count("+0.4") == 3 and "+0.5" in said, "cells and the column's sum; the whole has b in it"
 
 
 def test_slices_mark_winner_manual_edge_and_what_is_above() -> None:

@@ -30,6 +30,15 @@ def test_conditions(text: str, expected: tuple[str, str, str, float, bool]) -> N
     assert found.limit == pytest.approx(expected[3])
 
 
+def test_a_misspelt_metric_gets_a_guess() -> None:
+    with pytest.raises(InputError) as caught:
+        parse_condition("lateral_peak > 1", ["tiny"])
+    assert caught.value.hint.startswith("did you mean lateral_err_peak")
+    with pytest.raises(InputError) as caught:
+        parse_condition("xyz > 1", ["tiny"])
+    assert caught.value.hint.startswith("one of score, ")
+
+
 @pytest.mark.parametrize(
     ("text", "part"),
     [

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -11,11 +9,10 @@ from tunefree_hil.base.course import Course
 from tunefree_hil.base.records import Ins
 from tunefree_hil.config.schema import ProfileSpec, ScenarioSpec
 from tunefree_hil.control.follower import make_follower
-from tunefree_hil.control.path import cell_of, make_path, project
 from tunefree_hil.episode.recording import Recording, make_recording
 from tunefree_hil.episode.scenario import build_course
 from tunefree_hil.grade.metrics import samples_of
-from tunefree_hil.grade.original import find_feet, samples_against_original, tables_of
+from tunefree_hil.grade.original import samples_against_original
 
 DT_S = 0.01
 REAR_AXLE_M = 1.4224
@@ -118,24 +115,6 @@ def test_the_station_error_begins_at_0_after_a_replan() -> None:
     assert found["station_error_m"][replans[0]] > 2.5
     for row in replans:
         assert found["station_error_m"][row + 1] == pytest.approx(0.0, abs=0.05)
-
-
-def test_feet_keep_the_branch_and_skip_what_is_not_known() -> None:
-    recording, _, _ = drive(0.5, 0.0)
-    x, y = recording.columns["x_m"].copy(), recording.columns["y_m"].copy()
-    x[:7] = math.nan
-    y[500] = math.nan
-    feet = find_feet(tables_of(COURSE), x, y)
-    path = make_path(COURSE)
-    cell, expected = cell_of(path, 0.0), []
-    for k in range(len(x)):
-        if math.isfinite(x[k] + y[k]):
-            foot = project(path, cell, float(x[k]), float(y[k]))
-            cell = foot.cell
-            expected.append((foot.station_m, foot.heading_rad, foot.curvature_1pm, foot.lateral_m))
-    known = np.isfinite(x + y)
-    np.testing.assert_allclose(np.stack(feet, axis=1)[known], expected, atol=1e-9)
-    assert np.isnan(np.stack(feet, axis=1)[~known]).all()
 
 
 def test_what_cannot_be_recomputed_is_none() -> None:

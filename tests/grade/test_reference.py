@@ -12,6 +12,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.episode.feasible import curvature_by_time
 from tunefree_hil.episode.scenario import build_course
+from tunefree_hil.grade.feet import find_feet, tables_of
 from tunefree_hil.grade.reference import read_reference
 
 DT_S = 0.01
@@ -57,6 +58,51 @@ def test_points_of_a_scenario_give_its_course(tmp_path: Path, names: tuple[str, 
     np.testing.assert_allclose(course.path_heading_rad[:nodes], turned, atol=0.05)
 
 
+def circle(radius_m: float, spacing_m: float, noise_m: float = 0.0) -> str:
+    """A CSV's text: once half around at 5 m/s, then standing for a second."""
+    count = round(np.pi * radius_m / spacing_m)
+    spacing_m = np.pi * radius_m / (count - 1)
+    angle = np.concatenate([np.linspace(0.0, np.pi, count), np.full(round(5.0 / spacing_m), np.pi)])
+    chance = np.random.default_rng(1)
+    x = radius_m * np.sin(angle) + chance.normal(0.0, noise_m, len(angle))
+    y = radius_m * (1.0 - np.cos(angle)) + chance.normal(0.0, noise_m, len(angle))
+    speed = np.where(np.arange(len(angle)) < count, 5.0, 0.0) + chance.normal(0.0, noise_m, len(angle)) ** 2
+    rows = zip(np.arange(len(angle)) * spacing_m / 5.0, x, y, speed, strict=True)
+    return "\n".join(["t_s,x_m,y_m,speed_mps", *(",".join(f"{value:.6f}" for value in row) for row in rows)])
+
+
+@pytest.mark.parametrize(("spacing_m", "noise_m"), [(1.0, 0.0), (0.05, 0.0), (0.05, 0.005)])
+def test_the_middle_runs_ahead_of_the_rear_axle(tmp_path: Path, spacing_m: float, noise_m: float) -> None:
+    """Without slip it runs on a circle of sqrt(R^2 + l^2); where the rear axle is planned, its foot is."""
+    path, ahead_m, radius_m = tmp_path / "circle.csv", 1.4224, 10.0
+    path.write_text(circle(radius_m, spacing_m, noise_m))
+    course = read_reference(str(path), DT_S, ahead_m).course
+    nodes = course.first_station_m + np.arange(len(course.path_x_m)) * course.spacing_m
+    inner = (nodes > ahead_m + 2.0) & (nodes < np.pi * radius_m - 2.0)
+    outer_m = np.hypot(radius_m, ahead_m)
+    distance = np.hypot(np.asarray(course.path_x_m)[inner], np.asarray(course.path_y_m)[inner] - radius_m)
+    np.testing.assert_allclose(distance, outer_m, atol=0.02 + 3.0 * noise_m)
+    curvature = np.asarray(course.path_curvature_1pm)[inner]
+    np.testing.assert_allclose(curvature, 1.0 / outer_m, atol=0.01 + 10.0 * noise_m)
+    np.testing.assert_allclose(course.station_m[-1], np.pi * outer_m, rtol=0.005 + noise_m)
+    ticks = np.arange(100, 500, 10)
+    angle = 5.0 * ticks * DT_S / radius_m
+    rear = radius_m * np.sin(angle), radius_m * (1.0 - np.cos(angle))
+    feet = find_feet(tables_of(course), *rear)
+    np.testing.assert_allclose(np.asarray(course.station_m)[ticks], feet.station_m, atol=0.1)
+    np.testing.assert_allclose(feet.lateral_m, outer_m - radius_m, atol=0.02 + 3.0 * noise_m)
+
+
+def test_noise_of_a_recorded_drive_is_no_acceleration_and_no_way(tmp_path: Path) -> None:
+    path = tmp_path / "circle.csv"
+    path.write_text(circle(10.0, 0.05, 0.01))
+    course = read_reference(str(path), DT_S).course
+    assert np.abs(np.asarray(course.accel_mps2)[:550]).max() < 0.1
+    assert course.station_m[-1] == pytest.approx(10.0 * np.pi, rel=0.01), "0.05 m apart, noise would add 4 %"
+    standing = np.asarray(course.station_m)[-80:]
+    assert np.ptp(standing) < 0.05, "it stands"
+
+
 def test_a_scenario_by_name() -> None:
     found = read_reference("u_turn", DT_S)
     assert not found.world and found.name == "u_turn" and found.course.ticks == U_TURN.ticks and len(found.hash) == 64
@@ -71,6 +117,7 @@ BROKEN = [
     ("x_m,y_m,speed_mps\n0,0,1\n1,0,0\n2,0,0\n", "t_s", "for how long"),
     ("t_s,x_m,y_m,speed_mps\n0,0,0,1\n2,1,0,1\n1,2,0,1\n", "t_s", "row 4 does not"),
     ("t_s,x_m,y_m,speed_mps\n0,0,0,1\n1,0,0,1\n2,0,0,1\n", "", "do not move on"),
+    ("station_m,x_m,y_m,speed_mps\n0,0,0,1\n1,1,0,1\n1,2,0,1\n2,3,0,1\n", "station_m", "must ascend"),
     ("", "x_m", "has no column"),
 ]
 

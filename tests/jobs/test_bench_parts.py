@@ -42,6 +42,7 @@ def test_without_a_hub_nobody_asks_for_one(monkeypatch: pytest.MonkeyPatch) -> N
         "",
         "s",
         "1",
+        "",
     )
 
 

@@ -130,6 +130,21 @@ def test_a_graded_log_beside_a_drive(folder: Path, runs: list[str], tmp_path: Pa
     assert all(first == other for first, other in data["tables"]["tiny"].values())
 
 
+def test_another_plant_or_vehicle_is_said(runs: list[str], tmp_path: Path) -> None:
+    run = Path(shutil.copytree(runs[2], tmp_path / "run"))
+    record = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps({**record, "model": "mkz_reference"}))
+    _, data = compared([runs[2], str(run)], tmp_path)
+    assert [note for note in data["notes"] if "not the same model: " in note and "run mkz_reference" in note]
+    assert not any("not the same vehicle" in note for note in data["notes"])
+
+
+def test_a_run_without_drives(runs: list[str], tmp_path: Path) -> None:
+    _, data = compared(runs[:2], tmp_path)
+    with pytest.raises(InputError, match="is a run of 'compare'"):
+        compared([runs[0], data["run"]], tmp_path)
+
+
 def test_what_is_not_there_is_named(runs: list[str], tmp_path: Path) -> None:
     run = Path(shutil.copytree(runs[2], tmp_path / "run"))
     (run / "episodes" / "0" / "columns.npz").unlink()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.bench.tiny import write_bench
+from tests.jobs.command import new_session, no_orphans, tunefree
 from tunefree_hil.base.errors import BenchError, NotValid, PeerGone
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Batch, Driven, Job
@@ -19,7 +20,7 @@ from tunefree_hil.grade.score import ScenarioGrade, combine
 from tunefree_hil.jobs.evaluators import MOST_REPEATS, BatchEvaluator, BusEvaluator, Candidate, RealtimeEvaluator
 from tunefree_hil.jobs.harvest import Episode
 from tunefree_hil.jobs.lateness import frames_late_s, judge_realtime
-from tunefree_hil.jobs.run_folder import RunFolder
+from tunefree_hil.jobs.run_folder import RunFolder, open_run
 from tunefree_hil.jobs.track import DriveJob, Track
 
 SCENARIOS = ("tiny", "other")
@@ -66,9 +67,9 @@ def candidates(bench: Bench, *q1: float, first: int = 3) -> list[Candidate]:
     return [Candidate(first + i, parameters_of(bench, {"lqr.q1": one})) for i, one in enumerate(q1)]
 
 
-def over_bus(kind: type[BusEvaluator], track: FakeTrack) -> Any:
+def over_bus(kind: type[BusEvaluator], track: FakeTrack, **more: int) -> Any:
     scenarios = [track.bench.scenarios[name] for name in SCENARIOS]
-    return kind(cast(Track, track), scenarios, at_once=2)
+    return kind(cast(Track, track), scenarios, at_once=2, **more)
 
 
 def test_candidates_are_driven_under_numbers_of_their_own(bench: Bench, tmp_path: Path) -> None:
@@ -111,7 +112,7 @@ def test_late_frames_may_look_like_a_fault_of_the_vehicle(bench: Bench, tmp_path
 
 
 def test_a_machine_that_is_never_in_time_ends_it_with_the_count(bench: Bench, tmp_path: Path) -> None:
-    evaluator = over_bus(RealtimeEvaluator, FakeTrack(bench, tmp_path, good, lateness_s=[0.02] * 99))
+    evaluator = over_bus(RealtimeEvaluator, FakeTrack(bench, tmp_path, good, lateness_s=[0.02] * 99), repeats=4)
     with pytest.raises(NotValid) as caught:
         evaluator.evaluate(candidates(bench, 0.25))
     drives = 2 * (1 + MOST_REPEATS)
@@ -125,6 +126,7 @@ def test_frames_that_a_hub_delivers_late_are_no_real_time(bench: Bench, tmp_path
     message = bench.codec.commands[0]
     for k, late_s in enumerate((0.001, 0.030)):
         stamps = [50.0 + n * message.period_ticks * bench.dt_s + (late_s if n == 5 else 0.0) for n in range(400)]
+        stamps[0] -= 0.2  # what is due at tick 0 is sent as soon as the drive is announced
         frames = [LogFrame(stamp, "can0", message.key, bytes(8)) for stamp in stamps]
         write_candump(run.episode(k) / "vehicle.log", frames)
         assert frames_late_s(run, [k], bench.codec).max() == pytest.approx(late_s, abs=1e-5)
@@ -132,6 +134,18 @@ def test_frames_that_a_hub_delivers_late_are_no_real_time(bench: Bench, tmp_path
         np.savez(run.episode(k) / "timing.npz", allow_pickle=False, **times)
         assert judge_realtime(run, [k], draw=False)["valid"]
         assert judge_realtime(run, [k], bench.codec, draw=False)["valid"] == (k == 0)
+
+
+@pytest.mark.slow
+def test_frames_of_a_real_bench_lie_on_its_ticks(tmp_path: Path) -> None:
+    """Most of them, however busy this machine is: otherwise no drive of `tune --realtime` would ever count."""
+    session = new_session()
+    with no_orphans(session, 15.0):
+        done = tunefree("drive", write_bench(tmp_path), "--realtime", "--json", "--out", tmp_path, "--session", session)
+    assert done.status in (0, 4), done.words
+    run = open_run(Path(done.data["run"]))
+    late_s = frames_late_s(run, [0], load(tmp_path / "b.toml").codec)
+    assert len(late_s) > 1000 and np.median(late_s) < 0.1
 
 
 class FakeBatch:

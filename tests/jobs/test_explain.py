@@ -112,6 +112,38 @@ def test_a_winner_on_an_edge_is_flagged_in_words(run: Path) -> None:
     assert any("sits on the lower edge" in line for line in job.lines_of(moved))
 
 
+def test_a_slice_that_beats_the_winner_is_said() -> None:
+    cuts = {
+        "a": job.Cut([1.0, 2.0, 3.0], [0.3, 0.19, 0.25]),
+        "b": job.Cut([1.0, 2.0], [0.1999, 0.4]),
+        "c": job.Cut([1.0, 2.0], [None, 0.1]),
+        "d": job.Cut([1.0], [None]),
+    }
+    assert job.better_places(cuts, 0.2) == [("c", 2.0, 0.1), ("a", 2.0, 0.19)], "0.05 % is no better place"
+    lines = job.slice_lines(cuts, 0.2)[1:]
+    assert [("better" in line) for line in lines] == [True, False, True, False]
+    assert "0.1900 to 0.3000, lowest at 2" in lines[0] and "failed everywhere" in lines[3]
+    assert job.better_places({}, 0.2) == []
+
+
+def test_a_winner_that_is_the_manual_one(run: Path) -> None:
+    found = job.find(job.open_run(run), load(run / "bench.toml"))
+    same = found._replace(
+        difference=job.difference(found.manual.scenarios, found.manual.scenarios, load(run / "bench.toml").weights)
+    )
+    assert job.sentence_of(same).startswith(f"the winner scores as {found.manual_name} does, in every term")
+
+
+def test_a_winner_that_is_worse_is_said_to_be(run: Path) -> None:
+    found = job.find(job.open_run(run), load(run / "bench.toml"))
+    terms = {"tiny": {"a": 0.3, "b": -0.2}}
+    words = job.sentence_of(found._replace(difference=job.Difference(terms, {"tiny": 0.1}, 0.1), edges=[]))
+    assert words.endswith("it is worse, most by a in tiny (+0.300)")
+    better = {"tiny": {"a": 0.1, "b": -0.2}}
+    words = job.sentence_of(found._replace(difference=job.Difference(better, {"tiny": -0.1}, -0.1), edges=[]))
+    assert words.endswith(f"against {found.manual_name}, most by b in tiny (-0.200)")
+
+
 def test_what_is_no_tune_or_not_finished(run: Path, tmp_path: Path) -> None:
     drive = made_drive(write_bench(tmp_path, duration_s=0.5), tmp_path / "runs", "d", {})
     with pytest.raises(InputError, match="is a run of 'drive'"):

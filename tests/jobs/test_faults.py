@@ -13,6 +13,7 @@ from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.integrity import E2eStatus
 from tunefree_hil.episode.candump import read_candump
+from tunefree_hil.jobs.heard import heard_of
 
 pytestmark = pytest.mark.slow
 
@@ -58,8 +59,9 @@ def test_faults_over_the_bus_replay_bit_for_bit(tmp_path: Path) -> None:
     assert begun == [(2, 1, 20), (1, 0, 20), (1, 2, 30), (2, 3, 100)]
     with np.load(run / "episodes" / "0" / "timing.npz") as data:
         assert data["ecu_heard_STEERING_CMD"][E2eStatus.WRONG_SEQUENCE] == 2, "there and back"
-        assert data["controller_heard_WHEEL_SPEED"][E2eStatus.NO_NEW_DATA] == 2
+        assert data["controller_heard_WHEEL_SPEED"][E2eStatus.NO_NEW_DATA] == 4, "each tick of the delay"
         assert data["controller_heard_GEAR_REPORT"][-1] > 10
+    assert "ecu heard STEERING_CMD: 2 wrong sequence" in heard_of(run / "episodes" / "0")
     told = (run / "nodes" / "ecu.txt").read_text()
     assert "ecu: tick 100: STEERING_CMD: wrong sequence" in told
     again = tunefree("replay", run, "--verify")

@@ -14,12 +14,11 @@ from tests.bench.tiny import write_bench
 from tests.jobs.made_runs import made_drive
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bus.formats.find import load_format
 from tunefree_hil.episode.recording import load_recording
 from tunefree_hil.grade.metrics import METRICS
 from tunefree_hil.grade.table import PUBLISHED, TABLE
 from tunefree_hil.jobs.grade import grade_log
-from tunefree_hil.jobs.log_files import load_rows
+from tunefree_hil.jobs.log_convert import convert
 
 
 @pytest.fixture(scope="module")
@@ -82,10 +81,8 @@ def test_a_log_alone_on_another_clock_and_without_a_bench(episode: Path, tmp_pat
 
 @pytest.mark.parametrize("name", ["blf", "asc"])
 def test_other_formats_give_the_same(name: str, episode: Path, tmp_path: Path) -> None:
-    rows, _ = load_rows(episode / "vehicle.log")
-    kind = load_format(name)
     log = tmp_path / f"drive.{name}"
-    kind.write(log, kind.hold(rows).rows)
+    list(convert(episode / "vehicle.log", log))
     _, data = graded(log, tiny(episode), tmp_path / "out", vehicle="mkz_bywire")
     stored = json.loads((episode / "episode.json").read_text())
     assert {metric: data["metrics"][metric]["value"] for metric in METRICS} == stored["metrics"]
@@ -98,6 +95,28 @@ def test_the_part_of_a_log_that_is_there(episode: Path, tmp_path: Path) -> None:
     _, data = graded(log, tiny(episode), tmp_path, vehicle="mkz_bywire")
     assert data["score"] is None and "no score: the log holds 1.0 s of the 2.0 s" in data["sentence"]
     assert data["metrics"]["lateral_err_peak"]["value"] is not None
+
+
+def test_what_stands_in_and_what_was_driven_by_hand_is_said(episode: Path, tmp_path: Path) -> None:
+    """Without the gyro's report the INS's yaw rate counts; for 0.8 s the brake's report says that it is not enabled."""
+    lines = []
+    for line in (episode / "vehicle.log").read_text().splitlines():
+        time_s, (head, data) = float(line[1 : line.index(")")]), line.split("#")
+        if head.endswith(" 06C"):
+            continue
+        if head.endswith(" 061") and 1.0 <= time_s < 1.79:
+            data = f"{data[:14]}{int(data[14:], 16) & 0xFE:02X}"
+        lines.append(f"{head}#{data}")
+    log = tmp_path / "by_hand.log"
+    log.write_text("\n".join(lines) + "\n")
+    _, data = graded(log, tiny(episode), tmp_path, vehicle="mkz_bywire")
+    said = " ".join(data["notes"])
+    assert "yaw_rate_radps: from ins.yaw_rate_radps" in said
+    assert "by-wire was not enabled for 0.8 s" in said
+    _, late = graded(log, tiny(episode), tmp_path, vehicle="mkz_bywire", start_s=1.8)
+    assert "not enabled" not in " ".join(late["notes"]), "it was before the start"
+    _, whole = graded(episode / "vehicle.log", tiny(episode), tmp_path)
+    assert not any("not enabled" in note or "from ins" in note for note in whole["notes"])
 
 
 def test_a_start_that_is_not_in_the_log(episode: Path, tmp_path: Path) -> None:

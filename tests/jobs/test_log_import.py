@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -134,6 +136,36 @@ def test_the_schema_of_mapping_files() -> None:
     schema = json_schema("import")
     units = json.dumps(schema["$defs"]["ColumnSpec"]["properties"]["unit"])
     assert '"km/h"' in units and "hash" not in schema["$defs"]["ImportSpec"]["properties"]
+
+
+@pytest.mark.slow
+def test_the_rav4_minute_goes_through(shared_data: Path, repo: Path, tmp_path: Path) -> None:
+    """comma2k19 (comma.ai, MIT licence): what the car's own DBC says is what the invented one says."""
+    data = shared_data / "comma2k19_rav4"
+    if not data.is_dir():
+        pytest.skip("no comma2k19_rav4 in the shared data")
+    log, table = data / "drive.candump.log", tmp_path / "rav4.csv"
+    command = [sys.executable, repo / "tools" / "imports" / "rav4_csv.py", table, "--log", log]
+    subprocess.run([*command, "--dbc", data / "rav4.dbc"], check=True, capture_output=True, timeout=60)
+    events = list(import_csv(table, repo / "tools" / "imports" / "rav4.toml", tmp_path / "out"))
+    (wheels,) = [one for one in events[-1].data["plausibility"] if one["check"] == "wheels_and_speed"]
+    assert wheels["holds"] and wheels["factor"] == pytest.approx(1.021, abs=0.005), "2.1 % as the data's README says"
+    assert list(check(tmp_path / "out" / "drive.log", None))[-1].data["exit"] == 0
+
+    wanted = ["report.speed_mps", "report.steer_rad", "report.wheel_rr_radps", "command.accel_mps2"]
+    there, here = Codec(load_vehicle("rav4_2017")), Codec(load_vehicle(tmp_path / "out"))
+    true = series_of(read_candump(log), there, wanted, apart=True)
+    found = series_of(read_candump(tmp_path / "out" / "drive.log"), here, wanted)
+    for name in wanted:
+        values = dict(zip(*(array.tolist() for array in true[name]), strict=True))
+        assert len(found[name][0]) > 0.98 * len(values)
+        for time_s, value in zip(*(array.tolist() for array in found[name]), strict=True):
+            assert value == pytest.approx(values[time_s], abs=STEP), (name, time_s)
+
+    wrong = (repo / "tools" / "imports" / "rav4.toml").read_text().replace('unit = "km/h"', 'unit = "m/s"', 1)
+    (tmp_path / "wrong.toml").write_text(wrong)
+    with pytest.raises(InputError, match="'speed' in km/h"):
+        list(import_csv(table, tmp_path / "wrong.toml", tmp_path / "out2"))
 
 
 @pytest.mark.parametrize("name", list(DART))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -43,43 +42,33 @@ def test_who_only_reports_is_no_commander() -> None:
     assert error is not None and error.code == "foreign_reporter"
 
 
+PLAYER = """
+import contextlib, pathlib, sys, time
+import can.player, tunefree_hil.bus
+hub = pathlib.Path(sys.argv.pop(1))
+while True:
+    while not hub.is_file():
+        time.sleep(0.005)
+    with contextlib.suppress(Exception):
+        can.player.main()
+"""
+
+
 @contextmanager
 def playing(session: str, log: Path) -> Iterator[None]:
-    """can.player as a member, some 2000 frames a second, again and again from the moment there is a hub."""
-    stop = threading.Event()
+    """can.player as a member, some 2000 frames a second, again and again from the moment there is a hub.
+
+    It has imported all it needs by then: an episode of two seconds is over soon.
+    """
     where = f"{session}/veh?role=member&listen=no&name=player"
-    command = [
-        sys.executable,
-        "-m",
-        "can.player",
-        "-i",
-        "tfhub",
-        "-c",
-        where,
-        "--ignore-timestamps",
-        "-g",
-        "0.0005",
-        str(log),
-    ]
-
-    def play() -> None:
-        while not stop.is_set():
-            if not (session_dir(session) / "hub.json").is_file():
-                stop.wait(0.01)
-                continue
-            process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-            while process.poll() is None and not stop.is_set():
-                stop.wait(0.02)
-            process.kill()
-            process.wait()
-
-    thread = threading.Thread(target=play)
-    thread.start()
+    options = ["-i", "tfhub", "-c", where, "--ignore-timestamps", "-g", "0.0005", str(log)]
+    command = [sys.executable, "-c", PLAYER, str(session_dir(session) / "hub.json"), *options]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         yield
     finally:
-        stop.set()
-        thread.join()
+        process.kill()
+        process.wait()
 
 
 def drive(folder: Path, session: str, out: str) -> Ended:

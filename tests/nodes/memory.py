@@ -103,6 +103,8 @@ class MemoryBus:
 class MemoryLink:
     """A Link to a MemoryBus."""
 
+    refused: Sequence[CanFrame] = ()  # a memory is never full
+
     def __init__(self, bus: MemoryBus, name: str) -> None:
         self.bus = bus
         self.name = name

@@ -18,6 +18,7 @@ from tunefree_hil.bus.codec import Codec
 from tunefree_hil.control.cascade import Decision, Sight
 from tunefree_hil.nodes.controller import Assignment, ControllerPart
 from tunefree_hil.nodes.exchange import Exchange
+from tunefree_hil.nodes.handshake import WHY_TICKS
 from tunefree_hil.nodes.timing import CycleTimes
 
 WISH = Command(throttle_frac=0.25, brake_frac=0.15, steer_rad=0.5, gear=GEAR_DRIVE)
@@ -160,8 +161,9 @@ def test_lost_engagement_is_said_once_and_commands_stop(
 
 def test_a_channel_that_drops_by_itself_ends_it(seat: Seat) -> None:
     seat.cycle(0)
-    _, words = seat.cycle(1, seat.all_frames(THROTTLE_REPORT={"ENABLED": 0.0}))
-    assert words[0].error_code == bc.ErrorCode.NOT_ENABLED
+    heard = [seat.cycle(k, seat.all_frames(THROTTLE_REPORT={"ENABLED": 0.0}))[1] for k in range(1, WHY_TICKS + 1)]
+    assert [len(words) for words in heard] == [0] * (WHY_TICKS - 1) + [1]
+    assert heard[-1][0].error_code == bc.ErrorCode.NOT_ENABLED
 
 
 @pytest.mark.parametrize(

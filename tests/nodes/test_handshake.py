@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tunefree_hil.nodes.handshake import ENDED, Handshake, Stage, VehicleState
+from tunefree_hil.nodes.handshake import ENDED, WHY_TICKS, Handshake, Stage, VehicleState
 
 READY = VehicleState(known=True)
 ON = VehicleState(known=True, enabled=True)
@@ -54,7 +54,6 @@ def test_an_override_that_stays_latched_ends_it():
     [
         (ON._replace(override=True), Stage.OVERRIDE),
         (ON._replace(fault=True), Stage.FAULT),
-        (READY, Stage.DROPPED),
         (ON._replace(override=True, fault=True), Stage.FAULT),
     ],
 )
@@ -63,6 +62,18 @@ def test_engaged_is_lost_at_once(state, stage):
     hand.look(0, ON)
     assert hand.look(1, state) is stage
     assert not hand.enable
+
+
+def test_a_channel_that_left_is_given_time_to_say_why():
+    """The bit that says so is in a report of its own, up to 50 ms later; the drive ends by the right name."""
+    for why, stage in ((READY, Stage.DROPPED), (READY._replace(override=True), Stage.OVERRIDE)):
+        hand = Handshake()
+        hand.look(0, ON)
+        hand.look(1, ON)
+        assert all(hand.look(1 + k, READY) is Stage.ENGAGED for k in range(1, WHY_TICKS))
+        assert hand.look(1 + WHY_TICKS, why) is stage and not hand.enable
+    hand = Handshake()
+    assert [hand.look(k, ON if k % 4 == 0 else READY) for k in range(40)] == [Stage.ENGAGED] * 40, "it came back"
 
 
 @given(st.lists(states, min_size=1, max_size=60))

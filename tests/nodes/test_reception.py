@@ -19,9 +19,11 @@ def little(tmp_path: Path) -> Codec:
     return Codec(load_vehicle(write_car(tmp_path)))
 
 
-def run(codec: Codec, name: str, counts: dict[int, int], ticks: int) -> Reception:
+def run(codec: Codec, name: str, counts: dict[int, int], ticks: int, *, lockstep: bool = False) -> Reception:
     """`ticks` ticks of one message by its period; counts: other numbers of frames than 1, by tick."""
     message, writer, reception = codec.by_name[name], FrameWriter(codec), Reception(codec.telemetry)
+    if lockstep:
+        reception.expect_every_period()
     for k in range(ticks):
         due = k % message.period_ticks == 0
         for _ in range(counts.get(k, int(due))):
@@ -48,6 +50,18 @@ def test_silence_is_noticed_once_and_counted_by_period(codec: Codec, name: str, 
     last = 50 - period
     assert of(reception, name) == [(last + period + 2, "no new data")]
     assert reception.troubles()[name][E2eStatus.NO_NEW_DATA] in (8, 9, 10)
+
+
+@pytest.mark.parametrize(("name", "period"), [("GYRO", 1), ("BRAKE_REPORT", 2), ("GEAR_REPORT", 5)])
+def test_in_lockstep_a_single_missing_frame_is_noticed_at_its_tick(codec: Codec, name: str, period: int) -> None:
+    assert of(run(codec, name, {}, 100, lockstep=True), name) == []
+    assert of(run(codec, name, {50: 0}, 100, lockstep=True), name) == [(50, "no new data")]
+    assert of(run(codec, name, {50: 0}, 100), name) == ([] if period < 3 else [(52, "no new data")])
+
+
+def test_in_lockstep_a_first_frame_that_never_comes_is_noticed_too(codec: Codec) -> None:
+    silent = {k: 0 for k in range(0, 60, 5)}
+    assert of(run(codec, "GEAR_REPORT", silent, 30, lockstep=True), "GEAR_REPORT") == [(5, "no new data")]
 
 
 def test_a_frame_that_comes_one_tick_late_is_none_of_that(codec: Codec) -> None:

@@ -82,6 +82,27 @@ def test_who_does_not_say_hello_is_named(clock: FakeTime, present: tuple[bc.Role
     with pytest.raises(NoAnswer, match=f"no hello from {missing} within 3 s") as caught:
         desk.runner.meet(3.0)
     assert "--session" in caught.value.hint
+    assert ("INDEX NAME" in caught.value.hint) == (missing == "controller")
+
+
+def test_half_a_hello_is_none_and_one_that_cannot_be_read_is_said_at_once(clock: FakeTime) -> None:
+    ecu, own = bc.hello_messages(ECU, "mkz", []), bc.hello_messages(CONTROLLER, "own", ["own.gain"])
+    with pytest.raises(NoAnswer, match=r"no hello from controller within 3 s; 2 of 4 parts of the controller's came"):
+        Desk(clock, ecu, own[:2]).runner.meet(3.0)
+    with pytest.raises(InputError, match=r"the controller's line '3 own\.gain' is not 'INDEX NAME'"):
+        Desk(clock, ecu, bc.hello_messages(CONTROLLER, "own", {3: "own.gain"})).runner.meet(3.0)
+
+
+def test_a_node_that_says_it_leaves_has_time_to_end_with_its_own_words(clock: FakeTime) -> None:
+    started_s = clock.now_s
+
+    def check() -> None:
+        if clock.now_s > started_s + 1.0:
+            raise PeerGone("ecu", "the ecu process ended with status 3; its last words: tick 20: no answer")
+
+    desk = Desk(clock, READY, [bc.Status(ECU, bc.State.END, 0, 20)], check=check)
+    with pytest.raises(PeerGone, match="last words: tick 20"):
+        desk.drive()
 
 
 def test_an_episode(clock: FakeTime) -> None:

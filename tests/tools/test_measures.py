@@ -244,9 +244,16 @@ def test_speed_and_hub_are_measured() -> None:
 
 @pytest.mark.slow
 def test_no_fault_of_a_sample_is_silent_and_a_silent_one_would_be_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = faults.measure(every=29)
+    found = faults.measure(every=37)
     assert (found["value"], found["detail"]["silent"]) == (0, [])
     assert found["n"] + found["detail"]["not_detectable_by_protocol"] == found["detail"]["rows"] > 20
-    monkeypatch.setitem(faults.VALUES, "delay", 1.0)  # one tick late is within a receiver's grace
-    rows = faults.rows_of(load(STEER), every=29)
-    assert {row.answer == faults.SILENT for row in rows if row.kind == "delay"} == {True}
+    monkeypatch.setattr(faults, "kinds_of", lambda message: [])
+    monkeypatch.setitem(faults.DRIVERS, "steer", 0.5)  # Nm: no override, so nobody has anything to say
+    rows = faults.rows_of(load(STEER))
+    assert {row.where for row in rows if row.answer == faults.SILENT} == {"steer"} and len(rows) == 3 * 6
+
+
+@pytest.mark.slow
+def test_a_fault_of_a_single_frame_is_not_silent_either() -> None:
+    found = faults.measure(every=47, frames=1)
+    assert (found["value"], found["detail"]["silent"]) == (0, []) and found["n"] > 10

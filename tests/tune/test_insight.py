@@ -73,16 +73,16 @@ def test_equal_values_share_their_rank() -> None:
     ("axis", "value", "edge"),
     [
         (LOG, LOG.low, "lower"),
-        (LOG, 0.01 * 100.0**0.009, "lower"),
-        (LOG, 0.01 * 100.0**0.011, ""),
-        (LOG, 100.0**-0.009, "upper"),
-        (LINEAR, 0.019, "lower"),
-        (LINEAR, 1.97, ""),
+        (LOG, 0.01 * 100.0**0.019, "lower"),
+        (LOG, 0.01 * 100.0**0.021, ""),
+        (LOG, 100.0**-0.019, "upper"),
+        (LINEAR, 0.039, "lower"),
+        (LINEAR, 1.95, ""),
         (STEPPED, 3.0, "upper"),
         (SWITCH, 1.0, ""),
     ],
 )
-def test_edges_are_one_percent_of_the_range(axis: Axis, value: float, edge: str) -> None:
+def test_edges_are_two_percent_of_the_range(axis: Axis, value: float, edge: str) -> None:
     assert edge_of(axis, value) == edge
 
 

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+import optuna
 import pytest
 
 from tests.bench.tiny import write_bench
@@ -19,7 +20,9 @@ from tests.jobs.command import start as start_command
 from tests.tune.drive_study import bowl, settings
 from tests.tune.postgres import PASSWORD, USER, Server, binaries
 from tunefree_hil.base.errors import BenchError, InputError
+from tunefree_hil.tune.server import address_of, open_storage
 from tunefree_hil.tune.shared import SharedStudy, join_study
+from tunefree_hil.tune.study import read_study
 from tunefree_hil.tune.trial import Evaluation, Trial
 
 pytest.importorskip("psycopg", reason="the driver is not installed: pip install 'tunefree_hil[postgres]'")
@@ -241,12 +244,28 @@ def test_two_workers_of_tune_one_of_them_killed(server: Server, tmp_path: Path) 
     assert done.status == 0, done.words
     assert PASSWORD not in done.words + str(done.data)
     assert done.data["best"]["score"] > 0.0
+    slots = [trial.user_attrs["slot"] for trial in complete(url)]
+    assert sorted(slots) == list(range(6))
+    with read_study(Path(done.data["run"]) / "study.db") as copy:
+        assert [trial.slot for trial in copy.trials()] == list(range(6)) and len(copy.baselines()) == 5
     for path in tmp_path.rglob("*"):
         if path.is_file():
             assert PASSWORD.encode() not in path.read_bytes(), path
     other = finish(start_command(*words, "--seed", 5, "--session", new_session(), "--out", tmp_path / "other"), 60.0)
     assert other.status == 2
     one_message(other, "seed was 1, now 5", f"{USER}@")
+
+
+def complete(url: str) -> list[optuna.trial.FrozenTrial]:
+    """The trials that Optuna itself counts as complete."""
+    address = address_of(url)
+    storage = open_storage(address)
+    try:
+        study = optuna.load_study(study_name=address.name, storage=storage)
+        return study.get_trials(states=(optuna.trial.TrialState.COMPLETE,))
+    finally:
+        storage.remove_session()
+        storage.engine.dispose()
 
 
 class join_any:

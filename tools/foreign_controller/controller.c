@@ -222,7 +222,7 @@ static int is_report(uint32_t id)
 static void await_frames(Node *node, int count)
 {
     if (count > MOST)
-        fail("the ECU announced %d frames, %d are the most that are taken", count, MOST);
+        fail(OWN_FAULT, "the ECU announced %d frames, %d are the most that are taken", count, MOST);
     while (node->waiting_count < count) {
         Frame *next = node->waiting + node->waiting_count;
         if (link_take(node->vehicle, next)) {
@@ -231,7 +231,7 @@ static void await_frames(Node *node, int count)
         }
         struct pollfd ready = { link_fd(node->vehicle), POLLIN, 0 };
         if (poll(&ready, 1, WAIT_MS) <= 0)
-            fail("the ECU announced %d frames, %d arrived", count, node->waiting_count);
+            fail(BENCH_LOST, "the ECU announced %d frames, %d arrived", count, node->waiting_count);
     }
 }
 
@@ -240,7 +240,7 @@ static void follow_starter(void)
 {
     const char *starter = getenv("TUNEFREE_STARTER");
     if (starter && *starter && getppid() != (pid_t)atol(starter))
-        fail("whoever started this is gone");
+        fail(BENCH_LOST, "whoever started this is gone");
 }
 
 static void answer(Node *node, const Frame *frame)

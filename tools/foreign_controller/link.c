@@ -28,7 +28,7 @@ struct Link {
     size_t begin, end;
 };
 
-void fail(const char *format, ...)
+void fail(int status, const char *format, ...)
 {
     va_list values;
     va_start(values, format);
@@ -36,7 +36,7 @@ void fail(const char *format, ...)
     vfprintf(stderr, format, values);
     fputc('\n', stderr);
     va_end(values);
-    exit(3);
+    exit(status);
 }
 
 static void put(uint8_t *at, uint64_t value, int bytes)
@@ -63,7 +63,7 @@ static void write_all(Link *link, const uint8_t *data, size_t size)
         } else if (errno == ENOBUFS && waited_ms++ < WAIT_MS) {
             usleep(1000); /* a transmit queue is full; poll() would call it writable */
         } else if (errno != EINTR) {
-            fail("the bus takes no frames: %s", strerror(errno));
+            fail(BENCH_LOST, "the bus takes no frames: %s", strerror(errno));
         }
     }
 }
@@ -78,9 +78,9 @@ static int fill(Link *link)
     }
     ssize_t got = recv(link->fd, link->buffer + link->end, sizeof link->buffer - link->end, MSG_DONTWAIT);
     if (got == 0)
-        fail("the hub has gone");
+        fail(BENCH_LOST, "the hub has gone");
     if (got < 0 && errno != EAGAIN && errno != EINTR)
-        fail("the bus is gone: %s", strerror(errno));
+        fail(BENCH_LOST, "the bus is gone: %s", strerror(errno));
     if (got > 0)
         link->end += (size_t)got;
     return got > 0;
@@ -93,7 +93,7 @@ static const uint8_t *record(Link *link)
         size_t there = link->end - link->begin;
         size_t size = there >= 2 ? (size_t)get(link->buffer + link->begin, 2) : 0;
         if (there >= 2 && size < HEAD)
-            fail("the hub sends what is no record");
+            fail(BENCH_LOST, "the hub sends what is no record");
         if (size && there >= size) {
             const uint8_t *found = link->buffer + link->begin;
             link->begin += size;
@@ -118,10 +118,10 @@ static void say_hello(Link *link, const char *token, const char *name)
     while (!(answer = record(link))) {
         struct pollfd ready = { link->fd, POLLIN, 0 };
         if (poll(&ready, 1, WAIT_MS) <= 0)
-            fail("the hub gives no answer");
+            fail(BENCH_LOST, "the hub gives no answer");
     }
     if (answer[2] != WELCOME)
-        fail("the hub refused: %.*s", (int)(get(answer, 2) - HEAD), (const char *)answer + HEAD);
+        fail(BENCH_LOST, "the hub refused: %.*s", (int)(get(answer, 2) - HEAD), (const char *)answer + HEAD);
 }
 
 static void open_hub(Link *link, const char *where, const char *token_file, const char *name)
@@ -131,17 +131,17 @@ static void open_hub(Link *link, const char *where, const char *token_file, cons
     int port;
     struct sockaddr_in address = { .sin_family = AF_INET };
     if (sscanf(where, "%63[^:]:%d", host, &port) != 2 || inet_pton(AF_INET, host, &address.sin_addr) != 1)
-        fail("%s is no HOST:PORT", where);
+        fail(OWN_FAULT, "%s is no HOST:PORT", where);
     address.sin_port = htons((uint16_t)port);
     FILE *file = token_file ? fopen(token_file, "r") : NULL;
     if (token_file && (!file || !fgets(token, sizeof token, file)))
-        fail("the token cannot be read from %s", token_file);
+        fail(OWN_FAULT, "the token cannot be read from %s", token_file);
     if (file)
         fclose(file);
     token[strcspn(token, "\r\n")] = '\0';
     link->fd = socket(AF_INET, SOCK_STREAM, 0);
     if (link->fd < 0 || connect(link->fd, (struct sockaddr *)&address, sizeof address) < 0)
-        fail("no hub listens at %s: %s", where, strerror(errno));
+        fail(BENCH_LOST, "no hub listens at %s: %s", where, strerror(errno));
     setsockopt(link->fd, IPPROTO_TCP, TCP_NODELAY, &(int){ 1 }, sizeof(int));
     link->is_hub = 1;
     say_hello(link, token, name);
@@ -153,30 +153,30 @@ static void open_socketcan(Link *link, const char *name)
     struct sockaddr_can address = { .can_family = AF_CAN };
     link->fd = socket(AF_CAN, SOCK_RAW, CAN_RAW);
     if (link->fd < 0)
-        fail("this kernel has no CAN: %s", strerror(errno));
+        fail(OWN_FAULT, "this kernel has no CAN: %s", strerror(errno));
     if (strlen(name) >= IFNAMSIZ)
-        fail("%s is no name of a link", name);
+        fail(OWN_FAULT, "%s is no name of a link", name);
     strcpy(asked.ifr_name, name);
     if (ioctl(link->fd, SIOCGIFINDEX, &asked) < 0)
-        fail("there is no link %s: %s", name, strerror(errno));
+        fail(OWN_FAULT, "there is no link %s: %s", name, strerror(errno));
     if (setsockopt(link->fd, SOL_SOCKET, SO_RCVBUFFORCE, &(int){ 1 << 22 }, sizeof(int)) < 0) /* root's only */
         setsockopt(link->fd, SOL_SOCKET, SO_RCVBUF, &(int){ 1 << 22 }, sizeof(int));
     address.can_ifindex = asked.ifr_ifindex;
     if (bind(link->fd, (struct sockaddr *)&address, sizeof address) < 0)
-        fail("%s does not open: %s", name, strerror(errno));
+        fail(OWN_FAULT, "%s does not open: %s", name, strerror(errno));
 }
 
 Link *link_open(const char *text, const char *token_file, const char *name)
 {
     Link *link = calloc(1, sizeof *link);
     if (!link)
-        fail("no memory");
+        fail(OWN_FAULT, "no memory");
     if (!strncmp(text, "tcp:", 4))
         open_hub(link, text + 4, token_file, name);
     else if (!strncmp(text, "socketcan:", 10))
         open_socketcan(link, text + 10);
     else
-        fail("%s is neither tcp:HOST:PORT nor socketcan:NAME", text);
+        fail(OWN_FAULT, "%s is neither tcp:HOST:PORT nor socketcan:NAME", text);
     return link;
 }
 
@@ -189,7 +189,7 @@ void link_send(Link *link, const Frame *frames, int count, double stamp_s)
 {
     uint8_t records[RECORD * 64];
     if (count > 64)
-        fail("%d frames at once", count);
+        fail(OWN_FAULT, "%d frames at once", count);
     for (int i = 0; i < count; i++) {
         struct can_frame frame = { .can_id = frames[i].id, .len = frames[i].length };
         memcpy(frame.data, frames[i].data, 8);
@@ -214,7 +214,7 @@ static int take_socketcan(Link *link, Frame *frame)
         if (got < 0 && (errno == EAGAIN || errno == EINTR))
             return 0;
         if (got != (ssize_t)sizeof raw)
-            fail("the bus is gone: %s", got < 0 ? strerror(errno) : "what it gives is no CAN frame");
+            fail(BENCH_LOST, "the bus is gone: %s", got < 0 ? strerror(errno) : "what it gives is no CAN frame");
         if (!(raw.can_id & (CAN_EFF_FLAG | CAN_RTR_FLAG | CAN_ERR_FLAG)))
             break;
     }
@@ -232,7 +232,7 @@ int link_take(Link *link, Frame *frame)
         return take_socketcan(link, frame);
     while ((found = record(link))) {
         if (found[2] == PEER_GONE || found[2] == END || found[2] == BYE)
-            fail("the bench ends: %.*s", (int)(get(found, 2) - HEAD), (const char *)found + HEAD);
+            fail(BENCH_LOST, "the bench ends: %.*s", (int)(get(found, 2) - HEAD), (const char *)found + HEAD);
         if (found[2] != FRAME || get(found, 2) != RECORD)
             continue;
         memcpy(&raw, found + HEAD, sizeof raw);

@@ -1,4 +1,4 @@
-/* One CAN channel: of a hub over loopback TCP, or a SocketCAN link. Errors end the process with words and status 3. */
+/* One CAN channel: of a hub over loopback TCP, or a SocketCAN link. Errors end the process with words and a status. */
 #ifndef LINK_H
 #define LINK_H
 
@@ -24,7 +24,9 @@ void link_send(Link *link, const Frame *frames, int count, double stamp_s);
 /* The next frame that has arrived: 1, or 0 when there is none yet. Does not wait. */
 int link_take(Link *link, Frame *frame);
 
-/* Print `controller: ...` to stderr and end with status 3. */
-_Noreturn void fail(const char *format, ...);
+enum { OWN_FAULT = 1, BENCH_LOST = 3 };
+
+/* Print `controller: ...` to stderr and end with this status; BENCH_LOST: the others know why. */
+_Noreturn void fail(int status, const char *format, ...);
 
 #endif

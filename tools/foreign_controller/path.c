@@ -25,24 +25,24 @@ int path_load(Path *path, const char *folder, const unsigned char start[6])
     free(path->points);
     path->points = NULL;
     if (!fgets(line, sizeof line, file) || strncmp(line, "t_s,x_m,y_m,heading_rad,speed_mps,accel_mps2,curvature_1pm", 57))
-        fail("%s does not begin with the columns expected", name);
+        fail(OWN_FAULT, "%s does not begin with the columns expected", name);
     while (fgets(line, sizeof line, file)) {
         if (path->count == room) {
             room = room ? 2 * room : 1024;
             path->points = realloc(path->points, (size_t)room * sizeof(Point));
             if (!path->points)
-                fail("no memory");
+                fail(OWN_FAULT, "no memory");
         }
         Point *p = path->points + path->count;
         if (sscanf(line, "%lf,%lf,%lf,%lf,%lf,%lf,%lf", &p->t_s, &p->x_m, &p->y_m, &p->heading_rad, &p->speed_mps,
                    &p->accel_mps2, &p->curvature_1pm) != 7)
-            fail("%s: line %d is not seven numbers", name, path->count + 2);
+            fail(OWN_FAULT, "%s: line %d is not seven numbers", name, path->count + 2);
         p->station_m = path->count ? p[-1].station_m + hypot(p->x_m - p[-1].x_m, p->y_m - p[-1].y_m) : 0.0;
         path->count++;
     }
     fclose(file);
     if (path->count < 2)
-        fail("%s holds no path", name);
+        fail(OWN_FAULT, "%s holds no path", name);
     return 1;
 }
 

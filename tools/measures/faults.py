@@ -2,7 +2,8 @@
 
 An answer is a status (E2E, arrival, rate), an error code or a named event; the same drive without a fault gives none.
 A corrupt frame needs a CRC to be seen, a duplicate or stale one a counter; where the message has none, the row is
-listed apart as "not detectable by protocol", whatever else may have noticed it.
+listed apart as "not detectable by protocol", whatever else may have noticed it. A fault lasts 250 ms;
+`frames=1` makes faults that meet a single frame of a message.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.message_map import MessageMap
 from tunefree_hil.config.fault_check import COUNTER_KINDS, CRC_KINDS, FAULT_KINDS, FRAME_KINDS, PEERS
 from tunefree_hil.config.load import load_bench
-from tunefree_hil.config.schema import FaultSpec
+from tunefree_hil.config.schema import FaultSpec, ScenarioSpec
 
 ROOT = Path(__file__).resolve().parents[2]
 
 VALUE = "bus faults without status, error code or named event within 250 ms, among those the protocol can see (0)"
 MOMENTS = (40, 163, 297)  # ticks
 LIMIT_TICKS = 25
-VALUES = {"delay": 5.0, "corrupt": 1.0, "crc_value": 90.0, "crc_offset": 1.0, "counter_value": 3.0,
+VALUES = {"delay": 5.0, "corrupt": 1.0, "crc_value": 90.0, "crc_offset": 1.0, "counter_value": 0.0,
           "counter_offset": 5.0, "burst": 5.0}  # fmt: skip
 DRIVERS = {"throttle": 0.5, "brake": 0.4, "steer": 10.0, "gear": 0.0}  # duty, Nm
 NOT_DETECTABLE, SILENT = "not detectable by protocol", "silent"
@@ -42,13 +43,16 @@ class Row(NamedTuple):
     after_ticks: int
 
 
-def measure(benches: str = "", every: int = 1, seed: int = 1, table: str = "", rows: int = 0) -> dict[str, Any]:
+def measure(
+    benches: str = "", every: int = 1, seed: int = 1, table: str = "", rows: int = 0, frames: int = 0
+) -> dict[str, Any]:
     """benches: bench files, by default one of each vehicle. every: only each such case.
 
-    table: a file for the whole table. rows: how many of its rows the detail lists.
+    table: a file for the whole table. rows: how many of its rows the detail lists. frames: how many frames of its
+    message a fault meets, 0 for as many as come in 250 ms.
     """
     chosen = [load(name) for name in benches.split(",")] if benches else one_of_each_vehicle()
-    found = [row for bench in chosen for row in rows_of(bench, every, seed)]
+    found = [row for bench in chosen for row in rows_of(bench, every, seed, frames)]
     detectable = [row for row in found if row.answer != NOT_DETECTABLE]
     silent = [row for row in detectable if row.answer == SILENT]
     if table:
@@ -67,23 +71,24 @@ def measure(benches: str = "", every: int = 1, seed: int = 1, table: str = "", r
 
 
 def one_of_each_vehicle() -> list[Bench]:
-    """The last bench file of each vehicle, by name."""
-    found = {load_bench(path).vehicle: path for path in sorted((ROOT / "bench_configs").glob("*.toml"))}
+    """The last bench file of each vehicle, by name; those that start somebody's own controller do not count."""
+    specs = [load_bench(path) for path in sorted((ROOT / "bench_configs").glob("*.toml"))]
+    found = {spec.vehicle: spec.path for spec in specs if not spec.controller.command}
     return [load(path) for path in found.values()]
 
 
-def rows_of(bench: Bench, every: int = 1, seed: int = 1) -> list[Row]:
-    """The table of one bench file's vehicle, in its first scenario."""
+def rows_of(bench: Bench, every: int = 1, seed: int = 1, frames: int = 0) -> list[Row]:
+    """The table of one bench file's vehicle, in its first scenario that is long enough. frames: see `measure`."""
     rig, values = InProcess(bench), parameters_of(bench)
-    scenario = next(iter(bench.scenarios.values()))
+    scenario = long_enough(bench)
     clean = rig.drive(scenario, values, keep=False, until=MOMENTS[-1] + LIMIT_TICKS + 2)
     first = answer(clean, 0, 1 << 31)
     if first is not None:
         raise AssertionError(f"{bench.vehicle.name} without a fault: {first[0]} at tick {first[1]}")
     found = []
-    for fault in list(cases(bench, seed))[::every]:
+    for fault in list(cases(bench, seed, frames))[::every]:
         rig.script([fault])
-        drive = rig.drive(scenario, values, keep=False, until=fault.to_tick + 2)
+        drive = rig.drive(scenario, values, keep=False, until=fault.from_tick + LIMIT_TICKS + 2)
         message = bench.codec.by_name.get(fault.message)
         said = answer(drive, fault.from_tick, LIMIT_TICKS)
         words, after = said if said is not None else (SILENT, -1)
@@ -94,11 +99,21 @@ def rows_of(bench: Bench, every: int = 1, seed: int = 1) -> list[Row]:
     return found
 
 
-def cases(bench: Bench, seed: int) -> Iterator[FaultSpec]:
-    """Every kind that a message can have, every peer, every hand; at each moment."""
+def long_enough(bench: Bench) -> ScenarioSpec:
+    """The first scenario that is not over before the last fault could be answered."""
+    needed = MOMENTS[-1] + LIMIT_TICKS + 2
+    for scenario in bench.scenarios.values():
+        if bench.course(scenario).ticks >= needed:
+            return scenario
+    raise ValueError(f"{bench.file}: no scenario of at least {needed} ticks")
+
+
+def cases(bench: Bench, seed: int, frames: int = 0) -> Iterator[FaultSpec]:
+    """Every kind that a message can have, at each moment; every peer and every hand too where `frames` is 0."""
 
     def fault(kind: str, moment: int, *, message: str = "", channel: str = "", value: float = 0.0) -> FaultSpec:
-        end = moment + LIMIT_TICKS
+        period = bench.codec.by_name[message].period_ticks if message else 1
+        end = moment + (frames * period or LIMIT_TICKS)
         return FaultSpec(
             kind=kind, message=message, channel=channel, value=value, from_tick=moment, to_tick=end, seed=seed
         )
@@ -107,6 +122,8 @@ def cases(bench: Bench, seed: int) -> Iterator[FaultSpec]:
         for message in (*bench.codec.commands, *bench.codec.telemetry):
             for kind in kinds_of(message):
                 yield fault(kind, moment, message=message.name, value=VALUES.get(kind, 0.0))
+        if frames:
+            continue
         for peer in PEERS:
             yield fault("peer_stop", moment, channel=peer)
         for channel, value in DRIVERS.items():

@@ -4,6 +4,8 @@
 state is dead (a step may reuse the buffers it owns). The same source runs tick by tick on the bus as plain Python and,
 in a process started with TUNEFREE_JIT=1, compiled by numba. Both give the same bits, so kernels obey what
 tests/test_kernels.py checks: `math` functions only, no `**`, no `hypot`, no `fmod`, guarded divisions, explicit loops.
+
+TUNEFREE_JIT=1 compiles every kernel for itself; TUNEFREE_JIT=batch only what `compiled` wraps, with all that it calls.
 """
 
 from __future__ import annotations
@@ -75,16 +77,29 @@ def compiled(function: F) -> F:
     return cast(F, dispatcher)
 
 
+def kept(function: F) -> F:
+    """`function`, a kernel that Python calls, with what the compiler makes of it kept in the user's cache folder.
+
+    In a process started with TUNEFREE_JIT=1 only; where the cache does not have it, a process beside this one compiles
+    it, so that this one never has the compiler's memory.
+    """
+    if JITTED:
+        plain, dispatcher = cast(Any, function).py_func, cast(Any, function)
+        dispatcher._cache = KernelCache(plain, callees(plain), cache_folder(), dispatcher.compile)
+    return function
+
+
 def callees(function: Callable[..., Any]) -> list[Callable[..., Any]]:
     """The kernels that a kernel calls, and they in turn, without itself: found by name in globals and closures."""
     found: dict[Any, None] = {}
     todo: list[Any] = [function]
     while todo:
         for _, value in named_in(todo.pop()):
-            is_kernel = isinstance(value, FunctionType) and "kernel" in value.__dict__
-            if is_kernel and value is not function and value not in found:
-                found[value] = None
-                todo.append(value)
+            plain = getattr(value, "py_func", value)
+            is_kernel = isinstance(plain, FunctionType) and (plain is not value or "kernel" in plain.__dict__)
+            if is_kernel and plain is not function and plain not in found:
+                found[plain] = None
+                todo.append(plain)
     return list(found)
 
 

@@ -1,4 +1,4 @@
-"""What the compiler made of a batch's kernels, kept in the user's cache folder (design D1).
+"""What the compiler made of kernels, kept in the user's cache folder (design D1).
 
 An entry's name is a hash over everything that it was made from: the code of every kernel in it with the constants and
 records that it names, how they were put together, the types of the arguments, Python, numba, llvmlite, numpy, the
@@ -11,25 +11,29 @@ user (0700). Where there is no folder that can be written, nothing is kept.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import hashlib
 import importlib.metadata
 import os
 import pickle
 import platform
+import signal
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
 
+PLACE_VARIABLE = "TUNEFREE_CACHE"
 LIBRARIES = ("numba", "llvmlite", "numpy")
 KEPT = 40  # entries; those used longest ago go first
 DIGEST_BYTES = 32
+PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 
 
 def cache_folder() -> Path:
     """TUNEFREE_CACHE, else tunefree_hil in the user's own cache folder."""
-    own = os.environ.get("TUNEFREE_CACHE")
+    own = os.environ.get(PLACE_VARIABLE)
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tunefree_hil"
     return (Path(own) if own else base) / "kernels"
 
@@ -39,13 +43,27 @@ class KernelCache:
 
     cache_path = None
 
-    def __init__(self, function: Callable[..., Any], callees: Iterable[Callable[..., Any]], folder: Path) -> None:
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        callees: Iterable[Callable[..., Any]],
+        folder: Path,
+        apart: Callable[[Any], Any] | None = None,
+    ) -> None:
+        """apart: compiles for a signature. Where it is given, a process beside this one does that."""
         self.folder = folder
         self._made_from = _made_from(function, callees)
+        self._apart = apart
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
-        """The compiled overload, or None."""
+        """The compiled overload, or None: then whoever asks compiles it."""
         path = self._path(signature, target_context)
+        if self._apart is not None and not path.exists():
+            compile_apart, self._apart = self._apart, None
+            _beside(lambda: compile_apart(signature))
+        return self._read(path, target_context)
+
+    def _read(self, path: Path, target_context: Any) -> Any:
         try:
             data = path.read_bytes()
         except OSError:
@@ -55,12 +73,16 @@ class KernelCache:
             return None  # cut off by a full disk: it is compiled and written again
         with contextlib.suppress(OSError):
             os.utime(path)
+        target_context.refresh()  # what compiling would have made ready: reference counts, helpers
         kind, parts = pickle.loads(payload)
         return kind._rebuild(target_context, *parts)
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Keep a compiled overload."""
-        payload = pickle.dumps((type(result), result._reduce()), pickle.HIGHEST_PROTOCOL)
+        try:
+            payload = pickle.dumps((type(result), result._reduce()), pickle.HIGHEST_PROTOCOL)
+        except (pickle.PicklingError, AttributeError):
+            return  # it names a record that only this process has
         path = self._path(signature, result.target_context)
         part = path.with_name(f"{path.name}.{os.getpid()}.part")
         with contextlib.suppress(OSError):  # a cache that cannot be written is none
@@ -90,6 +112,21 @@ class KernelCache:
             path.unlink(missing_ok=True)
 
 
+def _beside(work: Callable[[], Any]) -> None:
+    """Do `work` in a copy of this process, which ends with it or with this one. What it raises is not told."""
+    child = os.fork()
+    if child:
+        os.waitpid(child, 0)
+        return
+    try:
+        prctl = getattr(ctypes.CDLL(None), "prctl", None)
+        if prctl is not None:
+            prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL))
+        work()
+    finally:
+        os._exit(0)  # nothing of the copied process's own may be ended
+
+
 def _made_from(function: Callable[..., Any], callees: Iterable[Callable[..., Any]]) -> bytes:
     """A hash over all but the types of the arguments."""
     whole = hashlib.sha256()
@@ -109,6 +146,7 @@ def _content(function: Any) -> str:
 
 def _identity(value: Any) -> Any:
     """What a value is: functions by place and by what they close over in turn, records by their fields."""
+    value = getattr(value, "py_func", value)  # a dispatcher is its function
     if isinstance(value, FunctionType):
         cells = [_identity(cell.cell_contents) for cell in value.__closure__ or ()]
         return (value.__module__, value.__qualname__, value.__code__.co_firstlineno, cells)

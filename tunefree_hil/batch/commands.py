@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.base.kernel import buffer, kernel, table
+from tunefree_hil.base.kernel import Block, buffer, kernel, table
 from tunefree_hil.base.records import GEAR_NONE, Command
 from tunefree_hil.bus.codec import Codec, MessageMap
 from tunefree_hil.bus.integrity import E2eStatus
@@ -65,9 +65,9 @@ def command_params(codec: Codec) -> CommandParams:
     )
 
 
-def init_commands(codec: Codec, params: CommandParams) -> CommandState:
-    """Nothing sent yet."""
-    block, size = wire(codec, "command", {}), max(len(codec.commands), 1)
+def init_commands(block: Block, params: CommandParams) -> CommandState:
+    """Nothing sent yet. block: the wire of the commands."""
+    size = max(len(params.period_ticks), 1)
     return CommandState(block.init(params.wire, 0.0), buffer(size), buffer(size), buffer(size))
 
 

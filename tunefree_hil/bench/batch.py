@@ -27,6 +27,7 @@ from tunefree_hil.bench.simulator import Job
 
 __all__ = ["Batch", "Driven", "Job"]
 
+COMPILED = {"TUNEFREE_JIT": "batch"}  # the environment of the process beside ours
 LAST_LINES = 12  # of what the process printed, where it dies
 END_S = 5.0
 
@@ -47,7 +48,7 @@ class Batch:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._words,
-            env={**os.environ, "TUNEFREE_JIT": "batch"},
+            env={**os.environ, **COMPILED},
         )
         try:
             self._ask((packed(bench), model or bench.spec.model, tuple(extra_effects), threads))

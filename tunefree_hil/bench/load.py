@@ -10,6 +10,7 @@ from tunefree_hil.base.course import Course
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.check_vehicle import check_vehicle, one_error
 from tunefree_hil.bus.codec import Codec
+from tunefree_hil.config.check_drive import check_drive
 from tunefree_hil.config.check_vehicle import check_fields
 from tunefree_hil.config.find import available
 from tunefree_hil.config.load import load_bench, load_model, load_scenario, load_vehicle, load_weights
@@ -56,11 +57,16 @@ def load(path: Path | str) -> Bench:
 
 
 def whole_vehicle(name: Path | str, near: Path | str | None = None) -> VehicleSpec:
-    """A vehicle folder. Raises one InputError with all that is wrong with it, vehicle.toml by itself and its DBC."""
+    """A vehicle folder that can be driven.
+
+    Raises one InputError with all that is wrong with it: vehicle.toml by itself, against its DBC, and what it lacks.
+    """
     vehicle = load_vehicle(name, near, check=False)
     problems = check_fields(vehicle)
     known = {(problem.key, problem.message) for problem in problems}
     problems += [one for one in check_vehicle(vehicle) if (one.key, one.message) not in known]
+    told = {problem.key for problem in problems}
+    problems += [one for one in check_drive(vehicle) if one.key not in told]
     if problems:
         raise one_error(problems)
     return vehicle

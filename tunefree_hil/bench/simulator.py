@@ -1,4 +1,4 @@
-"""The drives of a bench in this process, by the episode kernel of batch/: compiled where TUNEFREE_JIT=1, else slow.
+"""The drives of a bench in this process, by the episode kernel of batch/: compiled where TUNEFREE_JIT=batch, else slow.
 
 Made once for a structure (vehicle folder, kind of plant, names of effects, controller parts, delays); everything else
 is data, so that nothing is compiled for another set of parameters, scenario, seed or value of an effect.
@@ -94,12 +94,13 @@ class Simulator:
         self._controllers = ControllerFor(self.bench)
         self._vehicle_makers: dict[Any, VehicleFor] = {}
         self._vehicles: dict[Any, Vehicle] = {}
+        self._starts: dict[int, tuple[Vehicle, Ridden]] = {}
         self._lock = threading.Lock()
         self._own = threading.local()
         self._base = self._vehicle_maker({}, {})
         self._driver = _driver_rows(self.bench, self._base)
         self._link = _link_params(self.bench, self._base.phases)
-        self._wires = {group: wire(bench.codec, group, self._base.phases) for group in ("report", "ins")}
+        self._wires = {group: wire(bench.codec, group, self._base.phases) for group in ("report", "ins", "command")}
         self._kernel: Any = None
 
     def drive(self, job: Job) -> Drive:
@@ -147,12 +148,22 @@ class Simulator:
             ins,
             init_bits(self._link.bits),
             buffer(max(len(self._link.bit_period), 1)),
-            init_commands(bench.codec, self._link.command),
+            init_commands(self._wires["command"], self._link.command),
         )
         setting = Setting(course.ticks, bench.dt_s, course.grade_rad, course.friction_frac, self._driver)
         follow = block.params[0]
         rider = Rider(block.params, block.init(block.params, bench.dt_s), follow, follower.init(follow, bench.dt_s))
-        return self._kernel, setting, link, rider, Ridden(*vehicle.unit.start(vehicle.body, bench.dt_s))
+        return self._kernel, setting, link, rider, self._start_of(vehicle)
+
+    def _start_of(self, vehicle: Vehicle) -> Ridden:
+        """The vehicle at tick 0, with buffers of its own: what it is made of is kept with its noise."""
+        key = id(vehicle)
+        if key not in self._starts:
+            if len(self._starts) >= KEPT_VEHICLES:
+                self._starts.pop(next(iter(self._starts)))
+            self._starts[key] = vehicle, Ridden(*vehicle.unit.start(vehicle.body, self.bench.dt_s))
+        start = self._starts[key][1]
+        return start._replace(state=_fresh(start.state))
 
     def _assignment(self, job: Job) -> Assignment:
         """The controller for a job; of it only the params count, the steps are the first one's."""
@@ -228,6 +239,14 @@ def with_effects(bench: Bench, extra: Sequence[EffectSpec]) -> Bench:
 def _key(effects: Mapping[str, Mapping[str, float]], scale: Mapping[str, float]) -> tuple[Any, ...]:
     changed = tuple(sorted((name, tuple(sorted(values.items()))) for name, values in effects.items()))
     return changed, tuple(sorted(scale.items()))
+
+
+def _fresh(state: Any) -> Any:
+    """The same state with buffers of its own."""
+    if isinstance(state, tuple):
+        parts = map(_fresh, state)
+        return type(state)._make(parts) if hasattr(state, "_make") else tuple(parts)  # type: ignore[attr-defined]
+    return state.copy() if isinstance(state, np.ndarray | list) else state
 
 
 def _driver_rows(bench: Bench, vehicle: VehicleFor) -> Any:

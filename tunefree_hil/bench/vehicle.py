@@ -8,6 +8,7 @@ from typing import Any
 from tunefree_hil.base import parts
 from tunefree_hil.base.contracts import Port, make_effect
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.kernel import kept
 from tunefree_hil.bench.faults import ECU, driver_script, faults_of
 from tunefree_hil.bench.load import Bench, model_of, scenario_of_hash
 from tunefree_hil.bus.wire import phases
@@ -48,7 +49,10 @@ class VehicleFor:
         block = bywire(_bywire_params(bench))
         self.driver = driver_script(bench.spec.faults, bench.vehicle.nominal.rest_pedal_frac)
         self.faults = faults_of(bench, ECU)
-        self.unit = make_unit(self.body, block, timing.command_ticks - own, timing.report_ticks - own)
+        unit = make_unit(self.body, block, timing.command_ticks - own, timing.report_ticks - own)
+        self.unit = unit._replace(step=kept(unit.step))
+        for alone in (self.body.eyes, self.body.seen):  # tick 0 calls them by themselves
+            kept(alone.step)
         self.phases = phases(bench.codec, timing.phase_seed)
 
     def __call__(self, scenario: bytes, seed: int) -> Vehicle:

@@ -253,7 +253,8 @@ class HelloCollector:
         Raises InputError for a line that is not 'INDEX NAME' with an index of its own range, or for one said twice.
         """
         found: dict[int, str] = {}
-        for line in self._lines(role)[1:] if self.complete(role) else ():
+        lines = self._lines(role)[1:] if self.complete(role) else []
+        for line in filter(None, lines):  # a text may end with a line feed
             index, _, name = line.partition(" ")
             number = int(index) if index.isascii() and index.isdigit() else -1
             if not (FIRST_OWN_INDEX <= number <= LAST_INDEX and name.strip()):

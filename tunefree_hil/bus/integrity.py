@@ -60,6 +60,7 @@ class E2eStatus(IntEnum):
     INITIAL = 6, "not proven yet"
 
 
+LATE_TICKS = 2  # after its period, at which a message is overdue: frames come a tick late in real time
 BELIEVED = (E2eStatus.OK, E2eStatus.SOME_LOST)  # the values of such a frame of a protected message are taken
 _OF_ORDER = {
     Order.FIRST: E2eStatus.INITIAL,
@@ -130,16 +131,22 @@ class Receiver:
         self._plain = message.e2e is None and not message.counter
         self._last: int | None = None
         self._good_at = 0  # tick of the last frame that counted on
-        self._due_at = self._period + 2  # one tick's grace: frames come a tick late in real time
+        self._slack = LATE_TICKS
+        self._due_at = self._period + self._slack
 
     @property
     def believed(self) -> bool:
         """Whether the values of the frame just heard may be taken."""
         return self.protection is None or self.status in BELIEVED
 
+    def expect_every_period(self) -> None:
+        """From the beginning: a frame is overdue at the very tick at which it does not come. For lockstep."""
+        self._due_at -= self._slack
+        self._slack = 0
+
     def hear(self, tick: int, data: bytes) -> E2eStatus:
         """Take in a frame that has arrived by `tick`."""
-        self._due_at = tick + self._period + 2
+        self._due_at = tick + self._period + self._slack
         self.status = status = E2eStatus.OK if self._plain else self._judge(tick, data)
         self.counts[status] += 1
         return status

@@ -68,6 +68,8 @@ class LogHealth(NamedTuple):
     messages: list[MessageHealth]
     foreign: dict[int, int]
     problems: list[str]
+    frames: int  # all of them, error and remote frames too
+    span_s: float  # from the earliest stamp to the latest
 
 
 class _Ear:
@@ -162,11 +164,12 @@ def check_frames(frames: Iterable[Frame], codec: Codec, by_channel: bool = False
     messages = (*codec.telemetry, *codec.commands)
     ears = {(one.key, one.channel if by_channel else ""): _Ear(one, tick_s) for one in messages}
     foreign: dict[int, int] = {}
-    errors = remote = backwards = 0
-    last_s = float("-inf")
+    errors = remote = backwards = count = 0
+    last_s, earliest_s, latest_s = float("-inf"), float("inf"), float("-inf")
     for time_s, channel, can_id, data, flags in frames:
+        count += 1
         backwards += time_s < last_s
-        last_s = time_s
+        last_s, earliest_s, latest_s = time_s, min(earliest_s, time_s), max(latest_s, time_s)
         if flags & (ERROR | REMOTE):
             errors += bool(flags & ERROR)
             remote += not flags & ERROR
@@ -180,4 +183,5 @@ def check_frames(frames: Iterable[Frame], codec: Codec, by_channel: bool = False
     problems += [f"{errors} error frames: the wiring or the bit rate"] if errors else []
     problems += [f"{remote} remote frames, which no vehicle here asks for"] if remote else []
     problems += [f"time runs backwards {backwards} times"] if backwards else []
-    return LogHealth([ear.health() for ear in ears.values()], dict(sorted(foreign.items())), problems)
+    span_s = max(0.0, latest_s - earliest_s)
+    return LogHealth([ear.health() for ear in ears.values()], dict(sorted(foreign.items())), problems, count, span_s)

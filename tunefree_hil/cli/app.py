@@ -54,4 +54,4 @@ for _command in (bench_commands.hub, bench_commands.ecu, bench_commands.controll
     app.command()(_command)
 for _command in (data_commands.scenarios, data_commands.doctor):
     app.command()(_command)
-app.add_typer(data_commands.log, name="log", help="Look into a log of CAN frames (candump text).")
+app.add_typer(data_commands.log, name="log", help="Logs of CAN frames: check, show, plot, convert, import.")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from enum import StrEnum
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -23,23 +22,31 @@ class Align(StrEnum):
 
 
 def grade(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="a CAN log: candump, BLF, ASC, MF4, ROS bag")],
-    path: Annotated[str, typer.Option(help="reference: a scenario, or a CSV with x_m, y_m, speed_mps (and t_s)")],
+    log: Annotated[
+        str, typer.Argument(metavar="LOG", help="a CAN log (candump, BLF, ASC, MF4, ROS bag), or a run folder")
+    ],
+    path: Annotated[
+        str | None,
+        typer.Option(help="reference: a scenario, or a CSV with x_m, y_m, speed_mps (and t_s); our logs know theirs"),
+    ] = None,
     vehicle: Vehicle = None,
     align: Annotated[Align, typer.Option(help="path as recorded, or laid on the pose at the start")] = Align.auto,
     start_s: Annotated[float | None, typer.Option(help="where the reference begins, seconds into the log")] = None,
-    weights: Annotated[str, typer.Option(help="weights of the score")] = "default",
+    weights: Annotated[
+        str | None, typer.Option(help="weights of the score; default: a run's own, or `default`")
+    ] = None,
     out: Out = None,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
-    """Grade any log against a reference path.
+    """Grade any log against a reference path, or a whole run.
 
-    The 42 metrics by aspect; what cannot be had is said. Works on the log of a real car.
+    The 42 metrics by aspect; what cannot be had is said. Works on the log of a real car. A run's drives are taken
+    together.
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.grade import grade_log as run
+        from tunefree_hil.jobs.grade_run import grade_any as run
 
         return run(log, vehicle=vehicle, path=path, align=align.value, start_s=start_s, weights=weights, out=out)
 

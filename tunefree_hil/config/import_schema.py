@@ -54,6 +54,7 @@ CHECKS = (
     "accel_and_speed",
     "heading_and_path",
     "steer_and_yaw_rate",
+    "wheels_and_speed",
     "same_quantity",
     "range",
 )

@@ -145,9 +145,10 @@ def _parse(blocks: Iterable[str], file: str, allow_cut: bool) -> Iterator[tuple[
         if len(found) != count:
             _explain(text, file, lines, good or len(found))
         try:
-            yield from zip(_frames(found), found, strict=True)
+            frames = _frames(found)
         except ValueError:
             raise _odd_data(text, file, lines) from None
+        yield from zip(frames, found, strict=True)
         lines, good = lines + count, good + len(found)
     if rest and not allow_cut:
         raise _problem(file, lines + 1, f"the log is cut off in this line: {rest[:60]!r}", "truncated_log")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from array import array
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -50,13 +51,14 @@ class CsvDrive(NamedTuple):
 
 def read_csv_drive(path: Path, spec: ImportSpec) -> CsvDrive:
     """Read all rows. InputError with file and line for what is no number, no row, or not in the order of time."""
-    cells = list(_cells(path, spec))
-    if not cells:
+    lines, numbers = array("q"), array("d")
+    for line, row in _cells(path, spec):
+        lines.append(line)
+        numbers.extend(_number(text, name, line, path, spec) for name, text in row)
+    if not lines:
         raise InputError("there is no row below the head", code="empty_log", file=str(path), hint="export it again")
-    wanted = _wanted(spec)
-    table = np.array([[_number(text, name, line, path, spec) for name, text in row] for line, row in cells])
-    by_name = {name: table[:, i] for i, name in enumerate(wanted)}
-    lines = [line for line, _ in cells]
+    table = np.array(numbers).reshape(len(lines), -1)
+    by_name = {name: table[:, i] for i, name in enumerate(_wanted(spec))}
     time_s = _clock(by_name[spec.clock.column], lines, path, spec)
     step_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else math.nan
     columns = {one.field: _column(one, by_name, time_s) for one in spec.columns}

@@ -29,11 +29,16 @@ def write_heat(path: Path, terms: Mapping[str, Mapping[str, float]], title: str)
 
 
 def draw_heat(terms: Mapping[str, Mapping[str, float]], title: str) -> Figure:
-    """terms: by scenario, then by term, winner - other; in thousandths of the score. Terms that are 0 are left out."""
+    """terms: by scenario, then by term, winner - other; in thousandths of the score.
+
+    Terms whose every cell would be shown as 0 are left out, and counted.
+    """
     scenarios = list(terms)
-    names = [name for name in terms[scenarios[0]] if any(abs(terms[one][name]) > 0.0 for one in scenarios)]
+    names = [name for name in terms[scenarios[0]] if any(_is_seen(terms[one][name]) for one in scenarios)]
+    hidden = sum(any(row[name] != 0.0 for row in terms.values()) for name in terms[scenarios[0]] if name not in names)
     cells = np.array([[terms[one][name] for name in names] for one in scenarios]).reshape(len(scenarios), len(names))
-    table = _with_sums(1e3 * cells)
+    sums = np.array([sum(terms[one].values()) for one in scenarios])
+    table = _with_sums(1e3 * cells, 1e3 * sums)
     width_in = max(LEAST_IN, 3.8 + 0.72 * (len(names) + 1))
     size = max(LEAST_PT, PT_PER_IN * width_in)
     figure = style.new_figure(width_in, 3.6 + 0.5 * (len(scenarios) + 1))
@@ -51,7 +56,10 @@ def draw_heat(terms: Mapping[str, Mapping[str, float]], title: str) -> Figure:
     _labels(axes, [*names, TOTAL], [*scenarios, TOTAL], size)
     axes.axhline(len(scenarios) - 0.5, color=style.INK, linewidth=1.6)
     axes.axvline(len(names) - 0.5, color=style.INK, linewidth=1.6)
-    axes.set_xlabel("thousandths of the score, winner - manual; negative (blue): winner better", fontsize=size)
+    words = "thousandths of the score, winner - manual; negative (blue): winner better"
+    if hidden:
+        words += f"\n{hidden} terms differ by less than 0.05 everywhere and are in the sums only"
+    axes.set_xlabel(words if names else "no difference in any term", fontsize=size)
     style.headline(figure, title)
     return figure
 
@@ -62,9 +70,13 @@ def _limit(sizes: np.ndarray) -> float:
     return float(np.quantile(known, WITHIN)) if known.size else 1.0
 
 
-def _with_sums(cells: np.ndarray) -> np.ndarray:
-    """A last column and a last row with the sums."""
-    wide = np.hstack([cells, cells.sum(axis=1, keepdims=True)])
+def _is_seen(term: float) -> bool:
+    return _cell(1e3 * term) != "0"
+
+
+def _with_sums(cells: np.ndarray, sums: np.ndarray) -> np.ndarray:
+    """A last column with the rows' sums (of all terms, shown or not), and a last row with the columns'."""
+    wide = np.hstack([cells, sums[:, None]])
     return np.vstack([wide, wide.sum(axis=0, keepdims=True)])
 
 

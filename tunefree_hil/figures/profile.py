@@ -59,7 +59,12 @@ def draw_profile(values: Values, title: str) -> Figure:
 def draw_highlights(values: Values, title: str) -> Figure:
     """Bars of the source's nine highlighted metrics: four RMS, four peaks, compute time."""
     figure = style.new_figure(11.0, 1.9 + (BAR_IN * 1.3 * len(values) + GAP_IN) * len(HIGHLIGHTED))
-    _draw_panel(figure.add_subplot(), values, HIGHLIGHTED, "lower is better; 1 is the published threshold of a peak")
+    _draw_panel(
+        figure.add_subplot(),
+        values,
+        HIGHLIGHTED,
+        "dimensionless, lower is better; a peak of 1 is its published threshold",
+    )
     _finish(figure, values, title)
     return figure
 

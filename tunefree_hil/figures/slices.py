@@ -35,7 +35,7 @@ def write_slices(path: Path, slices: Mapping[str, Slice], best: float, manual: f
 
 
 def draw_slices(slices: Mapping[str, Slice], best: float, manual: float, title: str) -> Figure:
-    """A panel a parameter, one scale of scores for all; best, manual: the winner's and the best manual score."""
+    """A panel a parameter, each with a scale of its own; best, manual: the winner's and the best manual score."""
     columns = min(COLUMNS, len(slices))
     rows = math.ceil(len(slices) / columns)
     figure = style.new_figure(max(7.0, 4.2 * columns), 1.6 + 3.3 * rows)

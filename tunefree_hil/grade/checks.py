@@ -12,17 +12,16 @@ import math
 import operator
 import re
 from collections.abc import Callable, Iterable, Mapping
+from difflib import get_close_matches
 from typing import NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.grade.table import TABLE
 
-SCORE, REPLANS, FAILED = (
-    "score",
-    "replans",
-    "failed",
-)  # beside the metrics: eq. 7, re-plans, drives not driven to the end
+# beside the metrics: eq. 7, re-plans, drives not driven to the end
+SCORE, REPLANS, FAILED = "score", "replans", "failed"
 NAMES = (SCORE, REPLANS, FAILED, *TABLE)
+NEAR = 0.7  # likeness of names, 0 to 1, from which on one is taken for a misspelt other
 GRAMMAR = "METRIC [@SCENARIO] OP VALUE, such as 'lateral_err_peak > +5%', 'score@u_turn >= 0.4' or 'replans > 0'"
 _OPS: dict[str, Callable[[float, float], bool]] = {
     ">": operator.gt,
@@ -61,7 +60,9 @@ def parse_condition(text: str, scenarios: Iterable[str]) -> Condition:
         raise _bad(text, "is no condition", f"write {GRAMMAR}")
     metric, scenario, op, number, percent = match.groups()
     if metric not in NAMES:
-        raise _bad(text, f"names no metric: {metric!r}", f"one of {', '.join(NAMES)}")
+        near = get_close_matches(metric, NAMES, cutoff=NEAR)
+        guess = f"did you mean {' or '.join(near)}? " if near else ""
+        raise _bad(text, f"names no metric: {metric!r}", f"{guess}one of {', '.join(NAMES)}")
     known = list(scenarios)
     if scenario is not None and scenario not in known:
         raise _bad(text, f"names no scenario that all runs drove: {scenario!r}", f"one of {', '.join(known)}")

@@ -102,8 +102,8 @@ POINTS: dict[str, tuple[Car, ...]] = {
 DELAY, GAIN_UP, GAIN_DOWN = "delay", "gain_up", "gain_down"
 WALKS: dict[str, tuple[Car, ...]] = {
     DELAY: tuple(SAME._replace(steer_delay_s=n / 100.0) for n in range(31)),
-    GAIN_UP: tuple(SAME._replace(steer_gain=n / 10.0) for n in range(10, 21)),
-    GAIN_DOWN: tuple(SAME._replace(steer_gain=n / 10.0) for n in range(10, 2, -1)),
+    GAIN_UP: tuple(SAME._replace(steer_gain=n / 20.0) for n in range(20, 41)),
+    GAIN_DOWN: tuple(SAME._replace(steer_gain=n / 20.0) for n in range(20, 5, -1)),
 }
 
 

@@ -2,7 +2,11 @@
 
 A CSV has a header with x_m, y_m and speed_mps, and t_s where times are known; station_m, heading_rad and curvature_1pm
 may be left out and are then taken from the points. Its coordinates are those of the INS frames, its points those of the
-rear axle's middle. Without t_s the times follow from stations and speeds.
+rear axle's middle, as an INS records them; what the centre of mass is to follow is drawn from them, `ahead_m` in front
+(the source does the same: apollo_facts 1.2, 3.1). Without t_s the times follow from stations and speeds.
+
+Points may be as dense and as noisy as a recorded drive's: those nearer together than half a metre count as one place,
+or the path's length and its curvature would be the noise of the positions.
 """
 
 from __future__ import annotations
@@ -25,7 +29,8 @@ Array = np.ndarray
 NEEDED = ("x_m", "y_m", "speed_mps")
 KNOWN = ("t_s", "station_m", "x_m", "y_m", "heading_rad", "speed_mps", "curvature_1pm")
 LEAST_POINTS = 3
-LEAST_ADVANCE_M = 1e-6  # rows nearer together than this are one place
+LEAST_CHORD_M = 0.5
+ACCEL_HALF_S = 0.1  # the speed's slope is taken over twice that
 LEAST_PACE_MPS = 0.05  # below it, a table without times does not say how long the vehicle stands
 
 
@@ -38,11 +43,14 @@ class Reference(NamedTuple):
     hash: str  # of the scenario file; '' for a CSV
 
 
-def read_reference(name: str, dt_s: float) -> Reference:
-    """A reference by the path of a CSV, or by name or path of a scenario. Raises InputError that says what is wrong."""
+def read_reference(name: str, dt_s: float, ahead_m: float = 0.0) -> Reference:
+    """A reference by the path of a CSV, or by name or path of a scenario. Raises InputError that says what is wrong.
+
+    ahead_m: rear axle to centre of mass, for a CSV of the rear axle's places; 0 for one of the centre of mass's.
+    """
     path = Path(name)
     if path.suffix.lower() == ".csv":
-        return Reference(path.stem, course_of_points(read_points(path), dt_s, str(path)), True, "")
+        return Reference(path.stem, course_of_points(read_points(path), dt_s, str(path), ahead_m), True, "")
     spec = load_scenario(name)
     return Reference(spec.name, build_course(spec, dt_s), False, spec.hash)
 
@@ -84,28 +92,29 @@ def _number(row: list[str], at: int, file: str, line: int, name: str) -> float:
     return value
 
 
-def course_of_points(points: dict[str, Array], dt_s: float, file: str) -> Course:
-    """A Course through the points. `file` is what errors name."""
-    x, y, speed = points["x_m"], points["y_m"], points["speed_mps"]
-    if speed.min() < 0.0:
+def course_of_points(points: dict[str, Array], dt_s: float, file: str, ahead_m: float = 0.0) -> Course:
+    """A Course through the points. `file` is what errors name; ahead_m as in read_reference."""
+    if points["speed_mps"].min() < 0.0:
         raise InputError("speed is negative: reverse is not supported", code="bad_path", file=file, key="speed_mps")
-    gone = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
-    station = points["station_m"] - points["station_m"][0] if "station_m" in points else gone
-    _require_ascending(station, "station_m", file, strictly=False)
-    moves = np.concatenate([[True], np.diff(station) > LEAST_ADVANCE_M])
-    if np.count_nonzero(moves) < LEAST_POINTS:
+    places = _places(points["x_m"], points["y_m"])
+    if len(places) < LEAST_POINTS:
         raise InputError("the points do not move on: a path needs three places", code="bad_path", file=file)
+    if ahead_m != 0.0:
+        points = _moved_ahead(points, places, ahead_m)
+    speed, station = points["speed_mps"], _stations(points, places)
+    _require_ascending(station, "station_m", file, strictly=False)
+    _require_ascending(station[places], "station_m", file, strictly=True)
     time = points["t_s"] - points["t_s"][0] if "t_s" in points else _times(station, speed, file)
     _require_ascending(time, "t_s", file, strictly=True)
     ticks = max(1, math.floor(time[-1] / dt_s + 1e-6))
     at = np.arange(ticks + 1) * dt_s
-    by_station = _by_station(points, station[moves], moves)
+    by_station = _by_station(points, station[places] + ahead_m, places)
     return Course(
         dt_s=dt_s,
         ticks=ticks,
         station_m=table(np.interp(at, time, station)),
         speed_mps=table(np.interp(at, time, speed)),
-        accel_mps2=table(np.interp(at, time, np.gradient(speed, time))),
+        accel_mps2=table(_accel(at, time, speed)),
         grade_rad=table(np.zeros(ticks + 1)),
         friction_frac=table(np.ones(ticks + 1)),
         first_station_m=-PROLONGED_M,
@@ -117,12 +126,65 @@ def course_of_points(points: dict[str, Array], dt_s: float, file: str) -> Course
     )
 
 
+def _places(x: Array, y: Array) -> list[int]:
+    """Rows at least LEAST_CHORD_M apart, first and last in."""
+    kept, xs, ys = [0], x.tolist(), y.tolist()
+    for row in range(1, len(xs)):
+        if math.dist((xs[row], ys[row]), (xs[kept[-1]], ys[kept[-1]])) >= LEAST_CHORD_M:
+            kept.append(row)
+    if len(kept) > LEAST_POINTS and kept[-1] != len(xs) - 1:
+        kept[-1] = len(xs) - 1
+    return kept
+
+
+def _stations(points: dict[str, Array], places: list[int]) -> Array:
+    """Station of every row, m, the first 0: as given, or by chords between places and distances from the last one."""
+    if "station_m" in points:
+        return points["station_m"] - points["station_m"][0]
+    x, y = points["x_m"], points["y_m"]
+    at_places = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x[places]), np.diff(y[places])))])
+    before = np.searchsorted(places, np.arange(len(x)), side="right") - 1
+    here = np.take(places, before)
+    gone = at_places[before] + np.hypot(x - x[here], y - y[here])
+    ends = at_places[np.minimum(before + 1, len(places) - 1)]
+    return np.maximum.accumulate(np.minimum(gone, ends))
+
+
+def _moved_ahead(points: dict[str, Array], places: list[int], ahead_m: float) -> dict[str, Array]:
+    """What the centre of mass follows where the rear axle is to follow the points, without slip: x, y, its tangent."""
+    station = _stations(points, places)
+    heading, curvature = _bends(points, station[places], places)
+    at_rows = np.interp(station, station[places], heading)
+    tangent = np.interp(station, station[places], heading + np.arctan(ahead_m * curvature))
+    moved = {name: values for name, values in points.items() if name in ("t_s", "speed_mps")}
+    x, y = points["x_m"] + ahead_m * np.cos(at_rows), points["y_m"] + ahead_m * np.sin(at_rows)
+    return moved | {"x_m": x, "y_m": y, "heading_rad": tangent}
+
+
+def _bends(points: dict[str, Array], station_m: Array, places: list[int]) -> tuple[Array, Array]:
+    """Heading (continuous) and curvature at the places, as given or from the places themselves."""
+    if "heading_rad" in points:
+        heading = np.unwrap(points["heading_rad"][places])
+    else:
+        x, y = points["x_m"][places], points["y_m"][places]
+        slopes = (np.gradient(values, station_m, edge_order=2) for values in (y, x))
+        heading = np.unwrap(np.arctan2(*slopes))
+    given = points.get("curvature_1pm")
+    return heading, np.gradient(heading, station_m) if given is None else given[places]
+
+
 def _require_ascending(values: Array, name: str, file: str, *, strictly: bool) -> None:
     steps = np.diff(values)
     wrong = steps <= 0.0 if strictly else steps < 0.0
     if wrong.any():
         row = int(np.argmax(wrong)) + 3
         raise InputError(f"must ascend; row {row} does not", code="bad_path", file=file, key=name)
+
+
+def _accel(at: Array, time: Array, speed: Array) -> Array:
+    """The plan's acceleration at the times `at`: of a recorded speed, a difference of two rows would be its noise."""
+    low, high = np.maximum(at - ACCEL_HALF_S, time[0]), np.minimum(at + ACCEL_HALF_S, time[-1])
+    return (np.interp(high, time, speed) - np.interp(low, time, speed)) / (high - low)
 
 
 def _times(station_m: Array, speed_mps: Array, file: str) -> Array:
@@ -139,18 +201,13 @@ def _times(station_m: Array, speed_mps: Array, file: str) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.diff(station_m) / pace)])
 
 
-def _by_station(points: dict[str, Array], station_m: Array, moves: Array) -> tuple[Array, Array, Array, Array]:
+def _by_station(points: dict[str, Array], station_m: Array, places: list[int]) -> tuple[Array, Array, Array, Array]:
     """x, y, heading and curvature every SPACING_M, prolonged straight on at both ends."""
-    x, y = points["x_m"][moves], points["y_m"][moves]
-    if "heading_rad" in points:
-        heading = np.unwrap(points["heading_rad"][moves])
-    else:
-        heading = np.unwrap(np.arctan2(np.gradient(y, station_m), np.gradient(x, station_m)))
-    given = points.get("curvature_1pm")
-    curvature = np.gradient(heading, station_m) if given is None else given[moves]
+    x, y = points["x_m"][places], points["y_m"][places]
+    heading, curvature = _bends(points, station_m, places)
     cells = round(PROLONGED_M / SPACING_M) + math.ceil((station_m[-1] + PROLONGED_M) / SPACING_M)
     at = -PROLONGED_M + np.arange(cells + 1) * SPACING_M
-    inside = np.clip(at, 0.0, station_m[-1])
+    inside = np.clip(at, station_m[0], station_m[-1])
     beyond = at - inside
     angle = np.interp(inside, station_m, heading)
     xs = _hermite(inside, station_m, x, np.cos(heading)) + beyond * np.cos(angle)

@@ -95,12 +95,24 @@ def _common(read: list[RunDrives]) -> tuple[list[RunDrives], list[str]]:
         else:
             names.append(name)
     if not names:
+        drove = "; ".join(f"{run.label} drove {', '.join(run.drives)}" for run in read)
+        changed = [note for note in notes if "different files" in note]
         raise InputError(
-            "the runs have no scenario in common: " + "; ".join(notes),
+            f"the runs have no scenario in common: {'; '.join([drove, *changed])}",
             code="nothing_common",
             hint="compare runs of the same bench file, or drive the missing scenario",
         )
-    return [run.only(names) for run in read], notes
+    return [run.only(names) for run in read], [*notes, *_unlike(read)]
+
+
+def _unlike(read: Sequence[RunDrives]) -> list[str]:
+    """What else differs than what is compared: another vehicle, another plant."""
+    notes = []
+    for what in ("vehicle", "model"):
+        found = {run.label: getattr(run, what) for run in read if getattr(run, what)}
+        if len(set(found.values())) > 1:
+            notes.append(f"not the same {what}: {', '.join(f'{label} {name}' for label, name in found.items())}")
+    return notes
 
 
 def table_of(read: Sequence[RunDrives]) -> Table:
@@ -177,8 +189,9 @@ def _figures(folder: RunFolder, read: Sequence[RunDrives], tables: Mapping[str, 
         return {run.label: {name: values[i] for name, values in table.items()} for i, run in enumerate(read)}
 
     figures, combined = folder.figures(), by_run(tables[COMBINED])
-    written = [write_highlights(figures / "highlights.png", combined, "Highlighted metrics over all common scenarios")]
-    written.append(write_profile(figures / "profile.png", combined, "All metrics over all common scenarios"))
+    over = f"over {len(read[0].drives)} scenarios{_failed_words(read)}"
+    written = [write_highlights(figures / "highlights.png", combined, f"Highlighted metrics {over}")]
+    written.append(write_profile(figures / "profile.png", combined, f"All metrics {over}"))
     for name in read[0].drives:
         drives = []
         for run in read:
@@ -188,3 +201,10 @@ def _figures(folder: RunFolder, read: Sequence[RunDrives], tables: Mapping[str, 
         written.append(write_scenario(figures / f"{name}.png", name, drives))
         written.append(write_highlights(figures / f"{name}_highlights.png", by_run(tables[name]), name))
     return [str(path) for path in written]
+
+
+def _failed_words(read: Sequence[RunDrives]) -> str:
+    """A second line of a title: drives that did not reach their end, whose metrics are those of the part driven."""
+    failed = {run.label: [name for name, drive in run.drives.items() if drive.outcome != FINISHED] for run in read}
+    words = [f"{label}: {', '.join(names)}" for label, names in failed.items() if names]
+    return f"\nnot driven to the end: {'; '.join(words)}" if words else ""

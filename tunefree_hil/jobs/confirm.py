@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
+from tunefree_hil.base.errors import BenchError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, parameters_of
 from tunefree_hil.jobs.evaluators import BusEvaluator, Candidate
@@ -13,16 +14,28 @@ from tunefree_hil.jobs.search import Vectors
 from tunefree_hil.tune.journal import Journal, slot_key
 from tunefree_hil.tune.trial import Baseline, Trial
 
+SHOWN = 3  # differences that a line names
+
 
 class Scores(NamedTuple):
-    """One candidate's score in the batch and over the bus."""
+    """One candidate's score in the batch and over the bus. different: 'scenario: metric' of all that is not equal."""
 
     batch: float
     bus: float
+    different: tuple[str, ...]
 
     @property
     def equal(self) -> bool:
-        return self.batch == self.bus
+        """Bit for bit: score, every metric, re-plans and end of every scenario."""
+        return self.batch == self.bus and not self.different
+
+    @property
+    def verdict(self) -> str:
+        """For a person."""
+        if self.equal:
+            return "equal"
+        more = ", ..." if len(self.different) > SHOWN else ""
+        return f"DIFFERENT ({', '.join(self.different[:SHOWN]) or 'score'}{more})"
 
 
 class Confirmed:
@@ -52,13 +65,30 @@ class Confirmed:
 
     def scores(self) -> dict[str, Scores]:
         """Batch and bus side by side, by `slot_key` or the baseline's name."""
-        batch = {slot_key(trial.slot): trial.score for trial in self._journal.trials()}
-        batch |= {name: one.score for name, one in self._journal.baselines().items()}
-        return {key: Scores(batch[key], one.score) for key, one in self._over_bus.items()}
+        batch: dict[str, Trial | Baseline] = {slot_key(trial.slot): trial for trial in self._journal.trials()}
+        batch |= self._journal.baselines()
+        return {
+            key: Scores(batch[key].score, one.score, differing(batch[key].scenarios, one.scenarios))
+            for key, one in self._over_bus.items()
+        }
 
     def _confirmed(self, trial: Trial) -> Trial | None:
         one = self._over_bus.get(slot_key(trial.slot))
         return trial._replace(score=one.score, scenarios=one.scenarios) if one else None
+
+
+def differing(batch: Mapping[str, Any], bus: Mapping[str, Any]) -> tuple[str, ...]:
+    """What is not equal in the grades of two times the same scenarios; a frame hash only where both have one."""
+    found = []
+    for name in {**batch, **bus}:
+        one, other = _flat(batch.get(name, {})), _flat(bus.get(name, {}))
+        known = [key for key in {**one, **other} if key != "frame_hash" or (key in one and key in other)]
+        found += [f"{name}: {key}" for key in known if one.get(key, "none") != other.get(key, "none")]
+    return tuple(found)
+
+
+def _flat(drive: Mapping[str, Any]) -> dict[str, Any]:
+    return {**{key: value for key, value in drive.items() if key != "metrics"}, **drive.get("metrics", {})}
 
 
 def to_confirm(journal: Journal, best: int) -> dict[str, Trial | None]:
@@ -79,11 +109,14 @@ def confirm(
             candidate = Candidate(order.index(key), vectors[key])
         else:
             candidate = Candidate(len(order) + trial.slot, parameters_of(bench, trial.parameters))
-        (evaluation,) = evaluator.evaluate([candidate])
+        try:
+            (evaluation,) = evaluator.evaluate([candidate])
+        except BenchError as error:
+            yield Event("warning", f"{key} failed over the bus and is driven again: {error.message}")
+            (evaluation,) = evaluator.evaluate([candidate])
         journal.confirm(key, evaluation)
         scores = Confirmed(journal).scores()[key]
-        words = "equal" if scores.equal else "DIFFERENT"
         each_s = (time.monotonic() - started) / done
         data = {"label": "confirm", "done": done, "total": len(missing), "eta_s": each_s * (len(missing) - done)}
-        message = f"{key}: batch {scores.batch:.6f}, bus {scores.bus:.6f}, {words}"
+        message = f"{key}: batch {scores.batch:.6f}, bus {scores.bus:.6f}, {scores.verdict}"
         yield Event("progress" if scores.equal else "warning", message, {**data, **evaluator.pace})

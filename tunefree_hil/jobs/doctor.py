@@ -119,11 +119,16 @@ def bench_findings(file: Path) -> list[Finding]:
 
 def vehicle_findings_of(spec: BenchSpec) -> list[Finding]:
     """The findings of the vehicle that a bench file names."""
+    from tunefree_hil.config.check_drive import check_drive
     from tunefree_hil.config.find import find
+    from tunefree_hil.config.load import load_vehicle
 
     findings: list[Finding] = []
     path = _try(findings, lambda: find("vehicle", spec.vehicle, spec.path))
-    return findings if path is None else vehicle_findings(path.parent)
+    if path is None:
+        return findings
+    vehicle = _try([], lambda: load_vehicle(path.parent, check=False))  # what cannot be read is told by the next line
+    return vehicle_findings(path.parent) + [_fault(error) for error in (check_drive(vehicle) if vehicle else [])]
 
 
 def _scenario_findings(spec: BenchSpec) -> list[Finding]:

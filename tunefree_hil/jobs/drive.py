@@ -16,6 +16,7 @@ from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.grade.score import combine
 from tunefree_hil.jobs.foreign import command_of, with_command
 from tunefree_hil.jobs.harvest import Episode
+from tunefree_hil.jobs.heard import heard_of
 from tunefree_hil.jobs.identity import identity_of, resolved_toml
 from tunefree_hil.jobs.lateness import judge_realtime
 from tunefree_hil.jobs.node_links import bus_for
@@ -77,6 +78,7 @@ def drive(
                 eta_s = rest_s / track.pace.get("speed_x", 1.0)
                 data = {"label": "scenario", "done": i + 1, "total": len(scenarios), "eta_s": eta_s, **track.pace}
                 yield Event("progress", _line(one.name, episodes[one.name]), data)
+                yield from (Event("warning", f"{one.name}: {words}") for words in heard_of(run.episode(i)))
         finally:
             track.close()
         yield from (Event("warning", words) for words in bench_session.notes)

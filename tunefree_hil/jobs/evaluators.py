@@ -80,14 +80,15 @@ class BusEvaluator:
 class RealtimeEvaluator(BusEvaluator):
     """Over the bus at 100 Hz of wall time. A drive that was not real time is discarded and driven again.
 
-    `drives`, `repeats`: how many there were, and how many of them were discarded. Nobody else ever sees those.
+    `drives`: how many there were. `repeats`: how many were discarded, those of earlier sessions (argument) included.
+    Nobody else ever sees those.
     """
 
     def __init__(self, track: Track, scenarios: Sequence[ScenarioSpec], *, at_once: int = 1, repeats: int = 0) -> None:
         super().__init__(track, scenarios, at_once=at_once)
         self.over = "bus in real time"
         self.drives = 0
-        self.repeats = repeats
+        self.repeats = self._before = repeats
 
     @property
     def pace(self) -> dict[str, float]:
@@ -113,7 +114,7 @@ class RealtimeEvaluator(BusEvaluator):
                 drop_bulk(self.track.run.episode(job.k))
         raise NotValid(
             f"{todo[0].scenario.name} was not real time {1 + MOST_REPEATS} times in a row, {worst_ms:.0f} ms late; "
-            f"{self.repeats} of {self.drives} drives were discarded",
+            f"{self.repeats - self._before} of {self.drives} drives were discarded",
             code="not_realtime",
             hint="give the bench a machine with less to do, or tune in lockstep (without --realtime)",
         )

@@ -21,6 +21,8 @@ from tunefree_hil.tune.study import Baseline, Trial, read_study
 
 SCHEMA = "tunefree.explain/1"
 MOST_TERMS = 5  # named in words
+LEAST_SAID = 5e-5  # of a score: what is less would be shown as 0
+LEAST_GAIN = 0.005  # of the winner's score, by which a place of a slice is called better
 
 
 class Findings(NamedTuple):
@@ -46,8 +48,9 @@ def explain(run: Any, *, points: int, slices: bool) -> Iterator[Event]:
     """Words on stdout, explain.json and figures in the run folder."""
     folder = open_run(run)
     if folder.record.get("command") != "tune":
-        hint = "give the run folder of a tune"
-        raise InputError(f"is a run of {folder.record.get('command')!r}", file=str(run), hint=hint)
+        message = f"is a run of {folder.record.get('command')!r}: there is no winner in it to explain"
+        hint = "give the run folder of a tune; `tunefree-hil compare RUN RUN` holds drives against each other"
+        raise InputError(message, code="not_a_tune", file=str(run), hint=hint)
     bench = load(folder.bench_file())
     found = find(folder, bench)
     yield from (Event("line", line) for line in lines_of(found))
@@ -57,12 +60,13 @@ def explain(run: Any, *, points: int, slices: bool) -> Iterator[Event]:
         drives = (total + 1) * len(bench.spec.scenarios)
         yield Event("note", f"slices through the winner: {total} sets of parameters, {drives} drives in the batch")
         cuts, again = cut_slices(bench, found.space, found.winner.parameters, points)
+        yield from (Event("line", line) for line in slice_lines(cuts, found.winner.score))
         if again is not None and again != found.winner.score:
             yield Event("warning", f"the batch scores the winner {again!r}, the study has {found.winner.score!r}")
     figures = _figures(folder, found, cuts)
     data = _data(found, cuts)
     write_json(folder.path / "explain.json", {"schema": SCHEMA, **data})
-    sentence = sentence_of(found)
+    sentence = sentence_of(found) + _and_better(better_places(cuts, found.winner.score))
     yield Event("result", sentence, {"sentence": sentence, "run": str(folder.path), "figures": figures, **data})
 
 
@@ -115,6 +119,39 @@ def scores_of(bench: Bench, vectors: Sequence[Mapping[str, float]]) -> list[floa
     return scores
 
 
+def better_places(cuts: Mapping[str, Cut], best: float) -> list[tuple[str, float, float]]:
+    """(parameter, value, score) of the lowest point of each slice that beats the winner, the lowest score first."""
+    found = []
+    for name, cut in cuts.items():
+        known = [(score, value) for value, score in zip(cut.values, cut.scores, strict=True) if score is not None]
+        score, value = min(known, default=(best, 0.0))
+        if score < best * (1.0 - LEAST_GAIN):
+            found.append((name, value, score))
+    return sorted(found, key=lambda one: one[2])
+
+
+def slice_lines(cuts: Mapping[str, Cut], best: float) -> list[str]:
+    """For a person: how far each parameter alone moves the score, and whether it has a better place."""
+    better = {name for name, _, _ in better_places(cuts, best)}
+    lines = [f"slices through the winner (score {best:.4f}), one value changed, across its box:"]
+    for name, cut in cuts.items():
+        known = [(score, value) for value, score in zip(cut.values, cut.scores, strict=True) if score is not None]
+        if not known:
+            lines.append(f"  {name:<28}the bench failed everywhere")
+            continue
+        (low, at), (high, _) = min(known), max(known)
+        said = "  better than the winner" if name in better else ""
+        lines.append(f"  {name:<28}{low:9.4f} to {high:.4f}, lowest at {at:.4g}{said}")
+    return lines
+
+
+def _and_better(better: Sequence[tuple[str, float, float]]) -> str:
+    if not better:
+        return ""
+    name, value, score = better[0]
+    return f"; a slice has a better place: {name} = {value:.4g} scores {score:.4f}, more trials may find it"
+
+
 def largest(apart: Difference) -> list[tuple[str, str, float]]:
     """(scenario, term, winner - manual), the largest first."""
     cells = [(name, term, value) for name, row in apart.terms.items() for term, value in row.items() if value != 0.0]
@@ -137,7 +174,7 @@ def lines_of(found: Findings) -> list[str]:
     lines.append("by scenario:")
     lines += [f"  {name:<28}{value:+9.4f}" for name, value in sorted(apart.scenarios.items(), key=lambda one: one[1])]
     lines.append("by term, over all scenarios:")
-    lines += [f"  {term:<28}{value:+9.4f}" for term, value in by_term(apart).items() if value != 0.0]
+    lines += [f"  {term:<28}{value:+9.4f}" for term, value in by_term(apart).items() if abs(value) >= LEAST_SAID]
     lines.append("largest cells:")
     lines += [f"  {name}, {term}: {value:+.4f}" for name, term, value in largest(apart)[:MOST_TERMS]]
     n = next(iter(found.importance.values())).n
@@ -153,9 +190,13 @@ def sentence_of(found: Findings) -> str:
     """The whole in one line."""
     apart = found.difference
     words = f"the winner scores {apart.total:+.3f} against {found.manual_name}"
-    gains = [cell for cell in largest(apart) if cell[2] < 0.0][:2]
-    if gains:
-        words += ", most by " + " and ".join(f"{term} in {name} ({value:+.3f})" for name, term, value in gains)
+    if not largest(apart):
+        words = f"the winner scores as {found.manual_name} does, in every term of every scenario"
+    worse = apart.total > 0.0
+    causes = [cell for cell in largest(apart) if (cell[2] > 0.0) == worse][:2]
+    if causes:
+        words += ", it is worse" if worse else ""
+        words += ", most by " + " and ".join(f"{term} in {name} ({value:+.3f})" for name, term, value in causes)
     if found.edges:
         words += f"; {'; '.join(found.edges)}"
     return words

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -26,8 +27,7 @@ def with_command(bench: Bench, text: str) -> Bench:
     except ValueError as error:
         hint = "--controller 'PROGRAM ARGUMENT ...', quoted as for a shell"
         raise InputError(f"{text!r}: {error}", code="bad_command", key="--controller", hint=hint) from None
-    here = [str(Path(word).resolve()) if _is_path(word, Path()) else word for word in words]
-    return replace(bench, spec=with_controller(bench.spec, here))
+    return replace(bench, spec=with_controller(bench.spec, _found(words, Path())))
 
 
 def command_of(bench: Bench) -> list[str] | None:
@@ -35,19 +35,21 @@ def command_of(bench: Bench) -> list[str] | None:
 
     A word that names a file beside the bench file ('../build/controller') is that file.
     """
-    folder = Path(bench.file).parent
-    words = bench.spec.controller.command
-    return [str((folder / word).resolve()) if _is_path(word, folder) else word for word in words] or None
+    return _found(bench.spec.controller.command, Path(bench.file).parent) or None
 
 
 def program_hashes(bench: Bench) -> dict[str, str]:
     """SHA-256 by name of the files of the controller's command: a program that was built anew is another one."""
-    files = [Path(word) for word in command_of(bench) or [] if _is_path(word, Path())]
+    files = [Path(word) for word in command_of(bench) or [] if os.path.isabs(word) and os.path.isfile(word)]
     return {path.name: f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}" for path in files}
 
 
-def _is_path(word: str, folder: Path) -> bool:
-    return "/" in word and (folder / word).is_file()
+def _found(words: Sequence[str], folder: Path) -> list[str]:
+    """The words, those that name a file in `folder` by a path as absolute ones.
+
+    A link stays one: of an environment's `python` it is the name by which it finds its packages.
+    """
+    return [os.path.abspath(folder / word) if "/" in word and (folder / word).is_file() else word for word in words]
 
 
 def own_names(names: Iterable[str]) -> list[str]:
@@ -66,7 +68,8 @@ def require_one(bench: Bench, names: Iterable[str], *, join: bool) -> None:
             code="unknown_parameter",
             file=bench.file,
             key="tune.parameters",
-            hint="name the controller that has it: [controller] command = [...], --controller 'CMD', or --join",
+            hint="name the program that has it: command = [...] in [controller]; drive and tune take it as "
+            "--controller 'CMD' too, or with --join the one that runs",
         )
 
 

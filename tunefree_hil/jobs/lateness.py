@@ -61,7 +61,8 @@ def judge_realtime(
 def frames_late_s(run: RunFolder, episodes: Iterable[int], codec: Codec) -> np.ndarray:
     """How much later than the earliest of its id, counted in periods, each frame of the logs was stamped.
 
-    A frame that was lost makes all later ones of its id late by a period.
+    A frame that was lost makes all later ones of its id late by a period. The first of an id does not count: what is
+    due at tick 0 is sent when RUN comes, the lead before the common zero.
     """
     rows = []
     for k in episodes:
@@ -70,8 +71,8 @@ def frames_late_s(run: RunFolder, episodes: Iterable[int], codec: Codec) -> np.n
         for frame in read_candump(path) if path.is_file() else ():
             stamps.setdefault(frame.can_id, []).append(frame.time_s)
         for message in (*codec.commands, *codec.telemetry):
-            if message.key in stamps:
-                found = np.array(stamps[message.key])
+            if len(stamps.get(message.key, ())) > 1:
+                found = np.array(stamps[message.key][1:])
                 found -= np.arange(len(found)) * message.period_ticks * codec.tick_ms * 1e-3
                 rows.append(found - found.min())
     return np.concatenate(rows) if rows else np.zeros(0)

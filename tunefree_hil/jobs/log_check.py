@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tunefree_hil.base.events import Event
-from tunefree_hil.jobs.log_files import by_channel, codec_for, load_log
+from tunefree_hil.jobs.log_files import by_channel, codec_for, cut_warning, open_log
 
 if TYPE_CHECKING:
     from tunefree_hil.bus.codec import Codec
@@ -26,21 +26,20 @@ def check(path: Path, vehicle: str | None) -> Iterator[Event]:
 
     codec, where = codec_for(path, vehicle)
     yield Event("note", f"{path}, read as {where}")
-    frames, cut = load_log(path)
-    health = check_frames(frames, codec, by_channel(frames, codec))
+    log = open_log(path)
+    health = check_frames(log.frames(), codec, by_channel(log.frames(), codec))
     yield Event("line", HEAD)
     for row in health.messages:
         yield Event("line", _row(row, codec))
     for can_id, count in health.foreign.items():
         yield Event("line", f"{'(not in the DBC)':<24}{can_id & 0x1FFFFFFF:>#11x}{count:>8}")
-    problems = ([cut] if cut else []) + health.problems
+    problems = ([cut_warning(log)] if log.cut else []) + health.problems
     for problem in problems:
         yield Event("line", f"fault: {problem}")
-    seconds = max(frame.time_s for frame in frames) - min(frame.time_s for frame in frames)
     holds = f"{len(problems)} faults" if len(problems) != 1 else "1 fault"
-    sentence = f"{len(frames)} frames in {seconds:.2f} s: " + (holds if problems else "the log is whole")
+    sentence = f"{health.frames} frames in {health.span_s:.2f} s: " + (holds if problems else "the log is whole")
     data = {"messages": health.messages, "foreign": health.foreign, "problems": problems, "vehicle": where}
-    yield Event("result", "", {**data, "frames": len(frames), "sentence": sentence, "exit": 1 if problems else 0})
+    yield Event("result", "", {**data, "frames": health.frames, "sentence": sentence, "exit": 1 if problems else 0})
 
 
 def _row(row: Any, codec: Codec) -> str:

@@ -1,22 +1,24 @@
-"""Converts a log into another format, says what that cannot hold, and reads the result back to prove it."""
+"""Converts a log into another format, says what that cannot hold, and reads the result back to prove it.
+
+The source is read three times, frame by frame: for what a writer must know before the first, to be written, and beside
+the result. So a log may be larger than the memory.
+"""
 
 from __future__ import annotations
 
-import math
 import os
 import shutil
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from tunefree_hil.base.errors import BenchError, InputError
+from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
+from tunefree_hil.bus.formats.compare import Proof
 from tunefree_hil.bus.formats.find import CANDUMP, format_for, load_format
-from tunefree_hil.bus.formats.rows import TICK_S, Format, Held, Loss, Row, change
+from tunefree_hil.bus.formats.rows import Format, Loss, Lost, Row, Survey, change, survey
 from tunefree_hil.episode.candump import read_rows, write_candump
-from tunefree_hil.jobs.log_files import load_rows
-
-EXACT_S = 2e-9  # and what a double holds of an epoch time: below that a stamp is kept
+from tunefree_hil.jobs.log_files import Log, open_log
 
 
 def convert(source: Path, target: Path, *, channels: Sequence[str] = (), to: str = "") -> Iterator[Event]:
@@ -29,31 +31,25 @@ def convert(source: Path, target: Path, *, channels: Sequence[str] = (), to: str
     if target.exists():
         raise InputError("it is there already", code="exists", file=str(target), hint="choose another name, or move it")
     form = _format(name)
-    rows, source_name = load_rows(source)
-    chosen, left = _choose(rows, channels, source)
-    yield Event("note", f"{source}: {source_name}, {len(rows)} frames on {', '.join(_names(rows))}")
-    held = form.hold(chosen)
-    if not held.rows:
-        raise InputError(
-            f"{name} can hold none of the {len(chosen)} frames: {'; '.join(map(str, held.losses))}",
-            code="nothing_left",
-            file=str(source),
-            hint="choose another format: candump, blf and csv hold every frame",
-        )
-    losses = [*held.losses, *_write(form, target, held.rows)]
+    log = open_log(source)
+    whole = survey(log.rows())
+    yield Event("note", f"{source}: {log.format}, {whole.frames} frames on {', '.join(sorted(whole.channels))}")
+    seen = _choose(log, whole, channels)
+    written, losses = _write(form, target, log, seen)
     for loss in losses:
         yield Event("warning", f"{name}: {loss}")
+    left = whole.frames - seen.frames
     data = {
         "format": name,
-        "read": len(rows),
+        "read": whole.frames,
         "not_chosen": left,
-        "written": len(held.rows),
+        "written": written,
         "losses": [loss._asdict() for loss in losses],
         "out": str(target),
     }
     lost = f"; {len(losses)} kinds of loss, said above" if len(losses) > 1 else f"; {losses[0]}" if losses else ""
     aside = f" ({left} on other channels)" if left else ""
-    yield Event("result", "", {**data, "sentence": f"{len(held.rows)} of {len(rows)} frames{aside} in {target}{lost}"})
+    yield Event("result", "", {**data, "sentence": f"{written} of {whole.frames} frames{aside} in {target}{lost}"})
 
 
 def _format(name: str) -> Format:
@@ -62,83 +58,61 @@ def _format(name: str) -> Format:
     return Format(CANDUMP, read_rows, write_candump, _hold_candump)
 
 
-def _hold_candump(rows: Sequence[Row]) -> Held:
-    """Everything is kept; a channel's name must be one word, and an id of 11 bits no more than that."""
-    return change(
-        rows,
-        lambda row: row._replace(channel="_".join(row.channel.split()) or "can0"),
-        "the channel's name is changed to one word",
-    )
+def _hold_candump(rows: Iterable[Row], seen: Survey, lost: Lost) -> Iterable[Row]:
+    """Everything is kept; a channel's name must be one word."""
+    words = {name: "_".join(name.split()) or "can0" for name in seen.channels}
+    if all(name == word for name, word in words.items()):
+        return rows
+    what = "the channel's name is changed to one word"
+    return change(rows, lambda row: row._replace(channel=words[row.channel]), what, lost)
 
 
-def _names(rows: Sequence[Row]) -> list[str]:
-    return sorted({row.channel for row in rows})
-
-
-def _choose(rows: Sequence[Row], channels: Sequence[str], source: Path) -> tuple[list[Row], int]:
-    """(rows of the channels, how many were left out)."""
-    there = _names(rows)
+def _choose(log: Log, whole: Survey, channels: Sequence[str]) -> Survey:
+    """What is known of the rows of the channels."""
     for channel in channels:
-        if channel not in there:
+        if channel not in whole.channels:
             raise InputError(
                 f"no channel {channel!r} in it",
                 code="no_channel",
-                file=str(source),
+                file=str(log.path),
                 key="--channel",
-                hint=f"there are {', '.join(there)}",
+                hint=f"there are {', '.join(sorted(whole.channels))}",
             )
-    chosen = [row for row in rows if row.channel in channels] if channels else list(rows)
-    return chosen, len(rows) - len(chosen)
+    if not channels or whole.channels.keys() <= set(channels):
+        return whole
+    return survey(row for row in log.rows() if row.channel in channels)
 
 
-def _write(form: Format, target: Path, rows: list[Row]) -> list[Loss]:
-    """Write beside the target, read back, and only then give the file its name; what reading back shows."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    part = target.with_name(f"part-{os.getpid()}-{target.name}")
+def _write(form: Format, target: Path, log: Log, seen: Survey) -> tuple[int, list[Loss]]:
+    """Write beside the target, read back, and only then give the file its name. (frames, all losses)."""
+
+    def held(lost: Lost) -> Iterable[Row]:
+        return form.hold((row for row in log.rows() if row.channel in seen.channels), seen, lost)
+
+    folder = target.parent / f"part-{os.getpid()}-{target.name}"
+    folder.mkdir(parents=True)
+    part = folder / target.name  # a ROS 2 bag's file has the name of its folder in it
+    lost: Lost = Counter()
     try:
-        form.write(part, rows)
-        found = form.read(part)
-        _refuse_different(rows, found, target)
+        form.write(part, held(lost), seen)
+        losses = [Loss(count, what) for what, count in sorted(lost.items())]
+        _refuse_nothing(form.name, log, seen, losses)
+        proof = Proof()
+        proof.compare(held(Counter()), form.read(part))
+        proof.refuse_different(target)
         os.replace(part, target)
-        return _changed(rows, found)
+        return proof.frames, [*losses, *proof.losses()]
     finally:
-        if part.is_dir():
-            shutil.rmtree(part)
-        part.unlink(missing_ok=True)
+        shutil.rmtree(folder)
 
 
-def _refuse_different(wanted: Sequence[Row], found: Sequence[Row], target: Path) -> None:
-    """Raise BenchError unless the same frames came back, each within a microsecond of its time."""
-    left, right = _by_content(wanted), _by_content(found)
-    for content in left.keys() | right.keys():
-        a, b = left.get(content, []), right.get(content, [])
-        if len(a) != len(b) or any(abs(x - y) >= TICK_S for x, y in zip(a, b, strict=True)):
-            raise BenchError(
-                f"what was written does not read back: {len(a)} frames 0x{content[1] & 0x1FFFFFFF:X} on {content[0]} "
-                f"went in, {len(b)} came back, or their stamps moved",
-                code="conversion",
-                file=str(target),
-                hint="nothing was left there; report this log",
-            )
-
-
-def _changed(wanted: Sequence[Row], found: Sequence[Row]) -> list[Loss]:
-    """Frames that changed places with others of the same time, and stamps that were rounded."""
-    losses = []
-    moved = sum(a[1:] != b[1:] for a, b in zip(wanted, found, strict=True))
-    if moved:
-        losses.append(Loss(moved, "comes in another place, for the format keeps frames in the order of time only"))
-    left, right = _by_content(wanted), _by_content(found)
-    pairs = [pair for content, times in left.items() for pair in zip(times, right[content], strict=True)]
-    rounded = [abs(a - b) for a, b in pairs if abs(a - b) > max(EXACT_S, 2.0 * math.ulp(a))]
-    if rounded:
-        losses.append(Loss(len(rounded), f"the stamp is rounded, by at most {1e6 * max(rounded):.3f} us"))
-    return losses
-
-
-def _by_content(rows: Sequence[Row]) -> dict[tuple[str, int, bytes, int, int], list[float]]:
-    """The sorted stamps of each kind of frame."""
-    found: dict[tuple[str, int, bytes, int, int], list[float]] = defaultdict(list)
-    for row in rows:
-        found[row[1:]].append(row.time_s)
-    return {content: sorted(times) for content, times in found.items()}
+def _refuse_nothing(name: str, log: Log, seen: Survey, losses: Sequence[Loss]) -> None:
+    """Raise InputError where not one frame is left."""
+    if sum(loss.frames for loss in losses if "left out" in loss.what) < seen.frames:
+        return
+    raise InputError(
+        f"{name} can hold none of the {seen.frames} frames: {'; '.join(map(str, losses))}",
+        code="nothing_left",
+        file=str(log.path),
+        hint="choose another format: candump, blf and csv hold every frame",
+    )

@@ -11,9 +11,10 @@ import numpy as np
 from tunefree_hil.base.course import Course, Tracking
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
+from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.codec import Codec
 from tunefree_hil.control.follower import make_follower
-from tunefree_hil.episode.candump import LogFrame
+from tunefree_hil.episode.candump import EXTENDED_BIT, LogFrame
 from tunefree_hil.episode.columns import columns_from_frames
 from tunefree_hil.episode.recording import Recording
 from tunefree_hil.grade.align import Align, find_by_speed, longitudinal_only, place_course
@@ -30,11 +31,15 @@ ODOMETRY = "station error by the integral of the reported speed: it runs with th
 
 
 class LogDrive(NamedTuple):
-    """columns against `course`, which lies in the log's coordinates; notes: how it was placed, what was not had."""
+    """columns against `course`, which lies in the log's coordinates; notes: how it was placed, what was not had.
+
+    span_s: first and last time stamp of the part of the log that the rows are.
+    """
 
     recording: Recording
     course: Course
     notes: list[str]
+    span_s: tuple[float, float]
 
 
 class Times(NamedTuple):
@@ -68,6 +73,9 @@ def read_drive(
         options = {"ticks": ticks, "zero_s": zero_s, "late_ticks": times.late_ticks, "by_channel": named}
         return columns_from_frames(frames, codec, follower, dt_s, **options)
 
+    def span(row: int, ticks: int) -> tuple[float, float]:
+        return times.zero_s + row * dt_s, times.zero_s + (row + ticks) * dt_s
+
     whole = columns(nobody(), 0, 0)
     notes = [times.words] if times.words else []
     if whole.columns.keys() >= POSITION:
@@ -76,11 +84,12 @@ def read_drive(
         ticks = _ticks(whole, placed.row, placed.course)
         found = columns(make_follower(placed.course, vehicle.rear_axle_m), placed.row, ticks)
         if "speed_error_mps" in found.columns:
-            return LogDrive(found, placed.course, [*notes, placed.words])
+            return LogDrive(found, placed.course, [*notes, placed.words], span(placed.row, ticks))
     row, words = _start_without(whole, reference.course, start_s)
-    found = columns(nobody(), row, _ticks(whole, row, reference.course))
+    ticks = _ticks(whole, row, reference.course)
+    found = columns(nobody(), row, ticks)
     notes += [words, "no INS frames with position and speed: nothing lateral can be had", ODOMETRY]
-    return LogDrive(longitudinal_only(found, reference.course), reference.course, notes)
+    return LogDrive(longitudinal_only(found, reference.course), reference.course, notes, span(row, ticks))
 
 
 def nobody() -> Block:
@@ -104,6 +113,31 @@ def times_of(frames: Sequence[LogFrame], dt_s: float, folder: Path) -> Times:
     if (folder / "bench.log").is_file():
         return Times(realtime_zero_s(folder), 1, "real time: tick 0 is where bench.log says")
     return Times(float(stamps.min()), 1, f"real time: second 0 is the log's first frame, at {stamps.min():.3f} s")
+
+
+def manual_s(frames: Sequence[LogFrame], codec: Codec, span_s: tuple[float, float]) -> float:
+    """Seconds of a part of a log in which a report says that its by-wire channel is not enabled.
+
+    0 where no report can say it. The source profiles rows in automatic mode only (apollo_facts 6.1).
+    """
+    telemetry, messages = set(codec.telemetry), {}
+    off: dict[str, bool] = {}
+    total_s = before_s = 0.0
+    for frame in frames:
+        key = (frame.can_id, frame.channel)
+        if key not in messages:
+            can_id, extended = frame.can_id & ~EXTENDED_BIT, bool(frame.can_id & EXTENDED_BIT)
+            found = codec.find(CanFrame(can_id, b"", extended=extended))
+            messages[key] = found if found in telemetry else None
+        message = messages[key]
+        enables = [state for state in message.states if state.condition == "enabled"] if message is not None else []
+        if message is None or not enables or not codec.fits(message, frame.data):
+            continue
+        if any(off.values()):
+            total_s += max(0.0, min(frame.time_s, span_s[1]) - max(before_s, span_s[0]))
+        before_s, decoded = frame.time_s, codec.decode(message, frame.data)
+        off[message.name] = any(decoded.get(state.signal) != state.active for state in enables)
+    return total_s
 
 
 def beside_of(folder: Path) -> Beside:

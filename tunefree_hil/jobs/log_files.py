@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.formats.find import CANDUMP, format_of, load_format
 from tunefree_hil.bus.formats.rows import Row
-from tunefree_hil.episode.candump import LogFrame, read_candump, read_rows
+from tunefree_hil.episode.candump import LogFrame, cut_line, read_rows
 
 if TYPE_CHECKING:
     from tunefree_hil.bus.codec import Codec
@@ -18,19 +18,61 @@ KEPT_FLAGS = 31  # of a Row that a LogFrame has
 
 
 class Log(NamedTuple):
-    """A log's frames; `cut`: what to say when its last line was cut off, else ''."""
+    """A log that is read as often as one likes, never held as a whole.
+
+    format: its name. cut: of candump text what is left of a last line that was cut off, else ''; `frames` leaves that
+    line out, `rows` refuses it.
+    """
+
+    path: Path
+    format: str
+    cut: str
+
+    def rows(self) -> Iterator[Row]:
+        """All of it. InputError for a log that is empty, cut off or foreign; an OSError where the disk fails."""
+        return self._rows(allow_cut=False)
+
+    def frames(self) -> Iterator[LogFrame]:
+        """The frames without what only other formats ask for."""
+        for row in self._rows(allow_cut=True):
+            yield LogFrame(*row[:4], row[4] & KEPT_FLAGS)
+
+    def _rows(self, allow_cut: bool) -> Iterator[Row]:
+        if self.format == CANDUMP:
+            yield from read_rows(self.path, allow_cut=allow_cut)
+            return
+        heard = False
+        for row in load_format(self.format).read(bag_of(self.path)):
+            heard = True
+            yield row
+        if not heard:
+            hint = "record it again, or export it anew"
+            message = "the log is empty: there is not one frame in it"
+            raise InputError(message, code="empty_log", file=str(self.path), hint=hint)
+
+
+def open_log(path: Path) -> Log:
+    """A log in any format, told by how it begins. InputError for one that is missing or has no byte."""
+    name = format_of(path)
+    return Log(path, name, cut_line(path) if name == CANDUMP else "")
+
+
+def cut_warning(log: Log) -> str:
+    """What to say of a log whose last line was cut off; '' where it was not."""
+    return f"the log is cut off in its last line, which is left out: {log.cut[:60]!r}" if log.cut else ""
+
+
+class Whole(NamedTuple):
+    """All frames at once; cut: what to say of the last line."""
 
     frames: list[LogFrame]
     cut: str
 
 
-def load_rows(path: Path) -> tuple[list[Row], str]:
-    """(rows, format) of a log in any format. InputError for one that is missing, empty, cut off or foreign."""
-    name = format_of(path)
-    rows = read_rows(path) if name == CANDUMP else load_format(name).read(bag_of(path))
-    if not rows:
-        raise InputError("the log is empty: there is not one frame in it", code="empty_log", file=str(path))
-    return rows, name
+def load_log(path: Path) -> Whole:
+    """A whole log in memory, for what needs all of it (grading a drive)."""
+    log = open_log(path)
+    return Whole(list(log.frames()), cut_warning(log))
 
 
 def bag_of(path: Path) -> Path:
@@ -39,23 +81,13 @@ def bag_of(path: Path) -> Path:
     return path.parent if inside else path
 
 
-def load_log(path: Path) -> Log:
-    """The frames of a log in any format; of candump text whose last line is cut off, all before it."""
-    if format_of(path) != CANDUMP:
-        rows, _ = load_rows(path)
-        return Log([LogFrame(*row[:4], row.flags & KEPT_FLAGS) for row in rows], "")
-    try:
-        return Log(read_candump(path), "")
-    except InputError as error:
-        if error.code != "truncated_log":
-            raise
-        return Log(read_candump(path, allow_cut=True), error.message)
+def by_channel(frames: Iterable[LogFrame], codec: Codec) -> bool:
+    """Whether the log's channel names are those of vehicle.toml; the bench's own logs have one channel only.
 
-
-def by_channel(frames: Sequence[LogFrame], codec: Codec) -> bool:
-    """Whether the log's channel names are those of vehicle.toml; the bench's own logs have one channel only."""
-    named = {message.channel for message in (*codec.commands, *codec.telemetry)} - {""}
-    return bool(named) and named <= {frame.channel for frame in frames}
+    Frames are looked at only until all are heard.
+    """
+    missing = {message.channel for message in (*codec.commands, *codec.telemetry)} - {""}
+    return bool(missing) and any(not (missing.discard(frame.channel) or missing) for frame in frames)
 
 
 def codec_for(path: Path, vehicle: str | None) -> tuple[Codec, str]:

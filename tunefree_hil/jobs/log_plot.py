@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.episode.candump import LogFrame
-from tunefree_hil.jobs.log_files import by_channel, codec_for, load_log
+from tunefree_hil.jobs.log_files import by_channel, codec_for, cut_warning, open_log
 from tunefree_hil.jobs.log_show import known_names, message_of, refuse_unknown
 
 if TYPE_CHECKING:
@@ -38,18 +39,18 @@ def plot(path: Path, vehicle: str | None, signals: Sequence[str], out: Path | No
     wanted = [chosen for name in signals for chosen in choose(name, codec)]
     if not wanted:
         raise InputError("no signal is named", code="no_signal", key="SIGNALS", hint="for example report.speed_mps")
-    frames, cut = load_log(path)
-    if cut:
-        yield Event("warning", cut)
+    log = open_log(path)
+    if log.cut:
+        yield Event("warning", cut_warning(log))
     units = dbc_units(where)
-    found = series_of(frames, codec, wanted)
+    found = series_of(log.frames(), codec, wanted, by_channel(log.frames(), codec))
     series = [Series(name, unit_of(name, units), *found[name], _gap_s(name, codec)) for name in dict.fromkeys(wanted)]
     silent = [one.name for one in series if not one.time_s.size]
     for name in silent:
         yield Event("warning", f"{name} was never heard in this log")
     if len(silent) == len(series):
         raise InputError("not one of the signals is in this log", code="never_heard", file=str(path), key="SIGNALS")
-    target = write_signals(out or path.with_suffix(".png"), path.name, series)
+    target = write_signals(out or path.with_suffix(".png"), f"{path.name}: {codec.name}", series)
     data = {"figure": str(target), "values": {one.name: int(one.values.size) for one in series}, "vehicle": where}
     yield Event("result", "", {**data, "sentence": f"{len(series) - len(silent)} signals drawn in {target}"})
 
@@ -64,24 +65,31 @@ def choose(name: str, codec: Codec) -> list[str]:
 
 
 def series_of(
-    frames: Sequence[LogFrame], codec: Codec, wanted: Sequence[str]
+    frames: Iterable[LogFrame], codec: Codec, wanted: Sequence[str], apart: bool = False
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Full name -> (stamps in s, values: SI for record fields, the DBC's unit for signals), in the log's order."""
-    apart = by_channel(frames, codec)
-    names = {message.name: _values_of(message) for message in codec.by_name.values()}
-    rows: dict[str, list[tuple[float, float]]] = {name: [] for name in wanted}
+    """Full name -> (stamps in s, values: SI for record fields, the DBC's unit for signals), in the log's order.
+
+    apart: the log's channels are the vehicle's (log_files.by_channel).
+    """
+    rows = {name: (array("d"), array("d")) for name in wanted}
+    fields = {message.name: _values_of(message) for message in codec.by_name.values()}
+    bearing = {message.name for message in codec.by_name.values() if _names_of(message) & rows.keys()}
     for frame in frames:
         message = message_of(frame, codec, apart)
-        if message is None or not codec.fits(message, frame.data):
+        if message is None or message.name not in bearing or not codec.fits(message, frame.data):
             continue
         decoded = codec.decode(message, frame.data)
         values = {f"{message.name}.{name}": value for name, value in decoded.items()}
-        fields = names[message.name]
-        values |= {fields[group, index]: value for group, index, value in codec.values(message, decoded)}
+        names = fields[message.name]
+        values |= {names[group, index]: value for group, index, value in codec.values(message, decoded)}
         for name in rows.keys() & values.keys():
-            rows[name].append((frame.time_s, values[name]))
-    arrays = {name: np.array(some, dtype=float).reshape(-1, 2) for name, some in rows.items()}
-    return {name: (both[:, 0], both[:, 1]) for name, both in arrays.items()}
+            rows[name][0].append(frame.time_s)
+            rows[name][1].append(values[name])
+    return {name: (np.array(times), np.array(values)) for name, (times, values) in rows.items()}
+
+
+def _names_of(message: MessageMap) -> set[str]:
+    return {f"{message.name}.{name}" for name in message.signals} | set(_values_of(message).values())
 
 
 def _values_of(message: MessageMap) -> dict[tuple[str, int], str]:

@@ -10,7 +10,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.episode.candump import ERROR, EXTENDED_BIT, RTR, LogFrame
-from tunefree_hil.jobs.log_files import by_channel, codec_for, load_log
+from tunefree_hil.jobs.log_files import by_channel, codec_for, cut_warning, open_log
 
 if TYPE_CHECKING:
     from tunefree_hil.bus.codec import Codec, MessageMap
@@ -26,19 +26,20 @@ def show(path: Path, vehicle: str | None, signals: Sequence[str]) -> Iterator[Ev
     known = known_names(codec)
     for name in signals:
         refuse_unknown(name, known, codec.name)
-    frames, cut = load_log(path)
-    if cut:
-        yield Event("warning", cut)
-    shown, apart = 0, by_channel(frames, codec)
-    for frame in frames:
+    log = open_log(path)
+    if log.cut:
+        yield Event("warning", cut_warning(log))
+    shown, count, apart = 0, 0, by_channel(log.frames(), codec)
+    for frame in log.frames():
+        count += 1
         message = message_of(frame, codec, apart)
         words = _decoded(frame, message, codec, signals)
         if words:
             shown += 1
             name = message.name if message is not None else "(foreign)"
             yield Event("line", f"{frame.time_s:.6f} {frame.channel} {frame.can_id & 0x1FFFFFFF:03X} {name} {words}")
-    sentence = f"{shown} of {len(frames)} frames shown"
-    yield Event("result", "", {"sentence": sentence, "frames": len(frames), "shown": shown})
+    sentence = f"{shown} of {count} frames shown"
+    yield Event("result", "", {"sentence": sentence, "frames": count, "shown": shown})
 
 
 def message_of(frame: LogFrame, codec: Codec, apart: bool) -> MessageMap | None:

@@ -103,9 +103,6 @@ class _Search:
 
     def wanted(self) -> list[tuple[str, Car]]:
         """The next car of each walk, filled up with the fixed ones; by car, so that vectors share what is built."""
-        for (name, _), walk in self.walks.items():
-            while (car := walk.ahead) is not None and car in self.driven[name]:
-                walk.tell(self.driven[name][car])
         ahead = {(name, car): None for (name, _), walk in self.walks.items() if (car := walk.ahead) is not None}
         fixed = (one for one in self._fixed() if one not in ahead)
         least = -(-ROUND // len(self.scenarios))
@@ -115,7 +112,7 @@ class _Search:
 
     def left(self) -> int:
         """Drives that are still to be made at most."""
-        walking = sum(walk.left - 1 for walk in self.walks.values() if walk.left)
+        walking = sum(walk.left for walk in self.walks.values())
         return len(self.scenarios) * (walking + sum(1 for _ in self._fixed()))
 
     def drive(self, pairs: Sequence[tuple[str, Car]]) -> None:
@@ -130,6 +127,9 @@ class _Search:
                 if car == SAME and one.grade is not None:
                     self.scores[name][scenario.name] = one.grade.score
         self.drives += len(jobs)
+        for (name, _), walk in self.walks.items():
+            while (car := walk.ahead) is not None and car in self.driven[name]:
+                walk.tell(self.driven[name][car])
 
     def said(self) -> str:
         """Words for the progress line."""

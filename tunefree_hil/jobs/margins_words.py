@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 LESS = {"delay": "delay margin", "gain_up": "steer gain margin upward", "gain_down": "steer gain margin downward",
@@ -32,7 +32,7 @@ def margin_words(margins: Mapping[str, Any], tuned: str) -> str:
 
 
 def margin_table(margins: Mapping[str, Any], tuned: str) -> list[str]:
-    """One line a vector, '<' beside what the winner has less of than manual; then where it fails, and what is missing."""
+    """One line a vector, '<' beside what the winner has less of than manual; then where it fails, what is missing."""
     vectors, less = margins["vectors"], {one["what"] for one in margins["less"]}
     rows = [HEAD, *(_row(name, one, less if name == tuned else set()) for name, one in vectors.items())]
     widths = [max(len(row[i]) for row in rows) for i in range(len(HEAD))]
@@ -40,14 +40,21 @@ def margin_table(margins: Mapping[str, Any], tuned: str) -> list[str]:
                        for i, (cell, width) in enumerate(zip(row, widths, strict=True))) for row in rows]  # fmt: skip
     if less:
         lines.append(f"< marks what {tuned} has less of than {margins['against']}")
-    for point in vectors[tuned]["points"]:
-        if point["failed"]:
-            told = ", ".join(f"{scenario} ({outcome})" for scenario, outcome in point["failures"].items())
-            lines.append(f"{tuned} fails with {point['what']}: {told}")
+    lines += _where(tuned, vectors[tuned]["points"])
     lines += [f"{group}: not driven, {reason}" for group, reason in margins["missing"].items()]
     if margins["reason"]:
         lines.append(f"no margins: {margins['reason']}")
     return lines
+
+
+def _where(tuned: str, points: Sequence[Mapping[str, Any]]) -> list[str]:
+    """One line a scenario and end: with which cars."""
+    cars: dict[tuple[str, str], list[str]] = {}
+    for point in points:
+        for key in point["failures"].items():
+            cars.setdefault(key, []).append(point["what"])
+    return [f"{tuned} fails in {scenario} ({outcome}) with {'; '.join(some)}"
+            for (scenario, outcome), some in sorted(cars.items())]  # fmt: skip
 
 
 def _row(name: str, one: Mapping[str, Any], less: set[str]) -> tuple[str, ...]:
@@ -78,7 +85,7 @@ def _gain(margin: Mapping[str, Any] | None) -> str:
     if margin is None:
         return NONE
     beyond = "<= " if margin["value"] < 1.0 else ">= "
-    return f"{beyond if margin['at_least'] else ''}{margin['value']:.1f}"
+    return f"{beyond if margin['at_least'] else ''}{margin['value']:.2f}"
 
 
 def _rate(rate: Mapping[str, Any] | None, *, share: bool = False) -> str:

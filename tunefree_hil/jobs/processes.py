@@ -15,6 +15,7 @@ from tunefree_hil.base.errors import BenchError, InputError, PeerGone
 
 TAIL_LINES = 12
 END_S = 3.0
+LOST = 3  # exit status of a node that ends because of the others (interfaces 1)
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 STARTER_VARIABLE = "TUNEFREE_STARTER"  # process id of whoever started a node and will end it
 
@@ -23,6 +24,13 @@ def starter_is_gone() -> bool:
     """Whether this process was started by `Processes` whose own process is gone."""
     starter = os.environ.get(STARTER_VARIABLE, "")
     return bool(starter) and os.getppid() != int(starter)
+
+
+def _how_late(status: int) -> int:
+    """Place of an exit status in a chain of ends: killed, failed, left without a word, lost the others."""
+    if status < 0:
+        return 0
+    return {0: 2, LOST: 3}.get(status, 1)
 
 
 class _Child(NamedTuple):
@@ -105,11 +113,10 @@ class Processes:
         )
 
     def explain(self, error: BenchError) -> BenchError:
-        """The better of two reports of one loss: that of a process that was killed, then of one that failed."""
+        """The better of two reports of one loss: that of the process which ended first, as far as its status shows."""
         time.sleep(0.2)
-        ended = [(child, child.process.poll()) for child in self.children]
-        failed = sorted((status, i) for i, (_, status) in enumerate(ended) if status)
-        return self._gone(ended[failed[0][1]][0], failed[0][0]) if failed else error
+        ended = [(child, status) for child in self.children if (status := child.process.poll()) is not None]
+        return self._gone(*min(ended, key=lambda one: _how_late(one[1]))) if ended else error
 
     def memory_mb(self) -> dict[str, float]:
         """Largest resident size so far of each living process."""

@@ -46,6 +46,8 @@ class RunDrives(NamedTuple):
     label: str
     drives: dict[str, OneDrive]
     weights: WeightsSpec
+    vehicle: str = ""
+    model: str = ""  # of the plant; '' where there is none (a log)
 
     def only(self, names: Sequence[str]) -> RunDrives:
         """The same run with these scenarios only."""
@@ -67,20 +69,23 @@ class RunDrives(NamedTuple):
 
 def read_run(text: str, weights: WeightsSpec | None = None) -> RunDrives:
     """A run's drives, judged by `weights`, or where None by its own. Raises InputError that names what is missing."""
-    path, candidate = _split(text)
+    path, candidate = split_run(text)
     inside_verify = path.name == "verify" and not (path / "run.json").is_file()
     run = open_run(path.parent if inside_verify else path)
     if run.record.get("command") == "grade":
         return _graded(run, weights)
+    _require_drives(run, candidate)
     bench = load(run.bench_file())
     weighing = weights or bench.weights
     source = RunFolder(run.path / "verify", run.record) if inside_verify else run
     drives = [_read(source, bench, number, weighing) for number in _numbers(run, source, bench, candidate)]
-    return RunDrives(_label(path, candidate), {drive.scenario: drive for drive in drives}, weighing)
+    model = bench.spec.verify_model if inside_verify else str(run.record.get("model") or bench.spec.model)
+    by_name = {drive.scenario: drive for drive in drives}
+    return RunDrives(_label(path, candidate), by_name, weighing, Path(bench.vehicle.folder).name, model)
 
 
-def _split(text: str) -> tuple[Path, str]:
-    """(folder, candidate): 'runs/x:mrac_on' unless a folder has that very name."""
+def split_run(text: str) -> tuple[Path, str]:
+    """(folder, candidate) of what names a run: 'runs/x:mrac_on' unless a folder has that very name."""
     head, colon, name = text.rpartition(":")
     if colon and head and not Path(text).exists() and "/" not in name:
         return Path(head), name
@@ -98,15 +103,7 @@ def _numbers(run: RunFolder, source: RunFolder, bench: Bench, candidate: str) ->
 
     A candidate's are found by their parameters, so that it does not matter in which order they were driven.
     """
-    command = str(run.record.get("command"))
-    if command not in ("drive", "tune") or (command == "drive" and candidate):
-        raise InputError(
-            f"is a run of {command!r}" + (f", which has no candidate {candidate!r}" if candidate else ""),
-            code="not_a_drive",
-            file=str(run.path),
-            hint="give a run of drive, tune, verify or grade",
-        )
-    wanted = None if command == "drive" else _parameters_of(run, bench, candidate or TUNED)
+    wanted = None if run.record.get("command") == "drive" else _parameters_of(run, bench, candidate or TUNED)
     found = [number for number, parameters in _episodes(source) if wanted is None or parameters == wanted]
     if not found:
         raise InputError(
@@ -116,6 +113,17 @@ def _numbers(run: RunFolder, source: RunFolder, bench: Bench, candidate: str) ->
             hint="was it cut off, or were its logs thrown away? drive it again",
         )
     return found
+
+
+def _require_drives(run: RunFolder, candidate: str) -> None:
+    command = str(run.record.get("command"))
+    if command not in ("drive", "tune") or (command == "drive" and candidate):
+        raise InputError(
+            f"is a run of {command!r}" + (f", which has no candidate {candidate!r}" if candidate else ""),
+            code="not_a_drive",
+            file=str(run.path),
+            hint="give a run of drive, tune, verify or grade",
+        )
 
 
 def _episodes(source: RunFolder) -> list[tuple[int, dict[str, float]]]:
@@ -188,4 +196,5 @@ def _graded(run: RunFolder, weights: WeightsSpec | None) -> RunDrives:
         int(data["planned_samples"]),
         load_recording(run.path / "episodes" / "0" / "columns.npz"),
     )
-    return RunDrives(_label(run.path, ""), {drive.scenario: drive}, own)
+    vehicle = Path(str(run.record.get("vehicle", ""))).name
+    return RunDrives(_label(run.path, ""), {drive.scenario: drive}, own, vehicle)

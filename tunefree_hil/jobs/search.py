@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -12,6 +13,7 @@ from tunefree_hil.bench import Bench, parameters_of
 from tunefree_hil.jobs.evaluators import Candidate, Evaluator
 from tunefree_hil.jobs.run_folder import RunFolder, drop_bulk
 from tunefree_hil.tune.compare import best_baseline
+from tunefree_hil.tune.filling import ASKED_AGAIN
 from tunefree_hil.tune.journal import Journal
 from tunefree_hil.tune.shared import SharedStudy
 from tunefree_hil.tune.study import Study
@@ -38,22 +40,27 @@ class Search:
         self._began_s, self._began_with = time.monotonic(), 0
 
     def baselines(self, order: list[str] | None = None) -> Iterator[Event]:
-        """Score the baselines that the study does not have yet, as many at once as the evaluator likes."""
+        """Score the baselines that the study does not have yet, as many at once as the evaluator likes.
+
+        One that the bench failed is driven again. Raises BenchError when that happened three times.
+        """
         self._begin(len(self.study.baselines()))
+        failed: Counter[str] = Counter()
         while missing := [name for name in order or self.vectors if name not in self.study.baselines()]:
-            names = missing[: self.evaluator.at_once]
-            try:
-                evaluations = self._baseline(names)
-            except BenchError as error:
-                yield Event("warning", f"baseline {names[0]} failed and is driven again: {error.message}")
-                evaluations = self._baseline(names)
-            for name, evaluation in zip(names, evaluations, strict=True):
-                yield from self._keep_baseline(name, evaluation)
-            done = len(self.study.baselines())
-            scores = ", ".join(
-                f"{name} scores {evaluation.score:.3f}" for name, evaluation in zip(names, evaluations, strict=True)
-            )
-            yield self._progress(scores, "baseline", done, len(self.vectors))
+            answers = self._baseline(missing[: self.evaluator.at_once])
+            scores = []
+            for name, answer in answers.items():
+                if isinstance(answer, BenchError):
+                    failed[name] += 1
+                    if failed[name] > ASKED_AGAIN:
+                        raise answer
+                    yield Event("warning", f"baseline {name} failed and is driven again: {answer.message}")
+                else:
+                    yield from self._keep_baseline(name, answer)
+                    scores.append(f"{name} scores {answer.score:.3f}")
+            if scores:
+                done = len(self.study.baselines())
+                yield self._progress(", ".join(scores), "baseline", done, len(self.vectors))
 
     def trials(self) -> Iterator[Event]:
         """Fill the slots that are free; the logs of the best are kept, the others' dropped."""
@@ -70,9 +77,17 @@ class Search:
             [Candidate(first + slot, parameters_of(self.bench, searched)) for slot, searched in points.items()]
         )
 
-    def _baseline(self, names: list[str]) -> list[Evaluation]:
+    def _baseline(self, names: list[str]) -> dict[str, Evaluation | BenchError]:
+        """What became of each: its evaluation, or how the bench failed it."""
         order = list(self.vectors)
-        return self.evaluator.evaluate([Candidate(order.index(name), self.vectors[name]) for name in names])
+        try:
+            found = self.evaluator.evaluate([Candidate(order.index(name), self.vectors[name]) for name in names])
+        except BenchError as error:
+            return dict.fromkeys(names, error)
+        return {
+            name: BenchError(one.error, code="evaluation_failed") if one.error else one
+            for name, one in zip(names, found, strict=True)
+        }
 
     def _keep_baseline(self, name: str, evaluation: Evaluation) -> Iterator[Event]:
         if isinstance(self.study, SharedStudy):
@@ -111,10 +126,13 @@ class Search:
         each_s = (time.monotonic() - self._began_s) / max(1, done - self._began_with)
         rest = total - done + (self.total - len(self.study.trials()) if label == "baseline" else 0)
         best, manual = self.study.best(), self.study.baselines()
-        data: dict[str, Any] = {"label": label, "done": done, "total": total, "over": self.evaluator.over}
+        shown = f"{label} in the batch" if self.evaluator.over == "batch" else label
+        data: dict[str, Any] = {"label": shown, "done": done, "total": total, "over": self.evaluator.over}
         if label == "trial" or self.evaluator.over != "batch":  # a batch compiles during its baselines
             data["eta_s"] = each_s * max(0, rest)
         data |= self.evaluator.pace
+        if data.get("discarded"):
+            message += f"; not real time and driven again so far: {data['discarded']:.0f}"
         if best is not None:
             data["best"] = best.score
         if manual:

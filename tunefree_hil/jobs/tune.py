@@ -29,6 +29,7 @@ from tunefree_hil.jobs.tune_report import finish_report
 from tunefree_hil.jobs.tune_wish import BATCH, Asked, Wish, resolve_wish
 from tunefree_hil.jobs.verify import verify_winner
 from tunefree_hil.tune.journal import open_journal
+from tunefree_hil.tune.mirror import mirror
 from tunefree_hil.tune.shared import join_study
 from tunefree_hil.tune.store import alone
 from tunefree_hil.tune.study import open_study
@@ -65,9 +66,8 @@ def tune(asked: Asked) -> Iterator[Event]:
         yield from (Event("note", line) for line in report.lines)
         data, sentence = dict(report.data), report.sentence
         if asked.realtime:
-            discarded = run.record.get("discarded", 0)
-            data["discarded"] = discarded
-            sentence += f"; {discarded} drives were not real time, discarded and repeated"
+            data["discarded"] = run.record.get("discarded", 0)
+            sentence += f"; drives that were not real time, discarded and repeated: {data['discarded']}"
         if asked.verify and finished.verify and wish.bench.spec.verify_model:
             found = yield from verify_winner(
                 wish.bench, run, bus=asked.bus, bench_bus=asked.bench_bus, session=wish.session, join=asked.join
@@ -109,6 +109,7 @@ def _shared(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, No
         yield from search.baselines(names[turn:] + names[:turn])
         yield from search.trials()
     yield from (Event("warning", words) for words in study.refresh())
+    mirror(run.path / "study.db", study, {})  # what reads a run's study (`explain`) needs no server
     return Finished(study, verify=study.filled_last)
 
 
@@ -118,7 +119,9 @@ def _batch(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, Non
     scenarios = [wish.bench.scenarios[name] for name in wish.bench.spec.scenarios]
     if len(journal.baselines()) < len(wish.vectors) or len(journal.trials()) < wish.trials:
         with Batch(wish.bench) as batch:
-            yield Event("note", f"batch: {wish.settings.in_flight} trials in flight; it compiles first")
+            words = f"batch: {wish.settings.in_flight} trials in flight; a bench new to this machine is compiled first"
+            best = min(wish.asked.confirm, wish.trials)
+            yield Event("note", f"{words}. In the end the bus confirms the best {best} and the baselines")
             evaluator = BatchEvaluator(batch, wish.bench, scenarios, at_once=max(len(wish.vectors), 1))
             search = Search(wish.bench, run, evaluator, journal, wish.vectors, wish.trials)
             yield from search.baselines()
@@ -127,7 +130,9 @@ def _batch(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, Non
     missing = to_confirm(journal, wish.asked.confirm)
     if missing:
         with _on_lanes(wish, run) as evaluator:
-            yield Event("note", f"confirms {len(missing)} of the batch's results; {_said_of(wish, evaluator)}")
+            trials = sum(trial is not None for trial in missing.values())
+            words = f"now over the bus: the best {trials} of the batch's trials and {len(missing) - trials} baselines"
+            yield Event("note", f"{words}; {_said_of(wish, evaluator)}")
             yield from confirm(wish.bench, journal, evaluator, wish.vectors, missing)
     mirror.result()
     journal.mirror(run.path / "study.db")
@@ -137,7 +142,8 @@ def _batch(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, Non
 
 def _said_of(wish: Wish, evaluator: BusEvaluator) -> str:
     benches = len(evaluator.track.sessions)
-    words = f"bus: {evaluator.track.sessions[0].choice.why}; {benches} bench{'es' if benches > 1 else ''} side by side"
+    side = f"{benches} benches side by side" if benches > 1 else "1 bench"
+    words = f"bus: {evaluator.track.sessions[0].choice.why}; {side}"
     flying = wish.settings.in_flight
     if flying > 1 and wish.asked.backend != BATCH:
         words += f", {flying} trials in flight: the same --benches and --in-flight give the same trials"

@@ -72,14 +72,17 @@ def _with_batch(report: Report, confirmed: Confirmed, best: Trial) -> Report:
     different = [name for name, one in scores.items() if not one.equal]
     trials = confirmed.trials()
     driven = [trial for trial in trials if slot_key(trial.slot) in scores]
-    lines = [f"over the bus: {len(driven)} of {len(trials)} trials and the baselines; the others are the batch's"]
+    lines = [
+        f"all {len(trials)} trials were driven in the batch; the best {len(driven)} of them and the baselines, "
+        "below, over the bus again (the table above is the bus's)"
+    ]
     width = max(len(name) for name in scores)
     lines.append(f"{'':{width}}     batch       bus")
     for name, one in sorted(scores.items(), key=lambda item: item[1].bus):
-        words = ("equal" if one.equal else "DIFFERENT") + (", the winner" if name == key else "")
+        words = one.verdict + (", the winner" if name == key else "")
         lines.append(f"{name:{width}}  {one.batch:8.6f}  {one.bus:8.6f}  {words}")
-    agreed = f"batch and bus agree in {len(scores) - len(different)} of {len(scores)} scores"
-    sentence = f"{report.sentence}; confirmed over the bus, {agreed}"
+    agreed = f"where all metrics of {len(scores) - len(different)} of {len(scores)} candidates equal the batch's"
+    sentence = f"{report.sentence}; found in a batch of {len(trials)} trials, confirmed over the bus, {agreed}"
     data = {
         **report.data,
         "over": "bus",

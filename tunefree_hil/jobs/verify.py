@@ -1,4 +1,7 @@
-"""Verify: the winner and every baseline on the verify model, over scenarios that the tuner never saw."""
+"""Verify: the winner and every baseline on the verify model, over scenarios that the tuner never saw.
+
+Over the bus first, which alone says who is better; then their margins, in the batch (jobs/margins.py).
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,9 @@ from tunefree_hil.jobs.candidates import TUNED, baseline_vectors
 from tunefree_hil.jobs.drive import own_session
 from tunefree_hil.jobs.foreign import command_of
 from tunefree_hil.jobs.harvest import Episode, evaluation_of
+from tunefree_hil.jobs.margins import find_margins
+from tunefree_hil.jobs.margins_report import margin_data, steering_data
+from tunefree_hil.jobs.margins_words import margin_table, margin_words
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, write_json
 from tunefree_hil.jobs.session import lanes_of, open_lanes
 from tunefree_hil.jobs.track import Track
@@ -76,11 +82,35 @@ def verify_winner(
         finally:
             track.close()
     found = _compare(results)
-    for line in table({n: e.scenarios for n, e in results.items()}, {n: e.score for n, e in results.items()}):
+    for line in table({n: e.scenarios for n, e in results.items()}, found["scores"]):
         yield Event("note", line)
-    found["figures"] = _figures(run, columns, found["manual"])
+    found["margins"] = yield from _margins(bench, model, vectors, columns, results)
+    words = margin_words(found["margins"], TUNED)
+    found["sentence"] += f"; {words}" if words else ""
+    found["figures"] = _figures(run, columns, found)
     write_json(run.path / "verify.json", {"schema": "tunefree.verify/1", **found})
     return found
+
+
+def _margins(
+    bench: Bench,
+    model: str,
+    vectors: Mapping[str, Mapping[str, float]],
+    columns: Mapping[str, Mapping[str, Episode]],
+    results: Mapping[str, Evaluation],
+) -> Generator[Event, None, dict[str, Any]]:
+    """The value of "margins" in verify.json, its table as notes; a warning where batch and bus differ."""
+    scenarios = [bench.scenarios[name] for name in bench.spec.verify_scenarios]
+    found = yield from find_margins(bench, model, vectors, scenarios)
+    steering = {name: steering_data(one.recording for one in some.values()) for name, some in columns.items()}
+    over_bus = {name: {key: one.grade.score for key, one in some.items()} for name, some in columns.items()}
+    data = margin_data(found, steering, {name: one.score for name, one in results.items()}, over_bus)
+    for line in margin_table(data, TUNED):
+        yield Event("note", line)
+    same = data["same_as_bus"]
+    if same and same["equal"] < same["of"]:
+        yield Event("warning", f"batch and bus agree in {same['equal']} of {same['of']} scores of the car as it is")
+    return data
 
 
 def winner_of(run: RunFolder) -> dict[str, float]:
@@ -109,10 +139,12 @@ def _compare(results: Mapping[str, Evaluation]) -> dict[str, Any]:
     }
 
 
-def _figures(run: RunFolder, columns: Mapping[str, Mapping[str, Episode]], manual: str) -> list[str]:
+def _figures(run: RunFolder, columns: Mapping[str, Mapping[str, Episode]], found: Mapping[str, Any]) -> list[str]:
+    from tunefree_hil.figures.margins import write_margins
     from tunefree_hil.figures.scenario import Drive, write_scenario
 
-    written = []
+    manual, margins = found["manual"], found["margins"]
+    written = [] if margins["reason"] else [str(write_margins(run.figures() / "margins.png", margins, TUNED))]
     for name in columns[TUNED]:
         drives = []
         for label, candidate in ((f"manual ({manual})", manual), (TUNED, TUNED)):

@@ -78,6 +78,7 @@ class ControllerPart:
     def lockstep(self, exchange: Exchange, stopped: Callable[[Any], bool]) -> None:
         """One step for each full phase 0."""
         self.times.begin()
+        self.hearing.reception.expect_every_period()
         for k in range(self.task.ticks):
             frames = exchange.await_phase(k, 0, stopped)
             if frames is None:

@@ -82,6 +82,7 @@ class EcuPart:
         """Open tick after tick; end with the course, a failure that the controller says, or a request."""
         self.times.begin()
         self._stopped = stopped
+        self._ears.reception.expect_every_period()
         ticks = 0
         for k in range(self.car.course.ticks):
             exchange.announce(k, 0, self._publish(k, k), bc.Tick(k))

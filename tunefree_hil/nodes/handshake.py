@@ -17,6 +17,7 @@ from tunefree_hil.base.kernel import kernel
 
 ANSWER_LIMIT_TICKS = 40  # 20 x 20 ms
 CLEAR_EVERY_TICKS = 5  # 20 Hz
+WHY_TICKS = 6  # a channel that is not enabled any more: the report that says why may come this much later
 
 
 class Stage(Enum):
@@ -54,13 +55,15 @@ class Progress(NamedTuple):
 
 
 @kernel
-def watch(state: VehicleState) -> int:
-    """The stage after an engaged tick."""
+def watch(state: VehicleState, since: int, tick: int) -> Progress:
+    """The stage after an engaged tick; since: the last one at which every channel was enabled."""
     if state.fault:
-        return FAULT
+        return Progress(FAULT, since, False)
     if state.override:
-        return OVERRIDE
-    return ENGAGED if state.enabled else DROPPED
+        return Progress(OVERRIDE, since, False)
+    if state.enabled:
+        return Progress(ENGAGED, tick, False)
+    return Progress(DROPPED if tick - since >= WHY_TICKS else ENGAGED, since, False)
 
 
 @kernel
@@ -70,7 +73,7 @@ def look(progress: Progress, tick: int, state: VehicleState, limit_ticks: int) -
     if stage >= NOT_ENABLED:
         return Progress(stage, since, False)
     if stage == ENGAGED:
-        return Progress(watch(state), since, False)
+        return watch(state, since, tick)
     if state.fault:
         return Progress(FAULT, since, False)
     if state.override:
@@ -83,7 +86,7 @@ def look(progress: Progress, tick: int, state: VehicleState, limit_ticks: int) -
     if stage == CLEARING:
         since = tick
     if state.known and state.enabled:
-        return Progress(ENGAGED, since, False)
+        return Progress(ENGAGED, tick, False)
     return Progress(NOT_ENABLED if tick - since >= limit_ticks else ENABLING, since, False)
 
 

@@ -6,7 +6,7 @@ of trouble of a message is said once an episode, at its first tick, and counted 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from tunefree_hil.bus.integrity import E2eStatus, Receiver
@@ -65,6 +65,11 @@ class Reception:
         self._new: list[Notice] = []
         self.too_many: dict[str, int] = {}
 
+    def expect_every_period(self) -> None:
+        """Before the first tick of a drive in lockstep, where no frame is late: a single missing one is noticed."""
+        for receiver in self._all:
+            receiver.expect_every_period()
+
     def hear(self, message: MessageMap, data: bytes, tick: int) -> bool:
         """Take in a frame that has arrived by `tick`; whether its values may be taken."""
         receiver = self.receivers[message.name]
@@ -102,16 +107,15 @@ class Reception:
 
     def summary(self) -> str:
         """What was wrong, message by message, in one line; '' when nothing was."""
-        parts = []
-        for name, row in self.troubles().items():
-            words = [
-                f"{row[status]} {status.words}" for status in E2eStatus if row[status] and status not in UNREMARKABLE
-            ]
-            words += [f"{row[-1]} {TOO_MANY}"] if row[-1] else []
-            parts.append(f"{name} {', '.join(words)}")
-        return "; ".join(parts)
+        return "; ".join(f"{name} {in_words(row)}" for name, row in self.troubles().items())
 
     def _notice(self, tick: int, name: str, what: str) -> None:
         if (name, what) not in self._seen:
             self._seen.add((name, what))
             self._new.append(Notice(tick, name, what))
+
+
+def in_words(row: Sequence[int]) -> str:
+    """One message's counts (`Reception.troubles`): '2 repeated, 1 wrong CRC'."""
+    words = [f"{row[status]} {status.words}" for status in E2eStatus if row[status] and status not in UNREMARKABLE]
+    return ", ".join([*words, f"{row[-1]} {TOO_MANY}"] if row[-1] else words)

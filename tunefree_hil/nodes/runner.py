@@ -20,6 +20,7 @@ from tunefree_hil.nodes.exchange import HARD_LIMIT_S
 LOOK_S = 0.005
 LOAD_LIMIT_S = 120.0  # a jitted plant compiles while it loads
 SILENT_LIMIT_S = HARD_LIMIT_S + 2.0  # the node that waits says it first, and knows more
+LEAVING_LOOKS, LEAVING_LOOK_S = 8, 0.25  # a process that says it leaves still needs a moment to end
 LEAD_MS = 200  # real time: from RUN to tick 0
 
 
@@ -170,8 +171,9 @@ class Runner:
     def _refuse_leaving(self, message: Any) -> None:
         """Raise PeerGone when a node says that it leaves; where it is ours, with its own last words."""
         if isinstance(message, bc.Status) and message.state == bc.State.END:
-            time.sleep(0.3)
-            self.check()
+            for _ in range(LEAVING_LOOKS):
+                time.sleep(LEAVING_LOOK_S)
+                self.check()
             name = bc.Role(message.role).name.lower()
             raise PeerGone(
                 name,

@@ -44,7 +44,7 @@ class Claims:
         self.worker = worker_name()
 
     def create(self) -> None:
-        """Make the table where it is not there (the caller holds `server.creating`)."""
+        """Make the table where it is not there (the caller holds `server.one_at_a_time`)."""
         with self.engine.begin() as connection:
             connection.execute(text(_TABLE))
 

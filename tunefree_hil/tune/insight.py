@@ -15,7 +15,7 @@ from tunefree_hil.tune.space import Axis, Space
 from tunefree_hil.tune.study import Trial
 
 FEWEST = 20  # trials below which an importance would be chance
-EDGE_SHARE = 0.01  # of the range, in the scale of the search
+EDGE_SHARE = 0.02  # of the range, in the scale of the search
 
 
 class Importance(NamedTuple):
@@ -80,7 +80,7 @@ def _ranks(values: np.ndarray) -> np.ndarray:
 
 
 def edge_of(axis: Axis, value: float) -> str:
-    """'lower', 'upper', or '' for a value that is not within 1 % of the range of an edge of its box."""
+    """'lower', 'upper', or '' for a value that is not within 2 % of the range of an edge of its box."""
     if axis.choices:
         return ""
     scale = math.log if axis.log else float

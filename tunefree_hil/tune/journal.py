@@ -16,13 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import optuna
-from optuna.trial import create_trial
 
 from tunefree_hil.base.errors import BenchError, InputError, TunefreeError
 from tunefree_hil.tune import store
 from tunefree_hil.tune.filling import Answers, Filling, Points
-from tunefree_hil.tune.sampling import learned_value
-from tunefree_hil.tune.shelf import BASELINE
+from tunefree_hil.tune.mirror import mirror
 from tunefree_hil.tune.store import Settings
 from tunefree_hil.tune.trial import CUT_OFF, Baseline, Evaluation, Trial, check, lowest
 
@@ -114,29 +112,8 @@ class Journal(Filling):
             self._append({"schema": SCHEMA, "settings": self.settings.described(), "optuna": optuna.__version__})
 
     def mirror(self, path: Path) -> None:
-        """Copy to the study file at `path` what it does not hold yet. One that cannot be read is made anew."""
-        try:
-            file = store.open_file(path, self.settings)
-        except InputError:
-            path.unlink(missing_ok=True)
-            file = store.open_file(path, self.settings)
-        try:
-            held = {frozen.user_attrs["slot"] for frozen in file.study.get_trials(deepcopy=False)}
-            file.study.add_trials(self._frozen(trial) for trial in self.trials() if trial.slot not in held)
-            for name, baseline in self._baselines.items():
-                file.study.set_user_attr(BASELINE + name, baseline._asdict())
-            for key, one in self._confirmed.items():
-                file.study.set_user_attr(CONFIRMED + key, {"score": one.score, "scenarios": one.scenarios})
-        finally:
-            store.close_file(file)
-
-    def _frozen(self, trial: Trial) -> optuna.trial.FrozenTrial:
-        return create_trial(
-            params=dict(trial.parameters),
-            distributions={axis.name: axis.stored() for axis in self.settings.space.axes},
-            value=learned_value(trial.score),
-            user_attrs={"slot": trial.slot, "score": trial.score, "scenarios": trial.scenarios},
-        )
+        """Copy to the study file at `path` what it does not hold yet, and what the bus confirmed."""
+        mirror(path, self, {CONFIRMED + key: _scored(one) for key, one in self._confirmed.items()})
 
     def _keep(self, line: dict[str, Any]) -> None:
         self._append(line)

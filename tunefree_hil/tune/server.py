@@ -23,7 +23,7 @@ SCHEMES = ("postgresql", "postgres")
 CONNECT_LIMIT_S = 5
 _CONNECT = {"connect_timeout": CONNECT_LIMIT_S, "client_encoding": "utf8"}  # a database in SQL_ASCII gives bytes
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.5, 8.0
-CREATING = 0x7F5E  # key of the advisory lock under which tables and study are made
+LOCK = 0x7F5E  # key of the advisory lock under which tables are made and slots are told
 
 R = TypeVar("R")
 
@@ -82,7 +82,7 @@ def open_engine(address: Address) -> sqlalchemy.Engine:
 
 
 def open_storage(address: Address) -> RDBStorage:
-    """Optuna's tables on that server, made where they are not there (the caller holds `creating`)."""
+    """Optuna's tables on that server, made where they are not there (the caller holds `one_at_a_time`)."""
     options = {"pool_pre_ping": True, "connect_args": _CONNECT}
     logging.getLogger("optuna.storages._rdb.storage").setLevel(logging.ERROR)  # a lost server is ours to tell of
     with warnings.catch_warnings():
@@ -91,10 +91,10 @@ def open_storage(address: Address) -> RDBStorage:
 
 
 @contextlib.contextmanager
-def creating(engine: sqlalchemy.Engine) -> Iterator[None]:
-    """One worker at a time: two that make the same tables would fail each other."""
+def one_at_a_time(engine: sqlalchemy.Engine) -> Iterator[None]:
+    """Other workers wait: two that make the same tables, or tell the same slot, would fail each other."""
     with engine.begin() as connection:
-        connection.execute(sqlalchemy.text("SELECT pg_advisory_xact_lock(:key)"), {"key": CREATING})
+        connection.execute(sqlalchemy.text("SELECT pg_advisory_xact_lock(:key)"), {"key": LOCK})
         yield
 
 
@@ -113,37 +113,47 @@ def refused(error: BaseException) -> bool:
 
 
 def patiently(work: Callable[[], R], address: Address, patience_s: float, kept: str = "") -> Generator[str, None, R]:
-    """`work()`, again and again while the server is gone; yields a sentence at each wait.
+    """`work()`, again and again while the server is gone; yields a sentence when it is, and when it is back.
 
     Raises BenchError after patience_s, with `kept` (what is safe where) in it, and InputError when the server refuses.
     """
-    limit, wait_s = time.monotonic() + patience_s, FIRST_WAIT_S
+    limit, wait_s, said = time.monotonic() + patience_s, FIRST_WAIT_S, False
     while True:
         try:
-            return work()
+            found = work()
+            break
         except (StorageInternalError, SQLAlchemyError) as error:
             if not is_gone(error):
                 raise
             if refused(error):
                 hint = "check user, database and password (PGPASSWORD or ~/.pgpass)"
                 raise InputError(
-                    f"{address.shown} refuses: {_first_line(error)}", code="study_refused", key="--study", hint=hint
+                    f"{address.shown} refuses: {_reason(error)}", code="study_refused", key="--study", hint=hint
                 ) from None
             if time.monotonic() + wait_s > limit:
                 raise BenchError(
                     f"{address.shown} does not answer"
                     + (f", for {patience_s:.0f} s" if patience_s else "")
+                    + f" ({_reason(error)})"
                     + (f"; {kept}" if kept else ""),
                     code="study_gone",
                     key="--study",
                     hint="start the server again, then the same command: it goes on where it was",
                 ) from None
-        yield f"{address.shown} does not answer; tried again in {wait_s:g} s" + (f" ({kept})" if kept else "")
+            reason = _reason(error)
+        if not said:
+            words = f"{address.shown} does not answer ({reason}); tried again for up to {patience_s:.0f} s"
+            yield words + (f"; {kept}" if kept else "")
+        said = True
         time.sleep(wait_s)
         wait_s = min(2.0 * wait_s, LONGEST_WAIT_S)
+    if said:
+        yield f"{address.shown} answers again"
+    return found
 
 
-def _first_line(error: BaseException) -> str:
+def _reason(error: BaseException) -> str:
     cause: Any = getattr(error, "orig", None) or error.__cause__ or error
     cause = getattr(cause, "orig", None) or cause
-    return str(cause).strip().splitlines()[-1].strip()
+    first = (str(cause).strip().splitlines() or [type(cause).__name__])[0]
+    return first.rpartition("failed: ")[2].strip()  # 'connection to server at ... failed: Connection refused'

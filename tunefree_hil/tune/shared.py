@@ -165,7 +165,8 @@ class SharedStudy:
         yield trial or f"slot {begun.slot + 1} was filled by another worker meanwhile; ours is dropped"
 
     def _settle(self, begun: Begun, evaluation: Evaluation) -> Trial | None:
-        trial = self.slots.settle(begun, evaluation)
+        with server.one_at_a_time(self.claims.engine):
+            trial = self.slots.settle(begun, evaluation)
         self.claims.leave(begun.slot)
         self._read()
         return trial
@@ -218,7 +219,7 @@ def _at_once(patient: Generator[str, None, R]) -> R:
 
 def _made(address: server.Address, engine: sqlalchemy.Engine, claims: Claims, settings: store.Settings) -> Slots:
     """Tables and study; a creation that was cut off is finished."""
-    with server.creating(engine):
+    with server.one_at_a_time(engine):
         claims.create()
         storage = server.open_storage(address)
         study = optuna.create_study(

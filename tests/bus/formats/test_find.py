@@ -11,20 +11,22 @@ import pytest
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.formats import find
-from tunefree_hil.bus.formats.rows import Row
+from tunefree_hil.bus.formats.rows import Row, survey
+
+ONE = [Row(0.0, "can0", 1, b"a")]
 
 
 @pytest.mark.parametrize("name", ["blf", "asc", "csv", "mf4", "ros1"])
 def test_a_file_is_known_by_its_beginning(name: str, tmp_path: Path) -> None:
     suffix = find.PLACES[name][3][0]
     made = tmp_path / f"x{suffix}"
-    find.load_format(name).write(made, [Row(0.0, "can0", 1, b"a")])
+    find.load_format(name).write(made, ONE, survey(ONE))
     hidden = made.rename(tmp_path / "without_a_name")
     assert find.format_of(hidden) == name
 
 
 def test_a_ros2_bag_is_a_folder(tmp_path: Path) -> None:
-    find.load_format("ros2").write(tmp_path / "bag", [Row(0.0, "can0", 1, b"a")])
+    find.load_format("ros2").write(tmp_path / "bag", ONE, survey(ONE))
     assert find.format_of(tmp_path / "bag") == "ros2"
     with pytest.raises(InputError, match="no ROS 2 bag"):
         find.format_of(tmp_path)
@@ -34,6 +36,17 @@ def test_text_is_candump(tmp_path: Path) -> None:
     path = tmp_path / "x.anything"
     path.write_text("(0.0) can0 123#\n")
     assert find.format_of(path) == find.CANDUMP
+
+
+@pytest.mark.parametrize(("name", "found"), [("x.blf", "blf"), ("x.mf4", "mf4"), ("x", "candump")])
+def test_garbage_is_what_its_name_says(name: str, found: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(b"\x93\x00garbage")
+    assert find.format_of(tmp_path / name) == found
+
+
+def test_candump_under_another_name(tmp_path: Path) -> None:
+    (tmp_path / "x.blf").write_text("(0.000000) can0 123#\n")
+    assert find.format_of(tmp_path / "x.blf") == find.CANDUMP
 
 
 def test_missing_and_empty(tmp_path: Path) -> None:

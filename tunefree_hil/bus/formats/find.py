@@ -28,8 +28,8 @@ _BEGINNINGS |= {b"timestamp,arbitration_id": "csv", b"Begin Trigger": "asc", b"/
 def format_of(path: Path) -> str:
     """The format of a log that is there: a ROS 2 bag is a folder, others are known by how they begin.
 
-    Text that begins like nothing known is taken for candump, whose reader says what is wrong with it. Raises InputError
-    for a file that is missing or empty.
+    What begins like nothing known is what its name says, else candump text, and that format's reader says what is wrong
+    with it. Raises InputError for a file that is missing or empty.
     """
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
@@ -45,7 +45,9 @@ def format_of(path: Path) -> str:
     if not begin:
         raise InputError("the log is empty: 0 bytes", code="empty_log", file=str(path), hint="record it again")
     found = next((name for start, name in _BEGINNINGS.items() if begin.startswith(start)), "")
-    return found or (_by_suffix(path) if path.suffix == ".csv" else CANDUMP)
+    if not found and not begin.lstrip().startswith(b"("):
+        found = _by_suffix(path)
+    return found or CANDUMP
 
 
 def format_for(path: Path, name: str = "") -> str:
@@ -55,6 +57,9 @@ def format_for(path: Path, name: str = "") -> str:
         hint = f"one of {', '.join(NAMES)}"
         raise InputError(f"no format {name!r}", code="unknown_format", key="--format", hint=hint)
     found = name or _by_suffix(path)
+    if found == "ros1" and path.suffix != ".bag":
+        hint = "ROS tools know a ROS 1 bag by that"
+        raise InputError("a ROS 1 bag's name must end in .bag", code="unknown_format", key="OUT", hint=hint)
     if not found:
         hint = f"end its name with one of {known}, or say --format"
         raise InputError(f"its format cannot be told from {path.name!r}", code="unknown_format", key="OUT", hint=hint)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import struct
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -52,7 +53,20 @@ DEFINITIONS = {
 }
 ROS2_VERSION = 9
 _ID_OF_NAME = re.compile(r"\w+", re.ASCII)
-_FAULTS = (AnyReaderError, Reader1Error, Reader2Error, SerdeError, apsw.Error, ValueError, KeyError, EOFError, OSError)
+_FAULTS = (  # what rosbags raises over broken files; it asserts what a record must hold
+    AnyReaderError,
+    Reader1Error,
+    Reader2Error,
+    SerdeError,
+    apsw.Error,
+    AssertionError,
+    struct.error,
+    LookupError,
+    RuntimeError,
+    ValueError,
+    EOFError,
+    OSError,
+)
 
 
 def read(path: Path) -> Iterator[Row]:
