@@ -48,7 +48,7 @@ def run(folder: Path, factor: float = 2.0, offset: float = 0.0) -> str:
     return " ".join(part for part in done.stdout.split() if part not in ("Counter()", "Counter({})"))
 
 
-@pytest.mark.slow
+@pytest.mark.compiled
 def test_a_kernel_is_compiled_once_and_anew_when_anything_in_it_changes(tmp_path: Path) -> None:
     first = run(tmp_path)
     [entry] = (tmp_path / "kernels").iterdir()

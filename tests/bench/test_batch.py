@@ -74,7 +74,7 @@ def test_the_process_ends_with_the_batch(tiny: Bench, interpreted: None) -> None
     assert process.poll() is not None
 
 
-@pytest.mark.slow
+@pytest.mark.compiled
 @pytest.mark.parametrize("path", first_benches(), ids=lambda path: path.stem)
 def test_the_compiled_batch_is_the_bus_bit_for_bit(path: Path, tmp_path: Path) -> None:
     """All of it with a noisy plant, delays and quantisation; a re-plan among them."""

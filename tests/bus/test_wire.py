@@ -135,7 +135,7 @@ for name in ("mkz_bywire", "rav4_2017"):
 """
 
 
-@pytest.mark.slow
+@pytest.mark.compiled
 def test_compiled_gives_the_same_bits(repo: Path) -> None:
     said = [
         subprocess.run(

@@ -25,7 +25,7 @@ def say(jit: str) -> list[str]:
     return done.stdout.splitlines()
 
 
-@pytest.mark.slow
+@pytest.mark.compiled
 def test_same_bits_jitted_and_plain():
     plain = say("0")
     assert len(plain) == 4

@@ -24,6 +24,7 @@ from tests.jobs.command import (
     start,
     tunefree,
 )
+from tunefree_hil.jobs.session import SLOW_VARIABLE
 
 pytestmark = pytest.mark.slow
 HARD_LIMIT_S = 5.0
@@ -180,9 +181,10 @@ def test_nodes_end_when_their_hub_is_gone(terminals: Terminals) -> None:
         one_message(done, "hub")
 
 
-def test_a_joined_bench_without_a_controller_is_named(terminals: Terminals, tmp_path: Path) -> None:
+def test_a_joined_bench_without_a_controller_is_named(terminals: Terminals, monkeypatch: pytest.MonkeyPatch) -> None:
     assert terminals.drive("--join").status == 0
     terminals.interrupt("controller")
+    monkeypatch.setenv(SLOW_VARIABLE, "3")
     done = terminals.drive("--join")
     assert done.status == 3
     one_message(done, "no hello from controller", "tunefree-hil controller")

@@ -65,7 +65,7 @@ CASES = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.compiled
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("case", CASES)
 def test_compiled_says_the_same_bits(case: str) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.bench.tiny import write_scenario
 from tests.house import ROOT
 from tools.measures import _ledger, _tuning, determinism, faults, hub, lockstep, mrac, realtime, tune2
 from tools.measures._in_process import InProcess
@@ -35,9 +36,11 @@ def bench():
 
 @pytest.fixture
 def short_bench(tmp_path: Path) -> Path:
-    """mkz_steer with one scenario each, verified on the plant it is tuned on: nothing to compile."""
+    """mkz_steer with one scenario of 4 s each, verified on the plant it is tuned on: nothing to compile."""
     data = tomllib.loads(STEER.read_text())
-    data |= {"scenarios": ["side_pass"], "verify_scenarios": ["lane_change_12mps"], "verify_model": data["model"]}
+    data |= {"scenarios": ["bend"], "verify_scenarios": ["other_bend"], "verify_model": data["model"]}
+    write_scenario(tmp_path, "bend", 4.0)
+    write_scenario(tmp_path, "other_bend", 4.0, -0.03)
     path = tmp_path / "short.toml"
     path.write_text(to_toml(data))
     return path

@@ -132,7 +132,7 @@ class Session:
         self.processes.run("controller", places.fill(command), places.environment())
 
     def _conduct(self) -> Runner:
-        limit_s = _start_limit_s()
+        limit_s = _start_limit_s(START_LIMIT_S)
         if uses_hub(self.choice):
             self.owner = self._patiently(self._own)
         if self.controller_command and not self.join:
@@ -144,7 +144,7 @@ class Session:
         bench = open_link(self.choice, "bench", name="runner", only=RUNNER_HEARS)
         self.links.append(bench)
         runner = Runner(bench, keeper, self._check)
-        runner.meet(JOIN_LIMIT_S if self.join else limit_s)
+        runner.meet(_start_limit_s(JOIN_LIMIT_S) if self.join else limit_s)
         return runner
 
     def _start_recorder(self, limit_s: float) -> RecorderOwner:
@@ -176,7 +176,7 @@ class Session:
         return owner
 
     def _patiently(self, open_it: Callable[[], Owner]) -> Owner:
-        limit = time.monotonic() + _start_limit_s()
+        limit = time.monotonic() + _start_limit_s(START_LIMIT_S)
         while True:
             try:
                 return open_it()
@@ -247,9 +247,9 @@ class Session:
         self.claims.clear()
 
 
-def _start_limit_s() -> float:
+def _start_limit_s(usual_s: float) -> float:
     """How long a bench may take to come up."""
-    return float(os.environ.get(SLOW_VARIABLE, "") or START_LIMIT_S)
+    return float(os.environ.get(SLOW_VARIABLE, "") or usual_s)
 
 
 @contextmanager
