@@ -29,7 +29,7 @@ class FakeSocket:
         self.memory_known = True
         self._mine, self._other = socket.socketpair()
         self._queue: deque[tuple[bytes, int] | int] = deque()
-        self._drops = 0
+        self.drops = 0
         self._time_ns = 1_000_000_000
 
     def fileno(self) -> int:
@@ -38,12 +38,12 @@ class FakeSocket:
     def arrive(self, *frames: CanFrame | bytes) -> None:
         for frame in frames:
             data = frame if isinstance(frame, bytes) else pack(frame)
-            self._queue.append((data, self._drops))
+            self._queue.append((data, self.drops))
             self._other.send(b"x")
 
     def drop(self, count: int) -> None:
         """Frames that find the queue full: known with the next that fits, or by SO_MEMINFO."""
-        self._drops += count
+        self.drops += count
 
     def fail(self, number: int) -> None:
         self._queue.append(number)
@@ -61,7 +61,7 @@ class FakeSocket:
         stamp = struct.pack("@qq", *divmod(self._time_ns, 1_000_000_000))
         found = [(socket.SOL_SOCKET, SO_TIMESTAMPNS, stamp)]
         if drops:
-            found.append((socket.SOL_SOCKET, SO_RXQ_OVFL, struct.pack("=I", drops)))
+            found.append((socket.SOL_SOCKET, SO_RXQ_OVFL, struct.pack("=I", drops & 0xFFFF_FFFF)))
         return data[:size], found, 0, None
 
     def send(self, data: bytes) -> int:
@@ -76,7 +76,7 @@ class FakeSocket:
     def getsockopt(self, level: int, name: int, size: int) -> bytes:
         if name != SO_MEMINFO or not self.memory_known:
             raise OSError(errno.ENOPROTOOPT, os.strerror(errno.ENOPROTOOPT))
-        return struct.pack("=9I", *[0] * 8, self._drops)
+        return struct.pack("=9I", *[0] * 8, self.drops & 0xFFFF_FFFF)
 
     def close(self) -> None:
         self._mine.close()

@@ -117,6 +117,25 @@ def test_an_old_kernel_tells_with_the_next_frame(sock: FakeSocket) -> None:
         link.receive(1.0)
 
 
+def test_frames_that_waited_bring_old_news(sock: FakeSocket) -> None:
+    """Each brings the count of when it arrived; the kernel was asked since, and has counted on."""
+    link = link_of(sock)
+    sock.drop(3)
+    sock.arrive(FRAMES[0])
+    sock.drop(40)
+    link.forgive()
+    assert link.lost == 43 and plain(link.receive(1.0)) == FRAMES[:1] and link.lost == 43
+
+
+def test_the_kernels_counter_comes_round(sock: FakeSocket) -> None:
+    """It has 32 bits."""
+    link = link_of(sock)
+    for drops in ((1 << 31) - 1, (1 << 31) - 1, 7):
+        sock.drop(drops)
+        assert link.count_lost() == sock.drops
+    assert link.lost > 1 << 32
+
+
 # --- a full transmit queue ---------------------------------------------------------------------------------------
 
 

@@ -11,6 +11,7 @@ what was heard goes on into the log.
 from __future__ import annotations
 
 import select
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import BenchError, TunefreeError
@@ -29,6 +30,7 @@ SETTLE_S = 1.0  # how long the end of a log waits for frames that were announced
 LOOK_S = 0.01
 MOST_OLD = 100  # reads of what came before an episode; a flood has no end
 LOG_SLICE = 256  # frames made into text at a time
+NOT_WHOLE = ("rx_overflow", "link_down", "bus_error", "frames_missing")  # trouble after which a log lacks frames
 
 
 class Setup(NamedTuple):
@@ -102,21 +104,17 @@ class Recorder:
         self._ledger = Ledger((reports, commands), self.setup.tick_ns, self._write_vehicle)
 
     def stop(self) -> dict[str, Any]:
-        """Finish the logs: what was written and what stood out. Trouble of the end of it is noted too."""
+        """Finish the logs: what was written and what stood out. Trouble of the end of it is noted too.
+
+        Logs that lack frames keep their temporary names.
+        """
         if self._ledger is None:
             raise BenchError("no log is being written", code="no_log", hint="start_log comes first")
         ledger = self._settle(self._ledger)
         self._ledger = None
         ledger.finish()
         logs, self._logs = self._logs, {}
-        failures: list[BenchError] = []
-        for log in logs.values():
-            try:
-                log.close()
-            except BenchError as error:
-                failures.append(error)
-        if failures:
-            raise failures[0]
+        self._end(list(logs.values()))
         return {
             "frames": {channel: log.frames for channel, log in logs.items()},
             "foreign": {f"{key:X}": count for key, count in ledger.foreign.items()},
@@ -130,6 +128,20 @@ class Recorder:
             log.abandon()
         self.vehicle.close()
         self.bench.close()
+
+    def _end(self, logs: Sequence[CandumpLog]) -> None:
+        """Write the rest of the logs. The first BenchError of a disk, when all are done."""
+        failures: list[BenchError] = []
+        for log in logs:
+            if self.trouble is not None and self.trouble.code in NOT_WHOLE:
+                log.abandon()
+                continue
+            try:
+                log.close()
+            except BenchError as error:
+                failures.append(error)
+        if failures:
+            raise failures[0]
 
     def _settle(self, ledger: Ledger) -> Ledger:
         """Wait for what was announced and has not arrived; say what did not."""

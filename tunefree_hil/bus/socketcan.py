@@ -36,6 +36,7 @@ STAMP = struct.Struct("@qq")  # struct timespec
 COUNT = struct.Struct("=I")
 SO_TIMESTAMPNS, SO_RXQ_OVFL, SO_RCVBUFFORCE, SO_MEMINFO = 35, 40, 33, 55  # asm-generic/socket.h
 DROPS_AT, MEMINFO_BYTES = 8, 36  # linux/sock_diag.h: SK_MEMINFO_DROPS of nine u32
+COUNTER_MASK = 0xFFFF_FFFF
 ANCILLARY = 128
 QUEUE_BYTES = 16 << 20  # about 20 000 frames; without root the kernel gives at most net.core.rmem_max
 MOST_AT_ONCE = 4096  # frames that one receive hands over, so that a flood cannot keep it for ever
@@ -163,7 +164,7 @@ class SocketCanLink:
         """The exact number of frames lost so far, those behind the last one received too."""
         with suppress(OSError):  # a kernel before 4.12 has no SO_MEMINFO: then it is known with the next frame
             memory = self._sock.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, MEMINFO_BYTES)
-            self.lost = max(self.lost, COUNT.unpack_from(memory, DROPS_AT * COUNT.size)[0])
+            self._count(COUNT.unpack_from(memory, DROPS_AT * COUNT.size)[0])
         return self.lost
 
     def forgive(self) -> None:
@@ -182,8 +183,14 @@ class SocketCanLink:
                 seconds, rest_ns = STAMP.unpack_from(data)
                 time_ns = seconds * 1_000_000_000 + rest_ns
             elif kind == SO_RXQ_OVFL:
-                self.lost = COUNT.unpack_from(data)[0]
+                self._count(COUNT.unpack_from(data)[0])
         return time_ns
+
+    def _count(self, drops: int) -> None:
+        """Follow the kernel's counter, of 32 bits. A frame that waited brings the count of when it arrived: old news."""
+        news = (drops - self.lost) & COUNTER_MASK
+        if news <= COUNTER_MASK >> 1:
+            self.lost += news
 
     def _data_frames(self, raws: Sequence[Raw]) -> list[CanFrame]:
         """Data frames with CLOCK_MONOTONIC stamps; the others are counted. BenchError bus_off."""
