@@ -187,7 +187,7 @@ class SocketCanLink:
         return time_ns
 
     def _count(self, drops: int) -> None:
-        """Follow the kernel's counter, of 32 bits. A frame that waited brings the count of when it arrived: old news."""
+        """Follow the kernel's counter of 32 bits. A frame that waited brings the count of its arrival: old news."""
         news = (drops - self.lost) & COUNTER_MASK
         if news <= COUNTER_MASK >> 1:
             self.lost += news
