@@ -14,7 +14,7 @@ from tests.bench.tiny import write_bench
 from tests.jobs.command import Ended, eventually, finish, new_session, no_orphans, start
 from tunefree_hil.tune.study import read_study
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.compiled, pytest.mark.timeout(300)]
 TRIALS, IN_FLIGHT, BASELINES = 24, 8, 5
 COMPILES_S = 200.0  # patience: on a machine that never compiled this bench, under load
 

@@ -76,7 +76,7 @@ def test_a_study_killed_and_resumed_gives_the_same_trials(tmp_path: Path, sample
     finish(tmp_path / "whole.db", sampler)
     chance = np.random.default_rng([7, len(sampler)])
     cut = tmp_path / "cut.db"
-    for _ in range(5):
+    for _ in range(3):
         times, rest_s = int(chance.integers(1, 4)), float(chance.uniform(0.0, SLEEP_S))
         kill_after(start(cut, sampler), "filled", times, rest_s)
     assert len(facts(cut)) < TRIALS
@@ -90,7 +90,7 @@ def test_a_study_killed_and_resumed_gives_the_same_trials(tmp_path: Path, sample
 def test_kills_while_the_file_is_made(tmp_path: Path) -> None:
     path = tmp_path / "study.db"
     chance = np.random.default_rng(8)
-    for _ in range(6):
+    for _ in range(4):
         process = start(path, "random")
         while not (tmp_path / "study.db.part").exists() and not path.exists() and process.poll() is None:
             time.sleep(0.002)
