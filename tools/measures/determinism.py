@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -16,6 +14,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+from tools.measures._burners import burning
 from tools.measures._in_process import InProcess
 from tools.measures._summary import rounded
 from tunefree_hil.base.errors import BenchError
@@ -60,7 +59,7 @@ def _run(bench: Bench, scenario: ScenarioSpec, rng: Random, burners: int) -> dic
     order = ["hub", "ecu", "controller"]
     rng.shuffle(order)
     values = parameters_of(bench)
-    with tempfile.TemporaryDirectory() as text, _burning(burners):
+    with tempfile.TemporaryDirectory() as text, burning(burners):
         folder = Path(text)
         nodes = Processes(folder / "nodes")
         try:
@@ -136,16 +135,3 @@ def _held_up(pids: list[int], rng: Random) -> Iterator[list[float]]:
     finally:
         ended.set()
         thread.join()
-
-
-@contextmanager
-def _burning(count: int) -> Iterator[None]:
-    """Processes that keep CPUs busy. Each ends by itself when this one is gone."""
-    loop = "import os\nparent = os.getppid()\nwhile os.getppid() == parent:\n    sum(range(100000))"
-    burners = [subprocess.Popen([sys.executable, "-c", loop]) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for burner in burners:
-            burner.kill()
-            burner.wait()

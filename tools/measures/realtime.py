@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import os
-import subprocess
-import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from tools.measures._burners import burning
 from tools.measures._in_process import InProcess
 from tools.measures._ledger import FIGURES
 from tools.measures._summary import RESAMPLES, machine, rounded
@@ -57,7 +54,7 @@ def measure(
         "figure": _figure(idle.late, figures),
     }
     if burning_s:
-        with _burners():
+        with burning(os.cpu_count() or 1):
             busy = _paced(loaded, model or loaded.spec.model, burning_s)
         detail["burning"] = {"nodes": busy.verdict["nodes"], "was_real_time": busy.verdict["valid"]}
     value = 1e3 * float(np.percentile(idle.late[later], 99))
@@ -80,18 +77,6 @@ def _paced(bench: Bench, model: str, seconds: float) -> Paced:
         names, grades = _drive(bench, model, run, seconds)
         verdict = judge_realtime(run, range(len(names)))
         return Paced(names, verdict, {role: _late_s(run, role, len(names)) for role in ROLES}, grades)
-
-
-@contextlib.contextmanager
-def _burners() -> Iterator[None]:
-    """A busy process for each core."""
-    burners = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 1)]
-    try:
-        yield
-    finally:
-        for burner in burners:
-            burner.kill()
-            burner.wait()
 
 
 def _agreement(bench: Bench, model: str, paced: Paced) -> dict[str, Any]:

@@ -13,6 +13,14 @@ from tunefree_hil.base.errors import BenchError, InputError
 
 Array = np.ndarray
 
+ERROR_COLUMNS = (
+    "station_error_m",
+    "speed_error_mps",
+    "lateral_error_m",
+    "lateral_error_rate_mps",
+    "heading_error_rad",
+    "heading_error_rate_radps",
+)
 REFERENCE_COLUMNS = (
     "ref_x_m",
     "ref_y_m",
@@ -20,12 +28,7 @@ REFERENCE_COLUMNS = (
     "ref_speed_mps",
     "ref_accel_mps2",
     "ref_curvature_1pm",
-    "station_error_m",
-    "speed_error_mps",
-    "lateral_error_m",
-    "lateral_error_rate_mps",
-    "heading_error_rad",
-    "heading_error_rate_radps",
+    *ERROR_COLUMNS,
 )
 COMMAND_COLUMNS = ("cmd_throttle_frac", "cmd_brake_frac", "cmd_steer_rad")
 VEHICLE_COLUMNS = (

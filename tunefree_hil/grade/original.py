@@ -17,7 +17,7 @@ import numpy as np
 from tunefree_hil.base.course import Course
 from tunefree_hil.control.follower import SHRINK_FLOOR
 from tunefree_hil.control.schedule import Schedule, station_at, time_of
-from tunefree_hil.episode.recording import Recording
+from tunefree_hil.episode.recording import ERROR_COLUMNS, Recording
 from tunefree_hil.grade.feet import Feet, find_feet, near_stations, tables_of
 from tunefree_hil.grade.metrics import Samples, samples_of
 
@@ -38,21 +38,15 @@ def samples_against_original(recording: Recording, course: Course, rear_axle_m: 
     if len(anchors) == 0:
         return current
     if not {"x_m", "y_m", "heading_rad"} <= recording.columns.keys():
-        return current._replace(**dict.fromkeys(_ERRORS))
+        return current._replace(**dict.fromkeys(ERROR_COLUMNS))
     first = int(anchors[0]) + 1  # at the tick of a re-plan the errors are still against the old trajectory
     again = _recompute(recording, course, rear_axle_m, anchors)
-    joined = {name: _join(getattr(current, name), getattr(again, name), first) for name in (*_ERRORS, *_REFERENCES)}
+    joined = {
+        name: _join(getattr(current, name), getattr(again, name), first) for name in (*ERROR_COLUMNS, *_REFERENCES)
+    }
     return current._replace(**joined)
 
 
-_ERRORS = (
-    "station_error_m",
-    "speed_error_mps",
-    "lateral_error_m",
-    "lateral_error_rate_mps",
-    "heading_error_rad",
-    "heading_error_rate_radps",
-)
 _REFERENCES = ("ref_speed_mps", "ref_accel_mps2", "ref_curvature_1pm")
 
 

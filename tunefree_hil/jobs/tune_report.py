@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,11 +16,11 @@ from tunefree_hil.jobs.confirm import Confirmed
 from tunefree_hil.jobs.run_folder import RunFolder, write_text
 from tunefree_hil.jobs.words import Drives, comparison, table
 from tunefree_hil.tune.compare import best_baseline
+from tunefree_hil.tune.insight import edge_of
 from tunefree_hil.tune.journal import slot_key
 from tunefree_hil.tune.trial import Scored, Trial
 
 DIFFERS = 1  # exit status
-EDGE_SHARE = 0.02  # a winner nearer than this to an edge of its box (in its scale) is said to be on it
 
 
 class Report(NamedTuple):
@@ -114,17 +113,8 @@ def _best_toml(bench: Bench, best: Trial, values: Mapping[str, float], manual: s
 
 def on_edge(study: Scored, best: Trial) -> list[str]:
     """Searched parameters whose winning value lies on an edge of its box."""
-
-    found = []
-    for axis in study.settings.space.axes:
-        if axis.grid:
-            continue
-        scale = math.log if axis.log else float
-        low, high, at = scale(axis.low), scale(axis.high), scale(best.parameters[axis.name])
-        share = (at - low) / (high - low)
-        if min(share, 1.0 - share) < EDGE_SHARE:
-            found.append(f"{axis.name} ({'low' if share < 0.5 else 'high'} edge)")
-    return found
+    edges = {axis.name: edge_of(axis, best.parameters[axis.name]) for axis in study.settings.space.axes}
+    return [f"{name} ({edge} edge)" for name, edge in edges.items() if edge]
 
 
 def _figures(bench: Bench, run: RunFolder, study: Scored, best: Trial, manual_name: str) -> list[str]:
