@@ -2,12 +2,14 @@
 # make test   install the extras too (torch among them), then run every test but those that need a kernel with CAN,
 #             a PostgreSQL server, a C compiler or minutes of compiling (.ci/run runs these too)
 # make check  format, lint, types, fast tests
-# make venv   install only
+# make venv   install only, and compile the simulated cars of BENCH
 
 PYTHON ?= python3
 BENCH ?= bench_configs/mkz_steer.toml
 ARGS ?=
 PIP = .venv/bin/python -m pip --disable-pip-version-check --quiet --quiet
+
+COMPILED = .venv/.compiled-$(subst /,-,$(BENCH))
 
 .PHONY: help tune test check venv test-venv
 .DEFAULT_GOAL := help
@@ -24,7 +26,7 @@ test: test-venv
 check: test-venv
 	@tools/check
 
-venv: .venv/.installed
+venv: .venv/.installed $(COMPILED)
 test-venv: .venv/.installed-test
 
 # A stamp is written when all of its lock is installed; a changed lock installs again.
@@ -37,6 +39,12 @@ test-venv: .venv/.installed-test
 	@echo "installing into .venv (about half a minute) ..."
 	@$(PIP) install -r requirements.lock
 	@$(PIP) install --no-build-isolation --no-deps --editable .
+	@touch $@
+
+# Only a wait is saved by it: where it fails, whatever needs the machine code compiles it or says why not.
+$(COMPILED): .venv/.installed
+	@echo "compiling the simulated cars (about half a minute) ..."
+	@.venv/bin/python tools/precompile.py $(BENCH) || true
 	@touch $@
 
 .venv/.installed-test: requirements-test.lock .venv/.installed
