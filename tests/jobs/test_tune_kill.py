@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.bench.tiny import write_bench
-from tests.jobs.command import Ended, eventually, finish, new_session, no_orphans, processes_of, start
+from tests.jobs.command import Ended, eventually, finish, new_session, no_orphans, processes_of, start, tunefree
 from tunefree_hil.tune.study import read_study
 
 pytestmark = pytest.mark.slow
@@ -106,3 +106,9 @@ def test_the_command_that_was_finished_starts_anew_and_resume_does_not(calm: Tun
         done = finish(start("tune", "--resume", run, "--trials", 3, "--no-verify", "--session", session, "--json"))
     assert done.status == 0, done.words
     assert done.data["run"] == str(run) and calm.trials() == before
+    given = [command.split() for command in done.data["next"]]
+    assert all(words[0].endswith("tunefree-hil") for words in given)  # what installation brings, and nothing else
+    for words in given:
+        if "verify" not in words:  # that one drives for a minute
+            pasted = tunefree(*words[1:], *["--no-slices"] * ("explain" in words))
+            assert pasted.status == 0, pasted.words

@@ -80,10 +80,9 @@ def tune(asked: Asked) -> Iterator[Event]:
 
 
 def _next(wish: Wish, run: RunFolder) -> list[str]:
+    """What to type next: commands that installation brought, so each works as it is pasted."""
     again = [] if wish.asked.realtime else [f"tunefree-hil replay {run.path} --verify"]
-    shared = wish.shown.partition("#")[0].replace("postgresql:", "postgresql+psycopg:", 1)
-    storage = shared or f"sqlite:///{run.path}/study.db"
-    return [f"tunefree-hil verify {run.path}", *again, f"optuna-dashboard {storage}"]
+    return [f"tunefree-hil verify {run.path}", *again, f"tunefree-hil explain {run.path}"]
 
 
 def _over_bus(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, None, Finished]:
