@@ -1,4 +1,4 @@
-"""A bench that scores vectors, over the bus or in one process, and remembers what it has scored."""
+"""A bench that scores vectors, over the bus or in the compiled batch, and remembers what it has scored."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
 
-from tools.measures._in_process import InProcess
 from tools.measures._ledger import Ledger, code_hash
 from tunefree_hil.bench import Bench, is_heavy
+from tunefree_hil.bench.batch import Batch
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.grade.score import FINISHED, combine
+from tunefree_hil.grade.score import FINISHED
+from tunefree_hil.jobs.evaluators import BatchEvaluator, Candidate
 from tunefree_hil.jobs.harvest import evaluation_of
 from tunefree_hil.jobs.identity import identity_of
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.session import Session
 from tunefree_hil.jobs.track import Track
+from tunefree_hil.tune.trial import Evaluation
 
 _numbers = itertools.count()  # one worker opens several benches, one after the other
 
@@ -29,8 +31,8 @@ class Rig:
     """Use it in a `with`. The processes start with the first vector that the ledger does not know.
 
     Its episodes are written to `<ledger's folder>/rig-<pid>-<model>`, which is taken away when all went well: what the
-    nodes said stays there when the bench failed. over_bus=False steps the same nodes in one process: the same frames
-    (_tuning.py compares the winners' hashes), three times as fast.
+    nodes said stays there when the bench failed. over_bus=False drives in the compiled batch, a hundred times as fast:
+    the same numbers (`parity` compares all of them, _tuning.py the winners' grades).
     """
 
     def __init__(
@@ -43,7 +45,7 @@ class Rig:
         self.depends = {**standing(bench, model, self.scenarios), "what": "evaluation"}
         self.folder = ledger.folder / f"rig-{os.getpid()}-{Path(model).name}"
         self.over_bus = over_bus
-        self._one: InProcess | None = None
+        self._batch: BatchEvaluator | None = None
         self._track: Track | None = None
         self._open = ExitStack()
 
@@ -60,15 +62,12 @@ class Rig:
         depends = {**self.depends, "values": dict(values)}
         known = self.ledger.find(depends)
         if known is None and not self.over_bus:
-            depends["over"] = "one process"
+            depends["over"] = "batch"
             known = self.ledger.find(depends)
         if known is not None:
             return known
-        if not self.over_bus:
-            return self.ledger.keep(depends, self._in_process(values))
-        track = self._track or self._start()
         started = time.monotonic()
-        evaluation = evaluation_of(track.drive_all(values, self.scenarios, 0, keep=False))
+        evaluation = self._over_bus(values) if self.over_bus else self._in_batch(values)
         result = {
             "score": evaluation.score,
             "scenarios": evaluation.scenarios,
@@ -76,13 +75,16 @@ class Rig:
         }
         return self.ledger.keep(depends, result)
 
-    def _in_process(self, values: Mapping[str, float]) -> dict[str, Any]:
-        started = time.monotonic()
-        one = self._one = self._one or InProcess(self.bench, self.model)
-        found = {scenario.name: one.grade(scenario, values) for scenario in self.scenarios}
-        scenarios = {name: {**grade._asdict(), "frame_hash": hashed} for name, (grade, hashed) in found.items()}
-        score = combine([grade for grade, _ in found.values()])
-        return {"score": score, "scenarios": scenarios, "seconds": time.monotonic() - started}
+    def _over_bus(self, values: Mapping[str, float]) -> Evaluation:
+        track = self._track or self._start()
+        return evaluation_of(track.drive_all(values, self.scenarios, 0, keep=False))
+
+    def _in_batch(self, values: Mapping[str, float]) -> Evaluation:
+        if self._batch is None:
+            batch = self._open.enter_context(Batch(self.bench, self.model))
+            self._batch = BatchEvaluator(batch, self.bench, self.scenarios, at_once=1)
+        (evaluation,) = self._batch.evaluate([Candidate(0, values)])
+        return evaluation
 
     def _start(self) -> Track:
         run = RunFolder(self.folder, {})

@@ -112,18 +112,18 @@ def measure_tuning(plan: Plan, seeds: int, workers: int) -> tuple[dict[str, Any]
         "baselines_on_model": {name: on_model[name]["score"] for name in baselines},
         "seconds_a_study": float(np.median([found["seconds"] for found in winners.values()])),
         "workers": workers,
-        "searched": "over the bus" if plan.over_bus else "in one process",
-        "same_frames_over_the_bus": _same_frames(winners, on_model),
+        "searched": "over the bus" if plan.over_bus else "in the batch",
+        "same_grades_over_the_bus": _same_grades(winners, on_model),
     }
     for line in detail["beaten"].values():
         _say(line["words"])
     return summary(ratios, "of the best manual score", rounded(detail)), rows
 
 
-def _same_frames(winners: Mapping[str, Scored], on_model: Mapping[str, Scored]) -> str:
-    """In how many drives of the winners the search saw the frames that the bus carried when they were judged."""
+def _same_grades(winners: Mapping[str, Scored], on_model: Mapping[str, Scored]) -> str:
+    """In how many drives of the winners the search had every metric, to the bit, that the bus had in the judging."""
     pairs = [
-        (drive["frame_hash"], on_model[name]["scenarios"][scenario]["frame_hash"])
+        (drive["metrics"], on_model[name]["scenarios"][scenario]["metrics"])
         for name, found in winners.items()
         for scenario, drive in found.get("scenarios", {}).items()
     ]
