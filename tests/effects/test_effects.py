@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.plant.drives import DT_S, PLANTS, REST, car, command, drive
+from tests.plant.drives import DT_S, PLANTS, REST, car, command, drive, rest_of
 from tunefree_hil.base import parts
 from tunefree_hil.base.contracts import BodyChange, Effect, Port, make_effect
 from tunefree_hil.base.course import Start
@@ -26,11 +26,35 @@ STRONG: dict[str, dict[str, float]] = {
     "steer_dead_time": {"delay_s": 0.08},
     "steer_lag": {"tau_s": 0.15},
     "steer_gain": {"gain_frac": 0.8},
+    "steer_rate_limit": {"rate_radps": 3.0},
+    "steer_dead_band": {"half_width_rad": 0.3},
+    "steer_friction": {"level_rad": 0.3},
+    "steer_saturation": {"limit_rad": 2.0},
+    "steer_offset": {"offset_rad": 0.2},
+    "steer_backlash": {"width_rad": 0.5},
+    "throttle_dead_time": {"delay_s": 0.1},
+    "throttle_lag": {"tau_s": 0.2},
+    "throttle_rate_limit": {"rate_per_s": 0.3},
+    "throttle_dead_band": {"half_width_frac": 0.05},
+    "throttle_gain": {"gain_frac": 0.7},
+    "powertrain_lag": {"tau_s": 0.4},
+    "power_limit": {"power_w": 5e3},
+    "brake_dead_time": {"delay_s": 0.1},
+    "brake_lag": {"tau_s": 0.2},
+    "brake_dead_band": {"half_width_frac": 0.03},
+    "brake_gain": {"gain_frac": 0.7},
+    "brake_pressure_lag": {"tau_s": 0.2},
+    "brake_fade": {"loss_per_mj": 8.0},
+    "brake_drag": {"force_n": 400.0},
     "payload": {"mass_kg": 400.0, "ahead_m": -1.0},
     "friction": {"friction_frac": 0.3},
     "grade": {"grade_rad": 0.05},
 }
-SCALAR = [name for name, effect in EFFECTS.items() if effect.port not in (Port.BODY, Port.REPORT, Port.INS)]
+FORCES = ("power_limit", "brake_fade", "brake_drag")  # on a scalar port by place, changes of the plant's own forces
+OFF_SCALAR = (Port.BODY, Port.REPORT, Port.INS)
+SCALAR = [name for name, effect in EFFECTS.items() if effect.port not in OFF_SCALAR and name not in FORCES]
+UNITS = {"_s": "s", "_frac": "1", "_kg": "kg", "_m": "m", "_rad": "rad", "_radps": "rad/s", "_per_s": "1/s",
+         "_n": "N", "_w": "W", "_per_mj": "1/MJ"}  # fmt: skip
 
 
 def weave(t: float) -> Any:
@@ -46,7 +70,9 @@ def test_contract(name: str) -> None:
     effect = EFFECTS[name]
     assert isinstance(effect, Effect) and effect.symptom
     assert set(effect.units) == set(effect.neutral) and effect.neutral
-    assert all(key.endswith(("_s", "_frac", "_kg", "_m", "_rad")) for key in effect.neutral)
+    for key, unit in effect.units.items():
+        ending = max((end for end in UNITS if key.endswith(end)), key=len)
+        assert unit == UNITS[ending]
     with pytest.raises(InputError) as caught:
         make_effect(effect, {"wrong": 1.0}, name=name)
     assert name in str(caught.value) and next(iter(effect.neutral)) in caught.value.hint
@@ -103,8 +129,10 @@ def test_lag_is_first_order() -> None:
 
 
 def test_effects_begin_at_rest() -> None:
-    for name, params in (("steer_lag", {"tau_s": 0.1}), ("steer_dead_time", {"delay_s": 0.055})):
-        assert set(run(make_effect(EFFECTS[name], params, rest=0.15), [0.15] * 30, DT_S)) == {0.15}
+    for name in SCALAR:
+        if name != "steer_offset":
+            rest = rest_of(EFFECTS[name].port)
+            assert set(run(make_effect(EFFECTS[name], STRONG[name], rest=rest), [rest] * 30, DT_S)) == {rest}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -152,9 +180,91 @@ def test_friction_caps_the_turn(kind: str) -> None:
     assert most(((EFFECTS["friction"], {"friction_frac": 0.3}),)) < 0.35 * G_MPS2 < 0.6 * G_MPS2 < most(())
 
 
+def through(name: str, params: dict[str, float], values: list[float], rest: float = 0.0) -> list[float]:
+    return run(make_effect(EFFECTS[name], params, rest=rest), values, DT_S)
+
+
+def test_a_rate_limit_is_a_ramp_and_then_the_input() -> None:
+    out = through("steer_rate_limit", {"rate_radps": 10.0}, [0.35] * 5 + [0.0] * 5)
+    assert out == pytest.approx([0.1, 0.2, 0.3, 0.35, 0.35, 0.25, 0.15, 0.05, 0.0, 0.0])
+
+
+def test_dead_bands_lose_their_half_width_and_do_not_rescale() -> None:
+    out = through("steer_dead_band", {"half_width_rad": 0.1}, [0.05, 0.3, -0.05, -0.3])
+    assert out == pytest.approx([0.0, 0.2, 0.0, -0.2])
+    for name in ("throttle_dead_band", "brake_dead_band"):
+        out = through(name, {"half_width_frac": 0.03}, [0.15, 0.17, 0.18, 0.25], rest=0.15)
+        assert out == pytest.approx([0.15, 0.15, 0.15, 0.22])
+
+
+def test_pedal_gains_act_about_rest() -> None:
+    for name in ("throttle_gain", "brake_gain"):
+        assert through(name, {"gain_frac": 0.5}, [0.15, 0.35], rest=0.15) == pytest.approx([0.15, 0.25])
+
+
+def test_backlash_is_its_whole_width_at_a_reversal_and_friction_its_level_each_way() -> None:
+    up_and_down = [0.1 * k for k in range(11)] + [1.0 - 0.1 * k for k in range(1, 11)]
+    for name, params in (("steer_backlash", {"width_rad": 0.4}), ("steer_friction", {"level_rad": 0.2})):
+        out = through(name, params, up_and_down)
+        assert out[1] == 0.0 and out[10] == pytest.approx(0.8)
+        assert out[14] == pytest.approx(0.8) and out[15] == pytest.approx(0.7)
+
+
+def test_saturation_holds_both_sides() -> None:
+    assert through("steer_saturation", {"limit_rad": 2.0}, [1.0, 3.0, -3.0]) == [1.0, 2.0, -2.0]
+
+
+@given(st.lists(st.floats(-10.0, 10.0), max_size=40), st.floats(0.01, 2.0))
+def test_play_never_leaves_its_width(values: list[float], width: float) -> None:
+    out = through("steer_backlash", {"width_rad": width}, values)
+    assert all(abs(y - x) <= 0.5 * width + 1e-12 for x, y in zip(values, out, strict=True))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_power_limit_caps_force_times_speed(kind: str) -> None:
+    def gained(effects: tuple[tuple[Effect, dict[str, float]], ...], speed_mps: float) -> float:
+        outputs = drive(car(kind, effects=effects), lambda t: command(0.45), 1.0, start=Start(speed_mps=speed_mps))
+        return outputs[-1].motion.speed_mps - outputs[0].motion.speed_mps
+
+    limit = ((EFFECTS["power_limit"], {"power_w": 15e3}),)
+    assert gained(limit, 12.0) < 0.7 * gained((), 12.0)
+    assert gained(limit, 0.5) == pytest.approx(gained((), 0.5), rel=0.1)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_brakes_fade_with_what_they_have_dissipated(kind: str) -> None:
+    def braking(effects: tuple[tuple[Effect, dict[str, float]], ...]) -> list[float]:
+        outputs = drive(car(kind, effects=effects), lambda t: command(brake=0.28), 2.0, start=Start(speed_mps=20.0))
+        return [out.motion.speed_rate_mps2 for out in outputs]
+
+    cold, fading = braking(()), braking(((EFFECTS["brake_fade"], {"loss_per_mj": 4.0}),))
+    assert fading[20] == pytest.approx(cold[20], rel=0.3)
+    assert fading[-1] > 0.7 * cold[-1]  # both negative: there is less of it
+    spent = braking(((EFFECTS["brake_fade"], {"loss_per_mj": 1e6}),))
+    assert spent[-1] < 0.25 * cold[-1] < 0.0  # the floor: 0.3 of the gain stays
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_brake_drag_is_a_force_against_the_motion_only(kind: str) -> None:
+    def end(effects: tuple[tuple[Effect, dict[str, float]], ...], start: Start) -> float:
+        return drive(car(kind, effects=effects), lambda t: command(brake=0.2), 1.0, start=start)[-1].motion.speed_mps
+
+    drag = ((EFFECTS["brake_drag"], {"force_n": 500.0}),)
+    mass = car(kind).block.params.chassis.constants.mass_kg
+    assert end((), START) - end(drag, START) == pytest.approx(500.0 / mass, rel=0.05)
+    assert end(drag, Start(speed_mps=0.0)) >= 0.0
+
+
 @pytest.mark.parametrize(
     ("name", "params"),
     [
+        *(
+            (name, {key: -1.0})
+            for name, effect in EFFECTS.items()
+            for key in effect.neutral
+            if name not in ("payload", "grade", "steer_offset")
+        ),
+        *((name, {key: math.nan}) for name, effect in EFFECTS.items() for key in effect.neutral if name != "payload"),
         ("steer_dead_time", {"delay_s": -0.1}),
         ("steer_lag", {"tau_s": math.inf}),
         ("steer_gain", {"gain_frac": 0.0}),

@@ -29,6 +29,7 @@ class FakeMessage(NamedTuple):
     group: str
     fields: tuple[str, ...]
     channel: str = ""
+    e2e: None = None
 
 
 class FakeCodec:

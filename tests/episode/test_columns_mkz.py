@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from tests.house import ROOT
+from tunefree_hil.base.course import Tracking
+from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import Command, Ins, Report
 from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.frame_writer import FrameWriter
 from tunefree_hil.config.load import load_scenario, load_vehicle
 from tunefree_hil.control.follower import make_follower
-from tunefree_hil.episode.candump import EXTENDED_BIT, parse_candump
+from tunefree_hil.episode.candump import EXTENDED_BIT, LogFrame, parse_candump
 from tunefree_hil.episode.columns import columns_from_frames
 from tunefree_hil.episode.feasible import limits_of, require_feasible
 from tunefree_hil.episode.recording import COLUMNS
@@ -68,3 +71,18 @@ def test_every_scenario_suits_the_vehicle_folder() -> None:
     for path in sorted((ROOT / "bench_configs" / "scenarios").glob("*.toml")):
         spec = load_scenario(path)
         require_feasible(spec, build_course(spec, DT_S), limits_of(VEHICLE))
+
+
+def test_a_frame_that_was_corrupted_on_its_way_says_nothing() -> None:
+    codec = Codec(load_vehicle(ROOT / "dbc" / "van_e2e"))
+    message = next(one for one in codec.telemetry if one.e2e is not None and "speed_mps" in str(one.fields))
+    writer, frames = FrameWriter(codec), []
+    for k, speed_mps in enumerate((5.0, 6.0, 7.0)):
+        frame = writer.write(message, {"report": Report()._replace(speed_mps=speed_mps)}, {}, k * DT_S)
+        data = bytearray(frame.data)
+        if k == 1:
+            data[-1] ^= 0x10
+        frames.append(LogFrame(k * DT_S, "can0", message.key, bytes(data)))
+    nobody = Block(lambda params, dt_s: None, lambda params, state, x, dt_s: (state, params), Tracking())
+    speeds = columns_from_frames(frames, codec, nobody, DT_S).columns["speed_mps"]
+    assert speeds[1] == speeds[0] == pytest.approx(5.0, abs=0.05) and speeds[2] == pytest.approx(7.0, abs=0.05)

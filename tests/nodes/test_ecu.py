@@ -62,7 +62,8 @@ class Car:
     def tick(self, frames: list[CanFrame] | None = None) -> dict[str, dict[str, float]]:
         """Publish and step once; the decoded frames by message."""
         sent = self.part._publish(self.k, self.k)
-        self.part._step(self.exchange, self.k, self.commands() if frames is None else frames)
+        heard = self.part._hear(self.exchange, self.k, self.commands() if frames is None else frames)
+        self.part._step(self.exchange, self.k, heard)
         self.k += 1
         return {self.codec.by_id[one.id].name: self.codec.decode(self.codec.by_id[one.id], one.data) for one in sent}
 

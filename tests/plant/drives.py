@@ -34,8 +34,15 @@ def car(
 ) -> Body:
     """An assembled vehicle; `substeps` other than the plant's own when it is not 0."""
     plant = PLANTS[kind]._replace(substeps=substeps or PLANTS[kind].substeps)
-    made: list[tuple[Port, Any]] = [(effect.port, make_effect(effect, values)) for effect, values in effects]
+    made: list[tuple[Port, Any]] = [
+        (effect.port, make_effect(effect, values, rest=rest_of(effect.port))) for effect, values in effects
+    ]
     return assemble(plant, params or {}, CHANNELS, effects=made, ins_latency_s=ins_latency_s, dt_s=dt_s)
+
+
+def rest_of(port: Port) -> float:
+    """A port's value with nobody asking for anything."""
+    return REST if port.value.split()[0] in ("throttle", "brake") else 0.0
 
 
 def command(throttle: float = REST, brake: float = REST, steer: float = 0.0, gear: float = GEAR_DRIVE) -> Command:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Any, Literal, NamedTuple
@@ -36,8 +37,11 @@ class Port(Enum):
     INS = "ins"
 
 
+LEAST_BRAKE_GAIN = 0.3  # what fading leaves (interfaces 4)
+
+
 class BodyChange(NamedTuple):
-    """What BODY effects change of a car, whichever physics it is; the defaults change nothing.
+    """What effects on the body and on forces change of a car, whichever physics it is; the defaults change nothing.
 
     Every plant applies it to its own constants when it is built: masses and grades are added, friction is a factor.
     The payload is point masses on the car's centre line: their sum, and their first and second moments about the
@@ -49,6 +53,9 @@ class BodyChange(NamedTuple):
     payload_inertia_kgm2: float = 0.0
     friction_frac: float = 1.0  # factor on the road's friction, whatever the scenario says it is
     grade_rad: float = 0.0  # added to the scenario's, up positive
+    power_w: float = math.inf  # the driving force is at most this over the speed
+    brake_drag_n: float = 0.0  # against the motion, whatever the pedals say
+    brake_loss_per_mj: float = 0.0  # of the brakes' gain, for each MJ that they have dissipated since the start
 
 
 class Effect(NamedTuple):
@@ -56,7 +63,8 @@ class Effect(NamedTuple):
 
     make(params, rest) -> Block on its port's value (a float; a Report or an Ins on those two ports). `rest` is the
     port's value at rest: 0 for steering, the rest duty for a pedal; effects act on value - rest and start there.
-    For BODY make(params, rest) -> (BodyChange) -> BodyChange, a plain function used when the plant is built.
+    For BODY, and for what needs the plant's own forces (power_limit, brake_fade, brake_drag), make(params, rest) ->
+    (BodyChange) -> BodyChange, a plain function used when the plant is built.
     """
 
     port: Port
@@ -83,4 +91,4 @@ def make_effect(effect: Effect, params: Mapping[str, float], *, rest: float = 0.
     return effect.make({**effect.neutral, **{key: float(value) for key, value in params.items()}}, rest)
 
 
-__all__ = ["Block", "BodyChange", "Effect", "Port", "Tunable", "make_effect"]
+__all__ = ["LEAST_BRAKE_GAIN", "Block", "BodyChange", "Effect", "Port", "Tunable", "make_effect"]

@@ -29,10 +29,11 @@ HEAVY = ("reference",)  # kinds whose node runs compiled
 class VehicleFor:
     """(scenario, seed) -> Vehicle: the simulated vehicle at a scenario's start. Its step is made once.
 
-    model: the name of a model folder, or what was read of one.
+    model: the name of a model folder, or what was read of one. ahead: the ECU may step before the commands of the same
+    tick are there, where the bench delays them by a tick at least: they are then used a tick later either way.
     """
 
-    def __init__(self, bench: Bench, model: str | ModelSpec, *, realtime: bool = False) -> None:
+    def __init__(self, bench: Bench, model: str | ModelSpec, *, realtime: bool = False, ahead: bool = False) -> None:
         self.bench = bench
         self.model = model_of(bench, model) if isinstance(model, str) else model
         self.model_name = model if isinstance(model, str) else model.folder
@@ -49,7 +50,9 @@ class VehicleFor:
         block = bywire(_bywire_params(bench))
         self.driver = driver_script(bench.spec.faults, bench.vehicle.nominal.rest_pedal_frac)
         self.faults = faults_of(bench, ECU)
-        unit = make_unit(self.body, block, timing.command_ticks - own, timing.report_ticks - own)
+        self.ahead = ahead and not realtime and timing.command_ticks > 0
+        waits = own or int(self.ahead)  # ticks that a command waits outside the unit
+        unit = make_unit(self.body, block, timing.command_ticks - waits, timing.report_ticks - own)
         self.unit = unit._replace(step=kept(unit.step))
         for alone in (self.body.eyes, self.body.seen):  # tick 0 calls them by themselves
             kept(alone.step)
@@ -60,7 +63,7 @@ class VehicleFor:
         course = self.bench.course(spec)
         noise = noise_table(self.model.noise, self.model.bias, course.ticks + 1, seed)
         body = for_episode(self.body, start_of(spec, course), noise)
-        return Vehicle(self.unit, body, course, self.bench.dt_s, self.phases, self.driver, self.faults)
+        return Vehicle(self.unit, body, course, self.bench.dt_s, self.phases, self.driver, self.faults, self.ahead)
 
 
 def is_heavy(bench: Bench, model: str) -> bool:

@@ -73,3 +73,90 @@ def lag(tau_s: float, rest: float) -> Block:
         return LagState(first, 1.0 if tau == 0.0 else 1.0 - math.exp(-dt_s / tau))
 
     return Block(init, step_lag, (positive("tau_s", tau_s), rest))
+
+
+@kernel
+def step_rate_limit(params: float, state: float, x: float, dt_s: float) -> tuple[float, float]:
+    """Follows the input no faster than `params` a second."""
+    most = params * dt_s
+    if x > state + most:
+        y = state + most
+    elif x < state - most:
+        y = state - most
+    else:
+        y = x
+    return y, y
+
+
+def rate_limit(name: str, rate: float, rest: float) -> Block:
+    """Rate limit of a float that has been at `rest` for ever; an infinite rate is the identity."""
+    if not rate > 0.0:
+        raise InputError(f"{name} = {rate}", code="bad_effect_parameter", key=name, hint=f"{name} must be more than 0")
+    return Block(lambda params, dt_s: rest, step_rate_limit, float(rate))
+
+
+@kernel
+def step_play(params: float, state: float, x: float, dt_s: float) -> tuple[float, float]:
+    """Stays until the input is more than `params` away, then is dragged along at that distance."""
+    if x > state + params:
+        y = x - params
+    elif x < state - params:
+        y = x + params
+    elif params == 0.0:
+        y = x
+    else:
+        y = state
+    return y, y
+
+
+def play(name: str, half_width: float, rest: float) -> Block:
+    """Play of a float that stands in the middle of it at `rest`; half_width = 0 is the identity."""
+    return Block(lambda params, dt_s: rest, step_play, positive(name, half_width))
+
+
+class Shape(NamedTuple):
+    """A curve through rest: `half_width` of the input is lost on each side, the rest is multiplied by `gain`."""
+
+    rest: float
+    half_width: float
+    gain: float
+    limit: float
+
+
+@kernel
+def step_shape(params: Shape, state: float, x: float, dt_s: float) -> tuple[float, float]:
+    """The curve; no memory. Neutral parts are left out, so that nothing is rounded."""
+    y = x
+    over = y - params.rest
+    if params.half_width > 0.0:
+        if over > params.half_width:
+            y = y - params.half_width
+        elif over < -params.half_width:
+            y = y + params.half_width
+        else:
+            y = params.rest
+    if params.gain != 1.0:
+        y = params.rest + params.gain * (y - params.rest)
+    if y > params.rest + params.limit:
+        y = params.rest + params.limit
+    elif y < params.rest - params.limit:
+        y = params.rest - params.limit
+    return state, y
+
+
+def shape(rest: float, *, half_width: float = 0.0, gain: float = 1.0, limit: float = math.inf) -> Block:
+    """A curve about `rest` as a Block on a float; the caller has checked the numbers."""
+    return Block(lambda params, dt_s: 0.0, step_shape, Shape(rest, half_width, gain, limit))
+
+
+@kernel
+def step_offset(params: float, state: float, x: float, dt_s: float) -> tuple[float, float]:
+    """The input and a constant."""
+    return state, x + params
+
+
+def offset(name: str, value: float) -> Block:
+    """A constant on top of a float."""
+    if not math.isfinite(value):
+        raise InputError(f"{name} = {value}", code="bad_effect_parameter", key=name, hint=f"{name} must be finite")
+    return Block(lambda params, dt_s: 0.0, step_offset, value)

@@ -15,6 +15,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import GROUPS, NAN, CanFrame, Command, Ins, Report
 from tunefree_hil.bus.codec import Codec, MessageMap
+from tunefree_hil.bus.e2e import is_intact
 from tunefree_hil.episode.candump import EXTENDED_BIT, RTR, LogFrame
 from tunefree_hil.episode.frame_hash import CONTROLLER_PHASE, place_frames
 from tunefree_hil.episode.recording import COMMAND_COLUMNS, REFERENCE_COLUMNS, Recording, make_recording
@@ -96,6 +97,8 @@ class _Ear:
             message = messages[key] if key in messages else self._find(key)
             if message is None or payloads.get(message) == frame.data or not codec.fits(message, frame.data):
                 continue
+            if message.e2e is not None and not is_intact(message.e2e, frame.data[: message.length]):
+                continue  # nobody believes what has been corrupted on its way
             payloads[message] = frame.data
             for group, index, value in codec.values(message, codec.decode(message, frame.data)):
                 self.held[group][index] = value

@@ -38,7 +38,7 @@ def ecu(
     parts = load(bench)
     alone = (parts.scenarios.get(scenario) or load_scenario(scenario, parts.file)) if scenario else None
     realtime = realtime or alone is not None
-    assign = VehicleFor(parts, model or parts.spec.model, realtime=realtime)
+    assign = VehicleFor(parts, model or parts.spec.model, realtime=realtime, ahead=True)
     with open_exchange(parts, "ecu", bus, bench_bus, session, realtime=realtime, alone=alone is not None) as opened:
         exchange, clock, where = opened
         yield Event("note", f"ecu: {parts.vehicle.name} ({assign.model_name}) on {where}")

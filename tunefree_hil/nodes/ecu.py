@@ -37,6 +37,7 @@ class Vehicle(NamedTuple):
     phases: Mapping[str, int]  # tick of its period on which each message goes out
     driver: Callable[[int], Driver]  # the person in the seat, by tick
     faults: Sequence[ScriptedFault] = ()
+    ahead: bool = False  # the unit takes at each tick what was heard at the one before
 
 
 class EcuPart:
@@ -79,24 +80,40 @@ class EcuPart:
         self._params, self._state, self._said = car.unit.start(car.body, car.dt_s)
 
     def lockstep(self, exchange: Exchange, stopped: Callable[[Any], bool]) -> None:
-        """Open tick after tick; end with the course, a failure that the controller says, or a request."""
+        """Open tick after tick; end with the course, a failure that the controller says, or a request.
+
+        A vehicle that steps ahead does so while the controller computes; its frames are then ready when the tick ends.
+        """
         self.times.begin()
         self._stopped = stopped
         self._ears.reception.expect_every_period()
+        ahead, heard, spent_s = self.car.ahead, Heard(), 0.0
+        frames = self._publish(0, 0)
         ticks = 0
         for k in range(self.car.course.ticks):
-            exchange.announce(k, 0, self._publish(k, k), bc.Tick(k))
-            frames = exchange.await_phase(k, 1, self._interrupt)
-            if frames is None:
+            exchange.announce(k, 0, frames, bc.Tick(k))
+            if ahead:
+                started = time.perf_counter()
+                frames = self._advance(exchange, k, heard)
+                spent_s = time.perf_counter() - started
+            arrived = exchange.await_phase(k, 1, self._interrupt)
+            if arrived is None:
                 self._failure = self._failure or int(bc.ErrorCode.STOPPED)
                 break
             started = time.perf_counter()
-            self._step(exchange, k, frames)
-            self.times.note(0.0, time.perf_counter() - started)
+            heard = self._hear(exchange, k, arrived)
+            if not ahead:
+                frames = self._advance(exchange, k, heard)
+            self.times.note(0.0, spent_s + time.perf_counter() - started)
             ticks = k + 1
             if self._failure:
                 break
         self._end(exchange, ticks)
+
+    def _advance(self, exchange: Exchange, k: int, heard: Heard) -> list[CanFrame]:
+        """The step of tick k, and the frames of the tick after it."""
+        self._step(exchange, k, heard)
+        return self._publish(k + 1, k + 1)
 
     def realtime(self, exchange: Exchange, clock: Clock, zero_s: float, stopped: Callable[[Any], bool]) -> None:
         """At each deadline: publish the state reached, then step with the commands stamped before the deadline."""
@@ -112,7 +129,7 @@ class EcuPart:
             exchange.announce(k, 0, self._publish(k, k + 1), bc.Tick(k))
             if any(self._interrupt(message) for message in exchange.listen(0.0)):
                 self._failure = self._failure or int(bc.ErrorCode.STOPPED)
-            self._step(exchange, k, exchange.take_before(1, deadline_s))
+            self._step(exchange, k, self._hear(exchange, k, exchange.take_before(1, deadline_s)))
             self.times.note(late_s, time.perf_counter() - started)
             ticks = k + 1
             if self._failure:
@@ -148,14 +165,19 @@ class EcuPart:
         ]
         return self._faults.apply(k, frames, car.dt_s)
 
-    def _step(self, exchange: Exchange, k: int, frames: Sequence[CanFrame]) -> None:
-        car = self.car
-        road = Disturbance(float(car.course.grade_rad[k]), float(car.course.friction_frac[k]))
-        x = UnitInput(self._ears.hear(frames), car.driver(k), road)
+    def _hear(self, exchange: Exchange, k: int, frames: Sequence[CanFrame]) -> Heard:
+        """What the command frames of tick k say; what began or stood out at that tick is told."""
+        heard = self._ears.hear(frames)
         for fault in self._faults.begun(k):
             exchange.say(bc.Fault(self.role, fault.index, fault.code, k), k=k)
         for notice in self._ears.reception.notices():
             self.say(f"ecu: {notice}")
+        return heard
+
+    def _step(self, exchange: Exchange, k: int, heard: Heard) -> None:
+        car = self.car
+        road = Disturbance(float(car.course.grade_rad[k]), float(car.course.friction_frac[k]))
+        x = UnitInput(heard, car.driver(k), road)
         self._state, self._said = car.unit.step(self._params, self._state, x, car.dt_s)
         cause = self._said.status.watchdog_cause
         if cause != self._cause:

@@ -64,6 +64,9 @@ class SingleTrack(NamedTuple):
     rolling_n: float
     drag_kgpm: float
     grade_rad: float
+    power_w: float  # inf: no limit but the drive's own
+    brake_drag_n: float
+    brake_loss_per_j: float
 
 
 def constants_of(params: Mapping[str, float], change: BodyChange) -> SingleTrack:
@@ -99,4 +102,7 @@ def constants_of(params: Mapping[str, float], change: BodyChange) -> SingleTrack
         rolling_n=v["rolling_frac"] * weight_n,
         drag_kgpm=0.5 * AIR_DENSITY_KGPM3 * v["drag_area_m2"],
         grade_rad=change.grade_rad,
+        power_w=change.power_w,
+        brake_drag_n=change.brake_drag_n,
+        brake_loss_per_j=1e-6 * change.brake_loss_per_mj,
     )

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from tunefree_hil.base.contracts import BodyChange
+from tunefree_hil.base.contracts import LEAST_BRAKE_GAIN, BodyChange
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.records import GEAR_DRIVE, GEAR_PARK, Motion
 from tunefree_hil.base.units import G_MPS2
@@ -59,7 +59,7 @@ class Step(NamedTuple):
 
 
 class ReferenceState(NamedTuple):
-    """Motion, tyre slips, sprung mass, engine, gearbox, and the brake pedal behind its play."""
+    """Motion, tyre slips, sprung mass, engine, gearbox, the brake pedal behind its play, and the brakes' heat."""
 
     motion: Motion
     slips: Slips
@@ -67,6 +67,7 @@ class ReferenceState(NamedTuple):
     drive_n: float
     box: Gearbox
     brake_frac: float  # in the tables' duty
+    braked_j: float  # what the brakes have dissipated
 
 
 @kernel
@@ -170,18 +171,23 @@ def step_reference(
         brake_frac = brake
     elif brake < brake_frac - p.hysteresis_frac:
         brake_frac = brake + p.hysteresis_frac
-    brake_n = brake_force_n(p.maps, brake_frac)
+    left = 1.0 - p.brake_loss_per_j * state.braked_j
+    brake_n = brake_force_n(p.maps, brake_frac) * (left if left > LEAST_BRAKE_GAIN else LEAST_BRAKE_GAIN)
+    braked_j = state.braked_j + dt_s * was.speed_mps * brake_n
+    rolling_n = p.rolling_n + p.brake_drag_n
     box = step_gearbox(p.maps, state.box, throttle, was.speed_mps, dt_s)
     engine_n, drive_n = 0.0, 0.0
     if act.gear >= GEAR_DRIVE:
         asked_n = drive_force_n(p.maps, throttle, was.speed_mps) * gear_factor(p.maps, box, was.speed_mps)
+        if asked_n * was.speed_mps > p.power_w:
+            asked_n = p.power_w / was.speed_mps  # not 0: the power above is not 0
         drive_n = caught_up(state.drive_n, asked_n, p.drive_lag_s, dt_s)
         engine_n = drive_n + idle_force_n(p.maps, was.speed_mps, brake, MAP_REST_FRAC)
     elif act.gear == GEAR_PARK:
         brake_n = brake_n + PARKED_N
     slope = x.road.grade_rad + p.grade_rad
     slope_n = p.mass_kg * G_MPS2 * math.sin(slope)
-    if was.speed_mps <= 0.0 and engine_n - slope_n <= brake_n + p.rolling_n:
+    if was.speed_mps <= 0.0 and engine_n - slope_n <= brake_n + rolling_n:
         return stand(p, state, drive_n, box, brake_frac, slope_n, dt_s)
 
     front_n = state.slips.front_left * p.front_stiffness + state.slips.front_right * p.front_stiffness
@@ -190,7 +196,7 @@ def step_reference(
     rear_asked_n = 0.5 * (1.0 - p.drive_front_frac) * engine_n - 0.5 * (1.0 - p.brake_front_frac) * brake_n
     fl, fr, rl, rr = four_tyres(p, state.loads, x.road.friction_frac, front_asked_n, rear_asked_n, angle)
     calm = 1.0 + was.speed_mps * was.speed_mps * 0.1
-    now = Step(fl, fr, rl, rr, slope_n + p.rolling_n, p.hold_s / calm)
+    now = Step(fl, fr, rl, rr, slope_n + rolling_n, p.hold_s / calm)
     middle, slips = runge_kutta(p, now, state.slips, dt_s)
     if slips.speed <= 0.0:
         return stand(p, state, drive_n, box, brake_frac, slope_n, dt_s)
@@ -199,7 +205,7 @@ def step_reference(
         caught_up(state.loads.along_mps2, motion.accel_mps2, p.body_lag_s, dt_s),
         caught_up(state.loads.left_mps2, motion.lateral_accel_mps2, p.body_lag_s, dt_s),
     )
-    return ReferenceState(motion, slips, loads, drive_n, box, brake_frac), motion
+    return ReferenceState(motion, slips, loads, drive_n, box, brake_frac, braked_j), motion
 
 
 @kernel
@@ -238,7 +244,8 @@ def stand(
         caught_up(state.loads.along_mps2, felt, p.body_lag_s, dt_s),
         caught_up(state.loads.left_mps2, 0.0, p.body_lag_s, dt_s),
     )
-    return ReferenceState(motion, Slips(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), loads, drive_n, box, brake_frac), motion
+    at_ease = Slips(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return ReferenceState(motion, at_ease, loads, drive_n, box, brake_frac, state.braked_j), motion
 
 
 def init_reference(params: ChassisParams, dt_s: float) -> ReferenceState:
@@ -247,7 +254,7 @@ def init_reference(params: ChassisParams, dt_s: float) -> ReferenceState:
     slips = Slips(speed_mps, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     motion = rolling_motion(params.start, p.wheel_radius_m)
     box = first_gearbox(speed_mps, p.shift_gain)
-    return ReferenceState(motion, slips, Loads(0.0, 0.0), 0.0, box, MAP_REST_FRAC)
+    return ReferenceState(motion, slips, Loads(0.0, 0.0), 0.0, box, MAP_REST_FRAC, 0.0)
 
 
 def make(params: Mapping[str, float], change: BodyChange) -> Block:

@@ -89,6 +89,9 @@ def constants_of(params: Mapping[str, float], change: BodyChange) -> Chassis:
         rolling_n=v["rolling_frac"] * car.mass_kg * G_MPS2,
         drag_kgpm=0.5 * AIR_DENSITY_KGPM3 * v["drag_area_m2"],
         grade_rad=change.grade_rad,
+        power_w=change.power_w,
+        brake_drag_n=change.brake_drag_n,
+        brake_loss_per_j=1e-6 * change.brake_loss_per_mj,
         maps=maps_of(
             v["rolling_frac"],
             v["drag_area_m2"],

@@ -93,6 +93,9 @@ class Chassis(NamedTuple):
     rolling_n: float
     drag_kgpm: float
     grade_rad: float
+    power_w: float  # inf: the tables' own power
+    brake_drag_n: float
+    brake_loss_per_j: float
     maps: Any
 
 

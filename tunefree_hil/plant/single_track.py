@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from tunefree_hil.base.contracts import BodyChange
+from tunefree_hil.base.contracts import LEAST_BRAKE_GAIN, BodyChange
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.maths import clamp
 from tunefree_hil.base.records import GEAR_DRIVE, GEAR_PARK, Motion
@@ -33,26 +33,37 @@ class Push(NamedTuple):
     creep_n: float
     passive_n: float  # brake and rolling: never push, only oppose
     slope_n: float
+    brake_n: float  # the brakes' part of passive_n
+
+
+class SingleTrackState(NamedTuple):
+    """The motion, and what the brakes have dissipated."""
+
+    motion: Motion
+    braked_j: float
 
 
 @kernel
-def push_of(p: SingleTrack, x: ChassisInput) -> Push:
-    """Drive, creep, brake and slope from pedals, gear and road."""
+def push_of(p: SingleTrack, x: ChassisInput, braked_j: float) -> Push:
+    """Drive, creep, brake and slope from pedals, gear and road; braked_j: what the brakes have dissipated."""
     act, road = x.actuation, x.road
     throttle = clamp((act.throttle_frac - p.throttle_zero_frac) * p.inverse_throttle_span, 0.0, 1.0)
     braked = act.brake_frac - p.rest_frac
-    brake_n = p.brake_gain_n * braked if braked > 0.0 else 0.0
+    left = 1.0 - p.brake_loss_per_j * braked_j
+    gain_n = p.brake_gain_n * (left if left > LEAST_BRAKE_GAIN else LEAST_BRAKE_GAIN)
+    brake_n = gain_n * braked if braked > 0.0 else 0.0
     grip_n = p.friction * road.friction_frac * p.mass_kg * G_MPS2
     if brake_n > grip_n:
         brake_n = grip_n
     slope_n = p.mass_kg * G_MPS2 * math.sin(road.grade_rad + p.grade_rad)
     if act.gear < GEAR_DRIVE:
         held_n = PARKED_N if act.gear == GEAR_PARK else 0.0
-        return Push(0.0, 0.0, 0.0, brake_n + p.rolling_n + held_n, slope_n)
+        return Push(0.0, 0.0, 0.0, brake_n + p.rolling_n + p.brake_drag_n + held_n, slope_n, brake_n)
     drive_n = p.drive_force_n * (1.0 - math.exp(-throttle * p.inverse_knee))
     if drive_n > 0.5 * grip_n:
         drive_n = 0.5 * grip_n
-    return Push(drive_n, p.drive_power_w * throttle, p.creep_force_n, brake_n + p.rolling_n, slope_n)
+    passive_n = brake_n + p.rolling_n + p.brake_drag_n
+    return Push(drive_n, p.drive_power_w * throttle, p.creep_force_n, passive_n, slope_n, brake_n)
 
 
 @kernel
@@ -62,7 +73,10 @@ def forward_n(p: SingleTrack, push: Push, speed_mps: float) -> float:
     if push.drive_n > 0.0:
         asked_w = push.drive_n * speed_mps
         share = asked_w / max(push.drive_power_w, 1.0)
-        force_n = force_n + push.drive_n / math.sqrt(1.0 + share * share)
+        drive_n = push.drive_n / math.sqrt(1.0 + share * share)
+        if drive_n * speed_mps > p.power_w:
+            drive_n = p.power_w / speed_mps  # not 0: the power above is not 0
+        force_n = force_n + drive_n
     fade = 1.0 - speed_mps * p.inverse_creep_speed
     if fade > 0.0:
         force_n = force_n + push.creep_n * fade
@@ -139,10 +153,12 @@ def slow_speed(p: SingleTrack, push: Push, speed: float, dt_s: float) -> float:
 
 
 @kernel
-def step_single_track(params: ChassisParams, state: Motion, x: ChassisInput, dt_s: float) -> tuple[Motion, Motion]:
-    """One tick; the state is the motion itself."""
-    p = params.constants
-    push = push_of(p, x)
+def step_single_track(
+    params: ChassisParams, memory: SingleTrackState, x: ChassisInput, dt_s: float
+) -> tuple[SingleTrackState, Motion]:
+    """One tick."""
+    p, state = params.constants, memory.motion
+    push = push_of(p, x, memory.braked_j)
     angle = x.actuation.steer_rad * p.inverse_ratio
     cosine, sine = math.cos(angle), math.sin(angle)
     was, side_was, yaw_was = state.speed_mps, state.side_speed_mps, state.yaw_rate_radps
@@ -182,12 +198,12 @@ def step_single_track(params: ChassisParams, state: Motion, x: ChassisInput, dt_
         left * p.inverse_radius,
         right * p.inverse_radius,
     )
-    return new, new
+    return SingleTrackState(new, memory.braked_j + dt_s * mean_speed * push.brake_n), new
 
 
-def init_single_track(params: ChassisParams, dt_s: float) -> Motion:
-    """Rolling straight at the start."""
-    return rolling_motion(params.start, params.constants.wheel_radius_m)
+def init_single_track(params: ChassisParams, dt_s: float) -> SingleTrackState:
+    """Rolling straight at the start, brakes cold."""
+    return SingleTrackState(rolling_motion(params.start, params.constants.wheel_radius_m), 0.0)
 
 
 def make(params: Mapping[str, float], change: BodyChange) -> Block:

@@ -77,9 +77,10 @@ def assemble(
     throttle and brake duty at rest. Raises InputError for parameters or ports that do not fit.
     """
     change = BodyChange()
-    for port, made in effects:
-        if port is Port.BODY:
+    for _, made in effects:
+        if not isinstance(made, Block):
             change = made(change)
+    effects = [(port, made) for port, made in effects if isinstance(made, Block)]
     chassis = plant.make(params, change)
     if plant.actuators is not None:
         own = plant.actuators(params)

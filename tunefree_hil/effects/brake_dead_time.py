@@ -1,0 +1,20 @@
+"""Dead time in the brake actuator: the reported duty follows its command later, by a shift."""
+
+from __future__ import annotations
+
+from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.effects._signals import dead_time
+
+
+def make(params: dict[str, float], rest: float) -> Block:
+    """Block on the brake duty; delay_s [s] comes on top of the actuator's own."""
+    return dead_time(params["delay_s"], rest)
+
+
+EFFECT = Effect(
+    Port.BRAKE_A,
+    {"delay_s": 0.0},
+    {"delay_s": "s"},
+    make,
+    "reported brake follows its command later, its shape kept",
+)

@@ -1,0 +1,27 @@
+"""Brakes that fade: their gain falls with the energy that they have dissipated (no cooling, never below 0.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from tunefree_hil.base.contracts import BodyChange, Effect, Port
+from tunefree_hil.effects._signals import positive
+
+
+def make(params: dict[str, float], rest: float) -> Callable[[BodyChange], BodyChange]:
+    """Takes loss_per_mj of the brakes' gain for each MJ dissipated since the start."""
+    loss_per_mj = positive("loss_per_mj", params["loss_per_mj"])
+
+    def fade(change: BodyChange) -> BodyChange:
+        return change._replace(brake_loss_per_mj=change.brake_loss_per_mj + loss_per_mj)
+
+    return fade
+
+
+EFFECT = Effect(
+    Port.BRAKE_B,
+    {"loss_per_mj": 0.0},
+    {"loss_per_mj": "1/MJ"},
+    make,
+    "braking is as it should be at first and weaker after many stops",
+)

@@ -1,0 +1,20 @@
+"""A brake that gives a factor more or less than its reported duty would."""
+
+from __future__ import annotations
+
+from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.effects._signals import positive, shape
+
+
+def make(params: dict[str, float], rest: float) -> Block:
+    """Block on the brake duty: gain_frac times what is above rest."""
+    return shape(rest, gain=positive("gain_frac", params["gain_frac"], zero=False))
+
+
+EFFECT = Effect(
+    Port.BRAKE_B,
+    {"gain_frac": 1.0},
+    {"gain_frac": "1"},
+    make,
+    "braking is off by the same factor at every pressure, and does not change with time",
+)

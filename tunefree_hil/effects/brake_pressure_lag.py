@@ -1,0 +1,20 @@
+"""Lag between the reported brake duty and the pressure at the wheels."""
+
+from __future__ import annotations
+
+from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.effects._signals import lag
+
+
+def make(params: dict[str, float], rest: float) -> Block:
+    """Block on the brake duty; a first-order lag of tau_s [s]."""
+    return lag(params["tau_s"], rest)
+
+
+EFFECT = Effect(
+    Port.BRAKE_B,
+    {"tau_s": 0.0},
+    {"tau_s": "s"},
+    make,
+    "deceleration follows the reported brake more softly",
+)

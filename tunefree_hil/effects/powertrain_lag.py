@@ -1,0 +1,20 @@
+"""Lag behind the reported throttle: the push comes more softly than the report says."""
+
+from __future__ import annotations
+
+from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.effects._signals import lag
+
+
+def make(params: dict[str, float], rest: float) -> Block:
+    """Block on the throttle duty; a first-order lag of tau_s [s]."""
+    return lag(params["tau_s"], rest)
+
+
+EFFECT = Effect(
+    Port.THROTTLE_B,
+    {"tau_s": 0.0},
+    {"tau_s": "s"},
+    make,
+    "acceleration follows the reported throttle more softly",
+)

@@ -1,0 +1,20 @@
+"""Backlash between the reported steering angle and the wheels."""
+
+from __future__ import annotations
+
+from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.effects._signals import play
+
+
+def make(params: dict[str, float], rest: float) -> Block:
+    """Block on the steering-wheel angle [rad]: play of width_rad in all."""
+    return play("width_rad", 0.5 * params["width_rad"], rest)
+
+
+EFFECT = Effect(
+    Port.STEER_B,
+    {"width_rad": 0.0},
+    {"width_rad": "rad"},
+    make,
+    "the car goes on turning as it did for a while after each reversal of the reported steering",
+)

@@ -1,0 +1,20 @@
+"""A steering actuator deaf to small angles: commands near straight on leave the report where it is."""
+
+from __future__ import annotations
+
+from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.effects._signals import positive, shape
+
+
+def make(params: dict[str, float], rest: float) -> Block:
+    """Block on the steering-wheel angle [rad]: half_width_rad on each side of straight ahead is lost."""
+    return shape(rest, half_width=positive("half_width_rad", params["half_width_rad"]))
+
+
+EFFECT = Effect(
+    Port.STEER_A,
+    {"half_width_rad": 0.0},
+    {"half_width_rad": "rad"},
+    make,
+    "reported steering ignores small commands about straight ahead, and is short by as much beyond them",
+)

@@ -1,0 +1,20 @@
+"""Dry friction in the steering actuator: it sticks until the command has gone far enough, in each direction."""
+
+from __future__ import annotations
+
+from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.effects._signals import play
+
+
+def make(params: dict[str, float], rest: float) -> Block:
+    """Block on the steering-wheel angle [rad]: sticks until the command is level_rad away, then trails it by that."""
+    return play("level_rad", params["level_rad"], rest)
+
+
+EFFECT = Effect(
+    Port.STEER_A,
+    {"level_rad": 0.0},
+    {"level_rad": "rad"},
+    make,
+    "reported steering stands still at each reversal of its command, wherever that is",
+)

@@ -1,0 +1,22 @@
+"""A slower steering motor: the report's angle climbs no faster than a limit, however large the step."""
+
+from __future__ import annotations
+
+import math
+
+from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.effects._signals import rate_limit
+
+
+def make(params: dict[str, float], rest: float) -> Block:
+    """Block on the steering-wheel angle [rad]: no faster than rate_radps, an absolute limit."""
+    return rate_limit("rate_radps", params["rate_radps"], rest)
+
+
+EFFECT = Effect(
+    Port.STEER_A,
+    {"rate_radps": math.inf},
+    {"rate_radps": "rad/s"},
+    make,
+    "reported steering climbs as a ramp on large steps, and as before on small ones",
+)

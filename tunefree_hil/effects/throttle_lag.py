@@ -1,0 +1,20 @@
+"""Lag in the throttle actuator: the reported duty follows its command more softly."""
+
+from __future__ import annotations
+
+from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.effects._signals import lag
+
+
+def make(params: dict[str, float], rest: float) -> Block:
+    """Block on the throttle duty; a first-order lag of tau_s [s] in front of the actuator's own."""
+    return lag(params["tau_s"], rest)
+
+
+EFFECT = Effect(
+    Port.THROTTLE_A,
+    {"tau_s": 0.0},
+    {"tau_s": "s"},
+    make,
+    "reported throttle follows its command more softly, small and quick movements most",
+)

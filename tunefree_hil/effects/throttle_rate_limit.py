@@ -1,0 +1,22 @@
+"""A throttle actuator that climbs no faster than a limit."""
+
+from __future__ import annotations
+
+import math
+
+from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.effects._signals import rate_limit
+
+
+def make(params: dict[str, float], rest: float) -> Block:
+    """Block on the throttle duty: no faster than rate_per_s [1/s], an absolute limit."""
+    return rate_limit("rate_per_s", params["rate_per_s"], rest)
+
+
+EFFECT = Effect(
+    Port.THROTTLE_A,
+    {"rate_per_s": math.inf},
+    {"rate_per_s": "1/s"},
+    make,
+    "reported throttle climbs as a ramp on large steps, and as before on small ones",
+)
