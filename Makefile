@@ -1,6 +1,6 @@
 # make tune   install what is needed into .venv, then tune the steering over a simulated bench (ARGS= passes more)
 # make test   install the extras too (torch among them), then run every test but those that need a kernel with CAN,
-#             a PostgreSQL server, a C compiler or minutes of compiling (.ci/run runs these too)
+#             a PostgreSQL server, a C compiler, or minutes of compiling or training (.ci/run runs these too)
 # make check  format, lint, types, fast tests
 # make venv   install only, and compile the simulated cars of BENCH
 
@@ -21,7 +21,7 @@ tune: venv
 	@.venv/bin/tunefree-hil tune $(BENCH) $(ARGS)
 
 test: test-venv
-	@.venv/bin/python -m pytest -m "not compiled and not vcan and not postgres and not foreign" $(ARGS)
+	@.venv/bin/python -m pytest -m "not compiled and not vcan and not postgres and not foreign and not learning" $(ARGS)
 
 check: test-venv
 	@tools/check

@@ -13,8 +13,29 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 ROOT = Path(__file__).resolve().parents[1]
 
+# Folders and files whose slow tests train, collect or calibrate: minutes together, so a stage of their own in CI.
+LEARNING = (
+    "learn/",
+    "collect/",
+    "jobs/test_calibrate.py",
+    "jobs/test_collect.py",
+    "jobs/test_learn.py",
+    "jobs/test_map.py",
+    "jobs/test_outside.py",
+    "tools/test_actuators_measure.py",
+)
+
 settings.register_profile("house", derandomize=True, deadline=None, max_examples=50, database=None)
 settings.load_profile("house")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the slow ones of LEARNING, before anything is chosen by its marks."""
+    for item in items:
+        place = item.path.relative_to(ROOT / "tests").as_posix()
+        if place.startswith(LEARNING) and item.get_closest_marker("slow"):
+            item.add_marker("learning")
 
 
 @pytest.fixture(scope="session")

@@ -71,7 +71,7 @@ def test_an_unknown_plant_kind_lists_those_there_are(bench: Bench, tmp_path: Pat
     error = caught.value
     assert (error.code, error.key) == ("unknown_plant", "plant.kind")
     assert error.file == str(tmp_path / "models" / "own" / "model.toml")
-    assert "physics, reference" in error.message and "not built yet" in error.hint
+    assert "physics, reference, hybrid" in error.message and error.hint
 
 
 def test_a_plant_of_the_users_own_that_is_not_there(bench: Bench, tmp_path: Path) -> None:

@@ -154,7 +154,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"tunefree-hil {__version__}\n"
 
 
-@pytest.mark.parametrize("name", ["learn", "gap"])
+@pytest.mark.parametrize("name", ["gap"])
 def test_not_built_yet(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run([name, "some.log", "--whatever", "3", "--json"]) == 2
     out, err = capsys.readouterr()
@@ -176,7 +176,10 @@ def test_usage_mistakes(words: str, capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    ["drive", "tune", "verify", "replay", "hub", "ecu", "controller", "scenarios", "doctor", "learn", "gap", "log"],
+    [
+        *("drive", "tune", "verify", "replay", "hub", "ecu", "controller", "scenarios", "doctor"),
+        *("learn", "gap", "log", "collect", "collector"),
+    ],
 )
 def test_every_command_has_help_in_80_columns(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run([command, "--help"]) == 0

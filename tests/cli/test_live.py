@@ -43,6 +43,13 @@ def test_two_lines_fit_80_columns() -> None:
     assert lines[1].startswith("best 0.4123, manual 0.6551 (-37 %), 12.3 x real time, 4,300 frames/s")
 
 
+def test_a_block_stays_below_the_two_lines_and_is_cut_not_wrapped() -> None:
+    console = Console(file=io.StringIO(), width=80)
+    console.print(picture("drive", {**DATA, "block": ["first row", "x" * 100]}))
+    lines = drawn(console).splitlines()
+    assert len(lines) == 4 and lines[2].rstrip() == "first row" and len(lines[3]) == 80
+
+
 def test_a_narrow_terminal_cuts_and_does_not_wrap() -> None:
     console = Console(file=io.StringIO(), width=60)
     console.print(picture("left_turn", DATA))

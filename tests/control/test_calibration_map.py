@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.control.calibration_map import from_triples, load, lookup
+from tunefree_hil.control.calibration_map import KEYS, from_triples, load, lookup
+from tunefree_hil.plant.vehicle import steady_accel
 
 ROOT = Path(__file__).resolve().parents[2]
 TWO = from_triples([0.0, 0.0, 10.0, 10.0, 10.0], [-1.0, 1.0, 2.0, -2.0, 0.0], [-0.2, 0.2, 0.6, -0.4, 0.1])
@@ -70,29 +71,13 @@ def test_files(tmp_path):
             load(path)
 
 
-def test_sweep_keeps_both_dead_bands():
-    make = tool()
-
-    def accel_of(speed, throttle, brake):
-        return -0.2 + 4.0 * max(0.0, throttle - 0.2) - 20.0 * max(0.0, brake - 0.18)
-
-    triples = make.sweep(accel_of, make.Pedal(0.15, 0.8), make.Pedal(0.15, 0.5), (5.0,))
-    accels, commands = [row[1] for row in triples], [row[2] for row in triples]
-    assert accels == sorted(set(accels))
-    assert commands == sorted(commands)
-    own = from_triples([5.0] * len(accels), accels, commands)
-    assert lookup(own, 5.0, -0.1) == pytest.approx(0.225, abs=1e-3)
-    assert lookup(own, 5.0, -1.0) == pytest.approx(-0.22, abs=1e-3)
-    assert lookup(own, 5.0, -0.21) == pytest.approx(-0.1805, abs=1e-3)
-
-
 def test_the_nominal_models_map_is_the_one_its_model_gives():
     make = tool()
     path = ROOT / "bench_configs" / "models" / "mkz_nominal" / "calibration.npz"
     stored = load(path)
     fresh = make.calibrate("mkz_nominal")
     with np.load(path) as archive:
-        assert np.allclose(np.array(fresh).T, [archive[key] for key in make.KEYS], atol=1e-9)
+        assert np.allclose(np.array(fresh).T, [archive[key] for key in KEYS], atol=1e-9)
     # Between its points the map is good to a few hundredths, driven by the model itself.
     model = make.load_model("mkz_nominal")
     plant, params = make.PLANTS[model.plant.kind], dict(model.plant.params)
@@ -100,6 +85,6 @@ def test_the_nominal_models_map_is_the_one_its_model_gives():
         for accel in (-5.0, -2.1, -0.6, 0.4, 0.9):
             command = lookup(stored, speed, accel)
             throttle, brake = (command, 0.15) if command > 0.0 else (0.15, -command)
-            got = make.steady_accel(plant, params, speed, throttle, brake)
+            got = steady_accel(plant, params, speed, throttle, brake)
             if 0.15 < throttle < 0.79 or brake > 0.15:
                 assert got == pytest.approx(accel, abs=0.05)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from tests import other_vehicle
 from tests.house import ROOT
 from tunefree_hil.base.course import Tracking
 from tunefree_hil.base.kernel import Block
@@ -74,7 +75,7 @@ def test_every_scenario_suits_the_vehicle_folder() -> None:
 
 
 def test_a_frame_that_was_corrupted_on_its_way_says_nothing() -> None:
-    codec = Codec(load_vehicle(ROOT / "dbc" / "van_e2e"))
+    codec = Codec(load_vehicle(other_vehicle.FOLDER))
     message = next(one for one in codec.telemetry if one.e2e is not None and "speed_mps" in str(one.fields))
     writer, frames = FrameWriter(codec), []
     for k, speed_mps in enumerate((5.0, 6.0, 7.0)):

@@ -68,6 +68,7 @@ def test_verify_prints_margins_and_keeps_them(run: Path, few: None) -> None:
     with no_orphans(session):
         *events, result = ended(run, session)
     found = json.loads((run / "verify.json").read_text())
+    assert found["outside"]["model"] == "mkz_nominal" and found["outside"]["share"] == 0.0
     kept = found["margins"]
     assert kept["same_as_bus"] == {"equal": 2, "of": 2}  # the batch's drives are those of the bus, bit for bit
     assert kept["against"] == "mrac_on" and set(kept["vectors"]) == {"tuned", "mrac_on"}

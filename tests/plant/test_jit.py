@@ -56,7 +56,32 @@ def bywire_lines() -> list[str]:
     return lines
 
 
+def learned_lines() -> list[str]:
+    """The chassis of every learned kind, weights drawn: speeding up, turning, stopping."""
+    from tempfile import TemporaryDirectory
+
+    from tests.plant.learned import KINDS, plant_of
+    from tunefree_hil.base.contracts import BodyChange
+    from tunefree_hil.base.course import Start
+    from tunefree_hil.base.records import GEAR_DRIVE, Actuation, Disturbance
+    from tunefree_hil.plant.body import ChassisInput
+
+    lines = []
+    for kind in KINDS:
+        with TemporaryDirectory() as folder:
+            block = plant_of(Path(folder), kind, 3).make({}, BodyChange(grade_rad=0.01))
+        params = block.params._replace(start=Start(1.0, 2.0, 0.3, 6.0))
+        state = block.init(params, 0.01)
+        for k in range(TICKS):
+            pedals = (0.35, 0.15) if k < 100 else (0.15, 0.15 + 0.001 * min(k - 100, 150))
+            act = Actuation(*pedals, 3.0 * math.sin(0.03 * k), GEAR_DRIVE)
+            state, motion = block.step(params, state, ChassisInput(act, Disturbance(0.02, 0.8)), 0.01)
+            lines.append(bits(motion))
+    return lines
+
+
 CASES = {
+    "learned": learned_lines,
     "physics": lambda: body_lines("physics", False),
     "reference": lambda: body_lines("reference", False),
     "physics_effects": lambda: body_lines("physics", True),

@@ -18,7 +18,8 @@ from tools.measures._rig import standing
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bench import Bench, is_heavy, load
 from tunefree_hil.bench.batch import Batch, Driven, Job
-from tunefree_hil.config.load import load_bench
+from tunefree_hil.config.find import available
+from tunefree_hil.config.load import load_bench, load_model
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.control.parameters import PARAMETERS, SETS, Parameter, round32, study_values
 from tunefree_hil.episode.recording import Recording
@@ -30,6 +31,7 @@ from tunefree_hil.jobs.track import DriveJob, Track
 
 VALUE = "values that differ in a bit between bus and batch: all columns, ticks, scenarios, vehicles (0 is right)"
 SEARCHED = tuple(SETS["complete"])
+LEARNED = ("hybrid", "lstm", "mlp", "rule_based", "paper")
 Found = dict[str, Any]
 
 
@@ -45,9 +47,10 @@ class Part(NamedTuple):
 def measure(
     sets: int = 20, scenarios: str = "", benches: str = "", models: str = "", minutes: float = 0.0, folder: str = FOLDER
 ) -> dict[str, Any]:
-    """Drive `sets` parameter vectors over all scenarios on both models of each vehicle, over the bus and in a batch.
+    """Drive `sets` parameter vectors over all scenarios on each model of each vehicle, over the bus and in a batch.
 
-    '' scenarios, benches, models: all, one bench file a vehicle; else names with commas between. minutes: stop
+    The models are both of the bench file and every learned one there is; '' scenarios, benches, models: all, one bench
+    file a vehicle; else names with commas between (of models also paths of folders). minutes: stop
     after them (0: do not), each model having its share; called again it goes on. n: drives compared. Baselines come
     first among the vectors, then points of the complete box, every third of them with all sixteen parameters drawn.
     """
@@ -137,13 +140,19 @@ def _benches(names: str) -> list[Path]:
 def _parts(path: Path, scenarios: str, models: str) -> list[Part]:
     bench = load(path)
     chosen = tuple(one for one in bench.scenarios.values() if not scenarios or one.name in scenarios.split(","))
-    own = dict.fromkeys(name for name in (bench.spec.model, bench.spec.verify_model) if name)
+    own = dict.fromkeys(models.split(",") if models else _models_of(bench))
     code = {"batch": _code_of("batch"), "jobs": _code_of("jobs")}
     return [
         Part(bench, model, chosen, {**standing(bench, model, chosen), **code})
         for model in own
-        if not models or model in models.split(",")
+        if load_model(model, bench.file).vehicle == bench.vehicle.name
     ]
+
+
+def _models_of(bench: Bench) -> list[str]:
+    """Those of the bench file, then the vehicle's learned ones."""
+    own = [name for name in (bench.spec.model, bench.spec.verify_model) if name]
+    return own + [name for name in available("model", bench.file) if load_model(name, bench.file).plant.kind in LEARNED]
 
 
 def _code_of(folder: str) -> str:

@@ -20,7 +20,8 @@ from types import TracebackType
 from typing import Any, BinaryIO, Self, cast
 
 from tunefree_hil.base.errors import PeerGone
-from tunefree_hil.bench.batch_worker import packed, receive, send
+from tunefree_hil.base.pipes import receive, send
+from tunefree_hil.bench.batch_worker import packed
 from tunefree_hil.bench.fleet import Driven
 from tunefree_hil.bench.load import Bench
 from tunefree_hil.bench.simulator import Job

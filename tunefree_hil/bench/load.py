@@ -88,7 +88,10 @@ def _refuse_namesakes(spec: BenchSpec, scenarios: Mapping[str, ScenarioSpec]) ->
 
 
 def model_of(bench: Bench, name: str) -> ModelSpec:
-    """A model folder of this bench's vehicle. Raises InputError when it was made for another vehicle."""
+    """A model folder of this bench's vehicle.
+
+    Raises InputError when it was made for another vehicle, or for this one as it was before its folder was changed.
+    """
     model = load_model(name, bench.file)
     if model.vehicle != bench.vehicle.name:
         raise InputError(
@@ -97,6 +100,15 @@ def model_of(bench: Bench, name: str) -> ModelSpec:
             file=f"{model.folder}/model.toml",
             key="vehicle",
             hint="name a model of the bench's vehicle",
+        )
+    if model.vehicle_hash and model.vehicle_hash.removeprefix("sha256:") != bench.vehicle.hash:
+        raise InputError(
+            f"was made when the folder of vehicle {bench.vehicle.name!r} said something else (it is "
+            f"sha256:{bench.vehicle.hash} now)",
+            code="vehicle_changed",
+            file=f"{model.folder}/model.toml",
+            key="vehicle_hash",
+            hint="learn or calibrate the model again; where you know that the change does not matter, put the new hash",
         )
     return model
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from tunefree_hil.base import parts
@@ -22,8 +23,16 @@ from tunefree_hil.plant.sensors import noise_table
 from tunefree_hil.plant.unit import make_unit
 from tunefree_hil.plant.vehicle import assemble, for_episode
 
-PLANTS = {"physics": "single_track", "reference": "reference"}  # [plant] kind -> file in plant/
-HEAVY = ("reference",)  # kinds whose node runs compiled
+PLANTS = {  # [plant] kind -> file in plant/
+    "physics": "single_track",
+    "reference": "reference",
+    "hybrid": "hybrid",
+    "lstm": "lstm",
+    "mlp": "mlp",
+    "rule_based": "rule_based",
+    "paper": "paper",
+}
+HEAVY = ("reference", "paper")  # kinds whose node runs compiled
 
 
 class VehicleFor:
@@ -87,7 +96,7 @@ def _body_of(bench: Bench, model: ModelSpec) -> Any:
     ins_accel = vehicle.ins.get("accel_mps2")
     try:
         return assemble(
-            load_plant(model.plant.kind),
+            plant_of(model),
             model.plant.params,
             channels,
             effects=effects_of(model.effects, rest, file) + effects_of(bench.spec.effects, rest, bench.file),
@@ -110,9 +119,28 @@ def load_plant(kind: str) -> Plant:
             f"no plant kind {kind!r}; there are {', '.join(PLANTS)}, or 'path/to/file.py:EXPORT'",
             code="unknown_plant",
             key="plant.kind",
-            hint="the learned kinds (hybrid, lstm, mlp, rule_based, paper) are not built yet",
+            hint="name one of these",
         )
     return parts.load("tunefree_hil.plant", PLANTS[kind], "PLANT")
+
+
+def plant_of(model: ModelSpec) -> Plant:
+    """The plant of a model folder: its kind, with what its file says where it lives in one.
+
+    Raises InputError for a file that does not fit the kind, and for one that the kind does not have.
+    """
+    plant = load_plant(model.plant.kind)
+    if plant.open is not None:
+        return plant.open(Path(model.folder) / (model.plant.file or plant.file))
+    if model.plant.file:
+        raise InputError(
+            f"a plant of kind {model.plant.kind!r} has no file",
+            code="no_plant_file",
+            file=f"{model.folder}/model.toml",
+            key="plant.file",
+            hint="leave it out, or name the kind that the file is of",
+        )
+    return plant
 
 
 def actuator_params(spec: ActuatorSpec, rest: float) -> ActuatorParams:

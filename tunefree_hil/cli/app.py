@@ -10,7 +10,17 @@ import typer
 from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.cli import bench_commands, data_commands, grade_commands, run_commands
+from tunefree_hil.cli import (
+    bench_commands,
+    calibrate_commands,
+    collect_commands,
+    commission_commands,
+    data_commands,
+    grade_commands,
+    learn_commands,
+    map_commands,
+    run_commands,
+)
 from tunefree_hil.cli.options import AsJson, Plain
 from tunefree_hil.cli.output import present
 from tunefree_hil.cli.overview import MISSING, overview
@@ -48,9 +58,13 @@ for _command in (run_commands.drive, run_commands.tune, run_commands.verify, run
     app.command()(_command)
 for _command in (grade_commands.grade, grade_commands.compare, grade_commands.explain):
     app.command()(_command)
-app.command("learn", context_settings=ANYTHING, help=f"Learn a vehicle from logs ({MISSING}).")(_not_built("learn"))
+app.command()(collect_commands.collect)
+app.command()(calibrate_commands.calibrate)
+app.command()(learn_commands.learn)
+app.command("map")(map_commands.map_logs)
+app.command()(commission_commands.commission)
 app.command("gap", context_settings=ANYTHING, help=f"Name what a simulation lacks ({MISSING}).")(_not_built("gap"))
-for _command in (bench_commands.hub, bench_commands.ecu, bench_commands.controller):
+for _command in (bench_commands.hub, bench_commands.ecu, bench_commands.controller, collect_commands.collector):
     app.command()(_command)
 for _command in (data_commands.scenarios, data_commands.doctor):
     app.command()(_command)

@@ -60,10 +60,11 @@ class LiveSink:
 
 
 def picture(message: str, data: Mapping[str, Any]) -> RenderableType:
-    """The two lines: how far (bar, count, time left), and how well and how fast."""
+    """How far (bar, count, time left), how well and how fast; then the lines of `block`, a map that stays in place."""
     first = Table.grid(padding=(0, 2))
     done, total = number(data, "done"), number(data, "total")
     bar = ProgressBar(total=total, completed=done or 0.0, width=BAR_COLUMNS) if total else Text(message)
     first.add_row(Text(counted(data)), bar, Text(time_left(data)))
     second = ", ".join(part for part in (scores(data), pace(data)) if part)
-    return Group(first, Text(second, no_wrap=True, overflow="ellipsis"))
+    block = [Text(str(line), no_wrap=True, overflow="ellipsis") for line in data.get("block", ())]
+    return Group(first, Text(second, no_wrap=True, overflow="ellipsis"), *block)

@@ -6,7 +6,7 @@ from tunefree_hil import __version__
 
 JOBS = (
     ("drive", "BENCH", "drive the scenarios of a bench file over the bus and score them", True),
-    ("learn", "LOGS", "learn the simulated vehicle from logs", False),
+    ("learn", "LOGS", "learn the simulated vehicle from logs", True),
     ("tune", "BENCH", "find the controller's parameters, and see why the winner wins", True),
     ("gap", "LOG", "name what the simulation lacks, from a log", False),
 )

@@ -155,7 +155,7 @@ def check_model(spec: ModelSpec) -> Found:
     for name in ("report_ticks", "command_ticks", "phase_seed"):
         if getattr(spec.timing, name) < 0:
             yield f"timing.{name}", "it is below 0", "give a whole number from 0 on"
-    for name in ("speed_mps", "accel_mps2", "lateral_accel_mps2", "pedals"):
+    for name in ("speed_mps", "accel_mps2", "lateral_accel_mps2", "pedals", "steer_rad"):
         ends = getattr(spec.valid, name)
         if ends is not None and (len(ends) != 2 or ends[0] >= ends[1]):
             yield f"valid.{name}", f"expected [low, high], got {ends}", "give two ascending numbers"

@@ -102,12 +102,17 @@ class TimingSpec(Spec, frozen=True, kw_only=True):
 
 
 class ValidSpec(Spec, frozen=True, kw_only=True):
-    """The region that the data covered: [low, high] each."""
+    """The region that the data covered: [low, high] each; what is left out is not checked (episode/valid.py).
+
+    pedals: duty over rest at the actuators' outputs, the brake's negative: [-most brake, most throttle].
+    steer_rad: the steering wheel, the actuator's output.
+    """
 
     speed_mps: list[float] | None = None
     accel_mps2: list[float] | None = None
     lateral_accel_mps2: list[float] | None = None
     pedals: list[float] | None = None
+    steer_rad: list[float] | None = None
 
 
 class EffectSpec(Spec, frozen=True, kw_only=True):
@@ -140,6 +145,7 @@ class ModelSpec(Spec, frozen=True, kw_only=True):
 
 
 class StartSpec(Spec, frozen=True, kw_only=True):
+    along_m: float = 0.0  # ahead of station 0, along the path there
     lateral_m: float = 0.0
     heading_rad: float = 0.0
     speed_mps: float = 0.0

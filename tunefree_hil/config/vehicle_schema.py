@@ -107,6 +107,7 @@ class LimitsSpec(Spec, frozen=True, kw_only=True):
     accel_mps2: list[float] = field(default_factory=lambda: [-6.0, 2.0])  # low, high
     lateral_accel_mps2: float = 5.0
     speed_mps: float = 40.0
+    reverse_mps: float = 0.0  # how fast it drives backwards; 0: it does not, or nobody says so
     brake_rate_per_s: float = 20.0  # the by-wire unit lets the brake demand change no faster (apollo_facts 7.3)
     watchdog_brake_frac: float = 0.30  # duty with which its watchdog brakes
     assumed: list[str] = field(default_factory=list)

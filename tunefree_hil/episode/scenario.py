@@ -69,12 +69,13 @@ def build_course(spec: ScenarioSpec, dt_s: float) -> Course:
 
 
 def start_of(spec: ScenarioSpec, course: Course) -> Start:
-    """Where the rear axle stands at tick 0: at station 0 of the path, `start.lateral_m` to its left."""
+    """Where the rear axle stands at tick 0: from station 0 of the path `along_m` ahead and `lateral_m` to the left."""
     i = round(-course.first_station_m / course.spacing_m)
     path_heading_rad = float(course.path_heading_rad[i])
+    cosine, sine = math.cos(path_heading_rad), math.sin(path_heading_rad)
     return Start(
-        x_m=float(course.path_x_m[i]) - spec.start.lateral_m * math.sin(path_heading_rad),
-        y_m=float(course.path_y_m[i]) + spec.start.lateral_m * math.cos(path_heading_rad),
+        x_m=float(course.path_x_m[i]) - spec.start.lateral_m * sine + spec.start.along_m * cosine,
+        y_m=float(course.path_y_m[i]) + spec.start.lateral_m * cosine + spec.start.along_m * sine,
         heading_rad=path_heading_rad + spec.start.heading_rad,
         speed_mps=spec.start.speed_mps,
     )

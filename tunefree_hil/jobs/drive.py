@@ -20,6 +20,7 @@ from tunefree_hil.jobs.heard import heard_of
 from tunefree_hil.jobs.identity import identity_of, resolved_toml
 from tunefree_hil.jobs.lateness import judge_realtime
 from tunefree_hil.jobs.node_links import bus_for
+from tunefree_hil.jobs.outside import drive_warning, outside_data, outside_words
 from tunefree_hil.jobs.run_folder import RunFolder, write_text
 from tunefree_hil.jobs.session import Session
 from tunefree_hil.jobs.track import Track
@@ -79,6 +80,8 @@ def drive(
                 data = {"label": "scenario", "done": i + 1, "total": len(scenarios), "eta_s": eta_s, **track.pace}
                 yield Event("progress", _line(one.name, episodes[one.name]), data)
                 yield from (Event("warning", f"{one.name}: {words}") for words in heard_of(run.episode(i)))
+                words = drive_warning(loaded, model_name, one.name, episodes[one.name].recording)
+                yield from [Event("warning", words)] * bool(words)
         finally:
             track.close()
         yield from (Event("warning", words) for words in bench_session.notes)
@@ -86,7 +89,8 @@ def drive(
     verdict = judge_realtime(run, range(len(scenarios)), loaded.codec) if realtime else None
     score = combine([episode.grade for episode in episodes.values()])
     run.finish(score=score, frame_hashes={name: episode.hash for name, episode in episodes.items()})
-    yield _result(run, episodes, score, figures, verdict, track.pace)
+    beyond = outside_data(loaded, model_name, {name: episode.recording for name, episode in episodes.items()})
+    yield _result(run, episodes, score, figures, verdict, {**track.pace, "outside": beyond})
 
 
 def own_session() -> str:
@@ -154,12 +158,15 @@ def _result(
     score: float,
     figures: list[str],
     verdict: dict[str, Any] | None,
-    pace: dict[str, float],
+    more: dict[str, Any],
 ) -> Event:
+    """more: goes into the data as it is; "outside" is said too."""
     failed = [name for name, episode in episodes.items() if episode.grade.outcome != "finished"]
     sentence = f"{len(episodes)} scenarios driven, score {score:.3f}"
     if failed:
         sentence += f"; not driven to the end: {', '.join(failed)}"
+    beyond = outside_words(more["outside"])
+    sentence += f"; {beyond}" if beyond else ""
     data: dict[str, Any] = {
         "run": str(run.path),
         "score": score,
@@ -170,7 +177,7 @@ def _result(
             f"tunefree-hil replay {run.path} --verify",
             f"tunefree-hil log check {run.path}/episodes/0/vehicle.log",
         ],
-        **pace,
+        **more,
     }
     if verdict is not None:
         data["realtime"] = verdict

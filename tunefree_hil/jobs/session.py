@@ -41,6 +41,7 @@ class Session:
     """Context manager. `join`: the nodes run already (four terminals), only the runner is ours.
 
     `controller_command`: starts this program instead of our controller, its {places} filled in (bench_parts.Places).
+    `controller_role`: which command of ours is the controller's process (`collector`: jobs/collector.py).
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class Session:
         jitted_ecu: bool = False,
         core: int | None = None,
         controller_command: Sequence[str] | None = None,
+        controller_role: str = "controller",
     ) -> None:
         self.bench_file = bench_file
         self.session = session
@@ -65,6 +67,7 @@ class Session:
         self.join = join
         self.jitted_ecu = jitted_ecu
         self.controller_command = controller_command
+        self.controller_role = controller_role
         self.choice: BusChoice = usable_bus(bus, session, bench_bus)
         self.bench_bus = bench_bus
         if bus.startswith("tfhub:"):  # it names the session
@@ -121,7 +124,7 @@ class Session:
         self.processes.start("ecu", ["ecu", str(self.bench_file), *model, *self._common], {**timing, **compiled})
         if self.controller_command is None:
             plain = {"TUNEFREE_JIT": "0"}
-            words = ["controller", str(self.bench_file), *self._common]
+            words = [self.controller_role, str(self.bench_file), *self._common]
             self.processes.start("controller", words, {**timing, **plain})
 
     def _start_foreign(self, command: Sequence[str]) -> None:

@@ -10,9 +10,10 @@ from tunefree_hil.base.errors import TunefreeError
 from tunefree_hil.bench import Bench, parameters_of
 from tunefree_hil.config.dump import to_toml
 from tunefree_hil.control.parameters import BY_NAME
-from tunefree_hil.episode.recording import load_recording
+from tunefree_hil.episode.recording import Recording, load_recording
 from tunefree_hil.jobs.candidates import TUNED, baseline_vectors
 from tunefree_hil.jobs.confirm import Confirmed
+from tunefree_hil.jobs.outside import outside_data, outside_words
 from tunefree_hil.jobs.run_folder import RunFolder, write_text
 from tunefree_hil.jobs.words import Drives, comparison, table
 from tunefree_hil.tune.compare import best_baseline
@@ -51,6 +52,9 @@ def finish_report(bench: Bench, run: RunFolder, study: Scored, confirmed: Confir
     if edges:
         lines.append(f"the winner lies on an edge of its box: {', '.join(edges)}")
     figures = _figures(bench, run, study, best, standing.name)
+    beyond = outside_data(bench, bench.spec.model, _winning_drives(bench, run, best.slot))
+    words = outside_words(beyond)
+    sentence += f"; {words}" if words else ""
     data = {
         "over": "bus",
         "best": {"slot": best.slot, "score": best.score, "parameters": best.parameters},
@@ -58,6 +62,7 @@ def finish_report(bench: Bench, run: RunFolder, study: Scored, confirmed: Confir
         "baselines": scores,
         "ratio": best.score / manual.score,
         "on_edge": edges,
+        "outside": beyond,
         "figures": figures,
     }
     shown = ", ".join(f"{name} = {value:.4g}" for name, value in best.parameters.items())
@@ -152,16 +157,15 @@ def scenario_figures(
     from tunefree_hil.figures.scenario import Drive, write_scenario
 
     vectors = list(baseline_vectors(bench))
-    names = [bench.scenarios[name].name for name in bench.spec.scenarios]
     written = []
-    for place, name in enumerate(names):
+    for place, name in enumerate(_driven_names(bench)):
         groups = {
             f"manual ({manual_name})": (vectors.index(manual_name), manual),
             TUNED: (len(vectors) + slot, tuned),
         }
         drives = []
         for label, (group, grades) in groups.items():
-            path = run.episode(group * len(names) + place) / "columns.npz"
+            path = _columns(bench, run, group, place)
             if path.is_file():
                 outcome = grades[name]["outcome"]
                 early = "" if outcome == "finished" else outcome
@@ -169,6 +173,22 @@ def scenario_figures(
         if len(drives) == len(groups):
             written.append(write_scenario(run.figures() / f"{name}.png", name, drives))
     return written
+
+
+def _driven_names(bench: Bench) -> list[str]:
+    return [bench.scenarios[name].name for name in bench.spec.scenarios]
+
+
+def _columns(bench: Bench, run: RunFolder, group: int, place: int) -> Path:
+    """columns.npz of a scenario of a candidate: baselines first, then the slots."""
+    return run.episode(group * len(bench.spec.scenarios) + place) / "columns.npz"
+
+
+def _winning_drives(bench: Bench, run: RunFolder, slot: int) -> dict[str, Recording]:
+    """The winner's drives by scenario, as far as they are kept here (another worker's are not)."""
+    group = len(baseline_vectors(bench)) + slot
+    paths = {name: _columns(bench, run, group, place) for place, name in enumerate(_driven_names(bench))}
+    return {name: load_recording(path) for name, path in paths.items() if path.is_file()}
 
 
 def _unit(name: str) -> str:

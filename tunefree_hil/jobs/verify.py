@@ -21,6 +21,7 @@ from tunefree_hil.jobs.harvest import Episode, evaluation_of
 from tunefree_hil.jobs.margins import find_margins
 from tunefree_hil.jobs.margins_report import margin_data, steering_data
 from tunefree_hil.jobs.margins_words import margin_table, margin_words
+from tunefree_hil.jobs.outside import outside_data, outside_words
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, write_json
 from tunefree_hil.jobs.session import lanes_of, open_lanes
 from tunefree_hil.jobs.track import Track
@@ -87,6 +88,11 @@ def verify_winner(
     found["margins"] = yield from _margins(bench, model, vectors, columns, results)
     words = margin_words(found["margins"], TUNED)
     found["sentence"] += f"; {words}" if words else ""
+    # The model that was tuned on must know what the winner does on the vehicle.
+    winning = {name: episode.recording for name, episode in columns[TUNED].items()}
+    found["outside"] = outside_data(bench, bench.spec.model, winning)
+    beyond = outside_words(found["outside"])
+    found["sentence"] += f"; {beyond}" if beyond else ""
     found["figures"] = _figures(run, columns, found)
     write_json(run.path / "verify.json", {"schema": "tunefree.verify/1", **found})
     return found

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.contracts import BodyChange
@@ -75,6 +76,10 @@ class Plant(NamedTuple):
     whole vehicle with actuators of its own, None where `[actuators]` of model.toml rules; dead_times and lags then name
     the keys of [plant.params] that are their times. The whole vehicle is stepped `substeps` times a tick. `defaults`:
     every key that [plant.params] may set, with its default.
+
+    open(path) -> Plant: for a kind that lives in a file of the model folder (`file`, unless [plant] names another),
+    the same plant with what that file says; None where there is no file. observe(state, motion) -> state: the
+    chassis's state with a measured motion put in.
     """
 
     make: Callable[[Mapping[str, float], BodyChange], Block]
@@ -83,6 +88,23 @@ class Plant(NamedTuple):
     actuators: Callable[[Mapping[str, float]], Block] | None = None
     dead_times: tuple[str, ...] = ()
     lags: tuple[str, ...] = ()
+    open: Callable[[Path], Any] | None = None
+    file: str = ""
+    observe: Callable[[Any, Motion], Any] | None = None
+
+
+def unopened(kind: str) -> Callable[[Mapping[str, float], BodyChange], Block]:
+    """`Plant.make` of a kind that is nothing without its file: says so."""
+
+    def make(params: Mapping[str, float], change: BodyChange) -> Block:
+        raise InputError(
+            f"a plant of kind {kind!r} is in its file, and none was opened",
+            code="no_plant_file",
+            key="plant.file",
+            hint="name a model folder that has it",
+        )
+
+    return make
 
 
 class Laden(NamedTuple):

@@ -18,6 +18,7 @@ from tunefree_hil.base.records import GEAR_DRIVE, GEAR_PARK, Motion
 from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion
 from tunefree_hil.plant.data_sheet import DEFAULTS, SingleTrack, constants_of
+from tunefree_hil.plant.kinematics import Velocity, moved, with_velocity
 
 GAMMA = 1.0 - math.sqrt(0.5)  # makes ROS2 L-stable
 LOW_MPS, FULL_MPS = 0.5, 1.5  # kinematic below, dynamic above, blended between
@@ -41,6 +42,15 @@ class SingleTrackState(NamedTuple):
 
     motion: Motion
     braked_j: float
+
+
+class Advance(NamedTuple):
+    """A tick's work: velocities at its end, gravity along the car, brake force, cosine and sine of the front wheels."""
+
+    velocity: Velocity
+    slope_mps2: float
+    brake_n: float
+    wheel: tuple[float, float]
 
 
 @kernel
@@ -111,10 +121,10 @@ def planar(
 
 @kernel
 def dynamic_step(
-    p: SingleTrack, push: Push, grip: float, steer: tuple[float, float, float], motion: Motion, dt_s: float
+    p: SingleTrack, push: Push, grip: float, steer: tuple[float, float, float], was: Velocity, dt_s: float
 ) -> tuple[float, float, float]:
     """ROS2 over one step: new forward speed (not below 0), side speed and yaw rate."""
-    speed, side, yaw = motion.speed_mps, motion.side_speed_mps, motion.yaw_rate_radps
+    speed, side, yaw = was.speed_mps, was.side_speed_mps, was.yaw_rate_radps
     front, rear, a, b = p.front_stiffness, p.rear_stiffness, p.front_axle_m, p.rear_axle_m
     scale = GAMMA * dt_s / max(speed, LOW_MPS)
     turn = a * front - b * rear
@@ -153,52 +163,35 @@ def slow_speed(p: SingleTrack, push: Push, speed: float, dt_s: float) -> float:
 
 
 @kernel
+def pushed(p: SingleTrack, was: Velocity, braked_j: float, x: ChassisInput, dt_s: float) -> Advance:
+    """What the forces of one tick make of the velocities."""
+    push = push_of(p, x, braked_j)
+    angle = x.actuation.steer_rad * p.inverse_ratio
+    cosine, sine = math.cos(angle), math.sin(angle)
+    if was.speed_mps > LOW_MPS:
+        grip = p.friction * x.road.friction_frac
+        speed, side, yaw = dynamic_step(p, push, grip, (angle, cosine, sine), was, dt_s)
+    else:
+        speed, side, yaw = slow_speed(p, push, was.speed_mps, dt_s), 0.0, 0.0
+    if speed < FULL_MPS:
+        share = (speed - LOW_MPS) / BLEND_MPS if speed > LOW_MPS and was.speed_mps > LOW_MPS else 0.0
+        rolled = speed * sine / max(cosine, 0.1) * p.inverse_wheelbase
+        yaw = share * yaw + (1.0 - share) * rolled
+        side = share * side + (1.0 - share) * rolled * p.rear_axle_m
+    return Advance(Velocity(speed, side, yaw), push.slope_n * p.inverse_mass, push.brake_n, (cosine, sine))
+
+
+@kernel
 def step_single_track(
     params: ChassisParams, memory: SingleTrackState, x: ChassisInput, dt_s: float
 ) -> tuple[SingleTrackState, Motion]:
     """One tick."""
-    p, state = params.constants, memory.motion
-    push = push_of(p, x, memory.braked_j)
-    angle = x.actuation.steer_rad * p.inverse_ratio
-    cosine, sine = math.cos(angle), math.sin(angle)
-    was, side_was, yaw_was = state.speed_mps, state.side_speed_mps, state.yaw_rate_radps
-    if was > LOW_MPS:
-        grip = p.friction * x.road.friction_frac
-        speed, side, yaw = dynamic_step(p, push, grip, (angle, cosine, sine), state, dt_s)
-    else:
-        speed, side, yaw = slow_speed(p, push, was, dt_s), 0.0, 0.0
-    if speed < FULL_MPS:
-        share = (speed - LOW_MPS) / BLEND_MPS if speed > LOW_MPS and was > LOW_MPS else 0.0
-        rolled = speed * sine / max(cosine, 0.1) * p.inverse_wheelbase
-        yaw = share * yaw + (1.0 - share) * rolled
-        side = share * side + (1.0 - share) * rolled * p.rear_axle_m
-
-    mean_speed, mean_yaw = 0.5 * (was + speed), 0.5 * (yaw_was + yaw)
-    turned = dt_s * mean_yaw
-    middle = state.heading_rad + 0.5 * turned
-    along = dt_s * mean_speed
-    across = dt_s * (0.5 * (side_was + side) - p.rear_axle_m * mean_yaw)
-    middle_cos, middle_sin = math.cos(middle), math.sin(middle)
-    speed_rate = (speed - was) / dt_s
-    own_accel = speed_rate - 0.5 * (side_was + side) * mean_yaw
-    left, right = speed - p.half_track_m * yaw, speed + p.half_track_m * yaw
-    swing = (side + p.front_axle_m * yaw) * sine
-    new = Motion(
-        state.x_m + along * middle_cos - across * middle_sin,
-        state.y_m + along * middle_sin + across * middle_cos,
-        state.heading_rad + turned,
-        speed,
-        side,
-        yaw,
-        own_accel + push.slope_n * p.inverse_mass,
-        (side - side_was) / dt_s + mean_speed * mean_yaw,
-        speed_rate,
-        (left * cosine + swing) * p.inverse_radius,
-        (right * cosine + swing) * p.inverse_radius,
-        left * p.inverse_radius,
-        right * p.inverse_radius,
-    )
-    return SingleTrackState(new, memory.braked_j + dt_s * mean_speed * push.brake_n), new
+    p, was = params.constants, memory.motion
+    before = Velocity(was.speed_mps, was.side_speed_mps, was.yaw_rate_radps)
+    after = pushed(p, before, memory.braked_j, x, dt_s)
+    new = moved(p, was, after.velocity, after.slope_mps2, after.wheel, dt_s)
+    mean_speed = 0.5 * (was.speed_mps + new.speed_mps)
+    return SingleTrackState(new, memory.braked_j + dt_s * mean_speed * after.brake_n), new
 
 
 def init_single_track(params: ChassisParams, dt_s: float) -> SingleTrackState:
@@ -206,9 +199,16 @@ def init_single_track(params: ChassisParams, dt_s: float) -> SingleTrackState:
     return SingleTrackState(rolling_motion(params.start, params.constants.wheel_radius_m), 0.0)
 
 
+@kernel
+def observe_single_track(state: SingleTrackState, seen: Motion) -> SingleTrackState:
+    """The state with the measured pose and speed in it; side speed and yaw rate go on as the tyres have made them."""
+    own = Velocity(seen.speed_mps, state.motion.side_speed_mps, state.motion.yaw_rate_radps)
+    return SingleTrackState(with_velocity(seen, own), state.braked_j)
+
+
 def make(params: Mapping[str, float], change: BodyChange) -> Block:
     """The chassis Block ChassisInput -> Motion; InputError for a key that is not in DEFAULTS."""
     return Block(init_single_track, step_single_track, ChassisParams(constants_of(params, change)))
 
 
-PLANT = Plant(make, DEFAULTS)
+PLANT = Plant(make, DEFAULTS, observe=observe_single_track)

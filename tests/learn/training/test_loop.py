@@ -1,0 +1,156 @@
+"""A training brings the held-out error down, can be cut off anywhere, and stops where numbers go wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from tests.learn.training.made import REST, physics, track  # noqa: E402
+from tunefree_hil.base.errors import InputError  # noqa: E402
+from tunefree_hil.learn.training import loop  # noqa: E402
+from tunefree_hil.learn.training.fit import fit, learner_of, steps_of  # noqa: E402
+from tunefree_hil.learn.training.learners import Wish  # noqa: E402
+from tunefree_hil.learn.training.loop import Trained, train  # noqa: E402
+from tunefree_hil.learn.training.windows import begins, drawn, pool_of  # noqa: E402
+
+
+def ended(steps) -> Trained:  # type: ignore[no-untyped-def]
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value
+
+
+class Bowl:
+    """A learner whose loss is a bowl: quick, and with a minimum that is known."""
+
+    def __init__(self, spoilt_at: int = -1) -> None:
+        self.net = torch.nn.Linear(2, 1, bias=False, dtype=torch.float64)
+        with torch.no_grad():
+            self.net.weight[:] = torch.tensor([[1.6, 0.5]])
+        self.spoilt_at = spoilt_at
+
+    def loss(self, step: int) -> torch.Tensor:
+        target = torch.tensor(np.random.default_rng([1, step]).normal(1.0, 0.1, 2))
+        spoilt = torch.nan if step == self.spoilt_at else 0.0
+        return ((self.net.weight[0] - target) ** 2).sum() + spoilt
+
+    def score(self) -> float:
+        return float(((self.net.weight[0] - 1.0) ** 2).sum().detach())
+
+    def cost(self, step: int) -> float:
+        return 1.0
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        return {"weight": self.net.weight.detach().numpy().copy()}
+
+
+def test_a_training_that_was_cut_off_goes_on_to_the_same_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    wish = Wish("hybrid", 1, 80)
+    whole = ended(train(Bowl(), wish))
+    monkeypatch.setattr(loop, "KEPT_S", 0.0)
+    monkeypatch.setattr(loop, "SHOWN_S", 0.0)
+    part = tmp_path / "model.part"
+    cut = train(Bowl(), wish, part, "these data")
+    for _ in range(33):
+        next(cut)
+    cut.close()
+    again = ended(train(Bowl(), wish, part, "these data"))
+    assert again.resumed and not whole.resumed
+    assert np.array_equal(again.arrays["weight"], whole.arrays["weight"])
+    assert again.looks == whole.looks and again.score == whole.score < 0.3
+
+
+def test_a_net_that_was_cut_off_goes_on_to_the_same_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tracks, wish = ([track(1, 12.0)], [track(3, 12.0)]), Wish("mlp", 1, 20)
+    whole = ended(fit(wish, *tracks, physics(), REST, None))
+    monkeypatch.setattr(loop, "KEPT_S", 0.0)
+    monkeypatch.setattr(loop, "SHOWN_S", 0.0)
+    cut = fit(wish, *tracks, physics(), REST, tmp_path / "part")
+    for _ in range(9):
+        next(cut)
+    cut.close()
+    again = ended(fit(wish, *tracks, physics(), REST, tmp_path / "part"))
+    assert again.resumed and all(np.array_equal(again.arrays[name], whole.arrays[name]) for name in whole.arrays)
+
+
+def test_a_checkpoint_of_other_data_is_not_taken_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loop, "KEPT_S", 0.0)
+    part = tmp_path / "model.part"
+    ended(train(Bowl(), Wish("hybrid", 1, 20), part, "these data"))
+    assert not ended(train(Bowl(), Wish("hybrid", 1, 20), part, "other data")).resumed
+    assert not ended(train(Bowl(), Wish("hybrid", 2, 20), part, "other data")).resumed
+
+
+def test_numbers_that_are_not_finite_end_it_with_the_best_so_far() -> None:
+    wish = Wish("hybrid", 1, 200)
+    spoilt = ended(train(Bowl(spoilt_at=100), wish))
+    assert "not a finite number" in spoilt.stopped and spoilt.steps == 100
+    assert np.isfinite(spoilt.arrays["weight"]).all()
+    assert spoilt.score == min(score for _, score in spoilt.looks) < spoilt.first
+
+
+def test_a_held_out_error_that_runs_away_ends_it() -> None:
+    class Lost(Bowl):
+        looked = 0
+
+        def score(self) -> float:
+            self.looked += 1
+            return 1.0 if self.looked < 4 else 10.0 * self.looked
+
+    lost = ended(train(Lost(), Wish("hybrid", 1, 200)))
+    assert lost.stopped.startswith("it diverged") and lost.steps < 200 and lost.score == 1.0
+
+
+def test_batches_depend_on_seed_and_step_alone() -> None:
+    some = np.arange(1000)
+    assert np.array_equal(drawn(some, 50, 1, 7), drawn(some, 50, 1, 7))
+    assert not np.array_equal(drawn(some, 50, 1, 7), drawn(some, 50, 1, 8))
+    assert len(drawn(np.arange(3), 50, 1, 1)) == 50
+
+
+def test_windows_stay_within_what_is_good() -> None:
+    own = track(1)
+    good = own.good.copy()
+    good[1000] = False
+    pool = pool_of([own._replace(good=good)], physics(), REST)
+    rows = begins(pool, 100, 100)
+    assert len(rows) and not np.any((rows <= 1000) & (rows + 200 >= 1000))
+
+
+def test_minutes_are_steps() -> None:
+    assert steps_of("hybrid", 2.0) == 2 * steps_of("hybrid", 1.0) and steps_of("hybrid", None) > 100
+
+
+def test_nothing_to_learn_from_is_said() -> None:
+    with pytest.raises(InputError, match="no stretch to learn from"):
+        ended(fit(Wish("hybrid", 1, 1), [], [track(1)], physics(), REST, None))
+    short = track(2)._replace(good=np.zeros(track(2).rows, dtype=bool))
+    with pytest.raises(InputError, match="training drives hold no stretch"):
+        ended(fit(Wish("hybrid", 1, 1), [short], [track(1)], physics(), REST, None))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "share"), [("hybrid", 0.8), ("lstm", 0.9)])
+def test_a_little_training_lowers_the_held_out_error(kind: str, share: float) -> None:
+    wish = Wish(kind, 1, 10, batch=32)
+    trained = ended(fit(wish, [track(1), track(2)], [track(3)], physics(), REST, None))
+    assert trained.stopped == "" and trained.score < share * trained.first
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "steps", "share"), [("mlp", 40, 0.8), ("paper", 16, 0.95)])
+def test_one_step_training_lowers_the_held_out_error(kind: str, steps: int, share: float) -> None:
+    trained = ended(fit(Wish(kind, 1, steps), [track(1), track(2)], [track(3)], physics(), REST, None))
+    assert trained.score < share * trained.first
+
+
+def test_a_seed_decides_the_net() -> None:
+    pool = pool_of([track(1)], physics(), REST)
+    nets = [learner_of(Wish("lstm", seed, 5), pool, pool, physics()).arrays() for seed in (1, 1, 2)]
+    assert np.array_equal(nets[0]["w_in"], nets[1]["w_in"]) and not np.array_equal(nets[0]["w_in"], nets[2]["w_in"])

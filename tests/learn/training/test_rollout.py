@@ -1,0 +1,103 @@
+"""A trained net runs in torch as in the kernels that ECU and batch run: within 1e-5 a tick, 1 mm over 10 s."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from tests.learn.training.made import REST, physics, track, vehicle  # noqa: E402
+from tunefree_hil.config.load import load_model  # noqa: E402
+from tunefree_hil.learn.free_run import ridden, rig_of  # noqa: E402
+from tunefree_hil.learn.learned_folder import write_learned  # noqa: E402
+from tunefree_hil.learn.motion import outputs_of  # noqa: E402
+from tunefree_hil.learn.training.fit import learner_of  # noqa: E402
+from tunefree_hil.learn.training.learners import FreeRunLearner, Wish  # noqa: E402
+from tunefree_hil.learn.training.one_step import OneStepLearner  # noqa: E402
+from tunefree_hil.learn.training.rollout import CarriageRunner, PhysicsRunner, pose_of  # noqa: E402
+from tunefree_hil.learn.training.windows import Pool, pool_of, window_at  # noqa: E402
+
+WARM, AHEAD = 100, 1000
+FIRST = np.array([300])
+
+
+@pytest.fixture(scope="module")
+def pool() -> Pool:
+    return pool_of([track(1)], physics(), REST)
+
+
+def stirred(net: torch.nn.Module, seed: int = 1) -> None:
+    """Weights as large as a training's, so that the outputs say something."""
+    draw = torch.Generator().manual_seed(seed)
+    with torch.no_grad():
+        for value in net.parameters():
+            value += 0.15 * torch.randn(value.shape, generator=draw, dtype=value.dtype)
+
+
+def by_kernel(kind: str, arrays: dict[str, np.ndarray] | None, folder: Path) -> list[np.ndarray]:
+    """Rows (x, y, heading, speed, yaw rate) from the start on."""
+    model = physics()
+    if arrays is not None:
+        write_learned(folder / kind, vehicle(), model, kind, arrays, None, {})
+        model = load_model(folder / kind)
+    rig, own = rig_of(model), track(1)
+    behind_m = vehicle().nominal.wheelbase_m - vehicle().nominal.front_axle_m
+    outputs = outputs_of(own, model, REST)
+    return [ridden(rig, own, outputs, int(first), WARM, AHEAD, behind_m)[WARM:] for first in FIRST]
+
+
+def compare(runner: PhysicsRunner | CarriageRunner, pool: Pool, kernel: list[np.ndarray], a_tick: float) -> None:
+    window = window_at(FIRST, WARM, AHEAD)
+    with torch.no_grad():
+        ran = runner.run(pool, window)
+        heading, x, y = pose_of(ran, pool.dt_s)
+    for i, rows in enumerate(kernel):
+        assert abs(ran.speed[1, i] - rows[1, 3]) < a_tick * pool.dt_s
+        assert abs(ran.yaw_rate[1, i] - rows[1, 4]) < a_tick
+        assert np.abs(ran.speed[1:, i].numpy() - rows[1:, 3]).max() < 1e-3
+        own, row = track(1), FIRST[i] + WARM
+        cosine, sine = np.cos(own.heading_rad[row]), np.sin(own.heading_rad[row])
+        dx, dy = rows[1:, 0] - own.x_m[row], rows[1:, 1] - own.y_m[row]
+        apart = np.hypot(dx * cosine + dy * sine - x[:, i].numpy(), dy * cosine - dx * sine - y[:, i].numpy())
+        assert apart.max() < 1e-3
+        assert np.abs(heading[:, i].numpy() - (rows[1:, 2] - own.heading_rad[row])).max() < 1e-4
+    assert float(ran.speed.max()) > 3.0  # it went somewhere
+
+
+def test_physics(pool: Pool, tmp_path: Path) -> None:
+    learner = learner_of(Wish("hybrid", 1, 10), pool, pool, physics())
+    assert isinstance(learner, FreeRunLearner)
+    runner = learner.runner
+    assert isinstance(runner, PhysicsRunner)
+    compare(PhysicsRunner(runner.physics, pool), pool, by_kernel("physics", None, tmp_path), 1e-9)
+
+
+@pytest.mark.parametrize("kind", ["hybrid", "lstm", "mlp"])
+def test_a_net_runs_as_in_its_kernel(kind: str, pool: Pool, tmp_path: Path) -> None:
+    learner = learner_of(Wish(kind, 1, 10), pool, pool, physics())
+    stirred(learner.net)
+    runner = (
+        learner.runner if isinstance(learner, FreeRunLearner) else CarriageRunner(physics().plant.params, learner.net)
+    )
+    compare(runner, pool, by_kernel(kind, learner.arrays(), tmp_path), 1e-5)
+
+
+def test_the_papers_net_says_what_its_kernel_says(pool: Pool, tmp_path: Path) -> None:
+    """One step after a measured second: acceleration and yaw rate."""
+    learner = OneStepLearner(Wish("paper", 1, 10), pool, pool)
+    arrays = learner.arrays()
+    write_learned(tmp_path / "paper", vehicle(), physics(), "paper", arrays, None, {})
+    rig, own = rig_of(load_model(tmp_path / "paper")), track(1)
+    outputs = outputs_of(own, physics(), REST, identity=True)
+    behind_m = vehicle().nominal.wheelbase_m - vehicle().nominal.front_axle_m
+    row = int(FIRST[0]) + WARM
+    shown = ridden(rig, own, outputs, int(FIRST[0]), WARM, 1, behind_m)[-1]
+    with torch.no_grad():
+        ready = learner.net.ready()
+        hidden, _ = learner.net.over(ready, learner._features(pool, np.array([row + 1])))
+        said = torch.addmm(ready.out_bias, ready.out, hidden) * learner.spread + learner.mean
+    assert abs((shown[3] - own.speed_mps[row]) / pool.dt_s - float(said[0])) < 1e-5
+    assert abs(shown[4] - float(said[1])) < 1e-5

@@ -1,0 +1,88 @@
+"""What one drive of a collection is told before it begins: a small file beside its scenario, and what it means."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.collect.cells import COUNT, Target, bands_of, needs_of, targets_of
+from tunefree_hil.collect.envelope import envelope_of
+from tunefree_hil.collect.ground import Ground
+from tunefree_hil.collect.planner import Params
+from tunefree_hil.collect.seen import eyes_of
+from tunefree_hil.config.schema import VehicleSpec
+
+SCHEMA = "tunefree.collect_drive/1"
+FORWARDS_ONLY = "the planner drives forwards only; a person can fill it: collect --watch"
+
+
+class DrivePlan(NamedTuple):
+    """quota_s a cell; side of the area; the fastest that may be asked for (None: the cells' own); have: frames by cell.
+
+    centre: middle of the area, None where the drive's first place is it. first_hold: number of its first hold.
+    stop_s: when it begins to stop.
+    """
+
+    quota_s: float
+    area_m: float
+    top_mps: float | None
+    centre: tuple[float, float] | None
+    have: tuple[int, ...]
+    first_hold: int
+    stop_s: float
+
+
+def as_dict(plan: DrivePlan) -> dict[str, Any]:
+    """Plain data for the file."""
+    return {"schema": SCHEMA, **plan._asdict()}
+
+
+def plan_of(data: dict[str, Any], file: str) -> DrivePlan:
+    """The plan in a file's data. Raises InputError that names the file where it is none."""
+    try:
+        if data["schema"] != SCHEMA or len(data["have"]) != COUNT:
+            raise ValueError(f"schema {data['schema']!r} with {len(data['have'])} cells")
+        centre = data["centre"]
+        return DrivePlan(
+            float(data["quota_s"]),
+            float(data["area_m"]),
+            None if data["top_mps"] is None else float(data["top_mps"]),
+            None if centre is None else (float(centre[0]), float(centre[1])),
+            tuple(int(frames) for frames in data["have"]),
+            int(data["first_hold"]),
+            float(data["stop_s"]),
+        )
+    except (LookupError, TypeError, ValueError) as error:
+        raise InputError(
+            f"is no plan of a drive: {error}",
+            code="bad_plan",
+            file=file,
+            hint="written by another version? start the collection anew",
+        ) from error
+
+
+def driven_targets(vehicle: VehicleSpec, top_mps: float | None) -> tuple[Target, ...]:
+    """The cells that the planner can be asked for."""
+    found = targets_of(envelope_of(vehicle), top_mps, reverse_mps=vehicle.limits.reverse_mps)
+    return tuple(
+        one._replace(excluded=FORWARDS_ONLY) if one.place.backwards and not one.excluded else one for one in found
+    )
+
+
+def params_of(vehicle: VehicleSpec, plan: DrivePlan, dt_s: float) -> Params:
+    """The planner's params for a drive."""
+    envelope = envelope_of(vehicle)
+    targets = driven_targets(vehicle, plan.top_mps)
+    half_m = 0.5 * plan.area_m
+    return Params(
+        envelope,
+        bands_of(envelope),
+        targets,
+        eyes_of(vehicle),
+        plan.have,
+        tuple(needs_of(targets, plan.quota_s, dt_s)),
+        half_m,
+        None if plan.centre is None else Ground(*plan.centre, half_m),
+        round(plan.stop_s / dt_s),
+        plan.first_hold,
+    )

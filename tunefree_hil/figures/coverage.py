@@ -1,0 +1,63 @@
+"""The map of a collection: seconds had against seconds wanted, by steering and pedal, a panel for each speed band."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunefree_hil.figures import style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLOURS = "cividis"  # dark is empty, bright is full; colour-blind people see the same order
+BLANK = "#e8e8e8"  # not asked for
+BRIGHT = 0.55  # of the scale, above which ink is dark
+
+
+class Panel(NamedTuple):
+    """One speed band: seconds had and wanted by (pedal, steering); wanted 0 where a cell is not asked for."""
+
+    title: str
+    have_s: NDArray[np.float64]
+    need_s: NDArray[np.float64]
+    rows: Sequence[str]
+    columns: Sequence[str]
+
+
+def write_coverage(path: Path, panels: Sequence[Panel], quota_s: float, title: str) -> Path:
+    """Write the figure of `draw_coverage` to `path` as PNG."""
+    return style.save(draw_coverage(panels, quota_s, title), path)
+
+
+def draw_coverage(panels: Sequence[Panel], quota_s: float, title: str) -> Figure:
+    """Every cell with its seconds, coloured by the share of the quota; grey cells are not asked for."""
+    figure = style.new_figure(2.6 + 4.6 * len(panels), 5.2)
+    for i, panel in enumerate(panels):
+        axes = figure.add_subplot(1, len(panels), i + 1)
+        _draw_panel(axes, panel)
+        style.dress(axes, "", "", panel.title)
+        axes.grid(False)
+        axes.tick_params(length=0)
+        axes.set_xticks(range(len(panel.columns)), panel.columns, rotation=45, ha="right", rotation_mode="anchor")
+        axes.set_yticks(range(len(panel.rows)), panel.rows if i == 0 else [""] * len(panel.rows))
+    style.headline(figure, f"{title}\nseconds by cell, {quota_s:g} wanted; grey: not asked for")
+    return figure
+
+
+def _draw_panel(axes: Axes, panel: Panel) -> None:
+    wanted = panel.need_s > 0.0
+    share = np.where(wanted, np.minimum(panel.have_s / np.where(wanted, panel.need_s, 1.0), 1.0), np.nan)
+    axes.set_facecolor(BLANK)
+    axes.imshow(np.ma.masked_invalid(share), cmap=COLOURS, vmin=0.0, vmax=1.0, aspect="auto")
+    for (row, column), have_s in np.ndenumerate(panel.have_s):
+        if wanted[row, column] or have_s > 0.0:
+            dark = not wanted[row, column] or share[row, column] > BRIGHT
+            text = f"{have_s:.1f}" if 0.0 < have_s < 9.95 else f"{have_s:.0f}"
+            ink = style.INK if dark else "white"
+            axes.text(column, row, text, ha="center", va="center", fontsize=style.FONT_PT - 1, color=ink)

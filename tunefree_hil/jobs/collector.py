@@ -1,0 +1,65 @@
+"""The controller's process of a collection: the planner in the place of a controller that follows a path."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.events import Event
+
+if TYPE_CHECKING:
+    from tunefree_hil.bench import Bench
+    from tunefree_hil.collect.plan import DrivePlan
+    from tunefree_hil.nodes.controller import Assignment
+
+
+class PlannerFor:
+    """(scenario, parameters) -> Assignment: the planner for the drive whose plan lies beside its scenario."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+
+    def __call__(self, scenario: bytes, parameters: Mapping[int, float]) -> Assignment:
+        from tunefree_hil.bench import scenario_of_hash
+        from tunefree_hil.collect.plan import params_of
+        from tunefree_hil.collect.planner import make_planner
+        from tunefree_hil.nodes.controller import Assignment
+
+        spec = scenario_of_hash(self.bench, scenario)
+        plan = read_plan(Path(spec.path).with_suffix(".json"))
+        block = make_planner(params_of(self.bench.vehicle, plan, self.bench.dt_s))
+        return Assignment(block, self.bench.course(spec).ticks, self.bench.dt_s)
+
+
+def read_plan(path: Path) -> DrivePlan:
+    """The plan of a drive. Raises InputError for a file that is missing or none."""
+    from tunefree_hil.collect.plan import plan_of
+
+    try:
+        data = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        hint = "a collector drives what `tunefree-hil collect` plans; it has no drives of its own"
+        raise InputError(
+            f"no plan of a drive can be read: {error}", code="no_plan", file=str(path), hint=hint
+        ) from error
+    return plan_of(data, str(path))
+
+
+def collector(bench: Path, *, bus: str, bench_bus: str, session: str, realtime: bool) -> Iterator[Event]:
+    """Serve the drives of a collection until the runner says end or the bus is gone."""
+    from tunefree_hil.bench import load, needed_messages
+    from tunefree_hil.jobs.node_links import open_exchange, timing_folder
+    from tunefree_hil.nodes.controller import ControllerPart
+    from tunefree_hil.nodes.node import Node
+    from tunefree_hil.nodes.timing import CycleTimes
+
+    parts = load(bench)
+    with open_exchange(parts, "controller", bus, bench_bus, session, realtime=realtime) as (exchange, clock, where):
+        yield Event("note", f"collector: {parts.vehicle.name} on {where}")
+        times = CycleTimes(timing_folder())
+        part = ControllerPart(parts.codec, needed_messages(parts.codec), PlannerFor(parts), times)
+        Node(part, exchange, "collector", clock, realtime).serve()
+    yield Event("result", "", {"sentence": "collector: told to end", "next": []})

@@ -1,0 +1,270 @@
+"""What a stretch of a drive says of the motion and of what caused it, aligned: the ground of training and free run.
+
+Row k of a track is one instant of the vehicle: its motion as reported in tick k, and the commands that acted during the
+step that led there (from row k - 1 to row k), in the frame of time of learn/pairs.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from tunefree_hil.base import parts
+from tunefree_hil.base.contracts import BodyChange, make_effect
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.kernel import Block, series
+from tunefree_hil.base.records import GEAR_DRIVE
+from tunefree_hil.base.units import G_MPS2
+from tunefree_hil.config.schema import ActuatorSpec, ModelSpec, VehicleSpec, value_of
+from tunefree_hil.learn.drives import Array, Drive, Part
+from tunefree_hil.learn.pairs import BENCH_TICKS, ECHOES, by_echo, shifted
+from tunefree_hil.learn.pairs import CHANNELS as FIELDS
+from tunefree_hil.learn.smooth import between_fresh
+from tunefree_hil.plant.actuators import ActuatorParams, actuator
+
+WINDOW, ORDER = 51, 3  # Savitzky-Golay of the labels (apollo_facts 5.3)
+GRADE_ROWS = 201  # the accelerometer's view of the road is smoothed over these
+HILL_RAD = 0.015  # from here on a stretch counts as a hill; an accelerometer's bias is below it
+SLOW_MPS = 1.0  # below it an accelerometer says little about the road: stick, pitch, brakes
+CHANNELS = ("throttle", "brake", "steer")
+
+
+class Track(NamedTuple):
+    """A stretch without gaps. All arrays have a row a tick, unless said otherwise.
+
+    heading_rad is continuous; accel_mps2 the rate of speed; speed, yaw rate and accel are Savitzky-Golay smoothed.
+    grade_rad: what the accelerometer says beyond the rate of speed, 0 on what counts as level. commands, recorded:
+    [n, 3] throttle, brake (duty), steer (rad): what was asked, and what the report says was put out (NaN where it says
+    nothing). obeyed: [n, 3] whether the command acted (else the recorded output is all there is). good: fit for use.
+    placed: whether position and heading were measured and not summed up from speed and yaw rate.
+    """
+
+    name: str
+    log_hash: str
+    begin: int  # row of the drive
+    dt_s: float
+    speed_mps: Array
+    yaw_rate_radps: Array
+    accel_mps2: Array
+    heading_rad: Array
+    x_m: Array
+    y_m: Array
+    grade_rad: Array
+    commands: Array
+    recorded: Array
+    obeyed: Array
+    good: Array
+    placed: bool
+
+    @property
+    def rows(self) -> int:
+        """How many."""
+        return len(self.speed_mps)
+
+
+def tracks_of(parts: Iterable[Part], vehicle: VehicleSpec, least_rows: int = 0) -> list[Track]:
+    """A track of every part that is long enough (at least WINDOW rows).
+
+    Raises InputError where the vehicle reports no speed or no yaw rate at all.
+    """
+    least = max(least_rows, WINDOW)
+    return [track_of(part, vehicle) for part in parts if part.end - part.begin >= least]
+
+
+def track_of(part: Part, vehicle: VehicleSpec) -> Track:
+    """One stretch; see Track."""
+    drive, cut = part.drive, slice(part.begin, part.end)
+    late = round(vehicle.ins_frame.latency_s / drive.dt_s)
+    speed = smooth(_first(drive, ("ins.speed_mps", "report.speed_mps"), late)[cut])
+    yaw = smooth(_first(drive, ("ins.yaw_rate_radps", "report.yaw_rate_radps"), late)[cut])
+    accel = smooth(_first(drive, ("ins.speed_mps", "report.speed_mps"), late)[cut], drive.dt_s)
+    heading, x, y, placed = _pose(drive, cut, late, speed, yaw)
+    rest = vehicle.nominal.rest_pedal_frac
+    columns = [_channel(drive, name, 0.0 if name == "steer" else rest) for name in CHANNELS]
+    commands, recorded, obeyed = (np.stack([one[i][cut] for one in columns], axis=1) for i in range(3))
+    usable = np.where(obeyed, commands, recorded)
+    good = np.isfinite(np.stack([speed, yaw, accel, heading, x, y], axis=1)).all(axis=1)
+    good &= np.isfinite(usable).all(axis=1) & (speed > -0.1)
+    gear = drive.get("report.gear")
+    if gear is not None and not np.isnan(gear).all():
+        good &= gear[cut] == GEAR_DRIVE
+    grade = _grade(drive, cut, speed, yaw, accel, vehicle)
+    return Track(
+        drive.name, drive.log_hash, part.begin, drive.dt_s, np.maximum(speed, 0.0), yaw, accel, heading, x, y, grade,
+        commands, recorded, obeyed, good, placed,
+    )  # fmt: skip
+
+
+def smooth(values: Array, dt_s: float = 0.0) -> Array:
+    """Savitzky-Golay over the finite rows, or with dt_s its rate per s; NaN where fewer than WINDOW lie together."""
+    from scipy.signal import savgol_filter
+
+    found = np.full(len(values), np.nan)
+    for begin, end in runs_of(np.isfinite(values)):
+        if end - begin >= WINDOW:
+            more = {"deriv": 1, "delta": dt_s} if dt_s else {}
+            found[begin:end] = savgol_filter(values[begin:end], WINDOW, ORDER, **more)
+    return found
+
+
+def runs_of(flags: Array) -> list[tuple[int, int]]:
+    """[begin, end) of every stretch in which `flags` holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], np.asarray(flags, dtype=bool), [False]]).astype(np.int8)))
+    return [(int(begin), int(end)) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _first(drive: Drive, names: Sequence[str], late: int) -> Array:
+    """The first field that the drive has; what the INS says stands `late` rows too low and is moved up."""
+    for name in names:
+        values = drive.get(name)
+        if values is not None and not np.isnan(values).all():
+            even = between_fresh(values, drive.fresh[name])
+            return _earlier(even, late) if name.startswith("ins.") else even
+    raise InputError(
+        f"the logs say nothing of {' or '.join(names)}",
+        code="no_motion",
+        file=drive.name,
+        key=names[0],
+        hint="speed and yaw rate are needed, from the chassis or from an INS",
+    )
+
+
+def _earlier(values: Array, rows: int) -> Array:
+    if rows == 0:
+        return values
+    return np.concatenate([values[rows:], np.full(rows, np.nan)])
+
+
+def _pose(drive: Drive, cut: slice, late: int, speed: Array, yaw: Array) -> tuple[Array, Array, Array, bool]:
+    """(heading, x, y, measured): the INS's, smoothed, or summed up from speed and yaw rate where it has none."""
+    found = [drive.get(f"ins.{name}") for name in ("heading_rad", "x_m", "y_m")]
+    if all(one is not None and not np.isnan(one).all() for one in found):
+        heading, x, y = (_earlier(one, late)[cut] for one in found if one is not None)
+        turned = heading.copy()
+        finite = np.isfinite(heading)
+        turned[finite] = np.unwrap(heading[finite])
+        return smooth(turned), smooth(x), smooth(y), True
+    mean_yaw = 0.5 * (yaw[1:] + yaw[:-1])
+    heading = np.concatenate([[0.0], np.cumsum(np.nan_to_num(mean_yaw) * drive.dt_s)])
+    middle, along = 0.5 * (heading[1:] + heading[:-1]), np.nan_to_num(0.5 * (speed[1:] + speed[:-1])) * drive.dt_s
+    x = np.concatenate([[0.0], np.cumsum(along * np.cos(middle))])
+    y = np.concatenate([[0.0], np.cumsum(along * np.sin(middle))])
+    return heading, x, y, False
+
+
+def _channel(drive: Drive, name: str, rest: float) -> tuple[Array, Array, Array]:
+    """(command, recorded output, obeyed) of a channel over a whole drive, as they act."""
+    asked, said = drive.get(f"command.{FIELDS[name]}"), drive.get(f"report.{FIELDS[name]}")
+    echo = drive.get(f"report.{ECHOES[name]}")
+    none = np.full(drive.ticks, np.nan)
+    output = none if said is None else between_fresh(said, drive.fresh[f"report.{FIELDS[name]}"])
+    if asked is None and said is None:  # a vehicle without this pedal
+        return np.full(drive.ticks, rest), none, np.ones(drive.ticks, dtype=bool)
+    if echo is not None:
+        command = by_echo(echo, drive.fresh[f"report.{ECHOES[name]}"], asked, drive.dt_s)
+        return command, output, np.isfinite(command)
+    if asked is None:
+        return none, output, np.zeros(drive.ticks, dtype=bool)
+    command = shifted(asked, BENCH_TICKS)
+    return command, output, np.isfinite(command) & drive.enabled
+
+
+def _grade(drive: Drive, cut: slice, speed: Array, yaw: Array, accel: Array, vehicle: VehicleSpec) -> Array:
+    """Slope of the road from specific force beyond the rate of speed; 0 where it is level, slow or not measured."""
+    said = drive.get("report.accel_mps2")
+    flat = np.zeros(len(speed))
+    if said is None or len(speed) < GRADE_ROWS:
+        return flat
+    nominal = vehicle.nominal
+    behind_m = (nominal.wheelbase_m or 0.0) - (nominal.front_axle_m or 0.0)
+    beyond = (said[cut] - accel + behind_m * yaw * yaw) / G_MPS2  # the centre of mass slides outwards at b * yaw rate
+    usable = np.isfinite(beyond) & (speed > SLOW_MPS)
+    weight = np.convolve(usable, np.ones(GRADE_ROWS), "same")
+    mean = np.convolve(np.where(usable, beyond, 0.0), np.ones(GRADE_ROWS), "same") / np.maximum(weight, 1.0)
+    slope = np.arcsin(np.clip(mean, -0.5, 0.5))
+    return np.where((weight > 0.25 * GRADE_ROWS) & (abs(slope) >= HILL_RAD), slope, flat)
+
+
+def actuator_params(spec: ActuatorSpec, rest: float, initial: float) -> ActuatorParams:
+    """The kernel's params of a channel of [actuators] that has held `initial` for ever."""
+    values = {
+        name: float(value_of(getattr(spec, name))) for name in spec.__struct_fields__ if name in ActuatorParams._fields
+    }
+    return ActuatorParams(**values)._replace(rest=rest, initial=initial)
+
+
+def outputs_of(track: Track, model: ModelSpec, rest: float, identity: bool = False) -> Array:
+    """[n, 3]: what the model's own actuators, and its effects before and behind them, make of the commands.
+
+    Where the vehicle did not obey its commands (or had none) the recorded output stands. identity: a plant that takes
+    commands (kind paper) has no actuators.
+    """
+    found = np.array(track.recorded, dtype=np.float64)
+    for column, name in enumerate(CHANNELS):
+        idle = 0.0 if name == "steer" else rest
+        for begin, end in runs_of(track.obeyed[:, column]):
+            commands = track.commands[begin:end, column]
+            block = _channel_block(model, name, idle, float(commands[0]), identity)
+            found[begin:end, column] = _driven(block, commands, track.dt_s)
+    return found
+
+
+def body_change(model: ModelSpec) -> BodyChange:
+    """What the model's effects change of the body and its forces."""
+    change = BodyChange()
+    for spec in model.effects:
+        made = make_effect(parts.load("tunefree_hil.effects", spec.name, "EFFECT"), spec.params, name=spec.name)
+        if not isinstance(made, Block):
+            change = made(change)
+    return change
+
+
+def _channel_block(model: ModelSpec, name: str, rest: float, initial: float, identity: bool) -> Block:
+    """Effects A, actuator, effects B of one channel, in series."""
+    before, behind = [], []
+    for spec in model.effects:
+        effect = parts.load("tunefree_hil.effects", spec.name, "EFFECT")
+        if effect.port.value in (f"{name} A", f"{name} B"):
+            made = make_effect(effect, spec.params, rest=rest, name=spec.name)
+            if isinstance(made, Block):
+                (before if effect.port.value.endswith("A") else behind).append(made)
+    own = ActuatorParams(rest=rest, initial=initial)
+    if not identity:
+        own = actuator_params(model.actuators.get(name, ActuatorSpec()), rest, initial)
+    chain = [*before, actuator(own), *behind]
+    block = chain[0]
+    for one in chain[1:]:
+        block = series(block, one)
+    return block
+
+
+def _driven(block: Block, commands: Array, dt_s: float) -> list[float]:
+    step, params, outputs = block.step, block.params, []
+    state = block.init(params, dt_s)
+    for command in commands.tolist():
+        state, output = step(params, state, command, dt_s)
+        outputs.append(output)
+    return outputs
+
+
+def starts_of(track: Track, warm_rows: int, ahead_rows: int, every_rows: int) -> list[int]:
+    """Rows at which a free run can begin: good from warm_rows before to ahead_rows behind, and moving."""
+    found = []
+    for begin, end in runs_of(track.good):
+        for row in range(begin + warm_rows, end - ahead_rows, every_rows):
+            if float(track.speed_mps[row : row + ahead_rows + 1].mean()) > 0.3:
+                found.append(row)
+    return found
+
+
+def is_hill(track: Track, row: int, ahead_rows: int) -> bool:
+    """Whether the road ahead of a start is not level."""
+    return bool(np.any(track.grade_rad[row : row + ahead_rows + 1]))
+
+
+def wrapped(angle_rad: Array) -> Array:
+    """The same angles within [-pi, pi)."""
+    return (np.asarray(angle_rad) + math.pi) % (2.0 * math.pi) - math.pi

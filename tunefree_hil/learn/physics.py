@@ -1,0 +1,291 @@
+"""Fits the physical constants of plant/single_track.py by free runs (design D5).
+
+Each window starts where the car was measured to be and runs free on the recorded actuator outputs; what counts is how
+far speed, yaw rate, heading, lateral acceleration and position then are from the measured ones. Masses and geometry
+stay the data sheet's: a fit sees forces per mass only. A constant that the windows do not tell much better than it was
+known before keeps its data sheet's value, widened.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tunefree_hil.base.contracts import BodyChange
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.kernel import kept, kernel
+from tunefree_hil.base.records import Actuation, Disturbance, Motion
+from tunefree_hil.learn.least import Least, solve
+from tunefree_hil.learn.sheet import Constant
+from tunefree_hil.learn.values import Value
+from tunefree_hil.learn.windows import TARGETS, Window, Windows
+from tunefree_hil.plant.body import ChassisInput, ChassisParams
+from tunefree_hil.plant.data_sheet import constants_of
+from tunefree_hil.plant.single_track import SingleTrackState, step_single_track
+
+Array = np.ndarray
+
+# No constants of the plant, but of effects (interfaces 4): the steering wheel's straight ahead, and the brake's first
+# stretch that does nothing, which no report shows.
+OFFSET, BAND = "steer_offset_rad", "brake_dead_band_frac"
+OFFSET_DOUBT_RAD = 0.1
+BAND_DOUBT = 0.2  # of the brake's way
+EFFECTS = {OFFSET: ("steer_offset", "offset_rad", 0.005), BAND: ("brake_dead_band", "half_width_frac", 0.002)}
+LATERAL = ("front_stiffness_n_per_rad", "rear_stiffness_n_per_rad", "yaw_inertia_kgm2", "steer_ratio", OFFSET)
+FIRST_SCALE = {
+    "speed_mps": 0.2,
+    "yaw_rate_radps": 0.01,
+    "heading_rad": 0.02,
+    "lateral_accel_mps2": 0.3,
+    "x_m": 0.7,
+    "y_m": 0.7,
+}
+LEAST_WINDOWS = 6
+PIECES = 4.0  # independent numbers that a window has to say of each target
+ROBUST = 3.0
+KNOWN_SHARE = 0.5  # of the doubt before the fit that may be left after it
+HOPELESS = 0.95  # of it: nothing at all was learned
+FLOOR = 0.02  # of the first scale: no target is believed better than that
+WIDTH = len(TARGETS)
+
+
+class Off(NamedTuple):
+    """What lies between a reported output and the car: added to the steering wheel, taken off the brake."""
+
+    steer_rad: float = 0.0
+    brake_frac: float = 0.0
+
+
+class PhysicsFit(NamedTuple):
+    """params: [plant.params] in full. values: the fitted constants, and those of EFFECTS.
+
+    before, after: root mean square of each target over the windows, data sheet and fit.
+    """
+
+    values: dict[str, Value]
+    params: dict[str, float]
+    before: dict[str, float]
+    after: dict[str, float]
+    windows: int
+    words: tuple[str, ...]
+
+    def off(self) -> Off:
+        """What lies between outputs and car; only what is clear (is_clear) goes into a model."""
+        found = {name: self.values[name].value if is_clear(name, self.values[name]) else 0.0 for name in EFFECTS}
+        return Off(float(found[OFFSET]), float(found[BAND]))
+
+
+@kernel
+def run_free(params: ChassisParams, state: SingleTrackState, inputs: Any, off: Off, outputs: Any, dt_s: float) -> int:
+    """Drive the car with rows of (throttle, brake, steer, gear) from row 1 on; rows of TARGETS go into `outputs`."""
+    road = Disturbance(0.0, 1.0)
+    rows = len(inputs) // 4
+    idle = params.constants.rest_frac
+    for i in range(1, rows):
+        brake = float(inputs[4 * i + 1]) - off.brake_frac
+        if brake < idle:
+            brake = idle
+        steer = float(inputs[4 * i + 2]) + off.steer_rad
+        act = Actuation(float(inputs[4 * i]), brake, steer, float(inputs[4 * i + 3]))
+        state, motion = step_single_track(params, state, ChassisInput(act, road), dt_s)
+        outputs[6 * i] = motion.speed_mps
+        outputs[6 * i + 1] = motion.yaw_rate_radps
+        outputs[6 * i + 2] = motion.heading_rad
+        outputs[6 * i + 3] = motion.lateral_accel_mps2
+        outputs[6 * i + 4] = motion.x_m
+        outputs[6 * i + 5] = motion.y_m
+    return rows
+
+
+kept(run_free)
+
+
+def simulated(params: ChassisParams, window: Window, off: Off) -> Array:
+    """TARGETS [m, 6] of a free run at the window's rows."""
+    x_m, y_m, heading, speed, yaw = window.start
+    p = params.constants
+    grip = p.rear_stiffness * (p.front_axle_m + p.rear_axle_m)
+    mass_kg = p.mass_kg * p.front_axle_m
+    side = p.rear_axle_m * yaw - mass_kg * speed * speed * yaw / grip  # as it is in a steady turn
+    first = Motion(x_m, y_m, heading, speed, side, yaw, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    outputs = np.zeros(len(window.inputs) * WIDTH)
+    flat = np.ascontiguousarray(window.inputs).ravel()
+    run_free(params, SingleTrackState(first, 0.0), flat, off, outputs, window.dt_s)
+    return outputs.reshape(-1, WIDTH)[window.at]
+
+
+def errors(params: Mapping[str, float], off: Off, some: Sequence[Window]) -> Array:
+    """Simulated minus measured TARGETS [windows, m, 6]; NaN where nothing was measured."""
+    chassis = ChassisParams(constants_of(params, BodyChange()))
+    return np.stack([simulated(chassis, window, off) - window.targets for window in some])
+
+
+def is_clear(name: str, value: Value) -> bool:
+    """Whether one of EFFECTS is there: off zero by more than the doubt about it, and by more than a trifle."""
+    return value.known and (value.low > 0.0 or value.high < 0.0) and abs(value.value) > EFFECTS[name][2]
+
+
+def rms_of(misses: Array) -> dict[str, float]:
+    """Root mean square of each target that was measured."""
+    found = {}
+    for i, name in enumerate(TARGETS):
+        some = misses[:, :, i][np.isfinite(misses[:, :, i])]
+        if len(some):
+            found[name] = float(np.sqrt(np.mean(some * some)))
+    return found
+
+
+class Problem:
+    """Unknowns are the constants in units of half their doubt, 0 being what was known before."""
+
+    def __init__(
+        self, windows: Windows, fixed: Mapping[str, float], known: Mapping[str, Constant], brake_way: float
+    ) -> None:
+        self.some = windows.some
+        self.fixed = dict(fixed)
+        self.known = {
+            **known,
+            OFFSET: Constant(0.0, OFFSET_DOUBT_RAD, False, False),
+            BAND: Constant(0.0, BAND_DOUBT * brake_way, False, False),
+        }
+        names = list(self.known)
+        if not windows.steered:
+            names = [name for name in names if name not in LATERAL]
+        if not windows.pedals:
+            names = [name for name in names if name in LATERAL]
+        self.names = names
+        self.scale = np.array([FIRST_SCALE[name] for name in TARGETS])
+        seen = np.concatenate(
+            [np.isfinite(window.targets).ravel() for window in self.some] or [np.zeros(0, dtype=bool)]
+        )
+        self.seen = seen
+        self.rows = len(self.some[0].at) if self.some else 0
+        self.blocks = np.repeat(np.arange(len(self.some)), self.rows * WIDTH)[seen]
+
+    def value(self, name: str, unknown: float) -> float:
+        """The constant that an unknown stands for."""
+        constant = self.known[name]
+        if constant.logarithmic:
+            return constant.value * math.exp(0.5 * unknown * math.log(constant.doubt))
+        return constant.value + 0.5 * unknown * constant.doubt
+
+    def values(self, names: Sequence[str], x: Array) -> dict[str, float]:
+        """All constants, those not in `names` as they were known before."""
+        found = {name: constant.value for name, constant in self.known.items()}
+        return found | {name: self.value(name, float(one)) for name, one in zip(names, x, strict=True)}
+
+    def params(self, values: Mapping[str, float]) -> dict[str, float]:
+        """[plant.params] in full."""
+        return self.fixed | {name: value for name, value in values.items() if name not in EFFECTS}
+
+    def misses(self, values: Mapping[str, float]) -> Array:
+        """[windows, m, 6], not scaled."""
+        return errors(self.params(values), Off(float(values[OFFSET]), float(values[BAND])), self.some)
+
+    def residuals(self, names: Sequence[str], x: Array) -> Array:
+        """Scaled so that each window has PIECES of each target to say; then what was known before."""
+        share = math.sqrt(PIECES / self.rows)
+        rows = (self.misses(self.values(names, x)) / self.scale).ravel()[self.seen] * share
+        return np.concatenate([np.nan_to_num(rows, nan=1e3, posinf=1e3, neginf=-1e3), x])
+
+    def rescale(self, values: Mapping[str, float]) -> None:
+        """Take as 1 what is usual now: the root mean square error of each target."""
+        for name, error in rms_of(self.misses(values)).items():
+            self.scale[TARGETS.index(name)] = max(error, FLOOR * FIRST_SCALE[name])
+
+
+def fit(
+    windows: Windows, fixed: Mapping[str, float], known: Mapping[str, Constant], brake_way: float
+) -> Generator[Any, None, PhysicsFit]:
+    """Fit what the windows show; yields (done, total). brake_way: duty from rest to the limit.
+
+    Raises InputError where there are too few windows.
+    """
+    if not windows.pedals and len(windows.some) < LEAST_WINDOWS:
+        return _unfitted(windows, fixed, known, brake_way)
+    if len(windows.some) < LEAST_WINDOWS:
+        raise InputError(
+            f"the logs hold {len(windows.some)} windows of free motion, {LEAST_WINDOWS} are needed"
+            + "".join(f"; {words}" for words in windows.words),
+            code="too_short",
+            key="LOG",
+            hint="drive longer, in drive gear, with reports of the actuators and of the speed",
+        )
+    problem = Problem(windows, fixed, known, brake_way)
+    names, x = list(problem.names), np.zeros(len(problem.names))
+    before = rms_of(problem.misses(problem.values(names, x)))
+    total = 8
+    yield 0, total
+    least = _solved(problem, names, x, 25)
+    yield 1, total
+    problem.rescale(problem.values(names, least.x))
+    least = _solved(problem, names, least.x, 15)
+    yield 2, total
+    lost: dict[str, float] = {}
+    while names:
+        left = deviations_left(least)
+        worst = np.flatnonzero((left > KNOWN_SHARE) & (left >= min(HOPELESS, float(left.max()))))
+        if not len(worst):
+            break
+        lost |= {names[i]: float(left[i]) for i in worst}  # all that are hopeless at once, else the worst alone
+        keep = [i for i in range(len(names)) if i not in worst]
+        names = [names[i] for i in keep]
+        if names:
+            least = _solved(problem, names, least.x[keep], 10)
+        yield min(3 + len(lost), total - 1), total
+    values = problem.values(names, least.x if names else np.zeros(0))
+    after = rms_of(problem.misses(values))
+    yield total, total
+    found = {name: _value(problem, names, least, name, lost) for name in problem.known}
+    return PhysicsFit(found, problem.params(values), before, after, len(windows.some), windows.words)
+
+
+def _unfitted(
+    windows: Windows, fixed: Mapping[str, float], known: Mapping[str, Constant], brake_way: float
+) -> PhysicsFit:
+    """No pedal's output is reported and there is little else: all as it was known before."""
+    problem = Problem(windows._replace(some=()), fixed, known, brake_way)
+    values = problem.values((), np.zeros(0))
+    found = {name: _taken(problem, name, {}) for name in problem.known}
+    words = f"no pedal's output is reported, and only {len(windows.some)} free runs can be made: no constant is fitted"
+    return PhysicsFit(found, problem.params(values), {}, {}, 0, (words,))
+
+
+def _solved(problem: Problem, names: Sequence[str], x: Array, most: int) -> Least:
+    wide = np.full(len(names), 6.0)
+    low = np.where([name == BAND for name in names], 0.0, -wide)
+
+    def residuals(x: Array) -> Array:
+        return problem.residuals(names, x)
+
+    robust = ROBUST * math.sqrt(PIECES / problem.rows)  # of a residual as it is scaled here
+    return solve(residuals, x, low, wide, problem.blocks, robust=robust, most=most, priors=len(names))
+
+
+def deviations_left(least: Least) -> Array:
+    """What is left of each unknown's doubt (1 before the fit), with the windows' own scatter where that is wider."""
+    inner = np.linalg.pinv(least.jacobian.T @ least.jacobian, hermitian=True)
+    return np.maximum(np.sqrt(np.maximum(np.diag(inner), 0.0)), least.deviation)
+
+
+def _value(problem: Problem, names: Sequence[str], least: Least, name: str, lost: Mapping[str, float]) -> Value:
+    if name in names:
+        i = names.index(name)
+        x, half = float(least.x[i]), least.quantile * float(deviations_left(least)[i])
+        return Value(problem.value(name, x), problem.value(name, x - half), problem.value(name, x + half))
+    return _taken(problem, name, lost)
+
+
+def _taken(problem: Problem, name: str, lost: Mapping[str, float]) -> Value:
+    constant = problem.known[name]
+    low, high = constant.ends()
+    low = max(low, 0.0) if name == BAND else low
+    source = "data sheet" if constant.stated else "a plausible value"
+    if name in lost:
+        why = f"these logs leave {min(lost[name], 1.0):.0%} of the doubt there was"
+    else:
+        why = "the logs lack the outputs that move it"
+    return Value(constant.value, low, high, False, f"{why}; {source}")

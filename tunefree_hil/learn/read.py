@@ -1,0 +1,232 @@
+"""Logs of a vehicle -> Drives: any format, our own runs' or a car's; decoded in columns, a piece at a time."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus.bench_channel import Role, State, Status, decode
+from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.formats.find import CANDUMP, format_of
+from tunefree_hil.bus.message_map import EXTENDED_FLAG, MessageMap
+from tunefree_hil.episode.candump import ERROR, RTR, cut_line, read_candump
+from tunefree_hil.episode.log_columns import Name, Piece, read_pieces
+from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.heard import Ear, Seen, place
+
+Progress = Callable[[float, str], None]  # share of all logs read, 0 to 1; the log at hand
+ON_GRID = 1e-3  # of a tick: stamps nearer than this to whole ticks are virtual time
+MOST_STEP_S = 600.0  # between one frame of the vehicle and the next; a tick grid over more is no recording
+
+
+class Reading(NamedTuple):
+    """What a log said beside its values; for learn/checks.py, and for people.
+
+    heard, short, broken: frames by message of the folder: all of them (0: never came), too short to decode, with a CRC
+    or data id that does not fit. foreign: frames by id that the folder does not know. back_s, ahead_s: the furthest
+    step of the clock back and ahead between one frame of the vehicle and the next, and the stamps where they are.
+    times: how stamps became ticks, in words. cut: the last line was cut off and left out.
+    """
+
+    file: str
+    frames: int
+    heard: Mapping[str, int]
+    short: Mapping[str, int]
+    broken: Mapping[str, int]
+    foreign: Mapping[int, int]
+    span_s: float
+    back_s: float
+    back_at_s: float
+    ahead_s: float
+    ahead_at_s: float
+    times: str
+    cut: bool
+
+
+class LogDrive(Drive):
+    """A Drive that came out of a log, with its Reading."""
+
+    reading: Reading
+
+
+def reading_of(drive: Drive) -> Reading | None:
+    """What the log of a drive said beside its values; None for a drive that was made otherwise."""
+    return getattr(drive, "reading", None)
+
+
+def read_drives(logs: Sequence[Path], codec: Codec, *, progress: Progress | None = None) -> list[Drive]:
+    """One Drive a log, in the order given; each with the clock, INS origin and heading of its own.
+
+    Ticks as episode/columns.py gives them: a report field in row k is what was heard in tick k, a command field what
+    was sent in it. Stamps of virtual time are ticks; in real time tick 0 is where a bench.log beside the log says, else
+    at the log's first frame, and a report stamped in tick k is heard in k + 1. Frames that nobody believes (a CRC that
+    does not fit) or that are too short are left out. enabled: every report that says `enabled` says so; without one,
+    none that says what disables ([state] of vehicle.toml).
+
+    Raises InputError for a log that cannot be read, that holds no frame of the vehicle, or whose clock jumps by more
+    than MOST_STEP_S.
+    """
+    names = _called(logs)
+    drives: list[Drive] = []
+    for place_in_line, path in enumerate(logs):
+
+        def tell(share: float, before: int = place_in_line, name: str = names[place_in_line]) -> None:
+            if progress is not None:
+                progress((before + share) / len(logs), name)
+
+        drives.append(_read(Path(path), names[place_in_line], codec, tell))
+        tell(1.0)
+    return drives
+
+
+def _called(logs: Sequence[Path]) -> list[str]:
+    """Each log by as much of its path's end as tells it from the others."""
+    parts = [Path(path).parts for path in logs]
+    longest = max((len(one) for one in parts), default=1)
+    for depth in range(1, longest):
+        names = ["/".join(one[-depth:]) for one in parts]
+        if len(set(names)) == len(set(parts)):
+            return names
+    return [str(path) for path in logs]
+
+
+def _read(path: Path, name: str, codec: Codec, tell: Callable[[float], None]) -> Drive:
+    ears = {message: Ear(message) for message in (*codec.telemetry, *codec.commands)}
+    apart = _by_channel(path, codec)
+    seen = Seen()
+    messages: dict[Name, MessageMap | None] = {}
+    for piece in read_pieces(path):
+        for one in piece.names:
+            if one not in messages:
+                messages[one] = _find(codec, one, apart)
+        known = _hear(piece, [messages[one] for one in piece.names], ears, seen)
+        seen.take(piece, known, codec.tick_ms * 1e-3)
+        tell(piece.done)
+    _refuse(path, codec, seen)
+    zero_s, late_ticks, words = _times(path, seen, codec.tick_ms * 1e-3)
+    grid = place(ears.values(), codec.tick_ms * 1e-3, zero_s, late_ticks)
+    drive = LogDrive(name, _hash(path), codec.tick_ms * 1e-3, grid.fields, grid.fresh, grid.enabled)
+    drive.reading = _reading(path, ears.values(), seen, words)
+    return drive
+
+
+def _by_channel(path: Path, codec: Codec) -> bool:
+    """Whether the log's channel names are those of vehicle.toml, so that they tell equal ids apart.
+
+    Looked through only until all are heard; our own bench's logs have one channel whatever the folder says.
+    """
+    missing = {message.channel for message in (*codec.commands, *codec.telemetry)} - {""}
+    if missing:
+        for piece in read_pieces(path):
+            missing -= {channel for channel, _ in piece.names}
+            if not missing:
+                return True
+    return False
+
+
+def _find(codec: Codec, name: Name, apart: bool) -> MessageMap | None:
+    channel, can_id = name
+    bare = CanFrame(can_id & ~EXTENDED_FLAG, b"", extended=bool(can_id & EXTENDED_FLAG))
+    return codec.find(bare, channel if apart else "")
+
+
+def _hear(
+    piece: Piece, messages: Sequence[MessageMap | None], ears: Mapping[MessageMap, Ear], seen: Seen
+) -> np.ndarray:
+    """Give each message its frames; which frames of the piece are the vehicle's, bool [n]."""
+    data = (piece.flags & (RTR | ERROR)) == 0
+    known = np.zeros(len(data), dtype=bool)
+    by_message: dict[MessageMap, np.ndarray] = {}
+    for number, message in enumerate(messages):
+        rows = (piece.name == number) & data
+        if message is None:
+            seen.count_foreign(piece.names[number][1], int(rows.sum()))
+        else:
+            by_message[message] = by_message.get(message, False) | rows
+            known |= rows
+    for message, rows in by_message.items():
+        ears[message].hear(piece.time_s[rows], piece.payloads.of(rows))
+    return known
+
+
+def _refuse(path: Path, codec: Codec, seen: Seen) -> None:
+    """What no tick grid can be made of."""
+    if not seen.known:
+        ids = ", ".join(f"0x{can_id & ~EXTENDED_FLAG:X}" for can_id in sorted(seen.foreign)[:8]) or "none"
+        raise InputError(
+            f"the log holds not one frame of vehicle {codec.name!r} (ids in it: {ids})",
+            code="foreign_log",
+            file=str(path),
+            hint="is it a log of this vehicle? --vehicle names another folder",
+        )
+    step_s, at_s = max((seen.back_s, seen.back_at_s), (seen.ahead_s, seen.ahead_at_s))
+    if step_s > MOST_STEP_S:
+        way = "back" if seen.back_s >= seen.ahead_s else "ahead"
+        raise InputError(
+            f"the clock jumps {way} by {step_s:.6g} s at stamp {at_s:.6f}",
+            code="clock_jump",
+            file=str(path),
+            hint="cut the log in two there: each piece is a recording of its own",
+        )
+
+
+def _times(path: Path, seen: Seen, dt_s: float) -> tuple[float, int, str]:
+    """(stamp of tick 0, ticks by which a report is heard late, words), as jobs/log_drive.py has it."""
+    if seen.off_grid < ON_GRID and seen.first_s < dt_s:
+        return 0.0, 0, "virtual time"
+    bench_log = path.parent / "bench.log"
+    if bench_log.is_file():
+        return _run_s(bench_log), 1, "real time: tick 0 is where bench.log says"
+    return seen.earliest_s, 1, f"real time: tick 0 is the log's first frame, at {seen.earliest_s:.3f} s"
+
+
+def _run_s(bench_log: Path) -> float:
+    """Stamp of tick 0 of a real-time drive: RUN's own stamp plus the lead that it carries (interfaces 8)."""
+    for frame in read_candump(bench_log, allow_cut=True):
+        message = decode(CanFrame(frame.can_id, frame.data))
+        if isinstance(message, Status) and (message.role, message.state) == (Role.RUNNER, State.RUN):
+            return frame.time_s + message.tick * 1e-3
+    raise InputError(
+        "holds no RUN: the drive beside it never began",
+        code="no_run",
+        file=str(bench_log),
+        hint="leave this episode out",
+    )
+
+
+def _hash(path: Path) -> str:
+    """SHA-256 over the log's bytes; of a folder (a ROS 2 bag) over its files in the order of their names."""
+    digest = hashlib.sha256()
+    for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+        if file.is_file():
+            with file.open("rb") as opened:
+                while block := opened.read(1 << 20):
+                    digest.update(block)
+    return f"sha256:{digest.hexdigest()}"
+
+
+def _reading(path: Path, ears: Iterable[Ear], seen: Seen, words: str) -> Reading:
+    ears = list(ears)
+    cut = not path.is_dir() and format_of(path) == CANDUMP and bool(cut_line(path))
+    return Reading(
+        file=str(path),
+        frames=seen.frames,
+        heard={ear.message.name: ear.frames for ear in ears},
+        short={ear.message.name: ear.short for ear in ears if ear.short},
+        broken={ear.message.name: ear.broken for ear in ears if ear.broken},
+        foreign=dict(sorted(seen.foreign.items())),
+        span_s=max(0.0, seen.latest_s - seen.earliest_s) if math.isfinite(seen.latest_s) else 0.0,
+        back_s=seen.back_s,
+        back_at_s=seen.back_at_s,
+        ahead_s=seen.ahead_s,
+        ahead_at_s=seen.ahead_at_s,
+        times=words,
+        cut=cut,
+    )

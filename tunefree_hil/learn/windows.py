@@ -1,0 +1,207 @@
+"""Windows of drives in which the car is let run free: recorded actuator outputs in, recorded motion to compare with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from tunefree_hil.base.records import GEAR_DRIVE
+from tunefree_hil.base.units import G_MPS2
+from tunefree_hil.config.schema import VehicleSpec
+from tunefree_hil.learn.drives import Drive, Part
+from tunefree_hil.learn.pairs import runs
+from tunefree_hil.learn.smooth import between_fresh, rate_of, smooth
+
+Array = np.ndarray
+
+WINDOW_S = 8.0
+EVERY_S = 0.1  # spacing of the rows that are compared
+START_S = 0.21  # of the polynomial that gives the start of a window
+LONGEST_SILENCE_S = 0.2
+SLOWEST_MPS = 0.5  # a window that never is faster is left out
+HILL_RAD = 0.02  # mean slope from which on a window is left out: the road is an input that nobody recorded
+LOOK_BACK_S = 0.5  # of specific force, for the slope
+MOST_BIAS = 0.01  # of an accelerometer, in g
+
+# What is compared, in this order: where it is read from, and the error that counts as 1 before there is a better scale.
+TARGETS = ("speed_mps", "yaw_rate_radps", "heading_rad", "lateral_accel_mps2", "x_m", "y_m")
+SOURCES = {
+    "speed_mps": ("ins.speed_mps", "report.speed_mps"),
+    "yaw_rate_radps": ("ins.yaw_rate_radps", "report.yaw_rate_radps"),
+    "heading_rad": ("ins.heading_rad",),
+    "lateral_accel_mps2": ("report.lateral_accel_mps2",),
+    "x_m": ("ins.x_m",),
+    "y_m": ("ins.y_m",),
+}
+INPUTS = ("throttle_frac", "brake_frac", "steer_rad")
+
+
+class Window(NamedTuple):
+    """inputs [n, 4]: throttle, brake (duty), steer (rad), gear in the tick that ends at the row; row 0 is not used.
+
+    start: x, y, heading, speed, yaw rate at row 0. targets [m, 6]: TARGETS at rows `at` [m], NaN where not measured;
+    heading continuous.
+    """
+
+    name: str
+    begin: int  # row of the drive
+    inputs: Array
+    start: tuple[float, float, float, float, float]
+    at: Array
+    targets: Array
+    dt_s: float
+
+
+class Windows(NamedTuple):
+    """words: what was left out. steered, pedals: whether those outputs are known, so that the car can be driven."""
+
+    some: tuple[Window, ...]
+    steered: bool
+    pedals: bool
+    words: tuple[str, ...]
+
+
+def windows_of(parts: Iterable[Part], vehicle: VehicleSpec, window_s: float = WINDOW_S) -> Windows:
+    """Windows one behind the other in all parts, as far as outputs and motion are known and the gear is drive."""
+    some: list[Window] = []
+    steered = pedals = False
+    still = hills = 0
+    for part in parts:
+        signals = _Signals(part.drive, vehicle)
+        if signals.inputs is None:
+            continue
+        steered, pedals = steered or signals.steered, pedals or signals.pedals
+        rows = round(window_s / part.drive.dt_s)
+        for begin, end in runs(signals.good[part.begin : part.end], rows, part.begin):
+            for first in range(begin, end - rows, rows):
+                span = slice(first, first + rows + 1)
+                if np.nanmax(signals.speed[span]) < SLOWEST_MPS:
+                    still += 1
+                elif signals.on_hill(span):
+                    hills += 1
+                else:
+                    some.append(signals.window(span))
+    words = [f"{still} windows at a standstill left out"] if still else []
+    words += [f"{hills} windows on a slope left out: its grade was not recorded"] if hills else []
+    return Windows(tuple(some), steered, pedals, tuple(words))
+
+
+class _Signals:
+    """The signals of a drive, on every tick and in one frame of time."""
+
+    def __init__(self, drive: Drive, vehicle: VehicleSpec) -> None:
+        self.drive = drive
+        self.dt_s = drive.dt_s
+        self.late = round(vehicle.ins_frame.latency_s / drive.dt_s)  # rows by which the INS speaks of the past
+        self.start_window = max(round(START_S / drive.dt_s) | 1, 5)
+        rest = vehicle.nominal.rest_pedal_frac
+        columns = [self._input(name, rest) for name in INPUTS]
+        self.pedals = bool(np.isfinite(columns[0]).any() and np.isfinite(columns[1]).any())
+        self.steered = bool(np.isfinite(columns[2]).any())
+        self.targets = np.stack([self._target(name) for name in TARGETS], axis=1)
+        self.speed = self.targets[:, 0]
+        self.inputs: Array | None = None
+        if (not self.steered and not self.pedals) or not np.isfinite(self.speed).any():
+            return
+        if not self.pedals:
+            columns[0] = columns[1] = np.full(drive.ticks, rest)
+        if not self.steered:
+            columns[2] = np.zeros(drive.ticks)
+        gear = drive.get("report.gear")
+        known = gear is not None and np.isfinite(gear).any()
+        columns.append(gear if known and gear is not None else np.full(drive.ticks, GEAR_DRIVE))
+        self.inputs = np.stack(columns, axis=1)
+        self.good = np.isfinite(self.inputs).all(axis=1) & np.isfinite(self.speed) & (self.inputs[:, 3] >= GEAR_DRIVE)
+        self.good &= self._heard()
+        if not self.pedals:
+            self.good &= self.speed > SLOWEST_MPS
+        self.slope = self._slope()
+
+    def _input(self, name: str, rest: float) -> Array:
+        values = self.drive.get(f"report.{name}")
+        if values is None or not np.isfinite(values).any():
+            return np.full(self.drive.ticks, np.nan)
+        even = between_fresh(values, self.drive.fresh[f"report.{name}"])
+        even[: int(np.argmax(np.isfinite(values)))] = np.nan
+        return even
+
+    def _target(self, name: str) -> Array:
+        """A measured signal between its fresh values; the INS's as many rows earlier as it is late."""
+        for source in SOURCES[name]:
+            values = self.drive.get(source)
+            if values is None or not np.isfinite(values).any():
+                continue
+            fresh = self.drive.fresh[source] & np.isfinite(values)
+            if name == "heading_rad":
+                values = values.copy()
+                values[fresh] = np.unwrap(values[fresh])
+            even = between_fresh(values, fresh)
+            even[: int(np.argmax(fresh))] = np.nan
+            late = self.late if source.startswith("ins.") else 0
+            return even if late == 0 else np.concatenate([even[late:], np.full(late, np.nan)])
+        return np.full(self.drive.ticks, np.nan)
+
+    def _heard(self) -> Array:
+        """Rows at which neither an output nor the speed has been silent for long."""
+        good = np.ones(self.drive.ticks, dtype=bool)
+        names = [f"report.{name}" for name in INPUTS] + list(SOURCES["speed_mps"])
+        for name in names:
+            fresh = self.drive.fresh.get(name)
+            if fresh is None or not fresh.any():
+                continue
+            rows = np.flatnonzero(fresh)
+            gaps = np.flatnonzero(np.diff(rows) * self.dt_s > LONGEST_SILENCE_S)
+            for i in gaps:
+                good[rows[i] + 1 : rows[i + 1]] = False
+        return good
+
+    def _slope(self) -> Array | None:
+        """sin(slope) by the accelerometer: specific force less rate of speed, as far as one is reported."""
+        felt = self.drive.get("report.accel_mps2")
+        if felt is None or not np.isfinite(felt).any():
+            return None
+        window = max(round(LOOK_BACK_S / self.dt_s) | 1, 5)
+        rate = rate_of(self.speed, np.isfinite(self.speed), window, self.dt_s)
+        found = (between_fresh(felt, self.drive.fresh["report.accel_mps2"]) - rate) / G_MPS2
+        return found - float(np.clip(np.nanmedian(found), -MOST_BIAS, MOST_BIAS))  # a sensor's bias is no slope
+
+    def on_hill(self, span: slice) -> bool:
+        """Whether the road under a window is not level."""
+        if self.slope is None:
+            return False
+        moving = self.slope[span][self.speed[span] > 1.0]
+        moving = moving[np.isfinite(moving)]
+        return len(moving) > 10 and abs(float(np.median(moving))) > HILL_RAD
+
+    def window(self, span: slice) -> Window:
+        """Inputs, start and targets of a window."""
+        assert self.inputs is not None
+        every = max(round(EVERY_S / self.dt_s), 1)
+        at = np.arange(every, span.stop - span.start, every)
+        here = self.targets[span].copy()
+        start = tuple(self._start(i, span.start) for i in (4, 5, 2, 0, 1))
+        x, y, heading, speed, yaw = (0.0 if not np.isfinite(one) else one for one in start)
+        return Window(
+            self.drive.name,
+            span.start,
+            self.inputs[span],
+            (x, y, heading, max(speed, 0.0), yaw),
+            at,
+            here[at],
+            self.dt_s,
+        )
+
+    def _start(self, target: int, row: int) -> float:
+        """A signal at a row, by a local polynomial about it."""
+        half = self.start_window // 2
+        first = max(row - half, 0)
+        some = self.targets[first : row + half + 1, target]
+        if not np.isfinite(some).all():
+            return float(self.targets[row, target])
+        return (
+            float(smooth(some, len(some) if len(some) % 2 else len(some) - 1)[row - first])
+            if len(some) >= 5
+            else float(some[0])
+        )

@@ -1,0 +1,124 @@
+"""Writes a model folder (interfaces 3) whole or not at all: model.toml, its .npz files, card.json."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.config.dump import to_toml
+from tunefree_hil.config.load import load_model
+from tunefree_hil.config.schema import ValidSpec, VehicleSpec
+from tunefree_hil.learn.values import ActuatorFit, Value
+
+Array = np.ndarray
+
+PLANT_FILE, CARD_FILE, CALIBRATION_FILE = "plant.npz", "card.json", "calibration.npz"
+TIMING = {"report_ticks": 1, "command_ticks": 1, "phase_seed": 1}
+HEAD = """\
+# Written by tunefree_hil from logs of the vehicle; {card} says from which, with intervals and errors.
+"""
+
+
+def require_new(folder: Path) -> None:
+    """Raises InputError where `folder` is there already and not empty."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(
+            "it is there already", code="exists", file=str(folder), hint="choose another folder, or move it"
+        )
+
+
+def write_model(
+    folder: Path,
+    vehicle: VehicleSpec,
+    *,
+    kind: str,
+    actuators: Mapping[str, ActuatorFit],
+    params: Mapping[str, Value | float],
+    plant_file: Mapping[str, Any] | None = None,
+    valid: Mapping[str, tuple[float, float]],
+    noise: Mapping[str, float],
+    card: Mapping[str, Any],
+    calibration: Mapping[str, Array] | None = None,
+    effects: Sequence[Mapping[str, Any]] = (),
+    timing: Mapping[str, int] | None = None,
+) -> Path:
+    """Write `folder` under a temporary name, read it back, rename it; the folder's path.
+
+    actuators: by channel ('throttle', 'brake', 'steer', 'accel', 'steer_torque'). params: [plant.params]; intervals of
+    Values stand in the card only, as the schema has bare numbers there. plant_file, calibration: arrays of plant.npz
+    and calibration.npz, None for none. valid: [low, high] by key of [valid]; keys that the schema does not have are
+    left out. noise: standard deviation by record field. card: plain data of card.json. effects: [[effects]] entries.
+    Raises InputError for a folder that is there already.
+    """
+    folder = Path(folder)
+    require_new(folder)
+    data = {
+        "schema": "tunefree.model/1",
+        "vehicle": vehicle.name,
+        "vehicle_hash": f"sha256:{vehicle.hash}",
+        "actuators": {name: _actuator(fit) for name, fit in actuators.items()},
+        "plant": _plant(kind, params, plant_file is not None),
+        "timing": dict(timing or TIMING),
+        "noise": {name: float(deviation) for name, deviation in noise.items()},
+        "valid": {name: [float(low), float(high)] for name, (low, high) in valid.items() if name in _valid_names()},
+    }
+    if effects:
+        data["effects"] = [dict(effect) for effect in effects]
+    part = folder.with_name(f"part-{os.getpid()}-{folder.name}")
+    part.mkdir(parents=True)
+    try:
+        (part / "model.toml").write_text(HEAD.format(card=CARD_FILE) + to_toml(data), encoding="utf-8")
+        for name, arrays in ((PLANT_FILE, plant_file), (CALIBRATION_FILE, calibration)):
+            if arrays is not None:
+                np.savez(part / name, **{key: np.asarray(one) for key, one in arrays.items()})  # type: ignore[arg-type]
+        (part / CARD_FILE).write_text(json.dumps(plain(card), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        load_model(part)
+        if folder.is_dir():
+            folder.rmdir()  # it is empty
+        os.replace(part, folder)
+    finally:
+        if part.is_dir():
+            shutil.rmtree(part)
+    return folder
+
+
+def plain(value: Any) -> Any:
+    """Only what JSON knows: records as tables, arrays as lists; a number that is not finite as null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(one) for key, one in value.items()}
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        return plain(cast(Any, value)._asdict())
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, Path):
+        return str(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _actuator(fit: ActuatorFit) -> dict[str, Any]:
+    table: dict[str, Any] = {"order": int(fit.order)}
+    for name, one in fit.numbers().items():
+        table[name] = {key: float(getattr(one, key)) for key in ("value", "low", "high")}
+    return table
+
+
+def _plant(kind: str, params: Mapping[str, Value | float], with_file: bool) -> dict[str, Any]:
+    bare = {name: float(one.value if isinstance(one, Value) else one) for name, one in params.items()}
+    table = {"kind": kind, "card": CARD_FILE, "params": bare}
+    return {**table, "file": PLANT_FILE} if with_file else table
+
+
+def _valid_names() -> tuple[str, ...]:
+    return ValidSpec.__struct_fields__

@@ -1,0 +1,63 @@
+"""How a rigid car goes on: pose, wheels and specific forces out of new velocities, whichever plant gives these."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.kernel import kernel
+from tunefree_hil.base.records import Motion
+
+
+class Velocity(NamedTuple):
+    """Forward, to the left at the centre of mass, and turning to the left."""
+
+    speed_mps: float
+    side_speed_mps: float
+    yaw_rate_radps: float
+
+
+@kernel
+def moved(p: Any, was: Motion, now: Velocity, slope_mps2: float, wheel: tuple[float, float], dt_s: float) -> Motion:
+    """The motion after a tick that began as `was` and ended with the velocities `now`; the pose by their means.
+
+    p: any constants with rear_axle_m, front_axle_m, half_track_m and inverse_radius. slope_mps2: gravity along the
+    car, felt by an accelerometer. wheel: cosine and sine of the front wheels' angle.
+    """
+    speed, side, yaw = now.speed_mps, now.side_speed_mps, now.yaw_rate_radps
+    speed_was, side_was, yaw_was = was.speed_mps, was.side_speed_mps, was.yaw_rate_radps
+    mean_speed, mean_yaw = 0.5 * (speed_was + speed), 0.5 * (yaw_was + yaw)
+    turned = dt_s * mean_yaw
+    middle = was.heading_rad + 0.5 * turned
+    along = dt_s * mean_speed
+    across = dt_s * (0.5 * (side_was + side) - p.rear_axle_m * mean_yaw)
+    middle_cos, middle_sin = math.cos(middle), math.sin(middle)
+    speed_rate = (speed - speed_was) / dt_s
+    own_accel = speed_rate - 0.5 * (side_was + side) * mean_yaw
+    left, right = speed - p.half_track_m * yaw, speed + p.half_track_m * yaw
+    swing = (side + p.front_axle_m * yaw) * wheel[1]
+    return Motion(
+        was.x_m + along * middle_cos - across * middle_sin,
+        was.y_m + along * middle_sin + across * middle_cos,
+        was.heading_rad + turned,
+        speed,
+        side,
+        yaw,
+        own_accel + slope_mps2,
+        (side - side_was) / dt_s + mean_speed * mean_yaw,
+        speed_rate,
+        (left * wheel[0] + swing) * p.inverse_radius,
+        (right * wheel[0] + swing) * p.inverse_radius,
+        left * p.inverse_radius,
+        right * p.inverse_radius,
+    )
+
+
+@kernel
+def with_velocity(at: Motion, now: Velocity) -> Motion:
+    """The same motion with other velocities."""
+    return Motion(
+        at.x_m, at.y_m, at.heading_rad, now.speed_mps, now.side_speed_mps, now.yaw_rate_radps, at.accel_mps2,
+        at.lateral_accel_mps2, at.speed_rate_mps2, at.wheel_fl_radps, at.wheel_fr_radps, at.wheel_rl_radps,
+        at.wheel_rr_radps,
+    )  # fmt: skip

@@ -1,0 +1,89 @@
+"""Plant kind `lstm`: a state-carrying LSTM says acceleration and yaw rate, kinematics do the rest (plant/carriage.py).
+
+Inputs at a tick's beginning: speed, throttle and brake duty over rest, steering-wheel angle (the actuators' outputs of
+this tick), and rate of speed and yaw rate of the tick before. Outputs: bound * tanh(linear), for this tick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.contracts import BodyChange
+from tunefree_hil.base.kernel import Block, kernel
+from tunefree_hil.base.records import Motion
+from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
+from tunefree_hil.plant.carriage import DEFAULTS, Carriage, carriage_of, driven, over_rest
+from tunefree_hil.plant.cell import Cell, CellState, bounded, cell_out, init_cell, step_cell, take_in
+from tunefree_hil.plant.learned_file import cell_of, load_plant_file
+
+
+class Lstm(NamedTuple):
+    """Constants of the car and of the cell."""
+
+    wheel_radius_m: float
+    half_track_m: float
+    car: Carriage
+    net: Cell
+
+
+class LstmState(NamedTuple):
+    """The motion and the cell."""
+
+    motion: Motion
+    cell: CellState
+
+
+@kernel
+def take_in_car(net: Any, seen: Any, p: Carriage, was: Motion, x: ChassisInput) -> None:
+    """The inputs of kinds lstm and mlp."""
+    throttle, brake = over_rest(p, x.actuation)
+    take_in(net, seen, 0, was.speed_mps)
+    take_in(net, seen, 1, throttle)
+    take_in(net, seen, 2, brake)
+    take_in(net, seen, 3, x.actuation.steer_rad)
+    take_in(net, seen, 4, was.speed_rate_mps2)
+    take_in(net, seen, 5, was.yaw_rate_radps)
+
+
+@kernel
+def step_lstm(params: ChassisParams, state: LstmState, x: ChassisInput, dt_s: float) -> tuple[LstmState, Motion]:
+    """One tick."""
+    p, net, cell = params.constants.car, params.constants.net, state.cell
+    take_in_car(net, cell.seen, p, state.motion, x)
+    step_cell(net, cell, False)
+    accel, yaw = bounded(net, 0, cell_out(net, cell, 0)), bounded(net, 1, cell_out(net, cell, 1))
+    new = driven(p, state.motion, accel, yaw, x, dt_s)
+    return LstmState(new, cell), new
+
+
+def init_lstm(params: ChassisParams, dt_s: float) -> LstmState:
+    """Rolling straight at the start, the cell at 0."""
+    constants = params.constants
+    return LstmState(rolling_motion(params.start, constants.wheel_radius_m), init_cell(constants.net))
+
+
+@kernel
+def observe_lstm(state: LstmState, seen: Motion) -> LstmState:
+    """The state with a measured motion in it."""
+    return LstmState(seen, state.cell)
+
+
+def plant_of(net: Cell) -> Plant:
+    """The plant with these weights."""
+
+    def make(params: Mapping[str, float], change: BodyChange) -> Block:
+        car = carriage_of("lstm", DEFAULTS, params, change)
+        constants = Lstm(car.wheel_radius_m, car.half_track_m, car, net)
+        return Block(init_lstm, step_lstm, ChassisParams(constants))
+
+    return PLANT._replace(make=make, open=None)
+
+
+def open_lstm(path: Path) -> Any:
+    """The plant of a plant.npz. Raises InputError where the file does not fit."""
+    return plant_of(cell_of(load_plant_file(path, "lstm")))
+
+
+PLANT = Plant(unopened("lstm"), DEFAULTS, open=open_lstm, file="plant.npz", observe=observe_lstm)

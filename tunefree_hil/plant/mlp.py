@@ -1,0 +1,74 @@
+"""Plant kind `mlp`: one hidden layer of tanh says acceleration and yaw rate, without memory; inputs as of kind lstm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.contracts import BodyChange
+from tunefree_hil.base.kernel import Block, kernel
+from tunefree_hil.base.records import Motion
+from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
+from tunefree_hil.plant.carriage import DEFAULTS, Carriage, carriage_of, driven
+from tunefree_hil.plant.cell import Layer, LayerState, bounded, init_layer, layer_out, step_layer
+from tunefree_hil.plant.learned_file import layer_of, load_plant_file
+from tunefree_hil.plant.lstm import take_in_car
+
+
+class Mlp(NamedTuple):
+    """Constants of the car and of the layer."""
+
+    wheel_radius_m: float
+    half_track_m: float
+    car: Carriage
+    net: Layer
+
+
+class MlpState(NamedTuple):
+    """The motion, and room for a step."""
+
+    motion: Motion
+    layer: LayerState
+
+
+@kernel
+def step_mlp(params: ChassisParams, state: MlpState, x: ChassisInput, dt_s: float) -> tuple[MlpState, Motion]:
+    """One tick."""
+    p, net, layer = params.constants.car, params.constants.net, state.layer
+    take_in_car(net, layer.seen, p, state.motion, x)
+    step_layer(net, layer)
+    accel, yaw = bounded(net, 0, layer_out(net, layer, 0)), bounded(net, 1, layer_out(net, layer, 1))
+    new = driven(p, state.motion, accel, yaw, x, dt_s)
+    return MlpState(new, layer), new
+
+
+def init_mlp(params: ChassisParams, dt_s: float) -> MlpState:
+    """Rolling straight at the start."""
+    constants = params.constants
+    return MlpState(rolling_motion(params.start, constants.wheel_radius_m), init_layer(constants.net))
+
+
+@kernel
+def observe_mlp(state: MlpState, seen: Motion) -> MlpState:
+    """The state with a measured motion in it."""
+    return MlpState(seen, state.layer)
+
+
+def plant_of(net: Layer) -> Plant:
+    """The plant with these weights."""
+
+    def make(params: Mapping[str, float], change: BodyChange) -> Block:
+        car = carriage_of("mlp", DEFAULTS, params, change)
+        constants = Mlp(car.wheel_radius_m, car.half_track_m, car, net)
+        return Block(init_mlp, step_mlp, ChassisParams(constants))
+
+    return PLANT._replace(make=make, open=None)
+
+
+def open_mlp(path: Path) -> Any:
+    """The plant of a plant.npz. Raises InputError where the file does not fit."""
+    return plant_of(layer_of(load_plant_file(path, "mlp")))
+
+
+PLANT = Plant(unopened("mlp"), DEFAULTS, open=open_mlp, file="plant.npz", observe=observe_mlp)

@@ -1,0 +1,162 @@
+"""Plant kind `paper`: Table I's network as printed. An LSTM of 8 units with ReLU sees 20 samples over *time*, each
+throttle, brake and steering *command*, speed and acceleration; its linear layer says acceleration and yaw rate of the
+next sample.
+
+Commands in: the actuators are identities here ([actuators] of model.toml is not used), so the report echoes commands
+and the network itself must know dead times and lags. Samples are sample_spacing_s apart, the newest at this tick; every
+tick sees a window of its own from a cell at 0. Before the start the car rolled on at rest.
+
+Where samples are further apart than ticks, a tick goes its share of the way to what is said of the next sample, so that
+nothing is ahead of its time (the published code takes a label of 60 ms ahead for the next 10 ms: apollo_facts 5.3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.contracts import BodyChange
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.kernel import Block, buffer, kernel
+from tunefree_hil.base.maths import clamp
+from tunefree_hil.base.records import Actuation, Command, Motion
+from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, filled, rolling_motion, unopened
+from tunefree_hil.plant.carriage import DEFAULTS as CAR
+from tunefree_hil.plant.carriage import Carriage, carriage_of, driven, over_rest
+from tunefree_hil.plant.cell import Cell, CellState, cell_out, clear_cell, init_cell, step_cell
+from tunefree_hil.plant.learned_file import cell_of, load_plant_file
+
+SAMPLES = 20
+TAKEN = 5  # inputs of a sample
+DEFAULTS = {**CAR, "sample_spacing_s": 0.01}
+
+
+class Paper(NamedTuple):
+    """Constants of the car and of the cell; samples are `spacing_s` apart."""
+
+    wheel_radius_m: float
+    half_track_m: float
+    car: Carriage
+    net: Cell
+    spacing_s: float
+
+
+class PaperState(NamedTuple):
+    """The motion and the acceleration on level ground behind it; the cell, for use within a step; samples by tick in a
+    ring, as the cell takes them; the place of the newest and the ticks from sample to sample."""
+
+    motion: Motion
+    own_mps2: float
+    cell: CellState
+    past: Any
+    place: int
+    gap: int
+
+
+@kernel
+def keep_sample(net: Cell, past: Any, at: int, sample: tuple[float, float, float, float, float]) -> None:
+    """Write a sample into the ring, as the cell takes it."""
+    for i in range(TAKEN):
+        past[at + i] = (sample[i] - net.mean[i]) * net.inverse_scale[i]
+
+
+@kernel
+def see_window(net: Cell, state: PaperState, place: int) -> None:
+    """The cell from 0 over the samples up to `place`, oldest first."""
+    cell, past = state.cell, state.past
+    length = len(past) // TAKEN
+    clear_cell(cell)
+    at = place + 1 if place + 1 < length else 0
+    for _ in range(SAMPLES):
+        for i in range(TAKEN):
+            cell.seen[i] = past[at * TAKEN + i]
+        step_cell(net, cell, True)
+        at = at + state.gap
+        if at >= length:
+            at = at - length
+
+
+@kernel
+def toward(net: Cell, cell: CellState, row: int, now: float, share: float) -> float:
+    """From `now` the share of the way to output `row`, within its bound."""
+    most = float(net.bound[row])
+    return now + share * (clamp(cell_out(net, cell, row), -most, most) - now)
+
+
+@kernel
+def step_paper(params: ChassisParams, state: PaperState, x: ChassisInput, dt_s: float) -> tuple[PaperState, Motion]:
+    """One tick."""
+    p, net, was = params.constants.car, params.constants.net, state.motion
+    throttle, brake = over_rest(p, x.actuation)
+    place = state.place + 1
+    if place * TAKEN >= len(state.past):
+        place = 0
+    sample = (throttle, brake, x.actuation.steer_rad, was.speed_mps, was.speed_rate_mps2)
+    keep_sample(net, state.past, place * TAKEN, sample)
+    see_window(net, state, place)
+    share = 1.0 / max(float(state.gap), 1.0)
+    accel = toward(net, state.cell, 0, state.own_mps2, share)
+    yaw = toward(net, state.cell, 1, was.yaw_rate_radps, share)
+    new = driven(p, was, accel, yaw, x, dt_s)
+    own = accel if new.speed_mps > 0.0 else 0.0
+    return PaperState(new, own, state.cell, state.past, place, state.gap), new
+
+
+def init_paper(params: ChassisParams, dt_s: float) -> PaperState:
+    """Rolling straight at the start, as for ever before."""
+    constants = params.constants
+    gap = max(round(constants.spacing_s / dt_s), 1)
+    length = (SAMPLES - 1) * gap + 1
+    past = buffer(length * TAKEN)
+    for at in range(0, length * TAKEN, TAKEN):
+        keep_sample(constants.net, past, at, (0.0, 0.0, 0.0, float(params.start.speed_mps), 0.0))
+    motion = rolling_motion(params.start, constants.wheel_radius_m)
+    return PaperState(motion, 0.0, init_cell(constants.net), past, length - 1, gap)
+
+
+@kernel
+def observe_paper(state: PaperState, seen: Motion) -> PaperState:
+    """The state with a measured motion in it; the next step's sample is of it."""
+    return PaperState(seen, seen.speed_rate_mps2, state.cell, state.past, state.place, state.gap)
+
+
+@kernel
+def pass_command(params: float, state: float, x: Command, dt_s: float) -> tuple[float, Actuation]:
+    """Actuators that are identities."""
+    return state, Actuation(x.throttle_frac, x.brake_frac, x.steer_rad, x.gear)
+
+
+def no_actuators(params: Mapping[str, float]) -> Block:
+    """Block Command -> Actuation: the command itself."""
+    return Block(lambda params, dt_s: 0.0, pass_command, 0.0)
+
+
+def plant_of(net: Cell) -> Plant:
+    """The plant with these weights."""
+
+    def make(params: Mapping[str, float], change: BodyChange) -> Block:
+        own = filled(DEFAULTS, params, "paper")
+        spacing_s = own.pop("sample_spacing_s")
+        if not 0.0 < spacing_s <= 1.0:
+            raise InputError(
+                f"samples {spacing_s:g} s apart",
+                code="bad_spacing",
+                key="plant.params.sample_spacing_s",
+                hint="above 0 and at most 1",
+            )
+        car = carriage_of("paper", CAR, own, change)
+        constants = Paper(car.wheel_radius_m, car.half_track_m, car, net, spacing_s)
+        return Block(init_paper, step_paper, ChassisParams(constants))
+
+    return PLANT._replace(make=make, open=None)
+
+
+def open_paper(path: Path) -> Any:
+    """The plant of a plant.npz. Raises InputError where the file does not fit."""
+    return plant_of(cell_of(load_plant_file(path, "paper")))
+
+
+PLANT = Plant(
+    unopened("paper"), DEFAULTS, actuators=no_actuators, open=open_paper, file="plant.npz", observe=observe_paper
+)
