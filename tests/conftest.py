@@ -13,7 +13,8 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# Folders and files whose slow tests train, collect or calibrate: minutes together, so a stage of their own in CI.
+# Folders and files of what trains, collects or calibrates. The fast ones are run by tools/check, the slow ones are a
+# stage of their own in CI: `make test` would take too long with them.
 LEARNING = (
     "learn/",
     "collect/",
@@ -31,10 +32,9 @@ settings.load_profile("house")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the slow ones of LEARNING, before anything is chosen by its marks."""
+    """Mark LEARNING, before anything is chosen by its marks."""
     for item in items:
-        place = item.path.relative_to(ROOT / "tests").as_posix()
-        if place.startswith(LEARNING) and item.get_closest_marker("slow"):
+        if item.path.relative_to(ROOT / "tests").as_posix().startswith(LEARNING):
             item.add_marker("learning")
 
 

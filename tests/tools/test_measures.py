@@ -207,7 +207,7 @@ def test_a_straight_drive_shows_how_the_gains_move(tmp_path: Path) -> None:
     assert 0.0 < moved["steer_end_rad"] < 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.compiled
 def test_tuning_is_measured_and_goes_on_where_it_was(short_bench: Path, tmp_path: Path) -> None:
     options = {"seeds": 1, "trials": 2, "workers": 1, "bench": str(short_bench)}
     options |= {"folder": str(tmp_path / "runs"), "figures": str(tmp_path / "figures")}

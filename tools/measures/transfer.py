@@ -1,0 +1,184 @@
+"""Do gains that are good on the learned plant hold on the vehicle? Ranks of random sets, and winners of both searches.
+
+Everything is graded by the compiled batch, which gives the bus's numbers: on each plant that was learned from the logs
+of `collect`, and on the vehicle itself (the verify model), which shares no physics with any of them. Both with the map
+that was learned from the same logs, as `commission` has it.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from msgspec.structs import replace as with_values
+from scipy.stats import spearmanr
+
+from tools.measures._ledger import FOLDER, Ledger
+from tools.measures._rig import Rig, failed
+from tools.measures._summary import RESAMPLES, machine, rounded
+from tools.measures._unseen import ended
+from tools.measures.collect import one_of_each
+from tools.measures.freerun import learned
+from tools.measures.map import logs_in
+from tools.measures.parity import parameter_sets
+from tunefree_hil.bench import Bench, load, parameters_of
+from tunefree_hil.jobs.candidates import baseline_vectors
+from tunefree_hil.jobs.map import map_logs
+from tunefree_hil.tune.baselines import first_trial
+from tunefree_hil.tune.space import resolve
+from tunefree_hil.tune.store import Settings
+from tunefree_hil.tune.study import Evaluation, open_study
+
+VALUE = "Spearman correlation of grades, hybrid plant and vehicle, of random sets that finish on both; lower vehicle"
+NAME, SET = "transfer", "complete"
+BEST = 50
+DRAWN = "drawn_"
+
+
+class Graded(NamedTuple):
+    """Scores of the sets in their order, and whether all drives of each were driven to their end."""
+
+    score: np.ndarray
+    finished: np.ndarray
+
+
+def measure(
+    seeds: int = 3,
+    sets: int = 200,
+    trials: int = 100,
+    kinds: str = "hybrid,lstm,paper",
+    benches: str = "",
+    minutes: float = 0.0,
+    folder: str = FOLDER,
+) -> dict[str, Any]:
+    """seeds: of trainings and searches. sets: random ones beside the manual. kinds: learned ones beside the physics.
+
+    n counts seeds; low and high are those of the lower vehicle over its seeds. All is kept in `folder`: it goes on.
+    """
+    before = machine()
+    rows = {
+        name: [_one(load(name), seed, sets, trials, kinds.split(","), minutes, Path(folder)) for seed in _up_to(seeds)]
+        for name in (benches.split(",") if benches else one_of_each())
+    }
+    values = {name: [row["kinds"]["hybrid"]["finished"]["rho"] for row in some] for name, some in rows.items()}
+    lower = min(values, key=lambda name: float(np.median(values[name])))
+    detail = {"machine": before, "benches": rows, "medians": {name: float(np.median(v)) for name, v in values.items()}}
+    found = values[lower]
+    return {
+        "value": float(np.median(found)), "unit": "Spearman", "n": len(found), "low": min(found), "high": max(found),
+        "detail": rounded(detail),
+    }  # fmt: skip
+
+
+def _up_to(seeds: int) -> range:
+    return range(1, seeds + 1)
+
+
+def _one(
+    bench: Bench, seed: int, sets: int, trials: int, kinds: Sequence[str], minutes: float, folder: Path
+) -> dict[str, Any]:
+    """One vehicle and one seed: ranks on every plant, and winners graded on the vehicle."""
+    place = folder / NAME / Path(bench.file).stem
+    ledger = Ledger(place / "grades")
+    logs = logs_in("", str(folder), bench.vehicle.name)
+    models = learned(bench, logs, place, kinds, seed, minutes, 0.0)
+    bench = _with_map(bench, logs, place / f"map-{seed}")
+    vectors = parameter_sets(bench, sets + len(baseline_vectors(bench)), seed)
+    drawn = {name: values for name, values in vectors.items() if name.startswith(DRAWN)}
+    vehicle = bench.spec.verify_model
+    truth = _graded(bench, vehicle, drawn, ledger)
+    found = {}
+    for name, model in models.items():
+        found[name] = correlations(_graded(bench, model.folder, drawn, ledger), truth, seed)
+        words = found[name]["finished"]
+        _say(f"{place.name}, seed {seed}, {name}: {words['rho']:.3f} of {words['n']} sets that finish on both")
+    winners = {name: _tuned(bench, model.folder, trials, seed, ledger) for name, model in models.items()}
+    winners["vehicle"] = _tuned(bench, vehicle, trials, seed, ledger)
+    scores = _scores(bench, vehicle, winners | baseline_vectors(bench), ledger)
+    manual = min(baseline_vectors(bench), key=lambda name: scores[name])
+    return {
+        "seed": seed,
+        "kinds": found,
+        "on_vehicle": scores,
+        "tuned_on_hybrid_of_tuned_on_vehicle": scores["hybrid"] / scores["vehicle"],
+        "tuned_on_hybrid_of_manual": scores["hybrid"] / scores[manual],
+        "manual": manual,
+    }
+
+
+def _with_map(bench: Bench, logs: Sequence[Path], place: Path) -> Bench:
+    """The bench with the map of the same logs."""
+    path = place / "calibration.npz"
+    if not path.is_file():
+        place.mkdir(parents=True, exist_ok=True)
+        ended(map_logs(logs, bench.vehicle.folder, place))
+    controller = with_values(bench.spec.controller, calibration=str(path.resolve()))
+    return replace(bench, spec=with_values(bench.spec, controller=controller))
+
+
+def _graded(bench: Bench, model: str, vectors: Mapping[str, Mapping[str, float]], ledger: Ledger) -> Graded:
+    scores, finished = [], []
+    with Rig(bench, model, bench.spec.scenarios, ledger, over_bus=False) as rig:
+        for values in vectors.values():
+            found = rig.evaluate(values)
+            scores.append(found["score"])
+            finished.append(not failed(found["scenarios"]))
+    return Graded(np.array(scores), np.array(finished))
+
+
+def _scores(
+    bench: Bench, model: str, vectors: Mapping[str, Mapping[str, float]], ledger: Ledger
+) -> dict[str, float]:
+    found = _graded(bench, model, vectors, ledger).score
+    return dict(zip(vectors, map(float, found), strict=True))
+
+
+def correlations(model: Graded, vehicle: Graded, seed: int) -> dict[str, dict[str, float]]:
+    """Spearman's rho with its 95 % bootstrap interval: of sets that finish on both, of all, of the vehicle's best."""
+    both = model.finished & vehicle.finished
+    best = np.argsort(vehicle.score, kind="stable")[:BEST]
+    rows = {"finished": np.flatnonzero(both), "all": np.arange(len(both)), f"best_{BEST}": best}
+    return {name: _rho(model.score[some], vehicle.score[some], seed) for name, some in rows.items()}
+
+
+def _rho(one: np.ndarray, other: np.ndarray, seed: int) -> dict[str, float]:
+    if len(one) < 3:
+        return {"rho": float("nan"), "n": len(one), "low": float("nan"), "high": float("nan")}
+    rng = np.random.default_rng(seed)
+    drawn = [_rank(one[some], other[some]) for some in rng.integers(0, len(one), (RESAMPLES // 4, len(one)))]
+    low, high = (float(edge) for edge in np.nanpercentile(drawn, [2.5, 97.5]))
+    return {"rho": _rank(one, other), "n": len(one), "low": low, "high": high}
+
+
+def _rank(one: np.ndarray, other: np.ndarray) -> float:
+    if np.ptp(one) == 0.0 or np.ptp(other) == 0.0:
+        return float("nan")
+    return float(spearmanr(one, other).statistic)
+
+
+def _tuned(bench: Bench, model: str, trials: int, seed: int, ledger: Ledger) -> dict[str, float]:
+    """The winner of a search of SET on a model; trials that the ledger knows cost nothing."""
+    space = resolve(SET, [], file=bench.file)
+    settings = Settings(space, seed, bench.spec.tune.sampler, "transfer", first_trial(space))
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Rig(bench, model, bench.spec.scenarios, ledger, over_bus=False) as rig,
+        open_study(Path(folder) / "study.db", settings) as study,
+    ):
+
+        def evaluate(searched: dict[str, float]) -> Evaluation:
+            scored = rig.evaluate(parameters_of(bench, searched))
+            return Evaluation(scored["score"], scored["scenarios"])
+
+        best = min(study.run(trials, evaluate), key=lambda trial: trial.score)
+    _say(f"{Path(model).name}, seed {seed}: {best.score:.4f} after {trials} trials")
+    return parameters_of(bench, best.parameters)
+
+
+def _say(words: str) -> None:
+    print(words, file=sys.stderr, flush=True)
