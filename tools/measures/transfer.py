@@ -131,9 +131,7 @@ def _graded(bench: Bench, model: str, vectors: Mapping[str, Mapping[str, float]]
     return Graded(np.array(scores), np.array(finished))
 
 
-def _scores(
-    bench: Bench, model: str, vectors: Mapping[str, Mapping[str, float]], ledger: Ledger
-) -> dict[str, float]:
+def _scores(bench: Bench, model: str, vectors: Mapping[str, Mapping[str, float]], ledger: Ledger) -> dict[str, float]:
     found = _graded(bench, model, vectors, ledger).score
     return dict(zip(vectors, map(float, found), strict=True))
 
@@ -147,7 +145,7 @@ def correlations(model: Graded, vehicle: Graded, seed: int) -> dict[str, dict[st
 
 
 def _rho(one: np.ndarray, other: np.ndarray, seed: int) -> dict[str, float]:
-    if len(one) < 3:
+    if len(one) < 3 or np.ptp(one) == 0.0 or np.ptp(other) == 0.0:
         return {"rho": float("nan"), "n": len(one), "low": float("nan"), "high": float("nan")}
     rng = np.random.default_rng(seed)
     drawn = [_rank(one[some], other[some]) for some in rng.integers(0, len(one), (RESAMPLES // 4, len(one)))]
@@ -158,7 +156,8 @@ def _rho(one: np.ndarray, other: np.ndarray, seed: int) -> dict[str, float]:
 def _rank(one: np.ndarray, other: np.ndarray) -> float:
     if np.ptp(one) == 0.0 or np.ptp(other) == 0.0:
         return float("nan")
-    return float(spearmanr(one, other).statistic)
+    found: Any = spearmanr(one, other)
+    return float(found.statistic)
 
 
 def _tuned(bench: Bench, model: str, trials: int, seed: int, ledger: Ledger) -> dict[str, float]:
