@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
-from cantools.database.can import Message
-
 from tunefree_hil.base.records import GROUPS, WHEEL_FIELDS
 from tunefree_hil.bus.dbc import signal_map
 from tunefree_hil.bus.e2e import Nibble, Protection
@@ -24,6 +22,8 @@ from tunefree_hil.bus.message_map import (
 from tunefree_hil.bus.plan import heading_turn, make_plan, sort_terms
 
 if TYPE_CHECKING:
+    from cantools.database.can import Message
+
     from tunefree_hil.config.schema import E2eSpec, FieldSpec, VehicleSpec
 
 ROLES = ("enable", "clear", "ignore", "counter", "checksum")

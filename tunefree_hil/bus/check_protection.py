@@ -6,11 +6,11 @@ import difflib
 from collections.abc import Collection, Iterator
 from typing import TYPE_CHECKING
 
-from cantools.database.can import Message, Signal
-
 from tunefree_hil.bus.e2e import DATA_IDS, ID_MODES, MODULI, PROFILES
 
 if TYPE_CHECKING:
+    from cantools.database.can import Message, Signal
+
     from tunefree_hil.config.schema import E2eSpec
 
 Found = Iterator[tuple[str, str, str, str]]  # key, message, hint, code

@@ -11,8 +11,6 @@ from collections.abc import Generator, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cantools.database.can import Message
-
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.build_map import ROLES, Entry, by_message, entries, period_ms
 from tunefree_hil.bus.check_protection import check_protection
@@ -20,6 +18,8 @@ from tunefree_hil.bus.check_units import check_unit
 from tunefree_hil.bus.dbc import bit_range, declared_raw, overlaps, raw_range, read_network, signal_map
 
 if TYPE_CHECKING:
+    from cantools.database.can import Message
+
     from tunefree_hil.config.schema import E2eSpec, VehicleSpec
 
 MOST_BITS = 52  # a raw value stays exact in binary64

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-import cantools
-from cantools.database.can import Database, Message, Signal
-from cantools.database.errors import UnsupportedDatabaseFormatError
-
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.message_map import SignalMap
+from tunefree_hil.bus.python_can import cantools
 
 if TYPE_CHECKING:
+    from cantools.database.can import Database, Message, Signal
+
     from tunefree_hil.config.schema import VehicleSpec
 
 
@@ -37,8 +36,8 @@ def _read(path: Path) -> Database:
         raise InputError("there is no such file", code="no_file", file=str(path), hint="see `dbc` in vehicle.toml")
     try:
         # strict=False: overlapping signals are told by check_vehicle together with everything else
-        return cast(Database, cantools.database.load_file(path, strict=False, database_format="dbc"))
-    except (UnsupportedDatabaseFormatError, UnicodeDecodeError) as error:
+        return cast("Database", cantools.database.load_file(path, strict=False, database_format="dbc"))
+    except (cantools.database.errors.UnsupportedDatabaseFormatError, UnicodeDecodeError) as error:
         raise InputError(
             f"this is no DBC: {error}", code="dbc", file=str(path), hint="mend the line it names"
         ) from error

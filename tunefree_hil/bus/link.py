@@ -8,11 +8,10 @@ from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import NamedTuple, Protocol
 
-import can
-
 from tunefree_hil.base.errors import BenchError, InputError, NoAnswer
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.error_frames import note_error
+from tunefree_hil.bus.python_can import can
 from tunefree_hil.bus.tfhub.owner import HubStats, Owner, PeerStats
 from tunefree_hil.bus.tfhub.pair import HubPair
 from tunefree_hil.bus.tfhub.plugin import HubBus

@@ -6,12 +6,11 @@ import os
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import can
-
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.kernel_link import FD_MTU, MAKE_FD, MAKE_VCAN, holder, kernel_has_can, link_state
 from tunefree_hil.bus.link import CanLink, HubLink, Link, Links, PairLink
+from tunefree_hil.bus.python_can import can
 from tunefree_hil.bus.socketcan import Options, open_socketcan
 from tunefree_hil.bus.tfhub import address
 from tunefree_hil.bus.tfhub.handshake import default_name

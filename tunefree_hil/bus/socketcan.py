@@ -24,12 +24,11 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-import can
-
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.error_frames import note_error
 from tunefree_hil.bus.kernel_frames import FD_FRAME, pack, pack_filters, unpack
+from tunefree_hil.bus.python_can import can
 from tunefree_hil.bus.tfhub.records import EFF_FLAG, EFF_MASK, ERR_FLAG, NO_DATA, Raw
 
 STAMP = struct.Struct("@qq")  # struct timespec

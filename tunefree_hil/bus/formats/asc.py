@@ -11,8 +11,6 @@ from collections.abc import Iterable, Iterator
 from datetime import datetime
 from pathlib import Path
 
-import can
-
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.formats.rows import (
     ERROR,
@@ -29,6 +27,7 @@ from tunefree_hil.bus.formats.rows import (
     row_of,
     unreadable,
 )
+from tunefree_hil.bus.python_can import can
 
 HIGHEST_CHANNEL = 254
 

@@ -11,9 +11,6 @@ import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-import can
-from can.io.blf import BLFParseError
-
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.formats.rows import (
     Format,
@@ -27,6 +24,7 @@ from tunefree_hil.bus.formats.rows import (
     row_of,
     unreadable,
 )
+from tunefree_hil.bus.python_can import can
 
 DATES_FROM_S = 631152000.0  # 1990: python-can takes a stamp from here on for a date
 HIGHEST_CHANNEL = 65534
@@ -48,7 +46,7 @@ def read(path: Path) -> Iterator[Row]:
                     hint="copy it again",
                 )
             yield from map(row_of, reader)
-    except (BLFParseError, struct.error, zlib.error, ValueError, EOFError) as error:
+    except (can.io.blf.BLFParseError, struct.error, zlib.error, ValueError, EOFError) as error:
         raise unreadable(path, "BLF", error) from error
 
 

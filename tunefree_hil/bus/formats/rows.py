@@ -12,9 +12,8 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import can
-
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.bus.python_can import can
 
 FD, BRS, ESI, RTR, ERROR, SENT = 1, 2, 4, 8, 16, 32  # flags of a Row; the first five as in episode/candump.py
 EXTENDED_BIT = 0x80000000

@@ -13,10 +13,9 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-import can
-
 from tunefree_hil.base.errors import BenchError, InputError, PeerGone
 from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus.python_can import can
 from tunefree_hil.bus.tfhub import address
 from tunefree_hil.bus.tfhub.connection import Connection, ConnectionGone
 from tunefree_hil.bus.tfhub.records import (
