@@ -32,10 +32,17 @@ settings.load_profile("house")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark LEARNING, before anything is chosen by its marks."""
+    """Mark LEARNING, before anything is chosen by its marks; and say what two workers may not do side by side.
+
+    Tests with real processes are one group, so one after another: together they would wait for the two cores. Of the
+    others each file is a group, for what its tests share. Without workers (-n) a group means nothing.
+    """
     for item in items:
-        if item.path.relative_to(ROOT / "tests").as_posix().startswith(LEARNING):
+        place = item.path.relative_to(ROOT / "tests").as_posix()
+        if place.startswith(LEARNING):
             item.add_marker("learning")
+        group = "processes" if item.get_closest_marker("slow") else place
+        item.add_marker(pytest.mark.xdist_group(group))
 
 
 @pytest.fixture(scope="session")
