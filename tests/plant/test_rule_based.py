@@ -11,15 +11,17 @@ from tests.plant.drives import CHANNELS, PLANTS, REST, command, drive
 from tests.plant.learned import NOMINAL
 from tunefree_hil.base.course import Start
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.plant.rule_based import accel_of, forward_map, load_map, open_rule_based
+from tunefree_hil.base.open_loop_map import value_at
+from tunefree_hil.plant.rule_based import load_map, open_rule_based
 from tunefree_hil.plant.vehicle import assemble, steady_accel
 
 
-def test_between_its_points_it_is_linear() -> None:
-    forward = forward_map([0.0, 0.0, 10.0, 10.0], [-1.0, 1.0, -2.0, 0.0], [-0.5, 0.5, -0.5, 0.5])
-    assert accel_of(forward, 0.0, 0.0) == 0.0 and accel_of(forward, 5.0, 0.0) == pytest.approx(-0.5)
-    assert accel_of(forward, 20.0, 0.9) == 0.0 and accel_of(forward, -1.0, -0.9) == -1.0
-    assert accel_of(forward_map([3.0], [0.7], [0.2]), 9.0, 0.5) == 0.7
+def test_it_is_the_file_read_forwards(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.npz"
+    np.savez(path, speed_mps=[0.0, 0.0, 10.0, 10.0], accel_mps2=[-1.0, 1.0, -2.0, 0.0], command_frac=[-0.5, 0.5] * 2)
+    forward = load_map(path)
+    assert value_at(forward, 0.0, 0.0) == 0.0 and value_at(forward, 5.0, 0.0) == pytest.approx(-0.5)
+    assert value_at(forward, 20.0, 0.9) == 0.0 and value_at(forward, -1.0, -0.9) == -1.0
 
 
 @pytest.mark.parametrize("speed", [1.0, 5.0, 12.0])
@@ -37,18 +39,13 @@ def test_it_turns_as_a_bicycle_does() -> None:
     assert last.side_speed_mps == pytest.approx(1.4224 * last.yaw_rate_radps)
 
 
-@pytest.mark.parametrize("content", ["", "text", "lacking", "unequal", "nan"])
-def test_a_file_that_is_no_map(content: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("content", [None, "", "map"])
+def test_a_file_that_is_no_map(content: str | None, tmp_path: Path) -> None:
     path = tmp_path / "calibration.npz"
-    some = {"speed_mps": np.ones(3), "accel_mps2": np.ones(3), "command_frac": np.ones(3)}
-    if content == "text":
-        path.write_text("map")
-    elif content == "lacking":
-        np.savez(path, allow_pickle=False, speed_mps=np.ones(3))
-    elif content == "unequal":
-        np.savez(path, allow_pickle=False, **{**some, "accel_mps2": np.ones(4)})
-    elif content == "nan":
-        np.savez(path, allow_pickle=False, **{**some, "accel_mps2": np.full(3, np.nan)})
+    if content is not None:
+        path.write_text(content)
     with pytest.raises(InputError) as caught:
-        load_map(path)
+        open_rule_based(path)
+    said = ("no_plant_file", "plant.file") if content is None else ("bad_plant_file", "")
+    assert (caught.value.code, caught.value.key) == said
     assert caught.value.file == str(path) and "calibration.npz" in caught.value.hint

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import isotonic_regression
 
-from tunefree_hil.control.calibration_map import KEYS, CalibrationMap
+from tunefree_hil.base.open_loop_map import KEYS
+from tunefree_hil.control.calibration_map import CalibrationMap
 from tunefree_hil.learn.map_cells import Edges, Law
 from tunefree_hil.learn.map_samples import BRAKE, PEDALS, SIGN, THROTTLE
 
@@ -148,7 +149,7 @@ def law_of(calibration: CalibrationMap, pedal: str) -> Law:
     """The table read forwards for one pedal: (speed, duty) -> acceleration, linear, held at the ends."""
     speeds = np.asarray(calibration.speed_mps, dtype=np.float64)
     first = np.asarray(calibration.first, dtype=np.int64)
-    accels, commands = np.asarray(calibration.accel_mps2), np.asarray(calibration.command_frac)
+    accels, commands = np.asarray(calibration.at), np.asarray(calibration.value)
 
     def law(speed_mps: Array, command_frac: Array) -> Array:
         rows = [

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tunefree_hil.base.open_loop_map import KEYS
 from tunefree_hil.config.schema import VehicleSpec
-from tunefree_hil.control.calibration_map import KEYS
 from tunefree_hil.plant.actuators import ActuatorParams, shaped
 from tunefree_hil.plant.body import Plant
 from tunefree_hil.plant.vehicle import steady_accel

@@ -6,7 +6,7 @@ this tick), and rate of speed and yaw rate of the tick before. Outputs: bound * 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,14 +18,16 @@ from tunefree_hil.plant.carriage import DEFAULTS, Carriage, carriage_of, driven,
 from tunefree_hil.plant.cell import Cell, CellState, bounded, cell_out, init_cell, step_cell, take_in
 from tunefree_hil.plant.learned_file import cell_of, load_plant_file
 
+Maker = Callable[[Mapping[str, float], BodyChange], Block]
 
-class Lstm(NamedTuple):
-    """Constants of the car and of the cell."""
+
+class CarAndNet(NamedTuple):
+    """Constants of the car, and the weights: a Cell for kind lstm, a Layer for kind mlp."""
 
     wheel_radius_m: float
     half_track_m: float
     car: Carriage
-    net: Cell
+    net: Any
 
 
 class LstmState(NamedTuple):
@@ -70,15 +72,19 @@ def observe_lstm(state: LstmState, seen: Motion) -> LstmState:
     return LstmState(seen, state.cell)
 
 
-def plant_of(net: Cell) -> Plant:
-    """The plant with these weights."""
+def maker(kind: str, init: Callable[..., Any], step: Callable[..., Any], net: Any) -> Maker:
+    """`Plant.make` of kinds lstm and mlp with these weights."""
 
     def make(params: Mapping[str, float], change: BodyChange) -> Block:
-        car = carriage_of("lstm", DEFAULTS, params, change)
-        constants = Lstm(car.wheel_radius_m, car.half_track_m, car, net)
-        return Block(init_lstm, step_lstm, ChassisParams(constants))
+        car = carriage_of(kind, DEFAULTS, params, change)
+        return Block(init, step, ChassisParams(CarAndNet(car.wheel_radius_m, car.half_track_m, car, net)))
 
-    return PLANT._replace(make=make, open=None)
+    return make
+
+
+def plant_of(net: Cell) -> Plant:
+    """The plant with these weights."""
+    return PLANT._replace(make=maker("lstm", init_lstm, step_lstm, net), open=None)
 
 
 def open_lstm(path: Path) -> Any:

@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tunefree_hil.base.contracts import BodyChange
-from tunefree_hil.base.kernel import Block, kernel
+from tunefree_hil.base.kernel import kernel
 from tunefree_hil.base.records import Motion
 from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
-from tunefree_hil.plant.carriage import DEFAULTS, Carriage, carriage_of, driven
+from tunefree_hil.plant.carriage import DEFAULTS, driven
 from tunefree_hil.plant.cell import Layer, LayerState, bounded, init_layer, layer_out, step_layer
 from tunefree_hil.plant.learned_file import layer_of, load_plant_file
-from tunefree_hil.plant.lstm import take_in_car
-
-
-class Mlp(NamedTuple):
-    """Constants of the car and of the layer."""
-
-    wheel_radius_m: float
-    half_track_m: float
-    car: Carriage
-    net: Layer
+from tunefree_hil.plant.lstm import maker, take_in_car
 
 
 class MlpState(NamedTuple):
@@ -57,13 +46,7 @@ def observe_mlp(state: MlpState, seen: Motion) -> MlpState:
 
 def plant_of(net: Layer) -> Plant:
     """The plant with these weights."""
-
-    def make(params: Mapping[str, float], change: BodyChange) -> Block:
-        car = carriage_of("mlp", DEFAULTS, params, change)
-        constants = Mlp(car.wheel_radius_m, car.half_track_m, car, net)
-        return Block(init_mlp, step_mlp, ChassisParams(constants))
-
-    return PLANT._replace(make=make, open=None)
+    return PLANT._replace(make=maker("mlp", init_mlp, step_mlp, net), open=None)
 
 
 def open_mlp(path: Path) -> Any:
