@@ -62,7 +62,7 @@ def test_an_effect_that_does_not_exist_is_refused_before_anything_is_driven(tiny
 def test_a_process_that_dies_is_named_with_what_it_said(tiny: Bench, interpreted: None) -> None:
     [scenario] = tiny.scenarios.values()
     with Batch(tiny) as batch:
-        os.kill(batch._process.pid, 9)
+        os.kill(batch._helper.process.pid, 9)
         with pytest.raises(PeerGone) as caught:
             batch.drive([Job(parameters_of(tiny), scenario)])
     assert caught.value.code == "batch_lost" and "--backend batch" in caught.value.hint
@@ -70,7 +70,7 @@ def test_a_process_that_dies_is_named_with_what_it_said(tiny: Bench, interpreted
 
 def test_the_process_ends_with_the_batch(tiny: Bench, interpreted: None) -> None:
     with Batch(tiny) as batch:
-        process = batch._process
+        process = batch._helper.process
     assert process.poll() is not None
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 PATIENCE_S = 40.0
+ORPHANS_S = 8.0  # until the last process of a session has ended
 
 
 class Ended(NamedTuple):
@@ -66,6 +67,13 @@ def tunefree(*arguments: Any, patience_s: float = PATIENCE_S, cwd: Path | None =
     return finish(start(*arguments, cwd=cwd, **options), patience_s)
 
 
+def tunefree_alone(*arguments: Any, within_s: float = ORPHANS_S, **options: Any) -> Ended:
+    """Run a command to its end in a session of its own, of which nothing is left `within_s` later."""
+    session = new_session()
+    with no_orphans(session, within_s):
+        return tunefree(*arguments, "--session", session, **options)
+
+
 def new_session() -> str:
     """A session name of its own, by which its processes are found."""
     return f"test-{uuid.uuid4().hex[:10]}"
@@ -107,7 +115,7 @@ def eventually(true: Callable[[], Any], patience_s: float = 20.0, what: str = "i
 
 
 @contextmanager
-def no_orphans(session: str, within_s: float = 8.0) -> Iterator[None]:
+def no_orphans(session: str, within_s: float = ORPHANS_S) -> Iterator[None]:
     """Asserts that soon after the `with` no process of the session is alive; kills what is, by id."""
     try:
         yield

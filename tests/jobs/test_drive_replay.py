@@ -26,6 +26,7 @@ from tests.jobs.command import (
     one_message,
     start,
     tunefree,
+    tunefree_alone,
 )
 from tunefree_hil.cli.entry import run as command_line
 from tunefree_hil.jobs.run_folder import drop_bulk
@@ -37,9 +38,7 @@ pytestmark = pytest.mark.slow
 def driven(tmp_path_factory: pytest.TempPathFactory) -> Ended:
     """One drive of two seconds over real processes."""
     folder = tmp_path_factory.mktemp("driven")
-    session = new_session()
-    with no_orphans(session):
-        done = tunefree("drive", write_bench(folder), "--out", folder / "runs", "--session", session, "--json")
+    done = tunefree_alone("drive", write_bench(folder), "--out", folder / "runs", "--json")
     assert done.status == 0, done.words
     return done
 

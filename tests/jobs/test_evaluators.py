@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.bench.tiny import write_bench
-from tests.jobs.command import new_session, no_orphans, tunefree
+from tests.jobs.command import tunefree_alone
 from tunefree_hil.base.errors import BenchError, NotValid, PeerGone
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Batch, Driven, Job
@@ -139,9 +139,7 @@ def test_frames_that_a_hub_delivers_late_are_no_real_time(bench: Bench, tmp_path
 @pytest.mark.slow
 def test_frames_of_a_real_bench_lie_on_its_ticks(tmp_path: Path) -> None:
     """Most of them, however busy this machine is: otherwise no drive of `tune --realtime` would ever count."""
-    session = new_session()
-    with no_orphans(session, 15.0):
-        done = tunefree("drive", write_bench(tmp_path), "--realtime", "--json", "--out", tmp_path, "--session", session)
+    done = tunefree_alone("drive", write_bench(tmp_path), "--realtime", "--json", "--out", tmp_path, within_s=15.0)
     assert done.status in (0, 4), done.words
     run = open_run(Path(done.data["run"]))
     late_s = frames_late_s(run, [0], load(tmp_path / "b.toml").codec)

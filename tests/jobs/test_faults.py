@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.bench.tiny import write_bench
-from tests.jobs.command import new_session, no_orphans, tunefree
+from tests.jobs.command import tunefree, tunefree_alone
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.integrity import E2eStatus
@@ -47,10 +47,8 @@ value = 7
 
 
 def test_faults_over_the_bus_replay_bit_for_bit(tmp_path: Path) -> None:
-    session = new_session()
-    with no_orphans(session):
-        bench = write_bench(tmp_path, more=SCRIPT)
-        done = tunefree("drive", bench, "--out", tmp_path / "runs", "--session", session, "--json")
+    bench = write_bench(tmp_path, more=SCRIPT)
+    done = tunefree_alone("drive", bench, "--out", tmp_path / "runs", "--json")
     assert done.status == 0, done.words
     run = Path(done.data["run"])
     log = read_candump(run / "episodes" / "0" / "bench.log")

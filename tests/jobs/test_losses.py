@@ -23,6 +23,7 @@ from tests.jobs.command import (
     one_message,
     start,
     tunefree,
+    tunefree_alone,
 )
 from tunefree_hil.jobs.session import SLOW_VARIABLE
 
@@ -104,12 +105,10 @@ def test_a_full_disk_is_said_with_the_file(tmp_path: Path) -> None:
 
 def test_a_disk_that_is_full_from_the_start(tmp_path: Path) -> None:
     """No process of this drive may write a file beyond 1 kB."""
-    session = new_session()
-    with no_orphans(session):
-        done = tunefree(
-            *("drive", write_bench(tmp_path), "--session", session, "--out", tmp_path / "runs"),
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000)),
-        )
+    done = tunefree_alone(
+        *("drive", write_bench(tmp_path), "--out", tmp_path / "runs"),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000)),
+    )
     assert done.status == 3
     one_message(done, str(tmp_path / "runs"))
 

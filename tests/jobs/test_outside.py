@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
 from tests.bench.tiny import write_bench
-from tests.jobs.command import new_session, no_orphans, tunefree
+from tests.jobs.command import Ended, tunefree_alone
 from tests.plant.learned import write_model
 from tunefree_hil.bench import Bench, load
 from tunefree_hil.episode.recording import Recording, make_recording
 from tunefree_hil.jobs.outside import drive_warning, outside_data, outside_words
 
+PATIENCE_S = 150.0
 NARROW = "speed_mps = [0.0, 4.0]"
 
 
@@ -61,7 +63,12 @@ def test_a_model_that_names_no_region_is_not_said_to_be_right(bench: Bench, tmp_
     assert found["share"] is None and outside_words(found) == ""
 
 
-PATIENCE_S = 150.0
+def ended(command: str, bench: Path, *more: Any) -> Ended:
+    """A command over real processes that went well; its runs lie beside the bench file."""
+    words = (command, bench, *more, "--out", bench.parent / "runs", "--json")
+    done = tunefree_alone(*words, patience_s=PATIENCE_S)
+    assert done.status == 0, done.words
+    return done
 
 
 @pytest.mark.timeout(200)
@@ -69,21 +76,7 @@ PATIENCE_S = 150.0
     "kind", [pytest.param("hybrid", marks=pytest.mark.slow), pytest.param("paper", marks=pytest.mark.compiled)]
 )
 def test_a_drive_on_a_learned_model_is_flagged_where_it_leaves_its_region(kind: str, tmp_path: Path) -> None:
-    model, session = narrow(tmp_path / kind, kind), new_session()
-    with no_orphans(session):
-        done = tunefree(
-            "drive",
-            write_bench(tmp_path),
-            "--model",
-            model,
-            "--out",
-            tmp_path / "runs",
-            "--session",
-            session,
-            "--json",
-            patience_s=PATIENCE_S,
-        )
-    assert done.status == 0, done.words
+    done = ended("drive", write_bench(tmp_path), "--model", narrow(tmp_path / kind, kind))
     assert done.data["outside"]["share"] > 0.5 and set(done.data["outside"]["drives"]) == {"tiny"}
     assert "outside the valid region" in done.data["sentence"]
     assert "outside the region that the model's data covered" in done.words
@@ -92,22 +85,8 @@ def test_a_drive_on_a_learned_model_is_flagged_where_it_leaves_its_region(kind: 
 @pytest.mark.slow
 @pytest.mark.timeout(200)
 def test_a_tune_on_a_learned_model_has_the_share_beside_its_winner(tmp_path: Path) -> None:
-    path, session = write_bench(tmp_path), new_session()
+    path = write_bench(tmp_path)
     path.write_text(path.read_text().replace('model = "mkz_nominal"', f'model = "{narrow(tmp_path / "m", "lstm")}"', 1))
-    with no_orphans(session):
-        done = tunefree(
-            "tune",
-            path,
-            "--trials",
-            1,
-            "--no-verify",
-            "--out",
-            tmp_path / "runs",
-            "--session",
-            session,
-            "--json",
-            patience_s=PATIENCE_S,
-        )
-    assert done.status == 0, done.words
+    done = ended("tune", path, "--trials", 1, "--no-verify")
     assert done.data["outside"]["share"] > 0.5 and "speed_mps" in done.data["outside"]["by"]
     assert "outside the valid region" in done.data["sentence"]

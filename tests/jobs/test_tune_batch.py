@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from tests.bench.tiny import write_bench
-from tests.jobs.command import Ended, eventually, finish, new_session, no_orphans, start
+from tests.jobs.command import Ended, eventually, new_session, no_orphans, start, tunefree_alone
 from tunefree_hil.tune.study import read_study
 
 pytestmark = [pytest.mark.compiled, pytest.mark.timeout(300)]
@@ -42,9 +42,7 @@ class BatchTune:
         return [one for line in self.lines() for one in line.get("trials", [])]
 
     def end(self) -> Ended:
-        session = new_session()
-        with no_orphans(session):
-            return finish(start(*self.words, "--session", session), COMPILES_S)
+        return tunefree_alone(*self.words, patience_s=COMPILES_S)
 
     def killed_after(self, trials: int) -> None:
         """Started, and killed by signal 9 when it has told so many trials; its children end with it."""

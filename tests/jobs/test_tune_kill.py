@@ -12,7 +12,17 @@ from typing import Any
 import pytest
 
 from tests.bench.tiny import write_bench
-from tests.jobs.command import Ended, eventually, finish, new_session, no_orphans, processes_of, start, tunefree
+from tests.jobs.command import (
+    Ended,
+    eventually,
+    finish,
+    new_session,
+    no_orphans,
+    processes_of,
+    start,
+    tunefree,
+    tunefree_alone,
+)
 from tunefree_hil.tune.study import read_study
 
 pytestmark = pytest.mark.slow
@@ -100,10 +110,8 @@ def test_a_node_that_is_killed_costs_an_attempt_and_nothing_else(calm: Tune, tmp
 
 def test_the_command_that_was_finished_starts_anew_and_resume_does_not(calm: Tune) -> None:
     before = calm.trials()
-    session = new_session()
     run = calm.study.parent
-    with no_orphans(session):
-        done = finish(start("tune", "--resume", run, "--trials", 3, "--no-verify", "--session", session, "--json"))
+    done = tunefree_alone("tune", "--resume", run, "--trials", 3, "--no-verify", "--json")
     assert done.status == 0, done.words
     assert done.data["run"] == str(run) and calm.trials() == before
     given = [command.split() for command in done.data["next"]]

@@ -10,17 +10,11 @@ parts, delays. Parameters, scenarios, seeds and values of effects are data.
 
 from __future__ import annotations
 
-import contextlib
-import os
-import subprocess
-import sys
-import tempfile
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Any, BinaryIO, Self, cast
+from typing import Any, Self
 
-from tunefree_hil.base.errors import PeerGone
-from tunefree_hil.base.pipes import receive, send
+from tunefree_hil.base.pipes import Helper, Loss
 from tunefree_hil.bench.batch_worker import packed
 from tunefree_hil.bench.fleet import Driven
 from tunefree_hil.bench.load import Bench
@@ -29,8 +23,12 @@ from tunefree_hil.bench.simulator import Job
 __all__ = ["Batch", "Driven", "Job"]
 
 COMPILED = {"TUNEFREE_JIT": "batch"}  # the environment of the process beside ours
-LAST_LINES = 12  # of what the process printed, where it dies
-END_S = 5.0
+LOSS = Loss(
+    "batch",
+    "the batch's process",
+    "batch_lost",
+    "the same command with the bus drives the same drives: leave out --backend batch",
+)
 
 
 class Batch:
@@ -43,14 +41,7 @@ class Batch:
     def __init__(
         self, bench: Bench, model: str = "", *, extra_effects: Sequence[str] = (), threads: int | None = None
     ) -> None:
-        self._words = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tunefree_hil.bench.batch_worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._words,
-            env={**os.environ, **COMPILED},
-        )
+        self._helper = Helper("tunefree_hil.bench.batch_worker", COMPILED, LOSS)
         try:
             self._ask((packed(bench), model or bench.spec.model, tuple(extra_effects), threads))
         except BaseException:
@@ -66,15 +57,7 @@ class Batch:
 
     def close(self) -> None:
         """End the process."""
-        process = self._process
-        if process.poll() is None:
-            process.kill()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(END_S)
-        for pipe in (process.stdin, process.stdout, self._words):
-            if pipe is not None:
-                with contextlib.suppress(BrokenPipeError):
-                    pipe.close()
+        self._helper.close()
 
     def __enter__(self) -> Self:
         return self
@@ -85,27 +68,7 @@ class Batch:
         self.close()
 
     def _ask(self, message: Any) -> Any:
-        requests, answers = cast(BinaryIO, self._process.stdin), cast(BinaryIO, self._process.stdout)
-        try:
-            send(requests, message)
-            answer = receive(answers)
-        except (EOFError, BrokenPipeError) as error:
-            raise self._lost() from error
-        except KeyboardInterrupt:
-            self._process.kill()  # half an answer may be under way: nobody can ask it again
-            raise
+        answer = self._helper.ask(message)
         if isinstance(answer, Exception):
             raise answer
         return answer
-
-    def _lost(self) -> PeerGone:
-        self._process.wait(END_S)
-        self._words.seek(0)
-        lines = self._words.read().decode(errors="replace").strip().splitlines()[-LAST_LINES:]
-        said = "\n    ".join(["", *lines]) if lines else ""
-        return PeerGone(
-            "batch",
-            f"the batch's process has ended ({self._process.returncode}){said}",
-            code="batch_lost",
-            hint="the same command with the bus drives the same drives: leave out --backend batch",
-        )

@@ -50,16 +50,8 @@ def read_plan(path: Path) -> DrivePlan:
 
 def collector(bench: Path, *, bus: str, bench_bus: str, session: str, realtime: bool) -> Iterator[Event]:
     """Serve the drives of a collection until the runner says end or the bus is gone."""
-    from tunefree_hil.bench import load, needed_messages
-    from tunefree_hil.jobs.node_links import open_exchange, timing_folder
-    from tunefree_hil.nodes.controller import ControllerPart
-    from tunefree_hil.nodes.node import Node
-    from tunefree_hil.nodes.timing import CycleTimes
+    from tunefree_hil.jobs.serving import serve_controller
 
-    parts = load(bench)
-    with open_exchange(parts, "controller", bus, bench_bus, session, realtime=realtime) as (exchange, clock, where):
-        yield Event("note", f"collector: {parts.vehicle.name} on {where}")
-        times = CycleTimes(timing_folder())
-        part = ControllerPart(parts.codec, needed_messages(parts.codec), PlannerFor(parts), times)
-        Node(part, exchange, "collector", clock, realtime).serve()
-    yield Event("result", "", {"sentence": "collector: told to end", "next": []})
+    yield from serve_controller(
+        bench, PlannerFor, "collector", "collector", bus=bus, bench_bus=bench_bus, session=session, realtime=realtime
+    )

@@ -8,24 +8,18 @@ What kernels are is settled at import (TUNEFREE_JIT), so the fit runs in a proce
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import inspect
-import os
-import subprocess
-import sys
-import tempfile
 from collections.abc import Generator
 from types import TracebackType
-from typing import Any, BinaryIO, NamedTuple, Self, cast
+from typing import Any, NamedTuple, Self
 
-from tunefree_hil.base.errors import PeerGone, TunefreeError
-from tunefree_hil.base.pipes import receive, send, serve
+from tunefree_hil.base.errors import TunefreeError
+from tunefree_hil.base.pipes import Helper, Loss, send, serve
 
 COMPILED = {"TUNEFREE_JIT": "1"}  # the environment of the process beside ours
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # a tall thin J'J gains nothing by more
-LAST_LINES = 12  # of what the process printed, where it dies
-END_S = 5.0
+LOSS = Loss("fit", "the process that fits", "fit_lost", "run the same command again")
 
 
 class Asked(NamedTuple):
@@ -44,11 +38,10 @@ class Answer(NamedTuple):
 
 
 class Worker:
-    """The process; started at the first call."""
+    """The process; started at the first call, and at the next one after it was lost."""
 
     def __init__(self) -> None:
-        self._words: Any = None
-        self._process: subprocess.Popen[bytes] | None = None
+        self._helper: Helper | None = None
 
     def call(self, module: str, function: str, *args: Any) -> Generator[Any, None, Any]:
         """Run a module-level function there; its arguments and all that it gives must be picklable.
@@ -56,19 +49,17 @@ class Worker:
         Where the function is a generator, what it yields is yielded here as it comes. Returns its result. Raises the
         function's own TunefreeError, and PeerGone with the end of what the process printed where it is lost.
         """
-        self._say(Asked(module, function, args))
-        while True:
-            answer = self._hear()
-            if answer.kind == "progress":
-                try:
-                    yield answer.value
-                except GeneratorExit:
-                    self.close()  # nobody will hear the rest
-                    raise
-            elif answer.kind == "result":
-                return answer.value
-            else:
-                raise answer.value
+        try:
+            helper = self._started()
+            helper.say((module, function, args))
+            while (answer := Answer(*helper.hear())).kind == "progress":
+                yield answer.value
+        except BaseException:  # lost, interrupted, or nobody will hear the rest: it cannot be asked again
+            self.close()
+            raise
+        if answer.kind == "error":
+            raise answer.value
+        return answer.value
 
     def result(self, module: str, function: str, *args: Any) -> Any:
         """The same, for who does not want to hear of the progress."""
@@ -81,17 +72,9 @@ class Worker:
 
     def close(self) -> None:
         """End the process."""
-        process, self._process = self._process, None
-        if process is None:
-            return
-        if process.poll() is None:
-            process.kill()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(END_S)
-        for pipe in (process.stdin, process.stdout, self._words):
-            if pipe is not None:
-                with contextlib.suppress(BrokenPipeError):
-                    pipe.close()
+        helper, self._helper = self._helper, None
+        if helper is not None:
+            helper.close()
 
     def __enter__(self) -> Self:
         return self
@@ -101,42 +84,10 @@ class Worker:
     ) -> None:
         self.close()
 
-    def _started(self) -> subprocess.Popen[bytes]:
-        if self._process is None:
-            self._words = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "tunefree_hil.learn.worker"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=self._words,
-                env={**os.environ, **ONE_THREAD, **COMPILED},
-            )
-        return self._process
-
-    def _say(self, asked: Asked) -> None:
-        try:
-            send(cast(BinaryIO, self._started().stdin), tuple(asked))
-        except BrokenPipeError as error:
-            raise self._lost() from error
-
-    def _hear(self) -> Answer:
-        try:
-            return Answer(*receive(cast(BinaryIO, self._started().stdout)))
-        except EOFError as error:
-            raise self._lost() from error
-        except BaseException:
-            self.close()  # half an answer may be under way: nobody can ask it again
-            raise
-
-    def _lost(self) -> PeerGone:
-        process = self._started()
-        process.wait(END_S)
-        self._words.seek(0)
-        lines = self._words.read().decode(errors="replace").strip().splitlines()[-LAST_LINES:]
-        said = "\n    ".join(["", *lines]) if lines else ""
-        message = f"the process that fits has ended ({process.returncode}){said}"
-        self.close()
-        return PeerGone("fit", message, code="fit_lost", hint="run the same command again")
+    def _started(self) -> Helper:
+        if self._helper is None:
+            self._helper = Helper("tunefree_hil.learn.worker", {**ONE_THREAD, **COMPILED}, LOSS)
+        return self._helper
 
 
 def answers_to(asked: Asked) -> Generator[Answer, None, None]:
