@@ -1,11 +1,11 @@
-# make tune   install what is needed into .venv, then tune the steering over a simulated bench (ARGS= passes more)
+# make tune   install what is needed into .venv, then tune the steering on a learned car (ARGS= passes more)
 # make test   install the extras too (torch among them), then run every test but those that need a kernel with CAN,
 #             a PostgreSQL server, a C compiler, or minutes of compiling or training (.ci/run runs these too)
 # make check  format, lint, types, fast tests
 # make venv   install only, and compile the simulated cars of BENCH
 
 PYTHON ?= python3
-BENCH ?= bench_configs/mkz_steer.toml
+BENCH ?= bench_configs/mkz_learned.toml
 ARGS ?=
 PIP = .venv/bin/python -m pip --disable-pip-version-check --quiet --quiet
 

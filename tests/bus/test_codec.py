@@ -95,6 +95,7 @@ def test_any_layout_agrees_with_cantools(layout: tuple[dict[str, Signal], int], 
     assert payload == reference.encode(raw, scaling=False)
     decoded = MKZ.decode(message, payload)
     expected = reference.decode(payload, decode_choices=False)
+    assert isinstance(expected, dict)
     assert decoded == {name: expected[name] for name in decoded} and decoded.keys() == signals.keys()
     short = payload[: data.draw(st.integers(0, length))]
     assert MKZ.decode(message, short) == reference.decode(short, decode_choices=False, allow_truncated=True)
@@ -252,6 +253,16 @@ def test_the_same_id_on_two_channels() -> None:
     assert codec.find(frame, "can129") is None, "it carries something else there"
     assert codec.find(frame) is codec.by_name["ACC_CONTROL"]
     assert codec.find(frame._replace(extended=True)) is None
+
+
+def test_a_logs_channels_are_the_folders_when_all_were_heard() -> None:
+    codec = CODECS["rav4_2017"]
+    assert codec.has_channels(["can0", "can1", "can0", "can128"])
+    assert not codec.has_channels(["can0", "can1"] * 3) and not codec.has_channels([])
+    heard = iter(["can128", "can0", "can1", "can2"])
+    assert codec.has_channels(heard) and list(heard) == ["can1", "can2"], "no further than needed"
+    heard = iter(["can0"])
+    assert not MKZ.has_channels(heard) and list(heard) == ["can0"], "that folder names none"
 
 
 @given(st.floats(width=32, allow_nan=False), st.sampled_from(["little_endian", "big_endian"]))

@@ -1,68 +1,20 @@
-"""The chain of a commission: order, stops, going on, stages again. The stages themselves are stand-ins here."""
+"""The chain of a commission: order, stops, going on, its page. The stages themselves are stand-ins here."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests import other_vehicle
+from tests.jobs.made_chain import Chain, asked, chain, judged, record
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.base.events import Event
-from tunefree_hil.jobs import commission as module
-from tunefree_hil.jobs.commission import NAMES, STAGES, Stage, commission
-from tunefree_hil.jobs.commission_plan import Asked, Plan, make_plan
-from tunefree_hil.jobs.commission_stages import covered_enough, error_of, free_run_good_enough, inside_enough
+from tunefree_hil.jobs.commission import NAMES, commission
+from tunefree_hil.jobs.commission_plan import Asked
+from tunefree_hil.jobs.commission_report import TITLES
 
-RESULTS: dict[str, dict[str, Any]] = {
-    "collect": {"cells_full": 9, "cells_wanted": 10, "sentence": "9 of 10"},
-    "tune": {"sentence": "found", "outside": {"share": 0.02}},
-    "verify": {"sentence": "0.3 -> 0.2", "holds": True, "scores": {"tuned": 0.2, "as_shipped": 0.3}},
-}
-
-
-class Chain:
-    """Stages that write what they were called for. `results`: what each comes to; `dies`: at which one is killed."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.called: list[str] = []
-        self.results = {name: dict(RESULTS.get(name, {"sentence": name})) for name in NAMES}
-        self.dies = ""
-        stages = tuple(Stage(one.name, self._stage(one.name), one.require, one.words) for one in STAGES)
-        monkeypatch.setattr(module, "STAGES", stages)
-
-    def _stage(self, name: str) -> Any:
-        def run(plan: Plan) -> Iterator[Event]:
-            self.called.append(name)
-            yield Event("progress", "at work", {"done": 1, "total": 2})
-            if self.dies == name:
-                raise KeyboardInterrupt
-            (plan.folder / name).mkdir(exist_ok=True)
-            yield Event("result", "", self.results[name])
-
-        return run
-
-    def run(self, asked: Asked) -> dict[str, Any]:
-        """The data of the result."""
-        return list(commission(asked))[-1].data
-
-
-@pytest.fixture
-def chain(monkeypatch: pytest.MonkeyPatch) -> Chain:
-    return Chain(monkeypatch)
-
-
-@pytest.fixture
-def asked(tmp_path: Path) -> Asked:
-    return Asked("mkz_bywire", Path("bench_configs/mkz_steer.toml"), tmp_path / "c")
-
-
-def record(asked: Asked) -> dict[str, Any]:
-    assert asked.out is not None
-    return json.loads((asked.out / "commission.json").read_text())
+__all__ = ["asked", "chain"]  # fixtures
 
 
 def test_all_stages_in_order_and_a_page(chain: Chain, asked: Asked) -> None:
@@ -83,14 +35,54 @@ def test_cut_off_in_any_stage_it_goes_on_with_that_one(chain: Chain, asked: Aske
     assert chain.called == list(NAMES[NAMES.index(name) :])
 
 
-def test_too_little_coverage_stops_before_calibration_and_says_why(chain: Chain, asked: Asked) -> None:
+def test_too_little_coverage_stops_before_calibration_and_the_same_command_tries_again(
+    chain: Chain, asked: Asked
+) -> None:
     chain.results["collect"] |= {"cells_full": 5, "missing": ["reverse"]}
     data = chain.run(asked)
     assert (data["exit"], data["stage"], chain.called) == (1, "collect", ["collect"])
     assert "5 of 10" in data["reason"] and "reverse" in data["reason"]
     assert record(asked)["stages"] == {}
+    page = Path(data["report"]).read_text()
+    assert "Stopped after collect" in page and "| 50% (5 of 10) |" in page
     chain.results["collect"]["cells_full"] = 10
     assert chain.run(asked)["exit"] == 0
+    assert "stopped" not in record(asked) and "Stopped" not in Path(data["report"]).read_text()
+
+
+@pytest.mark.parametrize(
+    ("stage", "bad", "said", "wider"),
+    [
+        ("learn", judged(40.0), "40.0 m off", {"most_error_m": 50.0}),
+        ("tune", {"outside": {"share": 0.5, "by": {"speed_mps": 0.4}}}, "speed_mps 40%", {"most_outside": 0.6}),
+    ],
+)
+def test_a_stage_that_is_not_good_enough_is_not_done_over_but_judged_anew(
+    stage: str, bad: dict[str, Any], said: str, wider: dict[str, Any], chain: Chain, asked: Asked
+) -> None:
+    chain.results[stage] |= bad
+    before = list(NAMES[: NAMES.index(stage) + 1])
+    for calls in (before, []):
+        chain.called = []
+        data = chain.run(asked)
+        assert (data["exit"], data["stage"], chain.called) == (1, stage, calls)
+        assert said in data["reason"] and said in Path(data["report"]).read_text()
+    assert data["next"][0].endswith(f"--from {stage}")
+    assert chain.run(asked._replace(**wider))["exit"] == 0
+    assert chain.called == list(NAMES[NAMES.index(stage) + 1 :])
+
+
+def test_a_stage_that_cannot_do_its_work_says_so_in_record_and_page_and_is_tried_again(
+    chain: Chain, asked: Asked
+) -> None:
+    chain.refuses = "map"
+    with pytest.raises(InputError, match="too little straight driving"):
+        chain.run(asked)
+    assert asked.out is not None and record(asked)["stopped"]["stage"] == "map"
+    assert "Stopped after map: too little straight driving" in (asked.out / "report.md").read_text()
+    chain.refuses, chain.called = "", []
+    assert chain.run(asked)["exit"] == 0 and chain.called == ["map", "tune", "verify"]
+    assert "stopped" not in record(asked)
 
 
 def test_a_winner_that_does_not_hold_is_the_exit_status(chain: Chain, asked: Asked) -> None:
@@ -98,57 +90,63 @@ def test_a_winner_that_does_not_hold_is_the_exit_status(chain: Chain, asked: Ask
     assert chain.run(asked)["exit"] == 1
 
 
-def test_a_stage_again_sets_aside_what_was_built_on_it(chain: Chain, asked: Asked) -> None:
-    chain.run(asked)
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [
+        ({"kind": "gru"}, "--kind"),
+        ({"only": "tuning"}, "--only"),
+        ({"start_at": "tuning"}, "--from"),
+        ({"only": "tune", "start_at": "tune"}, "--from"),
+        ({"backend": "gpu"}, "--backend"),
+        ({"minutes": float("nan")}, "--minutes"),
+        ({"least_covered": 1.5}, "--least-covered"),
+        ({"most_error_m": -1.0}, "--most-error-m"),
+        ({"most_outside": float("inf")}, "--most-outside"),
+    ],
+)
+def test_what_no_stage_could_use_is_said_before_the_first(
+    options: dict[str, Any], key: str, chain: Chain, asked: Asked
+) -> None:
+    with pytest.raises(InputError) as caught:
+        chain.run(asked._replace(**options))
+    assert caught.value.key == key and caught.value.hint
+    assert chain.called == [] and asked.out is not None and not asked.out.exists()
+
+
+def test_set_area_and_a_missing_torch_are_said_before_the_first_stage(
+    asked: Asked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(InputError, match="knows no set 'all'"):
+        next(iter(commission(asked._replace(set_name="all"))))
+    with pytest.raises(InputError, match="100 m are too small"):
+        next(iter(commission(asked._replace(area_m=100.0))))
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(InputError, match="needs torch") as caught:
+        next(iter(commission(asked)))
+    assert "pip install '.[learn]'" in caught.value.hint and asked.out is not None and not asked.out.exists()
+
+
+def test_times_sessions_and_warnings_stand_in_the_page_in_the_order_of_the_stages(chain: Chain, asked: Asked) -> None:
+    chain.dies = "map"
+    with pytest.raises(KeyboardInterrupt):
+        chain.run(asked)
+    chain.dies = ""
+    page = Path(chain.run(asked)["report"]).read_text()
+    rows = [line for line in page.splitlines() if line.endswith("| done |")]
+    assert [row.split(" | ")[0].strip("| ") for row in rows] == list(TITLES.values())
+    assert [row.split(" | ")[2] for row in rows] == ["1", "1", "1", "2", "1", "1"]
+    assert page.count("- map is doubtful") == 1 and "at most 15 m | 2.00 m over 100 starts" in page
+
+
+def test_pictures_are_linked_where_they_lie_also_after_the_folder_was_moved(chain: Chain, asked: Asked) -> None:
     assert asked.out is not None
-    (asked.out / "model").mkdir()
-    chain.called = []
-    chain.run(asked._replace(only="learn"))
-    assert chain.called == ["learn"]
-    assert (asked.out / "model-1").is_dir() and (asked.out / "tune-1").is_dir()
-    assert list(record(asked)["stages"]) == ["calibrate", "collect", "learn"]
+    picture = asked.out / "map" / "map.png"
+    chain.results["map"]["figures"] = [str(picture), str(asked.out / "map" / "lost.png"), "notes.txt"]
+    with pytest.raises(InputError):
+        chain.run(asked._replace(only="map"))
     chain.run(asked)
-    assert chain.called == ["learn", "map", "tune", "verify"]
-
-
-def test_a_stage_cannot_come_before_the_one_it_stands_on(chain: Chain, asked: Asked) -> None:
-    with pytest.raises(InputError) as caught:
-        chain.run(asked._replace(only="learn"))
-    assert caught.value.key == "--only" and "collect" in caught.value.message
-
-
-def test_other_options_are_another_commission(chain: Chain, asked: Asked) -> None:
-    chain.run(asked)
-    with pytest.raises(InputError) as caught:
-        chain.run(asked._replace(trials=7))
-    assert caught.value.key == "trials" and "--out" in caught.value.hint
-
-
-def test_the_bench_that_is_tuned_stands_on_what_was_learned(asked: Asked) -> None:
-    plan = make_plan(asked)
-    plan.folder.mkdir()
-    text = plan.write_bench().read_text()
-    assert str(plan.model.resolve()) in text and str((plan.map / "calibration.npz").resolve()) in text
-    assert 'verify_model = "mkz_reference"' in text and "left_turn" in text
-
-
-def test_a_bench_of_another_vehicle_is_refused(asked: Asked) -> None:
-    with pytest.raises(InputError) as caught:
-        make_plan(asked._replace(bench=other_vehicle.BENCH))
-    assert caught.value.key == "vehicle"
-
-
-def judged(mean_m: float) -> dict[str, Any]:
-    """What `learn` says of a plant that is so far off after 10 s."""
-    return {"kind": "hybrid", "free_run": {"hybrid": {"level": {"10": {"position_m": {"mean": mean_m}}}}}}
-
-
-def test_limits(asked: Asked) -> None:
-    plan = make_plan(asked)
-    assert covered_enough({"cells_full": 8, "cells_wanted": 10}, plan) == ""
-    good = judged(2.0)
-    assert error_of(good) == 2.0 and free_run_good_enough(good, plan) == ""
-    bad = judged(40.0)
-    assert "40.0 m" in free_run_good_enough(bad, plan)
-    assert error_of({"kind": "hybrid", "free_run": {}}) is None
-    assert inside_enough({"outside": {"share": 0.5}}, plan) and not inside_enough({}, plan)
+    picture.write_bytes(b"")
+    assert "(map/map.png)" in Path(chain.run(asked)["report"]).read_text()
+    moved = asked.out.rename(asked.out.with_name("moved"))
+    page = Path(chain.run(asked._replace(out=moved))["report"]).read_text()
+    assert page.count("![") == 1 and "![map](map/map.png)" in page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -18,7 +19,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_model
 from tunefree_hil.jobs import learn as job
-from tunefree_hil.jobs.learn import KINDS, Asked, command_of, learn
+from tunefree_hil.jobs.learn import KINDS, Asked, command_of, finished, learn
 from tunefree_hil.learn import learned_folder
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.learned_folder import fit_of, params_of, write_learned
@@ -94,6 +95,11 @@ def test_other_refusals(asked: Asked, tmp_path: Path) -> None:
         list(learn(asked._replace(kind="gru")))
     with pytest.raises(InputError, match=other_vehicle.NAME):
         list(learn(asked._replace(physics=Path(str(asked.physics).replace("mkz", "van")))))
+    old = shutil.copytree(str(asked.physics), tmp_path / "old")
+    text = (old / "model.toml").read_text()
+    (old / "model.toml").write_text('vehicle_hash = "sha256:00"\n' + text)
+    with pytest.raises(InputError, match="said something else"):
+        list(learn(asked._replace(physics=old)))
     (tmp_path / "model").mkdir()
     (tmp_path / "model" / "model.toml").write_text("mine")
     with pytest.raises(InputError, match="there already"):
@@ -115,6 +121,9 @@ def test_a_folder_comes_out_that_drives(kind: str, asked: Asked) -> None:
     assert (asked.out / "plant.npz").stat().st_size < 200_000
     assert events[-1].kind == "result" and str(asked.out) in events[-1].data["sentence"]
     assert not asked.out.with_name("model.part").exists()
+    (asked.out / "figures" / "free_run.png").unlink()
+    (again,) = finished(asked._replace(kind=kind))
+    assert again == events[-1] and (asked.out / "figures" / "free_run.png").is_file()
 
 
 def test_a_folder_written_from_a_folder_keeps_what_is_known(repo: Path, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.episode.drives import in_units, motion, write_csv, write_map
@@ -20,6 +21,7 @@ from tunefree_hil.jobs.doctor import doctor
 from tunefree_hil.jobs.log_check import check
 from tunefree_hil.jobs.log_import import import_csv
 from tunefree_hil.jobs.log_plot import series_of
+from tunefree_hil.learn.read import read_drives
 
 DART = {
     "dart_100hz": "steering_identification_25_sept_2024/car_1_Datarecording_09_25_2024_09_56_53.csv",
@@ -69,6 +71,27 @@ def test_wheels_share_a_can_fd_frame(tmp_path: Path) -> None:
         read_candump(tmp_path / "out" / "drive.log"), Codec(load_vehicle(tmp_path / "out")), ["report.wheel_rr_radps"]
     )
     assert found["report.wheel_rr_radps"][1] == pytest.approx([63.0 * 2.0 * math.pi / 60.0] * 9, abs=STEP)
+
+
+def test_a_column_says_when_the_vehicle_obeyed(tmp_path: Path) -> None:
+    rows: list[dict] = [row | {"safe": 2 if 4.0 <= row["t"] < 12.0 else 0} for row in motion()]
+    rows[100] = rows[100] | {"safe": ""}
+    out, data, _ = imported(tmp_path, rows, more='enabled = { column = "safe", active = 2 }\n')
+    assert data["frames"] == 8 * len(rows) - 1, "a state wherever a cell says one"
+    vehicle = load_vehicle(out)
+    assert [one.message for one in vehicle.state["enabled"]] == ["BYWIRE_STATE"]
+    assert "Invented; column 'safe' is 2" in (out / "vehicle.dbc").read_text()
+    (drive,) = read_drives([out / "drive.log"], Codec(vehicle))
+    time_s = np.arange(drive.ticks) * drive.dt_s
+    inside = (time_s > 4.1) & (time_s < 11.9)
+    assert drive.enabled[inside].all() and not drive.enabled[(time_s < 3.9) | (time_s > 12.1)].any()
+    assert list(doctor(vehicle=out, schema=None, bus="auto", bench=None))[-1].data["exit"] == 0
+    assert list(check(out / "drive.log", None))[-1].data["exit"] == 0
+
+
+def test_a_column_for_obeying_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no column named 'safe'"):
+        imported(tmp_path, motion(), more='enabled = { column = "safe" }\n')
 
 
 def test_gaps_and_empty_cells_are_told_and_not_filled(tmp_path: Path) -> None:

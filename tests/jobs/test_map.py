@@ -55,6 +55,10 @@ def test_targets(tmp_path: Path) -> None:
     assert job.target_of(MODELS / "mkz_nominal", vehicle()).name == "calibration.npz"
     with pytest.raises(InputError, match=f"is a model of '{other_vehicle.NAME}'"):
         job.target_of(other_vehicle.NOMINAL, vehicle())
+    old = shutil.copytree(MODELS / "mkz_nominal", tmp_path / "old")
+    (old / "model.toml").write_text('vehicle_hash = "sha256:00"\n' + (old / "model.toml").read_text())
+    with pytest.raises(InputError, match="said something else"):
+        job.target_of(old, vehicle())
     (tmp_path / "notes.txt").write_text("")
     with pytest.raises(InputError, match="is a file"):
         job.target_of(tmp_path / "notes.txt", vehicle())

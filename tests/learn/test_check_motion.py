@@ -60,6 +60,26 @@ def swapped_commands(k: int, records: dict) -> dict:
     return records | {"command": other}
 
 
+def tapped(k: int, records: dict) -> dict:
+    """Both pedals in turn, 0.3 s each; the speed follows 0.1 s later: 0.5 s on it is the other pedal's doing."""
+    at, rest = k % 60, 0.15
+    after = (k - 10) % 60
+    speed = 6.0 + 3.0 * 0.01 * (after if after < 30 else 60 - after)
+    throttle, brake = (rest + 0.2, rest) if at < 30 else (rest, rest + 0.2)
+    report = records["report"]._replace(
+        throttle_frac=throttle, brake_frac=brake, throttle_command_frac=throttle, brake_command_frac=brake,
+        speed_mps=speed,
+    )  # fmt: skip
+    command = records["command"]._replace(throttle_frac=throttle, brake_frac=brake)
+    return {"report": report, "ins": records["ins"]._replace(speed_mps=speed), "command": command}
+
+
+def test_pedals_that_are_only_tapped_are_not_called_swapped(tmp_path: Path) -> None:
+    assert car(MKZ).spec.nominal.rest_pedal_frac == 0.15
+    found = checked(tmp_path, MKZ, planted(MKZ, good(MKZ), tapped, [*PEDALS, "report.speed_mps", "ins.speed_mps"]))
+    assert "swapped_pedals" not in refusals(found)
+
+
 PLANTED: dict[str, tuple[str, Change, str, str, list[str]]] = {
     "yaw_rate_turned": (VAN, negated("yaw_rate_radps"), "wrong_sign", "report.yaw_rate_radps", []),
     "steering_report_turned": (MKZ, negated("steer_rad"), "steer_sign", "report.steer_rad", []),

@@ -146,6 +146,19 @@ def test_a_clock_in_other_units(tmp_path: Path) -> None:
     assert "wrong_rate" in refusals(checked(tmp_path, "mkz_bywire", rows))
 
 
+@BOTH
+def test_two_vehicles_of_a_kind_in_one_log(vehicle: str, tmp_path: Path) -> None:
+    """`candump any`, with a car on each channel; a few frames of the second are lost."""
+    lost = np.random.default_rng(4).random(len(good(vehicle, 2))) < 0.03
+    second = [
+        row._replace(channel="can1", time_s=round(row.time_s + 0.003, 6))
+        for row, gone in zip(good(vehicle, 2), lost, strict=True)
+        if not gone
+    ]
+    found = refusals(checked(tmp_path, vehicle, sorted([*good(vehicle), *second], key=lambda row: row.time_s)))
+    assert "two vehicles" in found["wrong_rate"].words
+
+
 def test_the_log_of_another_vehicle(tmp_path: Path) -> None:
     """Some ids in common, most of the folder's not there."""
     codec = car("mkz_bywire").codec

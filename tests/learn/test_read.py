@@ -22,8 +22,9 @@ from tunefree_hil.bus.formats.rows import survey
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.episode.candump import read_candump, read_rows
 from tunefree_hil.episode.columns import columns_from_frames
-from tunefree_hil.learn.drives import Drive
-from tunefree_hil.learn.read import read_drives, reading_of
+from tunefree_hil.learn.checks import check_drives
+from tunefree_hil.learn.drives import Drive, Reading
+from tunefree_hil.learn.read import read_drives
 
 NOBODY = Block(lambda params, dt_s: None, lambda params, state, x, dt_s: (state, params), Tracking())
 AS_FIELDS = {
@@ -41,6 +42,12 @@ AS_FIELDS = {
     "y_m": "ins.y_m",
     "heading_rad": "ins.heading_rad",
 }
+
+
+def reading_of(drive: Drive) -> Reading:
+    """What its log said."""
+    assert drive.reading is not None
+    return drive.reading
 
 
 def agree(drive: Drive, path: Path, codec: Codec, **options: object) -> int:
@@ -65,7 +72,7 @@ def test_a_log_in_virtual_time(vehicle: str, tmp_path: Path) -> None:
     period = {"mkz_bywire": 2, other_vehicle.NAME: 2}[vehicle]
     assert np.flatnonzero(drive.fresh["report.throttle_frac"])[:3].tolist() == [0, period, 2 * period]
     reading = reading_of(drive)
-    assert reading is not None and reading.times == "virtual time" and reading.foreign == {} == reading.broken
+    assert reading.times == "virtual time" and reading.foreign == {} == reading.broken
     assert reading.frames == sum(reading.heard.values()) == len(read_candump(path))
 
 
@@ -105,7 +112,7 @@ def test_two_frames_in_a_tick_and_disorder(tmp_path: Path) -> None:
     doubled = [row for row in rows for _ in range(int(chance.integers(0, 3)))]
     path = write_log(tmp_path / "a.log", doubled)
     (drive,) = read_drives([path], car("mkz_bywire").codec)
-    zero = {} if drive.reading.times == "virtual time" else {"zero_s": 0.0, "late_ticks": 1}  # type: ignore[attr-defined]
+    zero = {} if reading_of(drive).times == "virtual time" else {"zero_s": 0.0, "late_ticks": 1}
     assert agree(drive, path, car("mkz_bywire").codec, **zero) == len(AS_FIELDS)
 
 
@@ -120,8 +127,21 @@ def test_corrupted_and_short_frames_are_left_out(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.log", rows)
     (drive,) = read_drives([path], codec)
     assert agree(drive, path, codec) == len(AS_FIELDS)
-    assert drive.reading.broken == {"DYNAMICS": 5} and drive.reading.short == {"DYNAMICS": 3}  # type: ignore[attr-defined]
+    assert reading_of(drive).broken == {"DYNAMICS": 5} and reading_of(drive).short == {"DYNAMICS": 3}
     assert drive.fresh["report.speed_mps"].sum() == len(mine) - 8
+
+
+def test_a_drive_that_was_changed_is_still_judged_by_its_frames(tmp_path: Path) -> None:
+    rows = rows_of("mkz_bywire", 2.0)
+    back = [row._replace(time_s=row.time_s - (0.5 if i > 900 else 0.0)) for i, row in enumerate(rows)]
+    (drive,) = read_drives([write_log(tmp_path / "a.log", back)], car("mkz_bywire").codec)
+    changed = drive._replace(name="changed", fields=dict(drive.fields))
+    assert reading_of(changed) == reading_of(drive)
+    for one in (drive, changed):
+        codes = {problem.code for problem in check_drives([one], car("mkz_bywire").spec)}
+        assert "clock_jump" in codes
+    codes = {problem.code for problem in check_drives([drive._replace(reading=None)], car("mkz_bywire").spec)}
+    assert "clock_jump" not in codes
 
 
 def test_by_wire_obeys_when_all_say_so(tmp_path: Path) -> None:
@@ -149,7 +169,7 @@ def test_names_tell_the_logs_apart_and_progress_is_told(tmp_path: Path) -> None:
     assert [drive.name for drive in drives] == ["0/vehicle.log", "1/vehicle.log"]
     assert told[-1] == (1.0, "1/vehicle.log") and [one[0] for one in told] == sorted(one[0] for one in told)
     again = pickle.loads(pickle.dumps(drives[0]))
-    assert again.reading == drives[0].reading and again.name == drives[0].name  # type: ignore[attr-defined]
+    assert reading_of(again) == reading_of(drives[0]) and again.name == drives[0].name
 
 
 def test_another_format_and_a_line_that_was_cut_off(tmp_path: Path) -> None:
@@ -159,7 +179,7 @@ def test_another_format_and_a_line_that_was_cut_off(tmp_path: Path) -> None:
     with path.open("a") as file:
         file.write("(2.0000")
     drives = read_drives([path, tmp_path / "a.csv"], car("mkz_bywire").codec)
-    assert [drive.reading.cut for drive in drives] == [True, False]  # type: ignore[attr-defined]
+    assert [reading_of(drive).cut for drive in drives] == [True, False]
     for name, values in drives[0].fields.items():
         np.testing.assert_array_equal(values, drives[1].fields[name])
 

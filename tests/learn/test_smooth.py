@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from tests.learn.made_drives import NOISE, QUANTUM, made_drive, whole
-from tunefree_hil.learn.smooth import between_fresh, noise_of, noise_table_of, quantum_of, rate_of, valid_region
+from tunefree_hil.learn.smooth import (
+    between_fresh,
+    mean_noise,
+    noise_of,
+    noise_table_of,
+    quantum_of,
+    rate_of,
+    valid_region,
+)
 
 
 @pytest.mark.parametrize(("sigma", "quantum"), [(0.01, 0.0), (0.01, 0.01), (0.003, 0.001)])
@@ -48,3 +56,13 @@ def test_the_valid_region_is_what_was_driven() -> None:
     assert found["speed_mps"] == pytest.approx((speed.min(), speed.max()), abs=0.3)
     assert found["pedals"][0] < -0.2 and found["pedals"][1] > 0.3
     assert found["lateral_accel_mps2"][0] < 0.0 < found["lateral_accel_mps2"][1]
+
+
+def test_an_accelerometer_that_shakes_tells_no_slope() -> None:
+    chance = np.random.default_rng(4)
+    fresh = np.zeros(4000, dtype=bool)
+    fresh[::10] = True
+    quiet, shaking = (one * chance.standard_normal(4000) for one in (0.01, 0.1))
+    assert mean_noise(quiet, fresh, 200) == pytest.approx(0.01 / 20.0**0.5, rel=0.1)
+    assert mean_noise(shaking + 0.04, fresh, 200) > 0.0075 > mean_noise(quiet + 0.04, fresh, 200)
+    assert mean_noise(quiet[:20], fresh[:20], 200) == float("inf")

@@ -13,6 +13,7 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -25,6 +26,8 @@ from tunefree_hil.tune.study import read_study
 ROOT = Path(__file__).resolve().parents[2]
 BENCH = ROOT / "bench_configs" / "mkz_steer.toml"
 PATIENCE_S = 100.0
+HELD_S = 0.08  # less than the vehicle's patience with a command (0.1 s)
+COMMAND_IDS = (0x060, 0x062, 0x064, 0x066, 0x068)
 ORPHANS_S = 15.0  # a hub that nobody came to own ends after 10 s, and its nodes with it
 OWN = """[controller]
 command = ["{build}/controller", "{{bus}}", "{{bench}}", "{{paths}}", "{{token_file}}"]
@@ -99,6 +102,57 @@ def test_it_joins_a_bench_of_four_terminals(built: Path, tmp_path: Path) -> None
     assert len(re.findall(r"6E1#", log)) == 2 * len(re.findall(r"6E0#", log))  # each tick has the DONE of both
 
 
+class Realtime(NamedTuple):
+    """A bench file with the C program, and what a drive of it in lockstep came to."""
+
+    bench: Path
+    lockstep: Ended
+
+    def start(self, folder: Path, *more: str) -> subprocess.Popen[str]:
+        """The same drive in real time."""
+        return start("drive", self.bench, "--realtime", "--out", folder, "--json", *more)
+
+
+@pytest.fixture(scope="module")
+def realtime(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Realtime:
+    folder = tmp_path_factory.mktemp("realtime")
+    bench = write_bench(folder, duration_s=4.0, more=OWN.format(build=built))
+    done = tunefree("drive", bench, "--out", folder / "lockstep", "--json", patience_s=PATIENCE_S)
+    assert done.status == 0, done.words
+    return Realtime(bench, done)
+
+
+def test_in_real_time_it_drives_as_in_lockstep(realtime: Realtime, tmp_path: Path) -> None:
+    done = finish(realtime.start(tmp_path), PATIENCE_S)
+    verdict, graded = done.data["realtime"], done.data["scenarios"]["tiny"]
+    assert done.status == (0 if verdict["valid"] else 4), done.words
+    assert graded["outcome"] == "finished"
+    peak_m = graded["metrics"]["lateral_err_peak"]
+    assert peak_m == pytest.approx(realtime.lockstep.data["scenarios"]["tiny"]["metrics"]["lateral_err_peak"], abs=0.05)
+    assert set(verdict["nodes"]) == {"ecu", "bus"}, "it says nothing of its cycles: its frames are judged"
+    logs = [next(folder.rglob("vehicle.log")) for folder in (tmp_path, realtime.bench.parent / "lockstep")]
+    sent, before = ({one: log.read_text().count(f" {one:03X}#") for one in COMMAND_IDS} for log in logs)
+    assert all(count > 0 for count in before.values())
+    assert sent == before, "each command frame, once"
+
+
+def test_held_up_in_real_time_it_is_noticed(realtime: Realtime, built: Path, tmp_path: Path) -> None:
+    process = realtime.start(tmp_path)
+    try:
+        eventually(lambda: any(log.stat().st_size for log in tmp_path.rglob("vehicle.log.part")), PATIENCE_S, "a drive")
+        (pid,) = living(built / "controller")
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(HELD_S)
+        os.kill(pid, signal.SIGCONT)
+    except BaseException:
+        process.kill()
+        raise
+    done = finish(process, PATIENCE_S)
+    assert done.status == 4, done.words
+    assert "NOT real time" in done.data["sentence"]
+    assert done.data["realtime"]["nodes"]["bus"]["max_ms"] > 1e3 * HELD_S - 20.0
+
+
 def test_it_says_what_is_wrong(built: Path) -> None:
     controller = str(built / "controller")
     assert subprocess.run([controller], capture_output=True, check=False).returncode == 2
@@ -106,6 +160,18 @@ def test_it_says_what_is_wrong(built: Path) -> None:
         done = subprocess.run([controller, where, where, "."], capture_output=True, text=True, check=False)
         assert done.returncode == status
         assert "controller: " in done.stderr
+
+
+def living(program: Path) -> list[int]:
+    """Processes that run this file."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/exe"):
+        try:
+            if os.readlink(path) == str(program):
+                found.append(int(path.parent.name))
+        except OSError:  # it ended while we looked
+            continue
+    return found
 
 
 class Tune:
@@ -132,14 +198,7 @@ class Tune:
 
     def controllers(self) -> list[int]:
         """Living processes of the C program."""
-        found = []
-        for path in Path("/proc").glob("[0-9]*/exe"):
-            try:
-                if os.readlink(path) == str(self.built / "controller"):
-                    found.append(int(path.parent.name))
-            except OSError:  # it ended while we looked
-                continue
-        return found
+        return living(self.built / "controller")
 
     @property
     def folder(self) -> Path:

@@ -9,10 +9,11 @@ import pytest
 import tomli_w
 
 from tests.figures.test_learning import judged
-from tools.measures._unseen import _bench, ended
+from tools.measures._unseen import GAINS, SCALED, _bench, ended, scaled
 from tools.measures.freerun import card_words, reductions
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import load
+from tunefree_hil.bench import load, parameters_of
+from tunefree_hil.bench.controller import require_in_box
 from tunefree_hil.config.load import load_model
 from tunefree_hil.learn.learned_folder import write_learned
 
@@ -25,6 +26,16 @@ def test_an_unseen_bench_can_be_driven_and_stands_on_a_slope(repo: Path, tmp_pat
     own = load(file)
     assert own.spec.effects[0].params == {"grade_rad": 0.03} and own.spec.scenarios == names
     assert not _bench(bench, names, 0.0).get("effects")
+
+
+@pytest.mark.parametrize("factor", GAINS)
+def test_scaled_gains_stay_in_their_boxes(repo: Path, factor: float) -> None:
+    values = parameters_of(load(repo / "bench_configs" / "mkz_complete.toml"))
+    found = scaled(values, factor)
+    assert set(found) == set(SCALED)
+    for name, value in found.items():
+        require_in_box(name, value)
+    assert (found == {name: values[name] for name in SCALED}) == (factor == 1.0)
 
 
 def test_a_jobs_result_is_what_counts() -> None:

@@ -4,7 +4,8 @@
  *   controller VEHICLE-BUS BENCH-BUS PATHS [TOKEN-FILE]
  *
  * VEHICLE-BUS, BENCH-BUS: tcp:127.0.0.1:PORT of a hub or socketcan:NAME. PATHS: the folder that
- * `tunefree-hil scenarios --export` wrote, or the {paths} of a bench file's command. Lockstep only. */
+ * `tunefree-hil scenarios --export` wrote, or the {paths} of a bench file's command. TUNEFREE_REALTIME=1: it is not
+ * waited for (the environment of whoever starts it says so). */
 #include <math.h>
 #include <poll.h>
 #include <stdio.h>
@@ -16,15 +17,14 @@
 #include "bench.h"
 #include "drive.h"
 #include "link.h"
+#include "messages.h"
 #include "path.h"
-#include "vehicle.h"
 
 enum { RUNNER, ECU, CONTROLLER };                                        /* ROLE */
 enum { READY = 2, RUN = 3, FINISHED = 4, FAILED = 5, STOP = 6, END = 7 }; /* STATE */
 enum { DIVERGED = 1, LEFT_LANE = 2, UNKNOWN_SCENARIO = 8 };              /* ERROR */
-enum { FIRST_INDEX = 16, MOST = 64, PERIOD_MISC = 5, WAIT_MS = 5000, LOOK_MS = 1000 };
+enum { FIRST_INDEX = 16, MOST = 64, WAIT_MS = 5000, LOOK_MS = 1000 };
 static const double TICK_S = 0.01, HALF_LANE_M = 2.0, QUARTER_TURN_RAD = 1.5707963267948966;
-static const double RAD_PER_DEG = 0.017453292519943295;
 
 typedef struct {
     Link *vehicle, *bench;
@@ -32,12 +32,13 @@ typedef struct {
     Path path;
     Drive drive;
     Seen seen;
-    int heard; /* bits: position, heading, speed */
+    int heard;
     double parameters[PARAMETERS];
     uint8_t given[256];
     int parameters_left; /* PARAM frames still to come, -1: no EPISODE yet */
     int running, failed;
-    uint8_t throttle_count, brake_count, steer_count;
+    int realtime, begun; /* begun: the DONE before tick 0 has come */
+    Counts counts;
     Frame waiting[MOST]; /* vehicle frames of the phase under way */
     int waiting_count;
 } Node;
@@ -85,55 +86,6 @@ static uint16_t digest(const Frame *frames, int count)
     return (uint16_t)(~crc & 0xFFFF);
 }
 
-static void hear(Node *node, const Frame *frame)
-{
-    if (frame->id == VEHICLE_INS_POS_LOCAL_FRAME_ID) {
-        struct vehicle_ins_pos_local_t said;
-        vehicle_ins_pos_local_unpack(&said, frame->data, frame->length);
-        node->seen.x_m = vehicle_ins_pos_local_pos_x_decode(said.pos_x);
-        node->seen.y_m = vehicle_ins_pos_local_pos_y_decode(said.pos_y);
-        node->heard |= 1;
-    } else if (frame->id == VEHICLE_INS_VEL_YAW_LOCAL_FRAME_ID) {
-        struct vehicle_ins_vel_yaw_local_t said;
-        vehicle_ins_vel_yaw_local_unpack(&said, frame->data, frame->length);
-        node->seen.heading_rad = vehicle_ins_vel_yaw_local_yaw_decode(said.yaw) * RAD_PER_DEG;
-        node->heard |= 2;
-    } else if (frame->id == VEHICLE_INS_VELOCITY_FRAME_ID) {
-        struct vehicle_ins_velocity_t said;
-        vehicle_ins_velocity_unpack(&said, frame->data, frame->length);
-        node->seen.speed_mps = vehicle_ins_velocity_forward_decode(said.forward);
-        node->heard |= 4;
-    }
-}
-
-/* The command frames of a tick, in the order of their ids. EN is set from the first on. */
-static int command_frames(Node *node, const Command *command, uint32_t k, Frame *out)
-{
-    struct vehicle_brake_cmd_t brake = { .pcmd = vehicle_brake_cmd_pcmd_encode(command->brake_frac),
-                                         .cmd_type = VEHICLE_BRAKE_CMD_CMD_TYPE_PEDAL_CHOICE,
-                                         .en = 1, .count = node->brake_count++ };
-    struct vehicle_throttle_cmd_t throttle = { .pcmd = vehicle_throttle_cmd_pcmd_encode(command->throttle_frac),
-                                               .cmd_type = VEHICLE_THROTTLE_CMD_CMD_TYPE_PEDAL_CHOICE,
-                                               .en = 1, .count = node->throttle_count++ };
-    struct vehicle_steering_cmd_t steer = { .scmd = vehicle_steering_cmd_scmd_encode(command->steer_deg), .en = 1,
-                                            .svel = vehicle_steering_cmd_svel_encode(490.0),
-                                            .count = node->steer_count++ };
-    struct vehicle_gear_cmd_t gear = { .gcmd = VEHICLE_GEAR_CMD_GCMD_DRIVE_CHOICE };
-    struct vehicle_misc_cmd_t misc = { .trncmd = VEHICLE_MISC_CMD_TRNCMD_NONE_CHOICE };
-    memset(out, 0, 5 * sizeof *out);
-    out[0] = (Frame){ VEHICLE_BRAKE_CMD_FRAME_ID, VEHICLE_BRAKE_CMD_LENGTH, { 0 } };
-    vehicle_brake_cmd_pack(out[0].data, &brake, 8);
-    out[1] = (Frame){ VEHICLE_THROTTLE_CMD_FRAME_ID, VEHICLE_THROTTLE_CMD_LENGTH, { 0 } };
-    vehicle_throttle_cmd_pack(out[1].data, &throttle, 8);
-    out[2] = (Frame){ VEHICLE_STEERING_CMD_FRAME_ID, VEHICLE_STEERING_CMD_LENGTH, { 0 } };
-    vehicle_steering_cmd_pack(out[2].data, &steer, 8);
-    out[3] = (Frame){ VEHICLE_GEAR_CMD_FRAME_ID, VEHICLE_GEAR_CMD_LENGTH, { 0 } };
-    vehicle_gear_cmd_pack(out[3].data, &gear, 8);
-    out[4] = (Frame){ VEHICLE_MISC_CMD_FRAME_ID, VEHICLE_MISC_CMD_LENGTH, { 0 } };
-    vehicle_misc_cmd_pack(out[4].data, &misc, 8);
-    return k % PERIOD_MISC == 0 ? 5 : 4;
-}
-
 /* Supervision (design D11): the drive is over where the lane is left or the car points across the path. */
 static void supervise(Node *node, uint32_t k)
 {
@@ -147,21 +99,25 @@ static void supervise(Node *node, uint32_t k)
     }
 }
 
-/* Phase 1 of tick k: what phase 0 said is there in full. */
+static void hear_all(Node *node)
+{
+    for (int i = 0; i < node->waiting_count; i++)
+        hear(&node->seen, &node->heard, node->waiting + i);
+    node->waiting_count = 0;
+}
+
+/* Phase 1 of tick k: the commands by what has been heard. */
 static void cycle(Node *node, uint32_t k)
 {
-    Frame out[5];
+    Frame out[MOST_COMMANDS];
     int count = 0;
-    for (int i = 0; i < node->waiting_count; i++)
-        hear(node, node->waiting + i);
-    node->waiting_count = 0;
     if (!node->failed) {
         Command command = { 0.15, 0.15, 0.0 }; /* rolling on, until all has been heard */
-        if (node->heard == 7) {
+        if (node->heard == HEARD_ALL) {
             command = drive_step(&node->drive, &node->path, node->parameters, &node->seen, (int)k);
             supervise(node, k);
         }
-        count = command_frames(node, &command, k, out);
+        count = command_frames(&node->counts, &command, k, out);
     }
     link_send(node->vehicle, out, count, k * TICK_S);
     struct bench_done_t done = { k, 1, (uint8_t)count, digest(out, count) };
@@ -174,8 +130,8 @@ static void begin(Node *node, const Frame *frame)
 {
     memset(&node->drive, 0, sizeof node->drive);
     memset(node->given, 0, sizeof node->given);
-    node->heard = node->failed = node->waiting_count = node->running = 0;
-    node->throttle_count = node->brake_count = node->steer_count = 0;
+    node->heard = node->failed = node->waiting_count = node->running = node->begun = 0;
+    memset(&node->counts, 0, sizeof node->counts);
     memcpy(node->parameters, PARAMETER_DEFAULTS, sizeof node->parameters);
     node->parameters_left = 256;
     if (!path_load(&node->path, node->paths, frame->data)) {
@@ -203,21 +159,6 @@ static void take_parameter(Node *node, const Frame *frame)
         node->parameters[said.index - FIRST_INDEX] = (double)said.value;
 }
 
-/* Whether the vehicle sends it: other nodes' frames do not count. */
-static int is_report(uint32_t id)
-{
-    static const uint32_t REPORTS[] = {
-        VEHICLE_BRAKE_REPORT_FRAME_ID,         VEHICLE_THROTTLE_REPORT_FRAME_ID, VEHICLE_STEERING_REPORT_FRAME_ID,
-        VEHICLE_GEAR_REPORT_FRAME_ID,          VEHICLE_WHEEL_SPEED_FRAME_ID,     VEHICLE_ACCEL_FRAME_ID,
-        VEHICLE_GYRO_FRAME_ID,                 VEHICLE_INS_POS_LOCAL_FRAME_ID,   VEHICLE_INS_VEL_YAW_LOCAL_FRAME_ID,
-        VEHICLE_INS_ANGULAR_VELOCITY_FRAME_ID, VEHICLE_INS_VELOCITY_FRAME_ID,    VEHICLE_INS_ACCELERATION_FRAME_ID,
-    };
-    for (size_t i = 0; i < sizeof REPORTS / sizeof *REPORTS; i++)
-        if (REPORTS[i] == id)
-            return 1;
-    return 0;
-}
-
 /* DONE of the ECU: wait until the n_tx frames it announced have arrived. */
 static void await_frames(Node *node, int count)
 {
@@ -243,6 +184,18 @@ static void follow_starter(void)
         fail(BENCH_LOST, "whoever started this is gone");
 }
 
+/* DONE k of the ECU. In lockstep what it announced counts in tick k. In real time tick k's frames leave as its deadline
+ * passes, so they count from k + 1 on, and the frames that count in tick 0 come with a DONE of their own before it. */
+static void done(Node *node, uint32_t k, int count)
+{
+    await_frames(node, count);
+    if (!node->realtime)
+        hear_all(node);
+    if (!node->realtime || node->begun++)
+        cycle(node, k);
+    hear_all(node);
+}
+
 static void answer(Node *node, const Frame *frame)
 {
     if (frame->id == BENCH_EPISODE_FRAME_ID) {
@@ -257,10 +210,8 @@ static void answer(Node *node, const Frame *frame)
     } else if (frame->id == BENCH_DONE_FRAME_ID) {
         struct bench_done_t said;
         bench_done_unpack(&said, frame->data, frame->length);
-        if (said.phase == 0 && node->running) {
-            await_frames(node, said.n_tx);
-            cycle(node, said.k);
-        }
+        if (said.phase == 0 && node->running)
+            done(node, said.k, said.n_tx);
     } else if (frame->id == BENCH_STATUS_FRAME_ID) {
         struct bench_status_t said;
         bench_status_unpack(&said, frame->data, frame->length);
@@ -283,6 +234,8 @@ int main(int count, char **words)
     const char *token_file = count > 4 && words[4][0] ? words[4] : NULL;
     node.paths = words[3];
     node.parameters_left = -1;
+    const char *realtime = getenv("TUNEFREE_REALTIME");
+    node.realtime = realtime && !strcmp(realtime, "1");
     node.vehicle = link_open(words[1], token_file, "controller");
     node.bench = link_open(words[2], token_file, "controller");
     say_hello(&node);

@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,7 @@ COLUMNS = {
     (CAR, 0x025, 8): {"steering_wheel": ("STEER_ANGLE", "STEER_FRACTION")},
     (CAR, 0x0AA, 8): {name.lower(): (name,) for name in WHEELS},
     (CAR, 0x260, 8): {"eps_torque": ("STEER_TORQUE_EPS",)},
+    (CAR, 0x1D2, 8): {"cruise_active": ("CRUISE_ACTIVE",)},
     (SENT, 0x343, 2): {"accel_command": ("ACCEL_CMD",)},
     (SENT, 0x2E4, 5): {"torque_command": ("STEER_TORQUE_CMD",)},
 }
@@ -68,6 +69,14 @@ def rows(log: Path, dbc: Path) -> Iterator[dict[str, float]]:
         yield row
 
 
+def write(path: Path, found: Iterable[dict[str, float]]) -> None:
+    """Write rows as a CSV with the columns 'time' and NAMES."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, ["time", *NAMES], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(found)
+
+
 def main() -> int:
     """Write the CSV; 2 when an input does not fit."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -80,10 +89,7 @@ def main() -> int:
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
-    with options.out.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, ["time", *NAMES], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(found)
+    write(options.out, found)
     print(f"{len(found)} rows in {options.out}")
     return 0
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import tomli_w
 
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, load, parameters_of
+from tunefree_hil.control.parameters import BY_NAME, box32
 from tunefree_hil.jobs.drive import drive
 
 GAINS = (1.0, 1.8, 0.6)  # factors on all tuned gains: drives that differ in more than their noise
@@ -43,8 +44,7 @@ def _driven(bench: Bench, names: list[str], folder: Path, factor: float, grade_r
         folder.mkdir(parents=True, exist_ok=True)
         file = folder / "bench.toml"
         file.write_text(tomli_w.dumps(_bench(bench, names, grade_rad)), encoding="utf-8")
-        values = parameters_of(bench)
-        words = [f"{name}={values[name] * factor:.9g}" for name in SCALED if name in values]
+        words = [f"{name}={value:.9g}" for name, value in scaled(parameters_of(bench), factor).items()]
         result = ended(
             drive(
                 file, scenario=None, model=bench.spec.verify_model, bus="tfhub", bench_bus="", seed=seed,
@@ -54,6 +54,16 @@ def _driven(bench: Bench, names: list[str], folder: Path, factor: float, grade_r
         logs = sorted(str(path) for path in Path(result["run"]).glob("episodes/*/vehicle.log"))
         done.write_text("\n".join(logs), encoding="utf-8")
     return [Path(line) for line in done.read_text(encoding="utf-8").splitlines()]
+
+
+def scaled(values: Mapping[str, float], factor: float) -> dict[str, float]:
+    """The gains of SCALED times a factor, within their boxes."""
+    found = {}
+    for name in SCALED:
+        if name in values:
+            low, high = box32(BY_NAME[name].tunable.low, BY_NAME[name].tunable.high)
+            found[name] = min(max(values[name] * factor, low), high)
+    return found
 
 
 def _bench(bench: Bench, names: list[str], grade_rad: float) -> dict[str, Any]:

@@ -6,8 +6,13 @@ import json
 import subprocess
 import sys
 import time
+import venv
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from tools.measures._ledger import FOLDER
 from tools.measures._summary import machine, rounded, summary
 from tools.measures.parity import parameter_sets
 from tunefree_hil.base.errors import BenchError
@@ -28,6 +33,8 @@ PUBLISHED = {
     "highway-env 1.12.1 BicycleVehicle alone": 0.15,
     "highway-env highway-fast-v0, 20 vehicles, at 100 physics steps/s": 9.0,
 }
+HIGHWAY_ENV = "highway-env==1.12.1"
+INSTALL = "install"
 PEER = """
 import json, math, time
 from importlib.metadata import version
@@ -47,14 +54,20 @@ print(json.dumps({{"seconds": found, "version": version("highway-env")}}))
 
 
 def measure(
-    runs: int = 7, sets: int = 20, model: str = "", peer: str = "", bench: str = "bench_configs/mkz_steer.toml"
+    runs: int = 7,
+    sets: int = 20,
+    model: str = "",
+    peer: str = "",
+    bench: str = "bench_configs/mkz_steer.toml",
+    folder: str = f"{FOLDER}/episodes",
 ) -> dict[str, Any]:
     """`sets` parameter vectors over the bench file's scenarios in one thread, `runs` times; drives scaled to 30 s.
 
-    peer: a Python in which highway-env is installed (`pip install highway-env`), whose vehicle is then run here, too;
-    '' is this Python, if it has it.
+    peer: a Python that has highway-env, whose vehicle is then run here, too. `install` makes an environment in `folder`
+    and installs it there with pip; '' is the one that was made so, else this Python, if it has it.
     """
     before, loaded = machine(), load(bench)
+    python = _peer(peer, Path(folder) / HIGHWAY_ENV)
     scenarios = [loaded.scenarios[name] for name in loaded.spec.scenarios]
     jobs = [Job(values, scenario) for values in parameter_sets(loaded, sets).values() for scenario in scenarios]
     rates = []
@@ -65,7 +78,7 @@ def measure(
             driven = batch.drive(jobs)
             seconds = time.perf_counter() - started
             rates.append(sum(one.ticks for one in driven) * loaded.dt_s / EPISODE_S / seconds)
-    other = _highway_env(peer, runs)
+    other = _highway_env(python, runs, needed=bool(peer))
     detail = {
         "machine": before,
         "model": model or loaded.spec.model,
@@ -74,17 +87,38 @@ def measure(
         "highway_env": other,
         "published_s_an_episode": PUBLISHED,
     }
+    if "episodes_per_s" in other:
+        detail["times_highway_env"] = float(np.median(rates)) / other["episodes_per_s"]
     return summary(rates, "episodes/s", rounded(detail))
 
 
-def _highway_env(python: str, runs: int) -> dict[str, Any]:
-    """Its vehicle's episodes per second, or how to have them. Raises BenchError where the named Python cannot do it."""
-    words = [python or sys.executable, "-c", PEER.format(runs=runs)]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    if done.returncode and not python:
-        return {"not_run": "pip install highway-env in an environment of its own, then --peer ITS/bin/python"}
+def _peer(asked: str, folder: Path) -> str:
+    """The Python to run highway-env with; its environment is made in `folder` where that is asked for.
+
+    Raises BenchError where it cannot be made.
+    """
+    own = folder / "bin" / "python"
+    if asked == INSTALL and not (folder / "made").is_file():
+        venv.create(folder, with_pip=True, clear=True)
+        words = [str(own), "-m", "pip", "--disable-pip-version-check", "install", "--quiet", HIGHWAY_ENV]
+        done = subprocess.run(words, stdout=sys.stderr, check=False)
+        if done.returncode:
+            hint = "pip's words stand above; or give --peer a Python that has it"
+            raise BenchError(f"{HIGHWAY_ENV} does not install into {folder}", code="peer", hint=hint)
+        (folder / "made").touch()
+    if asked in ("", INSTALL):
+        return str(own) if (folder / "made").is_file() else sys.executable
+    return asked
+
+
+def _highway_env(python: str, runs: int, *, needed: bool) -> dict[str, Any]:
+    """Its vehicle's episodes per second, or how to have them. Raises BenchError where it is `needed` and fails."""
+    done = subprocess.run([python, "-c", PEER.format(runs=runs)], capture_output=True, text=True, check=False)
+    if done.returncode and not needed:
+        return {"not_run": f"tools/measure episodes --peer {INSTALL}"}
     if done.returncode:
-        raise BenchError(f"{python} cannot run highway-env: {done.stderr.strip().splitlines()[-1]}", code="peer")
+        last = (done.stderr.strip().splitlines() or [f"status {done.returncode}"])[-1]
+        raise BenchError(f"{python} cannot run highway-env: {last}", code="peer")
     said = json.loads(done.stdout.splitlines()[-1])
     best = sorted(said["seconds"])
     return {"version": said["version"], "episodes_per_s": 1.0 / best[len(best) // 2], "fastest": 1.0 / best[0]}

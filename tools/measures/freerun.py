@@ -123,9 +123,14 @@ def unseen_tracks(logs: Sequence[Path], bench: Bench) -> list[Track]:
 def judged_on(
     worker: Worker, models: Mapping[str, ModelSpec], bench: Bench, tracks: Sequence[Track], every_s: float
 ) -> dict[str, Judged]:
-    """Free run of all models from the same starts."""
+    """Free run of all models from the same starts; says which one is done."""
     options = {"every_s": every_s}
-    return worker.result("tunefree_hil.learn.free_run", "judge_all", models, bench.vehicle, list(tracks), options)
+    asked = worker.call("tunefree_hil.learn.free_run", "judge_all", models, bench.vehicle, list(tracks), options)
+    while True:
+        try:
+            print(f"free run of {next(asked)} done", file=sys.stderr, flush=True)
+        except StopIteration as end:
+            return end.value
 
 
 def heading_on(worker: Worker, models: Mapping[str, ModelSpec], bench: Bench, tracks: Sequence[Track]) -> Heading:

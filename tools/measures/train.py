@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
@@ -57,5 +58,14 @@ def measure(
         subprocess.run(command, check=True, stdout=sys.stderr)
         times.append(time.monotonic() - began)
     load_model(out)
-    detail = {"machine": before, "logs": len(sources), "kind": kind, "calibrate_s": calibrated_s, "each_s": times}
+    training = json.loads((out / "card.json").read_text(encoding="utf-8"))["training"]
+    detail = {
+        "machine": before,
+        "logs": len(sources),
+        "kind": kind,
+        "calibrate_s": calibrated_s,
+        "each_s": times,
+        "steps": training["steps"],
+        "training_s": training["seconds"],
+    }
     return summary(times, "s", rounded(detail))

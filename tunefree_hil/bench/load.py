@@ -101,16 +101,21 @@ def model_of(bench: Bench, name: str) -> ModelSpec:
             key="vehicle",
             hint="name a model of the bench's vehicle",
         )
-    if model.vehicle_hash and model.vehicle_hash.removeprefix("sha256:") != bench.vehicle.hash:
+    require_current(model, bench.vehicle)
+    return model
+
+
+def require_current(model: ModelSpec, vehicle: VehicleSpec) -> None:
+    """Raises InputError for a model that was made when the vehicle's folder said something else."""
+    if model.vehicle_hash and model.vehicle_hash.removeprefix("sha256:") != vehicle.hash:
         raise InputError(
-            f"was made when the folder of vehicle {bench.vehicle.name!r} said something else (it is "
-            f"sha256:{bench.vehicle.hash} now)",
+            f"was made when the folder of vehicle {vehicle.name!r} said something else (it is "
+            f"sha256:{vehicle.hash} now)",
             code="vehicle_changed",
             file=f"{model.folder}/model.toml",
             key="vehicle_hash",
             hint="learn or calibrate the model again; where you know that the change does not matter, put the new hash",
         )
-    return model
 
 
 def scenario_of_hash(bench: Bench, start: bytes) -> ScenarioSpec:

@@ -6,7 +6,7 @@ cantools bit for bit (tests/bus/test_codec.py) and cost a few microseconds a mes
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from tunefree_hil.base.errors import InputError
@@ -52,6 +52,15 @@ class Codec:
         if not channel:
             return self.by_id.get(key)
         return self._by_channel.get((key, channel)) or self._by_channel.get((key, ""))
+
+    def has_channels(self, heard: Iterable[str]) -> bool:
+        """Whether a log's channel names are those of vehicle.toml, and so tell equal ids apart.
+
+        heard: one a frame, or one a name; taken only until all are found, not at all where the folder names none. The
+        bench's own logs have one channel whatever the folder says: they are not the folder's.
+        """
+        missing = {message.channel for message in (*self.commands, *self.telemetry)} - {""}
+        return bool(missing) and any(not (missing.discard(channel) or missing) for channel in heard)
 
     def encode(
         self,

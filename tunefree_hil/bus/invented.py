@@ -16,6 +16,7 @@ HIGHEST = STEP * (2 ** (SIGNAL_BITS - 1) - 1)
 FIRST_IDS = {"command": 0x100, "report": 0x200, "ins": 0x300}
 SENDERS = {"command": "CONTROLLER", "report": "CHASSIS", "ins": "INS"}
 WHEELS = "wheel_speed_radps"
+STATE, ENABLED, STATE_ID = "BYWIRE_STATE", "ENABLED", 0x400  # whether the vehicle obeyed
 _UNITS = {
     "mps": "m/s",
     "mps2": "m/s^2",
@@ -43,18 +44,24 @@ def _stem(name: str) -> str:
     return name.rpartition("_")[0] or name
 
 
-def dbc_text(fields: Sequence[str], source: str, units: Mapping[str, str]) -> str:
-    """The DBC for these record fields. units: what a comment says of a field's column."""
+def dbc_text(fields: Sequence[str], source: str, units: Mapping[str, str], enabled: str = "") -> str:
+    """The DBC for these record fields. units: what a comment says of a field's column.
+
+    enabled: what a comment says of the column for STATE, whether the vehicle obeyed; without it there is no such frame.
+    """
     messages: dict[str, list[str]] = {}
     for field in fields:
         messages.setdefault(message_name(field), []).append(field)
     head = 'VERSION ""\n\nNS_ :\n\nBS_:\n\n' + f"BU_: {' '.join(SENDERS.values())}\n\n"
     body = "\n".join(_message(name, some) for name, some in messages.items())
+    if enabled:
+        body += f'\nBO_ {STATE_ID} {STATE}: 1 CHASSIS\n SG_ {ENABLED} : 0|1@1+ (1,0) [0|1] "" Vector__XXX\n'
     said = "Invented by tunefree-hil log import: these data never were on a CAN bus. No vehicle sends such frames."
     comments = [f'CM_ "{_plain(said)} Source: {_plain(source)}";']
     comments += [
         f'CM_ SG_ {_id(field)} {signal_name(field)} "Invented for {field}; {_plain(units[field])}";' for field in fields
     ]
+    comments += [f'CM_ SG_ {STATE_ID} {ENABLED} "Invented; {_plain(enabled)}";'] if enabled else []
     return head + body + "\n" + "\n".join(comments) + "\n"
 
 

@@ -29,7 +29,14 @@ def commission(
     bus: Bus = "auto",
     bench_bus: BenchBus = "",
     backend: Annotated[str, typer.Option(help="of the search: batch or bus")] = "batch",
-    only: Annotated[str, typer.Option(help="this stage again: collect, calibrate, learn, map, tune or verify")] = "",
+    top_mps: Annotated[float | None, typer.Option(help="the collection drives no faster than this")] = None,
+    only: Annotated[
+        str, typer.Option(help="this stage again, alone: collect, calibrate, learn, map, tune or verify")
+    ] = "",
+    start_at: Annotated[str, typer.Option("--from", metavar="STAGE", help="this stage again and all that follow")] = "",
+    least_covered: Annotated[float, typer.Option(help="stops below this share of full cells")] = 0.8,
+    most_error_m: Annotated[float, typer.Option(help="stops above this error after 10 s of free run")] = 15.0,
+    most_outside: Annotated[float, typer.Option(help="stops above this share outside the valid region")] = 0.25,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
@@ -39,18 +46,12 @@ def commission(
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.base.errors import InputError
-        from tunefree_hil.jobs.commission import NAMES
         from tunefree_hil.jobs.commission import commission as run
         from tunefree_hil.jobs.commission_plan import Asked
 
-        for key, value, known in (("--only", only, ("", *NAMES)), ("--backend", backend, ("batch", "bus"))):
-            if value not in known:
-                hint = ", ".join(one for one in known if one)
-                raise InputError(f"no {value!r}", code="usage", key=key, hint=hint)
         return run(
             Asked(vehicle, bench, out, set_name, trials, kind, quota_s, area_m, minutes, seed, bus, bench_bus, backend,
-                  only)
+                  top_mps, only, start_at, least_covered, most_error_m, most_outside)
         )  # fmt: skip
 
     return present("commission", job, plain=plain, as_json=as_json, first=f"commission {vehicle}")

@@ -86,6 +86,13 @@ class ColumnSpec(Spec, frozen=True, kw_only=True):
     assumed: str = ""
 
 
+class EnabledSpec(Spec, frozen=True, kw_only=True):
+    """The column that says whether the vehicle obeyed its commands: it did where the cell is `active`, else not."""
+
+    column: str
+    active: float = 1.0
+
+
 class ImportSpec(Spec, frozen=True, kw_only=True):
     """A mapping file. accept: plausibility checks that may fail, each with the reason why this drive is right."""
 
@@ -94,6 +101,7 @@ class ImportSpec(Spec, frozen=True, kw_only=True):
     source: str  # where the data are from, and their licence
     clock: ClockSpec
     columns: list[ColumnSpec]
+    enabled: EnabledSpec | None = None
     delimiter: str = ","
     decimal: Literal[".", ","] = "."
     accept: dict[str, str] = field(default_factory=dict)

@@ -122,6 +122,7 @@ class NominalSpec(Spec, frozen=True, kw_only=True):
     yaw_inertia_kgm2: float | None = None
     steer_ratio: float | None = None
     wheel_radius_m: float | None = None
+    track_m: float | None = None  # between the middles of the rear wheels
     front_stiffness_n_per_rad: float | None = None
     rear_stiffness_n_per_rad: float | None = None
     rest_pedal_frac: float = 0.0

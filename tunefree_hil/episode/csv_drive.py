@@ -37,12 +37,16 @@ class Column(NamedTuple):
 
 
 class CsvDrive(NamedTuple):
-    """time_s by row, the columns by record field ('report.speed_mps'), the gaps, the usual step between rows."""
+    """time_s by row, the columns by record field ('report.speed_mps'), the gaps, the usual step between rows.
+
+    enabled: by row 1 where the vehicle obeyed, 0 where not, NaN where the cell is empty; None where nothing says it.
+    """
 
     time_s: NDArray[np.float64]
     columns: dict[str, Column]
     gaps: list[Gap]
     step_s: float
+    enabled: NDArray[np.float64] | None = None
 
     def held_out(self, name: str) -> int:
         """How many cells of a column hold no value."""
@@ -63,12 +67,13 @@ def read_csv_drive(path: Path, spec: ImportSpec) -> CsvDrive:
     step_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else math.nan
     columns = {one.field: _column(one, by_name, time_s) for one in spec.columns}
     gap_s = spec.clock.gap_s or GAP_STEPS * step_s
-    return CsvDrive(time_s, columns, list(_gaps(time_s, columns, gap_s)), step_s)
+    return CsvDrive(time_s, columns, list(_gaps(time_s, columns, gap_s)), step_s, _enabled(by_name, spec))
 
 
 def _wanted(spec: ImportSpec) -> list[str]:
     """The columns that are read, each once."""
     names = [spec.clock.column, *(one.column for one in spec.columns)]
+    names += [spec.enabled.column] if spec.enabled is not None else []
     return list(dict.fromkeys([*names, *(one.new_when for one in spec.columns if one.new_when)]))
 
 
@@ -166,6 +171,13 @@ def _column(spec: ColumnSpec, by_name: dict[str, NDArray[np.float64]], time_s: N
     if spec.period_ms:
         sent = _thinned(sent, time_s, spec.period_ms / 1000.0)
     return Column(spec, values, sent)
+
+
+def _enabled(by_name: dict[str, NDArray[np.float64]], spec: ImportSpec) -> NDArray[np.float64] | None:
+    if spec.enabled is None:
+        return None
+    cells = by_name[spec.enabled.column]
+    return np.where(np.isnan(cells), math.nan, cells == spec.enabled.active)
 
 
 def _thinned(sent: NDArray[np.bool_], time_s: NDArray[np.float64], period_s: float) -> NDArray[np.bool_]:

@@ -13,12 +13,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.calibrate_words import channel_words, closing, constant_words
+from tunefree_hil.jobs.learning_logs import read
+from tunefree_hil.learn.by_motion import Law
+from tunefree_hil.learn.channel_doubts import in_motion
 from tunefree_hil.learn.drives import Drive, Split
-from tunefree_hil.learn.pairs import CHANNELS, ECHOES, Pairs, has_channel, pairs_of
+from tunefree_hil.learn.law_constants import suggested
+from tunefree_hil.learn.pairs import ECHOES, Pairs, has_channel
 from tunefree_hil.learn.physics import EFFECTS, Off, PhysicsFit, is_clear
-from tunefree_hil.learn.sheet import channel_sheet, constants, fixed_params
+from tunefree_hil.learn.sheet import asks_accel, channel_sheet, constants, fixed_params
 from tunefree_hil.learn.shown import Judged
 from tunefree_hil.learn.smooth import noise_table_of, valid_region
+from tunefree_hil.learn.sources import channels_of, sources
 from tunefree_hil.learn.values import ActuatorFit, Value, as_data
 from tunefree_hil.learn.windows import Windows, windows_of
 from tunefree_hil.learn.worker import Worker
@@ -28,10 +33,10 @@ if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
 
 CARD_SCHEMA = "tunefree.card/1"
-PEDALS_AND_WHEEL = ("throttle", "brake", "steer")
 FIGURES = "figures"
 WINDOWS_S, ENOUGH_WINDOWS = (8.0, 5.0, 3.0), 12  # lengths of free runs; several logs may be 5 s long each
-LACKING = ("too_short", "one_speed", "no_braking")  # refusals of learn/checks.py that do not hold for a calibration
+# What is too little to learn from may be enough to calibrate a channel: the fit itself says what it lacks.
+LACKING = ("too_short", "one_speed", "no_braking")
 
 
 class Fitted(NamedTuple):
@@ -54,7 +59,7 @@ def calibrate(logs: Sequence[Path], vehicle: str, out: Path, seed: int = 1) -> I
     spec = load_vehicle(vehicle)
     require_new(out)
     began = time.monotonic()
-    drives = yield from read(logs, spec)
+    drives = yield from read(logs, spec, excused=LACKING)
     split = yield from split_of(drives, seed)
     with Worker() as worker:
         fitted = yield from fit_all(worker, split, spec)
@@ -64,25 +69,6 @@ def calibrate(logs: Sequence[Path], vehicle: str, out: Path, seed: int = 1) -> I
     figures = draw(out / FIGURES, fitted, split)
     data = {**card, "model": str(out), "figures": [str(path) for path in figures]}
     yield Event("result", "", {**data, **closing(out, spec, logs, fitted.actuators, fitted.physics, fitted.judged)})
-
-
-def read(logs: Sequence[Path], vehicle: VehicleSpec) -> Iterator[Event]:
-    """The drives of logs, checked."""
-    from tunefree_hil.bus.codec import Codec
-    from tunefree_hil.learn.checks import check_drives
-    from tunefree_hil.learn.problems import require_good
-    from tunefree_hil.learn.read import read_drives
-
-    if not logs:
-        raise InputError("no log is named", code="no_log", key="LOG", hint="name one log or more")
-    yield Event("note", f"reading {len(logs)} log{'s' if len(logs) > 1 else ''} of {vehicle.name}")
-    drives = read_drives(list(logs), Codec(vehicle))
-    # What is too little to learn from may be enough to calibrate a channel: the fit itself says what it lacks.
-    problems = [one._replace(severity="warn") if one.code in LACKING else one for one in check_drives(drives, vehicle)]
-    for problem in require_good(problems):
-        yield Event("warning", problem.words)
-    yield Event("note", f"{sum(drive.ticks * drive.dt_s for drive in drives) / 60.0:.1f} minutes of driving")
-    return drives
 
 
 def split_of(drives: Sequence[Drive], seed: int) -> Iterator[Event]:
@@ -107,19 +93,23 @@ def fit_all(worker: Worker, split: Split, vehicle: VehicleSpec) -> Iterator[Even
     """All channels, then the physical constants."""
     actuators: dict[str, ActuatorFit] = {}
     traces: dict[str, list[Any]] = {}
-    names = [name for name in CHANNELS if name in PEDALS_AND_WHEEL or CHANNELS[name] in vehicle.command]
-    for channel in names:
-        training, held_out = pairs_of(split.training, channel), pairs_of(split.held_out, channel)
+    laws: dict[str, Law] = {}
+    for channel in channels_of(vehicle):
+        training, held_out, law = sources(split, channel, vehicle)
+        laws |= {} if law is None else {channel: law}
         sheet = channel_sheet(vehicle, channel)
         echo = any(part.drive.get(f"report.{ECHOES[channel]}") is not None for part in split.training)
         asked = worker.call("tunefree_hil.learn.actuators", "fit", training, held_out, sheet, echo)
         found = yield from _with_progress(asked, f"actuator {channel}")
+        found = in_motion(found, sheet) if law is not None else found
         actuators[channel] = found
         traces[channel] = _traced(worker, held_out if held_out.some else training, found, sheet.rest)
         yield from _said(channel, found, has_channel([part.drive for part in split.training], channel))
-    _refuse_blind(actuators, split.training)
-    windows, unseen = windows_in(split, vehicle)
-    known, fixed = constants(vehicle), fixed_params(vehicle)
+    if not laws:
+        _refuse_blind(actuators, split.training)
+    windows, unseen = windows_in(split, vehicle, actuators)
+    seen = suggested(laws, fixed_params(vehicle)["mass_kg"])
+    known, fixed = constants(vehicle, seen), fixed_params(vehicle, seen)
     brake_way = max(vehicle.limits.brake_frac - vehicle.nominal.rest_pedal_frac, 0.05)
     asked = worker.call("tunefree_hil.learn.physics", "fit", windows, fixed, known, brake_way)
     physics = yield from _with_progress(asked, "physical constants")
@@ -132,13 +122,13 @@ def fit_all(worker: Worker, split: Split, vehicle: VehicleSpec) -> Iterator[Even
     return Fitted(actuators, traces, physics, judged)
 
 
-def windows_in(split: Split, vehicle: VehicleSpec) -> tuple[Windows, Windows]:
+def windows_in(split: Split, vehicle: VehicleSpec, channels: dict[str, ActuatorFit]) -> tuple[Windows, Windows]:
     """Windows of the training and the held-out parts: as long as there are enough of them, else shorter."""
     for window_s in WINDOWS_S:
-        windows = windows_of(split.training, vehicle, window_s)
+        windows = windows_of(split.training, vehicle, window_s, channels)
         if len(windows.some) >= ENOUGH_WINDOWS:
             break
-    return windows, windows_of(split.held_out, vehicle, window_s)
+    return windows, windows_of(split.held_out, vehicle, window_s, channels)
 
 
 def _with_progress(asked: Any, label: str) -> Iterator[Event]:
@@ -236,14 +226,7 @@ def versions() -> dict[str, str]:
 
 def write(out: Path, vehicle: VehicleSpec, fitted: Fitted, split: Split, card: dict[str, Any]) -> None:
     """The model folder, with the map that a controller drives it by."""
-    from tunefree_hil.learn.open_loop import as_arrays, open_loop_map
-    from tunefree_hil.plant.single_track import PLANT
-
     rest = vehicle.nominal.rest_pedal_frac
-    pedals = {name: fitted.actuators[name].params(rest) for name in ("throttle", "brake")}
-    brake = pedals["brake"]
-    idle = brake.dead_band + fitted.physics.off().brake_frac / max(brake.gain, 0.1)  # before the report and behind it
-    pedals["brake"] = brake._replace(dead_band=idle)
     params = fitted.physics.params
     write_model(
         out,
@@ -254,13 +237,28 @@ def write(out: Path, vehicle: VehicleSpec, fitted: Fitted, split: Split, card: d
         valid=valid_region(split.training, rest),
         noise=noise_table_of(split.training),
         card=card,
-        calibration=as_arrays(open_loop_map(PLANT, params, vehicle, pedals)),
+        calibration=calibration_of(vehicle, fitted),
         effects=[
             effect_of(name, value)
             for name, value in fitted.physics.values.items()
             if name in EFFECTS and is_clear(name, value)
         ],
     )
+
+
+def calibration_of(vehicle: VehicleSpec, fitted: Fitted) -> dict[str, Any] | None:
+    """The arrays of calibration.npz; None for a car that shows no pedals, which there is no map of."""
+    from tunefree_hil.learn.open_loop import as_arrays, open_loop_map
+    from tunefree_hil.plant.single_track import PLANT
+
+    if asks_accel(vehicle):
+        return None
+    rest = vehicle.nominal.rest_pedal_frac
+    pedals = {name: fitted.actuators[name].params(rest) for name in ("throttle", "brake")}
+    brake = pedals["brake"]
+    idle = brake.dead_band + fitted.physics.off().brake_frac / max(brake.gain, 0.1)  # before the report and behind it
+    pedals["brake"] = brake._replace(dead_band=idle)
+    return as_arrays(open_loop_map(PLANT, fitted.physics.params, vehicle, pedals))
 
 
 def effect_of(name: str, value: Value) -> dict[str, Any]:

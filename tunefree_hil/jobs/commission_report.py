@@ -1,13 +1,14 @@
-"""One page about a commission: what each stage came to, how long it took, pictures."""
+"""One page about a commission: what came out, what each stage came to and how long it took, limits, pictures."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tunefree_hil.jobs.commission_plan import Plan
+from tunefree_hil.jobs import commission_gates as gates
+from tunefree_hil.jobs.commission_plan import NAMES, Plan
+from tunefree_hil.jobs.commission_record import Record
 from tunefree_hil.jobs.run_folder import write_text
 
 REPORT = "report.md"
@@ -19,44 +20,81 @@ TITLES = {
     "tune": "Search on the learned plant",
     "verify": "On the vehicle, roads that no search saw",
 }
+HORIZONS = ("1", "3", "10", "30")  # s of free run
 
 
-def write_report(plan: Plan, record: Mapping[str, Any]) -> Path:
-    """Write report.md in the commission's folder; pictures are linked where the stages left them."""
-    done = record["stages"]
-    path = plan.folder / REPORT
-    lines = [f"# {plan.vehicle.name}: from logs to verified gains", ""]
-    lines += [f"{done['verify']['result']['sentence']}.", ""]
-    lines += _times(done)
-    for name, title in TITLES.items():
-        lines += _section(plan.folder, title, done[name])
+def write_report(plan: Plan, record: Record) -> Path:
+    """Write report.md in the commission's folder, of what is done so far; pictures are linked where they lie."""
+    path, done = plan.folder / REPORT, record.done
+    lines = [f"# {plan.vehicle.name}: from logs to verified gains", "", _outcome(record), ""]
+    lines += _times(record) + _limits(plan, record)
+    for name in done:
+        lines += _section(plan.folder, name, done[name]["result"], record.warnings(name))
     lines += ["## Reproduce", "", "```", f"tunefree-hil commission {plan.words}", "```", ""]
     write_text(path, "\n".join(lines))
     return path
 
 
-def _times(done: Mapping[str, Any]) -> list[str]:
-    whole = sum(one["seconds"] for one in done.values())
-    rows = [f"| {TITLES[name]} | {one['seconds'] / 60.0:.1f} |" for name, one in done.items()]
-    return ["| stage | wall time, min |", "|---|---|", *rows, f"| all | {whole / 60.0:.1f} |", ""]
+def _outcome(record: Record) -> str:
+    stopped, done = record.data.get("stopped"), record.done
+    if stopped:
+        return f"**Stopped after {stopped['stage']}: {stopped['reason']}.**"
+    if "verify" not in done:
+        return f"Not finished: {', '.join(name for name in NAMES if name not in done)} to come."
+    result = done["verify"]["result"]
+    verdict = "The gains hold on the vehicle" if result.get("holds") else "**The gains do not hold on the vehicle**"
+    return f"{verdict}: {result['sentence']}."
 
 
-def _section(folder: Path, title: str, stage: Mapping[str, Any]) -> list[str]:
-    result = stage["result"]
-    lines = [f"## {title}", "", f"{result.get('sentence', '')}.", ""]
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """A table, and an empty line."""
+    lines = ["| " + " | ".join(row) + " |" for row in [head, *rows]]
+    return [lines[0], "|" + "---|" * len(head), *lines[1:], ""]
+
+
+def _times(record: Record) -> list[str]:
+    rows, whole_s = [], 0.0
+    for name in NAMES:
+        if record.begun(name):
+            whole_s += record.seconds(name)
+            how = "done" if record.result(name) is not None else "begun"
+            rows.append((TITLES[name], f"{record.seconds(name) / 60.0:.1f}", str(record.sessions(name)), how))
+    return _table(("stage", "wall time, min", "sessions", ""), [*rows, ("all", f"{whole_s / 60.0:.1f}", "", "")])
+
+
+def _limits(plan: Plan, record: Record) -> list[str]:
+    rows = gates.rows(plan, record.shown)
+    return _table(("what", "limit", "reached"), rows) if rows else []
+
+
+def _section(folder: Path, name: str, result: Mapping[str, Any], warnings: Sequence[str]) -> list[str]:
+    lines = [f"## {TITLES[name]}", "", f"{result.get('sentence', '')}.", ""]
+    if warnings:
+        lines += [*(f"- {one}" for one in warnings), ""]
     if result.get("scores"):
-        lines += ["| gains | score |", "|---|---|"]
         ranked = sorted(result["scores"].items(), key=lambda one: one[1])
-        lines += [f"| {name} | {score:.3f} |" for name, score in ranked] + [""]
-    return lines + [f"![{path.stem}]({_from(folder, path)})\n" for path in _pictures(result.get("figures", []))]
+        lines += _table(("gains", "score"), [(key, f"{score:.3f}") for key, score in ranked])
+    if result.get("best"):
+        found = result["best"]["parameters"].items()
+        lines += _table(("gain", "found"), [(key, f"{value:.4g}") for key, value in found])
+    if result.get("free_run"):
+        lines += _free_run(result["free_run"])
+    pictures = [Path(one) for one in result.get("figures", []) if (folder / one).is_file()]
+    return lines + [f"![{path.stem}]({path.as_posix()})\n" for path in pictures]
 
 
-def _pictures(figures: Any) -> Iterable[Path]:
-    found = figures.values() if isinstance(figures, Mapping) else figures
-    for one in found:
-        if isinstance(one, str) and Path(one).suffix == ".png" and Path(one).is_file():
-            yield Path(one)
+def _free_run(kinds: Mapping[str, Any]) -> list[str]:
+    """Position errors by kind, ground and horizon: mean, and 95 % of the starts."""
+    rows = []
+    for kind, grounds in kinds.items():
+        for ground in ("level", "hills"):
+            row = grounds.get(ground)
+            if row:
+                cells = [_error(row.get(one)) for one in HORIZONS]
+                rows.append((kind, ground, str(row["starts"]), *cells))
+    return _table(("plant", "ground", "starts", *(f"{one} s: m (95 %)" for one in HORIZONS)), rows)
 
 
-def _from(folder: Path, path: Path) -> str:
-    return Path(os.path.relpath(path, folder)).as_posix()
+def _error(found: Mapping[str, Any] | None) -> str:
+    place = (found or {}).get("position_m") or {}
+    return "" if place.get("mean") is None else f"{place['mean']:.2f} ({place['p95']:.2f})"

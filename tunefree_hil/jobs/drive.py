@@ -9,7 +9,16 @@ from typing import Any
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import Bench, is_heavy, load, own_parameters, parameters_of, require_buildable, require_in_box
+from tunefree_hil.bench import (
+    Bench,
+    is_heavy,
+    load,
+    model_of,
+    own_parameters,
+    parameters_of,
+    require_buildable,
+    require_in_box,
+)
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.control.parameters import NAMES
@@ -19,6 +28,7 @@ from tunefree_hil.jobs.harvest import Episode
 from tunefree_hil.jobs.heard import heard_of
 from tunefree_hil.jobs.identity import identity_of, resolved_toml
 from tunefree_hil.jobs.lateness import judge_realtime
+from tunefree_hil.jobs.model_words import model_words
 from tunefree_hil.jobs.node_links import bus_for
 from tunefree_hil.jobs.outside import drive_warning, outside_data, outside_words
 from tunefree_hil.jobs.run_folder import RunFolder, write_text
@@ -57,6 +67,7 @@ def drive(
     run = RunFolder.create(out or DEFAULT_ROOT, f"drive-{bench.stem}", {**record, "seed": seed, "parameters": values})
     write_text(run.path / "bench.toml", resolved_toml(loaded, scenarios))
     yield Event("note", f"run folder {run.path}")
+    yield Event("note", model_words(model_of(loaded, model_name)))
     with Session(
         run.path / "bench.toml",
         run.words(),

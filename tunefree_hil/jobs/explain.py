@@ -79,7 +79,7 @@ def find(folder: RunFolder, bench: Bench) -> Findings:
             "has no study.db",
             code="no_study",
             file=str(folder.path),
-            hint="its study is kept elsewhere; mirror it here",
+            hint="its study is on a server: start the same tune again, a worker copies the study here as it ends",
         )
     with read_study(path) as study:
         trials, baselines, space = study.trials(), study.baselines(), study.settings.space

@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tunefree_hil.base.errors import InputError
-from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bench import Bench, follower_of
-from tunefree_hil.bus.bench_channel import ErrorCode, Role, State, Status, decode
+from tunefree_hil.bus.bench_channel import ErrorCode
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.episode.columns import columns_from_frames
 from tunefree_hil.episode.frame_hash import frame_hash
+from tunefree_hil.episode.real_time import run_zero_s
 from tunefree_hil.episode.recording import Recording, save_recording
 from tunefree_hil.grade.score import ScenarioGrade, combine, grade, vehicle_of
 from tunefree_hil.jobs.run_folder import write_json
@@ -46,7 +45,7 @@ def harvest(
     """Read `folder/vehicle.log`, write columns.npz and episode.json beside it."""
     frames = read_candump(folder / "vehicle.log")
     codec = bench.codec
-    zero_s = realtime_zero_s(folder) if realtime else 0.0
+    zero_s = run_zero_s(folder / "bench.log") if realtime else 0.0
     commands = {message.key for message in codec.commands}
     hashed = frame_hash(frames, bench.dt_s, commands, codec.by_id.keys(), zero_s=zero_s)
     recording = columns_from_frames(
@@ -69,15 +68,6 @@ def harvest(
     )
     write_json(folder / "episode.json", _summary(scenario, seed, values, outcome, graded, hashed.hex))
     return Episode(recording, graded, hashed.hex, dict(hashed.foreign))
-
-
-def realtime_zero_s(folder: Path) -> float:
-    """Stamp of tick 0 of a real-time drive: RUN's own stamp plus the lead that it carries."""
-    for frame in read_candump(folder / "bench.log"):
-        message = decode(CanFrame(frame.can_id, frame.data))
-        if isinstance(message, Status) and (message.role, message.state) == (Role.RUNNER, State.RUN):
-            return frame.time_s + message.tick * 1e-3
-    raise InputError("holds no RUN: the drive never began", code="no_run", file=str(folder / "bench.log"))
 
 
 def _summary(

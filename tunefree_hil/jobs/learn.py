@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
+from tunefree_hil.bench.load import require_current
 from tunefree_hil.jobs import calibrate
+from tunefree_hil.jobs.learning_logs import read
 from tunefree_hil.learn.card import Training, card_of
 from tunefree_hil.learn.drives import Drive, Split
 from tunefree_hil.learn.free_run import Judged
 from tunefree_hil.learn.learned_folder import calibration_of, write_learned
 from tunefree_hil.learn.motion import Track, tracks_of
 from tunefree_hil.learn.worker import Worker
-from tunefree_hil.learn.write_model import require_new
+from tunefree_hil.learn.write_model import CARD_FILE, require_new
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import ModelSpec, VehicleSpec
@@ -81,7 +83,13 @@ def learn(asked: Asked) -> Iterator[Event]:
     write_learned(
         asked.out, vehicle, physics, asked.kind, arrays, calibration, card, sample_spacing_s=asked.sample_spacing_s
     )
-    part.unlink(missing_ok=True)
+    yield from finished(asked)
+
+
+def finished(asked: Asked) -> Iterator[Event]:
+    """The result, out of the card of the folder that is there: also for who was cut off when it had been written."""
+    card = json.loads((asked.out / CARD_FILE).read_text(encoding="utf-8"))
+    asked.out.with_name(asked.out.name + ".part").unlink(missing_ok=True)
     figures = _drawn(asked, card)
     yield Event("result", "", {**card, "model": str(asked.out), "figures": figures, **_ending(asked, card)})
 
@@ -93,23 +101,6 @@ def _require(asked: Asked) -> None:
     from tunefree_hil.learn.training.needs import require_torch
 
     require_torch(f"learn --kind {asked.kind}")
-
-
-def read(logs: Sequence[Path], vehicle: VehicleSpec) -> Iterator[Event]:
-    """The drives of logs, checked: what is wrong with them is said before anything is trained."""
-    from tunefree_hil.bus.codec import Codec
-    from tunefree_hil.learn.checks import check_drives
-    from tunefree_hil.learn.problems import require_good
-    from tunefree_hil.learn.read import read_drives
-
-    if not logs:
-        raise InputError("no log is named", code="no_log", key="LOG", hint="name one log or more")
-    yield Event("note", f"reading {len(logs)} log{'s' if len(logs) > 1 else ''} of {vehicle.name}")
-    drives = read_drives(list(logs), Codec(vehicle))
-    for problem in require_good(check_drives(drives, vehicle)):
-        yield Event("warning", problem.words)
-    yield Event("note", f"{sum(drive.ticks * drive.dt_s for drive in drives) / 60.0:.1f} minutes of driving")
-    return drives
 
 
 def physics_of(asked: Asked, vehicle: VehicleSpec, drives: list[Drive], split: Split) -> Iterator[Event]:
@@ -133,6 +124,7 @@ def physics_of(asked: Asked, vehicle: VehicleSpec, drives: list[Drive], split: S
             key="--physics",
             hint="name what `tunefree-hil calibrate` wrote for this vehicle, or leave --physics out",
         )
+    require_current(model, vehicle)
     yield Event("note", f"physics: {folder}")
     return model
 
@@ -152,10 +144,11 @@ def _tracks(parts: Sequence[Any], vehicle: VehicleSpec) -> list[Track]:
 
 def _trained(asked: Asked, vehicle: VehicleSpec, physics: ModelSpec, data: Data, part: Path) -> Iterator[Event]:
     """The training with its progress; (Trained, Wish)."""
-    from tunefree_hil.learn.training.fit import fit, steps_of
+    from tunefree_hil.learn.training.fit import fit
     from tunefree_hil.learn.training.learners import Wish
 
-    wish = Wish(asked.kind, asked.seed, steps_of(asked.kind, asked.minutes), sample_spacing_s=asked.sample_spacing_s)
+    minutes = asked.minutes or 0.0
+    wish = Wish(asked.kind, asked.seed, sample_spacing_s=asked.sample_spacing_s, minutes=minutes)
     steps = fit(wish, data.training, data.held_out, physics, vehicle.nominal.rest_pedal_frac, part)
     resume = command_of(asked)
     while True:
@@ -176,8 +169,8 @@ def _said(trained: Trained, wish: Any) -> Training:
     if wish.kind in ("mlp", "paper"):
         words = "one-step error on held-out stretches, of the labels' spread"
     return Training(
-        wish._asdict(), words, trained.score, trained.first, trained.steps, round(trained.seconds, 1), trained.looks,
-        trained.stopped,
+        {**wish._asdict(), "steps": trained.total}, words, trained.score, trained.first, trained.steps,
+        round(trained.seconds, 1), trained.looks, trained.stopped,
     )  # fmt: skip
 
 

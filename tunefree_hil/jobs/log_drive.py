@@ -16,12 +16,12 @@ from tunefree_hil.bus.codec import Codec
 from tunefree_hil.control.follower import make_follower
 from tunefree_hil.episode.candump import EXTENDED_BIT, LogFrame
 from tunefree_hil.episode.columns import columns_from_frames
+from tunefree_hil.episode.real_time import run_zero_s
 from tunefree_hil.episode.recording import Recording
 from tunefree_hil.grade.align import Align, find_by_speed, longitudinal_only, place_course
 from tunefree_hil.grade.profile import Beside
 from tunefree_hil.grade.reference import Reference
 from tunefree_hil.grade.score import GradeVehicle
-from tunefree_hil.jobs.harvest import realtime_zero_s
 from tunefree_hil.jobs.log_files import by_channel
 from tunefree_hil.jobs.run_folder import read_json
 
@@ -111,7 +111,7 @@ def times_of(frames: Sequence[LogFrame], dt_s: float, folder: Path) -> Times:
     if off < ON_GRID and stamps[0] < dt_s:
         return Times(0.0, 0, "")
     if (folder / "bench.log").is_file():
-        return Times(realtime_zero_s(folder), 1, "real time: tick 0 is where bench.log says")
+        return Times(run_zero_s(folder / "bench.log"), 1, "real time: tick 0 is where bench.log says")
     return Times(float(stamps.min()), 1, f"real time: second 0 is the log's first frame, at {stamps.min():.3f} s")
 
 

@@ -82,12 +82,8 @@ def bag_of(path: Path) -> Path:
 
 
 def by_channel(frames: Iterable[LogFrame], codec: Codec) -> bool:
-    """Whether the log's channel names are those of vehicle.toml; the bench's own logs have one channel only.
-
-    Frames are looked at only until all are heard.
-    """
-    missing = {message.channel for message in (*codec.commands, *codec.telemetry)} - {""}
-    return bool(missing) and any(not (missing.discard(frame.channel) or missing) for frame in frames)
+    """Whether the log's channels are the folder's (Codec.has_channels); frames are looked at only until it is sure."""
+    return codec.has_channels(frame.channel for frame in frames)
 
 
 def codec_for(path: Path, vehicle: str | None) -> tuple[Codec, str]:

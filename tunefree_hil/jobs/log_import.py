@@ -18,7 +18,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.base.records import GROUPS
 from tunefree_hil.bus.formats.rows import FD, Row
-from tunefree_hil.bus.invented import HIGHEST, STEP, dbc_text
+from tunefree_hil.bus.invented import ENABLED, HIGHEST, STEP, dbc_text
 from tunefree_hil.config.dump import to_toml
 from tunefree_hil.config.load import load_import, load_vehicle
 from tunefree_hil.episode.candump import write_candump
@@ -27,6 +27,8 @@ from tunefree_hil.episode.plausible import Finding, check_units
 from tunefree_hil.jobs.log_vehicle import vehicle_table
 
 if TYPE_CHECKING:
+    from tunefree_hil.bus.codec import Codec
+    from tunefree_hil.bus.message_map import MessageMap
     from tunefree_hil.config.import_schema import ImportSpec
 
 CHANNEL = "can0"
@@ -139,7 +141,8 @@ def _write(out: Path, path: Path, spec: ImportSpec, drive: CsvDrive, record: dic
             + (f" ({one.spec.assumed})" if one.spec.assumed else "")
             for name, one in drive.columns.items()
         }
-        (part / "vehicle.dbc").write_text(dbc_text(list(drive.columns), spec.source, units), encoding="utf-8")
+        obeyed = "" if spec.enabled is None else f"column '{spec.enabled.column}' is {spec.enabled.active:g}"
+        (part / "vehicle.dbc").write_text(dbc_text(list(drive.columns), spec.source, units, obeyed), encoding="utf-8")
         head = HEAD.format(version=__version__, csv=path.name, source=" ".join(spec.source.split()))
         (part / "vehicle.toml").write_text(head + to_toml(vehicle_table(spec, drive)), encoding="utf-8")
         rows, error = frames_of(drive, part)
@@ -155,6 +158,14 @@ def _write(out: Path, path: Path, spec: ImportSpec, drive: CsvDrive, record: dic
             shutil.rmtree(part)
 
 
+def _states(drive: CsvDrive, codec: Codec, message: MessageMap) -> Iterator[tuple[int, Row]]:
+    """(row of the CSV, frame) wherever a cell says whether the vehicle obeyed."""
+    enabled = np.zeros(0) if drive.enabled is None else drive.enabled
+    for i in np.flatnonzero(np.isfinite(enabled)).tolist():
+        data = codec.encode(message, {}, {ENABLED: float(enabled[i])})
+        yield i, Row(float(drive.time_s[i]), CHANNEL, message.key, data, 0)
+
+
 def frames_of(drive: CsvDrive, folder: Path) -> tuple[list[Row], float]:
     """(the frames by time, largest difference between a value and what its frame says), by the folder's own codec."""
     from tunefree_hil.bus.codec import Codec
@@ -163,6 +174,9 @@ def frames_of(drive: CsvDrive, folder: Path) -> tuple[list[Row], float]:
     found: list[tuple[int, int, Row]] = []
     error = 0.0
     for message in codec.by_name.values():
+        if not message.fields:  # whether the vehicle obeyed
+            found += [(i, message.key, row) for i, row in _states(drive, codec, message)]
+            continue
         names = [f"{field.group}.{field.name}" for field in message.fields]
         columns = [drive.columns[name] for name in names]
         sent = np.logical_and.reduce([column.sent for column in columns])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tunefree_hil.base.records import GROUPS, WHEEL_FIELDS
-from tunefree_hil.bus.invented import WHEELS, message_name, signal_name
+from tunefree_hil.bus.invented import ENABLED, STATE, WHEELS, message_name, signal_name
 from tunefree_hil.config.check_vehicle import field_names
 from tunefree_hil.config.dump import plain
 from tunefree_hil.episode.csv_drive import CsvDrive
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 def vehicle_table(spec: ImportSpec, drive: CsvDrive) -> dict[str, Any]:
     """vehicle.toml as plain data: each column's field, everything else absent, limits as given or as driven."""
     periods = {name: _period_ms(drive, name) for name in drive.columns}
-    tick_ms = math.gcd(*periods.values())
+    state_ms = [] if drive.enabled is None else [_rounded_ms(drive.time_s[np.isfinite(drive.enabled)])]
+    tick_ms = math.gcd(*periods.values(), *state_ms)
     table: dict[str, Any] = {
         "schema": "tunefree.vehicle/1",
         "name": spec.name,
@@ -41,15 +42,21 @@ def vehicle_table(spec: ImportSpec, drive: CsvDrive) -> dict[str, Any]:
             "period_ms": periods[name],
         } | ({"assumed": assumed} if assumed else {})
         table.setdefault(group, {})[WHEELS if wheel else field] = entry
+    if state_ms:
+        table["extra"] = {STATE: {"kind": "telemetry", "period_ms": state_ms[0]}}
+        table["state"] = {"enabled": [{"message": STATE, "signal": ENABLED}]}
     return table | {"limits": _limits(spec, drive), "nominal": plain(spec.nominal)}
 
 
 def _period_ms(drive: CsvDrive, name: str) -> int:
-    """The usual time between two values: tens of ms from 20 ms on, whole ms below, at least 1."""
     column = drive.columns[name]
-    times = drive.time_s[column.sent]
-    period_ms = column.spec.period_ms or (1000.0 * float(np.median(np.diff(times))) if times.size > 1 else 100.0)
-    return max(1, round(period_ms / 10.0) * 10 if period_ms >= 20.0 else round(period_ms))
+    return _rounded_ms(drive.time_s[column.sent], column.spec.period_ms)
+
+
+def _rounded_ms(times: np.ndarray, said_ms: int = 0) -> int:
+    """The usual time between two values, or what is said: tens of ms from 8 ms on, whole ms below, at least 1."""
+    period_ms = said_ms or (1000.0 * float(np.median(np.diff(times))) if times.size > 1 else 100.0)
+    return max(1, round(period_ms / 10.0) * 10 if period_ms >= 8.0 else round(period_ms))
 
 
 def _absent(drive: CsvDrive) -> list[str]:

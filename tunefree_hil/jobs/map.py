@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
+from tunefree_hil.bench.load import require_current
+from tunefree_hil.jobs.learning_logs import read
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.map import Gathered, LearnedMap, gather, learn_map
 from tunefree_hil.learn.map_cells import cell_errors, rms
@@ -76,24 +78,8 @@ def target_of(out: Path, vehicle: VehicleSpec) -> Path:
                 key="--out",
                 hint="name a model folder of the same vehicle, or another folder",
             )
+        require_current(model, vehicle)
     return out / FILE
-
-
-def read(logs: Sequence[Path], vehicle: VehicleSpec) -> Iterator[Event]:
-    """The drives of logs, checked."""
-    from tunefree_hil.bus.codec import Codec
-    from tunefree_hil.learn.checks import check_drives
-    from tunefree_hil.learn.problems import require_good
-    from tunefree_hil.learn.read import read_drives
-
-    if not logs:
-        raise InputError("no log is named", code="no_log", key="LOG", hint="name one log or more")
-    yield Event("note", f"reading {len(logs)} log{'s' if len(logs) > 1 else ''} of {vehicle.name}")
-    drives = read_drives(list(logs), Codec(vehicle))
-    for problem in require_good(check_drives(drives, vehicle)):
-        yield Event("warning", problem.words)
-    yield Event("note", f"{sum(drive.ticks * drive.dt_s for drive in drives) / 60.0:.1f} minutes of driving")
-    return drives
 
 
 def _learned(steps: Any, started: float) -> Iterator[Event]:

@@ -14,13 +14,14 @@ from pathlib import Path
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import is_heavy
+from tunefree_hil.bench import is_heavy, model_of
 from tunefree_hil.bench.batch import Batch
 from tunefree_hil.jobs.confirm import Confirmed, confirm, to_confirm
 from tunefree_hil.jobs.drive import DEFAULT_ROOT
 from tunefree_hil.jobs.evaluators import BatchEvaluator, BusEvaluator, RealtimeEvaluator
 from tunefree_hil.jobs.foreign import command_of, require_announced
 from tunefree_hil.jobs.identity import resolved_toml
+from tunefree_hil.jobs.model_words import model_words
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, remove_parts, unfinished, write_text
 from tunefree_hil.jobs.search import Search
 from tunefree_hil.jobs.session import open_lanes
@@ -57,6 +58,7 @@ def tune(asked: Asked) -> Iterator[Event]:
     with _run_folder(wish) as (run, old):
         words = f"{'goes on with' if old else 'run folder'} {run.path}"
         yield Event("note", words, {"resume": wish.command})
+        yield Event("note", model_words(model_of(wish.bench, wish.bench.spec.model)))
         if wish.shown:
             yield Event("note", f"study: {wish.shown}; only each trial's score is reproducible, not their course")
         with ExitStack() as stack:

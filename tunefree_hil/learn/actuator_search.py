@@ -106,6 +106,18 @@ def starts_of(case: Case) -> list[tuple[float, float]]:
     return [(dead_s, lag_s) for _, dead_s, lag_s in sorted(errors)[:STARTS]]
 
 
+def disturbed(case: Case, start: tuple[float, float]) -> Case:
+    """The same case with what is left at a start taken as the doubt of a row: a car's motion also has other causes.
+
+    The sensor's noise is far below them; against it every row would be an outlier, and the steps that tell most too.
+    """
+    shape = Shape(1, True)
+    x = vector(shape, {"dead_time_s": start[0], "lag_s": start[1]}, case.scale)
+    rows = misses(params_at(shape, x, case.scale), case.training, case.scale.sigma)
+    times = max(float(np.sqrt(np.mean(rows * rows))), 1.0)
+    return case._replace(scale=case.scale._replace(sigma=times * case.scale.sigma))
+
+
 def best_of(case: Case, shape: Shape, starts: Sequence[tuple[float, float]]) -> Found:
     """The best fit of a shape over all starts."""
     fits = [fitted(case, shape, values) for values in _start_values(shape, starts)]

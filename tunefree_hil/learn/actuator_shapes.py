@@ -149,12 +149,18 @@ def respond(params: ActuatorParams, state: ActuatorState, down: Lag, commands: A
 kept(respond)
 
 
+def answered(way: Way, command: Array, dt_s: float) -> Array:
+    """Outputs [n] of the channel for commands [n], from rest on the first."""
+    start = way.params._replace(initial=float(command[0]))
+    up, down = (start._replace(lag_s=start.lag_s * math.exp(sign * way.uneven)) for sign in (1.0, -1.0))
+    outputs = np.empty(len(command))
+    respond(start, init_actuator(up, dt_s), init_actuator(down, dt_s).lag, command, outputs, dt_s)
+    return outputs
+
+
 def simulated(way: Way, pair: Pair) -> Array:
     """Outputs [n] of the channel for a pair's commands, from rest on the first; filtered as the pair's output is."""
-    start = way.params._replace(initial=float(pair.command[0]))
-    up, down = (start._replace(lag_s=start.lag_s * math.exp(sign * way.uneven)) for sign in (1.0, -1.0))
-    outputs = np.empty(len(pair.command))
-    respond(start, init_actuator(up, pair.dt_s), init_actuator(down, pair.dt_s).lag, pair.command, outputs, pair.dt_s)
+    outputs = answered(way, pair.command, pair.dt_s)
     return smooth_rate(outputs, pair.window, pair.dt_s) if pair.window else outputs
 
 

@@ -22,6 +22,7 @@ from tunefree_hil.learn.actuator_search import (
     calmed,
     case_of,
     choose,
+    disturbed,
     error_of,
     explained,
     fitted,
@@ -47,6 +48,7 @@ SMALL_SHARE = 0.1  # of the span: what counts as about rest
 MOST_UNKNOWN = 200.0  # an unknown that far off says nothing any more
 FOLLOWS = 0.5  # share of the output's variance that the command must explain
 PLAIN = (Shape(1, False), Shape(1, False, uneven=True), Shape(2, False))
+EVEN = (Shape(1, False), Shape(2, False))  # where only the motion is seen, which is too little for more
 LIMITED = (Shape(1, True), Shape(2, True))
 
 
@@ -59,10 +61,13 @@ def fit(training: Pairs, held_out: Pairs, sheet: ChannelSheet, echo: bool = True
     if why:
         return from_sheet(sheet, why)
     case = case_of(training, held_out, sheet)
-    shapes = (*PLAIN, *LIMITED)
+    by_motion = any(pair.window for pair in training.some)
+    shapes = EVEN if by_motion else (*PLAIN, *LIMITED)
     total = len(shapes) + 3
     yield 0, total
     starts = starts_of(case)
+    if by_motion:
+        case = disturbed(case, starts[0])
     candidates: list[Found] = []
     for i, shape in enumerate(shapes):
         yield i + 1, total
@@ -140,6 +145,8 @@ def _as_fit(case: Case, chosen: Found, rate: Value, band: Value, pairs: Pairs, w
         why = "shorter than the reports can tell from dead time"
         lag = Value(0.0, 0.0, 0.5 * dt_s, True, why)
         found["dead_time_s"] = at_least_0(wider(found["dead_time_s"], 0.5 * dt_s, why))
+        if any(pair.window for pair in case.training):
+            lag = Value(0.0, 0.0, found["dead_time_s"].high, False, "the motion does not tell it from dead time")
     elif shape.uneven:
         lag = _of_both_ways(chosen, lag)
     left = [misses(chosen.way, [pair], 1.0) for pair in case.training]  # without the corners that the output itself has

@@ -90,6 +90,29 @@ def at_least_0(value: Value) -> Value:
     return value._replace(low=max(value.low, 0.0))
 
 
+def in_motion(found: ActuatorFit, sheet: ChannelSheet) -> ActuatorFit:
+    """A channel of which only the motion was seen: what a command is worth is the plant's, the lag may be the car's.
+
+    Where the motion shows neither dead time nor lag, the data sheet's stand, wider by what the motion leaves open.
+    """
+    if not (found.dead_time_s.known or found.lag_s.known):
+        return from_sheet(sheet, "the motion hardly shows it, and no output is reported")
+    why = "seen in the motion only: what a command is worth is fitted as a constant of the plant"
+    lag_why = "seen in the motion only: it holds the car's own answer too"
+    times: dict[str, Value] = {}
+    if found.order == 1:
+        times["lag_s"] = found.lag_s._replace(low=0.0, why=found.lag_s.why or lag_why)
+    else:
+        times["natural_hz"] = found.natural_hz._replace(high=MOST_TOLD, why=found.natural_hz.why or lag_why)
+    return found._replace(
+        rate_limit=Value(math.inf, 0.0, math.inf, False, why),
+        dead_band=exactly(0.0, why),
+        gain=exactly(1.0, why),
+        offset=exactly(0.0, why),
+        **times,
+    )
+
+
 def doubted(found: ActuatorFit, dt_s: float) -> ActuatorFit:
     """Without an echo a tick either way on the bus is not known."""
     why = "without an echo of the command the bus's own delay is taken for the bench's, give or take a tick each way"

@@ -23,6 +23,7 @@ Array = np.ndarray
 STEERING = "steer_and_yaw_rate"
 # Of an unknown vehicle, only for the sign: a wheelbase in m and a steering ratio between a scale model's and a van's.
 STAND_IN = (1.0, 40.0)
+LEAST_TURNED = 0.05  # of the greatest angle: a wheel that is not centred may be turned the other way by less
 ONLY_TOLD = ("accel_and_speed",)  # a hill is in the one and not in the other
 PRESSED_FRAC, LET_GO_FRAC = 0.03, 0.01
 DELAY_S, WINDOW_S = 0.1, 0.5  # a pedal's effect is looked for from here on, over so long
@@ -33,7 +34,7 @@ LEAST_ACCEL_MPS2, LEAST_MOVED_FRAC, TURNED_FIT = 0.2, 0.03, -0.5  # standard dev
 def check_motion(drive: Drive, vehicle: VehicleSpec) -> Iterator[Problem]:
     """All of them for one drive. What hardly moves is not judged."""
     yield from _ranges(drive)
-    yield from _pairs(drive, vehicle.nominal)
+    yield from _pairs(drive, vehicle.nominal, vehicle.limits.steer_rad)
     yield from _pedals(drive, vehicle.nominal.rest_pedal_frac)
     yield from _accel_command(drive)
     yield from check_stuck(drive)
@@ -52,7 +53,7 @@ def _ranges(drive: Drive) -> Iterator[Problem]:
             yield Problem("refuse", "units", drive.name, name, words + "scale in vehicle.toml wrong?")
 
 
-def _findings(drive: Drive, nominal: NominalSpec) -> Iterator[tuple[Pair, Finding, dict[str, str]]]:
+def _findings(drive: Drive, nominal: NominalSpec, most_rad: float) -> Iterator[tuple[Pair, Finding, dict[str, str]]]:
     """(what was compared, what came of it, fields that stood in for others) of all that could be judged."""
     steer = name_of(drive, TURNS)
     instead = {"report.steer_rad": steer} if steer and "report.steer_rad" not in drive.fields else {}
@@ -69,14 +70,18 @@ def _findings(drive: Drive, nominal: NominalSpec) -> Iterator[tuple[Pair, Findin
             or {*pair.first, *pair.second} <= {*instead, *instead.values()}
         ):
             continue
-        if pair.check == STEERING and not known:  # its size says nothing
+        if (
+            pair.check == STEERING and not known
+        ):  # its size says nothing, and next to straight ahead not its sign either
+            if np.ptp(drive.fields[steer or "report.steer_rad"][moving(drive)]) < LEAST_TURNED * most_rad:
+                continue
             finding = finding._replace(holds=finding.factor > 0.0)
         yield pair, finding, instead
 
 
-def _pairs(drive: Drive, nominal: NominalSpec) -> Iterator[Problem]:
-    """Fields that say the same thing twice and do not say the same."""
-    for pair, finding, instead in _findings(drive, nominal):
+def _pairs(drive: Drive, nominal: NominalSpec, most_rad: float) -> Iterator[Problem]:
+    """Fields that say the same thing twice and do not say the same. most_rad: the greatest steering angle."""
+    for pair, finding, instead in _findings(drive, nominal, most_rad):
         factor = finding.factor
         if finding.holds or factor is None:
             continue
@@ -110,8 +115,9 @@ def _pedals(drive: Drive, rest_frac: float) -> Iterator[Problem]:
         if brake is None:
             yield from _one_pedal(drive, throttle_name, throttle, accel, rows)
             continue
-        driven = rows & (throttle > rest_frac + PRESSED_FRAC) & (brake < rest_frac + LET_GO_FRAC)
-        braked = rows & (brake > rest_frac + PRESSED_FRAC) & (throttle < rest_frac + LET_GO_FRAC)
+        driven = (throttle > rest_frac + PRESSED_FRAC) & (brake < rest_frac + LET_GO_FRAC)
+        braked = (brake > rest_frac + PRESSED_FRAC) & (throttle < rest_frac + LET_GO_FRAC)
+        driven, braked = rows & _kept(driven, drive.dt_s), rows & _kept(braked, drive.dt_s)
         if min(driven.sum(), braked.sum()) * drive.dt_s < LEAST_PRESSED_S:
             continue
         by_throttle, by_brake = float(accel[driven].mean()), float(accel[braked].mean())
@@ -164,6 +170,17 @@ def _following_accel(drive: Drive) -> Array | None:
     rows = max(0, drive.ticks - delay - window)
     rate[:rows] = (speed[delay + window :][:rows] - speed[delay:][:rows]) / (window * drive.dt_s)
     return rate
+
+
+def _kept(pressed: Array, dt_s: float) -> Array:
+    """Rows from which on it stays pressed as long as its effect is looked at: a pedal that is soon changed for the
+    other one has the other one's effect.
+    """
+    rows = round(DELAY_S / dt_s) + max(1, round(WINDOW_S / dt_s))
+    count = np.concatenate(([0], np.cumsum(pressed)))
+    kept = np.zeros(len(pressed), dtype=bool)
+    kept[: max(0, len(pressed) - rows)] = count[rows + 1 :] - count[: -rows - 1] == rows + 1
+    return kept
 
 
 def _judged(drive: Drive, accel: Array, *, by_command: bool) -> Array:

@@ -8,7 +8,6 @@ import numpy as np
 
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.problems import Problem
-from tunefree_hil.learn.read import reading_of
 from tunefree_hil.learn.series import SPEEDS, TURNS, YAW_RATES, backwards, first_of, moving, name_of
 
 Array = np.ndarray
@@ -48,7 +47,7 @@ def _twice(drives: Sequence[Drive]) -> Iterator[Problem]:
 
 def _foreign(drives: Sequence[Drive]) -> Iterator[Problem]:
     """A vehicle's bus carries the same ids on every drive, those too that the folder does not know."""
-    ids = [set(reading.foreign) if (reading := reading_of(drive)) is not None else set() for drive in drives]
+    ids = [set(drive.reading.foreign) if drive.reading is not None else set() for drive in drives]
     many = [i for i, some in enumerate(ids) if len(some) >= FEWEST_IDS]
     for i in many[1:]:
         both, any_of = ids[many[0]] & ids[i], ids[many[0]] | ids[i]

@@ -13,9 +13,8 @@ import numpy as np
 
 from tunefree_hil.learn.check_motion import check_motion
 from tunefree_hil.learn.check_pair import check_same_vehicle
-from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.drives import Drive, Reading
 from tunefree_hil.learn.problems import Problem
-from tunefree_hil.learn.read import Reading, reading_of
 from tunefree_hil.learn.series import BRAKES, MOVING_MPS, SPEEDS, THROTTLES, TURNS, first_of, moving, name_of
 
 if TYPE_CHECKING:
@@ -33,7 +32,7 @@ MOST_MISSING = 0.5  # of the folder's chassis messages
 MOST_BAD = 0.2  # of a message's frames: short ones, or with a CRC that does not fit
 BACK_S = 0.05  # receivers put frames of a few ms out of order; a clock that goes back further was set
 SILENT_S, STOPPED_S = 0.2, 10.0
-LEAST_SHARE, LOW_SHARE, HIGH_SHARE = 0.7, 0.5, 2.0  # of the frames that a period makes one expect
+LEAST_SHARE, LOW_SHARE, HIGH_SHARE = 0.7, 0.5, 1.7  # of the frames that a period makes one expect
 
 
 def check_drives(drives: Sequence[Drive], vehicle: VehicleSpec) -> list[Problem]:
@@ -46,10 +45,9 @@ def check_drives(drives: Sequence[Drive], vehicle: VehicleSpec) -> list[Problem]
         return [Problem("refuse", "no_log", "", "", "no log was given: name at least one")]
     found: list[Problem] = []
     for drive in drives:
-        reading = reading_of(drive)
-        if reading is not None:
-            found += _frames(drive, reading, vehicle)
-            found += _clock(drive, reading)
+        if drive.reading is not None:
+            found += _frames(drive, drive.reading, vehicle)
+            found += _clock(drive, drive.reading)
         found += _numbers(drive)
         found += check_motion(drive, vehicle)
     found += check_same_vehicle(drives)
@@ -104,7 +102,7 @@ def _rates(drive: Drive, reading: Reading, vehicle: VehicleSpec) -> Iterator[Pro
     usual = float(np.median(list(shares.values())))
     if not LOW_SHARE <= usual <= HIGH_SHARE:
         words = f"{drive.name}: messages come at {usual:.3g} times the rate that the periods of vehicle.toml make one "
-        words += "expect: is the clock in other units, or the vehicle another one?"
+        words += "expect: two vehicles in it (keep one channel), a clock in other units, or another vehicle?"
         yield Problem("refuse", "wrong_rate", drive.name, "", words)
         return
     for name, share in shares.items():

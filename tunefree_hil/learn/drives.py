@@ -10,6 +10,30 @@ import numpy as np
 Array = np.ndarray
 
 
+class Reading(NamedTuple):
+    """What a log said beside its values; for learn/checks.py, and for people.
+
+    heard, short, broken: frames by message of the folder: all of them (0: never came), too short to decode, with a CRC
+    or data id that does not fit. foreign: frames by id that the folder does not know. back_s, ahead_s: the furthest
+    step of the clock back and ahead between one frame of the vehicle and the next, and the stamps where they are.
+    times: how stamps became ticks, in words. cut: the last line was cut off and left out.
+    """
+
+    file: str
+    frames: int
+    heard: Mapping[str, int]
+    short: Mapping[str, int]
+    broken: Mapping[str, int]
+    foreign: Mapping[int, int]
+    span_s: float
+    back_s: float
+    back_at_s: float
+    ahead_s: float
+    ahead_at_s: float
+    times: str
+    cut: bool
+
+
 class Drive(NamedTuple):
     """One recording on the vehicle's tick grid.
 
@@ -18,6 +42,7 @@ class Drive(NamedTuple):
     of the newest frame stamped before the end of the tick, NaN before the first. A field that the log or the vehicle
     does not have is absent. fresh: the same keys -> bool [n]: ticks in which a frame brought a value.
     enabled: bool [n], whether the by-wire channels obeyed as far as reports say (all True where none can say it).
+    reading: what the log said beside its values; None for a drive that came out of no log.
     """
 
     name: str
@@ -26,6 +51,7 @@ class Drive(NamedTuple):
     fields: Mapping[str, Array]
     fresh: Mapping[str, Array]
     enabled: Array
+    reading: Reading | None = None
 
     @property
     def ticks(self) -> int:

@@ -19,15 +19,16 @@ from tunefree_hil.base.kernel import Block, series
 from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec, VehicleSpec, value_of
+from tunefree_hil.learn.acted import accel_asked, asked_pedals, channel_of
 from tunefree_hil.learn.drives import Array, Drive, Part
-from tunefree_hil.learn.pairs import BENCH_TICKS, ECHOES, by_echo, shifted
-from tunefree_hil.learn.pairs import CHANNELS as FIELDS
-from tunefree_hil.learn.smooth import between_fresh
+from tunefree_hil.learn.smooth import between_fresh, mean_noise, yaw_by_wheels
 from tunefree_hil.plant.actuators import ActuatorParams, actuator
+from tunefree_hil.plant.asked_accel import pedals_of
 
 WINDOW, ORDER = 51, 3  # Savitzky-Golay of the labels (apollo_facts 5.3)
 GRADE_ROWS = 201  # the accelerometer's view of the road is smoothed over these
 HILL_RAD = 0.015  # from here on a stretch counts as a hill; an accelerometer's bias is below it
+MOST_DOUBT_RAD = 0.5 * HILL_RAD  # of a slope: an accelerometer that shakes more than that says nothing about the road
 SLOW_MPS = 1.0  # below it an accelerometer says little about the road: stick, pitch, brakes
 CHANNELS = ("throttle", "brake", "steer")
 
@@ -39,7 +40,8 @@ class Track(NamedTuple):
     grade_rad: what the accelerometer says beyond the rate of speed, 0 on what counts as level. commands, recorded:
     [n, 3] throttle, brake (duty), steer (rad): what was asked, and what the report says was put out (NaN where it says
     nothing). obeyed: [n, 3] whether the command acted (else the recorded output is all there is). good: fit for use.
-    placed: whether position and heading were measured and not summed up from speed and yaw rate.
+    placed: whether position and heading were measured and not summed up from speed and yaw rate. asked_mps2: of a car
+    that is asked for an acceleration what was asked, [n]; its pedals in `commands` are those of plant/asked_accel.py.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Track(NamedTuple):
     obeyed: Array
     good: Array
     placed: bool
+    asked_mps2: Array | None = None
 
     @property
     def rows(self) -> int:
@@ -79,11 +82,14 @@ def track_of(part: Part, vehicle: VehicleSpec) -> Track:
     drive, cut = part.drive, slice(part.begin, part.end)
     late = round(vehicle.ins_frame.latency_s / drive.dt_s)
     speed = smooth(_first(drive, ("ins.speed_mps", "report.speed_mps"), late)[cut])
-    yaw = smooth(_first(drive, ("ins.yaw_rate_radps", "report.yaw_rate_radps"), late)[cut])
+    yaw = smooth(_yaw_rate(drive, vehicle, late)[cut])
     accel = smooth(_first(drive, ("ins.speed_mps", "report.speed_mps"), late)[cut], drive.dt_s)
     heading, x, y, placed = _pose(drive, cut, late, speed, yaw)
     rest = vehicle.nominal.rest_pedal_frac
-    columns = [_channel(drive, name, 0.0 if name == "steer" else rest) for name in CHANNELS]
+    columns = [channel_of(drive, name, 0.0 if name == "steer" else rest) for name in CHANNELS]
+    asked = accel_asked(drive)
+    if asked is not None:
+        columns[:2] = asked_pedals(asked, drive.enabled, rest)
     commands, recorded, obeyed = (np.stack([one[i][cut] for one in columns], axis=1) for i in range(3))
     usable = np.where(obeyed, commands, recorded)
     good = np.isfinite(np.stack([speed, yaw, accel, heading, x, y], axis=1)).all(axis=1)
@@ -94,7 +100,7 @@ def track_of(part: Part, vehicle: VehicleSpec) -> Track:
     grade = _grade(drive, cut, speed, yaw, accel, vehicle)
     return Track(
         drive.name, drive.log_hash, part.begin, drive.dt_s, np.maximum(speed, 0.0), yaw, accel, heading, x, y, grade,
-        commands, recorded, obeyed, good, placed,
+        commands, recorded, obeyed, good, placed, None if asked is None else asked[cut],
     )  # fmt: skip
 
 
@@ -132,6 +138,15 @@ def _first(drive: Drive, names: Sequence[str], late: int) -> Array:
     )
 
 
+def _yaw_rate(drive: Drive, vehicle: VehicleSpec, late: int) -> Array:
+    """The INS's, the chassis's, or what the rear wheels make of it."""
+    names = ("ins.yaw_rate_radps", "report.yaw_rate_radps")
+    wheels = yaw_by_wheels(drive, vehicle.nominal)
+    if wheels is not None and all(drive.get(name) is None for name in names):
+        return between_fresh(*wheels)
+    return _first(drive, names, late)
+
+
 def _earlier(values: Array, rows: int) -> Array:
     if rows == 0:
         return values
@@ -155,23 +170,6 @@ def _pose(drive: Drive, cut: slice, late: int, speed: Array, yaw: Array) -> tupl
     return heading, x, y, False
 
 
-def _channel(drive: Drive, name: str, rest: float) -> tuple[Array, Array, Array]:
-    """(command, recorded output, obeyed) of a channel over a whole drive, as they act."""
-    asked, said = drive.get(f"command.{FIELDS[name]}"), drive.get(f"report.{FIELDS[name]}")
-    echo = drive.get(f"report.{ECHOES[name]}")
-    none = np.full(drive.ticks, np.nan)
-    output = none if said is None else between_fresh(said, drive.fresh[f"report.{FIELDS[name]}"])
-    if asked is None and said is None:  # a vehicle without this pedal
-        return np.full(drive.ticks, rest), none, np.ones(drive.ticks, dtype=bool)
-    if echo is not None:
-        command = by_echo(echo, drive.fresh[f"report.{ECHOES[name]}"], asked, drive.dt_s)
-        return command, output, np.isfinite(command)
-    if asked is None:
-        return none, output, np.zeros(drive.ticks, dtype=bool)
-    command = shifted(asked, BENCH_TICKS)
-    return command, output, np.isfinite(command) & drive.enabled
-
-
 def _grade(drive: Drive, cut: slice, speed: Array, yaw: Array, accel: Array, vehicle: VehicleSpec) -> Array:
     """Slope of the road from specific force beyond the rate of speed; 0 where it is level, slow or not measured."""
     said = drive.get("report.accel_mps2")
@@ -182,6 +180,8 @@ def _grade(drive: Drive, cut: slice, speed: Array, yaw: Array, accel: Array, veh
     behind_m = (nominal.wheelbase_m or 0.0) - (nominal.front_axle_m or 0.0)
     beyond = (said[cut] - accel + behind_m * yaw * yaw) / G_MPS2  # the centre of mass slides outwards at b * yaw rate
     usable = np.isfinite(beyond) & (speed > SLOW_MPS)
+    if mean_noise(np.where(usable, beyond, np.nan), drive.fresh["report.accel_mps2"][cut], GRADE_ROWS) > MOST_DOUBT_RAD:
+        return flat
     weight = np.convolve(usable, np.ones(GRADE_ROWS), "same")
     mean = np.convolve(np.where(usable, beyond, 0.0), np.ones(GRADE_ROWS), "same") / np.maximum(weight, 1.0)
     slope = np.arcsin(np.clip(mean, -0.5, 0.5))
@@ -203,13 +203,28 @@ def outputs_of(track: Track, model: ModelSpec, rest: float, identity: bool = Fal
     commands (kind paper) has no actuators.
     """
     found = np.array(track.recorded, dtype=np.float64)
+    by_accel = track.asked_mps2 is not None and not identity
     for column, name in enumerate(CHANNELS):
+        if by_accel and name != "steer":
+            continue
         idle = 0.0 if name == "steer" else rest
         for begin, end in runs_of(track.obeyed[:, column]):
             commands = track.commands[begin:end, column]
             block = _channel_block(model, name, idle, float(commands[0]), identity)
             found[begin:end, column] = _driven(block, commands, track.dt_s)
+    if by_accel:
+        _by_accel(track, model, rest, found)
     return found
+
+
+def _by_accel(track: Track, model: ModelSpec, rest: float, found: Array) -> None:
+    """Fill in the pedals of a car that is asked for an acceleration: through its channel 'accel'."""
+    assert track.asked_mps2 is not None
+    for begin, end in runs_of(track.obeyed[:, 0]):
+        asked = track.asked_mps2[begin:end]
+        block = _channel_block(model, "accel", 0.0, float(asked[0]), False)
+        made = _driven(block, asked, track.dt_s)
+        found[begin:end, :2] = [pedals_of(accel_mps2, rest) for accel_mps2 in made]
 
 
 def body_change(model: ModelSpec) -> BodyChange:

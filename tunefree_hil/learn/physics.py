@@ -20,7 +20,7 @@ from tunefree_hil.base.kernel import kept, kernel
 from tunefree_hil.base.records import Actuation, Disturbance, Motion
 from tunefree_hil.learn.least import Least, solve
 from tunefree_hil.learn.sheet import Constant
-from tunefree_hil.learn.values import Value
+from tunefree_hil.learn.values import Value, together_with
 from tunefree_hil.learn.windows import TARGETS, Window, Windows
 from tunefree_hil.plant.body import ChassisInput, ChassisParams
 from tunefree_hil.plant.data_sheet import constants_of
@@ -48,6 +48,8 @@ PIECES = 4.0  # independent numbers that a window has to say of each target
 ROBUST = 3.0
 KNOWN_SHARE = 0.5  # of the doubt before the fit that may be left after it
 HOPELESS = 0.95  # of it: nothing at all was learned
+WORSE = 1.5  # than with all constants free, from which on what was known before is not gone back to
+TOGETHER = "these logs tell it only together with the others: the best of all together"
 FLOOR = 0.02  # of the first scale: no target is believed better than that
 WIDTH = len(TARGETS)
 
@@ -152,6 +154,8 @@ class Problem:
             BAND: Constant(0.0, BAND_DOUBT * brake_way, False, False),
         }
         names = list(self.known)
+        if "brake_force_n_per_frac" not in known:  # no brake, or none that anybody sees
+            names.remove(BAND)
         if not windows.steered:
             names = [name for name in names if name not in LATERAL]
         if not windows.pedals:
@@ -225,6 +229,7 @@ def fit(
     least = _solved(problem, names, least.x, 15)
     yield 2, total
     lost: dict[str, float] = {}
+    joint, together = problem.values(names, least.x), rms_of(problem.misses(problem.values(names, least.x)))
     while names:
         left = deviations_left(least)
         worst = np.flatnonzero((left > KNOWN_SHARE) & (left >= min(HOPELESS, float(left.max()))))
@@ -240,6 +245,9 @@ def fit(
     after = rms_of(problem.misses(values))
     yield total, total
     found = {name: _value(problem, names, least, name, lost) for name in problem.known}
+    if any(after[name] > WORSE * together[name] for name in after):  # what was known before is no car that drives so
+        values, after = joint, together
+        found = {name: together_with(one, joint[name], TOGETHER) for name, one in found.items()}
     return PhysicsFit(found, problem.params(values), before, after, len(windows.some), windows.words)
 
 

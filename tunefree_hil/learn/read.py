@@ -6,59 +6,23 @@ import hashlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import CanFrame
-from tunefree_hil.bus.bench_channel import Role, State, Status, decode
 from tunefree_hil.bus.codec import Codec
 from tunefree_hil.bus.formats.find import CANDUMP, format_of
 from tunefree_hil.bus.message_map import EXTENDED_FLAG, MessageMap
-from tunefree_hil.episode.candump import ERROR, RTR, cut_line, read_candump
+from tunefree_hil.episode.candump import ERROR, RTR, cut_line
 from tunefree_hil.episode.log_columns import Name, Piece, read_pieces
-from tunefree_hil.learn.drives import Drive
+from tunefree_hil.episode.real_time import run_zero_s
+from tunefree_hil.learn.drives import Drive, Reading
 from tunefree_hil.learn.heard import Ear, Seen, place
 
 Progress = Callable[[float, str], None]  # share of all logs read, 0 to 1; the log at hand
 ON_GRID = 1e-3  # of a tick: stamps nearer than this to whole ticks are virtual time
 MOST_STEP_S = 600.0  # between one frame of the vehicle and the next; a tick grid over more is no recording
-
-
-class Reading(NamedTuple):
-    """What a log said beside its values; for learn/checks.py, and for people.
-
-    heard, short, broken: frames by message of the folder: all of them (0: never came), too short to decode, with a CRC
-    or data id that does not fit. foreign: frames by id that the folder does not know. back_s, ahead_s: the furthest
-    step of the clock back and ahead between one frame of the vehicle and the next, and the stamps where they are.
-    times: how stamps became ticks, in words. cut: the last line was cut off and left out.
-    """
-
-    file: str
-    frames: int
-    heard: Mapping[str, int]
-    short: Mapping[str, int]
-    broken: Mapping[str, int]
-    foreign: Mapping[int, int]
-    span_s: float
-    back_s: float
-    back_at_s: float
-    ahead_s: float
-    ahead_at_s: float
-    times: str
-    cut: bool
-
-
-class LogDrive(Drive):
-    """A Drive that came out of a log, with its Reading."""
-
-    reading: Reading
-
-
-def reading_of(drive: Drive) -> Reading | None:
-    """What the log of a drive said beside its values; None for a drive that was made otherwise."""
-    return getattr(drive, "reading", None)
 
 
 def read_drives(logs: Sequence[Path], codec: Codec, *, progress: Progress | None = None) -> list[Drive]:
@@ -99,7 +63,7 @@ def _called(logs: Sequence[Path]) -> list[str]:
 
 def _read(path: Path, name: str, codec: Codec, tell: Callable[[float], None]) -> Drive:
     ears = {message: Ear(message) for message in (*codec.telemetry, *codec.commands)}
-    apart = _by_channel(path, codec)
+    apart = codec.has_channels(channel for piece in read_pieces(path) for channel, _ in piece.names)
     seen = Seen()
     messages: dict[Name, MessageMap | None] = {}
     for piece in read_pieces(path):
@@ -112,23 +76,8 @@ def _read(path: Path, name: str, codec: Codec, tell: Callable[[float], None]) ->
     _refuse(path, codec, seen)
     zero_s, late_ticks, words = _times(path, seen, codec.tick_ms * 1e-3)
     grid = place(ears.values(), codec.tick_ms * 1e-3, zero_s, late_ticks)
-    drive = LogDrive(name, _hash(path), codec.tick_ms * 1e-3, grid.fields, grid.fresh, grid.enabled)
-    drive.reading = _reading(path, ears.values(), seen, words)
-    return drive
-
-
-def _by_channel(path: Path, codec: Codec) -> bool:
-    """Whether the log's channel names are those of vehicle.toml, so that they tell equal ids apart.
-
-    Looked through only until all are heard; our own bench's logs have one channel whatever the folder says.
-    """
-    missing = {message.channel for message in (*codec.commands, *codec.telemetry)} - {""}
-    if missing:
-        for piece in read_pieces(path):
-            missing -= {channel for channel, _ in piece.names}
-            if not missing:
-                return True
-    return False
+    reading = _reading(path, ears.values(), seen, words)
+    return Drive(name, _hash(path), codec.tick_ms * 1e-3, grid.fields, grid.fresh, grid.enabled, reading)
 
 
 def _find(codec: Codec, name: Name, apart: bool) -> MessageMap | None:
@@ -183,22 +132,8 @@ def _times(path: Path, seen: Seen, dt_s: float) -> tuple[float, int, str]:
         return 0.0, 0, "virtual time"
     bench_log = path.parent / "bench.log"
     if bench_log.is_file():
-        return _run_s(bench_log), 1, "real time: tick 0 is where bench.log says"
+        return run_zero_s(bench_log), 1, "real time: tick 0 is where bench.log says"
     return seen.earliest_s, 1, f"real time: tick 0 is the log's first frame, at {seen.earliest_s:.3f} s"
-
-
-def _run_s(bench_log: Path) -> float:
-    """Stamp of tick 0 of a real-time drive: RUN's own stamp plus the lead that it carries (interfaces 8)."""
-    for frame in read_candump(bench_log, allow_cut=True):
-        message = decode(CanFrame(frame.can_id, frame.data))
-        if isinstance(message, Status) and (message.role, message.state) == (Role.RUNNER, State.RUN):
-            return frame.time_s + message.tick * 1e-3
-    raise InputError(
-        "holds no RUN: the drive beside it never began",
-        code="no_run",
-        file=str(bench_log),
-        hint="leave this episode out",
-    )
 
 
 def _hash(path: Path) -> str:

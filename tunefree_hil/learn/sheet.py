@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.config.schema import LatencySpec, VehicleSpec
+from tunefree_hil.plant.asked_accel import linear
 from tunefree_hil.plant.data_sheet import DEFAULTS
 
 RISE_IN_LAGS = 2.2  # 10 to 90 % of a first-order step response
+SEEN_DOUBT, RATIO_DOUBT = 4.0, 1.5  # of what a plain law of the motion suggests
 PEDALS = ("throttle", "brake")
+SCALE_DOUBT = 0.3  # by how much the doubt's logarithm grows with that of the mass, beyond a factor of e
 
 
 class ChannelSheet(NamedTuple):
@@ -49,26 +53,51 @@ class Constant(NamedTuple):
         return self.value - self.doubt, self.value + self.doubt
 
 
-def fixed_params(vehicle: VehicleSpec) -> dict[str, float]:
-    """What is never fitted: masses, geometry, rest of the pedals; plausible numbers where the folder is silent."""
+def asks_accel(vehicle: VehicleSpec) -> bool:
+    """Whether a vehicle is asked for an acceleration and shows no pedals (plant/asked_accel.py)."""
+    pedals = "throttle_frac" in vehicle.command or "throttle_frac" in vehicle.report
+    return "accel_mps2" in vehicle.command and not pedals
+
+
+def has_brake(vehicle: VehicleSpec) -> bool:
+    """Whether a vehicle has a brake of its own, as far as its folder says."""
+    return "brake_frac" in vehicle.command or "brake_frac" in vehicle.report
+
+
+def fixed_params(vehicle: VehicleSpec, seen: Mapping[str, float] | None = None) -> dict[str, float]:
+    """What is never fitted: masses, geometry, rest of the pedals; plausible numbers where the folder is silent.
+
+    Of a car that is asked for an acceleration also all that moves it along; a car without a brake has none, nor has one
+    creep whose motion shows none (seen: as for `constants`).
+    """
     said = vehicle.nominal
     wheelbase_m = said.wheelbase_m or DEFAULTS["wheelbase_m"]
     rest = said.rest_pedal_frac
-    return {
-        "mass_kg": said.mass_kg or DEFAULTS["mass_kg"] * (wheelbase_m / DEFAULTS["wheelbase_m"]) ** 2,
+    mass_kg = said.mass_kg or DEFAULTS["mass_kg"] * (wheelbase_m / DEFAULTS["wheelbase_m"]) ** 2
+    found = {
+        "mass_kg": mass_kg,
         "wheelbase_m": wheelbase_m,
         "front_axle_m": said.front_axle_m or 0.5 * wheelbase_m,
         "wheel_radius_m": said.wheel_radius_m or DEFAULTS["wheel_radius_m"],
-        "track_m": DEFAULTS["track_m"],
+        "track_m": said.track_m or DEFAULTS["track_m"] * wheelbase_m / DEFAULTS["wheelbase_m"],
         "friction": DEFAULTS["friction"],
         "rest_pedal_frac": rest,
         "throttle_full_frac": max(vehicle.limits.throttle_frac, rest + 0.1),
     }
+    if (seen or {}).get("creep_force_n") == 0.0:
+        found |= {"creep_force_n": 0.0, "creep_speed_mps": 1.0}
+    if asks_accel(vehicle):
+        return found | linear(mass_kg, rest)
+    return found if has_brake(vehicle) else found | {"brake_force_n_per_frac": 0.0}
 
 
-def constants(vehicle: VehicleSpec) -> dict[str, Constant]:
-    """The constants that a fit may change, by their names in [plant.params]: from [nominal], [limits], or plausible."""
-    said, limits, fixed = vehicle.nominal, vehicle.limits, fixed_params(vehicle)
+def constants(vehicle: VehicleSpec, seen: Mapping[str, float] | None = None) -> dict[str, Constant]:
+    """The constants that a fit may change, by their names in [plant.params]: from [nominal], [limits], or plausible.
+
+    seen: values that the motion suggests (learn/law_constants.py), for those that the folder does not state.
+    What is plausible is so for a road car: of a lighter one (or heavier) it is doubted the more, by SCALE_DOUBT.
+    """
+    said, limits, fixed = vehicle.nominal, vehicle.limits, fixed_params(vehicle, seen)
     mass_kg, wheelbase_m, front_m = fixed["mass_kg"], fixed["wheelbase_m"], fixed["front_axle_m"]
     rest, heavier = said.rest_pedal_frac, mass_kg / DEFAULTS["mass_kg"]
     low, high = limits.accel_mps2
@@ -78,15 +107,17 @@ def constants(vehicle: VehicleSpec) -> dict[str, Constant]:
     def stated(value: float | None, otherwise: float, doubt: float) -> Constant:
         return Constant(value or otherwise, doubt if value else doubt * 1.5, True, bool(value))
 
+    scaled = 1.0 + SCALE_DOUBT * max(abs(math.log(heavier)) - 1.0, 0.0)
+
     def guess(value: float, doubt: float) -> Constant:
-        return Constant(value, doubt, True, False)
+        return Constant(value, doubt**scaled, True, False)
 
     span = fixed["throttle_full_frac"] - rest
-    return {
+    found = {
         "drive_force_n": guess(1.6 * max(high, 0.5) * mass_kg, 3.0),
         "drive_knee_frac": guess(0.2, 4.0),
         "drive_power_w": guess(DEFAULTS["drive_power_w"] * heavier, 3.0),
-        "throttle_zero_frac": Constant(rest + 0.03 * span, 0.08 * span, False, False),
+        "throttle_zero_frac": Constant(rest + 0.03 * span, min(0.08 * scaled, 0.3) * span, False, False),
         "creep_force_n": guess(DEFAULTS["creep_force_n"] * heavier, 3.0),
         "creep_speed_mps": guess(DEFAULTS["creep_speed_mps"], 2.5),
         "brake_force_n_per_frac": guess(1.2 * max(-low, 1.0) * mass_kg / brake_span, 4.0),
@@ -97,3 +128,9 @@ def constants(vehicle: VehicleSpec) -> dict[str, Constant]:
         "yaw_inertia_kgm2": stated(said.yaw_inertia_kgm2, mass_kg * front_m * (wheelbase_m - front_m), 1.5),
         "steer_ratio": stated(said.steer_ratio, DEFAULTS["steer_ratio"], 1.1),
     }
+    for name, value in (seen or {}).items():
+        if name == "throttle_zero_frac":
+            found[name] = Constant(value, 0.15 * span, False, False)
+        elif name in found and not found[name].stated:
+            found[name] = Constant(value, RATIO_DOUBT if name == "steer_ratio" else SEEN_DOUBT, True, False)
+    return {name: one for name, one in found.items() if name not in fixed}

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
+from tunefree_hil.config.schema import NominalSpec
 from tunefree_hil.learn.drives import Drive, Part
 from tunefree_hil.plant.sensors import NOISY
 
@@ -48,6 +49,32 @@ def speed_of(drive: Drive) -> tuple[Array, Array] | None:
         if values is not None and np.isfinite(values).any():
             return values, drive.fresh[name]
     return None
+
+
+def mean_noise(misses: Array, fresh: Array, rows: int) -> float:
+    """Standard deviation of a mean over `rows` ticks of what an accelerometer says beyond the rate of speed.
+
+    From how much neighbouring fresh values differ: a car that shakes, seen ten times a second, tells no slope. inf
+    where there are too few.
+    """
+    some = misses[fresh & np.isfinite(misses)]
+    if len(some) < 10:
+        return float("inf")
+    each = float(np.sqrt(0.5 * np.mean(np.diff(some) ** 2)))
+    return each / float(np.sqrt(max(rows * np.mean(fresh), 1.0)))
+
+
+def yaw_by_wheels(drive: Drive, nominal: NominalSpec) -> tuple[Array, Array] | None:
+    """(yaw rate, where it is fresh) of a car without a gyro: how much faster the right rear wheel rolls than the left.
+
+    None without wheels, or where the folder does not say the track and the rolling radius. Wheels that are not quite
+    alike turn a straight line into a curve; a fit sees that as a steering wheel that is not centred.
+    """
+    left, right = drive.get("report.wheel_rl_radps"), drive.get("report.wheel_rr_radps")
+    if left is None or right is None or not (nominal.track_m and nominal.wheel_radius_m):
+        return None
+    fresh = drive.fresh["report.wheel_rl_radps"] & drive.fresh["report.wheel_rr_radps"]
+    return (right - left) * nominal.wheel_radius_m / nominal.track_m, fresh
 
 
 def quantum_of(values: Array) -> float:

@@ -34,6 +34,11 @@ def unknown(value: float, why: str, *, low: float | None = None, high: float | N
     return Value(value, value - spread if low is None else low, value + spread if high is None else high, False, why)
 
 
+def together_with(one: Value, value: float, why: str) -> Value:
+    """Another value in the place of `one`, not known by itself, in an interval that holds both."""
+    return Value(value, min(one.low, value), max(one.high, value), False, why)
+
+
 class ActuatorFit(NamedTuple):
     """One by-wire channel as identified (design D5), in its own unit (duty, rad at the steering wheel, m/s2, Nm).
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -10,9 +10,13 @@ import numpy as np
 from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.config.schema import VehicleSpec
+from tunefree_hil.learn.acted import accel_asked, channel_of
+from tunefree_hil.learn.actuator_shapes import Way, answered
 from tunefree_hil.learn.drives import Drive, Part
 from tunefree_hil.learn.pairs import runs
-from tunefree_hil.learn.smooth import between_fresh, rate_of, smooth
+from tunefree_hil.learn.smooth import between_fresh, mean_noise, rate_of, smooth, yaw_by_wheels
+from tunefree_hil.learn.values import ActuatorFit
+from tunefree_hil.plant.asked_accel import FULL_MPS2
 
 Array = np.ndarray
 
@@ -22,6 +26,7 @@ START_S = 0.21  # of the polynomial that gives the start of a window
 LONGEST_SILENCE_S = 0.2
 SLOWEST_MPS = 0.5  # a window that never is faster is left out
 HILL_RAD = 0.02  # mean slope from which on a window is left out: the road is an input that nobody recorded
+SLOPE_S = 2.0  # over which an accelerometer must tell it
 LOOK_BACK_S = 0.5  # of specific force, for the slope
 MOST_BIAS = 0.01  # of an accelerometer, in g
 
@@ -63,13 +68,22 @@ class Windows(NamedTuple):
     words: tuple[str, ...]
 
 
-def windows_of(parts: Iterable[Part], vehicle: VehicleSpec, window_s: float = WINDOW_S) -> Windows:
-    """Windows one behind the other in all parts, as far as outputs and motion are known and the gear is drive."""
+def windows_of(
+    parts: Iterable[Part],
+    vehicle: VehicleSpec,
+    window_s: float = WINDOW_S,
+    channels: Mapping[str, ActuatorFit] | None = None,
+) -> Windows:
+    """Windows one behind the other in all parts, as far as outputs and motion are known and the gear is drive.
+
+    channels: what was identified of them. Where a channel reports no output, its command through what was identified
+    stands for it, wherever by-wire obeys.
+    """
     some: list[Window] = []
     steered = pedals = False
     still = hills = 0
     for part in parts:
-        signals = _Signals(part.drive, vehicle)
+        signals = _Signals(part.drive, vehicle, channels or {})
         if signals.inputs is None:
             continue
         steered, pedals = steered or signals.steered, pedals or signals.pedals
@@ -91,13 +105,13 @@ def windows_of(parts: Iterable[Part], vehicle: VehicleSpec, window_s: float = WI
 class _Signals:
     """The signals of a drive, on every tick and in one frame of time."""
 
-    def __init__(self, drive: Drive, vehicle: VehicleSpec) -> None:
-        self.drive = drive
+    def __init__(self, drive: Drive, vehicle: VehicleSpec, channels: Mapping[str, ActuatorFit]) -> None:
+        self.drive, self.vehicle, self.channels = drive, vehicle, channels
         self.dt_s = drive.dt_s
         self.late = round(vehicle.ins_frame.latency_s / drive.dt_s)  # rows by which the INS speaks of the past
         self.start_window = max(round(START_S / drive.dt_s) | 1, 5)
         rest = vehicle.nominal.rest_pedal_frac
-        columns = [self._input(name, rest) for name in INPUTS]
+        columns = self._asked(rest) or [self._input(name, rest) for name in INPUTS]
         self.pedals = bool(np.isfinite(columns[0]).any() and np.isfinite(columns[1]).any())
         self.steered = bool(np.isfinite(columns[2]).any())
         self.targets = np.stack([self._target(name) for name in TARGETS], axis=1)
@@ -122,10 +136,38 @@ class _Signals:
     def _input(self, name: str, rest: float) -> Array:
         values = self.drive.get(f"report.{name}")
         if values is None or not np.isfinite(values).any():
-            return np.full(self.drive.ticks, np.nan)
+            return self._from_command(name, rest)
         even = between_fresh(values, self.drive.fresh[f"report.{name}"])
         even[: int(np.argmax(np.isfinite(values)))] = np.nan
         return even
+
+    def _from_command(self, name: str, rest: float) -> Array:
+        """What a channel that reports nothing makes of its command; at rest where the vehicle has no such pedal."""
+        channel, has = name.partition("_")[0], (self.vehicle.command, self.vehicle.report)
+        if channel == "brake" and not any(name in fields for fields in has):
+            return np.full(self.drive.ticks, rest)
+        idle = 0.0 if channel == "steer" else rest
+        command, _, obeyed = channel_of(self.drive, channel, idle)
+        if channel not in self.channels or self.drive.get(f"command.{name}") is None:
+            return np.full(self.drive.ticks, np.nan)
+        return self._through(channel, command, obeyed, idle)
+
+    def _asked(self, rest: float) -> list[Array]:
+        """Pedals and steering of a car that is asked for an acceleration; empty for any other."""
+        asked = accel_asked(self.drive)
+        if asked is None or "accel" not in self.channels:
+            return []
+        made = self._through("accel", asked, np.isfinite(asked) & self.drive.enabled, 0.0)
+        pedals = (rest + np.maximum(sign * made, 0.0) / FULL_MPS2 for sign in (1.0, -1.0))
+        return [*pedals, self._input("steer_rad", 0.0)]
+
+    def _through(self, channel: str, command: Array, obeyed: Array, idle: float) -> Array:
+        """A command through its channel where it is obeyed, NaN elsewhere."""
+        found = np.full(self.drive.ticks, np.nan)
+        params = self.channels[channel].params(idle)
+        for begin, end in runs(obeyed, 2):
+            found[begin:end] = answered(Way(params), command[begin:end], self.dt_s)
+        return found
 
     def _target(self, name: str) -> Array:
         """A measured signal between its fresh values; the INS's as many rows earlier as it is late."""
@@ -141,6 +183,9 @@ class _Signals:
             even[: int(np.argmax(fresh))] = np.nan
             late = self.late if source.startswith("ins.") else 0
             return even if late == 0 else np.concatenate([even[late:], np.full(late, np.nan)])
+        wheels = yaw_by_wheels(self.drive, self.vehicle.nominal) if name == "yaw_rate_radps" else None
+        if wheels is not None:
+            return between_fresh(*wheels)
         return np.full(self.drive.ticks, np.nan)
 
     def _heard(self) -> Array:
@@ -164,7 +209,10 @@ class _Signals:
             return None
         window = max(round(LOOK_BACK_S / self.dt_s) | 1, 5)
         rate = rate_of(self.speed, np.isfinite(self.speed), window, self.dt_s)
-        found = (between_fresh(felt, self.drive.fresh["report.accel_mps2"]) - rate) / G_MPS2
+        fresh = self.drive.fresh["report.accel_mps2"]
+        found = (between_fresh(felt, fresh) - rate) / G_MPS2
+        if mean_noise(found, fresh, round(SLOPE_S / self.dt_s)) > 0.5 * HILL_RAD:
+            return None  # it shakes too much to tell a slope
         return found - float(np.clip(np.nanmedian(found), -MOST_BIAS, MOST_BIAS))  # a sensor's bias is no slope
 
     def on_hill(self, span: slice) -> bool:

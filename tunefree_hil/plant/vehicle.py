@@ -16,6 +16,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.records import GEAR_DRIVE, NAN, Actuation, Command, Disturbance
 from tunefree_hil.plant.actuators import ActuatorParams, actuators
+from tunefree_hil.plant.asked_accel import actuators_by_accel
 from tunefree_hil.plant.body import (
     BodyInput,
     BodyOutput,
@@ -72,7 +73,8 @@ def assemble(
     """The vehicle of a model folder.
 
     plant: PLANT of `plant/single_track.py`, `plant/reference.py` or the user's own; params: [plant.params]; channels:
-    'throttle', 'brake', 'steer' of [actuators] (not used by a plant with its own). effects: (port, what
+    'throttle', 'brake', 'steer' of [actuators], or 'accel', 'steer' of a car that is asked for an acceleration (a
+    'steer_torque' beside them says nothing to a chassis); not used by a plant with its own. effects: (port, what
     `contracts.make_effect` gave), in order; an effect behind another on the same port sees its output. rest_frac:
     throttle and brake duty at rest. Raises InputError for parameters or ports that do not fit.
     """
@@ -85,7 +87,7 @@ def assemble(
     if plant.actuators is not None:
         own = plant.actuators(params)
     else:
-        own = actuators(**_three(channels or {}))
+        own = _own_actuators(channels or {}, rest_frac[0])
     front = before(effects, own)
     behind = channels_of(effects, (Port.THROTTLE_B, Port.BRAKE_B, Port.STEER_B), Actuation)
     seen = seen_of(effects)
@@ -93,7 +95,8 @@ def assemble(
     quiet = SensorParams(noise_table({}, {}, 0, 0), ins_ahead_m, 1.0 if ins_specific_force else 0.0)
     eyes = sensors(quiet, ins_ticks)
     block = _body(front, behind, chassis, eyes, seen, plant.substeps, ins_ticks)
-    rest = Command(rest_frac[0], rest_frac[1], 0.0, GEAR_DRIVE, NAN, NAN)
+    asked = 0.0 if plant.actuators is None and "accel" in (channels or {}) else NAN
+    rest = Command(rest_frac[0], rest_frac[1], 0.0, GEAR_DRIVE, asked, NAN)
     return Body(block, rest, eyes, seen)
 
 
@@ -146,16 +149,19 @@ def steady_accel(
     return float(block.step(chassis, state, x, dt_s)[1].speed_rate_mps2)
 
 
-def _three(channels: Mapping[str, ActuatorParams]) -> dict[str, ActuatorParams]:
-    missing = sorted({"throttle", "brake", "steer"} - set(channels))
-    if missing or len(channels) != 3:
+def _own_actuators(channels: Mapping[str, ActuatorParams], rest_frac: float) -> Block:
+    """[actuators] as a Block Command -> Actuation."""
+    given = {name: one for name, one in channels.items() if name != "steer_torque"}
+    if set(given) == {"accel", "steer"}:
+        return actuators_by_accel(given["accel"], given["steer"], rest_frac)
+    if set(given) != {"throttle", "brake", "steer"}:
         raise InputError(
             f"the actuators are {', '.join(sorted(channels)) or 'none'}",
             code="bad_actuators",
             key="actuators",
-            hint="a plant without actuators of its own needs throttle, brake and steer",
+            hint="a plant without actuators of its own needs throttle, brake and steer, or accel and steer",
         )
-    return dict(channels)
+    return actuators(**given)
 
 
 def _body(

@@ -42,6 +42,8 @@ class Claims:
         self.study = study
         self.grace_s = grace_s
         self.worker = worker_name()
+        self._held: set[int] = set()
+        self._lock = threading.Lock()  # between the beats of a slot and its return
 
     def create(self) -> None:
         """Make the table where it is not there (the caller holds `server.one_at_a_time`)."""
@@ -50,15 +52,22 @@ class Claims:
 
     def take(self, slot: int) -> bool:
         """Claim `slot`; False where a living worker has it."""
-        return self._run(_TAKE, slot, grace=self.grace_s) == 1
+        taken = self._run(_TAKE, slot, grace=self.grace_s) == 1
+        if taken:
+            self._held.add(slot)
+        return taken
 
-    def touch(self, slot: int) -> bool:
-        """Say that we live; False where the claim is no longer ours."""
-        return self._run(_TOUCH, slot) == 1
+    def touch(self, slot: int) -> None:
+        """Say that we live; nothing for a slot that was given back. Takes it again where a server lost the row."""
+        with self._lock:
+            if slot in self._held and self._run(_TOUCH, slot) == 0:
+                self._run(_TAKE, slot, grace=self.grace_s)
 
     def leave(self, slot: int) -> None:
         """Give `slot` back."""
-        self._run(_LEAVE, slot)
+        with self._lock:
+            self._held.discard(slot)
+            self._run(_LEAVE, slot)
 
     def alive(self, slot: int) -> Pulse:
         """Touch the claim in the background as long as the `with` lasts."""
@@ -93,7 +102,6 @@ class Pulse:
     def _beat(self) -> None:
         while not self._end.wait(self.claims.grace_s / BEATS):
             try:
-                if not self.claims.touch(self.slot):
-                    self.claims.take(self.slot)  # nobody has it: a server that lost the row, or an old grace
+                self.claims.touch(self.slot)
             except SQLAlchemyError:
                 self.missed += 1

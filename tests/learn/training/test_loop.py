@@ -12,9 +12,9 @@ torch = pytest.importorskip("torch")
 from tests.learn.training.made import REST, physics, track  # noqa: E402
 from tunefree_hil.base.errors import InputError  # noqa: E402
 from tunefree_hil.learn.training import loop  # noqa: E402
-from tunefree_hil.learn.training.fit import fit, learner_of, steps_of  # noqa: E402
+from tunefree_hil.learn.training.fit import STEPS, fit, learner_of, steps_for  # noqa: E402
 from tunefree_hil.learn.training.learners import Wish  # noqa: E402
-from tunefree_hil.learn.training.loop import Trained, train  # noqa: E402
+from tunefree_hil.learn.training.loop import Trained, looks_at, planned_steps, train  # noqa: E402
 from tunefree_hil.learn.training.windows import begins, drawn, pool_of  # noqa: E402
 
 
@@ -46,21 +46,24 @@ class Bowl:
     def cost(self, step: int) -> float:
         return 1.0
 
+    def pace(self, step: int) -> float:
+        return 1.0 - step / 200.0
+
     def arrays(self) -> dict[str, np.ndarray]:
         return {"weight": self.net.weight.detach().numpy().copy()}
 
 
 def test_a_training_that_was_cut_off_goes_on_to_the_same_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     wish = Wish("hybrid", 1, 80)
-    whole = ended(train(Bowl(), wish))
+    whole = ended(train(Bowl(), wish, 80))
     monkeypatch.setattr(loop, "KEPT_S", 0.0)
     monkeypatch.setattr(loop, "SHOWN_S", 0.0)
     part = tmp_path / "model.part"
-    cut = train(Bowl(), wish, part, "these data")
+    cut = train(Bowl(), wish, 80, part, "these data")
     for _ in range(33):
         next(cut)
     cut.close()
-    again = ended(train(Bowl(), wish, part, "these data"))
+    again = ended(train(Bowl(), wish, 80, part, "these data"))
     assert again.resumed and not whole.resumed
     assert np.array_equal(again.arrays["weight"], whole.arrays["weight"])
     assert again.looks == whole.looks and again.score == whole.score < 0.3
@@ -82,14 +85,14 @@ def test_a_net_that_was_cut_off_goes_on_to_the_same_end(tmp_path: Path, monkeypa
 def test_a_checkpoint_of_other_data_is_not_taken_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loop, "KEPT_S", 0.0)
     part = tmp_path / "model.part"
-    ended(train(Bowl(), Wish("hybrid", 1, 20), part, "these data"))
-    assert not ended(train(Bowl(), Wish("hybrid", 1, 20), part, "other data")).resumed
-    assert not ended(train(Bowl(), Wish("hybrid", 2, 20), part, "other data")).resumed
+    ended(train(Bowl(), Wish("hybrid", 1, 20), 20, part, "these data"))
+    assert not ended(train(Bowl(), Wish("hybrid", 1, 20), 20, part, "other data")).resumed
+    assert not ended(train(Bowl(), Wish("hybrid", 2, 20), 20, part, "other data")).resumed
 
 
 def test_numbers_that_are_not_finite_end_it_with_the_best_so_far() -> None:
     wish = Wish("hybrid", 1, 200)
-    spoilt = ended(train(Bowl(spoilt_at=100), wish))
+    spoilt = ended(train(Bowl(spoilt_at=100), wish, 200))
     assert "not a finite number" in spoilt.stopped and spoilt.steps == 100
     assert np.isfinite(spoilt.arrays["weight"]).all()
     assert spoilt.score == min(score for _, score in spoilt.looks) < spoilt.first
@@ -103,8 +106,50 @@ def test_a_held_out_error_that_runs_away_ends_it() -> None:
             self.looked += 1
             return 1.0 if self.looked < 4 else 10.0 * self.looked
 
-    lost = ended(train(Lost(), Wish("hybrid", 1, 200)))
+    lost = ended(train(Lost(), Wish("hybrid", 1, 200), 200))
     assert lost.stopped.startswith("it diverged") and lost.steps < 200 and lost.score == 1.0
+
+
+def test_what_is_kept_is_a_mean_of_weights_and_training_goes_on_from_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    wish, learner = Wish("hybrid", 1, 300), Bowl()
+    kept = ended(train(learner, wish, 300))
+    monkeypatch.setattr(loop, "AVERAGED", 0.0)
+    single = Bowl()
+    alone = ended(train(single, wish, 300))
+    assert kept.score != alone.score and max(kept.score, alone.score) < 0.01
+    assert not np.array_equal(kept.arrays["weight"], alone.arrays["weight"])
+    last = [some.looks[-1] for some in (kept, alone)]
+    assert last[0][0] == last[1][0] == 300  # the same steps were taken, only what is looked at differs
+
+
+def test_it_stops_where_it_gets_no_better_but_not_while_it_still_jumps_about() -> None:
+    class Stuck(Bowl):
+        def score(self) -> float:
+            return 1.0
+
+        def pace(self, step: int) -> float:
+            return 1.0 if step < 200 else 0.3
+
+    stuck = ended(train(Stuck(), Wish("hybrid", 1, 800), 800))
+    assert stuck.stopped == "the held-out error gets no better"
+    assert stuck.steps == 200 + loop.PATIENCE * 800 // loop.LOOKS
+
+
+@pytest.mark.slow
+def test_a_hybrid_that_was_cut_off_in_its_guided_stage_goes_on_to_the_same_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tracks, wish = ([track(1, 20.0)], [track(3, 8.0)]), Wish("hybrid", 1, 26, batch=8)
+    whole = ended(fit(wish, *tracks, physics(), REST, None))
+    monkeypatch.setattr(loop, "KEPT_S", 0.0)
+    monkeypatch.setattr(loop, "SHOWN_S", 0.0)
+    cut = fit(wish, *tracks, physics(), REST, tmp_path / "part")
+    for _ in range(9):
+        next(cut)
+    cut.close()
+    again = ended(fit(wish, *tracks, physics(), REST, tmp_path / "part"))
+    assert again.resumed and again.steps == whole.steps == 26
+    assert all(np.array_equal(again.arrays[name], whole.arrays[name]) for name in whole.arrays)
 
 
 def test_batches_depend_on_seed_and_step_alone() -> None:
@@ -123,8 +168,58 @@ def test_windows_stay_within_what_is_good() -> None:
     assert len(rows) and not np.any((rows <= 1000) & (rows + 200 >= 1000))
 
 
-def test_minutes_are_steps() -> None:
-    assert steps_of("hybrid", 2.0) == 2 * steps_of("hybrid", 1.0) and steps_of("hybrid", None) > 100
+class Timed(Bowl):
+    """Steps that take so many seconds of this machine's time, by a clock that only they move on."""
+
+    now = 0.0
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
+        super().__init__()
+        self.seconds, self.planned = seconds, 0
+        monkeypatch.setattr("tunefree_hil.learn.training.fit.time.process_time", lambda: self.now)
+
+    def plan(self, steps: int) -> None:
+        self.planned = steps
+
+    def loss(self, step: int) -> torch.Tensor:
+        self.now += self.seconds * self.cost(step)
+        return super().loss(step)
+
+    def cost(self, step: int) -> float:
+        return 1.0 if step < 0.9 * self.planned else 11.0
+
+
+def test_minutes_are_as_many_steps_as_this_machine_has_time_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    quick, slow = (steps_for(Timed(monkeypatch, seconds), 2.0) for seconds in (0.01, 0.04))
+    assert quick == 6000 and slow == 1500  # a tenth of the steps takes eleven times as long: 0.02 s each
+
+
+def test_timing_changes_no_weight() -> None:
+    pool = pool_of([track(1)], physics(), REST)
+    learner, other = (learner_of(Wish("mlp", 1), pool, pool, physics()) for _ in range(2))
+    steps = steps_for(learner, 0.1)
+    assert steps > 10 and all(param.grad is None or not param.grad.any() for param in learner.net.parameters())
+    assert np.array_equal(learner.arrays()["w1"], other.arrays()["w1"])
+
+
+def test_a_checkpoint_remembers_how_many_steps_were_planned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loop, "KEPT_S", 0.0)
+    part, wish = tmp_path / "part", Wish("hybrid", 1, minutes=3.0)
+    assert planned_steps(part, "these data", wish) == 0
+    ended(train(Bowl(), wish, 35, part, "these data"))
+    assert planned_steps(part, "these data", wish) == 35
+    assert planned_steps(part, "other data", wish) == planned_steps(part, "these data", wish._replace(seed=2)) == 0
+
+
+def test_looks_are_spread_over_the_work() -> None:
+    some = sorted(looks_at([1.0] * 900 + [9.0] * 100))
+    assert some[-1] == 1000 and len(some) <= loop.LOOKS + 1
+    assert len([step for step in some if step <= 900]) == len(some) // 2
+    assert looks_at([1.0] * 7) == {5, 7}
+
+
+def test_every_kind_has_its_steps() -> None:
+    assert set(STEPS) == set(loop.RATES) and min(STEPS.values()) > 100
 
 
 def test_nothing_to_learn_from_is_said() -> None:

@@ -34,7 +34,7 @@ def stirred(net: torch.nn.Module, seed: int = 1) -> None:
     draw = torch.Generator().manual_seed(seed)
     with torch.no_grad():
         for value in net.parameters():
-            value += 0.15 * torch.randn(value.shape, generator=draw, dtype=value.dtype)
+            value += 0.1 * torch.randn(value.shape, generator=draw, dtype=value.dtype)
 
 
 def by_kernel(kind: str, arrays: dict[str, np.ndarray] | None, folder: Path) -> list[np.ndarray]:

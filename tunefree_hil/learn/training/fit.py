@@ -1,9 +1,10 @@
-"""From tracks to the arrays of a plant.npz: which learner for which kind, and how many steps a minute buys."""
+"""From tracks to the arrays of a plant.npz: which learner for which kind, and for how many steps."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import time
 from collections.abc import Generator, Sequence
 from pathlib import Path
 
@@ -13,23 +14,39 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec
 from tunefree_hil.learn.motion import Track
 from tunefree_hil.learn.training.learners import FreeRunLearner, Learner, Wish
-from tunefree_hil.learn.training.loop import Step, Trained, train
+from tunefree_hil.learn.training.loop import THREADS, Step, Trained, planned_steps, train
 from tunefree_hil.learn.training.one_step import OneStepLearner
-from tunefree_hil.learn.training.windows import Pool, pool_of
+from tunefree_hil.learn.training.windows import Pool, pool_of, with_mirrored
 
-STEPS_PER_MINUTE = {"hybrid": 130, "lstm": 230, "mlp": 6000, "paper": 700}  # on one quiet core of 2025
-MINUTES = {"hybrid": 6.0, "lstm": 6.0, "mlp": 0.5, "paper": 2.0}
+STEPS = {"hybrid": 3500, "lstm": 1400, "mlp": 3000, "paper": 1400}  # where nobody says for how long
+MIRRORED = ("hybrid", "lstm")
+PROBED = (0.0, 0.999)  # shares of a training whose steps are timed: its cheapest and its dearest
+PROBE_STEPS = 1000
 
 
-def steps_of(kind: str, minutes: float | None) -> int:
-    """Steps of a training of about so many minutes: a number of its own, so that no clock decides what is learned."""
-    return max(round((MINUTES[kind] if minutes is None else minutes) * STEPS_PER_MINUTE[kind]), 1)
+def steps_for(learner: Learner, minutes: float) -> int:
+    """How many steps so many minutes of a core's own time buy, by the learner's steps at both ends of its training.
+
+    Processor time is taken, so that a busy machine trains longer and not less. No weight is changed.
+    """
+    learner.plan(PROBE_STEPS)
+    spent = work = 0.0
+    for share in PROBED:
+        step = round(share * PROBE_STEPS)
+        learner.loss(step)  # what is made once is made now
+        began = time.process_time()
+        learner.loss(step).backward()  # type: ignore[no-untyped-call]
+        spent += time.process_time() - began
+        work += learner.cost(step)
+    learner.net.zero_grad()
+    mean = sum(learner.cost(step) for step in range(PROBE_STEPS)) / PROBE_STEPS
+    return max(round(60.0 * minutes * work / max(spent, 1e-6) / mean), 1)
 
 
 def learner_of(wish: Wish, training: Pool, held_out: Pool, model: ModelSpec) -> Learner:
     """The learner of a kind."""
-    if wish.kind in ("hybrid", "lstm"):
-        return FreeRunLearner(wish, training, held_out, model)
+    if wish.kind in MIRRORED:
+        return FreeRunLearner(wish, with_mirrored(training), held_out, model)
     return OneStepLearner(wish, training, held_out)
 
 
@@ -38,15 +55,22 @@ def fit(
 ) -> Generator[Step, None, Trained]:
     """Train a kind on tracks. model: the calibrated physics folder. part: the checkpoint, None for none.
 
-    Raises InputError where there is nothing to learn from.
+    How many steps: those of the wish; else as many as its minutes buy on this machine, which a checkpoint remembers;
+    else STEPS. Raises InputError where there is nothing to learn from.
     """
     for tracks, what in ((training, "learn from"), (held_out, "judge by")):
         if not tracks:
             raise InputError(f"there is no stretch to {what}", code="too_short", key="LOG", hint="record longer drives")
+    torch.set_num_threads(THREADS)
     torch.manual_seed(wish.seed)
     pools = pool_of(training, model, rest), pool_of(held_out, model, rest)
     learner = learner_of(wish, *pools, model)
-    trained = yield from train(learner, wish, part, identity_of(training, held_out, model))
+    identity = identity_of(training, held_out, model)
+    steps = wish.steps or planned_steps(part, identity, wish)
+    if not steps:
+        steps = steps_for(learner, wish.minutes) if wish.minutes else STEPS[wish.kind]
+    learner.plan(steps)
+    trained = yield from train(learner, wish, steps, part, identity)
     return trained
 
 

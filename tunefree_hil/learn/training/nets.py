@@ -30,7 +30,8 @@ class Ready(NamedTuple):
 class CellNet(nn.Module):
     """LSTM cell and linear layer to two outputs; parameters and buffers are named as the arrays of plant.npz.
 
-    relu: the rectifier in place of tanh in the cell. still: the outputs begin at 0.
+    relu: the rectifier in place of tanh in the cell. still: the outputs begin at 0. blind: inputs that the cell
+    does not look at, whose weights are 0 and stay so.
     """
 
     mean: Tensor
@@ -38,7 +39,15 @@ class CellNet(nn.Module):
     bound: Tensor
 
     def __init__(
-        self, mean: Array, scale: Array, bound: Sequence[float], seed: int, *, relu: bool = False, still: bool = True
+        self,
+        mean: Array,
+        scale: Array,
+        bound: Sequence[float],
+        seed: int,
+        *,
+        relu: bool = False,
+        still: bool = True,
+        blind: Sequence[int] = (),
     ) -> None:
         super().__init__()
         draw = torch.Generator().manual_seed(seed)
@@ -48,6 +57,11 @@ class CellNet(nn.Module):
             return nn.Parameter((torch.rand(*shape, generator=draw, dtype=torch.float64) * 2.0 - 1.0) * spread)
 
         self.w_in, self.w_rec = drawn(4 * UNITS, inputs), drawn(4 * UNITS, UNITS)
+        if blind:
+            seen = torch.ones(inputs, dtype=torch.float64)
+            seen[list(blind)] = 0.0
+            self.w_in.data *= seen
+            self.w_in.register_hook(lambda slope: slope * seen)
         bias = torch.zeros(4 * UNITS, dtype=torch.float64)
         bias[UNITS : 2 * UNITS] = 1.0  # the forget gate begins open: memory lasts
         self.bias = nn.Parameter(bias)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from tunefree_hil.learn.drives import Array
-from tunefree_hil.learn.training.learners import LEAST_SPREAD, Wish, require_some
+from tunefree_hil.learn.training.learners import LEAST_SPREAD, Wish, cosine, require_some
 from tunefree_hil.learn.training.nets import CellNet, LayerNet
 from tunefree_hil.learn.training.windows import ACCEL, SPEED, YAW, Pool, drawn, spread
 from tunefree_hil.plant.paper import SAMPLES
@@ -24,7 +24,7 @@ class OneStepLearner:
     """
 
     def __init__(self, wish: Wish, training: Pool, held_out: Pool) -> None:
-        self.wish, self.training, self.held_out = wish, training, held_out
+        self.wish, self.training, self.held_out, self.steps = wish, training, held_out, max(wish.steps, 1)
         self.gap = max(round(wish.sample_spacing_s / training.dt_s), 1) if wish.kind == "paper" else 1
         back = 1 + (SAMPLES - 1) * self.gap if wish.kind == "paper" else 1
         self.rows, held = (rows_with(pool, back, self.gap) for pool in (training, held_out))
@@ -35,6 +35,10 @@ class OneStepLearner:
         self.mean, self.spread = labels.mean(1, keepdim=True), labels.std(1, keepdim=True).clamp(min=LEAST_SPREAD)
         self.bound = (BOUND_TIMES * labels.abs().amax(1)).clamp(min=LEAST_SPREAD)
         self.net = self._made()
+
+    def plan(self, steps: int) -> None:
+        """How many steps the training is to have, at least one."""
+        self.steps = max(steps, 1)
 
     def loss(self, step: int) -> Tensor:
         """Mean square error of a batch."""
@@ -50,6 +54,10 @@ class OneStepLearner:
     def cost(self, step: int) -> float:
         """Every step costs the same."""
         return 1.0
+
+    def pace(self, step: int) -> float:
+        """One cosine."""
+        return cosine(step / self.steps)
 
     def arrays(self) -> dict[str, Array]:
         """Of plant.npz; the paper's outputs leave the net in m/s2 and rad/s."""

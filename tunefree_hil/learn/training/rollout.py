@@ -88,8 +88,8 @@ class PhysicsRunner:
 class HybridRunner(PhysicsRunner):
     """The single-track car with the cell's residual."""
 
-    def __init__(self, physics: Physics, pool: Pool, net: CellNet) -> None:
-        super().__init__(physics, pool)
+    def __init__(self, base: PhysicsRunner, net: CellNet) -> None:
+        self.physics, self.push, self.features, self.own = base.physics, base.push, base.features, base.own
         self.net = net
 
     def run(self, pool: Pool, window: Window) -> Ran:

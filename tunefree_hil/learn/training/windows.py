@@ -62,6 +62,25 @@ def pool_of(tracks: Sequence[Track], model: ModelSpec, rest: float) -> Pool:
     )  # fmt: skip
 
 
+def with_mirrored(pool: Pool) -> Pool:
+    """The pool, and behind it itself with left and right exchanged.
+
+    A car is symmetric but for the offset that `calibrate` takes out of the steering: what is learned of a left turn
+    holds for the right one, and a straight wheel turns the car neither way.
+    """
+    rows = len(pool.inputs)
+    steered = torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64)
+    turned = torch.ones(6, dtype=torch.float64)
+    turned[[YAW, HEADING, Y]] = -1.0
+    return pool._replace(
+        inputs=torch.cat([pool.inputs, pool.inputs * steered]),
+        commands=torch.cat([pool.commands, pool.commands * steered]),
+        motion=torch.cat([pool.motion, pool.motion * turned]),
+        grade_rad=torch.cat([pool.grade_rad, pool.grade_rad]),
+        spans=(*pool.spans, *((begin + rows, end + rows) for begin, end in pool.spans)),
+    )
+
+
 def _tensor(parts: Sequence[Array]) -> Tensor:
     return torch.nan_to_num(torch.from_numpy(np.concatenate(parts)).to(torch.float64))
 

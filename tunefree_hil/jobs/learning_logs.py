@@ -1,0 +1,38 @@
+"""Logs for what learns from them (`calibrate`, `learn`, `map`): read, checked, and said how much they are."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Generator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.events import Event
+
+if TYPE_CHECKING:
+    from tunefree_hil.config.schema import VehicleSpec
+    from tunefree_hil.learn.drives import Drive
+
+
+def read(
+    logs: Sequence[Path], vehicle: VehicleSpec, excused: Collection[str] = ()
+) -> Generator[Event, None, list[Drive]]:
+    """The drives of logs, in their order; what is to be said of them on the way.
+
+    excused: codes of refusals (learn/checks.py) that are no more than warnings to whoever asks. Raises InputError where
+    no log is named, one cannot be read, or one is refused: before anything is learned, with all that is wrong.
+    """
+    from tunefree_hil.bus.codec import Codec
+    from tunefree_hil.learn.checks import check_drives
+    from tunefree_hil.learn.problems import require_good
+    from tunefree_hil.learn.read import read_drives
+
+    if not logs:
+        raise InputError("no log is named", code="no_log", key="LOG", hint="name one log or more")
+    yield Event("note", f"reading {len(logs)} log{'s' if len(logs) > 1 else ''} of {vehicle.name}")
+    drives = read_drives(list(logs), Codec(vehicle))
+    problems = check_drives(drives, vehicle)
+    for problem in require_good(one._replace(severity="warn") if one.code in excused else one for one in problems):
+        yield Event("warning", problem.words)
+    yield Event("note", f"{sum(drive.ticks * drive.dt_s for drive in drives) / 60.0:.1f} minutes of driving")
+    return drives
