@@ -92,7 +92,9 @@ def measure(
     low, high = interval_of(errors, blocks, seed)
     detail = {
         "cars": {car.name: {**said(car), **rows(found[car.name], seed)} for car in cars},
-        "hybrid": "trained" if with_hybrid else "left out",
+        "hybrid": "trained; what was held out also chose when to stop, so its rows flatter it"
+        if with_hybrid
+        else "left out",
         "figures": [str(write_runs(Path(figures) / "realcars.png", shown(found), "Real cars: measured and free run"))],
     }
     return {

@@ -35,8 +35,6 @@ PEDALS, FINER = (
     (2, 3),
     3.0,
 )  # on a finer scale than their spread, which full throttle makes: a pedal bites early
-GROWTH = (0.5, 0.0, 0.5, 1.0)  # powers of time with which units grow: slower than errors do, so late ones count more
-LEAST_SHARE = 0.05  # of the longest free run, before which units do not shrink further
 LEAST_SPREAD = 1e-3  # of an input: one that never changed is not blown up
 LAST_PACE = 0.02  # of a rate, at the end of its cosine
 SMALL = 0.1  # unit errors from which on the loss grows with the error and not with its square: a mean is judged
@@ -174,17 +172,13 @@ class FreeRunLearner:
         return [span for span in self.spans if share >= span.share][-1]
 
     def _units(self, base: PhysicsRunner) -> list[Tensor]:
-        """[T, 1] for each error: at the end two thirds of the windows' errors by physics are below it; less before.
-
-        Units that followed the errors all the way would make as much of a transient as of the bias that counts later.
-        """
+        """[T, 1] for each error: two thirds of the windows' errors by physics are below it."""
         longest = max(self.spans, key=lambda span: span.ahead)
         window = window_at(spread(longest.begins, SCALE_WINDOWS), self.warm, longest.ahead)
         errors = errors_of(base.run(self.training, window), self.training, window)
-        share = (torch.arange(1, longest.ahead + 1, dtype=torch.float64) / longest.ahead).clamp(min=LEAST_SHARE)
         return [
-            (torch.quantile(error[-1].abs(), 0.67) * share.unsqueeze(1) ** power).clamp(min=floor)
-            for error, floor, power in zip(errors, FLOORS, GROWTH, strict=True)
+            torch.quantile(error.abs(), 0.67, dim=1, keepdim=True).clamp(min=floor)
+            for error, floor in zip(errors, FLOORS, strict=True)
         ]
 
     def _made(
