@@ -60,7 +60,8 @@ def draw_free_run(tables: Mapping[str, Mapping[str, Any]]) -> Figure:
         rows = {kind: table[key] for kind, table in tables.items() if table.get(key)}
         _bars(axes, rows)
         starts = next(iter(rows.values()))
-        many = f"{starts['starts']} starts in {starts['drives']} drives"
+        drives = "1 drive" if starts["drives"] == 1 else f"{starts['drives']} drives"
+        many = f"{starts['starts']} starts in {drives}"
         style.dress(axes, "free run (s)", "position error (m)", f"{title}: {many}")
         first = first or axes
     if first is not None:

@@ -31,10 +31,8 @@ HELD_OUT_S = (10.0, 5.0, 3.0, 1.0)  # the longest that the held-out drives have 
 HELD_OUT_WINDOWS, SCALE_WINDOWS = 256, 512
 FLOORS = (0.02, 0.003, 0.002, 0.02)  # m/s, rad/s, rad, m: what sensors can tell
 WEIGHTS = (1.0, 0.5, 1.0, 2.0)  # of speed, yaw rate, heading and position in the loss
-PEDALS, FINER = (
-    (2, 3),
-    3.0,
-)  # on a finer scale than their spread, which full throttle makes: a pedal bites early
+PEDALS = (2, 3)  # inputs
+FINER = 3.0  # their scale: finer than the spread that full throttle makes, for a pedal bites early
 LEAST_SPREAD = 1e-3  # of an input: one that never changed is not blown up
 LAST_PACE = 0.02  # of a rate, at the end of its cosine
 SMALL = 0.1  # unit errors from which on the loss grows with the error and not with its square: a mean is judged
