@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, cast
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.message_map import SignalMap
-from tunefree_hil.bus.python_can import cantools
+from tunefree_hil.bus.python_can import absent
+
+with absent("asammdf"):  # cantools imports python-can
+    import cantools
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal

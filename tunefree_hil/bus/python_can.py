@@ -2,7 +2,7 @@
 
 python-can imports asammdf (and by it pandas) wherever the extra `mf4` is installed: 70 MB and 0.3 s more for every
 process that opens a bus, when only `bus/formats/mf4.py` reads such files, and by asammdf itself. A module of this
-package that wants python-can, or cantools (which imports python-can), takes it from here.
+package that wants python-can takes it from here; dbc.py, whose cantools imports python-can, keeps asammdf out likewise.
 """
 
 from __future__ import annotations
@@ -27,6 +27,5 @@ def absent(package: str) -> Iterator[None]:
 
 with absent("asammdf"):
     import can
-    import cantools
 
-__all__ = ["absent", "can", "cantools"]
+__all__ = ["absent", "can"]
