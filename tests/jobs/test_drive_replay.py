@@ -73,11 +73,14 @@ def test_reading_again_is_equal(driven: Ended) -> None:
     assert tunefree("replay", driven.data["run"]).status == 0
 
 
-def test_a_scenario_from_anywhere_is_driven_and_replayed(tmp_path: Path) -> None:
-    bench = write_bench(tmp_path / "a")
+def test_scenarios_from_anywhere_are_driven_and_replayed(tmp_path: Path) -> None:
+    """Those that are named, each once, in that order, and no other of the bench file."""
+    bench = write_bench(tmp_path / "a", scenarios=("tiny", "unnamed"), duration_s=1.0)
     other = write_scenario(tmp_path / "b", "elsewhere", 1.0)
-    done = tunefree("drive", bench, "--scenario", other, "--out", tmp_path / "runs", "--json")
+    named = [word for name in (other, "tiny", "tiny") for word in ("--scenario", name)]
+    done = tunefree("drive", bench, *named, "--out", tmp_path / "runs", "--json")
     assert done.status == 0, done.words
+    assert list(done.data["scenarios"]) == ["elsewhere", "tiny"]
     assert tunefree("replay", done.data["run"], "--verify").status == 0
 
 

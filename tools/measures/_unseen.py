@@ -47,7 +47,7 @@ def _driven(bench: Bench, names: list[str], folder: Path, factor: float, grade_r
         words = [f"{name}={value:.9g}" for name, value in scaled(parameters_of(bench), factor).items()]
         result = ended(
             drive(
-                file, scenario=None, model=bench.spec.verify_model, bus="tfhub", bench_bus="", seed=seed,
+                file, scenario=(), model=bench.spec.verify_model, bus="tfhub", bench_bus="", seed=seed,
                 realtime=False, join=False, session="", out=folder, parameters=words,
             )
         )  # fmt: skip

@@ -56,7 +56,7 @@ Controller = Annotated[str, typer.Option(metavar="CMD", help="start this program
 
 def drive(
     bench: Bench,
-    scenario: Annotated[str | None, typer.Option(help="one scenario of the bench file only")] = None,
+    scenario: Annotated[list[str] | None, typer.Option(help="this scenario only, again for more")] = None,
     model: Model = None,
     bus: Bus = "auto",
     bench_bus: BenchBus = "",
@@ -77,7 +77,7 @@ def drive(
 
         return run(
             bench,
-            scenario=scenario,
+            scenario=scenario or [],
             model=model,
             bus=bus,
             bench_bus=bench_bus,

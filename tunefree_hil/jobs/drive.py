@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ DEFAULT_ROOT = Path("runs")
 def drive(
     bench: Path,
     *,
-    scenario: str | None,
+    scenario: Sequence[str],
     model: str | None,
     bus: str,
     bench_bus: str,
@@ -53,12 +53,12 @@ def drive(
     parameters: list[str],
     controller: str = "",
 ) -> Iterator[Event]:
-    """Drive one scenario or all of the bench file. Real time: exit 4 when it was not."""
+    """Drive the scenarios that are named, or all of the bench file. Real time: exit 4 when it was not."""
     loaded = with_command(load(bench), controller)
     chosen = chosen_parameters(parameters, own_parameters(loaded))
     values = parameters_of(loaded, chosen)
     model_name = model or loaded.spec.model
-    scenarios = [find_scenario(loaded, scenario)] if scenario else [loaded.scenarios[n] for n in loaded.spec.scenarios]
+    scenarios = [find_scenario(loaded, name) for name in dict.fromkeys(scenario or loaded.spec.scenarios)]
     require_buildable(loaded, model_name, scenarios, values, realtime=realtime)
     session = session or own_session()
     bus_for(loaded, bus, session, bench_bus)
@@ -173,7 +173,8 @@ def _result(
 ) -> Event:
     """more: goes into the data as it is; "outside" is said too."""
     failed = [name for name, episode in episodes.items() if episode.grade.outcome != "finished"]
-    sentence = f"{len(episodes)} scenarios driven, score {score:.3f}"
+    many = "1 scenario" if len(episodes) == 1 else f"{len(episodes)} scenarios"
+    sentence = f"{many} driven, score {score:.3f}"
     if failed:
         sentence += f"; not driven to the end: {', '.join(failed)}"
     beyond = outside_words(more["outside"])
