@@ -45,7 +45,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> Fake:
 BENCH = Path("b.toml")
 NODE = {"bus": "auto", "bench_bus": "", "session": "default", "realtime": False}
 DRIVE = {
-    "scenario": None,
+    "scenario": [],
     "model": None,
     "bus": "auto",
     "bench_bus": "",
@@ -68,7 +68,7 @@ DRIVE = {
             (BENCH,),
             {
                 **DRIVE,
-                "scenario": "s",
+                "scenario": ["s"],
                 "parameters": ["a=1", "b=2"],
                 "realtime": True,
                 "join": True,
