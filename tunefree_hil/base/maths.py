@@ -28,9 +28,8 @@ def wrap_rad(angle_rad: float) -> float:
 
 
 @kernel
-def find_cell(grid: Any, value: float) -> int:
-    """Index i of the cell of an ascending grid with grid[i] <= value < grid[i + 1], clamped to the ends."""
-    low, high = 0, len(grid) - 1
+def find_cell_between(grid: Any, low: int, high: int, value: float) -> int:
+    """Index i of the cell with grid[i] <= value < grid[i + 1], clamped to low <= i < high; ascending between these."""
     while high - low > 1:
         middle = (low + high) // 2
         if grid[middle] <= value:
@@ -38,6 +37,12 @@ def find_cell(grid: Any, value: float) -> int:
         else:
             high = middle
     return low
+
+
+@kernel
+def find_cell(grid: Any, value: float) -> int:
+    """Index i of the cell of an ascending grid with grid[i] <= value < grid[i + 1], clamped to the ends."""
+    return find_cell_between(grid, 0, len(grid) - 1, value)
 
 
 @kernel

@@ -16,7 +16,7 @@ import numpy as np
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import kernel, table
-from tunefree_hil.base.maths import find_cell
+from tunefree_hil.base.maths import find_cell, find_cell_between
 
 KEYS = ("speed_mps", "accel_mps2", "command_frac")
 UNREADABLE = (OSError, ValueError, TypeError, EOFError, RuntimeError, BadZipFile, zlib.error)
@@ -107,14 +107,9 @@ def value_in_row(rows: SpeedRows, row: int, at: float) -> float:
         return float(values[low])
     if at >= places[high]:
         return float(values[high])
-    while high - low > 1:
-        middle = (low + high) // 2
-        if places[middle] <= at:
-            low = middle
-        else:
-            high = middle
-    share = (at - places[low]) / (places[high] - places[low])  # not 0: strictly ascending
-    return float(values[low] + share * (values[high] - values[low]))
+    i = find_cell_between(places, low, high, at)
+    share = (at - places[i]) / (places[i + 1] - places[i])  # not 0: strictly ascending
+    return float(values[i] + share * (values[i + 1] - values[i]))
 
 
 @kernel

@@ -17,7 +17,7 @@ from tunefree_hil.base.records import GROUPS, NAN, CanFrame, Command, Ins, Repor
 from tunefree_hil.bus.codec import Codec, MessageMap
 from tunefree_hil.bus.e2e import is_intact
 from tunefree_hil.episode.candump import EXTENDED_BIT, RTR, LogFrame
-from tunefree_hil.episode.frame_hash import CONTROLLER_PHASE, place_frames
+from tunefree_hil.episode.frame_hash import CONTROLLER_PHASE, Placed, place_frames
 from tunefree_hil.episode.recording import COMMAND_COLUMNS, REFERENCE_COLUMNS, Recording, make_recording
 
 Array = np.ndarray
@@ -60,7 +60,28 @@ def columns_from_frames(
     its deadline. by_channel: the log's channel names are those of vehicle.toml, and tell equal ids apart.
     Raises InputError for a log without one frame of the vehicle.
     """
-    buckets = _buckets(frames, codec, dt_s, zero_s, late_ticks)
+    placed = place_vehicle(frames, codec, dt_s, zero_s)
+    return columns_from_placed(placed, codec, follower, dt_s, ticks=ticks, late_ticks=late_ticks, by_channel=by_channel)
+
+
+def place_vehicle(frames: Iterable[LogFrame], codec: Codec, dt_s: float, zero_s: float = 0.0) -> Placed:
+    """A vehicle's frames in the order of the frame hash."""
+    commands = {message.key for message in codec.commands}
+    return place_frames(frames, dt_s, commands, codec.by_id.keys(), zero_s=zero_s)
+
+
+def columns_from_placed(
+    placed: Placed,
+    codec: Codec,
+    follower: Block,
+    dt_s: float,
+    *,
+    ticks: int = 0,
+    late_ticks: int = 0,
+    by_channel: bool = False,
+) -> Recording:
+    """As columns_from_frames, of frames that `place_vehicle` has put in order."""
+    buckets = _buckets(placed, codec, late_ticks)
     rows = ticks or max(k for k, _ in buckets) + 1
     ear = _Ear(codec, by_channel)
     held = ear.held
@@ -111,21 +132,17 @@ class _Ear:
         return self._messages[key]
 
 
-def _buckets(
-    frames: Iterable[LogFrame], codec: Codec, dt_s: float, zero_s: float, late_ticks: int
-) -> dict[tuple[int, int], list[LogFrame]]:
+def _buckets(placed: Placed, codec: Codec, late_ticks: int) -> dict[tuple[int, int], list[LogFrame]]:
     """(tick that uses it, phase) -> frames in (id, sequence) order."""
-    commands = {message.key for message in codec.commands}
-    placed, foreign, _ = place_frames(frames, dt_s, commands, codec.by_id.keys(), zero_s=zero_s)
-    if not placed:
-        ids = ", ".join(f"0x{number:X}" for number in sorted(foreign)[:8]) or "none"
+    if not placed.frames:
+        ids = ", ".join(f"0x{number:X}" for number in sorted(placed.foreign)[:8]) or "none"
         raise InputError(
             f"the log holds not one frame of vehicle {codec.name!r} (ids in it: {ids})",
             code="foreign_log",
             hint="is it a log of this vehicle?",
         )
     buckets: dict[tuple[int, int], list[LogFrame]] = {}
-    for item in placed:
+    for item in placed.frames:
         if not item.frame.flags & RTR:
             k = item.k if item.phase == CONTROLLER_PHASE else item.k + late_ticks
             buckets.setdefault((k, item.phase), []).append(item.frame)

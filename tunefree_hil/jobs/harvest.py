@@ -10,8 +10,8 @@ from tunefree_hil.bench import Bench, follower_of
 from tunefree_hil.bus.bench_channel import ErrorCode
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.episode.candump import read_candump
-from tunefree_hil.episode.columns import columns_from_frames
-from tunefree_hil.episode.frame_hash import frame_hash
+from tunefree_hil.episode.columns import columns_from_placed, place_vehicle
+from tunefree_hil.episode.frame_hash import hash_of
 from tunefree_hil.episode.real_time import run_zero_s
 from tunefree_hil.episode.recording import Recording, save_recording
 from tunefree_hil.grade.score import ScenarioGrade, combine, grade, vehicle_of
@@ -46,15 +46,14 @@ def harvest(
     frames = read_candump(folder / "vehicle.log")
     codec = bench.codec
     zero_s = run_zero_s(folder / "bench.log") if realtime else 0.0
-    commands = {message.key for message in codec.commands}
-    hashed = frame_hash(frames, bench.dt_s, commands, codec.by_id.keys(), zero_s=zero_s)
-    recording = columns_from_frames(
-        frames,
+    placed = place_vehicle(frames, codec, bench.dt_s, zero_s)
+    hashed = hash_of(placed)
+    recording = columns_from_placed(
+        placed,
         codec,
         follower_of(bench, scenario, values),
         bench.dt_s,
         ticks=outcome.ticks,
-        zero_s=zero_s,
         late_ticks=1 if realtime else 0,
     )
     save_recording(recording, folder / "columns.npz")

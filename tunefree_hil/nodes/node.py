@@ -52,6 +52,8 @@ class Node:
         """Say hello, then answer the runner for ever. Whatever ends that is said on the bench channel."""
         try:
             self.hello()
+            gc.collect()
+            gc.freeze()  # what has been imported stays: the collection before each episode need not look at it
             self._serve()
         except BaseException:
             self._say_leaving()
