@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import socket
 import subprocess
 import tempfile
+from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
+
+import pytest
 
 USER, PASSWORD = "tuner", "not-to-be-printed"
 OWNER = "postgres"  # the package's own account: the server refuses to run as root
@@ -18,6 +23,30 @@ def binaries() -> Path | None:
     found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"), key=lambda path: int(path.parts[-3]))
     on_path = shutil.which("initdb")
     return found[-1].parent if found else Path(on_path).resolve().parent if on_path else None
+
+
+def needs_server(timeout_s: float) -> list[pytest.MarkDecorator]:
+    """The marks of tests that want a server; where driver or package is missing they are skipped, and say so."""
+    driver = "the driver is not installed: pip install 'tunefree_hil[postgres]'"
+    return [
+        pytest.mark.postgres,
+        pytest.mark.timeout(timeout_s),
+        pytest.mark.skipif(find_spec("psycopg") is None, reason=driver),
+        pytest.mark.skipif(binaries() is None, reason="no PostgreSQL server: apt-get install postgresql"),
+    ]
+
+
+@contextlib.contextmanager
+def running() -> Iterator[Server]:
+    """A server that runs, and is gone afterwards."""
+    programs = binaries()
+    assert programs is not None
+    made = Server(programs)
+    try:
+        made.start()
+        yield made
+    finally:
+        made.remove()
 
 
 class Server:

@@ -8,31 +8,20 @@ from collections.abc import Iterator
 import pytest
 import sqlalchemy
 
-from tests.tune.postgres import Server, binaries
+from tests.tune.postgres import needs_server, running
 from tunefree_hil.tune.claims import Claims
 from tunefree_hil.tune.server import address_of, open_engine
 
-pytest.importorskip("psycopg", reason="the driver is not installed: pip install 'tunefree_hil[postgres]'")
-PROGRAMS = binaries()
-pytestmark = [
-    pytest.mark.postgres,
-    pytest.mark.timeout(120),
-    pytest.mark.skipif(PROGRAMS is None, reason="no PostgreSQL server: apt-get install postgresql"),
-]
+pytestmark = needs_server(120)
 GRACE_S = 2.0
 
 
 @pytest.fixture(scope="module")
 def engine() -> Iterator[sqlalchemy.Engine]:
-    assert PROGRAMS is not None
-    made = Server(PROGRAMS)
-    try:
-        made.start()
-        engine = open_engine(address_of(made.url("claims")))
+    with running() as server:
+        engine = open_engine(address_of(server.url("claims")))
         yield engine
         engine.dispose()
-    finally:
-        made.remove()
 
 
 @pytest.fixture

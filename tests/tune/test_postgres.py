@@ -18,33 +18,22 @@ from tests.bench.tiny import write_bench
 from tests.jobs.command import finish, new_session, no_orphans, one_message
 from tests.jobs.command import start as start_command
 from tests.tune.drive_study import bowl, settings
-from tests.tune.postgres import PASSWORD, USER, Server, binaries
+from tests.tune.postgres import PASSWORD, USER, Server, needs_server, running
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.tune.server import address_of, open_storage
 from tunefree_hil.tune.shared import SharedStudy, join_study
 from tunefree_hil.tune.study import read_study
 from tunefree_hil.tune.trial import Evaluation, Trial
 
-pytest.importorskip("psycopg", reason="the driver is not installed: pip install 'tunefree_hil[postgres]'")
-PROGRAMS = binaries()
-pytestmark = [
-    pytest.mark.postgres,
-    pytest.mark.timeout(300),
-    pytest.mark.skipif(PROGRAMS is None, reason="no PostgreSQL server: apt-get install postgresql"),
-]
+pytestmark = needs_server(300)
 ROOT = Path(__file__).resolve().parents[2]
 GRACE_S = 2.0
 
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[Server]:
-    assert PROGRAMS is not None
-    made = Server(PROGRAMS)
-    try:
-        made.start()
+    with running() as made:
         yield made
-    finally:
-        made.remove()
 
 
 class Worker:
