@@ -5,6 +5,7 @@ Learned from the logs of `collect` on the reference vehicle; what is there of an
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sys
 from collections.abc import Mapping, Sequence
@@ -61,7 +62,7 @@ def measure(
     """
     before, loaded, place = machine(), load(bench), Path(folder) / NAME
     sources = logs_in(logs, folder)
-    models = learned(loaded, sources, place, kinds.split(","), seed, minutes, spacing_s)
+    models = learned(loaded, sources, learned_in(folder, loaded, sources), kinds.split(","), seed, minutes, spacing_s)
     unseen = unseen_logs(bench, place / "unseen", gains, hills)
     tracks = {ground: unseen_tracks(some, loaded) for ground, some in unseen.items()}
     with Worker() as worker:
@@ -87,6 +88,12 @@ def measure(
         "value": found["value"], "unit": "percent", "n": found["n"], "low": found["low"], "high": found["high"],
         "detail": rounded(detail),
     }  # fmt: skip
+
+
+def learned_in(folder: str, bench: Bench, logs: Sequence[Path]) -> Path:
+    """Where the models of these logs lie, for every measure that wants them."""
+    heard = hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in logs)).hexdigest()
+    return Path(folder) / "learned" / f"{Path(bench.file).stem}-{heard[:12]}"
 
 
 def learned(

@@ -23,7 +23,7 @@ from tools.measures._rig import Rig, failed
 from tools.measures._summary import RESAMPLES, machine, rounded
 from tools.measures._unseen import ended
 from tools.measures.collect import one_of_each
-from tools.measures.freerun import learned
+from tools.measures.freerun import learned, learned_in
 from tools.measures.map import logs_in
 from tools.measures.parity import parameter_sets
 from tunefree_hil.bench import Bench, load, parameters_of
@@ -40,6 +40,18 @@ BEST = 50
 DRAWN = "drawn_"
 
 
+class Wanted(NamedTuple):
+    """What `measure` was asked for."""
+
+    sets: int
+    trials: int
+    kinds: tuple[str, ...]
+    searched: tuple[str, ...]
+    trainings: int
+    minutes: float
+    folder: Path
+
+
 class Graded(NamedTuple):
     """Scores of the sets in their order, and whether all drives of each were driven to their end."""
 
@@ -53,16 +65,21 @@ def measure(
     trials: int = 100,
     kinds: str = "hybrid,lstm,paper",
     benches: str = "",
+    searched: str = "physics,hybrid",
+    trainings: int = 0,
     minutes: float = 0.0,
     folder: str = FOLDER,
 ) -> dict[str, Any]:
-    """seeds: of trainings and searches. sets: random ones beside the manual. kinds: learned ones beside the physics.
+    """seeds: of trainings, sets and searches. sets: random ones beside the manual. kinds: learned, beside the physics.
 
-    n counts seeds; low and high are those of the lower vehicle over its seeds. All is kept in `folder`: it goes on.
+    searched: the plants on which gains are tuned, beside the vehicle itself. trainings: 0 a training a seed; else so
+    many in all, taken in turn by the seeds. n counts seeds; low and high are those of the lower vehicle over its seeds.
+    All is kept in `folder`: it goes on.
     """
     before = machine()
+    asked = Wanted(sets, trials, tuple(kinds.split(",")), tuple(searched.split(",")), trainings, minutes, Path(folder))
     rows = {
-        name: [_one(load(name), seed, sets, trials, kinds.split(","), minutes, Path(folder)) for seed in _up_to(seeds)]
+        name: [_one(load(name), seed, asked) for seed in range(1, seeds + 1)]
         for name in (benches.split(",") if benches else one_of_each())
     }
     values = {name: [row["kinds"]["hybrid"]["finished"]["rho"] for row in some] for name, some in rows.items()}
@@ -75,20 +92,15 @@ def measure(
     }  # fmt: skip
 
 
-def _up_to(seeds: int) -> range:
-    return range(1, seeds + 1)
-
-
-def _one(
-    bench: Bench, seed: int, sets: int, trials: int, kinds: Sequence[str], minutes: float, folder: Path
-) -> dict[str, Any]:
+def _one(bench: Bench, seed: int, asked: Wanted) -> dict[str, Any]:
     """One vehicle and one seed: ranks on every plant, and winners graded on the vehicle."""
-    place = folder / NAME / Path(bench.file).stem
+    place = asked.folder / NAME / Path(bench.file).stem
     ledger = Ledger(place / "grades")
-    logs = logs_in("", str(folder), bench.vehicle.name)
-    models = learned(bench, logs, place, kinds, seed, minutes, 0.0)
-    bench = _with_map(bench, logs, place / f"map-{seed}")
-    vectors = parameter_sets(bench, sets + len(baseline_vectors(bench)), seed)
+    logs = logs_in("", str(asked.folder), bench.vehicle.name)
+    training = (seed - 1) % asked.trainings + 1 if asked.trainings else seed
+    models = learned(bench, logs, learned_in(str(asked.folder), bench, logs), asked.kinds, training, asked.minutes, 0.0)
+    bench = _with_map(bench, logs, place / f"map-{training}")
+    vectors = parameter_sets(bench, asked.sets + len(baseline_vectors(bench)), seed)
     drawn = {name: values for name, values in vectors.items() if name.startswith(DRAWN)}
     vehicle = bench.spec.verify_model
     truth = _graded(bench, vehicle, drawn, ledger)
@@ -97,16 +109,17 @@ def _one(
         found[name] = correlations(_graded(bench, model.folder, drawn, ledger), truth, seed)
         words = found[name]["finished"]
         _say(f"{place.name}, seed {seed}, {name}: {words['rho']:.3f} of {words['n']} sets that finish on both")
-    winners = {name: _tuned(bench, model.folder, trials, seed, ledger) for name, model in models.items()}
-    winners["vehicle"] = _tuned(bench, vehicle, trials, seed, ledger)
+    winners = {name: _tuned(bench, models[name].folder, asked.trials, seed, ledger) for name in asked.searched}
+    winners["vehicle"] = _tuned(bench, vehicle, asked.trials, seed, ledger)
     scores = _scores(bench, vehicle, winners | baseline_vectors(bench), ledger)
     manual = min(baseline_vectors(bench), key=lambda name: scores[name])
     return {
         "seed": seed,
+        "training": training,
         "kinds": found,
         "on_vehicle": scores,
-        "tuned_on_hybrid_of_tuned_on_vehicle": scores["hybrid"] / scores["vehicle"],
-        "tuned_on_hybrid_of_manual": scores["hybrid"] / scores[manual],
+        "tuned_of_tuned_on_vehicle": {name: scores[name] / scores["vehicle"] for name in asked.searched},
+        "tuned_of_manual": {name: scores[name] / scores[manual] for name in winners},
         "manual": manual,
     }
 
