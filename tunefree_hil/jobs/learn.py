@@ -63,6 +63,8 @@ def learn(asked: Asked) -> Iterator[Event]:
     _require(asked)
     vehicle = load_vehicle(asked.vehicle)
     require_new(asked.out)
+    if asked.physics is not None:
+        physics_in(asked.physics, vehicle)
     began = time.monotonic()
     drives = yield from read(asked.logs, vehicle)
     split = yield from calibrate.split_of(drives, asked.seed)
@@ -105,8 +107,6 @@ def _require(asked: Asked) -> None:
 
 def physics_of(asked: Asked, vehicle: VehicleSpec, drives: list[Drive], split: Split) -> Iterator[Event]:
     """The calibrated model: the one that was named, or one made now, kept beside `out` for the next time."""
-    from tunefree_hil.config.load import load_model
-
     folder = asked.physics or asked.out.with_name(asked.out.name + "-physics")
     if asked.physics is None and not _is_of(folder, drives, asked.seed):
         require_new(folder)
@@ -115,6 +115,14 @@ def physics_of(asked: Asked, vehicle: VehicleSpec, drives: list[Drive], split: S
             fitted = yield from calibrate.fit_all(worker, split, vehicle)
         card = calibrate.card_of(drives, split, vehicle, fitted, asked.seed, time.monotonic() - began)
         calibrate.write(folder, vehicle, fitted, split, card)
+    yield Event("note", f"physics: {folder}")
+    return physics_in(folder, vehicle)
+
+
+def physics_in(folder: Path, vehicle: VehicleSpec) -> ModelSpec:
+    """The calibrated model in a folder. Raises InputError where it is not one of this vehicle as it is today."""
+    from tunefree_hil.config.load import load_model
+
     model = load_model(folder)
     if model.vehicle != vehicle.name or model.plant.kind != "physics":
         raise InputError(
@@ -125,7 +133,6 @@ def physics_of(asked: Asked, vehicle: VehicleSpec, drives: list[Drive], split: S
             hint="name what `tunefree-hil calibrate` wrote for this vehicle, or leave --physics out",
         )
     require_current(model, vehicle)
-    yield Event("note", f"physics: {folder}")
     return model
 
 
