@@ -18,6 +18,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import kernel, table
 from tunefree_hil.base.maths import find_cell, find_cell_between
 
+MAP_FILE = "calibration.npz"  # in a model folder
 KEYS = ("speed_mps", "accel_mps2", "command_frac")
 UNREADABLE = (OSError, ValueError, TypeError, EOFError, RuntimeError, BadZipFile, zlib.error)
 

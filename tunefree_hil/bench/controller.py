@@ -10,6 +10,7 @@ from typing import Any
 from tunefree_hil.base.course import Course
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
+from tunefree_hil.base.open_loop_map import MAP_FILE
 from tunefree_hil.bench.faults import CONTROLLER, faults_of
 from tunefree_hil.bench.load import Bench, model_of, scenario_of_hash
 from tunefree_hil.bus.codec import Codec
@@ -127,7 +128,7 @@ def calibration_path(bench: Bench) -> Path:
     if own:
         beside = Path(bench.file).parent / own
         return beside if beside.is_file() else Path(own)
-    return Path(model_of(bench, bench.spec.model).folder) / "calibration.npz"
+    return Path(model_of(bench, bench.spec.model).folder) / MAP_FILE
 
 
 def calibration_of(bench: Bench) -> Any:

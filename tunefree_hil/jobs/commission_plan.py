@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.open_loop_map import MAP_FILE
 from tunefree_hil.bench import load
 from tunefree_hil.bench.load import whole_vehicle
 from tunefree_hil.config.dump import to_toml
@@ -116,7 +117,7 @@ class Plan(NamedTuple):
         data.pop("effects", None)  # they belong to the vehicle, and collect has driven it with them
         data["controller"] = {
             **data.get("controller", {}),
-            "calibration": str((self.map / "calibration.npz").resolve()),
+            "calibration": str((self.map / MAP_FILE).resolve()),
         }
         write_text(self.bench, to_toml(data))
         return self.bench

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
+from tunefree_hil.base.open_loop_map import MAP_FILE
 from tunefree_hil.bench.load import require_current
 from tunefree_hil.jobs.learning_logs import read
 from tunefree_hil.learn.drives import Drive
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from tunefree_hil.figures.map import MapPicture
 
 SCHEMA = "tunefree.map/1"
-FILE = "calibration.npz"
 
 
 def map_logs(logs: Sequence[Path], vehicle: str, out: Path, seed: int = 1) -> Iterator[Event]:
@@ -53,7 +53,7 @@ def map_logs(logs: Sequence[Path], vehicle: str, out: Path, seed: int = 1) -> It
     data |= {"replaced_mps2": _replaced(target, learned)}
     write_table(target, learned.table, json.dumps(data))
     figures = draw(learned, gathered, target)
-    if not (target.name == FILE and (target.parent / "model.toml").is_file()):
+    if not (target.name == MAP_FILE and (target.parent / "model.toml").is_file()):
         yield Event("note", f'a bench drives by it with: [controller] calibration = "{target}"')
     yield Event("result", "", data | _ending(data, target, figures))
 
@@ -79,7 +79,7 @@ def target_of(out: Path, vehicle: VehicleSpec) -> Path:
                 hint="name a model folder of the same vehicle, or another folder",
             )
         require_current(model, vehicle)
-    return out / FILE
+    return out / MAP_FILE
 
 
 def _learned(steps: Any, started: float) -> Iterator[Event]:

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from tunefree_hil.base.open_loop_map import MAP_FILE
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import ActuatorSpec, Interval, ModelSpec, Number, VehicleSpec
 from tunefree_hil.learn.free_run import Judged
 from tunefree_hil.learn.motion import Track
 from tunefree_hil.learn.values import ActuatorFit, Value, exactly
 from tunefree_hil.learn.worker import Worker
-from tunefree_hil.learn.write_model import CALIBRATION_FILE, write_model
+from tunefree_hil.learn.write_model import write_model
 from tunefree_hil.plant.carriage import DEFAULTS as CARRIAGE
 from tunefree_hil.plant.learned_file import INPUTS
 
@@ -24,7 +25,7 @@ Arrays = Mapping[str, Any]
 
 def calibration_of(model: ModelSpec) -> dict[str, Any] | None:
     """The arrays of the calibration.npz of a model folder, None where it has none."""
-    path = Path(model.folder) / CALIBRATION_FILE
+    path = Path(model.folder) / MAP_FILE
     if not path.is_file():
         return None
     with np.load(path, allow_pickle=False) as archive:

@@ -13,6 +13,7 @@ from typing import Any, cast
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.open_loop_map import MAP_FILE
 from tunefree_hil.config.dump import to_toml
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import ValidSpec, VehicleSpec
@@ -20,7 +21,7 @@ from tunefree_hil.learn.values import ActuatorFit, Value
 
 Array = np.ndarray
 
-PLANT_FILE, CARD_FILE, CALIBRATION_FILE = "plant.npz", "card.json", "calibration.npz"
+PLANT_FILE, CARD_FILE = "plant.npz", "card.json"
 TIMING = {"report_ticks": 1, "command_ticks": 1, "phase_seed": 1}
 HEAD = """\
 # Written by tunefree_hil from logs of the vehicle; {card} says from which, with intervals and errors.
@@ -76,7 +77,7 @@ def write_model(
     part.mkdir(parents=True)
     try:
         (part / "model.toml").write_text(HEAD.format(card=CARD_FILE) + to_toml(data), encoding="utf-8")
-        for name, arrays in ((PLANT_FILE, plant_file), (CALIBRATION_FILE, calibration)):
+        for name, arrays in ((PLANT_FILE, plant_file), (MAP_FILE, calibration)):
             if arrays is not None:
                 np.savez(part / name, **{key: np.asarray(one) for key, one in arrays.items()})  # type: ignore[arg-type]
         (part / CARD_FILE).write_text(json.dumps(plain(card), indent=1, allow_nan=False) + "\n", encoding="utf-8")
