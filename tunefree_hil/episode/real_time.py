@@ -1,13 +1,37 @@
-"""Where the ticks of a real-time drive begin, as the bench said beside the vehicle's log (interfaces 8)."""
+"""How a log's time stamps become ticks: in virtual time, and in real time beside the bench's own log (interfaces 8)."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.bench_channel import Role, State, Status, decode
 from tunefree_hil.episode.candump import read_rows
+
+ON_GRID = 1e-3  # of a tick: stamps nearer than this to whole ticks are virtual time
+
+
+class Times(NamedTuple):
+    """zero_s: stamp of tick 0; late_ticks: by how many ticks a report is used after its stamp; words: for people."""
+
+    zero_s: float
+    late_ticks: int
+    words: str
+
+
+def times_of(off_grid: float, first_s: float, earliest_s: float, dt_s: float, folder: Path) -> Times:
+    """Virtual time where all stamps are whole ticks from 0 on; else real time, from bench.log or the first frame.
+
+    off_grid: the furthest of any stamp from a whole tick, as a share of a tick. first_s, earliest_s: the log's first
+    stamp, and the least. folder: where the log lies, perhaps with the bench's own beside it.
+    """
+    if off_grid < ON_GRID and first_s < dt_s:
+        return Times(0.0, 0, "virtual time")
+    if (folder / "bench.log").is_file():
+        return Times(run_zero_s(folder / "bench.log"), 1, "real time: tick 0 is where bench.log says")
+    return Times(earliest_s, 1, f"real time: second 0 is the log's first frame, at {earliest_s:.3f} s")
 
 
 def run_zero_s(bench_log: Path) -> float:

@@ -16,7 +16,7 @@ from tunefree_hil.bus.codec import Codec
 from tunefree_hil.control.follower import make_follower
 from tunefree_hil.episode.candump import EXTENDED_BIT, LogFrame
 from tunefree_hil.episode.columns import columns_from_frames
-from tunefree_hil.episode.real_time import run_zero_s
+from tunefree_hil.episode.real_time import times_of
 from tunefree_hil.episode.recording import Recording
 from tunefree_hil.grade.align import Align, find_by_speed, longitudinal_only, place_course
 from tunefree_hil.grade.profile import Beside
@@ -25,7 +25,6 @@ from tunefree_hil.grade.score import GradeVehicle
 from tunefree_hil.jobs.log_files import by_channel
 from tunefree_hil.jobs.run_folder import read_json
 
-ON_GRID = 1e-3  # of a tick: stamps nearer than this to whole ticks are virtual time
 POSITION = {"x_m", "y_m", "heading_rad"}
 ODOMETRY = "station error by the integral of the reported speed: it runs with that signal's scale"
 
@@ -40,14 +39,6 @@ class LogDrive(NamedTuple):
     course: Course
     notes: list[str]
     span_s: tuple[float, float]
-
-
-class Times(NamedTuple):
-    """How a log's stamps become ticks (episode/columns.py)."""
-
-    zero_s: float
-    late_ticks: int
-    words: str
 
 
 def read_drive(
@@ -65,7 +56,9 @@ def read_drive(
     With positions by the follower Block, run on the INS frames; without them the longitudinal ones only.
     """
     dt_s = codec.tick_ms * 1e-3
-    times = times_of(frames, dt_s, folder)
+    stamps = np.array([frame.time_s for frame in frames])
+    off_grid = float(np.abs(stamps / dt_s - np.round(stamps / dt_s)).max())
+    times = times_of(off_grid, float(stamps[0]), float(stamps.min()), dt_s, folder)
     named = by_channel(frames, codec)
 
     def columns(follower: Block, row: int, ticks: int) -> Recording:
@@ -77,7 +70,7 @@ def read_drive(
         return times.zero_s + row * dt_s, times.zero_s + (row + ticks) * dt_s
 
     whole = columns(nobody(), 0, 0)
-    notes = [times.words] if times.words else []
+    notes = [times.words] if times.late_ticks else []
     if whole.columns.keys() >= POSITION:
         given = align if align != "auto" or not reference.world else "recorded"
         placed = place_course(whole, reference.course, align=given, start_s=start_s)
@@ -102,17 +95,6 @@ def nobody() -> Block:
         return state, params
 
     return Block(init, step, Tracking())
-
-
-def times_of(frames: Sequence[LogFrame], dt_s: float, folder: Path) -> Times:
-    """Virtual time where all stamps are whole ticks; else real time from the first frame, or from our own bench.log."""
-    stamps = np.array([frame.time_s for frame in frames])
-    off = np.abs(stamps / dt_s - np.round(stamps / dt_s)).max()
-    if off < ON_GRID and stamps[0] < dt_s:
-        return Times(0.0, 0, "")
-    if (folder / "bench.log").is_file():
-        return Times(run_zero_s(folder / "bench.log"), 1, "real time: tick 0 is where bench.log says")
-    return Times(float(stamps.min()), 1, f"real time: second 0 is the log's first frame, at {stamps.min():.3f} s")
 
 
 def manual_s(frames: Sequence[LogFrame], codec: Codec, span_s: tuple[float, float]) -> float:

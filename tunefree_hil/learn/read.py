@@ -16,12 +16,11 @@ from tunefree_hil.bus.formats.find import CANDUMP, format_of
 from tunefree_hil.bus.message_map import EXTENDED_FLAG, MessageMap
 from tunefree_hil.episode.candump import ERROR, RTR, cut_line
 from tunefree_hil.episode.log_columns import Name, Piece, read_pieces
-from tunefree_hil.episode.real_time import run_zero_s
+from tunefree_hil.episode.real_time import times_of
 from tunefree_hil.learn.drives import Drive, Reading
 from tunefree_hil.learn.heard import Ear, Seen, place
 
 Progress = Callable[[float, str], None]  # share of all logs read, 0 to 1; the log at hand
-ON_GRID = 1e-3  # of a tick: stamps nearer than this to whole ticks are virtual time
 MOST_STEP_S = 600.0  # between one frame of the vehicle and the next; a tick grid over more is no recording
 
 
@@ -74,10 +73,11 @@ def _read(path: Path, name: str, codec: Codec, tell: Callable[[float], None]) ->
         seen.take(piece, known, codec.tick_ms * 1e-3)
         tell(piece.done)
     _refuse(path, codec, seen)
-    zero_s, late_ticks, words = _times(path, seen, codec.tick_ms * 1e-3)
-    grid = place(ears.values(), codec.tick_ms * 1e-3, zero_s, late_ticks)
-    reading = _reading(path, ears.values(), seen, words)
-    return Drive(name, _hash(path), codec.tick_ms * 1e-3, grid.fields, grid.fresh, grid.enabled, reading)
+    dt_s = codec.tick_ms * 1e-3
+    times = times_of(seen.off_grid, seen.first_s, seen.earliest_s, dt_s, path.parent)
+    grid = place(ears.values(), dt_s, times.zero_s, times.late_ticks)
+    reading = _reading(path, ears.values(), seen, times.words)
+    return Drive(name, _hash(path), dt_s, grid.fields, grid.fresh, grid.enabled, reading)
 
 
 def _find(codec: Codec, name: Name, apart: bool) -> MessageMap | None:
@@ -124,16 +124,6 @@ def _refuse(path: Path, codec: Codec, seen: Seen) -> None:
             file=str(path),
             hint="cut the log in two there: each piece is a recording of its own",
         )
-
-
-def _times(path: Path, seen: Seen, dt_s: float) -> tuple[float, int, str]:
-    """(stamp of tick 0, ticks by which a report is heard late, words), as jobs/log_drive.py has it."""
-    if seen.off_grid < ON_GRID and seen.first_s < dt_s:
-        return 0.0, 0, "virtual time"
-    bench_log = path.parent / "bench.log"
-    if bench_log.is_file():
-        return run_zero_s(bench_log), 1, "real time: tick 0 is where bench.log says"
-    return seen.earliest_s, 1, f"real time: tick 0 is the log's first frame, at {seen.earliest_s:.3f} s"
 
 
 def _hash(path: Path) -> str:
