@@ -18,7 +18,7 @@ import numpy as np
 from msgspec.structs import replace as with_values
 from scipy.stats import spearmanr
 
-from tools.measures._ledger import FOLDER, Ledger
+from tools.measures._ledger import FIGURES, FOLDER, Ledger
 from tools.measures._rig import Rig, failed
 from tools.measures._summary import RESAMPLES, machine, rounded
 from tools.measures._unseen import ended
@@ -27,6 +27,7 @@ from tools.measures.freerun import learned, learned_in
 from tools.measures.map import logs_in
 from tools.measures.parity import parameter_sets
 from tunefree_hil.bench import Bench, load, parameters_of
+from tunefree_hil.figures.transfer import Ranked, write_transfer
 from tunefree_hil.jobs.candidates import baseline_vectors
 from tunefree_hil.jobs.map import map_logs
 from tunefree_hil.tune.baselines import first_trial
@@ -69,6 +70,7 @@ def measure(
     trainings: int = 0,
     minutes: float = 0.0,
     folder: str = FOLDER,
+    figures: str = FIGURES,
 ) -> dict[str, Any]:
     """seeds: of trainings, sets and searches. sets: random ones beside the manual. kinds: learned, beside the physics.
 
@@ -83,7 +85,11 @@ def measure(
         for name in (benches.split(",") if benches else one_of_each())
     }
     values = {name: [row["kinds"]["hybrid"]["finished"]["rho"] for row in some] for name, some in rows.items()}
+    pictured = {Path(name).stem: _pictured(some) for name, some in rows.items()}
+    write_transfer(Path(figures) / f"{NAME}.png", pictured)
     lower = min(values, key=lambda name: float(np.median(values[name])))
+    for row in (row for some in rows.values() for row in some):
+        del row["grades"]
     detail = {"machine": before, "benches": rows, "medians": {name: float(np.median(v)) for name, v in values.items()}}
     found = values[lower]
     return {
@@ -104,9 +110,10 @@ def _one(bench: Bench, seed: int, asked: Wanted) -> dict[str, Any]:
     drawn = {name: values for name, values in vectors.items() if name.startswith(DRAWN)}
     vehicle = bench.spec.verify_model
     truth = _graded(bench, vehicle, drawn, ledger)
-    found = {}
+    found, grades = {}, {"": truth}
     for name, model in models.items():
-        found[name] = correlations(_graded(bench, model.folder, drawn, ledger), truth, seed)
+        grades[name] = _graded(bench, model.folder, drawn, ledger)
+        found[name] = correlations(grades[name], truth, seed)
         words = found[name]["finished"]
         _say(f"{place.name}, seed {seed}, {name}: {words['rho']:.3f} of {words['n']} sets that finish on both")
     winners = {name: _tuned(bench, models[name].folder, asked.trials, seed, ledger) for name in asked.searched}
@@ -117,11 +124,22 @@ def _one(bench: Bench, seed: int, asked: Wanted) -> dict[str, Any]:
         "seed": seed,
         "training": training,
         "kinds": found,
+        "grades": grades,
         "on_vehicle": scores,
         "tuned_of_tuned_on_vehicle": {name: scores[name] / scores["vehicle"] for name in asked.searched},
         "tuned_of_manual": {name: scores[name] / scores[manual] for name in winners},
         "manual": manual,
     }
+
+
+def _pictured(rows: Sequence[Mapping[str, Any]]) -> dict[str, Ranked]:
+    """All seeds' sets together, by kind; rho: the seeds' median."""
+    found = {}
+    for kind in rows[0]["kinds"]:
+        rho = float(np.median([row["kinds"][kind]["finished"]["rho"] for row in rows]))
+        model, vehicle = (np.concatenate([row["grades"][name].score for row in rows]) for name in (kind, ""))
+        found[kind] = Ranked(model, vehicle, rho)
+    return found
 
 
 def _with_map(bench: Bench, logs: Sequence[Path], place: Path) -> Bench:
