@@ -1,109 +1,19 @@
-"""Every effect keeps the contract (interfaces 4), and does to the car what it says."""
+"""What effects on steering, pedals and forces do to a signal and to the car."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.plant.drives import DT_S, PLANTS, REST, car, command, drive, rest_of
-from tunefree_hil.base import parts
-from tunefree_hil.base.contracts import BodyChange, Effect, Port, make_effect
+from tests.effects.shared import EFFECTS, KINDS, SCALAR, START, STRONG, through, weave
+from tests.plant.drives import DT_S, car, command, drive, rest_of
+from tunefree_hil.base.contracts import BodyChange, Effect, make_effect
 from tunefree_hil.base.course import Start
-from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import run
 from tunefree_hil.base.units import G_MPS2
-
-EFFECTS: dict[str, Effect] = {
-    name: parts.load("tunefree_hil.effects", name, "EFFECT") for name in parts.names("tunefree_hil.effects")
-}
-KINDS = sorted(PLANTS)
-START = Start(speed_mps=9.0)
-STRONG: dict[str, dict[str, float]] = {
-    "steer_dead_time": {"delay_s": 0.08},
-    "steer_lag": {"tau_s": 0.15},
-    "steer_gain": {"gain_frac": 0.8},
-    "steer_rate_limit": {"rate_radps": 3.0},
-    "steer_dead_band": {"half_width_rad": 0.3},
-    "steer_friction": {"level_rad": 0.3},
-    "steer_saturation": {"limit_rad": 2.0},
-    "steer_offset": {"offset_rad": 0.2},
-    "steer_backlash": {"width_rad": 0.5},
-    "throttle_dead_time": {"delay_s": 0.1},
-    "throttle_lag": {"tau_s": 0.2},
-    "throttle_rate_limit": {"rate_per_s": 0.3},
-    "throttle_dead_band": {"half_width_frac": 0.05},
-    "throttle_gain": {"gain_frac": 0.7},
-    "powertrain_lag": {"tau_s": 0.4},
-    "power_limit": {"power_w": 5e3},
-    "brake_dead_time": {"delay_s": 0.1},
-    "brake_lag": {"tau_s": 0.2},
-    "brake_dead_band": {"half_width_frac": 0.03},
-    "brake_gain": {"gain_frac": 0.7},
-    "brake_pressure_lag": {"tau_s": 0.2},
-    "brake_fade": {"loss_per_mj": 8.0},
-    "brake_drag": {"force_n": 400.0},
-    "payload": {"mass_kg": 400.0, "ahead_m": -1.0},
-    "friction": {"friction_frac": 0.3},
-    "grade": {"grade_rad": 0.05},
-}
-FORCES = ("power_limit", "brake_fade", "brake_drag")  # on a scalar port by place, changes of the plant's own forces
-OFF_SCALAR = (Port.BODY, Port.REPORT, Port.INS)
-SCALAR = [name for name, effect in EFFECTS.items() if effect.port not in OFF_SCALAR and name not in FORCES]
-UNITS = {"_s": "s", "_frac": "1", "_kg": "kg", "_m": "m", "_rad": "rad", "_radps": "rad/s", "_per_s": "1/s",
-         "_n": "N", "_w": "W", "_per_mj": "1/MJ"}  # fmt: skip
-
-
-def weave(t: float) -> Any:
-    return command(0.3 if t < 1.0 else REST, REST if t < 1.0 else 0.26, 4.0 * math.sin(3.0 * t))
-
-
-def test_the_tests_know_every_effect() -> None:
-    assert set(STRONG) == set(EFFECTS)
-
-
-@pytest.mark.parametrize("name", EFFECTS)
-def test_contract(name: str) -> None:
-    effect = EFFECTS[name]
-    assert isinstance(effect, Effect) and effect.symptom
-    assert set(effect.units) == set(effect.neutral) and effect.neutral
-    for key, unit in effect.units.items():
-        ending = max((end for end in UNITS if key.endswith(end)), key=len)
-        assert unit == UNITS[ending]
-    with pytest.raises(InputError) as caught:
-        make_effect(effect, {"wrong": 1.0}, name=name)
-    assert name in str(caught.value) and next(iter(effect.neutral)) in caught.value.hint
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", EFFECTS)
-def test_neutral_is_the_identity_bit_for_bit(kind: str, name: str) -> None:
-    without = drive(car(kind), weave, 1.6, start=START)
-    effect = EFFECTS[name]
-    for neutral in ({}, dict(effect.neutral)):
-        with_it = drive(car(kind, effects=((effect, neutral),)), weave, 1.6, start=START)
-        assert [out.motion for out in with_it] == [out.motion for out in without]
-        assert [out.actuation for out in with_it] == [out.actuation for out in without]
-
-
-@pytest.mark.parametrize("name", SCALAR)
-@given(st.lists(st.floats(-10.0, 10.0), max_size=40), st.sampled_from([0.0, 0.15]))
-def test_neutral_passes_any_signal(name: str, values: list[float], rest: float) -> None:
-    assert run(make_effect(EFFECTS[name], {}, rest=rest), values, DT_S) == values
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", EFFECTS)
-def test_an_effect_shows_where_its_port_says(kind: str, name: str) -> None:
-    """Port A in the report; B and BODY in the motion only."""
-    without = drive(car(kind), weave, 1.6, start=START)
-    with_it = drive(car(kind, effects=((EFFECTS[name], STRONG[name]),)), weave, 1.6, start=START)
-    assert with_it[-1].motion != without[-1].motion
-    same = [out.actuation for out in with_it] == [out.actuation for out in without]
-    assert same is not EFFECTS[name].port.value.endswith(" A")
 
 
 def test_dead_time_shifts_also_by_parts_of_a_tick() -> None:
@@ -180,10 +90,6 @@ def test_friction_caps_the_turn(kind: str) -> None:
     assert most(((EFFECTS["friction"], {"friction_frac": 0.3}),)) < 0.35 * G_MPS2 < 0.6 * G_MPS2 < most(())
 
 
-def through(name: str, params: dict[str, float], values: list[float], rest: float = 0.0) -> list[float]:
-    return run(make_effect(EFFECTS[name], params, rest=rest), values, DT_S)
-
-
 def test_a_rate_limit_is_a_ramp_and_then_the_input() -> None:
     out = through("steer_rate_limit", {"rate_radps": 10.0}, [0.35] * 5 + [0.0] * 5)
     assert out == pytest.approx([0.1, 0.2, 0.3, 0.35, 0.35, 0.25, 0.15, 0.05, 0.0, 0.0])
@@ -253,26 +159,3 @@ def test_brake_drag_is_a_force_against_the_motion_only(kind: str) -> None:
     mass = car(kind).block.params.chassis.constants.mass_kg
     assert end((), START) - end(drag, START) == pytest.approx(500.0 / mass, rel=0.05)
     assert end(drag, Start(speed_mps=0.0)) >= 0.0
-
-
-@pytest.mark.parametrize(
-    ("name", "params"),
-    [
-        *(
-            (name, {key: -1.0})
-            for name, effect in EFFECTS.items()
-            for key in effect.neutral
-            if name not in ("payload", "grade", "steer_offset")
-        ),
-        *((name, {key: math.nan}) for name, effect in EFFECTS.items() for key in effect.neutral if name != "payload"),
-        ("steer_dead_time", {"delay_s": -0.1}),
-        ("steer_lag", {"tau_s": math.inf}),
-        ("steer_gain", {"gain_frac": 0.0}),
-        ("friction", {"friction_frac": math.nan}),
-        ("grade", {"grade_rad": 2.0}),
-    ],
-)
-def test_impossible_values(name: str, params: dict[str, float]) -> None:
-    with pytest.raises(InputError) as caught:
-        make_effect(EFFECTS[name], params)
-    assert caught.value.key in params

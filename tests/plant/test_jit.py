@@ -16,20 +16,22 @@ TICKS = 300
 
 
 def bits(record: Any) -> str:
-    """Every number of nested records as hex."""
+    """Every number of nested records as hex; -0.0 is 0.0."""
     if isinstance(record, tuple):
         return " ".join(bits(value) for value in record)
-    return float(record).hex()
+    return (float(record) + 0.0).hex()
 
 
-def body_lines(kind: str, all_effects: bool) -> list[str]:
-    from tests.effects.test_effects import EFFECTS, STRONG
+def body_lines(kind: str, chosen: str) -> list[str]:
+    """chosen: 'none' of the effects, 'all' of them, or all of them 'neutral'."""
+    from tests.effects.shared import EFFECTS, strong
     from tests.plant.drives import REST, car, command, drive
     from tunefree_hil.base.course import Start
     from tunefree_hil.base.records import Disturbance
     from tunefree_hil.plant.sensors import noise_table
 
-    effects = tuple((EFFECTS[name], STRONG[name]) for name in sorted(EFFECTS)) if all_effects else ()
+    names = sorted(EFFECTS) if chosen != "none" else ()
+    effects = tuple((EFFECTS[name], strong(name) if chosen == "all" else {}) for name in names)
     outputs = drive(
         car(kind, effects=effects, ins_latency_s=0.02),
         lambda t: command(0.3 if t < 1.2 else REST, REST if t < 1.6 else 0.3, 3.0 * math.sin(2.0 * t)),
@@ -82,26 +84,34 @@ def learned_lines() -> list[str]:
 
 CASES = {
     "learned": learned_lines,
-    "physics": lambda: body_lines("physics", False),
-    "reference": lambda: body_lines("reference", False),
-    "physics_effects": lambda: body_lines("physics", True),
-    "reference_effects": lambda: body_lines("reference", True),
+    "physics": lambda: body_lines("physics", "none"),
+    "reference": lambda: body_lines("reference", "none"),
+    "physics_effects": lambda: body_lines("physics", "all"),
+    "reference_effects": lambda: body_lines("reference", "all"),
+    "physics_neutral": lambda: body_lines("physics", "neutral"),
+    "reference_neutral": lambda: body_lines("reference", "neutral"),
     "bywire": bywire_lines,
 }
 
 
-@pytest.mark.compiled
-@pytest.mark.timeout(300)
-@pytest.mark.parametrize("case", CASES)
-def test_compiled_says_the_same_bits(case: str) -> None:
+def compiled_lines(case: str) -> list[str]:
+    """A case in a process that compiles its kernels."""
     environment = {**os.environ, "TUNEFREE_JIT": "1", "PYTHONPATH": str(ROOT)}
     code = f"from tests.plant.test_jit import CASES; print('\\n'.join(CASES[{case!r}]()))"
     done = subprocess.run(
         [sys.executable, "-c", code], env=environment, cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    compiled = done.stdout.splitlines()
-    plain = CASES[case]()
+    return done.stdout.splitlines()
+
+
+@pytest.mark.compiled
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("case", CASES)
+def test_compiled_says_the_same_bits(case: str) -> None:
+    """Effects that are neutral say, compiled, what the car without any says uncompiled."""
+    compiled = compiled_lines(case)
+    plain = CASES[case.removesuffix("_neutral")]()
     assert len(plain) >= TICKS
     different = [k for k, (a, b) in enumerate(zip(plain, compiled, strict=True)) if a != b]
     assert not different, f"first at tick {different[0]}:\n{plain[different[0]]}\n{compiled[different[0]]}"

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.effects.test_effects import EFFECTS
+from tests.effects.shared import EFFECTS, same
 from tests.plant.drives import CHANNELS, DT_S, PLANTS, REST, command, drive, rest_of
 from tests.plant.learned import KINDS, MODULES, NETS, arrays_of, plant_of, without_way_out
 from tunefree_hil.base.contracts import BodyChange, make_effect
@@ -20,6 +20,7 @@ from tunefree_hil.base.records import Command, Disturbance
 from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.plant import hybrid, lstm
 from tunefree_hil.plant.body import BodyOutput, Plant
+from tunefree_hil.plant.carriage import DEFAULTS
 from tunefree_hil.plant.learned_file import INPUTS, PlantFile, cell_of, save_plant
 from tunefree_hil.plant.vehicle import Body, assemble
 
@@ -173,6 +174,25 @@ def test_what_acceleration_can_show_is_shown(tmp_path: Path) -> None:
     assert heavy.speed_rate_mps2 == pytest.approx(0.5 * rate, rel=0.05)
     drag = last(plant, "brake_drag", force_n=2080.0).motion
     assert plain.speed_mps - drag.speed_mps == pytest.approx(1.0, rel=0.05)
+    rolling = last(plant, "rolling_resistance", extra_frac=2.0).motion
+    assert plain.speed_mps - rolling.speed_mps == pytest.approx(2.0 * DEFAULTS["rolling_frac"] * G_MPS2, rel=0.05)
+
+
+def test_air_is_acceleration_too(tmp_path: Path) -> None:
+    """More area, and wind: what is more than the drag that the map has in it comes on top."""
+    plant = plant_of(tmp_path, "rule_based")
+    was, mass_kg, area_m2 = 10.0, DEFAULTS["mass_kg"], DEFAULTS["drag_area_m2"]
+
+    def slowed(*effects: str, **values: float) -> float:
+        body = [body_of(plant, *names, **values if names else {}) for names in ((), effects)]
+        rates = [drive(one, lambda t: command(0.22), 0.01, start=Start(speed_mps=was))[-1].motion for one in body]
+        return rates[0].speed_rate_mps2 - rates[1].speed_rate_mps2
+
+    assert slowed("aero_drag", drag_area_m2=2.0) == pytest.approx(0.5 * 1.2 * 2.0 * was**2 / mass_kg, rel=1e-6)
+    wind = 0.5 * 1.2 * area_m2 / mass_kg * ((was + 8.0) ** 2 - was**2)
+    assert slowed("head_wind", wind_mps=8.0) == pytest.approx(wind, rel=1e-6)
+    behind = 0.5 * 1.2 * area_m2 / mass_kg * (-((was - 18.0) ** 2) - was**2)
+    assert slowed("head_wind", wind_mps=-18.0) == pytest.approx(behind, rel=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["lstm", "mlp", "paper", "rule_based"])
@@ -182,6 +202,11 @@ def test_what_acceleration_can_show_is_shown(tmp_path: Path) -> None:
         ("power_limit", {"power_w": 3.0e4}),
         ("brake_fade", {"loss_per_mj": 0.1}),
         ("payload", {"mass_kg": 100.0, "ahead_m": 0.5}),
+        ("front_stiffness", {"gain_frac": 0.9}),
+        ("rear_stiffness", {"gain_frac": 0.9}),
+        ("tyre_relaxation", {"length_m": 0.5}),
+        ("side_wind", {"force_n": 100.0}),
+        ("road_bank", {"bank_rad": 0.02}),
     ],
 )
 def test_what_it_cannot_show_is_refused(kind: str, effect: str, values: dict[str, float], tmp_path: Path) -> None:
@@ -198,9 +223,8 @@ def test_effects_of_its_physics_are_the_hybrids(kind: str, tmp_path: Path) -> No
         plant, {}, CHANNELS,
         effects=[(one.port, make_effect(one, {}, rest=rest_of(one.port))) for _, one in sorted(EFFECTS.items())],
     )  # fmt: skip
-    assert drive(neutral, weave(), 1.0, start=Start(speed_mps=8.0)) == drive(
-        body_of(plant), weave(), 1.0, start=Start(speed_mps=8.0)
-    )
+    with_them, without = (drive(body, weave(), 1.0, start=Start(speed_mps=8.0)) for body in (neutral, body_of(plant)))
+    assert same(with_them, without)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from enum import Enum
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 from tunefree_hil.base.errors import InputError
@@ -56,6 +57,73 @@ class BodyChange(NamedTuple):
     power_w: float = math.inf  # the driving force is at most this over the speed
     brake_drag_n: float = 0.0  # against the motion, whatever the pedals say
     brake_loss_per_mj: float = 0.0  # of the brakes' gain, for each MJ that they have dissipated since the start
+    front_stiffness_frac: float = 1.0  # factors on the axles' cornering stiffness
+    rear_stiffness_frac: float = 1.0
+    relaxation_m: float = 0.0  # that the tyres roll further until their side force has grown
+    rolling_extra_frac: float = 0.0  # rolling resistance more, as a share of the car's own
+    drag_area_m2: float = 0.0  # more
+    head_wind_mps: float = 0.0  # against the car
+    side_force_n: float = 0.0  # wind's, to the left, at the centre of mass
+    bank_rad: float = 0.0  # left side up
+
+
+class Latency(NamedTuple):
+    """Params of a Block that makes whole frames late: what else those frames carry, a vehicle makes as late."""
+
+    delay_s: float
+
+
+class Prior(NamedTuple):
+    """Where `gap` looks for a parameter: between low and high on that scale; typical: a size that one meets.
+
+    In the parameter's unit, or in multiples of the vehicle's own size `times`: "steer_rad" (its largest steering-wheel
+    angle), "mass_kg" or "wheelbase_m".
+    """
+
+    low: float
+    high: float
+    typical: float
+    scale: Literal["log", "linear"] = "linear"
+    times: Literal["", "steer_rad", "mass_kg", "wheelbase_m"] = ""
+
+
+class Need(NamedTuple):
+    """What a drive must hold for an effect to show: at least `least` of one of QUANTITIES."""
+
+    quantity: str
+    least: float
+
+
+QUANTITIES: dict[str, str] = {
+    "moving_s": "s above 2 m/s",
+    "top_speed_mps": "m/s, highest speed",
+    "speed_span_mps": "m/s between the highest and the lowest speed above 2 m/s",
+    "straight_s": "s above 2 m/s with less than 0.3 m/s2 of lateral acceleration",
+    "curve_s": "s with more than 0.5 m/s2 of lateral acceleration, the side that has less of it",
+    "lateral_accel_mps2": "m/s2, highest lateral acceleration",
+    "steer_moves": "changes of the commanded steering by 2 % of its limit within 0.5 s",
+    "steer_reversals": "times that the commanded steering turns back by 1 % of its limit",
+    "steer_span_frac": "of the limit, between the commanded steering furthest left and right",
+    "throttle_moves": "changes of the commanded throttle by 0.03 within 0.5 s",
+    "throttle_span_frac": "between the least and the most commanded throttle",
+    "throttle_s": "s of throttle over rest",
+    "brake_moves": "changes of the commanded brake by 0.03 within 0.5 s",
+    "brake_span_frac": "between the least and the most commanded brake",
+    "brakings": "brakings by 3 m/s or more",
+    "coast_s": "s above 2 m/s with both pedals at rest",
+}  # what a drive is asked for, with its unit
+
+
+class Link(Enum):
+    """The links of the chain from command to clock, each of which a log can show to be broken (interfaces 4)."""
+
+    COMMAND_ECHO = "command_echo"
+    COMMAND_TO_REPORT = "command_to_report"
+    REPORT_TO_MOTION = "report_to_motion"
+    WHEEL_VS_INS = "wheel_vs_ins"
+    YAW_VS_INS = "yaw_vs_ins"
+    ACCEL_VS_DVDT = "accel_vs_dvdt"
+    CLOCK = "clock"
 
 
 class Effect(NamedTuple):
@@ -65,6 +133,11 @@ class Effect(NamedTuple):
     port's value at rest: 0 for steering, the rest duty for a pedal; effects act on value - rest and start there.
     For BODY, and for what needs the plant's own forces (power_limit, brake_fade, brake_drag), make(params, rest) ->
     (BodyChange) -> BodyChange, a plain function used when the plant is built.
+
+    A bench needs no more than that; the rest is for whoever looks for the effect in a log. symptom: what it looks like.
+    priors: one a parameter. impostors: names of effects that it is easily taken for. manoeuvre: what to drive so that
+    it is not. needs: what a drive must hold to show it at all. links: those that it breaks, the first above all; left
+    out, they follow from the port (`links_of`).
     """
 
     port: Port
@@ -72,6 +145,11 @@ class Effect(NamedTuple):
     units: dict[str, str]
     make: Callable[..., Any]
     symptom: str
+    priors: Mapping[str, Prior] = MappingProxyType({})
+    impostors: tuple[str, ...] = ()
+    manoeuvre: str = ""
+    needs: tuple[Need, ...] = ()
+    links: tuple[Link, ...] = ()
 
 
 def make_effect(effect: Effect, params: Mapping[str, float], *, rest: float = 0.0, name: str = "effect") -> Any:
@@ -91,4 +169,58 @@ def make_effect(effect: Effect, params: Mapping[str, float], *, rest: float = 0.
     return effect.make({**effect.neutral, **{key: float(value) for key, value in params.items()}}, rest)
 
 
-__all__ = ["LEAST_BRAKE_GAIN", "Block", "BodyChange", "Effect", "Port", "Tunable", "make_effect"]
+def place_of(effect: Effect) -> str:
+    """'A' inside an actuator, before its report; 'B' behind a report; '' for body, reports and INS."""
+    return effect.port.value[-1] if effect.port.value.endswith((" A", " B")) else ""
+
+
+def links_of(effect: Effect) -> tuple[Link, ...]:
+    """The links that an effect breaks, the first above all."""
+    if effect.links:
+        return effect.links
+    return (Link.COMMAND_TO_REPORT,) if place_of(effect) == "A" else (Link.REPORT_TO_MOTION,)
+
+
+def prior_of(effect: Effect, parameter: str, sizes: Mapping[str, float]) -> Prior:
+    """The prior of a parameter in its own unit, for a vehicle of these sizes (keys as `Prior.times`).
+
+    Raises InputError for an effect that has none, and for a size that is not known.
+    """
+    prior = effect.priors.get(parameter)
+    if prior is None:
+        raise InputError(
+            f"no prior for {parameter}",
+            code="no_prior",
+            key=parameter,
+            hint="give the effect's EFFECT a Prior for each parameter, or leave it out of what is looked for",
+        )
+    if not prior.times:
+        return prior
+    size = sizes.get(prior.times, 0.0)
+    if not (math.isfinite(size) and size > 0.0):
+        raise InputError(
+            f"{parameter} is looked for in multiples of {prior.times}, which is {size}",
+            code="unknown_size",
+            key=prior.times,
+            hint="[limits] and [nominal] of vehicle.toml say it",
+        )
+    return Prior(prior.low * size, prior.high * size, prior.typical * size, prior.scale)
+
+
+__all__ = [
+    "LEAST_BRAKE_GAIN",
+    "QUANTITIES",
+    "Block",
+    "BodyChange",
+    "Effect",
+    "Latency",
+    "Link",
+    "Need",
+    "Port",
+    "Prior",
+    "Tunable",
+    "links_of",
+    "make_effect",
+    "place_of",
+    "prior_of",
+]

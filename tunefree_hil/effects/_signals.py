@@ -19,6 +19,14 @@ def positive(name: str, value: float, *, zero: bool = True) -> float:
     )
 
 
+def finite(name: str, value: float, most: float = math.inf) -> float:
+    """`value`, or InputError when it is infinite, no number, or `most` or more to either side."""
+    if math.isfinite(value) and abs(value) < most:
+        return value
+    within = f" and within +-{most:.6g}" if math.isfinite(most) else ""
+    raise InputError(f"{name} = {value}", code="bad_effect_parameter", key=name, hint=f"{name} must be finite{within}")
+
+
 class DeadTimeState(NamedTuple):
     """Delay line of the whole ticks and one more, its place, and the share of the tick that is left over."""
 
@@ -157,6 +165,15 @@ def step_offset(params: float, state: float, x: float, dt_s: float) -> tuple[flo
 
 def offset(name: str, value: float) -> Block:
     """A constant on top of a float."""
-    if not math.isfinite(value):
-        raise InputError(f"{name} = {value}", code="bad_effect_parameter", key=name, hint=f"{name} must be finite")
-    return Block(lambda params, dt_s: 0.0, step_offset, value)
+    return Block(lambda params, dt_s: 0.0, step_offset, finite(name, value))
+
+
+@kernel
+def step_gain(params: float, state: float, x: float, dt_s: float) -> tuple[float, float]:
+    """The input times a constant."""
+    return state, params * x
+
+
+def gain(name: str, value: float) -> Block:
+    """A factor on a float."""
+    return Block(lambda params, dt_s: 0.0, step_gain, positive(name, value, zero=False))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.base.contracts import Block, Effect, Need, Port, Prior
 from tunefree_hil.effects._signals import positive, shape
 
 
@@ -17,4 +17,8 @@ EFFECT = Effect(
     {"half_width_frac": "1"},
     make,
     "light braking gives nothing, hard braking a little less than it should",
+    priors={"half_width_frac": Prior(0.002, 0.1, 0.02, "log")},
+    impostors=("brake_gain", "brake_fade"),
+    manoeuvre="braking at levels that grow from the lightest: the band takes as much from each",
+    needs=(Need("brakings", 4.0), Need("brake_span_frac", 0.08)),
 )

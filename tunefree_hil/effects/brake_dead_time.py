@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.base.contracts import Block, Effect, Need, Port, Prior
 from tunefree_hil.effects._signals import dead_time
 
 
@@ -17,4 +17,8 @@ EFFECT = Effect(
     {"delay_s": "s"},
     make,
     "reported brake follows its command later, its shape kept",
+    priors={"delay_s": Prior(0.01, 0.8, 0.15)},
+    impostors=("brake_lag", "brake_pressure_lag", "report_latency"),
+    manoeuvre="steps of the brake, light and firm: a shift keeps the shape, and other reports are in time",
+    needs=(Need("brake_moves", 6.0),),
 )

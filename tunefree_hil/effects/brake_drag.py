@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tunefree_hil.base.contracts import BodyChange, Effect, Port
+from tunefree_hil.base.contracts import BodyChange, Effect, Need, Port, Prior
 from tunefree_hil.effects._signals import positive
 
 
@@ -24,4 +24,11 @@ EFFECT = Effect(
     {"force_n": "N"},
     make,
     "the car rolls out sooner, by the same deceleration at every speed",
+    priors={"force_n": Prior(0.02, 1.5, 0.2, "log", "mass_kg")},
+    impostors=("rolling_resistance", "aero_drag", "grade", "head_wind", "payload"),
+    manoeuvre=(
+        "coasting from high speed to a stand: "
+        "the same deceleration at every speed, and the accelerometer agrees with it"
+    ),
+    needs=(Need("coast_s", 15.0),),
 )

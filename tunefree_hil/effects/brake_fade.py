@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tunefree_hil.base.contracts import BodyChange, Effect, Port
+from tunefree_hil.base.contracts import BodyChange, Effect, Need, Port, Prior
 from tunefree_hil.effects._signals import positive
 
 
@@ -24,4 +24,8 @@ EFFECT = Effect(
     {"loss_per_mj": "1/MJ"},
     make,
     "braking is as it should be at first and weaker after many stops",
+    priors={"loss_per_mj": Prior(0.02, 3.0, 0.3, "log")},
+    impostors=("brake_gain", "brake_dead_band"),
+    manoeuvre="eight equal stops one after the other: each is weaker than the one before",
+    needs=(Need("brakings", 6.0), Need("top_speed_mps", 10.0)),
 )

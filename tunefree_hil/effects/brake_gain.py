@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.base.contracts import Block, Effect, Need, Port, Prior
 from tunefree_hil.effects._signals import positive, shape
 
 
@@ -17,4 +17,10 @@ EFFECT = Effect(
     {"gain_frac": "1"},
     make,
     "braking is off by the same factor at every pressure, and does not change with time",
+    priors={"gain_frac": Prior(0.4, 2.0, 0.8, "log")},
+    impostors=("brake_dead_band", "brake_fade", "payload"),
+    manoeuvre=(
+        "braking at growing levels, and throttle: a gain is the same share at each level, and the throttle is as it was"
+    ),
+    needs=(Need("brakings", 4.0), Need("brake_span_frac", 0.08)),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.base.contracts import Block, Effect, Need, Port, Prior
 from tunefree_hil.effects._signals import lag
 
 
@@ -17,4 +17,8 @@ EFFECT = Effect(
     {"tau_s": "s"},
     make,
     "reported brake follows its command more softly, small and quick movements most",
+    priors={"tau_s": Prior(0.02, 1.0, 0.2, "log")},
+    impostors=("brake_dead_time", "brake_pressure_lag"),
+    manoeuvre="steps of the brake, light and firm: the report is soft in the same proportion on both",
+    needs=(Need("brake_moves", 6.0),),
 )

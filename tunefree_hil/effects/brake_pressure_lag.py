@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.base.contracts import Block, Effect, Need, Port, Prior
 from tunefree_hil.effects._signals import lag
 
 
@@ -17,4 +17,8 @@ EFFECT = Effect(
     {"tau_s": "s"},
     make,
     "deceleration follows the reported brake more softly",
+    priors={"tau_s": Prior(0.02, 1.0, 0.25, "log")},
+    impostors=("brake_dead_time", "brake_lag"),
+    manoeuvre="steps of the brake at one speed: the report is in time, the deceleration is not",
+    needs=(Need("brake_moves", 6.0), Need("brakings", 4.0)),
 )

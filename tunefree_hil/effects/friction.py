@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tunefree_hil.base.contracts import BodyChange, Effect, Port
+from tunefree_hil.base.contracts import BodyChange, Effect, Need, Port, Prior
 from tunefree_hil.effects._signals import positive
 
 
@@ -24,4 +24,8 @@ EFFECT = Effect(
     {"friction_frac": "1"},
     make,
     "the car turns or brakes less than asked once it is asked for much, and as before while it is not",
+    priors={"friction_frac": Prior(0.15, 1.2, 0.5, "log")},
+    impostors=("front_stiffness", "rear_stiffness"),
+    manoeuvre="circles of growing speed, and a firm stop: gentle driving is as it should be",
+    needs=(Need("lateral_accel_mps2", 3.0),),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tunefree_hil.base.contracts import BodyChange, Effect, Port
+from tunefree_hil.base.contracts import BodyChange, Effect, Need, Port, Prior
 
 
 def make(params: dict[str, float], rest: float) -> Callable[[BodyChange], BodyChange]:
@@ -27,4 +27,14 @@ EFFECT = Effect(
     {"mass_kg": "kg", "ahead_m": "m"},
     make,
     "drive and brake give less acceleration, in the same proportion; understeer shifts when the load is off the middle",
+    priors={
+        "mass_kg": Prior(-0.2, 0.6, 0.15, "linear", "mass_kg"),
+        "ahead_m": Prior(-0.5, 0.5, -0.2, "linear", "wheelbase_m"),
+    },
+    impostors=("throttle_gain", "brake_gain", "front_stiffness", "rear_stiffness", "aero_drag", "brake_drag"),
+    manoeuvre=(
+        "throttle steps and brake steps of the same size: "
+        "both give less in the same proportion; coasting hardly changes"
+    ),
+    needs=(Need("throttle_span_frac", 0.15), Need("brake_span_frac", 0.08), Need("brakings", 3.0)),
 )

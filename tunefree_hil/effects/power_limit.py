@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from tunefree_hil.base.contracts import BodyChange, Effect, Port
+from tunefree_hil.base.contracts import BodyChange, Effect, Need, Port, Prior
 from tunefree_hil.base.errors import InputError
 
 
@@ -27,4 +27,10 @@ EFFECT = Effect(
     {"power_w": "W"},
     make,
     "acceleration at much throttle falls short the more the faster the car is, little throttle is as before",
+    priors={"power_w": Prior(3.0, 60.0, 10.0, "log", "mass_kg")},
+    impostors=("throttle_gain", "aero_drag"),
+    manoeuvre=(
+        "full throttle from a stand to high speed, then coasting: the loss grows with speed, and only on the throttle"
+    ),
+    needs=(Need("throttle_span_frac", 0.25), Need("top_speed_mps", 10.0)),
 )

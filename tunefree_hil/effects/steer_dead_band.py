@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.base.contracts import Block, Effect, Need, Port, Prior
 from tunefree_hil.effects._signals import positive, shape
 
 
@@ -17,4 +17,10 @@ EFFECT = Effect(
     {"half_width_rad": "rad"},
     make,
     "reported steering ignores small commands about straight ahead, and is short by as much beyond them",
+    priors={"half_width_rad": Prior(0.0005, 0.05, 0.008, "log", "steer_rad")},
+    impostors=("steer_friction", "steer_backlash"),
+    manoeuvre=(
+        "a small sine of the steering about straight ahead, then about an offset: the band is about straight ahead only"
+    ),
+    needs=(Need("steer_reversals", 6.0),),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.base.contracts import Block, Effect, Need, Port, Prior
 from tunefree_hil.effects._signals import dead_time
 
 
@@ -17,4 +17,8 @@ EFFECT = Effect(
     {"delay_s": "s"},
     make,
     "reported steering follows its command later, its shape kept",
+    priors={"delay_s": Prior(0.01, 0.5, 0.1)},
+    impostors=("steer_lag", "steer_rate_limit", "report_latency"),
+    manoeuvre="steps of the steering and a chirp of 0.2-3 Hz: a shift keeps the shape, and other reports are in time",
+    needs=(Need("steer_moves", 6.0),),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.base.contracts import Block, Effect, Need, Port, Prior
 from tunefree_hil.effects._signals import play
 
 
@@ -17,4 +17,10 @@ EFFECT = Effect(
     {"level_rad": "rad"},
     make,
     "reported steering stands still at each reversal of its command, wherever that is",
+    priors={"level_rad": Prior(0.0005, 0.04, 0.006, "log", "steer_rad")},
+    impostors=("steer_dead_band", "steer_backlash", "steer_lag"),
+    manoeuvre=(
+        "a small sine of the steering about straight ahead, then about an offset: the report stands at every reversal"
+    ),
+    needs=(Need("steer_reversals", 6.0),),
 )

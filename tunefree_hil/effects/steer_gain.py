@@ -2,27 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from tunefree_hil.base.contracts import Block, Effect, Port
-from tunefree_hil.base.kernel import kernel
-from tunefree_hil.effects._signals import positive
-
-
-@kernel
-def step(params: float, state: float, x: float, dt_s: float) -> tuple[float, float]:
-    """The angle that the wheels feel."""
-    return state, params * x
-
-
-def init(params: Any, dt_s: float) -> float:
-    """No memory."""
-    return 0.0
+from tunefree_hil.base.contracts import Block, Effect, Need, Port, Prior
+from tunefree_hil.effects._signals import gain
 
 
 def make(params: dict[str, float], rest: float) -> Block:
     """Block on the steering-wheel angle [rad]: gain_frac times it."""
-    return Block(init, step, positive("gain_frac", params["gain_frac"], zero=False))
+    return gain("gain_frac", params["gain_frac"])
 
 
 EFFECT = Effect(
@@ -31,4 +17,8 @@ EFFECT = Effect(
     {"gain_frac": "1"},
     make,
     "curvature is a constant factor off what the reported steering would give, at every speed",
+    priors={"gain_frac": Prior(0.6, 1.6, 0.9, "log")},
+    impostors=("front_stiffness", "rear_stiffness", "yaw_rate_scale", "speed_scale"),
+    manoeuvre="circles at three speeds: a gain is the same share at all, and the INS says so too",
+    needs=(Need("curve_s", 10.0),),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.base.contracts import Block, Effect, Need, Port, Prior
 from tunefree_hil.effects._signals import lag
 
 
@@ -17,4 +17,11 @@ EFFECT = Effect(
     {"tau_s": "s"},
     make,
     "reported steering follows its command more softly, small and quick movements most",
+    priors={"tau_s": Prior(0.01, 0.6, 0.1, "log")},
+    impostors=("steer_dead_time", "steer_rate_limit", "steer_friction"),
+    manoeuvre=(
+        "steps of the steering, small and large, and a chirp of 0.2-3 Hz: "
+        "a lag begins at once, the same share of any step"
+    ),
+    needs=(Need("steer_moves", 6.0),),
 )

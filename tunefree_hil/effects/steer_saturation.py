@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.base.contracts import Block, Effect, Need, Port, Prior
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.effects._signals import shape
 
@@ -28,4 +28,8 @@ EFFECT = Effect(
     {"limit_rad": "rad"},
     make,
     "reported steering stops at an angle that the command passes",
+    priors={"limit_rad": Prior(0.03, 1.0, 0.4, "log", "steer_rad")},
+    impostors=("steer_rate_limit",),
+    manoeuvre="slow steering from stop to stop at walking pace: the report ends before the command does",
+    needs=(Need("steer_span_frac", 0.5),),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.base.contracts import Block, Effect, Need, Port, Prior
 from tunefree_hil.effects._signals import positive, shape
 
 
@@ -17,4 +17,11 @@ EFFECT = Effect(
     {"half_width_frac": "1"},
     make,
     "small throttle gives nothing, large throttle a little less than it should",
+    priors={"half_width_frac": Prior(0.002, 0.15, 0.03, "log")},
+    impostors=("throttle_gain", "rolling_resistance"),
+    manoeuvre=(
+        "steps of the throttle of growing size, and coasting: "
+        "the band takes as much from each, and coasting is as it was"
+    ),
+    needs=(Need("throttle_moves", 4.0), Need("throttle_s", 20.0)),
 )

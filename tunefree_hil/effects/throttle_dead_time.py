@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.base.contracts import Block, Effect, Need, Port, Prior
 from tunefree_hil.effects._signals import dead_time
 
 
@@ -17,4 +17,8 @@ EFFECT = Effect(
     {"delay_s": "s"},
     make,
     "reported throttle follows its command later, its shape kept",
+    priors={"delay_s": Prior(0.01, 0.8, 0.15)},
+    impostors=("throttle_lag", "throttle_rate_limit", "powertrain_lag", "report_latency"),
+    manoeuvre="steps of the throttle, small and large: a shift keeps the shape, and other reports are in time",
+    needs=(Need("throttle_moves", 6.0),),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from tunefree_hil.base.contracts import Block, Effect, Port
+from tunefree_hil.base.contracts import Block, Effect, Need, Port, Prior
 from tunefree_hil.effects._signals import rate_limit
 
 
@@ -19,4 +19,8 @@ EFFECT = Effect(
     {"rate_per_s": "1/s"},
     make,
     "reported throttle climbs as a ramp on large steps, and as before on small ones",
+    priors={"rate_per_s": Prior(0.05, 3.0, 0.5, "log")},
+    impostors=("throttle_dead_time", "throttle_lag"),
+    manoeuvre="steps of the throttle of growing size: the time that they take grows with them",
+    needs=(Need("throttle_moves", 4.0), Need("throttle_span_frac", 0.2)),
 )

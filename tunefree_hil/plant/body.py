@@ -7,7 +7,7 @@ A vehicle is actuators (Command -> Actuation), a chassis (ChassisInput -> Motion
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -130,6 +130,66 @@ def laden(mass_kg: float, wheelbase_m: float, front_axle_m: float, inertia_kgm2:
             hint="the laden mass must be positive and the centre of mass between the axles",
         )
     return Laden(total_kg, front_m, wheelbase_m - front_m, inertia)
+
+
+def more_drag_m2(own_m2: float, change: BodyChange) -> float:
+    """Drag area with what effects add to it; InputError where less than nothing is left."""
+    area_m2 = own_m2 + change.drag_area_m2
+    if area_m2 < 0.0:
+        raise InputError(
+            f"a drag area of {own_m2:g} m2 and {change.drag_area_m2:g} m2 more",
+            code="bad_drag_area",
+            key="aero_drag",
+            hint="an effect may take away no more drag than the car has",
+        )
+    return area_m2
+
+
+def rolling_share(change: BodyChange) -> float:
+    """Rolling resistance as a multiple of the car's own; InputError where less than nothing is left."""
+    share = 1.0 + change.rolling_extra_frac
+    if share < 0.0:
+        raise InputError(
+            f"{change.rolling_extra_frac:g} of the rolling resistance more",
+            code="bad_rolling_resistance",
+            key="rolling_resistance",
+            hint="effects may take away no more rolling resistance than the car has",
+        )
+    return share
+
+
+CHANGES = {
+    "payload_kg": "payload",
+    "payload_moment_kgm": "payload.ahead_m",
+    "payload_inertia_kgm2": "payload.ahead_m",
+    "friction_frac": "friction",
+    "grade_rad": "grade",
+    "power_w": "power_limit",
+    "brake_drag_n": "brake_drag",
+    "brake_loss_per_mj": "brake_fade",
+    "front_stiffness_frac": "front_stiffness",
+    "rear_stiffness_frac": "rear_stiffness",
+    "relaxation_m": "tyre_relaxation",
+    "rolling_extra_frac": "rolling_resistance",
+    "drag_area_m2": "aero_drag",
+    "head_wind_mps": "head_wind",
+    "side_force_n": "side_wind",
+    "bank_rad": "road_bank",
+}  # field of BodyChange -> the effect that sets it
+
+
+def refuse_changes(kind: str, change: BodyChange, able: Set[str]) -> None:
+    """InputError that names what was changed and is not in `able`, the fields of BodyChange that a kind can apply."""
+    still = BodyChange()
+    asked = [name for name in change._fields if name not in able and getattr(change, name) != getattr(still, name)]
+    if asked:
+        raise InputError(
+            f"a plant of kind {kind!r} has no physics that {', '.join(dict.fromkeys(CHANGES[name] for name in asked))}"
+            " could change",
+            code="not_in_this_plant",
+            key="effects",
+            hint="take a model of kind hybrid or physics, or leave the effect out",
+        )
 
 
 def filled(defaults: Mapping[str, float], given: Mapping[str, float], kind: str) -> dict[str, float]:

@@ -1,8 +1,8 @@
 """A car as a learned plant without physics moves it: acceleration and yaw rate are given, the rest is kinematics.
 
 The rear axle does not slip sideways. What the network was not told of comes on top as acceleration: gravity on a grade,
-a dragging brake, the mass of a payload. Friction caps acceleration and speed * yaw rate at friction * g. What cannot be
-had so is refused when the plant is built.
+a dragging brake, air and rolling resistance, the mass of a payload. Friction caps acceleration and speed * yaw rate at
+friction * g. What cannot be had so is refused when the plant is built.
 """
 
 from __future__ import annotations
@@ -16,15 +16,21 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import kernel
 from tunefree_hil.base.maths import clamp
 from tunefree_hil.base.records import GEAR_DRIVE, Actuation, Motion
-from tunefree_hil.base.units import G_MPS2
-from tunefree_hil.plant.body import ChassisInput, filled
+from tunefree_hil.base.units import AIR_DENSITY_KGPM3, G_MPS2
+from tunefree_hil.plant.body import ChassisInput, filled, more_drag_m2, refuse_changes, rolling_share
 from tunefree_hil.plant.data_sheet import DEFAULTS as PHYSICS
 from tunefree_hil.plant.kinematics import Velocity, moved
 
 FADE_MPS = 0.3  # below it a car turns less and less: one that stands does not turn
 PULL_AWAY_MPS2 = 0.1  # what a plant must ask for on level ground before a standing car moves: less is its error
 LEAST_MPS = 0.5
-KEYS = ("mass_kg", "wheelbase_m", "front_axle_m", "friction", "steer_ratio", "wheel_radius_m", "track_m")
+KEYS = (
+    "mass_kg", "wheelbase_m", "front_axle_m", "friction", "steer_ratio", "wheel_radius_m", "track_m", "rolling_frac",
+    "drag_area_m2",
+)  # fmt: skip
+ABLE = {
+    "payload_kg", "friction_frac", "grade_rad", "brake_drag_n", "rolling_extra_frac", "drag_area_m2", "head_wind_mps",
+}  # fmt: skip
 DEFAULTS: dict[str, float] = {key: PHYSICS[key] for key in (*KEYS, "rest_pedal_frac")}
 
 
@@ -41,15 +47,21 @@ class Carriage(NamedTuple):
     rest_frac: float
     grip_mps2: float
     grade_rad: float
-    drag_mps2: float  # a dragging brake's
+    drag_mps2: float  # a dragging brake's, and of rolling resistance what is more than the car's own
     mass_frac: float  # the car's own mass over its laden one
+    own_air_per_m: float  # air drag over mass and speed squared, as the plant knows it
+    air_per_m: float  # and as it is
+    head_wind_mps: float
 
 
 def carriage_of(kind: str, defaults: Mapping[str, float], params: Mapping[str, float], change: BodyChange) -> Carriage:
     """[plant.params] over `defaults`, with the body changes. InputError for a key or a change that does not fit."""
     v = filled(defaults, params, kind)
-    _refuse(kind, change, v["mass_kg"])
+    refuse_changes(kind, change, ABLE)
     mass_kg = v["mass_kg"] + change.payload_kg
+    if not mass_kg > 0.0:
+        raise InputError(f"{change.payload_kg} kg of payload leave no mass", code="bad_payload", key="payload")
+    dynamic = 0.5 * AIR_DENSITY_KGPM3 / mass_kg
     return Carriage(
         wheel_radius_m=v["wheel_radius_m"],
         inverse_radius=1.0 / v["wheel_radius_m"],
@@ -61,8 +73,11 @@ def carriage_of(kind: str, defaults: Mapping[str, float], params: Mapping[str, f
         rest_frac=v["rest_pedal_frac"],
         grip_mps2=v["friction"] * change.friction_frac * G_MPS2,
         grade_rad=change.grade_rad,
-        drag_mps2=change.brake_drag_n / mass_kg,
+        drag_mps2=change.brake_drag_n / mass_kg + (rolling_share(change) - 1.0) * v["rolling_frac"] * G_MPS2,
         mass_frac=v["mass_kg"] / mass_kg,
+        own_air_per_m=dynamic * v["drag_area_m2"],
+        air_per_m=dynamic * more_drag_m2(v["drag_area_m2"], change),
+        head_wind_mps=change.head_wind_mps,
     )
 
 
@@ -82,30 +97,13 @@ def driven(p: Carriage, was: Motion, accel_mps2: float, yaw_rate_radps: float, x
     grip = p.grip_mps2 * x.road.friction_frac
     own = clamp(accel_mps2 * p.mass_frac, -grip, grip)
     slope = G_MPS2 * math.sin(x.road.grade_rad + p.grade_rad)
-    speed = was.speed_mps + dt_s * (own - slope - p.drag_mps2)
+    air = was.speed_mps + p.head_wind_mps
+    against = p.drag_mps2 + (p.air_per_m * air * abs(air) - p.own_air_per_m * was.speed_mps * abs(was.speed_mps))
+    speed = was.speed_mps + dt_s * (own - slope - against)
     if speed < 0.0 or (was.speed_mps <= 0.0 and own < PULL_AWAY_MPS2):
         speed = 0.0
     most = grip / max(speed, LEAST_MPS)
     yaw = clamp(yaw_rate_radps, -most, most) * clamp(speed / FADE_MPS, 0.0, 1.0)
     angle = x.actuation.steer_rad * p.inverse_ratio
     now = Velocity(speed, p.rear_axle_m * yaw, yaw)
-    return moved(p, was, now, slope, (math.cos(angle), math.sin(angle)), dt_s)
-
-
-def _refuse(kind: str, change: BodyChange, mass_kg: float) -> None:
-    """InputError for what acceleration alone cannot show."""
-    without_physics = {
-        "payload.ahead_m": change.payload_moment_kgm != 0.0 or change.payload_inertia_kgm2 != 0.0,
-        "power_limit": math.isfinite(change.power_w),
-        "brake_fade": change.brake_loss_per_mj != 0.0,
-    }
-    cannot = [name for name, asked in without_physics.items() if asked]
-    if cannot:
-        raise InputError(
-            f"a plant of kind {kind!r} has no physics that {', '.join(cannot)} could change",
-            code="not_in_this_plant",
-            key="effects",
-            hint="take a model of kind hybrid or physics, or leave the effect out",
-        )
-    if not mass_kg + change.payload_kg > 0.0:
-        raise InputError(f"{change.payload_kg} kg of payload leave no mass", code="bad_payload", key="payload")
+    return moved(p, was, now, (slope, 0.0), (math.cos(angle), math.sin(angle)), dt_s)

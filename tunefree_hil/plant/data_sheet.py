@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
 from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.units import AIR_DENSITY_KGPM3, G_MPS2
-from tunefree_hil.plant.body import filled, laden
+from tunefree_hil.plant.body import filled, laden, more_drag_m2, rolling_share
 
 DEFAULTS: dict[str, float] = {
     "mass_kg": 2080.0,
@@ -67,6 +68,10 @@ class SingleTrack(NamedTuple):
     power_w: float  # inf: no limit but the drive's own
     brake_drag_n: float
     brake_loss_per_j: float
+    head_wind_mps: float
+    side_n: float  # to the left, of wind and bank
+    bank_mps2: float  # gravity to the right, felt by an accelerometer as specific force to the left
+    relaxation_m: float  # 0: tyres that have their side force at once
 
 
 def constants_of(params: Mapping[str, float], change: BodyChange) -> SingleTrack:
@@ -81,8 +86,8 @@ def constants_of(params: Mapping[str, float], change: BodyChange) -> SingleTrack
         front_axle_m=car.front_axle_m,
         rear_axle_m=car.rear_axle_m,
         inverse_wheelbase=1.0 / v["wheelbase_m"],
-        front_stiffness=v["front_stiffness_n_per_rad"],
-        rear_stiffness=v["rear_stiffness_n_per_rad"],
+        front_stiffness=v["front_stiffness_n_per_rad"] * change.front_stiffness_frac,
+        rear_stiffness=v["rear_stiffness_n_per_rad"] * change.rear_stiffness_frac,
         front_load_n=weight_n * car.rear_axle_m / v["wheelbase_m"],
         rear_load_n=weight_n * car.front_axle_m / v["wheelbase_m"],
         friction=v["friction"] * change.friction_frac,
@@ -99,10 +104,14 @@ def constants_of(params: Mapping[str, float], change: BodyChange) -> SingleTrack
         creep_force_n=v["creep_force_n"],
         inverse_creep_speed=1.0 / v["creep_speed_mps"],
         brake_gain_n=v["brake_force_n_per_frac"],
-        rolling_n=v["rolling_frac"] * weight_n,
-        drag_kgpm=0.5 * AIR_DENSITY_KGPM3 * v["drag_area_m2"],
+        rolling_n=v["rolling_frac"] * weight_n * rolling_share(change),
+        drag_kgpm=0.5 * AIR_DENSITY_KGPM3 * more_drag_m2(v["drag_area_m2"], change),
         grade_rad=change.grade_rad,
         power_w=change.power_w,
         brake_drag_n=change.brake_drag_n,
         brake_loss_per_j=1e-6 * change.brake_loss_per_mj,
+        head_wind_mps=change.head_wind_mps,
+        side_n=change.side_force_n - weight_n * math.sin(change.bank_rad),
+        bank_mps2=G_MPS2 * math.sin(change.bank_rad),
+        relaxation_m=change.relaxation_m,
     )

@@ -27,6 +27,7 @@ from tunefree_hil.plant.cell import Cell, CellState, bounded, cell_out, init_cel
 from tunefree_hil.plant.data_sheet import DEFAULTS, SingleTrack, constants_of
 from tunefree_hil.plant.kinematics import Velocity, moved, with_velocity
 from tunefree_hil.plant.learned_file import cell_of, load_plant_file
+from tunefree_hil.plant.relaxing import AT_EASE, Axles
 from tunefree_hil.plant.single_track import pushed
 
 FADE_MPS = 0.3
@@ -42,13 +43,16 @@ class Hybrid(NamedTuple):
 
 
 class HybridState(NamedTuple):
-    """The corrected motion; side speed and yaw rate as the physics has them; brake energy; the cell."""
+    """The corrected motion; side speed and yaw rate as the physics has them; brake energy; the cell; side forces where
+    tyres relax.
+    """
 
     motion: Motion
     side_speed_mps: float
     yaw_rate_radps: float
     braked_j: float
     cell: CellState
+    axles: Axles
 
 
 @kernel
@@ -57,7 +61,7 @@ def step_hybrid(params: ChassisParams, state: HybridState, x: ChassisInput, dt_s
     p, net = params.constants.car, params.constants.net
     was, cell, act = state.motion, state.cell, x.actuation
     own = Velocity(was.speed_mps, state.side_speed_mps, state.yaw_rate_radps)
-    after = pushed(p, own, state.braked_j, x, dt_s)
+    after = pushed(p, own, state.braked_j, x, dt_s, state.axles)
     physics = after.velocity
     take_in(net, cell.seen, 0, was.speed_mps)
     take_in(net, cell.seen, 1, was.yaw_rate_radps)
@@ -74,22 +78,23 @@ def step_hybrid(params: ChassisParams, state: HybridState, x: ChassisInput, dt_s
         now = Velocity(speed, physics.side_speed_mps + p.rear_axle_m * turn, physics.yaw_rate_radps + turn)
     else:
         now = Velocity(0.0, 0.0, 0.0)
-    new = moved(p, was, now, after.slope_mps2, after.wheel, dt_s)
+    new = moved(p, was, now, after.felt_mps2, after.wheel, dt_s)
     braked_j = state.braked_j + dt_s * (0.5 * (was.speed_mps + new.speed_mps)) * after.brake_n
-    return HybridState(new, physics.side_speed_mps, physics.yaw_rate_radps, braked_j, cell), new
+    return HybridState(new, physics.side_speed_mps, physics.yaw_rate_radps, braked_j, cell, after.axles), new
 
 
 def init_hybrid(params: ChassisParams, dt_s: float) -> HybridState:
     """Rolling straight at the start, brakes cold, the cell at 0."""
     constants = params.constants
-    return HybridState(rolling_motion(params.start, constants.wheel_radius_m), 0.0, 0.0, 0.0, init_cell(constants.net))
+    motion = rolling_motion(params.start, constants.wheel_radius_m)
+    return HybridState(motion, 0.0, 0.0, 0.0, init_cell(constants.net), AT_EASE)
 
 
 @kernel
 def observe_hybrid(state: HybridState, seen: Motion) -> HybridState:
     """The state with the measured pose, speed and yaw rate as the motion; the physics' lateral state goes on."""
     motion = with_velocity(seen, Velocity(seen.speed_mps, state.motion.side_speed_mps, seen.yaw_rate_radps))
-    return HybridState(motion, state.side_speed_mps, state.yaw_rate_radps, state.braked_j, state.cell)
+    return HybridState(motion, state.side_speed_mps, state.yaw_rate_radps, state.braked_j, state.cell, state.axles)
 
 
 def plant_of(net: Cell) -> Plant:

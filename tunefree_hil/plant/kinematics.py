@@ -18,11 +18,13 @@ class Velocity(NamedTuple):
 
 
 @kernel
-def moved(p: Any, was: Motion, now: Velocity, slope_mps2: float, wheel: tuple[float, float], dt_s: float) -> Motion:
+def moved(
+    p: Any, was: Motion, now: Velocity, felt_mps2: tuple[float, float], wheel: tuple[float, float], dt_s: float
+) -> Motion:
     """The motion after a tick that began as `was` and ended with the velocities `now`; the pose by their means.
 
-    p: any constants with rear_axle_m, front_axle_m, half_track_m and inverse_radius. slope_mps2: gravity along the
-    car, felt by an accelerometer. wheel: cosine and sine of the front wheels' angle.
+    p: any constants with rear_axle_m, front_axle_m, half_track_m and inverse_radius. felt_mps2: what an accelerometer
+    feels of gravity forward and to the left. wheel: cosine and sine of the front wheels' angle.
     """
     speed, side, yaw = now.speed_mps, now.side_speed_mps, now.yaw_rate_radps
     speed_was, side_was, yaw_was = was.speed_mps, was.side_speed_mps, was.yaw_rate_radps
@@ -43,8 +45,8 @@ def moved(p: Any, was: Motion, now: Velocity, slope_mps2: float, wheel: tuple[fl
         speed,
         side,
         yaw,
-        own_accel + slope_mps2,
-        (side - side_was) / dt_s + mean_speed * mean_yaw,
+        own_accel + felt_mps2[0],
+        (side - side_was) / dt_s + mean_speed * mean_yaw + felt_mps2[1],
         speed_rate,
         (left * wheel[0] + swing) * p.inverse_radius,
         (right * wheel[0] + swing) * p.inverse_radius,

@@ -95,12 +95,17 @@ def rates(p: Chassis, now: Step, s: Slips) -> Slips:
     fr_x, fr_y, fr_rate = wheel(p, now.front_right, now.hold_s, right, front, s.front_right)
     rl_x, rl_y, rl_rate = wheel(p, now.rear_left, now.hold_s, left, rear, s.rear_left)
     rr_x, rr_y, rr_rate = wheel(p, now.rear_right, now.hold_s, right, rear, s.rear_right)
-    along_n = fl_x + fr_x + rl_x + rr_x - now.resist_n - p.drag_kgpm * s.speed * s.speed
+    if p.head_wind_mps != 0.0:
+        air_mps = s.speed + p.head_wind_mps
+        drag_n = p.drag_kgpm * air_mps * abs(air_mps)
+    else:
+        drag_n = p.drag_kgpm * s.speed * s.speed
+    along_n = fl_x + fr_x + rl_x + rr_x - now.resist_n - drag_n
     twist_nm = p.front_axle_m * (fl_y + fr_y) - p.rear_axle_m * (rl_y + rr_y)
     twist_nm = twist_nm + p.half_track_m * (fr_x + rr_x - fl_x - rl_x)
     return Slips(
         along_n * p.inverse_mass + s.side * s.yaw,
-        (fl_y + fr_y + rl_y + rr_y) * p.inverse_mass - s.speed * s.yaw,
+        (fl_y + fr_y + rl_y + rr_y + p.side_n) * p.inverse_mass - s.speed * s.yaw,
         twist_nm * p.inverse_inertia,
         fl_rate,
         fr_rate,
@@ -187,7 +192,7 @@ def step_reference(
         brake_n = brake_n + PARKED_N
     slope = x.road.grade_rad + p.grade_rad
     slope_n = p.mass_kg * G_MPS2 * math.sin(slope)
-    if was.speed_mps <= 0.0 and engine_n - slope_n <= brake_n + rolling_n:
+    if was.speed_mps <= 0.0 and engine_n - slope_n - p.wind_n <= brake_n + rolling_n:
         return stand(p, state, drive_n, box, brake_frac, slope_n, dt_s)
 
     front_n = state.slips.front_left * p.front_stiffness + state.slips.front_right * p.front_stiffness
@@ -203,7 +208,7 @@ def step_reference(
     motion = moved(p, was, now, middle, slips, slope_n, dt_s)
     loads = Loads(
         caught_up(state.loads.along_mps2, motion.accel_mps2, p.body_lag_s, dt_s),
-        caught_up(state.loads.left_mps2, motion.lateral_accel_mps2, p.body_lag_s, dt_s),
+        caught_up(state.loads.left_mps2, motion.lateral_accel_mps2 - p.side_wind_mps2, p.body_lag_s, dt_s),
     )
     return ReferenceState(motion, slips, loads, drive_n, box, brake_frac, braked_j), motion
 
@@ -224,7 +229,7 @@ def moved(p: Chassis, was: Motion, now: Step, middle: Slips, s: Slips, slope_n: 
         s.side,
         s.yaw,
         speed_rate - middle.side * middle.yaw + slope_n * p.inverse_mass,
-        (s.side - was.side_speed_mps) / dt_s + middle.speed * middle.yaw,
+        (s.side - was.side_speed_mps) / dt_s + middle.speed * middle.yaw + p.bank_mps2,
         speed_rate,
         (left * fl.cosine + front * fl.sine) * (1.0 + fl.along_n * p.inverse_slip) * p.inverse_radius,
         (right * fr.cosine + front * fr.sine) * (1.0 + fr.along_n * p.inverse_slip) * p.inverse_radius,
@@ -239,10 +244,10 @@ def stand(
 ) -> tuple[ReferenceState, Motion]:
     """Standing still: nothing moves, the tyres are at ease, the body settles."""
     was, felt = state.motion, slope_n * p.inverse_mass
-    motion = Motion(was.x_m, was.y_m, was.heading_rad, 0.0, 0.0, 0.0, felt, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    motion = Motion(was.x_m, was.y_m, was.heading_rad, 0.0, 0.0, 0.0, felt, p.bank_mps2, 0.0, 0.0, 0.0, 0.0, 0.0)
     loads = Loads(
         caught_up(state.loads.along_mps2, felt, p.body_lag_s, dt_s),
-        caught_up(state.loads.left_mps2, 0.0, p.body_lag_s, dt_s),
+        caught_up(state.loads.left_mps2, p.bank_mps2 - p.side_wind_mps2, p.body_lag_s, dt_s),
     )
     at_ease = Slips(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     return ReferenceState(motion, at_ease, loads, drive_n, box, brake_frac, state.braked_j), motion

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.units import AIR_DENSITY_KGPM3, G_MPS2
 from tunefree_hil.plant import reference_actuators
-from tunefree_hil.plant.body import filled, laden
+from tunefree_hil.plant.body import filled, laden, more_drag_m2, rolling_share
 from tunefree_hil.plant.reference_maps import MapShape, maps_of
 from tunefree_hil.plant.reference_tyres import Chassis, static_loads_n
 
@@ -52,6 +53,7 @@ def constants_of(params: Mapping[str, float], change: BodyChange) -> Chassis:
     v = filled(DEFAULTS, params, "reference")
     car = laden(v["mass_kg"], v["wheelbase_m"], v["front_axle_m"], v["yaw_inertia_kgm2"], change)
     front_n, rear_n = static_loads_n(car.mass_kg, car.front_axle_m, v["wheelbase_m"])
+    drag_kgpm = 0.5 * AIR_DENSITY_KGPM3 * more_drag_m2(v["drag_area_m2"], change)
     nominal_front_n, nominal_rear_n = static_loads_n(v["mass_kg"], v["front_axle_m"], v["wheelbase_m"])
     return Chassis(
         mass_kg=car.mass_kg,
@@ -63,14 +65,14 @@ def constants_of(params: Mapping[str, float], change: BodyChange) -> Chassis:
         half_track_m=0.5 * v["track_m"],
         height_m=v["height_m"],
         roll_front_frac=v["roll_front_frac"],
-        front_stiffness=0.5 * v["front_stiffness_n_per_rad"],
-        rear_stiffness=0.5 * v["rear_stiffness_n_per_rad"],
+        front_stiffness=0.5 * v["front_stiffness_n_per_rad"] * change.front_stiffness_frac,
+        rear_stiffness=0.5 * v["rear_stiffness_n_per_rad"] * change.rear_stiffness_frac,
         front_load_n=front_n,
         rear_load_n=rear_n,
         nominal_front_n=nominal_front_n,
         nominal_rear_n=nominal_rear_n,
         friction=v["friction"] * change.friction_frac,
-        inverse_relaxation=1.0 / v["relaxation_m"],
+        inverse_relaxation=1.0 / (v["relaxation_m"] + change.relaxation_m),
         hold_s=v["hold_s"],
         compliance=v["compliance_rad_per_n"],
         inverse_ratio=1.0 / v["steer_ratio"],
@@ -86,12 +88,17 @@ def constants_of(params: Mapping[str, float], change: BodyChange) -> Chassis:
         throttle_scale=v["throttle_scale"],
         brake_scale=v["brake_scale"],
         shift_gain=v["shift_gain"],
-        rolling_n=v["rolling_frac"] * car.mass_kg * G_MPS2,
-        drag_kgpm=0.5 * AIR_DENSITY_KGPM3 * v["drag_area_m2"],
+        rolling_n=v["rolling_frac"] * car.mass_kg * G_MPS2 * rolling_share(change),
+        drag_kgpm=drag_kgpm,
         grade_rad=change.grade_rad,
         power_w=change.power_w,
         brake_drag_n=change.brake_drag_n,
         brake_loss_per_j=1e-6 * change.brake_loss_per_mj,
+        head_wind_mps=change.head_wind_mps,
+        wind_n=drag_kgpm * change.head_wind_mps * abs(change.head_wind_mps),
+        side_n=change.side_force_n - car.mass_kg * G_MPS2 * math.sin(change.bank_rad),
+        side_wind_mps2=change.side_force_n / car.mass_kg,
+        bank_mps2=G_MPS2 * math.sin(change.bank_rad),
         maps=maps_of(
             v["rolling_frac"],
             v["drag_area_m2"],

@@ -96,6 +96,11 @@ class Chassis(NamedTuple):
     power_w: float  # inf: the tables' own power
     brake_drag_n: float
     brake_loss_per_j: float
+    head_wind_mps: float
+    wind_n: float  # its force on a standing car, backwards
+    side_n: float  # to the left, of wind and bank
+    side_wind_mps2: float  # the wind's share: it pushes on the body and not through the tyres
+    bank_mps2: float  # gravity to the right, felt by an accelerometer as specific force to the left
     maps: Any
 
 

@@ -11,94 +11,37 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from tunefree_hil.base.contracts import LEAST_BRAKE_GAIN, BodyChange
+from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.kernel import Block, kernel
-from tunefree_hil.base.maths import clamp
-from tunefree_hil.base.records import GEAR_DRIVE, GEAR_PARK, Motion
-from tunefree_hil.base.units import G_MPS2
+from tunefree_hil.base.records import Motion
 from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion
 from tunefree_hil.plant.data_sheet import DEFAULTS, SingleTrack, constants_of
 from tunefree_hil.plant.kinematics import Velocity, moved, with_velocity
+from tunefree_hil.plant.relaxing import AT_EASE, Axles, relaxed_step
+from tunefree_hil.plant.track_forces import GAMMA, LOW_MPS, Push, axle_n, forward_n, push_of
 
-GAMMA = 1.0 - math.sqrt(0.5)  # makes ROS2 L-stable
-LOW_MPS, FULL_MPS = 0.5, 1.5  # kinematic below, dynamic above, blended between
+FULL_MPS = 1.5  # dynamic above, kinematic below LOW_MPS, blended between
 BLEND_MPS = FULL_MPS - LOW_MPS
-PARKED_N = 1.0e6  # what a locked gearbox holds
-
-
-class Push(NamedTuple):
-    """Forces along the car that hold for one tick, drive in terms of speed."""
-
-    drive_n: float  # at standstill
-    drive_power_w: float
-    creep_n: float
-    passive_n: float  # brake and rolling: never push, only oppose
-    slope_n: float
-    brake_n: float  # the brakes' part of passive_n
 
 
 class SingleTrackState(NamedTuple):
-    """The motion, and what the brakes have dissipated."""
+    """The motion, what the brakes have dissipated, and side forces where tyres relax."""
 
     motion: Motion
     braked_j: float
+    axles: Axles = AT_EASE
 
 
 class Advance(NamedTuple):
-    """A tick's work: velocities at its end, gravity along the car, brake force, cosine and sine of the front wheels."""
+    """A tick's work: velocities at its end, gravity felt forward and to the left, brake force, cosine and sine of the
+    front wheels, and side forces where tyres relax.
+    """
 
     velocity: Velocity
-    slope_mps2: float
+    felt_mps2: tuple[float, float]
     brake_n: float
     wheel: tuple[float, float]
-
-
-@kernel
-def push_of(p: SingleTrack, x: ChassisInput, braked_j: float) -> Push:
-    """Drive, creep, brake and slope from pedals, gear and road; braked_j: what the brakes have dissipated."""
-    act, road = x.actuation, x.road
-    throttle = clamp((act.throttle_frac - p.throttle_zero_frac) * p.inverse_throttle_span, 0.0, 1.0)
-    braked = act.brake_frac - p.rest_frac
-    left = 1.0 - p.brake_loss_per_j * braked_j
-    gain_n = p.brake_gain_n * (left if left > LEAST_BRAKE_GAIN else LEAST_BRAKE_GAIN)
-    brake_n = gain_n * braked if braked > 0.0 else 0.0
-    grip_n = p.friction * road.friction_frac * p.mass_kg * G_MPS2
-    if brake_n > grip_n:
-        brake_n = grip_n
-    slope_n = p.mass_kg * G_MPS2 * math.sin(road.grade_rad + p.grade_rad)
-    if act.gear < GEAR_DRIVE:
-        held_n = PARKED_N if act.gear == GEAR_PARK else 0.0
-        return Push(0.0, 0.0, 0.0, brake_n + p.rolling_n + p.brake_drag_n + held_n, slope_n, brake_n)
-    drive_n = p.drive_force_n * (1.0 - math.exp(-throttle * p.inverse_knee))
-    if drive_n > 0.5 * grip_n:
-        drive_n = 0.5 * grip_n
-    passive_n = brake_n + p.rolling_n + p.brake_drag_n
-    return Push(drive_n, p.drive_power_w * throttle, p.creep_force_n, passive_n, slope_n, brake_n)
-
-
-@kernel
-def forward_n(p: SingleTrack, push: Push, speed_mps: float) -> float:
-    """Force along the car at a speed, tyre forces of cornering aside. Drive: P F / sqrt(P^2 + (F v)^2)."""
-    force_n = -push.passive_n - push.slope_n - p.drag_kgpm * speed_mps * speed_mps
-    if push.drive_n > 0.0:
-        asked_w = push.drive_n * speed_mps
-        share = asked_w / max(push.drive_power_w, 1.0)
-        drive_n = push.drive_n / math.sqrt(1.0 + share * share)
-        if drive_n * speed_mps > p.power_w:
-            drive_n = p.power_w / speed_mps  # not 0: the power above is not 0
-        force_n = force_n + drive_n
-    fade = 1.0 - speed_mps * p.inverse_creep_speed
-    if fade > 0.0:
-        force_n = force_n + push.creep_n * fade
-    return force_n
-
-
-@kernel
-def axle_n(slip_rad: float, stiffness: float, grip_n: float) -> float:
-    """Side force of an axle: linear for small slip, grip_n for large."""
-    linear_n = stiffness * slip_rad
-    share = linear_n / max(grip_n, 1.0)
-    return linear_n / math.sqrt(1.0 + share * share)
+    axles: Axles
 
 
 @kernel
@@ -114,7 +57,7 @@ def planar(
     across_n = front_n * steer[1]
     return (
         (forward_n(p, push, speed) - front_n * steer[2]) * p.inverse_mass + side * yaw,
-        (across_n + rear_n) * p.inverse_mass - speed * yaw,
+        (across_n + rear_n + p.side_n) * p.inverse_mass - speed * yaw,
         (p.front_axle_m * across_n - p.rear_axle_m * rear_n) * p.inverse_inertia,
     )
 
@@ -163,14 +106,21 @@ def slow_speed(p: SingleTrack, push: Push, speed: float, dt_s: float) -> float:
 
 
 @kernel
-def pushed(p: SingleTrack, was: Velocity, braked_j: float, x: ChassisInput, dt_s: float) -> Advance:
-    """What the forces of one tick make of the velocities."""
+def pushed(
+    p: SingleTrack, was: Velocity, braked_j: float, x: ChassisInput, dt_s: float, axles: Axles = AT_EASE
+) -> Advance:
+    """What the forces of one tick make of the velocities; axles: side forces where tyres relax."""
     push = push_of(p, x, braked_j)
+    after = AT_EASE
     angle = x.actuation.steer_rad * p.inverse_ratio
     cosine, sine = math.cos(angle), math.sin(angle)
     if was.speed_mps > LOW_MPS:
         grip = p.friction * x.road.friction_frac
-        speed, side, yaw = dynamic_step(p, push, grip, (angle, cosine, sine), was, dt_s)
+        if p.relaxation_m > 0.0:
+            velocity, after = relaxed_step(p, push, grip, (angle, cosine, sine), was, axles, dt_s)
+            speed, side, yaw = velocity.speed_mps, velocity.side_speed_mps, velocity.yaw_rate_radps
+        else:
+            speed, side, yaw = dynamic_step(p, push, grip, (angle, cosine, sine), was, dt_s)
     else:
         speed, side, yaw = slow_speed(p, push, was.speed_mps, dt_s), 0.0, 0.0
     if speed < FULL_MPS:
@@ -178,7 +128,8 @@ def pushed(p: SingleTrack, was: Velocity, braked_j: float, x: ChassisInput, dt_s
         rolled = speed * sine / max(cosine, 0.1) * p.inverse_wheelbase
         yaw = share * yaw + (1.0 - share) * rolled
         side = share * side + (1.0 - share) * rolled * p.rear_axle_m
-    return Advance(Velocity(speed, side, yaw), push.slope_n * p.inverse_mass, push.brake_n, (cosine, sine))
+    felt_mps2 = (push.slope_n * p.inverse_mass, p.bank_mps2)
+    return Advance(Velocity(speed, side, yaw), felt_mps2, push.brake_n, (cosine, sine), after)
 
 
 @kernel
@@ -188,22 +139,22 @@ def step_single_track(
     """One tick."""
     p, was = params.constants, memory.motion
     before = Velocity(was.speed_mps, was.side_speed_mps, was.yaw_rate_radps)
-    after = pushed(p, before, memory.braked_j, x, dt_s)
-    new = moved(p, was, after.velocity, after.slope_mps2, after.wheel, dt_s)
+    after = pushed(p, before, memory.braked_j, x, dt_s, memory.axles)
+    new = moved(p, was, after.velocity, after.felt_mps2, after.wheel, dt_s)
     mean_speed = 0.5 * (was.speed_mps + new.speed_mps)
-    return SingleTrackState(new, memory.braked_j + dt_s * mean_speed * after.brake_n), new
+    return SingleTrackState(new, memory.braked_j + dt_s * mean_speed * after.brake_n, after.axles), new
 
 
 def init_single_track(params: ChassisParams, dt_s: float) -> SingleTrackState:
     """Rolling straight at the start, brakes cold."""
-    return SingleTrackState(rolling_motion(params.start, params.constants.wheel_radius_m), 0.0)
+    return SingleTrackState(rolling_motion(params.start, params.constants.wheel_radius_m), 0.0, AT_EASE)
 
 
 @kernel
 def observe_single_track(state: SingleTrackState, seen: Motion) -> SingleTrackState:
     """The state with the measured pose and speed in it; side speed and yaw rate go on as the tyres have made them."""
     own = Velocity(seen.speed_mps, state.motion.side_speed_mps, state.motion.yaw_rate_radps)
-    return SingleTrackState(with_velocity(seen, own), state.braked_j)
+    return SingleTrackState(with_velocity(seen, own), state.braked_j, state.axles)
 
 
 def make(params: Mapping[str, float], change: BodyChange) -> Block:

@@ -1,5 +1,7 @@
 """The whole vehicle as the bus sees it, as one Block: command delay, by-wire unit, body, report delay (design D4).
 
+Where an effect makes the chassis reports late, the by-wire unit's bits, which are in the same frames, are as late.
+
 What goes in at tick k are the command frames of tick k; what comes out is what the reports of tick k + 1 say. In real
 time one tick of each delay is the bus's own, so `make_unit` is then given one tick less.
 """
@@ -13,6 +15,7 @@ from tunefree_hil.base.records import Disturbance, Measurement
 from tunefree_hil.plant.body import BodyInput, Driver
 from tunefree_hil.plant.bywire import ByWireInput, ByWireStatus, Heard
 from tunefree_hil.plant.delay import init_delay, step_delay
+from tunefree_hil.plant.late import init_late, with_late_status
 from tunefree_hil.plant.vehicle import Body, first_output
 
 
@@ -61,11 +64,12 @@ class Unit(NamedTuple):
         """(params, state, what the frames of tick 0 say) of an episode; `body` comes from `for_episode`."""
         body_state, first = first_output(body, dt_s)
         said = Said(first.measurement, ByWireStatus())
+        reports = init_delay(self.report_ticks)(said, dt_s)
         state = UnitState(
             init_delay(self.command_ticks)(Heard(), dt_s),
             self.bywire.init(self.bywire.params, dt_s),
             body_state,
-            init_delay(self.report_ticks)(said, dt_s),
+            (init_late(body.block.params.late_s, dt_s), reports) if body.late else reports,
             float(first.motion.speed_mps),
             float(first.actuation.steer_rad),
         )
@@ -76,6 +80,8 @@ def make_unit(body: Body, bywire: Block, command_ticks: int, report_ticks: int) 
     """The vehicle's step for the structure of `body`; its numbers come with `Unit.start`."""
     command_step, report_step = step_delay(command_ticks), step_delay(report_ticks)
     bywire_step, body_step = bywire.step, body.block.step
+    if body.late:
+        report_step = with_late_status(report_step, Said)
 
     @kernel
     def step(params: UnitParams, state: UnitState, x: UnitInput, dt_s: float) -> tuple[UnitState, Said]:

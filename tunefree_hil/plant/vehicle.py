@@ -25,6 +25,7 @@ from tunefree_hil.plant.body import (
     Plant,
     rolling_motion,
 )
+from tunefree_hil.plant.late import latency_of
 from tunefree_hil.plant.ports import Effects, before, channels_of, seen_of
 from tunefree_hil.plant.sensors import SensorInput, SensorParams, noise_table, rolled_in, sensors
 
@@ -37,6 +38,7 @@ class BodyParams(NamedTuple):
     chassis: Any
     sensors: SensorParams
     ends: Any  # effects on Report and Ins
+    late_s: float  # by which the reports' frames are late, all effects together
 
 
 class BodyState(NamedTuple):
@@ -56,6 +58,7 @@ class Body(NamedTuple):
     rest: Command
     eyes: Block  # sensors
     seen: Block  # effects on the measurement
+    late: bool = False  # whether an effect makes the reports' frames late
 
 
 def assemble(
@@ -94,10 +97,11 @@ def assemble(
     ins_ticks = round(ins_latency_s / dt_s)
     quiet = SensorParams(noise_table({}, {}, 0, 0), ins_ahead_m, 1.0 if ins_specific_force else 0.0)
     eyes = sensors(quiet, ins_ticks)
-    block = _body(front, behind, chassis, eyes, seen, plant.substeps, ins_ticks)
+    late, late_s = latency_of(effects)
+    block = _body(front, behind, chassis, eyes, seen, plant.substeps, ins_ticks, late_s)
     asked = 0.0 if plant.actuators is None and "accel" in (channels or {}) else NAN
     rest = Command(rest_frac[0], rest_frac[1], 0.0, GEAR_DRIVE, asked, NAN)
-    return Body(block, rest, eyes, seen)
+    return Body(block, rest, eyes, seen, late)
 
 
 def for_episode(body: Body, start: Start, noise: Any = None) -> Body:
@@ -165,7 +169,14 @@ def _own_actuators(channels: Mapping[str, ActuatorParams], rest_frac: float) -> 
 
 
 def _body(
-    front: Block, behind: Block, chassis: Block, eyes: Block, seen: Block, substeps: int, ins_ticks: int
+    front: Block,
+    behind: Block,
+    chassis: Block,
+    eyes: Block,
+    seen: Block,
+    substeps: int,
+    ins_ticks: int,
+    late_s: float,
 ) -> Block:
     """The parts as one Block; front, behind and chassis are stepped `substeps` times a tick, the rest once."""
     front_step, behind_step, chassis_step = front.step, behind.step, chassis.step
@@ -198,4 +209,4 @@ def _body(
         new = BodyState(front_state, behind_state, chassis_state, eyes_state, ends_state)
         return new, BodyOutput(out, motion, measured)
 
-    return Block(init, step, BodyParams(front.params, behind.params, chassis.params, eyes.params, seen.params))
+    return Block(init, step, BodyParams(front.params, behind.params, chassis.params, eyes.params, seen.params, late_s))

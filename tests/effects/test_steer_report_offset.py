@@ -1,0 +1,21 @@
+"""A steering sensor off centre: the output, not the echo of the command."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.effects.shared import driven, motions, reports, same
+
+FIELDS = ("steer_rad",)
+
+
+def test_only_its_own_fields_change() -> None:
+    with_it, without = driven("physics", {"steer_report_offset": {"offset_rad": 0.1}}), driven("physics", {})
+    assert motions(with_it) == motions(without)
+    for seen, plain in zip(reports(with_it), reports(without), strict=True):
+        for field, value in plain._asdict().items():
+            told = getattr(seen, field)
+            if field in FIELDS:
+                assert told == pytest.approx(value + 0.1, abs=1e-12)
+            else:
+                assert same(told, value)
