@@ -12,7 +12,15 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.collect.cells import COUNT
 from tunefree_hil.collect.coverage import Coverage, map_lines
 from tunefree_hil.collect.ground import Ground
-from tunefree_hil.collect.plan import FORWARDS_ONLY, DrivePlan, as_dict, driven_targets, params_of, plan_of
+from tunefree_hil.collect.plan import (
+    FORWARDS_ONLY,
+    DrivePlan,
+    as_dict,
+    driven_stretches,
+    driven_targets,
+    params_of,
+    plan_of,
+)
 from tunefree_hil.collect.seen import lacking
 from tunefree_hil.config.load import load_scenario, load_vehicle
 from tunefree_hil.episode.scenario import build_course, start_of
@@ -21,15 +29,18 @@ from tunefree_hil.jobs.collector import read_plan
 
 PLAN = DrivePlan(10.0, 400.0, None, (1.5, -2.0), tuple(range(COUNT)), 14, 110.0)
 MKZ = load_vehicle("mkz_bywire")
+GENTLY = (MKZ, PLAN.quota_s, PLAN.stop_s, PLAN.area_m, PLAN.top_mps)
 
 
 def test_a_plan_survives_its_file(tmp_path: Path) -> None:
-    for plan in (PLAN, PLAN._replace(centre=None, top_mps=12.0)):
+    for plan in (PLAN, PLAN._replace(centre=None, top_mps=12.0), PLAN._replace(stretches=(3, 6))):
         (tmp_path / "a.json").write_text(json.dumps(as_dict(plan)))
         assert read_plan(tmp_path / "a.json") == plan
 
 
-@pytest.mark.parametrize("change", [{"have": [0, 1]}, {"schema": "other"}, {"area_m": "wide"}, {"centre": [1.0]}])
+@pytest.mark.parametrize(
+    "change", [{"have": [0, 1]}, {"schema": "other"}, {"stretches": 3}, {"area_m": "wide"}, {"centre": [1.0]}]
+)
 def test_a_wrong_plan_is_refused_by_name(change: dict[str, object]) -> None:
     with pytest.raises(InputError, match=r"a\.json: is no plan"):
         plan_of({**as_dict(PLAN), **change}, "a.json")
@@ -42,7 +53,8 @@ def test_a_missing_plan_is_refused(tmp_path: Path) -> None:
 
 def test_params_are_the_plan_in_ticks_and_places() -> None:
     params = params_of(MKZ, PLAN, 0.01)
-    assert (params.stop_tick, params.first_hold, params.have) == (11000, 14, PLAN.have)
+    assert (params.stop_tick, params.first_hold, params.have, params.stretches) == (11000, 14, PLAN.have, ())
+    assert params_of(MKZ, PLAN._replace(stretches=(3, 6)), 0.01).stretches == driven_stretches(*GENTLY)[3:6]
     assert params.ground == Ground(1.5, -2.0, 200.0)
     assert {need for need, target in zip(params.need, params.targets, strict=True) if not target.excluded} == {1000}
     assert all(need == 0 for need, target in zip(params.need, params.targets, strict=True) if target.excluded)
@@ -74,6 +86,15 @@ def test_the_map_fits_a_terminal_and_shows_what_was_had() -> None:
     assert any("4.3/10" in line for line in lines) and any("(0.4)" in line for line in lines)
     data = coverage.as_dict()
     assert data["cells"][0]["have_s"] == 4.3 and data["cells_wanted"] == 78 and data["cells_full"] == 0
+
+
+def test_without_a_speed_there_is_nothing_to_hold_and_that_is_said() -> None:
+    whole = {name: getattr(MKZ, name) for name in MKZ.__struct_fields__}
+    for group in ("report", "ins"):
+        whole[group] = {name: one for name, one in whole[group].items() if name != "speed_mps"}
+    blind = type(MKZ)(**whole)
+    assert driven_stretches(blind, *GENTLY[1:]) == () != driven_stretches(*GENTLY)
+    assert any("gentle" in line for line in lacking(blind))
 
 
 def test_what_a_missing_report_costs_is_said() -> None:

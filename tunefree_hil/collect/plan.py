@@ -6,13 +6,14 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.collect.cells import COUNT, Target, bands_of, needs_of, targets_of
+from tunefree_hil.collect.drive_state import Params
 from tunefree_hil.collect.envelope import envelope_of
+from tunefree_hil.collect.gentle import Stretch, stretches_of
 from tunefree_hil.collect.ground import Ground
-from tunefree_hil.collect.planner import Params
 from tunefree_hil.collect.seen import eyes_of
 from tunefree_hil.config.schema import VehicleSpec
 
-SCHEMA = "tunefree.collect_drive/1"
+SCHEMA = "tunefree.collect_drive/2"
 FORWARDS_ONLY = "the planner drives forwards only; a person can fill it: collect --watch"
 
 
@@ -20,7 +21,7 @@ class DrivePlan(NamedTuple):
     """quota_s a cell; side of the area; the fastest that may be asked for (None: the cells' own); have: frames by cell.
 
     centre: middle of the area, None where the drive's first place is it. first_hold: number of its first hold.
-    stop_s: when it begins to stop.
+    stop_s: when it begins to stop. stretches: [first, end) of the collection's gentle ones.
     """
 
     quota_s: float
@@ -30,6 +31,7 @@ class DrivePlan(NamedTuple):
     have: tuple[int, ...]
     first_hold: int
     stop_s: float
+    stretches: tuple[int, int] = (0, 0)
 
 
 def as_dict(plan: DrivePlan) -> dict[str, Any]:
@@ -51,6 +53,7 @@ def plan_of(data: dict[str, Any], file: str) -> DrivePlan:
             tuple(int(frames) for frames in data["have"]),
             int(data["first_hold"]),
             float(data["stop_s"]),
+            (int(data["stretches"][0]), int(data["stretches"][1])),
         )
     except (LookupError, TypeError, ValueError) as error:
         raise InputError(
@@ -69,11 +72,21 @@ def driven_targets(vehicle: VehicleSpec, top_mps: float | None) -> tuple[Target,
     )
 
 
+def driven_stretches(
+    vehicle: VehicleSpec, quota_s: float, drive_s: float, area_m: float, top_mps: float | None
+) -> tuple[Stretch, ...]:
+    """The gentle stretches that the planner can be asked for: none without a speed to hold."""
+    if not eyes_of(vehicle).speed_mps[0]:
+        return ()
+    return stretches_of(envelope_of(vehicle), quota_s, drive_s, area_m, top_mps)
+
+
 def params_of(vehicle: VehicleSpec, plan: DrivePlan, dt_s: float) -> Params:
     """The planner's params for a drive."""
     envelope = envelope_of(vehicle)
     targets = driven_targets(vehicle, plan.top_mps)
     half_m = 0.5 * plan.area_m
+    stretches = driven_stretches(vehicle, plan.quota_s, plan.stop_s, plan.area_m, plan.top_mps)
     return Params(
         envelope,
         bands_of(envelope),
@@ -85,4 +98,5 @@ def params_of(vehicle: VehicleSpec, plan: DrivePlan, dt_s: float) -> Params:
         None if plan.centre is None else Ground(*plan.centre, half_m),
         round(plan.stop_s / dt_s),
         plan.first_hold,
+        stretches[slice(*plan.stretches)],
     )

@@ -1,7 +1,9 @@
 """The planner: a Block that drives whatever coverage still lacks, in the place of a controller that follows a path.
 
-    START ─> APPROACH ─> HOLD ─> (next cell) ... STOP ─> STAND, and the drive has ended
-                └── no room ahead ──> TURN ──┘
+    START ─> GENTLE ─> APPROACH ─> HOLD ─> (next cell) ... STOP ─> STAND, and the drive has ended
+               └──────────┴── no room ahead ──> TURN ──┘
+
+A drive begins with the gentle stretches that it is given (gentle.py), then goes for cells.
 
 step(params, state, Sight, dt_s) -> (state, Answer). It is a pure function of tick, measurement and state, and drives by
 what it measures only. It stays inside the envelope by planning with shares of it, and inside the area by turning back
@@ -10,23 +12,32 @@ while braking, turning and reacting still fit into the way ahead.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.maths import clamp
 from tunefree_hil.base.records import GEAR_DRIVE, NAN, Command, Ins
-from tunefree_hil.collect import steering
-from tunefree_hil.collect.cells import NONE, STRAIGHT, Bands, Counter, Place, Seen, Target, cell_of, number_of
-from tunefree_hil.collect.envelope import Envelope, curvature_1pm, room_to_turn_m, turn_room_m, turn_speed_mps
+from tunefree_hil.collect import gentle, steering
+from tunefree_hil.collect.cells import NONE, STRAIGHT, Counter, Place, Seen, cell_of, number_of
+from tunefree_hil.collect.drive_state import (
+    APPROACH,
+    GENTLE,
+    HOLD,
+    STAND,
+    START,
+    STOP,
+    TURN,
+    Answer,
+    Now,
+    Params,
+    State,
+)
+from tunefree_hil.collect.envelope import curvature_1pm, room_to_turn_m, turn_room_m, turn_speed_mps
 from tunefree_hil.collect.ground import Ground, Pose, circle_fits, far_corner, room_m
 from tunefree_hil.collect.pedals import BRAKE_HARD, HOLD_PUSH, Pedal, duties, felt, learned_cap, level, push_for
 from tunefree_hil.collect.pick import entry_mps, pick
-from tunefree_hil.collect.seen import Eyes, look
+from tunefree_hil.collect.seen import look
 from tunefree_hil.collect.waves import KINDS, wave
 from tunefree_hil.control.cascade import Sight
 
-START, APPROACH, HOLD, TURN, STOP, STAND = range(6)
-MODES = ("start", "approach", "hold", "turn", "stop", "stand")
 ENDED = 11.0  # bench_channel.ErrorCode.STOPPED: standing, nothing more to drive
 BRAKED_S, CREEP_S = 1.0, 2.5  # a drive begins on the brake, then with both pedals at rest
 STAND_S = 1.0
@@ -40,64 +51,6 @@ NARROW_MPS = 3.0  # turning with the border near
 HARD_SHARE = 0.7  # of the vehicle's deceleration: the most that turning back brakes with
 APPROACH_SHARE = 0.95  # of its acceleration
 UNHEARD_S = 0.2
-
-
-class Params(NamedTuple):
-    """What a drive is given. have, need: frames by cell. stop_tick: the tick at which it begins to stop.
-
-    ground: None where the place of the first tick is the middle of the area. first_hold: number of the first hold, so
-    that drives differ in their excitation.
-    """
-
-    envelope: Envelope
-    bands: Bands
-    targets: tuple[Target, ...]
-    eyes: Eyes
-    have: tuple[int, ...]
-    need: tuple[int, ...]
-    half_m: float
-    ground: Ground | None
-    stop_tick: int
-    first_hold: int
-
-
-class State(NamedTuple):
-    """Where it stands. `since`: tick at which the mode began. `counter` is the state's own and is counted in place."""
-
-    counter: Counter
-    ground: Ground | None
-    command: Command
-    mode: int = START
-    since: int = 0
-    cell: int = NONE
-    tired: int = NONE
-    hold: int = 0
-    pedal: Pedal = Pedal()
-    wheel: steering.Wheel = steering.Wheel()
-    aim: tuple[float, float] = (0.0, 0.0)
-
-
-class Answer(NamedTuple):
-    """command, and error_code ENDED when the drive has ended; mode and cell for whoever looks on."""
-
-    command: Command
-    error_code: float
-    mode: int
-    cell: int
-
-
-class Now(NamedTuple):
-    """What is known at a tick."""
-
-    tick: int
-    dt_s: float
-    seen: Seen
-    pose: Pose
-    room_m: float
-
-    def since_s(self, tick: int) -> float:
-        """Time since a tick."""
-        return (self.tick - tick) * self.dt_s
 
 
 def make_planner(params: Params) -> Block:
@@ -149,11 +102,27 @@ def think(p: Params, s: State, now: Now) -> State:
         return _turn(p, s, now)
     if s.mode == START or _is_over(p, s, now):
         return _next(p, s, now)
+    if s.mode == GENTLE:
+        return _gentle(p, s, now)
     if s.mode == APPROACH:
         return _approach(p, s, now)
     target = p.targets[s.cell]
     over = not target.low_mps <= speed <= target.high_mps or now.since_s(s.since) >= HOLD_MOST_S
     return _next(p, s, now) if over or not s.counter.lacks(s.cell) else s
+
+
+def _gentle(p: Params, s: State, now: Now) -> State:
+    """A tick of gentle driving; on to the cells after the last stretch."""
+    assert s.ground is not None
+    speed = now.seen.speed_mps
+    gait = gentle.gone_on(s.gait, p.stretches[s.gait.number], p.envelope, speed, now.dt_s)
+    gait = gentle.bent_back(gait, p.envelope, s.ground, now.pose, speed, now.room_m)
+    s = s._replace(gait=gentle.pushed(gait, s.pedal, p.envelope, now.dt_s))
+    return s if _is_gentle_left(p, s) else _next(p, s, now)
+
+
+def _is_gentle_left(p: Params, s: State) -> bool:
+    return s.gait.number < len(p.stretches)
 
 
 def _approach(p: Params, s: State, now: Now) -> State:
@@ -174,10 +143,12 @@ def _has_place(p: Params, s: State, now: Now) -> bool:
 
 
 def _next(p: Params, s: State, now: Now) -> State:
-    """On to the nearest missing cell; to where it has room first, where it does not have it here."""
+    """On with what is left of gentle driving, else to the nearest missing cell; to where it has room first."""
     speed = now.seen.speed_mps
     if _is_over(p, s, now):
         return _into(s, STOP, now)
+    if _is_gentle_left(p, s):
+        return _into(s, GENTLE, now)._replace(cell=NONE, gait=gentle.taken_up(s.gait, speed))
     cell = pick(p.targets, s.counter, p.envelope, speed, steering.band_of(p.bands, now.seen), now.room_m, s.tired)
     if cell == NONE:
         return _into(s, STOP, now)
@@ -187,7 +158,7 @@ def _next(p: Params, s: State, now: Now) -> State:
 
 
 def _is_over(p: Params, s: State, now: Now) -> bool:
-    return now.tick >= p.stop_tick or s.counter.missing == 0
+    return now.tick >= p.stop_tick or (s.counter.missing == 0 and not _is_gentle_left(p, s))
 
 
 def _turn(p: Params, s: State, now: Now) -> State:
@@ -218,6 +189,9 @@ def _wish_rad(p: Params, s: State, now: Now) -> float:
         if braked != NONE:  # straight on while it is fast: the way ahead was reckoned for that
             return steering.in_band(p.envelope, p.bands, p.targets[braked], now.seen.speed_mps, 0.0)
         return steering.turn_back(p.envelope, now.pose, s.aim, now.seen.speed_mps, s.wheel.side)
+    if s.mode == GENTLE:
+        angle = gentle.angle_rad(s.gait, p.stretches[s.gait.number], p.envelope, now.seen.speed_mps, now.since_s(0))
+        return gentle.calm_rad(angle, s.wheel.steer_rad, p.envelope, now.dt_s)
     target = p.targets[s.cell]
     if s.mode == HOLD:
         sway = wave((s.hold // 2) % KINDS, now.since_s(s.since))
@@ -232,6 +206,8 @@ def _push(p: Params, s: State, now: Now) -> tuple[Pedal, float]:
         return s.pedal, HOLD_PUSH if now.since_s(s.since) < BRAKED_S else 0.0
     if s.mode == STAND:
         return s.pedal, HOLD_PUSH
+    if s.mode == GENTLE:
+        return s.pedal._replace(trim=0.0), s.gait.push
     if s.mode == HOLD:
         sway = wave(s.hold % KINDS, now.since_s(s.since))
         return s.pedal._replace(trim=0.0), level(p.targets[s.cell].place, s.hold, s.pedal.cap, sway)

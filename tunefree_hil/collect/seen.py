@@ -59,7 +59,8 @@ def eyes_of(vehicle: VehicleSpec) -> Eyes:
 def lacking(vehicle: VehicleSpec) -> list[str]:
     """What cannot be done with this vehicle for want of a report, a sentence each."""
     known = fields_of(vehicle)
-    return [f"no [{name}]: {words}" for name, words in WITHOUT.items() if name not in known]
+    said = [f"no [{name}]: {words}" for name, words in WITHOUT.items() if name not in known]
+    return said if sources_of(known)["speed_mps"] else [*said, "no speed is reported: no gentle stretch can be driven"]
 
 
 def look(eyes: Eyes, measurement: Measurement, command: Command) -> Seen:

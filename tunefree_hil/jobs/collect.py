@@ -10,17 +10,13 @@ import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
 
 from tunefree_hil.base.errors import BenchError, NoAnswer, PeerGone
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import Bench, is_heavy
+from tunefree_hil.bench import is_heavy
 from tunefree_hil.bus.bench_channel import ErrorCode
-from tunefree_hil.collect.coverage import Coverage, map_lines
-from tunefree_hil.collect.envelope import Beyond, beyond, envelope_of
-from tunefree_hil.collect.plan import driven_targets
+from tunefree_hil.collect.coverage import map_lines
+from tunefree_hil.collect.envelope import Beyond
 from tunefree_hil.collect.seen import lacking
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.jobs.collect_picture import draw_map
@@ -36,101 +32,14 @@ from tunefree_hil.jobs.collect_plan import (
     vehicle_and_model,
     write_plan,
 )
+from tunefree_hil.jobs.collect_state import IDLE_DRIVES, Collection
 from tunefree_hil.jobs.node_links import bus_for
-from tunefree_hil.jobs.run_folder import RunFolder, remove_parts, write_json
+from tunefree_hil.jobs.run_folder import RunFolder, remove_parts
 from tunefree_hil.jobs.session import Session
-from tunefree_hil.learn.drives import Drive
-from tunefree_hil.learn.read import read_drives
 
 ANY_PARAMETER = {"mrac.p": 0.01}  # the planner has none; a node begins to load with the first it is told
 REPEATS = 2  # of a drive that lost a node, before the collection gives up
-IDLE_DRIVES = 3  # so many drives one after the other that fill less than LEAST_GAIN of a quota
-LEAST_GAIN = 0.05
 NOT_FULL = 1  # exit status: what was asked for does not hold
-
-
-class Driven(NamedTuple):
-    """A drive that lies in logs/: how long, what it left of the envelope, where it began and ended."""
-
-    name: str
-    seconds: float
-    gained_s: float
-    beyond: Beyond
-    start: Start
-    end: Start
-
-
-class Collection:
-    """A run folder and what its logs cover."""
-
-    def __init__(self, run: RunFolder, bench: Bench, asked: Asked) -> None:
-        self.run, self.bench, self.asked = run, bench, asked
-        vehicle = bench.vehicle
-        self.envelope = envelope_of(vehicle)
-        self.coverage = Coverage(vehicle, driven_targets(vehicle, asked.top_mps), asked.quota_s, bench.dt_s)
-        self.driven: list[Driven] = []
-
-    @property
-    def logs(self) -> Path:
-        """Folder of the logs."""
-        return self.run.path / "logs"
-
-    @property
-    def centre(self) -> tuple[float, float] | None:
-        """Middle of the area: where the first drive began; None before it."""
-        return (self.driven[0].start.x_m, self.driven[0].start.y_m) if self.driven else None
-
-    @property
-    def simulated_s(self) -> float:
-        """Of all drives."""
-        return sum(one.seconds for one in self.driven)
-
-    @property
-    def is_stuck(self) -> bool:
-        """Whether the last drives filled next to nothing."""
-        last = self.driven[-IDLE_DRIVES:]
-        least_s = LEAST_GAIN * self.asked.quota_s
-        return len(last) == IDLE_DRIVES and all(one.gained_s < least_s for one in last)
-
-    def take_up(self) -> None:
-        """Count the logs that are there, as far as they follow one another."""
-        while (self.logs / f"{drive_name(len(self.driven) + 1)}.log").is_file():
-            self.take(len(self.driven) + 1)
-
-    def take(self, number: int) -> Driven:
-        """Count the log of a drive."""
-        (drive,) = read_drives([self.logs / f"{drive_name(number)}.log"], self.bench.codec)
-        before = self.coverage.had_s
-        self.coverage.add(drive.get)
-        start, end = _pose(drive, 0), _pose(drive, -1)
-        centre = self.centre or (start.x_m, start.y_m)
-        out = beyond(drive.get, drive.dt_s, self.envelope, centre, self.asked.area_m)
-        seconds = drive.ticks * drive.dt_s
-        self.driven.append(Driven(drive_name(number), seconds, self.coverage.had_s - before, out, start, end))
-        return self.driven[-1]
-
-    def as_dict(self) -> dict[str, Any]:
-        """coverage.json."""
-        return {
-            **self.coverage.as_dict(),
-            "simulated_s": round(self.simulated_s, 3),
-            "beyond_envelope_s": round(sum(one.beyond.total_s for one in self.driven), 3),
-            "area_m": self.asked.area_m,
-            "centre_m": self.centre,
-            "drives": [
-                {
-                    "log": f"logs/{one.name}.log",
-                    "seconds": round(one.seconds, 3),
-                    "gained_s": round(one.gained_s, 3),
-                    "beyond": {key: value if value == value else None for key, value in one.beyond._asdict().items()},
-                }
-                for one in self.driven
-            ],
-        }
-
-    def write(self) -> None:
-        """coverage.json as it stands."""
-        write_json(self.run.path / "coverage.json", self.as_dict())
 
 
 def collect(asked: Asked) -> Iterator[Event]:
@@ -147,8 +56,8 @@ def collect(asked: Asked) -> Iterator[Event]:
     yield from (Event("warning", words) for words in lacking(vehicle))
     collection.take_up()
     if collection.driven:
-        yield Event("note", f"{len(collection.driven)} drives are there already: {_state(collection)}")
-    if collection.coverage.counter.missing and not collection.is_stuck:
+        yield Event("note", f"{len(collection.driven)} drives are there already: {collection.words}")
+    if collection.wants_more:
         yield from _drive_on(collection)
     yield from _finish(collection)
 
@@ -170,7 +79,7 @@ def _drive_on(collection: Collection) -> Iterator[Event]:
     ) as open_session:
         yield Event("note", f"bus: {open_session.choice.why}")
         started, had_s, drives = time.monotonic(), collection.coverage.had_s, len(collection.driven)
-        while collection.coverage.counter.missing and not collection.is_stuck:
+        while collection.wants_more:
             yield from _one(collection, open_session)
             collection.write()
             wall_s = time.monotonic() - started
@@ -185,7 +94,7 @@ def _drive_on(collection: Collection) -> Iterator[Event]:
                 "block": map_lines(collection.coverage),
                 **({"eta_s": wall_s * left_s / gained_s} if gained_s > 0.0 else {}),
             }
-            yield Event("progress", f"{collection.driven[-1].name}: {_state(collection)}", data)
+            yield Event("progress", f"{collection.driven[-1].name}: {collection.words}", data)
         yield from (Event("warning", words) for words in open_session.notes)
 
 
@@ -193,7 +102,9 @@ def _one(collection: Collection, session: Session) -> Iterator[Event]:
     """The next drive into logs/; it is repeated where a node was lost. Raises BenchError where that does not help."""
     number, run = len(collection.driven) + 1, collection.run
     start = collection.driven[-1].end if collection.driven else Start()
-    path = write_plan(run, number, collection.asked, start, collection.centre, collection.coverage)
+    path = write_plan(
+        run, number, collection.asked, start, collection.centre, collection.coverage, collection.next_stretches
+    )
     scenario = load_scenario(path)
     folder = run.episode(number)
     for lost in range(REPEATS + 1):
@@ -237,7 +148,7 @@ def _finish(collection: Collection) -> Iterator[Event]:
     yield from (Event("line", line) for line in map_lines(coverage))
     missing = coverage.missing()
     out_s = sum(one.beyond.total_s for one in collection.driven)
-    sentence = f"{_state(collection)}; {out_s:.2f} s beyond the envelope"
+    sentence = f"{collection.words}; {out_s:.2f} s beyond the envelope"
     if missing:
         sentence += f"; the last {IDLE_DRIVES} drives filled nothing more, missing: {'; '.join(missing[:6])}"
         sentence += f" and {len(missing) - 6} more" if len(missing) > 6 else ""
@@ -260,18 +171,6 @@ def _finish(collection: Collection) -> Iterator[Event]:
             "next": [f"tunefree-hil calibrate {logs}/*.log --vehicle {coverage.vehicle.folder} --out MODEL"],
         },
     )
-
-
-def _pose(drive: Drive, row: int) -> Start:
-    """First (row 0) or last (row -1) pose that was heard."""
-    values = [drive.get(f"ins.{name}") for name in ("x_m", "y_m", "heading_rad")]
-    known = [value[np.isfinite(value)] if value is not None else np.zeros(0) for value in values]
-    return Start(*(round(float(value[row]), 4) if len(value) else 0.0 for value in known))
-
-
-def _state(collection: Collection) -> str:
-    coverage = collection.coverage
-    return f"{coverage.full} of {coverage.wanted} cells full after {collection.simulated_s / 60.0:.1f} min of driving"
 
 
 def _where(out: Beyond) -> str:

@@ -196,7 +196,13 @@ def write_scenario(path: Path, number: int, start: Start, seed: int, drive_s: fl
 
 
 def write_plan(
-    run: RunFolder, number: int, asked: Asked, start: Start, centre: tuple[float, float] | None, coverage: Coverage
+    run: RunFolder,
+    number: int,
+    asked: Asked,
+    start: Start,
+    centre: tuple[float, float] | None,
+    coverage: Coverage,
+    stretches: tuple[int, int],
 ) -> Path:
     """Scenario and plan of a drive; the scenario's path. The same logs give the same files, byte for byte."""
     path = run.path / "scenarios" / f"{drive_name(number)}.toml"
@@ -209,6 +215,7 @@ def write_plan(
         tuple(coverage.counter.have),
         HOLDS_A_DRIVE * (number - 1),
         asked.drive_s,
+        stretches,
     )
     write_json(path.with_suffix(".json"), as_dict(plan))
     return path

@@ -21,7 +21,7 @@ from tunefree_hil.learn.training.guided import GuidedRunner
 from tunefree_hil.learn.training.nets import CellNet, LayerNet
 from tunefree_hil.learn.training.physics import Physics
 from tunefree_hil.learn.training.rollout import CarriageRunner, HybridRunner, PhysicsRunner, Runner, errors_of
-from tunefree_hil.learn.training.windows import ACCEL, YAW, Pool, begins, drawn, spread, window_at
+from tunefree_hil.learn.training.windows import ACCEL, YAW, Pool, begins, chances_of, drawn, spread, window_at
 
 WARM_S = 1.0
 BATCH = 256
@@ -47,11 +47,15 @@ class Stage(NamedTuple):
 
 
 class Span(NamedTuple):
-    """A stage on the data at hand. begins: the rows at which its windows can begin; batch: how many of them a step."""
+    """A stage on the data at hand. begins: the rows at which its windows can begin, with their chances of being drawn.
+
+    batch: how many of them a step.
+    """
 
     share: float
     ahead: int
     begins: Array
+    chances: Array
     batch: int
     guided: bool
 
@@ -122,7 +126,8 @@ class FreeRunLearner:
         """Of the batch of a step."""
         span = self._span_at(step)
         runner = self.guided if span.guided and self.guided is not None else self.runner
-        window = window_at(drawn(span.begins, span.batch, self.wish.seed, step), self.warm, span.ahead)
+        some = drawn(span.begins, span.batch, self.wish.seed, step, span.chances)
+        window = window_at(some, self.warm, span.ahead)
         errors = errors_of(runner.run(self.training, window), self.training, window)
         parts = [
             weight * (torch.sqrt(SMALL**2 + (error / unit[: span.ahead]) ** 2) - SMALL).mean()
@@ -163,7 +168,8 @@ class FreeRunLearner:
             if len(some):
                 break
         batch = max(round(self.wish.batch * GUIDED_SHARE), 1) if stage.guided else self.wish.batch
-        return Span(stage.share, ahead, some, batch, stage.guided)
+        chances = chances_of(self.training, some, self.warm, ahead)
+        return Span(stage.share, ahead, some, chances, batch, stage.guided)
 
     def _span_at(self, step: int) -> Span:
         share = step / self.steps

@@ -16,6 +16,14 @@ from tunefree_hil.learn.motion import Track, outputs_of, runs_of
 EVERY_ROWS = 10  # a window can begin at each of these
 LEAST_MEAN_MPS = 0.3  # a car that stands teaches nothing
 SPEED, YAW, ACCEL, HEADING, X, Y = range(6)
+# Kinds of driving that windows are told apart by, as shares of the greatest of each: means over the window of speed,
+# pedals (throttle less brake) and turned wheel; finer where a pedal begins to bite.
+SPEED_KINDS = tuple(0.1 * i for i in range(1, 10))
+PEDAL_KINDS = (0.02, 0.05, 0.1, 0.15, 0.25, 0.5)
+WHEEL_KINDS = (0.04, 0.2, 0.5)
+GREATEST = 0.999  # quantile that is taken for the greatest
+EVEN = 0.5  # 0: every window alike; 1: every kind of driving alike
+FEW = 20  # windows, from which on a kind is no rarer
 
 
 class Pool(NamedTuple):
@@ -103,9 +111,37 @@ def window_at(first: Array, warm: int, ahead: int) -> Window:
     return Window(rows, warm, ahead)
 
 
-def drawn(some: Array, count: int, seed: int, step: int) -> Array:
-    """`count` of the rows, by lot that only seed and step decide: so a training can go on where it was cut off."""
-    return np.sort(np.random.default_rng([seed, step]).choice(some, count, replace=len(some) < count))
+def drawn(some: Array, count: int, seed: int, step: int, chances: Array | None = None) -> Array:
+    """`count` of the rows, by lot that only seed and step decide: so a training can go on where it was cut off.
+
+    chances: of each row, in all 1; None for all alike.
+    """
+    lots = np.random.default_rng([seed, step])
+    return np.sort(lots.choice(some, count, replace=chances is not None or len(some) < count, p=chances))
+
+
+def chances_of(pool: Pool, some: Array, warm: int, ahead: int) -> Array:
+    """How often each window is to be drawn: the rarer its kind of driving is among all, the more often.
+
+    Who collects decides how long each kind is driven; nobody knows how long the car will be driven so later. Between
+    both: a kind's share is the root of what it would be (EVEN).
+    """
+    kinds = kinds_of(pool, some, warm, ahead)
+    _, kind, counts = np.unique(kinds, axis=0, return_inverse=True, return_counts=True)
+    rare = np.maximum(counts[kind.reshape(-1)], FEW).astype(np.float64) ** -EVEN
+    return rare / rare.sum()
+
+
+def kinds_of(pool: Pool, some: Array, warm: int, ahead: int) -> Array:
+    """[n, 3]: classes of speed, pedals and wheel of the windows that begin at the rows `some`, in their free part."""
+    over = (pool.inputs - torch.tensor([pool.rest, pool.rest, 0.0])).numpy()
+    driven = np.stack([pool.motion[:, SPEED].numpy(), over[:, 0] - over[:, 1], np.abs(over[:, 2])], axis=1)
+    summed = np.concatenate([np.zeros((1, 3)), np.cumsum(driven, axis=0)])
+    means = (summed[some + warm + ahead] - summed[some + warm]) / ahead
+    shares = means / np.maximum(np.quantile(np.abs(driven), GREATEST, axis=0), 1e-6)
+    pedals = (*(-edge for edge in reversed(PEDAL_KINDS)), *PEDAL_KINDS)
+    edges = (SPEED_KINDS, pedals, WHEEL_KINDS)
+    return np.stack([np.digitize(shares[:, i], edges[i]) for i in range(3)], axis=1)
 
 
 def spread(some: Array, count: int) -> Array:
