@@ -60,7 +60,7 @@ def find_margins(
     if not reason:
         try:
             with Batch(bench, model, extra_effects=EFFECTS) as batch:
-                words = f"margins: driven on {model} in the batch; where it is not compiled yet, that takes a minute first"
+                words = f"margins: {model} in the batch; where it is not compiled yet, that takes a minute first"
                 yield Event("note", words)
                 return (yield from drive_margins(batch, bench, model, vectors, scenarios))
         except (InputError, BenchError) as error:
