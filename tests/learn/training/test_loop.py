@@ -11,6 +11,7 @@ torch = pytest.importorskip("torch")
 
 from tests.learn.training.made import REST, physics, track  # noqa: E402
 from tunefree_hil.base.errors import InputError  # noqa: E402
+from tunefree_hil.learn.motion import Track  # noqa: E402
 from tunefree_hil.learn.training import loop  # noqa: E402
 from tunefree_hil.learn.training.fit import STEPS, fit, learner_of, steps_for  # noqa: E402
 from tunefree_hil.learn.training.learners import Wish  # noqa: E402
@@ -69,17 +70,25 @@ def test_a_training_that_was_cut_off_goes_on_to_the_same_end(tmp_path: Path, mon
     assert again.looks == whole.looks and again.score == whole.score < 0.3
 
 
-def test_a_net_that_was_cut_off_goes_on_to_the_same_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tracks, wish = ([track(1, 12.0)], [track(3, 12.0)]), Wish("mlp", 1, 20)
+def cut_off_it_ends_the_same(
+    wish: Wish, tracks: tuple[list[Track], list[Track]], part: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Train whole; train again, cut off after nine words of it and taken up from `part`; compare every weight."""
     whole = ended(fit(wish, *tracks, physics(), REST, None))
     monkeypatch.setattr(loop, "KEPT_S", 0.0)
     monkeypatch.setattr(loop, "SHOWN_S", 0.0)
-    cut = fit(wish, *tracks, physics(), REST, tmp_path / "part")
+    cut = fit(wish, *tracks, physics(), REST, part)
     for _ in range(9):
         next(cut)
     cut.close()
-    again = ended(fit(wish, *tracks, physics(), REST, tmp_path / "part"))
-    assert again.resumed and all(np.array_equal(again.arrays[name], whole.arrays[name]) for name in whole.arrays)
+    again = ended(fit(wish, *tracks, physics(), REST, part))
+    assert again.resumed and again.steps == whole.steps == wish.steps
+    assert all(np.array_equal(again.arrays[name], whole.arrays[name]) for name in whole.arrays)
+
+
+def test_a_net_that_was_cut_off_goes_on_to_the_same_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tracks, wish = ([track(1, 12.0)], [track(3, 12.0)]), Wish("mlp", 1, 20)
+    cut_off_it_ends_the_same(wish, tracks, tmp_path / "part", monkeypatch)
 
 
 def test_a_checkpoint_of_other_data_is_not_taken_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -140,16 +149,7 @@ def test_a_hybrid_that_was_cut_off_in_its_guided_stage_goes_on_to_the_same_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tracks, wish = ([track(1, 20.0)], [track(3, 8.0)]), Wish("hybrid", 1, 26, batch=8)
-    whole = ended(fit(wish, *tracks, physics(), REST, None))
-    monkeypatch.setattr(loop, "KEPT_S", 0.0)
-    monkeypatch.setattr(loop, "SHOWN_S", 0.0)
-    cut = fit(wish, *tracks, physics(), REST, tmp_path / "part")
-    for _ in range(9):
-        next(cut)
-    cut.close()
-    again = ended(fit(wish, *tracks, physics(), REST, tmp_path / "part"))
-    assert again.resumed and again.steps == whole.steps == 26
-    assert all(np.array_equal(again.arrays[name], whole.arrays[name]) for name in whole.arrays)
+    cut_off_it_ends_the_same(wish, tracks, tmp_path / "part", monkeypatch)
 
 
 def test_batches_depend_on_seed_and_step_alone() -> None:
