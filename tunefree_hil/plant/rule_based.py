@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.kernel import Block, kernel
-from tunefree_hil.base.open_loop_map import Refusal, SpeedRows, read_triples, rows_by_speed, value_at
+from tunefree_hil.base.open_loop_map import MAP_FILE, Refusal, SpeedRows, read_triples, rows_by_speed, value_at
 from tunefree_hil.base.records import Motion
 from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
 from tunefree_hil.plant.carriage import DEFAULTS, Carriage, carriage_of, driven, over_rest
@@ -87,5 +87,5 @@ def open_rule_based(path: Path) -> Any:
 
 
 PLANT = Plant(
-    unopened("rule_based"), DEFAULTS, open=open_rule_based, file="calibration.npz", observe=observe_rule_based
+    unopened("rule_based"), DEFAULTS, open=open_rule_based, file=MAP_FILE, observe=observe_rule_based
 )
