@@ -1,0 +1,111 @@
+"""Rows, limits and intervals from hand-made cases."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tools.gap_exam import report, score
+from tools.gap_exam.catalogue import value
+from tools.gap_exam.driver import CONTROLLER, PERSON
+from tools.gap_exam.outcomes import OUTCOMES, mark
+from tools.gap_exam.score import Marked
+from tools.gap_exam.statistics import mean, quantile, share
+
+
+def case(
+    number: int, verdict: str, *names: str, row: str = "one", effects: Any = None, found: bool = True, **more: Any
+) -> Marked:
+    """A case of one effect (a steering lag, unless it says otherwise) and its answer."""
+    effects = {"steer_lag": {"tau_s": 0.1}} if effects is None else effects
+    truth = {"row": row, "effects": effects, "oracle": {"detectable": found}, "mismatch": 0.0, "kind": "excited",
+             "who": CONTROLLER, "size": -1.0, **more}  # fmt: skip
+    stated = [] if verdict == "set" else [{"name": name, "params": {"tau_s": {"value": 0.11}}} for name in names]
+    answer = {"verdict": verdict, "effects": stated, "set": list(names) if verdict == "set" else []}
+    return Marked(number, truth, answer, mark(truth, answer, 10.0))
+
+
+ANSWERS = [
+    ("one", "steer_lag"),
+    ("set", "steer_lag", "payload"),
+    ("none_missing",),
+    ("one", "payload"),
+    ("cannot_test",),
+]
+
+
+def test_a_row_sums_to_all_of_its_logs() -> None:
+    cases = [case(i, *answer) for i, answer in enumerate(ANSWERS * 4)]
+    row = score.row("one", cases)
+    assert (
+        row.outcomes == {**dict.fromkeys(OUTCOMES, 4), "partial": 0, "failed": 0} and sum(row.outcomes.values()) == 20
+    )
+    figures = row.figures
+    assert figures["right"].value == 0.2 and figures["right"].n == 20
+    assert figures["right_or_in_set"].value == 0.4 and figures["set_size"].value == 1.5
+    assert figures["value_error_median"].value == pytest.approx(0.1)
+    assert all(one.low <= one.value <= one.high for one in figures.values())
+
+
+def test_rows_are_told_apart() -> None:
+    cases = [
+        case(0, "one", "steer_lag"),
+        case(1, "one", "payload", found=False),
+        case(2, "none_missing", row="free", effects={}),
+        case(3, "none_missing", row="free", effects={}, mismatch=0.05),
+        case(4, "none_of_these", row="outside", effects={"body_roll": {}}),
+        case(5, "one", "steer_lag", who=PERSON, kind="ordinary", mismatch=0.02),
+        case(6, "one", "steer_lag", row="semi", oracle=None),
+    ]
+    rows = {row.name: row for row in score.table(cases)}
+    assert rows["one effect, detectable"].n == 2 and rows["one effect, not detectable"].outcomes["wrong"] == 1
+    assert rows["effect-free"].n == 2 and rows["effect-free, background mismatch"].n == 1
+    assert rows["outside the catalogue"].outcomes["right"] == 1
+    assert rows["one effect, a person drives"].n == rows["one effect, ordinary drive"].n == 1
+    assert rows["one effect, background mismatch 2 %"].n == 1 and rows["semi-real"].n == 1
+    assert score.false_names(cases)[0]["number"] == 1
+
+
+def test_the_smallest_value_that_is_named() -> None:
+    """From the size on from which nine in ten of all logs are named, and of its own: not below one that was missed."""
+    sizes = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]
+    named = {0.0: (0, 0), 0.2: (1, 1), 0.4: (0, 0), 0.6: (1, 1), 0.8: (1, 1), 1.0: (1, 1)}
+    cases = []
+    for size in sizes:
+        for yes in named[size]:
+            effects = {"steer_lag": {"tau_s": value("steer_lag", size)}}
+            name = ("one", "steer_lag") if yes else ("none_missing",)
+            cases.append(case(len(cases), *name, row="limits", effects=effects, size=size))
+    found = score.limits(cases)
+    assert len(found) == 1 and found[0].n == 12
+    assert found[0].value == pytest.approx(value("steer_lag", 0.6)) and found[0].unit == "s"
+    none = score.limits([one._replace(mark=one.mark._replace(outcome="silent")) for one in cases])
+    assert none[0].value is None and report.limit_words(none[0]) == "never"
+
+
+def test_intervals() -> None:
+    """Wilson's, by its published example (81 of 263: 0.2553 to 0.3662), and none without data."""
+    one = share(81, 263)
+    assert (round(one.low or 0, 4), round(one.high or 0, 4)) == (0.2553, 0.3662)
+    assert share(0, 300).low == 0.0 and share(0, 300).high == pytest.approx(0.0126, abs=1e-4)
+    assert share(5, 5).high == 1.0 and share(0, 0).value is None
+    middle = quantile([float(i) for i in range(101)], 0.5)
+    assert middle.value == 50.0 and middle.low == 40.0 and middle.high == 61.0
+    assert quantile([3.0], 0.9) == (3.0, 3.0, 3.0, 1) and quantile([], 0.5).n == 0
+    assert mean([1.0, 3.0]).value == 2.0
+
+
+def test_the_page_and_the_pictures(tmp_path: Path) -> None:
+    cases = [case(i, *answer) for i, answer in enumerate(ANSWERS)]
+    cases += [case(9, "one", "steer_lag", row="limits", size=0.5)]
+    rows, limits = score.table(cases), score.limits(cases)
+    paths = report.write_report(tmp_path, rows, limits, score.false_names(cases), "dev:x")
+    assert [path.name for path in paths] == ["table.md", "table.json", "outcomes.png", "limits.png"]
+    page = (tmp_path / "table.md").read_text()
+    assert "| one effect, detectable | 5 | 20.0 % | 20.0 % | 0.0 % | 20.0 % | 20.0 % | 20.0 % | 0.0 % |" in page
+    data = json.loads((tmp_path / "table.json").read_text())
+    assert data["rows"][0]["figures"]["right"]["n"] == 5 and data["wrong"][0]["number"] == 3
+    assert all(path.read_bytes()[:4] == b"\x89PNG" for path in paths[2:])

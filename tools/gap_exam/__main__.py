@@ -1,0 +1,215 @@
+"""`python -m tools.gap_exam COMMAND`: the exam of the workflow that names what a simulation lacks.
+
+  make   one question for a trial: vehicle folder, clean logs, a log with an effect of your choice, or a --blind one
+  open   the truth of a blind one, once there is an answer
+  bench  a model folder that puts a car of the exam on a bench as its vehicle, with an effect hidden in it
+  run    make, seal, ask and keep, two at a time; the same call goes on after any kill
+  score  open the truths of what is answered; table.md, table.json, outcomes.png, limits.png
+  list   rows of the exam and how many cases each has
+
+DOMAIN is exam:COMMIT (40 hex digits, the frozen commit) or dev:NAME. The examined program is a command line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections import Counter
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from tools.gap_exam import bus, report, score
+from tools.gap_exam.bench_folder import write_model
+from tools.gap_exam.cases import Effects, draw_effect, log_of, make, vehicle_of
+from tools.gap_exam.catalogue import EFFECTS, kind_of
+from tools.gap_exam.driver import CONTROLLER, PERSON
+from tools.gap_exam.files import Run, read_json, write, write_json
+from tools.gap_exam.oracle import detect
+from tools.gap_exam.outcomes import outcome
+from tools.gap_exam.prepare import Frozen, begin, is_frozen
+from tools.gap_exam.recordings import NoRecording, make_ready
+from tools.gap_exam.rows import ROWS, Exam, exam_of, sample_of
+from tools.gap_exam.runner import Examiner, Program
+from tools.gap_exam.seal import Broken, StillSealed, seal, unseal
+from tools.gap_exam.seeds import EXAM, Domain, domain_of
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def main(words: list[str]) -> int:
+    """Run a command. Returns the exit status: 0, 2 for a mistake, 130."""
+    options = parser().parse_args(words)
+    try:
+        return options.run_command(options)
+    except (ValueError, KeyError, OSError, Frozen, NoRecording, Broken, StillSealed) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted; the same call goes on", file=sys.stderr)
+        return 130
+
+
+def parser() -> argparse.ArgumentParser:
+    """What may be asked."""
+    top = argparse.ArgumentParser(prog="gap_exam", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    commands = top.add_subparsers(required=True, metavar="COMMAND")
+    one = _command(commands, "make", _make)
+    one.add_argument("--out", type=Path, required=True)
+    one.add_argument("--kind", choices=("ordinary", "excited"), default="excited")
+    one.add_argument("--person", action="store_true", help="a person drives, no controller")
+    one.add_argument("--seconds", type=float, default=180.0)
+    bench = _command(commands, "bench", _bench)
+    bench.add_argument("--out", type=Path, required=True, help="models/NAME of a bench_configs folder")
+    for both in (one, bench):
+        _asked(both)
+    opened = _command(commands, "open", _open)
+    opened.add_argument("--out", type=Path, required=True, help="folder of `make --blind`")
+    opened.add_argument("--answer", type=Path, required=True, help="the gap.json of the log")
+    run = _command(commands, "run", _run)
+    run.add_argument("--run", type=Path, required=True, help="folder of the exam")
+    run.add_argument("--recordings", type=Path, help="folder with comma2k19_rav4/ and dart/, for the row `semi`")
+    run.add_argument("--part", default="1/1", help="K/N: every Nth case")
+    run.add_argument("--parallel", type=int, default=2)
+    run.add_argument("--unfrozen", action="store_true", help="an exam of a checkout that is not the commit's")
+    run.add_argument("--keep", action="store_true", help="leave logs and all that the program wrote")
+    run.add_argument("--gap", default=Program().gap)
+    run.add_argument("--calibrate", default=Program().calibrate)
+    run.add_argument("--learn", default=Program().learn)
+    run.add_argument("--limit-s", type=float, default=Program().limit_s)
+    _which(run)
+    counted = _command(commands, "score", _score)
+    counted.add_argument("--run", type=Path, required=True, action="append", help="said again: pooled with the first")
+    counted.add_argument("--json", action="store_true")
+    _which(_command(commands, "list", _list))
+    return top
+
+
+def _command(commands, name: str, function) -> argparse.ArgumentParser:
+    one = commands.add_parser(name)
+    one.set_defaults(run_command=function)
+    if name not in ("score", "open"):
+        one.add_argument("--domain", type=domain_of, default=Domain("dev", "trial"))
+    return one
+
+
+def _which(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--sample", action="store_true", help="24 one-effect logs instead")
+    one.add_argument("--rows", default="", help=f"comma-separated: {', '.join(ROWS)}")
+
+
+def _asked(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--vehicle", type=int, default=0, help="number of the pool's vehicle")
+    one.add_argument("--effect", action="append", default=[], metavar="NAME[=VALUE]", help="may be said again")
+    one.add_argument("--blind", action="store_true", help="an effect that nobody is told, its truth under seal")
+    one.add_argument("--number", type=int, default=0, help="another drive, another blind effect")
+
+
+def effects_of(options: argparse.Namespace, names: list[str]) -> Effects:
+    """The effects that are asked for; a blind one out of `names`."""
+    effects: Effects = {}
+    for word in options.effect:
+        name, _, said = word.partition("=")
+        effects[name] = draw_effect(name, options.domain.rng("make", name, options.number))
+        if said:
+            effects[name][kind_of(name).parameter] = float(said)
+    if options.blind:
+        name = str(options.domain.rng("blind", options.number).choice(sorted(names)))
+        effects[name] = draw_effect(name, options.domain.rng("blind", name, options.number))
+    return effects
+
+
+def chosen(options: argparse.Namespace) -> Exam:
+    """The exam that is asked for."""
+    if options.sample:
+        return sample_of(options.domain)
+    rows = tuple(options.rows.split(",")) if options.rows else ROWS
+    unknown = set(rows) - set(ROWS)
+    if unknown:
+        raise ValueError(f"no row {', '.join(sorted(unknown))}; there are {', '.join(ROWS)}")
+    return exam_of(options.domain, rows=rows)
+
+
+def _make(options: argparse.Namespace) -> int:
+    vehicle = vehicle_of(options.domain, options.vehicle)
+    bus.write_folder(options.out / "vehicle", vehicle)
+    effects = effects_of(options, list(EFFECTS))
+    for kind in ("excited", "ordinary"):
+        seed = options.domain.seed("make", options.vehicle, kind)
+        write(options.out / f"clean_{kind}.log", log_of(make(vehicle, {}, kind, CONTROLLER, seed), seed))
+    seed = options.domain.seed("make", options.vehicle, "asked", options.number)
+    who = PERSON if options.person else CONTROLLER
+    made = make(vehicle, effects, options.kind, who, seed, options.seconds)
+    write(options.out / "drive.log", log_of(made, seed))
+    truth = {"effects": effects, "oracle": detect(made)._asdict(), "mismatch": vehicle.mismatch}
+    sealed = seal(truth, os.urandom(16).hex())
+    write_json(options.out / "sealed.json", sealed)
+    print(f"sealed: {sealed['commitment']}" if options.blind else json.dumps(truth))
+    return 0
+
+
+def _bench(options: argparse.Namespace) -> int:
+    vehicle = vehicle_of(options.domain, options.vehicle)
+    effects = effects_of(options, [name for name, kind in EFFECTS.items() if kind.subsystem != "sensing"])
+    seed = options.domain.seed("vehicle", options.vehicle)
+    truth = {"seed": seed, "mismatch": vehicle.mismatch, "effects": effects}
+    write_model(options.out, truth, vehicle.noise, os.urandom(16).hex())
+    print(f"{options.out}: the vehicle of {options.domain}, number {options.vehicle}")
+    return 0
+
+
+def _open(options: argparse.Namespace) -> int:
+    answer = read_json(options.answer)
+    if "verdict" not in answer:
+        raise ValueError(f"{options.answer} is no answer: it has no verdict")
+    truth = unseal(read_json(options.out / "sealed.json"))
+    print(json.dumps({**truth, "outcome": outcome(list(truth["effects"]), answer)}))
+    return 0
+
+
+def _run(options: argparse.Namespace) -> int:
+    run, exam = Run(options.run), chosen(options)
+    frozen = is_frozen(exam, ROOT)
+    if exam.domain.kind == EXAM and not (frozen or options.unfrozen):
+        raise Frozen(
+            f"this checkout is not {exam.domain.name} as committed; --unfrozen runs it all the same, and says so"
+        )
+    begin(run, exam, frozen=frozen)
+    if any(case.source for case in exam.cases):
+        if options.recordings is None:
+            raise ValueError("the row `semi` needs --recordings DIR (or name the other rows with --rows)")
+        make_ready(run, options.recordings)
+    part, _, of = options.part.partition("/")
+    cases = [case for case in exam.cases if case.number % int(of) == int(part) - 1]
+    program = Program(options.gap, options.calibrate, options.learn, options.limit_s)
+    Examiner(run, exam, program, keep=options.keep).go(cases, options.parallel)
+    return 0
+
+
+def _score(options: argparse.Namespace) -> int:
+    runs = [Run(folder) for folder in options.run]
+    exams = [read_json(run.exam) for run in runs]
+    cases = [one for run, said in zip(runs, exams, strict=True) for one in score.marked(run, range(said["cases"]))]
+    rows, limits, wrong = score.table(cases), score.limits(cases), score.false_names(cases)
+    name = " and ".join(said["domain"] + ("" if said["frozen"] else " (not frozen)") for said in exams)
+    report.write_report(runs[0].folder, rows, limits, wrong, name)
+    asked = sum(said["cases"] for said in exams)
+    print(f"{len(cases)} of {asked} cases are answered; {runs[0].folder}/table.md", file=sys.stderr)
+    page = report.markdown(rows, limits, f"Exam of {name}")
+    print(json.dumps(report.as_json(rows, limits, wrong, name)) if options.json else page)
+    return 0
+
+
+def _list(options: argparse.Namespace) -> int:
+    exam = chosen(options)
+    for name, count in sorted(Counter(case.row for case in exam.cases).items()):
+        print(f"{name:<12} {count}")
+    kinds = Counter(model.kind for model in exam.models.values())
+    print(f"{len(exam.cases)} cases, {kinds['physics']} calibrated and {kinds['hybrid']} learned models")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,117 @@
+"""Questions out of an exam: vehicle folders, logs, truths under seal. Each whole or not there, so it may be cut off."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from tools.gap_exam import bus, semi_real
+from tools.gap_exam.cases import MISMATCHES, Case, log_of, make, vehicle_of
+from tools.gap_exam.fast import source_hash
+from tools.gap_exam.files import Run, read_json, write, write_json
+from tools.gap_exam.oracle import detect
+from tools.gap_exam.rows import Exam, Model
+from tools.gap_exam.seal import put_away
+from tools.gap_exam.seeds import EXAM
+
+SCHEMA = "gap-exam/1"
+
+
+class Frozen(Exception):
+    """A run that was begun under other conditions."""
+
+
+def truths_hash(exam: Exam) -> str:
+    """SHA-256 over all cases as drawn: fixed before the first question is asked."""
+    text = json.dumps([case._asdict() for case in exam.cases], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def is_frozen(exam: Exam, root: Path) -> bool:
+    """Whether `root` is a clean checkout of the commit that an exam's domain names; development's domains never are."""
+    if exam.domain.kind != EXAM:
+        return False
+    head, changed = (
+        subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True, check=False).stdout.strip()
+        for words in (("rev-parse", "HEAD"), ("status", "--porcelain", "--untracked-files=no"))
+    )
+    return head == exam.domain.name and not changed
+
+
+def begin(run: Run, exam: Exam, *, frozen: bool = False) -> None:
+    """Write exam.json, or see that the run goes on as it was begun; raises Frozen where it does not.
+
+    frozen: whether what is examined is what the domain's commit holds.
+    """
+    said = {
+        "frozen": frozen,
+        "schema": SCHEMA,
+        "domain": str(exam.domain),
+        "cases": len(exam.cases),
+        "models": len(exam.models),
+        "truths": truths_hash(exam),
+        "source": source_hash(),
+    }
+    if not run.exam.is_file():
+        write_json(run.exam, said)
+        return
+    was = read_json(run.exam)
+    changed = [key for key in said if was.get(key) != said[key]]
+    if changed:
+        raise Frozen(f"{run.folder} was begun with another {', '.join(changed)}; another exam needs another folder")
+
+
+def vehicle_folder(run: Run, exam: Exam, number: int) -> Path:
+    """The folder of a vehicle of the pool, written where it is not there."""
+    folder = run.vehicle(number)
+    if not (folder / "vehicle.toml").is_file():
+        part = folder.with_name(f".{folder.name}.{os.getpid()}.part")
+        bus.write_folder(part, vehicle_of(exam.domain, number))
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        part.replace(folder)
+    return folder
+
+
+def model_logs(run: Run, exam: Exam, model: Model) -> list[Path]:
+    """The logs that a model is made from."""
+    vehicle = vehicle_of(exam.domain, model.vehicle)
+    logs = []
+    for i, spec in enumerate(model.logs):
+        path = run.model(model.name).with_suffix(".logs") / f"drive_{i}.log"
+        if not path.is_file():
+            made = make(vehicle, spec.effects, spec.kind, spec.who, spec.seed, spec.duration_s)
+            write(path, log_of(made, spec.seed))
+        logs.append(path)
+    return logs
+
+
+def question(run: Run, exam: Exam, case: Case) -> tuple[Path, Path]:
+    """(log, vehicle folder) of a case; its truth, with whether it is detectable, is sealed before the log is there."""
+    if case.source:
+        vehicle, text, extra = semi_real.question(run, case)
+        _seal(run, case, extra)
+    else:
+        vehicle = vehicle_folder(run, exam, case.vehicle)
+        made = make(
+            vehicle_of(exam.domain, case.vehicle), case.effects, case.kind, case.who, case.seed, case.duration_s
+        )
+        _seal(run, case, {"oracle": detect(made)._asdict(), "mismatch": MISMATCHES[case.vehicle % len(MISMATCHES)]})
+        text = log_of(made, case.seed)
+    write(run.log(case.number), text)
+    return run.log(case.number), vehicle
+
+
+def _seal(run: Run, case: Case, extra: dict[str, Any]) -> None:
+    truth = {**case._asdict(), **extra}
+    nonce = os.urandom(16).hex()
+    put_away(run, case.number, truth, nonce)
+
+
+def clear(run: Run, case: Case) -> None:
+    """Take an answered question away."""
+    shutil.rmtree(run.log(case.number).parent, ignore_errors=True)

@@ -1,0 +1,75 @@
+"""Recordings of real cars made ready: for each a vehicle folder, logs that its model is made from, and one to ask of.
+
+DART's drives become CAN logs by the examined program's own `log import` (a command, nothing imported); the model of the
+drive that is asked about is made from all the others. The RAV4's one minute is too short to be cut: its model is made
+from the minute as it was recorded, and what is asked about is that minute rewritten.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from tools.gap_exam.call import call
+from tools.gap_exam.files import Run, write
+
+DART_FOLDER = "dart/steering_identification_25_sept_2024"
+DART_DRIVES = {"dart_a": "09_57_26", "dart_b": "09_50_18", "dart_c": "09_53_24"}
+RAV4_LOG = "comma2k19_rav4/drive.candump.log"
+IMPORT = "tunefree-hil log import {csv} --map {map} --out {out} --json"
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class NoRecording(Exception):
+    """A recording that is not there, or that could not be imported."""
+
+
+def make_ready(run: Run, data: Path, command: str = IMPORT) -> None:
+    """Write RUN/recordings/NAME for every recording that is not there yet; raises NoRecording."""
+    imported = _dart(run, data, command)
+    for name, drive in DART_DRIVES.items():
+        target = run.folder / "recordings" / name
+        if not (target / "drive.log").is_file():
+            mine = next(folder for folder in imported if folder.name.endswith(drive))
+            _copy_folder(mine, target / "vehicle")
+            for number, other in enumerate(one for one in imported if one != mine):
+                write(target / "vehicle.logs" / f"{number:02d}.log", (other / "drive.log").read_text())
+            write(target / "drive.log", (mine / "drive.log").read_text())
+    _rav4(run, data)
+
+
+def _dart(run: Run, data: Path, command: str) -> list[Path]:
+    """All drives with motion capture, each imported into a folder that ends in its time of day."""
+    found = sorted((data / DART_FOLDER).glob("*.csv"))
+    missing = [drive for drive in DART_DRIVES.values() if not any(path.stem.endswith(drive) for path in found)]
+    if missing:
+        folder = data / DART_FOLDER
+        raise NoRecording(f"{folder} holds no drive {', '.join(missing)}; --recordings names the folder of both cars")
+    return [_imported(run.folder / "recordings" / f".{path.stem}", path, command) for path in found]
+
+
+def _imported(out: Path, path: Path, command: str) -> Path:
+    if not (out / "drive.log").is_file():
+        shutil.rmtree(out, ignore_errors=True)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        mapping = ROOT / "tools" / "imports" / "dart_100hz.toml"
+        done = call(command, 300.0, csv=str(path), map=str(mapping), out=str(out))
+        if done.status != 0:
+            raise NoRecording(f"{path.name} could not be imported: {done.stderr}")
+    return out
+
+
+def _rav4(run: Run, data: Path) -> None:
+    target = run.folder / "recordings" / "rav4"
+    path = data / RAV4_LOG
+    if not path.is_file():
+        raise NoRecording(f"{path} is not there; --recordings names the folder of both cars")
+    if not (target / "drive.log").is_file():
+        _copy_folder(ROOT / "dbc" / "rav4_2017", target / "vehicle")
+        write(target / "vehicle.logs" / "00.log", path.read_text())
+        write(target / "drive.log", path.read_text())
+
+
+def _copy_folder(source: Path, target: Path) -> None:
+    for name in ("vehicle.dbc", "vehicle.toml"):
+        write(target / name, (source / name).read_text())
