@@ -1,0 +1,69 @@
+"""One compiled car for all effects: neutral is no effect, on is one, and nothing is compiled for a candidate."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tunefree_hil.base import parts
+from tunefree_hil.gap.graph import ahead, scaled
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@cache
+def found() -> dict[str, Any]:
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.gap.graph_jit"],
+        cwd=ROOT,
+        env={**os.environ, "TUNEFREE_JIT": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=500,
+    )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.timeout(600)
+def test_the_whole_catalogue_is_in_the_graph_and_neutral_changes_no_bit() -> None:
+    assert set(found()["same"]) == set(parts.names("tunefree_hil.effects")) and not found()["cannot"]
+    assert [name for name, same in found()["same"].items() if not same] == []
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.timeout(600)
+def test_every_effect_changes_something_that_is_compared() -> None:
+    assert [name for name, changed in found()["changed"].items() if not changed] == []
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.timeout(600)
+def test_nothing_is_compiled_for_a_candidate_or_for_two_together() -> None:
+    assert found()["compiled"] == [1, 1]
+
+
+def test_a_signal_is_moved_ahead_by_parts_of_a_row() -> None:
+    values = np.arange(10.0)
+    assert ahead(values, 1.5)[:8] == pytest.approx(values[:8] + 1.5)
+    assert ahead(values, -2.0)[2:] == pytest.approx(values[:8])
+    assert ahead(np.column_stack([values, 2.0 * values]), 0.5)[3] == pytest.approx([3.5, 7.0])
+
+
+def test_constants_are_moved_by_the_log_of_a_factor_or_an_amount_of_pedal() -> None:
+    moved = scaled(
+        {"mass_kg": 100.0}, {"throttle_zero_frac": 0.2}, {"plant.mass_kg": 0.1, "plant.throttle_zero_frac": 0.01}
+    )
+    assert moved["mass_kg"] == pytest.approx(110.517, abs=1e-3) and moved["throttle_zero_frac"] == pytest.approx(0.21)

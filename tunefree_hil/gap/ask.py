@@ -1,0 +1,135 @@
+"""What a process of learn/worker.py is asked in a search for a name: one question kept open, models fitted one by one.
+
+A question is opened once per process (graph compiled, recalibration fitted, its slopes taken); two processes open the
+same one and share the suspects. What goes back to whoever asks is small: no residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.gap.fit import fit_candidate, fit_null
+from tunefree_hil.gap.leftover import Left, leftovers
+from tunefree_hil.gap.null import doubts_of, nuisances
+from tunefree_hil.gap.problem import Fitted, Problem, Slopes
+from tunefree_hil.gap.regions import Region, regions
+from tunefree_hil.gap.segments import Blocks
+from tunefree_hil.gap.shape import Shape, shape_of
+from tunefree_hil.gap.suspects import Suspect, suspects_of
+from tunefree_hil.gap.work import Kind, Setting, Work
+
+Array = np.ndarray
+
+
+class Modelled(NamedTuple):
+    """A fitted model as it is sent: without residuals, with their squares and counts by target and block [b]."""
+
+    fitted: Fitted
+    squares: dict[str, tuple[Array, Array]]
+
+
+class Question(NamedTuple):
+    """What a question is, once opened. sizes: by target the deviation of what was measured."""
+
+    null: Modelled
+    blocks: Blocks
+    kinds: dict[str, Kind]
+    sizes: dict[str, float]
+    suspects: tuple[Suspect, ...]
+    cannot: dict[str, str]
+
+
+class _Open:
+    def __init__(self, setting: Setting) -> None:
+        self.work = Work(setting)
+        self.problem = Problem(self.work, nuisances(self.work.graph, setting.model, doubts_of(setting.model)))
+        self.null, self.slopes = fit_null(self.problem)
+        some, self.cannot = suspects_of(self.work.graph, setting.model, setting.vehicle)
+        self.suspects = {one.name: one for one in some}
+
+    def again(self, model: Fitted) -> Fitted:
+        """A model that came back, with its residuals."""
+        return model._replace(residuals=self.work.residuals(model.values))
+
+    def slopes_at(self, model: Fitted) -> Slopes:
+        """Slopes of all its keys, its own at the null."""
+        if not model.free:
+            return self.slopes
+        which = list(range(len(model.keys)))
+        return self.problem.slopes(model.keys, model.z, model.free, which, model.residuals)
+
+
+_questions: dict[str, _Open] = {}
+
+
+def open_question(token: str, setting: Setting) -> Question:
+    """Open a question under a name of the caller's; any other is forgotten. Raises InputError where nothing can be
+    compared.
+    """
+    _questions.clear()
+    one = _questions[token] = _Open(setting)
+    work = one.work
+    if not work.kinds:
+        raise InputError(
+            "the logs hold nothing that could be compared with a simulation",
+            code="nothing_to_compare",
+            key="LOG",
+            hint="drive for a minute or more, above walking pace, with reports of actuators and motion",
+        )
+    sizes = {name: work.size(name) for name in work.kinds}
+    found = tuple(one.suspects.values())
+    return Question(_sent(work, one.null), work.blocks, work.kinds, sizes, found, one.cannot)
+
+
+def fit_suspects(token: str, names: Sequence[str], start: Fitted | None) -> Generator[int, None, dict[str, Modelled]]:
+    """Each suspect by itself beside what `start` has (None: the null); yields how many are done. Those of which no
+    value makes a car are left out.
+    """
+    one = _questions[token]
+    begin = one.null if start is None else one.again(start)
+    slopes = one.slopes_at(begin)
+    found = {}
+    for done, name in enumerate(names):
+        yield done
+        try:
+            found[name] = _sent(one.work, fit_candidate(one.problem, name, one.suspects[name].free, begin, slopes))
+        except InputError:  # outside what the body allows everywhere on its grid: then it is not this
+            continue
+    return found
+
+
+def left_by(token: str, models: Sequence[Fitted], blocks: Array) -> list[dict[str, Left]]:
+    """What each model leaves that could be explained by anything."""
+    work = _questions[token].work
+    targets = [compared.targets for compared in work.compared]
+    drives = work.setting.drives
+    return [leftovers(drives, targets, work.residuals(model.values), work.block, blocks) for model in models]
+
+
+def seen_of(token: str, model: Fitted, target: str) -> tuple[list[Region], Shape | None]:
+    """Where in a drive a target is missed, and what that looks like."""
+    work = _questions[token].work
+    residual = work.residuals(model.values)[target]
+    shape = shape_of(residual, work.measured(target), work.valid(target), work.kinds[target].dt_s)
+    return regions(work, target, residual), shape
+
+
+def _sent(work: Work, model: Fitted) -> Modelled:
+    squares = {}
+    for name, some in model.residuals.items():
+        sums, counts = np.zeros(work.blocks.count), np.zeros(work.blocks.count)
+        for residual, valid, block in zip(some, work.valid(name), work.block[name], strict=True):
+            rows = valid & (block >= 0)
+            np.add.at(sums, block[rows], residual[rows] ** 2)
+            np.add.at(counts, block[rows], 1.0)
+        squares[name] = (sums, counts)
+    return Modelled(model._replace(residuals={}), squares)
+
+
+def forget(token: str) -> Any:
+    """Close a question."""
+    return _questions.pop(token, None) is not None

@@ -1,0 +1,185 @@
+"""A drive opened at its measured intermediates: command, echo, reported output, motion as chassis and INS say it.
+
+    command -> echo -> actuator -> reported output -> car -> chassis reports, INS
+
+Every link is judged by what was measured before it, so that one that is broken does not break those behind it. What a
+log does not hold is said by link: that link cannot be told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from tunefree_hil.base.contracts import Link
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.records import GEAR_DRIVE
+from tunefree_hil.config.schema import VehicleSpec
+from tunefree_hil.gap.graph import CHANNELS, Inputs, ahead
+from tunefree_hil.learn.acted import channel_of
+from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.pairs import ECHOES, runs
+from tunefree_hil.learn.smooth import between_fresh, rate_of, smooth
+
+Array = np.ndarray
+
+OUTPUTS = {"throttle": "throttle_frac", "brake": "brake_frac", "steer": "steer_rad"}
+PIN_WINDOW_S = 0.21  # of the polynomial through the measured speed that the car is told
+SILENCE_S = 0.25  # beyond which a signal has a gap
+AFTER_S = 1.0  # after a stretch in which a channel did not obey its commands, its output is still another's
+
+
+class Signal(NamedTuple):
+    """A measured signal on every tick, straight lines between fresh values; the INS's as much earlier as it is late.
+
+    there: bool [n], not within a gap.
+    """
+
+    values: Array
+    fresh: Array
+    there: Array
+
+
+class Opened(NamedTuple):
+    """One drive. signals: by field name. follows: [n, 3] rows in which the commands of a channel acted.
+
+    lost: what of the chain this log cannot show, by link, in words.
+    """
+
+    name: str
+    log_hash: str
+    dt_s: float
+    inputs: Inputs
+    signals: Mapping[str, Signal]
+    follows: Array
+    moving: Array
+    lost: Mapping[Link, str]
+
+    @property
+    def ticks(self) -> int:
+        """Rows."""
+        return len(self.moving)
+
+    def has(self, *names: str) -> bool:
+        """Whether all of these fields were measured."""
+        return all(name in self.signals for name in names)
+
+
+def open_chain(drive: Drive, vehicle: VehicleSpec) -> Opened:
+    """Raises InputError where neither INS nor chassis says the speed: nothing of the motion can be told then."""
+    late = vehicle.ins_frame.latency_s / drive.dt_s
+    signals = {name: one for name in drive.fields if (one := _signal(drive, name, late)) is not None}
+    by_ins = "ins.speed_mps" in signals
+    source = "ins.speed_mps" if by_ins else "report.speed_mps"
+    if source not in signals:
+        raise InputError(
+            "the log says nothing of the speed",
+            code="no_motion",
+            file=drive.name,
+            key="report.speed_mps",
+            hint="speed is needed, from the chassis or from an INS",
+        )
+    inputs, follows, known = _inputs(drive, vehicle, signals, source)
+    speed = signals[source]
+    moving = known & speed.there & (inputs.gear >= GEAR_DRIVE)
+    return Opened(
+        drive.name, drive.log_hash, drive.dt_s, inputs, signals, follows, moving, _lost(signals, drive, by_ins)
+    )
+
+
+def _signal(drive: Drive, name: str, late: float) -> Signal | None:
+    values, fresh = drive.fields[name], drive.fresh[name] & np.isfinite(drive.fields[name])
+    if not name.startswith(("report.", "ins.", "command.")) or fresh.sum() < 2:
+        return None
+    if name.endswith("heading_rad"):
+        values = values.copy()
+        values[fresh] = np.unwrap(values[fresh])
+    even, there = between_fresh(values, fresh), _there(fresh, drive.dt_s)
+    if name.startswith("ins.") and late:
+        return Signal(ahead(even, late), fresh, ahead(there.astype(float), late) > 0.999)
+    return Signal(even, fresh, there)
+
+
+def _there(fresh: Array, dt_s: float) -> Array:
+    """Rows between two values that are no gap apart."""
+    rows = np.flatnonzero(fresh)
+    there = np.zeros(len(fresh), dtype=bool)
+    there[rows[0] : rows[-1] + 1] = True
+    usual = max(float(np.median(np.diff(rows))), 1.0)
+    for i in np.flatnonzero(np.diff(rows) > 2.0 * usual + SILENCE_S / dt_s):
+        there[rows[i] + 1 : rows[i + 1]] = False
+    return there
+
+
+def _inputs(
+    drive: Drive, vehicle: VehicleSpec, signals: Mapping[str, Signal], source: str
+) -> tuple[Inputs, Array, Array]:
+    """(inputs, rows whose commands acted [n, 3], rows in which the chassis's inputs are known)."""
+    rest, n = vehicle.nominal.rest_pedal_frac, drive.ticks
+    commands, outputs, follows = (np.zeros((n, 3)) for _ in range(3))
+    known, measured, echoed = np.ones(n, dtype=bool), [], []
+    for i, name in enumerate(CHANNELS):
+        idle = 0.0 if name == "steer" else rest
+        asked, _, obeyed = channel_of(drive, name, idle)
+        obeyed = obeyed & drive.enabled & np.isfinite(asked)
+        report = signals.get(f"report.{OUTPUTS[name]}")
+        output = np.nan_to_num(asked, nan=idle) if report is None else report.values
+        commands[:, i] = np.where(obeyed, np.nan_to_num(asked, nan=idle), output)
+        outputs[:, i] = output
+        follows[:, i] = _settled(obeyed, drive.dt_s)
+        known &= follows[:, i] > 0.5 if report is None else report.there
+        measured.append(report is not None)
+        echoed.append(f"report.{ECHOES[name]}" in signals)
+    gear = signals.get("report.gear")
+    held = np.full(n, GEAR_DRIVE) if gear is None else np.round(_held(drive, "report.gear"))
+    window = max(round(PIN_WINDOW_S / drive.dt_s) | 1, 5)
+    speed = np.maximum(smooth(signals[source].values, window), 0.0)
+    yaw_name = "ins.yaw_rate_radps" if "ins.yaw_rate_radps" in signals else "report.yaw_rate_radps"
+    yaw = smooth(signals[yaw_name].values, window) if yaw_name in signals else np.zeros(n)
+    nominal = vehicle.nominal
+    behind_m = (nominal.wheelbase_m or 0.0) - (nominal.front_axle_m or 0.0)
+    rate = np.nan_to_num(rate_of(speed, np.ones(n, dtype=bool), window, drive.dt_s))
+    inputs = Inputs(
+        commands, outputs, held, speed, yaw, behind_m * yaw, rate, np.ones(n), tuple(measured), tuple(echoed),
+        source.startswith("ins."), drive.dt_s,
+    )  # fmt: skip
+    return inputs, follows > 0.5, known
+
+
+def _held(drive: Drive, name: str) -> Array:
+    """A signal of steps: the newest value, the first one before it."""
+    values = drive.fields[name].copy()
+    good = np.flatnonzero(np.isfinite(values))
+    values[: good[0]] = values[good[0]]
+    return np.nan_to_num(values, nan=GEAR_DRIVE)
+
+
+def _settled(obeyed: Array, dt_s: float) -> Array:
+    """Rows that lie at least AFTER_S behind the beginning of a stretch in which commands acted."""
+    found = np.zeros(len(obeyed))
+    wait = round(AFTER_S / dt_s)
+    for begin, end in runs(obeyed, wait + 1):
+        found[begin + wait : end] = 1.0
+    return found
+
+
+def _lost(signals: Mapping[str, Signal], drive: Drive, by_ins: bool) -> dict[Link, str]:
+    """Links that this log cannot show."""
+    lost: dict[Link, str] = {}
+    blind = [name for name in CHANNELS if f"report.{OUTPUTS[name]}" not in signals]
+    mute = [name for name in CHANNELS if f"report.{ECHOES[name]}" not in signals]
+    if len(blind) == len(CHANNELS):
+        lost[Link.COMMAND_TO_REPORT] = "no actuator output is reported: the chain goes from commands to motion"
+    if len(mute) == len(CHANNELS):
+        lost[Link.COMMAND_ECHO] = "no command is echoed"
+    if not by_ins or "report.speed_mps" not in signals:
+        lost[Link.WHEEL_VS_INS] = "speed is said by one side only, chassis or INS"
+    if "ins.yaw_rate_radps" not in signals or "report.yaw_rate_radps" not in signals:
+        lost[Link.YAW_VS_INS] = "the yaw rate is said by one side only, chassis or INS"
+    if "report.accel_mps2" not in signals:
+        lost[Link.ACCEL_VS_DVDT] = "no longitudinal acceleration is reported"
+    if not by_ins and len(mute) == len(CHANNELS):
+        lost[Link.CLOCK] = "there is no second clock: neither an INS nor echoes of commands"
+    return lost

@@ -1,0 +1,141 @@
+"""When a name is given, when several, and when none: the rules, on models that are fitted already.
+
+A name needs evidence and the blocks' agreement, and must make a difference that matters: numbers alone make anything
+significant. Rivals that the blocks do not tell from it are named with it, as a set; nothing is decided by order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from tunefree_hil.gap.ask import Modelled
+from tunefree_hil.gap.evidence import (
+    LEAST_NATS,
+    Paired,
+    holm,
+    log_evidence,
+    paired,
+    predictive,
+    stretched,
+    stretches,
+)
+from tunefree_hil.gap.leftover import Left
+
+Array = np.ndarray
+
+LEAST_SHRINK = 0.05  # of a target's mean square on held-out blocks: less is no gap that anybody would repair
+MATTERS = 0.004  # of the signal: what an effect explains there, root mean square; less is nobody's worry
+BESIDE = 0.05  # of what effects found before it explain of the same target: a model of them is no more exact
+MOST_WORSE = 0.05  # of any target's: what explains one thing by spoiling another explains nothing
+CLOSE = 0.03  # of what the best gains: a rival as near as that is too near for a model that is not exact
+MOST_LEFT = 0.35  # of what could be explained before: more, and the name was not it
+
+
+class Weighed(NamedTuple):
+    """A candidate against the model that it is added to. shrink: of mean squares by target, held-out blocks together,
+    (value, low, high); target: where it gains most.
+    """
+
+    name: str
+    model: Modelled
+    evidence: float
+    gain: Paired
+    target: str
+    shrink: tuple[float, float, float]
+    worst: float
+    matters: bool
+
+    @property
+    def counts(self) -> bool:
+        """Whether this is a name: evidence and blocks agree, and it matters."""
+        sure = self.evidence > LEAST_NATS and self.gain.total > LEAST_NATS and self.gain.low > 0.0
+        return sure and self.matters and self.shrink[1] > LEAST_SHRINK and self.worst < MOST_WORSE
+
+
+def weigh(
+    candidates: Mapping[str, Modelled], start: Modelled, null: Modelled, sizes: Mapping[str, float], blocks: Array
+) -> list[Weighed]:
+    """All candidates, the best first; by the noise that the best of them leaves. sizes: of each target's signal."""
+    if not candidates:
+        return []
+    best = max(candidates.values(), key=lambda one: log_evidence(one.fitted, blocks))
+    by = stretches(best.fitted)
+    base = stretched(start.fitted, by)
+    before = log_evidence(base, blocks)
+    found = []
+    for name, one in candidates.items():
+        model = stretched(one.fitted, by)
+        gains = {t: float((predictive(model, blocks, [t]) - predictive(base, blocks, [t])).sum()) for t in model.sums}
+        target = max(gains, key=lambda t: gains[t])
+        shrinks = {t: shrink(start, one, t, blocks) for t in model.sums}
+        worst = max(-s[0] for t, s in shrinks.items() if _spoils(start, one, t, sizes, blocks) or t == target)
+        found.append(
+            Weighed(
+                name, one._replace(fitted=model), log_evidence(model, blocks) - before, paired(model, base, blocks),
+                target, shrinks[target], worst, _matters(one, start, null, target, sizes, blocks),
+            )
+        )  # fmt: skip
+    return sorted(found, key=lambda one: (not one.counts, -one.evidence))
+
+
+def _spoils(start: Modelled, one: Modelled, target: str, sizes: Mapping[str, float], blocks: Array) -> bool:
+    """Whether a target is worse by more than a trifle of its signal."""
+    more = _mean_square(one, target, blocks) - _mean_square(start, target, blocks)
+    return more > (MATTERS * sizes[target]) ** 2
+
+
+def _mean_square(model: Modelled, target: str, blocks: Array) -> float:
+    sums, counts = model.squares[target]
+    return float(sums[blocks].sum() / max(counts[blocks].sum(), 1.0))
+
+
+def _matters(
+    one: Modelled, start: Modelled, null: Modelled, target: str, sizes: Mapping[str, float], blocks: Array
+) -> bool:
+    """Whether what a candidate explains is more than a trifle, of the signal and beside what was explained before."""
+    here = _mean_square(start, target, blocks)
+    explained = max(here - _mean_square(one, target, blocks), 0.0) ** 0.5
+    already = max(_mean_square(null, target, blocks) - here, 0.0) ** 0.5
+    return explained > MATTERS * sizes[target] and explained > BESIDE * already
+
+
+def outdone(weighed: Sequence[Weighed]) -> str:
+    """Who has more evidence than the best that counts, and does not count itself: then nobody is to be named."""
+    best = weighed[0]
+    beyond = [one for one in weighed[1:] if not one.counts and one.matters and one.gain.low > 0.0]
+    better = [one for one in beyond if one.evidence > best.evidence + LEAST_NATS]
+    return max(better, key=lambda one: one.evidence).name if better else ""
+
+
+def shrink(before: Modelled, after: Modelled, target: str, blocks: Array, seed: int = 1) -> tuple[float, float, float]:
+    """By how much of itself a target's mean square shrinks, with its 95 % interval over blocks."""
+    was, now = before.squares[target][0][blocks], after.squares[target][0][blocks]
+    if was.sum() <= 0.0:
+        return 0.0, 0.0, 0.0
+    chance = np.random.default_rng(seed)
+    drawn = chance.integers(0, len(blocks), (1000, len(blocks)))
+    some = 1.0 - now[drawn].sum(axis=1) / np.maximum(was[drawn].sum(axis=1), 1e-300)
+    low, high = np.quantile(some, [0.025, 0.975])
+    return float(1.0 - now.sum() / was.sum()), float(low), float(high)
+
+
+def rivals(weighed: Sequence[Weighed], blocks: Array) -> list[str]:
+    """Names that the best cannot be told from: those which its blocks do not beat, all of them asked at once."""
+    best, others = weighed[0], [one for one in weighed[1:] if one.counts]
+    pairs = {one.name: paired(best.model.fitted, one.model.fitted, blocks) for one in others}
+    beaten = holm({name: pair.doubt for name, pair in pairs.items()})
+    near = CLOSE * max(best.gain.total, 0.0)
+    return [name for name, pair in pairs.items() if name not in beaten or pair.total < max(LEAST_NATS, near)]
+
+
+def left_share(before: Mapping[str, Left], after: Mapping[str, Left]) -> float:
+    """Of what anything could have explained, the part that still can be; each target by its noise."""
+    was = now = 0.0
+    for name, one in after.items():
+        noise = max(one.total - one.explained, 1e-30)
+        was += max(before[name].explained, 0.0) / noise
+        now += max(one.explained, 0.0) / noise
+    return now / was if was > 0.0 else 0.0

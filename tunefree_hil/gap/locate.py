@@ -1,0 +1,74 @@
+"""Where simulation and measurement part: every link by itself, before anybody is suspected.
+
+A link is broken where more is left of it than recalibration takes away, than noise, and than a calibrated model may
+miss: what could be explained by *something* on blocks that were not fitted on (leftover.py). A card says it in words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from tunefree_hil.base.contracts import Link
+from tunefree_hil.gap.clock import Echo
+from tunefree_hil.gap.leftover import Left
+from tunefree_hil.gap.regions import Region
+from tunefree_hil.gap.shape import Shape
+from tunefree_hil.gap.work import Kind
+
+LEAST_SHARE = 0.05  # of a target's mean square that something could explain
+VISIBLE = 0.03  # of the signal: what a calibrated model may miss of a car
+
+
+class Looked(NamedTuple):
+    """One target of a link with recalibration done. rms: left; noise: of it what nothing explains; explicable: what
+    something could, and as a share of the signal it is about.
+    """
+
+    signal: str
+    link: Link
+    unit: str
+    rms: float
+    noise: float
+    explicable: float
+    share: float
+    broken: bool
+
+
+class Card(NamedTuple):
+    """A broken target in words, with its shape and the regions it was looked at in, those that stand out first."""
+
+    looked: Looked
+    shape: Shape | None
+    regions: tuple[Region, ...]
+    words: str
+
+
+def look(left: Mapping[str, Left], kinds: Mapping[str, Kind], sizes: Mapping[str, float]) -> list[Looked]:
+    """All targets, the one that is missed most of its signal first."""
+    found = []
+    for name, one in left.items():
+        explicable = max(one.explained, 0.0)
+        share = explicable**0.5 / max(sizes[name], 1e-12)
+        broken = share > VISIBLE and explicable > LEAST_SHARE * one.total
+        kind = kinds[name]
+        noise = max(one.total - explicable, 0.0) ** 0.5
+        found.append(Looked(name, kind.link, kind.unit, one.total**0.5, noise, explicable**0.5, share, broken))
+    return sorted(found, key=lambda one: (not one.broken, -one.share))
+
+
+def card(looked: Looked, shape: Shape | None, regions: Sequence[Region], size: float) -> Card:
+    """'brake (command_to_report), brake (duty) 0.15 to 0.22, 0.31 s late'."""
+    clear = [one.words for one in regions if one.stands_out][:2]
+    said = [] if shape is None else [shape.words(size)]
+    words = ", ".join([f"{looked.signal} ({looked.link.value})", *clear, *(one for one in said if one)])
+    return Card(looked, shape, tuple(regions), words)
+
+
+def echo_words(echoes: Sequence[Echo]) -> list[str]:
+    """What is wrong with the way of commands from the wire to the by-wire unit."""
+    return [
+        f"{one.strange:.1%} of the {one.channel} commands echoed were not sent at that time: frames are lost or changed"
+        for one in echoes
+        if one.broken
+    ]

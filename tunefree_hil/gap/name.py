@@ -1,0 +1,292 @@
+"""Who did it: recalibration, every suspect with the same freedom, more than one if need be, and the doubt about it all.
+
+    opened = list of drives (chain.py)
+    found = yield from name(model, vehicle, opened)
+
+Two processes share the suspects. Forward: the best effect that counts (decide.py) is added and all are asked again, at
+most MOST_EFFECTS; backward: one that does not count beside the others is taken out again. The verdict is one of
+VERDICTS; whatever it is, the numbers behind it come with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tunefree_hil.base.contracts import Link, links_of
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.config.schema import ModelSpec, VehicleSpec
+from tunefree_hil.gap.ask import Modelled, Question
+from tunefree_hil.gap.chain import Opened
+from tunefree_hil.gap.clock import Echo, echoes
+from tunefree_hil.gap.decide import MOST_LEFT, Weighed, left_share, outdone, rivals, weigh
+from tunefree_hil.gap.evidence import judged
+from tunefree_hil.gap.excitation import Excited, excitation, held_by
+from tunefree_hil.gap.graph import effects
+from tunefree_hil.gap.leftover import Left
+from tunefree_hil.gap.locate import Card, Looked, card, echo_words, look
+from tunefree_hil.gap.segments import FEWEST, blocks_of
+from tunefree_hil.gap.suspects import class_of
+from tunefree_hil.gap.work import Setting
+from tunefree_hil.learn.worker import Worker
+
+Array = np.ndarray
+
+VERDICTS = ("one", "several", "set", "none_missing", "none_of_these", "cannot_test")
+MOST_EFFECTS = 3
+ASKED_AGAIN = 12  # suspects beside an effect that was found: those that gained most by themselves
+QUANTILE = 1.96
+MODULE = "tunefree_hil.gap.ask"
+
+
+class Value(NamedTuple):
+    """A parameter of an effect with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+class Effect(NamedTuple):
+    """An effect that is said to be missing. evidence: nats over the model without it."""
+
+    name: str
+    params: dict[str, Value]
+    evidence: float
+
+
+class Named(NamedTuple):
+    """The answer. candidates: all first-round suspects weighed, best first; null: recalibration alone; repaired: the
+    model with the effects in it (the null where there are none). before, after: what each leaves to be explained.
+
+    looked: every target with recalibration done; card: of the one that shows it best (None: no link is broken), with
+    the link that is to blame. echoes: of the commands. set: names where it is one of them, and not known which. lost:
+    links that the logs cannot show, in words.
+    """
+
+    verdict: str
+    effects: tuple[Effect, ...]
+    set: tuple[str, ...]
+    separate_by: str
+    link: Link | None
+    card: Card | None
+    looked: tuple[Looked, ...]
+    echoes: tuple[Echo, ...]
+    excitation: dict[str, Excited]
+    candidates: tuple[Weighed, ...]
+    question: Question
+    repaired: Modelled
+    before: dict[str, Left]
+    after: dict[str, Left]
+    lost: dict[Link, str]
+    words: tuple[str, ...]
+
+
+class Team:
+    """Two processes that have the same question open."""
+
+    def __init__(self, setting: Setting, workers: int = 2) -> None:
+        self.setting = setting
+        self.workers = [Worker() for _ in range(workers)]
+        self.token = "gap"
+
+    def open(self) -> Question:
+        """Open it in all of them."""
+        return self._all([("open_question", self.token, self.setting)] * len(self.workers))[0]
+
+    def fit(self, names: Sequence[str], start: Modelled | None) -> dict[str, Modelled]:
+        """Suspects beside `start`, shared out."""
+        model = None if start is None else start.fitted
+        shares = [list(names[i :: len(self.workers)]) for i in range(len(self.workers))]
+        found: dict[str, Modelled] = {}
+        for some in self._all([("fit_suspects", self.token, share, model) for share in shares]):
+            found |= some
+        return found
+
+    def ask(self, function: str, *args: Any) -> Any:
+        """Ask the first."""
+        return self.workers[0].result(MODULE, function, self.token, *args)
+
+    def close(self) -> None:
+        """End the processes."""
+        for worker in self.workers:
+            worker.close()
+
+    def _all(self, calls: Sequence[tuple[Any, ...]]) -> list[Any]:
+        with ThreadPoolExecutor(len(self.workers)) as pool:
+            todo = [pool.submit(one.result, MODULE, *call) for one, call in zip(self.workers, calls, strict=True)]
+            return [one.result() for one in todo]
+
+
+def name(
+    model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened], workers: int = 2
+) -> Generator[str, None, Named]:
+    """Find who it was; yields what is being done. Raises InputError for logs in which nothing can be compared."""
+    _refuse_short(drives)
+    team = Team(Setting(model, vehicle, tuple(drives)), workers)
+    try:
+        yield "recalibration alone"
+        question = team.open()
+        return (yield from _named(team, question, vehicle, drives))
+    finally:
+        team.close()
+
+
+def _refuse_short(drives: Sequence[Opened]) -> None:
+    count = blocks_of([one.ticks for one in drives], drives[0].dt_s).count
+    if count < FEWEST:
+        raise InputError(
+            f"the logs hold {count} blocks of 8 s; {FEWEST} are needed to fit, to choose and to prove",
+            code="too_short",
+            key="LOG",
+            hint="record a minute and a half or more",
+        )
+
+
+def _named(
+    team: Team, question: Question, vehicle: VehicleSpec, drives: Sequence[Opened]
+) -> Generator[str, None, Named]:
+    blocks = judged(question.blocks)
+    yield f"{len(question.suspects)} suspects"
+    first = _weighed(team, question, [one.name for one in question.suspects], None, blocks)
+    steps = yield from _forward(team, question, first, blocks)
+    steps = yield from _backward(team, question, steps, blocks)
+    repaired = steps[-1].model if steps else question.null
+    yield "what is left"
+    before, after = team.ask("left_by", [question.null.fitted, repaired.fitted], blocks)
+    said = tuple(one for opened in drives for one in echoes(opened))
+    looked = look(before, question.kinds, question.sizes)
+    still = look(after, question.kinds, question.sizes)
+    share = left_share(before, after)
+    verdict, others, words = _verdict(first, steps, looked, still, share, blocks, drives, echo_words(said))
+    link, shown = _where(team, question, steps, looked, said)
+    known = tuple(_effect(step, repaired) for step in steps) if verdict in ("one", "several") else ()
+    held = excitation(effects(), held_by(drives, vehicle))
+    return Named(
+        verdict, known, others, _manoeuvre(others), link, shown, tuple(looked), said, held, tuple(first), question,
+        repaired, before, after, _lost(drives), words,
+    )  # fmt: skip
+
+
+def _weighed(
+    team: Team, question: Question, names: Sequence[str], start: Modelled | None, blocks: Array
+) -> list[Weighed]:
+    """Suspects beside `start` (None: the null), fitted and weighed."""
+    begin = question.null if start is None else start
+    return weigh(team.fit(names, start), begin, question.null, question.sizes, blocks)
+
+
+def _forward(
+    team: Team, question: Question, first: list[Weighed], blocks: Array
+) -> Generator[str, None, list[Weighed]]:
+    """Effects one after the other, each beside those before it, refitted with them."""
+    if not first or not first[0].counts or outdone(first):
+        return []
+    steps = [first[0]]
+    asked = [one.name for one in sorted(first, key=lambda one: -one.evidence)]
+    while len(steps) < MOST_EFFECTS:
+        names = [n for n in asked if n not in {s.name for s in steps}][:ASKED_AGAIN]
+        yield f"beside {', '.join(step.name for step in steps)}"
+        more = _weighed(team, question, names, steps[-1].model, blocks)
+        if not more or not more[0].counts or outdone(more):
+            break
+        steps.append(more[0])
+    return steps
+
+
+def _backward(
+    team: Team, question: Question, steps: list[Weighed], blocks: Array
+) -> Generator[str, None, list[Weighed]]:
+    """Take out an effect that no longer counts beside those found later."""
+    if len(steps) < 2:
+        return steps
+    yield "each without the others"
+    later = steps[1:]
+    alone = _weighed(team, question, [later[0].name], None, blocks)
+    if len(steps) == 2 and alone and alone[0].counts:
+        again = _weighed(team, question, [steps[0].name], alone[0].model, blocks)
+        if again and not again[0].counts:
+            return [alone[0]]
+    return steps
+
+
+def _verdict(
+    first: list[Weighed], steps: list[Weighed], looked: Sequence[Looked], still: Sequence[Looked], share: float,
+    blocks: Array, drives: Sequence[Opened], lost: Sequence[str],
+) -> tuple[str, tuple[str, ...], tuple[str, ...]]:  # fmt: skip
+    """(verdict, set, words). looked, still: before and after what was found; share: of what could be explained, what
+    still can be.
+    """
+    if lost:
+        return "none_of_these", (), tuple(lost)
+    if not steps:
+        worst, doubtful = looked[0], first and first[0].counts and outdone(first)
+        if doubtful:
+            words = f"{first[0].name} would explain it, {doubtful} would explain more, and spoils other signals"
+            return "none_of_these", (), (words,)
+        if worst.broken:
+            return "none_of_these", (), (f"{worst.signal} is missed by {worst.share:.1%}, and no effect explains it",)
+        return "none_missing", (), ("nothing beyond noise and recalibration",)
+    if share > MOST_LEFT and any(one.broken for one in still):
+        best = ", ".join(step.name for step in steps)
+        return "none_of_these", (), (f"{best} comes nearest and leaves {share:.0%} of what could be explained",)
+    if len(steps) > 1:
+        return "several", (), ()
+    same = class_of(steps[0].name, all(one.has("report.lateral_accel_mps2") for one in drives))
+    others = [one for one in rivals(first, blocks) if one not in same]
+    if others:
+        return "set", (steps[0].name, *others), ("these explain the logs equally well",)
+    return "one", (), ()
+
+
+def _effect(step: Weighed, repaired: Modelled) -> Effect:
+    """An effect with the values that the whole repaired model has for it."""
+    model = repaired.fitted
+    curve = np.zeros((len(model.keys), len(model.keys)))
+    for one in model.sums.values():
+        at = one.columns
+        curve[np.ix_(at, at)] += one.curve.sum(axis=0) / one.colour.stretch
+    prior = np.array([0.0 if key in {f.key for f in model.free} else 1.0 for key in model.keys])
+    deviation = np.sqrt(np.maximum(np.diag(np.linalg.pinv(curve + np.diag(prior + 1e-9), hermitian=True)), 0.0))
+    catalogue, params = effects(), {}
+    for one in model.free:
+        owner, _, parameter = one.key.partition(".")
+        if owner == step.name:
+            i = model.keys.index(one.key)
+            ends = [one.value(float(model.z[i] + sign * QUANTILE * deviation[i])) for sign in (-1.0, 1.0)]
+            unit = catalogue[owner].units[parameter]
+            params[parameter] = Value(model.values[one.key], min(ends), max(ends), unit)
+    return Effect(step.name, params, step.evidence)
+
+
+def _where(
+    team: Team, question: Question, steps: list[Weighed], looked: Sequence[Looked], said: Sequence[Echo]
+) -> tuple[Link | None, Card | None]:
+    """(the link to blame, the card of the target that shows it best), of the model without any effect."""
+    lost = any(one.broken for one in said)
+    if not steps and not looked[0].broken:
+        return (Link.COMMAND_ECHO if lost else None), None
+    target = steps[0].target if steps else looked[0].signal
+    found, shape = team.ask("seen_of", question.null.fitted, target)
+    here = next(one for one in looked if one.signal == target)
+    link = links_of(effects()[steps[0].name])[0] if steps else here.link
+    return (Link.COMMAND_ECHO if lost else link), card(here, shape, found, question.sizes[target])
+
+
+def _manoeuvre(names: Iterable[str]) -> str:
+    """What would tell the names of a set apart: the first one's own manoeuvre."""
+    catalogue = effects()
+    some = [catalogue[one].manoeuvre for one in names if one in catalogue and catalogue[one].manoeuvre]
+    return some[0] if some else ""
+
+
+def _lost(drives: Sequence[Opened]) -> dict[Link, str]:
+    """Links that none of the drives shows."""
+    shared = set(drives[0].lost)
+    for one in drives[1:]:
+        shared &= set(one.lost)
+    return {link: drives[0].lost[link] for link in shared}

@@ -1,0 +1,154 @@
+"""The model that lacks nothing: recalibration alone, within what a calibrated model may be off.
+
+Whatever drifts a little from one day to the next would be called an effect by a search that holds all else fixed. So
+every candidate, and the model without any, may move these numbers as far as their priors let it. Most are parameters
+of effects of the catalogue near neutral, so that they mean the same on every kind of plant; an effect that is suspected
+has its prior let go.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from tunefree_hil.base.contracts import Port
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.config.schema import ActuatorSpec, Interval, ModelSpec, Number, value_of
+from tunefree_hil.gap.graph import CHANNELS, Graph
+
+
+class Nuisance(NamedTuple):
+    """A number that may be off: key as `Graph.run` takes it, its neutral value, standard deviation, step for slopes."""
+
+    key: str
+    neutral: float
+    sigma: float
+    step: float
+
+
+# Parameters of effects: (effect, parameter, sigma, why)
+DRIFTS: tuple[tuple[str, str, float, str], ...] = (
+    ("throttle_gain", "gain_frac", 0.02, "fuel, temperature of the engine"),
+    ("brake_gain", "gain_frac", 0.02, "temperature of the discs"),
+    ("steer_gain", "gain_frac", 0.01, "what a fit leaves of the steering ratio"),
+    ("steer_offset", "offset_rad", 0.003, "straight ahead, as a calibration finds it"),
+    ("rolling_resistance", "extra_frac", 0.06, "tyre pressure, temperature"),
+    ("aero_drag", "drag_area_m2", 0.03, "what a fit leaves of it at town speeds"),
+    ("friction", "friction_frac", 0.15, "nobody measured it; only what is driven hard shows it"),
+    ("front_stiffness", "gain_frac", 0.02, "tyre pressure, temperature"),
+    ("rear_stiffness", "gain_frac", 0.02, "tyre pressure, temperature"),
+    ("grade", "grade_rad", 0.0007, "no road is level"),
+    ("side_wind", "force_n", 8.0, "camber of a level road, a breeze"),
+    ("speed_scale", "scale_frac", 0.001, "rolling radius"),
+    ("yaw_rate_bias", "bias_radps", 0.0003, "a gyro's bias from one start to the next"),
+    ("yaw_rate_scale", "scale_frac", 0.002, "a gyro's scale"),
+    ("accel_bias", "bias_mps2", 0.008, "an accelerometer's bias from one start to the next"),
+)
+# Constants of the plant: standard deviation of the logarithm, or an amount of pedal
+CONSTANTS: dict[str, float] = {
+    "drive_force_n": 0.02,
+    "drive_knee_frac": 0.04,
+    "creep_speed_mps": 0.05,
+    "drive_power_w": 0.05,
+    "throttle_zero_frac": 0.002,
+    "creep_force_n": 0.05,
+    "yaw_inertia_kgm2": 0.03,
+    "front_axle_m": 0.04,  # geometry is the data sheet's, and no calibration moves it
+    "wheelbase_m": 0.008,
+}
+# Rolling resistance and drag are not among them: a calibration knows their sum much better than either.
+# By which constant of the plant (card.json of `calibrate`) the doubt about an effect's parameter is known
+DOUBTED = {
+    "brake_gain.gain_frac": "brake_force_n_per_frac",
+    "steer_gain.gain_frac": "steer_ratio",
+    "front_stiffness.gain_frac": "front_stiffness_n_per_rad",
+    "rear_stiffness.gain_frac": "rear_stiffness_n_per_rad",
+}
+WIDER = 2.0  # than a calibration's own deviation: it judged itself on the drives that it was fitted on
+MOST_DOUBT = 0.15  # of a constant; what was never known is no licence to explain everything
+LEAST_DEAD_TIME_S, LEAST_LAG, LEAST_GAIN = (
+    0.001,
+    0.01,
+    0.0005,
+)  # a channel is not known better than that for another day
+LEAST_OFFSET = 5e-5  # of a duty, or rad
+# How well it is known when a frame's numbers were taken, s: parts of a tick, of a bus's queue
+CLOCKS = {"clock.throttle_s": 0.004, "clock.brake_s": 0.004, "clock.steer_s": 0.004, "clock.ins_s": 0.004}
+STEP = 0.5  # of a standard deviation, for slopes
+
+
+def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> list[Nuisance]:
+    """Of a model: those that its plant has. doubts: standard deviations of its constants' logarithms (`doubts_of`)."""
+    found = []
+    for name, parameter, least, _ in DRIFTS:
+        if name in graph.can:
+            key = f"{name}.{parameter}"
+            sigma = max(least, _doubt(doubts, DOUBTED.get(key, "")))
+            found.append(Nuisance(key, graph.can[name].neutral[parameter], sigma, STEP * sigma))
+    for name, least in CONSTANTS.items():
+        if name in graph.plant.defaults:
+            sigma = least if name.endswith("zero_frac") else max(least, _doubt(doubts, name))
+            found.append(Nuisance(f"plant.{name}", 0.0, sigma, STEP * sigma))
+    found += [Nuisance(key, 0.0, sigma, STEP * sigma) for key, sigma in CLOCKS.items()]
+    for channel in CHANNELS:
+        found += _of_channel(channel, model.actuators.get(channel))
+    return found
+
+
+def doubts_of(model: ModelSpec) -> dict[str, float]:
+    """Standard deviations of the logarithms of a model's constants, from the card of `calibrate`; empty without one."""
+    if not (model.plant.card and model.folder):
+        return {}
+    path = Path(model.folder) / model.plant.card
+    if not path.is_file():
+        return {}
+    try:
+        constants = json.loads(path.read_text()).get("constants", {})
+        return {
+            name: math.log(one["high"] / one["low"]) / 3.92
+            for name, one in constants.items()
+            if isinstance(one, dict) and one.get("low", 0.0) > 0.0 and one.get("high", 0.0) > one["low"]
+        }
+    except (ValueError, AttributeError, TypeError, KeyError) as error:
+        raise InputError(
+            f"this is no card of a model: {error}", code="bad_card", file=str(path), hint="calibrate the model again"
+        ) from error
+
+
+def _doubt(doubts: Mapping[str, float], name: str) -> float:
+    return min(WIDER * doubts.get(name, 0.0), MOST_DOUBT)
+
+
+def _of_channel(channel: str, spec: ActuatorSpec | None) -> list[Nuisance]:
+    """Numbers of [actuators] within their intervals (95 %), but never closer than a channel is known."""
+    if spec is None:
+        return []
+    found = [_added(channel, "dead_time_s", spec.dead_time_s, LEAST_DEAD_TIME_S)]
+    found.append(_added(channel, "offset", spec.offset, LEAST_OFFSET))
+    names = ("lag_s",) if spec.order == 1 else ("natural_hz", "damping")
+    for name in (*names, "gain"):
+        number = getattr(spec, name)
+        value = value_of(number)
+        if value > 0.0:
+            sigma = max(_deviation(number) / value, LEAST_GAIN if name == "gain" else LEAST_LAG)
+            found.append(Nuisance(f"actuator.{channel}.{name}", 0.0, min(sigma, 0.3), STEP * min(sigma, 0.3)))
+    return found
+
+
+def _added(channel: str, name: str, number: Number, least: float) -> Nuisance:
+    sigma = max(_deviation(number), least)
+    return Nuisance(f"actuator.{channel}.{name}", 0.0, sigma, STEP * sigma)
+
+
+def _deviation(number: Number) -> float:
+    """Standard deviation of a number with an interval of 95 %."""
+    return (number.high - number.low) / 3.92 if isinstance(number, Interval) else 0.0
+
+
+def port_of(key: str, graph: Graph) -> Port | None:
+    """The port of a nuisance that is an effect's, else None."""
+    name = key.partition(".")[0]
+    return graph.can[name].port if name in graph.can else None

@@ -1,0 +1,238 @@
+"""A question as a problem of least squares: keys that may move, their slopes, normal equations by target and block.
+
+Nuisances (null.py) are counted in standard deviations of their priors, free parameters in u: from 0 to 1 over theirs.
+Residuals are whitened and in units of the noise, so that squares are log likelihoods.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from tunefree_hil.gap.noise import Colour
+from tunefree_hil.gap.null import Nuisance
+from tunefree_hil.gap.segments import PROOF
+from tunefree_hil.gap.work import Residuals, Work
+
+Array = np.ndarray
+
+SLOPE = 0.02  # of a unit of a free parameter, for slopes
+SIGMA_SLOPE = 0.5  # of a standard deviation, of a nuisance
+TOUCHED = 1e-9  # of a target's size: what changes less is not touched by a parameter
+MOST_SIGMA = 3.0  # of a prior: what recalibration may do at most; beyond it something is missing
+HELD_TURNS = 6
+FLAT = 1e-6  # added to every curvature: what the data do not feel stays where it is
+
+
+class Free(NamedTuple):
+    """A parameter that is looked for. u is its own number on its scale, from 0 (low) to 1 (high) within the prior.
+
+    least, most: ends of u that it may reach, beyond the prior where that makes sense. neutral: its neutral value.
+    """
+
+    key: str
+    low: float
+    high: float
+    logarithmic: bool
+    neutral: float
+    least: float
+    most: float
+
+    def value(self, u: float) -> float:
+        """The parameter at u."""
+        if self.logarithmic:
+            return self.low * (self.high / self.low) ** u
+        return self.low + u * (self.high - self.low)
+
+    def place(self, value: float) -> float:
+        """u of a value."""
+        if self.logarithmic:
+            return math.log(max(value, 1e-300) / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+
+class Sums(NamedTuple):
+    """A target's normal equations by block: columns [c] that it feels; square [b], slope [b, c], curve [b, c, c];
+    count [b] of rows. Residuals are whitened, in units of the noise.
+    """
+
+    columns: Array
+    square: Array
+    slope: Array
+    curve: Array
+    count: Array
+    colour: Colour
+
+
+class Fitted(NamedTuple):
+    """A model that was fitted: name; keys [p] of what it moved, z [p]: where to (nuisances in standard deviations, free
+    parameters in u); free: how many of the keys, at the end, are free ones; values: as the graph takes them.
+
+    sums: by target, at the solution; residuals: there.
+    """
+
+    name: str
+    keys: tuple[str, ...]
+    z: Array
+    free: tuple[Free, ...]
+    values: dict[str, float]
+    sums: dict[str, Sums]
+    residuals: Residuals
+
+    def param(self, key: str) -> float:
+        """A value, by its key."""
+        return self.values[key]
+
+
+class Slopes(NamedTuple):
+    """What a unit of each key does to each target: by target (columns [c], slopes a drive [m, c])."""
+
+    by_target: dict[str, tuple[Array, list[Array]]]
+
+
+class Problem:
+    """Fits of one question. keys: of all nuisances, in their order."""
+
+    def __init__(self, work: Work, nuisances: Sequence[Nuisance]) -> None:
+        self.work = work
+        self.nuisances = {one.key: one for one in nuisances}
+
+    def values(self, keys: Sequence[str], z: Array, free: Sequence[Free]) -> dict[str, float]:
+        """As the graph takes them."""
+        by_key = {one.key: one for one in free}
+        found = {}
+        for key, at in zip(keys, z, strict=True):
+            if key in by_key:
+                found[key] = by_key[key].value(float(at))
+            else:
+                nuisance = self.nuisances[key]
+                found[key] = nuisance.neutral + nuisance.sigma * float(at)
+        return found
+
+    def slopes(
+        self, keys: Sequence[str], z: Array, free: Sequence[Free], which: Sequence[int], at: Residuals
+    ) -> Slopes:
+        """By differences; one simulation each. at: the residuals at z."""
+        free_keys = {one.key: one for one in free}
+        moved: list[Residuals] = []
+        steps = []
+        for i in which:
+            step = SIGMA_SLOPE
+            if keys[i] in free_keys:
+                one = free_keys[keys[i]]
+                step = SLOPE if z[i] + SLOPE <= one.most else -SLOPE
+            there = z.copy()
+            there[i] += step
+            moved.append(self.work.residuals(self.values(keys, there, free)))
+            steps.append(step)
+        found = {}
+        for name, here in at.items():
+            columns = [
+                [(one[name][d] - here[d]) / step for d in range(len(here))]
+                for one, step in zip(moved, steps, strict=True)
+            ]
+            size = max(max(float(np.abs(piece).max()) for piece in here), 1e-12)
+            felt = [
+                c for c, column in enumerate(columns) if max(float(np.abs(p).max()) for p in column) > TOUCHED * size
+            ]
+            pieces = [
+                np.stack([columns[c][d] for c in felt], axis=1) if felt else np.zeros((len(here[d]), 0))
+                for d in range(len(here))
+            ]
+            found[name] = (np.array([which[c] for c in felt], dtype=np.int64), pieces)
+        return Slopes(found)
+
+    def sums(self, residuals: Residuals, slopes: Slopes, colours: dict[str, Colour]) -> dict[str, Sums]:
+        """Normal equations of all targets."""
+        return {name: self.sums_of(name, residuals[name], slopes.by_target[name], colours[name]) for name in residuals}
+
+    def sums_of(self, name: str, residual: list[Array], slope: tuple[Array, list[Array]], colour: Colour) -> Sums:
+        """Normal equations of a target."""
+        columns, pieces = slope
+        joint = [np.column_stack([r, s]) for r, s in zip(residual, pieces, strict=True)]
+        rows, blocks = self.work.white(name, joint, colour)
+        count, width = self.work.blocks.count, rows.shape[1]
+        whole = np.zeros((count, width, width))
+        for b in np.unique(blocks):
+            some = rows[blocks == b]
+            whole[b] = some.T @ some
+        size = np.bincount(blocks, minlength=count).astype(float)
+        return Sums(columns, whole[:, 0, 0], whole[:, 0, 1:], whole[:, 1:, 1:], size, colour)
+
+    def colours(self, residuals: Residuals) -> dict[str, Colour]:
+        """The noise that these residuals would be."""
+        return {name: self.work.colour(name, some) for name, some in residuals.items()}
+
+    def judged(self) -> Array:
+        """Blocks that are fitted on or chosen by: all but those that prove."""
+        return np.flatnonzero(self.work.blocks.roles != PROOF)
+
+
+def prior_of(keys: Sequence[str], free: Sequence[Free]) -> Array:
+    """Precision of each key's prior in its unit: 1 for a nuisance, 0 for what is free within its ends."""
+    loose = {one.key for one in free}
+    return np.array([0.0 if key in loose else 1.0 for key in keys])
+
+
+def gathered(sums: dict[str, Sums], width: int, blocks: Array) -> tuple[Array, Array, float]:
+    """(curve, slope, square) over targets and blocks, each target's noise stretched."""
+    curve, slope, square = np.zeros((width, width)), np.zeros(width), 0.0
+    for one in sums.values():
+        scale = 1.0 / one.colour.stretch
+        at = one.columns
+        curve[np.ix_(at, at)] += scale * one.curve[blocks].sum(axis=0)
+        slope[at] += scale * one.slope[blocks].sum(axis=0)
+        square += scale * float(one.square[blocks].sum())
+    return curve, slope, square
+
+
+def cost_of(sums: dict[str, Sums], z: Array, prior: Array, blocks: Array) -> float:
+    """Squares over the noise, and the prior's."""
+    square = sum(float(one.square[blocks].sum()) / one.colour.stretch for one in sums.values())
+    return square + float(prior @ (z * z))
+
+
+def squares(
+    problem: Problem, residuals: Residuals, colours: dict[str, Colour], before: Residuals, sums: dict[str, Sums],
+    blocks: Array,
+) -> float:  # fmt: skip
+    """Squares over the noise in some blocks; of targets that have not changed they are those of `sums`."""
+    total = 0.0
+    for name, some in residuals.items():
+        colour = colours[name]
+        if all(np.array_equal(a, b) for a, b in zip(some, before[name], strict=True)):
+            total += float(sums[name].square[blocks].sum()) / colour.stretch
+            continue
+        rows, at = problem.work.white(name, some, colour)
+        total += float(np.sum(rows[np.isin(at, blocks)] ** 2)) / colour.stretch
+    return total
+
+
+def ends_of(keys: Sequence[str], free: Sequence[Free]) -> tuple[Array, Array]:
+    """How far each key may go."""
+    by_key = {one.key: one for one in free}
+    low = np.array([by_key[key].least if key in by_key else -MOST_SIGMA for key in keys])
+    high = np.array([by_key[key].most if key in by_key else MOST_SIGMA for key in keys])
+    return low, high
+
+
+def bounded(curve: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
+    """The step from z to the least of a quadratic within bounds: what would go beyond one is held at it, in turn."""
+    step = np.zeros(len(z))
+    loose = np.ones(len(z), dtype=bool)
+    curve = curve + FLAT * np.eye(len(z))
+    for _ in range(HELD_TURNS):
+        pull = slope[loose] + curve[np.ix_(loose, ~loose)] @ step[~loose]
+        step[loose] = -np.linalg.solve(curve[np.ix_(loose, loose)], pull)
+        there = np.clip(z + step, low, high)
+        beyond = loose & (there != z + step)
+        step = there - z
+        if not beyond.any():
+            break
+        loose &= ~beyond
+        if not loose.any():
+            break
+    return step

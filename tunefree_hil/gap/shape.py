@@ -1,0 +1,75 @@
+"""What a residual looks like, for people: how late the car is, how weak, how far off, and how quickly it changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import coherence
+
+Array = np.ndarray
+
+LONGEST_S = 0.8
+CLEAR_LATE_S, CLEAR_GAIN, CLEAR_BIAS = 0.01, 0.02, 0.02  # from here on it is worth a word; bias: of the signal
+LEAST_ROWS = 256
+
+
+class Shape(NamedTuple):
+    """The measured signal against the simulated one. late_s: by how much it comes later; gain: factor; bias: amount
+    more; at 0 Hz to `hz` lies half of the residual's power; coherent: how well the simulation foretells the residual.
+    """
+
+    late_s: float
+    gain: float
+    bias: float
+    hz: float
+    coherent: float
+
+    def words(self, size: float) -> str:
+        """As a person would say it; '' where nothing of it is clear. size: the signal's deviation."""
+        said = []
+        if abs(self.late_s) >= CLEAR_LATE_S:
+            said.append(f"{abs(self.late_s):.2f} s {'late' if self.late_s > 0.0 else 'early'}")
+        if abs(self.gain - 1.0) >= CLEAR_GAIN:
+            said.append(f"{abs(self.gain - 1.0):.0%} {'strong' if self.gain > 1.0 else 'weak'}")
+        if abs(self.bias) >= CLEAR_BIAS * size:
+            said.append(f"{self.bias:+.3g} off")
+        return ", ".join(said)
+
+
+def shape_of(residual: Sequence[Array], measured: Sequence[Array], valid: Sequence[Array], dt_s: float) -> Shape | None:
+    """Of a target, its longest drive; residual: simulated - measured. None where there is too little of it."""
+    i = int(np.argmax([one.sum() for one in valid]))
+    good, truth = valid[i], measured[i]
+    made = truth + residual[i]
+    if good.sum() < LEAST_ROWS or np.std(made[good]) < 1e-12:
+        return None
+    most = round(LONGEST_S / dt_s)
+    costs = [_fitted(np.roll(made, s), truth, good)[2] for s in range(-most, most + 1)]
+    best = int(np.argmin(costs))
+    late = best - most + _between(costs, best)
+    gain, bias, _ = _fitted(np.roll(made, best - most), truth, good)
+    left = np.where(good, residual[i] - np.mean(residual[i][good]), 0.0)
+    power = np.abs(np.fft.rfft(left)) ** 2
+    hz = float(np.searchsorted(np.cumsum(power), 0.5 * power.sum()) / (len(left) * dt_s))
+    rate, share = coherence(np.where(good, made, 0.0), left, 1.0 / dt_s, nperseg=LEAST_ROWS)
+    return Shape(late * dt_s, gain, bias, hz, float(np.mean(share[rate <= 2.0])))
+
+
+def _fitted(made: Array, truth: Array, good: Array) -> tuple[float, float, float]:
+    """(gain, bias, squares) of the straight line through simulated and measured."""
+    x, y = made[good], truth[good]
+    dx, dy = x - x.mean(), y - y.mean()
+    square = float(dx @ dx)
+    gain = float(dx @ dy) / square if square > 0.0 else 1.0
+    return gain, float(y.mean() - gain * x.mean()), float(dy @ dy) - gain * float(dx @ dy)
+
+
+def _between(costs: Sequence[float], best: int) -> float:
+    """The minimum of the parabola through three costs, in places from `best`."""
+    if not 0 < best < len(costs) - 1:
+        return 0.0
+    a, b, c = costs[best - 1 : best + 2]
+    curve = a - 2.0 * b + c
+    return 0.5 * (a - c) / curve if curve > 0.0 else 0.0

@@ -1,0 +1,66 @@
+"""Who is suspected: every file of effects/ that the plant can have, with what its prior says to search."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from tunefree_hil.base.contracts import Link, Prior, links_of, prior_of
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.config.schema import ModelSpec, VehicleSpec
+from tunefree_hil.gap.graph import Graph
+from tunefree_hil.gap.problem import Free
+
+BEYOND = 0.35  # of the prior's width, that a search may go past its ends
+CLASSES: tuple[frozenset[str], ...] = (frozenset({"brake_drag", "rolling_resistance"}),)
+WITHOUT_LATERAL = frozenset({"side_wind", "road_bank"})
+
+
+class Suspect(NamedTuple):
+    """An effect with the parameters to look for."""
+
+    name: str
+    free: tuple[Free, ...]
+    links: tuple[Link, ...]
+
+
+def suspects_of(graph: Graph, model: ModelSpec, vehicle: VehicleSpec) -> tuple[list[Suspect], dict[str, str]]:
+    """(suspects, effects that cannot be suspected with the reason)."""
+    found, cannot = [], dict(graph.cannot)
+    sizes = sizes_of(model, vehicle, graph)
+    for name, effect in graph.can.items():
+        try:
+            priors = {key: prior_of(effect, key, sizes) for key in effect.neutral}
+        except InputError as error:
+            cannot[name] = error.message
+            continue
+        free = tuple(free_of(f"{name}.{key}", prior, effect.neutral[key]) for key, prior in priors.items())
+        found.append(Suspect(name, free, links_of(effect)))
+    return found, cannot
+
+
+def free_of(key: str, prior: Prior, neutral: float) -> Free:
+    """A prior as a search takes it: on a logarithmic scale only where it does not cross nought."""
+    logarithmic = prior.scale == "log" and prior.low > 0.0
+    one = Free(key, prior.low, prior.high, logarithmic, neutral, -BEYOND, 1.0 + BEYOND)
+    if not logarithmic and prior.low >= 0.0:
+        return one._replace(least=max(-BEYOND, one.place(0.0) + 1e-6))
+    return one
+
+
+def sizes_of(model: ModelSpec, vehicle: VehicleSpec, graph: Graph) -> Mapping[str, float]:
+    """The vehicle's own sizes, by which priors are given."""
+    params = {**graph.plant.defaults, **model.plant.params}
+    nominal = vehicle.nominal
+    return {
+        "steer_rad": vehicle.limits.steer_rad,
+        "mass_kg": nominal.mass_kg or params.get("mass_kg", math.nan),
+        "wheelbase_m": nominal.wheelbase_m or params.get("wheelbase_m", math.nan),
+    }
+
+
+def class_of(name: str, has_lateral: bool) -> frozenset[str]:
+    """The names that no log of an ordinary drive can tell from this one, itself among them (interfaces 4)."""
+    classes = CLASSES if has_lateral else (*CLASSES, WITHOUT_LATERAL)
+    return next((one for one in classes if name in one), frozenset({name}))

@@ -1,0 +1,204 @@
+"""What is compared of a drive, link by link: the same linear functional of what was measured and what was simulated.
+
+Differences between two sensors are compared as differences, so that what the car model gets wrong cancels out of the
+links between sensors. `travel` is the summed-up rate of speed of the simulation, and the speed of the measurement: its
+slope over a short window is the acceleration of either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from tunefree_hil.base.contracts import Link
+from tunefree_hil.gap.chain import OUTPUTS, Opened
+from tunefree_hil.gap.graph import CHANNELS
+from tunefree_hil.gap.ride import SHOWN
+from tunefree_hil.learn.smooth import quantum_of
+
+Array = np.ndarray
+
+WINDOW_S = 0.21  # of the polynomials; delays of a few hundredths still show through it
+EVERY_S = 0.05
+ACT_EVERY_S = 0.02
+LEAST_MPS = 1.5  # below it creep, stick and standing still are no car that a single track describes
+LEAST_ROWS = 200
+COLUMN = {name: i for i, name in enumerate(SHOWN)}
+FIELDS = {
+    "speed_mps": "report.speed_mps",
+    "yaw_rate_radps": "report.yaw_rate_radps",
+    "accel_mps2": "report.accel_mps2",
+    "lateral_accel_mps2": "report.lateral_accel_mps2",
+    "ins_speed_mps": "ins.speed_mps",
+    "ins_yaw_rate_radps": "ins.yaw_rate_radps",
+}
+
+
+class Target(NamedTuple):
+    """One thing that is compared. rows [m]: of the drive; valid [m]; measured [m]; dt_s between two rows.
+
+    quantum: what the wire rounds to, as far as the functional lets it through.
+    """
+
+    name: str
+    link: Link
+    unit: str
+    rows: Array
+    valid: Array
+    measured: Array
+    dt_s: float
+    quantum: float
+
+
+Functional = Callable[["Columns"], Array]
+
+
+class Columns:
+    """The signals of a drive, simulated or measured, by the names of SHOWN; `travel` beside them."""
+
+    def __init__(self, columns: dict[str, Array], dt_s: float) -> None:
+        self.columns, self.dt_s = columns, dt_s
+        self.window = max(round(WINDOW_S / dt_s) | 1, 5)
+
+    def __getitem__(self, name: str) -> Array:
+        return self.columns[name]
+
+    def mean(self, values: Array) -> Array:
+        """Smoothed."""
+        return np.asarray(savgol_filter(values, self.window, 2))
+
+    def slope(self, values: Array) -> Array:
+        """Rate per s of the smoothed signal."""
+        return np.asarray(savgol_filter(values, self.window, 2, deriv=1, delta=self.dt_s))
+
+
+def measured_columns(opened: Opened) -> Columns:
+    """What was measured, as far as it was."""
+    found = {name: opened.signals[field].values for name, field in FIELDS.items() if field in opened.signals}
+    source = "ins.speed_mps" if opened.inputs.by_ins else "report.speed_mps"
+    found["travel"] = opened.signals[source].values
+    for i, name in enumerate(CHANNELS):
+        found[OUTPUTS[name]] = opened.inputs.outputs[:, i]
+    return Columns(found, opened.dt_s)
+
+
+def simulated_columns(shown: Array, opened: Opened) -> Columns:
+    """What the graph showed."""
+    found = {name: shown[:, i] for name, i in COLUMN.items()}
+    rate = shown[:, COLUMN["ins_accel_mps2" if opened.inputs.by_ins else "rate_mps2"]]
+    found["travel"] = np.cumsum(rate) * opened.dt_s
+    return Columns(found, opened.dt_s)
+
+
+def _rate(c: Columns) -> Array:
+    return c.slope(c["travel"])
+
+
+def _yaw(c: Columns) -> Array:
+    return c.mean(c["ins_yaw_rate_radps"])
+
+
+def _own_yaw(c: Columns) -> Array:
+    return c.mean(c["yaw_rate_radps"])
+
+
+def _beyond_turning(c: Columns) -> Array:
+    """Lateral acceleration less speed times yaw rate: what side slip and gravity leave."""
+    return c.mean(c["lateral_accel_mps2"] - c["ins_speed_mps"] * c["ins_yaw_rate_radps"])
+
+
+def _lateral(c: Columns) -> Array:
+    return c.mean(c["lateral_accel_mps2"])
+
+
+def _wheels(c: Columns) -> Array:
+    return c.mean(c["speed_mps"] - c["ins_speed_mps"])
+
+
+def _turns(c: Columns) -> Array:
+    return c.mean(c["yaw_rate_radps"] - c["ins_yaw_rate_radps"])
+
+
+def _felt(c: Columns) -> Array:
+    return c.mean(c["accel_mps2"]) - c.slope(c["travel"])
+
+
+MOTION = Link.REPORT_TO_MOTION
+# name, link, unit, fields that must be measured, fields in whose presence another one is better
+PLANNED: tuple[tuple[str, Link, str, tuple[str, ...], tuple[str, ...], Functional], ...] = (
+    ("rate_of_speed", MOTION, "m/s2", (), (), _rate),
+    ("yaw_rate", MOTION, "rad/s", ("ins.yaw_rate_radps",), (), _yaw),
+    ("yaw_rate", MOTION, "rad/s", ("report.yaw_rate_radps",), ("ins.yaw_rate_radps",), _own_yaw),
+    ("lateral_beyond_turning", MOTION, "m/s2",
+     ("report.lateral_accel_mps2", "ins.speed_mps", "ins.yaw_rate_radps"), (), _beyond_turning),
+    ("lateral_accel", MOTION, "m/s2", ("report.lateral_accel_mps2",), ("ins.yaw_rate_radps",), _lateral),
+    ("wheel_vs_ins", Link.WHEEL_VS_INS, "m/s", ("report.speed_mps", "ins.speed_mps"), (), _wheels),
+    ("yaw_vs_ins", Link.YAW_VS_INS, "rad/s", ("report.yaw_rate_radps", "ins.yaw_rate_radps"), (), _turns),
+    ("accel_vs_dvdt", Link.ACCEL_VS_DVDT, "m/s2", ("report.accel_mps2",), (), _felt),
+)  # fmt: skip
+
+
+class Compared:
+    """All targets of a drive, with the functionals that give them."""
+
+    def __init__(self, opened: Opened) -> None:
+        self.opened = opened
+        self._functionals: list[Functional] = []
+        self.targets: list[Target] = []
+        columns = measured_columns(opened)
+        for i, channel in enumerate(CHANNELS):
+            self._add_channel(i, channel, columns)
+        for name, link, unit, needed, better, functional in PLANNED:
+            if opened.has(*needed) and not (better and opened.has(*better)):
+                self._add(name, link, unit, functional, columns, needed)
+
+    def of(self, shown: Array) -> list[Array]:
+        """Simulated minus measured, target by target, at their rows."""
+        columns = simulated_columns(shown, self.opened)
+        return [
+            functional(columns)[target.rows] - target.measured
+            for target, functional in zip(self.targets, self._functionals, strict=True)
+        ]
+
+    def _add(
+        self, name: str, link: Link, unit: str, functional: Functional, columns: Columns, needed: tuple[str, ...]
+    ) -> None:
+        opened = self.opened
+        good = opened.moving & (opened.inputs.speed_mps > LEAST_MPS)
+        for field in needed:
+            good &= opened.signals[field].there
+        good = _inside(good, 2 * columns.window)
+        rows = np.arange(0, opened.ticks, max(round(EVERY_S / opened.dt_s), 1))
+        if good[rows].sum() >= LEAST_ROWS:
+            measured = functional(columns)[rows]
+            every_s = max(round(EVERY_S / opened.dt_s), 1) * opened.dt_s
+            self.targets.append(Target(name, link, unit, rows, good[rows], measured, every_s, 0.0))
+            self._functionals.append(functional)
+
+    def _add_channel(self, i: int, channel: str, columns: Columns) -> None:
+        opened, field = self.opened, OUTPUTS[channel]
+        report = opened.signals.get(f"report.{field}")
+        if report is None:
+            return
+        rows = np.flatnonzero(report.fresh)
+        rows = rows[:: max(round(ACT_EVERY_S / (opened.dt_s * max(float(np.median(np.diff(rows))), 1.0))), 1)]
+        good = opened.follows[rows, i] & report.there[rows]
+        if good.sum() < LEAST_ROWS:
+            return
+        measured = columns[field][rows]
+        every_s = float(np.median(np.diff(rows))) * opened.dt_s
+        unit = "rad" if channel == "steer" else "1"
+        quantum = quantum_of(measured)
+        self.targets.append(Target(channel, Link.COMMAND_TO_REPORT, unit, rows, good, measured, every_s, quantum))
+        self._functionals.append(lambda c: c[field])
+
+
+def _inside(good: Array, by: int) -> Array:
+    """Rows at least `by` away from one that is not good."""
+    kernel = np.ones(2 * by + 1)
+    bad = np.convolve(~good, kernel, "same") > 0.5
+    bad[:by] = bad[-by:] = True
+    return ~bad
