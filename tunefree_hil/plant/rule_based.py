@@ -86,6 +86,4 @@ def open_rule_based(path: Path) -> Any:
     return plant_of(load_map(path))
 
 
-PLANT = Plant(
-    unopened("rule_based"), DEFAULTS, open=open_rule_based, file=MAP_FILE, observe=observe_rule_based
-)
+PLANT = Plant(unopened("rule_based"), DEFAULTS, open=open_rule_based, file=MAP_FILE, observe=observe_rule_based)
