@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.gap.fit import fit_candidate, fit_null
+from tunefree_hil.gap.fit import fit_again, fit_candidate, fit_null
 from tunefree_hil.gap.leftover import Left, leftovers
 from tunefree_hil.gap.null import doubts_of, nuisances
 from tunefree_hil.gap.problem import Fitted, Problem, Slopes
@@ -100,6 +100,12 @@ def fit_suspects(token: str, names: Sequence[str], start: Fitted | None) -> Gene
         except InputError:  # outside what the body allows everywhere on its grid: then it is not this
             continue
     return found
+
+
+def polished(token: str, model: Fitted) -> Modelled:
+    """A model fitted on until nothing is gained: what others are to be weighed beside."""
+    one = _questions[token]
+    return _sent(one.work, fit_again(one.problem, one.again(model)))
 
 
 def left_by(token: str, models: Sequence[Fitted], blocks: Array) -> list[dict[str, Left]]:

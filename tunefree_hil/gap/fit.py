@@ -34,6 +34,7 @@ from tunefree_hil.gap.work import Residuals
 Array = np.ndarray
 
 GRID = 12
+FINER = 9  # points between the best one's neighbours: a delay is rugged on the scale of a tick
 TURNS, NULL_TURNS = 6, 15  # Gauss-Newton steps at most; a null that is not at its best makes effects of nothing
 SETTLING = 3  # of them, after which the noise is taken as it is
 ENOUGH = 0.5  # in squares: a step that gains less is the last one
@@ -102,6 +103,14 @@ def _stepped(problem: Problem, at: Point, sums: dict[str, Sums], before: float, 
     return at, before
 
 
+def fit_again(problem: Problem, model: Fitted) -> Fitted:
+    """A model fitted on from where it stands (with its residuals), under the noise that it leaves itself."""
+    at = Point(model.keys, model.free, model.z, model.residuals)
+    at = _descended(problem, at, problem.colours(model.residuals), problem.judged(), NULL_TURNS)
+    slopes = problem.slopes(at.keys, at.z, at.free, list(range(len(at.keys))), at.residuals)
+    return _finished(problem, model.name, at, slopes)
+
+
 def fit_candidate(
     problem: Problem, name: str, free: Sequence[Free], start: Fitted, shared: Slopes, starts: Sequence[Array] = ()
 ) -> Fitted:
@@ -162,13 +171,14 @@ def _best_start(
     base, prior = at.z, prior_of(at.keys, at.free)[: len(at.z)]
     low, high = ends_of(at.keys, at.free)
     ends = low[: len(base)], high[: len(base)]
-    best: tuple[float, Array] | None = None
-    for u in starts or grid_of(free):
+
+    def tried(u: Array) -> tuple[float, Array] | None:
+        """(what is left, the point with recalibration done) at a point of the grid; None where it makes no car."""
         z = np.concatenate([base, u])
         try:
             residuals = problem.work.residuals(problem.values(at.keys, z, at.free))
         except InputError:
-            continue
+            return None
         sums = {
             name: kept[name]
             if all(np.array_equal(a, b) for a, b in zip(some, start.residuals[name], strict=True))
@@ -176,10 +186,16 @@ def _best_start(
             for name, some in residuals.items()
         }
         left, step = _recalibrated(sums, base, prior, ends, blocks)
-        if best is None or left < best[0]:
-            best = (left, np.concatenate([base + step, u]))
-    if best is None:
+        return left, np.concatenate([base + step, u])
+
+    points = [found for u in starts or grid_of(free) if (found := tried(u)) is not None]
+    if not points:
         raise InputError("no value of it makes a car", code="no_such_effect", key=",".join(one.key for one in free))
+    best = min(points, key=lambda one: one[0])
+    if not starts and len(free) == 1:
+        near = best[1][-1:] + np.linspace(-1.0, 1.0, FINER)[:, None] / (GRID - 1)
+        points += [found for u in near if (found := tried(np.clip(u, low[-1], high[-1]))) is not None]
+        best = min(points, key=lambda one: one[0])
     z = np.clip(best[1], low, high)
     residuals = problem.work.residuals(problem.values(at.keys, z, at.free))
     return at._replace(z=z, residuals=residuals), _recalibrated(kept, base, prior, ends, blocks)[0] - best[0]

@@ -186,7 +186,7 @@ def _forward(
     """Effects one after the other, each beside those before it, refitted with them."""
     if not first or not first[0].counts or outdone(first):
         return []
-    steps = [first[0]]
+    steps = [_polished(team, question, first[0], question.null, blocks)]
     asked = [one.name for one in sorted(first, key=lambda one: -one.evidence)]
     while len(steps) < MOST_EFFECTS:
         names = [n for n in asked if n not in {s.name for s in steps}][:ASKED_AGAIN]
@@ -194,8 +194,14 @@ def _forward(
         more = _weighed(team, question, names, steps[-1].model, blocks)
         if not more or not more[0].counts or outdone(more):
             break
-        steps.append(more[0])
+        steps.append(_polished(team, question, more[0], steps[-1].model, blocks))
     return steps
+
+
+def _polished(team: Team, question: Question, step: Weighed, before: Modelled, blocks: Array) -> Weighed:
+    """An effect that was found, fitted on until nothing is gained: else those asked next would be credited with it."""
+    model: Modelled = team.ask("polished", step.model.fitted)
+    return weigh({step.name: model}, before, question.null, question.sizes, blocks)[0]
 
 
 def _backward(
