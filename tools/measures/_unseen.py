@@ -84,7 +84,7 @@ def ended(job: Iterable[Event]) -> dict[str, Any]:
     for event in job:
         if event.kind == "result":
             data = event.data
-        elif event.kind != "line":
+        elif event.kind != "line" and event.message:
             more = "".join(f" {event.data[key]}" for key in ("done", "total") if key in event.data)
             print(f"{event.message}{more}", file=sys.stderr, flush=True)
     return data

@@ -77,6 +77,13 @@ def compiled(function: F) -> F:
     return cast(F, dispatcher)
 
 
+def compiler_errors() -> tuple[type[Exception], ...]:
+    """What a compiled kernel raises at its first call where the compiler does not take its code."""
+    from numba.core.errors import NumbaError
+
+    return (NumbaError,)
+
+
 def kept(function: F) -> F:
     """`function`, a kernel that Python calls, with what the compiler makes of it kept in the user's cache folder.
 

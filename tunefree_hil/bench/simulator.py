@@ -35,6 +35,7 @@ from tunefree_hil.batch.episode import (
     Setting,
     make_episode,
 )
+from tunefree_hil.bench.compiled_plant import answer_of
 from tunefree_hil.bench.controller import ControllerFor, needed_messages
 from tunefree_hil.bench.load import Bench, model_of
 from tunefree_hil.bench.scaling import scaled
@@ -120,7 +121,7 @@ class Simulator:
             vehicle = self._vehicle(job)
             kernel, setting, link, rider, car = self._episode(task, vehicle)
         out = self._rows(vehicle.course.ticks)
-        end = End._make(kernel(self._link, link, setting, rider, car, out))
+        end = End._make(answer_of(kernel, (self._link, link, setting, rider, car, out), self._base.model))
         if end.code == NEEDS_THE_BUS:
             raise InputError(
                 "an override is latched before the take-over: the batch does not drive that",

@@ -1,0 +1,146 @@
+"""One hidden effect from end to end: tuned on a model that lacks it, named from a log, repaired, tuned again.
+
+The car is one of the exam's (tools/gap_exam), which shares no code with models and effects here; all that is done to it
+is done by the commands a user would paste, each in a process of its own. What was finished is not done again.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from tools.measures._ledger import FIGURES, FOLDER, ROOT
+from tools.measures._summary import machine, rounded
+from tunefree_hil.figures.demonstration import Tuned, write_demonstration
+from tunefree_hil.jobs.run_folder import read_json
+
+VALUE = "score on the vehicle after tuning on the repaired model, as a share of that after tuning on the old one"
+NAME = "gap_demo"
+PYTHON = sys.executable
+EXAM = [PYTHON, "-m", "tools.gap_exam"]
+TOOL = [PYTHON, "-m", "tunefree_hil"]
+SEARCHED = ["left_turn", "right_turn", "u_turn", "side_pass", "serpentine", "speed_changes", "stop_and_go"]
+UNSEEN = [
+    "left_turn_fast", "right_turn_slow", "u_turn_wide", "lane_change_12mps", "double_lane_change", "stop_from_12mps",
+]  # fmt: skip
+OLD, REPAIRED = "old", "repaired"
+
+
+def measure(
+    effect: str = "steer_dead_time=0.18", vehicle: int = 1, domain: str = "dev:demo", trials: int = 60, seed: int = 1,
+    folder: str = FOLDER, figures: str = FIGURES,
+) -> dict[str, Any]:  # fmt: skip
+    """effect: as `python -m tools.gap_exam make --effect` has it; vehicle: number of the exam's pool of that domain."""
+    before = machine()
+    place = Path(folder).resolve() / NAME / f"{domain.replace(':', '-')}-{vehicle}-{effect}-{trials}-{seed}"
+    place.mkdir(parents=True, exist_ok=True)
+    _car(place, ["--domain", domain, "--vehicle", str(vehicle), "--effect", effect])
+    answer = _answer(place)
+    tuned = {OLD: _tuned(place, OLD, place / "model", trials, seed)}
+    if answer["model"]:
+        repaired = (place / "gap" / answer["model"]).resolve()
+        tuned[REPAIRED] = _tuned(place, REPAIRED, repaired, trials, seed)
+    said = read_json(place / "said.json")
+    write_demonstration(Path(figures) / f"{NAME}.png", answer["signals"], tuned, _sentence(effect, answer))
+    ratio = tuned[REPAIRED].score / tuned[OLD].score if REPAIRED in tuned else float("nan")
+    detail = {
+        "machine": before,
+        "hidden": effect,
+        "verdict": answer["verdict"],
+        "effects": answer["effects"],
+        "set": answer["set"],
+        "explained_frac": answer["explained_frac"],
+        "signals": answer["signals"],
+        "outcome": said["outcome"],
+        "tuned": {name: one._asdict() for name, one in tuned.items()},
+    }
+    return {"value": ratio, "unit": "1", "n": 1, "low": None, "high": None, "detail": rounded(detail)}
+
+
+def _car(place: Path, asked: list[str]) -> None:
+    """Vehicle folder, clean logs, the log with the effect; the car for the bench; model and map of the clean logs."""
+    question, clean = place / "car", [str(place / "car" / f"clean_{kind}.log") for kind in ("ordinary", "excited")]
+    _done(place, question / "sealed.json", [*EXAM, "make", *asked, "--out", str(question)])
+    _done(place, place / "hidden" / "model.toml", [*EXAM, "bench", *asked, "--out", str(place / "hidden")])
+    for command, out, last in (("calibrate", "model", "model.toml"), ("map", "map", "calibration.npz")):
+        words = [*TOOL, command, *clean, "--vehicle", str(question / "vehicle"), "--out", str(place / out), "--plain"]
+        _done(place, place / out / last, words)
+
+
+def _answer(place: Path) -> dict[str, Any]:
+    """What `gap` says; only then is the truth opened."""
+    car, out = place / "car", place / "gap"
+    words = [*TOOL, "gap", str(car / "drive.log"), "--vehicle", str(car / "vehicle"), "--model", str(place / "model")]
+    clean = ["--older", str(car / "clean_excited.log")]
+    _done(place, out / "gap.json", [*words, *clean, "--out", str(out), "--plain"], allowed=(0, 1))
+    opened = [*EXAM, "open", "--out", str(car), "--answer", str(out / "gap.json")]
+    text = subprocess.run(opened, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    (place / "said.json").write_text(text)
+    return read_json(out / "gap.json")
+
+
+def _tuned(place: Path, name: str, model: Path, trials: int, seed: int) -> Tuned:
+    """The winner of a search on a model, driven on the vehicle over roads that no search saw."""
+    bench, runs = place / f"{name}.toml", place / f"runs_{name}"
+    spec = {
+        "schema": "tunefree.bench/1",
+        "vehicle": str(place / "car" / "vehicle"),
+        "model": str(model),
+        "verify_model": str(place / "hidden"),
+        "scenarios": SEARCHED,
+        "verify_scenarios": UNSEEN,
+        "weights": "default",
+        "seed": seed,
+        "controller": {
+            "lateral": "lqr", "longitudinal": "pid", "inner": "mrac", "riccati": "converged",
+            "calibration": str(place / "map" / "calibration.npz"),
+        },
+        "tune": {"set": "complete", "trials": trials, "sampler": "tpe_independent"},
+    }  # fmt: skip
+    bench.write_bytes(msgspec.toml.encode(spec))
+    begun = sorted(runs.glob("*/run.json"))
+    goes_on = ["--resume", str(begun[0].parent)] if begun else [str(bench)]
+    if not list(runs.glob("*/verify.json")):
+        _run(place, [*TOOL, "tune", *goes_on, "--backend", "batch", "--out", str(runs), "--plain"], allowed=(0, 1))
+    verified = read_json(next(runs.glob("*/verify.json")))
+    drives = verified["scenarios"]["tuned"]
+    return Tuned(
+        verified["scores"]["tuned"],
+        {scenario: drive["score"] for scenario, drive in drives.items()},
+        sum(drive["replans"] for drive in drives.values()),
+        sum(drive["outcome"] != "finished" for drive in drives.values()),
+        min(score for which, score in verified["scores"].items() if which != "tuned"),
+    )
+
+
+def _done(place: Path, result: Path, words: list[str], allowed: tuple[int, ...] = (0,)) -> None:
+    """Run a command unless what it writes last is there."""
+    if not result.is_file():
+        _run(place, words, allowed)
+
+
+def _run(place: Path, words: list[str], allowed: tuple[int, ...] = (0,)) -> None:
+    print(" ".join(words), file=sys.stderr, flush=True)
+    with (place / "commands.log").open("a") as log:
+        log.write(" ".join(words) + "\n")
+        log.flush()
+        status = subprocess.run(words, cwd=ROOT, stdout=log, stderr=subprocess.STDOUT, check=False).returncode
+    if status not in allowed:
+        raise RuntimeError(f"status {status} of {' '.join(words)}; see {place / 'commands.log'}")
+
+
+def _sentence(effect: str, answer: dict[str, Any]) -> str:
+    """'Hidden: steer_dead_time=0.18. Named: steer_dead_time, delay_s 0.18 (0.178 to 0.182) s'."""
+    names = []
+    for one in answer["effects"]:
+        values = [
+            f"{key} {value['value']:.3g} ({value['low']:.3g} to {value['high']:.3g}) {value['unit']}"
+            for key, value in one["params"].items()
+        ]
+        names.append(f"{one['name']}, {', '.join(values)}")
+    said = "; ".join(names) or " or ".join(answer["set"]) or answer["verdict"]
+    return f"Hidden: {effect}. Named: {said}"
