@@ -18,8 +18,8 @@ OWN = replace(NOMINAL, plant=replace(NOMINAL.plant, kind="mine.py:PLANT"))
 
 
 @njit
-def words(text: Any) -> Any:
-    return {"a": 1.0, 2: text}  # a dict of two kinds of key is beyond the compiler
+def words(number: Any) -> Any:
+    return number.wings  # a float has none
 
 
 @njit
