@@ -24,6 +24,7 @@ seed = 1
 set = "mrac"
 trials = 3
 sampler = "random"
+slower = 1.0
 """
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
@@ -14,14 +15,17 @@ from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.jobs.candidates import baseline_vectors
 from tunefree_hil.jobs.confirm import Confirmed, confirm, differing, to_confirm
 from tunefree_hil.jobs.evaluators import BusEvaluator, Candidate
+from tunefree_hil.jobs.hold import Held
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.tune_report import finish_report
-from tunefree_hil.tune.journal import Journal, open_journal
+from tunefree_hil.tune.holding import Came
+from tunefree_hil.tune.journal import Journal, open_journal, slot_key
 from tunefree_hil.tune.space import resolve
 from tunefree_hil.tune.store import Settings
 from tunefree_hil.tune.trial import Evaluation
 
 TRIALS = 8
+BY_GRADE = Held()
 
 
 @pytest.fixture
@@ -66,9 +70,9 @@ class FakeBus:
         return [evaluation(score_of(dict(one.values)) + (0.5 if one.group in self.wrong else 0.0))]
 
 
-def confirmed(bench: Bench, journal: Journal, bus: FakeBus, best: int = 2) -> list[str]:
+def confirmed(bench: Bench, journal: Journal, bus: FakeBus, best: int = 2, held: Held = BY_GRADE) -> list[str]:
     vectors = baseline_vectors(bench)
-    missing = to_confirm(journal, best)
+    missing = to_confirm(journal, best, held)
     events = confirm(bench, journal, cast(BusEvaluator, bus), vectors, missing)
     return [f"{event.kind}: {event.message}" for event in events]
 
@@ -79,8 +83,8 @@ def test_the_best_trials_and_every_baseline_are_driven_once(bench: Bench, journa
     best = sorted(journal.trials(), key=lambda trial: trial.score)[:2]
     assert bus.asked == [baselines + trial.slot for trial in best] + list(range(baselines))
     assert all(line.startswith("progress") and line.endswith("equal") for line in said)
-    assert to_confirm(journal, 2) == {} and len(to_confirm(journal, 3)) == 1
-    assert to_confirm(open_journal(journal.path, journal.settings), 2) == {}, "what was confirmed is kept"
+    assert to_confirm(journal, 2, BY_GRADE) == {} and len(to_confirm(journal, 3, BY_GRADE)) == 1
+    assert to_confirm(open_journal(journal.path, journal.settings), 2, BY_GRADE) == {}, "what was confirmed is kept"
 
 
 def test_the_winner_is_the_bus_s_and_what_differs_is_named(bench: Bench, journal: Journal, tmp_path: Path) -> None:
@@ -91,13 +95,30 @@ def test_the_winner_is_the_bus_s_and_what_differs_is_named(bench: Bench, journal
     result = Confirmed(journal)
     best = result.best()
     assert best is not None and best.slot == second.slot
-    report = finish_report(bench, RunFolder(tmp_path, {}), result, result)
+    report = finish_report(bench, RunFolder(tmp_path, {}), result, BY_GRADE, result)
     assert report.data["exit"] == 1 and report.data["different"] == [f"trial {first.slot + 1}"]
     text = "\n".join(report.lines)
-    assert f"all {TRIALS} trials were driven in the batch; the best 2 of them" in text
+    assert f"all {TRIALS} trials were driven in the batch; 2 of them" in text
     assert any(line.startswith(f"trial {second.slot + 1} ") and "the winner" in line for line in report.lines)
     n = 2 + len(baseline_vectors(bench))
     assert f"all metrics of {n - 1} of {n} candidates equal the batch's" in report.sentence
+
+
+def test_what_holds_is_confirmed_and_wins_and_the_better_grade_is_named(
+    bench: Bench, journal: Journal, tmp_path: Path
+) -> None:
+    first, second, third = sorted(journal.trials(), key=lambda trial: trial.score)[:3]
+    upset, calm = Came(5.0, 7, 2), Came(third.score + 0.1, 0, 0)
+    came = {slot_key(first.slot): upset, slot_key(second.slot): upset, slot_key(third.slot): calm}
+    held, bus = Held(1.5, came), FakeBus()
+    confirmed(bench, journal, bus, best=1, held=held)
+    assert bus.asked[0] == len(baseline_vectors(bench)) + third.slot
+    result = Confirmed(journal)
+    report = finish_report(bench, RunFolder(tmp_path, {}), result, held, result)
+    assert report.data["best"]["slot"] == third.slot
+    assert tomllib.loads((tmp_path / "best.toml").read_text())["slot"] == third.slot
+    assert [one["slot"] for one in report.data["held"]["passed_over"]] == [first.slot, second.slot]
+    assert f"{slot_key(first.slot)} scores {first.score:.3f} and is passed over" in report.sentence
 
 
 def test_a_node_that_is_lost_costs_one_attempt(bench: Bench, journal: Journal) -> None:

@@ -217,6 +217,7 @@ class TuneSpec(Spec, frozen=True, kw_only=True):
     trials: int = 40
     sampler: Literal["tpe_independent", "tpe_relative", "random"] = "tpe_independent"
     in_flight: int = 0  # trials asked together; 0: 8 in a batch, 1 over the bus
+    slower: float = 1.5  # the winner drives calmly with actuators so many times slower too; 1: by grade alone
 
 
 class FaultSpec(Spec, frozen=True, kw_only=True):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.figures import style
 from tunefree_hil.figures.bars import FAILURE_SCORE
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 STAGES = ("before", "recalibrated", "after", "floor")
 LOOKS = {"before": style.MANUAL, "recalibrated": style.OTHERS[2], "after": style.TUNED, "floor": style.OTHERS[3]}
+BELOW: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.45, -0.08)}
 TUNED_LOOKS = (style.MANUAL, style.TUNED)
 
 
@@ -61,7 +62,7 @@ def _gap(axes: Axes, signals: Mapping[str, Mapping[str, float]]) -> None:
     axes.set_ylim(len(names) - 0.45, -0.55)
     style.dress(axes, "RMS of free run on proof blocks, share of what it was", "", "simulation against log")
     axes.grid(False, axis="y")
-    axes.legend(fontsize=style.FONT_PT - 1, frameon=False, loc="lower right")
+    axes.legend(fontsize=style.FONT_PT - 1, frameon=False, ncols=len(STAGES), **BELOW)
 
 
 def _drives(axes: Axes, tuned: Mapping[str, Tuned], roads: list[str]) -> None:
@@ -78,4 +79,4 @@ def _drives(axes: Axes, tuned: Mapping[str, Tuned], roads: list[str]) -> None:
     style.plain_numbers(axes.xaxis)
     style.dress(axes, f"score on the vehicle (lower is better; {FAILURE_SCORE:g}: failed)", "", "roads no search saw")
     axes.grid(False, axis="y")
-    axes.legend(fontsize=style.FONT_PT - 1, frameon=False, loc="upper center", bbox_to_anchor=(0.4, -0.14))
+    axes.legend(fontsize=style.FONT_PT - 1, frameon=False, **BELOW)

@@ -9,6 +9,7 @@ from typing import Any
 from tunefree_hil.jobs import commission_gates as gates
 from tunefree_hil.jobs.commission_plan import NAMES, Plan
 from tunefree_hil.jobs.commission_record import Record
+from tunefree_hil.jobs.hold_words import held_rows
 from tunefree_hil.jobs.run_folder import write_text
 
 REPORT = "report.md"
@@ -47,9 +48,9 @@ def _outcome(record: Record) -> str:
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """A table, and an empty line."""
+    """A table, and an empty line; nothing where there are no rows."""
     lines = ["| " + " | ".join(row) + " |" for row in [head, *rows]]
-    return [lines[0], "|" + "---|" * len(head), *lines[1:], ""]
+    return [lines[0], "|" + "---|" * len(head), *lines[1:], ""] if lines[1:] else []
 
 
 def _times(record: Record) -> list[str]:
@@ -77,6 +78,8 @@ def _section(folder: Path, name: str, result: Mapping[str, Any], warnings: Seque
     if result.get("best"):
         found = result["best"]["parameters"].items()
         lines += _table(("gain", "found"), [(key, f"{value:.4g}") for key, value in found])
+    if result.get("held"):
+        lines += _table(("gains", "score", "in a slower car", ""), held_rows(result["held"]))
     if result.get("free_run"):
         lines += _free_run(result["free_run"])
     pictures = [Path(one) for one in result.get("figures", []) if (folder / one).is_file()]

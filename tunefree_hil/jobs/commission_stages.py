@@ -15,7 +15,7 @@ from tunefree_hil.jobs.run_folder import read_json
 SHOWN = (
     "sentence", "figures", "holds", "scores", "outside", "margins", "minutes", "cells_full", "cells_wanted",
     "simulated_s", "beyond_envelope_s", "missing", "run", "model", "map", "kind", "free_run", "reduction_percent",
-    "pedals", "best", "manual", "ratio",
+    "pedals", "best", "manual", "ratio", "held",
 )  # fmt: skip
 
 

@@ -10,9 +10,10 @@ from tunefree_hil.base.errors import BenchError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, parameters_of
 from tunefree_hil.jobs.evaluators import BusEvaluator, Candidate
+from tunefree_hil.jobs.hold import Held
 from tunefree_hil.jobs.search import Vectors
 from tunefree_hil.tune.journal import Journal, slot_key
-from tunefree_hil.tune.trial import Baseline, Trial
+from tunefree_hil.tune.trial import Baseline, Trial, lowest
 
 SHOWN = 3  # differences that a line names
 
@@ -50,10 +51,13 @@ class Confirmed:
         """All trials; those that were confirmed as the bus has them."""
         return [self._confirmed(trial) or trial for trial in self._journal.trials()]
 
+    def known(self) -> list[Trial]:
+        """The trials that were confirmed, as the bus has them."""
+        return [one for trial in self._journal.trials() if (one := self._confirmed(trial)) is not None]
+
     def best(self) -> Trial | None:
         """The lowest over the bus, the earliest of equals."""
-        known = [one for trial in self._journal.trials() if (one := self._confirmed(trial)) is not None]
-        return min(known, key=lambda trial: (trial.score, trial.slot), default=None)
+        return lowest(self.known())
 
     def baselines(self) -> dict[str, Baseline]:
         """Over the bus."""
@@ -91,9 +95,9 @@ def _flat(drive: Mapping[str, Any]) -> dict[str, Any]:
     return {**{key: value for key, value in drive.items() if key != "metrics"}, **drive.get("metrics", {})}
 
 
-def to_confirm(journal: Journal, best: int) -> dict[str, Trial | None]:
-    """Keys of what the bus has not said yet: the `best` trials of the lowest score, and every baseline (None)."""
-    chosen = sorted(journal.trials(), key=lambda trial: (trial.score, trial.slot))[:best]
+def to_confirm(journal: Journal, best: int, held: Held) -> dict[str, Trial | None]:
+    """Keys of what the bus has not said yet: the `best` trials, those that hold first, and every baseline (None)."""
+    chosen = held.ranked(journal.trials())[:best]
     keys: dict[str, Trial | None] = {slot_key(trial.slot): trial for trial in chosen}
     keys |= dict.fromkeys(journal.baselines())
     return {key: trial for key, trial in keys.items() if key not in journal.confirmed()}

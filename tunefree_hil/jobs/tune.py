@@ -1,4 +1,4 @@
-"""Tune: baselines, then the study, then the winner on the verify model. Killed anywhere, the same command goes on.
+"""Tune: baselines, the study, which trial holds, the winner on the verify model. Killed anywhere, the same goes on.
 
 Three ways (jobs/evaluators.py): over the bus in lockstep, over the bus in real time, in a compiled batch whose best are
 confirmed over the bus. And two places of the study: the run folder, or a PostgreSQL that workers share.
@@ -12,39 +12,37 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import is_heavy, model_of
+from tunefree_hil.bench import is_heavy, model_of, parameters_of
 from tunefree_hil.bench.batch import Batch
 from tunefree_hil.jobs.confirm import Confirmed, confirm, to_confirm
-from tunefree_hil.jobs.drive import DEFAULT_ROOT
-from tunefree_hil.jobs.evaluators import BatchEvaluator, BusEvaluator, RealtimeEvaluator
+from tunefree_hil.jobs.evaluators import BatchEvaluator, BusEvaluator, Candidate, RealtimeEvaluator
 from tunefree_hil.jobs.foreign import command_of, require_announced
-from tunefree_hil.jobs.identity import resolved_toml
+from tunefree_hil.jobs.hold import Held, hold
 from tunefree_hil.jobs.model_words import model_words
-from tunefree_hil.jobs.run_folder import RunFolder, open_run, remove_parts, unfinished, write_text
+from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.search import Search
 from tunefree_hil.jobs.session import open_lanes
 from tunefree_hil.jobs.track import Track
-from tunefree_hil.jobs.tune_report import finish_report
+from tunefree_hil.jobs.tune_folder import run_folder_of
+from tunefree_hil.jobs.tune_report import finish_report, is_kept
 from tunefree_hil.jobs.tune_wish import BATCH, Asked, Wish, resolve_wish
 from tunefree_hil.jobs.verify import verify_winner
-from tunefree_hil.tune.journal import open_journal
+from tunefree_hil.tune.journal import open_journal, slot_key
 from tunefree_hil.tune.mirror import mirror
 from tunefree_hil.tune.shared import join_study
-from tunefree_hil.tune.store import alone
 from tunefree_hil.tune.study import open_study
-from tunefree_hil.tune.trial import Scored
+from tunefree_hil.tune.trial import Scored, Trial
 
 JOURNAL = "trials.jsonl"
-HELD = "worker"
 
 
 class Finished:
     """What a way of tuning leaves for the end. verify: whether this process is the one to do it."""
 
-    def __init__(self, study: Scored, verify: bool = True, confirmed: Confirmed | None = None) -> None:
+    def __init__(self, study: Scored, held: Held, verify: bool = True, confirmed: Confirmed | None = None) -> None:
         self.study = study
+        self.held = held
         self.verify = verify
         self.confirmed = confirmed
 
@@ -55,7 +53,8 @@ def tune(asked: Asked) -> Iterator[Event]:
     Exit 1 where batch and bus differ, 4 where real time could not be had.
     """
     wish = resolve_wish(asked)
-    with _run_folder(wish) as (run, old):
+    asked = wish.asked  # a run that goes on does so in its own way
+    with run_folder_of(wish) as (run, old):
         words = f"{'goes on with' if old else 'run folder'} {run.path}"
         yield Event("note", words, {"resume": wish.command})
         yield Event("note", model_words(model_of(wish.bench, wish.bench.spec.model)))
@@ -64,7 +63,7 @@ def tune(asked: Asked) -> Iterator[Event]:
         with ExitStack() as stack:
             way = _shared if asked.study else _batch if asked.backend == BATCH else _over_bus
             finished = yield from way(wish, run, stack)
-            report = finish_report(wish.bench, run, finished.study, finished.confirmed)
+            report = finish_report(wish.bench, run, finished.study, finished.held, finished.confirmed)
         yield from (Event("note", line) for line in report.lines)
         data, sentence = dict(report.data), report.sentence
         if asked.realtime:
@@ -96,7 +95,24 @@ def _over_bus(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, 
             search = Search(wish.bench, run, evaluator, study, wish.vectors, wish.trials)
             yield from search.baselines()
             yield from search.trials()
-    return Finished(study)
+    held = yield from hold(wish.bench, run, study, wish.vectors)
+    yield from _winner_again(wish, run, held.ranked(study.trials())[0])
+    return Finished(study, held)
+
+
+def _winner_again(wish: Wish, run: RunFolder, winner: Trial) -> Iterator[Event]:
+    """A winner that was not the best grade has no logs any more: it is driven again, for figures and `replay`.
+
+    A bench that was joined is gone by now; the winner is then without.
+    """
+    if is_kept(wish.bench, run, winner.slot) or wish.asked.join:
+        return
+    with _on_lanes(wish, run) as evaluator:
+        yield Event("note", f"{slot_key(winner.slot)} wins and is driven again, its logs were not kept")
+        values = parameters_of(wish.bench, winner.parameters)
+        (again,) = evaluator.evaluate([Candidate(len(wish.vectors) + winner.slot, values)])
+    if again.score != winner.score and not wish.asked.realtime:
+        yield Event("warning", f"driven again it scores {again.score!r}, the study has {winner.score!r}")
 
 
 def _shared(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, None, Finished]:
@@ -111,34 +127,41 @@ def _shared(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, No
         yield from search.trials()
     yield from (Event("warning", words) for words in study.refresh())
     mirror(run.path / "study.db", study, {})  # what reads a run's study (`explain`) needs no server
-    return Finished(study, verify=study.filled_last)
+    if not study.filled_last:  # the worker that did ends the study for all
+        return Finished(study, Held(), verify=False)
+    held = yield from hold(wish.bench, run, study, wish.vectors)
+    yield from _winner_again(wish, run, held.ranked(study.trials())[0])
+    return Finished(study, held)
 
 
 def _batch(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, None, Finished]:
-    """The study in memory and in a list of generations; the best and the baselines then over the bus."""
+    """The study in memory and in a list of generations; what may win and the baselines then over the bus."""
     journal = open_journal(run.path / JOURNAL, wish.settings)
     scenarios = [wish.bench.scenarios[name] for name in wish.bench.spec.scenarios]
     if len(journal.baselines()) < len(wish.vectors) or len(journal.trials()) < wish.trials:
         with Batch(wish.bench) as batch:
             words = f"batch: {wish.settings.in_flight} trials in flight; a bench new to this machine is compiled first"
             best = min(wish.asked.confirm, wish.trials)
-            yield Event("note", f"{words}. In the end the bus confirms the best {best} and the baselines")
+            yield Event("note", f"{words}. In the end the bus confirms the winner ({best} trials) and the baselines")
             evaluator = BatchEvaluator(batch, wish.bench, scenarios, at_once=max(len(wish.vectors), 1))
             search = Search(wish.bench, run, evaluator, journal, wish.vectors, wish.trials)
             yield from search.baselines()
             yield from search.trials()
+            held = yield from hold(wish.bench, run, journal, wish.vectors, batch)
+    else:
+        held = yield from hold(wish.bench, run, journal, wish.vectors)
     mirror = stack.enter_context(ThreadPoolExecutor(1)).submit(journal.mirror, run.path / "study.db")
-    missing = to_confirm(journal, wish.asked.confirm)
+    missing = to_confirm(journal, wish.asked.confirm, held)
     if missing:
         with _on_lanes(wish, run) as evaluator:
             trials = sum(trial is not None for trial in missing.values())
-            words = f"now over the bus: the best {trials} of the batch's trials and {len(missing) - trials} baselines"
+            words = f"now over the bus: {trials} of the batch's trials and {len(missing) - trials} baselines"
             yield Event("note", f"{words}; {_said_of(wish, evaluator)}")
             yield from confirm(wish.bench, journal, evaluator, wish.vectors, missing)
     mirror.result()
     journal.mirror(run.path / "study.db")
     confirmed = Confirmed(journal)
-    return Finished(confirmed, confirmed=confirmed)
+    return Finished(confirmed, held, confirmed=confirmed)
 
 
 def _said_of(wish: Wish, evaluator: BusEvaluator) -> str:
@@ -182,59 +205,3 @@ def _on_lanes(wish: Wish, run: RunFolder) -> Iterator[BusEvaluator]:
             track.close()
             if isinstance(evaluator, RealtimeEvaluator):
                 run.note(discarded=evaluator.repeats)
-
-
-@contextmanager
-def _run_folder(wish: Wish) -> Iterator[tuple[RunFolder, bool]]:
-    """(folder, whether it is an old one): the one to resume, an unfinished one of the same settings, or a new one.
-
-    Workers of a shared study on one machine each hold a folder of their own.
-    """
-    asked = wish.asked
-    name, root = f"tune-{asked.bench.stem}", asked.out or DEFAULT_ROOT
-    with ExitStack() as stack:
-        if asked.resume is not None:
-            run: RunFolder | None = open_run(asked.resume)
-            _refuse_changed(open_run(asked.resume), wish)
-        else:
-            run = _free(root, name, wish, stack) if wish.shown else unfinished(root, name, wish.record)
-        if run is not None:
-            remove_parts(run.path)
-            yield run, True
-            return
-        record = {**wish.record, "bench": str(asked.bench), "hashes": wish.identity["hashes"]}
-        run = RunFolder.create(root, name, {**record, "seed": wish.settings.seed})
-        if wish.shown:
-            stack.enter_context(alone(run.path / HELD))
-        write_text(run.path / "bench.toml", resolved_toml(wish.bench))
-        yield run, False
-
-
-def _free(root: Path, name: str, wish: Wish, stack: ExitStack) -> RunFolder | None:
-    """An unfinished folder of the same settings that no living worker holds; `stack` holds it from now on."""
-    for path in sorted(root.glob(f"*-{name}*"), reverse=True):
-        try:
-            run = open_run(path)
-            if run.record.get("complete") or any(run.record.get(key) != value for key, value in wish.record.items()):
-                continue
-            stack.enter_context(alone(path / HELD))
-            return run
-        except InputError:  # no run of ours, or another worker's
-            continue
-    return None
-
-
-def _refuse_changed(run: RunFolder, wish: Wish) -> None:
-    """Raise InputError where a run was made with other files, or its study is elsewhere."""
-    if run.record.get("identity") != wish.identity["identity"]:
-        raise InputError(
-            "the files it was made with have changed since",
-            code="changed",
-            file=str(run.path),
-            key="identity",
-            hint="bring back the vehicle, model, scenarios and weights, or start a new run",
-        )
-    before = run.record.get("study", "")
-    if before != wish.shown:
-        hint = f"--study {before}" if before else "leave out --study"
-        raise InputError(f"its study is in {before or 'its study.db'}", code="changed", key="--study", hint=hint)

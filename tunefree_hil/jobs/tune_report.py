@@ -13,6 +13,8 @@ from tunefree_hil.control.parameters import BY_NAME
 from tunefree_hil.episode.recording import Recording, load_recording
 from tunefree_hil.jobs.candidates import TUNED, baseline_vectors
 from tunefree_hil.jobs.confirm import Confirmed
+from tunefree_hil.jobs.hold import Held
+from tunefree_hil.jobs.hold_words import held_data, held_table, held_words
 from tunefree_hil.jobs.outside import outside_data, outside_words
 from tunefree_hil.jobs.run_folder import RunFolder, write_text
 from tunefree_hil.jobs.words import Drives, comparison, table
@@ -32,14 +34,18 @@ class Report(NamedTuple):
     data: dict[str, Any]
 
 
-def finish_report(bench: Bench, run: RunFolder, study: Scored, confirmed: Confirmed | None = None) -> Report:
+def finish_report(
+    bench: Bench, run: RunFolder, study: Scored, held: Held, confirmed: Confirmed | None = None
+) -> Report:
     """Write best.toml and the figures of a study with at least one trial and one baseline.
 
-    confirmed: of a batch; its winner is the best of those that the bus confirmed.
+    held: what the slower car said, which names the winner; confirmed: of a batch, the winner is one of those that the
+    bus confirmed.
     """
-    best = study.best()
-    if best is None:
+    trials = study.trials() if confirmed is None else confirmed.known()
+    if not trials:
         raise TunefreeError("the study has no trial", hint="--trials 1 or more")
+    best = held.ranked(trials)[0]
     standing = best_baseline(study.baselines())
     manual = study.baselines()[standing.name]
     values = parameters_of(bench, best.parameters)
@@ -48,18 +54,20 @@ def finish_report(bench: Bench, run: RunFolder, study: Scored, confirmed: Confir
     rows: dict[str, Drives] = {name: one.scenarios for name, one in study.baselines().items()}
     scores = {name: one.score for name, one in study.baselines().items()}
     lines = table({TUNED: best.scenarios, **rows}, {TUNED: best.score, **scores})
+    slower = held_data(held, study, trials)
+    lines += held_table(slower)
     edges = on_edge(study, best)
     if edges:
         lines.append(f"the winner lies on an edge of its box: {', '.join(edges)}")
     figures = _figures(bench, run, study, best, standing.name)
     beyond = outside_data(bench, bench.spec.model, _winning_drives(bench, run, best.slot))
-    words = outside_words(beyond)
-    sentence += f"; {words}" if words else ""
+    sentence = "; ".join(one for one in (sentence, held_words(slower), outside_words(beyond)) if one)
     data = {
         "over": "bus",
         "best": {"slot": best.slot, "score": best.score, "parameters": best.parameters},
         "manual": {"name": standing.name, "score": manual.score, "replans": standing.replans},
         "baselines": scores,
+        "held": slower,
         "ratio": best.score / manual.score,
         "on_edge": edges,
         "outside": beyond,
@@ -77,7 +85,7 @@ def _with_batch(report: Report, confirmed: Confirmed, best: Trial) -> Report:
     trials = confirmed.trials()
     driven = [trial for trial in trials if slot_key(trial.slot) in scores]
     lines = [
-        f"all {len(trials)} trials were driven in the batch; the best {len(driven)} of them and the baselines, "
+        f"all {len(trials)} trials were driven in the batch; {len(driven)} of them and the baselines, "
         "below, over the bus again (the table above is the bus's)"
     ]
     width = max(len(name) for name in scores)
@@ -189,6 +197,12 @@ def _winning_drives(bench: Bench, run: RunFolder, slot: int) -> dict[str, Record
     group = len(baseline_vectors(bench)) + slot
     paths = {name: _columns(bench, run, group, place) for place, name in enumerate(_driven_names(bench))}
     return {name: load_recording(path) for name, path in paths.items() if path.is_file()}
+
+
+def is_kept(bench: Bench, run: RunFolder, slot: int) -> bool:
+    """Whether the drives of a trial are in the run folder."""
+    group = len(baseline_vectors(bench)) + slot
+    return all(_columns(bench, run, group, place).is_file() for place in range(len(bench.spec.scenarios)))
 
 
 def _unit(name: str) -> str:

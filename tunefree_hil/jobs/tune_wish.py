@@ -24,6 +24,7 @@ from tunefree_hil.tune.store import Settings
 BATCH, BUS = "batch", "bus"
 BATCH_IN_FLIGHT = 8  # costs nothing in quality (opt_anchors B)
 SHARED_IN_FLIGHT = 0  # each worker asks when it is free
+MOST_SLOWER = 10.0  # what is written by mistake lies far beyond
 
 
 class Asked(NamedTuple):
@@ -85,6 +86,7 @@ def resolve_wish(asked: Asked) -> Wish:
     _refuse_contradictions(asked)
     address = address_of(asked.study) if asked.study else None
     bench = with_command(load(asked.bench), asked.controller)
+    _require_slower(bench)
     _require_buildable(bench, asked)
     session = asked.session or own_session()
     bus_for(bench, asked.bus, session, asked.bench_bus)
@@ -162,6 +164,15 @@ def _in_flight(bench: Bench, asked: Asked, benches: int) -> int:
     if asked.backend == BATCH:
         return wanted or BATCH_IN_FLIGHT
     return wanted or -(-benches // len(bench.spec.scenarios))
+
+
+def _require_slower(bench: Bench) -> None:
+    slower = bench.spec.tune.slower
+    if not 1.0 <= slower <= MOST_SLOWER:
+        raise InputError(
+            f"{slower:g} does not do", code="bad_slower", file=bench.file, key="tune.slower",
+            hint=f"from 1 (the winner is the best grade alone) to {MOST_SLOWER:g}; 1.5 is the default",
+        )  # fmt: skip
 
 
 def _require_buildable(bench: Bench, asked: Asked) -> None:

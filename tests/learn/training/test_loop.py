@@ -91,6 +91,23 @@ def test_a_net_that_was_cut_off_goes_on_to_the_same_end(tmp_path: Path, monkeypa
     cut_off_it_ends_the_same(wish, tracks, tmp_path / "part", monkeypatch)
 
 
+def test_a_training_cut_off_before_its_first_step_keeps_the_steps_that_a_clock_gave(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Cut(Bowl):
+        def score(self) -> float:
+            raise KeyboardInterrupt
+
+    wish, part = Wish("hybrid", 1, minutes=2.0), tmp_path / "model.part"
+    with pytest.raises(KeyboardInterrupt):
+        ended(train(Cut(), wish, 77, part, "these data"))
+    assert planned_steps(part, "these data", wish) == 77
+    assert planned_steps(part, "other data", wish) == 0
+    again, whole = ended(train(Bowl(), wish, 77, part, "these data")), ended(train(Bowl(), wish, 77))
+    assert again.resumed and again.looks == whole.looks and again.total == 77
+    assert np.array_equal(again.arrays["weight"], whole.arrays["weight"])
+
+
 def test_a_checkpoint_of_other_data_is_not_taken_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loop, "KEPT_S", 0.0)
     part = tmp_path / "model.part"

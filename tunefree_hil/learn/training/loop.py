@@ -72,14 +72,17 @@ def train(
 ) -> Generator[Step, None, Trained]:
     """Train to the end, `total` steps, as which the learner is planned; a Step now and then.
 
-    part: a checkpoint file; one of the same `identity` (data, settings) is taken up, another is written over. A loss
-    that is not finite, or a held-out error far above the untrained net's, ends the training with the best net so far.
+    part: a checkpoint file; one of the same `identity` (data, settings) is taken up, another is written over before
+    the first step, so that a training cut off at any time goes on with the same `total`. A loss that is not finite, or
+    a held-out error far above the untrained net's, ends the training with the best net so far.
     """
     torch.set_num_threads(THREADS)
     optimiser = torch.optim.Adam(learner.net.parameters(), lr=RATES[wish.kind])
     state, stopped = _State(total), ""
     resumed = part is not None and _taken_up(part, identity, wish, learner, optimiser, state)
-    if not resumed:
+    if part is not None and not resumed:
+        _keep(part, identity, wish, learner, optimiser, state)  # `total` may have come from a clock: once and for all
+    if not state.looks:
         _look(learner, state)
     began, kept, shown = time.monotonic(), time.monotonic(), 0.0
     spent_before = state.seconds

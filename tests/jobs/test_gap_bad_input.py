@@ -1,0 +1,130 @@
+"""gap on logs that it should not or cannot answer: one message, or an answer that says what to record."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.jobs.command import finish, start
+from tests.learn.made_logs import MKZ, good, rows_of, write_log
+from tunefree_hil.bus.formats.rows import Row
+from tunefree_hil.cli.entry import run
+
+Rows = list[Row]
+CLOCK_S = 30.0
+
+
+def asked(log: Path, out: Path, *more: str) -> list[str]:
+    return ["gap", str(log), "--vehicle", MKZ, "--model", "mkz_nominal", "--out", str(out), "--json", *more]
+
+
+def foreign() -> Rows:
+    return [Row(0.01 * k, "can0", 0x7FF, b"\0", 0) for k in range(500)]
+
+
+def jumped() -> Rows:
+    rows = list(good(MKZ))
+    half = len(rows) // 2
+    return [*rows[:half], *(row._replace(time_s=round(row.time_s + CLOCK_S, 6)) for row in rows[half:])]
+
+
+@pytest.mark.parametrize(
+    ("made", "said"), [(foreign, "not one frame of vehicle"), (jumped, "cut the log in two")], ids=["foreign", "jump"]
+)
+def test_logs_that_are_refused(
+    made: Callable[[], Rows], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = write_log(tmp_path / "a.log", made())
+    assert run(asked(log, tmp_path / "out")) == 2
+    out, err = capsys.readouterr()
+    assert said in err and "Traceback" not in err and "what to do:" in err
+    assert json.loads(out)["errors"][0]["code"] in ("foreign_log", "clock_jump")
+    assert not (tmp_path / "out").exists()
+
+
+def test_other_wheels_in_one_call_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def larger(k: int, records: dict[str, Any]) -> dict[str, Any]:
+        report = records["report"]
+        wheels = {name: 0.85 * getattr(report, name) for name in report._fields if name.startswith("wheel_")}
+        return {**records, "report": report._replace(**wheels)}
+
+    first = write_log(tmp_path / "a.log", list(good(MKZ)))
+    other = write_log(tmp_path / "b.log", rows_of(MKZ, seed=2, change=larger))
+    assert run([*asked(first, tmp_path / "out"), str(other)]) == 2
+    assert "wheel" in capsys.readouterr().err
+
+
+def test_too_short_a_log_is_an_answer_that_says_what_to_record(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = write_log(tmp_path / "a.log", list(good(MKZ)))
+    assert run(asked(log, tmp_path / "out")) == 0
+    out, err = capsys.readouterr()
+    data = json.loads(out)["data"]
+    written = json.loads((tmp_path / "out" / "gap.json").read_text())
+    assert data["verdict"] == written["verdict"] == "cannot_test" and written["effects"] == []
+    assert "these logs cannot tell" in err.splitlines()[-1] and "record" in err.splitlines()[-1]
+    assert "NEXT.log" in err.splitlines()[-2]
+    assert "record" in (tmp_path / "out" / "gap.md").read_text()
+
+
+def test_a_model_of_a_vehicle_that_has_changed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from tunefree_hil.config.load import load_model
+
+    model = tmp_path / "model"
+    model.mkdir()
+    text = (Path(load_model("mkz_nominal").folder) / "model.toml").read_text()
+    lines = [line for line in text.splitlines() if not line.startswith("vehicle_hash")]
+    at = next(i for i, line in enumerate(lines) if line.startswith("vehicle"))
+    lines.insert(at + 1, f'vehicle_hash = "sha256:{"0" * 64}"')
+    (model / "model.toml").write_text("\n".join(lines))
+    words = ["gap", "no.log", "--vehicle", MKZ, "--model", str(model), "--out", str(tmp_path / "out"), "--json"]
+    assert run(words) == 2
+    assert json.loads(capsys.readouterr().out)["errors"][0]["code"] == "vehicle_changed"
+
+
+def test_no_such_log_and_no_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(asked(tmp_path / "none.log", tmp_path / "out")) == 2
+    assert "none.log" in capsys.readouterr().err
+    assert run(["gap", "--vehicle", MKZ, "--model", "mkz_nominal", "--out", str(tmp_path / "out"), "--json"]) == 2
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_a_folder_that_the_same_command_goes_on_with(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "a.log", rows_of(MKZ, 100.0))
+    process = start(*asked(log, tmp_path / "out", "--plain"))
+    assert process.stderr is not None
+    said: list[str] = []
+    for line in iter(process.stderr.readline, ""):
+        said.append(line)
+        if "recalibration alone" in line:
+            os.killpg(process.pid, signal.SIGINT)
+            break
+    ended = finish(process)
+    assert ended.status == 130, "".join(said) + ended.words
+    assert "interrupted, state saved" in ended.words and f"--out {tmp_path / 'out'}" in ended.words
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"gap.lock", "question.json"}
+
+
+@pytest.mark.slow
+def test_a_car_that_stands_is_an_answer_that_says_what_to_record(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def standing(k: int, records: dict[str, Any]) -> dict[str, Any]:
+        still = {"speed_mps": 0.0, "accel_mps2": 0.0, "yaw_rate_radps": 0.0}
+        wheels = {name: 0.0 for name in records["report"]._fields if name.startswith("wheel_")}
+        report = records["report"]._replace(**still, **wheels, lateral_accel_mps2=0.0)
+        return {**records, "report": report, "ins": records["ins"]._replace(**still, x_m=0.0, y_m=0.0, heading_rad=0.0)}
+
+    log = write_log(tmp_path / "a.log", rows_of(MKZ, 100.0, change=standing))
+    status = run(asked(log, tmp_path / "out"))
+    out, err = capsys.readouterr()
+    found = json.loads(out)
+    assert "Traceback" not in err
+    assert status == 2 or found["data"]["verdict"] == "cannot_test", err

@@ -1,0 +1,79 @@
+"""Closed loop again: the repaired model tracks as the measured car did, and who drove a foreign log is not known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.gap.made_answer import VEHICLE, answer, made_kept
+from tests.jobs.made_runs import made_drive
+from tunefree_hil.bench import load
+from tunefree_hil.config.load import load_model
+from tunefree_hil.gap.repair import found_effects, repaired, write_repaired
+from tunefree_hil.jobs.gap import Material
+from tunefree_hil.jobs.gap_repair import Mended
+from tunefree_hil.jobs.gap_replay import UNKNOWN, replayed
+
+DELAY_S = 0.12
+pytestmark = pytest.mark.slow
+BENCH = """
+schema = "tunefree.bench/1"
+vehicle = "mkz_bywire"
+model = "mkz_nominal"
+scenarios = ["{scenario}"]
+[[effects]]
+name = "steer_dead_time"
+params = {{ delay_s = {delay_s} }}
+"""
+
+
+def asked(logs: list[Path], delay_s: float, place: Path) -> tuple[dict[str, Any] | None, str]:
+    """With a model that was repaired by so much."""
+    model = load_model("mkz_nominal")
+    value = {"value": delay_s, "low": delay_s, "high": delay_s, "unit": "s"}
+    effects = [{"name": "steer_dead_time", "params": {"delay_s": value}, "evidence": 9.0}]
+    kept = made_kept()._replace(answer=answer(effects=effects))
+    made = repaired(model, VEHICLE, {}, found_effects(kept, "", ""))
+    written = write_repaired(place, model, made.model, {})
+    mended = Mended(repaired(model, VEHICLE, {}), made, written)
+    asking = replayed(logs, Material(VEHICLE, model, [], []), mended)
+    while True:
+        try:
+            next(asking)
+        except StopIteration as end:
+            return end.value
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive on the nominal car with a steering that answers later."""
+    root = tmp_path_factory.mktemp("runs")
+    own = load("bench_configs/mkz_steer.toml")
+    name = min(own.spec.scenarios, key=lambda one: own.scenarios[one].speed.t_s[-1])
+    (root / "b.toml").write_text(BENCH.format(scenario=name, delay_s=DELAY_S))
+    episode = made_drive(root / "b.toml", root, "late", {}) / "episodes" / "0"
+    said = json.loads((episode / "episode.json").read_text())  # a bench writes down the seed that it drove with
+    (episode / "episode.json").write_text(json.dumps({**said, "seed": own.scenarios[name].noise_seed}))
+    return episode / "vehicle.log"
+
+
+def test_the_true_repair_tracks_as_the_measured_car_did(log: Path, tmp_path: Path) -> None:
+    found, why = asked([log], DELAY_S, tmp_path / "right")
+    assert why == "" and found is not None and found["drives"] == 1
+    assert found["down_frac"] == 1.0 and found["worst_frac"] == -1.0, "the batch drives what the bench did, bit by bit"
+    lateral = found["signals"]["lateral_error_m"]
+    assert lateral["before"] == lateral["recalibrated"] > 0.02 and lateral["after"] == 0.0
+
+
+def test_a_wrong_one_does_not(log: Path, tmp_path: Path) -> None:
+    found, _ = asked([log], 2.5 * DELAY_S, tmp_path / "wrong")
+    assert found is None or found["down_frac"] < 0.0
+
+
+def test_who_drove_a_foreign_log_is_not_known(log: Path, tmp_path: Path) -> None:
+    other = tmp_path / "some.log"
+    other.write_bytes(log.read_bytes())
+    assert asked([other], DELAY_S, tmp_path / "model") == (None, UNKNOWN)
