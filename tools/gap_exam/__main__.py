@@ -3,7 +3,8 @@
   make   one question for a trial: vehicle folder, clean logs, a log with an effect of your choice, or a --blind one
   open   the truth of a blind one, once there is an answer
   bench  a model folder that puts a car of the exam on a bench as its vehicle, with an effect hidden in it
-  run    make, seal, ask and keep, two at a time; the same call goes on after any kill
+  run    make, seal, ask and keep, two at a time; the same call goes on after any kill, others ask for more
+  beside what the names of 24 logs are worth beside a network's guess, and in a closed loop
   score  open the truths of what is answered; table.md, table.json, outcomes.png, limits.png
   list   rows of the exam and how many cases each has
 
@@ -21,22 +22,24 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tools.gap_exam import bus, report, score
+from tools.gap_exam import bus, report
 from tools.gap_exam.bench_folder import write_model
+from tools.gap_exam.beside import LOGS, compare_all
 from tools.gap_exam.cases import Effects, draw_effect, log_of, make, vehicle_of
 from tools.gap_exam.catalogue import EFFECTS, kind_of
 from tools.gap_exam.driver import CONTROLLER, PERSON
+from tools.gap_exam.drives import KINDS
 from tools.gap_exam.files import Run, read_json, write, write_json
 from tools.gap_exam.oracle import detect
 from tools.gap_exam.outcomes import outcome
-from tools.gap_exam.prepare import Frozen, begin, is_frozen
-from tools.gap_exam.recordings import NoRecording, make_ready
-from tools.gap_exam.rows import ROWS, Exam, exam_of, sample_of
-from tools.gap_exam.runner import Examiner, Program
+from tools.gap_exam.prepare import Frozen
+from tools.gap_exam.recordings import NoRecording
+from tools.gap_exam.rows import ROWS, exam_of, sample_of
+from tools.gap_exam.runner import Program
+from tools.gap_exam.score import marked
 from tools.gap_exam.seal import Broken, StillSealed, seal, unseal
-from tools.gap_exam.seeds import EXAM, Domain, domain_of
-
-ROOT = Path(__file__).resolve().parents[2]
+from tools.gap_exam.seeds import Domain, domain_of
+from tools.gap_exam.session import Wish, conduct, count, exam_for, standing
 
 
 def main(words: list[str]) -> int:
@@ -58,7 +61,7 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(required=True, metavar="COMMAND")
     one = _command(commands, "make", _make)
     one.add_argument("--out", type=Path, required=True)
-    one.add_argument("--kind", choices=("ordinary", "excited"), default="excited")
+    one.add_argument("--kind", choices=tuple(KINDS), default="excited")
     one.add_argument("--person", action="store_true", help="a person drives, no controller")
     one.add_argument("--seconds", type=float, default=180.0)
     bench = _command(commands, "bench", _bench)
@@ -71,33 +74,40 @@ def parser() -> argparse.ArgumentParser:
     run = _command(commands, "run", _run)
     run.add_argument("--run", type=Path, required=True, help="folder of the exam")
     run.add_argument("--recordings", type=Path, help="folder with comma2k19_rav4/ and dart/, for the row `semi`")
+    run.add_argument("--rows", default="", help=f"ask these alone, comma-separated: {', '.join(ROWS)}")
     run.add_argument("--part", default="1/1", help="K/N: every Nth case")
+    run.add_argument("--logs", type=int, default=0, help="the first so many of these (0: all)")
+    run.add_argument("--hours", type=float, default=0.0, help="ask nothing more after so long (0: until all is done)")
     run.add_argument("--parallel", type=int, default=2)
     run.add_argument("--unfrozen", action="store_true", help="an exam of a checkout that is not the commit's")
     run.add_argument("--keep", action="store_true", help="leave logs and all that the program wrote")
     run.add_argument("--gap", default=Program().gap)
+    run.add_argument("--name-only", default=Program().name_only, help="added to --gap where only the name is asked for")
     run.add_argument("--calibrate", default=Program().calibrate)
     run.add_argument("--learn", default=Program().learn)
     run.add_argument("--limit-s", type=float, default=Program().limit_s)
-    _which(run)
+    _small(run)
+    beside = _command(commands, "beside", _beside)
+    beside.add_argument("--run", type=Path, required=True)
+    beside.add_argument("--logs", type=int, default=LOGS)
+    _small(beside)
     counted = _command(commands, "score", _score)
     counted.add_argument("--run", type=Path, required=True, action="append", help="said again: pooled with the first")
     counted.add_argument("--json", action="store_true")
-    _which(_command(commands, "list", _list))
+    _small(_command(commands, "list", _list))
     return top
 
 
 def _command(commands, name: str, function) -> argparse.ArgumentParser:
     one = commands.add_parser(name)
     one.set_defaults(run_command=function)
-    if name not in ("score", "open"):
-        one.add_argument("--domain", type=domain_of, default=Domain("dev", "trial"))
+    if name not in ("score", "open", "beside"):
+        one.add_argument("--domain", type=domain_of, default=Domain("dev", "trial") if name != "run" else None)
     return one
 
 
-def _which(one: argparse.ArgumentParser) -> None:
+def _small(one: argparse.ArgumentParser) -> None:
     one.add_argument("--sample", action="store_true", help="24 one-effect logs instead")
-    one.add_argument("--rows", default="", help=f"comma-separated: {', '.join(ROWS)}")
 
 
 def _asked(one: argparse.ArgumentParser) -> None:
@@ -121,17 +131,6 @@ def effects_of(options: argparse.Namespace, names: list[str]) -> Effects:
     return effects
 
 
-def chosen(options: argparse.Namespace) -> Exam:
-    """The exam that is asked for."""
-    if options.sample:
-        return sample_of(options.domain)
-    rows = tuple(options.rows.split(",")) if options.rows else ROWS
-    unknown = set(rows) - set(ROWS)
-    if unknown:
-        raise ValueError(f"no row {', '.join(sorted(unknown))}; there are {', '.join(ROWS)}")
-    return exam_of(options.domain, rows=rows)
-
-
 def _make(options: argparse.Namespace) -> int:
     vehicle = vehicle_of(options.domain, options.vehicle)
     bus.write_folder(options.out / "vehicle", vehicle)
@@ -152,7 +151,7 @@ def _make(options: argparse.Namespace) -> int:
 
 def _bench(options: argparse.Namespace) -> int:
     vehicle = vehicle_of(options.domain, options.vehicle)
-    effects = effects_of(options, [name for name, kind in EFFECTS.items() if kind.subsystem != "sensing"])
+    effects = effects_of(options, list(EFFECTS))
     seed = options.domain.seed("vehicle", options.vehicle)
     truth = {"seed": seed, "mismatch": vehicle.mismatch, "effects": effects}
     write_model(options.out, truth, vehicle.noise, os.urandom(16).hex())
@@ -170,42 +169,39 @@ def _open(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    run, exam = Run(options.run), chosen(options)
-    frozen = is_frozen(exam, ROOT)
-    if exam.domain.kind == EXAM and not (frozen or options.unfrozen):
-        raise Frozen(
-            f"this checkout is not {exam.domain.name} as committed; --unfrozen runs it all the same, and says so"
-        )
-    begin(run, exam, frozen=frozen)
-    if any(case.source for case in exam.cases):
-        if options.recordings is None:
-            raise ValueError("the row `semi` needs --recordings DIR (or name the other rows with --rows)")
-        make_ready(run, options.recordings)
-    part, _, of = options.part.partition("/")
-    cases = [case for case in exam.cases if case.number % int(of) == int(part) - 1]
-    program = Program(options.gap, options.calibrate, options.learn, options.limit_s)
-    Examiner(run, exam, program, keep=options.keep).go(cases, options.parallel)
+    names = ("run", "domain", "sample", "part", "logs", "hours", "recordings", "parallel", "unfrozen", "keep")
+    words = ("gap", "calibrate", "learn", "limit_s", "name_only")
+    program = Program(**{name: getattr(options, name) for name in words})
+    conduct(Wish(**{name: getattr(options, name) for name in names}, rows=rows_of(options), program=program))
+    print(standing(Run(options.run))["done"], file=sys.stderr)
+    return 0
+
+
+def rows_of(options: argparse.Namespace) -> tuple[str, ...]:
+    """The rows that were named."""
+    return tuple(options.rows.split(",")) if options.rows else ()
+
+
+def _beside(options: argparse.Namespace) -> int:
+    wish = Wish(options.run, sample=options.sample)
+    run, exam = Run(options.run), exam_for(wish)
+    compare_all(run, exam, marked(run, range(len(exam.cases))), options.logs)
     return 0
 
 
 def _score(options: argparse.Namespace) -> int:
-    runs = [Run(folder) for folder in options.run]
-    exams = [read_json(run.exam) for run in runs]
-    cases = [one for run, said in zip(runs, exams, strict=True) for one in score.marked(run, range(said["cases"]))]
-    rows, limits, wrong = score.table(cases), score.limits(cases), score.false_names(cases)
-    name = " and ".join(said["domain"] + ("" if said["frozen"] else " (not frozen)") for said in exams)
-    report.write_report(runs[0].folder, rows, limits, wrong, name)
-    asked = sum(said["cases"] for said in exams)
-    print(f"{len(cases)} of {asked} cases are answered; {runs[0].folder}/table.md", file=sys.stderr)
-    page = report.markdown(rows, limits, f"Exam of {name}")
-    print(json.dumps(report.as_json(rows, limits, wrong, name)) if options.json else page)
+    found = count([Run(folder) for folder in options.run])
+    done = [one["done"] for one in found.exams]
+    print(f"{'; '.join(done)}; {options.run[0]}/table.md", file=sys.stderr)
+    page = report.markdown(found.rows, found.limits, f"Exam of {found.name}", done)
+    print(json.dumps(report.as_json(found.rows, found.limits, found.wrong, found.name)) if options.json else page)
     return 0
 
 
 def _list(options: argparse.Namespace) -> int:
-    exam = chosen(options)
-    for name, count in sorted(Counter(case.row for case in exam.cases).items()):
-        print(f"{name:<12} {count}")
+    exam = sample_of(options.domain) if options.sample else exam_of(options.domain)
+    for name, n in sorted(Counter(case.row for case in exam.cases).items()):
+        print(f"{name:<12} {n}")
     kinds = Counter(model.kind for model in exam.models.values())
     print(f"{len(exam.cases)} cases, {kinds['physics']} calibrated and {kinds['hybrid']} learned models")
     return 0

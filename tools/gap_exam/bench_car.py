@@ -1,8 +1,8 @@
 """A car of the exam on a bench: a whole vehicle with its own actuators, `kind = "path/to/bench_car.py:VEHICLE"`.
 
 It answers to the contract of a plant by its attributes alone; nothing of the bench's package is imported. Which car it
-is, and what is hidden in it, stands under seal in the model folder's `hidden.json`. Effects of sensing and of time are
-the bench's own business (its sensors are behind the plant) and are refused.
+is, and what is hidden in it, stands under seal in the model folder's `hidden.json`. Effects of sensing and of time act
+behind the plant (bench_sensors.py).
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ import numpy as np
 
 from tools.gap_exam import channels, chassis
 from tools.gap_exam.car import Car, draw_vehicle
-from tools.gap_exam.catalogue import kind_of
 from tools.gap_exam.chassis import ACROSS, ALONG, HEADING, RATE, SIDE, SPEED, YAW, X, Y, chassis_of, step_body
 from tools.gap_exam.files import read_json
 from tools.gap_exam.hidden import NOTHING, Hidden, hidden_of
@@ -183,10 +182,9 @@ def _motion(car: Car, body: Any, angle: float) -> Motion:
 
 
 def plant_of(seed: int, mismatch: float, effects: Mapping[str, Mapping[str, float]]) -> Plant:
-    """The vehicle of a seed with what is hidden in it; ValueError for effects that act behind the plant."""
-    behind = [name for name in effects if kind_of(name).subsystem == "sensing"]
-    if behind:
-        raise ValueError(f"{', '.join(behind)}: sensors are the bench's own, behind the plant")
+    """The vehicle of a seed with what is hidden in it; ValueError for an effect that a bench has no place for."""
+    if "frame_loss" in effects:
+        raise ValueError("frame_loss: frames are the bench's own (its bench file has [[faults]])")
     car, h = draw_vehicle(seed, mismatch).car, hidden_of(effects) if effects else NOTHING
 
     def make(params: Mapping[str, float], change: Any) -> Part:

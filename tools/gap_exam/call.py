@@ -7,10 +7,15 @@ import shlex
 import shutil
 import signal
 import subprocess
+import sys
+import threading
 import time
+from pathlib import Path
 from typing import NamedTuple
 
 LAST_WORDS = 2000
+_running: set[subprocess.Popen[str]] = set()
+_guard = threading.Lock()
 
 
 class Done(NamedTuple):
@@ -23,7 +28,10 @@ class Done(NamedTuple):
 
 
 def call(command: str, limit_s: float, **places: str | list[str]) -> Done:
-    """Run a command line with its places filled in; all that it started ends with it."""
+    """Run a command line with its places filled in; all that it started ends with it.
+
+    Programs of the interpreter that runs the exam are found before those of the path.
+    """
     words: list[str] = []
     for word in shlex.split(command):
         value = places.get(word[1:-1]) if word.startswith("{") else None
@@ -31,9 +39,12 @@ def call(command: str, limit_s: float, **places: str | list[str]) -> Done:
     if shutil.which("setpriv"):
         words = ["setpriv", "--pdeathsig", "KILL", *words]
     started = time.monotonic()
-    process = subprocess.Popen(
-        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, errors="replace"
-    )
+    with _guard:
+        process = subprocess.Popen(
+            words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, errors="replace",
+            env={**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}"},
+        )  # fmt: skip
+        _running.add(process)
     try:
         stdout, stderr = process.communicate(timeout=limit_s)
         status: int | None = process.returncode
@@ -41,4 +52,15 @@ def call(command: str, limit_s: float, **places: str | list[str]) -> Done:
         os.killpg(process.pid, signal.SIGKILL)
         stdout, stderr = process.communicate()
         status = None
+    finally:
+        with _guard:
+            _running.discard(process)
     return Done(status, time.monotonic() - started, stdout, stderr[-LAST_WORDS:])
+
+
+def end_all() -> None:
+    """End every call that is under way, with all that it started."""
+    with _guard:
+        for process in _running:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)

@@ -21,7 +21,8 @@ MISMATCHES = (0.0, 0.02, 0.0, 0.05)  # of the vehicles of a pool, in turn
 class Case(NamedTuple):
     """row: of the issue's table. vehicle, model: numbers of the exam. kind, who: how it is driven. seed: of the drive.
 
-    size: of a row that asks how small an effect may be, else -1. source: of a recording, for rewritten ones.
+    size: of a row that asks how small an effect may be, else -1. source: of a recording, for rewritten ones. rung,
+    place: round of a bisection and place in it (ladder.py); until its turn comes such a case stands at the middle size.
     """
 
     number: int
@@ -35,6 +36,8 @@ class Case(NamedTuple):
     duration_s: float = 180.0
     size: float = -1.0
     source: str = ""
+    rung: int = -1
+    place: int = -1
 
 
 class Made(NamedTuple):
@@ -66,12 +69,16 @@ def draw_effect(name: str, rng: np.random.Generator, size: float | None = None) 
 def make(vehicle: Vehicle, effects: Effects, kind: str, who: int, seed: int, duration_s: float = 180.0) -> Made:
     """Drive a car with some effects hidden in it. Plan, driver, noise and stamps depend on the seed alone."""
     hidden = hidden_of(effects)
-    plan: Plan = drives.KINDS[kind](vehicle, duration_s, np.random.default_rng([seed, 1]))
+    plan, noise = planned(vehicle, kind, seed, duration_s)
     driver = driver_of(vehicle, who, np.random.default_rng([seed, 2]))
-    ticks = len(plan.speed_mps)
-    noise = bus.noise_rows(vehicle.noise, ticks, np.random.default_rng([seed, 3]))
-    lost = lost_frames(hidden, ticks, np.random.default_rng([seed, 4]))
+    lost = lost_frames(hidden, len(noise), np.random.default_rng([seed, 4]))
     return Made(vehicle, hidden, driver, drive(vehicle.car, hidden, plan, driver, noise, lost), lost)
+
+
+def planned(vehicle: Vehicle, kind: str, seed: int, duration_s: float) -> tuple[Plan, np.ndarray]:
+    """What a drive's driver wants, and the noise on its reports [K, 20]."""
+    plan: Plan = drives.KINDS[kind](vehicle, duration_s, np.random.default_rng([seed, 1]))
+    return plan, bus.noise_rows(vehicle.noise, len(plan.speed_mps), np.random.default_rng([seed, 3]))
 
 
 def log_of(made: Made, seed: int) -> str:

@@ -15,7 +15,7 @@ from tools.gap_exam.car import Vehicle
 from tools.gap_exam.driver import TICK_S
 from tools.gap_exam.simulate import Plan
 
-SPEEDS_MPS = (3.0, 18.0)
+SPEEDS_MPS, QUICK_MPS = (3.0, 18.0), (18.5, 22.0)
 TIGHTEST_1PM = 0.12
 SIDE_MPS2 = (0.6, 3.0)
 Array = np.ndarray
@@ -199,4 +199,19 @@ def _weave(w: _Wishes) -> None:
         speed = w.rng.uniform(5.0, 14.0)
 
 
-KINDS = {"ordinary": ordinary, "excited": excited}
+def quick(vehicle: Vehicle, duration_s: float, rng: np.random.Generator) -> Plan:
+    """Faster than all other drives: bends, swerves and changes of speed between 18.5 and 22 m/s, no stops."""
+    w = _Wishes(vehicle, rng)
+    speed = start = rng.uniform(*QUICK_MPS)
+    while w.seconds() < duration_s:
+        seconds = rng.uniform(2.5, 5.0)
+        there = _bend(seconds, w.curvature(speed))
+        w.add(seconds, speed, curvature=there)
+        w.add(seconds, speed, curvature=-there)
+        w.add(rng.uniform(1.0, 2.0), speed, pedal=0.0)
+        speed = rng.uniform(*QUICK_MPS)
+        w.add(rng.uniform(2.0, 4.0), speed)
+    return w.plan(duration_s, start)
+
+
+KINDS = {"ordinary": ordinary, "excited": excited, "quick": quick}

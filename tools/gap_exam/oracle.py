@@ -5,16 +5,21 @@ priors) and then runs free on the other blocks, restarted from the true state ev
 in it. The effect is detectable where the second leaves at least 5 % less of the held-out error than the first.
 Errors count in units of what nobody can do better than: noise, the frames' resolution, and half a percent of a signal
 (more for a car with background mismatch).
+
+A model that was calibrated on logs with the effect in them has taken in what its constants can hold of it: there the
+recalibration is wide (actuators' times and all forces are free), and what it takes in is no effect any more.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from tools.gap_exam.bus import Noise
-from tools.gap_exam.car import Car
+from tools.gap_exam.car import G_MPS2, Car
 from tools.gap_exam.cases import Made
 from tools.gap_exam.hidden import NOTHING, Hidden
 from tools.gap_exam.simulate import replay
@@ -26,8 +31,32 @@ HEADING = 16
 RESOLUTION = {1: 5e-5, 3: 5e-5, 4: 9e-4, 5: 9e-4, 6: 3e-3, 11: 5e-3, 12: 5e-3, 13: 2e-4, 16: 2e-4, 17: 5e-3, 19: 2e-4}
 THIN = 5  # every so many ticks count in the fit
 OWN_FLOOR = 0.005
-PRIORS = {"drive_n": 0.025, "brake_n": 0.025, "front_stiffness": 0.03, "rear_stiffness": 0.03, "steer_ratio": 0.02,
+TIGHT = {"drive_n": 0.025, "brake_n": 0.025, "front_stiffness": 0.03, "rear_stiffness": 0.03, "steer_ratio": 0.02,
           "rolling_frac": 0.10, "steer_offset": 0.004}  # fmt: skip
+WIDE = {"drive_n": 0.5, "drive_bend": 0.5, "drive_w": 0.7, "brake_n": 0.5, "front_stiffness": 0.5,
+        "rear_stiffness": 0.5, "inertia_kgm2": 0.3, "steer_ratio": 0.3, "rolling_frac": 2.0, "drag_area_m2": 3.0,
+        "steer_offset": 0.3, "steer_dead_s": 4.0, "steer_hz": 0.7, "steer_rate_radps": 0.9, "throttle_zero": 6.0,
+        "throttle_dead_s": 9.0, "throttle_lag_s": 9.0, "brake_dead_s": 9.0, "brake_lag_s": 9.0,
+        "brake_dead_band": 0.05}  # fmt: skip
+HIDDEN = ("steer_offset", "brake_dead_band")  # of a model's constants those that stand among the effects here
+# A calibration has these constants of every channel: dead time, rate limit, dead band, offset (interfaces 3)
+EXACT = ("steer_dead_time", "steer_rate_limit", "steer_dead_band", "steer_offset", "steer_report_offset",
+         "throttle_dead_time", "throttle_rate_limit", "brake_dead_time", "brake_dead_band")  # fmt: skip
+# Where the constant is that holds more or less of an effect, as a start for the wide fit
+TAKEN_IN: dict[str, tuple[str, Callable[[float, Car], float]]] = {
+    "throttle_lag": ("throttle_lag_s", lambda value, car: value / car.throttle_lag_s),
+    "brake_lag": ("brake_lag_s", lambda value, car: value / car.brake_lag_s),
+    "throttle_dead_band": ("throttle_zero", lambda value, car: value / max(car.throttle_zero, LEAST_ZERO)),
+    "brake_gain": ("brake_n", lambda value, car: value - 1.0),
+    "steer_gain": ("steer_ratio", lambda value, car: 1.0 / value - 1.0),
+    "front_stiffness": ("front_stiffness", lambda value, car: value - 1.0),
+    "rear_stiffness": ("rear_stiffness", lambda value, car: value - 1.0),
+    "rolling_resistance": ("rolling_frac", lambda value, car: value),
+    "brake_drag": ("rolling_frac", lambda value, car: value / (car.rolling_frac * car.mass_kg * G_MPS2)),
+    "aero_drag": ("drag_area_m2", lambda value, car: value / car.drag_area_m2),
+}
+LEAST_LEFT, LEAST_ZERO = 0.02, 1e-3  # of a constant; of the throttle's zero, as a duty
+ROUNDS = {False: 2, True: 4}
 CORRELATED = 60.0  # samples that say one thing
 Array = np.ndarray
 
@@ -42,21 +71,25 @@ class Found(NamedTuple):
     detectable: bool
 
 
-def detect(made: Made) -> Found:
-    """Decide for a drive that was made. Without any effect nothing is detectable."""
-    scale = _scales(made)
-    fit, held = _blocks(len(made.drive.commands))
-    if made.hidden == NOTHING:
+def detect(made: Made, *, wide: bool = False, known: Hidden = NOTHING) -> Found:
+    """Decide for a drive that was made. Without any effect nothing is detectable.
+
+    wide: for a model that was calibrated with the effect in its logs. known: effects that the recalibrated car has,
+    too: what is decided is whether the others can be found beside them.
+    """
+    scale = scales(made)
+    fit, held = blocks(len(made.drive.commands))
+    if made.hidden == known:
         return Found(1.0, 1.0, 0.0, 0.0, False)
-    car = _recalibrated(made, scale, fit)
-    before = _errors(made, _free(made, *car), scale, held)
-    after = _errors(made, _free(made, made.vehicle.car, made.hidden), scale, held)
+    car = recalibrated(made, scale, fit, known, wide=wide)
+    before = errors(made, free_run(made, *car), scale, held)
+    after = errors(made, free_run(made, made.vehicle.car, made.hidden), scale, held)
     first, last = float(np.sqrt(before.mean())), float(np.sqrt(after.mean()))
     removed, most = 1.0 - last / first, float((1.0 - np.sqrt(after / before)).max())
     return Found(first, last, removed, most, removed >= LEAST)
 
 
-def _blocks(ticks: int) -> tuple[Array, Array]:
+def blocks(ticks: int) -> tuple[Array, Array]:
     """Ticks to fit on and to judge by, bool each: blocks in turn, what is at their edges left out."""
     k = np.arange(ticks)
     inside = k % BLOCK >= GUARD
@@ -64,51 +97,76 @@ def _blocks(ticks: int) -> tuple[Array, Array]:
     return inside & (block % 2 == 0), inside & (block % 2 == 1)
 
 
-def _free(made: Made, car: Car, hidden: Hidden) -> Array:
-    """Reports [K, rows] of a free run on the recorded commands; heading from the block's start on."""
-    restart = np.arange(len(made.drive.commands)) % BLOCK == 0
+def free_run(made: Made, car: Car, hidden: Hidden, begin: int = 0) -> Array:
+    """Reports [K, rows] of a free run on the recorded commands, restarted every BLOCK ticks from `begin` on."""
+    restart = (np.arange(len(made.drive.commands)) - begin) % BLOCK == 0
+    restart[0] = True
     lost = made.lost if hidden == made.hidden else np.zeros_like(made.lost)
     run = replay(car, hidden, made.driver, made.drive.commands, made.drive.body, restart, lost)
     return run.reports[:, ROWS]
 
 
-def _recalibrated(made: Made, scale: Array, fit: Array) -> tuple[Car, Hidden]:
-    """Two Gauss-Newton steps from the true constants, without the effect."""
+def recalibrated(
+    made: Made, scale: Array, fit: Array, known: Hidden = NOTHING, *, wide: bool = False
+) -> tuple[Car, Hidden]:
+    """Gauss-Newton steps on the ticks of `fit`, without the effect but with what is known."""
+    if wide:
+        known = known._replace(**{name: getattr(made.hidden, name) for name in EXACT})
     rows = np.flatnonzero(fit)[::THIN]
     weight = np.sqrt(THIN / CORRELATED) / scale
-    names = list(PRIORS)
-    at = np.zeros(len(names))
+    priors = WIDE if wide else TIGHT
+    names, sigma = list(priors), np.array(list(priors.values()))
+    measured = made.drive.reports[rows][:, ROWS]
 
     def residual(x: Array) -> Array:
-        off = (_free(made, *_with(made.vehicle.car, dict(zip(names, x, strict=True)))) - made.drive.reports[:, ROWS])[
-            rows
-        ]
-        return (off * weight).clip(-50.0, 50.0).ravel()
+        run = free_run(made, *_with(made.vehicle.car, known, dict(zip(names, x, strict=True))))
+        return ((run[rows] - measured) * weight).clip(-50.0, 50.0).ravel()
 
-    sigma = np.array([PRIORS[name] for name in names])
-    for _ in range(2):
+    at = _start(made, names) if wide else np.zeros(len(names))
+    best, least = at, math.inf
+    for _ in range(ROUNDS[wide] + 1):
         here = residual(at)
-        slope = np.stack([(residual(at + 0.2 * s * unit) - here) / (0.2 * s)
-                          for s, unit in zip(sigma, np.eye(len(names)), strict=True)], axis=1)  # fmt: skip
+        size = float(here @ here + (at / sigma) @ (at / sigma))
+        if size < least:
+            best, least = at, size
+        step = np.minimum(0.2 * sigma, 0.03)
+        slope = np.stack([(residual(at + d * unit) - here) / d
+                          for d, unit in zip(step, np.eye(len(names)), strict=True)], axis=1)  # fmt: skip
         normal = slope.T @ slope + np.diag(1.0 / sigma**2)
-        step = np.linalg.solve(normal, -slope.T @ here - at / sigma**2)
-        at = np.clip(at + step, -3.0 * sigma, 3.0 * sigma)
-    return _with(made.vehicle.car, dict(zip(names, at, strict=True)))
+        at = np.clip(at + np.linalg.solve(normal, -slope.T @ here - at / sigma**2), -3.0 * sigma, 3.0 * sigma)
+    here = residual(at)
+    return _with(made.vehicle.car, known, dict(zip(names, at if here @ here < least else best, strict=True)))
 
 
-def _with(car: Car, off: dict[str, float]) -> tuple[Car, Hidden]:
-    gains = {name: getattr(car, name) * (1.0 + value) for name, value in off.items() if name != "steer_offset"}
-    return car._replace(**gains), NOTHING._replace(steer_offset=off.get("steer_offset", 0.0))
+def _start(made: Made, names: list[str]) -> Array:
+    """Where a wide fit begins: with what an effect comes to where a constant can hold it."""
+    at = dict.fromkeys(names, 0.0)
+    for effect, (constant, share) in TAKEN_IN.items():
+        value = getattr(made.hidden, effect)
+        if value != getattr(NOTHING, effect):
+            at[constant] += share(value, made.vehicle.car)
+    return np.array(list(at.values()))
 
 
-def _errors(made: Made, model: Array, scale: Array, held: Array) -> Array:
+def _with(car: Car, known: Hidden, off: dict[str, float]) -> tuple[Car, Hidden]:
+    """The car with its constants off by these shares; what stands among the effects is off by so much."""
+    shares = {name: value for name, value in off.items() if name not in HIDDEN}
+    values = {name: getattr(car, name) * max(1.0 + share, LEAST_LEFT) for name, share in shares.items()}
+    if "throttle_zero" in shares:
+        values["throttle_zero"] = car.throttle_zero + shares["throttle_zero"] * max(car.throttle_zero, LEAST_ZERO)
+    moved = {name: getattr(known, name) + off[name] for name in HIDDEN if name in off}
+    return car._replace(**values), known._replace(**moved)
+
+
+def errors(made: Made, model: Array, scale: Array, held: Array) -> Array:
     """Mean square of what is left, a row each, in units of its scale; what nobody can do better counts in both."""
     off = model[held] - made.drive.reports[held][:, ROWS]
     noise = _noise(made.vehicle.noise)
     return ((off**2).mean(axis=0) + scale**2 - noise**2) / scale**2
 
 
-def _scales(made: Made) -> Array:
+def scales(made: Made) -> Array:
+    """What nobody can do better than, a row each: noise, resolution and a share of what the signal does."""
     floor = OWN_FLOOR + made.vehicle.mismatch
     reports = made.drive.reports[:, ROWS].copy()
     heading = ROWS.index(HEADING)

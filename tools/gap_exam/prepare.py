@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from tools.gap_exam import bus, semi_real
-from tools.gap_exam.cases import MISMATCHES, Case, log_of, make, vehicle_of
+from tools.gap_exam.cases import MISMATCHES, Case, Made, log_of, make, vehicle_of
 from tools.gap_exam.fast import source_hash
 from tools.gap_exam.files import Run, read_json, write, write_json
+from tools.gap_exam.hidden import hidden_of
 from tools.gap_exam.oracle import detect
+from tools.gap_exam.recordings import log_name
 from tools.gap_exam.rows import Exam, Model
 from tools.gap_exam.seal import put_away
 from tools.gap_exam.seeds import EXAM
@@ -43,12 +45,13 @@ def is_frozen(exam: Exam, root: Path) -> bool:
     return head == exam.domain.name and not changed
 
 
-def begin(run: Run, exam: Exam, *, frozen: bool = False) -> None:
+def begin(run: Run, exam: Exam, *, frozen: bool = False, sample: bool = False) -> None:
     """Write exam.json, or see that the run goes on as it was begun; raises Frozen where it does not.
 
-    frozen: whether what is examined is what the domain's commit holds.
+    frozen: whether what is examined is what the domain's commit holds. sample: whether it is the small one.
     """
     said = {
+        "sample": sample,
         "frozen": frozen,
         "schema": SCHEMA,
         "domain": str(exam.domain),
@@ -90,20 +93,33 @@ def model_logs(run: Run, exam: Exam, model: Model) -> list[Path]:
     return logs
 
 
-def question(run: Run, exam: Exam, case: Case) -> tuple[Path, Path]:
-    """(log, vehicle folder) of a case; its truth, with whether it is detectable, is sealed before the log is there."""
+def question(run: Run, exam: Exam, case: Case) -> tuple[list[Path], Path]:
+    """(logs, vehicle folder) of a case; its truth, with whether it is detectable, is sealed before there is a log."""
     if case.source:
-        vehicle, text, extra = semi_real.question(run, case)
+        vehicle, texts, extra = semi_real.question(run, case)
         _seal(run, case, extra)
     else:
         vehicle = vehicle_folder(run, exam, case.vehicle)
         made = make(
             vehicle_of(exam.domain, case.vehicle), case.effects, case.kind, case.who, case.seed, case.duration_s
         )
-        _seal(run, case, {"oracle": detect(made)._asdict(), "mismatch": MISMATCHES[case.vehicle % len(MISMATCHES)]})
-        text = log_of(made, case.seed)
-    write(run.log(case.number), text)
-    return run.log(case.number), vehicle
+        _seal(run, case, {**_found(made, case), "mismatch": MISMATCHES[case.vehicle % len(MISMATCHES)]})
+        texts = [log_of(made, case.seed)]
+    paths = [run.log(case.number).with_name(log_name(number)) for number in range(len(texts))]
+    for path, text in zip(paths, texts, strict=True):
+        write(path, text)
+    return paths, vehicle
+
+
+def _found(made: Made, case: Case) -> dict[str, Any]:
+    """What the oracle says of a case: of all that is hidden, and of two effects of each beside the other."""
+    wide = case.row in ("start_b", "start_d")  # its model has seen the effect
+    found: dict[str, Any] = {"oracle": detect(made, wide=wide)._asdict()}
+    if len(case.effects) > 1:
+        others = {name: {key: one for key, one in case.effects.items() if key != name} for name in case.effects}
+        each = {name: detect(made, known=hidden_of(rest)) for name, rest in others.items()}
+        found["each"] = {name: one._asdict() for name, one in each.items()}
+    return found
 
 
 def _seal(run: Run, case: Case, extra: dict[str, Any]) -> None:

@@ -1,8 +1,9 @@
 """Recordings of real cars made ready: for each a vehicle folder, logs that its model is made from, and one to ask of.
 
-DART's drives become CAN logs by the examined program's own `log import` (a command, nothing imported); the model of the
-drive that is asked about is made from all the others. The RAV4's one minute is too short to be cut: its model is made
-from the minute as it was recorded, and what is asked about is that minute rewritten.
+DART's drives become CAN logs by the examined program's own `log import` (a command, nothing imported); the model of
+the drives that are asked about (drive.log, drive_1.log, ...: two minutes and more together) is made from all the
+others. The RAV4's one minute is too short to be cut: its model is made from the minute as it was recorded, and what is
+asked about is that minute rewritten.
 """
 
 from __future__ import annotations
@@ -14,7 +15,11 @@ from tools.gap_exam.call import call
 from tools.gap_exam.files import Run, write
 
 DART_FOLDER = "dart/steering_identification_25_sept_2024"
-DART_DRIVES = {"dart_a": "09_57_26", "dart_b": "09_50_18", "dart_c": "09_53_24"}
+DART_DRIVES = {
+    "dart_a": ("09_57_26",),
+    "dart_b": ("09_50_18",),
+    "dart_c": ("09_53_24", "09_56_00", "09_54_57", "10_02_32"),
+}
 RAV4_LOG = "comma2k19_rav4/drive.candump.log"
 IMPORT = "tunefree-hil log import {csv} --map {map} --out {out} --json"
 ROOT = Path(__file__).resolve().parents[2]
@@ -27,21 +32,28 @@ class NoRecording(Exception):
 def make_ready(run: Run, data: Path, command: str = IMPORT) -> None:
     """Write RUN/recordings/NAME for every recording that is not there yet; raises NoRecording."""
     imported = _dart(run, data, command)
-    for name, drive in DART_DRIVES.items():
+    for name, drives in DART_DRIVES.items():
         target = run.folder / "recordings" / name
         if not (target / "drive.log").is_file():
-            mine = next(folder for folder in imported if folder.name.endswith(drive))
-            _copy_folder(mine, target / "vehicle")
-            for number, other in enumerate(one for one in imported if one != mine):
+            mine = [next(folder for folder in imported if folder.name.endswith(drive)) for drive in drives]
+            _copy_folder(mine[0], target / "vehicle")
+            for number, other in enumerate(one for one in imported if one not in mine):
                 write(target / "vehicle.logs" / f"{number:02d}.log", (other / "drive.log").read_text())
-            write(target / "drive.log", (mine / "drive.log").read_text())
+            for number, one in reversed(list(enumerate(mine))):  # drive.log comes last: then all are there
+                write(target / log_name(number), (one / "drive.log").read_text())
     _rav4(run, data)
+
+
+def log_name(number: int) -> str:
+    """The file of one of the logs that are asked about together."""
+    return f"drive_{number}.log" if number else "drive.log"
 
 
 def _dart(run: Run, data: Path, command: str) -> list[Path]:
     """All drives with motion capture, each imported into a folder that ends in its time of day."""
     found = sorted((data / DART_FOLDER).glob("*.csv"))
-    missing = [drive for drive in DART_DRIVES.values() if not any(path.stem.endswith(drive) for path in found)]
+    wanted = [drive for drives in DART_DRIVES.values() for drive in drives]
+    missing = [drive for drive in wanted if not any(path.stem.endswith(drive) for path in found)]
     if missing:
         folder = data / DART_FOLDER
         raise NoRecording(f"{folder} holds no drive {', '.join(missing)}; --recordings names the folder of both cars")

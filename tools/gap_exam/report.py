@@ -9,15 +9,17 @@ from typing import Any
 
 from tools.gap_exam.catalogue import kind_of
 from tools.gap_exam.files import write, write_json
+from tools.gap_exam.limits import Limit
 from tools.gap_exam.outcomes import OUTCOMES
-from tools.gap_exam.score import Limit, Row
+from tools.gap_exam.score import Row
 from tools.gap_exam.statistics import Figure
 
 COLOURS = {"right": "#2a7f62", "in_set": "#9ccc9c", "partial": "#f2c45a", "silent": "#b8bcc4", "wrong": "#c0392b",
            "cannot_test": "#7f8fa6", "failed": "#2f3640"}  # fmt: skip
 SHARES = {"right", "right_or_in_set", "wrong", "silent", "at_least_one", "covered", "right_link", "forced_right",
-          "forced_wrong", "none_of_these", "value_error_median", "value_error_90th", "gap_closed_median",
-          "gap_closed_10th", "replay_down", "replay_worst"}  # fmt: skip
+          "forced_wrong", "none_of_these", "absorbed", "value_error_median", "value_error_90th", "gap_closed_median",
+          "gap_closed_10th", "replay_down", "replay_worst", "name_same", "net_same", "name_other", "net_other",
+          "name_over_net_same", "name_beats_net_other"}  # fmt: skip
 
 
 def said(name: str, figure: Figure) -> str:
@@ -27,10 +29,12 @@ def said(name: str, figure: Figure) -> str:
     return f"{value:.3g}{unit} ({low:.3g} to {high:.3g}, n = {figure.n})"
 
 
-def markdown(rows: Sequence[Row], limits: Sequence[Limit], title: str) -> str:
-    """The page: outcomes (they sum to 100 %), figures, limits."""
+def markdown(rows: Sequence[Row], limits: Sequence[Limit], title: str, done: Sequence[str] = ()) -> str:
+    """The page: how much of it is done, outcomes (they sum to 100 %), figures, limits."""
     lines = [
         f"# {title}",
+        "",
+        *(f"{words}." for words in done),
         "",
         f"| | n | {' | '.join(name.replace('_', ' ') for name in OUTCOMES)} |",
         "|---" * (2 + len(OUTCOMES)) + "|",
@@ -48,10 +52,12 @@ def markdown(rows: Sequence[Row], limits: Sequence[Limit], title: str) -> str:
 
 
 def limit_words(one: Limit) -> str:
-    """The smallest value that is named, in its unit; gains as departure from 1."""
+    """The smallest value that is named, with its interval and unit; gains as departure from 1."""
     if one.value is None:
         return "never"
-    return f"{'1 ± ' if kind_of(one.name).way in ('factor', 'less') else ''}{one.value:.3g} {one.unit}"
+    ends = [f"{edge:.3g}" for edge in (one.low, one.high) if edge is not None]
+    spread = f" ({' to '.join(ends)})" if len(ends) == 2 else ""
+    return f"{'1 ± ' if kind_of(one.name).way in ('factor', 'less') else ''}{one.value:.3g}{spread} {one.unit}"
 
 
 def as_json(
@@ -76,11 +82,16 @@ def as_json(
 
 
 def write_report(
-    folder: Path, rows: Sequence[Row], limits: Sequence[Limit], wrong: Sequence[dict[str, Any]], domain: str
+    folder: Path,
+    rows: Sequence[Row],
+    limits: Sequence[Limit],
+    wrong: Sequence[dict[str, Any]],
+    domain: str,
+    done: Sequence[str] = (),
 ) -> list[Path]:
     """table.md, table.json, outcomes.png and, where limits were asked for, limits.png; what was written."""
     paths = [folder / "table.md", folder / "table.json"]
-    write(paths[0], markdown(rows, limits, f"Exam of {domain}"))
+    write(paths[0], markdown(rows, limits, f"Exam of {domain}", done))
     write_json(paths[1], as_json(rows, limits, wrong, domain))
     if rows:
         paths.append(folder / "outcomes.png")
@@ -114,24 +125,23 @@ def draw_outcomes(path: Path, rows: Sequence[Row]) -> None:
 
 
 def draw_limits(path: Path, limits: Sequence[Limit]) -> None:
-    """For every effect its sizes, filled where its logs were named; the smallest that is named in 90 % is ringed."""
+    """For every effect the sizes that were asked, darker the more were named, and where 90 % are, with its interval."""
     plt = _plotter()
     figure, axes = plt.subplots(figsize=(9.5, 0.25 * len(limits) + 1.4), layout="constrained")
     for place, one in enumerate(limits):
-        for step, (value, named, logs) in enumerate(one.by_value):
-            ring = one.value is not None and value == one.value
-            axes.scatter(
-                step,
-                place,
-                s=70,
-                color=plt.cm.Greens(0.15 + 0.75 * named / logs),
-                edgecolors="black" if ring else "none",
-            )
-            axes.annotate(f"{value:.3g}", (step, place), (7, 0), textcoords="offset points", va="center", fontsize=6.5)
-    axes.set_yticks(range(len(limits)), [f"{one.name} [{one.unit}]" for one in limits], fontsize=8)
+        for size, _, named, logs in one.steps:
+            shade = plt.cm.Greens(0.15 + 0.75 * named / logs)
+            axes.scatter(size, place, s=60, color=shade, edgecolors="#888888", linewidths=0.5)
+        middle, low, high = (min(max(edge, -0.05), 1.05) for edge in one.at)
+        axes.plot([low, high], [place, place], color="black", linewidth=0.8, zorder=0)
+        if one.value is not None:
+            axes.plot([middle, middle], [place - 0.35, place + 0.35], color="black", linewidth=2.0)
+        axes.annotate(limit_words(one), (1.07, place), va="center", fontsize=7, annotation_clip=False)
+    axes.set_yticks(range(len(limits)), [one.name for one in limits], fontsize=8)
     axes.invert_yaxis()
-    axes.set_xticks([])
-    axes.set_xlabel("from just noticeable to gross; darker: more of the logs named; ringed: named in 90 % from here on")
+    axes.set_xlim(-0.06, 1.45)
+    axes.set_xticks([0.0, 0.5, 1.0], ["just noticeable", "", "gross"])
+    axes.set_xlabel("size; darker: more of the logs named; bar: named in 90 % from here on, with its 95 % interval")
     axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=130)
     plt.close(figure)

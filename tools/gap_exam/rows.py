@@ -14,6 +14,7 @@ from tools.gap_exam.semi_real import LEAST_SIZE, SOURCES, names_of
 POOL = 24  # vehicles
 KINDS, DRIVERS = ("ordinary", "excited"), (PERSON, CONTROLLER)
 REFERENCE_S = 180.0
+ROUNDS, PER_ROUND = 4, 3  # of the bisection of an effect's size: 12 logs
 
 
 class LogSpec(NamedTuple):
@@ -49,12 +50,11 @@ class Counts(NamedTuple):
     one: int = 7  # vehicles an effect: three in four logs are detectable, which leaves about 240
     free: int = 300
     outside: int = 6  # vehicles a kind
-    two: int = 32  # of other subsystems, and as many of the same
+    two: int = 30  # of other subsystems, and as many of the same
     start_b: int = 60
     start_c: int = 60
     start_d: int = 24
-    sizes: int = 6  # of each effect, for the smallest that is named
-    per_size: int = 2
+    limits: int = ROUNDS * PER_ROUND  # of each effect, for the smallest that is named
 
 
 SAMPLE_SIZE = 24
@@ -69,14 +69,17 @@ class _Draw:
         self.cases: list[Case] = []
         self.models: dict[str, Model] = {}
 
-    def add(self, row: str, place: int, effects: Effects, vehicle: int, model: str = "", size: float = -1.0) -> None:
+    def add(
+        self, row: str, place: int, effects: Effects, vehicle: int, model: str = "", *, rung: int = -1, within: int = -1
+    ) -> None:
         """One more case; ways of driving go round in an order that has nothing to do with vehicle or effect."""
         turn = int(self.domain.rng(row, place, "way").integers(4))
         kind, who = KINDS[turn % 2], DRIVERS[turn // 2]
         if row == "limits":
             kind = "excited"
         model = model or self.clean(vehicle)
-        self.cases.append(Case(-1, row, vehicle, model, kind, who, effects, self.domain.seed(row, place), size=size))
+        seed = self.domain.seed(row, place)
+        self.cases.append(Case(-1, row, vehicle, model, kind, who, effects, seed, rung=rung, place=within))
 
     def clean(self, vehicle: int) -> str:
         """The model of a vehicle calibrated on its effect-free logs."""
@@ -209,10 +212,9 @@ def _semi(draw: _Draw, counts: Counts) -> None:
 
 
 def _limits(draw: _Draw, counts: Counts) -> None:
-    """Every effect at sizes from just noticeable to gross, in equal steps of their logarithm."""
+    """Every effect at sizes that are found by bisection (ladder.py), each log another vehicle."""
     for i, name in enumerate(EFFECTS):
         vehicles = draw.vehicles("limits", name)
-        for j in range(counts.sizes * counts.per_size):
-            size = (j // counts.per_size) / max(counts.sizes - 1, 1)
-            place = i * counts.sizes * counts.per_size + j
-            draw.add("limits", place, {name: draw.effect(name, "limits", j, size=size)}, vehicles[j], "", size)
+        for j in range(counts.limits):
+            draw.add("limits", i * counts.limits + j, {name: draw.effect(name, "limits", j, size=0.5)}, vehicles[j],
+                     rung=j // PER_ROUND, within=j % PER_ROUND)  # fmt: skip

@@ -1,36 +1,82 @@
 """Runs the examined program over an exam: a model where one is needed, then a question at a time, two side by side.
 
 Whatever is cut off, kill -9 included, the same call goes on: only whole answers count, and an answer is whole when
-run.json is there. The program is a command line; nothing of it is imported.
+run.json is there. The program is a command line; nothing of it is imported. Models are shared by all cases of a vehicle
+that start from a clean calibration.
 """
 
 from __future__ import annotations
 
 import json
+import math
+import os
 import shutil
 import sys
 import threading
 import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tools.gap_exam.call import Done, call
+from tools.gap_exam.call import Done, call, end_all
 from tools.gap_exam.cases import Case
 from tools.gap_exam.files import Run, write_json
+from tools.gap_exam.ladder import Ladder
 from tools.gap_exam.prepare import clear, model_logs, question, vehicle_folder
 from tools.gap_exam.rows import Exam, Model
+from tools.gap_exam.semi_real import SOURCES
 
 
 class Program(NamedTuple):
-    """How the examined program is called. {log}, {vehicle}, {model}, {out}, {logs}, {physics} are put in."""
+    """How the examined program is called. {log}, {vehicle}, {model}, {out}, {logs}, {physics} are put in.
+
+    name_only: what is added where nothing but the name is asked for (the row `limits`), which takes less time.
+    """
 
     gap: str = "tunefree-hil gap {log} --vehicle {vehicle} --model {model} --out {out} --json"
     calibrate: str = "tunefree-hil calibrate {logs} --vehicle {vehicle} --out {out} --json"
-    learn: str = "tunefree-hil learn {logs} --vehicle {vehicle} --physics {physics} --out {out} --json"
+    name_only: str = "--until name"
+    learn: str = "tunefree-hil learn {logs} --vehicle {vehicle} --physics {physics} --out {out} --minutes 4 --json"
     limit_s: float = 900.0
     learn_limit_s: float = 3600.0
+
+
+class Turns:
+    """Whose turn it is: cases in their order, but one whose size hangs on answers that are not there lets others by."""
+
+    def __init__(self, run: Run, ladder: Ladder, todo: Sequence[Case], until: float = math.inf) -> None:
+        self.run, self.ladder, self.todo, self.until = run, ladder, list(todo), until
+        self.stopped = False
+        self._under_way = 0
+        self._change = threading.Condition()
+
+    def take(self) -> Case | None:
+        """The next case, with its size; None where there is none, or no time for one."""
+        with self._change:
+            while self.todo and not self.stopped and time.monotonic() < self.until:
+                ready = next((one for one in self.todo if not self.ladder.waits(self.run, one)), None)
+                if ready is not None:
+                    self.todo.remove(ready)
+                    self._under_way += 1
+                    return self.ladder.sized(self.run, ready)
+                if not self._under_way:
+                    return None  # what it waits for is not among these cases
+                self._change.wait()
+            return None
+
+    def give_back(self) -> None:
+        """A case that was taken is done with."""
+        with self._change:
+            self._under_way -= 1
+            self._change.notify_all()
+
+    def stop(self) -> None:
+        """Nobody gets a case any more; what is under way is ended and does not count."""
+        with self._change:
+            self.stopped = True
+            self._change.notify_all()
+        end_all()
 
 
 class Examiner:
@@ -39,20 +85,41 @@ class Examiner:
     def __init__(self, run: Run, exam: Exam, program: Program, *, keep: bool = False) -> None:
         self.run, self.exam, self.program = run, exam, program
         self.keep = keep
-        self._models: dict[str, threading.Lock] = {name: threading.Lock() for name in exam.models}
+        self._models: dict[str, threading.Lock] = {name: threading.Lock() for name in (*exam.models, *SOURCES)}
+        self._failed: dict[str, Done] = {}  # models that could not be made: asked for once
         self._loops = threading.Lock()  # our own loops one at a time: they hold the interpreter anyway
+        self._turns = Turns(run, Ladder(exam), ())
         self.seconds: list[float] = []
 
-    def go(self, cases: Sequence[Case], parallel: int = 2) -> int:
-        """Answer what has no answer yet; how many were answered now."""
+    def go(self, cases: Sequence[Case], parallel: int = 2, hours: float = 0.0) -> int:
+        """Answer what of these has no answer yet, in their order; how many were answered now.
+
+        hours: after so long no further question is asked (0: until all are answered).
+        """
         todo = [case for case in cases if not self.run.is_answered(case.number)]
-        todo.sort(key=lambda case: (case.model, case.number))  # models in turn: both workers seldom wait for one
         self._total, self._begun = len(todo), time.monotonic()
         self._say(f"{len(cases) - len(todo)} of {len(cases)} are answered; {len(todo)} to go")
+        until = self._begun + 3600.0 * hours if hours else math.inf
+        self._turns = Turns(self.run, Ladder(self.exam), todo, until)
         with ThreadPoolExecutor(parallel) as pool:
-            for _ in pool.map(self.one, todo):
-                self._say(self.progress())
-        return len(todo)
+            workers = [pool.submit(self._work) for _ in range(parallel)]
+            try:
+                for worker in as_completed(workers):
+                    worker.result()
+            except BaseException:  # an interrupt, or an error of one worker: the others do not go on alone
+                self._turns.stop()
+                raise
+        if self._turns.todo:
+            self._say(f"{len(self._turns.todo)} of {len(cases)} are still to be asked; the same call goes on")
+        return len(self.seconds)
+
+    def _work(self) -> None:
+        while (case := self._turns.take()) is not None:
+            try:
+                self.one(case)
+            finally:
+                self._turns.give_back()
+            self._say(self.progress())
 
     def progress(self) -> str:
         done, took = len(self.seconds), time.monotonic() - self._begun
@@ -61,26 +128,21 @@ class Examiner:
 
     def one(self, case: Case) -> None:
         """One question, from its model to its answer."""
-        model = self.run.model(case.model) if case.model else None
-        if case.model:
-            with self._models[case.model]:
-                failed = self._make_model(self.exam.models[case.model])
-            if failed is not None:
-                self._answer(case, failed._replace(stderr=f"no model: {failed.stderr}"), None)
-                return
         with self._loops:
-            log, vehicle = question(self.run, self.exam, case)
-        out = log.parent / "out"
-        shutil.rmtree(out, ignore_errors=True)
-        if model is None:
-            model, failed = self._own_model(vehicle)
-            if failed is not None:
-                self._answer(case, failed._replace(stderr=f"no model: {failed.stderr}"), None)
-                return
-        done = call(
-            self.program.gap, self.program.limit_s, log=str(log), vehicle=str(vehicle), model=str(model), out=str(out)
-        )
-        self._answer(case, done, out)
+            logs, vehicle = question(self.run, self.exam, case)
+        model, failed = self._model_of(case, vehicle)
+        if self._turns.stopped:
+            return
+        out = logs[0].parent / "out"
+        if failed is None:
+            shutil.rmtree(out, ignore_errors=True)
+            command = f"{self.program.gap} {self.program.name_only}" if case.rung >= 0 else self.program.gap
+            places = {"vehicle": str(vehicle), "model": str(model), "out": str(out)}
+            done = call(command, self.program.limit_s, log=[str(path) for path in logs], **places)
+        else:
+            done = failed._replace(stderr=f"no model: {failed.stderr}")
+        if not self._turns.stopped:
+            self._answer(case, done, out if failed is None else None)
 
     def _answer(self, case: Case, done: Done, out: Path | None) -> None:
         folder = self.run.answer(case.number)
@@ -89,14 +151,22 @@ class Examiner:
             write_json(folder / "gap.json", gap)
         if done.status is None:
             done = done._replace(stderr=f"out of time\n{done.stderr}")
-        if not self.run.sealed(case.number).is_file():  # its model failed: the truth is sealed all the same
-            with self._loops:
-                question(self.run, self.exam, case)
         words = "" if gap is not None else done.stderr
         write_json(folder / "run.json", {"status": done.status, "seconds": done.seconds, "words": words})
         self.seconds.append(done.seconds)
         if not self.keep:
             clear(self.run, case)
+
+    def _model_of(self, case: Case, vehicle: Path) -> tuple[Path, Done | None]:
+        """(model folder, what it came to where it could not be made); a recording's lies beside its vehicle."""
+        name = case.model or case.source
+        with self._models[name]:
+            if name not in self._failed:
+                made = self._make_model(self.exam.models[name]) if case.model else self._own_model(vehicle)
+                if made is not None and not self._turns.stopped:
+                    self._failed[name] = made
+        folder = self.run.model(name) if case.model else vehicle.with_name(f"{vehicle.name}.model")
+        return folder, self._failed.get(name)
 
     def _make_model(self, model: Model) -> Done | None:
         """Have a model made where it is not there; what it came to where it could not be made."""
@@ -106,7 +176,7 @@ class Examiner:
         with self._loops:
             vehicle = str(vehicle_folder(self.run, self.exam, model.vehicle))
             logs = [str(path) for path in model_logs(self.run, self.exam, model)]
-        self._say(f"model {model.name} ({model.kind})")
+        begun = time.monotonic()
         physics = folder if model.kind == "physics" else folder.with_suffix(".physics")
         done = self._model_call(self.program.calibrate, self.program.limit_s, physics, logs, vehicle)
         if done is None and model.kind != "physics":
@@ -114,20 +184,20 @@ class Examiner:
             done = self._model_call(self.program.learn, self.program.learn_limit_s, folder, logs, vehicle, **extra)
         if done is None and not self.keep:
             shutil.rmtree(folder.with_suffix(".logs"), ignore_errors=True)
+        self._say(f"model {model.name} ({model.kind}): {time.monotonic() - begun:.0f} s")
         return done
 
-    def _own_model(self, vehicle: Path) -> tuple[Path, Done | None]:
-        """The model of a recording's vehicle, from the untouched recording beside its folder."""
+    def _own_model(self, vehicle: Path) -> Done | None:
+        """The model of a recording's vehicle, from the untouched recordings beside its folder."""
+        logs = [str(path) for path in sorted((vehicle.parent / f"{vehicle.name}.logs").glob("*.log"))]
         folder = vehicle.with_name(f"{vehicle.name}.model")
-        with self._loops:
-            logs = [str(path) for path in sorted((vehicle.parent / f"{vehicle.name}.logs").glob("*.log"))]
-            return folder, self._model_call(self.program.calibrate, self.program.limit_s, folder, logs, str(vehicle))
+        return self._model_call(self.program.calibrate, self.program.limit_s, folder, logs, str(vehicle))
 
     @staticmethod
     def _model_call(command: str, limit_s: float, out: Path, logs: list[str], vehicle: str, **more: str) -> Done | None:
         if (out / "model.toml").is_file():
             return None
-        part = out.with_name(f"{out.name}.part")
+        part = out.with_name(f"{out.name}.{os.getpid()}.part")
         shutil.rmtree(part, ignore_errors=True)
         done = call(command, limit_s, logs=logs, vehicle=vehicle, out=str(part), **more)
         if not (part / "model.toml").is_file():

@@ -6,14 +6,11 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from tools.gap_exam.catalogue import EFFECTS, kind_of
 from tools.gap_exam.driver import PERSON
 from tools.gap_exam.files import Run, read_json
 from tools.gap_exam.outcomes import OUTCOMES, Mark, mark, names_of
 from tools.gap_exam.seal import open_truth
 from tools.gap_exam.statistics import Figure, mean, quantile, share
-
-LEAST_NAMED = 0.9
 
 
 class Marked(NamedTuple):
@@ -52,6 +49,11 @@ def detectable(one: Marked) -> bool:
     return one.truth.get("oracle") is None or bool(one.truth["oracle"]["detectable"])
 
 
+def each_detectable(one: Marked) -> bool:
+    """Whether each of two effects can be found beside the other; one may hide the other (a limit that is never met)."""
+    return all(found["detectable"] for found in one.truth["each"].values())
+
+
 def row(name: str, cases: Sequence[Marked]) -> Row:
     """Outcomes and figures of some cases."""
     count = Counter(one.mark.outcome for one in cases)
@@ -75,6 +77,7 @@ def row(name: str, cases: Sequence[Marked]) -> Row:
         "seconds": quantile([one.seconds for one in marks if one.seconds is not None], 0.5),
         "forced_right": _yes([one.forced == "right" for one in marks if one.forced is not None]),
         "forced_wrong": _yes([one.forced == "wrong" for one in marks if one.forced is not None]),
+        "absorbed": _yes([bool((one.answer or {}).get("absorbed")) for one in cases]),
         "none_of_these": _yes([(one.answer or {}).get("verdict") == "none_of_these" for one in cases]),
     }
     return Row(name, n, outcomes, {key: value for key, value in figures.items() if value.n})
@@ -104,10 +107,13 @@ def table(cases: Sequence[Marked]) -> list[Row]:
         ("outside the catalogue, detectable", lambda one: _of("outside")(one) and detectable(one)),
         ("two effects, other subsystems", _of("two_other")),
         ("two effects, same subsystem", _of("two_same")),
+        ("two effects, other subsystems, each detectable", lambda one: _of("two_other")(one) and each_detectable(one)),
+        ("two effects, same subsystem, each detectable", lambda one: _of("two_same")(one) and each_detectable(one)),
         *((f"start ({key}), detectable", lambda one, key=key: _of(f"start_{key}")(one) and detectable(one))
           for key in "bcd"),
-        *((f"start ({key}), not detectable", lambda one, key=key: _of(f"start_{key}")(one) and not detectable(one))
-          for key in "bcd"),
+        ("start (b), taken in by the model", lambda one: _of("start_b")(one) and not detectable(one)),
+        ("start (c), not detectable", lambda one: _of("start_c")(one) and not detectable(one)),
+        ("start (d), taken in by the model", lambda one: _of("start_d")(one) and not detectable(one)),
         *((f"one effect, {kind} drive", lambda one, kind=kind: _one(one) and one.truth["kind"] == kind)
           for kind in ("ordinary", "excited")),
         ("one effect, a person drives", lambda one: _one(one) and one.truth["who"] == PERSON),
@@ -123,48 +129,6 @@ def table(cases: Sequence[Marked]) -> list[Row]:
 
 def _one(one: Marked) -> bool:
     return one.truth["row"] == "one" and detectable(one)
-
-
-class Limit(NamedTuple):
-    """The smallest value of an effect at which, and from which on, 90 % of the logs were named; None: there is none."""
-
-    name: str
-    value: float | None
-    unit: str
-    n: int
-    by_value: tuple[tuple[float, int, int], ...]  # value, named right, logs
-
-
-def limits(cases: Sequence[Marked]) -> list[Limit]:
-    """Of every effect, from the row that asks for it. 'Named' is alone and right."""
-    found = []
-    for name in EFFECTS:
-        of = [one for one in cases if one.truth["row"] == "limits" and list(one.truth["effects"]) == [name]]
-        if not of:
-            continue
-        kind = kind_of(name)
-        sizes = sorted({one.truth["size"] for one in of})
-        steps = []
-        for size in sizes:
-            here = [one for one in of if one.truth["size"] == size]
-            values = [_amount(one) for one in here]
-            steps.append((sum(values) / len(values), sum(one.mark.outcome == "right" for one in here), len(here)))
-        smallest = None
-        for k in range(len(steps)):
-            named, logs = sum(one[1] for one in steps[k:]), sum(one[2] for one in steps[k:])
-            if named >= LEAST_NAMED * logs and steps[k][1] >= LEAST_NAMED * steps[k][2]:
-                smallest = steps[k][0]
-                break
-        found.append(Limit(name, smallest, kind.unit, len(of), tuple(steps)))
-    return found
-
-
-def _amount(one: Marked) -> float:
-    """The size that a reader means: of a gain how far it is from 1, of a limit the limit."""
-    name, params = next(iter(one.truth["effects"].items()))
-    kind = kind_of(name)
-    value = params[kind.parameter]
-    return abs(value - 1.0) if kind.way in ("factor", "less") else abs(value)
 
 
 def false_names(cases: Sequence[Marked]) -> list[dict[str, Any]]:

@@ -36,7 +36,7 @@ def quantile(values: Sequence[float], q: float) -> Figure:
     if n == 0:
         return Figure(None, None, None, 0)
     half = Z * math.sqrt(n * q * (1 - q))
-    low = max(0, math.floor(n * q - half)) if n >= 6 else 0
+    low = min(max(0, math.floor(n * q - half)), n - 1) if n >= 6 else 0
     high = min(n - 1, math.ceil(n * q + half)) if n >= 6 else n - 1
     return Figure(_at(ordered, q), ordered[low], ordered[high], n)
 

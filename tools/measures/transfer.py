@@ -27,13 +27,17 @@ from tools.measures.freerun import learned, learned_in
 from tools.measures.map import logs_in
 from tools.measures.parity import parameter_sets
 from tunefree_hil.bench import Bench, load, parameters_of
+from tunefree_hil.bench.batch import Batch
 from tunefree_hil.figures.transfer import Ranked, write_transfer
 from tunefree_hil.jobs.candidates import baseline_vectors
+from tunefree_hil.jobs.hold import drive_slower
 from tunefree_hil.jobs.map import map_logs
 from tunefree_hil.tune.baselines import first_trial
+from tunefree_hil.tune.holding import ranked
 from tunefree_hil.tune.space import resolve
 from tunefree_hil.tune.store import Settings
 from tunefree_hil.tune.study import Evaluation, open_study
+from tunefree_hil.tune.trial import Scored, Trial
 
 VALUE = "Spearman correlation of grades, hybrid plant and vehicle, of random sets that finish on both; lower vehicle"
 NAME, SET = "transfer", "complete"
@@ -205,9 +209,23 @@ def _tuned(bench: Bench, model: str, trials: int, seed: int, ledger: Ledger) -> 
             scored = rig.evaluate(parameters_of(bench, searched))
             return Evaluation(scored["score"], scored["scenarios"])
 
-        best = min(study.run(trials, evaluate), key=lambda trial: trial.score)
+        for _ in study.run(trials, evaluate):
+            pass
+        best = _held(bench, model, study)
     _say(f"{Path(model).name}, seed {seed}: {best.score:.4f} after {trials} trials")
     return parameters_of(bench, best.parameters)
+
+
+def _held(bench: Bench, model: str, study: Scored) -> Trial:
+    """The winner as `tune` chooses it: the best that holds in a slower car (jobs/hold.py)."""
+    searched = replace(bench, spec=with_values(bench.spec, model=model))
+    with Batch(searched) as batch:
+        driving = drive_slower(batch, searched, study, {})
+        while True:
+            try:
+                next(driving)
+            except StopIteration as end:
+                return ranked(study.trials(), end.value)[0]
 
 
 def _say(words: str) -> None:

@@ -20,14 +20,16 @@ from tools.gap_exam.call import call
 from tools.gap_exam.catalogue import EFFECTS, OUTSIDE, kind_of
 from tools.gap_exam.driver import CONTROLLER
 from tools.gap_exam.files import Run, read_json
+from tools.gap_exam.hidden import hidden_of
 from tools.gap_exam.oracle import detect
 from tools.gap_exam.outcomes import OUTCOMES
 from tools.gap_exam.prepare import Frozen, begin, is_frozen, truths_hash
 from tools.gap_exam.rows import POOL, Counts, exam_of, sample_of
 from tools.gap_exam.seeds import Domain
+from tools.gap_exam.session import Wish, chosen, standing
 
 COMMIT = "0123456789" * 4
-SMALL = Counts(one=0, free=4, outside=0, two=2, start_b=0, start_c=0, start_d=0, sizes=0)
+SMALL = Counts(one=0, free=4, outside=0, two=2, start_b=0, start_c=0, start_d=0, limits=0)
 
 
 # --- what is asked ------------------------------------------------------------------------------------------------
@@ -45,8 +47,9 @@ def test_the_rows_are_those_of_the_issue() -> None:
     for name in EFFECTS:
         mine = [case for case in exam.cases if case.row == "one" and list(case.effects) == [name]]
         assert len({case.vehicle for case in mine}) == 7, "another vehicle each time"
-        sizes = [case.size for case in exam.cases if case.row == "limits" and list(case.effects) == [name]]
-        assert len(sizes) >= 12 and min(sizes) == 0.0 and max(sizes) == 1.0
+        steps = [case for case in exam.cases if case.row == "limits" and list(case.effects) == [name]]
+        assert len({case.vehicle for case in steps}) == len(steps) >= 12
+        assert Counter(case.rung for case in steps) == dict.fromkeys(range(4), 3)
     for name in OUTSIDE:
         assert sum(list(case.effects) == [name] for case in exam.cases) == 6
     for case in exam.cases:
@@ -111,6 +114,30 @@ def test_the_oracle_knows_gross_from_slight_and_nothing() -> None:
     assert removed(loss) > 0.05
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_what_a_calibration_has_taken_in_is_no_effect_any_more() -> None:
+    """A wide recalibration holds a rate limit and a gain, and no backlash; a tight one holds none of them."""
+    for name, value, stays in (
+        ("throttle_rate_limit", 0.2, False),
+        ("brake_gain", 1.3, False),
+        ("steer_backlash", 0.2, True),
+    ):
+        made = cases.make(vehicle(), {name: {kind_of(name).parameter: value}}, "excited", CONTROLLER, 21, 80.0)
+        assert detect(made).detectable and detect(made, wide=True).detectable == stays, name
+
+
+@pytest.mark.slow
+def test_an_effect_beside_another_is_judged_by_what_it_adds() -> None:
+    gross = {"steer_rate_limit": {"rate_radps": 0.7}}
+    both = {**gross, "brake_gain": {"gain_frac": 1.3}}
+    made = cases.make(vehicle(), both, "excited", CONTROLLER, 21, 80.0)
+    assert detect(made, known=hidden_of(gross)).removed > 0.05
+    never_met = {**both, "steer_saturation": {"limit_rad": 7.0}}
+    met = cases.make(vehicle(), never_met, "excited", CONTROLLER, 21, 80.0)
+    assert not detect(met, known=hidden_of(both)).detectable, "a limit that nothing reaches"
+
+
 # --- a whole exam -----------------------------------------------------------------------------------------------------
 
 PROGRAM = """
@@ -131,6 +158,14 @@ if number % 4 == 3: sys.exit("no idea")
 MODEL = "import pathlib, sys; p = pathlib.Path(sys.argv[-1]); p.mkdir(); (p / 'model.toml').write_text('')"
 
 
+EXAM = exam_of(DOMAIN)
+
+
+def asked_for() -> list[int]:
+    """What `words` asks for: the first six of a part of the pairs."""
+    return [case.number for case in chosen(EXAM, Wish(Path("unused"), rows=("two",), part="1/4", logs=6))]
+
+
 def words(folder: Path, pause: float = 0.0) -> list[str]:
     (folder / "program.py").write_text(PROGRAM.replace("PAUSE", str(pause)))
     (folder / "model.py").write_text(MODEL)
@@ -148,7 +183,9 @@ def words(folder: Path, pause: float = 0.0) -> list[str]:
         "--calibrate",
         calibrate,
         "--part",
-        "1/8",
+        "1/4",
+        "--logs",
+        "6",
     ]
 
 
@@ -172,16 +209,21 @@ def test_an_exam_is_run_killed_gone_on_with_and_scored(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "h left" in done.stderr
     assert all(path.read_bytes() == text for path, text in before.items()), "answers stay as they are"
-    assert len(list(answers.glob("*/run.json"))) == 8
+    assert len(list(answers.glob("*/run.json"))) == len(asked_for()) >= 4
     assert not list((tmp_path / "run" / "cases").glob("*/drive.log")), "answered questions are taken away"
     asked = Counter((tmp_path / "called").read_text().split())
-    assert len(asked) == 8 and sum(asked.values()) <= 8 + 2 + 2
+    assert len(asked) == len(asked_for()) and sum(asked.values()) <= len(asked) + 2 + 2
 
     run = Run(tmp_path / "run")
     marked = score.marked(run, range(read_json(run.exam)["cases"]))
-    assert len(marked) == 8
+    assert len(marked) == len(asked_for())
+    stand = standing(run)
+    assert stand["done"] == f"{len(marked)} of {len(EXAM.cases)} done" and not stand["whole"]
+    assert stand["rows_done"]["one"] == "0 of 294"
     rows = score.table(marked)
-    assert {row.name for row in rows} == {"two effects, other subsystems", "two effects, same subsystem"}
+    assert {row.name.removesuffix(", each detectable") for row in rows} == {
+        "two effects, other subsystems", "two effects, same subsystem"
+    }  # fmt: skip
     for row in rows:
         assert sum(row.outcomes.values()) == row.n and set(row.outcomes) == set(OUTCOMES)
     for one in marked:
@@ -190,8 +232,22 @@ def test_an_exam_is_run_killed_gone_on_with_and_scored(tmp_path: Path) -> None:
     written = report.write_report(tmp_path / "report", rows, [], score.false_names(marked), "dev:tests")
     assert all(path.stat().st_size > 200 for path in written)
 
-    again = subprocess.run([*words(tmp_path)[:-2], "--domain", "dev:other"], cwd=ROOT, capture_output=True, text=True)
+    again = subprocess.run([*words(tmp_path), "--domain", "dev:other"], cwd=ROOT, capture_output=True, text=True)
     assert again.returncode == 2 and "another domain" in again.stderr, "one folder, one frozen exam"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_an_interrupt_ends_what_is_under_way_and_counts_none_of_it(tmp_path: Path) -> None:
+    process = subprocess.Popen(words(tmp_path, 90.0), cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 90.0
+    while not (tmp_path / "called").is_file() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    begun = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60.0)
+    assert process.returncode == 130 and "the same call goes on" in said
+    assert time.monotonic() - begun < 45.0 and not list((tmp_path / "run").glob("answers/*/run.json"))
 
 
 @pytest.mark.slow

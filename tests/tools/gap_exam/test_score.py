@@ -11,6 +11,7 @@ import pytest
 from tools.gap_exam import report, score
 from tools.gap_exam.catalogue import value
 from tools.gap_exam.driver import CONTROLLER, PERSON
+from tools.gap_exam.limits import amount, limits
 from tools.gap_exam.outcomes import OUTCOMES, mark
 from tools.gap_exam.score import Marked
 from tools.gap_exam.statistics import mean, quantile, share
@@ -69,21 +70,39 @@ def test_rows_are_told_apart() -> None:
     assert score.false_names(cases)[0]["number"] == 1
 
 
-def test_the_smallest_value_that_is_named() -> None:
-    """From the size on from which nine in ten of all logs are named, and of its own: not below one that was missed."""
-    sizes = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]
-    named = {0.0: (0, 0), 0.2: (1, 1), 0.4: (0, 0), 0.6: (1, 1), 0.8: (1, 1), 1.0: (1, 1)}
+def ladder_cases(named: dict[float, tuple[int, ...]]) -> list[Marked]:
+    """Logs of a steering lag by size, each named or met with silence."""
     cases = []
-    for size in sizes:
-        for yes in named[size]:
+    for size, hits in named.items():
+        for yes in hits:
             effects = {"steer_lag": {"tau_s": value("steer_lag", size)}}
             name = ("one", "steer_lag") if yes else ("none_missing",)
             cases.append(case(len(cases), *name, row="limits", effects=effects, size=size))
-    found = score.limits(cases)
-    assert len(found) == 1 and found[0].n == 12
-    assert found[0].value == pytest.approx(value("steer_lag", 0.6)) and found[0].unit == "s"
-    none = score.limits([one._replace(mark=one.mark._replace(outcome="silent")) for one in cases])
-    assert none[0].value is None and report.limit_words(none[0]) == "never"
+    return cases
+
+
+def test_the_smallest_value_that_is_named() -> None:
+    """All from 0.375 on were named and nothing at 0.25: the limit lies between, so does its interval, about."""
+    cases = ladder_cases({0.5: (1, 1, 1), 0.25: (0, 0, 0), 0.375: (1, 1, 1), 0.3125: (1, 0, 0)})
+    (found,) = limits(cases)
+    assert found.n == 12 and found.unit == "s" and found.steps[0] == (0.25, value("steer_lag", 0.25), 0, 3)
+    assert found.value is not None and found.low is not None and found.high is not None
+    assert value("steer_lag", 0.3) < found.value < value("steer_lag", 0.45)
+    assert value("steer_lag", 0.25) < found.low < found.value < found.high < value("steer_lag", 1.0)
+    (never,) = limits([one._replace(mark=one.mark._replace(outcome="silent")) for one in cases])
+    assert never.value is None and report.limit_words(never) == "never"
+    assert report.limit_words(found).endswith(" s") and " to " in report.limit_words(found)
+
+
+def test_a_limit_is_not_said_below_what_was_asked() -> None:
+    sizes = (0.5, 0.25, 0.125, 0.0625)
+    (found,) = limits(ladder_cases(dict.fromkeys(sizes, (1, 1, 1))))
+    assert found.value == pytest.approx(value("steer_lag", 0.0625)) and found.at[0] < 0.0625
+
+
+def test_a_gain_is_limited_by_its_departure() -> None:
+    assert amount("steer_gain", 1.0) == pytest.approx(0.28) and amount("power_limit", 1.0) == pytest.approx(7.5e3)
+    assert amount("friction", 0.0) == pytest.approx(0.12)
 
 
 def test_intervals() -> None:
@@ -94,6 +113,7 @@ def test_intervals() -> None:
     assert share(5, 5).high == 1.0 and share(0, 0).value is None
     middle = quantile([float(i) for i in range(101)], 0.5)
     assert middle.value == 50.0 and middle.low == 40.0 and middle.high == 61.0
+    assert quantile([float(i) for i in range(8)], 1.0) == (7.0, 7.0, 7.0, 8)
     assert quantile([3.0], 0.9) == (3.0, 3.0, 3.0, 1) and quantile([], 0.5).n == 0
     assert mean([1.0, 3.0]).value == 2.0
 
@@ -101,8 +121,8 @@ def test_intervals() -> None:
 def test_the_page_and_the_pictures(tmp_path: Path) -> None:
     cases = [case(i, *answer) for i, answer in enumerate(ANSWERS)]
     cases += [case(9, "one", "steer_lag", row="limits", size=0.5)]
-    rows, limits = score.table(cases), score.limits(cases)
-    paths = report.write_report(tmp_path, rows, limits, score.false_names(cases), "dev:x")
+    rows, edges = score.table(cases), limits(cases)
+    paths = report.write_report(tmp_path, rows, edges, score.false_names(cases), "dev:x")
     assert [path.name for path in paths] == ["table.md", "table.json", "outcomes.png", "limits.png"]
     page = (tmp_path / "table.md").read_text()
     assert "| one effect, detectable | 5 | 20.0 % | 20.0 % | 0.0 % | 20.0 % | 20.0 % | 20.0 % | 0.0 % |" in page

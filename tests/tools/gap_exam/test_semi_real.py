@@ -120,7 +120,7 @@ def test_the_rav4s_minute_rewritten(tmp_path: Path, shared_data: Path) -> None:
     run = Run(tmp_path)
     recordings._rav4(run, shared_data)
     case = cases.Case(0, "semi", -1, "", "recorded", 0, {"steer_report_offset": {"offset_rad": 0.1}}, 1, source="rav4")
-    folder, text, _ = semi_real.question(run, case)
+    folder, (text,), _ = semi_real.question(run, case)
     raw = (tmp_path / "recordings" / "rav4" / "drive.log").read_text()
     assert len(read(raw)) == len(read(text)) > 30000
     total = [
