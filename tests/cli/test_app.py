@@ -154,17 +154,19 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"tunefree-hil {__version__}\n"
 
 
-@pytest.mark.parametrize("name", ["gap"])
-def test_not_built_yet(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run([name, "some.log", "--whatever", "3", "--json"]) == 2
-    out, err = capsys.readouterr()
-    assert f"{name} is not built yet" in err
-    assert json.loads(out)["errors"][0]["code"] == "not_built"
-
-
 @pytest.mark.parametrize(
     "words",
-    ["drive", "nonsense", "drive b.toml --nonsense", "tune b.toml --trials 0", "tune b.toml --set all", "log", "tune"],
+    [
+        "drive",
+        "nonsense",
+        "drive b.toml --nonsense",
+        "tune b.toml --trials 0",
+        "tune b.toml --set all",
+        "log",
+        "tune",
+        "gap a.log --vehicle v --model m",
+        "gap a.log --vehicle v --model m --out o --until all",
+    ],
 )
 def test_usage_mistakes(words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run([*words.split(), "--json"]) == 2

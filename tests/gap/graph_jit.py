@@ -21,8 +21,8 @@ def main() -> None:
     opened = open_chain(made_drive(20.0, channels=CHANNELS), vehicle)
     graph = Graph(model, vehicle, opened.dt_s)
     neutral = graph.run(opened.inputs, {})
-    ride = graph._ride  # the one compiled loop
-    compiled = [len(ride.signatures)]
+    loops = (graph._heads, graph._ride)  # all that is compiled
+    compiled = [sum(len(one.signatures) for one in loops)]
     changed, same, sizes = {}, {}, sizes_of(model, vehicle, graph)
     for name, effect in graph.can.items():
         off = {f"{name}.{key}": value for key, value in effect.neutral.items()}
@@ -33,7 +33,7 @@ def main() -> None:
         changed[name] = bool(np.abs(graph.run(opened.inputs, on) - neutral).max() > 1e-6)
     both = {"steer_lag.tau_s": 0.1, "brake_gain.gain_frac": 0.8, "payload.mass_kg": 100.0, "clock.ins_s": 0.01}
     graph.run(opened.inputs, both)
-    compiled.append(len(ride.signatures))
+    compiled.append(sum(len(one.signatures) for one in loops))
     print(json.dumps({"compiled": compiled, "same": same, "changed": changed, "cannot": graph.cannot}))
 
 

@@ -94,3 +94,12 @@ def test_what_is_left_is_counted_by_what_was_there() -> None:
     before = {"a": Left(10.0, 9.0), "b": Left(1.0, 0.0)}
     assert left_share(before, {"a": Left(1.0, 0.0), "b": Left(1.0, 0.0)}) == 0.0
     assert left_share(before, before) == pytest.approx(1.0)
+
+
+def test_a_further_effect_is_held_against_the_gap_that_there_was_at_first() -> None:
+    first = model("first", spread(0.5))
+    beside = model("beside", spread(0.3, 2))
+    beside = beside._replace(fitted=beside.fitted._replace(free=(*first.fitted.free, *beside.fitted.free)))
+    (found,) = weigh({"beside": beside}, first, NULL, SIZES, ALL)
+    assert found.further and found.shrink[0] == pytest.approx(0.2 / 8.0, abs=0.005) and not found.counts
+    assert shrink(first, beside, "a", ALL)[0] == pytest.approx(0.4, abs=0.05)

@@ -43,7 +43,6 @@ def test_a_car_as_its_model_has_it_misses_nothing() -> None:
     assert found.verdict == "none_missing" and not found.effects and not found.set and found.link is None
 
 
-@pytest.mark.xfail(strict=True, reason="a rate limit far above any rate in the log is named beside the dead time")
 def test_a_steering_that_answers_later_is_named_with_its_value_and_link() -> None:
     late = CHANNELS["steer"]._replace(dead_time_s=CHANNELS["steer"].dead_time_s + 0.07)
     found = asked(110.0, channels={**CHANNELS, "steer": late})
@@ -59,3 +58,13 @@ def test_a_steering_that_answers_later_is_named_with_its_value_and_link() -> Non
 def test_a_log_that_is_too_short_is_refused_with_what_to_do() -> None:
     with pytest.raises(InputError, match="8 s"):
         asked(30.0)
+
+
+def test_a_car_that_stands_for_most_of_the_log_is_refused_with_what_to_do() -> None:
+    vehicle = load_vehicle("mkz_bywire")
+    opened = open_chain(made_drive(110.0, seed=5), vehicle)
+    halted = opened.moving.copy()
+    halted[3000:] = False
+    with pytest.raises(InputError, match="walking pace") as refused:
+        next(name(model(), vehicle, [opened._replace(moving=halted)]))
+    assert refused.value.code == "standing"

@@ -7,6 +7,7 @@ from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -16,7 +17,12 @@ from tests.learn.made_drives import made_drive
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_model
-from tunefree_hil.gap.kept import Kept
+from tunefree_hil.gap.ask import Modelled, Question
+from tunefree_hil.gap.excitation import Excited
+from tunefree_hil.gap.kept import Kept, keep
+from tunefree_hil.gap.name import Named
+from tunefree_hil.gap.problem import Fitted
+from tunefree_hil.gap.segments import blocks_of
 from tunefree_hil.jobs import gap as module
 from tunefree_hil.jobs import gap_pictures
 from tunefree_hil.jobs.gap import Asked, gap
@@ -30,6 +36,9 @@ FIELDS = {
 
 
 DRAW = gap_pictures.draw
+FITTED = Fitted("", (), np.zeros(0), (), {}, {}, {})
+MODELLED = Modelled(FITTED, {})
+QUESTION_OF = Question(MODELLED, blocks_of([9000], 0.01), {}, {}, (), {})
 pytestmark = pytest.mark.slow  # free runs of a car, un-jitted
 
 
@@ -80,7 +89,7 @@ def test_what_is_missing_is_named_repaired_and_proved(
     out = tmp_path / "out"
     written = json.loads((out / ANSWER).read_text())
     assert written.keys() >= FIELDS and written["schema"] == "tunefree.gap/1" and data["exit"] == 0
-    assert data["sentence"].startswith("steer_dead_time (delay_s 0.070 s (0.069 to 0.071)) is missing; it closes 9")
+    assert data["sentence"].startswith("steer_dead_time (delay_s 0.070 s (0.069 to 0.071)) is missing; it closes 100 %")
     model = load_model(out / "model")
     assert [one.name for one in model.effects] == ["steer_dead_time"] and written["model"] == model.folder
     steer = written["signals"]["report.steer_rad"]
@@ -186,3 +195,39 @@ def test_where_nothing_is_missing_it_says_what_a_calibration_would_do(search: Se
 def test_another_model_is_refused_with_what_to_do(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is a model of 'mkz_bywire'"):
         next(gap(asked(tmp_path, vehicle=other_vehicle.NAME)))
+
+
+def test_a_sensor_at_its_stop_is_left_out_with_a_warning(search: Search, tmp_path: Path) -> None:
+    drive, name = late_drive(), "report.yaw_rate_radps"
+    clipped = np.clip(drive.fields[name], -0.15, 0.15)
+    search.drives["late.log"] = drive._replace(fields={**drive.fields, name: clipped})
+    events = list(gap(asked(tmp_path)))
+    assert any(one.kind == "warning" and f"{name} stands at its stop of 0.15" in one.message for one in events)
+    assert name not in events[-1].data["signals"] and "ins.yaw_rate_radps" in events[-1].data["signals"]
+
+
+def test_nothing_found_where_nothing_could_have_been_seen_is_no_answer() -> None:
+    lacking = Excited(0.1, False, ("3 s above 2 m/s, 20 are needed",))
+    found = Named(
+        "none_missing",
+        (),
+        (),
+        "",
+        None,
+        None,
+        (),
+        (),
+        {"steer_lag": lacking},
+        (),
+        QUESTION_OF,
+        MODELLED,
+        {},
+        {},
+        {},
+        (),
+    )
+    kept = keep(found, "physics", 1.0)
+    assert kept.verdict == "cannot_test" and "record a drive with more: 3 s above" in kept.answer["words"][0]
+    seen = found._replace(excitation={"steer_lag": Excited(2.0, True, ())})
+    assert keep(seen, "physics", 1.0).verdict == "none_missing"
+    assert keep(seen, "hybrid", 1.0).answer["absorbed"] and not keep(seen, "physics", 1.0).answer["absorbed"]

@@ -75,8 +75,7 @@ def _answer(place: Path) -> dict[str, Any]:
     """What `gap` says; only then is the truth opened."""
     car, out = place / "car", place / "gap"
     words = [*TOOL, "gap", str(car / "drive.log"), "--vehicle", str(car / "vehicle"), "--model", str(place / "model")]
-    clean = ["--older", str(car / "clean_excited.log")]
-    _done(place, out / "gap.json", [*words, *clean, "--out", str(out), "--plain"], allowed=(0, 1))
+    _done(place, out / "gap.json", [*words, "--out", str(out), "--plain"], allowed=(0, 1))
     opened = [*EXAM, "open", "--out", str(car), "--answer", str(out / "gap.json")]
     text = subprocess.run(opened, cwd=ROOT, check=True, capture_output=True, text=True).stdout
     (place / "said.json").write_text(text)

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from tunefree_hil import __version__
-from tunefree_hil.base.errors import InputError
-from tunefree_hil.base.events import Event
 from tunefree_hil.cli import (
     bench_commands,
     calibrate_commands,
     collect_commands,
     commission_commands,
     data_commands,
+    gap_commands,
     grade_commands,
     learn_commands,
     map_commands,
     run_commands,
 )
-from tunefree_hil.cli.options import AsJson, Plain
-from tunefree_hil.cli.output import present
-from tunefree_hil.cli.overview import MISSING, overview
+from tunefree_hil.cli.overview import overview
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -41,19 +37,6 @@ def start(
         print(overview())
 
 
-def _not_built(name: str) -> Callable[..., Any]:
-    """A command that says that it is not there yet, whatever its arguments are."""
-
-    def command(context: typer.Context, plain: Plain = False, as_json: AsJson = False) -> int:
-        def job() -> Iterable[Event]:
-            raise InputError(f"{name} is {MISSING}", code="not_built", hint="`tunefree-hil` shows what there is")
-
-        return present(name, job, plain=plain, as_json=as_json)
-
-    return command
-
-
-ANYTHING = {"allow_extra_args": True, "ignore_unknown_options": True}
 for _command in (run_commands.drive, run_commands.tune, run_commands.verify, run_commands.replay):
     app.command()(_command)
 for _command in (grade_commands.grade, grade_commands.compare, grade_commands.explain):
@@ -63,7 +46,7 @@ app.command()(calibrate_commands.calibrate)
 app.command()(learn_commands.learn)
 app.command("map")(map_commands.map_logs)
 app.command()(commission_commands.commission)
-app.command("gap", context_settings=ANYTHING, help=f"Name what a simulation lacks ({MISSING}).")(_not_built("gap"))
+app.command()(gap_commands.gap)
 for _command in (bench_commands.hub, bench_commands.ecu, bench_commands.controller, collect_commands.collector):
     app.command()(_command)
 for _command in (data_commands.scenarios, data_commands.doctor):

@@ -6,17 +6,18 @@ same one and share the suspects. What goes back to whoever asks is small: no res
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.gap.fit import fit_candidate, fit_null
+from tunefree_hil.gap.fit import fit_candidate, fit_null, fit_on, fit_without
 from tunefree_hil.gap.leftover import Left, leftovers
 from tunefree_hil.gap.null import doubts_of, nuisances
 from tunefree_hil.gap.problem import Fitted, Problem, Slopes
 from tunefree_hil.gap.regions import Region, regions
+from tunefree_hil.gap.scan import Scan, Start
 from tunefree_hil.gap.segments import Blocks
 from tunefree_hil.gap.shape import Shape, shape_of
 from tunefree_hil.gap.suspects import Suspect, suspects_of
@@ -50,17 +51,26 @@ class _Open:
         self.null, self.slopes = fit_null(self.problem)
         some, self.cannot = suspects_of(self.work.graph, setting.model, setting.vehicle)
         self.suspects = {one.name: one for one in some}
+        self._scan: tuple[Any, Scan] | None = None
 
     def again(self, model: Fitted) -> Fitted:
         """A model that came back, with its residuals."""
         return model._replace(residuals=self.work.residuals(model.values))
 
     def slopes_at(self, model: Fitted) -> Slopes:
-        """Slopes of all its keys, its own at the null."""
+        """Slopes of all its keys."""
         if not model.free:
             return self.slopes
         which = list(range(len(model.keys)))
         return self.problem.slopes(model.keys, model.z, model.free, which, model.residuals)
+
+    def scan_beside(self, model: Fitted | None) -> Scan:
+        """Of candidates beside a model (None: the null); the newest is kept: grids come first, fits after them."""
+        key = () if model is None else (model.keys, tuple(model.z))
+        if self._scan is None or self._scan[0] != key:
+            start = self.null if model is None else self.again(model)
+            self._scan = (key, Scan(self.problem, start, self.slopes_at(start)))
+        return self._scan[1]
 
 
 _questions: dict[str, _Open] = {}
@@ -85,21 +95,48 @@ def open_question(token: str, setting: Setting) -> Question:
     return Question(_sent(work, one.null), work.blocks, work.kinds, sizes, found, one.cannot)
 
 
-def fit_suspects(token: str, names: Sequence[str], start: Fitted | None) -> Generator[int, None, dict[str, Modelled]]:
-    """Each suspect by itself beside what `start` has (None: the null); yields how many are done. Those of which no
+def scan_suspects(token: str, names: Sequence[str], start: Fitted | None) -> dict[str, Start]:
+    """Where each suspect's search beside `start` (None: the null) begins, and what it gains there. Those of which no
     value makes a car are left out.
     """
-    one = _questions[token]
-    begin = one.null if start is None else one.again(start)
-    slopes = one.slopes_at(begin)
-    found = {}
-    for done, name in enumerate(names):
-        yield done
+    one, found = _questions[token], {}
+    scan = one.scan_beside(start)
+    for name in names:
         try:
-            found[name] = _sent(one.work, fit_candidate(one.problem, name, one.suspects[name].free, begin, slopes))
+            found[name] = scan.best(one.suspects[name].free)
         except InputError:  # outside what the body allows everywhere on its grid: then it is not this
             continue
     return found
+
+
+def fit_suspects(
+    token: str, begins: Mapping[str, Start], start: Fitted | None, hopeless: float
+) -> Generator[int, None, dict[str, Modelled]]:
+    """Each suspect by itself beside `start`, from where its search begins; yields how many are done. hopeless: a gain
+    below which one step is enough.
+    """
+    one = _questions[token]
+    scan = one.scan_beside(start)
+    found = {}
+    for done, (name, begin) in enumerate(begins.items()):
+        yield done
+        try:
+            found[name] = _sent(one.work, fit_candidate(scan, name, one.suspects[name].free, begin, hopeless))
+        except InputError:  # a step over the edge of what makes a car
+            continue
+    return found
+
+
+def fitted_on(token: str, models: Sequence[Fitted]) -> list[Modelled]:
+    """Models fitted on until nothing is gained: what others are to be weighed beside, or against."""
+    one = _questions[token]
+    return [_sent(one.work, fit_on(one.problem, one.again(model))) for model in models]
+
+
+def fitted_without(token: str, model: Fitted, names: Sequence[str]) -> dict[str, Modelled]:
+    """A model without each of some of its effects, the rest fitted on."""
+    one = _questions[token]
+    return {name: _sent(one.work, fit_without(one.problem, model, name)) for name in names}
 
 
 def left_by(token: str, models: Sequence[Fitted], blocks: Array) -> list[dict[str, Left]]:

@@ -17,7 +17,8 @@ from tunefree_hil.base.contracts import Link
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.config.schema import VehicleSpec
-from tunefree_hil.gap.graph import CHANNELS, Inputs, ahead
+from tunefree_hil.gap.graph import CHANNELS, Inputs
+from tunefree_hil.gap.recent import ahead
 from tunefree_hil.learn.acted import channel_of
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.pairs import ECHOES, runs

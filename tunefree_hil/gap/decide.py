@@ -26,17 +26,19 @@ from tunefree_hil.gap.leftover import Left
 
 Array = np.ndarray
 
-LEAST_SHRINK = 0.05  # of a target's mean square on held-out blocks: less is no gap that anybody would repair
+LEAST_SHRINK = 0.05  # of a target's mean square without any effect: less is no gap that anybody would repair
+SURE_SHRINK = 0.025  # with the doubt between blocks: at least half of that
 MATTERS = 0.004  # of the signal: what an effect explains there, root mean square; less is nobody's worry
-BESIDE = 0.05  # of what effects found before it explain of the same target: a model of them is no more exact
 MOST_WORSE = 0.05  # of any target's: what explains one thing by spoiling another explains nothing
+SPOILT = 0.1  # of what is explained, each by its signal: recalibration trades so much between signals by itself
 CLOSE = 0.03  # of what the best gains: a rival as near as that is too near for a model that is not exact
 MOST_LEFT = 0.35  # of what could be explained before: more, and the name was not it
+NOISY = 3.0  # standard deviations between blocks: a further effect that gains less is the noise of the first one's fit
 
 
 class Weighed(NamedTuple):
-    """A candidate against the model that it is added to. shrink: of mean squares by target, held-out blocks together,
-    (value, low, high); target: where it gains most.
+    """A candidate against the model that it is added to. target: where it gains most clearly; shrink: by how much the
+    mean square there gets less, as a share of what it is without any effect, (value, low, high). further: beside some.
     """
 
     name: str
@@ -47,12 +49,23 @@ class Weighed(NamedTuple):
     shrink: tuple[float, float, float]
     worst: float
     matters: bool
+    further: bool = False
 
     @property
     def counts(self) -> bool:
-        """Whether this is a name: evidence and blocks agree, and it matters."""
+        """Whether this is a name: evidence and blocks agree, and it matters, in more blocks than one: a noise that is
+        the same for all of them makes of one block's gain a little in each.
+        """
         sure = self.evidence > LEAST_NATS and self.gain.total > LEAST_NATS and self.gain.low > 0.0
-        return sure and self.matters and self.shrink[1] > LEAST_SHRINK and self.worst < MOST_WORSE
+        if self.further:
+            sure = sure and self.gain.total > NOISY * self.gain.noise
+        return (
+            sure
+            and self.matters
+            and self.shrink[0] > LEAST_SHRINK
+            and self.shrink[1] > SURE_SHRINK
+            and self.worst < MOST_WORSE
+        )
 
 
 def weigh(
@@ -69,37 +82,32 @@ def weigh(
     for name, one in candidates.items():
         model = stretched(one.fitted, by)
         gains = {t: float((predictive(model, blocks, [t]) - predictive(base, blocks, [t])).sum()) for t in model.sums}
-        target = max(gains, key=lambda t: gains[t])
-        shrinks = {t: shrink(start, one, t, blocks) for t in model.sums}
-        worst = max(-s[0] for t, s in shrinks.items() if _spoils(start, one, t, sizes, blocks) or t == target)
+        shrinks = {t: shrink(start, one, t, blocks, null) for t in model.sums}
+        worth = [t for t in gains if gains[t] > LEAST_NATS and _explained(start, one, t, sizes, blocks) > MATTERS]
+        target = max(worth, key=lambda t: shrinks[t][1]) if worth else max(gains, key=lambda t: gains[t])
+        least = max(MATTERS, SPOILT * _explained(start, one, target, sizes, blocks))
+        worse = [
+            -shrink(start, one, t, blocks)[0] for t in model.sums if _explained(one, start, t, sizes, blocks) > least
+        ]
         found.append(
             Weighed(
                 name, one._replace(fitted=model), log_evidence(model, blocks) - before, paired(model, base, blocks),
-                target, shrinks[target], worst, _matters(one, start, null, target, sizes, blocks),
+                target, shrinks[target], max(worse, default=0.0),
+                _explained(start, one, target, sizes, blocks) > MATTERS, bool(start.fitted.free),
             )
         )  # fmt: skip
     return sorted(found, key=lambda one: (not one.counts, -one.evidence))
 
 
-def _spoils(start: Modelled, one: Modelled, target: str, sizes: Mapping[str, float], blocks: Array) -> bool:
-    """Whether a target is worse by more than a trifle of its signal."""
-    more = _mean_square(one, target, blocks) - _mean_square(start, target, blocks)
-    return more > (MATTERS * sizes[target]) ** 2
+def _explained(before: Modelled, after: Modelled, target: str, sizes: Mapping[str, float], blocks: Array) -> float:
+    """What a model takes off another one's misses of a target, root mean square, as a share of the signal."""
+    less = _mean_square(before, target, blocks) - _mean_square(after, target, blocks)
+    return max(less, 0.0) ** 0.5 / max(sizes[target], 1e-12)
 
 
 def _mean_square(model: Modelled, target: str, blocks: Array) -> float:
     sums, counts = model.squares[target]
     return float(sums[blocks].sum() / max(counts[blocks].sum(), 1.0))
-
-
-def _matters(
-    one: Modelled, start: Modelled, null: Modelled, target: str, sizes: Mapping[str, float], blocks: Array
-) -> bool:
-    """Whether what a candidate explains is more than a trifle, of the signal and beside what was explained before."""
-    here = _mean_square(start, target, blocks)
-    explained = max(here - _mean_square(one, target, blocks), 0.0) ** 0.5
-    already = max(_mean_square(null, target, blocks) - here, 0.0) ** 0.5
-    return explained > MATTERS * sizes[target] and explained > BESIDE * already
 
 
 def outdone(weighed: Sequence[Weighed]) -> str:
@@ -110,16 +118,21 @@ def outdone(weighed: Sequence[Weighed]) -> str:
     return max(better, key=lambda one: one.evidence).name if better else ""
 
 
-def shrink(before: Modelled, after: Modelled, target: str, blocks: Array, seed: int = 1) -> tuple[float, float, float]:
-    """By how much of itself a target's mean square shrinks, with its 95 % interval over blocks."""
+def shrink(
+    before: Modelled, after: Modelled, target: str, blocks: Array, null: Modelled | None = None, seed: int = 1
+) -> tuple[float, float, float]:
+    """By how much a target's mean square shrinks, as a share of the null's (else of `before`'s), with its 95 %
+    interval over blocks.
+    """
     was, now = before.squares[target][0][blocks], after.squares[target][0][blocks]
-    if was.sum() <= 0.0:
+    whole = was if null is None else null.squares[target][0][blocks]
+    if whole.sum() <= 0.0:
         return 0.0, 0.0, 0.0
     chance = np.random.default_rng(seed)
     drawn = chance.integers(0, len(blocks), (1000, len(blocks)))
-    some = 1.0 - now[drawn].sum(axis=1) / np.maximum(was[drawn].sum(axis=1), 1e-300)
+    some = (was - now)[drawn].sum(axis=1) / np.maximum(whole[drawn].sum(axis=1), 1e-300)
     low, high = np.quantile(some, [0.025, 0.975])
-    return float(1.0 - now.sum() / was.sum()), float(low), float(high)
+    return float((was - now).sum() / whole.sum()), float(low), float(high)
 
 
 def rivals(weighed: Sequence[Weighed], blocks: Array) -> list[str]:

@@ -21,12 +21,13 @@ Array = np.ndarray
 FOLDS = 5
 DRAWS = 2000
 LEAST_NATS = 6.0
+FARTHEST = 0.1  # of a prior's width that an effect's own parameter may go from fold to fold: slopes hold no farther
 OUTSIDE_NATS = 20.0  # for a whole width of the prior beyond its ends
 
 
 class Paired(NamedTuple):
     """Differences in predictive log likelihood [b] of one model over another, whole blocks; their sum with its 95 %
-    interval by bootstrap, and the share of draws in which it is not positive.
+    interval by bootstrap, the share of draws in which it is not positive, and its standard deviation.
     """
 
     differences: Array
@@ -34,6 +35,7 @@ class Paired(NamedTuple):
     low: float
     high: float
     doubt: float
+    noise: float = 0.0
 
 
 def stretches(model: Fitted) -> dict[str, float]:
@@ -92,7 +94,9 @@ def predictive(model: Fitted, blocks: Array, names: Sequence[str] | None = None)
         if loose.any():
             curve, slope, _ = gathered(model.sums, len(model.keys), blocks[~held])
             some = np.ix_(loose, loose)
-            step[loose] = bounded(curve[some], slope[loose], model.z[loose], low[loose], high[loose])
+            step[loose] = bounded(curve[some], slope[loose], model.z[loose], low[loose], high[loose]).clip(
+                -FARTHEST, FARTHEST
+            )
         for name in names or model.sums:
             found[held] += _log_likelihood(model, name, blocks[held], step)
     return found
@@ -110,7 +114,7 @@ def bootstrapped(differences: Array, seed: int = 1) -> Paired:
     drawn = chance.choice(differences, (DRAWS, len(differences))).sum(axis=1)
     low, high = np.quantile(drawn, [0.025, 0.975])
     doubt = float(np.mean(drawn <= 0.0))
-    return Paired(differences, float(differences.sum()), float(low), float(high), doubt)
+    return Paired(differences, float(differences.sum()), float(low), float(high), doubt, float(drawn.std()))
 
 
 def holm(doubts: Mapping[str, float], level: float = 0.05) -> set[str]:

@@ -13,7 +13,7 @@ constants of the plant: which of them are on is data, and nothing is compiled fo
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -22,10 +22,12 @@ import numpy as np
 from tunefree_hil.base import parts
 from tunefree_hil.base.contracts import BodyChange, Effect, Latency, Port, make_effect
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.base.kernel import Block, kernel, series
+from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import Report
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec, VehicleSpec
-from tunefree_hil.gap.ride import INS_COLUMNS, WIDE, Params, State, make_ride
+from tunefree_hil.gap.ports import chain_of
+from tunefree_hil.gap.recent import Recent, ahead
+from tunefree_hil.gap.ride import INS_COLUMNS, SAID, TAKEN, WIDE, Bodies, Heads, make_heads, make_ride
 from tunefree_hil.learn.free_run import plant_of
 from tunefree_hil.learn.motion import actuator_params
 from tunefree_hil.plant.actuators import ActuatorParams, init_actuator
@@ -36,7 +38,9 @@ Array = np.ndarray
 Values = Mapping[str, float]
 
 CHANNELS = ("throttle", "brake", "steer")
-SCALAR_PORTS = (Port.THROTTLE_A, Port.BRAKE_A, Port.STEER_A, Port.THROTTLE_B, Port.BRAKE_B, Port.STEER_B)
+PORTS_A = (Port.THROTTLE_A, Port.BRAKE_A, Port.STEER_A)
+PORTS_B = (Port.THROTTLE_B, Port.BRAKE_B, Port.STEER_B)
+SCALAR_PORTS = (*PORTS_A, *PORTS_B)
 
 
 class Inputs(NamedTuple):
@@ -59,49 +63,6 @@ class Inputs(NamedTuple):
     echoed: tuple[bool, bool, bool]
     by_ins: bool
     dt_s: float
-
-
-@kernel
-def _same(params: float, state: float, x: Any, dt_s: float) -> tuple[float, Any]:
-    return state, x
-
-
-def _nothing() -> Block:
-    return Block(lambda params, dt_s: 0.0, _same, 0.0)
-
-
-class Chain(NamedTuple):
-    """The effects of a port in series: their steps compiled once, params and states laid out for them by name."""
-
-    names: tuple[str, ...]
-    block: Block
-
-    def params(self, blocks: Mapping[str, Block]) -> Any:
-        """Params for the chain's step, each effect's from its Block."""
-        return _nested([blocks[name].params for name in self.names])
-
-    def state(self, blocks: Mapping[str, Block], dt_s: float) -> Any:
-        """The state that the chain starts with."""
-        return _nested([blocks[name].init(blocks[name].params, dt_s) for name in self.names])
-
-
-def _nested(some: Sequence[Any]) -> Any:
-    """As `series` nests: ((a, b), c)."""
-    if not some:
-        return 0.0
-    whole = some[0]
-    for one in some[1:]:
-        whole = (whole, one)
-    return whole
-
-
-def _chain(names: Sequence[str], blocks: Mapping[str, Block]) -> Chain:
-    if not names:
-        return Chain((), _nothing())
-    whole = blocks[names[0]]
-    for name in names[1:]:
-        whole = series(whole, blocks[name])
-    return Chain(tuple(names), whole)
 
 
 @cache
@@ -131,12 +92,17 @@ class Graph:
         self._neutral = self._own | {name: self._made(effect, {}) for name, effect in self.can.items()}
         blocks = {name: made for name, made in self._neutral.items() if isinstance(made, Block)}
         self._chains = {
-            port: _chain([name for name in blocks if ports[name] is port], blocks)
+            port: chain_of([name for name in blocks if ports[name] is port], blocks)
             for port in (*SCALAR_PORTS, Port.REPORT, Port.INS)
         }
         chassis = self.plant.make(model.plant.params, BodyChange())
-        steps = [self._chains[port].block.step for port in (*SCALAR_PORTS, Port.REPORT, Port.INS)]
-        self._ride = make_ride(steps, chassis.step, self.plant.observe)
+        step = {port: self._chains[port].block.step for port in (*SCALAR_PORTS, Port.REPORT, Port.INS)}
+        self._heads = make_heads([step[port] for port in (*PORTS_A, Port.REPORT)])
+        self._ride = make_ride(
+            [step[port] for port in (*PORTS_B, Port.REPORT, Port.INS)], chassis.step, self.plant.observe
+        )
+        self._shifts = {name for name in self._chains[Port.REPORT].names if self._is_shift(name)}
+        self._recent: dict[str, Recent] = {"heads": Recent(), "ride": Recent()}
 
     def _able(self) -> tuple[dict[str, Effect], dict[str, str]]:
         """Which effects this plant can have: those that change a body are tried on it."""
@@ -156,13 +122,77 @@ class Graph:
         return make_effect(effect, params, rest=rest)
 
     def run(self, x: Inputs, values: Values) -> Array:
-        """What the car shows, [n, SHOWN]. Row 0 is not simulated. Raises InputError for values that make no effect."""
+        """What the car shows, [n, SHOWN]. Row 0 is not simulated. Raises InputError for values that make no effect.
+
+        Where outputs were measured, what is before them and what is behind them do not feel each other: the half whose
+        values are those of a run just before is not simulated again.
+        """
         blocks, change = self._blocks(values)
-        taken = self._taken(x, blocks, values)
-        params, state = self._begin(taken, blocks, change, values)
+        ahead_of = {key: value for key, value in values.items() if self._is_head(key)}
+        said = self._recent["heads"].found(x, ahead_of)
+        if said is None:
+            said = self._recent["heads"].keep(x, ahead_of, self._run_heads(x, blocks, values))
+        behind = (
+            values if not all(x.measured) else {k: v for k, v in values.items() if not self._is_head(k, alone=True)}
+        )
+        shown = self._recent["ride"].found(x, behind)
+        if shown is None:
+            shown = self._recent["ride"].keep(x, behind, self._run_ride(x, blocks, change, values, said))
+        shown = shown.copy()
+        shown[:, :3] = said[:, :3]
+        return shown
+
+    def _is_head(self, key: str, *, alone: bool = False) -> bool:
+        """Whether a value is felt by reported outputs; alone: and by nothing behind them."""
+        name = key.partition(".")[0]
+        if name == "actuator":
+            return True
+        port = self.can[name].port if name in self.can else None
+        return port in PORTS_A or (not alone and port is Port.REPORT and name in self._shifts)
+
+    def _is_shift(self, name: str) -> bool:
+        """Whether an effect on the report touches the outputs in it, by delay or by amount."""
+        block = self._neutral[name]
+        if isinstance(block.params, Latency) or name not in self.can:
+            return True
+        tried = self._made(self.can[name], {key: prior.typical for key, prior in self.can[name].priors.items()})
+        return any(self._shift_of(tried))
+
+    def _shift_of(self, block: Block) -> tuple[float, float, float]:
+        """What an effect on the report adds to the three outputs."""
+        state = block.init(block.params, self.dt_s)
+        _, said = block.step(block.params, state, Report(*(1.0,) * len(Report._fields)), self.dt_s)
+        return said.throttle_frac - 1.0, said.brake_frac - 1.0, said.steer_rad - 1.0
+
+    def _run_heads(self, x: Inputs, blocks: dict[str, Block], values: Values) -> Array:
+        commands = self._commands(x, blocks)
+        taken = np.zeros((len(commands), TAKEN))
+        taken[:, :3], taken[:, 6] = commands, x.gear
+        own = tuple(self._actuator(i, float(commands[0, i]), values) for i in range(3))
+        before = tuple(self._chains[port].params(blocks) for port in PORTS_A)
+        states = tuple(self._chains[port].state(blocks, self.dt_s) for port in PORTS_A)
+        report = self._chains[Port.REPORT]
+        params = Heads(before, own, report.params(blocks))  # pyright: ignore[reportArgumentType]
+        begin = tuple(init_actuator(one, self.dt_s) for one in own)
+        state = Heads(states, begin, report.state(blocks, self.dt_s))  # pyright: ignore[reportArgumentType]
+        said = np.zeros(len(taken) * SAID)
+        self._heads(params, state, taken.ravel(), said, x.dt_s)
+        found = said.reshape(-1, SAID)
+        found[0] = found[min(1, len(found) - 1)]
+        return found
+
+    def _run_ride(self, x: Inputs, blocks: dict[str, Block], change: BodyChange, values: Values, said: Array) -> Array:
+        taken = self._taken(x, blocks, values, said)
+        chassis = self.plant.make(scaled(self.model.plant.params, self.plant.defaults, values), change)
+        own = chassis.params._replace(start=chassis.params.start._replace(speed_mps=float(taken[0, 7])))
+        behind = tuple(self._chains[port].params(blocks) for port in PORTS_B)
+        states = tuple(self._chains[port].state(blocks, self.dt_s) for port in PORTS_B)
+        report, ins = self._chains[Port.REPORT], self._chains[Port.INS]
+        params = Bodies(behind, own, report.params(blocks), ins.params(blocks))  # pyright: ignore[reportArgumentType]
+        begin = chassis.init(own, self.dt_s)
+        state = Bodies(states, begin, report.state(blocks, self.dt_s), ins.state(blocks, self.dt_s))  # pyright: ignore[reportArgumentType]
         shown = np.zeros(len(taken) * WIDE)
-        source = tuple(1.0 if one else 0.0 for one in x.measured)
-        self._ride(params, state, taken.ravel(), shown, source, x.dt_s)
+        self._ride(params, state, taken.ravel(), shown, x.dt_s)
         found = shown.reshape(-1, WIDE)
         found[0] = found[min(1, len(found) - 1)]
         late = values.get("clock.ins_s", 0.0) / x.dt_s
@@ -193,27 +223,6 @@ class Graph:
             self._cached[key] = self._made(self.can[name], params)
         return self._cached[key]
 
-    def _begin(self, taken: Array, blocks: dict[str, Block], change: BodyChange, values: Values) -> tuple[Any, Any]:
-        chains, dt_s = self._chains, self.dt_s
-        chassis = self.plant.make(scaled(self.model.plant.params, self.plant.defaults, values), change)
-        start = chassis.params.start._replace(speed_mps=float(taken[0, 7]))
-        own = chassis.params._replace(start=start)
-        throttle, brake, steer = (self._actuator(i, float(taken[0, i]), values) for i in range(3))
-        channels = (throttle, brake, steer)
-        groups = [chains[port].params(blocks) for port in SCALAR_PORTS]
-        states = [chains[port].state(blocks, dt_s) for port in SCALAR_PORTS]
-        params = Params(
-            (groups[0], groups[1], groups[2]), channels, (groups[3], groups[4], groups[5]), own,
-            chains[Port.REPORT].params(blocks), chains[Port.INS].params(blocks),
-        )  # fmt: skip
-        state = State(
-            (states[0], states[1], states[2]),
-            (init_actuator(throttle, dt_s), init_actuator(brake, dt_s), init_actuator(steer, dt_s)),
-            (states[3], states[4], states[5]),
-            chassis.init(own, dt_s), chains[Port.REPORT].state(blocks, dt_s), chains[Port.INS].state(blocks, dt_s),
-        )  # fmt: skip
-        return params, state
-
     def _actuator(self, i: int, initial: float, values: Values) -> ActuatorParams:
         """A channel's own numbers, moved by 'actuator.<channel>.<number>'; times and gains by a log, the rest added."""
         name = CHANNELS[i]
@@ -226,38 +235,40 @@ class Graph:
             own = own._replace(**{key: getattr(own, key) * math.exp(values.get(f"actuator.{name}.{key}", 0.0))})
         return own
 
-    def _taken(self, x: Inputs, blocks: dict[str, Block], values: Values) -> Array:
-        """Rows of inputs; what a late or shifted report says of the past is put back to where it was."""
-        commands, outputs = x.commands, self._unshifted(x, x.outputs, blocks)
-        clocks = [values.get(f"clock.{name}_s", 0.0) / x.dt_s for name in CHANNELS]
-        if any(clocks):
-            outputs = np.stack([ahead(one, -late) for one, late in zip(outputs.T, clocks, strict=True)], axis=1)
+    def _commands(self, x: Inputs, blocks: dict[str, Block]) -> Array:
+        """Commands [n, 3] when they were given: those read off a late report's frame are put back."""
         late = self._late(Port.REPORT, blocks) / x.dt_s
-        motion = np.stack([x.speed_mps, x.yaw_rate_radps, x.side_speed_mps, x.rate_mps2], axis=1)
-        if late:
-            outputs = ahead(outputs, late)
-            commands = np.stack(
-                [ahead(one, late) if echoed else one for one, echoed in zip(commands.T, x.echoed, strict=True)], axis=1
-            )
+        if not late:
+            return x.commands
+        columns = zip(x.commands.T, x.echoed, strict=True)
+        return np.stack([ahead(one, late) if echoed else one for one, echoed in columns], axis=1)
+
+    def _taken(self, x: Inputs, blocks: dict[str, Block], values: Values, said: Array) -> Array:
+        """Rows of inputs; what a late or shifted report says of the past is put back to where it was. said: of the
+        actuators, where they are not measured.
+        """
+        taken = np.empty((len(x.gear), TAKEN))
+        taken[:, :3], taken[:, 6], taken[:, 11] = self._commands(x, blocks), x.gear, x.pinned
+        late = self._late(Port.REPORT, blocks) / x.dt_s
+        outputs = self._unshifted(x.outputs, blocks)
+        for i, name in enumerate(CHANNELS):
+            moved = late - values.get(f"clock.{name}_s", 0.0) / x.dt_s
+            taken[:, 3 + i] = ahead(outputs[:, i], moved) if x.measured[i] else said[:, 3 + i]
         late = self._late(Port.INS if x.by_ins else Port.REPORT, blocks) / x.dt_s
-        if late:
-            motion = ahead(motion, late)
-        return np.column_stack([commands, outputs, x.gear, motion, x.pinned]).astype(np.float64)
+        for i, motion in enumerate((x.speed_mps, x.yaw_rate_radps, x.side_speed_mps, x.rate_mps2)):
+            taken[:, 7 + i] = ahead(motion, late)
+        return taken
 
     def _late(self, port: Port, blocks: dict[str, Block]) -> float:
         names = self._chains[port].names
         return sum(blocks[n].params.delay_s for n in names if isinstance(blocks[n].params, Latency) and n in self.can)
 
-    def _unshifted(self, x: Inputs, outputs: Array, blocks: dict[str, Block]) -> Array:
+    def _unshifted(self, outputs: Array, blocks: dict[str, Block]) -> Array:
         """Measured outputs without what effects on the report add to them: m - (E(m) - m) for each that is on."""
-        chain = self._chains[Port.REPORT].names
-        on = [n for n in chain if blocks[n] is not self._neutral[n] and not isinstance(blocks[n].params, Latency)]
-        for name in on:
+        for name in self._shifts:
             block = blocks[name]
-            state = block.init(block.params, x.dt_s)
-            _, said = block.step(block.params, state, Report(*(1.0,) * len(Report())), x.dt_s)
-            said = np.array([said.throttle_frac, said.brake_frac, said.steer_rad]) - 1.0
-            outputs = outputs - said  # an offset; no effect of the catalogue scales or filters an output
+            if block is not self._neutral[name] and not isinstance(block.params, Latency):
+                outputs = outputs - np.array(self._shift_of(block))  # no effect of the catalogue scales an output
         return outputs
 
 
@@ -275,13 +286,3 @@ def scaled(params: Mapping[str, float], defaults: Mapping[str, float], values: V
         if group == "plant" and name in found:
             found[name] = found[name] + value if name.endswith("zero_frac") else found[name] * math.exp(value)
     return found
-
-
-def ahead(values: Array, rows: float) -> Array:
-    """A signal `rows` rows earlier, parts of a row by a straight line; held at its end. [n] or [n, k]."""
-    at = np.clip(np.arange(len(values)) + rows, 0.0, len(values) - 1.0)
-    low = np.floor(at).astype(np.int64)
-    high = np.minimum(low + 1, len(values) - 1)
-    share = at - low
-    share = share if values.ndim == 1 else share[:, None]
-    return values[low] + share * (values[high] - values[low])

@@ -3,16 +3,14 @@
     opened = list of drives (chain.py)
     found = yield from name(model, vehicle, opened)
 
-Two processes share the suspects. Forward: the best effect that counts (decide.py) is added and all are asked again, at
-most MOST_EFFECTS; backward: one that does not count beside the others is taken out again. The verdict is one of
-VERDICTS; whatever it is, the numbers behind it come with it.
+Two processes share the suspects (team.py, search.py). The verdict is one of VERDICTS; whatever it is, the numbers
+behind it come with it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,24 +20,23 @@ from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.gap.ask import Modelled, Question
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.clock import Echo, echoes
-from tunefree_hil.gap.decide import MOST_LEFT, Weighed, left_share, outdone, rivals, weigh
+from tunefree_hil.gap.decide import MOST_LEFT, Weighed, left_share, outdone, rivals
 from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.excitation import Excited, excitation, held_by
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.leftover import Left
 from tunefree_hil.gap.locate import Card, Looked, card, echo_words, look
+from tunefree_hil.gap.search import backward, forward, weighed
 from tunefree_hil.gap.segments import FEWEST, blocks_of
 from tunefree_hil.gap.suspects import class_of
+from tunefree_hil.gap.targets import LEAST_MPS
+from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.work import Setting
-from tunefree_hil.learn.worker import Worker
 
 Array = np.ndarray
 
 VERDICTS = ("one", "several", "set", "none_missing", "none_of_these", "cannot_test")
-MOST_EFFECTS = 3
-ASKED_AGAIN = 12  # suspects beside an effect that was found: those that gained most by themselves
 QUANTILE = 1.96
-MODULE = "tunefree_hil.gap.ask"
 
 
 class Value(NamedTuple):
@@ -86,47 +83,12 @@ class Named(NamedTuple):
     words: tuple[str, ...]
 
 
-class Team:
-    """Two processes that have the same question open."""
-
-    def __init__(self, setting: Setting, workers: int = 2) -> None:
-        self.setting = setting
-        self.workers = [Worker() for _ in range(workers)]
-        self.token = "gap"
-
-    def open(self) -> Question:
-        """Open it in all of them."""
-        return self._all([("open_question", self.token, self.setting)] * len(self.workers))[0]
-
-    def fit(self, names: Sequence[str], start: Modelled | None) -> dict[str, Modelled]:
-        """Suspects beside `start`, shared out."""
-        model = None if start is None else start.fitted
-        shares = [list(names[i :: len(self.workers)]) for i in range(len(self.workers))]
-        found: dict[str, Modelled] = {}
-        for some in self._all([("fit_suspects", self.token, share, model) for share in shares]):
-            found |= some
-        return found
-
-    def ask(self, function: str, *args: Any) -> Any:
-        """Ask the first."""
-        return self.workers[0].result(MODULE, function, self.token, *args)
-
-    def close(self) -> None:
-        """End the processes."""
-        for worker in self.workers:
-            worker.close()
-
-    def _all(self, calls: Sequence[tuple[Any, ...]]) -> list[Any]:
-        with ThreadPoolExecutor(len(self.workers)) as pool:
-            todo = [pool.submit(one.result, MODULE, *call) for one, call in zip(self.workers, calls, strict=True)]
-            return [one.result() for one in todo]
-
-
 def name(
     model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened], workers: int = 2
 ) -> Generator[str, None, Named]:
     """Find who it was; yields what is being done. Raises InputError for logs in which nothing can be compared."""
     _refuse_short(drives)
+    _refuse_standing(drives)
     team = Team(Setting(model, vehicle, tuple(drives)), workers)
     try:
         yield "recalibration alone"
@@ -147,14 +109,32 @@ def _refuse_short(drives: Sequence[Opened]) -> None:
         )
 
 
+def _refuse_standing(drives: Sequence[Opened]) -> None:
+    """A car that stands shows nothing of what moves it; its few moving rows would be all that is fitted to."""
+    driven = sum(_driven(one) for one in drives)
+    if driven < FEWEST:
+        raise InputError(
+            f"the car moves above walking pace in {driven} stretches of 8 s; {FEWEST} are needed",
+            code="standing",
+            key="LOG",
+            hint="drive for a minute and a half or more, in gear, with the by-wire unit obeying",
+        )
+
+
+def _driven(one: Opened) -> int:
+    """Blocks of a drive in which the car drives most of the time."""
+    blocks, moves = blocks_of([one.ticks], one.dt_s), one.moving & (one.inputs.speed_mps > LEAST_MPS)
+    return sum(bool(moves[begin:end].mean() > 0.5) for begin, end in zip(blocks.begins, blocks.ends, strict=True))
+
+
 def _named(
     team: Team, question: Question, vehicle: VehicleSpec, drives: Sequence[Opened]
 ) -> Generator[str, None, Named]:
     blocks = judged(question.blocks)
     yield f"{len(question.suspects)} suspects"
-    first = _weighed(team, question, [one.name for one in question.suspects], None, blocks)
-    steps = yield from _forward(team, question, first, blocks)
-    steps = yield from _backward(team, question, steps, blocks)
+    first = weighed(team, question, [one.name for one in question.suspects], None, blocks)
+    steps = yield from forward(team, question, first, blocks)
+    steps = yield from backward(team, question, steps, blocks)
     repaired = steps[-1].model if steps else question.null
     yield "what is left"
     before, after = team.ask("left_by", [question.null.fitted, repaired.fitted], blocks)
@@ -170,48 +150,6 @@ def _named(
         verdict, known, others, _manoeuvre(others), link, shown, tuple(looked), said, held, tuple(first), question,
         repaired, before, after, _lost(drives), words,
     )  # fmt: skip
-
-
-def _weighed(
-    team: Team, question: Question, names: Sequence[str], start: Modelled | None, blocks: Array
-) -> list[Weighed]:
-    """Suspects beside `start` (None: the null), fitted and weighed."""
-    begin = question.null if start is None else start
-    return weigh(team.fit(names, start), begin, question.null, question.sizes, blocks)
-
-
-def _forward(
-    team: Team, question: Question, first: list[Weighed], blocks: Array
-) -> Generator[str, None, list[Weighed]]:
-    """Effects one after the other, each beside those before it, refitted with them."""
-    if not first or not first[0].counts or outdone(first):
-        return []
-    steps = [first[0]]
-    asked = [one.name for one in sorted(first, key=lambda one: -one.evidence)]
-    while len(steps) < MOST_EFFECTS:
-        names = [n for n in asked if n not in {s.name for s in steps}][:ASKED_AGAIN]
-        yield f"beside {', '.join(step.name for step in steps)}"
-        more = _weighed(team, question, names, steps[-1].model, blocks)
-        if not more or not more[0].counts or outdone(more):
-            break
-        steps.append(more[0])
-    return steps
-
-
-def _backward(
-    team: Team, question: Question, steps: list[Weighed], blocks: Array
-) -> Generator[str, None, list[Weighed]]:
-    """Take out an effect that no longer counts beside those found later."""
-    if len(steps) < 2:
-        return steps
-    yield "each without the others"
-    later = steps[1:]
-    alone = _weighed(team, question, [later[0].name], None, blocks)
-    if len(steps) == 2 and alone and alone[0].counts:
-        again = _weighed(team, question, [steps[0].name], alone[0].model, blocks)
-        if again and not again[0].counts:
-            return [alone[0]]
-    return steps
 
 
 def _verdict(

@@ -18,7 +18,9 @@ from scipy.signal import lfilter
 Array = np.ndarray
 
 ORDER = 10
-RIDGE = 1e-4  # of the variance, added to it: an autoregression of a smooth residual has no end of coefficients
+# Of the variance, added to it. A filter that fits a smooth residual any closer has taps far above 1: a candidate that
+# takes off most of that residual, and leaves another shape of it, would come out louder than what there was.
+RIDGE = 1e-2
 BEYOND_S = 4.0  # up to which correlation is looked for behind the filter
 NOISE_ORDER = 3
 
@@ -40,7 +42,7 @@ class Piece(NamedTuple):
 
 def colour_of(pieces: Sequence[Piece], floor: float, dt_s: float) -> Colour:
     """Of a target, all drives together. floor: no residual is believed smaller than that."""
-    lags = _autocovariance(pieces, ORDER + 1)
+    lags = _autocovariance(_centred(pieces), ORDER + 1)
     lags[0] = lags[0] * (1.0 + RIDGE) + floor * floor + 1e-30
     ar = solve_toeplitz(lags[:ORDER], lags[1 : ORDER + 1])
     taps = np.concatenate([[1.0], -ar])
@@ -49,6 +51,13 @@ def colour_of(pieces: Sequence[Piece], floor: float, dt_s: float) -> Colour:
     sigma = float(np.sqrt(np.mean(some * some) + floor * floor)) if len(some) else 1.0
     rest = _autocovariance(white, max(round(BEYOND_S / dt_s), 2))
     return Colour(taps, sigma, _stretch(rest))
+
+
+def _centred(pieces: Sequence[Piece]) -> list[Piece]:
+    """Without their mean: a constant is no noise, and a filter that takes it for noise would hide every bias."""
+    some = np.concatenate([one.values[one.valid] for one in pieces])
+    mean = float(some.mean()) if len(some) else 0.0
+    return [one._replace(values=one.values - mean) for one in pieces]
 
 
 def whitened(piece: Piece, taps: Array) -> Piece:

@@ -1,6 +1,6 @@
 """An answer as data, in the words of `gap.json` (interfaces 9): what a name, a place and a doubt are called there.
 
-`signals`, `explained_frac`, `absorbed`, `model`, `figures` belong to whoever repairs and verifies; they are not here.
+`signals`, `explained_frac`, `model`, `figures` belong to whoever repairs and verifies; they are not here.
 """
 
 from __future__ import annotations
@@ -8,15 +8,20 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from tunefree_hil.base.contracts import links_of
+from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.name import Effect, Named
 
 REGIONS = 3  # that are told, of those that stand out
+WITHOUT_NET = ("physics", "reference")  # kinds of plants that were not taught by logs, and so hide nothing
 
 
-def as_data(found: Named) -> dict[str, Any]:
-    """Plain dicts, lists, numbers and words; what is no finite number is None."""
+def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
+    """Plain dicts, lists, numbers and words; what is no finite number is None. kind: of the model's plant."""
     return {
-        "verdict": found.verdict,
+        "verdict": found.verdict or None,
+        "forced": forced_name(found),
+        "absorbed": is_absorbed(found, kind),
         "effects": [_effect(one) for one in found.effects],
         "set": list(found.set),
         "separate_by": found.separate_by,
@@ -32,6 +37,7 @@ def as_data(found: Named) -> dict[str, Any]:
             }
             for one in found.looked
         ],
+        "untold": untold(found),
         "lost": {link.value: words for link, words in found.lost.items()},
         "not_suspected": dict(found.question.cannot),
         "candidates": [
@@ -44,6 +50,25 @@ def as_data(found: Named) -> dict[str, Any]:
         ],
         "words": list(found.words),
     }  # fmt: skip
+
+
+def forced_name(found: Named) -> str | None:
+    """Who it would be if somebody had to be named; None where nobody was suspected."""
+    if found.effects:
+        return found.effects[0].name
+    return max(found.candidates, key=lambda one: one.evidence).name if found.candidates else None
+
+
+def untold(found: Named) -> dict[str, str]:
+    """Effects that these logs cannot tell because a signal is missing: their own link cannot be seen."""
+    return {
+        name: found.lost[links_of(effect)[0]] for name, effect in effects().items() if links_of(effect)[0] in found.lost
+    }
+
+
+def is_absorbed(found: Named, kind: str) -> bool:
+    """Whether a learned plant may hide what is not found: its net may have been taught by logs that had it."""
+    return kind not in WITHOUT_NET and found.verdict in ("none_missing", "none_of_these")
 
 
 def _effect(one: Effect) -> dict[str, Any]:

@@ -1,0 +1,48 @@
+"""`gap` hands its options to its job by the agreed names."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from tunefree_hil.base.events import Event
+from tunefree_hil.cli.entry import run
+from tunefree_hil.jobs.gap import Asked
+
+WORDS = ["a.log", "--vehicle", "v", "--model", "m", "--out", "o"]
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The calls that a stand-in for the job gets."""
+    heard: list[Any] = []
+
+    def job(asked: Asked) -> Iterator[Event]:
+        heard.append(asked)
+        yield Event("result", "", {"sentence": "steer_lag is missing", "next": ["ls"], "exit": 1})
+
+    stand_in: Any = ModuleType("tunefree_hil.jobs.gap")
+    stand_in.gap, stand_in.Asked = job, Asked
+    monkeypatch.setitem(sys.modules, stand_in.__name__, stand_in)
+    return heard
+
+
+def test_logs_and_options_reach_the_job(calls: list[Any], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["gap", *WORDS]) == 1
+    assert run(["gap", "b.log", *WORDS, "--older", "c.log", "--older", "d.log", "--until", "name", "--plain"]) == 1
+    assert calls == [
+        Asked([Path("a.log")], "v", "m", Path("o"), []),
+        Asked([Path("b.log"), Path("a.log")], "v", "m", Path("o"), [Path("c.log"), Path("d.log")], "name"),
+    ]
+    assert capsys.readouterr().err.splitlines()[-1] == "steer_lag is missing"
+
+
+@pytest.mark.parametrize("words", [["a.log"], WORDS[:-2], [*WORDS, "--until", "all"], WORDS[1:]])
+def test_what_is_missing_is_a_usage_mistake(words: list[str], calls: list[Any]) -> None:
+    assert run(["gap", *words]) == 2
+    assert calls == []

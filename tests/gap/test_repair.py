@@ -1,0 +1,93 @@
+"""A repaired model drives as the search's graph said: what is folded into constants means the same there."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from tests.gap.made_answer import LATE_S, VEHICLE, late_drive, made_kept, made_model
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.config.load import load_model
+from tunefree_hil.config.schema import EffectSpec, Interval
+from tunefree_hil.gap.chain import Opened, open_chain
+from tunefree_hil.gap.repair import found_effects, repaired, write_repaired
+from tunefree_hil.gap.replay import car_of, run_over
+
+MOVED = {
+    "throttle_gain.gain_frac": 0.93,
+    "brake_gain.gain_frac": 1.05,
+    "steer_gain.gain_frac": 0.97,
+    "steer_offset.offset_rad": 0.02,
+    "front_stiffness.gain_frac": 1.1,
+    "rear_stiffness.gain_frac": 0.9,
+    "rolling_resistance.extra_frac": 0.3,
+    "aero_drag.drag_area_m2": 0.2,
+}
+
+
+def opened() -> Opened:
+    return open_chain(late_drive(20.0), VEHICLE)
+
+
+def free(drive: Opened) -> np.ndarray:
+    held = np.ones(drive.ticks, dtype=bool)
+    held[300:] = False
+    return held
+
+
+@pytest.mark.parametrize("found", [[], [EffectSpec(name="steer_offset", params={"offset_rad": 0.03})]])
+def test_constants_that_were_moved_drive_as_the_effects_would(found: list[EffectSpec]) -> None:
+    drive, model = opened(), made_model()
+    moved = {key: value for key, value in MOVED.items() if not found or not key.startswith("steer_offset")}
+    made = repaired(model, VEHICLE, moved, found)
+    effects = [*found]
+    for key, value in moved.items():
+        name, _, parameter = key.partition(".")
+        effects.append(EffectSpec(name=name, params={parameter: value}))
+    ours = run_over(car_of(made.model, VEHICLE, drive), drive, free(drive))
+    effects.sort(key=lambda one: one.name)
+    theirs = run_over(car_of(model, VEHICLE, drive, effects), drive, free(drive))
+    for name in ("report.speed_mps", "report.yaw_rate_radps", "report.lateral_accel_mps2", "ins.x_m"):
+        assert ours[name] == pytest.approx(theirs[name], abs=1e-7), name
+    assert not np.allclose(ours["ins.x_m"], run_over(car_of(model, VEHICLE, drive), drive, free(drive))["ins.x_m"])
+    names = [one.name for one in made.model.effects]
+    assert names == (["steer_gain", "steer_offset"] if found else ["steer_offset"]), "the rest is in the constants"
+
+
+def test_what_is_of_the_day_is_not_written() -> None:
+    made = repaired(made_model(), VEHICLE, {"grade.grade_rad": 0.001, "accel_bias.bias_mps2": 0.02, "clock.ins_s": 0.1})
+    assert [one.name for one in made.day] == ["grade", "accel_bias"]
+    assert made.changes == () and made.model.effects == [] and made.model.plant == made_model().plant
+
+
+def test_numbers_of_a_channel_keep_the_width_of_their_interval() -> None:
+    model = made_model()
+    steer = replace(model.actuators["steer"], dead_time_s=Interval(value=0.1, low=0.09, high=0.11))
+    values = {"actuator.steer.dead_time_s": 0.02, "actuator.steer.lag_s": 0.1, "plant.drive_force_n": -0.1}
+    made = repaired(replace(model, actuators={**model.actuators, "steer": steer}), VEHICLE, values)
+    moved = made.model.actuators["steer"]
+    assert isinstance(moved.dead_time_s, Interval) and moved.dead_time_s.low == pytest.approx(0.11)
+    assert moved.lag_s == pytest.approx(0.09 * np.exp(0.1)) and moved.gain == 1.0
+    keys = {one.key: (one.before, one.after) for one in made.changes}
+    assert set(keys) == {"plant.params.drive_force_n", "actuators.steer.dead_time_s", "actuators.steer.lag_s"}
+    assert keys["plant.params.drive_force_n"] == (6500.0, pytest.approx(6500.0 * np.exp(-0.1)))
+
+
+def test_the_folder_is_a_normal_model_with_interval_and_provenance(tmp_path: Path) -> None:
+    model, kept = made_model(), made_kept()
+    made = repaired(model, VEHICLE, kept.repaired, found_effects(kept, "sha256:1", "0.0.1"))
+    written = write_repaired(tmp_path / "model", model, made.model, {"logs": ["a"]})
+    assert load_model(tmp_path / "model") == written and written.vehicle_hash == model.vehicle_hash
+    (effect,) = written.effects
+    assert (effect.name, effect.params) == ("steer_dead_time", {"delay_s": LATE_S})
+    assert effect.interval == {"delay_s": [LATE_S - 0.001, LATE_S + 0.001]}
+    assert effect.provenance == {"log": "sha256:1", "seed": 1, "version": "0.0.1"}
+    assert json.loads((tmp_path / "model" / "card.json").read_text())["repair"] == {"logs": ["a"]}
+    beside = {path.name for path in Path(model.folder).glob("*.npz")}
+    assert beside and beside <= {path.name for path in (tmp_path / "model").iterdir()}
+    with pytest.raises(InputError, match="there already"):
+        write_repaired(tmp_path / "model", model, made.model, {})

@@ -1,0 +1,95 @@
+"""Grids of candidates: on a straight line whose best value is known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.gap.noise import Colour
+from tunefree_hil.gap.problem import Fitted, Free, Slopes, Sums
+from tunefree_hil.gap.scan import AMOUNTS, DELAYS, FACTORS, TWINS, Scan, grid_of, without
+
+ROWS = 200
+T = np.linspace(0.0, 1.0, ROWS)
+COLOUR = Colour(np.array([1.0]), 1.0, 1.0)
+TRUTH = 0.37
+WIND = Free("wind.size", 0.0, 1.0, False, 0.0, 0.0, 1.3)
+BENT = 8.0 * np.sin(9.0 * T)
+
+
+class Work:
+    """Residuals of one target: `a` is recalibration's, the wind bends; 'wall.size' makes no car."""
+
+    def residuals(self, values: dict[str, float]) -> dict[str, list[np.ndarray]]:
+        if "wall.size" in values:
+            raise InputError("no such car", code="no_car")
+        return {"x": [BENT * (values.get("wind.size", 0.0) - TRUTH) + 3.0 * T * values.get("a", 0.0)]}
+
+    def white(self, name: str, residual: list[np.ndarray], colour: Colour) -> tuple[np.ndarray, np.ndarray]:
+        return residual[0], np.zeros(ROWS, dtype=np.int64)
+
+
+class Problem:
+    """As `gap.problem` has it, of that work."""
+
+    work = Work()
+
+    def judged(self) -> np.ndarray:
+        return np.array([0])
+
+    def values(self, keys: Any, z: np.ndarray, free: Any) -> dict[str, float]:
+        return dict(zip(keys, map(float, z), strict=True))
+
+
+def scan() -> Scan:
+    residuals = Work().residuals({})
+    sums = {"x": Sums(np.array([0]), np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1)), np.full(1, ROWS), COLOUR)}
+    start = Fitted("", ("a",), np.zeros(1), (), {"a": 0.0}, sums, residuals)
+    return Scan(Problem(), start, Slopes({"x": (np.array([0]), [3.0 * T[:, None]])}))  # pyright: ignore[reportArgumentType]
+
+
+def test_the_grid_comes_near_and_the_finer_one_nearer() -> None:
+    one = scan()
+    coarse = one.best([WIND])
+    fine = one.finer([WIND], coarse)
+    assert coarse.keys == ("a", "wind.size") and abs(coarse.z[-1] - TRUTH) < 0.5 / (DELAYS - 1)
+    assert abs(fine.z[-1] - TRUTH) < 0.02 and fine.gain >= coarse.gain > 0.5 * float(np.sum((TRUTH * BENT) ** 2))
+
+
+def test_what_a_point_gains_is_beyond_what_recalibration_gains_alone() -> None:
+    still = Free("still.size", 0.0, 1.0, False, 0.0, 0.0, 1.3)
+    assert scan().best([still]).gain == pytest.approx(0.0, abs=1e-9)
+
+
+def test_an_effect_of_which_no_value_makes_a_car_is_refused() -> None:
+    with pytest.raises(InputError, match="no value"):
+        scan().best([WIND._replace(key="wall.size")])
+
+
+def test_grids_are_as_fine_as_what_they_search_is_rugged() -> None:
+    delay = Free("a.b", 0.01, 0.5, False, 0.0, 0.0, 1.3)
+    some = (delay, delay._replace(logarithmic=True), delay._replace(low=-0.5))
+    assert [len(grid_of([one])) for one in some] == [DELAYS, FACTORS, 2 * len(AMOUNTS)]
+    assert len(grid_of([delay, delay])) == 3 * DELAYS and all(len(point) == 2 for point in grid_of([delay, delay]))
+
+
+def test_no_point_for_an_amount_is_neutral_and_small_amounts_are_asked_too() -> None:
+    offset = Free("a.b", -0.3, 0.3, False, 0.0, -0.3, 1.3)
+    asked = sorted(offset.value(float(point[0])) for point in grid_of([offset]))
+    assert asked == pytest.approx([-0.3, -0.09, -0.03, -0.009, 0.009, 0.03, 0.09, 0.3])
+
+
+def test_slopes_without_a_column_are_numbered_anew() -> None:
+    slopes = Slopes({"x": (np.array([0, 2]), [np.array([[1.0, 2.0]])])})
+    columns, pieces = without(slopes, [1, 2]).by_target["x"]
+    assert columns.tolist() == [1] and pieces[0].tolist() == [[2.0]]
+
+
+def test_beside_a_latency_its_own_clock_is_not_recalibrated() -> None:
+    one = scan()
+    one.start = one.start._replace(keys=("a", *TWINS.values()))
+    (late,) = TWINS
+    assert one.kept([WIND._replace(key=late)]) == [0] and one.kept([WIND]) == [0, 1]

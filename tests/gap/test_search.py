@@ -1,0 +1,86 @@
+"""The search over effects, on models made by hand: what is no merit of an effect does not count for it."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from tests.gap.test_decide import ALL, NULL, ROWS, SIZES, model, spread
+from tunefree_hil.gap.ask import Modelled, Question
+from tunefree_hil.gap.search import backward, forward, weighed
+from tunefree_hil.gap.suspects import Suspect
+
+SUSPECTS = tuple(Suspect(name, (), ()) for name in ("delay", "friction", "limit", "lag"))
+QUESTION = cast(Question, type("Asked", (), {"null": NULL, "sizes": SIZES, "suspects": SUSPECTS})())
+
+
+def beside(first: Modelled, name: str, square: np.ndarray, other: float = ROWS) -> Modelled:
+    """A model with the effects of `first` and one more."""
+    one = model(name, square, other)
+    free = (*first.fitted.free, *one.fitted.free)
+    return one._replace(fitted=one.fitted._replace(free=free))
+
+
+FIRST = model("delay", spread(2.0))
+
+
+class Made:
+    """A team whose fits are known beforehand. rest: what a model comes to without an effect, by its name."""
+
+    def __init__(self, alone: dict[str, Modelled], further: dict[str, Modelled], rest: dict[str, Modelled]) -> None:
+        self.alone, self.further, self.rest = alone, further, rest
+        self.asked: list[tuple[str, ...]] = []
+
+    def fit(self, names: list[str], start: Modelled | None) -> dict[str, Modelled]:
+        self.asked.append(tuple(names))
+        some = self.alone if start is None else self.further
+        return {name: some[name] for name in names if name in some}
+
+    def fit_on(self, models: list[Modelled]) -> list[Modelled]:
+        return models
+
+    def fit_without(self, model: Modelled, names: list[str]) -> dict[str, Modelled]:
+        return {name: self.rest[name] for name in names}
+
+
+def searched(team: Made) -> list[str]:
+    def run(steps: Any) -> Any:
+        while True:
+            try:
+                next(steps)
+            except StopIteration as end:
+                return end.value
+
+    one = cast(Any, team)
+    first = weighed(one, QUESTION, list(team.alone), None, ALL)
+    return [step.name for step in run(backward(one, QUESTION, run(forward(one, QUESTION, first, ALL)), ALL))]
+
+
+def test_a_further_effect_that_explains_much_of_the_gap_is_added() -> None:
+    both = beside(FIRST, "friction", spread(0.5, 3))
+    team = Made({"delay": FIRST, "friction": model("friction", spread(6.0))}, {"friction": both},
+                {"friction": FIRST, "delay": model("friction", spread(6.0))})  # fmt: skip
+    assert searched(team) == ["delay", "friction"]
+    assert team.asked[1:] == [("friction", "limit", "lag"), ("limit", "lag")]  # whoever was hidden by the first, too
+
+
+def test_what_the_rest_comes_to_by_itself_is_no_merit_of_a_limit_that_nothing_touches() -> None:
+    better = beside(FIRST, "limit", spread(0.5, 3))
+    team = Made({"delay": FIRST, "limit": model("limit", spread(7.9))}, {"limit": better},
+                {"limit": model("delay", spread(0.5, 3))})  # fmt: skip
+    assert searched(team) == ["delay"]
+
+
+def test_the_first_is_taken_out_again_where_the_second_explains_all_of_it() -> None:
+    both = beside(FIRST, "lag", spread(0.5, 3))
+    alone = model("lag", spread(0.5, 3))
+    team = Made({"delay": FIRST}, {"lag": both}, {"lag": FIRST, "delay": alone})
+    team.alone["lag"] = model("lag", spread(7.0))  # its search alone had stuck
+    assert searched(team) == ["lag"]
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.3])
+def test_nothing_is_named_where_nothing_counts(gain: float) -> None:
+    assert searched(Made({"delay": model("delay", spread(8.0 - gain))}, {}, {})) == []

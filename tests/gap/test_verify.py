@@ -1,0 +1,123 @@
+"""A proof shows what a hidden dead time costs, what its repair gives back, and a repair that makes things worse."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from tests.gap.made_answer import LATE_S, VEHICLE, late_drive, made_kept, made_model
+from tests.learn.made_drives import NOISE
+from tunefree_hil.config.schema import EffectSpec
+from tunefree_hil.gap.chain import Opened, open_chain
+from tunefree_hil.gap.repair import found_effects, repaired
+from tunefree_hil.gap.segments import PROOF, blocks_of
+from tunefree_hil.gap.shrink import (
+    better_by_recalibration,
+    explained_frac,
+    floors_of,
+    gaps_of,
+    unforetold,
+    worse_signals,
+)
+from tunefree_hil.gap.verify import POSITION, Proof, Variant, prove
+
+ALL = unforetold({})  # nothing foretells what is left
+STEER, YAW = "report.steer_rad", "ins.yaw_rate_radps"
+
+
+@cache
+def opened() -> Opened:
+    return open_chain(late_drive(), VEHICLE)
+
+
+@cache
+def proof(delay_s: float = LATE_S) -> Proof:
+    model, kept = made_model(), made_kept()
+    (effect,) = found_effects(kept, "", "")
+    effect = EffectSpec(name=effect.name, params={"delay_s": delay_s})
+    made = repaired(model, VEHICLE, kept.repaired, [effect])
+    variants = {"before": Variant(model), "recalibrated": Variant(model), "after": Variant(made.model, made.day)}
+    return prove(variants, VEHICLE, [opened()])
+
+
+def test_the_true_repair_leaves_noise_on_every_block_of_the_proof() -> None:
+    roles = blocks_of([opened().ticks], 0.01).roles
+    found = proof()
+    floors = floors_of(found, made_model())
+    gaps = gaps_of(found, floors, ALL)
+    assert found.blocks == int(np.sum(roles == PROOF)) == 2
+    assert gaps[STEER].before > 0.1 and gaps[STEER].after == pytest.approx(NOISE["steer_rad"], rel=0.3)
+    assert gaps[YAW].before > 0.01 and gaps[YAW].after == pytest.approx(NOISE["yaw_rate_radps"], rel=0.2)
+    assert gaps[POSITION].before > 4.0 * (gaps[POSITION].after or 1.0)
+    assert all(one.floor <= min(one.before, one.after or 0.0) for one in gaps.values())
+    closed = explained_frac(found, floors, ALL)
+    assert closed is not None and closed["value"] > 0.9 and closed["low"] <= closed["value"] <= closed["high"] <= 1.01
+    assert worse_signals(found, floors) == {} and better_by_recalibration(gaps) == {}
+
+
+def test_traces_are_of_the_blocks_and_show_the_difference() -> None:
+    found = proof()
+    first = found.traces[0]
+    assert len(found.traces) == 2 and first.time_s[0] == 0.0 and first.time_s[-1] == pytest.approx(8.0, abs=0.6)
+    missed = {name: np.std(one[STEER] - first.measured[STEER]) for name, one in first.simulated.items()}
+    assert missed["after"] < 0.05 * missed["before"]
+
+
+def test_a_wrong_repair_is_worse_and_closes_nothing() -> None:
+    found = proof(0.3)
+    floors = floors_of(found, made_model())
+    worse = worse_signals(found, floors)
+    assert STEER in worse and worse[STEER] > 0.5 and "report.throttle_frac" not in worse
+    closed = explained_frac(found, floors, ALL)
+    assert closed is not None and closed["value"] < 0.0
+
+
+def test_a_model_that_lacks_nothing_leaves_nothing_to_explain() -> None:
+    model = made_model()
+    (effect,) = found_effects(made_kept(), "", "")
+    right = Variant(repaired(model, VEHICLE, {}, [effect]).model)
+    found = prove({"before": right, "recalibrated": right, "after": right}, VEHICLE, [opened()])
+    floors = floors_of(found, model)
+    closed = explained_frac(found, floors, ALL)
+    assert closed is None or closed["value"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_an_older_log_is_run_over_all_its_blocks() -> None:
+    model = Variant(made_model())
+    found = prove({"before": model, "after": model}, VEHICLE, [opened()], whole=True)
+    assert found.blocks == blocks_of([opened().ticks], 0.01).count - 1  # the first begins before commands count
+
+
+def test_what_could_still_be_foretold_is_not_at_the_floor() -> None:
+    found, floors = proof(0.04), floors_of(proof(0.04), made_model())
+    some = unforetold({"steer": 0.96, "yaw_rate": 0.96})
+    assert some["report.steer_rad"] == pytest.approx(0.2) and some["report.throttle_frac"] == 1.0
+    every, part = explained_frac(found, floors, ALL), explained_frac(found, floors, some)
+    assert (
+        every is not None and part is not None and part["value"] < 0.8 < every["value"] == pytest.approx(1.0, abs=0.01)
+    )
+    assert gaps_of(found, floors, some)[STEER].floor == pytest.approx(0.2 * (gaps_of(found, floors, ALL)[STEER].floor))
+
+
+def test_where_a_person_drove_the_reported_outputs_act() -> None:
+    drive = late_drive()
+    kept = {name: values for name, values in drive.fields.items() if not name.startswith("command.")}
+    kept = {name: values for name, values in kept.items() if "_command_" not in name}
+    driven = open_chain(drive._replace(fields=kept, fresh={name: drive.fresh[name] for name in kept}), VEHICLE)
+    model = Variant(made_model())
+    found = prove({"before": model}, VEHICLE, [driven])
+    assert found.blocks == 2 and found.rms("before", YAW) < 0.2 * proof().rms("before", YAW)
+
+
+def test_a_block_in_which_somebody_takes_over_proves_nothing() -> None:
+    enabled = np.ones(late_drive().ticks, dtype=bool)
+    begin = int(blocks_of([late_drive().ticks], 0.01).begins[3])
+    fields = dict(late_drive().fields)
+    for name in list(fields):  # without an echo, whether commands acted is what `enabled` says
+        if "_command_" in name:
+            del fields[name]
+    enabled[begin + 100 : begin + 200] = False
+    taken = open_chain(late_drive()._replace(fields=fields, enabled=enabled), VEHICLE)
+    assert prove({"before": Variant(made_model())}, VEHICLE, [taken]).blocks == 1

@@ -1,0 +1,64 @@
+"""Where simulation and measurement part, and no more: recalibration, every link by itself, a card; nobody is named."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+
+from tunefree_hil.base.contracts import Link
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.config.schema import ModelSpec, VehicleSpec
+from tunefree_hil.gap.chain import Opened
+from tunefree_hil.gap.clock import echoes
+from tunefree_hil.gap.evidence import judged
+from tunefree_hil.gap.excitation import excitation, held_by
+from tunefree_hil.gap.graph import effects
+from tunefree_hil.gap.locate import Card, Looked, card, echo_words, look
+from tunefree_hil.gap.name import Named, Team
+from tunefree_hil.gap.segments import FEWEST, blocks_of
+from tunefree_hil.gap.work import Setting
+
+NOBODY_ASKED = ""  # the verdict where links are broken and no name was looked for
+
+
+def look_first(model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened]) -> Generator[str, None, Named]:
+    """The part of `name` before any suspect is asked; `repaired` is the null. Raises as `name` does."""
+    if blocks_of([one.ticks for one in drives], drives[0].dt_s).count < FEWEST:
+        raise InputError(
+            f"the logs hold less than {FEWEST} blocks of 8 s",
+            code="too_short",
+            key="LOG",
+            hint="record a minute and a half or more",
+        )
+    team = Team(Setting(model, vehicle, tuple(drives)), workers=1)
+    try:
+        yield "recalibration alone"
+        question = team.open()
+        yield "every link by itself"
+        (left,) = team.ask("left_by", [question.null.fitted], judged(question.blocks))
+        looked = tuple(look(left, question.kinds, question.sizes))
+        said = tuple(one for opened in drives for one in echoes(opened))
+        strange = echo_words(said)
+        shown: Card | None = None
+        if looked[0].broken:
+            regions, shape = team.ask("seen_of", question.null.fitted, looked[0].signal)
+            shown = card(looked[0], shape, regions, question.sizes[looked[0].signal])
+    finally:
+        team.close()
+    link = Link.COMMAND_ECHO if strange else looked[0].link if shown else None
+    held = excitation(effects(), held_by(drives, vehicle))
+    return Named(
+        _verdict(looked, strange), (), (), "", link, shown, looked, said, held, (), question, question.null, left,
+        left, _lost(drives), tuple(strange) or (() if shown else ("nothing beyond noise and recalibration",)),
+    )  # fmt: skip
+
+
+def _verdict(looked: Sequence[Looked], strange: Sequence[str]) -> str:
+    if strange:
+        return "none_of_these"
+    return NOBODY_ASKED if looked[0].broken else "none_missing"
+
+
+def _lost(drives: Sequence[Opened]) -> dict[Link, str]:
+    """Links that none of the drives shows."""
+    shared = set(drives[0].lost).intersection(*(one.lost for one in drives))
+    return {link: drives[0].lost[link] for link in shared}

@@ -1,0 +1,213 @@
+"""A model with what it lacked: effects that were found, and what recalibration moved, as an ordinary model folder.
+
+What was found goes into [[effects]] with interval and provenance. What recalibration moved goes into the model's own
+numbers where they mean the same, into [[effects]] where they do not. What is of one day only (slope, wind, a sensor's
+bias) and how well frames are stamped is written nowhere: the next drive has another.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+from tunefree_hil.config.dump import plain, to_toml
+from tunefree_hil.config.load import load_model
+from tunefree_hil.config.schema import (
+    ActuatorSpec,
+    EffectSpec,
+    Interval,
+    ModelSpec,
+    Number,
+    Spec,
+    VehicleSpec,
+    value_of,
+)
+from tunefree_hil.gap.graph import effects, scaled
+from tunefree_hil.gap.kept import Kept
+from tunefree_hil.learn.free_run import plant_of
+from tunefree_hil.learn.write_model import CARD_FILE, require_new
+from tunefree_hil.learn.write_model import plain as as_json
+
+OF_THE_DAY = ("grade", "side_wind", "friction", "speed_scale", "yaw_rate_bias", "yaw_rate_scale", "accel_bias")
+ADDED = ("dead_time_s", "offset")  # numbers of a channel that recalibration adds to; the others it multiplies
+LEAST_CHANGE = 1e-9  # of a number: less is none
+SET_BY_LOADER = ("folder", "hash")
+GAINS = {  # effects that are a factor on a constant of the single track
+    "brake_gain": "brake_force_n_per_frac",
+    "front_stiffness": "front_stiffness_n_per_rad",
+    "rear_stiffness": "rear_stiffness_n_per_rad",
+}
+SEED = 1  # of the draws behind intervals (gap/evidence.py)
+HEAD = "# Written by tunefree_hil gap out of {model}; {card} says from which logs.\n"
+
+Params = dict[str, float]
+S = TypeVar("S", bound=Spec)
+
+
+class Change(NamedTuple):
+    """A number of the model that is another now. key: as in model.toml; before, after: None where there is none."""
+
+    key: str
+    before: float | None
+    after: float | None
+
+
+class Repaired(NamedTuple):
+    """model: what is to be written. day: effects of the day, which are not. changes: against the model before."""
+
+    model: ModelSpec
+    day: tuple[EffectSpec, ...]
+    changes: tuple[Change, ...]
+
+
+def repaired(
+    model: ModelSpec, vehicle: VehicleSpec, values: Mapping[str, float], found: Sequence[EffectSpec] = ()
+) -> Repaired:
+    """A model moved to `values` (keys as gap/graph.py takes them), with the effects `found` in it."""
+    names = {one.name for one in found}
+    moved = _by_effect(values, names)
+    day = tuple(EffectSpec(name=name, params=moved.pop(name)) for name in OF_THE_DAY if name in moved)
+    plant = plant_of(model)
+    base = {**plant.defaults, **model.plant.params}
+    params = scaled(model.plant.params, plant.defaults, values)
+    if model.plant.kind == "physics":
+        _fold(params, moved, vehicle.nominal.rest_pedal_frac, names)
+    own = {key: value for key, value in params.items() if key in model.plant.params or _differs(base[key], value)}
+    channels = {name: _channel(name, spec, values) for name, spec in model.actuators.items()}
+    more = [EffectSpec(name=name, params=one, provenance={"by": "recalibration"}) for name, one in moved.items()]
+    behind = sorted([*found, *more], key=lambda one: one.name)  # as the graph has them in series
+    made = _with(model, plant=_with(model.plant, params=own), actuators=channels, effects=[*model.effects, *behind])
+    return Repaired(made, day, tuple(_changes(model, made, base)))
+
+
+def found_effects(kept: Kept, log_hash: str, version: str) -> list[EffectSpec]:
+    """What was found, with interval and provenance."""
+    provenance = {"log": log_hash, "seed": SEED, "version": version}
+    return [
+        EffectSpec(
+            name=one["name"],
+            params={key: value["value"] for key, value in one["params"].items()},
+            interval={key: _ends(value) for key, value in one["params"].items() if _ends(value)},
+            provenance=provenance,
+        )
+        for one in kept.answer["effects"]
+    ]
+
+
+def write_repaired(folder: Path, model: ModelSpec, made: ModelSpec, story: Mapping[str, Any]) -> ModelSpec:
+    """Write the folder whole or not at all, beside what else the model's folder holds; the model as it is loaded.
+
+    story: what card.json says of the repair. Raises InputError for a folder that is there already.
+    """
+    require_new(folder)
+    source = Path(model.folder)
+    part = folder.with_name(f"part-{os.getpid()}-{folder.name}")
+    part.mkdir(parents=True)
+    try:
+        for file in sorted(source.iterdir()):
+            if file.is_file() and file.name not in ("model.toml", CARD_FILE):
+                shutil.copyfile(file, part / file.name)
+        data = {key: one for key, one in plain(made).items() if key not in SET_BY_LOADER}
+        data["plant"]["card"] = CARD_FILE
+        (part / "model.toml").write_text(HEAD.format(model=source.name, card=CARD_FILE) + to_toml(data))
+        card = {**_card_of(model), "repair": as_json(story)}
+        (part / CARD_FILE).write_text(json.dumps(card, indent=1, allow_nan=False) + "\n")
+        load_model(part)
+        if folder.is_dir():
+            folder.rmdir()  # it is empty
+        os.replace(part, folder)
+    finally:
+        if part.is_dir():
+            shutil.rmtree(part)
+    return load_model(folder)
+
+
+def _card_of(model: ModelSpec) -> dict[str, Any]:
+    path = Path(model.folder) / (model.plant.card or CARD_FILE)
+    return json.loads(path.read_text()) if path.is_file() else {}
+
+
+def _ends(value: Mapping[str, Any]) -> list[float]:
+    return [value["low"], value["high"]] if value["low"] is not None and value["high"] is not None else []
+
+
+def _by_effect(values: Mapping[str, float], found: set[str]) -> dict[str, Params]:
+    """Parameters of effects of the catalogue that recalibration moved, by effect."""
+    catalogue, moved = effects(), {}
+    for key, value in values.items():
+        name, _, parameter = key.partition(".")
+        if name in catalogue and name not in found and value != catalogue[name].neutral[parameter]:
+            moved.setdefault(name, {})[parameter] = value
+    return moved
+
+
+def _fold(params: Params, moved: dict[str, Params], rest: float, found: set[str]) -> None:
+    """Put into the single track's constants what means the same there; takes it out of `moved`."""
+    if "throttle_gain" in moved:  # g (duty - rest) is a pedal whose zero and full lie at another place
+        gain = moved.pop("throttle_gain")["gain_frac"]
+        for key in ("throttle_zero_frac", "throttle_full_frac"):
+            params[key] = rest + (params[key] - rest) / gain
+    for name, key in GAINS.items():
+        if name in moved:
+            params[key] *= moved.pop(name)["gain_frac"]
+    if "rolling_resistance" in moved:
+        params["rolling_frac"] *= 1.0 + moved.pop("rolling_resistance")["extra_frac"]
+    if "aero_drag" in moved:
+        params["drag_area_m2"] += moved.pop("aero_drag")["drag_area_m2"]
+    if "steer_gain" in moved and "steer_offset" not in found:  # an offset is behind the gain, and has its value there
+        gain = moved.pop("steer_gain")["gain_frac"]
+        params["steer_ratio"] /= gain
+        if "steer_offset" in moved:
+            moved["steer_offset"]["offset_rad"] /= gain
+
+
+def _channel(name: str, spec: ActuatorSpec, values: Mapping[str, float]) -> ActuatorSpec:
+    """A channel's numbers moved, each with an interval as wide as it was."""
+    moved: dict[str, Number] = {}
+    for field in spec.__struct_fields__:
+        by = values.get(f"actuator.{name}.{field}", 0.0)
+        if by:
+            moved[field] = _moved(getattr(spec, field), by, field)
+    return _with(spec, **moved)
+
+
+def _moved(number: Number, by: float, field: str) -> Number:
+    def move(value: float) -> float:
+        if field not in ADDED:
+            return value * math.exp(by)
+        return max(value + by, 0.0) if field == "dead_time_s" else value + by
+
+    if isinstance(number, Interval):
+        return Interval(value=move(number.value), low=move(number.low), high=move(number.high))
+    return move(number)
+
+
+def _changes(model: ModelSpec, made: ModelSpec, base: Mapping[str, float]) -> list[Change]:
+    """What is another number in the repaired model, effects last."""
+    found = []
+    for key, after in made.plant.params.items():
+        if _differs(base[key], after):
+            found.append(Change(f"plant.params.{key}", base[key], after))
+    for name, spec in made.actuators.items():
+        for field in spec.__struct_fields__:
+            before, after = value_of(getattr(model.actuators[name], field)), value_of(getattr(spec, field))
+            if _differs(before, after):
+                found.append(Change(f"actuators.{name}.{field}", before, after))
+    for one in made.effects[len(model.effects) :]:
+        found += [Change(f"effects.{one.name}.{key}", None, value) for key, value in one.params.items()]
+    return found
+
+
+def _differs(before: float, after: float) -> bool:
+    return abs(after - before) > LEAST_CHANGE * max(abs(before), abs(after)) if math.isfinite(before) else False
+
+
+def _with(spec: S, **changes: Any) -> S:
+    """The same spec with other values in some fields."""
+    fields = {name: getattr(spec, name) for name in spec.__struct_fields__}
+    return type(spec)(**{**fields, **changes})

@@ -1,0 +1,125 @@
+"""The whole car of a model folder, run over a recording: recorded commands in, on its own wherever it is not told.
+
+Actuators, effects, chassis, sensors are the bench's own (plant/vehicle.py `assemble`), so that what is proved is what a
+bench drives. In rows that are held the chassis is told the measured motion; in the others it runs free, without being
+put right. Noise is left out: it is the measurement's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tunefree_hil.base import parts
+from tunefree_hil.base.contracts import Latency, Port, make_effect
+from tunefree_hil.base.kernel import Block
+from tunefree_hil.base.records import Command, Disturbance, Ins, Motion, Report
+from tunefree_hil.config.schema import ActuatorSpec, EffectSpec, ModelSpec, VehicleSpec
+from tunefree_hil.gap.chain import Opened
+from tunefree_hil.gap.graph import CHANNELS
+from tunefree_hil.gap.recent import ahead
+from tunefree_hil.learn.free_run import plant_of
+from tunefree_hil.learn.motion import actuator_params
+from tunefree_hil.plant.actuators import ActuatorParams
+from tunefree_hil.plant.body import BodyInput, Driver
+from tunefree_hil.plant.sensors import noise_table
+from tunefree_hil.plant.vehicle import Body, assemble, first_output, for_episode
+
+Array = np.ndarray
+
+REPORTED = tuple(f"report.{name}" for name in Report._fields)
+PLACED = tuple(f"ins.{name}" for name in Ins._fields)
+
+
+class Car(NamedTuple):
+    """A model folder's car. late_s: by which its own effects make reports and INS late, (reports, INS)."""
+
+    body: Body
+    observe: Any
+    rest: float
+    late_s: tuple[float, float]
+
+
+def car_of(model: ModelSpec, vehicle: VehicleSpec, opened: Opened, more: Sequence[EffectSpec] = ()) -> Car:
+    """The car for a recording; `more`: effects behind the model's own, as a bench file has them.
+
+    A channel whose commands acted nowhere in it (a person drove) has no actuator: the reported output is what acts. An
+    INS that is late by the vehicle's folder is no part of it: recordings are put right by that (gap/chain.py).
+    """
+    rest, plant = vehicle.nominal.rest_pedal_frac, plant_of(model)
+    channels = {}
+    for name, acts in zip(CHANNELS, commanded(opened), strict=True):
+        idle = 0.0 if name == "steer" else rest
+        spec = model.actuators.get(name, ActuatorSpec())
+        channels[name] = actuator_params(spec, idle, idle) if acts else ActuatorParams(rest=idle, initial=idle)
+    effects = [_made(spec, rest) for spec in (*model.effects, *more)]
+    body = assemble(plant, model.plant.params, channels, effects=effects, rest_frac=(rest, rest), dt_s=opened.dt_s)
+    biased = for_episode(body, body.block.params.chassis.start, noise_table({}, model.bias, 0, 0))
+    late = [sum(made.params.delay_s for port, made in effects if port is where and _is_late(made)) for where in _ENDS]
+    return Car(biased, plant.observe, rest, (late[0], late[1]))
+
+
+def commanded(opened: Opened) -> tuple[bool, bool, bool]:
+    """Of throttle, brake, steer: whether commands acted anywhere in a recording."""
+    throttle, brake, steer = (bool((opened.follows[:, i] > 0.5).any()) for i in range(3))
+    return throttle, brake, steer
+
+
+_ENDS = (Port.REPORT, Port.INS)
+
+
+def _is_late(made: Any) -> bool:
+    return isinstance(made, Block) and isinstance(made.params, Latency)
+
+
+def _made(spec: EffectSpec, rest: float) -> tuple[Port, Any]:
+    effect = parts.load("tunefree_hil.effects", spec.name, "EFFECT")
+    pedal = effect.port.value.startswith(("throttle", "brake"))
+    return effect.port, make_effect(effect, spec.params, rest=rest if pedal else 0.0, name=spec.name)
+
+
+def run_over(car: Car, opened: Opened, held: Array) -> Mapping[str, Array]:
+    """What the car says in every row of a recording, by record field ('report.speed_mps', 'ins.x_m'), [n] each.
+
+    held: bool [n], rows at which the chassis is told what was measured.
+    """
+    told, motions, gears = _told(car, opened)
+    body, dt_s = car.body, opened.dt_s
+    start = body.block.params.chassis.start._replace(speed_mps=float(opened.inputs.speed_mps[0]))
+    body = for_episode(body, start, body.block.params.sensors.noise)
+    state, _ = first_output(body, dt_s)
+    step, params, observe = body.block.step, body.block.params, car.observe
+    nobody, road = Driver(car.rest, car.rest), Disturbance(0.0, 1.0)
+    rows, seen = np.full((opened.ticks, len(REPORTED) + len(PLACED)), np.nan), held.tolist()
+    for k in range(1, opened.ticks):
+        if seen[k - 1]:
+            state = state._replace(chassis=observe(state.chassis, motions[k - 1]))
+        command = Command._make((*told[k], gears[k], np.nan, np.nan))
+        state, out = step(params, state, BodyInput(command, nobody, road), dt_s)
+        rows[k] = (*out.measurement.report, *out.measurement.ins)
+    rows[0] = rows[min(1, len(rows) - 1)]
+    return dict(zip((*REPORTED, *PLACED), rows.T, strict=True))
+
+
+def _told(car: Car, opened: Opened) -> tuple[list[list[float]], list[Motion], list[float]]:
+    """(commands, measured motions, gears) of the rows; what a late report says of the past is put back there."""
+    x = opened.inputs
+    by_report, by_ins = (late / x.dt_s for late in car.late_s)
+    columns = [ahead(x.commands[:, i], by_report) if x.echoed[i] else x.commands[:, i] for i in range(3)]
+    motion = np.column_stack([*pose_of(opened), x.speed_mps, x.side_speed_mps, x.yaw_rate_radps, x.rate_mps2])
+    motion = ahead(motion, by_ins if x.by_ins else by_report)
+    motions = [Motion._make((*row[:6], 0.0, 0.0, row[6], 0.0, 0.0, 0.0, 0.0)) for row in motion.tolist()]
+    return np.stack(columns, axis=1).tolist(), motions, x.gear.tolist()
+
+
+def pose_of(opened: Opened) -> tuple[Array, Array, Array]:
+    """(x, y, heading) of the rear axle as measured, or summed up from speed and yaw rate without an INS."""
+    names = ("ins.x_m", "ins.y_m", "ins.heading_rad")
+    if opened.has(*names):
+        x_m, y_m, heading = (opened.signals[name].values for name in names)
+        return x_m, y_m, heading
+    speed, yaw, dt_s = opened.inputs.speed_mps, opened.inputs.yaw_rate_radps, opened.dt_s
+    heading = np.cumsum(yaw) * dt_s
+    return np.cumsum(speed * np.cos(heading)) * dt_s, np.cumsum(speed * np.sin(heading)) * dt_s, heading

@@ -1,0 +1,157 @@
+"""Where a candidate's search begins: a coarse grid over its own parameters, with what recalibration could do at each.
+
+What a delay does to an error is rugged, so no slope is trusted before a grid was laid. The slopes of what recalibration
+moves are those of the model that the candidate is added to, so a point of the grid is one simulation: what
+recalibration could still do there is a small linear problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.gap.problem import Fitted, Free, Problem, Slopes, bounded, ends_of, prior_of
+from tunefree_hil.gap.work import Residuals
+
+Array = np.ndarray
+
+DELAYS, FACTORS = 12, 8  # points of a grid: of what is rugged, of what goes by a logarithm
+AMOUNTS = (0.03, 0.1, 0.3, 1.0)  # of the prior's ends, to either side: of what is nearly linear, and may be small
+# What recalibration has of the very same kind: beside the effect it would move the other way, and what is left of both
+# is a signal smoothed by nothing that a car has.
+TWINS = {"ins_latency.delay_s": "clock.ins_s"}
+FINER = 9  # points between the best one's neighbours: a delay is rugged on the scale of a tick
+
+
+class Start(NamedTuple):
+    """The best point of a grid: keys that move and z of them (all but `free`: recalibration done there), and what it
+    gains over the model that the candidate is added to, in squares.
+    """
+
+    keys: tuple[str, ...]
+    z: Array
+    gain: float
+
+
+class _Felt(NamedTuple):
+    """A target of the model that candidates are added to, whitened, in judged blocks only: slopes [m, p], and what its
+    own residual gives.
+    """
+
+    slopes: Array
+    slope: Array
+    square: float
+
+
+class Scan:
+    """Grids of candidates beside one model. slopes: of that model's keys, where it stands."""
+
+    def __init__(self, problem: Problem, start: Fitted, slopes: Slopes) -> None:
+        self.problem, self.start, self._slopes = problem, start, slopes
+        self._colours = {name: one.colour for name, one in start.sums.items()}
+        self._curve = np.zeros((len(start.keys), len(start.keys)))
+        self._felt = {name: self._feel(name, residual) for name, residual in start.residuals.items()}
+
+    def best(self, free: Sequence[Free]) -> Start:
+        """Over the whole grid. Raises InputError where no value of it makes a car."""
+        return self._best(free, grid_of(free))
+
+    def finer(self, free: Sequence[Free], found: Start) -> Start:
+        """Around a point that was found, where there is one parameter and what it does is not nearly linear."""
+        if len(free) != 1 or free[0].low < 0.0:
+            return found
+        near = found.z[-1] + np.linspace(-1.0, 1.0, FINER) / (len(_places(free[0])) - 1)
+        points = [np.array([u]) for u in np.clip(near, free[0].least, free[0].most)]
+        return max(found, self._best(free, points), key=lambda one: one.gain)
+
+    def kept(self, free: Sequence[Free]) -> list[int]:
+        """The model's keys that are fitted beside a candidate: not what is the candidate's own."""
+        loose = {one.key for one in free} | {TWINS.get(one.key, "") for one in free}
+        return [i for i, key in enumerate(self.start.keys) if key not in loose]
+
+    def slopes(self, free: Sequence[Free]) -> Slopes:
+        """Of those."""
+        return without(self._slopes, self.kept(free))
+
+    def _best(self, free: Sequence[Free], points: Sequence[Array]) -> Start:
+        kept, start = self.kept(free), self.start
+        keys = tuple(start.keys[i] for i in kept) + tuple(one.key for one in free)
+        loose, base = (*start.free, *free), np.array([start.z[i] for i in kept])
+        before = self._left(start.residuals, kept, base)[0]
+        best: Start | None = None
+        for u in points:
+            z = np.concatenate([base, u])
+            try:
+                residuals = self.problem.work.residuals(self.problem.values(keys, z, loose))
+            except InputError:  # a value that makes no such effect
+                continue
+            left, step = self._left(residuals, kept, base)
+            if best is None or before - left > best.gain:
+                low, high = ends_of(keys, loose)
+                best = Start(keys, np.clip(np.concatenate([base + step, u]), low, high), before - left)
+        if best is None:
+            raise InputError("no value of it makes a car", code="no_such_effect", key=",".join(one.key for one in free))
+        return best
+
+    def _left(self, residuals: Residuals, kept: Sequence[int], z: Array) -> tuple[float, Array]:
+        """(cost, step) of the best that recalibration can do from z with these residuals, by the normal equations."""
+        slope, square = np.zeros(len(self.start.keys)), 0.0
+        for name, some in residuals.items():
+            felt = self._felt[name]
+            if not unchanged(some, self.start.residuals[name]):
+                white = self._white(name, some)
+                felt = _Felt(felt.slopes, white @ felt.slopes, float(white @ white))
+            slope, square = slope + felt.slope, square + felt.square
+        prior = prior_of(self.start.keys, self.start.free)[kept]
+        low, high = ends_of(self.start.keys, self.start.free)
+        curve, slope = self._curve[np.ix_(kept, kept)] + np.diag(prior), slope[kept] + prior * z
+        step = bounded(curve, slope, z, low[kept], high[kept])
+        return square + float(prior @ (z * z)) + float(2.0 * slope @ step + step @ curve @ step), step
+
+    def _feel(self, name: str, residual: list[Array]) -> _Felt:
+        columns, pieces = self._slopes.by_target[name]
+        joint = self._white(name, [np.column_stack([r, p]) for r, p in zip(residual, pieces, strict=True)])
+        slopes = np.zeros((len(joint), len(self.start.keys)))
+        slopes[:, columns] = joint[:, 1:]
+        self._curve[np.ix_(columns, columns)] += joint[:, 1:].T @ joint[:, 1:]
+        return _Felt(slopes, joint[:, 0] @ slopes, float(joint[:, 0] @ joint[:, 0]))
+
+    def _white(self, name: str, residual: Sequence[Array]) -> Array:
+        """Whitened, in units of the noise, its rows in judged blocks."""
+        colour = self._colours[name]
+        rows, at = self.problem.work.white(name, residual, colour)
+        return rows[np.isin(at, self.problem.judged())] / np.sqrt(colour.stretch)
+
+
+def unchanged(some: Sequence[Array], others: Sequence[Array]) -> bool:
+    """Whether residuals of a target are the same, drive by drive."""
+    return all(np.array_equal(a, b) for a, b in zip(some, others, strict=True))
+
+
+def without(slopes: Slopes, kept: Sequence[int]) -> Slopes:
+    """The slopes of some columns, numbered anew."""
+    place = {old: new for new, old in enumerate(kept)}
+    found = {}
+    for name, (columns, pieces) in slopes.by_target.items():
+        felt = [c for c, column in enumerate(columns) if int(column) in place]
+        numbers = np.array([place[int(columns[c])] for c in felt], dtype=np.int64)
+        found[name] = (numbers, [piece[:, felt] for piece in pieces])
+    return Slopes(found)
+
+
+def grid_of(free: Sequence[Free]) -> list[Array]:
+    """Points over the priors of one parameter; of two, a coarser grid of both."""
+    first = _places(free[0])
+    if len(free) == 1:
+        return [np.array([u]) for u in first]
+    places = [tuple((0.1, 0.5, 0.9)[k] for k in more) for more in np.ndindex(*(3,) * (len(free) - 1))]
+    return [np.array([u, *more]) for u in first for more in places]
+
+
+def _places(one: Free) -> list[float]:
+    if one.low < 0.0 < one.high:
+        return [one.place(end * share) for end in (one.low, one.high) for share in AMOUNTS]
+    return [float(u) for u in np.linspace(0.0, 1.0, FACTORS if one.logarithmic else DELAYS)]

@@ -1,0 +1,155 @@
+"""What a proof says: the gap by signal before, recalibrated, repaired and at its floor, and how much of it was closed.
+
+The floor is what would be missed if nothing were lacking: the sensor's noise, what the model's calibration missed of
+drives that it was not fitted on (its card), and of what the repaired model misses here the part that nothing foretells
+(gap/leftover.py). Intervals draw whole blocks.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tunefree_hil.config.schema import ModelSpec
+from tunefree_hil.gap.verify import HEADING, POSITION, UNITS, Proof
+
+Array = np.ndarray
+
+DRAWS = 1000
+MOST_WORSE = 0.02  # of a signal's error, that a repair may add
+LEAST_OPEN = 0.02  # of the floor, a block's: less left by recalibration is no gap
+CLEARLY = 0.8  # of a signal's error: recalibration that leaves no more is worth a calibration
+BY_CARD = {  # what a calibration's card says of free runs on held-out windows, by signal
+    "report.speed_mps": ("speed_mps",), "ins.speed_mps": ("speed_mps",), "report.yaw_rate_radps": ("yaw_rate_radps",),
+    "ins.yaw_rate_radps": ("yaw_rate_radps",), "report.lateral_accel_mps2": ("lateral_accel_mps2",),
+    HEADING: ("heading_rad",), POSITION: ("x_m", "y_m"),
+}  # fmt: skip
+
+_SPEED, _YAW = ("rate_of_speed",), ("yaw_rate",)
+HANGS_ON = {  # by signal: targets whose residual tells what could still be explained of it
+    "report.throttle_frac": ("throttle",), "report.brake_frac": ("brake",), "report.steer_rad": ("steer",),
+    "report.speed_mps": (*_SPEED, "wheel_vs_ins"), "ins.speed_mps": _SPEED,
+    "report.yaw_rate_radps": ("steer", *_YAW, "yaw_vs_ins"), "ins.yaw_rate_radps": ("steer", *_YAW),
+    "report.accel_mps2": (*_SPEED, "accel_vs_dvdt"),
+    "report.lateral_accel_mps2": ("steer", *_YAW, "lateral_beyond_turning", "lateral_accel"),
+    HEADING: ("steer", *_YAW), POSITION: ("steer", *_YAW, *_SPEED),
+}  # fmt: skip
+
+
+class Gap(NamedTuple):
+    """A signal: RMS by variant (None where there is none), and the floor."""
+
+    before: float
+    recalibrated: float | None
+    after: float | None
+    floor: float
+    unit: str
+
+
+def floors_of(proof: Proof, model: ModelSpec) -> dict[str, float]:
+    """By signal: the sensor's noise, and what the model's own calibration missed of drives that it did not see."""
+    card = _card_of(model)
+    runs = ((card.get("free_run_rms") or {}).get("held_out") or {}).get("fitted") or {}
+    found = {}
+    for signal in proof.counts:
+        missed = [float(runs[key]) for key in BY_CARD.get(signal, ()) if key in runs]
+        channel = signal.removeprefix("report.").partition("_")[0]
+        own = (card.get("actuators") or {}).get(channel) or {}
+        if signal in (f"report.{channel}_frac", f"report.{channel}_rad") and own.get("held_out_rms"):
+            missed = [float(own["held_out_rms"])]
+        found[signal] = math.sqrt(proof.noise[signal] ** 2 + sum(one * one for one in missed))
+    return found
+
+
+def _card_of(model: ModelSpec) -> dict[str, Any]:
+    path = Path(model.folder) / model.plant.card
+    return json.loads(path.read_text()) if model.plant.card and path.is_file() else {}
+
+
+def unforetold(foretold: Mapping[str, float]) -> dict[str, float]:
+    """By signal, of what the repaired model misses the part (RMS) that nothing foretells. foretold: shares of squares
+    by target (gap/targets.py); of several targets that a signal hangs on, the one that is foretold best.
+    """
+    return {
+        signal: math.sqrt(1.0 - max((foretold.get(name, 0.0) for name in targets), default=0.0))
+        for signal, targets in HANGS_ON.items()
+    }
+
+
+def gaps_of(proof: Proof, floors: Mapping[str, float], left: Mapping[str, float]) -> dict[str, Gap]:
+    """By signal, what was missed. left: of `unforetold`. The floor is never above what any variant reaches."""
+    found = {}
+    for signal in proof.counts:
+        rms = {name: proof.rms(name, signal) for name in proof.squares}
+        least = max(floors[signal], left[signal] * rms.get("after", 0.0))
+        floor = min(least, *rms.values())
+        found[signal] = Gap(rms["before"], rms.get("recalibrated"), rms.get("after"), floor, UNITS[signal])
+    return found
+
+
+def explained_frac(
+    proof: Proof, floors: Mapping[str, float], left: Mapping[str, float], seed: int = 1
+) -> dict[str, float] | None:
+    """(recalibrated - after) / (recalibrated - floor), with a 95 % interval; None where recalibration leaves nothing.
+
+    Of the signals that are measured and not summed up over time, in units of their floors, the root mean square of each
+    block; the mean over blocks, so that one in which every model is far off does not decide alone.
+    """
+    signals = [name for name in proof.counts if name not in (HEADING, POSITION) and floors[name] > 0.0]
+    if not signals or not proof.blocks:
+        return None
+    was, now = (_by_block(proof, name, signals, floors) for name in ("recalibrated", "after"))
+    share = np.array([left[name] for name in signals])[:, None]
+    least = np.minimum(np.minimum(was, now), np.maximum(1.0, share * np.minimum(was, now)))
+    was_, now_, least_ = (np.sqrt((one**2).mean(axis=0)) for one in (was, now, least))
+    rows = np.random.default_rng(seed).integers(0, proof.blocks, (DRAWS, proof.blocks))
+    every = _share(was_, now_, least_, np.arange(proof.blocks))
+    low, high = np.quantile([_share(was_, now_, least_, some) for some in rows], [0.025, 0.975])
+    if was_.sum() - least_.sum() <= LEAST_OPEN * proof.blocks and every > -LEAST_OPEN:
+        return None
+    return {"value": every, "low": float(low), "high": float(high)}
+
+
+def _share(was: Array, now: Array, least: Array, rows: Array) -> float:
+    """Of what is open above the floor the part that is closed; of a repair that only spoils, of what was there."""
+    closed, open_ = float((was - now)[rows].sum()), float((was - least)[rows].sum())
+    if open_ <= LEAST_OPEN * len(rows):
+        open_ = max(float(was[rows].sum()), LEAST_OPEN)
+    return closed / open_
+
+
+def _by_block(proof: Proof, variant: str, signals: Sequence[str], floors: Mapping[str, float]) -> Array:
+    """[signals, blocks]: RMS in units of the floors; 0 where a signal was not measured."""
+    rows = [np.sqrt(proof.squares[variant][one] / np.maximum(proof.counts[one], 1.0)) / floors[one] for one in signals]
+    return np.stack(rows)
+
+
+def worse_signals(proof: Proof, floors: Mapping[str, float], seed: int = 1) -> dict[str, float]:
+    """Signals that the repair makes worse than the model was, beyond MOST_WORSE, its noise and chance: by how much."""
+    chance, found = np.random.default_rng(seed), {}
+    draws = chance.integers(0, max(proof.blocks, 1), (DRAWS, max(proof.blocks, 1)))
+    for signal, counts in proof.counts.items():
+        before, after = proof.squares["before"][signal], proof.squares["after"][signal]
+        was, now = proof.rms("before", signal), proof.rms("after", signal)
+        if now <= (1.0 + MOST_WORSE) * was or now <= floors[signal] or not counts.sum():
+            continue
+        more = (after - (1.0 + MOST_WORSE) ** 2 * before)[draws].sum(axis=1)
+        if float(np.quantile(more, 0.025)) > 0.0:
+            found[signal] = now / was - 1.0 if was > 0.0 else math.inf
+    return found
+
+
+def better_by_recalibration(gaps: Mapping[str, Gap]) -> dict[str, tuple[float, float]]:
+    """Signals that recalibration alone takes CLEARLY nearer to the measurement: RMS before and after it."""
+    return {
+        name: (one.before, one.recalibrated)
+        for name, one in gaps.items()
+        if one.recalibrated is not None
+        and one.recalibrated < CLEARLY * one.before
+        and one.before**2 - one.recalibrated**2 > one.floor**2
+    }

@@ -1,0 +1,83 @@
+"""The processes that share a question: each has it open, suspects are dealt out among them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
+
+from tunefree_hil.gap.ask import Modelled, Question
+from tunefree_hil.gap.scan import Start
+from tunefree_hil.gap.work import Setting
+from tunefree_hil.learn.worker import Worker
+
+T = TypeVar("T")
+
+MODULE = "tunefree_hil.gap.ask"
+HOPELESS = 1.0  # squares that the best point of a grid gains: who gains less is not fitted
+LEFT_OUT = 0.01  # nor who gains less than that of what the best one's best point gains
+SCREEN = 0.15  # who gains less than that gets one step: the truth, even midway between two points, gains more
+
+
+class Team:
+    """Two processes that have the same question open."""
+
+    def __init__(self, setting: Setting, workers: int = 2) -> None:
+        self.setting = setting
+        self.workers = [Worker() for _ in range(workers)]
+        self.token = "gap"
+
+    def open(self) -> Question:
+        """Open it in all of them."""
+        return self._all([("open_question", self.token, self.setting)] * len(self.workers))[0]
+
+    def fit(self, names: Sequence[str], start: Modelled | None) -> dict[str, Modelled]:
+        """Suspects beside `start`, shared out: all grids first; who is far behind the best there gets one step only, or
+        none where there is nothing that it gains.
+        """
+        model = None if start is None else start.fitted
+        begins: dict[str, Start] = {}
+        for some in self._all([("scan_suspects", self.token, share, model) for share in self._shares(names)]):
+            begins |= some
+        best = max((one.gain for one in begins.values()), default=0.0)
+        order = sorted(begins, key=lambda name: -begins[name].gain)
+        asked = [name for name in order if begins[name].gain > max(HOPELESS, LEFT_OUT * best)]
+        bar = max(HOPELESS, SCREEN * best)
+        shares = [{name: begins[name] for name in share} for share in self._shares(asked)]
+        found: dict[str, Modelled] = {}
+        for some in self._all([("fit_suspects", self.token, share, model, bar) for share in shares]):
+            found |= some
+        return found
+
+    def fit_on(self, models: Sequence[Modelled]) -> list[Modelled]:
+        """Models fitted on until nothing is gained, in their order."""
+        shares = self._shares(list(range(len(models))))
+        calls = [("fitted_on", self.token, [models[i].fitted for i in share]) for share in shares]
+        found: dict[int, Modelled] = {}
+        for share, some in zip(shares, self._all(calls), strict=True):
+            found |= dict(zip(share, some, strict=True))
+        return [found[i] for i in range(len(models))]
+
+    def fit_without(self, model: Modelled, names: Sequence[str]) -> dict[str, Modelled]:
+        """A model without each of its effects `names`, the rest fitted on."""
+        found: dict[str, Modelled] = {}
+        for some in self._all([("fitted_without", self.token, model.fitted, share) for share in self._shares(names)]):
+            found |= some
+        return found
+
+    def _shares(self, some: Sequence[T]) -> list[list[T]]:
+        return [list(some[i :: len(self.workers)]) for i in range(len(self.workers))]
+
+    def ask(self, function: str, *args: Any) -> Any:
+        """Ask the first."""
+        return self.workers[0].result(MODULE, function, self.token, *args)
+
+    def close(self) -> None:
+        """End the processes."""
+        for worker in self.workers:
+            worker.close()
+
+    def _all(self, calls: Sequence[tuple[Any, ...]]) -> list[Any]:
+        with ThreadPoolExecutor(len(self.workers)) as pool:
+            todo = [pool.submit(one.result, MODULE, *call) for one, call in zip(self.workers, calls, strict=True)]
+            return [one.result() for one in todo]

@@ -1,0 +1,159 @@
+"""The proof: free runs of the whole car over blocks that no fit and no choice has seen, looked at once.
+
+A block is at least 8 s; before it the car is told the measured motion, in it nothing but the recorded commands. Errors
+are root mean squares by signal; what they say is in gap/shrink.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
+from tunefree_hil.gap.chain import Opened
+from tunefree_hil.gap.noise import sensor_noise
+from tunefree_hil.gap.replay import car_of, commanded, pose_of, run_over
+from tunefree_hil.gap.segments import PROOF, blocks_of
+from tunefree_hil.learn.motion import wrapped
+
+Array = np.ndarray
+
+POSITION, HEADING = "position_m", "ins.heading_rad"
+UNITS = {
+    "report.throttle_frac": "1", "report.brake_frac": "1", "report.steer_rad": "rad", "report.speed_mps": "m/s",
+    "report.yaw_rate_radps": "rad/s", "report.accel_mps2": "m/s2", "report.lateral_accel_mps2": "m/s2",
+    "ins.speed_mps": "m/s", "ins.yaw_rate_radps": "rad/s", HEADING: "rad", POSITION: "m",
+}  # fmt: skip
+
+
+class Variant(NamedTuple):
+    """A car to be run: a model, and effects of the day behind its own."""
+
+    model: ModelSpec
+    day: tuple[EffectSpec, ...] = ()
+
+
+class Proof(NamedTuple):
+    """squares: by variant and signal, of errors summed over each block [b]; counts: by signal [b]; noise: of sensors.
+
+    traces: of all blocks, that in which the variants differ most first, for pictures.
+    """
+
+    squares: Mapping[str, Mapping[str, Array]]
+    counts: Mapping[str, Array]
+    noise: Mapping[str, float]
+    traces: tuple[Traces, ...]
+
+    @property
+    def blocks(self) -> int:
+        """How many."""
+        return max((len(one) for one in self.counts.values()), default=0)
+
+    def rms(self, variant: str, signal: str) -> float:
+        """Of a signal over all blocks."""
+        return math.sqrt(float(self.squares[variant][signal].sum()) / max(float(self.counts[signal].sum()), 1.0))
+
+
+class Traces(NamedTuple):
+    """One block: time since its beginning, the commands, measured and simulated by variant and signal."""
+
+    time_s: Array
+    measured: Mapping[str, Array]
+    simulated: Mapping[str, Mapping[str, Array]]
+
+
+def prove(
+    variants: Mapping[str, Variant], vehicle: VehicleSpec, drives: Sequence[Opened], *, whole: bool = False
+) -> Proof:
+    """Run all variants over the blocks that prove (whole: over all, of a recording that nothing was fitted on)."""
+    blocks = blocks_of([one.ticks for one in drives], drives[0].dt_s)
+    squares: dict[str, dict[str, list[float]]] = {name: {} for name in variants}
+    counts: dict[str, list[float]] = {}
+    noise: dict[str, list[float]] = {}
+    traces: list[Traces] = []
+    signals = [name for name in UNITS if any(_has(one, name) for one in drives)]
+    for number, opened in enumerate(drives):
+        mine = [
+            (int(blocks.begins[b]), int(blocks.ends[b]))
+            for b in np.flatnonzero((blocks.drives == number) & (whole | (blocks.roles == PROOF)))
+            if _is_whole(opened, slice(blocks.begins[b], blocks.ends[b]))
+        ]
+        if not mine:
+            continue
+        said = {name: _run(one, vehicle, opened, mine) for name, one in variants.items()}
+        for signal in signals:
+            values, good = _measured(opened, signal)
+            noise.setdefault(signal, []).append(sensor_noise(values, good))
+            for begin, end in mine:
+                rows = begin + np.flatnonzero(good[begin:end])
+                counts.setdefault(signal, []).append(float(len(rows)))
+                for name in variants:
+                    missed = _missed(signal, said[name], opened, rows, begin)
+                    squares[name].setdefault(signal, []).append(float(missed @ missed))
+        traces += [_trace(opened, said, one) for one in mine]
+    return Proof(
+        {name: {signal: np.array(one) for signal, one in some.items()} for name, some in squares.items()},
+        {signal: np.array(one) for signal, one in counts.items()},
+        {signal: max(one) for signal, one in noise.items()},
+        tuple(sorted(traces, key=_liveliness, reverse=True)),
+    )
+
+
+def _is_whole(opened: Opened, rows: slice) -> bool:
+    """Whether a block can be run: in gear, inputs known, and nobody takes over from a channel's commands."""
+    return bool(opened.moving[rows].all() and (opened.follows[rows] > 0.5)[:, list(commanded(opened))].all())
+
+
+def _run(variant: Variant, vehicle: VehicleSpec, opened: Opened, blocks: Sequence[tuple[int, int]]) -> dict[str, Array]:
+    """What a variant says, on its own in the blocks."""
+    held = np.ones(opened.ticks, dtype=bool)
+    for begin, end in blocks:
+        held[begin:end] = False
+    return dict(run_over(car_of(variant.model, vehicle, opened, variant.day), opened, held))
+
+
+def _has(opened: Opened, signal: str) -> bool:
+    return opened.has("ins.x_m", "ins.y_m") if signal == POSITION else opened.has(signal)
+
+
+def _measured(opened: Opened, signal: str) -> tuple[Array, Array]:
+    """(values, rows that were measured), no row of a signal that this recording does not have."""
+    if not _has(opened, signal):
+        return np.zeros(opened.ticks), np.zeros(opened.ticks, dtype=bool)
+    one = opened.signals["ins.x_m" if signal == POSITION else signal]
+    return one.values, one.fresh & one.there
+
+
+def _missed(signal: str, said: Mapping[str, Array], opened: Opened, rows: Array, begin: int) -> Array:
+    """Errors at some rows of a block. Heading and position count from where the block begins."""
+    if not len(rows):
+        return np.zeros(0)
+    if signal == POSITION:
+        x, y, _ = pose_of(opened)
+        east, north = said["ins.x_m"][rows] - x[rows], said["ins.y_m"][rows] - y[rows]
+        return np.hypot(east - (said["ins.x_m"][begin] - x[begin]), north - (said["ins.y_m"][begin] - y[begin]))
+    missed = said[signal][rows] - opened.signals[signal].values[rows]
+    if signal == HEADING:
+        return wrapped(missed - (said[signal][begin] - opened.signals[signal].values[begin]))
+    return missed
+
+
+def _trace(opened: Opened, said: Mapping[str, Mapping[str, Array]], block: tuple[int, int]) -> Traces:
+    cut = slice(*block)
+    names = [name for name in UNITS if name in opened.signals]
+    return Traces(
+        np.arange(block[1] - block[0]) * opened.dt_s,
+        {name: opened.signals[name].values[cut] for name in names},
+        {variant: {name: one[name][cut] for name in names} for variant, one in said.items()},
+    )
+
+
+def _liveliness(one: Traces) -> float:
+    """How far apart the first variant and the last are there."""
+    variants = list(one.simulated)
+    first, last = one.simulated[variants[0]], one.simulated[variants[-1]]
+    spread = {name: max(float(np.std(values)), 1e-9) for name, values in one.measured.items() if name != HEADING}
+    return sum(float(np.mean((first[name] - last[name]) ** 2)) / size**2 for name, size in spread.items())

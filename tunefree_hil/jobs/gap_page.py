@@ -1,0 +1,164 @@
+"""The page of a `gap` for people: one sentence on top, what to do next, tables, pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tunefree_hil.jobs.gap_words import percent, value_words
+from tunefree_hil.jobs.run_folder import write_text
+
+MOST_SUSPECTS = 10
+CAPTIONS = {
+    "where": "Where it is missed",
+    "signature": "What it looks like, without and with the effect",
+    "evidence": "Evidence",
+    "traces": "Before and after",
+    "shrink": "How the gap shrinks",
+}
+
+
+def write_page(path: Path, answer: Mapping[str, Any], following: Sequence[str], again: str) -> None:
+    """Write gap.md; pictures are linked as they lie beside it."""
+    lines = [f"# {answer['sentence']}", ""]
+    lines += _next(answer, following)
+    lines += _effects(answer) + _signals(answer) + _older(answer) + _pictures(path, answer) + _links(answer)
+    lines += _suspects(answer) + _changes(answer) + _unseen(answer)
+    lines += ["## Made of", "", *(f"- {one['name']} `{one['hash']}`" for one in answer["logs"])]
+    lines += [f"- model `{answer['model_hash']}`, vehicle `{answer['vehicle_hash']}`, version {answer['version']}", ""]
+    write_text(path, "\n".join([*lines, "```", again, "```", ""]))
+
+
+def _next(answer: Mapping[str, Any], following: Sequence[str]) -> list[str]:
+    lines = ["## What to do next", ""]
+    if answer["separate_by"]:
+        lines += [f"Drive {answer['separate_by']}; give that log beside these.", ""]
+    if answer["verdict"] == "cannot_test":
+        lines += [f"- {words}" for words in answer["words"]] + [""]
+    if answer.get("worse"):
+        lines += [
+            "No model was written: it would be worse than the one before in "
+            f"{', '.join(answer['worse'])}. An older log that was recorded before the effect came does not fit a model "
+            "that has it: leave it out.",
+            "",
+        ]
+    if answer.get("absorbed"):
+        lines += [
+            "The plant was learned: its net may have absorbed what these logs and those it learned from share.",
+            "",
+        ]
+    return [*lines, "```", *following, "```", ""] if following else lines
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """A table, and an empty line."""
+    lines = ["| " + " | ".join(row) + " |" for row in [head, *rows]]
+    return [lines[0], "|" + "---|" * len(head), *lines[1:], ""]
+
+
+def _effects(answer: Mapping[str, Any]) -> list[str]:
+    if not answer["effects"]:
+        return []
+    rows = [(one["name"], value_words(one), _number(one["evidence"])) for one in answer["effects"]]
+    return ["## What is missing", "", *table(("effect", "value (95 %)", "evidence, nats"), rows)]
+
+
+def _signals(answer: Mapping[str, Any]) -> list[str]:
+    if not answer["signals"]:
+        return []
+    rows = [
+        (name, *(_number(one[key]) for key in ("before", "recalibrated", "after", "floor")), one["unit"])
+        for name, one in answer["signals"].items()
+    ]
+    closed, count = answer.get("explained_frac"), answer.get("proof_blocks")
+    told = (
+        f"Free runs of the whole car over {count} blocks of 8 s that no fit and no choice has seen: recorded commands "
+    )
+    told += "in, nothing put right within a block. Errors are root mean squares."
+    lines = ["## Proof", "", told]
+    if closed:
+        lines.append(f"The repair closes {percent(closed)} of what recalibration leaves above the floor.")
+    head = ("signal", "as it was", "recalibration only", "repaired", "floor", "unit")
+    return [*lines, "", *table(head, rows), *_replay(answer)]
+
+
+def _replay(answer: Mapping[str, Any]) -> list[str]:
+    found = answer.get("closed_loop")
+    if not found:
+        words = answer.get("closed_loop_words")
+        return [f"Closed loop: {words}.", ""] if words else []
+    rows = [
+        (name, *(_number(one[key]) for key in ("before", "recalibrated", "after")), one["unit"])
+        for name, one in found["signals"].items()
+    ]
+    told = f"Closed loop, the same controller on the same road: {found['words']}."
+    return [told, "", *table(("signal", "as it was", "recalibration only", "repaired", "unit"), rows)]
+
+
+def _older(answer: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for one in answer["older"]:
+        rows = [
+            (name, _number(s["before"]), _number(s["after"]), s["unit"], "worse" if name in one["worse"] else "")
+            for name, s in one["signals"].items()
+        ]
+        lines += [f"## Older log {one['name']}", "", *table(("signal", "as it was", "repaired", "unit", ""), rows)]
+    return lines
+
+
+def _pictures(path: Path, answer: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for figure in map(Path, answer["figures"]):
+        beside = figure.relative_to(path.parent).as_posix()
+        lines += [f"## {CAPTIONS[figure.stem]}", "", f"![{CAPTIONS[figure.stem]}]({beside})", ""]
+    return lines
+
+
+def _links(answer: Mapping[str, Any]) -> list[str]:
+    if not answer["links"]:
+        return []
+    rows = [
+        (
+            one["link"], one["signal"], _number(one["rms"]), _number(one["noise"]), one["unit"],
+            f"{100.0 * one['share']:.1f} %", "broken" if one["broken"] else "",
+        )
+        for one in answer["links"]
+    ]  # fmt: skip
+    head = ("link", "signal", "missed (RMS)", "of it noise", "unit", "explicable, of the signal", "")
+    lost = [f"- {link}: {words}" for link, words in answer["lost"].items()]
+    return ["## Every link by itself", "", *table(head, rows), *lost, *([""] if lost else [])]
+
+
+def _suspects(answer: Mapping[str, Any]) -> list[str]:
+    some = sorted(answer["candidates"], key=lambda one: -(one["evidence"] or 0.0))[:MOST_SUSPECTS]
+    if not some:
+        return []
+    rows = [
+        (
+            one["name"], _number(one["evidence"]), _number(one["held_out"][0]), one["signal"],
+            f"{100.0 * (one['shrink'][0] or 0.0):.0f} %", "yes" if one["counts"] else "",
+        )
+        for one in some
+    ]  # fmt: skip
+    head = ("suspect", "evidence, nats", "on held-out blocks", "signal", "shrinks by", "counts")
+    count = len(answer["candidates"])
+    return [f"## The {len(some)} best of {count} suspects", "", *table(head, rows)]
+
+
+def _changes(answer: Mapping[str, Any]) -> list[str]:
+    if not answer.get("changes"):
+        return []
+    rows = [(f"`{one['key']}`", _number(one["before"]), _number(one["after"])) for one in answer["changes"]]
+    return ["## The model, old and new", "", *table(("key", "before", "after"), rows)]
+
+
+def _unseen(answer: Mapping[str, Any]) -> list[str]:
+    lines = [
+        f"- {name}: {', '.join(one['lacks'])}" for name, one in answer["excitation"].items() if not one["enough"]
+    ] + [f"- {name}: {words}" for name, words in [*answer["not_suspected"].items(), *answer["untold"].items()]]
+    return ["## What these logs cannot show", "", *lines, ""] if lines else []
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.4g}"

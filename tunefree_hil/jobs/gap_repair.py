@@ -1,0 +1,129 @@
+"""The repaired model of a `gap`, its proof, and older logs scored with it; what makes a signal worse is not saved."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Generator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from tunefree_hil import __version__
+from tunefree_hil.base.events import Event
+from tunefree_hil.gap.repair import Repaired, found_effects, repaired, write_repaired
+from tunefree_hil.gap.shrink import (
+    better_by_recalibration,
+    explained_frac,
+    floors_of,
+    gaps_of,
+    unforetold,
+    worse_signals,
+)
+from tunefree_hil.gap.verify import Proof, Variant, prove
+
+if TYPE_CHECKING:
+    from tunefree_hil.config.schema import ModelSpec
+    from tunefree_hil.gap.chain import Opened
+    from tunefree_hil.gap.kept import Kept
+    from tunefree_hil.jobs.gap import Material
+    from tunefree_hil.jobs.gap_folder import Folder
+
+
+class Mended(NamedTuple):
+    """null: the model recalibrated; made: with what was found, None where nothing was; model: as written and loaded."""
+
+    null: Repaired
+    made: Repaired | None
+    model: ModelSpec | None
+
+
+def mend(folder: Folder, material: Material, found: Kept, log_hash: str) -> Mended:
+    """Write the repaired model where something was found. One that a cut-off run left is made anew."""
+    null = repaired(material.model, material.vehicle, found.null)
+    if not found.names:
+        return Mended(null, None, None)
+    effects = found_effects(found, log_hash, __version__)
+    made = repaired(material.model, material.vehicle, found.repaired, effects)
+    shutil.rmtree(folder.model, ignore_errors=True)
+    story = {
+        "logs": [{"name": one.name, "hash": one.log_hash} for one in material.drives],
+        "from_model": f"sha256:{material.model.hash}",
+        "version": __version__,
+        "changes": _changes(made),
+    }
+    return Mended(null, made, write_repaired(folder.model, material.model, made.model, story))
+
+
+def as_data(mended: Mended) -> dict[str, Any]:
+    """Keys of gap.json."""
+    if mended.made is None or mended.model is None:
+        return {"model": None, "changes": []}
+    return {"model": mended.model.folder, "changes": _changes(mended.made)}
+
+
+def _changes(made: Repaired) -> list[dict[str, Any]]:
+    return [one._asdict() for one in made.changes]
+
+
+def proved(
+    folder: Folder, material: Material, opened: list[Opened], found: Kept, mended: Mended
+) -> Generator[Event, None, tuple[dict[str, Any], Proof]]:
+    """(keys of gap.json, the proof); the model is taken away again where it makes a signal worse."""
+    variants = {"before": Variant(material.model), "recalibrated": Variant(mended.null.model, mended.null.day)}
+    if mended.model is not None and mended.made is not None:
+        variants["after"] = Variant(mended.model, mended.made.day)
+    proof = prove(variants, material.vehicle, opened)
+    if not proof.blocks:
+        yield Event("warning", "no block that was kept for the proof is whole: the car stood, or signals are missing")
+        return {"signals": {}, "explained_frac": None}, proof
+    floors, left = floors_of(proof, material.model), unforetold(found.foretold)
+    gaps = gaps_of(proof, floors, left)
+    data: dict[str, Any] = {
+        "signals": {name: one._asdict() for name, one in gaps.items()},
+        "proof_blocks": proof.blocks,
+        "recalibration": _gained(gaps),
+    }
+    if mended.model is None:
+        return data, proof
+    worse = worse_signals(proof, floors)
+    older = yield from _older(material, mended.model)
+    for one in older:
+        worse |= {f"{signal} of {one['name']}": by for signal, by in one["worse"].items()}
+    data |= {
+        "explained_frac": explained_frac(proof, floors, left),
+        "older": older,
+        "worse": [f"{name} (by {100.0 * by:.0f} %)" for name, by in worse.items()],
+    }
+    if worse:
+        shutil.rmtree(folder.model)
+        data["model"] = None
+    return data, proof
+
+
+def _gained(gaps: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    better = better_by_recalibration(gaps)
+    return {name: {"before": before, "recalibrated": after} for name, (before, after) in better.items()}
+
+
+def _older(material: Material, model: ModelSpec) -> Generator[Event, None, list[dict[str, Any]]]:
+    """Every older log by itself, the model as it was against the repaired one, both as a bench would drive them."""
+    from tunefree_hil.gap.chain import open_chain
+
+    found = []
+    for drive in material.older:
+        yield Event("note", f"older log {drive.name}")
+        variants = {"before": Variant(material.model), "after": Variant(model)}
+        proof: Proof = prove(variants, material.vehicle, [open_chain(drive, material.vehicle)], whole=True)
+        floors = floors_of(proof, material.model)
+        signals = {
+            name: {"before": one.before, "after": one.after, "unit": one.unit}
+            for name, one in gaps_of(proof, floors, unforetold({})).items()
+        }
+        found.append(
+            {
+                "name": drive.name,
+                "hash": drive.log_hash,
+                "blocks": proof.blocks,
+                "signals": signals,
+                "worse": worse_signals(proof, floors),
+            }
+        )
+    return found
