@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Generator, Sequence
 
 from tunefree_hil.base.contracts import Link
-from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.clock import echoes
@@ -13,8 +12,8 @@ from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.excitation import excitation, held_by
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.locate import Card, Looked, card, echo_words, look
-from tunefree_hil.gap.name import Named, Team
-from tunefree_hil.gap.segments import FEWEST, blocks_of
+from tunefree_hil.gap.name import Named, lost_links, refuse_untold
+from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.work import Setting
 
 NOBODY_ASKED = ""  # the verdict where links are broken and no name was looked for
@@ -22,13 +21,7 @@ NOBODY_ASKED = ""  # the verdict where links are broken and no name was looked f
 
 def look_first(model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened]) -> Generator[str, None, Named]:
     """The part of `name` before any suspect is asked; `repaired` is the null. Raises as `name` does."""
-    if blocks_of([one.ticks for one in drives], drives[0].dt_s).count < FEWEST:
-        raise InputError(
-            f"the logs hold less than {FEWEST} blocks of 8 s",
-            code="too_short",
-            key="LOG",
-            hint="record a minute and a half or more",
-        )
+    refuse_untold(drives)
     team = Team(Setting(model, vehicle, tuple(drives)), workers=1)
     try:
         yield "recalibration alone"
@@ -48,7 +41,7 @@ def look_first(model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened])
     held = excitation(effects(), held_by(drives, vehicle))
     return Named(
         _verdict(looked, strange), (), (), "", link, shown, looked, said, held, (), question, question.null, left,
-        left, _lost(drives), tuple(strange) or (() if shown else ("nothing beyond noise and recalibration",)),
+        left, lost_links(drives), tuple(strange) or (() if shown else ("nothing beyond noise and recalibration",)),
     )  # fmt: skip
 
 
@@ -56,9 +49,3 @@ def _verdict(looked: Sequence[Looked], strange: Sequence[str]) -> str:
     if strange:
         return "none_of_these"
     return NOBODY_ASKED if looked[0].broken else "none_missing"
-
-
-def _lost(drives: Sequence[Opened]) -> dict[Link, str]:
-    """Links that none of the drives shows."""
-    shared = set(drives[0].lost).intersection(*(one.lost for one in drives))
-    return {link: drives[0].lost[link] for link in shared}

@@ -87,8 +87,7 @@ def name(
     model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened], workers: int = 2
 ) -> Generator[str, None, Named]:
     """Find who it was; yields what is being done. Raises InputError for logs in which nothing can be compared."""
-    _refuse_short(drives)
-    _refuse_standing(drives)
+    refuse_untold(drives)
     team = Team(Setting(model, vehicle, tuple(drives)), workers)
     try:
         yield "recalibration alone"
@@ -98,7 +97,10 @@ def name(
         team.close()
 
 
-def _refuse_short(drives: Sequence[Opened]) -> None:
+def refuse_untold(drives: Sequence[Opened]) -> None:
+    """Raises InputError for logs that are too short, and for a car that stands: its few moving rows would be all that
+    is fitted to.
+    """
     count = blocks_of([one.ticks for one in drives], drives[0].dt_s).count
     if count < FEWEST:
         raise InputError(
@@ -107,10 +109,6 @@ def _refuse_short(drives: Sequence[Opened]) -> None:
             key="LOG",
             hint="record a minute and a half or more",
         )
-
-
-def _refuse_standing(drives: Sequence[Opened]) -> None:
-    """A car that stands shows nothing of what moves it; its few moving rows would be all that is fitted to."""
     driven = sum(_driven(one) for one in drives)
     if driven < FEWEST:
         raise InputError(
@@ -148,7 +146,7 @@ def _named(
     held = excitation(effects(), held_by(drives, vehicle))
     return Named(
         verdict, known, others, _manoeuvre(others), link, shown, tuple(looked), said, held, tuple(first), question,
-        repaired, before, after, _lost(drives), words,
+        repaired, before, after, lost_links(drives), words,
     )  # fmt: skip
 
 
@@ -222,7 +220,7 @@ def _manoeuvre(names: Iterable[str]) -> str:
     return some[0] if some else ""
 
 
-def _lost(drives: Sequence[Opened]) -> dict[Link, str]:
+def lost_links(drives: Sequence[Opened]) -> dict[Link, str]:
     """Links that none of the drives shows."""
     shared = set(drives[0].lost)
     for one in drives[1:]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -30,8 +29,7 @@ from tunefree_hil.config.schema import (
 from tunefree_hil.gap.graph import effects, scaled
 from tunefree_hil.gap.kept import Kept
 from tunefree_hil.learn.free_run import plant_of
-from tunefree_hil.learn.write_model import CARD_FILE, require_new
-from tunefree_hil.learn.write_model import plain as as_json
+from tunefree_hil.learn.write_model import CARD_FILE, whole_folder, write_card
 
 OF_THE_DAY = ("grade", "side_wind", "friction", "speed_scale", "yaw_rate_bias", "yaw_rate_scale", "accel_bias")
 ADDED = ("dead_time_s", "offset")  # numbers of a channel that recalibration adds to; the others it multiplies
@@ -104,26 +102,15 @@ def write_repaired(folder: Path, model: ModelSpec, made: ModelSpec, story: Mappi
 
     story: what card.json says of the repair. Raises InputError for a folder that is there already.
     """
-    require_new(folder)
     source = Path(model.folder)
-    part = folder.with_name(f"part-{os.getpid()}-{folder.name}")
-    part.mkdir(parents=True)
-    try:
+    with whole_folder(folder) as part:
         for file in sorted(source.iterdir()):
             if file.is_file() and file.name not in ("model.toml", CARD_FILE):
                 shutil.copyfile(file, part / file.name)
         data = {key: one for key, one in plain(made).items() if key not in SET_BY_LOADER}
         data["plant"]["card"] = CARD_FILE
         (part / "model.toml").write_text(HEAD.format(model=source.name, card=CARD_FILE) + to_toml(data))
-        card = {**_card_of(model), "repair": as_json(story)}
-        (part / CARD_FILE).write_text(json.dumps(card, indent=1, allow_nan=False) + "\n")
-        load_model(part)
-        if folder.is_dir():
-            folder.rmdir()  # it is empty
-        os.replace(part, folder)
-    finally:
-        if part.is_dir():
-            shutil.rmtree(part)
+        write_card(part, {**_card_of(model), "repair": story})
     return load_model(folder)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from tunefree_hil.jobs.commission_plan import NAMES, Plan
 from tunefree_hil.jobs.commission_record import Record
 from tunefree_hil.jobs.hold_words import held_rows
 from tunefree_hil.jobs.run_folder import write_text
+from tunefree_hil.jobs.words import markdown_table
 
 REPORT = "report.md"
 TITLES = {
@@ -47,12 +48,6 @@ def _outcome(record: Record) -> str:
     return f"{verdict}: {result['sentence']}."
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """A table, and an empty line; nothing where there are no rows."""
-    lines = ["| " + " | ".join(row) + " |" for row in [head, *rows]]
-    return [lines[0], "|" + "---|" * len(head), *lines[1:], ""] if lines[1:] else []
-
-
 def _times(record: Record) -> list[str]:
     rows, whole_s = [], 0.0
     for name in NAMES:
@@ -60,12 +55,14 @@ def _times(record: Record) -> list[str]:
             whole_s += record.seconds(name)
             how = "done" if record.result(name) is not None else "begun"
             rows.append((TITLES[name], f"{record.seconds(name) / 60.0:.1f}", str(record.sessions(name)), how))
-    return _table(("stage", "wall time, min", "sessions", ""), [*rows, ("all", f"{whole_s / 60.0:.1f}", "", "")])
+    return markdown_table(
+        ("stage", "wall time, min", "sessions", ""), [*rows, ("all", f"{whole_s / 60.0:.1f}", "", "")]
+    )
 
 
 def _limits(plan: Plan, record: Record) -> list[str]:
     rows = gates.rows(plan, record.shown)
-    return _table(("what", "limit", "reached"), rows) if rows else []
+    return markdown_table(("what", "limit", "reached"), rows) if rows else []
 
 
 def _section(folder: Path, name: str, result: Mapping[str, Any], warnings: Sequence[str]) -> list[str]:
@@ -74,12 +71,12 @@ def _section(folder: Path, name: str, result: Mapping[str, Any], warnings: Seque
         lines += [*(f"- {one}" for one in warnings), ""]
     if result.get("scores"):
         ranked = sorted(result["scores"].items(), key=lambda one: one[1])
-        lines += _table(("gains", "score"), [(key, f"{score:.3f}") for key, score in ranked])
+        lines += markdown_table(("gains", "score"), [(key, f"{score:.3f}") for key, score in ranked])
     if result.get("best"):
         found = result["best"]["parameters"].items()
-        lines += _table(("gain", "found"), [(key, f"{value:.4g}") for key, value in found])
+        lines += markdown_table(("gain", "found"), [(key, f"{value:.4g}") for key, value in found])
     if result.get("held"):
-        lines += _table(("gains", "score", "in a slower car", ""), held_rows(result["held"]))
+        lines += markdown_table(("gains", "score", "in a slower car", ""), held_rows(result["held"]))
     if result.get("free_run"):
         lines += _free_run(result["free_run"])
     pictures = [Path(one) for one in result.get("figures", []) if (folder / one).is_file()]
@@ -95,7 +92,7 @@ def _free_run(kinds: Mapping[str, Any]) -> list[str]:
             if row:
                 cells = [_error(row.get(one)) for one in HORIZONS]
                 rows.append((kind, ground, str(row["starts"]), *cells))
-    return _table(("plant", "ground", "starts", *(f"{one} s: m (95 %)" for one in HORIZONS)), rows)
+    return markdown_table(("plant", "ground", "starts", *(f"{one} s: m (95 %)" for one in HORIZONS)), rows)
 
 
 def _error(found: Mapping[str, Any] | None) -> str:

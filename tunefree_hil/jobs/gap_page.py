@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from tunefree_hil.jobs.gap_words import percent, value_words
 from tunefree_hil.jobs.run_folder import write_text
+from tunefree_hil.jobs.words import markdown_table
 
 MOST_SUSPECTS = 10
 CAPTIONS = {
@@ -51,17 +52,11 @@ def _next(answer: Mapping[str, Any], following: Sequence[str]) -> list[str]:
     return [*lines, "```", *following, "```", ""] if following else lines
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """A table, and an empty line."""
-    lines = ["| " + " | ".join(row) + " |" for row in [head, *rows]]
-    return [lines[0], "|" + "---|" * len(head), *lines[1:], ""]
-
-
 def _effects(answer: Mapping[str, Any]) -> list[str]:
     if not answer["effects"]:
         return []
     rows = [(one["name"], value_words(one), _number(one["evidence"])) for one in answer["effects"]]
-    return ["## What is missing", "", *table(("effect", "value (95 %)", "evidence, nats"), rows)]
+    return ["## What is missing", "", *markdown_table(("effect", "value (95 %)", "evidence, nats"), rows)]
 
 
 def _signals(answer: Mapping[str, Any]) -> list[str]:
@@ -80,7 +75,7 @@ def _signals(answer: Mapping[str, Any]) -> list[str]:
     if closed:
         lines.append(f"The repair closes {percent(closed)} of what recalibration leaves above the floor.")
     head = ("signal", "as it was", "recalibration only", "repaired", "floor", "unit")
-    return [*lines, "", *table(head, rows), *_replay(answer)]
+    return [*lines, "", *markdown_table(head, rows), *_replay(answer)]
 
 
 def _replay(answer: Mapping[str, Any]) -> list[str]:
@@ -93,7 +88,7 @@ def _replay(answer: Mapping[str, Any]) -> list[str]:
         for name, one in found["signals"].items()
     ]
     told = f"Closed loop, the same controller on the same road: {found['words']}."
-    return [told, "", *table(("signal", "as it was", "recalibration only", "repaired", "unit"), rows)]
+    return [told, "", *markdown_table(("signal", "as it was", "recalibration only", "repaired", "unit"), rows)]
 
 
 def _older(answer: Mapping[str, Any]) -> list[str]:
@@ -103,7 +98,11 @@ def _older(answer: Mapping[str, Any]) -> list[str]:
             (name, _number(s["before"]), _number(s["after"]), s["unit"], "worse" if name in one["worse"] else "")
             for name, s in one["signals"].items()
         ]
-        lines += [f"## Older log {one['name']}", "", *table(("signal", "as it was", "repaired", "unit", ""), rows)]
+        lines += [
+            f"## Older log {one['name']}",
+            "",
+            *markdown_table(("signal", "as it was", "repaired", "unit", ""), rows),
+        ]
     return lines
 
 
@@ -127,7 +126,7 @@ def _links(answer: Mapping[str, Any]) -> list[str]:
     ]  # fmt: skip
     head = ("link", "signal", "missed (RMS)", "of it noise", "unit", "explicable, of the signal", "")
     lost = [f"- {link}: {words}" for link, words in answer["lost"].items()]
-    return ["## Every link by itself", "", *table(head, rows), *lost, *([""] if lost else [])]
+    return ["## Every link by itself", "", *markdown_table(head, rows), *lost, *([""] if lost else [])]
 
 
 def _suspects(answer: Mapping[str, Any]) -> list[str]:
@@ -143,14 +142,14 @@ def _suspects(answer: Mapping[str, Any]) -> list[str]:
     ]  # fmt: skip
     head = ("suspect", "evidence, nats", "on held-out blocks", "signal", "shrinks by", "counts")
     count = len(answer["candidates"])
-    return [f"## The {len(some)} best of {count} suspects", "", *table(head, rows)]
+    return [f"## The {len(some)} best of {count} suspects", "", *markdown_table(head, rows)]
 
 
 def _changes(answer: Mapping[str, Any]) -> list[str]:
     if not answer.get("changes"):
         return []
     rows = [(f"`{one['key']}`", _number(one["before"]), _number(one["after"])) for one in answer["changes"]]
-    return ["## The model, old and new", "", *table(("key", "before", "after"), rows)]
+    return ["## The model, old and new", "", *markdown_table(("key", "before", "after"), rows)]
 
 
 def _unseen(answer: Mapping[str, Any]) -> list[str]:

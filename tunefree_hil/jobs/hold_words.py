@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tunefree_hil.jobs.hold import Held, words_of
-from tunefree_hil.tune.holding import came_of, holds, mean_of, passed_over
+from tunefree_hil.tune.holding import Came, came_of, holds, mean_of, passed_over
 from tunefree_hil.tune.journal import slot_key
 from tunefree_hil.tune.trial import Scored, Trial
 
@@ -67,7 +67,9 @@ def held_rows(data: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
         return []
     rows = {f"{data['winner']['key']}, the winner": data["winner"]}
     rows |= {one["key"]: one for one in data["passed_over"][:SHOWN]}
-    rows |= {name: {"score": None, "slower": came, "holds": _calm(came)} for name, came in data["baselines"].items()}
+    rows |= {
+        name: {"score": None, "slower": came, "holds": Came(**came).calm} for name, came in data["baselines"].items()
+    }
     return [
         (name, _shown(one["score"]), _shown((one["slower"] or {}).get("score")),
          "holds" if one["holds"] else _came_words(one))
@@ -86,10 +88,6 @@ def _row(trial: Trial, held: Held) -> dict[str, Any]:
         "calm": came_of(trial.score, trial.scenarios).calm, "slower": came and came._asdict(),
         "holds": holds(trial, held.came),
     }  # fmt: skip
-
-
-def _calm(came: Mapping[str, Any]) -> bool:
-    return not came["replans"] and not came["failed"]
 
 
 def _came_words(row: Mapping[str, Any]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 PEAK_THRESHOLD_M = 0.5  # lateral_err_peak is a share of it (apollo_facts 6.1)
@@ -61,3 +61,9 @@ def table(rows: Mapping[str, Drives], scores: Mapping[str, float]) -> list[str]:
         failed = ", ".join(failures(rows[name])) or "-"
         lines.append(f"{name:{width}}  {scores[name]:5.3f}  {lateral}  {replans(rows[name]):8d}  {failed}")
     return lines
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of a table on a Markdown page, and an empty one; nothing where there are no rows."""
+    lines = ["| " + " | ".join(row) + " |" for row in [head, *rows]]
+    return [lines[0], "|" + "---|" * len(head), *lines[1:], ""] if lines[1:] else []

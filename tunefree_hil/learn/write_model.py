@@ -6,7 +6,8 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
 
@@ -60,7 +61,7 @@ def write_model(
     Raises InputError for a folder that is there already.
     """
     folder = Path(folder)
-    require_new(folder)
+    require_new(folder)  # before anything is worked out
     data = {
         "schema": "tunefree.model/1",
         "vehicle": vehicle.name,
@@ -73,14 +74,26 @@ def write_model(
     }
     if effects:
         data["effects"] = [dict(effect) for effect in effects]
-    part = folder.with_name(f"part-{os.getpid()}-{folder.name}")
-    part.mkdir(parents=True)
-    try:
+    with whole_folder(folder) as part:
         (part / "model.toml").write_text(HEAD.format(card=CARD_FILE) + to_toml(data), encoding="utf-8")
         for name, arrays in ((PLANT_FILE, plant_file), (MAP_FILE, calibration)):
             if arrays is not None:
                 np.savez(part / name, **{key: np.asarray(one) for key, one in arrays.items()})  # type: ignore[arg-type]
-        (part / CARD_FILE).write_text(json.dumps(plain(card), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        write_card(part, card)
+    return folder
+
+
+@contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """A place to write a model folder in: read back and renamed to `folder` at the end, gone where that fails.
+
+    Raises InputError for a folder that is there already, and for one that cannot be loaded.
+    """
+    require_new(folder)
+    part = folder.with_name(f"part-{os.getpid()}-{folder.name}")
+    part.mkdir(parents=True)
+    try:
+        yield part
         load_model(part)
         if folder.is_dir():
             folder.rmdir()  # it is empty
@@ -88,7 +101,11 @@ def write_model(
     finally:
         if part.is_dir():
             shutil.rmtree(part)
-    return folder
+
+
+def write_card(folder: Path, card: Mapping[str, Any]) -> None:
+    """card.json of a model folder."""
+    (folder / CARD_FILE).write_text(json.dumps(plain(card), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def plain(value: Any) -> Any:
