@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -46,3 +46,37 @@ def test_logs_and_options_reach_the_job(calls: list[Any], capsys: pytest.Capture
 def test_what_is_missing_is_a_usage_mistake(words: list[str], calls: list[Any]) -> None:
     assert run(["gap", *words]) == 2
     assert calls == []
+
+
+def test_a_bench_reaches_the_drives(calls: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[Any] = []
+
+    class Wish(NamedTuple):
+        bench: Path
+        bus: str
+
+    def job(asked: Asked, wish: Wish) -> Iterator[Event]:
+        heard.append((asked, wish))
+        yield Event("result", "", {"sentence": "steer_lag is missing", "next": []})
+
+    stand_in: Any = ModuleType("tunefree_hil.jobs.gap_drive")
+    stand_in.gap_drive, stand_in.Wish = job, Wish
+    monkeypatch.setitem(sys.modules, stand_in.__name__, stand_in)
+    assert run(["gap", *WORDS, "--drive", "--bench", "b.toml"]) == 0
+    assert run(["gap", *WORDS, "--drive", "--bench", "b.toml", "--bus", "virtual"]) == 0
+    asked = Asked([Path("a.log")], "v", "m", Path("o"), [])
+    assert heard == [(asked, (Path("b.toml"), "auto")), (asked, (Path("b.toml"), "virtual"))] and calls == []
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--drive"], "no bench is named that drives"),
+        (["--bench", "b.toml"], "nothing is to be driven"),
+    ],
+)
+def test_drive_and_bench_come_together(
+    words: list[str], said: str, calls: list[Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["gap", *WORDS, *words]) == 2
+    assert said in capsys.readouterr().err and calls == []

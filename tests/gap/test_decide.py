@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tunefree_hil.gap.ask import Modelled
-from tunefree_hil.gap.decide import Weighed, left_share, outdone, rivals, shrink, weigh
+from tunefree_hil.gap.decide import MOST_WORSE, Weighed, left_share, outdone, rivals, shrink, weigh
 from tunefree_hil.gap.leftover import Left
 from tunefree_hil.gap.noise import Colour
 from tunefree_hil.gap.problem import Fitted, Free, Sums
@@ -88,6 +88,34 @@ def test_what_is_a_trifle_of_the_signal_is_no_name() -> None:
 def test_shrink_has_an_interval_over_blocks() -> None:
     value, low, high = shrink(NULL, model("x", spread(4.0)), "a", ALL)
     assert low < value < high and value == pytest.approx(0.5, abs=0.03)
+
+
+def test_who_is_best_does_not_depend_on_the_unit_of_a_signal() -> None:
+    def in_unit(one: Modelled, unit: float, stretch: float) -> Modelled:
+        """Its squares are in units of the noise and stay; the noise itself is another number in another unit."""
+        sums = {
+            name: some._replace(colour=Colour(some.colour.filter, unit, stretch))
+            for name, some in one.fitted.sums.items()
+        }
+        return one._replace(fitted=one.fitted._replace(sums=sums))
+
+    orders = []
+    for unit in (1e-6, 1.0, 1e6):
+        some = {
+            "near": in_unit(model("near", spread(1.0)), unit, 1.0),
+            "far": in_unit(model("far", spread(2.0, 2)), unit, 3.0),
+        }
+        found = weigh(some, in_unit(NULL, unit, 2.0), NULL, SIZES, ALL)
+        orders.append([(one.name, round(one.evidence, 3), one.model.fitted.sums["a"].colour.stretch) for one in found])
+    assert orders[0] == orders[1] == orders[2] and orders[0][0][0] == "near"
+
+
+def test_a_rival_that_misses_a_bar_by_a_hair_is_still_one() -> None:
+    best, other = weighed(one=spread(1.0, 1), other=spread(1.0, 2))
+    for worst, rival in ((0.9 * MOST_WORSE, True), (1.2 * MOST_WORSE, True), (1.5 * MOST_WORSE, False)):
+        close = other._replace(worst=worst)
+        assert close.counts == (worst < MOST_WORSE)
+        assert (rivals([best, close], ALL) == [other.name]) == rival
 
 
 def test_what_is_left_is_counted_by_what_was_there() -> None:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.gap.made_answer import VEHICLE, late_drive
 from tunefree_hil.base.contracts import Link
-from tunefree_hil.gap.leftover import Left, left_of
+from tunefree_hil.gap.chain import open_chain
+from tunefree_hil.gap.leftover import Left, Piece, features, left_of, left_over_all
 from tunefree_hil.gap.locate import look
+from tunefree_hil.gap.targets import Compared
 from tunefree_hil.gap.work import Kind
 
 N, BLOCKS = 4000, 20
+OPENED = open_chain(late_drive(40.0), VEHICLE)
 
 
 def made(share: float, seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -30,6 +34,36 @@ def test_what_could_be_explained_is_measured_on_blocks_not_fitted_on(share: floa
 def test_too_few_rows_say_nothing() -> None:
     columns, residual, valid, block = made(2.0)
     assert left_of(columns[:40], residual[:40], valid[:40], block[:40], np.arange(BLOCKS)) == Left(0.0, 0.0)
+
+
+def test_every_row_counts_as_much_whichever_drive_it_is_of() -> None:
+    columns, residual, valid, block = made(0.0, seed=2)
+    short = Piece(columns[:400], residual[:400], valid[:400], block[:400] + BLOCKS)
+    left = left_over_all([Piece(*made(2.0)), short], np.arange(2 * BLOCKS))
+    assert left.total == pytest.approx((N * 5.0 + 400 * 1.0) / (N + 400), rel=0.05), "3 if drives counted alike"
+    assert left.explained > 3.0
+
+
+@pytest.mark.parametrize("share", [0.0, 2.0])
+def test_many_drives_of_one_block_each_tell_together_what_none_tells_alone(share: float) -> None:
+    columns, residual, valid, block = made(share)
+    residual = residual + np.where(block // 4 % 2, 3.0, -3.0)  # of each drive its own, that no other foretells
+    cuts = [block == b for b in range(BLOCKS)]
+    pieces = [Piece(columns[rows], residual[rows], valid[rows], block[rows]) for rows in cuts]
+    assert left_over_all(pieces[:1], np.arange(BLOCKS)) == Left(0.0, 0.0)
+    left = left_over_all(pieces, np.arange(BLOCKS))
+    assert left.explained == pytest.approx(share**2, abs=0.6) and left.total == pytest.approx(10.0 + share**2, rel=0.1)
+
+
+def test_features_look_at_nothing_that_comes_later() -> None:
+    target = next(one for one in Compared(OPENED).targets if one.name == "yaw_rate")
+    half = OPENED.ticks // 2
+    later = OPENED.inputs.outputs.copy()
+    later[half + 1 :] = 0.3
+    other = OPENED._replace(inputs=OPENED.inputs._replace(outputs=later))
+    rows = target.rows <= half
+    was, now = (features(one, target) for one in (OPENED, other))
+    assert np.array_equal(was[rows], now[rows]) and not np.array_equal(was[~rows], now[~rows])
 
 
 def test_a_link_is_broken_where_more_is_left_than_a_calibrated_model_may_miss() -> None:

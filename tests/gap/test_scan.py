@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.noise import Colour
+from tunefree_hil.gap.null import DRIFTS
 from tunefree_hil.gap.problem import Fitted, Free, Slopes, Sums
-from tunefree_hil.gap.scan import AMOUNTS, DELAYS, FACTORS, TWINS, Scan, grid_of, without
+from tunefree_hil.gap.scan import AMOUNTS, DELAYS, FACTORS, SMALL, TWINS, Scan, grid_of, without
+from tunefree_hil.gap.suspects import free_of
+from tunefree_hil.gap.team import HOPELESS
 
 ROWS = 200
 T = np.linspace(0.0, 1.0, ROWS)
@@ -80,6 +85,66 @@ def test_no_point_for_an_amount_is_neutral_and_small_amounts_are_asked_too() -> 
     offset = Free("a.b", -0.3, 0.3, False, 0.0, -0.3, 1.3)
     asked = sorted(offset.value(float(point[0])) for point in grid_of([offset]))
     assert asked == pytest.approx([-0.3, -0.09, -0.03, -0.009, 0.009, 0.03, 0.09, 0.3])
+
+
+FACTOR_EFFECTS = tuple(one for one in DRIFTS if catalogue()[one[0]].neutral[one[1]] == 1.0)
+FELT = 40.0 * np.sin(9.0 * T)  # by the logarithm of the factor
+
+
+@cache
+def factor(name: str, parameter: str) -> Free:
+    effect = catalogue()[name]
+    return free_of("g.size", effect.priors[parameter], effect.neutral[parameter])
+
+
+class Factor:
+    """A car whose only trouble is a factor; recalibration may move the very same one, 3 deviations far."""
+
+    def __init__(self, truth: float, sigma: float) -> None:
+        self.truth, self.sigma, self.work = truth, sigma, self
+
+    def residuals(self, values: dict[str, float]) -> dict[str, list[np.ndarray]]:
+        return {"x": [FELT * np.log(values.get("g.size", 1.0) / self.truth)]}
+
+    def white(self, name: str, residual: list[np.ndarray], colour: Colour) -> tuple[np.ndarray, np.ndarray]:
+        return residual[0], np.zeros(ROWS, dtype=np.int64)
+
+    def judged(self) -> np.ndarray:
+        return np.array([0])
+
+    def values(self, keys: Any, z: np.ndarray, free: Any) -> dict[str, float]:
+        own = {one.key: one for one in free}
+        told = zip(keys, map(float, z), strict=True)
+        return {key: own[key].value(at) if key in own else 1.0 + self.sigma * at for key, at in told}
+
+    def scan(self) -> Scan:
+        """Beside what recalibration comes to alone."""
+        z = np.array([np.clip((self.truth - 1.0) / self.sigma, -3.0, 3.0)])
+        values = self.values(("g.size",), z, ())
+        residuals = self.residuals(values)
+        sums = {"x": Sums(np.array([0]), np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1)), np.full(1, ROWS), COLOUR)}
+        slopes = Slopes({"x": (np.array([0]), [self.sigma * FELT[:, None] / values["g.size"]])})
+        return Scan(self, Fitted("", ("g.size",), z, (), values, sums, residuals), slopes)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(("name", "parameter", "sigma", "why"), FACTOR_EFFECTS)
+def test_a_factor_that_recalibration_cannot_take_is_worth_a_fit_wherever_it_lies(
+    name: str, parameter: str, sigma: float, why: str
+) -> None:
+    one = factor(name, parameter)
+    for truth in np.exp(np.linspace(np.log(one.low), np.log(one.high), 60)):
+        if abs(truth - 1.0) > 3.0 * sigma:  # what is nearer is a matter of recalibration
+            found = Factor(float(truth), sigma).scan().best([one])
+            assert found.gain > HOPELESS, (truth, found)
+            widest = np.log(one.high / one.low) / (FACTORS - 1)
+            assert abs(np.log(one.value(float(found.z[-1])) / truth)) <= max(0.5 * widest, 3.0 * sigma) + 1e-9
+
+
+def test_a_factor_has_points_near_neutral_beside_its_even_grid() -> None:
+    one = factor("brake_gain", "gain_frac")
+    asked = [one.value(float(point[0])) for point in grid_of([one])]
+    assert len(asked) == FACTORS + 2 * len(SMALL)
+    assert min(value for value in asked if value > 1.003) < 1.03 and max(v for v in asked if v < 0.999) > 0.97
 
 
 def test_slopes_without_a_column_are_numbered_anew() -> None:

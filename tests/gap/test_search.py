@@ -9,7 +9,8 @@ import pytest
 
 from tests.gap.test_decide import ALL, NULL, ROWS, SIZES, model, spread
 from tunefree_hil.gap.ask import Modelled, Question
-from tunefree_hil.gap.search import backward, forward, weighed
+from tunefree_hil.gap.decide import Weighed
+from tunefree_hil.gap.search import CONTENDERS, backward, forward, settled, weighed
 from tunefree_hil.gap.suspects import Suspect
 
 SUSPECTS = tuple(Suspect(name, (), ()) for name in ("delay", "friction", "limit", "lag"))
@@ -45,17 +46,26 @@ class Made:
         return {name: self.rest[name] for name in names}
 
 
-def searched(team: Made) -> list[str]:
-    def run(steps: Any) -> Any:
-        while True:
-            try:
-                next(steps)
-            except StopIteration as end:
-                return end.value
+def run(steps: Any) -> Any:
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value
 
+
+def found_by(team: Made) -> list[Weighed]:
+    """As `name` searches."""
     one = cast(Any, team)
     first = weighed(one, QUESTION, list(team.alone), None, ALL)
-    return [step.name for step in run(backward(one, QUESTION, run(forward(one, QUESTION, first, ALL)), ALL))]
+    found = run(forward(one, QUESTION, first, ALL))
+    steps = run(backward(one, QUESTION, found, ALL))
+    steps, _ = run(settled(one, QUESTION, first, steps, ALL, len(steps) < len(found)))
+    return steps
+
+
+def searched(team: Made) -> list[str]:
+    return [step.name for step in found_by(team)]
 
 
 def test_a_further_effect_that_explains_much_of_the_gap_is_added() -> None:
@@ -63,7 +73,8 @@ def test_a_further_effect_that_explains_much_of_the_gap_is_added() -> None:
     team = Made({"delay": FIRST, "friction": model("friction", spread(6.0))}, {"friction": both},
                 {"friction": FIRST, "delay": model("friction", spread(6.0))})  # fmt: skip
     assert searched(team) == ["delay", "friction"]
-    assert team.asked[1:] == [("friction", "limit", "lag"), ("limit", "lag")]  # whoever was hidden by the first, too
+    # whoever was hidden by the first, too; and at last who else might stand in the first one's place
+    assert team.asked[1:] == [("friction", "limit", "lag"), ("limit", "lag"), ("limit", "lag")]
 
 
 def test_what_the_rest_comes_to_by_itself_is_no_merit_of_a_limit_that_nothing_touches() -> None:
@@ -79,6 +90,52 @@ def test_the_first_is_taken_out_again_where_the_second_explains_all_of_it() -> N
     team = Made({"delay": FIRST}, {"lag": both}, {"lag": FIRST, "delay": alone})
     team.alone["lag"] = model("lag", spread(7.0))  # its search alone had stuck
     assert searched(team) == ["lag"]
+
+
+def test_who_stays_alone_is_weighed_against_everybody_alone() -> None:
+    both, lag = beside(FIRST, "lag", spread(0.5, 3)), model("lag", spread(0.5, 3))
+    alone = {"delay": FIRST, "lag": model("lag", spread(7.0)), "limit": model("limit", spread(0.5, 4))}
+    alone["limit"] = alone["limit"]._replace(fitted=alone["limit"].fitted)
+    team = Made({"delay": FIRST, "lag": alone["lag"]}, {"lag": both}, {"lag": FIRST, "delay": lag})
+    (step,) = found_by(team)
+    assert step.name == "lag" and step.others == ()
+    one = cast(Any, team)
+    first = weighed(one, QUESTION, list(team.alone), None, ALL)
+    limit = weighed(cast(Any, Made({"limit": alone["limit"]}, {}, {})), QUESTION, ["limit"], None, ALL)
+    (again,), _ = run(settled(one, QUESTION, [*first, *limit], [step], ALL))
+    assert {again.name, *again.others} == {"lag", "limit"}
+
+
+def test_of_two_effects_each_has_its_rivals_in_its_own_place() -> None:
+    both = beside(FIRST, "friction", spread(0.5, 3))
+    equal = beside(model("friction", spread(6.0)), "lag", spread(0.5, 4))  # in the place of the delay
+    worse = beside(FIRST, "limit", spread(1.9, 5))
+    rest = {"friction": FIRST, "delay": model("friction", spread(6.0)), "limit": FIRST}
+
+    class Placed(Made):
+        def fit(self, names: list[str], start: Modelled | None) -> dict[str, Modelled]:
+            if start is not None and start.fitted.name == "friction":
+                return {"lag": equal}
+            return super().fit(names, start)
+
+    team = Placed({"delay": FIRST}, {"friction": both, "limit": worse}, rest)
+    delay, friction = found_by(team)
+    assert (delay.name, delay.others) == ("delay", ("lag",)) and (friction.name, friction.others) == ("friction", ())
+
+
+def test_whoever_is_near_the_best_is_fitted_on_before_it_is_judged() -> None:
+    asked: list[str] = []
+
+    class Counting(Made):
+        def fit_on(self, models: list[Modelled]) -> list[Modelled]:
+            asked.extend(one.fitted.name for one in models)
+            return models
+
+    names = [f"e{i}" for i in range(CONTENDERS + 3)]
+    team = Counting({name: model(name, spread(1.0 + 0.02 * i, i)) for i, name in enumerate(names)}, {}, {})
+    team.alone["far"] = model("far", spread(6.0))
+    weighed(cast(Any, team), QUESTION, [*names, "far"], None, ALL)
+    assert sorted(asked) == sorted(names)
 
 
 @pytest.mark.parametrize("gain", [0.0, 0.3])

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from threading import Event
 from typing import Any, cast
 
 import numpy as np
+import pytest
 
+from tunefree_hil.base.errors import InputError
 from tunefree_hil.gap.scan import Start
 from tunefree_hil.gap.team import HOPELESS, SCREEN, Team
 
@@ -18,14 +21,34 @@ class Process:
     def __init__(self) -> None:
         self.fitted: list[str] = []
         self.bars: list[float] = []
+        self.closed = Event()
 
-    def result(self, module: str, function: str, token: str, *args: Any) -> dict[str, Any]:
+    def result(self, module: str, function: str, token: str, *args: Any) -> tuple[dict[str, Any], dict[str, str]]:
         if function == "scan_suspects":
-            return {name: Start((), np.zeros(0), GAINS[name]) for name in args[0]}
+            can = {name: Start((), np.zeros(0), GAINS[name]) for name in args[0] if name in GAINS}
+            return can, {name: "no value of it makes a car" for name in args[0] if name not in GAINS}
         begins, _, bar = args
         self.fitted += list(begins)
         self.bars.append(bar)
-        return {name: f"{name} fitted" for name in begins}
+        return {name: f"{name} fitted" for name in begins}, {}
+
+    def close(self) -> None:
+        self.closed.set()
+
+
+class Lost(Process):
+    """One that fails at once."""
+
+    def result(self, module: str, function: str, token: str, *args: Any) -> Any:
+        raise InputError("the process is gone", code="gone")
+
+
+class Busy(Process):
+    """One that computes until it is ended."""
+
+    def result(self, module: str, function: str, token: str, *args: Any) -> Any:
+        assert self.closed.wait(20.0)
+        raise InputError("ended", code="gone")
 
 
 def team() -> tuple[Team, list[Process]]:
@@ -46,6 +69,22 @@ def test_those_that_take_long_are_shared_evenly() -> None:
     one, workers = team()
     one.fit(list(GAINS), None)
     assert [worker.fitted for worker in workers] == [["best", "far"], ["near"]]
+
+
+def test_who_makes_no_car_is_told_with_the_reason_and_only_where_it_was_asked_alone() -> None:
+    one, _ = team()
+    one.fit(["best", "wall"], None)
+    assert one.dropped == {"wall": "no value of it makes a car"}
+    one.fit(["best", "other wall"], cast(Any, type("Beside", (), {"fitted": object()})()))
+    assert "other wall" not in one.dropped
+
+
+def test_where_one_process_fails_the_others_are_ended_and_not_waited_for() -> None:
+    one, _ = team()
+    one.workers = cast(Any, [Busy(), Lost()])
+    with pytest.raises(InputError):
+        one.fit(list(GAINS), None)
+    assert all(cast(Process, worker).closed.is_set() for worker in one.workers)
 
 
 def test_nobody_to_ask_is_no_mistake() -> None:

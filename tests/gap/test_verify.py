@@ -12,6 +12,7 @@ from tests.learn.made_drives import NOISE
 from tunefree_hil.config.schema import EffectSpec
 from tunefree_hil.gap.chain import Opened, open_chain
 from tunefree_hil.gap.repair import found_effects, repaired
+from tunefree_hil.gap.replay import pose_of
 from tunefree_hil.gap.segments import PROOF, blocks_of
 from tunefree_hil.gap.shrink import (
     better_by_recalibration,
@@ -23,7 +24,6 @@ from tunefree_hil.gap.shrink import (
 )
 from tunefree_hil.gap.verify import POSITION, Proof, Variant, prove
 
-ALL = unforetold({})  # nothing foretells what is left
 STEER, YAW = "report.steer_rad", "ins.yaw_rate_radps"
 
 
@@ -46,13 +46,13 @@ def test_the_true_repair_leaves_noise_on_every_block_of_the_proof() -> None:
     roles = blocks_of([opened().ticks], 0.01).roles
     found = proof()
     floors = floors_of(found, made_model())
-    gaps = gaps_of(found, floors, ALL)
+    gaps = gaps_of(found, floors, {})
     assert found.blocks == int(np.sum(roles == PROOF)) == 2
     assert gaps[STEER].before > 0.1 and gaps[STEER].after == pytest.approx(NOISE["steer_rad"], rel=0.3)
     assert gaps[YAW].before > 0.01 and gaps[YAW].after == pytest.approx(NOISE["yaw_rate_radps"], rel=0.2)
     assert gaps[POSITION].before > 4.0 * (gaps[POSITION].after or 1.0)
     assert all(one.floor <= min(one.before, one.after or 0.0) for one in gaps.values())
-    closed = explained_frac(found, floors, ALL)
+    closed = explained_frac(found, floors)
     assert closed is not None and closed["value"] > 0.9 and closed["low"] <= closed["value"] <= closed["high"] <= 1.01
     assert worse_signals(found, floors) == {} and better_by_recalibration(gaps) == {}
 
@@ -70,7 +70,7 @@ def test_a_wrong_repair_is_worse_and_closes_nothing() -> None:
     floors = floors_of(found, made_model())
     worse = worse_signals(found, floors)
     assert STEER in worse and worse[STEER] > 0.5 and "report.throttle_frac" not in worse
-    closed = explained_frac(found, floors, ALL)
+    closed = explained_frac(found, floors)
     assert closed is not None and closed["value"] < 0.0
 
 
@@ -80,7 +80,7 @@ def test_a_model_that_lacks_nothing_leaves_nothing_to_explain() -> None:
     right = Variant(repaired(model, VEHICLE, {}, [effect]).model)
     found = prove({"before": right, "recalibrated": right, "after": right}, VEHICLE, [opened()])
     floors = floors_of(found, model)
-    closed = explained_frac(found, floors, ALL)
+    closed = explained_frac(found, floors)
     assert closed is None or closed["value"] == pytest.approx(0.0, abs=1e-9)
 
 
@@ -90,15 +90,47 @@ def test_an_older_log_is_run_over_all_its_blocks() -> None:
     assert found.blocks == blocks_of([opened().ticks], 0.01).count - 1  # the first begins before commands count
 
 
-def test_what_could_still_be_foretold_is_not_at_the_floor() -> None:
+def test_a_repair_of_half_the_value_does_not_close_it_all_whatever_foretells_the_rest() -> None:
     found, floors = proof(0.04), floors_of(proof(0.04), made_model())
-    some = unforetold({"steer": 0.96, "yaw_rate": 0.96})
-    assert some["report.steer_rad"] == pytest.approx(0.2) and some["report.throttle_frac"] == 1.0
-    every, part = explained_frac(found, floors, ALL), explained_frac(found, floors, some)
-    assert (
-        every is not None and part is not None and part["value"] < 0.8 < every["value"] == pytest.approx(1.0, abs=0.01)
-    )
-    assert gaps_of(found, floors, some)[STEER].floor == pytest.approx(0.2 * (gaps_of(found, floors, ALL)[STEER].floor))
+    nothing, much = (unforetold({"steer": one, "yaw_rate": one}) for one in (0.0, 0.96))
+    assert much["report.steer_rad"] == pytest.approx(0.2) and "report.throttle_frac" not in much, "not looked at"
+    closed = explained_frac(found, floors)
+    assert closed is not None and closed["value"] < 0.8
+    of_nothing, of_much = (explained_frac(found, floors, left) for left in (nothing, much))
+    assert of_nothing is not None and of_much is not None
+    assert closed["value"] <= of_much["value"] < of_nothing["value"], "of what could be explained it is more"
+    gap = gaps_of(found, floors, much)[STEER]
+    assert gap.after is not None and gap.unforetold == pytest.approx(0.2 * gap.after)
+    assert gap.floor == gaps_of(found, floors, nothing)[STEER].floor == pytest.approx(floors[STEER])
+
+
+def test_the_noise_of_reports_that_come_every_other_tick_is_known() -> None:
+    found = proof()
+    for signal, field in (("report.throttle_frac", "throttle_frac"), ("report.brake_frac", "brake_frac")):
+        assert found.noise[signal] == pytest.approx(NOISE[field], rel=0.3), signal
+    assert found.noise[STEER] == pytest.approx(NOISE["steer_rad"], rel=0.3)
+
+
+def test_a_signal_of_steps_is_not_known_better_than_its_wire_rounds() -> None:
+    drive, step = late_drive(), 0.02
+    coarse = np.round(drive.fields[STEER] / step) * step
+    driven = open_chain(drive._replace(fields={**drive.fields, STEER: coarse}), VEHICLE)
+    assert prove({"before": Variant(made_model())}, VEHICLE, [driven]).noise[STEER] >= step / np.sqrt(12.0) * 0.999
+
+
+def test_without_a_heading_places_are_compared_as_they_were_measured() -> None:
+    drive, turned = late_drive(), 2.0
+    fields = {name: values for name, values in drive.fields.items() if name != "ins.heading_rad"}
+    x, y = fields["ins.x_m"], fields["ins.y_m"]
+    fields["ins.x_m"] = 50.0 + np.cos(turned) * x - np.sin(turned) * y
+    fields["ins.y_m"] = np.sin(turned) * x + np.cos(turned) * y
+    placed = open_chain(drive._replace(fields=fields, fresh={name: drive.fresh[name] for name in fields}), VEHICLE)
+    heading = pose_of(placed)[2]
+    away = np.angle(np.exp(1j * (heading - drive.fields["ins.heading_rad"] - turned)))[placed.moving]
+    assert np.sqrt(np.mean(away**2)) < 0.05
+    (effect,) = found_effects(made_kept(), "", "")
+    right = Variant(repaired(made_model(), VEHICLE, {}, [effect]).model)
+    assert prove({"after": right}, VEHICLE, [placed]).rms("after", POSITION) < 0.5 * proof().rms("before", POSITION)
 
 
 def test_where_a_person_drove_the_reported_outputs_act() -> None:

@@ -89,7 +89,7 @@ def test_what_is_missing_is_named_repaired_and_proved(
     out = tmp_path / "out"
     written = json.loads((out / ANSWER).read_text())
     assert written.keys() >= FIELDS and written["schema"] == "tunefree.gap/1" and data["exit"] == 0
-    assert data["sentence"].startswith("steer_dead_time (delay_s 0.070 s (0.069 to 0.071)) is missing; it closes 100 %")
+    assert data["sentence"].startswith("steer_dead_time (delay_s 0.070 s (0.069 to 0.071)) is missing; it closes 99 %")
     model = load_model(out / "model")
     assert [one.name for one in model.effects] == ["steer_dead_time"] and written["model"] == model.folder
     steer = written["signals"]["report.steer_rad"]

@@ -15,7 +15,7 @@ from tunefree_hil.config.load import load_model
 from tunefree_hil.gap.repair import found_effects, repaired, write_repaired
 from tunefree_hil.jobs.gap import Material
 from tunefree_hil.jobs.gap_repair import Mended
-from tunefree_hil.jobs.gap_replay import UNKNOWN, replayed
+from tunefree_hil.jobs.gap_replay import MEASURED, SIGNALS, UNKNOWN, Sum, compared, replayed
 
 DELAY_S = 0.12
 pytestmark = pytest.mark.slow
@@ -77,3 +77,36 @@ def test_who_drove_a_foreign_log_is_not_known(log: Path, tmp_path: Path) -> None
     other = tmp_path / "some.log"
     other.write_bytes(log.read_bytes())
     assert asked([other], DELAY_S, tmp_path / "model") == (None, UNKNOWN)
+
+
+def summed(**rms: tuple[float, float, float]) -> dict[str, dict[str, list[Sum]]]:
+    """RMS (measured, before, after) by signal, over ten rows."""
+    keys = (MEASURED, "before", "after")
+    return {
+        name: {key: [Sum(10.0 * one * one, 10)] for key, one in zip(keys, some, strict=True)}
+        for name, some in rms.items()
+    }
+
+
+def test_an_error_that_was_next_to_none_before_decides_nothing() -> None:
+    large = {"lateral_error_m": (0.2, 0.1, 0.01)}
+    assert compared(summed(**large), 1)["down_frac"] == pytest.approx(0.9)
+    both = compared(summed(**large, heading_error_rad=(0.02, 1e-6, 1e-5)), 1)
+    assert both["down_frac"] == pytest.approx(0.9, abs=1e-3) and both["worst"] == "lateral_error_m"
+    assert "down by 90 %, lateral_error_m least, down by 90 %" in both["words"]
+
+
+def test_squares_are_pooled_over_drives_by_their_rows() -> None:
+    short, long = summed(speed_error_mps=(1.0, 1.0, 1.0)), summed(speed_error_mps=(1.0, 1.0, 0.0))
+    pooled = {
+        name: {key: [*some[key], Sum(9 * long[name][key][0].squares, 90)] for key in some}
+        for name, some in short.items()
+    }
+    assert compared(pooled, 2)["down_frac"] == pytest.approx(1.0 - 0.1**0.5)
+
+
+def test_a_difference_that_was_none_and_is_one_now_counts_as_worse() -> None:
+    found = compared(summed(lateral_error_m=(0.2, 0.1, 0.05), speed_mps=(10.0, 0.0, 1.0)), 1)
+    assert found["worst"] == "speed_mps" and found["worst_frac"] > 10.0 and "speed_mps is up" in found["words"]
+    nothing = compared(summed(**{name: (1.0, 0.0, 0.0) for name in SIGNALS}), 1)
+    assert nothing["down_frac"] is None and nothing["words"] == "no difference"

@@ -20,7 +20,7 @@ from tunefree_hil.gap.regions import Region, regions
 from tunefree_hil.gap.scan import Scan, Start
 from tunefree_hil.gap.segments import Blocks
 from tunefree_hil.gap.shape import Shape, shape_of
-from tunefree_hil.gap.suspects import Suspect, suspects_of
+from tunefree_hil.gap.suspects import Suspect, doubted, suspects_of
 from tunefree_hil.gap.work import Kind, Setting, Work
 
 Array = np.ndarray
@@ -47,10 +47,11 @@ class Question(NamedTuple):
 class _Open:
     def __init__(self, setting: Setting) -> None:
         self.work = Work(setting)
-        self.problem = Problem(self.work, nuisances(self.work.graph, setting.model, doubts_of(setting.model)))
+        drifting = nuisances(self.work.graph, setting.model, doubts_of(setting.model))
+        self.problem = Problem(self.work, drifting)
         self.null, self.slopes = fit_null(self.problem)
         some, self.cannot = suspects_of(self.work.graph, setting.model, setting.vehicle)
-        self.suspects = {one.name: one for one in some}
+        self.suspects = {one.name: doubted(one, drifting) for one in some}
         self._scan: tuple[Any, Scan] | None = None
 
     def again(self, model: Fitted) -> Fitted:
@@ -95,36 +96,36 @@ def open_question(token: str, setting: Setting) -> Question:
     return Question(_sent(work, one.null), work.blocks, work.kinds, sizes, found, one.cannot)
 
 
-def scan_suspects(token: str, names: Sequence[str], start: Fitted | None) -> dict[str, Start]:
-    """Where each suspect's search beside `start` (None: the null) begins, and what it gains there. Those of which no
-    value makes a car are left out.
+def scan_suspects(token: str, names: Sequence[str], start: Fitted | None) -> tuple[dict[str, Start], dict[str, str]]:
+    """(where each suspect's search beside `start` (None: the null) begins, and what it gains there; those of which no
+    value makes a car, with the reason).
     """
-    one, found = _questions[token], {}
+    one, found, lost = _questions[token], {}, {}
     scan = one.scan_beside(start)
     for name in names:
         try:
             found[name] = scan.best(one.suspects[name].free)
-        except InputError:  # outside what the body allows everywhere on its grid: then it is not this
-            continue
-    return found
+        except InputError as error:  # outside what the body allows everywhere on its grid: then it is not this
+            lost[name] = error.message
+    return found, lost
 
 
 def fit_suspects(
     token: str, begins: Mapping[str, Start], start: Fitted | None, hopeless: float
-) -> Generator[int, None, dict[str, Modelled]]:
-    """Each suspect by itself beside `start`, from where its search begins; yields how many are done. hopeless: a gain
-    below which one step is enough.
+) -> Generator[int, None, tuple[dict[str, Modelled], dict[str, str]]]:
+    """(each suspect by itself beside `start`, from where its search begins; those that left what makes a car, with the
+    reason); yields how many are done. hopeless: a gain below which one step is enough.
     """
     one = _questions[token]
     scan = one.scan_beside(start)
-    found = {}
+    found, lost = {}, {}
     for done, (name, begin) in enumerate(begins.items()):
         yield done
         try:
             found[name] = _sent(one.work, fit_candidate(scan, name, one.suspects[name].free, begin, hopeless))
-        except InputError:  # a step over the edge of what makes a car
-            continue
-    return found
+        except InputError as error:  # a step over the edge of what makes a car
+            lost[name] = error.message
+    return found, lost
 
 
 def fitted_on(token: str, models: Sequence[Fitted]) -> list[Modelled]:
@@ -148,10 +149,10 @@ def left_by(token: str, models: Sequence[Fitted], blocks: Array) -> list[dict[st
 
 
 def seen_of(token: str, model: Fitted, target: str) -> tuple[list[Region], Shape | None]:
-    """Where in a drive a target is missed, and what that looks like."""
+    """Where in a drive a target is missed, and what that looks like; blocks that prove are not looked at."""
     work = _questions[token].work
     residual = work.residuals(model.values)[target]
-    shape = shape_of(residual, work.measured(target), work.valid(target), work.kinds[target].dt_s)
+    shape = shape_of(residual, work.measured(target), work.seen(target), work.kinds[target].dt_s)
     return regions(work, target, residual), shape
 
 

@@ -17,7 +17,7 @@ from tunefree_hil.learn.pairs import ECHOES, tolerance
 Array = np.ndarray
 
 LONGEST_S = 0.8
-SLACK = 2  # ticks to either side of the transport: bus, queue and phase of the frames
+SLACK = 2  # ticks to either side of the transport: bus, queue and phase of the frames; of slow commands more
 MOST_STRANGE = 0.01  # of the echoes
 LEAST_MOVED = 20  # echoes that changed: fewer say nothing of a delay
 
@@ -49,15 +49,21 @@ def echoes(opened: Opened) -> list[Echo]:
         values = echo.values[rows]
         moved = np.abs(np.diff(values, prepend=values[:1])) > tolerance(echo.values)
         if moved.sum() >= LEAST_MOVED:
-            found.append(_echo(channel, wire.values, values, rows, moved, opened.dt_s))
+            slack = SLACK + _period(wire.fresh) - 1
+            found.append(_echo(channel, wire.values, values, rows, moved, slack, opened.dt_s))
     return found
 
 
-def _echo(channel: str, wire: Array, values: Array, rows: Array, moved: Array, dt_s: float) -> Echo:
+def _period(fresh: Array) -> int:
+    """Ticks from one command to the next: so long an echo stands while the straight line between commands goes on."""
+    return max(round(float(np.median(np.diff(np.flatnonzero(fresh))))), 1)
+
+
+def _echo(channel: str, wire: Array, values: Array, rows: Array, moved: Array, slack: int, dt_s: float) -> Echo:
     shifts = np.arange(round(LONGEST_S / dt_s))
     missed = [float(np.mean(np.abs(wire[rows[moved] - s] - values[moved]))) for s in shifts]
     best = int(np.argmin(missed))
-    window = np.stack([wire[rows - best + s] for s in range(-SLACK, SLACK + 1)])
-    slack = tolerance(values)
-    strange = (values < window.min(axis=0) - slack) | (values > window.max(axis=0) + slack)
+    at = np.clip(rows[:, None] - best + np.arange(-slack, slack + 1), 0, len(wire) - 1)
+    near, off = wire[at], tolerance(values)
+    strange = (values < near.min(axis=1) - off) | (values > near.max(axis=1) + off)
     return Echo(channel, best * dt_s, float(np.mean(strange)), len(rows))

@@ -33,12 +33,16 @@ MOST_WORSE = 0.05  # of any target's: what explains one thing by spoiling anothe
 SPOILT = 0.1  # of what is explained, each by its signal: recalibration trades so much between signals by itself
 CLOSE = 0.03  # of what the best gains: a rival as near as that is too near for a model that is not exact
 MOST_LEFT = 0.35  # of what could be explained before: more, and the name was not it
+BY_A_HAIR = 0.8  # of every bar: who misses none by more is no name, but a name's rival
 NOISY = 3.0  # standard deviations between blocks: a further effect that gains less is the noise of the first one's fit
 
 
 class Weighed(NamedTuple):
-    """A candidate against the model that it is added to. target: where it gains most clearly; shrink: by how much the
-    mean square there gets less, as a share of what it is without any effect, (value, low, high). further: beside some.
+    """A candidate against the model that it is added to. evidence: nats. target: where it gains most clearly; shrink:
+    by how much the mean square there gets less, as a share of what it is without any effect, (value, low, high).
+    worst: by how much it grows where it grows most, as a share. further: beside some.
+
+    others: names that explain as much in its place; known once a search is done (search.py).
     """
 
     name: str
@@ -50,31 +54,47 @@ class Weighed(NamedTuple):
     worst: float
     matters: bool
     further: bool = False
+    others: tuple[str, ...] = ()
 
     @property
     def counts(self) -> bool:
         """Whether this is a name: evidence and blocks agree, and it matters, in more blocks than one: a noise that is
         the same for all of them makes of one block's gain a little in each.
         """
-        sure = self.evidence > LEAST_NATS and self.gain.total > LEAST_NATS and self.gain.low > 0.0
+        return self._passes(1.0)
+
+    @property
+    def nearly(self) -> bool:
+        """Whether it is a name, or misses being one by a hair: a set in which it is not would be too sure."""
+        return self._passes(BY_A_HAIR)
+
+    def _passes(self, bar: float) -> bool:
+        """Whether it is above all bars, each taken so many times."""
+        least = bar * LEAST_NATS
+        sure = self.evidence > least and self.gain.total > least and self.gain.low > 0.0
         if self.further:
-            sure = sure and self.gain.total > NOISY * self.gain.noise
+            sure = sure and self.gain.total > bar * NOISY * self.gain.noise
         return (
             sure
             and self.matters
-            and self.shrink[0] > LEAST_SHRINK
-            and self.shrink[1] > SURE_SHRINK
-            and self.worst < MOST_WORSE
+            and self.shrink[0] > bar * LEAST_SHRINK
+            and self.shrink[1] > bar * SURE_SHRINK
+            and self.worst < MOST_WORSE / bar
         )
 
 
 def weigh(
     candidates: Mapping[str, Modelled], start: Modelled, null: Modelled, sizes: Mapping[str, float], blocks: Array
 ) -> list[Weighed]:
-    """All candidates, the best first; by the noise that the best of them leaves. sizes: of each target's signal."""
+    """All candidates, the best first; by the noise that the best of them leaves. sizes: of each target's signal.
+
+    Who is the best is asked by the noise of `start`, one for all of them: the noise's own logarithm counts once for
+    every row that stands for itself, and where that number differs the unit of a signal would decide.
+    """
     if not candidates:
         return []
-    best = max(candidates.values(), key=lambda one: log_evidence(one.fitted, blocks))
+    own = stretches(start.fitted)
+    best = max(candidates.values(), key=lambda one: log_evidence(stretched(one.fitted, own), blocks))
     by = stretches(best.fitted)
     base = stretched(start.fitted, by)
     before = log_evidence(base, blocks)
@@ -137,7 +157,7 @@ def shrink(
 
 def rivals(weighed: Sequence[Weighed], blocks: Array) -> list[str]:
     """Names that the best cannot be told from: those which its blocks do not beat, all of them asked at once."""
-    best, others = weighed[0], [one for one in weighed[1:] if one.counts]
+    best, others = weighed[0], [one for one in weighed[1:] if one.nearly]
     pairs = {one.name: paired(best.model.fitted, one.model.fitted, blocks) for one in others}
     beaten = holm({name: pair.doubt for name, pair in pairs.items()})
     near = CLOSE * max(best.gain.total, 0.0)

@@ -1,9 +1,13 @@
-"""How much more a candidate says than another: log evidence, and what it says of blocks that it was not fitted on.
+"""How much more a candidate says than another: log evidence, and whether that holds in block after block.
 
 Both are needed before a name is given. Evidence (Laplace) counts every row, stretched by how long residuals hang
 together; it is in thousands of nats as soon as noise is small, and certain of the noise rather than of the name. The
-paired test looks at whole blocks, each predicted from the others, and at how much the difference between two models
-varies from block to block: that needs no noise model at all.
+paired test looks at whole blocks and at how much the difference between two models varies from block to block.
+
+What it holds back is a candidate's own parameters: in each fold they are those of the other folds' blocks. What
+recalibration moves, and the noise's filter, are those of all judged blocks, fit and choice alike, for both models that
+are compared: the test is of one name against another under the same freedom, and no claim about drives that nobody has
+seen. That claim is made on the blocks that prove, which nothing here has touched.
 """
 
 from __future__ import annotations

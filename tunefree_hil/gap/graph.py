@@ -102,6 +102,7 @@ class Graph:
             [step[port] for port in (*PORTS_B, Port.REPORT, Port.INS)], chassis.step, self.plant.observe
         )
         self._shifts = {name for name in self._chains[Port.REPORT].names if self._is_shift(name)}
+        self._own_shift = sum((self._shift_of(self._own[n]) for n in self._shifts & set(self._own)), np.zeros(3))
         self._recent: dict[str, Recent] = {"heads": Recent(), "ride": Recent()}
 
     def _able(self) -> tuple[dict[str, Effect], dict[str, str]]:
@@ -153,16 +154,19 @@ class Graph:
     def _is_shift(self, name: str) -> bool:
         """Whether an effect on the report touches the outputs in it, by delay or by amount."""
         block = self._neutral[name]
-        if isinstance(block.params, Latency) or name not in self.can:
+        if isinstance(block.params, Latency):
             return True
-        tried = self._made(self.can[name], {key: prior.typical for key, prior in self.can[name].priors.items()})
-        return any(self._shift_of(tried))
+        if name in self.can:
+            block = self._made(self.can[name], {key: prior.typical for key, prior in self.can[name].priors.items()})
+        return bool(self._shift_of(block).any())
 
-    def _shift_of(self, block: Block) -> tuple[float, float, float]:
-        """What an effect on the report adds to the three outputs."""
+    def _shift_of(self, block: Block) -> Array:
+        """What an effect on the report adds to the three outputs [3]; a delay adds nothing."""
+        if isinstance(block.params, Latency):
+            return np.zeros(3)
         state = block.init(block.params, self.dt_s)
         _, said = block.step(block.params, state, Report(*(1.0,) * len(Report._fields)), self.dt_s)
-        return said.throttle_frac - 1.0, said.brake_frac - 1.0, said.steer_rad - 1.0
+        return np.array([said.throttle_frac - 1.0, said.brake_frac - 1.0, said.steer_rad - 1.0])
 
     def _run_heads(self, x: Inputs, blocks: dict[str, Block], values: Values) -> Array:
         commands = self._commands(x, blocks)
@@ -260,16 +264,19 @@ class Graph:
         return taken
 
     def _late(self, port: Port, blocks: dict[str, Block]) -> float:
-        names = self._chains[port].names
-        return sum(blocks[n].params.delay_s for n in names if isinstance(blocks[n].params, Latency) and n in self.can)
+        """Seconds by which a port's values come late, by the model's own effects and by those that are tried."""
+        some = [blocks[name].params for name in self._chains[port].names]
+        return sum(params.delay_s for params in some if isinstance(params, Latency))
 
     def _unshifted(self, outputs: Array, blocks: dict[str, Block]) -> Array:
-        """Measured outputs without what effects on the report add to them: m - (E(m) - m) for each that is on."""
+        """Measured outputs without what effects on the report add to them: m - (E(m) - m) for each that is on, the
+        model's own among them.
+        """
+        found = outputs - self._own_shift if self._own_shift.any() else outputs
         for name in self._shifts:
-            block = blocks[name]
-            if block is not self._neutral[name] and not isinstance(block.params, Latency):
-                outputs = outputs - np.array(self._shift_of(block))  # no effect of the catalogue scales an output
-        return outputs
+            if blocks[name] is not self._neutral[name]:
+                found = found - self._shift_of(blocks[name])  # no effect of the catalogue scales an output
+        return found
 
 
 def _tried(effect: Effect, parameter: str) -> float:

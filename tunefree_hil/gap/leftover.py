@@ -15,6 +15,7 @@ import numpy as np
 
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.graph import CHANNELS
+from tunefree_hil.gap.recent import ahead
 from tunefree_hil.gap.targets import Target
 
 Array = np.ndarray
@@ -31,35 +32,51 @@ class Left(NamedTuple):
     explained: float
 
 
+class Piece(NamedTuple):
+    """One drive's part of a target: columns [m, k] as they are, residual [m], rows that count [m], block [m]."""
+
+    columns: Array
+    residual: Array
+    valid: Array
+    block: Array
+
+
 def features(opened: Opened, target: Target) -> Array:
-    """[m, k], each with mean 0 and deviation 1 over the rows that count. Only what was before or now: no future."""
+    """[m, k] at the rows of a target. Only what was before or now: no future."""
     x = opened.inputs
-    lags = [round(lag / opened.dt_s) for lag in LAGS_S]
+    lags = [lag / opened.dt_s for lag in LAGS_S]
     if target.name in CHANNELS:
         command = x.commands[:, CHANNELS.index(target.name)]
-        signals, still = [command, np.gradient(command), np.abs(command)], []
+        signals, still = [command, _change(command), np.abs(command)], []
     else:
         throttle, brake, steer = x.outputs.T
-        speed, turning = x.speed_mps, np.gradient(steer)
+        speed, turning = x.speed_mps, _change(steer)
         still = [speed, speed * speed, 1.0 / np.maximum(speed, 1.0)]
         signals = [throttle, brake, steer, np.abs(steer), speed * steer, speed * speed * steer, steer**3,
                    throttle * speed, throttle**2, brake**2, brake * speed,
                    np.sign(turning) * np.minimum(np.abs(turning) * 1e3, 1.0)]  # fmt: skip
-    columns = [np.roll(one, lag)[target.rows] for one in signals for lag in lags]
+    columns = [ahead(one, -round(lag))[target.rows] for one in signals for lag in lags]
     columns += [one[target.rows] for one in still]
-    rows = np.stack([*columns, np.arange(len(target.rows)) / len(target.rows)], axis=1)
-    some = rows[target.valid]
-    return (rows - some.mean(axis=0)) / np.maximum(some.std(axis=0), 1e-9)
+    return np.stack([*columns, np.arange(len(target.rows)) / len(target.rows)], axis=1)
+
+
+def _change(signal: Array) -> Array:
+    """Since the tick before."""
+    return np.diff(signal, prepend=signal[:1])
 
 
 def left_of(columns: Array, residual: Array, valid: Array, block: Array, blocks: Array) -> Left:
-    """How much of a residual is foretold on blocks that were not fitted on. block [m]: of each row."""
+    """How much of a residual is foretold on blocks that were not fitted on. block [m]: of each row. Nothing is said
+    (0, 0) by too few rows, or where all are of blocks that are held out together.
+    """
     rows = valid & np.isin(block, blocks)
     if rows.sum() < 2 * columns.shape[1]:
         return Left(0.0, 0.0)
     x = np.column_stack([np.ones(rows.sum()), columns[rows]])
     y, at = residual[rows], block[rows]
     fold = np.searchsorted(np.sort(blocks), at) % FOLDS
+    if len(np.unique(fold)) < 2:
+        return Left(0.0, 0.0)
     total = float(np.mean(y * y))
     best = 0.0
     for ridge in RIDGES:
@@ -73,19 +90,33 @@ def left_of(columns: Array, residual: Array, valid: Array, block: Array, blocks:
     return Left(total, best)
 
 
+def left_over_all(pieces: Sequence[Piece], blocks: Array) -> Left:
+    """Of all drives together: what foretells is the same in all of them, but for a constant of each. Every row counts
+    as much as any other, whichever drive it is of.
+    """
+    valid = np.concatenate([one.valid for one in pieces])
+    columns = np.concatenate([one.columns for one in pieces])
+    if len(pieces) > 1:
+        drive = np.repeat(np.arange(len(pieces)), [len(one.valid) for one in pieces])
+        columns = np.column_stack([columns, drive[:, None] == np.arange(len(pieces))])
+    if not valid.any():
+        return Left(0.0, 0.0)
+    some = columns[valid]
+    even = (columns - some.mean(axis=0)) / np.maximum(some.std(axis=0), 1e-9)
+    residual, block = (np.concatenate([one[i] for one in pieces]) for i in (1, 3))
+    return left_of(even, residual, valid, block, blocks)
+
+
 def leftovers(
     drives: Sequence[Opened], targets: Sequence[Sequence[Target]], residuals: dict[str, list[Array]],
     block: dict[str, list[Array]], blocks: Array,
 ) -> dict[str, Left]:  # fmt: skip
     """By target, over all drives."""
-    found: dict[str, list[Left]] = {}
+    pieces: dict[str, list[Piece]] = {}
     for opened, some in zip(drives, targets, strict=True):
         for target in some:
-            place = len(found.setdefault(target.name, []))
-            columns = features(opened, target)
+            mine = pieces.setdefault(target.name, [])
+            place = len(mine)
             residual, at = residuals[target.name][place], block[target.name][place]
-            found[target.name].append(left_of(columns, residual, target.valid, at, blocks))
-    return {
-        name: Left(float(np.mean([one.total for one in some])), float(np.mean([one.explained for one in some])))
-        for name, some in found.items()
-    }
+            mine.append(Piece(features(opened, target), residual, target.valid, at))
+    return {name: left_over_all(some, blocks) for name, some in pieces.items()}

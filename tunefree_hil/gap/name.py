@@ -9,10 +9,8 @@ behind it come with it.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from typing import NamedTuple
-
-import numpy as np
 
 from tunefree_hil.base.contracts import Link, links_of
 from tunefree_hil.base.errors import InputError
@@ -20,32 +18,23 @@ from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.gap.ask import Modelled, Question
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.clock import Echo, echoes
-from tunefree_hil.gap.decide import MOST_LEFT, Weighed, left_share, outdone, rivals
+from tunefree_hil.gap.decide import MOST_LEFT, Weighed, left_share, outdone
 from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.excitation import Excited, excitation, held_by
 from tunefree_hil.gap.graph import effects
+from tunefree_hil.gap.interval import Value, values_of
 from tunefree_hil.gap.leftover import Left
 from tunefree_hil.gap.locate import Card, Looked, card, echo_words, look
-from tunefree_hil.gap.search import backward, forward, weighed
+from tunefree_hil.gap.null import taken
+from tunefree_hil.gap.search import backward, forward, settled, weighed
 from tunefree_hil.gap.segments import FEWEST, blocks_of
 from tunefree_hil.gap.suspects import class_of
 from tunefree_hil.gap.targets import LEAST_MPS
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.work import Setting
 
-Array = np.ndarray
-
+HARDLY = 0.5  # of what an effect needs to be seen: from a drive that holds less than that it is not named alone
 VERDICTS = ("one", "several", "set", "none_missing", "none_of_these", "cannot_test")
-QUANTILE = 1.96
-
-
-class Value(NamedTuple):
-    """A parameter of an effect with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-    unit: str
 
 
 class Effect(NamedTuple):
@@ -131,19 +120,25 @@ def _named(
     blocks = judged(question.blocks)
     yield f"{len(question.suspects)} suspects"
     first = weighed(team, question, [one.name for one in question.suspects], None, blocks)
-    steps = yield from forward(team, question, first, blocks)
-    steps = yield from backward(team, question, steps, blocks)
+    found = yield from forward(team, question, first, blocks)
+    steps = yield from backward(team, question, found, blocks)
+    steps, first = yield from settled(team, question, first, steps, blocks, fresh=len(steps) < len(found))
+    question = question._replace(cannot={**question.cannot, **team.dropped})
     repaired = steps[-1].model if steps else question.null
     yield "what is left"
     before, after = team.ask("left_by", [question.null.fitted, repaired.fitted], blocks)
     said = tuple(one for opened in drives for one in echoes(opened))
     looked = look(before, question.kinds, question.sizes)
     still = look(after, question.kinds, question.sizes)
-    share = left_share(before, after)
-    verdict, others, words = _verdict(first, steps, looked, still, share, blocks, drives, echo_words(said))
+    share, held = left_share(before, after), excitation(effects(), held_by(drives, vehicle))
+    steps = [_with_others(step, steps, held, question, drives) for step in steps]
+    verdict, others, words = _verdict(first, steps, looked, still, share, held, echo_words(said))
+    fitted, nuisances = repaired.fitted, len(repaired.fitted.keys) - len(repaired.fitted.free)
+    words = (*words, *taken(fitted.keys[:nuisances], fitted.z[:nuisances].tolist()))
     link, shown = _where(team, question, steps, looked, said)
-    known = tuple(_effect(step, repaired) for step in steps) if verdict in ("one", "several") else ()
-    held = excitation(effects(), held_by(drives, vehicle))
+    known: tuple[Effect, ...] = ()
+    if verdict in ("one", "several"):
+        known = tuple(Effect(one.name, values_of(one.name, repaired.fitted, blocks), one.evidence) for one in steps)
     return Named(
         verdict, known, others, _manoeuvre(others), link, shown, tuple(looked), said, held, tuple(first), question,
         repaired, before, after, lost_links(drives), words,
@@ -152,10 +147,10 @@ def _named(
 
 def _verdict(
     first: list[Weighed], steps: list[Weighed], looked: Sequence[Looked], still: Sequence[Looked], share: float,
-    blocks: Array, drives: Sequence[Opened], lost: Sequence[str],
+    held: Mapping[str, Excited], lost: Sequence[str],
 ) -> tuple[str, tuple[str, ...], tuple[str, ...]]:  # fmt: skip
     """(verdict, set, words). looked, still: before and after what was found; share: of what could be explained, what
-    still can be.
+    still can be. Of several effects one that has rivals makes a set of all of them.
     """
     if lost:
         return "none_of_these", (), tuple(lost)
@@ -170,33 +165,34 @@ def _verdict(
     if share > MOST_LEFT and any(one.broken for one in still):
         best = ", ".join(step.name for step in steps)
         return "none_of_these", (), (f"{best} comes nearest and leaves {share:.0%} of what could be explained",)
-    if len(steps) > 1:
-        return "several", (), ()
-    same = class_of(steps[0].name, all(one.has("report.lateral_accel_mps2") for one in drives))
-    others = [one for one in rivals(first, blocks) if one not in same]
-    if others:
-        return "set", (steps[0].name, *others), ("these explain the logs equally well",)
-    return "one", (), ()
+    if not any(step.others for step in steps):
+        lacking = tuple(f"{one.name}: {what}" for one in steps for what in held[one.name].lacks)
+        return ("one" if len(steps) == 1 else "several"), (), lacking
+    names = dict.fromkeys(name for step in steps for name in (step.name, *step.others))
+    return "set", tuple(names), tuple(_set_words(step, held[step.name]) for step in steps)
 
 
-def _effect(step: Weighed, repaired: Modelled) -> Effect:
-    """An effect with the values that the whole repaired model has for it."""
-    model = repaired.fitted
-    curve = np.zeros((len(model.keys), len(model.keys)))
-    for one in model.sums.values():
-        at = one.columns
-        curve[np.ix_(at, at)] += one.curve.sum(axis=0) / one.colour.stretch
-    prior = np.array([0.0 if key in {f.key for f in model.free} else 1.0 for key in model.keys])
-    deviation = np.sqrt(np.maximum(np.diag(np.linalg.pinv(curve + np.diag(prior + 1e-9), hermitian=True)), 0.0))
-    catalogue, params = effects(), {}
-    for one in model.free:
-        owner, _, parameter = one.key.partition(".")
-        if owner == step.name:
-            i = model.keys.index(one.key)
-            ends = [one.value(float(model.z[i] + sign * QUANTILE * deviation[i])) for sign in (-1.0, 1.0)]
-            unit = catalogue[owner].units[parameter]
-            params[parameter] = Value(model.values[one.key], min(ends), max(ends), unit)
-    return Effect(step.name, params, step.evidence)
+def _set_words(step: Weighed, held: Excited) -> str:
+    """Of a step of a set: what it cannot be told from, and why."""
+    if not step.others:
+        return f"{step.name} beside them"
+    why = f": {'; '.join(held.lacks)}" if held.lacks else ""
+    return f"{step.name} explains these logs as well as {', '.join(step.others)}{why}"
+
+
+def _with_others(
+    step: Weighed, steps: Sequence[Weighed], held: Mapping[str, Excited], question: Question, drives: Sequence[Opened]
+) -> Weighed:
+    """A step with the rivals that no class has together with it; where the drive hardly holds what shows it, whoever it
+    is easily taken for is one, too.
+    """
+    same = class_of(step.name, all(one.has("report.lateral_accel_mps2") for one in drives))
+    apart = same | {one.name for one in steps}
+    others = step.others
+    if held[step.name].score < HARDLY:
+        can = {one.name for one in question.suspects}
+        others += tuple(name for name in effects()[step.name].impostors if name in can and name not in others)
+    return step._replace(others=tuple(name for name in others if name not in apart))
 
 
 def _where(

@@ -10,23 +10,21 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from tunefree_hil.base.contracts import Port
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ActuatorSpec, Interval, ModelSpec, Number, value_of
 from tunefree_hil.gap.graph import CHANNELS, Graph
 
 
 class Nuisance(NamedTuple):
-    """A number that may be off: key as `Graph.run` takes it, its neutral value, standard deviation, step for slopes."""
+    """A number that may be off: key as `Graph.run` takes it, its neutral value, standard deviation in its unit."""
 
     key: str
     neutral: float
     sigma: float
-    step: float
 
 
 # Parameters of effects: (effect, parameter, sigma, why)
@@ -67,6 +65,7 @@ DOUBTED = {
     "front_stiffness.gain_frac": "front_stiffness_n_per_rad",
     "rear_stiffness.gain_frac": "rear_stiffness_n_per_rad",
 }
+TAKEN = 2.5  # standard deviations: what recalibration moves by more may as well be something missing
 WIDER = 2.0  # than a calibration's own deviation: it judged itself on the drives that it was fitted on
 MOST_DOUBT = 0.15  # of a constant; what was never known is no licence to explain everything
 SHARED = {"drive_force_n"}  # a calibration's doubt of it is that of knee and zero, which have their own
@@ -78,7 +77,6 @@ LEAST_DEAD_TIME_S, LEAST_LAG, LEAST_GAIN = (
 LEAST_OFFSET = 5e-5  # of a duty, or rad
 # How well it is known when a frame's numbers were taken, s: parts of a tick, of a bus's queue
 CLOCKS = {"clock.throttle_s": 0.004, "clock.brake_s": 0.004, "clock.steer_s": 0.004, "clock.ins_s": 0.004}
-STEP = 0.5  # of a standard deviation, for slopes
 
 
 def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> list[Nuisance]:
@@ -88,12 +86,12 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> li
         if name in graph.can:
             key = f"{name}.{parameter}"
             sigma = max(least, _doubt(doubts, DOUBTED.get(key, "")))
-            found.append(Nuisance(key, graph.can[name].neutral[parameter], sigma, STEP * sigma))
+            found.append(Nuisance(key, graph.can[name].neutral[parameter], sigma))
     for name, least in CONSTANTS.items():
         if name in graph.plant.defaults:
             sigma = least if name.endswith("zero_frac") else max(least, _doubt(doubts, name))
-            found.append(Nuisance(f"plant.{name}", 0.0, sigma, STEP * sigma))
-    found += [Nuisance(key, 0.0, sigma, STEP * sigma) for key, sigma in CLOCKS.items()]
+            found.append(Nuisance(f"plant.{name}", 0.0, sigma))
+    found += [Nuisance(key, 0.0, sigma) for key, sigma in CLOCKS.items()]
     for channel in CHANNELS:
         found += _of_channel(channel, model.actuators.get(channel))
     return found
@@ -135,13 +133,13 @@ def _of_channel(channel: str, spec: ActuatorSpec | None) -> list[Nuisance]:
         value = value_of(number)
         if value > 0.0:
             sigma = max(_deviation(number) / value, LEAST_GAIN if name == "gain" else LEAST_LAG)
-            found.append(Nuisance(f"actuator.{channel}.{name}", 0.0, min(sigma, 0.3), STEP * min(sigma, 0.3)))
+            found.append(Nuisance(f"actuator.{channel}.{name}", 0.0, min(sigma, 0.3)))
     return found
 
 
 def _added(channel: str, name: str, number: Number, least: float) -> Nuisance:
     sigma = max(_deviation(number), least)
-    return Nuisance(f"actuator.{channel}.{name}", 0.0, sigma, STEP * sigma)
+    return Nuisance(f"actuator.{channel}.{name}", 0.0, sigma)
 
 
 def _deviation(number: Number) -> float:
@@ -149,7 +147,9 @@ def _deviation(number: Number) -> float:
     return (number.high - number.low) / 3.92 if isinstance(number, Interval) else 0.0
 
 
-def port_of(key: str, graph: Graph) -> Port | None:
-    """The port of a nuisance that is an effect's, else None."""
-    name = key.partition(".")[0]
-    return graph.can[name].port if name in graph.can else None
+def taken(keys: Sequence[str], z: Sequence[float]) -> tuple[str, ...]:
+    """What recalibration had to move by more than TAKEN of its deviations, in words, the farthest first. keys [p]: z
+    [p] in standard deviations.
+    """
+    far = sorted(((abs(at), key, at) for key, at in zip(keys, z, strict=True) if abs(at) > TAKEN), reverse=True)
+    return tuple(f"recalibration moves {key} by {at:+.1f} standard deviations" for _, key, at in far)

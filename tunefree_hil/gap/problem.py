@@ -31,6 +31,7 @@ class Free(NamedTuple):
     """A parameter that is looked for. u is its own number on its scale, from 0 (low) to 1 (high) within the prior.
 
     least, most: ends of u that it may reach, beyond the prior where that makes sense. neutral: its neutral value.
+    doubt: standard deviation, in its unit at neutral, with which the model's own calibration knows that number.
     """
 
     key: str
@@ -40,6 +41,7 @@ class Free(NamedTuple):
     neutral: float
     least: float
     most: float
+    doubt: float = 0.0
 
     def value(self, u: float) -> float:
         """The parameter at u."""

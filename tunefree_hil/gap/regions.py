@@ -55,7 +55,7 @@ SIDES = {
 def regions(work: Work, target: str, residual: Sequence[Array], seed: int = 1) -> list[Region]:
     """All regions of a target, the ones that stand out first."""
     drives = [work.setting.drives[d] for d in work.drives_of(target)]
-    rows, valid, block = work.rows(target), work.valid(target), work.block[target]
+    rows, valid, block = work.rows(target), work.seen(target), work.block[target]
     parts = [_quantities(one, at, target) for one, at in zip(drives, rows, strict=True)]
     keep = [v & (b >= 0) for v, b in zip(valid, block, strict=True)]
     values = np.concatenate([r[k] for r, k in zip(residual, keep, strict=True)])

@@ -26,7 +26,8 @@ from tunefree_hil.config.schema import (
     VehicleSpec,
     value_of,
 )
-from tunefree_hil.gap.graph import effects, scaled
+from tunefree_hil.effects import catalogue
+from tunefree_hil.gap.graph import scaled
 from tunefree_hil.gap.kept import Kept
 from tunefree_hil.learn.free_run import plant_of
 from tunefree_hil.learn.write_model import CARD_FILE, whole_folder, write_card
@@ -110,11 +111,12 @@ def write_repaired(folder: Path, model: ModelSpec, made: ModelSpec, story: Mappi
         data = {key: one for key, one in plain(made).items() if key not in SET_BY_LOADER}
         data["plant"]["card"] = CARD_FILE
         (part / "model.toml").write_text(HEAD.format(model=source.name, card=CARD_FILE) + to_toml(data))
-        write_card(part, {**_card_of(model), "repair": story})
+        write_card(part, {**card_of(model), "repair": story})
     return load_model(folder)
 
 
-def _card_of(model: ModelSpec) -> dict[str, Any]:
+def card_of(model: ModelSpec) -> dict[str, Any]:
+    """What the card in a model's folder says; empty where there is none."""
     path = Path(model.folder) / (model.plant.card or CARD_FILE)
     return json.loads(path.read_text()) if path.is_file() else {}
 
@@ -125,10 +127,10 @@ def _ends(value: Mapping[str, Any]) -> list[float]:
 
 def _by_effect(values: Mapping[str, float], found: set[str]) -> dict[str, Params]:
     """Parameters of effects of the catalogue that recalibration moved, by effect."""
-    catalogue, moved = effects(), {}
+    known, moved = catalogue(), {}
     for key, value in values.items():
         name, _, parameter = key.partition(".")
-        if name in catalogue and name not in found and value != catalogue[name].neutral[parameter]:
+        if name in known and name not in found and value != known[name].neutral[parameter]:
             moved.setdefault(name, {})[parameter] = value
     return moved
 

@@ -31,6 +31,7 @@ Array = np.ndarray
 
 REPORTED = tuple(f"report.{name}" for name in Report._fields)
 PLACED = tuple(f"ins.{name}" for name in Ins._fields)
+COURSE_S, LEAST_WAY_M = 4.0, 2.0  # places tell a course over such a time, once they are so far apart
 
 
 class Car(NamedTuple):
@@ -115,11 +116,30 @@ def _told(car: Car, opened: Opened) -> tuple[list[list[float]], list[Motion], li
 
 
 def pose_of(opened: Opened) -> tuple[Array, Array, Array]:
-    """(x, y, heading) of the rear axle as measured, or summed up from speed and yaw rate without an INS."""
-    names = ("ins.x_m", "ins.y_m", "ins.heading_rad")
-    if opened.has(*names):
-        x_m, y_m, heading = (opened.signals[name].values for name in names)
-        return x_m, y_m, heading
-    speed, yaw, dt_s = opened.inputs.speed_mps, opened.inputs.yaw_rate_radps, opened.dt_s
-    heading = np.cumsum(yaw) * dt_s
+    """(x, y, heading) of the rear axle as measured. Without an INS that says them they are summed up from speed and yaw
+    rate, about an origin of their own; where places were measured and no heading, it is the way that the places go.
+    """
+    speed, dt_s = opened.inputs.speed_mps, opened.dt_s
+    placed = opened.has("ins.x_m", "ins.y_m")
+    if opened.has("ins.heading_rad"):
+        heading = opened.signals["ins.heading_rad"].values
+    else:
+        heading = np.cumsum(opened.inputs.yaw_rate_radps) * dt_s
+        heading = heading + (_turned(opened, heading) if placed else 0.0)
+    if placed:
+        return opened.signals["ins.x_m"].values, opened.signals["ins.y_m"].values, heading
     return np.cumsum(speed * np.cos(heading)) * dt_s, np.cumsum(speed * np.sin(heading)) * dt_s, heading
+
+
+def _turned(opened: Opened, heading: Array) -> Array:
+    """By how much a summed-up heading is turned against the way that the measured places go, rad [n]; means over
+    COURSE_S, weighted by distance. The rear axle, whose places they are, goes where the car heads but for its slip.
+    """
+    x_m, y_m = (opened.signals[name].values for name in ("ins.x_m", "ins.y_m"))
+    way = (np.gradient(x_m) + 1j * np.gradient(y_m)) * opened.moving
+    window = max(min(round(COURSE_S / opened.dt_s), opened.ticks), 1)
+    mean = np.convolve(way * np.exp(-1j * heading), np.ones(window), "same")
+    clear = np.flatnonzero(np.abs(mean) > LEAST_WAY_M)
+    if not len(clear):
+        return np.zeros(opened.ticks)
+    return np.interp(np.arange(opened.ticks), clear, np.unwrap(np.angle(mean[clear])))

@@ -20,6 +20,7 @@ Array = np.ndarray
 
 DELAYS, FACTORS = 12, 8  # points of a grid: of what is rugged, of what goes by a logarithm
 AMOUNTS = (0.03, 0.1, 0.3, 1.0)  # of the prior's ends, to either side: of what is nearly linear, and may be small
+SMALL = AMOUNTS[:2]  # those of a factor, beside its even grid, which has no point near neutral
 # What recalibration has of the very same kind: beside the effect it would move the other way, and what is left of both
 # is a signal smoothed by nothing that a car has.
 TWINS = {"ins_latency.delay_s": "clock.ins_s"}
@@ -56,14 +57,16 @@ class Scan:
         self._felt = {name: self._feel(name, residual) for name, residual in start.residuals.items()}
 
     def best(self, free: Sequence[Free]) -> Start:
-        """Over the whole grid. Raises InputError where no value of it makes a car."""
-        return self._best(free, grid_of(free))
+        """Over the whole grid, and where recalibration has put the very same parameter: taking its place must be no
+        loss. Raises InputError where no value of it makes a car.
+        """
+        return self._best(free, [*grid_of(free), *self._recalibrated(free)])
 
     def finer(self, free: Sequence[Free], found: Start) -> Start:
         """Around a point that was found, where there is one parameter and what it does is not nearly linear."""
         if len(free) != 1 or free[0].low < 0.0:
             return found
-        near = found.z[-1] + np.linspace(-1.0, 1.0, FINER) / (len(_places(free[0])) - 1)
+        near = found.z[-1] + np.linspace(-1.0, 1.0, FINER) / (_even(free[0]) - 1)
         points = [np.array([u]) for u in np.clip(near, free[0].least, free[0].most)]
         return max(found, self._best(free, points), key=lambda one: one.gain)
 
@@ -76,11 +79,23 @@ class Scan:
         """Of those."""
         return without(self._slopes, self.kept(free))
 
+    def _recalibrated(self, free: Sequence[Free]) -> list[Array]:
+        """The point at which the model has these parameters by recalibration; none where it has not."""
+        values = self.start.values
+        found = [values.get(one.key, values.get(TWINS.get(one.key, ""), one.neutral)) for one in free]
+        moved = [one.key in values or TWINS.get(one.key, "") in values for one in free]
+        if not all(moved):
+            return []
+        places = [one.place(value) for one, value in zip(free, found, strict=True)]
+        return [np.clip(places, [one.least for one in free], [one.most for one in free])]
+
     def _best(self, free: Sequence[Free], points: Sequence[Array]) -> Start:
+        """The best of some points. What it cost recalibration to move the same is gained: an effect has no prior."""
         kept, start = self.kept(free), self.start
         keys = tuple(start.keys[i] for i in kept) + tuple(one.key for one in free)
         loose, base = (*start.free, *free), np.array([start.z[i] for i in kept])
-        before = self._left(start.residuals, kept, base)[0]
+        gone = [i for i in range(len(start.keys)) if i not in kept]
+        before = self._left(start.residuals, kept, base)[0] + float(start.z[gone] @ start.z[gone])
         best: Start | None = None
         for u in points:
             z = np.concatenate([base, u])
@@ -152,6 +167,15 @@ def grid_of(free: Sequence[Free]) -> list[Array]:
 
 
 def _places(one: Free) -> list[float]:
-    if one.low < 0.0 < one.high:
-        return [one.place(end * share) for end in (one.low, one.high) for share in AMOUNTS]
-    return [float(u) for u in np.linspace(0.0, 1.0, FACTORS if one.logarithmic else DELAYS)]
+    """Of what may go to either side of neutral, amounts to both, a factor's by its logarithm; else even places."""
+    even = [float(u) for u in np.linspace(0.0, 1.0, _even(one))]
+    if not one.low < one.neutral < one.high:
+        return even
+    middle = one.place(one.neutral)
+    shares = SMALL if one.logarithmic else AMOUNTS
+    amounts = [middle + share * (end - middle) for end in (0.0, 1.0) for share in shares]
+    return even + amounts if one.logarithmic else amounts
+
+
+def _even(one: Free) -> int:
+    return FACTORS if one.logarithmic else DELAYS

@@ -1,18 +1,19 @@
-"""The search over effects: one, then further ones beside it, then each without the others.
+"""The search over effects: one, then further ones beside it, then each without the others, then others in its place.
 
 Forward: the best effect that counts (decide.py) is added and all are asked again. Backward: one that does not count
-beside the others is taken out again. A model that others are compared with is fitted on until nothing is gained: what a
-search finds of the rest on its way would else be counted as the merit of whoever is asked next.
+beside the others is taken out again. Settled: each that stays is held against everybody else in its place, the others
+staying; who explains as much there is its rival. A model that others are compared with is fitted on until nothing is
+gained: what a search finds of the rest on its way would else be counted as the merit of whoever is asked next.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 
 import numpy as np
 
 from tunefree_hil.gap.ask import Modelled, Question
-from tunefree_hil.gap.decide import Weighed, outdone, weigh
+from tunefree_hil.gap.decide import Weighed, outdone, rivals, weigh
 from tunefree_hil.gap.evidence import LEAST_NATS
 from tunefree_hil.gap.team import Team
 
@@ -21,22 +22,33 @@ Array = np.ndarray
 MOST_EFFECTS = 3
 CONTENDERS = 4  # fitted on before they are compared: those whose evidence is nearest to the best
 NEAR = 0.5  # of the best one's evidence
+WITHIN = 0.8  # of it, once the best are fitted on: whoever is as near as that is fitted on too
 
 
 def weighed(
-    team: Team, question: Question, names: Sequence[str], start: Modelled | None, blocks: Array
-) -> list[Weighed]:
-    """Suspects beside `start` (None: the null), fitted and weighed; those that matter fitted on first."""
-    begin = question.null if start is None else start
-    found = team.fit(names, start)
+    team: Team, question: Question, names: Sequence[str], start: Modelled | None, blocks: Array,
+    known: Mapping[str, Modelled] | None = None,
+) -> list[Weighed]:  # fmt: skip
+    """Suspects beside `start` (None: the null), fitted and weighed; those that matter fitted on first. known: models
+    that are weighed with them, fitted on already.
+    """
+    begin, known = question.null if start is None else start, known or {}
+    found = {**team.fit(names, start), **known}
     some = weigh(found, begin, question.null, question.sizes, blocks)
+    share, done = NEAR, set(known)
+    while near := _near(some, share, done):
+        found |= dict(zip(near, team.fit_on([found[name] for name in near]), strict=True))
+        some = weigh(found, begin, question.null, question.sizes, blocks)
+        share, done = WITHIN, done | set(near)
+    return some
+
+
+def _near(some: Sequence[Weighed], share: float, done: set[str]) -> list[str]:
+    """The next ones that are to be fitted on: who matters and has so much of the best one's evidence."""
     worth = [one for one in some if one.matters]
     best = max((one.evidence for one in worth), default=0.0)
-    near = sorted((one for one in worth if one.evidence > NEAR * best), key=lambda one: -one.evidence)[:CONTENDERS]
-    if best <= LEAST_NATS:
-        return some
-    found |= dict(zip([one.name for one in near], team.fit_on([found[one.name] for one in near]), strict=True))
-    return weigh(found, begin, question.null, question.sizes, blocks)
+    left = [one for one in worth if one.evidence > max(share * best, LEAST_NATS) and one.name not in done]
+    return [one.name for one in sorted(left, key=lambda one: -one.evidence)[:CONTENDERS]]
 
 
 def forward(team: Team, question: Question, first: list[Weighed], blocks: Array) -> Generator[str, None, list[Weighed]]:
@@ -53,7 +65,7 @@ def forward(team: Team, question: Question, first: list[Weighed], blocks: Array)
         again = _against_the_rest(team, question, more[0], more[0].name, blocks)
         if not again.counts:
             break
-        steps.append(again)
+        steps.append(again._replace(others=tuple(rivals(more, blocks))))
     return steps
 
 
@@ -69,13 +81,53 @@ def _against_the_rest(team: Team, question: Question, step: Weighed, name: str, 
 def backward(
     team: Team, question: Question, steps: list[Weighed], blocks: Array
 ) -> Generator[str, None, list[Weighed]]:
-    """Take out effects that no longer count beside those found later."""
+    """Take out effects that no longer count beside those found later. Where one was, what is known of rivals is not
+    known any more.
+    """
     if len(steps) < 2:
         return steps
     yield "each without the others"
-    last = steps[-1].model
-    for name in [step.name for step in steps[:-1]]:
+    last, stay = steps[-1].model, steps
+    for name in [step.name for step in steps]:
+        if len(stay) == 1 or (name == steps[-1].name and len(stay) == len(steps)):  # the newest counts beside all
+            break
         rest = team.fit_without(last, [name])[name]
         if not weigh({name: last}, rest, question.null, question.sizes, blocks)[0].counts:
-            last, steps = rest, [step for step in steps if step.name != name]
-    return [*steps[:-1], steps[-1]._replace(model=last)]
+            last, stay = rest, [step for step in stay if step.name != name]
+    return [*stay[:-1], stay[-1]._replace(model=last)]
+
+
+def settled(
+    team: Team, question: Question, first: list[Weighed], steps: list[Weighed], blocks: Array, fresh: bool = False
+) -> Generator[str, None, tuple[list[Weighed], list[Weighed]]]:
+    """(steps, each with the names that explain as much in its place; all suspects alone, weighed with the one step).
+
+    fresh: whether one was taken out, so that the newest has to be asked for its rivals again. A single effect that was
+    found beside another is weighed among all suspects alone, with the values that it has now; who is best there is it.
+    """
+    if not steps:
+        return [], first
+    if len(steps) == 1:
+        if first[0].name != steps[0].name:
+            models = {one.name: one.model for one in first} | {steps[0].name: steps[0].model}
+            first = weigh(models, question.null, question.null, question.sizes, blocks)
+        if not first[0].counts or outdone(first):
+            return [], first
+        return [first[0]._replace(others=tuple(rivals(first, blocks)))], first
+    found, last = [], steps[-1].model
+    for step in steps if fresh else steps[:-1]:
+        yield f"each without the others, and any in the place of {step.name}"
+        found.append(_in_its_place(team, question, steps, step, blocks))
+    found += steps[len(found) :]
+    return [*found[:-1], found[-1]._replace(model=last)], first
+
+
+def _in_its_place(team: Team, question: Question, steps: list[Weighed], step: Weighed, blocks: Array) -> Weighed:
+    """A step of several weighed against all suspects that are not among them, beside the rest of the steps."""
+    last = steps[-1].model
+    rest = team.fit_without(last, [step.name])[step.name]
+    names = [one.name for one in question.suspects if one.name not in {one.name for one in steps}]
+    some = weighed(team, question, names, rest, blocks, {step.name: last})
+    own = next(one for one in some if one.name == step.name)
+    equal = [some[0].name, *rivals(some, blocks)] if some[0].counts else []
+    return own._replace(others=tuple(name for name in equal if name != step.name))

@@ -1,21 +1,21 @@
 """What a proof says: the gap by signal before, recalibrated, repaired and at its floor, and how much of it was closed.
 
-The floor is what would be missed if nothing were lacking: the sensor's noise, what the model's calibration missed of
-drives that it was not fitted on (its card), and of what the repaired model misses here the part that nothing foretells
-(gap/leftover.py). Intervals draw whole blocks.
+The floor is what would be missed if nothing were lacking: the sensor's noise, and what the model's calibration missed
+of drives that it was not fitted on (its card). Beside it, and never in it, stands of what the repaired model misses the
+part that nothing foretells (gap/leftover.py): by it any repair after which nothing is foretold would have closed all
+there was. Intervals draw whole blocks.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from tunefree_hil.config.schema import ModelSpec
+from tunefree_hil.gap.repair import card_of
 from tunefree_hil.gap.verify import HEADING, POSITION, UNITS, Proof
 
 Array = np.ndarray
@@ -42,18 +42,21 @@ HANGS_ON = {  # by signal: targets whose residual tells what could still be expl
 
 
 class Gap(NamedTuple):
-    """A signal: RMS by variant (None where there is none), and the floor."""
+    """A signal: RMS by variant (None where there is none), and the floor. unforetold: of what is missed after the
+    repair the part that nothing foretells (None where that was not looked at).
+    """
 
     before: float
     recalibrated: float | None
     after: float | None
     floor: float
     unit: str
+    unforetold: float | None = None
 
 
 def floors_of(proof: Proof, model: ModelSpec) -> dict[str, float]:
     """By signal: the sensor's noise, and what the model's own calibration missed of drives that it did not see."""
-    card = _card_of(model)
+    card = card_of(model) if model.plant.card else {}
     runs = ((card.get("free_run_rms") or {}).get("held_out") or {}).get("fitted") or {}
     found = {}
     for signal in proof.counts:
@@ -66,19 +69,16 @@ def floors_of(proof: Proof, model: ModelSpec) -> dict[str, float]:
     return found
 
 
-def _card_of(model: ModelSpec) -> dict[str, Any]:
-    path = Path(model.folder) / model.plant.card
-    return json.loads(path.read_text()) if model.plant.card and path.is_file() else {}
-
-
 def unforetold(foretold: Mapping[str, float]) -> dict[str, float]:
-    """By signal, of what the repaired model misses the part (RMS) that nothing foretells. foretold: shares of squares
-    by target (gap/targets.py); of several targets that a signal hangs on, the one that is foretold best.
+    """By signal, of what the repaired model misses the part (of the RMS) that nothing foretells. foretold: shares of
+    squares by target (gap/targets.py); of several targets that a signal hangs on, the one that is foretold best. A
+    signal of which no target was looked at is left out.
     """
-    return {
-        signal: math.sqrt(1.0 - max((foretold.get(name, 0.0) for name in targets), default=0.0))
+    best = {
+        signal: max((foretold[name] for name in targets if name in foretold), default=None)
         for signal, targets in HANGS_ON.items()
     }
+    return {signal: math.sqrt(1.0 - one) for signal, one in best.items() if one is not None}
 
 
 def gaps_of(proof: Proof, floors: Mapping[str, float], left: Mapping[str, float]) -> dict[str, Gap]:
@@ -86,16 +86,18 @@ def gaps_of(proof: Proof, floors: Mapping[str, float], left: Mapping[str, float]
     found = {}
     for signal in proof.counts:
         rms = {name: proof.rms(name, signal) for name in proof.squares}
-        least = max(floors[signal], left[signal] * rms.get("after", 0.0))
-        floor = min(least, *rms.values())
-        found[signal] = Gap(rms["before"], rms.get("recalibrated"), rms.get("after"), floor, UNITS[signal])
+        after = rms.get("after")
+        rest = None if after is None or signal not in left else left[signal] * after
+        floor = min(floors[signal], *rms.values())
+        found[signal] = Gap(rms["before"], rms.get("recalibrated"), after, floor, UNITS[signal], rest)
     return found
 
 
 def explained_frac(
-    proof: Proof, floors: Mapping[str, float], left: Mapping[str, float], seed: int = 1
+    proof: Proof, floors: Mapping[str, float], left: Mapping[str, float] | None = None, seed: int = 1
 ) -> dict[str, float] | None:
     """(recalibrated - after) / (recalibrated - floor), with a 95 % interval; None where recalibration leaves nothing.
+    left (of `unforetold`): what nothing foretells is taken for floor too, so that it is of what could be explained.
 
     Of the signals that are measured and not summed up over time, in units of their floors, the root mean square of each
     block; the mean over blocks, so that one in which every model is far off does not decide alone.
@@ -104,7 +106,7 @@ def explained_frac(
     if not signals or not proof.blocks:
         return None
     was, now = (_by_block(proof, name, signals, floors) for name in ("recalibrated", "after"))
-    share = np.array([left[name] for name in signals])[:, None]
+    share = np.array([(left or {}).get(name, 0.0) for name in signals])[:, None]
     least = np.minimum(np.minimum(was, now), np.maximum(1.0, share * np.minimum(was, now)))
     was_, now_, least_ = (np.sqrt((one**2).mean(axis=0)) for one in (was, now, least))
     rows = np.random.default_rng(seed).integers(0, proof.blocks, (DRAWS, proof.blocks))

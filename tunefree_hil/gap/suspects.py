@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from tunefree_hil.base.contracts import Link, Prior, links_of, prior_of
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.gap.graph import Graph
+from tunefree_hil.gap.null import Nuisance
 from tunefree_hil.gap.problem import Free
+from tunefree_hil.gap.scan import TWINS
 
 BEYOND = 0.35  # of the prior's width, that a search may go past its ends
 CLASSES: tuple[frozenset[str], ...] = (frozenset({"brake_drag", "rolling_resistance"}),)
@@ -47,6 +49,15 @@ def free_of(key: str, prior: Prior, neutral: float) -> Free:
     if not logarithmic and prior.low >= 0.0:
         return one._replace(least=max(-BEYOND, one.place(0.0) + 1e-6))
     return one
+
+
+def doubted(suspect: Suspect, nuisances: Sequence[Nuisance]) -> Suspect:
+    """A suspect with the doubt about what it takes the place of: recalibration's own number, in the same unit."""
+    sigmas = {one.key: one.sigma for one in nuisances}
+    doubts = [sigmas.get(one.key, sigmas.get(TWINS.get(one.key, ""), 0.0)) for one in suspect.free]
+    return suspect._replace(
+        free=tuple(one._replace(doubt=doubt) for one, doubt in zip(suspect.free, doubts, strict=True))
+    )
 
 
 def sizes_of(model: ModelSpec, vehicle: VehicleSpec, graph: Graph) -> Mapping[str, float]:

@@ -17,7 +17,7 @@ from scipy.signal import savgol_coeffs
 
 from tunefree_hil.base.contracts import Link
 from tunefree_hil.gap.chain import OUTPUTS, Opened
-from tunefree_hil.gap.graph import CHANNELS
+from tunefree_hil.gap.graph import CHANNELS, Inputs
 from tunefree_hil.gap.ride import SHOWN
 from tunefree_hil.learn.smooth import quantum_of
 
@@ -28,6 +28,8 @@ EVERY_S = 0.05
 ACT_EVERY_S = 0.02
 LEAST_MPS = 1.5  # below it creep, stick and standing still are no car that a single track describes
 LEAST_ROWS = 200
+STILL = 1e-9  # of a signal's largest value: what moves less is rounding of numbers
+FLICKER = 2.0  # steps of the wire: a report that moves no more than that stands
 OUT = len(CHANNELS)  # columns of SHOWN that are outputs
 COLUMN = {name: i for i, name in enumerate(SHOWN)}
 FIELDS = {
@@ -43,7 +45,8 @@ FIELDS = {
 class Target(NamedTuple):
     """One thing that is compared. rows [m]: of the drive; valid [m]; measured [m]; dt_s between two rows.
 
-    quantum: what the wire rounds to, as far as the functional lets it through.
+    quantum: what the wire rounds to, as far as the functional lets it through. size: deviation of the signal that it is
+    about (of a difference of two sensors, of what both sense), above 0: what never moves is compared with nothing.
     """
 
     name: str
@@ -54,6 +57,7 @@ class Target(NamedTuple):
     measured: Array
     dt_s: float
     quantum: float
+    size: float
 
 
 Functional = Callable[["Columns"], Array]
@@ -150,6 +154,14 @@ PLANNED: tuple[tuple[str, Link, str, tuple[str, ...], tuple[str, ...], Functiona
 )  # fmt: skip
 
 
+SENSED: dict[str, Callable[[Inputs], Array]] = {  # what both sensors of a difference sense
+    "wheel_vs_ins": lambda x: x.speed_mps,
+    "yaw_vs_ins": lambda x: x.yaw_rate_radps,
+    "accel_vs_dvdt": lambda x: x.rate_mps2,
+    "lateral_beyond_turning": lambda x: x.speed_mps * x.yaw_rate_radps,
+}
+
+
 class Compared:
     """All targets of a drive, with the functionals that give them."""
 
@@ -185,10 +197,13 @@ class Compared:
             good &= opened.signals[field].there
         good = _inside(good, 2 * columns.window)
         rows = np.arange(0, opened.ticks, max(round(EVERY_S / opened.dt_s), 1))
-        if good[rows].sum() >= LEAST_ROWS:
-            measured = functional(columns)[rows]
+        if good[rows].sum() < LEAST_ROWS:
+            return
+        measured = functional(columns)[rows]
+        size = _size((SENSED[name](opened.inputs)[rows] if name in SENSED else measured)[good[rows]])
+        if size > 0.0:
             every_s = max(round(EVERY_S / opened.dt_s), 1) * opened.dt_s
-            self.targets.append(Target(name, link, unit, rows, good[rows], measured, every_s, 0.0))
+            self.targets.append(Target(name, link, unit, rows, good[rows], measured, every_s, 0.0, size))
             self._functionals.append(functional)
 
     def _add_channel(self, i: int, channel: str, columns: Columns) -> None:
@@ -205,8 +220,18 @@ class Compared:
         every_s = float(np.median(np.diff(rows))) * opened.dt_s
         unit = "rad" if channel == "steer" else "1"
         quantum = quantum_of(measured)
-        self.targets.append(Target(channel, Link.COMMAND_TO_REPORT, unit, rows, good, measured, every_s, quantum))
-        self._functionals.append(lambda c: c[field])
+        # an output that stands tells nothing, unless it is asked to move: then that is what it is held against
+        size = _size(measured[good], FLICKER * quantum) or _size(opened.inputs.commands[rows, i][good])
+        if size > 0.0:
+            link = Link.COMMAND_TO_REPORT
+            self.targets.append(Target(channel, link, unit, rows, good, measured, every_s, quantum, size))
+            self._functionals.append(lambda c: c[field])
+
+
+def _size(values: Array, flicker: float = 0.0) -> float:
+    """Deviation of a signal; 0 for one that stands."""
+    still = max(STILL * float(np.abs(values).max()), 1e-12, flicker)
+    return float(np.std(values)) if np.ptp(values) > still else 0.0
 
 
 def _inside(good: Array, by: int) -> Array:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from typing import Any, TypeVar
 
 from tunefree_hil.gap.ask import Modelled, Question
@@ -20,12 +20,13 @@ SCREEN = 0.15  # who gains less than that gets one step: the truth, even midway 
 
 
 class Team:
-    """Two processes that have the same question open."""
+    """Two processes that have the same question open. dropped: who could not be asked at all, with the reason."""
 
     def __init__(self, setting: Setting, workers: int = 2) -> None:
         self.setting = setting
         self.workers = [Worker() for _ in range(workers)]
         self.token = "gap"
+        self.dropped: dict[str, str] = {}
 
     def open(self) -> Question:
         """Open it in all of them."""
@@ -37,17 +38,24 @@ class Team:
         """
         model = None if start is None else start.fitted
         begins: dict[str, Start] = {}
-        for some in self._all([("scan_suspects", self.token, share, model) for share in self._shares(names)]):
+        for some, lost in self._all([("scan_suspects", self.token, share, model) for share in self._shares(names)]):
             begins |= some
+            self._drop(lost, model is None)
         best = max((one.gain for one in begins.values()), default=0.0)
         order = sorted(begins, key=lambda name: -begins[name].gain)
         asked = [name for name in order if begins[name].gain > max(HOPELESS, LEFT_OUT * best)]
         bar = max(HOPELESS, SCREEN * best)
         shares = [{name: begins[name] for name in share} for share in self._shares(asked)]
         found: dict[str, Modelled] = {}
-        for some in self._all([("fit_suspects", self.token, share, model, bar) for share in shares]):
+        for some, lost in self._all([("fit_suspects", self.token, share, model, bar) for share in shares]):
             found |= some
+            self._drop(lost, model is None)
         return found
+
+    def _drop(self, lost: Mapping[str, str], alone: bool) -> None:
+        """Who is no car beside another effect was a car alone, and was asked."""
+        if alone:
+            self.dropped |= lost
 
     def fit_on(self, models: Sequence[Modelled]) -> list[Modelled]:
         """Models fitted on until nothing is gained, in their order."""
@@ -78,6 +86,14 @@ class Team:
             worker.close()
 
     def _all(self, calls: Sequence[tuple[Any, ...]]) -> list[Any]:
-        with ThreadPoolExecutor(len(self.workers)) as pool:
-            todo = [pool.submit(one.result, MODULE, *call) for one, call in zip(self.workers, calls, strict=True)]
+        pool = ThreadPoolExecutor(len(self.workers))
+        todo = [pool.submit(one.result, MODULE, *call) for one, call in zip(self.workers, calls, strict=True)]
+        try:
+            for one in wait(todo, return_when=FIRST_EXCEPTION).done:
+                one.result()  # raises where it failed, whoever else is still at work
             return [one.result() for one in todo]
+        except BaseException:
+            self.close()  # nobody waits for what the others still compute
+            raise
+        finally:
+            pool.shutdown()

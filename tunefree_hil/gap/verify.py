@@ -1,6 +1,7 @@
 """The proof: free runs of the whole car over blocks that no fit and no choice has seen, looked at once.
 
-A block is at least 8 s; before it the car is told the measured motion, in it nothing but the recorded commands. Errors
+The same free runs over the blocks that choose say which of what recalibration moved pays (gap/pays.py). A block is at
+least 8 s; before it the car is told the measured motion, in it nothing but the recorded commands. Errors
 are root mean squares by signal; what they say is in gap/shrink.py.
 """
 
@@ -18,6 +19,7 @@ from tunefree_hil.gap.noise import sensor_noise
 from tunefree_hil.gap.replay import car_of, commanded, pose_of, run_over
 from tunefree_hil.gap.segments import PROOF, blocks_of
 from tunefree_hil.learn.motion import wrapped
+from tunefree_hil.learn.smooth import quantum_of
 
 Array = np.ndarray
 
@@ -66,9 +68,12 @@ class Traces(NamedTuple):
 
 
 def prove(
-    variants: Mapping[str, Variant], vehicle: VehicleSpec, drives: Sequence[Opened], *, whole: bool = False
-) -> Proof:
-    """Run all variants over the blocks that prove (whole: over all, of a recording that nothing was fitted on)."""
+    variants: Mapping[str, Variant], vehicle: VehicleSpec, drives: Sequence[Opened], *, role: int = PROOF,
+    whole: bool = False,
+) -> Proof:  # fmt: skip
+    """Run all variants over the blocks of a role (gap/segments.py; whole: over all, of a recording that nothing was
+    fitted on).
+    """
     blocks = blocks_of([one.ticks for one in drives], drives[0].dt_s)
     squares: dict[str, dict[str, list[float]]] = {name: {} for name in variants}
     counts: dict[str, list[float]] = {}
@@ -78,7 +83,7 @@ def prove(
     for number, opened in enumerate(drives):
         mine = [
             (int(blocks.begins[b]), int(blocks.ends[b]))
-            for b in np.flatnonzero((blocks.drives == number) & (whole | (blocks.roles == PROOF)))
+            for b in np.flatnonzero((blocks.drives == number) & (whole | (blocks.roles == role)))
             if _is_whole(opened, slice(blocks.begins[b], blocks.ends[b]))
         ]
         if not mine:
@@ -86,7 +91,7 @@ def prove(
         said = {name: _run(one, vehicle, opened, mine) for name, one in variants.items()}
         for signal in signals:
             values, good = _measured(opened, signal)
-            noise.setdefault(signal, []).append(sensor_noise(values, good))
+            noise.setdefault(signal, []).append(_noise(signal, values, good))
             for begin, end in mine:
                 rows = begin + np.flatnonzero(good[begin:end])
                 counts.setdefault(signal, []).append(float(len(rows)))
@@ -125,6 +130,19 @@ def _measured(opened: Opened, signal: str) -> tuple[Array, Array]:
         return np.zeros(opened.ticks), np.zeros(opened.ticks, dtype=bool)
     one = opened.signals["ins.x_m" if signal == POSITION else signal]
     return one.values, one.fresh & one.there
+
+
+def _noise(signal: str, values: Array, good: Array) -> float:
+    """Standard deviation of a sensor's noise, or of the wire's rounding where that is more; by fresh values alone,
+    however seldom they come. What counts from where a block begins has the noise of that place in it too.
+    """
+    rows = np.flatnonzero(good)
+    if len(rows) < 2:
+        return 0.0
+    steps = np.diff(rows, prepend=rows[0])
+    even = steps <= 1.5 * max(float(np.median(steps[1:])), 1.0)  # no difference is taken over a gap
+    noise = max(sensor_noise(values[rows], even), quantum_of(values[rows]) / math.sqrt(12.0))
+    return noise * {HEADING: math.sqrt(2.0), POSITION: 2.0}.get(signal, 1.0)
 
 
 def _missed(signal: str, said: Mapping[str, Array], opened: Opened, rows: Array, begin: int) -> Array:

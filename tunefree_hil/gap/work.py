@@ -6,7 +6,7 @@ behind the other; `Piece`s keep the drives apart where rows are filtered over ti
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,7 +35,7 @@ class Setting(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """What is the same for all drives of a target. floor: of its residuals."""
+    """What is the same for all drives of a target. floor: of its residuals, in its unit, above 0."""
 
     name: str
     link: Link
@@ -59,7 +59,7 @@ class Work:
             for place, target in enumerate(compared.targets):
                 self._where.setdefault(target.name, []).append((drive, place))
                 noise = max(sensor_noise(target.measured, target.valid), target.quantum / 12.0**0.5)
-                floor = max(FLOOR_SHARE * noise, EXACT * self._size(drive, place))
+                floor = max(FLOOR_SHARE * noise, EXACT * target.size)
                 self.kinds.setdefault(target.name, Kind(target.name, target.link, target.unit, target.dt_s, floor))
         self.block = {name: [self._block(*one) for one in where] for name, where in self._where.items()}
         self.judged = {name: [self._judged(b) for b in some] for name, some in self.block.items()}
@@ -77,6 +77,10 @@ class Work:
         """Which rows of a target count at all, a piece a drive."""
         return [self.compared[drive].targets[place].valid for drive, place in self._where[name]]
 
+    def seen(self, name: str) -> list[Array]:
+        """Which of them may be looked at before a repair is proved."""
+        return [valid & judged for valid, judged in zip(self.valid(name), self.judged[name], strict=True)]
+
     def measured(self, name: str) -> list[Array]:
         """What was measured of a target."""
         return [self.compared[drive].targets[place].measured for drive, place in self._where[name]]
@@ -92,10 +96,7 @@ class Work:
     def colour(self, name: str, residual: Sequence[Array]) -> Colour:
         """What a target's noise would be if this were all noise. Proof blocks are not looked at."""
         kind = self.kinds[name]
-        pieces = [
-            Piece(one, valid & judged)
-            for one, valid, judged in zip(residual, self.valid(name), self.judged[name], strict=True)
-        ]
+        pieces = [Piece(one, seen) for one, seen in zip(residual, self.seen(name), strict=True)]
         return colour_of(pieces, kind.floor, kind.dt_s)
 
     def white(self, name: str, residual: Sequence[Array], colour: Colour) -> tuple[Array, Array]:
@@ -109,19 +110,9 @@ class Work:
         return np.concatenate(values), np.concatenate(blocks)
 
     def size(self, name: str) -> float:
-        """Deviation of the signal that a target is about; of a difference of two sensors that of what both sense."""
-        some = [self._size(*one) for one in self._where[name]]
+        """Deviation of the signal that a target is about, over its drives."""
+        some = [self.compared[drive].targets[place].size for drive, place in self._where[name]]
         return float(np.sqrt(np.mean(np.square(some))))
-
-    def _size(self, drive: int, place: int) -> float:
-        target, x = self.compared[drive].targets[place], self.setting.drives[drive].inputs
-        sensed = {
-            "wheel_vs_ins": x.speed_mps,
-            "yaw_vs_ins": x.yaw_rate_radps,
-            "accel_vs_dvdt": x.rate_mps2,
-            "lateral_beyond_turning": x.speed_mps * x.yaw_rate_radps,
-        }.get(target.name)
-        return float(np.std((target.measured if sensed is None else sensed[target.rows])[target.valid]))
 
     def _block(self, drive: int, place: int) -> Array:
         return block_at(self.blocks, drive, self.compared[drive].targets[place].rows)
@@ -129,8 +120,3 @@ class Work:
     def _judged(self, block: Array) -> Array:
         roles = np.append(self.blocks.roles, GUARD)[block]
         return (roles != PROOF) & (roles != GUARD)
-
-
-def moved(values: Values, more: Mapping[str, float]) -> dict[str, float]:
-    """Values with others in their place."""
-    return {**values, **more}

@@ -15,6 +15,7 @@ from tunefree_hil.base.errors import TunefreeError
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs import commission_gates as gates
 from tunefree_hil.jobs import commission_stages as stages
+from tunefree_hil.jobs.commission_gap import disappointed, gap_command
 from tunefree_hil.jobs.commission_plan import NAMES, Asked, Plan, make_plan
 from tunefree_hil.jobs.commission_record import Record, held_record
 from tunefree_hil.jobs.commission_report import write_report
@@ -120,6 +121,9 @@ def _ended(plan: Plan, record: Record) -> Event:
     verified = done.get("verify", {}).get("result", {})
     sentence = f"{len(done)} of {len(STAGES)} stages done in {minutes:.1f} min"
     sentence += f"; on the vehicle, unseen: {verified['sentence']}" if verified else ""
+    why = disappointed(done)
+    offered = gap_command(plan) if why else ""
+    sentence += f"; {why}: `gap`, as below, names what the learned plant lacks" if offered else ""
     data = {
         "sentence": sentence,
         "folder": str(plan.folder),
@@ -127,6 +131,6 @@ def _ended(plan: Plan, record: Record) -> Event:
         "stages": {name: one["seconds"] for name, one in done.items()},
         "report": str(write_report(plan, record)),
         "exit": 0 if verified.get("holds", True) else NOT_GOOD_ENOUGH,
-        "next": [f"tunefree-hil commission {plan.words}"] if not whole else [],
+        "next": ([offered] if offered else []) if whole else [f"tunefree-hil commission {plan.words}"],
     }
     return Event("result", sentence, data)

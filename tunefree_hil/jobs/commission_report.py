@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tunefree_hil.jobs import commission_gates as gates
+from tunefree_hil.jobs.commission_gap import disappointed, gap_command
 from tunefree_hil.jobs.commission_plan import NAMES, Plan
 from tunefree_hil.jobs.commission_record import Record
 from tunefree_hil.jobs.hold_words import held_rows
@@ -29,6 +30,7 @@ def write_report(plan: Plan, record: Record) -> Path:
     """Write report.md in the commission's folder, of what is done so far; pictures are linked where they lie."""
     path, done = plan.folder / REPORT, record.done
     lines = [f"# {plan.vehicle.name}: from logs to verified gains", "", _outcome(record), ""]
+    lines += _lacks(plan, done)
     lines += _times(record) + _limits(plan, record)
     for name in done:
         lines += _section(plan.folder, name, done[name]["result"], record.warnings(name))
@@ -46,6 +48,16 @@ def _outcome(record: Record) -> str:
     result = done["verify"]["result"]
     verdict = "The gains hold on the vehicle" if result.get("holds") else "**The gains do not hold on the vehicle**"
     return f"{verdict}: {result['sentence']}."
+
+
+def _lacks(plan: Plan, done: Mapping[str, Any]) -> list[str]:
+    """What to paste where the plant was not like the vehicle."""
+    why = disappointed(done)
+    command = gap_command(plan) if why else ""
+    if not command:
+        return []
+    told = f"{why[0].upper()}{why[1:]}. This names what the learned plant lacks, and drives what tells it apart:"
+    return [told, "", "```", command, "```", ""]
 
 
 def _times(record: Record) -> list[str]:

@@ -22,9 +22,15 @@ SHOWN = (
 def kept(result: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """The part of a result that the report shows; the rest stands in the stage's own folder.
 
-    Pictures are named as seen from `folder`, the commission's, so that it may be moved.
+    Pictures are named as seen from `folder`, the commission's, so that it may be moved. replans: of the winner, where
+    drives of it are told.
     """
+    from tunefree_hil.jobs.candidates import TUNED
+    from tunefree_hil.jobs.words import replans
+
     found = {key: value for key, value in result.items() if key in SHOWN}
+    tuned = (result.get("scenarios") or {}).get(TUNED)
+    found |= {"replans": replans(tuned)} if tuned else {}
     pictures = [one for one in result.get("figures", []) if Path(one).suffix == ".png"]
     return {**found, "figures": [Path(os.path.relpath(one, folder)).as_posix() for one in pictures]}
 
@@ -70,7 +76,7 @@ def run_tune(plan: Plan) -> Iterator[Event]:
     asked = plan.asked
     wish = Asked(
         bench=plan.write_bench(), trials=asked.trials, set_name=asked.set_name, bus=asked.bus,
-        bench_bus=asked.bench_bus, out=plan.folder / "tune", resume=_finished(plan), verify=False,
+        bench_bus=asked.bench_bus, out=plan.folder / "tune", resume=finished_tune(plan), verify=False,
         backend=asked.backend,
     )  # fmt: skip
     return tune(wish)
@@ -86,7 +92,7 @@ def run_verify(plan: Plan) -> Iterator[Event]:
 
 def tune_run(plan: Plan) -> Path:
     """The newest run of the tune. Raises InputError where there is none."""
-    run = _finished(plan)
+    run = finished_tune(plan)
     if run is None:
         raise InputError(
             "holds no finished tune", code="stage_missing", file=str(plan.folder / "tune"), hint="--from tune does it"
@@ -94,7 +100,7 @@ def tune_run(plan: Plan) -> Path:
     return run
 
 
-def _finished(plan: Plan) -> Path | None:
+def finished_tune(plan: Plan) -> Path | None:
     """The newest run of the tune that came to its end; None where there is none, or it was cut off."""
     runs = sorted(path.parent for path in (plan.folder / "tune").glob("*/run.json"))
     whole = [run for run in runs if read_json(run / "run.json").get("complete")]

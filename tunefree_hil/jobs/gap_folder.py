@@ -52,12 +52,14 @@ class Folder(NamedTuple):
         return self.path / PAGE
 
     def search(self, named: bool) -> Kept | None:
-        """What the search came to, None where it is still to be done. named: whether names are asked for."""
+        """What the search came to, None where it is still to be done. named: whether names are asked for; a search for
+        names has also located.
+        """
         path = self.path / SEARCH
         if not path.is_file():
             return None
         found = kept.from_json(read_json(path))
-        return found if found.named == named else None
+        return found if found.named or not named else None
 
     def keep(self, found: Kept) -> Kept:
         """Keep what the search came to; the same as whoever goes on later reads it."""
@@ -65,10 +67,10 @@ class Folder(NamedTuple):
         return kept.from_json(read_json(self.path / SEARCH))
 
     def answer(self, until: str) -> dict[str, Any] | None:
-        """The answer that is there, None where there is none that goes as far."""
+        """The answer that is there, None where there is none that goes as far (in the order of UNTIL)."""
         path = self.path / ANSWER
         found = read_json(path) if path.is_file() else None
-        return found if found is not None and found.get("until") == until else None
+        return found if found is not None and UNTIL.index(found["until"]) >= UNTIL.index(until) else None
 
     def write_answer(self, data: Mapping[str, Any]) -> None:
         """The last file of all."""
@@ -102,9 +104,18 @@ def held_folder(out: Path, question: Mapping[str, Any]) -> Iterator[Folder]:
     """The folder of this question, held against other processes. Raises InputError for another question's."""
     from tunefree_hil.tune.store import alone
 
-    path = out / QUESTION
-    before = read_json(path) if path.is_file() else None
-    changed = [key for key, value in question.items() if before is not None and before.get(key) != value]
+    out.mkdir(parents=True, exist_ok=True)
+    with alone(out / LOCK):
+        path = out / QUESTION
+        if path.is_file():  # looked at only now: another process may have asked in between
+            _require_same(out, read_json(path), question)
+        else:
+            write_json(path, question)
+        yield Folder(out)
+
+
+def _require_same(out: Path, before: Mapping[str, Any], question: Mapping[str, Any]) -> None:
+    changed = [key for key, value in question.items() if before.get(key) != value]
     if changed:
         raise InputError(
             f"it is of another question: {', '.join(changed)} {'is' if len(changed) == 1 else 'are'} not the same",
@@ -113,8 +124,3 @@ def held_folder(out: Path, question: Mapping[str, Any]) -> Iterator[Folder]:
             key=changed[0],
             hint="choose another folder, or move it",
         )
-    out.mkdir(parents=True, exist_ok=True)
-    with alone(out / LOCK):
-        if before is None:
-            write_json(path, question)
-        yield Folder(out)

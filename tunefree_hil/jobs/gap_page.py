@@ -23,7 +23,7 @@ CAPTIONS = {
 def write_page(path: Path, answer: Mapping[str, Any], following: Sequence[str], again: str) -> None:
     """Write gap.md; pictures are linked as they lie beside it."""
     lines = [f"# {answer['sentence']}", ""]
-    lines += _next(answer, following)
+    lines += _next(answer, following) + _driven(answer)
     lines += _effects(answer) + _signals(answer) + _older(answer) + _pictures(path, answer) + _links(answer)
     lines += _suspects(answer) + _changes(answer) + _unseen(answer)
     lines += ["## Made of", "", *(f"- {one['name']} `{one['hash']}`" for one in answer["logs"])]
@@ -34,7 +34,11 @@ def write_page(path: Path, answer: Mapping[str, Any], following: Sequence[str], 
 def _next(answer: Mapping[str, Any], following: Sequence[str]) -> list[str]:
     lines = ["## What to do next", ""]
     if answer["separate_by"]:
-        lines += [f"Drive {answer['separate_by']}; give that log beside these.", ""]
+        told = f"Drive {answer['separate_by']}; give that log beside these."
+        lines += [
+            told if answer.get("drives") else f"{told} `--drive --bench BENCH` has a bench of this vehicle do it.",
+            "",
+        ]
     if answer["verdict"] == "cannot_test":
         lines += [f"- {words}" for words in answer["words"]] + [""]
     if answer.get("worse"):
@@ -50,6 +54,15 @@ def _next(answer: Mapping[str, Any], following: Sequence[str]) -> list[str]:
             "",
         ]
     return [*lines, "```", *following, "```", ""] if following else lines
+
+
+def _driven(answer: Mapping[str, Any]) -> list[str]:
+    """What a bench drove for this answer (`--drive`)."""
+    rows = [(str(one["round"]), one["words"], f"`{one['log']}`") for one in answer.get("drives", [])]
+    if not rows:
+        return []
+    told = "The first answer, of the logs alone, is kept in gap-1.md and gap-1.json."
+    return ["## What the bench drove", "", *markdown_table(("round", "manoeuvre", "log"), rows), told, ""]
 
 
 def _effects(answer: Mapping[str, Any]) -> list[str]:

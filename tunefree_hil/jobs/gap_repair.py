@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
+from tunefree_hil.gap.pays import that_pays
 from tunefree_hil.gap.repair import Repaired, found_effects, repaired, write_repaired
 from tunefree_hil.gap.shrink import (
     better_by_recalibration,
@@ -28,35 +29,48 @@ if TYPE_CHECKING:
 
 
 class Mended(NamedTuple):
-    """null: the model recalibrated; made: with what was found, None where nothing was; model: as written and loaded."""
+    """null: the model recalibrated; made: with what was found, None where nothing was; model: as written and loaded.
+    left: groups of numbers (gap/pays.py) that recalibration moved and that stay as they were, as that did not pay.
+    """
 
     null: Repaired
     made: Repaired | None
     model: ModelSpec | None
+    left: tuple[str, ...] = ()
 
 
 def mend(folder: Folder, material: Material, found: Kept, log_hash: str) -> Mended:
-    """Write the repaired model where something was found. One that a cut-off run left is made anew."""
-    null = repaired(material.model, material.vehicle, found.null)
+    """Write the repaired model where something was found. One that a cut-off run left is made anew. Either model has of
+    what recalibration moved only what pays on the blocks that choose.
+    """
+    from tunefree_hil.gap.chain import open_chain
+
+    model, vehicle = material.model, material.vehicle
+    opened = [open_chain(drive, vehicle) for drive in material.drives]
+    paid = that_pays(model, vehicle, found.null, (), opened)
+    null = repaired(model, vehicle, paid.values)
     if not found.names:
-        return Mended(null, None, None)
+        return Mended(null, None, None, paid.left)
     effects = found_effects(found, log_hash, __version__)
-    made = repaired(material.model, material.vehicle, found.repaired, effects)
+    paid = that_pays(model, vehicle, found.repaired, effects, opened)
+    made = repaired(model, vehicle, paid.values, effects)
     shutil.rmtree(folder.model, ignore_errors=True)
     story = {
         "logs": [{"name": one.name, "hash": one.log_hash} for one in material.drives],
-        "from_model": f"sha256:{material.model.hash}",
+        "from_model": f"sha256:{model.hash}",
         "version": __version__,
         "changes": _changes(made),
+        "does_not_pay": list(paid.left),
     }
-    return Mended(null, made, write_repaired(folder.model, material.model, made.model, story))
+    return Mended(null, made, write_repaired(folder.model, model, made.model, story), paid.left)
 
 
 def as_data(mended: Mended) -> dict[str, Any]:
     """Keys of gap.json."""
+    left = {"does_not_pay": list(mended.left)}
     if mended.made is None or mended.model is None:
-        return {"model": None, "changes": []}
-    return {"model": mended.model.folder, "changes": _changes(mended.made)}
+        return {"model": None, "changes": [], **left}
+    return {"model": mended.model.folder, "changes": _changes(mended.made), **left}
 
 
 def _changes(made: Repaired) -> list[dict[str, Any]]:
@@ -88,9 +102,10 @@ def proved(
     for one in older:
         worse |= {f"{signal} of {one['name']}": by for signal, by in one["worse"].items()}
     data |= {
-        "explained_frac": explained_frac(proof, floors, left),
+        "explained_frac": explained_frac(proof, floors),
+        "explicable_frac": explained_frac(proof, floors, left) if found.foretold else None,
         "older": older,
-        "worse": [f"{name} (by {100.0 * by:.0f} %)" for name, by in worse.items()],
+        "worse": [f"{name} (by {100.0 * by:.0f} %)" for name, by in sorted(worse.items(), key=lambda one: -one[1])],
     }
     if worse:
         shutil.rmtree(folder.model)

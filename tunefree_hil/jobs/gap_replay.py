@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
@@ -34,7 +34,19 @@ SIGNALS = {  # columns of a recording (interfaces 6) that say how it tracked, wi
     "yaw_rate_radps": "rad/s",
 }
 TRACKING = tuple(SIGNALS)[:4]
+NO_DIFFERENCE = 1e-3  # of what a signal was in the measured drive: less is none
+MEASURED = "measured"
 UNKNOWN = "no controller is known that drove this: it is no log of a run folder"
+
+
+class Sum(NamedTuple):
+    """Squares over rows: of a signal itself as it was measured, or of a simulated drive's difference from it."""
+
+    squares: float
+    rows: int
+
+
+Sums = dict[str, dict[str, list[Sum]]]  # by signal and model (or MEASURED), one of each drive
 
 
 def replayed(
@@ -46,17 +58,17 @@ def replayed(
     ours = [log for log in logs if _run_of(log) is not None]
     if mended.model is None or not ours:
         return None, "" if mended.model is None else UNKNOWN
-    squares: dict[str, dict[str, list[float]]] = {}
+    sums: Sums = {}
     with tempfile.TemporaryDirectory(prefix="tunefree-gap-") as scratch:
         null = write_repaired(Path(scratch) / "recalibrated", material.model, mended.null.model, {})
         models = {"before": material.model.folder, "recalibrated": null.folder, "after": mended.model.folder}
         for log in ours:
             yield Event("note", f"closed loop: {log}")
             try:
-                _drive_again(log, models, squares)
+                _drive_again(log, models, sums)
             except InputError as error:
                 return None, f"{log} cannot be driven again here: {error.message}"
-    return _compared(squares, len(ours)), ""
+    return compared(sums, len(ours)), ""
 
 
 def _run_of(log: Path) -> Path | None:
@@ -67,7 +79,7 @@ def _run_of(log: Path) -> Path | None:
     return run if here else None
 
 
-def _drive_again(log: Path, models: Mapping[str, str], squares: dict[str, dict[str, list[float]]]) -> None:
+def _drive_again(log: Path, models: Mapping[str, str], sums: Sums) -> None:
     """One drive on all models; what the bench file did to its own model is left out: the car that was measured had it,
     and it is what is looked for.
     """
@@ -87,9 +99,10 @@ def _drive_again(log: Path, models: Mapping[str, str], squares: dict[str, dict[s
     for name, model in models.items():
         made = _driven(replace(bench, spec=bare), model, scenario, said)
         for signal in SIGNALS:
-            difference = _difference(made, measured, signal)
-            if difference is not None:
-                squares.setdefault(signal, {}).setdefault(name, []).append(difference)
+            if made.get(signal) is not None and measured.get(signal) is not None:
+                sums.setdefault(signal, {}).setdefault(name, []).append(_difference(made, measured, signal))
+    for signal, some in sums.items():
+        some.setdefault(MEASURED, []).append(_sum_of(measured.get(signal)))
 
 
 def _driven(bench: Bench, model: str, scenario: ScenarioSpec, said: Mapping[str, Any]) -> Recording:
@@ -101,42 +114,57 @@ def _driven(bench: Bench, model: str, scenario: ScenarioSpec, said: Mapping[str,
     return driven.recording
 
 
-def _difference(made: Recording, measured: Recording, signal: str) -> float | None:
-    """Mean square, over the rows that both have."""
-    import numpy as np
-
+def _difference(made: Recording, measured: Recording, signal: str) -> Sum:
+    """Over the rows that both have."""
     one, other = made.get(signal), measured.get(signal)
-    if one is None or other is None:
-        return None
+    assert one is not None and other is not None
     rows = min(len(one), len(other))
     apart = one[:rows] - other[:rows]
     if signal == "heading_error_rad":
         apart = (apart + math.pi) % (2.0 * math.pi) - math.pi
-    return float(np.nanmean(apart**2))
+    return _sum_of(apart)
 
 
-def _compared(squares: Mapping[str, Mapping[str, Sequence[float]]], drives: int) -> dict[str, Any]:
+def _sum_of(values: Any) -> Sum:
+    import numpy as np
+
+    some = values[np.isfinite(values)] if values is not None else np.zeros(0)
+    return Sum(float(some @ some), len(some))
+
+
+def compared(sums: Mapping[str, Mapping[str, Sequence[Sum]]], drives: int) -> dict[str, Any]:
+    """`closed_loop` of gap.json. Errors of different units are put together in units of what they were in the measured
+    drives, and squares are summed before they are compared: an error that was next to none before says next to nothing.
+    """
     signals = {
         name: {"unit": SIGNALS[name], **{key: _rms(values) for key, values in some.items()}}
-        for name, some in squares.items()
+        for name, some in sums.items()
     }
-    left = [(signals[name]["after"] / signals[name]["before"]) ** 2 for name in TRACKING if _moved(signals, name)]
-    more = {name: one["after"] / one["before"] - 1.0 for name, one in signals.items() if _moved(signals, name)}
-    if not left:
+    kept = [one for name in TRACKING if (one := signals.get(name)) and one[MEASURED] > 0.0]
+    before, after = (sum((one[key] / one[MEASURED]) ** 2 for one in kept) for key in ("before", "after"))
+    more = {name: growth for name, one in signals.items() if (growth := _growth(one)) is not None}
+    if before <= NO_DIFFERENCE**2 * len(kept) or not more:
         return {"signals": signals, "drives": drives, "down_frac": None, "worst_frac": None, "words": "no difference"}
-    down, worst = 1.0 - math.sqrt(sum(left) / len(left)), max(more, key=lambda name: more[name])
-    change = "down" if down >= 0.0 else "up"
-    words = f"the tracking's difference from the measured drive is {change} by {100.0 * abs(down):.0f} %"
-    words += f", {worst} by {-100.0 * more[worst]:.0f} % least"
+    down, worst = 1.0 - math.sqrt(after / before), max(more, key=lambda name: more[name])
+    words = f"the tracking's difference from the measured drive is {_change(-down)}, {worst}"
+    words += f" {'is ' if more[worst] > 0.0 else 'least, '}{_change(more[worst])}"
     return {
         "signals": signals, "drives": drives, "down_frac": down, "worst_frac": more[worst], "worst": worst,
         "words": words,
     }  # fmt: skip
 
 
-def _rms(squares: Sequence[float]) -> float:
-    return math.sqrt(sum(squares) / len(squares))
+def _growth(one: Mapping[str, Any]) -> float | None:
+    """By how much of itself a signal's difference grows; None where there is none before and after."""
+    least = NO_DIFFERENCE * one[MEASURED]
+    if max(one["before"], one["after"]) <= least or one["before"] == least == 0.0:
+        return None
+    return one["after"] / max(one["before"], least) - 1.0
 
 
-def _moved(signals: Mapping[str, Mapping[str, Any]], name: str) -> bool:
-    return name in signals and signals[name]["before"] > 0.0
+def _change(growth: float) -> str:
+    return f"{'up' if growth > 0.0 else 'down'} by {100.0 * abs(growth):.0f} %"
+
+
+def _rms(some: Sequence[Sum]) -> float:
+    return math.sqrt(sum(one.squares for one in some) / max(sum(one.rows for one in some), 1))

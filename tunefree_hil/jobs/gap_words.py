@@ -58,10 +58,10 @@ def _missing(answer: Mapping[str, Any]) -> str:
     named = [f"{one['name']} ({value_words(one)})" for one in answer["effects"]]
     told = f"{named[0]} is missing" if len(named) == 1 else f"{', '.join(named[:-1])} and {named[-1]} are missing"
     worse, closed = answer.get("worse") or [], answer.get("explained_frac")
-    if worse:
-        told += f"; no model is written, as it would make {_few(worse, 1)} worse"
     if closed:
         told += f"; it closes {percent(closed)} of the gap that recalibration leaves"
+    if worse:
+        told += f"; no model is written, as it would make what was there worse, above all {worse[0]}"
     return told
 
 

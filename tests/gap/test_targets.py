@@ -1,0 +1,63 @@
+"""What is compared of a drive: only what moves, each with the size that its misses are held against."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.learn.made_drives import DT_S, QUANTUM, REST, as_drive
+from tunefree_hil.config.load import load_vehicle
+from tunefree_hil.gap.chain import Opened, open_chain
+from tunefree_hil.gap.targets import Compared, Target
+
+TICKS = 3000
+T = DT_S * np.arange(TICKS)
+PEDAL = REST + 0.05 * (1.0 + np.sin(0.7 * T))
+STEER = 0.3 * np.sin(1.1 * T)
+STANDS = np.full(TICKS, REST)
+
+
+def opened(brake: np.ndarray = PEDAL, asked: np.ndarray | None = None, yaw: np.ndarray | None = None) -> Opened:
+    """A drive of signals that nobody simulated. brake: its report; asked: the command, else the same."""
+    fields = {
+        "report.speed_mps": 10.0 + 2.0 * np.sin(0.2 * T),
+        "report.yaw_rate_radps": 0.1 * STEER if yaw is None else yaw,
+    }
+    said = {"throttle_frac": (PEDAL, PEDAL), "brake_frac": (brake, brake if asked is None else asked)}
+    for name, (output, command) in {**said, "steer_rad": (STEER, STEER)}.items():
+        bare, _, unit = name.rpartition("_")
+        fields |= {f"report.{name}": output, f"report.{bare}_command_{unit}": command, f"command.{name}": command}
+    drive = as_drive(fields, 1)
+    exact = {name: values for name, values in fields.items() if "brake" in name or (yaw is not None and "yaw" in name)}
+    return open_chain(drive._replace(fields={**drive.fields, **exact}), load_vehicle("mkz_bywire"))
+
+
+def targets(drive: Opened) -> dict[str, Target]:
+    return {one.name: one for one in Compared(drive).targets}
+
+
+def test_everything_that_moves_is_compared_and_has_a_size() -> None:
+    found = targets(opened())
+    assert {"throttle", "brake", "steer", "rate_of_speed", "yaw_rate"} <= set(found)
+    assert all(one.size > 0.0 for one in found.values())
+    assert found["steer"].size == pytest.approx(0.3 / np.sqrt(2.0), rel=0.05)
+
+
+@pytest.mark.parametrize("flicker", [0.0, QUANTUM["brake_frac"]])
+def test_a_brake_that_nobody_presses_is_compared_with_nothing(flicker: float) -> None:
+    chance = np.random.default_rng(1)
+    assert "brake" not in targets(opened(STANDS + flicker * chance.integers(0, 3, TICKS), STANDS))
+
+
+def test_a_brake_that_stands_though_it_is_asked_to_move_is_compared() -> None:
+    found = targets(opened(STANDS, PEDAL))
+    assert found["brake"].size == pytest.approx(float(np.std(PEDAL)), rel=0.05)
+
+
+def test_a_pedal_that_knows_two_places_only_is_compared() -> None:
+    both = np.where(np.sin(0.7 * T) > 0.0, REST, REST + 0.1)
+    assert targets(opened(both))["brake"].size == pytest.approx(0.05, rel=0.05)
+
+
+def test_a_sensor_that_never_moves_is_compared_with_nothing() -> None:
+    assert "yaw_rate" not in targets(opened(yaw=np.zeros(TICKS)))

@@ -1,0 +1,149 @@
+"""`gap --drive`: where logs leave a set, the bench drives what separates it, and the question is asked again.
+
+At most ROUNDS times: the drives of a round go in beside the logs before them, as recordings of their own, and
+`round-N/` in the folder holds what was then answered. The folder's own gap.json and gap.md are those of the last round
+in the end; the first ones stay as gap-1.json and gap-1.md. Logs and rounds are all the state there is, so that a run
+that was cut off goes on with the drive or the search that it lost.
+"""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from collections.abc import Generator, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.events import Event
+from tunefree_hil.effects import catalogue
+from tunefree_hil.gap.drive_menu import MENU, Manoeuvre, plan_for, to_drive
+from tunefree_hil.jobs.gap import Asked, gap
+from tunefree_hil.jobs.gap_drive_bench import Job, Wish, drive_all, jobs_of, open_bench, require_same_vehicle
+from tunefree_hil.jobs.gap_folder import ANSWER, LOCK, PAGE, Folder
+from tunefree_hil.jobs.gap_page import write_page
+from tunefree_hil.jobs.gap_words import command_of
+
+ROUNDS = 3
+UNDECIDED = ("set", "cannot_test")
+DRIVES = "drives"  # folder of the bench, its logs in DRIVES/logs; and the key of gap.json that lists them
+FIRST_ANSWER, FIRST_PAGE = "gap-1.json", "gap-1.md"
+OF_A_RUN = ("exit", "next")  # what a result says beside gap.json
+
+
+class Driven(NamedTuple):
+    """How far it has come: all drives in their order, with the round of each."""
+
+    rounds: list[int]
+    jobs: list[Job]
+
+    @property
+    def names(self) -> set[str]:
+        """Of the manoeuvres."""
+        return {one.manoeuvre.name for one in self.jobs}
+
+    @property
+    def logs(self) -> list[Path]:
+        """Their logs."""
+        return [one.log for one in self.jobs]
+
+
+def gap_drive(asked: Asked, wish: Wish) -> Iterator[Event]:
+    """Ask, and where it is a set (or nothing could be told) drive and ask again.
+
+    Raises as `gap` does, InputError for a bench of another vehicle and for drives of another bench in the folder,
+    BenchError for a drive that does not come to its end.
+    """
+    from tunefree_hil.config.load import load_vehicle
+    from tunefree_hil.tune.store import alone
+
+    _require_names(asked)
+    require_same_vehicle(wish, load_vehicle(asked.vehicle))
+    again = command_with(asked, wish)
+    answer = yield from _ask(asked, again)
+    if DRIVES in answer or not to_drive(answer, (), catalogue()):
+        yield Event("result", "", answer)
+        return
+    with alone(asked.out / LOCK):
+        driven = Driven([], [])
+        last = yield from _rounds(asked, wish, answer, driven, again)
+        whole = {**last, DRIVES: _listed(driven)}
+        _keep(asked, whole, again)
+    yield Event("result", "", whole)
+
+
+def command_with(asked: Asked, wish: Wish) -> str:
+    """The command that asks this again."""
+    more = ["--drive", "--bench", str(wish.bench)] + (["--bus", wish.bus] if wish.bus != "auto" else [])
+    return f"{command_of(asked)} {shlex.join(more)}"
+
+
+def _require_names(asked: Asked) -> None:
+    if asked.until == "locate":
+        raise InputError(
+            "nobody is named by --until locate, so there is nothing to tell apart", code="usage", key="--drive",
+            hint="leave out --until",
+        )  # fmt: skip
+
+
+def _ask(asked: Asked, again: str) -> Generator[Event, None, dict[str, Any]]:
+    """The answer of `gap` with its exit status and what to do next; its events, which name the whole command."""
+    answer = dict[str, Any]()
+    for event in gap(asked):
+        if event.kind == "result":
+            answer = dict(event.data)
+        else:
+            yield event._replace(data={**event.data, "resume": again})
+    return answer
+
+
+def _rounds(
+    asked: Asked, wish: Wish, answer: dict[str, Any], driven: Driven, again: str
+) -> Generator[Event, None, dict[str, Any]]:
+    """The last answer; `driven` is filled on the way."""
+    effects = catalogue()
+    run, bench = open_bench(wish, asked.out / DRIVES)
+    beyond = {name for name, one in MENU.items() if plan_for(bench.vehicle, one, bench.dt_s) is None}
+    for number in range(1, ROUNDS + 1):
+        jobs = jobs_of(run, bench, to_drive(answer, driven.names | beyond, effects), len(driven.jobs))
+        if not jobs:
+            if answer["verdict"] in UNDECIDED:
+                yield Event("note", f"nothing more is to be driven that would tell: {answer['sentence']}")
+            return answer
+        yield Event("note", _round_words(number, answer, [one.manoeuvre for one in jobs]), {"resume": again})
+        for event in drive_all(run, bench, jobs, wish):
+            yield event._replace(data={**event.data, "resume": again})
+        driven.jobs.extend(jobs)
+        driven.rounds.extend([number] * len(jobs))
+        before = answer
+        more = asked._replace(logs=[*asked.logs, *driven.logs], out=asked.out / f"round-{number}")
+        answer = yield from _ask(more, again)
+        if answer["verdict"] == "cannot_test" and answer["words"] == before["words"]:
+            yield Event("note", "driving has changed nothing of why these logs cannot tell")
+            return answer
+    return answer
+
+
+def _round_words(number: int, answer: dict[str, Any], manoeuvres: Sequence[Manoeuvre]) -> str:
+    what = "; ".join(one.words for one in manoeuvres)
+    why = f" to tell {', '.join(answer['set'])} apart" if answer["set"] else f"; {answer['sentence']}"
+    return f"round {number} of {ROUNDS} at most: the bench drives {what}{why}"
+
+
+def _listed(driven: Driven) -> list[dict[str, Any]]:
+    return [
+        {"round": number, "manoeuvre": one.manoeuvre.name, "words": one.manoeuvre.words, "log": str(one.log)}
+        for number, one in zip(driven.rounds, driven.jobs, strict=True)
+    ]
+
+
+def _keep(asked: Asked, answer: dict[str, Any], again: str) -> None:
+    """The last answer in the folder itself, the first one beside it; gap.json is written last."""
+    folder = Folder(asked.out)
+    for now, first in ((ANSWER, FIRST_ANSWER), (PAGE, FIRST_PAGE)):
+        if not (asked.out / first).exists():
+            part = asked.out / f"{first}.part"
+            shutil.copyfile(asked.out / now, part)
+            part.replace(asked.out / first)
+    write_page(folder.page, answer, answer["next"], again)
+    folder.write_answer({key: value for key, value in answer.items() if key not in OF_A_RUN})
