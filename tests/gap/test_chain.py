@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import cache
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -12,7 +13,7 @@ from tests.learn.made_drives import made_drive
 from tunefree_hil.base.contracts import Link
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_vehicle
-from tunefree_hil.gap.chain import Opened, open_chain
+from tunefree_hil.gap.chain import Opened, open_chain, pace_of
 from tunefree_hil.gap.excitation import excitation, held_by
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.targets import Compared
@@ -56,7 +57,7 @@ def test_without_reports_the_chain_goes_from_commands() -> None:
 
 def test_without_any_speed_nothing_can_be_told() -> None:
     with pytest.raises(InputError, match="speed"):
-        opened(["ins.speed", "report.speed"])
+        opened(["ins.speed", "ins.x_m", "report.speed"])
 
 
 def test_the_drive_holds_what_effects_need_and_says_what_it_lacks() -> None:
@@ -72,3 +73,45 @@ def test_what_was_measured_is_there_where_the_log_has_it() -> None:
     one = opened()
     assert np.isfinite(one.inputs.commands).all() and np.isfinite(one.inputs.outputs).all()
     assert one.follows[200:].mean() > 0.95
+
+
+def test_an_ins_that_says_its_pose_alone_tells_its_rates() -> None:
+    one, whole = opened(["ins.speed_mps", "ins.yaw_rate_radps", "ins.accel_mps2"]), opened()
+    assert one.inputs.by_ins and not {Link.WHEEL_VS_INS, Link.YAW_VS_INS} & set(one.lost)
+    for name, near in (("ins.speed_mps", 0.25), ("ins.yaw_rate_radps", 0.03)):
+        here, there = (some.signals[name].values[100:-100] for some in (one, whole))
+        assert np.sqrt(np.mean((here - there) ** 2)) < near
+
+
+def test_a_car_without_a_gyro_has_the_yaw_rate_of_its_wheels() -> None:
+    vehicle = load_vehicle("mkz_bywire")
+    nominal = msgspec.structs.replace(vehicle.nominal, track_m=1.6, wheel_radius_m=0.33)
+    kept = {key: some for key, some in drive().fields.items() if not key.startswith(("ins.", "report.yaw"))}
+    yaw, fresh = drive().fields["report.yaw_rate_radps"], drive().fresh["report.yaw_rate_radps"]
+    wheels = {f"report.wheel_{side}_radps": sign * 0.5 * 1.6 * yaw / 0.33 for side, sign in (("rl", -1), ("rr", 1))}
+    made = drive()._replace(fields=kept | wheels, fresh={**drive().fresh, **dict.fromkeys(wheels, fresh)})
+    assert "report.yaw_rate_radps" not in open_chain(made, vehicle).signals, "nobody says how far apart they are"
+    one = open_chain(made, msgspec.structs.replace(vehicle, nominal=nominal)).signals["report.yaw_rate_radps"]
+    assert one.values[100:] == pytest.approx(opened().signals["report.yaw_rate_radps"].values[100:], abs=1e-9)
+
+
+def test_a_car_that_is_asked_for_an_acceleration_is_driven_by_two_pedals() -> None:
+    gone = ("command.throttle_frac", "command.brake_frac", "report.throttle", "report.brake")
+    asked = 1.2 * np.sin(0.3 * np.arange(drive().ticks) * drive().dt_s)
+    kept = {key: some for key, some in drive().fields.items() if not key.startswith(gone)}
+    fresh = {key: some for key, some in drive().fresh.items() if not key.startswith(gone)}
+    always = np.ones(drive().ticks, dtype=bool)
+    made = drive()._replace(fields={**kept, "command.accel_mps2": asked}, fresh={**fresh, "command.accel_mps2": always})
+    one = open_chain(made, load_vehicle("mkz_bywire"))
+    rest = load_vehicle("mkz_bywire").nominal.rest_pedal_frac
+    pedals = one.inputs.commands[10:, :2] - rest
+    assert (pedals >= -1e-12).all() and (pedals.min(axis=1) < 1e-12).all(), "never both"
+    assert np.abs(10.0 * (pedals[:, 0] - pedals[:, 1]) - asked[10:]).max() < 0.02
+    assert one.follows[200:, :2].all() and one.inputs.measured[:2] == (False, False)
+
+
+def test_what_counts_as_driving_goes_with_the_size_of_a_car() -> None:
+    vehicle = load_vehicle("mkz_bywire")
+    assert pace_of(vehicle) == 1.0 and opened().pace == 1.0
+    small = msgspec.structs.replace(vehicle, nominal=msgspec.structs.replace(vehicle.nominal, wheelbase_m=0.1735))
+    assert pace_of(small) == pytest.approx(0.1735 / 2.7)

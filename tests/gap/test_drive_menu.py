@@ -82,7 +82,7 @@ def opened(rows: tuple[Row, ...]) -> Opened:
     speed = np.array([row.speed_mps for row in rows])
     yaw_rate = np.array([row.lateral_mps2 for row in rows]) / np.maximum(speed, 0.1)
     inputs = SimpleNamespace(commands=commands, speed_mps=speed, yaw_rate_radps=yaw_rate)
-    return cast(Opened, SimpleNamespace(inputs=inputs, dt_s=DT_S, moving=speed > 0.1))
+    return cast(Opened, SimpleNamespace(inputs=inputs, dt_s=DT_S, moving=speed > 0.1, pace=1.0))
 
 
 @pytest.mark.slow
@@ -120,6 +120,15 @@ def test_a_set_is_driven_name_by_name_until_nothing_is_left() -> None:
     assert [one.name for one in second] == names_of("brake_lag")
     assert to_drive(answer("set", names), {one.name for one in (*first, *second)}, EFFECTS) == ()
     assert to_drive(answer("set", ["of_nobody"]), (), EFFECTS) == ()
+
+
+def test_once_all_that_tells_apart_is_driven_what_the_names_need_comes() -> None:
+    names = ["payload", "brake_gain"]
+    first = {one.name for one in to_drive(answer("set", names), (), EFFECTS)}
+    assert first == set(names_of(*names)) == {"throttle_steps", "brake_levels"}
+    second = [one.name for one in to_drive(answer("set", names), first, EFFECTS)]
+    assert second == ["full_throttle", "stops"]
+    assert to_drive(answer("set", names), first | set(second), EFFECTS) == ()
 
 
 @pytest.mark.parametrize("verdict", ["one", "several", "none_missing", "none_of_these"])

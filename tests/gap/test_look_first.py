@@ -23,7 +23,7 @@ def drive(seconds: float, moving_s: float) -> Opened:
     ticks = round(seconds / DT_S)
     speed = np.where(np.arange(ticks) * DT_S < moving_s, 8.0, 0.0)
     inputs = SimpleNamespace(speed_mps=speed)
-    return cast(Opened, SimpleNamespace(ticks=ticks, dt_s=DT_S, inputs=inputs, moving=speed > 0.1))
+    return cast(Opened, SimpleNamespace(ticks=ticks, dt_s=DT_S, inputs=inputs, moving=speed > 0.1, pace=1.0))
 
 
 def refusal(search: Callable[..., Any], one: Opened) -> InputError:

@@ -56,7 +56,7 @@ def test_a_steering_that_answers_later_is_named_with_its_value_and_link() -> Non
 
 
 def test_a_log_that_is_too_short_is_refused_with_what_to_do() -> None:
-    with pytest.raises(InputError, match="8 s"):
+    with pytest.raises(InputError, match="5 blocks of 5 s"):
         asked(30.0)
 
 

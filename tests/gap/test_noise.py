@@ -55,3 +55,15 @@ def test_a_bias_is_not_taken_for_noise_that_hangs_together() -> None:
     plain, biased = (colour_of([Piece(values + bias, valid)], 0.0, 0.05) for bias in (0.0, 5.0))
     assert biased.filter == pytest.approx(plain.filter, abs=1e-6)
     assert biased.sigma > 20.0 * plain.sigma
+
+
+def test_a_moment_that_is_loud_does_not_make_a_filter_that_is_louder_than_what_it_filters() -> None:
+    """A smooth bump in the midst of rows that all count: of those elsewhere many have no partner a few rows on."""
+    chance, valid = np.random.default_rng(4), np.ones(N, dtype=bool)
+    values = 2e-4 * chance.standard_normal(N)
+    for begin in range(0, N, 200):
+        valid[begin + 160 : begin + 200] = False
+    values[1000:1160] += 0.02 * np.sin(np.linspace(0.0, np.pi, 160)) ** 2
+    colour = colour_of([Piece(values, valid)], 0.0, 0.05)
+    assert colour.filter[1] < -0.3 and np.abs(colour.filter).max() <= 1.0
+    assert colour.sigma < 0.3 * np.sqrt(np.mean(values[valid] ** 2))

@@ -80,8 +80,6 @@ def test_numbers_of_a_channel_keep_the_width_of_their_interval() -> None:
 def test_the_folder_is_a_normal_model_with_interval_and_provenance(tmp_path: Path) -> None:
     model, kept = made_model(), made_kept()
     made = repaired(model, VEHICLE, kept.repaired, found_effects(kept, "sha256:1", "0.0.1"))
-    (tmp_path / "part-model").mkdir()
-    (tmp_path / "part-model" / "model.toml").write_text("half of it")
     written = write_repaired(tmp_path / "model", model, made.model, {"logs": ["a"]})
     assert load_model(tmp_path / "model") == written and written.vehicle_hash == model.vehicle_hash
     (effect,) = written.effects
@@ -91,6 +89,6 @@ def test_the_folder_is_a_normal_model_with_interval_and_provenance(tmp_path: Pat
     assert json.loads((tmp_path / "model" / "card.json").read_text())["repair"] == {"logs": ["a"]}
     beside = {path.name for path in Path(model.folder).glob("*.npz")}
     assert beside and beside <= {path.name for path in (tmp_path / "model").iterdir()}
-    assert [path.name for path in tmp_path.iterdir()] == ["model"], "what a killed run left is gone"
+    assert [path.name for path in tmp_path.iterdir()] == ["model"]
     with pytest.raises(InputError, match="there already"):
         write_repaired(tmp_path / "model", model, made.model, {})

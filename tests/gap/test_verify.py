@@ -104,6 +104,22 @@ def test_a_repair_of_half_the_value_does_not_close_it_all_whatever_foretells_the
     assert gap.floor == gaps_of(found, floors, nothing)[STEER].floor == pytest.approx(floors[STEER])
 
 
+def test_a_block_in_which_chance_misses_more_is_no_gap_of_the_effect() -> None:
+    """The steering is put right in both blocks; the speed, which the effect leaves alone, is off in one of them by as
+    much as it is better than its floor in the other.
+    """
+    counts = np.full(2, 100.0)
+    speed = 100.0 * np.array([1.4, 0.6]) ** 2
+    steer = {"recalibrated": np.full(2, 900.0), "after": np.full(2, 50.0)}
+    squares = {name: {"report.speed_mps": speed, STEER: some} for name, some in steer.items()}
+    found = Proof(squares, {name: counts for name in ("report.speed_mps", STEER)}, {}, ())
+    closed = explained_frac(found, {"report.speed_mps": 1.0, STEER: 1.0})
+    assert closed is not None and closed["value"] == pytest.approx(1.0)
+    worse = Proof({**squares, "after": {"report.speed_mps": 4.0 * speed, STEER: steer["after"]}}, *found[1:])
+    spoilt = explained_frac(worse, {"report.speed_mps": 1.0, STEER: 1.0})
+    assert spoilt is not None and spoilt["value"] < 0.8
+
+
 def test_the_noise_of_reports_that_come_every_other_tick_is_known() -> None:
     found = proof()
     for signal, field in (("report.throttle_frac", "throttle_frac"), ("report.brake_frac", "brake_frac")):

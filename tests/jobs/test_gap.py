@@ -111,13 +111,30 @@ def test_the_page_begins_with_the_sentence_and_shows_recalibration_alone(search:
     assert "`effects.steer_dead_time.delay_s`" in page
 
 
+def test_the_page_says_what_of_recalibration_was_left_and_what_could_have_been_foretold(
+    search: Search, tmp_path: Path
+) -> None:
+    spoilt = {**search.kept.repaired, "brake_gain.gain_frac": 1.3}
+    search.kept = search.kept._replace(foretold={"steer": 0.1, "yaw_rate": 0.2}, repaired=spoilt)
+    search.kept.answer["moved"] = ["recalibration moves brake_gain.gain_frac by -2.9 standard deviations"]
+    data = result(asked(tmp_path))
+    page = (tmp_path / "out" / PAGE).read_text()
+    assert "| repaired | of that, foretold by nothing | floor |" in page
+    assert "Of what anything in these logs could still have foretold: " in page and data["explicable_frac"]
+    assert data["does_not_pay"] == ["along"]
+    assert "Recalibration leaves what acts along the car as it was: moved, it came no nearer" in page
+    assert "- recalibration moves brake_gain.gain_frac by -2.9" in page
+
+
 def test_a_run_that_was_cut_off_goes_on_without_another_search(search: Search, tmp_path: Path) -> None:
     result(asked(tmp_path))
     out = tmp_path / "out"
     before = json.loads((out / ANSWER).read_text())
     (out / ANSWER).unlink()
     (out / "model" / "model.toml").write_text("half of it")  # killed while it wrote
+    (out / "part-77-model").mkdir()
     data = result(asked(tmp_path))
+    assert not list(out.glob("part-*"))
     after = json.loads((out / ANSWER).read_text())
     assert search.asked == 1 and data["verdict"] == "one"
     assert {**before, "elapsed_s": 0.0} == {**after, "elapsed_s": 0.0} and after["elapsed_s"] >= 12.5

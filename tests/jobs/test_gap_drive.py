@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -97,7 +98,7 @@ def test_a_set_is_driven_apart_and_the_first_answer_is_kept(bench: Bench, asked:
     found = events(asked, wish)
     data, out = found[-1].data, asked.out
     assert bench.driven == ["steer_steps"] and bench.asked == [["a.log"], ["a.log", "drive-001-steer_steps.log"]]
-    assert data["verdict"] == "one" and data["next"] == ["ls"]
+    assert data["verdict"] == "one" and data["next"][-1].startswith("tunefree-hil drive ")
     written = json.loads((out / "gap.json").read_text())
     assert written["verdict"] == "one" and "exit" not in written and "next" not in written
     (one,) = written["drives"]
@@ -130,6 +131,17 @@ def test_it_gives_up_after_three_rounds(bench: Bench, asked: Asked, wish: Wish) 
     data = events(asked, wish)[-1].data
     assert bench.driven == ["steer_steps", "brake_levels", "gentle"] and len(bench.asked) == 4
     assert [one["round"] for one in data["drives"]] == [1, 2, 3] and data["verdict"] == "set"
+
+
+def test_what_follows_takes_the_drives_and_the_bench_along(bench: Bench, asked: Asked, wish: Wish) -> None:
+    bench.says = dict.fromkeys(range(1, 9), verdict("set", set=["steer_lag", "steer_dead_time"]))
+    for _ in range(2):  # as it ends, and as it is said again
+        (command,) = events(asked, wish)[-1].data["next"]
+        words = shlex.split(command)
+        log = asked.out / "drives" / "logs" / "drive-001-steer_steps.log"
+        assert words[2:5] == ["a.log", str(log), "NEXT.log"] and words[words.index("--out") + 1] == f"{asked.out}-2"
+        assert words[-5:] == ["--drive", "--bench", str(wish.bench), "--bus", "virtual"]
+    assert command in (asked.out / "gap.md").read_text()
 
 
 def test_it_stops_where_nothing_new_can_be_driven(bench: Bench, asked: Asked, wish: Wish) -> None:

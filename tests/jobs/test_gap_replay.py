@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +78,16 @@ def test_who_drove_a_foreign_log_is_not_known(log: Path, tmp_path: Path) -> None
     other = tmp_path / "some.log"
     other.write_bytes(log.read_bytes())
     assert asked([other], DELAY_S, tmp_path / "model") == (None, UNKNOWN)
+
+
+def test_a_drive_on_the_vehicle_is_the_tunes_own(log: Path, tmp_path: Path) -> None:
+    run = log.parent.parent.parent
+    place = tmp_path / "tune"
+    shutil.copytree(run / "episodes", place / "verify" / "episodes")  # as `verify` leaves it: all else is beside it
+    for name in ("run.json", "bench.toml"):
+        shutil.copyfile(run / name, place / name)
+    found, why = asked([place / "verify" / "episodes" / "0" / "vehicle.log"], DELAY_S, tmp_path / "model")
+    assert why == "" and found is not None and found["down_frac"] == 1.0
 
 
 def summed(**rms: tuple[float, float, float]) -> dict[str, dict[str, list[Sum]]]:

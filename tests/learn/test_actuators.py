@@ -11,7 +11,7 @@ import pytest
 
 from tests.learn.made_drives import made_pairs
 from tunefree_hil.learn.actuator_shapes import Scale, Shape, bounds, params_at, value_at, vector
-from tunefree_hil.learn.actuators import fit
+from tunefree_hil.learn.actuators import BETWEEN_TICKS, fit
 from tunefree_hil.learn.channel_doubts import from_sheet, not_excited
 from tunefree_hil.learn.pairs import Pair, Pairs
 from tunefree_hil.learn.sheet import ChannelSheet
@@ -70,6 +70,14 @@ def test_what_is_not_shown_is_the_data_sheets_and_wide() -> None:
     assert plain == from_sheet(SHEET, "the logs hold no pairs of command and output")
     assert not plain.dead_time_s.known and plain.dead_time_s.value == 0.1 and plain.dead_time_s.high > 0.2
     assert "data sheet" in plain.words and plain.rate_limit.high == math.inf
+
+
+@pytest.mark.slow
+def test_no_drive_tells_a_time_better_than_a_tenth_of_a_tick(worker: Worker) -> None:
+    one = found(worker, ActuatorParams(dead_time_s=0.085, lag_s=0.06), 5)  # no noise at all
+    tenth = BETWEEN_TICKS * made_pairs(ActuatorParams(), 1.0, 1).some[0].dt_s
+    for value in (one.dead_time_s, one.lag_s):
+        assert value.low <= value.value - tenth and value.value + tenth <= value.high
 
 
 @pytest.mark.slow

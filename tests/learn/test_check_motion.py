@@ -111,6 +111,12 @@ def test_what_is_planted_is_refused(fault: str, tmp_path: Path) -> None:
         require_good(found)
 
 
+def test_a_wheel_that_stays_short_of_its_command_has_a_word_of_its_own(tmp_path: Path) -> None:
+    """It may be the car; where it is a unit, the yaw rate says so, too."""
+    found = checked(tmp_path, MKZ, planted(MKZ, good(MKZ), scaled("steer_rad", 0.3), ["report.steer_rad"]))
+    assert {"short_of_command", "units"} <= set(refusals(found)), found
+
+
 @pytest.mark.parametrize("vehicle", [MKZ, VAN])
 def test_steering_the_wrong_way_without_an_ins(vehicle: str, tmp_path: Path) -> None:
     """Nothing but steering and one yaw rate, and a folder that says neither wheelbase nor ratio."""

@@ -6,7 +6,7 @@
   run    make, seal, ask and keep, two at a time; the same call goes on after any kill, others ask for more
   beside what the names of 24 logs are worth beside a network's guess, and in a closed loop
   score  open the truths of what is answered; table.md, table.json, outcomes.png, limits.png
-  list   rows of the exam and how many cases each has
+  list   rows of the exam, how many cases each has, what they take; of a --run what is left
 
 DOMAIN is exam:COMMIT (40 hex digits, the frozen commit) or dev:NAME. The examined program is a command line.
 """
@@ -22,7 +22,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tools.gap_exam import bus, report
+from tools.gap_exam import bus, hours, report
 from tools.gap_exam.bench_folder import write_model
 from tools.gap_exam.beside import LOGS, compare_all
 from tools.gap_exam.cases import Effects, draw_effect, log_of, make, vehicle_of
@@ -94,7 +94,9 @@ def parser() -> argparse.ArgumentParser:
     counted = _command(commands, "score", _score)
     counted.add_argument("--run", type=Path, required=True, action="append", help="said again: pooled with the first")
     counted.add_argument("--json", action="store_true")
-    _small(_command(commands, "list", _list))
+    listed = _command(commands, "list", _list)
+    listed.add_argument("--run", type=Path, help="an exam under way: what it took and what is left of it")
+    _small(listed)
     return top
 
 
@@ -199,10 +201,13 @@ def _score(options: argparse.Namespace) -> int:
 
 
 def _list(options: argparse.Namespace) -> int:
-    exam = sample_of(options.domain) if options.sample else exam_of(options.domain)
-    for name, n in sorted(Counter(case.row for case in exam.cases).items()):
-        print(f"{name:<12} {n}")
+    run = Run(options.run) if options.run else None
+    if run is not None:
+        exam = exam_for(Wish(options.run, sample=bool(read_json(run.exam)["sample"])))
+    else:
+        exam = sample_of(options.domain) if options.sample else exam_of(options.domain)
     kinds = Counter(model.kind for model in exam.models.values())
+    print(hours.words(hours.costs(exam, run)))
     print(f"{len(exam.cases)} cases, {kinds['physics']} calibrated and {kinds['hybrid']} learned models")
     return 0
 

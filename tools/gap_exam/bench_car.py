@@ -26,7 +26,7 @@ from tools.gap_exam.files import read_json
 from tools.gap_exam.hidden import NOTHING, Hidden, hidden_of
 from tools.gap_exam.seal import unseal
 
-STEPS = 10  # of 1 ms, a tick
+STEPS, STEP_MS = 10, 1.0  # a tick
 DRIVE = 4.0  # gear
 REACH = 2000  # steps of the past that a delay may ask for
 ROOM = 60_000
@@ -109,6 +109,8 @@ class Channels:
     """The three channels: commands of the past, and the channels' memory."""
 
     def __init__(self) -> None:
+        self.step = 0  # of its tick
+        self.obeyed = (0.0, 0.0, 0.0)
         self.told = np.zeros((3, ROOM))
         self.memory = np.zeros(channels.SIZE)
         self.i = 1  # before the first step everything was at rest
@@ -122,9 +124,14 @@ class Channels:
 
 
 def _actuators(car: Car, h: Hidden) -> Part:
+    arrive = round(car.transport_s / (1e-3 * STEP_MS))
+
     def step(params: Any, state: Channels, x: Any, dt_s: float) -> tuple[Channels, Actuation]:
         rest = car.rest_frac
-        state.hear((x.throttle_frac - rest, x.brake_frac - rest, x.steer_rad))
+        if state.step == arrive:  # commands reach the unit so long after the tick, as in the exam's own logs
+            state.obeyed = (x.throttle_frac - rest, x.brake_frac - rest, x.steer_rad)
+        state.step = (state.step + 1) % STEPS
+        state.hear(state.obeyed)
         i, m, told = state.i, state.memory, state.told
         throttle = channels.throttle_output(car, h, m, told[0], i)
         brake = channels.brake_output(car, h, m, told[1], i)

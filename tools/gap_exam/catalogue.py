@@ -125,6 +125,15 @@ def value(name: str, size: float, sign: int = 1) -> float:
     return 1.0 + step if kind.way == "factor" else sign * step
 
 
+def size_of(name: str, amount: float) -> float:
+    """The size of a main parameter's value: what `value` makes it of."""
+    kind = kind_of(name)
+    step = abs(amount)
+    if kind.way in ("factor", "less"):
+        step = amount - 1.0 if amount > 1.0 else 1.0 / amount - 1.0
+    return math.log(step / kind.small) / math.log(kind.large / kind.small)
+
+
 def departure(name: str, amount: float) -> float:
     """How far a main parameter's value is from neutral, as a size in its unit: what errors of it are counted in."""
     if kind_of(name).way == "limit":

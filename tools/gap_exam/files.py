@@ -3,9 +3,10 @@
 RUN/exam.json             domain, numbers of cases and models, the hash over all truths (no truth itself)
 RUN/vehicles/NN/          vehicle.dbc, vehicle.toml
 RUN/models/NAME/          model folders, made by the examined program from the logs that lay in RUN/models/NAME.logs
+RUN/models/NAME.json      seconds that it took
 RUN/cases/NNNN/drive.log  the question; removed once it is answered
 RUN/sealed/NNNN.json      the truth: commitment, nonce, and the text under a key stream
-RUN/answers/NNNN/         gap.json, run.json (exit, seconds)
+RUN/answers/NNNN/         gap.json, run.json (exit, seconds, made_s: of the question)
 """
 
 from __future__ import annotations
@@ -49,6 +50,9 @@ class Run:
 
     def model(self, name: str) -> Path:
         return self.folder / "models" / name
+
+    def model_time(self, name: str) -> Path:
+        return self.folder / "models" / f"{name}.json"
 
     def log(self, number: int) -> Path:
         return self.folder / "cases" / f"{number:04d}" / "drive.log"

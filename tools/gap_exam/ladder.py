@@ -1,6 +1,6 @@
 """How small an effect may be and still be named: every effect's sizes by bisection, as its answers come in.
 
-Four rounds of three logs, each log another vehicle: the first at the middle of the sizes; then half a step down where
+Three rounds of three logs, each log another vehicle: the first at the middle of the sizes; then half a step down where
 all three were named (alone and right), else half a step up. The rule is fixed before the exam, sizes are not; a truth
 is sealed as any other before its question is asked.
 """
@@ -21,6 +21,7 @@ from tools.gap_exam.rows import PER_ROUND, ROUNDS, Exam
 from tools.gap_exam.seal import open_truth
 
 LEAST_NAMED = 0.9
+FIRST_STEP = 0.3  # in three rounds from 0.05 to 0.95: nearly all of what is between just noticeable and gross
 GRID = np.linspace(-0.4, 1.6, 201)  # of the size that is named in 90 % of logs
 SPREADS = np.geomspace(0.01, 0.15, 20)  # how gradually names come: to 90 % from 50 % it is 2.2 times that
 
@@ -65,7 +66,7 @@ def effect_name(effects: Mapping[str, Any]) -> str:
 
 def next_size(rounds: Sequence[Sequence[bool]]) -> float:
     """The size of the next round, by what was named in those before."""
-    size, step = 0.5, 0.25
+    size, step = 0.5, FIRST_STEP
     for named in rounds:
         size += -step if all(named) else step
         step /= 2.0

@@ -1,9 +1,9 @@
 """Recordings of real cars made ready: for each a vehicle folder, logs that its model is made from, and one to ask of.
 
 DART's drives become CAN logs by the examined program's own `log import` (a command, nothing imported); the model of
-the drives that are asked about (drive.log, drive_1.log, ...: two minutes and more together) is made from all the
-others. The RAV4's one minute is too short to be cut: its model is made from the minute as it was recorded, and what is
-asked about is that minute rewritten.
+the drives that are asked about (drive.log, drive_1.log, ...: a minute and a half and more together) is made from all
+the others. The RAV4's one minute is too short to be cut: its model is made from the minute as it was recorded, and what
+is asked about is that minute rewritten.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ DART_FOLDER = "dart/steering_identification_25_sept_2024"
 DART_DRIVES = {
     "dart_a": ("09_57_26",),
     "dart_b": ("09_50_18",),
-    "dart_c": ("09_53_24", "09_56_00", "09_54_57", "10_02_32"),
+    "dart_c": ("09_53_24", "09_54_57", "10_02_32"),  # the others hold what a model can be judged on
 }
+RAV4_TRACK = "track_m = 1.57  # the data sheet's: what its wheels say of the yaw rate is all there is of a gyro"
 RAV4_LOG = "comma2k19_rav4/drive.candump.log"
 IMPORT = "tunefree-hil log import {csv} --map {map} --out {out} --json"
 ROOT = Path(__file__).resolve().parents[2]
@@ -78,6 +79,8 @@ def _rav4(run: Run, data: Path) -> None:
         raise NoRecording(f"{path} is not there; --recordings names the folder of both cars")
     if not (target / "drive.log").is_file():
         _copy_folder(ROOT / "dbc" / "rav4_2017", target / "vehicle")
+        sheet = target / "vehicle" / "vehicle.toml"
+        write(sheet, sheet.read_text().replace("\n[nominal]\n", f"\n[nominal]\n{RAV4_TRACK}\n"))
         write(target / "vehicle.logs" / "00.log", path.read_text())
         write(target / "drive.log", path.read_text())
 

@@ -14,7 +14,7 @@ from tools.gap_exam.semi_real import LEAST_SIZE, SOURCES, names_of
 POOL = 24  # vehicles
 KINDS, DRIVERS = ("ordinary", "excited"), (PERSON, CONTROLLER)
 REFERENCE_S = 180.0
-ROUNDS, PER_ROUND = 4, 3  # of the bisection of an effect's size: 12 logs
+ROUNDS, PER_ROUND = 3, 3  # of the bisection of an effect's size: 9 logs, and those of the row `one` beside them
 
 
 class LogSpec(NamedTuple):

@@ -129,7 +129,9 @@ class Examiner:
     def one(self, case: Case) -> None:
         """One question, from its model to its answer."""
         with self._loops:
+            began = time.monotonic()
             logs, vehicle = question(self.run, self.exam, case)
+            made_s = time.monotonic() - began
         model, failed = self._model_of(case, vehicle)
         if self._turns.stopped:
             return
@@ -142,9 +144,9 @@ class Examiner:
         else:
             done = failed._replace(stderr=f"no model: {failed.stderr}")
         if not self._turns.stopped:
-            self._answer(case, done, out if failed is None else None)
+            self._answer(case, done, out if failed is None else None, made_s)
 
-    def _answer(self, case: Case, done: Done, out: Path | None) -> None:
+    def _answer(self, case: Case, done: Done, out: Path | None, made_s: float) -> None:
         folder = self.run.answer(case.number)
         gap = found_gap(out, done) if out is not None else None
         if gap is not None:
@@ -152,7 +154,8 @@ class Examiner:
         if done.status is None:
             done = done._replace(stderr=f"out of time\n{done.stderr}")
         words = "" if gap is not None else done.stderr
-        write_json(folder / "run.json", {"status": done.status, "seconds": done.seconds, "words": words})
+        took = {"seconds": done.seconds, "made_s": made_s}
+        write_json(folder / "run.json", {"status": done.status, **took, "words": words})
         self.seconds.append(done.seconds)
         if not self.keep:
             clear(self.run, case)
@@ -184,7 +187,10 @@ class Examiner:
             done = self._model_call(self.program.learn, self.program.learn_limit_s, folder, logs, vehicle, **extra)
         if done is None and not self.keep:
             shutil.rmtree(folder.with_suffix(".logs"), ignore_errors=True)
-        self._say(f"model {model.name} ({model.kind}): {time.monotonic() - begun:.0f} s")
+        took = time.monotonic() - begun
+        if done is None:
+            write_json(self.run.model_time(model.name), {"seconds": took})
+        self._say(f"model {model.name} ({model.kind}): {took:.0f} s")
         return done
 
     def _own_model(self, vehicle: Path) -> Done | None:

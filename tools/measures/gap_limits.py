@@ -15,14 +15,14 @@ EFFECT = "steer_dead_time"
 def measure(
     run: str = RUN,
     domain: str = "",
-    rows: str = "limits",
+    rows: str = "limits,one",
     part: str = "1/1",
     logs: int = 0,
     hours: float = HOURS,
     unfrozen: int = 0,
 ) -> dict[str, Any]:
-    """Options as of gap_exam; the row `limits` of the same run. n: logs of the effect; low, high: 95 % of the curve
-    through them (see tools/gap_exam/ladder.py). Of an effect without a limit the value is None in detail."""
+    """Options as of gap_exam; the rows `limits` and `one` of the same run. n: logs of the effect; low, high: 95 % of
+    the curve through them (see tools/gap_exam/ladder.py). Of an effect without a limit the value is None in detail."""
     there_is_gap()
     detail = asked(Asked(run, domain, rows, part, logs, hours, "", unfrozen=bool(unfrozen)))
     return limit_of(detail, EFFECT)

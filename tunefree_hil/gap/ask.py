@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.gap.bursts import Burst, burst_of, windows_of
 from tunefree_hil.gap.fit import fit_candidate, fit_null, fit_on, fit_without
 from tunefree_hil.gap.leftover import Left, leftovers
 from tunefree_hil.gap.null import doubts_of, nuisances
@@ -25,12 +26,19 @@ from tunefree_hil.gap.work import Kind, Setting, Work
 
 Array = np.ndarray
 
+AVERAGED_S = 1.0  # long beside a sensor's noise, short beside a block
+NOT_SLOW: dict[str, tuple[Array, Array]] = {}
+
 
 class Modelled(NamedTuple):
-    """A fitted model as it is sent: without residuals, with their squares and counts by target and block [b]."""
+    """A fitted model as it is sent: without residuals, with their squares and counts by target and block [b].
+
+    slow: the same of means over AVERAGED_S, in which noise is next to nothing and what a drive goes astray by is left.
+    """
 
     fitted: Fitted
     squares: dict[str, tuple[Array, Array]]
+    slow: dict[str, tuple[Array, Array]] = NOT_SLOW
 
 
 class Question(NamedTuple):
@@ -47,11 +55,12 @@ class Question(NamedTuple):
 class _Open:
     def __init__(self, setting: Setting) -> None:
         self.work = Work(setting)
-        drifting = nuisances(self.work.graph, setting.model, doubts_of(setting.model))
+        doubts = doubts_of(setting.model)
+        drifting = nuisances(self.work.graph, setting.model, doubts)
         self.problem = Problem(self.work, drifting)
         self.null, self.slopes = fit_null(self.problem)
         some, self.cannot = suspects_of(self.work.graph, setting.model, setting.vehicle)
-        self.suspects = {one.name: doubted(one, drifting) for one in some}
+        self.suspects = {one.name: doubted(one, drifting, doubts) for one in some}
         self._scan: tuple[Any, Scan] | None = None
 
     def again(self, model: Fitted) -> Fitted:
@@ -156,16 +165,35 @@ def seen_of(token: str, model: Fitted, target: str) -> tuple[list[Region], Shape
     return regions(work, target, residual), shape
 
 
+def bursts_of(token: str, models: Sequence[Fitted], blocks: Array) -> list[dict[str, Burst]]:
+    """How loud each model's misses get where they are loudest, by target."""
+    work = _questions[token].work
+    return [
+        {
+            name: burst_of(some, work.valid(name), work.block[name], blocks, work.kinds[name].dt_s)
+            for name, some in work.residuals(model.values).items()
+        }
+        for model in models
+    ]
+
+
 def _sent(work: Work, model: Fitted) -> Modelled:
-    squares = {}
+    squares, slow = {}, {}
     for name, some in model.residuals.items():
-        sums, counts = np.zeros(work.blocks.count), np.zeros(work.blocks.count)
-        for residual, valid, block in zip(some, work.valid(name), work.block[name], strict=True):
-            rows = valid & (block >= 0)
-            np.add.at(sums, block[rows], residual[rows] ** 2)
-            np.add.at(counts, block[rows], 1.0)
-        squares[name] = (sums, counts)
-    return Modelled(model._replace(residuals={}), squares)
+        rows = max(round(AVERAGED_S / work.kinds[name].dt_s), 1)
+        squares[name] = _squares(work, name, some, 1)
+        slow[name] = _squares(work, name, some, rows)
+    return Modelled(model._replace(residuals={}), squares, slow)
+
+
+def _squares(work: Work, name: str, residual: Sequence[Array], rows: int) -> tuple[Array, Array]:
+    """(sums of squares, counts) by block [b] of means over so many rows."""
+    sums, counts = np.zeros(work.blocks.count), np.zeros(work.blocks.count)
+    for one, valid, block in zip(residual, work.valid(name), work.block[name], strict=True):
+        means, at = windows_of(one, valid, block, rows)
+        np.add.at(sums, at, means.mean(axis=1) ** 2)
+        np.add.at(counts, at, 1.0)
+    return sums, counts
 
 
 def forget(token: str) -> Any:

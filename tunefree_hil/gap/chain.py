@@ -17,18 +17,22 @@ from tunefree_hil.base.contracts import Link
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.config.schema import VehicleSpec
+from tunefree_hil.gap.by_pose import HEADING, rates_by_pose
 from tunefree_hil.gap.graph import CHANNELS, Inputs
 from tunefree_hil.gap.recent import ahead
-from tunefree_hil.learn.acted import channel_of
+from tunefree_hil.learn.acted import accel_asked, asked_pedals, channel_of
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.pairs import ECHOES, runs
-from tunefree_hil.learn.smooth import between_fresh, rate_of, smooth
+from tunefree_hil.learn.smooth import between_fresh, rate_of, smooth, yaw_by_wheels
 
 Array = np.ndarray
 
 OUTPUTS = {"throttle": "throttle_frac", "brake": "brake_frac", "steer": "steer_rad"}
 PIN_WINDOW_S = 0.21  # of the polynomial through the measured speed that the car is told
 SILENCE_S = 0.25  # beyond which a signal has a gap
+ROAD_CAR_M = 2.7  # wheelbase
+SMALL = 0.5  # of it: no road car is shorter
+YAW_RATES = ("report.yaw_rate_radps", "ins.yaw_rate_radps")
 AFTER_S = 1.0  # after a stretch in which a channel did not obey its commands, its output is still another's
 
 
@@ -46,7 +50,8 @@ class Signal(NamedTuple):
 class Opened(NamedTuple):
     """One drive. signals: by field name. follows: [n, 3] rows in which the commands of a channel acted.
 
-    lost: what of the chain this log cannot show, by link, in words.
+    lost: what of the chain this log cannot show, by link, in words. pace: of a model car its wheelbase as a share of a
+    road car's, else 1: what counts as driving is so many wheelbases a second.
     """
 
     name: str
@@ -57,6 +62,7 @@ class Opened(NamedTuple):
     follows: Array
     moving: Array
     lost: Mapping[Link, str]
+    pace: float = 1.0
 
     @property
     def ticks(self) -> int:
@@ -72,6 +78,7 @@ def open_chain(drive: Drive, vehicle: VehicleSpec) -> Opened:
     """Raises InputError where neither INS nor chassis says the speed: nothing of the motion can be told then."""
     late = vehicle.ins_frame.latency_s / drive.dt_s
     signals = {name: one for name in drive.fields if (one := _signal(drive, name, late)) is not None}
+    signals |= _unsaid(drive, vehicle, signals)
     by_ins = "ins.speed_mps" in signals
     source = "ins.speed_mps" if by_ins else "report.speed_mps"
     if source not in signals:
@@ -86,8 +93,28 @@ def open_chain(drive: Drive, vehicle: VehicleSpec) -> Opened:
     speed = signals[source]
     moving = known & speed.there & (inputs.gear >= GEAR_DRIVE)
     return Opened(
-        drive.name, drive.log_hash, drive.dt_s, inputs, signals, follows, moving, _lost(signals, drive, by_ins)
-    )
+        drive.name, drive.log_hash, drive.dt_s, inputs, signals, follows, moving, _lost(signals, drive, by_ins),
+        pace_of(vehicle),
+    )  # fmt: skip
+
+
+def pace_of(vehicle: VehicleSpec) -> float:
+    """Of a car smaller than any road car its wheelbase as a share of one's; else 1."""
+    share = (vehicle.nominal.wheelbase_m or ROAD_CAR_M) / ROAD_CAR_M
+    return share if share < SMALL else 1.0
+
+
+def _unsaid(drive: Drive, vehicle: VehicleSpec, signals: Mapping[str, Signal]) -> dict[str, Signal]:
+    """What nobody says and others tell: an INS's rates by its pose; a yaw rate, where there is none, by the wheels."""
+    values = {name: one.values for name, one in signals.items()}
+    rates = rates_by_pose(values, {name: one.fresh for name, one in signals.items()}, drive.dt_s)
+    found = {name: signals[HEADING]._replace(values=np.nan_to_num(one)) for name, one in rates.items()}
+    wheels = yaw_by_wheels(drive, vehicle.nominal)
+    if wheels is not None and not any(name in signals or name in found for name in YAW_RATES):
+        fresh = wheels[1] & np.isfinite(wheels[0])
+        if fresh.sum() > 1:
+            found[YAW_RATES[0]] = Signal(between_fresh(*wheels), fresh, _there(fresh, drive.dt_s))
+    return found
 
 
 def _signal(drive: Drive, name: str, late: float) -> Signal | None:
@@ -121,9 +148,11 @@ def _inputs(
     rest, n = vehicle.nominal.rest_pedal_frac, drive.ticks
     commands, outputs, follows = (np.zeros((n, 3)) for _ in range(3))
     known, measured, echoed = np.ones(n, dtype=bool), [], []
+    accel = accel_asked(drive)
+    pedals = [] if accel is None else asked_pedals(accel, drive.enabled, rest)
     for i, name in enumerate(CHANNELS):
         idle = 0.0 if name == "steer" else rest
-        asked, _, obeyed = channel_of(drive, name, idle)
+        asked, _, obeyed = pedals[i] if i < len(pedals) else channel_of(drive, name, idle)
         obeyed = obeyed & drive.enabled & np.isfinite(asked)
         report = signals.get(f"report.{OUTPUTS[name]}")
         output = np.nan_to_num(asked, nan=idle) if report is None else report.values

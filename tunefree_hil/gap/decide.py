@@ -26,21 +26,22 @@ from tunefree_hil.gap.leftover import Left
 
 Array = np.ndarray
 
-LEAST_SHRINK = 0.05  # of a target's mean square without any effect: less is no gap that anybody would repair
-SURE_SHRINK = 0.025  # with the doubt between blocks: at least half of that
+LEAST_SHRINK = 0.05  # of a target's error without any effect: less is no gap that anybody would repair
+FURTHER_SHRINK = 0.1  # of that as well, by a further effect: what the first one's form misses of its cause is none
+SURE = 0.5  # with the doubt between blocks: at least half of that
 MATTERS = 0.004  # of the signal: what an effect explains there, root mean square; less is nobody's worry
 MOST_WORSE = 0.05  # of any target's: what explains one thing by spoiling another explains nothing
 SPOILT = 0.1  # of what is explained, each by its signal: recalibration trades so much between signals by itself
 CLOSE = 0.03  # of what the best gains: a rival as near as that is too near for a model that is not exact
-MOST_LEFT = 0.35  # of what could be explained before: more, and the name was not it
+MOST_LEFT = 0.25  # of what could be explained of a target before: more, and the name was not it
 BY_A_HAIR = 0.8  # of every bar: who misses none by more is no name, but a name's rival
 NOISY = 3.0  # standard deviations between blocks: a further effect that gains less is the noise of the first one's fit
 
 
 class Weighed(NamedTuple):
     """A candidate against the model that it is added to. evidence: nats. target: where it gains most clearly; shrink:
-    by how much the mean square there gets less, as a share of what it is without any effect, (value, low, high).
-    worst: by how much it grows where it grows most, as a share. further: beside some.
+    by how much the error there gets less, as a share of what it is without any effect, (value, low, high). worst: by
+    how much the mean square grows where it grows most, as a share. further: beside some.
 
     others: names that explain as much in its place; known once a search is done (search.py).
     """
@@ -70,15 +71,15 @@ class Weighed(NamedTuple):
 
     def _passes(self, bar: float) -> bool:
         """Whether it is above all bars, each taken so many times."""
-        least = bar * LEAST_NATS
+        least, shrink = bar * LEAST_NATS, FURTHER_SHRINK if self.further else LEAST_SHRINK
         sure = self.evidence > least and self.gain.total > least and self.gain.low > 0.0
         if self.further:
             sure = sure and self.gain.total > bar * NOISY * self.gain.noise
         return (
             sure
             and self.matters
-            and self.shrink[0] > bar * LEAST_SHRINK
-            and self.shrink[1] > bar * SURE_SHRINK
+            and self.shrink[0] > bar * shrink
+            and self.shrink[1] > bar * SURE * shrink
             and self.worst < MOST_WORSE / bar
         )
 
@@ -88,14 +89,19 @@ def weigh(
 ) -> list[Weighed]:
     """All candidates, the best first; by the noise that the best of them leaves. sizes: of each target's signal.
 
-    Who is the best is asked by the noise of `start`, one for all of them: the noise's own logarithm counts once for
-    every row that stands for itself, and where that number differs the unit of a signal would decide.
+    Who is the best is asked by the noise of each, and of start by the same: the noise's own logarithm counts once for
+    every row that stands for itself, and where that number differs the unit of a signal would decide. By the noise of
+    `start` alone a bias would hide who takes it away: its rows all say the same, as one.
     """
     if not candidates:
         return []
-    own = stretches(start.fitted)
-    best = max(candidates.values(), key=lambda one: log_evidence(stretched(one.fitted, own), blocks))
-    by = stretches(best.fitted)
+
+    def over_start(one: Modelled) -> float:
+        """Nats over the start, both by the noise that this one leaves."""
+        base = stretched(start.fitted, stretches(one.fitted))
+        return log_evidence(one.fitted, blocks) - log_evidence(base, blocks)
+
+    by = stretches(max(candidates.values(), key=over_start).fitted)
     base = stretched(start.fitted, by)
     before = log_evidence(base, blocks)
     found = []
@@ -106,9 +112,7 @@ def weigh(
         worth = [t for t in gains if gains[t] > LEAST_NATS and _explained(start, one, t, sizes, blocks) > MATTERS]
         target = max(worth, key=lambda t: shrinks[t][1]) if worth else max(gains, key=lambda t: gains[t])
         least = max(MATTERS, SPOILT * _explained(start, one, target, sizes, blocks))
-        worse = [
-            -shrink(start, one, t, blocks)[0] for t in model.sums if _explained(one, start, t, sizes, blocks) > least
-        ]
+        worse = [_grown(start, one, t, blocks) for t in model.sums if _explained(one, start, t, sizes, blocks) > least]
         found.append(
             Weighed(
                 name, one._replace(fitted=model), log_evidence(model, blocks) - before, paired(model, base, blocks),
@@ -117,6 +121,12 @@ def weigh(
             )
         )  # fmt: skip
     return sorted(found, key=lambda one: (not one.counts, -one.evidence))
+
+
+def _grown(before: Modelled, after: Modelled, target: str, blocks: Array) -> float:
+    """By how much a target's mean square grows, tick by tick, as a share of what it is."""
+    was, now = (float(one.squares[target][0][blocks].sum()) for one in (before, after))
+    return now / was - 1.0 if was > 0.0 else 0.0
 
 
 def _explained(before: Modelled, after: Modelled, target: str, sizes: Mapping[str, float], blocks: Array) -> float:
@@ -141,18 +151,27 @@ def outdone(weighed: Sequence[Weighed]) -> str:
 def shrink(
     before: Modelled, after: Modelled, target: str, blocks: Array, null: Modelled | None = None, seed: int = 1
 ) -> tuple[float, float, float]:
-    """By how much a target's mean square shrinks, as a share of the null's (else of `before`'s), with its 95 %
-    interval over blocks.
+    """By how much a target's error shrinks (root mean square), as a share of the null's (else of `before`'s), with its
+    95 % interval over blocks: tick by tick or of means over a second, whichever is surer. Most of what a noisy sensor
+    misses from tick to tick no model takes away, and what a car goes astray by within a block is in the means.
     """
-    was, now = before.squares[target][0][blocks], after.squares[target][0][blocks]
-    whole = was if null is None else null.squares[target][0][blocks]
-    if whole.sum() <= 0.0:
+    some = (before, after, before if null is None else null)
+    views = [_shrunk([one.squares[target] for one in some], blocks, seed)]
+    if target in before.slow:
+        views.append(_shrunk([one.slow[target] for one in some], blocks, seed))
+    return max(views, key=lambda one: one[1])
+
+
+def _shrunk(some: Sequence[tuple[Array, Array]], blocks: Array, seed: int) -> tuple[float, float, float]:
+    """(value, low, high) of one view. some: sums and counts by block, before, after, and of what it is a share."""
+    sums = np.stack([sums[blocks] for sums, _ in some])
+    if sums[2].sum() <= 0.0:
         return 0.0, 0.0, 0.0
-    chance = np.random.default_rng(seed)
-    drawn = chance.integers(0, len(blocks), (1000, len(blocks)))
-    some = (was - now)[drawn].sum(axis=1) / np.maximum(whole[drawn].sum(axis=1), 1e-300)
-    low, high = np.quantile(some, [0.025, 0.975])
-    return float((was - now).sum() / whole.sum()), float(low), float(high)
+    drawn = np.random.default_rng(seed).integers(0, len(blocks), (1000, len(blocks)))
+    before, after, whole = np.sqrt(np.column_stack([sums.sum(axis=1), sums[:, drawn].sum(axis=2)]))
+    shares = (before - after) / np.maximum(whole, 1e-150)
+    low, high = np.quantile(shares[1:], [0.025, 0.975])
+    return float(shares[0]), float(low), float(high)
 
 
 def rivals(weighed: Sequence[Weighed], blocks: Array) -> list[str]:
@@ -164,11 +183,14 @@ def rivals(weighed: Sequence[Weighed], blocks: Array) -> list[str]:
     return [name for name, pair in pairs.items() if name not in beaten or pair.total < max(LEAST_NATS, near)]
 
 
-def left_share(before: Mapping[str, Left], after: Mapping[str, Left]) -> float:
-    """Of what anything could have explained, the part that still can be; each target by its noise."""
-    was = now = 0.0
-    for name, one in after.items():
-        noise = max(one.total - one.explained, 1e-30)
-        was += max(before[name].explained, 0.0) / noise
-        now += max(one.explained, 0.0) / noise
-    return now / was if was > 0.0 else 0.0
+def worked_on(null: Modelled, repaired: Modelled, sizes: Mapping[str, float], blocks: Array) -> dict[str, float]:
+    """The targets of which effects explain what matters, and how much of each signal: there they are answerable for
+    what is left.
+    """
+    explained = {name: _explained(null, repaired, name, sizes, blocks) for name in sizes}
+    return {name: share for name, share in explained.items() if share > MATTERS}
+
+
+def left_share(before: Left, after: Left) -> float:
+    """Of what anything could have explained of a target, the part that still can be."""
+    return max(after.explained, 0.0) / before.explained if before.explained > 0.0 else 0.0

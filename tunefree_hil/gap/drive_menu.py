@@ -132,8 +132,12 @@ def manoeuvres_of(effect: Effect) -> tuple[Manoeuvre, ...]:
     """What drives the words by which an effect is told apart; where they say nothing that is known, what it needs."""
     asked = effect.manoeuvre.partition(":")[0].lower()
     names = [name for words, some in SAID if words in asked for name in some]
-    names = names or [GIVEN_BY[need.quantity] for need in effect.needs]
-    return tuple(MENU[name] for name in dict.fromkeys(names))
+    return tuple(MENU[name] for name in dict.fromkeys(names)) or needed_by(effect)
+
+
+def needed_by(effect: Effect) -> tuple[Manoeuvre, ...]:
+    """What gives a drive that an effect shows in."""
+    return tuple(MENU[name] for name in dict.fromkeys(GIVEN_BY[need.quantity] for need in effect.needs))
 
 
 def to_drive(
@@ -141,8 +145,9 @@ def to_drive(
 ) -> tuple[Manoeuvre, ...]:
     """What a round drives for an answer (gap.json), without what has been driven; none where nothing would decide it.
 
-    Of a set: what tells the first name apart of which something is still to be driven. Where the logs cannot tell: what
-    most of the effects that could not have shown themselves ask for.
+    Of a set: what tells the first name apart of which something is still to be driven, and once all of that is driven,
+    what the names need to be seen. Where the logs cannot tell: what most of the effects that could not have shown
+    themselves ask for.
     """
     if answer["verdict"] == "set":
         return _first_of(answer["set"], driven, effects)
@@ -155,10 +160,12 @@ def to_drive(
 
 
 def _first_of(names: Sequence[str], driven: Collection[str], effects: Mapping[str, Effect]) -> tuple[Manoeuvre, ...]:
-    for name in names:
-        fresh = [one for one in manoeuvres_of(effects[name]) if one.name not in driven] if name in effects else []
-        if fresh:
-            return tuple(fresh[:MOST])
+    known = [effects[name] for name in names if name in effects]
+    for asked in (manoeuvres_of, needed_by):
+        for effect in known:
+            fresh = [one for one in asked(effect) if one.name not in driven]
+            if fresh:
+                return tuple(fresh[:MOST])
     return ()
 
 

@@ -57,9 +57,9 @@ def _held_by(opened: Opened, vehicle: VehicleSpec) -> dict[str, float]:
     x, dt_s, rest = opened.inputs, opened.dt_s, vehicle.nominal.rest_pedal_frac
     limit = max(vehicle.limits.steer_rad, 1e-6)
     throttle, brake, steer = x.commands[:, 0], x.commands[:, 1], x.commands[:, 2] / limit
-    speed, within = x.speed_mps, max(round(WITHIN_S / dt_s), 1)
+    speed, within = x.speed_mps / opened.pace, max(round(WITHIN_S / dt_s), 1)
     moving = opened.moving & (speed > MOVING_MPS)
-    side = speed * x.yaw_rate_radps
+    side = speed * x.yaw_rate_radps  # of a model car as of a road car that drives alike
     idle = (throttle < rest + OFF_REST) & (brake < rest + OFF_REST)
     measure: dict[str, Callable[[], float]] = {
         "moving_s": lambda: dt_s * moving.sum(),
@@ -67,7 +67,7 @@ def _held_by(opened: Opened, vehicle: VehicleSpec) -> dict[str, float]:
         "speed_span_mps": lambda: _span(speed[moving]),
         "straight_s": lambda: dt_s * (moving & (abs(side) < STRAIGHT_MPS2)).sum(),
         "curve_s": lambda: dt_s * min((moving & (side > CURVE_MPS2)).sum(), (moving & (side < -CURVE_MPS2)).sum()),
-        "lateral_accel_mps2": lambda: float(abs(side[moving]).max(initial=0.0)),
+        "lateral_accel_mps2": lambda: float(opened.pace * abs(side[moving]).max(initial=0.0)),
         "steer_moves": lambda: _moves(steer, STEER_STEP, within),
         "steer_reversals": lambda: _turns(steer, STEER_TURN),
         "steer_span_frac": lambda: _span(steer),

@@ -24,7 +24,8 @@ from tunefree_hil.base.contracts import BodyChange, Effect, Latency, Port, make_
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import Report
-from tunefree_hil.config.schema import ActuatorSpec, ModelSpec, VehicleSpec
+from tunefree_hil.config.schema import ModelSpec, VehicleSpec
+from tunefree_hil.gap.channels import channel_spec
 from tunefree_hil.gap.ports import chain_of
 from tunefree_hil.gap.recent import Recent, ahead
 from tunefree_hil.gap.ride import INS_COLUMNS, SAID, TAKEN, WIDE, Bodies, Heads, make_heads, make_ride
@@ -231,7 +232,7 @@ class Graph:
         """A channel's own numbers, moved by 'actuator.<channel>.<number>'; times and gains by a log, the rest added."""
         name = CHANNELS[i]
         rest = 0.0 if name == "steer" else self.rest
-        own = actuator_params(self.model.actuators.get(name, ActuatorSpec()), rest, initial)
+        own = actuator_params(channel_spec(self.model, name), rest, initial)
         for key in ("dead_time_s", "offset"):
             moved = getattr(own, key) + values.get(f"actuator.{name}.{key}", 0.0)
             own = own._replace(**{key: max(moved, 0.0) if key == "dead_time_s" else moved})

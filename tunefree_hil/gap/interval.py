@@ -11,12 +11,21 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import chdtri, stdtrit
 
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.problem import Fitted, Free, gathered, prior_of
 
 Array = np.ndarray
+
+WAVERS = 0.05  # of itself: by what a constant may differ from block to block for want of a model that is exact
+JITTER_S = 0.002  # by which frames come sooner or later themselves: no delay is steadier
+CHANCE = 0.999  # that blocks differ by no more than chance
+# How much of its throttle, brake and steering a car does: by what that may be off from day to day it is not off from
+# one block to the next
+GAINS = ("throttle_gain.gain_frac", "brake_gain.gain_frac", "steer_gain.gain_frac")
+UNSTEADY = 1.5  # standard deviations of its prior: a car with other pedals than a model has comes to 1.1
+FORM = 0.01  # of the distance from neutral, standard deviation: no car does an effect quite in the catalogue's form
 
 UPPER = 0.975  # of Student's t with one degree of freedom less than there are blocks
 
@@ -45,10 +54,13 @@ def values_of(name: str, model: Fitted, blocks: Array) -> dict[str, Value]:
 
 def _ends(one: Free, u: float, by: float, reach: float) -> tuple[float, float]:
     """(low, high) of a parameter at u that is known within `by` of it by these logs, and by its calibration as well as
-    that knows it: of a factor in shares of it.
+    that knows it: of a factor in shares of it, of what counts by a constant of the model as well as that is known.
     """
     value = one.value(u)
     doubt = reach * one.doubt * (value / one.neutral if one.logarithmic and one.neutral > 0.0 else 1.0)
+    if one.share:  # a limit's neutral is without end
+        doubt = float(np.hypot(doubt, reach * one.share * (value - one.neutral)))
+    by = float(np.hypot(by, reach * FORM * _distance(one, u)))
     ends = [one.value(float(np.clip(u + way * by, one.least, one.most))) for way in (-1.0, 1.0)]
     far = [value - float(np.hypot(value - min(ends), doubt)), value + float(np.hypot(max(ends) - value, doubt))]
     return max(far[0], one.value(one.least)), min(far[1], one.value(one.most))
@@ -67,3 +79,44 @@ def deviations(model: Fitted, blocks: Array) -> Array:
     share = len(blocks) / max(len(blocks) - 1, 1)
     sandwich = inverse @ (share * pulls.T @ pulls) @ inverse
     return np.sqrt(np.maximum(np.diag(inverse), np.diag(sandwich)))
+
+
+def wavering(model: Fitted, name: str, blocks: Array) -> float:
+    """By how much an effect's first parameter differs from block to block beyond noise, as a share of its distance from
+    neutral (of a factor of itself where neutral is none); 0 where chance would do. An effect that is there is the same
+    in all of them; what stands in for something else follows that.
+    """
+    one = next(free for free in model.free if free.key.partition(".")[0] == name)
+    i = model.keys.index(one.key)
+    u, by = float(model.z[i]), _between(model, i, blocks)
+    if effects()[name].units[one.key.partition(".")[2]] == "s" and abs(one.value(u + by) - one.value(u)) < JITTER_S:
+        return 0.0
+    return by / max(_distance(one, u), 1e-9)
+
+
+def unsteady(model: Fitted, blocks: Array) -> dict[str, float]:
+    """By how many standard deviations of its prior each of GAINS that was recalibrated differs from block to block, as
+    far as that is more than UNSTEADY.
+    """
+    found = {key: _between(model, model.keys.index(key), blocks) for key in GAINS if key in model.keys}
+    return {key: by for key, by in found.items() if by > UNSTEADY}
+
+
+def _between(model: Fitted, i: int, blocks: Array) -> float:
+    """Standard deviation of key i from block to block, beyond noise, in its own unit; 0 where chance would do."""
+    pull, curve = np.zeros(len(blocks)), np.zeros(len(blocks))
+    for sums in model.sums.values():
+        for c in np.flatnonzero(sums.columns == i):
+            pull += sums.slope[blocks, c] / sums.colour.stretch
+            curve += sums.curve[blocks, c, c] / sums.colour.stretch
+    if float(pull @ pull) <= float(chdtri(len(blocks), 1.0 - CHANCE)) / len(blocks) * float(curve.sum()):
+        return 0.0
+    return max(float(pull @ pull - curve.sum()) / float(curve @ curve), 0.0) ** 0.5
+
+
+def _distance(one: Free, u: float) -> float:
+    """From neutral to u; of what is sought by its logarithm and has no neutral on it, one of these."""
+    if not one.logarithmic:
+        return abs(u - one.place(one.neutral))
+    reachable = 0.0 < one.neutral < np.inf
+    return abs(u - one.place(one.neutral)) if reachable else 1.0 / float(np.log(one.high / one.low))

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from tunefree_hil.base.contracts import Link
+from tunefree_hil.gap.bursts import Burst
 from tunefree_hil.gap.clock import Echo
 from tunefree_hil.gap.leftover import Left
 from tunefree_hil.gap.regions import Region
@@ -18,11 +19,14 @@ from tunefree_hil.gap.work import Kind
 
 LEAST_SHARE = 0.05  # of a target's mean square that something could explain
 VISIBLE = 0.03  # of the signal: what a calibrated model may miss of a car
+LOUD = 0.15  # of the signal, in the loudest moments: of cars with other tyres and pedals up to 0.13 is missed
+NO_BURSTS: Mapping[str, Burst] = {}
 
 
 class Looked(NamedTuple):
     """One target of a link with recalibration done. rms: left; noise: of it what nothing explains; explicable: what
-    something could, and as a share of the signal it is about.
+    something could, and as a share of the signal it is about. loud: what the loudest moments miss of the signal, where
+    they are far above the ordinary (gap/bursts.py); else 0.
     """
 
     signal: str
@@ -33,6 +37,14 @@ class Looked(NamedTuple):
     explicable: float
     share: float
     broken: bool
+    loud: float = 0.0
+
+    @property
+    def missed(self) -> str:
+        """What is broken about it, in words."""
+        if self.loud > LOUD:
+            return f"{self.signal} is missed by {self.loud:.0%} of the signal in moments, and hardly else"
+        return f"{self.signal} is missed by {self.share:.1%}"
 
 
 class Card(NamedTuple):
@@ -44,17 +56,21 @@ class Card(NamedTuple):
     words: str
 
 
-def look(left: Mapping[str, Left], kinds: Mapping[str, Kind], sizes: Mapping[str, float]) -> list[Looked]:
-    """All targets, the one that is missed most of its signal first."""
+def look(
+    left: Mapping[str, Left], kinds: Mapping[str, Kind], sizes: Mapping[str, float],
+    bursts: Mapping[str, Burst] = NO_BURSTS,
+) -> list[Looked]:  # fmt: skip
+    """All targets, the one that is missed most of its signal first. Broken is what could be explained, or is loud."""
     found = []
     for name, one in left.items():
         explicable = max(one.explained, 0.0)
         share = explicable**0.5 / max(sizes[name], 1e-12)
-        broken = share > VISIBLE and explicable > LEAST_SHARE * one.total
+        loud = bursts[name].share(sizes[name]) if name in bursts else 0.0
+        broken = loud > LOUD or (share > VISIBLE and explicable > LEAST_SHARE * one.total)
         kind = kinds[name]
         noise = max(one.total - explicable, 0.0) ** 0.5
-        found.append(Looked(name, kind.link, kind.unit, one.total**0.5, noise, explicable**0.5, share, broken))
-    return sorted(found, key=lambda one: (not one.broken, -one.share))
+        found.append(Looked(name, kind.link, kind.unit, one.total**0.5, noise, explicable**0.5, share, broken, loud))
+    return sorted(found, key=lambda one: (not one.broken, -max(one.share, one.loud if one.loud > LOUD else 0.0)))
 
 
 def card(looked: Looked, shape: Shape | None, regions: Sequence[Region], size: float) -> Card:

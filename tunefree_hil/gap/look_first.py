@@ -27,8 +27,9 @@ def look_first(model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened])
         yield "recalibration alone"
         question = team.open()
         yield "every link by itself"
-        (left,) = team.ask("left_by", [question.null.fitted], judged(question.blocks))
-        looked = tuple(look(left, question.kinds, question.sizes))
+        null, blocks = [question.null.fitted], judged(question.blocks)
+        (left,), (loud,) = (team.ask(what, null, blocks) for what in ("left_by", "bursts_of"))
+        looked = tuple(look(left, question.kinds, question.sizes, loud))
         said = tuple(one for opened in drives for one in echoes(opened))
         strange = echo_words(said)
         shown: Card | None = None

@@ -9,7 +9,7 @@ behind it come with it.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from typing import NamedTuple
 
 from tunefree_hil.base.contracts import Link, links_of
@@ -18,22 +18,21 @@ from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.gap.ask import Modelled, Question
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.clock import Echo, echoes
-from tunefree_hil.gap.decide import MOST_LEFT, Weighed, left_share, outdone
+from tunefree_hil.gap.decide import Weighed, left_share, worked_on
 from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.excitation import Excited, excitation, held_by
 from tunefree_hil.gap.graph import effects
-from tunefree_hil.gap.interval import Value, values_of
+from tunefree_hil.gap.interval import Value, unsteady, values_of
 from tunefree_hil.gap.leftover import Left
 from tunefree_hil.gap.locate import Card, Looked, card, echo_words, look
 from tunefree_hil.gap.null import taken
 from tunefree_hil.gap.search import backward, forward, settled, weighed
-from tunefree_hil.gap.segments import FEWEST, blocks_of
-from tunefree_hil.gap.suspects import class_of
+from tunefree_hil.gap.segments import FEWEST, FEWEST_DRIVEN, Blocks, block_s_of, blocks_of
 from tunefree_hil.gap.targets import LEAST_MPS
 from tunefree_hil.gap.team import Team
+from tunefree_hil.gap.verdict import not_it, verdict_of, wavers, with_others
 from tunefree_hil.gap.work import Setting
 
-HARDLY = 0.5  # of what an effect needs to be seen: from a drive that holds less than that it is not named alone
 VERDICTS = ("one", "several", "set", "none_missing", "none_of_these", "cannot_test")
 
 
@@ -90,28 +89,31 @@ def refuse_untold(drives: Sequence[Opened]) -> None:
     """Raises InputError for logs that are too short, and for a car that stands: its few moving rows would be all that
     is fitted to.
     """
-    count = blocks_of([one.ticks for one in drives], drives[0].dt_s).count
-    if count < FEWEST:
+    ticks, dt_s = [one.ticks for one in drives], drives[0].dt_s
+    blocks, block_s = blocks_of(ticks, dt_s), block_s_of(ticks, dt_s)
+    if blocks.count < FEWEST:
+        held = f"{blocks.count} blocks of {block_s:.3g} s"
         raise InputError(
-            f"the logs hold {count} blocks of 8 s; {FEWEST} are needed to fit, to choose and to prove",
+            f"the logs hold {held}; {FEWEST} are needed to fit, to choose and to prove",
             code="too_short",
             key="LOG",
             hint="record a minute and a half or more",
         )
-    driven = sum(_driven(one) for one in drives)
-    if driven < FEWEST:
+    driven = sum(_driven(one, blocks, i) for i, one in enumerate(drives))
+    if driven < FEWEST_DRIVEN:
         raise InputError(
-            f"the car moves above walking pace in {driven} stretches of 8 s; {FEWEST} are needed",
+            f"the car moves above walking pace in {driven} stretches of {block_s:.3g} s; {FEWEST_DRIVEN} are needed",
             code="standing",
             key="LOG",
             hint="drive for a minute and a half or more, in gear, with the by-wire unit obeying",
         )
 
 
-def _driven(one: Opened) -> int:
+def _driven(one: Opened, blocks: Blocks, drive: int) -> int:
     """Blocks of a drive in which the car drives most of the time."""
-    blocks, moves = blocks_of([one.ticks], one.dt_s), one.moving & (one.inputs.speed_mps > LEAST_MPS)
-    return sum(bool(moves[begin:end].mean() > 0.5) for begin, end in zip(blocks.begins, blocks.ends, strict=True))
+    moves, mine = one.moving & (one.inputs.speed_mps > LEAST_MPS * one.pace), blocks.drives == drive
+    ends = zip(blocks.begins[mine], blocks.ends[mine], strict=True)
+    return sum(bool(moves[begin:end].mean() > 0.5) for begin, end in ends)
 
 
 def _named(
@@ -126,13 +128,19 @@ def _named(
     question = question._replace(cannot={**question.cannot, **team.dropped})
     repaired = steps[-1].model if steps else question.null
     yield "what is left"
-    before, after = team.ask("left_by", [question.null.fitted, repaired.fitted], blocks)
+    models = [question.null.fitted, repaired.fitted]
+    before, after = team.ask("left_by", models, blocks)
+    calm, calmed = team.ask("bursts_of", models, blocks)
     said = tuple(one for opened in drives for one in echoes(opened))
-    looked = look(before, question.kinds, question.sizes)
-    still = look(after, question.kinds, question.sizes)
-    share, held = left_share(before, after), excitation(effects(), held_by(drives, vehicle))
-    steps = [_with_others(step, steps, held, question, drives) for step in steps]
-    verdict, others, words = _verdict(first, steps, looked, still, share, held, echo_words(said))
+    looked = look(before, question.kinds, question.sizes, calm)
+    still = look(after, question.kinds, question.sizes, calmed)
+    worked = worked_on(question.null, repaired, question.sizes, blocks)
+    left = {name: left_share(before[name], one) for name, one in after.items()}
+    amiss = not_it(looked, still, left, worked) or wavers(steps, repaired, blocks)
+    held = excitation(effects(), held_by(drives, vehicle))
+    steps = [with_others(step, steps, held, first, drives) for step in steps]
+    restless = unsteady(question.null.fitted, blocks)
+    verdict, others, words = verdict_of(first, steps, looked, amiss, held, echo_words(said), restless)
     fitted, nuisances = repaired.fitted, len(repaired.fitted.keys) - len(repaired.fitted.free)
     words = (*words, *taken(fitted.keys[:nuisances], fitted.z[:nuisances].tolist()))
     link, shown = _where(team, question, steps, looked, said)
@@ -143,56 +151,6 @@ def _named(
         verdict, known, others, _manoeuvre(others), link, shown, tuple(looked), said, held, tuple(first), question,
         repaired, before, after, lost_links(drives), words,
     )  # fmt: skip
-
-
-def _verdict(
-    first: list[Weighed], steps: list[Weighed], looked: Sequence[Looked], still: Sequence[Looked], share: float,
-    held: Mapping[str, Excited], lost: Sequence[str],
-) -> tuple[str, tuple[str, ...], tuple[str, ...]]:  # fmt: skip
-    """(verdict, set, words). looked, still: before and after what was found; share: of what could be explained, what
-    still can be. Of several effects one that has rivals makes a set of all of them.
-    """
-    if lost:
-        return "none_of_these", (), tuple(lost)
-    if not steps:
-        worst, doubtful = looked[0], first and first[0].counts and outdone(first)
-        if doubtful:
-            words = f"{first[0].name} would explain it, {doubtful} would explain more, and spoils other signals"
-            return "none_of_these", (), (words,)
-        if worst.broken:
-            return "none_of_these", (), (f"{worst.signal} is missed by {worst.share:.1%}, and no effect explains it",)
-        return "none_missing", (), ("nothing beyond noise and recalibration",)
-    if share > MOST_LEFT and any(one.broken for one in still):
-        best = ", ".join(step.name for step in steps)
-        return "none_of_these", (), (f"{best} comes nearest and leaves {share:.0%} of what could be explained",)
-    if not any(step.others for step in steps):
-        lacking = tuple(f"{one.name}: {what}" for one in steps for what in held[one.name].lacks)
-        return ("one" if len(steps) == 1 else "several"), (), lacking
-    names = dict.fromkeys(name for step in steps for name in (step.name, *step.others))
-    return "set", tuple(names), tuple(_set_words(step, held[step.name]) for step in steps)
-
-
-def _set_words(step: Weighed, held: Excited) -> str:
-    """Of a step of a set: what it cannot be told from, and why."""
-    if not step.others:
-        return f"{step.name} beside them"
-    why = f": {'; '.join(held.lacks)}" if held.lacks else ""
-    return f"{step.name} explains these logs as well as {', '.join(step.others)}{why}"
-
-
-def _with_others(
-    step: Weighed, steps: Sequence[Weighed], held: Mapping[str, Excited], question: Question, drives: Sequence[Opened]
-) -> Weighed:
-    """A step with the rivals that no class has together with it; where the drive hardly holds what shows it, whoever it
-    is easily taken for is one, too.
-    """
-    same = class_of(step.name, all(one.has("report.lateral_accel_mps2") for one in drives))
-    apart = same | {one.name for one in steps}
-    others = step.others
-    if held[step.name].score < HARDLY:
-        can = {one.name for one in question.suspects}
-        others += tuple(name for name in effects()[step.name].impostors if name in can and name not in others)
-    return step._replace(others=tuple(name for name in others if name not in apart))
 
 
 def _where(

@@ -42,15 +42,16 @@ class Piece(NamedTuple):
 
 def colour_of(pieces: Sequence[Piece], floor: float, dt_s: float) -> Colour:
     """Of a target, all drives together. floor: no residual is believed smaller than that."""
-    lags = _autocovariance(_centred(pieces), ORDER + 1)
+    sums, pairs = _products(_centred(pieces), ORDER + 1)
+    lags = sums / max(pairs[0], 1.0)  # not over the pairs of each lag: a moment that is loud would make a lag above 0's
     lags[0] = lags[0] * (1.0 + RIDGE) + floor * floor + 1e-30
     ar = solve_toeplitz(lags[:ORDER], lags[1 : ORDER + 1])
     taps = np.concatenate([[1.0], -ar])
     white = [whitened(piece, taps) for piece in pieces]
     some = np.concatenate([one.values[one.valid] for one in white])
     sigma = float(np.sqrt(np.mean(some * some) + floor * floor)) if len(some) else 1.0
-    rest = _autocovariance(white, max(round(BEYOND_S / dt_s), 2))
-    return Colour(taps, sigma, _stretch(rest))
+    sums, pairs = _products(white, max(round(BEYOND_S / dt_s), 2))
+    return Colour(taps, sigma, _stretch(sums / np.maximum(pairs, 1.0)))
 
 
 def _centred(pieces: Sequence[Piece]) -> list[Piece]:
@@ -69,8 +70,8 @@ def whitened(piece: Piece, taps: Array) -> Piece:
     return Piece(values, good)
 
 
-def _autocovariance(pieces: Sequence[Piece], count: int) -> Array:
-    """About nought, over pairs of rows that both count."""
+def _products(pieces: Sequence[Piece], count: int) -> tuple[Array, Array]:
+    """(sums of products about nought, how many) over pairs of rows that both count, by how many rows they are apart."""
     sums, pairs = np.zeros(count), np.zeros(count)
     for piece in pieces:
         values = np.where(piece.valid, piece.values, 0.0)
@@ -78,7 +79,7 @@ def _autocovariance(pieces: Sequence[Piece], count: int) -> Array:
         for into, what in ((sums, values), (pairs, piece.valid.astype(float))):
             spectrum = np.fft.rfft(what, size)
             into += np.fft.irfft(spectrum * np.conj(spectrum), size)[:count]
-    return sums / np.maximum(pairs, 1.0)
+    return sums, pairs
 
 
 def _stretch(lags: Array) -> float:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ActuatorSpec, Interval, ModelSpec, Number, value_of
+from tunefree_hil.gap.channels import channel_spec, is_known
 from tunefree_hil.gap.graph import CHANNELS, Graph
 
 
@@ -65,10 +66,12 @@ DOUBTED = {
     "front_stiffness.gain_frac": "front_stiffness_n_per_rad",
     "rear_stiffness.gain_frac": "rear_stiffness_n_per_rad",
 }
-TAKEN = 2.5  # standard deviations: what recalibration moves by more may as well be something missing
+TAKEN = 1.8  # standard deviations, of the 2 that it may go: as well something missing, and it takes that in
 WIDER = 2.0  # than a calibration's own deviation: it judged itself on the drives that it was fitted on
 MOST_DOUBT = 0.15  # of a constant; what was never known is no licence to explain everything
-SHARED = {"drive_force_n"}  # a calibration's doubt of it is that of knee and zero, which have their own
+# A calibration's doubt of each of these is that of the others: it knows what they come to together much better
+MOST_DRAG = 3.1  # deviations that the drag area must hold: less than nothing is no car
+SHARED = {"drive_force_n", "drive_knee_frac"}
 LEAST_DEAD_TIME_S, LEAST_LAG, LEAST_GAIN = (
     0.001,
     0.01,
@@ -86,6 +89,10 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> li
         if name in graph.can:
             key = f"{name}.{parameter}"
             sigma = max(least, _doubt(doubts, DOUBTED.get(key, "")))
+            if name == "aero_drag":
+                sigma = min(sigma, _drag_m2(graph, model) / MOST_DRAG)
+                if sigma <= 0.0:
+                    continue
             found.append(Nuisance(key, graph.can[name].neutral[parameter], sigma))
     for name, least in CONSTANTS.items():
         if name in graph.plant.defaults:
@@ -93,8 +100,13 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> li
             found.append(Nuisance(f"plant.{name}", 0.0, sigma))
     found += [Nuisance(key, 0.0, sigma) for key, sigma in CLOCKS.items()]
     for channel in CHANNELS:
-        found += _of_channel(channel, model.actuators.get(channel))
+        found += _of_channel(channel, channel_spec(model, channel) if is_known(model, channel) else None)
     return found
+
+
+def _drag_m2(graph: Graph, model: ModelSpec) -> float:
+    """The model's own drag area. A car that is asked for an acceleration has none that anybody sees."""
+    return {**graph.plant.defaults, **model.plant.params}.get("drag_area_m2", math.inf)
 
 
 def doubts_of(model: ModelSpec) -> dict[str, float]:

@@ -22,7 +22,7 @@ Array = np.ndarray
 SLOPE = 0.02  # of a unit of a free parameter, for slopes
 SIGMA_SLOPE = 0.5  # of a standard deviation, of a nuisance
 TOUCHED = 1e-9  # of a target's size: what changes less is not touched by a parameter
-MOST_SIGMA = 3.0  # of a prior: what recalibration may do at most; beyond it something is missing
+MOST_SIGMA = 2.0  # of a prior, which is twice what a calibration claims: what recalibration may do at most
 HELD_TURNS = 6
 FLAT = 1e-6  # added to every curvature: what the data do not feel stays where it is
 
@@ -31,7 +31,8 @@ class Free(NamedTuple):
     """A parameter that is looked for. u is its own number on its scale, from 0 (low) to 1 (high) within the prior.
 
     least, most: ends of u that it may reach, beyond the prior where that makes sense. neutral: its neutral value.
-    doubt: standard deviation, in its unit at neutral, with which the model's own calibration knows that number.
+    doubt: standard deviation, in its unit at neutral, with which the model's own calibration knows that number; share:
+    of the parameter itself, where it counts by a constant of the model that its calibration does not know.
     """
 
     key: str
@@ -42,6 +43,7 @@ class Free(NamedTuple):
     least: float
     most: float
     doubt: float = 0.0
+    share: float = 0.0
 
     def value(self, u: float) -> float:
         """The parameter at u."""

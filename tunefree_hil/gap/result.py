@@ -11,6 +11,7 @@ from typing import Any
 from tunefree_hil.base.contracts import links_of
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.name import Effect, Named
+from tunefree_hil.gap.null import taken
 
 REGIONS = 3  # that are told, of those that stand out
 WITHOUT_NET = ("physics", "reference")  # kinds of plants that were not taught by logs, and so hide nothing
@@ -18,12 +19,14 @@ WITHOUT_NET = ("physics", "reference")  # kinds of plants that were not taught b
 
 def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
     """Plain dicts, lists, numbers and words; what is no finite number is None. kind: of the model's plant."""
+    moved = moved_words(found)
     return {
         "verdict": found.verdict or None,
         "forced": forced_name(found),
         "absorbed": is_absorbed(found, kind),
         "effects": [_effect(one) for one in found.effects],
         "set": list(found.set),
+        "together": together(found),
         "separate_by": found.separate_by,
         "where": _where(found),
         "excitation": {
@@ -48,8 +51,25 @@ def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
             }
             for one in found.candidates
         ],
-        "words": list(found.words),
+        "words": [one for one in found.words if one not in moved],
+        "moved": list(moved),
     }  # fmt: skip
+
+
+def together(found: Named) -> list[str]:
+    """Of a set that stands for several effects at once: those that fit best; the set's other names are rivals of one of
+    them. Empty where the set is one effect's.
+    """
+    fitted = dict.fromkeys(key.partition(".")[0] for key in (one.key for one in found.repaired.fitted.free))
+    heads = [name for name in fitted if name in found.set]
+    return heads if found.verdict == "set" and len(heads) > 1 else []
+
+
+def moved_words(found: Named) -> tuple[str, ...]:
+    """What recalibration moved by more than a calibrated model may be off, in words: it may as well be missing."""
+    fitted = found.repaired.fitted
+    own = len(fitted.keys) - len(fitted.free)
+    return taken(fitted.keys[:own], fitted.z[:own].tolist())
 
 
 def forced_name(found: Named) -> str | None:

@@ -22,7 +22,7 @@ Array = np.ndarray
 
 DRAWS = 1000
 MOST_WORSE = 0.02  # of a signal's error, that a repair may add
-LEAST_OPEN = 0.02  # of the floor, a block's: less left by recalibration is no gap
+LEAST_OPEN = 0.02  # of the floor: less left by recalibration is no gap
 CLEARLY = 0.8  # of a signal's error: recalibration that leaves no more is worth a calibration
 BY_CARD = {  # what a calibration's card says of free runs on held-out windows, by signal
     "report.speed_mps": ("speed_mps",), "ins.speed_mps": ("speed_mps",), "report.yaw_rate_radps": ("yaw_rate_radps",),
@@ -99,35 +99,44 @@ def explained_frac(
     """(recalibrated - after) / (recalibrated - floor), with a 95 % interval; None where recalibration leaves nothing.
     left (of `unforetold`): what nothing foretells is taken for floor too, so that it is of what could be explained.
 
-    Of the signals that are measured and not summed up over time, in units of their floors, the root mean square of each
-    block; the mean over blocks, so that one in which every model is far off does not decide alone.
+    Of the signals that are measured and not summed up over time, in units of their floors: the root mean square of each
+    block, its mean over blocks, so that one in which every model is far off does not decide alone, and over the signals
+    the root mean square. A floor is what many drives miss on average: it is no floor of a single block, of which chance
+    makes some worse and others better, and so it is held against that mean.
     """
     signals = [name for name in proof.counts if name not in (HEADING, POSITION) and floors[name] > 0.0]
     if not signals or not proof.blocks:
         return None
     was, now = (_by_block(proof, name, signals, floors) for name in ("recalibrated", "after"))
-    share = np.array([(left or {}).get(name, 0.0) for name in signals])[:, None]
-    least = np.minimum(np.minimum(was, now), np.maximum(1.0, share * np.minimum(was, now)))
-    was_, now_, least_ = (np.sqrt((one**2).mean(axis=0)) for one in (was, now, least))
+    share = np.array([(left or {}).get(name, 0.0) for name in signals])
     rows = np.random.default_rng(seed).integers(0, proof.blocks, (DRAWS, proof.blocks))
-    every = _share(was_, now_, least_, np.arange(proof.blocks))
-    low, high = np.quantile([_share(was_, now_, least_, some) for some in rows], [0.025, 0.975])
-    if was_.sum() - least_.sum() <= LEAST_OPEN * proof.blocks and every > -LEAST_OPEN:
+    every, open_ = _share(was, now, share)
+    low, high = np.quantile([_share(was[:, some], now[:, some], share)[0] for some in rows], [0.025, 0.975])
+    if open_ <= LEAST_OPEN and every > -LEAST_OPEN:
         return None
     return {"value": every, "low": float(low), "high": float(high)}
 
 
-def _share(was: Array, now: Array, least: Array, rows: Array) -> float:
-    """Of what is open above the floor the part that is closed; of a repair that only spoils, of what was there."""
-    closed, open_ = float((was - now)[rows].sum()), float((was - least)[rows].sum())
-    if open_ <= LEAST_OPEN * len(rows):
-        open_ = max(float(was[rows].sum()), LEAST_OPEN)
-    return closed / open_
+def _share(was: Array, now: Array, share: Array) -> tuple[float, float]:
+    """(of what is open above the floor the part that is closed, what is open, in floors); of a repair that only spoils,
+    of what was there. was, now: [signals, blocks]; share [signals]: of what is missed, what counts as floor too.
+    """
+    before, after = was.mean(axis=1), now.mean(axis=1)
+    reached = np.minimum(before, after)
+    least = np.minimum(reached, np.maximum(1.0, share * reached))
+    whole, left, floor = (float(np.sqrt((one**2).mean())) for one in (before, after, least))
+    open_ = whole - floor
+    return (whole - left) / (open_ if open_ > LEAST_OPEN else max(whole, LEAST_OPEN)), open_
 
 
 def _by_block(proof: Proof, variant: str, signals: Sequence[str], floors: Mapping[str, float]) -> Array:
-    """[signals, blocks]: RMS in units of the floors; 0 where a signal was not measured."""
-    rows = [np.sqrt(proof.squares[variant][one] / np.maximum(proof.counts[one], 1.0)) / floors[one] for one in signals]
+    """[signals, blocks]: RMS in units of the floors; where a signal was not measured, its mean of the other blocks."""
+    rows = []
+    for one in signals:
+        counts = proof.counts[one]
+        rms = np.sqrt(proof.squares[variant][one] / np.maximum(counts, 1.0)) / floors[one]
+        seen = counts > 0.0
+        rows.append(np.where(seen, rms, rms[seen].mean() if seen.any() else 0.0))
     return np.stack(rows)
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from tunefree_hil import effects
 from tunefree_hil.base.contracts import Link, Prior, links_of, prior_of
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
@@ -15,8 +16,9 @@ from tunefree_hil.gap.problem import Free
 from tunefree_hil.gap.scan import TWINS
 
 BEYOND = 0.35  # of the prior's width, that a search may go past its ends
-CLASSES: tuple[frozenset[str], ...] = (frozenset({"brake_drag", "rolling_resistance"}),)
-WITHOUT_LATERAL = frozenset({"side_wind", "road_bank"})
+LATERAL = "report.lateral_accel_mps2"
+# Parameters that mean so many times a constant of the model: as well as that is known
+COUNTS_BY = {"rolling_resistance.extra_frac": "rolling_frac", "head_wind.wind_mps": "drag_area_m2"}
 
 
 class Suspect(NamedTuple):
@@ -51,12 +53,17 @@ def free_of(key: str, prior: Prior, neutral: float) -> Free:
     return one
 
 
-def doubted(suspect: Suspect, nuisances: Sequence[Nuisance]) -> Suspect:
-    """A suspect with the doubt about what it takes the place of: recalibration's own number, in the same unit."""
+def doubted(suspect: Suspect, nuisances: Sequence[Nuisance], doubts: Mapping[str, float]) -> Suspect:
+    """A suspect with the doubt about what it takes the place of, recalibration's own number in the same unit, and about
+    the constant of the model by which it counts. doubts: standard deviations of the constants' logarithms.
+    """
     sigmas = {one.key: one.sigma for one in nuisances}
-    doubts = [sigmas.get(one.key, sigmas.get(TWINS.get(one.key, ""), 0.0)) for one in suspect.free]
+    known = [sigmas.get(one.key, sigmas.get(TWINS.get(one.key, ""), 0.0)) for one in suspect.free]
     return suspect._replace(
-        free=tuple(one._replace(doubt=doubt) for one, doubt in zip(suspect.free, doubts, strict=True))
+        free=tuple(
+            one._replace(doubt=sigma, share=doubts.get(COUNTS_BY.get(one.key, ""), 0.0))
+            for one, sigma in zip(suspect.free, known, strict=True)
+        )
     )
 
 
@@ -73,5 +80,4 @@ def sizes_of(model: ModelSpec, vehicle: VehicleSpec, graph: Graph) -> Mapping[st
 
 def class_of(name: str, has_lateral: bool) -> frozenset[str]:
     """The names that no log of an ordinary drive can tell from this one, itself among them (interfaces 4)."""
-    classes = CLASSES if has_lateral else (*CLASSES, WITHOUT_LATERAL)
-    return next((one for one in classes if name in one), frozenset({name}))
+    return effects.class_of(name, frozenset() if has_lateral else frozenset({LATERAL}))

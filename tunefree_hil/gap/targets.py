@@ -192,7 +192,7 @@ class Compared:
         self, name: str, link: Link, unit: str, functional: Functional, columns: Columns, needed: tuple[str, ...]
     ) -> None:
         opened = self.opened
-        good = opened.moving & (opened.inputs.speed_mps > LEAST_MPS)
+        good = opened.moving & (opened.inputs.speed_mps > LEAST_MPS * opened.pace)
         for field in needed:
             good &= opened.signals[field].there
         good = _inside(good, 2 * columns.window)

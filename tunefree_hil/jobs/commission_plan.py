@@ -15,12 +15,13 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.open_loop_map import MAP_FILE
 from tunefree_hil.bench import load
 from tunefree_hil.bench.load import whole_vehicle
-from tunefree_hil.config.dump import to_toml
+from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.load import load_bench, load_model
 from tunefree_hil.config.schema import BenchSpec, VehicleSpec
 from tunefree_hil.jobs.calibrate_words import benches_of
 from tunefree_hil.jobs.collect_plan import Asked as CollectAsked
 from tunefree_hil.jobs.collect_plan import require_room
+from tunefree_hil.jobs.commission_vehicle import VEHICLE, write_vehicle
 from tunefree_hil.jobs.identity import resolved_toml
 from tunefree_hil.jobs.run_folder import write_text
 
@@ -30,7 +31,7 @@ FOLDERS = {
     "calibrate": ("physics",),
     "learn": ("model", "model.part"),
     "map": ("map",),
-    "tune": ("tune", "bench.toml"),
+    "tune": ("tune", "bench.toml", VEHICLE),
     "verify": ("report.md",),
 }  # what each stage writes in the commission's folder
 NAMES = tuple(FOLDERS)  # of the stages, in their order
@@ -111,10 +112,11 @@ class Plan(NamedTuple):
         return self.folder / "bench.toml"
 
     def write_bench(self) -> Path:
-        """Write `bench`, whole or not at all."""
+        """Write `bench`, whole or not at all, and the vehicle's folder where the template has effects of its own."""
         data = tomllib.loads(resolved_toml(load(self.template.path)))
         data |= {"vehicle": str(Path(self.vehicle.folder).resolve()), "model": str(self.model.resolve())}
-        data.pop("effects", None)  # they belong to the vehicle, and collect has driven it with them
+        if data.pop("effects", None):  # they belong to the vehicle, and collect has driven it with them
+            data["verify_model"] = str(write_vehicle(self.folder / VEHICLE, self.template).resolve())
         data["controller"] = {
             **data.get("controller", {}),
             "calibration": str((self.map / MAP_FILE).resolve()),
@@ -157,6 +159,7 @@ def make_plan(asked: Asked) -> Plan:
         "vehicle": vehicle.name,
         "vehicle_hash": vehicle.hash,
         "model_hash": load_model(template.verify_model, Path(template.path)).hash,
+        "effects": plain(template.effects),  # of the vehicle, as its model is
         "bench": Path(template.path).name,
         "set": asked.set_name or template.tune.set or "own",
         "trials": asked.trials or template.tune.trials,

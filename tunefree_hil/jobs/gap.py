@@ -19,7 +19,7 @@ from tunefree_hil.bench.load import require_current
 from tunefree_hil.gap.kept import Kept, keep
 from tunefree_hil.jobs.gap_folder import Folder, held_folder, question_of, require_ours
 from tunefree_hil.jobs.gap_page import write_page
-from tunefree_hil.jobs.gap_words import command_of, next_of, sentence_of
+from tunefree_hil.jobs.gap_words import command_of, next_of, remarks, sentence_of
 from tunefree_hil.jobs.learning_logs import read
 
 if TYPE_CHECKING:
@@ -29,8 +29,10 @@ if TYPE_CHECKING:
     from tunefree_hil.learn.drives import Drive
 
 SCHEMA = "tunefree.gap/1"
-# What is too little to learn from may be enough to judge by; where it is not, the answer is that it cannot be told.
-LACKING = ("too_short", "one_speed", "no_braking")
+# What is too little to learn from may be enough to judge by; where it is not, the answer is that it cannot be told. A
+# steering that stays short of its command is what somebody may ask about.
+EXCUSED = ("too_short", "one_speed", "no_braking", "short_of_command")
+UNSAID = ("short",)  # the search says it by its own measure
 CANNOT = ("too_short", "standing", "nothing_to_compare", "no_motion")
 STAGES = {  # of a search: the share of its time that has gone when it begins, as measured
     "recalibration alone": 0.0,
@@ -104,7 +106,7 @@ def _read(logs: Sequence[Path], vehicle: VehicleSpec) -> Generator[Event, None, 
     from tunefree_hil.gap.saturated import stops_of, without
 
     found = []
-    for drive in (yield from read(logs, vehicle, excused=LACKING)):
+    for drive in (yield from read(logs, vehicle, excused=EXCUSED, unsaid=UNSAID)):
         stops = stops_of(drive)
         for stop in stops:
             yield Event("warning", f"{drive.name}: {stop.words} and is left out: what shows in it alone is not told")
@@ -187,10 +189,10 @@ def _proved(
     from tunefree_hil.jobs.gap_replay import replayed
 
     answer = dict(found.answer)
-    yield Event("note", sentence_of(answer))
+    yield from (Event("note", words) for words in (sentence_of(answer), *remarks(answer)))
     proof = None
     if asked.until in ("repair", "verify"):
-        mended = gap_repair.mend(folder, material, found, log_hash_of(material))
+        mended = gap_repair.mend(folder, material, opened, found, log_hash_of(material))
         answer |= gap_repair.as_data(mended)
         if asked.until == "verify":
             yield Event("note", "proof: free runs of the whole car over blocks that no fit has seen")

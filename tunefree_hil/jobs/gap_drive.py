@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import shlex
 import shutil
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
@@ -22,7 +22,10 @@ from tunefree_hil.jobs.gap import Asked, gap
 from tunefree_hil.jobs.gap_drive_bench import Job, Wish, drive_all, jobs_of, open_bench, require_same_vehicle
 from tunefree_hil.jobs.gap_folder import ANSWER, LOCK, PAGE, Folder
 from tunefree_hil.jobs.gap_page import write_page
-from tunefree_hil.jobs.gap_words import command_of
+from tunefree_hil.jobs.gap_words import COMMAND, command_of, next_of
+
+if TYPE_CHECKING:
+    from tunefree_hil.config.schema import VehicleSpec
 
 ROUNDS = 3
 UNDECIDED = ("set", "cannot_test")
@@ -58,24 +61,33 @@ def gap_drive(asked: Asked, wish: Wish) -> Iterator[Event]:
     from tunefree_hil.tune.store import alone
 
     _require_names(asked)
-    require_same_vehicle(wish, load_vehicle(asked.vehicle))
-    again = command_with(asked, wish)
+    vehicle = load_vehicle(asked.vehicle)
+    require_same_vehicle(wish, vehicle)
+    again = with_drive(command_of(asked), wish)
     answer = yield from _ask(asked, again)
     if DRIVES in answer or not to_drive(answer, (), catalogue()):
-        yield Event("result", "", answer)
+        yield Event("result", "", {**answer, "next": following(asked, wish, answer, vehicle)})
         return
     with alone(asked.out / LOCK):
         driven = Driven([], [])
         last = yield from _rounds(asked, wish, answer, driven, again)
         whole = {**last, DRIVES: _listed(driven)}
+        whole["next"] = following(asked, wish, whole, vehicle)
         _keep(asked, whole, again)
     yield Event("result", "", whole)
 
 
-def command_with(asked: Asked, wish: Wish) -> str:
-    """The command that asks this again."""
+def with_drive(command: str, wish: Wish) -> str:
+    """A `gap` command that drives as this one does."""
     more = ["--drive", "--bench", str(wish.bench)] + (["--bus", wish.bus] if wish.bus != "auto" else [])
-    return f"{command_of(asked)} {shlex.join(more)}"
+    return f"{command} {shlex.join(more)}"
+
+
+def following(asked: Asked, wish: Wish, answer: Mapping[str, Any], vehicle: VehicleSpec) -> list[str]:
+    """Commands to go on with: with what was driven beside the logs, and with the bench that drives."""
+    logs = [*asked.logs, *(Path(one["log"]) for one in answer.get(DRIVES, ()))]
+    commands = next_of(asked._replace(logs=logs), answer, vehicle, str(wish.bench))
+    return [with_drive(one, wish) if one.startswith(COMMAND) else one for one in commands]
 
 
 def _require_names(asked: Asked) -> None:

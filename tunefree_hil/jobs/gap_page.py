@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tunefree_hil.jobs.gap_words import percent, value_words
+from tunefree_hil.jobs.gap_words import listed, percent, remarks, value_words
 from tunefree_hil.jobs.run_folder import write_text
 from tunefree_hil.jobs.words import markdown_table
 
 MOST_SUSPECTS = 10
+GROUPS = {"along": "what acts along the car", "across": "what acts across it", "sensors": "its sensors"}  # gap/pays.py
 CAPTIONS = {
     "where": "Where it is missed",
     "signature": "What it looks like, without and with the effect",
@@ -23,7 +24,7 @@ CAPTIONS = {
 def write_page(path: Path, answer: Mapping[str, Any], following: Sequence[str], again: str) -> None:
     """Write gap.md; pictures are linked as they lie beside it."""
     lines = [f"# {answer['sentence']}", ""]
-    lines += _next(answer, following) + _driven(answer)
+    lines += _next(answer, following) + _beside(answer) + _driven(answer)
     lines += _effects(answer) + _signals(answer) + _older(answer) + _pictures(path, answer) + _links(answer)
     lines += _suspects(answer) + _changes(answer) + _unseen(answer)
     lines += ["## Made of", "", *(f"- {one['name']} `{one['hash']}`" for one in answer["logs"])]
@@ -56,6 +57,12 @@ def _next(answer: Mapping[str, Any], following: Sequence[str]) -> list[str]:
     return [*lines, "```", *following, "```", ""] if following else lines
 
 
+def _beside(answer: Mapping[str, Any]) -> list[str]:
+    """Why it is a set, what the drive lacked, what recalibration moved."""
+    told = remarks(answer)
+    return ["## To be known beside it", "", *(f"- {words}" for words in told), ""] if told else []
+
+
 def _driven(answer: Mapping[str, Any]) -> list[str]:
     """What a bench drove for this answer (`--drive`)."""
     rows = [(str(one["round"]), one["words"], f"`{one['log']}`") for one in answer.get("drives", [])]
@@ -75,10 +82,11 @@ def _effects(answer: Mapping[str, Any]) -> list[str]:
 def _signals(answer: Mapping[str, Any]) -> list[str]:
     if not answer["signals"]:
         return []
-    rows = [
-        (name, *(_number(one[key]) for key in ("before", "recalibrated", "after", "floor")), one["unit"])
-        for name, one in answer["signals"].items()
-    ]
+    keys = {"before": "as it was", "recalibrated": "recalibration only", "after": "repaired"}
+    if any(one.get("unforetold") is not None for one in answer["signals"].values()):
+        keys["unforetold"] = "of that, foretold by nothing"
+    keys["floor"] = "floor"
+    rows = [(name, *(_number(one.get(key)) for key in keys), one["unit"]) for name, one in answer["signals"].items()]
     closed, count = answer.get("explained_frac"), answer.get("proof_blocks")
     told = (
         f"Free runs of the whole car over {count} blocks of 8 s that no fit and no choice has seen: recorded commands "
@@ -87,8 +95,12 @@ def _signals(answer: Mapping[str, Any]) -> list[str]:
     lines = ["## Proof", "", told]
     if closed:
         lines.append(f"The repair closes {percent(closed)} of what recalibration leaves above the floor.")
-    head = ("signal", "as it was", "recalibration only", "repaired", "floor", "unit")
-    return [*lines, "", *markdown_table(head, rows), *_replay(answer)]
+    if answer.get("explicable_frac"):
+        lines.append(f"Of what anything in these logs could still have foretold: {percent(answer['explicable_frac'])}.")
+    if answer.get("does_not_pay"):
+        what = listed([GROUPS[one] for one in answer["does_not_pay"]])
+        lines.append(f"Recalibration leaves {what} as it was: moved, it came no nearer on the blocks that choose.")
+    return [*lines, "", *markdown_table(("signal", *keys.values(), "unit"), rows), *_replay(answer)]
 
 
 def _replay(answer: Mapping[str, Any]) -> list[str]:

@@ -44,7 +44,7 @@ def _located(folder: Path, answer: Mapping[str, Any], found: Kept) -> Iterator[P
             Where(one.words, one.rms, one.ratio, one.ratio_low, one.ratio_high, one.stands_out) for one in found.regions
         ]
         unit = next((one["unit"] for one in answer["links"] if one["signal"] == found.signal), "")
-        words = f"Where {found.signal} is missed, {answer['where']['link']}, recalibration done"
+        words = f"Where {found.signal} is missed ({answer['where']['link']}) by recalibration alone"
         yield write_where(folder / "where.png", regions, "" if unit == "1" else unit, words)
     steps = [
         Step(one["name"], one["evidence"], one["held_out"][0], one["counts"])
@@ -54,7 +54,9 @@ def _located(folder: Path, answer: Mapping[str, Any], found: Kept) -> Iterator[P
     if steps:
         best = max(steps, key=lambda one: (one.counts, one.evidence))
         words = f"{best.name} explains it best" if best.counts else "none passes every test"
-        yield write_ladder(folder / "evidence.png", steps, LEAST_NATS, f"Of {len(steps)} suspects {words}")
+        yield write_ladder(
+            folder / "evidence.png", steps, LEAST_NATS, f"Of {len(steps)} suspects that came near, {words}"
+        )
 
 
 def _proved(folder: Path, answer: Mapping[str, Any], found: Kept, proof: Proof) -> Iterator[Path]:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
-from tunefree_hil.gap.pays import that_pays
+from tunefree_hil.gap.pays import Paid, gained, groups_of, that_pays
 from tunefree_hil.gap.repair import Repaired, found_effects, repaired, write_repaired
+from tunefree_hil.gap.segments import CHOICE
 from tunefree_hil.gap.shrink import (
     better_by_recalibration,
     explained_frac,
@@ -21,7 +22,7 @@ from tunefree_hil.gap.shrink import (
 from tunefree_hil.gap.verify import Proof, Variant, prove
 
 if TYPE_CHECKING:
-    from tunefree_hil.config.schema import ModelSpec
+    from tunefree_hil.config.schema import EffectSpec, ModelSpec
     from tunefree_hil.gap.chain import Opened
     from tunefree_hil.gap.kept import Kept
     from tunefree_hil.jobs.gap import Material
@@ -39,22 +40,20 @@ class Mended(NamedTuple):
     left: tuple[str, ...] = ()
 
 
-def mend(folder: Folder, material: Material, found: Kept, log_hash: str) -> Mended:
+def mend(folder: Folder, material: Material, opened: list[Opened], found: Kept, log_hash: str) -> Mended:
     """Write the repaired model where something was found. One that a cut-off run left is made anew. Either model has of
     what recalibration moved only what pays on the blocks that choose.
     """
-    from tunefree_hil.gap.chain import open_chain
-
     model, vehicle = material.model, material.vehicle
-    opened = [open_chain(drive, vehicle) for drive in material.drives]
     paid = that_pays(model, vehicle, found.null, (), opened)
     null = repaired(model, vehicle, paid.values)
     if not found.names:
         return Mended(null, None, None, paid.left)
     effects = found_effects(found, log_hash, __version__)
-    paid = that_pays(model, vehicle, found.repaired, effects, opened)
+    paid = _as_open(that_pays(model, vehicle, found.repaired, effects, opened), paid, material, found, effects, opened)
     made = repaired(model, vehicle, paid.values, effects)
-    shutil.rmtree(folder.model, ignore_errors=True)
+    for place in (folder.model, *folder.path.glob(f"part-*-{folder.model.name}")):  # a killed run's, half written
+        shutil.rmtree(place, ignore_errors=True)
     story = {
         "logs": [{"name": one.name, "hash": one.log_hash} for one in material.drives],
         "from_model": f"sha256:{model.hash}",
@@ -63,6 +62,27 @@ def mend(folder: Folder, material: Material, found: Kept, log_hash: str) -> Mend
         "does_not_pay": list(paid.left),
     }
     return Mended(null, made, write_repaired(folder.model, model, made.model, story), paid.left)
+
+
+def _as_open(
+    mine: Paid, null: Paid, material: Material, found: Kept, effects: list[EffectSpec], opened: list[Opened]
+) -> Paid:
+    """What pays beside the effects, with those groups back that pay for recalibration alone, where they do no harm on
+    the blocks that choose. Else the repair were held against a model that has moved what it may not move itself.
+    """
+    groups = groups_of(found.repaired, {one.name for one in effects})
+    for group in [one for one in mine.left if one not in null.left]:
+        wider = {**mine.values, **{key: found.repaired[key] for key in groups[group]}}
+        runs = [_chosen(material, values, effects, opened) for values in (wider, mine.values)]
+        if gained(*runs, floors_of(runs[0], material.model)).mean() > 0.0:
+            mine = Paid(wider, tuple(one for one in mine.left if one != group))
+    return mine
+
+
+def _chosen(material: Material, values: dict[str, float], effects: list[EffectSpec], opened: list[Opened]) -> Proof:
+    """Free runs over the blocks that choose."""
+    made = repaired(material.model, material.vehicle, values, effects)
+    return prove({"": Variant(made.model, made.day)}, material.vehicle, opened, role=CHOICE)
 
 
 def as_data(mended: Mended) -> dict[str, Any]:

@@ -36,6 +36,7 @@ SIGNALS = {  # columns of a recording (interfaces 6) that say how it tracked, wi
 TRACKING = tuple(SIGNALS)[:4]
 NO_DIFFERENCE = 1e-3  # of what a signal was in the measured drive: less is none
 MEASURED = "measured"
+VERIFY = "verify"  # folder of a tune's run with the drives on the vehicle
 UNKNOWN = "no controller is known that drove this: it is no log of a run folder"
 
 
@@ -72,11 +73,15 @@ def replayed(
 
 
 def _run_of(log: Path) -> Path | None:
-    """The run folder that a log lies in: RUN/episodes/K/vehicle.log."""
+    """The run folder that a log lies in: RUN/episodes/K/vehicle.log, or RUN/verify/episodes/K/vehicle.log of a tune,
+    whose bench file both were driven by.
+    """
     folder = log.resolve().parent
+    if folder.parent.name != "episodes" or not (folder / "episode.json").is_file():
+        return None
     run = folder.parent.parent
-    here = (folder / "episode.json").is_file() and folder.parent.name == "episodes" and (run / "bench.toml").is_file()
-    return run if here else None
+    run = run.parent if run.name == VERIFY and not (run / "run.json").is_file() else run
+    return run if (run / "run.json").is_file() and (run / "bench.toml").is_file() else None
 
 
 def _drive_again(log: Path, models: Mapping[str, str], sums: Sums) -> None:

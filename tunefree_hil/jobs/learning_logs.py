@@ -15,12 +15,13 @@ if TYPE_CHECKING:
 
 
 def read(
-    logs: Sequence[Path], vehicle: VehicleSpec, excused: Collection[str] = ()
+    logs: Sequence[Path], vehicle: VehicleSpec, excused: Collection[str] = (), unsaid: Collection[str] = ()
 ) -> Generator[Event, None, list[Drive]]:
     """The drives of logs, in their order; what is to be said of them on the way.
 
-    excused: codes of refusals (learn/checks.py) that are no more than warnings to whoever asks. Raises InputError where
-    no log is named, one cannot be read, or one is refused: before anything is learned, with all that is wrong.
+    excused: codes of refusals (learn/checks.py) that are no more than warnings to whoever asks; unsaid: codes that do
+    not matter to them at all. Raises InputError where no log is named, one cannot be read, or one is refused: before
+    anything is learned, with all that is wrong.
     """
     from tunefree_hil.bus.codec import Codec
     from tunefree_hil.learn.checks import check_drives
@@ -31,7 +32,7 @@ def read(
         raise InputError("no log is named", code="no_log", key="LOG", hint="name one log or more")
     yield Event("note", f"reading {len(logs)} log{'s' if len(logs) > 1 else ''} of {vehicle.name}")
     drives = read_drives(list(logs), Codec(vehicle))
-    problems = check_drives(drives, vehicle)
+    problems = [one for one in check_drives(drives, vehicle) if one.code not in unsaid]
     for problem in require_good(one._replace(severity="warn") if one.code in excused else one for one in problems):
         yield Event("warning", problem.words)
     yield Event("note", f"{sum(drive.ticks * drive.dt_s for drive in drives) / 60.0:.1f} minutes of driving")

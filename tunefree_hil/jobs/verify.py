@@ -32,7 +32,9 @@ NOT_HOLDING = 1  # exit status
 
 
 def verify(run: Path, *, bus: str, bench_bus: str, join: bool, session: str) -> Iterator[Event]:
-    """Drive again what `tune` verified at its end. Exit 1 when the winner does not hold."""
+    """Drive again what `tune` verified at its end. Exit 1 when the winner does not hold: when a manual set is better,
+    or a road is not driven to its end. That it holds says nothing of how good the best manual set is there.
+    """
     folder = open_run(run)
     if folder.record.get("command") != "tune":
         raise InputError(

@@ -28,12 +28,15 @@ def failures(drives: Drives) -> list[str]:
 
 
 def comparison(manual_name: str, manual: Drives, tuned: Drives, scores: tuple[float, float]) -> str:
-    """'score 0.21 -> 0.18 (-14 %) against mrac_on; lateral peak 0.21 -> 0.09 m; 6 of 7 scenarios better'."""
+    """'score 0.21 -> 0.18 (-14 %) against mrac_on; lateral peak 0.21 -> 0.09 m; 6 of 7 scenarios better'.
+
+    Where either re-plans or does not come to the end it is said of both: to be better than what falls is little.
+    """
     before, after = scores
     change = 100.0 * (after / before - 1.0) if before > 0.0 else 0.0
     parts = [f"score {before:.3f} -> {after:.3f} ({change:+.0f} %) against {manual_name}"]
-    if replans(manual):
-        parts[0] += f" (which re-plans {replans(manual)} times)"
+    if replans(manual) or replans(tuned):
+        parts.append(f"re-plans {replans(manual)} -> {replans(tuned)}")
     peaks = lateral_peak_m(manual), lateral_peak_m(tuned)
     if peaks[0] is not None and peaks[1] is not None:
         parts.append(f"lateral peak {peaks[0]:.2f} -> {peaks[1]:.2f} m")
@@ -41,6 +44,9 @@ def comparison(manual_name: str, manual: Drives, tuned: Drives, scores: tuple[fl
     parts.append(f"{len(better)} of {len(tuned)} scenarios better" + _most(manual, tuned, better))
     if failures(tuned):
         parts.append(f"NOT driven to the end: {', '.join(failures(tuned))}")
+    if failures(manual):
+        also = f"{manual_name} neither" if failures(tuned) else f"{manual_name} NOT driven to the end"
+        parts.append(f"{also}: {', '.join(failures(manual))}")
     return "; ".join(parts)
 
 

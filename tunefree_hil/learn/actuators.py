@@ -30,6 +30,7 @@ from tunefree_hil.learn.actuator_search import (
 )
 from tunefree_hil.learn.actuator_shapes import Scale, Shape, misses, value_at
 from tunefree_hil.learn.channel_doubts import (
+    TIMES,
     at_least_0,
     doubted,
     from_sheet,
@@ -45,6 +46,9 @@ from tunefree_hil.learn.values import ActuatorFit, Value, exactly
 
 LEAST_SMALL_ROWS = 100  # about rest, for a dead band
 SMALL_SHARE = 0.1  # of the span: what counts as about rest
+# Of a tick: where between two ticks something happens only the bend of the output tells, and that is the form's word
+# as much as the car's. No drive however long makes an interval of a time narrower than this to each side.
+BETWEEN_TICKS = 0.1
 MOST_UNKNOWN = 200.0  # an unknown that far off says nothing any more
 FOLLOWS = 0.5  # share of the output's variance that the command must explain
 PLAIN = (Shape(1, False), Shape(1, False, uneven=True), Shape(2, False))
@@ -135,10 +139,12 @@ def _as_fit(case: Case, chosen: Found, rate: Value, band: Value, pairs: Pairs, w
     found: dict[str, Value] = {}
     for name in shape.names():
         if name in ActuatorFit._fields:
-            found[name] = judged(name, Value(getattr(chosen.way.params, name), *_ends(chosen, name, scale)))
+            value = Value(getattr(chosen.way.params, name), *_ends(chosen, name, scale))
+            if name in TIMES:
+                value = at_least_0(wider(value, BETWEEN_TICKS * dt_s))
+            found[name] = judged(name, value)
     output = np.concatenate([pair.output[pair.counts] for pair in case.training])
     quantum = quantum_of(output)
-    found["dead_time_s"] = at_least_0(found["dead_time_s"])
     found["offset"] = wider(found["offset"], 0.5 * quantum)
     lag = found.get("lag_s", exactly(0.0))
     if shape.order == 0:

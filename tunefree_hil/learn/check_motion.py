@@ -99,7 +99,9 @@ def _pairs(drive: Drive, nominal: NominalSpec, most_rad: float) -> Iterator[Prob
             low, high = pair.allowed
             words = f"{drive.name}: {second} is {factor:.3g} times what {first} makes one expect (allowed {low:.2g} to "
             words += f"{high:.2g}); is a unit or scale in vehicle.toml wrong, or this the log of another vehicle?"
-            yield Problem(severity, "units", drive.name, field, words)
+            # a unit is wrong by as much everywhere; a wheel that stops before its command does may be the car itself
+            short = "command" in first and factor < low
+            yield Problem(severity, "short_of_command" if short else "units", drive.name, field, words)
 
 
 def _pedals(drive: Drive, rest_frac: float) -> Iterator[Problem]:

@@ -179,7 +179,8 @@ def _enough(drives: Sequence[Drive], vehicle: VehicleSpec) -> Iterator[Problem]:
         yield Problem("refuse", "too_short", "", SPEEDS[0], f"{words}{LEAST_MOVING_S:g} s are expected; record more")
         return
     if driven_s < FEW_MOVING_S:
-        words = f"{_all(drives)} hold only {driven_s:.0f} s of driving; what is learned will be rough"
+        verb = "holds" if len(drives) == 1 else "hold"
+        words = f"{_all(drives)} {verb} only {driven_s:.0f} s of driving; what is learned will be rough"
         yield Problem("warn", "short", "", SPEEDS[0], words)
     yield from _speeds(drives, speed)
     yield from _braking(drives, vehicle)

@@ -16,7 +16,7 @@ from tests.tools.gap_exam.drives_for_tests import DOMAIN
 from tools.gap_exam.cases import Case
 from tools.gap_exam.catalogue import EFFECTS, kind_of, value
 from tools.gap_exam.files import Run, write_json
-from tools.gap_exam.ladder import Ladder, at_size, effect_of, next_size, threshold
+from tools.gap_exam.ladder import FIRST_STEP, Ladder, at_size, effect_of, next_size, threshold
 from tools.gap_exam.order import in_order, part_of
 from tools.gap_exam.rows import PER_ROUND, ROUNDS, exam_of
 from tools.gap_exam.runner import Turns
@@ -34,15 +34,16 @@ def answered(run: Run, case: Case, verdict: str) -> None:
     write_json(run.answer(case.number) / "run.json", {"seconds": 1.0})
 
 
-@given(st.lists(st.lists(st.booleans(), min_size=3, max_size=3), max_size=3))
+@given(st.lists(st.lists(st.booleans(), min_size=3, max_size=3), max_size=ROUNDS - 1))
 def test_every_round_halves_what_is_open(rounds: list[list[bool]]) -> None:
     sizes = [next_size(rounds[:k]) for k in range(len(rounds) + 1)]
     for k, (before, after) in enumerate(itertools.pairwise(sizes)):
-        assert after - before == pytest.approx((-1 if all(rounds[k]) else 1) * 0.5 ** (k + 2))
+        assert after - before == pytest.approx((-1 if all(rounds[k]) else 1) * FIRST_STEP * 0.5**k)
     assert 0.0 < sizes[-1] < 1.0
 
 
-def test_a_bisection_finds_a_sharp_limit() -> None:
+def test_a_bisection_and_the_sizes_that_were_drawn_find_a_sharp_limit() -> None:
+    drawn = [0.12 + 0.88 * (k + 0.5) / 7 for k in range(7)]  # of the row `one`, evenly here
     for edge in (0.2, 0.34, 0.61, 0.9):
         rounds, sizes, named = [], [], []
         for _ in range(ROUNDS):
@@ -50,7 +51,7 @@ def test_a_bisection_finds_a_sharp_limit() -> None:
             rounds.append([size >= edge] * PER_ROUND)
             sizes += [size] * PER_ROUND
             named += rounds[-1]
-        found = threshold(sizes, named)
+        found = threshold([*sizes, *drawn], [*named, *(size >= edge for size in drawn)])
         assert abs(found.size - edge) < 0.1 and found.low < edge + 0.07 and found.high > edge - 0.07
 
 
@@ -64,7 +65,9 @@ def test_the_interval_of_a_limit_holds_what_it_says() -> None:
             share = 1.0 / (1.0 + np.exp(-((size - edge) / spread + np.log(9.0))))
             rounds.append(list(rng.random(PER_ROUND) < share))
             sizes += [size] * PER_ROUND
-        found = threshold(sizes, [bool(one) for some in rounds for one in some])
+        drawn = rng.uniform(0.12, 1.0, 7)  # of the row `one`
+        hits = rng.random(7) < 1.0 / (1.0 + np.exp(-((drawn - edge) / spread + np.log(9.0))))
+        found = threshold([*sizes, *drawn], [*(bool(one) for some in rounds for one in some), *hits.tolist()])
         inside += found.low <= edge <= found.high
     assert inside >= 0.88 * 80
 
@@ -77,12 +80,10 @@ def test_a_size_hangs_on_the_answers_before_it(tmp_path: Path) -> None:
         answered(run, at_size(EXAM, case, 0.5), "one")
     assert not ladder.waits(run, second[0]) and ladder.waits(run, third[0])
     sized = ladder.sized(run, second[0])
-    assert sized.size == 0.25 and sized.effects["steer_lag"]["tau_s"] == pytest.approx(
-        value("steer_lag", 0.25), rel=1e-4
-    )
+    assert sized.size == 0.2 and sized.effects["steer_lag"]["tau_s"] == pytest.approx(value("steer_lag", 0.2), rel=1e-4)
     for case, verdict in zip(second, ("one", "none_missing", "one"), strict=True):
         answered(run, ladder.sized(run, case), verdict)
-    assert ladder.sized(run, third[0]).size == 0.375
+    assert ladder.sized(run, third[0]).size == 0.35
 
 
 def test_sign_and_second_parameter_stay_whatever_the_size() -> None:
@@ -136,7 +137,7 @@ def test_a_case_that_waits_lets_others_by(tmp_path: Path) -> None:
         answered(run, at_size(EXAM, case, 0.5), "none_missing")
         turns.give_back()
     thread.join(10.0)
-    assert waiting[0] is not None and waiting[0].number == second[0].number and waiting[0].size == 0.75
+    assert waiting[0] is not None and waiting[0].number == second[0].number and waiting[0].size == 0.8
     assert Turns(run, Ladder(EXAM), [other], until=0.0).take() is None, "no time left"
     stopped = Turns(run, Ladder(EXAM), [other])
     stopped.stop()

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tools.gap_exam import report, score
-from tools.gap_exam.catalogue import value
+from tools.gap_exam.catalogue import EFFECTS, size_of, value
 from tools.gap_exam.driver import CONTROLLER, PERSON
 from tools.gap_exam.limits import amount, limits
 from tools.gap_exam.outcomes import OUTCOMES, mark
@@ -92,6 +92,25 @@ def test_the_smallest_value_that_is_named() -> None:
     (never,) = limits([one._replace(mark=one.mark._replace(outcome="silent")) for one in cases])
     assert never.value is None and report.limit_words(never) == "never"
     assert report.limit_words(found).endswith(" s") and " to " in report.limit_words(found)
+
+
+def test_one_effect_logs_count_for_a_limit_once_there_is_a_bisection() -> None:
+    """A size that was drawn is that of its value; of an effect without a bisection nothing is said."""
+    steps = ladder_cases({0.5: (1, 1, 1), 0.25: (0, 0, 0)})
+    drawn = []
+    for place, size in enumerate((0.41, 0.62, 0.9)):
+        effects = {"steer_lag": {"tau_s": value("steer_lag", size)}}
+        drawn.append(case(20 + place, "one", "steer_lag", effects=effects, size=-1.0))
+    (alone,), (both,) = limits(steps), limits([*steps, *drawn])
+    assert both.n == alone.n + 3 and both.at[0] < alone.at[0], "three more were named"
+    assert [round(size, 6) for size, _, _, _ in both.steps] == [0.25, 0.41, 0.5, 0.62, 0.9]
+    assert limits(drawn) == []
+
+
+@pytest.mark.parametrize("name", sorted(EFFECTS))
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_size_is_found_again_by_its_value(name: str, sign: int) -> None:
+    assert size_of(name, value(name, 0.37, sign)) == pytest.approx(0.37)
 
 
 def test_a_limit_is_not_said_below_what_was_asked() -> None:

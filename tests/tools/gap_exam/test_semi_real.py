@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import cantools
@@ -122,6 +123,7 @@ def test_the_rav4s_minute_rewritten(tmp_path: Path, shared_data: Path) -> None:
     case = cases.Case(0, "semi", -1, "", "recorded", 0, {"steer_report_offset": {"offset_rad": 0.1}}, 1, source="rav4")
     folder, (text,), _ = semi_real.question(run, case)
     raw = (tmp_path / "recordings" / "rav4" / "drive.log").read_text()
+    assert tomllib.loads((folder / "vehicle.toml").read_text())["nominal"]["track_m"] == 1.57
     assert len(read(raw)) == len(read(text)) > 30000
     total = [
         sum(values(one, folder, "STEER_ANGLE_SENSOR", part)[1] for part in ("STEER_ANGLE", "STEER_FRACTION"))

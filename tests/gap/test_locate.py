@@ -1,0 +1,27 @@
+"""Links that are broken: by what could be explained, or by moments that nothing foretells."""
+
+from __future__ import annotations
+
+from tunefree_hil.base.contracts import Link
+from tunefree_hil.gap.bursts import Burst
+from tunefree_hil.gap.leftover import Left
+from tunefree_hil.gap.locate import look
+from tunefree_hil.gap.work import Kind
+
+NAMES = ("shaken", "pothole", "even", "slanted")
+KINDS = {name: Kind(name, Link.REPORT_TO_MOTION, "m/s2", 0.05, 0.0) for name in NAMES}
+LEFT = {name: Left(0.01, 0.0) for name in NAMES[:3]} | {"slanted": Left(0.02, 0.01)}
+
+
+def test_a_link_is_broken_by_loud_moments_in_several_blocks() -> None:
+    bursts = {"shaken": Burst(0.4, 0.05, 3), "pothole": Burst(0.4, 0.05, 1), "even": Burst(0.4, 0.2, 9)}
+    found = look(LEFT, KINDS, dict.fromkeys(NAMES, 1.0), bursts)
+    assert [one.signal for one in found[:2]] == ["shaken", "slanted"]
+    assert {one.signal for one in found if one.broken} == {"shaken", "slanted"}
+    assert found[0].missed == "shaken is missed by 38% of the signal in moments, and hardly else"
+    assert found[1].missed == "slanted is missed by 10.0%"
+
+
+def test_loud_moments_are_held_against_the_signal() -> None:
+    found = look(LEFT, KINDS, dict.fromkeys(NAMES, 5.0), {"shaken": Burst(0.4, 0.05, 3)})
+    assert not any(one.broken for one in found)

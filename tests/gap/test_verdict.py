@@ -1,0 +1,108 @@
+"""From steps of a search to a verdict: who has rivals is one of a set, alone or beside others."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import pytest
+
+from tests.gap.test_decide import spread, weighed
+from tests.gap.test_interval import ALL as BLOCKS_OF
+from tests.gap.test_interval import DELAY, fitted
+from tunefree_hil.base.contracts import Link
+from tunefree_hil.gap.decide import Weighed
+from tunefree_hil.gap.excitation import Excited
+from tunefree_hil.gap.locate import Looked
+from tunefree_hil.gap.verdict import not_it, verdict_of, wavers, with_others
+
+SEEN, UNSEEN = Excited(2.0, True, ()), Excited(0.3, False, ("3 brakings by 3 m/s or more, 9 are needed",))
+BARELY = Excited(0.75, False, ("3 brakings by 3 m/s or more, 4 are needed",))
+NAMES = ("brake_gain", "brake_fade", "brake_drag", "rolling_resistance", "steer_lag", "steer_dead_time")
+DRIVES = cast(Any, [type("Drive", (), {"has": lambda self, *names: True})()])
+QUIET = Looked("brake", Link.COMMAND_TO_REPORT, "1", 0.1, 0.1, 0.0, 0.0, False)
+
+
+FADES = weighed(brake_gain=spread(1.0), brake_fade=spread(1.2), brake_drag=spread(6.0))
+
+
+def step(name: str, *others: str) -> Weighed:
+    return weighed(**{name: spread(1.0)})[0]._replace(others=others)
+
+
+def verdict(
+    *steps: Weighed, brakes: Excited = SEEN, amiss: str = "", unsteady: dict[str, float] | None = None
+) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    held = {name: brakes if name == "brake_gain" else SEEN for name in NAMES}
+    told = [with_others(one, steps, held, FADES, DRIVES) for one in steps]
+    return verdict_of(list(steps), told, [QUIET], amiss, held, (), unsteady or {})
+
+
+@pytest.mark.parametrize(
+    ("steps", "says", "names"),
+    [
+        ((step("brake_gain"),), "one", ()),
+        ((step("brake_gain", "brake_fade"),), "set", ("brake_gain", "brake_fade")),
+        ((step("brake_gain"), step("steer_lag")), "several", ()),
+        (
+            (step("brake_gain"), step("steer_lag", "steer_dead_time")),
+            "set",
+            ("brake_gain", "steer_lag", "steer_dead_time"),
+        ),
+        ((step("brake_drag", "rolling_resistance"),), "one", ()),  # a class is one name
+        ((step("brake_gain", "steer_lag"), step("steer_lag")), "several", ()),  # it is there already
+    ],
+)
+def test_rivals_make_a_set_of_one_effect_and_of_several(
+    steps: tuple[Weighed, ...], says: str, names: tuple[str, ...]
+) -> None:
+    found = verdict(*steps)
+    assert found[:2] == (says, names) and bool(found[2]) == (says == "set")
+
+
+def test_what_the_drive_could_hardly_show_is_a_set_with_whom_it_is_easily_taken_for() -> None:
+    says, names, words = verdict(step("brake_gain"), brakes=UNSEEN)
+    assert (says, names) == ("set", ("brake_gain", "brake_fade")) and "9 are needed" in words[0]
+    says, names, words = verdict(step("brake_gain"), brakes=BARELY)
+    assert (says, names) == ("one", ()) and "4 are needed" in words[0]
+
+
+def test_nothing_found_and_nothing_missed_is_nothing_missing() -> None:
+    assert verdict()[0] == "none_missing"
+
+
+def test_a_gain_that_is_another_one_in_each_block_is_no_recalibration() -> None:
+    says, _, words = verdict(unsteady={"throttle_gain.gain_frac": 3.2})
+    assert says == "none_of_these" and "throttle_gain.gain_frac" in words[0] and "3.2 standard" in words[0]
+    assert verdict(step("brake_gain"), unsteady={"throttle_gain.gain_frac": 3.2})[0] == "one"
+
+
+BROKEN, LOUD = QUIET._replace(broken=True, share=0.1), QUIET._replace(broken=True, loud=0.4)
+WORKED = {"brake": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("was", "still", "left", "says"),
+    [
+        (BROKEN, QUIET, 0.6, ""),  # what is left there a calibrated model may miss
+        (BROKEN, BROKEN, 0.2, ""),
+        (BROKEN, BROKEN, 0.6, "leaves 60% of what could be explained of brake"),
+        (LOUD, LOUD._replace(loud=0.3), 0.0, "still brake is missed by 30% of the signal in moments, and hardly else"),
+        (LOUD._replace(loud=5.0), LOUD, 0.0, ""),  # the form of what is there is not quite the catalogue's
+        (BROKEN, BROKEN._replace(signal="steer"), 1.0, ""),  # another thing, and a smaller one
+        (BROKEN, LOUD._replace(signal="steer"), 1.0,
+         "explains less than what is left elsewhere: steer is missed by 40% of the signal in moments, and hardly else"),
+    ],
+)  # fmt: skip
+def test_a_name_is_answerable_for_what_is_left(was: Looked, still: Looked, left: float, says: str) -> None:
+    before = [was, *([still] if still.signal != was.signal else [])]
+    assert not_it(before, [still], {"brake": left, "steer": 1.0}, WORKED) == says
+    found = verdict(step("brake_gain"), amiss=says)
+    assert (found[0] == "none_of_these") == bool(says)
+
+
+@pytest.mark.parametrize(("differ", "says"), [(0.5, False), (30.0, True)])
+def test_what_is_another_one_in_each_block_is_no_effect(differ: float, says: bool) -> None:
+    one = step("steer_dead_time")
+    repaired = one.model._replace(fitted=fitted(DELAY, differ=differ))
+    said = wavers([one], repaired, BLOCKS_OF)
+    assert bool(said) == says and (not says or said.startswith("what it would be of steer_dead_time differs by"))

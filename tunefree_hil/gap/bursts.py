@@ -1,0 +1,59 @@
+"""Misses that are loud for a moment and calm else: oscillations, holes, whatever comes and goes by itself.
+
+A regression on commands foretells nothing of them (leftover.py), and the mean over a drive hides them. A drive is cut
+into windows; the loudest few are held against the ordinary one, which is the sensor's noise and what a model misses
+everywhere, and against the signal. Who explains a drive but for such moments has not found what makes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+Array = np.ndarray
+
+WINDOW_S = 0.5  # half a turn at 1 Hz, a few at what shakes faster
+LOUDEST = 0.02  # of the windows: a second in a minute
+FEWEST_WINDOWS = 50
+ORDINARY = 10.0  # times the ordinary window's square
+NOISY = 5.0  # times that: what noise alone comes to in the loudest, which is no moment's
+BLOCKS = 2  # in which there are such windows: once may be a pothole
+
+
+class Burst(NamedTuple):
+    """Root mean squares of the loudest windows and of the ordinary one, in the target's unit; blocks with loud ones."""
+
+    loud: float
+    ordinary: float
+    blocks: int
+
+    def share(self, size: float) -> float:
+        """Of the signal, what the loudest windows miss beyond noise; 0 where they are no louder than that may make."""
+        stands_out = self.blocks >= BLOCKS and self.loud**2 > ORDINARY * self.ordinary**2
+        return (self.loud**2 - NOISY * self.ordinary**2) ** 0.5 / max(size, 1e-12) if stands_out else 0.0
+
+
+def burst_of(
+    residual: Sequence[Array], valid: Sequence[Array], block: Sequence[Array], blocks: Array, dt_s: float
+) -> Burst:
+    """Of a target, all drives; rows of `blocks` only. Nothing is loud in too few windows."""
+    rows = max(round(WINDOW_S / dt_s), 1)
+    pieces = [windows_of(*one, rows) for one in zip(residual, valid, block, strict=True)]
+    squares = np.concatenate([np.mean(values**2, axis=1) for values, _ in pieces])
+    at = np.concatenate([where for _, where in pieces])
+    squares, at = squares[np.isin(at, blocks)], at[np.isin(at, blocks)]
+    if len(squares) < FEWEST_WINDOWS:
+        return Burst(0.0, 0.0, 0)
+    ordinary = float(np.median(squares))
+    loudest = np.sort(squares)[-max(round(LOUDEST * len(squares)), 1) :]
+    return Burst(float(loudest.mean()) ** 0.5, ordinary**0.5, len(np.unique(at[squares > ORDINARY * ordinary])))
+
+
+def windows_of(values: Array, valid: Array, block: Array, rows: int) -> tuple[Array, Array]:
+    """(whole windows of so many rows [w, rows], the block of each [w]): all their rows count, and are of one block."""
+    count = len(values) // rows
+    cut = [one[: count * rows].reshape(count, rows) for one in (values, valid, block)]
+    whole = cut[1].all(axis=1) & (cut[2] == cut[2][:, :1]).all(axis=1) & (cut[2][:, 0] >= 0)
+    return cut[0][whole], cut[2][whole, 0]

@@ -1,0 +1,75 @@
+"""Speed and yaw rate of an INS that says places and heading and no rates: their slopes over a few values.
+
+A motion capture, or a receiver with two antennae, says where a car is and which way it heads. What that comes to in
+speed along the car and in yaw rate is the only second opinion that such a recording has on wheels and gyro.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tunefree_hil.learn.smooth import between_fresh, rate_of
+
+Array = np.ndarray
+
+X, Y, HEADING, SPEED, YAW_RATE = (
+    "ins.x_m", "ins.y_m", "ins.heading_rad", "ins.speed_mps", "ins.yaw_rate_radps"
+)  # fmt: skip
+VALUES = 5  # under a slope: over more, what a quick car does would be taken off
+SLOWEST_S = 0.06  # between two values: a slope over more than a quarter of a second is no rate
+LEAST_VALUES = 20
+USUAL, JUMP = 0.99, 5.0  # a step so many times as long as 99 of 100 others is no motion
+
+
+def rates_by_pose(fields: Mapping[str, Array], fresh: Mapping[str, Array], dt_s: float) -> dict[str, Array]:
+    """The rates [m/s, rad/s] that an INS does not say and its pose tells, on every tick; fresh where HEADING is.
+
+    Empty where it says them itself, where values come too seldom for slopes, and where the pose jumps (a camera that
+    lost the car, a correction): of such a pose no slope is sure. Speed is that along the heading, of the point whose
+    places they are. NaN before the first pose.
+    """
+    found: dict[str, Array] = {}
+    if not _often(fresh, (HEADING,), dt_s):
+        return found
+    heading = _unwrapped(fields[HEADING], fresh[HEADING])
+    if _jumps(heading, fresh[HEADING]):
+        return found
+    if YAW_RATE not in fields:
+        found[YAW_RATE] = _slope(heading, fresh[HEADING], dt_s)
+    if SPEED not in fields and _often(fresh, (X, Y), dt_s):
+        even = between_fresh(heading, fresh[HEADING])
+        east, north = (_slope(fields[name], fresh[name], dt_s) for name in (X, Y))
+        if not any(_jumps(fields[name], fresh[name]) for name in (X, Y)):
+            found[SPEED] = east * np.cos(even) + north * np.sin(even)
+    return found
+
+
+def _jumps(values: Array, fresh: Array) -> bool:
+    """Whether a value is far from where the one before it was."""
+    steps = np.abs(np.diff(values[fresh & np.isfinite(values)]))
+    return bool(steps.max() > JUMP * max(float(np.quantile(steps, USUAL)), 1e-12))
+
+
+def _often(fresh: Mapping[str, Array], names: tuple[str, ...], dt_s: float) -> bool:
+    """Whether values of all of these are there, and come often enough for slopes."""
+    if any(name not in fresh or fresh[name].sum() < LEAST_VALUES for name in names):
+        return False
+    return all(_period(fresh[name]) * dt_s <= SLOWEST_S for name in names)
+
+
+def _period(fresh: Array) -> int:
+    """Ticks from one value to the next."""
+    return max(round(float(np.median(np.diff(np.flatnonzero(fresh))))), 1)
+
+
+def _unwrapped(values: Array, fresh: Array) -> Array:
+    found, rows = values.copy(), np.flatnonzero(fresh & np.isfinite(values))
+    found[rows] = np.unwrap(values[rows])
+    return found
+
+
+def _slope(values: Array, fresh: Array, dt_s: float) -> Array:
+    """Rate per s; NaN before the first value."""
+    return rate_of(values, fresh, (VALUES - 1) * _period(fresh) | 1, dt_s)

@@ -1,0 +1,115 @@
+"""From what a search found to what is said: a name, several, a set, nothing, or something that the catalogue lacks.
+
+A name is answerable for the signals that it works on: where one of them is missed much as before, by moments or by what
+anything could explain, where more is missed elsewhere than it explains, or where it would be another one in each block,
+it was not that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from tunefree_hil.gap.ask import Modelled
+from tunefree_hil.gap.chain import Opened
+from tunefree_hil.gap.decide import MOST_LEFT, Weighed, outdone
+from tunefree_hil.gap.evidence import LEAST_NATS
+from tunefree_hil.gap.excitation import Excited
+from tunefree_hil.gap.graph import effects
+from tunefree_hil.gap.interval import WAVERS, wavering
+from tunefree_hil.gap.locate import LOUD, VISIBLE, Looked
+from tunefree_hil.gap.suspects import class_of
+
+Array = np.ndarray
+
+HARDLY = 0.5  # of what an effect needs to be seen: from a drive that holds less than that it is not named alone,
+NEARLY = 0.7  # where another comes so near to its evidence: what stands on little is not told by a lead of a third
+
+
+def verdict_of(
+    first: list[Weighed], steps: list[Weighed], looked: Sequence[Looked], amiss: str, held: Mapping[str, Excited],
+    lost: Sequence[str], unsteady: Mapping[str, float],
+) -> tuple[str, tuple[str, ...], tuple[str, ...]]:  # fmt: skip
+    """(verdict, set, words). looked: before anything was found; amiss: why what was found is not it, in words;
+    unsteady: gains that recalibration would have to move from block to block, by how many deviations. Of several
+    effects one that has rivals makes a set of all of them.
+    """
+    if lost:
+        return "none_of_these", (), tuple(lost)
+    if not steps:
+        worst, doubtful = looked[0], first and first[0].counts and outdone(first)
+        if doubtful:
+            words = f"{first[0].name} would explain it, {doubtful} would explain more, and spoils other signals"
+            return "none_of_these", (), (words,)
+        if worst.broken:
+            return "none_of_these", (), (f"{worst.missed}, and no effect explains it",)
+        if unsteady:
+            key, by = max(unsteady.items(), key=lambda one: one[1])
+            words = f"{key} would have to be recalibrated otherwise in each block, by {by:.1f} standard deviations"
+            return "none_of_these", (), (f"{words}, and no effect explains that",)
+        return "none_missing", (), ("nothing beyond noise and recalibration",)
+    if amiss:
+        best = ", ".join(step.name for step in steps)
+        return "none_of_these", (), (f"{best} comes nearest, and {amiss}",)
+    if not any(step.others for step in steps):
+        lacking = tuple(f"{one.name}: {what}" for one in steps for what in held[one.name].lacks)
+        return ("one" if len(steps) == 1 else "several"), (), lacking
+    names = dict.fromkeys(name for step in steps for name in (step.name, *step.others))
+    return "set", tuple(names), tuple(_set_words(step, held[step.name]) for step in steps)
+
+
+def not_it(
+    looked: Sequence[Looked], still: Sequence[Looked], left: Mapping[str, float], worked: Mapping[str, float]
+) -> str:
+    """Why effects that were found are not what is missing, in words; '' where nothing speaks against them.
+
+    looked, still: targets without and with them in the model; left: by target, of what could be explained the part that
+    still can be; worked: the targets that they explain, each by how much of its signal. There they have to explain what
+    there is; and what is missed elsewhere must be less than what they explain.
+    """
+    was = {one.signal: one for one in looked}
+    for one in still:
+        if one.signal not in worked:
+            if one.broken and max(one.share, one.loud) > max(worked.values(), default=0.0):
+                return f"explains less than what is left elsewhere: {one.missed}"
+        elif one.loud > max(LOUD, MOST_LEFT * was[one.signal].loud):
+            return f"still {one.missed}"
+        elif one.broken and one.share > VISIBLE and left[one.signal] > MOST_LEFT:
+            return f"leaves {left[one.signal]:.0%} of what could be explained of {one.signal}"
+    return ""
+
+
+def wavers(steps: Sequence[Weighed], repaired: Modelled, blocks: Array) -> str:
+    """An effect whose parameter is another one from block to block, in words: a constant it is not."""
+    for step in steps:
+        share = wavering(repaired.fitted, step.name, blocks)
+        if share > WAVERS:
+            return f"what it would be of {step.name} differs by {share:.0%} of itself from block to block"
+    return ""
+
+
+def _set_words(step: Weighed, held: Excited) -> str:
+    """Of a step of a set: what it cannot be told from, and why."""
+    if not step.others:
+        return f"{step.name} beside them"
+    why = f": {'; '.join(held.lacks)}" if held.lacks else ""
+    return f"{step.name} explains these logs as well as {', '.join(step.others)}{why}"
+
+
+def with_others(
+    step: Weighed, steps: Sequence[Weighed], held: Mapping[str, Excited], first: Sequence[Weighed],
+    drives: Sequence[Opened],
+) -> Weighed:  # fmt: skip
+    """A step with the rivals that no class has together with it; where the drive hardly holds what shows it, whoever it
+    is easily taken for is one, too, as far as that comes near to it alone. first: all suspects alone.
+    """
+    same = class_of(step.name, all(one.has("report.lateral_accel_mps2") for one in drives))
+    apart = same | {one.name for one in steps}
+    others = step.others
+    if held[step.name].score < HARDLY:
+        alone = {one.name: one.evidence for one in first}
+        least = NEARLY * alone.get(step.name, step.evidence)
+        some = [name for name in effects()[step.name].impostors if alone.get(name, 0.0) > max(least, LEAST_NATS)]
+        others += tuple(name for name in some if name not in others)
+    return step._replace(others=tuple(name for name in others if name not in apart))

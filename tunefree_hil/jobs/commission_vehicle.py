@@ -1,0 +1,39 @@
+"""The vehicle of a commission as one model folder: the bench file's verify_model with the bench file's own [[effects]].
+
+`collect` drives a bench file's verify_model with its effects; the bench that is tuned has none, as they are no part of
+the learned plant. This folder has them, so that what is verified on, and what `gap --drive` drives later, is the car
+that the logs were collected from.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from tunefree_hil.config.dump import plain, to_toml
+from tunefree_hil.config.load import load_model
+from tunefree_hil.config.schema import BenchSpec
+from tunefree_hil.learn.write_model import whole_folder
+
+VEHICLE = "vehicle"  # in the commission's folder
+SET_BY_LOADER = ("folder", "hash")
+HEAD = "# Written by tunefree_hil commission: {model} with the [[effects]] of {bench}, as `collect` drove it.\n"
+
+
+def write_vehicle(folder: Path, bench: BenchSpec) -> Path:
+    """Write the folder anew, whole or not at all, beside what else the verify_model's own holds; its path. The same
+    bench file gives the same bytes. Raises InputError for a verify_model that cannot be read.
+    """
+    model = load_model(bench.verify_model, bench.path)
+    source = Path(model.folder)
+    data = {key: one for key, one in plain(model).items() if key not in SET_BY_LOADER}
+    # the bench's stand behind the model's own; an effect without parameters keeps its empty table
+    data["effects"] = [{"params": {}, **plain(one)} for one in (*model.effects, *bench.effects)]
+    shutil.rmtree(folder, ignore_errors=True)
+    with whole_folder(folder) as part:
+        for file in sorted(source.iterdir()):
+            if file.is_file() and file.name != "model.toml":
+                shutil.copyfile(file, part / file.name)
+        head = HEAD.format(model=source.name, bench=Path(bench.path).name)
+        (part / "model.toml").write_text(head + to_toml(data), encoding="utf-8")
+    return folder
