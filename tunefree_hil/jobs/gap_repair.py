@@ -10,7 +10,7 @@ from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
 from tunefree_hil.gap.pays import Paid, gained, groups_of, that_pays
 from tunefree_hil.gap.repair import Repaired, found_effects, repaired, write_repaired
-from tunefree_hil.gap.segments import CHOICE
+from tunefree_hil.gap.segments import CHOICE, block_s_of
 from tunefree_hil.gap.shrink import (
     better_by_recalibration,
     explained_frac,
@@ -82,7 +82,7 @@ def _as_open(
 def _chosen(material: Material, values: dict[str, float], effects: list[EffectSpec], opened: list[Opened]) -> Proof:
     """Free runs over the blocks that choose."""
     made = repaired(material.model, material.vehicle, values, effects)
-    return prove({"": Variant(made.model, made.day)}, material.vehicle, opened, role=CHOICE)
+    return prove({"": Variant(made.model, made.day)}, material.vehicle, opened, role=CHOICE, brief=True)
 
 
 def as_data(mended: Mended) -> dict[str, Any]:
@@ -113,6 +113,7 @@ def proved(
     data: dict[str, Any] = {
         "signals": {name: one._asdict() for name, one in gaps.items()},
         "proof_blocks": proof.blocks,
+        "block_s": round(block_s_of([one.ticks for one in opened], opened[0].dt_s), 2),
         "recalibration": _gained(gaps),
     }
     if mended.model is None:
