@@ -7,9 +7,7 @@ paired test looks at whole blocks and at how much the difference between two mod
 What it holds back is a candidate's own parameters: in each fold they are those of the other folds' blocks. What
 recalibration moves, and the noise's filter, are those of all judged blocks, fit and choice alike, for both models that
 are compared: the test is of one name against another under the same freedom, and no claim about drives that nobody has
-seen. That claim is made on the blocks that prove, which nothing here has touched. Two stricter ways were held
-against it on 24 development logs with a right name: all that is fitted by the other folds alone, and all of it by the
-blocks of FIT, judged on those of CHOICE. They keep 22 and 23 of the names, and neither puts a false one first.
+seen. That claim is made on the blocks that prove, which nothing here has touched.
 """
 
 from __future__ import annotations

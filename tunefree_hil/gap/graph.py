@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tunefree_hil.base import parts
 from tunefree_hil.base.contracts import BodyChange, Effect, Latency, Port, make_effect
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import Report
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
+from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.channels import channel_spec
 from tunefree_hil.gap.ports import chain_of
 from tunefree_hil.gap.recent import Recent, ahead
@@ -66,11 +66,7 @@ class Inputs(NamedTuple):
     dt_s: float
 
 
-@cache
-def effects() -> dict[str, Effect]:
-    """The catalogue: every file of effects/, by name."""
-    package = "tunefree_hil.effects"
-    return {name: parts.load("tunefree_hil.effects", name, "EFFECT") for name in parts.names(package)}
+effects = cache(catalogue)  # read once a process; who looks an effect up by name need not keep it
 
 
 class Graph:

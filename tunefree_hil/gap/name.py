@@ -25,7 +25,6 @@ from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.interval import Value, unsteady, values_of
 from tunefree_hil.gap.leftover import Left
 from tunefree_hil.gap.locate import Card, Looked, card, echo_words, look
-from tunefree_hil.gap.null import taken
 from tunefree_hil.gap.search import backward, forward, settled, weighed
 from tunefree_hil.gap.segments import FEWEST, FEWEST_DRIVEN, Blocks, block_s_of, blocks_of
 from tunefree_hil.gap.targets import LEAST_MPS
@@ -141,8 +140,6 @@ def _named(
     steps = [with_others(step, steps, held, first, drives) for step in steps]
     restless = unsteady(question.null.fitted, blocks)
     verdict, others, words = verdict_of(first, steps, looked, amiss, held, echo_words(said), restless)
-    fitted, nuisances = repaired.fitted, len(repaired.fitted.keys) - len(repaired.fitted.free)
-    words = (*words, *taken(fitted.keys[:nuisances], fitted.z[:nuisances].tolist()))
     link, shown = _where(team, question, steps, looked, said)
     known: tuple[Effect, ...] = ()
     if verdict in ("one", "several"):

@@ -69,8 +69,8 @@ DOUBTED = {
 TAKEN = 1.8  # standard deviations, of the 2 that it may go: as well something missing, and it takes that in
 WIDER = 2.0  # than a calibration's own deviation: it judged itself on the drives that it was fitted on
 MOST_DOUBT = 0.15  # of a constant; what was never known is no licence to explain everything
-# A calibration's doubt of each of these is that of the others: it knows what they come to together much better
 MOST_DRAG = 3.1  # deviations that the drag area must hold: less than nothing is no car
+# A calibration's doubt of each of these is that of the others: it knows what they come to together much better
 SHARED = {"drive_force_n", "drive_knee_frac"}
 LEAST_DEAD_TIME_S, LEAST_LAG, LEAST_GAIN = (
     0.001,

@@ -55,13 +55,13 @@ def that_pays(
     """
     groups = groups_of(values, {one.name for one in found})
     now, left = dict(values), list[str]()
-    run = _run(model, vehicle, now, found, drives) if groups else None
+    run = chosen_runs(model, vehicle, now, found, drives) if groups else None
     if run is None or not run.blocks:
         return Paid(now, ())
     floors = floors_of(run, model)
     for group, keys in groups.items():
         without = {key: value for key, value in now.items() if key not in keys}
-        other = _run(model, vehicle, without, found, drives)
+        other = chosen_runs(model, vehicle, without, found, drives)
         if not pays(gained(run, other, floors)):
             now, run = without, other
             left.append(group)
@@ -88,7 +88,7 @@ def _group_of(key: str, port: Port | None) -> str:
     return ALONG
 
 
-def _run(
+def chosen_runs(
     model: ModelSpec, vehicle: VehicleSpec, values: Mapping[str, float], found: Sequence[EffectSpec],
     drives: Sequence[Opened],
 ) -> Proof:  # fmt: skip

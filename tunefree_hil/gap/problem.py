@@ -86,10 +86,6 @@ class Fitted(NamedTuple):
     sums: dict[str, Sums]
     residuals: Residuals
 
-    def param(self, key: str) -> float:
-        """A value, by its key."""
-        return self.values[key]
-
 
 class Slopes(NamedTuple):
     """What a unit of each key does to each target: by target (columns [c], slopes a drive [m, c])."""

@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import (
     ActuatorSpec,
@@ -26,16 +24,14 @@ from tunefree_hil.config.schema import (
     VehicleSpec,
     value_of,
 )
-from tunefree_hil.effects import catalogue
-from tunefree_hil.gap.graph import scaled
+from tunefree_hil.gap.graph import effects, scaled
 from tunefree_hil.gap.kept import Kept
 from tunefree_hil.learn.free_run import plant_of
-from tunefree_hil.learn.write_model import CARD_FILE, whole_folder, write_card
+from tunefree_hil.learn.write_model import CARD_FILE, data_of, write_beside
 
 OF_THE_DAY = ("grade", "side_wind", "friction", "speed_scale", "yaw_rate_bias", "yaw_rate_scale", "accel_bias")
 ADDED = ("dead_time_s", "offset")  # numbers of a channel that recalibration adds to; the others it multiplies
 LEAST_CHANGE = 1e-9  # of a number: less is none
-SET_BY_LOADER = ("folder", "hash")
 GAINS = {  # effects that are a factor on a constant of the single track
     "brake_gain": "brake_force_n_per_frac",
     "front_stiffness": "front_stiffness_n_per_rad",
@@ -103,15 +99,10 @@ def write_repaired(folder: Path, model: ModelSpec, made: ModelSpec, story: Mappi
 
     story: what card.json says of the repair. Raises InputError for a folder that is there already.
     """
-    source = Path(model.folder)
-    with whole_folder(folder) as part:
-        for file in sorted(source.iterdir()):
-            if file.is_file() and file.name not in ("model.toml", CARD_FILE):
-                shutil.copyfile(file, part / file.name)
-        data = {key: one for key, one in plain(made).items() if key not in SET_BY_LOADER}
-        data["plant"]["card"] = CARD_FILE
-        (part / "model.toml").write_text(HEAD.format(model=source.name, card=CARD_FILE) + to_toml(data))
-        write_card(part, {**card_of(model), "repair": story})
+    data = data_of(made)
+    data["plant"]["card"] = CARD_FILE
+    head = HEAD.format(model=Path(model.folder).name, card=CARD_FILE)
+    write_beside(folder, model, head, data, {**card_of(model), "repair": story})
     return load_model(folder)
 
 
@@ -127,7 +118,7 @@ def _ends(value: Mapping[str, Any]) -> list[float]:
 
 def _by_effect(values: Mapping[str, float], found: set[str]) -> dict[str, Params]:
     """Parameters of effects of the catalogue that recalibration moved, by effect."""
-    known, moved = catalogue(), {}
+    known, moved = effects(), {}
     for key, value in values.items():
         name, _, parameter = key.partition(".")
         if name in known and name not in found and value != known[name].neutral[parameter]:

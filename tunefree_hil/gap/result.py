@@ -19,7 +19,6 @@ WITHOUT_NET = ("physics", "reference")  # kinds of plants that were not taught b
 
 def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
     """Plain dicts, lists, numbers and words; what is no finite number is None. kind: of the model's plant."""
-    moved = moved_words(found)
     return {
         "verdict": found.verdict or None,
         "forced": forced_name(found),
@@ -51,8 +50,8 @@ def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
             }
             for one in found.candidates
         ],
-        "words": [one for one in found.words if one not in moved],
-        "moved": list(moved),
+        "words": list(found.words),
+        "moved": list(moved_words(found)),
     }  # fmt: skip
 
 

@@ -10,13 +10,12 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from tunefree_hil.config.dump import plain, to_toml
+from tunefree_hil.config.dump import plain
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import BenchSpec
-from tunefree_hil.learn.write_model import whole_folder
+from tunefree_hil.learn.write_model import data_of, write_beside
 
 VEHICLE = "vehicle"  # in the commission's folder
-SET_BY_LOADER = ("folder", "hash")
 HEAD = "# Written by tunefree_hil commission: {model} with the [[effects]] of {bench}, as `collect` drove it.\n"
 
 
@@ -25,15 +24,9 @@ def write_vehicle(folder: Path, bench: BenchSpec) -> Path:
     bench file gives the same bytes. Raises InputError for a verify_model that cannot be read.
     """
     model = load_model(bench.verify_model, bench.path)
-    source = Path(model.folder)
-    data = {key: one for key, one in plain(model).items() if key not in SET_BY_LOADER}
+    data = data_of(model)
     # the bench's stand behind the model's own; an effect without parameters keeps its empty table
     data["effects"] = [{"params": {}, **plain(one)} for one in (*model.effects, *bench.effects)]
     shutil.rmtree(folder, ignore_errors=True)
-    with whole_folder(folder) as part:
-        for file in sorted(source.iterdir()):
-            if file.is_file() and file.name != "model.toml":
-                shutil.copyfile(file, part / file.name)
-        head = HEAD.format(model=source.name, bench=Path(bench.path).name)
-        (part / "model.toml").write_text(head + to_toml(data), encoding="utf-8")
+    write_beside(folder, model, HEAD.format(model=Path(model.folder).name, bench=Path(bench.path).name), data)
     return folder

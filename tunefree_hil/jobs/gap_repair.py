@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
-from tunefree_hil.gap.pays import Paid, gained, groups_of, that_pays
+from tunefree_hil.gap.pays import Paid, chosen_runs, gained, groups_of, that_pays
 from tunefree_hil.gap.repair import Repaired, found_effects, repaired, write_repaired
-from tunefree_hil.gap.segments import CHOICE
 from tunefree_hil.gap.shrink import (
     better_by_recalibration,
     explained_frac,
@@ -73,16 +72,12 @@ def _as_open(
     groups = groups_of(found.repaired, {one.name for one in effects})
     for group in [one for one in mine.left if one not in null.left]:
         wider = {**mine.values, **{key: found.repaired[key] for key in groups[group]}}
-        runs = [_chosen(material, values, effects, opened) for values in (wider, mine.values)]
+        runs = [
+            chosen_runs(material.model, material.vehicle, values, effects, opened) for values in (wider, mine.values)
+        ]
         if gained(*runs, floors_of(runs[0], material.model)).mean() > 0.0:
             mine = Paid(wider, tuple(one for one in mine.left if one != group))
     return mine
-
-
-def _chosen(material: Material, values: dict[str, float], effects: list[EffectSpec], opened: list[Opened]) -> Proof:
-    """Free runs over the blocks that choose."""
-    made = repaired(material.model, material.vehicle, values, effects)
-    return prove({"": Variant(made.model, made.day)}, material.vehicle, opened, role=CHOICE)
 
 
 def as_data(mended: Mended) -> dict[str, Any]:

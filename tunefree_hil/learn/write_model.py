@@ -15,9 +15,11 @@ import numpy as np
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.open_loop_map import MAP_FILE
+from tunefree_hil.config.convert import SET_BY_LOADER
+from tunefree_hil.config.dump import plain as plain_spec
 from tunefree_hil.config.dump import to_toml
 from tunefree_hil.config.load import load_model
-from tunefree_hil.config.schema import ValidSpec, VehicleSpec
+from tunefree_hil.config.schema import ModelSpec, ValidSpec, VehicleSpec
 from tunefree_hil.learn.values import ActuatorFit, Value
 
 Array = np.ndarray
@@ -101,6 +103,27 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     finally:
         if part.is_dir():
             shutil.rmtree(part)
+
+
+def data_of(model: ModelSpec) -> dict[str, Any]:
+    """A model as its model.toml says it: without what the loader sets."""
+    return {key: one for key, one in plain_spec(model).items() if key not in SET_BY_LOADER}
+
+
+def write_beside(
+    folder: Path, model: ModelSpec, head: str, data: dict[str, Any], card: Mapping[str, Any] | None = None
+) -> None:
+    """Write `folder` whole or not at all: another model.toml (head, then `data`) beside all else that the model's own
+    holds; card: in place of its own. Raises InputError as `whole_folder` does.
+    """
+    left = {"model.toml"} | (set() if card is None else {CARD_FILE})
+    with whole_folder(folder) as part:
+        for file in sorted(Path(model.folder).iterdir()):
+            if file.is_file() and file.name not in left:
+                shutil.copyfile(file, part / file.name)
+        (part / "model.toml").write_text(head + to_toml(data), encoding="utf-8")
+        if card is not None:
+            write_card(part, card)
 
 
 def write_card(folder: Path, card: Mapping[str, Any]) -> None:
