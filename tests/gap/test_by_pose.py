@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tunefree_hil.gap.by_pose import HEADING, SPEED, YAW_RATE, X, Y, rates_by_pose
+from tunefree_hil.gap.by_pose import HEADING, SPEED, YAW_RATE, X, Y, jumps_of, rates_by_pose
 
 DT_S = 0.01
 Array = np.ndarray
@@ -69,3 +69,13 @@ def test_a_pose_that_jumps_is_no_witness() -> None:
         fields[name] = fields[name] + by * (np.arange(len(fields[name])) > 1500)
         found = rates_by_pose(fields, fresh(fields), DT_S)
         assert set(found) == (set() if name == HEADING else {YAW_RATE})
+
+
+def test_frames_that_are_lost_are_no_jump() -> None:
+    """A car goes on while nobody looks; one that is somewhere else afterwards has jumped."""
+    fields = pose()
+    seen = {name: np.arange(len(values)) % 200 > 4 for name, values in fields.items()}
+    assert jumps_of(fields, seen, DT_S) == () and set(rates_by_pose(fields, seen, DT_S)) == {SPEED, YAW_RATE}
+    fields[Y] = fields[Y] + 6.0 * (np.arange(len(fields[Y])) >= 1200)
+    assert jumps_of(fields, seen, DT_S) == (Y,) and set(rates_by_pose(fields, seen, DT_S)) == {YAW_RATE}
+    assert jumps_of({**fields, SPEED: fields[X]}, seen, DT_S) == (), "nobody asks it for a speed"

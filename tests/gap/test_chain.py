@@ -115,3 +115,14 @@ def test_what_counts_as_driving_goes_with_the_size_of_a_car() -> None:
     assert pace_of(vehicle) == 1.0 and opened().pace == 1.0
     small = msgspec.structs.replace(vehicle, nominal=msgspec.structs.replace(vehicle.nominal, wheelbase_m=0.1735))
     assert pace_of(small) == pytest.approx(0.1735 / 2.7)
+
+
+def test_a_pose_that_jumps_tells_no_speed_and_that_is_said() -> None:
+    gone = ("ins.speed", "ins.yaw", "ins.accel")
+    fields = {key: one for key, one in drive().fields.items() if not key.startswith(gone)}
+    whole = open_chain(drive()._replace(fields=fields), load_vehicle("mkz_bywire"))
+    assert set(whole.derived) == {"ins.speed_mps", "ins.yaw_rate_radps"} and min(whole.derived.values()) > 1
+    fields["ins.x_m"] = fields["ins.x_m"] + 50.0 * (np.arange(drive().ticks) > drive().ticks // 2)
+    one = open_chain(drive()._replace(fields=fields), load_vehicle("mkz_bywire"))
+    assert not whole.unsure and len(one.unsure) == 1 and "ins.x_m jumps" in one.unsure[0]
+    assert set(one.derived) == {"ins.yaw_rate_radps"} and not one.inputs.by_ins

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.gap.made_answer import made_model
-from tunefree_hil.config.schema import ActuatorSpec, ModelSpec
-from tunefree_hil.gap.channels import channel_spec, is_known
+from tunefree_hil.config.schema import ActuatorSpec, EffectSpec, ModelSpec
+from tunefree_hil.gap.channels import channel_spec, heard, is_known
 from tunefree_hil.learn.motion import actuator_params
 from tunefree_hil.plant.actuators import actuator
 from tunefree_hil.plant.asked_accel import FULL_MPS2
@@ -57,3 +57,11 @@ def test_what_a_model_says_of_a_channel_itself_is_taken() -> None:
     alone = model(accel=ActuatorSpec())
     assert not is_known(alone, "steer") and channel_spec(alone, "steer") == ActuatorSpec()
     assert not is_known(model(), "brake") and channel_spec(model(), "brake") == ActuatorSpec()
+
+
+def test_what_is_before_pedals_is_not_heard_by_a_car_that_has_none() -> None:
+    made = made_model()
+    effects = [EffectSpec(name="throttle_lag", params={"tau_s": 0.2}), EffectSpec(name="steer_lag", params={})]
+    fields = {name: getattr(made, name) for name in made.__struct_fields__} | {"effects": effects}
+    assert list(heard(ModelSpec(**fields))) == ["0 throttle_lag", "1 steer_lag"]
+    assert list(heard(ModelSpec(**{**fields, "actuators": {"accel": ActuatorSpec()}}))) == ["1 steer_lag"]

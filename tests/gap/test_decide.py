@@ -125,6 +125,31 @@ def test_what_is_left_is_counted_target_by_target() -> None:
     assert worked_on(NULL, model("x", spread(1.0)), SIZES, ALL) == {"a": pytest.approx(7.0**0.5 / 3.0, rel=0.01)}
 
 
+def test_a_target_that_recalibration_alone_moved_is_not_worked_on() -> None:
+    """`b` is missed by 4 % less beside the effect, or by half without feeling it: nobody is answerable for that."""
+    null = model("", spread(8.0), other=8.0 * ROWS)
+    little = model("x", spread(1.0), other=8.0 * 0.96**2 * ROWS)
+    assert set(worked_on(null, little, SIZES, ALL)) == {"a"}
+    much = model("x", spread(1.0), other=2.0 * ROWS)
+    assert set(worked_on(null, much, SIZES, ALL)) == {"a", "b"}
+    assert set(worked_on(null, numb(much), SIZES, ALL)) == {"a"}
+
+
+def numb(one: Modelled) -> Modelled:
+    """The same candidate, of which `b` feels nothing."""
+    sums = dict(one.fitted.sums)
+    sums["b"] = sums["b"]._replace(columns=np.arange(0), slope=np.zeros((BLOCKS, 0)), curve=np.zeros((BLOCKS, 0, 0)))
+    return one._replace(fitted=one.fitted._replace(sums=sums))
+
+
+def test_what_an_effect_cannot_touch_it_does_not_spoil() -> None:
+    """`b` grows by a fifth of its square, as recalibration comes to rest elsewhere."""
+    spoils = model("x", spread(1.0), other=1.2 * ROWS)
+    for one, counts in ((spoils, False), (numb(spoils), True)):
+        (found,) = weigh({"x": one}, NULL, NULL, SIZES, ALL)
+        assert found.counts == counts and (found.worst > MOST_WORSE) != counts
+
+
 def test_what_is_lost_in_a_sensors_noise_shows_in_means_over_a_second() -> None:
     """Of every tick's error 97 % is noise; of the means over a second next to nothing."""
     counts = np.full(BLOCKS, ROWS)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from tunefree_hil.gap.interval import FORM, UNSTEADY, WAVERS, deviations, unsteady, values_of, wavering
+from tunefree_hil.gap.interval import FORM, UNSTEADY, WAVERS, apart, deviations, unsteady, values_of, wavering
 from tunefree_hil.gap.noise import Colour
 from tunefree_hil.gap.null import Nuisance
 from tunefree_hil.gap.problem import Fitted, Free, Sums
@@ -29,7 +29,7 @@ def fitted(free: Free, differ: float = 0.0, curve: float = 400.0, z: float = 0.2
     return Fitted("x", (free.key,), np.array([z]), (free,), values, {"steer": sums}, {})
 
 
-ALL = np.arange(BLOCKS)
+ALL, ONE_DAY = np.arange(BLOCKS), np.zeros(BLOCKS)
 
 
 def test_blocks_that_agree_are_trusted_as_far_as_the_fit_is() -> None:
@@ -91,26 +91,89 @@ def test_what_counts_by_a_constant_of_the_model_is_known_as_well_as_that() -> No
     assert value.high - value.value == pytest.approx(stdtrit(BLOCKS - 1, 0.975) * 0.2 * 1.6, rel=0.01)
 
 
+def scattered(differ: float) -> float:
+    """What blocks that disagree by so many of their deviations disagree beyond noise: of 12, and about their mean."""
+    return (BLOCKS / (BLOCKS - 1) * differ**2 - 1.0) ** 0.5
+
+
 def test_an_effect_that_is_there_is_the_same_in_all_blocks() -> None:
     """At z = 0.2, with a curvature of 400 a block: a block knows it by 0.05, a quarter of the way from neutral."""
-    assert wavering(fitted(DELAY, differ=1.2), "steer_dead_time", ALL) == 0.0, "chance"
-    assert wavering(fitted(DELAY, differ=3.0), "steer_dead_time", ALL) == pytest.approx(8.0**0.5 * 0.05 / 0.2, rel=0.01)
+    late = "steer_dead_time"
+    assert wavering(fitted(DELAY, differ=1.2), late, ALL, ONE_DAY) == 0.0, "chance"
+    share = scattered(3.0) * 0.05 / 0.2
+    assert wavering(fitted(DELAY, differ=3.0), late, ALL, ONE_DAY) == pytest.approx(share, rel=0.01)
     sharp = fitted(DELAY, differ=3.0, curve=4e6)
-    assert wavering(sharp, "steer_dead_time", ALL) == 0.0, "half a thousandth of a second is the bus's own"
-    gain = DELAY._replace(key="grade.grade_rad")
-    assert 0.0 < wavering(fitted(gain, differ=3.0, curve=4e6), "grade", ALL) < WAVERS, "clear, and too little to matter"
+    assert wavering(sharp, late, ALL, ONE_DAY) == 0.0, "half a thousandth of a second is the bus's own"
+    size = DELAY._replace(key="brake_drag.force_n")
+    assert 0.0 < wavering(fitted(size, differ=3.0, curve=4e6), "brake_drag", ALL, ONE_DAY) < WAVERS, "too little"
 
 
-def test_a_gain_that_recalibration_moves_from_block_to_block_is_told() -> None:
-    """A nuisance counts in deviations of its prior; a block knows it by 0.05 of them."""
+@pytest.mark.parametrize("gain", [0.7, 1.08, 1.55])
+def test_an_effect_may_waver_as_much_as_the_same_number_does_in_a_model_that_lacks_nothing(gain: float) -> None:
+    """Two hundredths, from another form of the pedal, are much of a gain of 8 %, and no sign against it."""
+    free = Free("throttle_gain.gain_frac", 0.4, 2.0, True, 1.0, -0.35, 1.35)
+    curve = 4e6
+    known = curve**-0.5 * np.log(2.0 / 0.4)  # by a block, of itself
+    for sigmas, says in ((1.1, False), (UNSTEADY * 1.2, True)):
+        differ = float(np.hypot(sigmas * 0.02 / known, 1.0)) * ((BLOCKS - 1) / BLOCKS) ** 0.5
+        one = fitted(free, differ=differ, curve=curve, z=free.place(gain))
+        assert (wavering(one, "throttle_gain", ALL, ONE_DAY) > WAVERS) == says
 
-    def moved(differ: float) -> Fitted:
-        one = fitted(DELAY, differ=differ)
-        return one._replace(keys=("throttle_gain.gain_frac",), free=())
 
-    assert unsteady(moved(1.0), ALL) == {} and unsteady(moved(10.0), ALL) == {}
-    assert unsteady(moved(40.0), ALL) == {"throttle_gain.gain_frac": pytest.approx(2.0, rel=0.01)} and UNSTEADY < 2.0
-    assert unsteady(fitted(DELAY, differ=40.0), ALL) == {}, "no gain"
+def test_what_all_blocks_say_alike_is_no_wavering() -> None:
+    """A number that is held at an end of its range is pulled the same way by all blocks; they may know it unequally."""
+    one = fitted(DELAY, differ=0.5)
+    sums = one.sums["steer"]
+    curve = sums.curve * np.linspace(0.2, 5.0, BLOCKS)[:, None, None]
+    pulled = sums._replace(slope=sums.slope + 0.5 * curve[:, :, 0], curve=curve)
+    assert wavering(one._replace(sums={"steer": pulled}), "steer_dead_time", ALL, ONE_DAY) == 0.0
+
+
+def test_blocks_that_know_little_are_asked_as_far_as_they_know() -> None:
+    """One block knows the effect well, the others hardly, and they agree: their chance is larger, and is no wavering.
+    Where they do not agree it is seen, though the one that knows most says nothing of it.
+    """
+    chance = np.random.default_rng(3)
+    curve = np.full(BLOCKS, 4.0)
+    curve[0] = 4e4
+    one = fitted(DELAY)
+    for loud, says in ((1.0, False), (6.0, True)):
+        pull = loud * chance.standard_normal(BLOCKS) * np.sqrt(curve)
+        pull[0] = 0.0
+        sums = one.sums["steer"]._replace(slope=pull[:, None], curve=curve[:, None, None])
+        found = wavering(one._replace(sums={"steer": sums}), "steer_dead_time", ALL, ONE_DAY)
+        assert (found > 0.0) == says
+
+
+def test_blocks_of_other_days_need_not_say_the_same() -> None:
+    """Two drives, each steady, that are far apart."""
+    one, days = fitted(DELAY, differ=0.5), np.repeat([0, 1], BLOCKS // 2)
+    sums = one.sums["steer"]
+    shifted = sums._replace(slope=sums.slope + np.where(days == 0, 200.0, -200.0)[:, None])
+    twice = one._replace(sums={"steer": shifted})
+    assert wavering(twice, "steer_dead_time", ALL, days) == 0.0 < wavering(twice, "steer_dead_time", ALL, ONE_DAY)
+    graded = twice._replace(keys=("grade.grade_rad",), free=())
+    assert apart(graded, ALL, days) == {} and apart(graded, ALL, ONE_DAY) == {}, "half a deviation is what it may be"
+    far = graded._replace(sums={"steer": shifted._replace(slope=10.0 * shifted.slope)})
+    assert apart(far, ALL, days) == {"grade.grade_rad": pytest.approx(5.0 * 2.0**0.5, rel=0.05)}
+    assert apart(far, ALL, ONE_DAY) == {} and apart(far._replace(keys=("brake_gain.gain_frac",)), ALL, days) == {}
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.1])
+def test_a_gain_that_recalibration_moves_from_block_to_block_is_told(sigma: float) -> None:
+    """A nuisance counts in deviations of its prior, here of a car that a calibration knows well or not; a block knows
+    it by a thousandth. How steady it has to be does not hang on that.
+    """
+    key = "brake_gain.gain_frac"
+    curve = (1e3 * sigma) ** 2
+
+    def moved(by: float) -> dict[str, float]:
+        one = fitted(DELAY, differ=by / 1e-3 * ((BLOCKS - 1) / BLOCKS) ** 0.5, curve=curve)
+        return unsteady(one._replace(keys=(key,), free=()), ALL, ONE_DAY, {key: sigma})
+
+    assert moved(1e-3) == {} and moved(0.02 * 1.3) == {}
+    assert moved(0.02 * 2.0) == {key: pytest.approx(2.0, rel=0.01)} and UNSTEADY < 2.0
+    assert unsteady(fitted(DELAY, differ=40.0), ALL, ONE_DAY, {}) == {}, "no gain"
 
 
 def test_a_limit_whose_neutral_is_without_end_has_an_interval() -> None:

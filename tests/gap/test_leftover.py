@@ -8,7 +8,7 @@ import pytest
 from tests.gap.made_answer import VEHICLE, late_drive
 from tunefree_hil.base.contracts import Link
 from tunefree_hil.gap.chain import open_chain
-from tunefree_hil.gap.leftover import Left, Piece, features, left_of, left_over_all
+from tunefree_hil.gap.leftover import ENOUGH_ROWS, Left, Piece, _pieces, features, left_of, left_over_all
 from tunefree_hil.gap.locate import look
 from tunefree_hil.gap.targets import Compared
 from tunefree_hil.gap.work import Kind
@@ -73,3 +73,28 @@ def test_a_link_is_broken_where_more_is_left_than_a_calibrated_model_may_miss() 
     assert found[0].signal == "much" and {one.signal: one.broken for one in found} == {
         "much": True, "little": False, "noisy": False,
     }  # fmt: skip
+
+
+def test_few_rows_are_asked_by_few_columns() -> None:
+    target = next(one for one in Compared(OPENED).targets if one.name == "yaw_rate")
+    residual, block = np.zeros(len(target.rows)), np.zeros(len(target.rows), dtype=int)
+    widths = [
+        _pieces([(OPENED, target)], [residual], [block], rows)[0].columns.shape[1] for rows in (5000, 500, 300, 50)
+    ]
+    assert widths == sorted(widths, reverse=True) and len(set(widths)) == 4
+    assert all(rows >= ENOUGH_ROWS * width for rows, width in zip((5000, 500, 300), widths, strict=False))
+
+
+def test_what_a_small_car_does_slowly_has_a_shape() -> None:
+    """One over the speed, and which way the wheel turns, by the size of the car, its ticks, its steering."""
+    target = next(one for one in Compared(OPENED).targets if one.name == "yaw_rate")
+    x = OPENED.inputs
+    small = OPENED._replace(inputs=x._replace(speed_mps=0.05 * x.speed_mps, outputs=0.05 * x.outputs), pace=0.05)
+    whole, little = (
+        features(OPENED, target),
+        features(small._replace(most_steer_rad=0.05 * OPENED.most_steer_rad), target),
+    )
+    over = -2  # one over the speed: the last but how far the drive has gone
+    assert little[:, over] == pytest.approx(20.0 * whole[:, over]) and np.ptp(whole[:, over]) > 0.0
+    turning = slice(-4 - 6, -4)  # lags of the last signal, before what stands still
+    assert little[:, turning] == pytest.approx(whole[:, turning]) and np.ptp(whole[:, turning]) > 1.0

@@ -25,3 +25,15 @@ def test_a_link_is_broken_by_loud_moments_in_several_blocks() -> None:
 def test_loud_moments_are_held_against_the_signal() -> None:
     found = look(LEFT, KINDS, dict.fromkeys(NAMES, 5.0), {"shaken": Burst(0.4, 0.05, 3)})
     assert not any(one.broken for one in found)
+
+
+def test_a_link_is_not_broken_by_what_its_own_calibration_missed_of_other_drives_within_bounds() -> None:
+    """slanted is missed by a tenth."""
+
+    def broken(missed: float, explicable: float) -> bool:
+        kinds = {"slanted": KINDS["slanted"]._replace(missed=missed)}
+        (one,) = look({"slanted": Left(0.01, explicable**2)}, kinds, {"slanted": 1.0})
+        return one.broken
+
+    assert broken(0.0, 0.04) and not broken(0.05, 0.04) and broken(0.05, 0.055)
+    assert broken(0.5, 0.07), "a model that misses half of its own drives lacks something itself"

@@ -12,7 +12,7 @@ from tunefree_hil.config.schema import EffectSpec
 from tunefree_hil.gap.chain import open_chain
 from tunefree_hil.gap.pays import ACROSS, ALONG, SENSORS, gained, groups_of, pays, that_pays
 from tunefree_hil.gap.segments import PROOF, blocks_of
-from tunefree_hil.gap.verify import POSITION, Proof
+from tunefree_hil.gap.verify import HUGE, POSITION, Proof
 
 STEERING = {"actuator.steer.dead_time_s": 0.9 * LATE_S}  # helps
 PULL = {"plant.drive_force_n": -0.06, "rolling_resistance.extra_frac": 0.2}  # spoils
@@ -50,8 +50,9 @@ def test_errors_count_by_their_shares_and_hardly_below_the_floor() -> None:
     floors = {"speed": 0.1}
     assert np.abs(gained(run(speed=0.01), run(speed=0.02), floors)).max() < 0.02
     assert not gained(run(**{POSITION: 1.0}), run(**{POSITION: 9.0}), {POSITION: 0.1}).any()
-    wild = gained(run(speed=math.nan), run(speed=1.0), floors)
-    assert wild.max() < -10.0 and np.array_equal(gained(run(speed=1.0), run(speed=math.nan), floors), -wild)
+    far = math.sqrt(HUGE)  # what a proof says of a run that came to no number
+    wild = gained(run(speed=far), run(speed=1.0), floors)
+    assert wild.max() < -10.0 and np.array_equal(gained(run(speed=1.0), run(speed=far), floors), -wild)
 
 
 @pytest.mark.parametrize(("gains", "clear"), [

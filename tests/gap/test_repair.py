@@ -12,9 +12,9 @@ from msgspec.structs import replace
 from tests.gap.made_answer import LATE_S, VEHICLE, late_drive, made_kept, made_model
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_model
-from tunefree_hil.config.schema import EffectSpec, Interval
+from tunefree_hil.config.schema import ActuatorSpec, EffectSpec, Interval, ModelSpec
 from tunefree_hil.gap.chain import Opened, open_chain
-from tunefree_hil.gap.repair import found_effects, repaired, write_repaired
+from tunefree_hil.gap.repair import by_channel, found_effects, repaired, write_repaired
 from tunefree_hil.gap.replay import car_of, run_over
 
 MOVED = {
@@ -92,3 +92,35 @@ def test_the_folder_is_a_normal_model_with_interval_and_provenance(tmp_path: Pat
     assert [path.name for path in tmp_path.iterdir()] == ["model"]
     with pytest.raises(InputError, match="there already"):
         write_repaired(tmp_path / "model", model, made.model, {})
+
+
+def by_accel(**accel: float) -> ModelSpec:
+    """The made car as one that is asked for an acceleration."""
+    made = made_model()
+    own = {"accel": ActuatorSpec(**accel), "steer": made.actuators["steer"]}  # pyright: ignore[reportArgumentType]
+    return replace(made, actuators=own)
+
+
+def test_what_was_moved_of_two_pedals_is_moved_of_the_one_channel_of_a_car_that_has_none() -> None:
+    values = {
+        "actuator.throttle.lag_s": 0.2, "actuator.brake.lag_s": 0.1, "actuator.throttle.offset": 0.004,
+        "actuator.brake.offset": 0.001, "actuator.brake.dead_time_s": 0.02, "actuator.steer.lag_s": 0.3,
+    }  # fmt: skip
+    assert by_channel(made_model(), values) is values
+    found = repaired(by_accel(lag_s=0.4), VEHICLE, values).model.actuators
+    assert found["accel"].lag_s == pytest.approx(0.4 * np.exp(0.15)) and found["accel"].dead_time_s == 0.01
+    assert found["accel"].offset == pytest.approx(10.0 * (0.004 - 0.001))
+    assert found["steer"].lag_s == pytest.approx(0.09 * np.exp(0.3))
+
+
+def test_the_proof_of_a_car_that_is_asked_for_an_acceleration_has_its_dead_time_and_lag() -> None:
+    drive = opened()
+    said = {
+        name: run_over(car_of(model, VEHICLE, drive), drive, free(drive))["report.speed_mps"]
+        for name, model in {
+            "quick": by_accel(), "slow": by_accel(dead_time_s=0.3, lag_s=0.5),
+            "deaf": replace(by_accel(), effects=[EffectSpec(name="throttle_lag", params={"tau_s": 0.8})]),
+        }.items()
+    }  # fmt: skip
+    assert np.abs(said["slow"] - said["quick"]).max() > 0.05
+    assert np.array_equal(said["deaf"], said["quick"]), "a bench does not hear it either"

@@ -121,6 +121,8 @@ def test_of_two_effects_each_has_its_rivals_in_its_own_place() -> None:
     team = Placed({"delay": FIRST}, {"friction": both, "limit": worse}, rest)
     delay, friction = found_by(team)
     assert (delay.name, delay.others) == ("delay", ("lag",)) and (friction.name, friction.others) == ("friction", ())
+    assert set(delay.placed) == {"delay", "lag"} and set(friction.placed) == {"friction", "limit"}
+    assert delay.placed["lag"] == pytest.approx(delay.placed["delay"], rel=0.1) and friction.placed["limit"] < 100.0
 
 
 def test_whoever_is_near_the_best_is_fitted_on_before_it_is_judged() -> None:

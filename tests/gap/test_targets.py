@@ -8,7 +8,9 @@ import pytest
 from tests.learn.made_drives import DT_S, QUANTUM, REST, as_drive
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.gap.chain import Opened, open_chain
-from tunefree_hil.gap.targets import Compared, Target
+from tunefree_hil.gap.ride import SHOWN, WIDE
+from tunefree_hil.gap.targets import COLUMN, Compared, Target, simulated_columns
+from tunefree_hil.learn.smooth import rate_of
 
 TICKS = 3000
 T = DT_S * np.arange(TICKS)
@@ -61,3 +63,16 @@ def test_a_pedal_that_knows_two_places_only_is_compared() -> None:
 
 def test_a_sensor_that_never_moves_is_compared_with_nothing() -> None:
     assert "yaw_rate" not in targets(opened(yaw=np.zeros(TICKS)))
+
+
+def test_what_was_made_of_a_pose_is_compared_with_the_same_slope_of_the_simulation() -> None:
+    """A heading that the simulation drives, seen as a pose: its slope is what the simulated yaw rate comes to."""
+    drive, window = opened()._replace(derived={"ins.yaw_rate_radps": 21}), 21
+    yaw = np.sin(40.0 * T * T / T[-1])  # up to 13 Hz: much of it is smoothed away
+    shown = np.zeros((TICKS, max(WIDE, len(SHOWN))))
+    shown[:, COLUMN["ins_yaw_rate_radps"]] = shown[:, COLUMN["yaw_rate_radps"]] = yaw
+    heading = DT_S * np.concatenate([[0.0], np.cumsum(0.5 * (yaw[1:] + yaw[:-1]))])
+    measured = rate_of(heading, np.ones(TICKS, dtype=bool), window, DT_S)
+    columns, inside = simulated_columns(shown, drive), slice(50, -50)
+    assert columns["ins_yaw_rate_radps"][inside] == pytest.approx(measured[inside], abs=1e-9)
+    assert np.abs(measured - yaw)[inside].max() > 0.2 and np.array_equal(columns["yaw_rate_radps"], yaw)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from tests.gap.test_decide import spread, weighed
@@ -13,7 +14,7 @@ from tunefree_hil.base.contracts import Link
 from tunefree_hil.gap.decide import Weighed
 from tunefree_hil.gap.excitation import Excited
 from tunefree_hil.gap.locate import Looked
-from tunefree_hil.gap.verdict import not_it, verdict_of, wavers, with_others
+from tunefree_hil.gap.verdict import daily_words, not_it, verdict_of, wavers, with_others
 
 SEEN, UNSEEN = Excited(2.0, True, ()), Excited(0.3, False, ("3 brakings by 3 m/s or more, 9 are needed",))
 BARELY = Excited(0.75, False, ("3 brakings by 3 m/s or more, 4 are needed",))
@@ -23,6 +24,7 @@ QUIET = Looked("brake", Link.COMMAND_TO_REPORT, "1", 0.1, 0.1, 0.0, 0.0, False)
 
 
 FADES = weighed(brake_gain=spread(1.0), brake_fade=spread(1.2), brake_drag=spread(6.0))
+ALONE = {one.name: one.evidence for one in FADES}
 
 
 def step(name: str, *others: str) -> Weighed:
@@ -30,10 +32,14 @@ def step(name: str, *others: str) -> Weighed:
 
 
 def verdict(
-    *steps: Weighed, brakes: Excited = SEEN, amiss: str = "", unsteady: dict[str, float] | None = None
+    *steps: Weighed,
+    brakes: Excited = SEEN,
+    amiss: str = "",
+    unsteady: dict[str, float] | None = None,
+    placed: dict[str, float] | None = None,
 ) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
     held = {name: brakes if name == "brake_gain" else SEEN for name in NAMES}
-    told = [with_others(one, steps, held, FADES, DRIVES) for one in steps]
+    told = [with_others(one._replace(placed=placed or ALONE), steps, held, DRIVES) for one in steps]
     return verdict_of(list(steps), told, [QUIET], amiss, held, (), unsteady or {})
 
 
@@ -66,6 +72,14 @@ def test_what_the_drive_could_hardly_show_is_a_set_with_whom_it_is_easily_taken_
     assert (says, names) == ("one", ()) and "4 are needed" in words[0]
 
 
+def test_beside_other_effects_it_is_asked_who_comes_near_in_its_place() -> None:
+    """Alone the other effect is in everybody's evidence, and makes all of them near."""
+    steps, brakes = (step("brake_gain"), step("steer_lag")), UNSEEN
+    assert verdict(*steps, brakes=brakes)[:2] == ("set", ("brake_gain", "brake_fade", "steer_lag"))
+    placed = {"brake_gain": 300.0, "brake_fade": 40.0}
+    assert verdict(*steps, brakes=brakes, placed=placed)[:2] == ("several", ())
+
+
 def test_nothing_found_and_nothing_missed_is_nothing_missing() -> None:
     assert verdict()[0] == "none_missing"
 
@@ -77,7 +91,8 @@ def test_a_gain_that_is_another_one_in_each_block_is_no_recalibration() -> None:
 
 
 BROKEN, LOUD = QUIET._replace(broken=True, share=0.1), QUIET._replace(broken=True, loud=0.4)
-WORKED = {"brake": 0.2}
+HUM = BROKEN._replace(loud=0.14)  # moments that no link is broken by
+WORKED = {"brake": 0.135}
 
 
 @pytest.mark.parametrize(
@@ -88,6 +103,12 @@ WORKED = {"brake": 0.2}
         (BROKEN, BROKEN, 0.6, "leaves 60% of what could be explained of brake"),
         (LOUD, LOUD._replace(loud=0.3), 0.0, "still brake is missed by 30% of the signal in moments, and hardly else"),
         (LOUD._replace(loud=5.0), LOUD, 0.0, ""),  # the form of what is there is not quite the catalogue's
+        (LOUD._replace(loud=0.9), LOUD, 0.0, ""),  # a fifth of its square
+        (LOUD._replace(loud=0.7), LOUD, 0.0, "still brake is missed by 40% of the signal in moments, and hardly else"),
+        (BROKEN, BROKEN._replace(visible=0.12), 0.6, ""),  # as much its own calibration missed
+        (BROKEN, HUM._replace(signal="steer", share=0.13), 1.0, ""),
+        (BROKEN, HUM._replace(signal="steer", share=0.13, loud=0.9), 1.0,
+         "explains less than what is left elsewhere: steer is missed by 90% of the signal in moments, and hardly else"),
         (BROKEN, BROKEN._replace(signal="steer"), 1.0, ""),  # another thing, and a smaller one
         (BROKEN, LOUD._replace(signal="steer"), 1.0,
          "explains less than what is left elsewhere: steer is missed by 40% of the signal in moments, and hardly else"),
@@ -104,5 +125,11 @@ def test_a_name_is_answerable_for_what_is_left(was: Looked, still: Looked, left:
 def test_what_is_another_one_in_each_block_is_no_effect(differ: float, says: bool) -> None:
     one = step("steer_dead_time")
     repaired = one.model._replace(fitted=fitted(DELAY, differ=differ))
-    said = wavers([one], repaired, BLOCKS_OF)
+    said = wavers([one], repaired, BLOCKS_OF, np.zeros(len(BLOCKS_OF)))
     assert bool(said) == says and (not says or said.startswith("what it would be of steer_dead_time differs by"))
+
+
+def test_what_is_of_the_day_and_differs_between_drives_is_told() -> None:
+    (words,) = daily_words({"grade.grade_rad": 2.3})
+    assert words.startswith("grade.grade_rad differs by 2.3 standard deviations between the drives")
+    assert daily_words({}) == ()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +14,11 @@ from tests.learn.made_drives import NOISE
 from tunefree_hil.config.schema import EffectSpec
 from tunefree_hil.gap.chain import Opened, open_chain
 from tunefree_hil.gap.repair import found_effects, repaired
-from tunefree_hil.gap.replay import pose_of
+from tunefree_hil.gap.replay import car_of, pose_of, run_over
 from tunefree_hil.gap.segments import PROOF, blocks_of
 from tunefree_hil.gap.shrink import (
+    MANY,
+    WORST,
     better_by_recalibration,
     explained_frac,
     floors_of,
@@ -22,7 +26,7 @@ from tunefree_hil.gap.shrink import (
     unforetold,
     worse_signals,
 )
-from tunefree_hil.gap.verify import POSITION, Proof, Variant, prove
+from tunefree_hil.gap.verify import HUGE, POSITION, Proof, Variant, prove
 
 STEER, YAW = "report.steer_rad", "ins.yaw_rate_radps"
 
@@ -169,3 +173,42 @@ def test_a_block_in_which_somebody_takes_over_proves_nothing() -> None:
     enabled[begin + 100 : begin + 200] = False
     taken = open_chain(late_drive()._replace(fields=fields, enabled=enabled), VEHICLE)
     assert prove({"before": Variant(made_model())}, VEHICLE, [taken]).blocks == 1
+
+
+def test_a_run_that_comes_to_no_number_is_worse_than_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = Variant(made_model())
+
+    def wild(car: Any, drive: Opened, held: np.ndarray, **how: bool) -> dict[str, np.ndarray]:
+        said = {name: values.copy() for name, values in run_over(car, drive, held).items()}
+        said[STEER][5000:], said[YAW][5000:] = math.inf, 1e200
+        said["report.speed_mps"][5000:] = math.nan
+        return said
+
+    good = prove({"before": model}, VEHICLE, [opened()])
+    monkeypatch.setattr("tunefree_hil.gap.verify.run_over", wild)
+    bad = prove({"before": model}, VEHICLE, [opened()])
+    squares = {"before": good.squares["before"], "recalibrated": good.squares["before"], "after": bad.squares["before"]}
+    found = Proof(squares, good.counts, good.noise, ())
+    assert all(np.isfinite(one).all() for one in bad.squares["before"].values())
+    assert all(bad.squares["before"][name].max() == HUGE for name in (STEER, YAW, "report.speed_mps"))
+    floors = floors_of(found, made_model())
+    worse, closed = worse_signals(found, floors), explained_frac(found, floors)
+    assert {STEER, YAW, "report.speed_mps"} <= set(worse) and max(worse.values()) <= MANY
+    assert closed is not None and closed["value"] == closed["low"] == WORST
+    assert all(math.isfinite(one.after or 0.0) for one in gaps_of(found, floors, {}).values())
+
+
+def test_mathematics_that_refuse_a_number_end_a_run_and_not_the_proof() -> None:
+    drive = opened()
+    car = car_of(made_model(), VEHICLE, drive)
+    step, calls = car.body.block.step, [0]
+
+    def failing(*words: Any) -> Any:
+        calls[0] += 1
+        if calls[0] > 50:
+            raise OverflowError("math range error")
+        return step(*words)
+
+    body = car.body._replace(block=car.body.block._replace(step=failing))
+    said = run_over(car._replace(body=body), drive, np.ones(drive.ticks, dtype=bool))
+    assert np.isfinite(said[STEER][:51]).all() and np.isnan(said[STEER][51:]).all()

@@ -127,4 +127,4 @@ def test_a_car_that_stands_is_an_answer_that_says_what_to_record(
     out, err = capsys.readouterr()
     found = json.loads(out)
     assert "Traceback" not in err and status == 0, err
-    assert found["data"]["verdict"] == "cannot_test" and "drive for a minute" in found["data"]["sentence"]
+    assert found["data"]["verdict"] == "cannot_test" and "drive for 45 s" in found["data"]["sentence"]

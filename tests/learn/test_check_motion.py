@@ -111,10 +111,39 @@ def test_what_is_planted_is_refused(fault: str, tmp_path: Path) -> None:
         require_good(found)
 
 
-def test_a_wheel_that_stays_short_of_its_command_has_a_word_of_its_own(tmp_path: Path) -> None:
-    """It may be the car; where it is a unit, the yaw rate says so, too."""
-    found = checked(tmp_path, MKZ, planted(MKZ, good(MKZ), scaled("steer_rad", 0.3), ["report.steer_rad"]))
-    assert {"short_of_command", "units"} <= set(refusals(found)), found
+def stopped(at_rad: float) -> Change:
+    """A steering that goes no further than that."""
+
+    def change(k: int, records: dict) -> dict:
+        steer = max(-at_rad, min(at_rad, records["report"].steer_rad))
+        return records | {"report": records["report"]._replace(steer_rad=steer)}
+
+    return change
+
+
+@pytest.mark.parametrize(("change", "short"), [
+    (stopped(0.4), True), (scaled("steer_rad", 0.3), False), (scaled("steer_rad", 0.017), False)
+])  # fmt: skip
+def test_a_wheel_that_stops_before_its_command_does_has_a_word_of_its_own(
+    change: Change, short: bool, tmp_path: Path
+) -> None:
+    """It may be the car; a unit makes every move too small, the small ones, too."""
+    found = checked(tmp_path, MKZ, planted(MKZ, good(MKZ), change, ["report.steer_rad"]))
+    of_the_command = {one.code for one in found if one.severity == "refuse" and "command" in one.field}
+    assert of_the_command == {"short_of_command" if short else "units"}, found
+
+
+def test_a_command_that_stands_in_for_the_report_is_no_witness_of_it(tmp_path: Path) -> None:
+    """Nobody reports the steering: that the car hardly turns by its command is a wrong unit, as far as is known."""
+    drives = drives_of(
+        tmp_path, MKZ, planted(MKZ, good(MKZ), scaled("yaw_rate_radps", 0.02), ["report.yaw_rate_radps"])
+    )
+    bare = [
+        one._replace(fields={name: values for name, values in one.fields.items() if name != "report.steer_rad"})
+        for one in drives
+    ]
+    found = check_drives(bare, car(MKZ).spec)
+    assert "units" in refusals(found) and "short_of_command" not in {one.code for one in found}, found
 
 
 @pytest.mark.parametrize("vehicle", [MKZ, VAN])

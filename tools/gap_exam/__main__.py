@@ -39,7 +39,7 @@ from tools.gap_exam.runner import Program
 from tools.gap_exam.score import marked
 from tools.gap_exam.seal import Broken, StillSealed, seal, unseal
 from tools.gap_exam.seeds import Domain, domain_of
-from tools.gap_exam.session import Wish, conduct, count, exam_for, standing
+from tools.gap_exam.session import Wish, askable, conduct, count, exam_for, standing
 
 
 def main(words: list[str]) -> int:
@@ -203,7 +203,7 @@ def _score(options: argparse.Namespace) -> int:
 def _list(options: argparse.Namespace) -> int:
     run = Run(options.run) if options.run else None
     if run is not None:
-        exam = exam_for(Wish(options.run, sample=bool(read_json(run.exam)["sample"])))
+        exam = askable(run, exam_for(Wish(options.run, sample=bool(read_json(run.exam)["sample"]))))
     else:
         exam = sample_of(options.domain) if options.sample else exam_of(options.domain)
     kinds = Counter(model.kind for model in exam.models.values())

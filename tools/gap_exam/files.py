@@ -4,6 +4,7 @@ RUN/exam.json             domain, numbers of cases and models, the hash over all
 RUN/vehicles/NN/          vehicle.dbc, vehicle.toml
 RUN/models/NAME/          model folders, made by the examined program from the logs that lay in RUN/models/NAME.logs
 RUN/models/NAME.json      seconds that it took
+RUN/models/NAME.refused.json  in how many calls it could not be made, and why
 RUN/cases/NNNN/drive.log  the question; removed once it is answered
 RUN/sealed/NNNN.json      the truth: commitment, nonce, and the text under a key stream
 RUN/answers/NNNN/         gap.json, run.json (exit, seconds, made_s: of the question)
@@ -53,6 +54,10 @@ class Run:
 
     def model_time(self, name: str) -> Path:
         return self.folder / "models" / f"{name}.json"
+
+    def refused(self, name: str) -> Path:
+        """What a model (of a recording: its name) that could not be made came to, and in how many calls."""
+        return self.folder / "models" / f"{name}.refused.json"
 
     def log(self, number: int) -> Path:
         return self.folder / "cases" / f"{number:04d}" / "drive.log"

@@ -21,6 +21,7 @@ DART_DRIVES = {
     "dart_c": ("09_53_24", "09_54_57", "10_02_32"),  # the others hold what a model can be judged on
 }
 RAV4_TRACK = "track_m = 1.57  # the data sheet's: what its wheels say of the yaw rate is all there is of a gyro"
+NOMINAL = "\n[nominal]\n"
 RAV4_LOG = "comma2k19_rav4/drive.candump.log"
 IMPORT = "tunefree-hil log import {csv} --map {map} --out {out} --json"
 ROOT = Path(__file__).resolve().parents[2]
@@ -80,9 +81,16 @@ def _rav4(run: Run, data: Path) -> None:
     if not (target / "drive.log").is_file():
         _copy_folder(ROOT / "dbc" / "rav4_2017", target / "vehicle")
         sheet = target / "vehicle" / "vehicle.toml"
-        write(sheet, sheet.read_text().replace("\n[nominal]\n", f"\n[nominal]\n{RAV4_TRACK}\n"))
+        write(sheet, with_track(sheet.read_text()))
         write(target / "vehicle.logs" / "00.log", path.read_text())
         write(target / "drive.log", path.read_text())
+
+
+def with_track(sheet: str) -> str:
+    """The RAV4's vehicle.toml with its track. Raises NoRecording for one in which that has no place of its own."""
+    if sheet.count(NOMINAL) != 1 or "\ntrack_m" in sheet:
+        raise NoRecording("dbc/rav4_2017/vehicle.toml was expected to have one [nominal] and no track_m")
+    return sheet.replace(NOMINAL, f"{NOMINAL}{RAV4_TRACK}\n")
 
 
 def _copy_folder(source: Path, target: Path) -> None:

@@ -46,8 +46,8 @@ def markdown(rows: Sequence[Row], limits: Sequence[Limit], title: str, done: Seq
     for row in rows:
         lines += [f"| {row.name} | {name.replace('_', ' ')} | {said(name, one)} |" for name, one in row.figures.items()]
     if limits:
-        lines += ["", "| effect | named in 90 % of logs from | logs |", "|---|---|---|"]
-        lines += [f"| {one.name} | {limit_words(one)} | {one.n} |" for one in limits]
+        lines += ["", "| effect | named in 90 % of logs from | by excited drives alone | logs |", "|---|---|---|---|"]
+        lines += [f"| {one.name} | {limit_words(one)} | {excited_words(one)} | {one.n} |" for one in limits]
     return "\n".join(lines) + "\n"
 
 
@@ -58,6 +58,11 @@ def limit_words(one: Limit) -> str:
     ends = [f"{edge:.3g}" for edge in (one.low, one.high) if edge is not None]
     spread = f" ({' to '.join(ends)})" if len(ends) == 2 else ""
     return f"{'1 ± ' if kind_of(one.name).way in ('factor', 'less') else ''}{one.value:.3g}{spread} {one.unit}"
+
+
+def excited_words(one: Limit) -> str:
+    """The same by the drives that excite."""
+    return "never" if one.excited is None else limit_words(one._replace(value=one.excited, low=None, high=None))
 
 
 def as_json(

@@ -21,11 +21,14 @@ from typing import Any, NamedTuple
 
 from tools.gap_exam.call import Done, call, end_all
 from tools.gap_exam.cases import Case
-from tools.gap_exam.files import Run, write_json
+from tools.gap_exam.files import Run, read_json, write_json
 from tools.gap_exam.ladder import Ladder
 from tools.gap_exam.prepare import clear, model_logs, question, vehicle_folder
 from tools.gap_exam.rows import Exam, Model
 from tools.gap_exam.semi_real import SOURCES
+
+# A model that cannot be made may be the machine's doing: its cases have no answer until a second call found the same
+LEAST_REFUSALS = 2
 
 
 class Program(NamedTuple):
@@ -86,10 +89,11 @@ class Examiner:
         self.run, self.exam, self.program = run, exam, program
         self.keep = keep
         self._models: dict[str, threading.Lock] = {name: threading.Lock() for name in (*exam.models, *SOURCES)}
-        self._failed: dict[str, Done] = {}  # models that could not be made: asked for once
+        self._failed: dict[str, Done] = {}  # models that could not be made: asked for once a call
         self._loops = threading.Lock()  # our own loops one at a time: they hold the interpreter anyway
         self._turns = Turns(run, Ladder(exam), ())
         self.seconds: list[float] = []
+        self.unasked = 0  # cases of models that could not be made, which the next call asks for once more
 
     def go(self, cases: Sequence[Case], parallel: int = 2, hours: float = 0.0) -> int:
         """Answer what of these has no answer yet, in their order; how many were answered now.
@@ -97,6 +101,9 @@ class Examiner:
         hours: after so long no further question is asked (0: until all are answered).
         """
         todo = [case for case in cases if not self.run.is_answered(case.number)]
+        for case in cases:
+            if not self.keep and self.run.is_answered(case.number):
+                clear(self.run, case)  # a kill may have come between its answer and this
         self._total, self._begun = len(todo), time.monotonic()
         self._say(f"{len(cases) - len(todo)} of {len(cases)} are answered; {len(todo)} to go")
         until = self._begun + 3600.0 * hours if hours else math.inf
@@ -109,6 +116,8 @@ class Examiner:
             except BaseException:  # an interrupt, or an error of one worker: the others do not go on alone
                 self._turns.stop()
                 raise
+        if self.unasked:
+            self._say(f"{self.unasked} have no model and no answer yet; the same call asks for their models once more")
         if self._turns.todo:
             self._say(f"{len(self._turns.todo)} of {len(cases)} are still to be asked; the same call goes on")
         return len(self.seconds)
@@ -141,6 +150,11 @@ class Examiner:
             command = f"{self.program.gap} {self.program.name_only}" if case.rung >= 0 else self.program.gap
             places = {"vehicle": str(vehicle), "model": str(model), "out": str(out)}
             done = call(command, self.program.limit_s, log=[str(path) for path in logs], **places)
+        elif self._refusals(case) < LEAST_REFUSALS:
+            self.unasked += 1
+            if not self.keep:
+                clear(self.run, case)
+            return
         else:
             done = failed._replace(stderr=f"no model: {failed.stderr}")
         if not self._turns.stopped:
@@ -168,8 +182,15 @@ class Examiner:
                 made = self._make_model(self.exam.models[name]) if case.model else self._own_model(vehicle)
                 if made is not None and not self._turns.stopped:
                     self._failed[name] = made
+                    words = {"status": made.status, "seconds": made.seconds, "words": made.stderr}
+                    write_json(self.run.refused(name), {"calls": self._refusals(case) + 1, **words})
         folder = self.run.model(name) if case.model else vehicle.with_name(f"{vehicle.name}.model")
         return folder, self._failed.get(name)
+
+    def _refusals(self, case: Case) -> int:
+        """In how many calls the model of a case could not be made."""
+        path = self.run.refused(case.model or case.source)
+        return int(read_json(path)["calls"]) if path.is_file() else 0
 
     def _make_model(self, model: Model) -> Done | None:
         """Have a model made where it is not there; what it came to where it could not be made."""

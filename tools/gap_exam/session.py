@@ -99,6 +99,13 @@ def chosen(exam: Exam, wish: Wish) -> list[Case]:
     return cases[: wish.logs or None]
 
 
+def askable(run: Run, exam: Exam) -> Exam:
+    """An exam without the cases of recordings, where a run was never given any: those are not left to be asked."""
+    if (run.folder / "recordings").is_dir():
+        return exam
+    return exam._replace(cases=tuple(case for case in exam.cases if not case.source))
+
+
 def standing(run: Run) -> dict[str, Any]:
     """How far a run is: what was frozen, answered and asked for in all, by row too where all of it can be told."""
     said = read_json(run.exam)

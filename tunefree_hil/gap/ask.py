@@ -59,7 +59,7 @@ class _Open:
         drifting = nuisances(self.work.graph, setting.model, doubts)
         self.problem = Problem(self.work, drifting)
         self.null, self.slopes = fit_null(self.problem)
-        some, self.cannot = suspects_of(self.work.graph, setting.model, setting.vehicle)
+        some, self.cannot = suspects_of(self.work.graph, setting.model, setting.vehicle, setting.drives)
         self.suspects = {one.name: doubted(one, drifting, doubts) for one in some}
         self._scan: tuple[Any, Scan] | None = None
 
@@ -170,7 +170,7 @@ def bursts_of(token: str, models: Sequence[Fitted], blocks: Array) -> list[dict[
     work = _questions[token].work
     return [
         {
-            name: burst_of(some, work.valid(name), work.block[name], blocks, work.kinds[name].dt_s)
+            name: burst_of(some, work.measured(name), work.valid(name), work.block[name], blocks, work.kinds[name].dt_s)
             for name, some in work.residuals(model.values).items()
         }
         for model in models

@@ -31,25 +31,44 @@ def rates_by_pose(fields: Mapping[str, Array], fresh: Mapping[str, Array], dt_s:
     places they are. NaN before the first pose.
     """
     found: dict[str, Array] = {}
-    if not _often(fresh, (HEADING,), dt_s):
+    jump = jumps_of(fields, fresh, dt_s)
+    if not _often(fresh, (HEADING,), dt_s) or HEADING in jump:
         return found
     heading = _unwrapped(fields[HEADING], fresh[HEADING])
-    if _jumps(heading, fresh[HEADING]):
-        return found
     if YAW_RATE not in fields:
         found[YAW_RATE] = _slope(heading, fresh[HEADING], dt_s)
-    if SPEED not in fields and _often(fresh, (X, Y), dt_s):
+    if SPEED not in fields and _often(fresh, (X, Y), dt_s) and not jump:
         even = between_fresh(heading, fresh[HEADING])
         east, north = (_slope(fields[name], fresh[name], dt_s) for name in (X, Y))
-        if not any(_jumps(fields[name], fresh[name]) for name in (X, Y)):
-            found[SPEED] = east * np.cos(even) + north * np.sin(even)
+        found[SPEED] = east * np.cos(even) + north * np.sin(even)
     return found
 
 
+def jumps_of(fields: Mapping[str, Array], fresh: Mapping[str, Array], dt_s: float) -> tuple[str, ...]:
+    """The fields of a pose that jump, of those whose slopes would be taken."""
+    if not _often(fresh, (HEADING,), dt_s):
+        return ()
+    asked = ((HEADING,) if YAW_RATE not in fields else ()) + ((HEADING, X, Y) if SPEED not in fields else ())
+    return tuple(
+        name
+        for name in dict.fromkeys(asked)
+        if _often(fresh, (name,), dt_s)
+        and _jumps(_unwrapped(fields[name], fresh[name]) if name == HEADING else fields[name], fresh[name])
+    )
+
+
+def window_of(fresh: Array) -> int:
+    """Ticks under a slope."""
+    return (VALUES - 1) * _period(fresh) | 1
+
+
 def _jumps(values: Array, fresh: Array) -> bool:
-    """Whether a value is far from where the one before it was."""
-    steps = np.abs(np.diff(values[fresh & np.isfinite(values)]))
-    return bool(steps.max() > JUMP * max(float(np.quantile(steps, USUAL)), 1e-12))
+    """Whether a value is far from where the one before it was, for the time between them: over frames that are lost a
+    car goes on.
+    """
+    rows = np.flatnonzero(fresh & np.isfinite(values))
+    pace = np.abs(np.diff(values[rows])) / np.diff(rows)
+    return bool(pace.max() > JUMP * max(float(np.quantile(pace, USUAL)), 1e-12))
 
 
 def _often(fresh: Mapping[str, Array], names: tuple[str, ...], dt_s: float) -> bool:
@@ -72,4 +91,4 @@ def _unwrapped(values: Array, fresh: Array) -> Array:
 
 def _slope(values: Array, fresh: Array, dt_s: float) -> Array:
     """Rate per s; NaN before the first value."""
-    return rate_of(values, fresh, (VALUES - 1) * _period(fresh) | 1, dt_s)
+    return rate_of(values, fresh, window_of(fresh), dt_s)

@@ -17,7 +17,7 @@ from tunefree_hil.base.contracts import Link
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.config.schema import VehicleSpec
-from tunefree_hil.gap.by_pose import HEADING, rates_by_pose
+from tunefree_hil.gap.by_pose import HEADING, jumps_of, rates_by_pose, window_of
 from tunefree_hil.gap.graph import CHANNELS, Inputs
 from tunefree_hil.gap.recent import ahead
 from tunefree_hil.learn.acted import accel_asked, asked_pedals, channel_of
@@ -33,6 +33,7 @@ SILENCE_S = 0.25  # beyond which a signal has a gap
 ROAD_CAR_M = 2.7  # wheelbase
 SMALL = 0.5  # of it: no road car is shorter
 YAW_RATES = ("report.yaw_rate_radps", "ins.yaw_rate_radps")
+NOTHING: Mapping[str, int] = {}
 AFTER_S = 1.0  # after a stretch in which a channel did not obey its commands, its output is still another's
 
 
@@ -51,7 +52,9 @@ class Opened(NamedTuple):
     """One drive. signals: by field name. follows: [n, 3] rows in which the commands of a channel acted.
 
     lost: what of the chain this log cannot show, by link, in words. pace: of a model car its wheelbase as a share of a
-    road car's, else 1: what counts as driving is so many wheelbases a second.
+    road car's, else 1: what counts as driving is so many wheelbases a second. derived: fields of `signals` that nobody
+    measured and others tell, with the ticks that are under a slope there (1: none is). unsure: in words, what was left
+    out of that. most_steer_rad: the vehicle's greatest steering angle.
     """
 
     name: str
@@ -63,6 +66,9 @@ class Opened(NamedTuple):
     moving: Array
     lost: Mapping[Link, str]
     pace: float = 1.0
+    derived: Mapping[str, int] = NOTHING
+    most_steer_rad: float = 8.0
+    unsure: tuple[str, ...] = ()
 
     @property
     def ticks(self) -> int:
@@ -78,7 +84,10 @@ def open_chain(drive: Drive, vehicle: VehicleSpec) -> Opened:
     """Raises InputError where neither INS nor chassis says the speed: nothing of the motion can be told then."""
     late = vehicle.ins_frame.latency_s / drive.dt_s
     signals = {name: one for name in drive.fields if (one := _signal(drive, name, late)) is not None}
-    signals |= _unsaid(drive, vehicle, signals)
+    said = dict(signals)
+    unsaid = _unsaid(drive, vehicle, said)
+    signals |= unsaid
+    derived = {name: 1 if name.startswith("report.") else window_of(signals[HEADING].fresh) for name in unsaid}
     by_ins = "ins.speed_mps" in signals
     source = "ins.speed_mps" if by_ins else "report.speed_mps"
     if source not in signals:
@@ -94,7 +103,7 @@ def open_chain(drive: Drive, vehicle: VehicleSpec) -> Opened:
     moving = known & speed.there & (inputs.gear >= GEAR_DRIVE)
     return Opened(
         drive.name, drive.log_hash, drive.dt_s, inputs, signals, follows, moving, _lost(signals, drive, by_ins),
-        pace_of(vehicle),
+        pace_of(vehicle), derived, vehicle.limits.steer_rad, _unsure(drive, said),
     )  # fmt: skip
 
 
@@ -115,6 +124,13 @@ def _unsaid(drive: Drive, vehicle: VehicleSpec, signals: Mapping[str, Signal]) -
         if fresh.sum() > 1:
             found[YAW_RATES[0]] = Signal(between_fresh(*wheels), fresh, _there(fresh, drive.dt_s))
     return found
+
+
+def _unsure(drive: Drive, signals: Mapping[str, Signal]) -> tuple[str, ...]:
+    """What a pose does not tell because it jumps."""
+    values, fresh = ({name: one[i] for name, one in signals.items()} for i in (0, 1))
+    jump = jumps_of(values, fresh, drive.dt_s)
+    return (f"{drive.name}: {', '.join(jump)} jumps, so that no rate is made from it",) if jump else ()
 
 
 def _signal(drive: Drive, name: str, late: float) -> Signal | None:

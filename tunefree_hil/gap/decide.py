@@ -37,13 +37,16 @@ MOST_LEFT = 0.25  # of what could be explained of a target before: more, and the
 BY_A_HAIR = 0.8  # of every bar: who misses none by more is no name, but a name's rival
 NOISY = 3.0  # standard deviations between blocks: a further effect that gains less is the noise of the first one's fit
 
+NOBODY: Mapping[str, float] = {}
+
 
 class Weighed(NamedTuple):
     """A candidate against the model that it is added to. evidence: nats. target: where it gains most clearly; shrink:
     by how much the error there gets less, as a share of what it is without any effect, (value, low, high). worst: by
     how much the mean square grows where it grows most, as a share. further: beside some.
 
-    others: names that explain as much in its place; known once a search is done (search.py).
+    others: names that explain as much in its place; known once a search is done (search.py). placed: evidence of all
+    who were asked there, itself among them.
     """
 
     name: str
@@ -56,6 +59,7 @@ class Weighed(NamedTuple):
     matters: bool
     further: bool = False
     others: tuple[str, ...] = ()
+    placed: Mapping[str, float] = NOBODY
 
     @property
     def counts(self) -> bool:
@@ -112,7 +116,7 @@ def weigh(
         worth = [t for t in gains if gains[t] > LEAST_NATS and _explained(start, one, t, sizes, blocks) > MATTERS]
         target = max(worth, key=lambda t: shrinks[t][1]) if worth else max(gains, key=lambda t: gains[t])
         least = max(MATTERS, SPOILT * _explained(start, one, target, sizes, blocks))
-        worse = [_grown(start, one, t, blocks) for t in model.sums if _explained(one, start, t, sizes, blocks) > least]
+        worse = [_grown(start, one, t, blocks) for t in felt(one) if _explained(one, start, t, sizes, blocks) > least]
         found.append(
             Weighed(
                 name, one._replace(fitted=model), log_evidence(model, blocks) - before, paired(model, base, blocks),
@@ -121,6 +125,14 @@ def weigh(
             )
         )  # fmt: skip
     return sorted(found, key=lambda one: (not one.counts, -one.evidence))
+
+
+def felt(model: Modelled) -> list[str]:
+    """Targets that feel a model's effects. What recalibration, coming to rest elsewhere beside an effect, takes from
+    the others or gives them is no merit of the effect and no fault.
+    """
+    own = range(len(model.fitted.keys) - len(model.fitted.free), len(model.fitted.keys))
+    return [name for name, one in model.fitted.sums.items() if np.isin(one.columns, own).any()]
 
 
 def _grown(before: Modelled, after: Modelled, target: str, blocks: Array) -> float:
@@ -185,10 +197,15 @@ def rivals(weighed: Sequence[Weighed], blocks: Array) -> list[str]:
 
 def worked_on(null: Modelled, repaired: Modelled, sizes: Mapping[str, float], blocks: Array) -> dict[str, float]:
     """The targets of which effects explain what matters, and how much of each signal: there they are answerable for
-    what is left.
+    what is left. They have to feel the effects, and to be missed by LEAST_SHRINK less: recalibration that comes to
+    rest elsewhere beside an effect takes a little from any target or gives it.
     """
-    explained = {name: _explained(null, repaired, name, sizes, blocks) for name in sizes}
-    return {name: share for name, share in explained.items() if share > MATTERS}
+    explained = {name: _explained(null, repaired, name, sizes, blocks) for name in felt(repaired) if name in sizes}
+    return {
+        name: share
+        for name, share in explained.items()
+        if share > MATTERS and shrink(null, repaired, name, blocks)[0] >= LEAST_SHRINK
+    }
 
 
 def left_share(before: Left, after: Left) -> float:

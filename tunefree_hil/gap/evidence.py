@@ -31,7 +31,7 @@ OUTSIDE_NATS = 20.0  # for a whole width of the prior beyond its ends
 
 class Paired(NamedTuple):
     """Differences in predictive log likelihood [b] of one model over another, whole blocks; their sum with its 95 %
-    interval by bootstrap, the share of draws in which it is not positive, and its standard deviation.
+    interval by bootstrap, the doubt that it is positive, and its standard deviation.
     """
 
     differences: Array
@@ -113,11 +113,13 @@ def paired(one: Fitted, other: Fitted, blocks: Array, seed: int = 1, names: Sequ
 
 
 def bootstrapped(differences: Array, seed: int = 1) -> Paired:
-    """The sum of differences over blocks, with an interval."""
+    """The sum of differences over blocks, with an interval. The doubt is the share of draws that are not positive, but
+    no less than by chance all of so few blocks say the same: no draw of equal signs is of another one.
+    """
     chance = np.random.default_rng(seed)
     drawn = chance.choice(differences, (DRAWS, len(differences))).sum(axis=1)
     low, high = np.quantile(drawn, [0.025, 0.975])
-    doubt = float(np.mean(drawn <= 0.0))
+    doubt = max(float(np.mean(drawn <= 0.0)), 0.5 ** len(differences))
     return Paired(differences, float(differences.sum()), float(low), float(high), doubt, float(drawn.std()))
 
 

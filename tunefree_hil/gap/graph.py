@@ -25,7 +25,7 @@ from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import Report
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.effects import catalogue
-from tunefree_hil.gap.channels import channel_spec
+from tunefree_hil.gap.channels import UNHEARD, channel_spec, heard, is_unheard
 from tunefree_hil.gap.ports import chain_of
 from tunefree_hil.gap.recent import Recent, ahead
 from tunefree_hil.gap.ride import INS_COLUMNS, SAID, TAKEN, WIDE, Bodies, Heads, make_heads, make_ride
@@ -83,7 +83,7 @@ class Graph:
         self.rest = vehicle.nominal.rest_pedal_frac
         self._cached: dict[Any, Any] = {}
         self.can, self.cannot = self._able()
-        own = {f"{i} {spec.name}": (effects()[spec.name], spec.params) for i, spec in enumerate(model.effects)}
+        own = heard(model)
         self._own = {name: self._made(effect, params) for name, (effect, params) in own.items()}
         ports = {name: effect.port for name, (effect, _) in own.items()} | {n: e.port for n, e in self.can.items()}
         self._neutral = self._own | {name: self._made(effect, {}) for name, effect in self.can.items()}
@@ -106,6 +106,9 @@ class Graph:
         """Which effects this plant can have: those that change a body are tried on it."""
         can, cannot = {}, {}
         for name, effect in effects().items():
+            if is_unheard(self.model, effect.port):
+                cannot[name] = UNHEARD
+                continue
             try:
                 made = self._made(effect, {key: _tried(effect, key) for key in effect.neutral})
                 if not isinstance(made, Block):

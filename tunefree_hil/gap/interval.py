@@ -8,12 +8,14 @@ recalibration may move; what a calibration does not know of that is not known of
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri, stdtrit
 
 from tunefree_hil.gap.graph import effects
+from tunefree_hil.gap.null import DRIFTS
 from tunefree_hil.gap.problem import Fitted, Free, gathered, prior_of
 
 Array = np.ndarray
@@ -24,8 +26,13 @@ CHANCE = 0.999  # that blocks differ by no more than chance
 # How much of its throttle, brake and steering a car does: by what that may be off from day to day it is not off from
 # one block to the next
 GAINS = ("throttle_gain.gain_frac", "brake_gain.gain_frac", "steer_gain.gain_frac")
-UNSTEADY = 1.5  # standard deviations of its prior: a car with other pedals than a model has comes to 1.1
+# Of what a number drifts from day to day (null.DRIFTS), standard deviations: a car with other pedals than a model has
+# comes to 1.1. Not of what its calibration leaves open: the worse that is, the more would be let pass.
+UNSTEADY = 1.5
+DAILY = ("friction", "grade", "side_wind", "yaw_rate_bias", "accel_bias")  # effects that are of the day, not of the car
 FORM = 0.01  # of the distance from neutral, standard deviation: no car does an effect quite in the catalogue's form
+KNOWS = 1e-9  # of the block that knows most of a key: who knows less says nothing of it
+SIGMAS = {f"{name}.{parameter}": sigma for name, parameter, sigma, _ in DRIFTS}
 
 UPPER = 0.975  # of Student's t with one degree of freedom less than there are blocks
 
@@ -81,37 +88,88 @@ def deviations(model: Fitted, blocks: Array) -> Array:
     return np.sqrt(np.maximum(np.diag(inverse), np.diag(sandwich)))
 
 
-def wavering(model: Fitted, name: str, blocks: Array) -> float:
+def wavering(model: Fitted, name: str, blocks: Array, drives: Array) -> float:
     """By how much an effect's first parameter differs from block to block beyond noise, as a share of its distance from
-    neutral (of a factor of itself where neutral is none); 0 where chance would do. An effect that is there is the same
-    in all of them; what stands in for something else follows that.
+    neutral (of a factor of itself where neutral is none); 0 where chance would do, or where the same number differs no
+    less in a model that misses nothing. An effect that is there is the same in all of them; what stands in for
+    something else follows that. drives: of which drive each block is.
     """
     one = next(free for free in model.free if free.key.partition(".")[0] == name)
     i = model.keys.index(one.key)
-    u, by = float(model.z[i]), _between(model, i, blocks)
+    u, by = float(model.z[i]), _between(model, i, blocks, drives)
     if effects()[name].units[one.key.partition(".")[2]] == "s" and abs(one.value(u + by) - one.value(u)) < JITTER_S:
+        return 0.0
+    if by <= UNSTEADY * _in_u(one, u, SIGMAS.get(one.key, 0.0)):
         return 0.0
     return by / max(_distance(one, u), 1e-9)
 
 
-def unsteady(model: Fitted, blocks: Array) -> dict[str, float]:
-    """By how many standard deviations of its prior each of GAINS that was recalibrated differs from block to block, as
-    far as that is more than UNSTEADY.
+def unsteady(model: Fitted, blocks: Array, drives: Array, sigmas: Mapping[str, float]) -> dict[str, float]:
+    """By how many deviations of its drift each of GAINS that was recalibrated differs from block to block, as far as
+    that is more than UNSTEADY. drives: of which drive each block is; sigmas: what each key's unit is (null.nuisances).
     """
-    found = {key: _between(model, model.keys.index(key), blocks) for key in GAINS if key in model.keys}
+    some = [key for key in GAINS if key in model.keys]
+    unit = {key: sigmas.get(key, SIGMAS[key]) / SIGMAS[key] for key in some}
+    found = {key: unit[key] * _between(model, model.keys.index(key), blocks, drives) for key in some}
     return {key: by for key, by in found.items() if by > UNSTEADY}
 
 
-def _between(model: Fitted, i: int, blocks: Array) -> float:
-    """Standard deviation of key i from block to block, beyond noise, in its own unit; 0 where chance would do."""
+def _between(model: Fitted, i: int, blocks: Array, drives: Array) -> float:
+    """Standard deviation of key i from block to block of a drive, beyond noise, in its own unit; 0 where chance would
+    do. From one drive to another it may be another one: these may be days apart. What all blocks of a drive say alike
+    is no difference between them, however strongly they say it, as where a key is held at an end of its range.
+
+    A block says pull / curve, and knows it by 1 / sqrt(curve). Whether that is chance is asked of all blocks as far as
+    they know it; by how much they differ, mostly of those that know it well.
+    """
+    return _spread(*_pulls(model, i, blocks), drives)
+
+
+def apart(model: Fitted, blocks: Array, drives: Array) -> dict[str, float]:
+    """By how many deviations of its prior each of DAILY that was recalibrated differs from drive to drive, as far as
+    that is more than UNSTEADY: it is one number for all of them here.
+    """
+    found, every = {}, np.unique(drives)
+    for i, key in enumerate(model.keys[: len(model.keys) - len(model.free)]):
+        if key.partition(".")[0] in DAILY and len(every) > 1:
+            whole = [[float(one[drives == drive].sum()) for drive in every] for one in _pulls(model, i, blocks)]
+            found[key] = _spread(np.array(whole[0]), np.array(whole[1]), np.zeros(len(every)))
+    return {key: by for key, by in found.items() if by > UNSTEADY}
+
+
+def _spread(pull: Array, curve: Array, groups: Array) -> float:
+    """Standard deviation, within its group, of what pulls [b] with these curvatures say, beyond chance."""
+    known = curve > KNOWS * float(curve.max(initial=0.0))
+    square, degrees, excess, weight = 0.0, 0, 0.0, 0.0
+    for group in np.unique(groups[known]):
+        w, p = (one[known & (groups == group)] for one in (curve, pull))
+        whole = float(w.sum())
+        p = p - w * float(p.sum()) / whole
+        square += float(np.sum(p * p / w))
+        degrees += len(w) - 1
+        excess += float(p @ p) - float(np.sum(w - w * w / whole))
+        weight += float(np.sum(w * w * (1.0 - 2.0 * w / whole + float(w @ w) / whole**2)))
+    if degrees < 1 or square <= float(chdtri(degrees, 1.0 - CHANCE)) or weight <= 0.0:
+        return 0.0
+    return max(excess / weight, 0.0) ** 0.5
+
+
+def _pulls(model: Fitted, i: int, blocks: Array) -> tuple[Array, Array]:
+    """(pull, curvature) of key i [b] by block, over all targets."""
     pull, curve = np.zeros(len(blocks)), np.zeros(len(blocks))
     for sums in model.sums.values():
         for c in np.flatnonzero(sums.columns == i):
             pull += sums.slope[blocks, c] / sums.colour.stretch
             curve += sums.curve[blocks, c, c] / sums.colour.stretch
-    if float(pull @ pull) <= float(chdtri(len(blocks), 1.0 - CHANCE)) / len(blocks) * float(curve.sum()):
-        return 0.0
-    return max(float(pull @ pull - curve.sum()) / float(curve @ curve), 0.0) ** 0.5
+    return pull, curve
+
+
+def _in_u(one: Free, u: float, sigma: float) -> float:
+    """A deviation that is given in the parameter's unit at neutral, in u at u: of a factor it is a share."""
+    if not one.logarithmic:
+        return sigma / (one.high - one.low)
+    value = one.neutral if 0.0 < one.neutral < np.inf else one.value(u)
+    return sigma / value / float(np.log(one.high / one.low))
 
 
 def _distance(one: Free, u: float) -> float:

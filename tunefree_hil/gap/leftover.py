@@ -20,7 +20,11 @@ from tunefree_hil.gap.targets import Target
 
 Array = np.ndarray
 
+LEAST_MPS = 1.0  # of a road car (gap/chain.py `pace_of`): slower, one over the speed says nothing more
+CLEARLY_TURNING = 0.0125  # of the greatest angle, per s: which way the wheel turns is known from there on
 LAGS_S = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8)
+FEWER_LAGS_S = ((0.0, 0.1, 0.4), (0.0, 0.2), (0.0,))  # where rows are few
+ENOUGH_ROWS = 10  # a column: of less, the weights are noise, and what a residual holds is not seen
 RIDGES = (1e-3, 1e-2, 1e-1)
 FOLDS = 4
 
@@ -41,20 +45,20 @@ class Piece(NamedTuple):
     block: Array
 
 
-def features(opened: Opened, target: Target) -> Array:
+def features(opened: Opened, target: Target, lags_s: Sequence[float] = LAGS_S) -> Array:
     """[m, k] at the rows of a target. Only what was before or now: no future."""
     x = opened.inputs
-    lags = [lag / opened.dt_s for lag in LAGS_S]
+    lags = [lag / opened.dt_s for lag in lags_s]
     if target.name in CHANNELS:
         command = x.commands[:, CHANNELS.index(target.name)]
         signals, still = [command, _change(command), np.abs(command)], []
     else:
         throttle, brake, steer = x.outputs.T
         speed, turning = x.speed_mps, _change(steer)
-        still = [speed, speed * speed, 1.0 / np.maximum(speed, 1.0)]
+        still = [speed, speed * speed, 1.0 / np.maximum(speed, LEAST_MPS * opened.pace)]
         signals = [throttle, brake, steer, np.abs(steer), speed * steer, speed * speed * steer, steer**3,
                    throttle * speed, throttle**2, brake**2, brake * speed,
-                   np.sign(turning) * np.minimum(np.abs(turning) * 1e3, 1.0)]  # fmt: skip
+                   np.clip(turning / (CLEARLY_TURNING * opened.most_steer_rad * opened.dt_s), -1.0, 1.0)]  # fmt: skip
     columns = [ahead(one, -round(lag))[target.rows] for one in signals for lag in lags]
     columns += [one[target.rows] for one in still]
     return np.stack([*columns, np.arange(len(target.rows)) / len(target.rows)], axis=1)
@@ -111,12 +115,27 @@ def leftovers(
     drives: Sequence[Opened], targets: Sequence[Sequence[Target]], residuals: dict[str, list[Array]],
     block: dict[str, list[Array]], blocks: Array,
 ) -> dict[str, Left]:  # fmt: skip
-    """By target, over all drives."""
-    pieces: dict[str, list[Piece]] = {}
+    """By target, over all drives; by as many lags as their rows bear."""
+    mine: dict[str, list[tuple[Opened, Target]]] = {}
     for opened, some in zip(drives, targets, strict=True):
         for target in some:
-            mine = pieces.setdefault(target.name, [])
-            place = len(mine)
-            residual, at = residuals[target.name][place], block[target.name][place]
-            mine.append(Piece(features(opened, target), residual, target.valid, at))
-    return {name: left_over_all(some, blocks) for name, some in pieces.items()}
+            mine.setdefault(target.name, []).append((opened, target))
+    found = {}
+    for name, some in mine.items():
+        judged = [target.valid & np.isin(at, blocks) for (_, target), at in zip(some, block[name], strict=True)]
+        pieces = _pieces(some, residuals[name], block[name], sum(int(rows.sum()) for rows in judged))
+        found[name] = left_over_all(pieces, blocks)
+    return found
+
+
+def _pieces(
+    some: Sequence[tuple[Opened, Target]], residuals: Sequence[Array], block: Sequence[Array], rows: int
+) -> list[Piece]:
+    """The drives of a target, with all lags of which `rows` bear the columns."""
+    columns = [features(*one) for one in some]
+    for lags_s in FEWER_LAGS_S:
+        if rows >= ENOUGH_ROWS * columns[0].shape[1]:
+            break
+        columns = [features(*one, lags_s) for one in some]
+    valid = [target.valid for _, target in some]
+    return [Piece(*one) for one in zip(columns, residuals, valid, block, strict=True)]

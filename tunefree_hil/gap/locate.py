@@ -19,6 +19,9 @@ from tunefree_hil.gap.work import Kind
 
 LEAST_SHARE = 0.05  # of a target's mean square that something could explain
 VISIBLE = 0.03  # of the signal: what a calibrated model may miss of a car
+# Where its own calibration missed more of drives that it was not fitted on, that; but a model that misses twice as much
+# as others do lacks something itself
+MOST_VISIBLE = 0.06
 LOUD = 0.15  # of the signal, in the loudest moments: of cars with other tyres and pedals up to 0.13 is missed
 NO_BURSTS: Mapping[str, Burst] = {}
 
@@ -26,7 +29,7 @@ NO_BURSTS: Mapping[str, Burst] = {}
 class Looked(NamedTuple):
     """One target of a link with recalibration done. rms: left; noise: of it what nothing explains; explicable: what
     something could, and as a share of the signal it is about. loud: what the loudest moments miss of the signal, where
-    they are far above the ordinary (gap/bursts.py); else 0.
+    they are far above the ordinary (gap/bursts.py); else 0. visible: of the signal, what no link is broken by.
     """
 
     signal: str
@@ -38,6 +41,7 @@ class Looked(NamedTuple):
     share: float
     broken: bool
     loud: float = 0.0
+    visible: float = VISIBLE
 
     @property
     def missed(self) -> str:
@@ -45,6 +49,11 @@ class Looked(NamedTuple):
         if self.loud > LOUD:
             return f"{self.signal} is missed by {self.loud:.0%} of the signal in moments, and hardly else"
         return f"{self.signal} is missed by {self.share:.1%}"
+
+    @property
+    def amount(self) -> float:
+        """Of the signal, what is missed: what could be explained, or what its moments miss where they are loud."""
+        return max(self.share, self.loud if self.loud > LOUD else 0.0)
 
 
 class Card(NamedTuple):
@@ -66,11 +75,14 @@ def look(
         explicable = max(one.explained, 0.0)
         share = explicable**0.5 / max(sizes[name], 1e-12)
         loud = bursts[name].share(sizes[name]) if name in bursts else 0.0
-        broken = loud > LOUD or (share > VISIBLE and explicable > LEAST_SHARE * one.total)
         kind = kinds[name]
+        visible = min(max(VISIBLE, kind.missed / max(sizes[name], 1e-12)), MOST_VISIBLE)
+        broken = loud > LOUD or (share > visible and explicable > LEAST_SHARE * one.total)
         noise = max(one.total - explicable, 0.0) ** 0.5
-        found.append(Looked(name, kind.link, kind.unit, one.total**0.5, noise, explicable**0.5, share, broken, loud))
-    return sorted(found, key=lambda one: (not one.broken, -max(one.share, one.loud if one.loud > LOUD else 0.0)))
+        found.append(
+            Looked(name, kind.link, kind.unit, one.total**0.5, noise, explicable**0.5, share, broken, loud, visible)
+        )
+    return sorted(found, key=lambda one: (not one.broken, -one.amount))
 
 
 def card(looked: Looked, shape: Shape | None, regions: Sequence[Region], size: float) -> Card:

@@ -12,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from tunefree_hil.base.contracts import Link, links_of
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
@@ -22,17 +24,21 @@ from tunefree_hil.gap.decide import Weighed, left_share, worked_on
 from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.excitation import Excited, excitation, held_by
 from tunefree_hil.gap.graph import effects
-from tunefree_hil.gap.interval import Value, unsteady, values_of
+from tunefree_hil.gap.interval import Value, apart, unsteady, values_of
 from tunefree_hil.gap.leftover import Left
 from tunefree_hil.gap.locate import Card, Looked, card, echo_words, look
 from tunefree_hil.gap.search import backward, forward, settled, weighed
-from tunefree_hil.gap.segments import FEWEST, FEWEST_DRIVEN, Blocks, block_s_of, blocks_of
+from tunefree_hil.gap.segments import BLOCK_S, FEWEST, FEWEST_DRIVEN, GUARD_S, SHORTEST_S, Blocks, block_s_of, blocks_of
 from tunefree_hil.gap.targets import LEAST_MPS
 from tunefree_hil.gap.team import Team
-from tunefree_hil.gap.verdict import not_it, verdict_of, wavers, with_others
+from tunefree_hil.gap.verdict import daily_words, not_it, verdict_of, wavers, with_others
 from tunefree_hil.gap.work import Setting
 
 VERDICTS = ("one", "several", "set", "none_missing", "none_of_these", "cannot_test")
+
+
+Array = np.ndarray
+LEAST_S = FEWEST * SHORTEST_S * (1.0 + GUARD_S / BLOCK_S)  # that a question's logs have to hold
 
 
 class Effect(NamedTuple):
@@ -96,7 +102,7 @@ def refuse_untold(drives: Sequence[Opened]) -> None:
             f"the logs hold {held}; {FEWEST} are needed to fit, to choose and to prove",
             code="too_short",
             key="LOG",
-            hint="record a minute and a half or more",
+            hint=f"record {LEAST_S:.0f} s or more; twice that tells more",
         )
     driven = sum(_driven(one, blocks, i) for i, one in enumerate(drives))
     if driven < FEWEST_DRIVEN:
@@ -104,7 +110,7 @@ def refuse_untold(drives: Sequence[Opened]) -> None:
             f"the car moves above walking pace in {driven} stretches of {block_s:.3g} s; {FEWEST_DRIVEN} are needed",
             code="standing",
             key="LOG",
-            hint="drive for a minute and a half or more, in gear, with the by-wire unit obeying",
+            hint=f"drive for {LEAST_S:.0f} s or more, in gear, with the by-wire unit obeying",
         )
 
 
@@ -133,12 +139,14 @@ def _named(
     said = tuple(one for opened in drives for one in echoes(opened))
     looked = look(before, question.kinds, question.sizes, calm)
     still = look(after, question.kinds, question.sizes, calmed)
+    days = question.blocks.drives[blocks]
     worked = worked_on(question.null, repaired, question.sizes, blocks)
     left = {name: left_share(before[name], one) for name, one in after.items()}
-    amiss = not_it(looked, still, left, worked) or wavers(steps, repaired, blocks)
+    amiss = not_it(looked, still, left, worked) or wavers(steps, repaired, blocks, days)
     held = excitation(effects(), held_by(drives, vehicle))
-    steps = [with_others(step, steps, held, first, drives) for step in steps]
-    restless = unsteady(question.null.fitted, blocks)
+    steps = [with_others(step, steps, held, drives) for step in steps]
+    sigmas = {free.key: free.doubt for one in question.suspects for free in one.free if free.doubt}
+    restless = unsteady(question.null.fitted, blocks, days, sigmas)
     verdict, others, words = verdict_of(first, steps, looked, amiss, held, echo_words(said), restless)
     link, shown = _where(team, question, steps, looked, said)
     known: tuple[Effect, ...] = ()
@@ -146,7 +154,7 @@ def _named(
         known = tuple(Effect(one.name, values_of(one.name, repaired.fitted, blocks), one.evidence) for one in steps)
     return Named(
         verdict, known, others, _manoeuvre(others), link, shown, tuple(looked), said, held, tuple(first), question,
-        repaired, before, after, lost_links(drives), words,
+        repaired, before, after, lost_links(drives), (*words, *daily_words(apart(repaired.fitted, blocks, days))),
     )  # fmt: skip
 
 

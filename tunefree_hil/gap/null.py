@@ -12,7 +12,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ActuatorSpec, Interval, ModelSpec, Number, value_of
@@ -109,24 +109,36 @@ def _drag_m2(graph: Graph, model: ModelSpec) -> float:
     return {**graph.plant.defaults, **model.plant.params}.get("drag_area_m2", math.inf)
 
 
-def doubts_of(model: ModelSpec) -> dict[str, float]:
-    """Standard deviations of the logarithms of a model's constants, from the card of `calibrate`; empty without one."""
-    if not (model.plant.card and model.folder):
-        return {}
-    path = Path(model.folder) / model.plant.card
-    if not path.is_file():
+def card_of(model: ModelSpec) -> dict[str, Any]:
+    """What the card in a model's folder says; empty where there is none. Raises InputError for one that is none."""
+    path = Path(model.folder) / model.plant.card if model.plant.card and model.folder else None
+    if path is None or not path.is_file():
         return {}
     try:
-        constants = json.loads(path.read_text()).get("constants", {})
+        found = json.loads(path.read_text())
+    except ValueError as error:
+        raise _no_card(path, error) from error
+    if not isinstance(found, dict):
+        raise _no_card(path, "no table")
+    return found
+
+
+def _no_card(path: Path, why: object) -> InputError:
+    return InputError(
+        f"this is no card of a model: {why}", code="bad_card", file=str(path), hint="calibrate the model again"
+    )
+
+
+def doubts_of(model: ModelSpec) -> dict[str, float]:
+    """Standard deviations of the logarithms of a model's constants, from the card of `calibrate`; empty without one."""
+    try:
         return {
             name: math.log(one["high"] / one["low"]) / 3.92
-            for name, one in constants.items()
+            for name, one in card_of(model).get("constants", {}).items()
             if isinstance(one, dict) and one.get("low", 0.0) > 0.0 and one.get("high", 0.0) > one["low"]
         }
-    except (ValueError, AttributeError, TypeError, KeyError) as error:
-        raise InputError(
-            f"this is no card of a model: {error}", code="bad_card", file=str(path), hint="calibrate the model again"
-        ) from error
+    except (AttributeError, TypeError, KeyError) as error:
+        raise _no_card(Path(model.folder) / model.plant.card, error) from error
 
 
 def _doubt(doubts: Mapping[str, float], name: str) -> float:

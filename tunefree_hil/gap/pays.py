@@ -15,8 +15,8 @@ from scipy.special import stdtrit
 
 from tunefree_hil.base.contracts import Port
 from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
-from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.chain import Opened
+from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.repair import repaired
 from tunefree_hil.gap.segments import CHOICE
 from tunefree_hil.gap.shrink import floors_of
@@ -35,7 +35,7 @@ SIDEWAYS = {  # on the body: what shows in how the car turns and in what it feel
 # blocks that counts for beside those that there are: two blocks that happen to agree know no scatter.
 SCATTER, WORTH = 0.3, 4
 SURE = 0.975
-TINY, HUGE = 1e-30, 1e30  # squares: of a signal without noise; of a run that came to no number
+TINY = 1e-30  # square: of a signal without noise
 
 
 class Paid(NamedTuple):
@@ -71,7 +71,7 @@ def that_pays(
 def groups_of(values: Mapping[str, float], found: set[str]) -> dict[str, set[str]]:
     """Keys of nuisances that were moved and that a model can have, by group, in the order of GROUPS."""
     some: dict[str, set[str]] = {group: set() for group in GROUPS}
-    known = catalogue()
+    known = effects()
     for key, value in values.items():
         name, _, parameter = key.partition(".")
         neutral = known[name].neutral[parameter] if name in known else 0.0
@@ -94,7 +94,7 @@ def chosen_runs(
 ) -> Proof:  # fmt: skip
     """Free runs over the blocks that choose; the one variant is called ''."""
     made = repaired(model, vehicle, values, found)
-    return prove({"": Variant(made.model, made.day)}, vehicle, drives, role=CHOICE)
+    return prove({"": Variant(made.model, made.day)}, vehicle, drives, role=CHOICE, brief=True)
 
 
 def pays(gains: Array) -> bool:
@@ -116,7 +116,7 @@ def gained(one: Proof, other: Proof, floors: Mapping[str, float]) -> Array:
     for signal, counts in one.counts.items():
         if signal not in (HEADING, POSITION):
             least = (floors[signal] ** 2 + TINY) * counts
-            mine, theirs = (np.nan_to_num(run.squares[""][signal], nan=HUGE, posinf=HUGE) for run in (one, other))
+            mine, theirs = (run.squares[""][signal] for run in (one, other))
             rows = counts > 0.0
             total[rows] += 0.5 * np.log((theirs + least)[rows] / (mine + least)[rows])
     return total

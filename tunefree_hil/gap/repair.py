@@ -7,7 +7,6 @@ bias) and how well frames are stamped is written nowhere: the next drive has ano
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,10 +23,13 @@ from tunefree_hil.config.schema import (
     VehicleSpec,
     value_of,
 )
+from tunefree_hil.gap.channels import ACCEL, PEDALS, is_by_accel
 from tunefree_hil.gap.graph import effects, scaled
 from tunefree_hil.gap.kept import Kept
+from tunefree_hil.gap.null import card_of
 from tunefree_hil.learn.free_run import plant_of
 from tunefree_hil.learn.write_model import CARD_FILE, data_of, write_beside
+from tunefree_hil.plant.asked_accel import FULL_MPS2
 
 OF_THE_DAY = ("grade", "side_wind", "friction", "speed_scale", "yaw_rate_bias", "yaw_rate_scale", "accel_bias")
 ADDED = ("dead_time_s", "offset")  # numbers of a channel that recalibration adds to; the others it multiplies
@@ -73,7 +75,8 @@ def repaired(
     if model.plant.kind == "physics":
         _fold(params, moved, vehicle.nominal.rest_pedal_frac, names)
     own = {key: value for key, value in params.items() if key in model.plant.params or _differs(base[key], value)}
-    channels = {name: _channel(name, spec, values) for name, spec in model.actuators.items()}
+    moves = by_channel(model, values)
+    channels = {name: _channel(name, spec, moves) for name, spec in model.actuators.items()}
     more = [EffectSpec(name=name, params=one, provenance={"by": "recalibration"}) for name, one in moved.items()]
     behind = sorted([*found, *more], key=lambda one: one.name)  # as the graph has them in series
     made = _with(model, plant=_with(model.plant, params=own), actuators=channels, effects=[*model.effects, *behind])
@@ -104,12 +107,6 @@ def write_repaired(folder: Path, model: ModelSpec, made: ModelSpec, story: Mappi
     head = HEAD.format(model=Path(model.folder).name, card=CARD_FILE)
     write_beside(folder, model, head, data, {**card_of(model), "repair": story})
     return load_model(folder)
-
-
-def card_of(model: ModelSpec) -> dict[str, Any]:
-    """What the card in a model's folder says; empty where there is none."""
-    path = Path(model.folder) / (model.plant.card or CARD_FILE)
-    return json.loads(path.read_text()) if path.is_file() else {}
 
 
 def _ends(value: Mapping[str, Any]) -> list[float]:
@@ -144,6 +141,23 @@ def _fold(params: Params, moved: dict[str, Params], rest: float, found: set[str]
         params["steer_ratio"] /= gain
         if "steer_offset" in moved:
             moved["steer_offset"]["offset_rad"] /= gain
+
+
+def by_channel(model: ModelSpec, values: Mapping[str, float]) -> Mapping[str, float]:
+    """`values` with what a search moved of the two pedals of a car that is asked for an acceleration as its channel's.
+
+    What a pedal adds or takes is an acceleration of that share of FULL_MPS2; times and gains are one for both, and so
+    the mean of what was moved of either. A pedal that was not moved counts: its commands were in the logs, too.
+    """
+    if not is_by_accel(model):
+        return values
+    found = {key: value for key, value in values.items() if not key.startswith(tuple(f"actuator.{p}." for p in PEDALS))}
+    for field in ActuatorSpec.__struct_fields__:
+        throttle, brake = (values.get(f"actuator.{pedal}.{field}", 0.0) for pedal in PEDALS)
+        by = FULL_MPS2 * (throttle - brake) if field == "offset" else 0.5 * (throttle + brake)
+        if by:
+            found[f"actuator.{ACCEL}.{field}"] = by
+    return found
 
 
 def _channel(name: str, spec: ActuatorSpec, values: Mapping[str, float]) -> ActuatorSpec:

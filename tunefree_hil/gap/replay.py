@@ -16,13 +16,15 @@ from tunefree_hil.base import parts
 from tunefree_hil.base.contracts import Latency, Port, make_effect
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import Command, Disturbance, Ins, Motion, Report
-from tunefree_hil.config.schema import ActuatorSpec, EffectSpec, ModelSpec, VehicleSpec
+from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
 from tunefree_hil.gap.chain import Opened
+from tunefree_hil.gap.channels import channel_spec, is_unheard
 from tunefree_hil.gap.graph import CHANNELS
+from tunefree_hil.gap.memory import chassis_forgets, is_forgotten, needed
 from tunefree_hil.gap.recent import ahead
 from tunefree_hil.learn.free_run import plant_of
 from tunefree_hil.learn.motion import actuator_params
-from tunefree_hil.plant.actuators import ActuatorParams
+from tunefree_hil.plant.actuators import ActuatorParams, actuator
 from tunefree_hil.plant.body import BodyInput, Driver
 from tunefree_hil.plant.sensors import noise_table
 from tunefree_hil.plant.vehicle import Body, assemble, first_output, for_episode
@@ -35,31 +37,43 @@ COURSE_S, LEAST_WAY_M = 4.0, 2.0  # places tell a course over such a time, once 
 
 
 class Car(NamedTuple):
-    """A model folder's car. late_s: by which its own effects make reports and INS late, (reports, INS)."""
+    """A model folder's car. late_s: by which its own effects make reports and INS late, (reports, INS). forgets:
+    whether nothing of it remembers longer than a few seconds what it did (gap/memory.py).
+    """
 
     body: Body
     observe: Any
     rest: float
     late_s: tuple[float, float]
+    forgets: bool
 
 
 def car_of(model: ModelSpec, vehicle: VehicleSpec, opened: Opened, more: Sequence[EffectSpec] = ()) -> Car:
     """The car for a recording; `more`: effects behind the model's own, as a bench file has them.
 
-    A channel whose commands acted nowhere in it (a person drove) has no actuator: the reported output is what acts. An
-    INS that is late by the vehicle's folder is no part of it: recordings are put right by that (gap/chain.py).
+    A car that is asked for an acceleration is driven by two pedals (gap/channels.py), as it is searched; what a bench
+    would not hear is left out. A channel whose commands acted nowhere in a recording (a person drove) has no actuator:
+    the reported output is what acts. An INS that is late by the vehicle's folder is no part of the car: recordings are
+    put right by that (gap/chain.py).
     """
     rest, plant = vehicle.nominal.rest_pedal_frac, plant_of(model)
     channels = {}
     for name, acts in zip(CHANNELS, commanded(opened), strict=True):
         idle = 0.0 if name == "steer" else rest
-        spec = model.actuators.get(name, ActuatorSpec())
-        channels[name] = actuator_params(spec, idle, idle) if acts else ActuatorParams(rest=idle, initial=idle)
-    effects = [_made(spec, rest) for spec in (*model.effects, *more)]
+        channels[name] = (
+            actuator_params(channel_spec(model, name), idle, idle) if acts else ActuatorParams(rest=idle, initial=idle)
+        )
+    made = [_made(spec, rest) for spec in (*model.effects, *more)]
+    effects = [(port, one) for port, one in made if not is_unheard(model, port)]
     body = assemble(plant, model.plant.params, channels, effects=effects, rest_frac=(rest, rest), dt_s=opened.dt_s)
     biased = for_episode(body, body.block.params.chassis.start, noise_table({}, model.bias, 0, 0))
     late = [sum(made.params.delay_s for port, made in effects if port is where and _is_late(made)) for where in _ENDS]
-    return Car(biased, plant.observe, rest, (late[0], late[1]))
+    parts_of_it = [*effects, *((None, actuator(one)) for one in channels.values())]
+    forgets = chassis_forgets(model.plant.kind, biased.block.params.chassis) and all(
+        is_forgotten(one, port, 0.0 if port in (Port.STEER_A, Port.STEER_B) else rest, opened.dt_s)
+        for port, one in parts_of_it
+    )
+    return Car(biased, plant.observe, rest, (late[0], late[1]), forgets)
 
 
 def commanded(opened: Opened) -> tuple[bool, bool, bool]:
@@ -81,10 +95,12 @@ def _made(spec: EffectSpec, rest: float) -> tuple[Port, Any]:
     return effect.port, make_effect(effect, spec.params, rest=rest if pedal else 0.0, name=spec.name)
 
 
-def run_over(car: Car, opened: Opened, held: Array) -> Mapping[str, Array]:
+def run_over(car: Car, opened: Opened, held: Array, *, brief: bool = False) -> Mapping[str, Array]:
     """What the car says in every row of a recording, by record field ('report.speed_mps', 'ins.x_m'), [n] each.
 
-    held: bool [n], rows at which the chassis is told what was measured.
+    held: bool [n], rows at which the chassis is told what was measured. What a run says that comes to no number is NaN,
+    to the end. brief: of a car that forgets, no more is driven than rows that are not held and what warms it up before
+    them; NaN elsewhere.
     """
     told, motions, gears = _told(car, opened)
     body, dt_s = car.body, opened.dt_s
@@ -94,11 +110,16 @@ def run_over(car: Car, opened: Opened, held: Array) -> Mapping[str, Array]:
     step, params, observe = body.block.step, body.block.params, car.observe
     nobody, road = Driver(car.rest, car.rest), Disturbance(0.0, 1.0)
     rows, seen = np.full((opened.ticks, len(REPORTED) + len(PLACED)), np.nan), held.tolist()
-    for k in range(1, opened.ticks):
+    driven = needed(held, dt_s) if brief and car.forgets else np.ones(opened.ticks, dtype=bool)
+    for k in np.flatnonzero(driven[1:]).tolist():
+        k += 1
         if seen[k - 1]:
             state = state._replace(chassis=observe(state.chassis, motions[k - 1]))
         command = Command._make((*told[k], gears[k], np.nan, np.nan))
-        state, out = step(params, state, BodyInput(command, nobody, road), dt_s)
+        try:
+            state, out = step(params, state, BodyInput(command, nobody, road), dt_s)
+        except (ArithmeticError, ValueError):  # Python's mathematics refuse what a compiled car says no number to
+            break
         rows[k] = (*out.measurement.report, *out.measurement.ins)
     rows[0] = rows[min(1, len(rows) - 1)]
     return dict(zip((*REPORTED, *PLACED), rows.T, strict=True))

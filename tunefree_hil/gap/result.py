@@ -9,10 +9,13 @@ import math
 from typing import Any
 
 from tunefree_hil.base.contracts import links_of
-from tunefree_hil.gap.graph import effects
+from tunefree_hil.effects import catalogue
+from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.name import Effect, Named
 from tunefree_hil.gap.null import taken
 
+FEW_BLOCKS = 9  # judged, of a drive of a minute and three quarters; shorter ones have fewer
+BY_TEST = ("one", "several", "set", "none_missing")  # verdicts that hold as far as nothing else was seen
 REGIONS = 3  # that are told, of those that stand out
 WITHOUT_NET = ("physics", "reference")  # kinds of plants that were not taught by logs, and so hide nothing
 
@@ -50,9 +53,17 @@ def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
             }
             for one in found.candidates
         ],
-        "words": list(found.words),
+        "words": [*found.words, *_short_words(found)],
         "moved": list(moved_words(found)),
     }  # fmt: skip
+
+
+def _short_words(found: Named) -> tuple[str, ...]:
+    """That so few blocks were judged by that much could be missing and not be seen; nothing where nobody says so."""
+    count = len(judged(found.question.blocks))
+    if count >= FEW_BLOCKS or found.verdict not in BY_TEST:
+        return ()
+    return (f"judged by {count} stretches alone: what else may be missing is hardly seen in so short a recording",)
 
 
 def together(found: Named) -> list[str]:
@@ -81,7 +92,9 @@ def forced_name(found: Named) -> str | None:
 def untold(found: Named) -> dict[str, str]:
     """Effects that these logs cannot tell because a signal is missing: their own link cannot be seen."""
     return {
-        name: found.lost[links_of(effect)[0]] for name, effect in effects().items() if links_of(effect)[0] in found.lost
+        name: found.lost[links_of(effect)[0]]
+        for name, effect in catalogue().items()
+        if links_of(effect)[0] in found.lost
     }
 
 

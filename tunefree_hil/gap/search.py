@@ -65,7 +65,7 @@ def forward(team: Team, question: Question, first: list[Weighed], blocks: Array)
         again = _against_the_rest(team, question, more[0], more[0].name, blocks)
         if not again.counts:
             break
-        steps.append(again._replace(others=tuple(rivals(more, blocks))))
+        steps.append(again._replace(others=tuple(rivals(more, blocks)), placed=_evidences(more)))
     return steps
 
 
@@ -113,7 +113,7 @@ def settled(
             first = weigh(models, question.null, question.null, question.sizes, blocks)
         if not first[0].counts or outdone(first):
             return [], first
-        return [first[0]._replace(others=tuple(rivals(first, blocks)))], first
+        return [first[0]._replace(others=tuple(rivals(first, blocks)), placed=_evidences(first))], first
     found, last = [], steps[-1].model
     for step in steps if fresh else steps[:-1]:
         yield f"each without the others, and any in the place of {step.name}"
@@ -130,4 +130,8 @@ def _in_its_place(team: Team, question: Question, steps: list[Weighed], step: We
     some = weighed(team, question, names, rest, blocks, {step.name: last})
     own = next(one for one in some if one.name == step.name)
     equal = [some[0].name, *rivals(some, blocks)] if some[0].counts else []
-    return own._replace(others=tuple(name for name in equal if name != step.name))
+    return own._replace(others=tuple(name for name in equal if name != step.name), placed=_evidences(some))
+
+
+def _evidences(some: Sequence[Weighed]) -> dict[str, float]:
+    return {one.name: one.evidence for one in some}

@@ -15,14 +15,16 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.config.schema import ModelSpec
-from tunefree_hil.gap.repair import card_of
-from tunefree_hil.gap.verify import HEADING, POSITION, UNITS, Proof
+from tunefree_hil.gap.null import card_of
+from tunefree_hil.gap.verify import HEADING, HUGE, POSITION, UNITS, Proof
 
 Array = np.ndarray
 
 DRAWS = 1000
 MOST_WORSE = 0.02  # of a signal's error, that a repair may add
 LEAST_OPEN = 0.02  # of the floor: less left by recalibration is no gap
+MANY = 1000.0  # times worse, as far as it is told
+WORST = -10.0  # share: a repair that makes ten times worse what was open, or that comes to no number, is told as that
 CLEARLY = 0.8  # of a signal's error: recalibration that leaves no more is worth a calibration
 BY_CARD = {  # what a calibration's card says of free runs on held-out windows, by signal
     "report.speed_mps": ("speed_mps",), "ins.speed_mps": ("speed_mps",), "report.yaw_rate_radps": ("yaw_rate_radps",),
@@ -96,7 +98,8 @@ def gaps_of(proof: Proof, floors: Mapping[str, float], left: Mapping[str, float]
 def explained_frac(
     proof: Proof, floors: Mapping[str, float], left: Mapping[str, float] | None = None, seed: int = 1
 ) -> dict[str, float] | None:
-    """(recalibrated - after) / (recalibrated - floor), with a 95 % interval; None where recalibration leaves nothing.
+    """(recalibrated - after) / (recalibrated - floor), with a 95 % interval; None where recalibration leaves nothing,
+    never below WORST.
     left (of `unforetold`): what nothing foretells is taken for floor too, so that it is of what could be explained.
 
     Of the signals that are measured and not summed up over time, in units of their floors: the root mean square of each
@@ -111,10 +114,11 @@ def explained_frac(
     share = np.array([(left or {}).get(name, 0.0) for name in signals])
     rows = np.random.default_rng(seed).integers(0, proof.blocks, (DRAWS, proof.blocks))
     every, open_ = _share(was, now, share)
+    every = max(every, WORST)
     low, high = np.quantile([_share(was[:, some], now[:, some], share)[0] for some in rows], [0.025, 0.975])
     if open_ <= LEAST_OPEN and every > -LEAST_OPEN:
         return None
-    return {"value": every, "low": float(low), "high": float(high)}
+    return {"value": every, "low": max(float(low), WORST), "high": max(float(high), WORST)}
 
 
 def _share(was: Array, now: Array, share: Array) -> tuple[float, float]:
@@ -147,11 +151,14 @@ def worse_signals(proof: Proof, floors: Mapping[str, float], seed: int = 1) -> d
     for signal, counts in proof.counts.items():
         before, after = proof.squares["before"][signal], proof.squares["after"][signal]
         was, now = proof.rms("before", signal), proof.rms("after", signal)
+        if ((after >= HUGE) & (before < HUGE)).any():  # it comes to no number there: no chance does that
+            found[signal] = MANY
+            continue
         if now <= (1.0 + MOST_WORSE) * was or now <= floors[signal] or not counts.sum():
             continue
         more = (after - (1.0 + MOST_WORSE) ** 2 * before)[draws].sum(axis=1)
         if float(np.quantile(more, 0.025)) > 0.0:
-            found[signal] = now / was - 1.0 if was > 0.0 else math.inf
+            found[signal] = min(now / was - 1.0, MANY) if was > 0.0 else MANY
     return found
 
 

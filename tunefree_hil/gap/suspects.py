@@ -10,6 +10,7 @@ from tunefree_hil import effects
 from tunefree_hil.base.contracts import Link, Prior, links_of, prior_of
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
+from tunefree_hil.gap.chain import YAW_RATES, Opened
 from tunefree_hil.gap.graph import Graph
 from tunefree_hil.gap.null import Nuisance
 from tunefree_hil.gap.problem import Free
@@ -17,6 +18,8 @@ from tunefree_hil.gap.scan import TWINS
 
 BEYOND = 0.35  # of the prior's width, that a search may go past its ends
 LATERAL = "report.lateral_accel_mps2"
+GYRO = ("yaw_rate_bias", "yaw_rate_filter", "yaw_rate_scale")  # what ails a sensor that only some cars have
+NO_GYRO = "no gyro: the chassis's yaw rate is made from its wheels"
 # Parameters that mean so many times a constant of the model: as well as that is known
 COUNTS_BY = {"rolling_resistance.extra_frac": "rolling_frac", "head_wind.wind_mps": "drag_area_m2"}
 
@@ -29,11 +32,16 @@ class Suspect(NamedTuple):
     links: tuple[Link, ...]
 
 
-def suspects_of(graph: Graph, model: ModelSpec, vehicle: VehicleSpec) -> tuple[list[Suspect], dict[str, str]]:
-    """(suspects, effects that cannot be suspected with the reason)."""
+def suspects_of(
+    graph: Graph, model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened] = ()
+) -> tuple[list[Suspect], dict[str, str]]:
+    """(suspects, effects that cannot be suspected with the reason): the plant or these drives have none of it."""
     found, cannot = [], dict(graph.cannot)
+    cannot |= {name: NO_GYRO for name in GYRO if name in graph.can and _without_gyro(drives)}
     sizes = sizes_of(model, vehicle, graph)
     for name, effect in graph.can.items():
+        if name in cannot:
+            continue
         try:
             priors = {key: prior_of(effect, key, sizes) for key in effect.neutral}
         except InputError as error:
@@ -42,6 +50,12 @@ def suspects_of(graph: Graph, model: ModelSpec, vehicle: VehicleSpec) -> tuple[l
         free = tuple(free_of(f"{name}.{key}", prior, effect.neutral[key]) for key, prior in priors.items())
         found.append(Suspect(name, free, links_of(effect)))
     return found, cannot
+
+
+def _without_gyro(drives: Sequence[Opened]) -> bool:
+    """Whether the chassis's yaw rate is its wheels' in every drive that has one."""
+    said = [one for one in drives if one.has(YAW_RATES[0])]
+    return bool(said) and all(YAW_RATES[0] in one.derived for one in said)
 
 
 def free_of(key: str, prior: Prior, neutral: float) -> Free:

@@ -69,6 +69,13 @@ def _taps(window: int, derivative: int, dt_s: float) -> Array:
     return np.asarray(savgol_coeffs(window, 2, deriv=derivative, delta=dt_s))
 
 
+@cache
+def _under_slope(window: int) -> Array:
+    """The weights [window] that a slope (a parabola's) gives the rates whose sum it is the slope of."""
+    taps = np.cumsum(savgol_coeffs(window, 2, deriv=1, use="dot"))[:-1]
+    return -0.5 * np.convolve(taps, [1.0, 1.0])
+
+
 class Columns:
     """The signals of a drive, simulated or measured, by the names of SHOWN; `travel` beside them."""
 
@@ -103,6 +110,10 @@ def simulated_columns(shown: Array, opened: Opened) -> Columns:
     found = {name: shown[:, i] for name, i in COLUMN.items()}
     rate = shown[:, COLUMN["ins_accel_mps2" if opened.inputs.by_ins else "rate_mps2"]]
     found["travel"] = np.cumsum(rate) * opened.dt_s
+    for name, field in (*FIELDS.items(), ("travel", "ins.speed_mps" if opened.inputs.by_ins else "report.speed_mps")):
+        window = opened.derived.get(field, 1)
+        if window > 1:  # what was made of a pose is a slope over several values: so is what it is held against
+            found[name] = convolve1d(found[name], _under_slope(window), mode="nearest")
     return Columns(found, opened.dt_s)
 
 

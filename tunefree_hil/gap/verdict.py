@@ -18,7 +18,7 @@ from tunefree_hil.gap.evidence import LEAST_NATS
 from tunefree_hil.gap.excitation import Excited
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.interval import WAVERS, wavering
-from tunefree_hil.gap.locate import LOUD, VISIBLE, Looked
+from tunefree_hil.gap.locate import LOUD, Looked
 from tunefree_hil.gap.suspects import class_of
 
 Array = np.ndarray
@@ -71,22 +71,33 @@ def not_it(
     was = {one.signal: one for one in looked}
     for one in still:
         if one.signal not in worked:
-            if one.broken and max(one.share, one.loud) > max(worked.values(), default=0.0):
+            if one.broken and one.amount > max(worked.values(), default=0.0):
                 return f"explains less than what is left elsewhere: {one.missed}"
-        elif one.loud > max(LOUD, MOST_LEFT * was[one.signal].loud):
+        elif one.loud > max(LOUD, MOST_LEFT**0.5 * was[one.signal].loud):
             return f"still {one.missed}"
-        elif one.broken and one.share > VISIBLE and left[one.signal] > MOST_LEFT:
+        elif one.broken and one.share > one.visible and left[one.signal] > MOST_LEFT:
             return f"leaves {left[one.signal]:.0%} of what could be explained of {one.signal}"
     return ""
 
 
-def wavers(steps: Sequence[Weighed], repaired: Modelled, blocks: Array) -> str:
-    """An effect whose parameter is another one from block to block, in words: a constant it is not."""
+def wavers(steps: Sequence[Weighed], repaired: Modelled, blocks: Array, drives: Array) -> str:
+    """An effect whose parameter is another one from block to block, in words: a constant it is not. drives: of which
+    drive each block is.
+    """
     for step in steps:
-        share = wavering(repaired.fitted, step.name, blocks)
+        share = wavering(repaired.fitted, step.name, blocks, drives)
         if share > WAVERS:
             return f"what it would be of {step.name} differs by {share:.0%} of itself from block to block"
     return ""
+
+
+def daily_words(found: Mapping[str, float]) -> tuple[str, ...]:
+    """What is of the day and differs between drives (interval.apart), in words."""
+    return tuple(
+        f"{key} differs by {by:.1f} standard deviations between the drives, and is one for all of them here: ask them "
+        "one by one as well"
+        for key, by in found.items()
+    )
 
 
 def _set_words(step: Weighed, held: Excited) -> str:
@@ -98,18 +109,16 @@ def _set_words(step: Weighed, held: Excited) -> str:
 
 
 def with_others(
-    step: Weighed, steps: Sequence[Weighed], held: Mapping[str, Excited], first: Sequence[Weighed],
-    drives: Sequence[Opened],
-) -> Weighed:  # fmt: skip
+    step: Weighed, steps: Sequence[Weighed], held: Mapping[str, Excited], drives: Sequence[Opened]
+) -> Weighed:
     """A step with the rivals that no class has together with it; where the drive hardly holds what shows it, whoever it
-    is easily taken for is one, too, as far as that comes near to it alone. first: all suspects alone.
+    is easily taken for is one, too, as far as that comes near to it in its place, beside the other steps.
     """
     same = class_of(step.name, all(one.has("report.lateral_accel_mps2") for one in drives))
     apart = same | {one.name for one in steps}
     others = step.others
     if held[step.name].score < HARDLY:
-        alone = {one.name: one.evidence for one in first}
-        least = NEARLY * alone.get(step.name, step.evidence)
-        some = [name for name in effects()[step.name].impostors if alone.get(name, 0.0) > max(least, LEAST_NATS)]
-        others += tuple(name for name in some if name not in others)
+        least = NEARLY * step.placed.get(step.name, step.evidence)
+        near = [name for name in effects()[step.name].impostors if step.placed.get(name, 0.0) > max(least, LEAST_NATS)]
+        others += tuple(name for name in near if name not in others)
     return step._replace(others=tuple(name for name in others if name not in apart))

@@ -1,8 +1,8 @@
 """The proof: free runs of the whole car over blocks that no fit and no choice has seen, looked at once.
 
 The same free runs over the blocks that choose say which of what recalibration moved pays (gap/pays.py). A block is at
-least 8 s; before it the car is told the measured motion, in it nothing but the recorded commands. Errors
-are root mean squares by signal; what they say is in gap/shrink.py.
+least 8 s, less where the logs are short (gap/segments.py); before it the car is told the measured motion, in it nothing
+but the recorded commands. Errors are root mean squares by signal; what they say is in gap/shrink.py.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from tunefree_hil.learn.smooth import quantum_of
 Array = np.ndarray
 
 POSITION, HEADING = "position_m", "ins.heading_rad"
+MOST = 1e12  # no signal of a car is that: a run that says more, or no number, has come to nothing
+HUGE = 1e30  # squares of such a run in a block: more than any other's, and a number all the same
 UNITS = {
     "report.throttle_frac": "1", "report.brake_frac": "1", "report.steer_rad": "rad", "report.speed_mps": "m/s",
     "report.yaw_rate_radps": "rad/s", "report.accel_mps2": "m/s2", "report.lateral_accel_mps2": "m/s2",
@@ -69,10 +71,10 @@ class Traces(NamedTuple):
 
 def prove(
     variants: Mapping[str, Variant], vehicle: VehicleSpec, drives: Sequence[Opened], *, role: int = PROOF,
-    whole: bool = False,
+    whole: bool = False, brief: bool = False,
 ) -> Proof:  # fmt: skip
     """Run all variants over the blocks of a role (gap/segments.py; whole: over all, of a recording that nothing was
-    fitted on).
+    fitted on). brief: what lies far from these is not driven, by cars that forget it (gap/memory.py).
     """
     blocks = blocks_of([one.ticks for one in drives], drives[0].dt_s)
     squares: dict[str, dict[str, list[float]]] = {name: {} for name in variants}
@@ -88,7 +90,7 @@ def prove(
         ]
         if not mine:
             continue
-        said = {name: _run(one, vehicle, opened, mine) for name, one in variants.items()}
+        said = {name: _run(one, vehicle, opened, mine, brief=brief) for name, one in variants.items()}
         for signal in signals:
             values, good = _measured(opened, signal)
             noise.setdefault(signal, []).append(_noise(signal, values, good))
@@ -97,7 +99,7 @@ def prove(
                 counts.setdefault(signal, []).append(float(len(rows)))
                 for name in variants:
                     missed = _missed(signal, said[name], opened, rows, begin)
-                    squares[name].setdefault(signal, []).append(float(missed @ missed))
+                    squares[name].setdefault(signal, []).append(_square(missed))
         traces += [_trace(opened, said, one) for one in mine]
     return Proof(
         {name: {signal: np.array(one) for signal, one in some.items()} for name, some in squares.items()},
@@ -112,12 +114,21 @@ def _is_whole(opened: Opened, rows: slice) -> bool:
     return bool(opened.moving[rows].all() and (opened.follows[rows] > 0.5)[:, list(commanded(opened))].all())
 
 
-def _run(variant: Variant, vehicle: VehicleSpec, opened: Opened, blocks: Sequence[tuple[int, int]]) -> dict[str, Array]:
+def _run(
+    variant: Variant, vehicle: VehicleSpec, opened: Opened, blocks: Sequence[tuple[int, int]], *, brief: bool
+) -> dict[str, Array]:
     """What a variant says, on its own in the blocks."""
     held = np.ones(opened.ticks, dtype=bool)
     for begin, end in blocks:
         held[begin:end] = False
-    return dict(run_over(car_of(variant.model, vehicle, opened, variant.day), opened, held))
+    said = run_over(car_of(variant.model, vehicle, opened, variant.day), opened, held, brief=brief)
+    return {name: np.where(np.abs(values) < MOST, values, np.nan) for name, values in said.items()}
+
+
+def _square(missed: Array) -> float:
+    """Sum of squares; of a run that came to no number HUGE, so that it is the worst of all wherever it is compared."""
+    square = float(missed @ missed)
+    return square if math.isfinite(square) else HUGE
 
 
 def _has(opened: Opened, signal: str) -> bool:
@@ -174,4 +185,5 @@ def _liveliness(one: Traces) -> float:
     variants = list(one.simulated)
     first, last = one.simulated[variants[0]], one.simulated[variants[-1]]
     spread = {name: max(float(np.std(values)), 1e-9) for name, values in one.measured.items() if name != HEADING}
-    return sum(float(np.mean((first[name] - last[name]) ** 2)) / size**2 for name, size in spread.items())
+    apart = {name: np.nan_to_num(first[name] - last[name], nan=MOST) for name in spread}
+    return sum(float(np.mean(apart[name] ** 2)) / size**2 for name, size in spread.items())

@@ -6,23 +6,27 @@ behind the other; `Piece`s keep the drives apart where rows are filtered over ti
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tunefree_hil.base.contracts import Link
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.gap.chain import Opened
-from tunefree_hil.gap.graph import Graph, Values
+from tunefree_hil.gap.graph import CHANNELS, Graph, Values
 from tunefree_hil.gap.noise import Colour, Piece, colour_of, sensor_noise, whitened
+from tunefree_hil.gap.null import card_of
 from tunefree_hil.gap.segments import GUARD, PROOF, Blocks, block_at, blocks_of
-from tunefree_hil.gap.targets import Compared
+from tunefree_hil.gap.targets import Compared, Target
 
 Array = np.ndarray
 Residuals = dict[str, list[Array]]  # by target, a piece a drive
 
 FLOOR_SHARE = 0.3  # of the sensor's own noise: what is left is never believed to be less
+LEVELLED, LEAST_OF_LEVEL = "wheel_vs_ins", 0.1  # wheels are off by a share of the speed, however even the drive is
+# By target: what a calibration's card says of free runs. Of speed itself it does, of its rate it does not.
+BY_FREE_RUN = {"yaw_rate": "yaw_rate_radps", "lateral_accel": "lateral_accel_mps2"}
 EXACT = 0.002  # of the signal: no model of a car is believed to be better than that at any instant
 
 
@@ -35,13 +39,16 @@ class Setting(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """What is the same for all drives of a target. floor: of its residuals, in its unit, above 0."""
+    """What is the same for all drives of a target. floor: of its residuals, in its unit, above 0. missed: what the
+    model's own calibration missed of it on drives that it was not fitted on, beyond noise; 0 where nobody says.
+    """
 
     name: str
     link: Link
     unit: str
     dt_s: float
     floor: float
+    missed: float = 0.0
 
 
 class Work:
@@ -53,14 +60,12 @@ class Work:
         self.graph = Graph(setting.model, setting.vehicle, self.dt_s)
         self.compared = [Compared(one) for one in setting.drives]
         self.blocks: Blocks = blocks_of([one.ticks for one in setting.drives], self.dt_s)
-        self.kinds: dict[str, Kind] = {}
         self._where: dict[str, list[tuple[int, int]]] = {}
         for drive, compared in enumerate(self.compared):
             for place, target in enumerate(compared.targets):
                 self._where.setdefault(target.name, []).append((drive, place))
-                noise = max(sensor_noise(target.measured, target.valid), target.quantum / 12.0**0.5)
-                floor = max(FLOOR_SHARE * noise, EXACT * target.size)
-                self.kinds.setdefault(target.name, Kind(target.name, target.link, target.unit, target.dt_s, floor))
+        card = card_of(setting.model)
+        self.kinds = {name: self._kind(name, card) for name in self._where}
         self.block = {name: [self._block(*one) for one in where] for name, where in self._where.items()}
         self.judged = {name: [self._judged(b) for b in some] for name, some in self.block.items()}
 
@@ -111,8 +116,22 @@ class Work:
 
     def size(self, name: str) -> float:
         """Deviation of the signal that a target is about, over its drives."""
-        some = [self.compared[drive].targets[place].size for drive, place in self._where[name]]
-        return float(np.sqrt(np.mean(np.square(some))))
+        return size_of(self._targets(name), [self.setting.drives[i].inputs.speed_mps for i in self.drives_of(name)])
+
+    def _targets(self, name: str) -> list[Target]:
+        """Of all drives that have it."""
+        return [self.compared[drive].targets[place] for drive, place in self._where[name]]
+
+    def _kind(self, name: str, card: Mapping[str, Any]) -> Kind:
+        return kind_of(self._targets(name), missed_of(name, card, self._noise_of(BY_FREE_RUN.get(name, ""))))
+
+    def _noise_of(self, signal: str) -> float:
+        """Of a sensor, the chassis's or else the INS's, by its fresh values; 0 where there is none."""
+        found = [[one.signals[f] for f in (f"report.{signal}", f"ins.{signal}") if f in one.signals][:1]
+                 for one in self.setting.drives]  # fmt: skip
+        some = [one for drive in found for one in drive]
+        values = [one.values[one.fresh & one.there] for one in some]
+        return _root_mean([sensor_noise(one, np.ones(len(one), dtype=bool)) for one in values]) if values else 0.0
 
     def _block(self, drive: int, place: int) -> Array:
         return block_at(self.blocks, drive, self.compared[drive].targets[place].rows)
@@ -120,3 +139,41 @@ class Work:
     def _judged(self, block: Array) -> Array:
         roles = np.append(self.blocks.roles, GUARD)[block]
         return (roles != PROOF) & (roles != GUARD)
+
+
+def kind_of(targets: Sequence[Target], missed: float) -> Kind:
+    """Of a target, over all drives: each has its own noise, and reports that come as often as they came."""
+    noise = _root_mean([max(sensor_noise(one.measured, one.valid), one.quantum / 12.0**0.5) for one in targets])
+    floor = max(FLOOR_SHARE * noise, EXACT * _root_mean([one.size for one in targets]))
+    dt_s = float(np.mean([one.dt_s for one in targets]))
+    return Kind(targets[0].name, targets[0].link, targets[0].unit, dt_s, floor, missed)
+
+
+def size_of(targets: Sequence[Target], speeds: Sequence[Array]) -> float:
+    """Deviation of the signal that a target is about, over its drives; of what is off by a share of a level at least
+    LEAST_OF_LEVEL of that. speeds: of each drive.
+    """
+    deviation = _root_mean([one.size for one in targets])
+    if targets[0].name != LEVELLED:
+        return deviation
+    level = [float(np.mean(speed[one.rows][one.valid])) for speed, one in zip(speeds, targets, strict=True)]
+    return max(deviation, LEAST_OF_LEVEL * _root_mean(level))
+
+
+def missed_of(name: str, card: Mapping[str, Any], noise: float) -> float:
+    """What `calibrate` wrote of held-out drives in the same signal as a target's, less the noise that is in it; 0 where
+    its card says nothing. noise: of the sensor; of an actuator's report the card has it.
+    """
+    missed = 0.0
+    if name in CHANNELS:
+        own = (card.get("actuators") or {}).get(name) or {}
+        missed, noise = own.get("held_out_rms") or 0.0, own.get("noise") or 0.0
+    elif name in BY_FREE_RUN:
+        runs = ((card.get("free_run_rms") or {}).get("held_out") or {}).get("fitted") or {}
+        missed = runs.get(BY_FREE_RUN[name]) or 0.0
+    return float(max(missed * missed - noise * noise, 0.0)) ** 0.5
+
+
+def _root_mean(some: Sequence[float]) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(some))))

@@ -118,7 +118,7 @@ def _answered(asked: Asked, folder: Folder, material: Material) -> Generator[Eve
     """The answer, written."""
     began = time.monotonic()
     try:
-        opened = _opened(material)
+        opened = yield from _opened(material)
         found = folder.search(named=asked.until != "locate")
         if found is None:
             found = folder.keep((yield from _searched(asked, material, opened)))
@@ -135,10 +135,12 @@ def _answered(asked: Asked, folder: Folder, material: Material) -> Generator[Eve
     return answer
 
 
-def _opened(material: Material) -> list[Opened]:
+def _opened(material: Material) -> Generator[Event, None, list[Opened]]:
     from tunefree_hil.gap.chain import open_chain
 
-    return [open_chain(drive, material.vehicle) for drive in material.drives]
+    opened = [open_chain(drive, material.vehicle) for drive in material.drives]
+    yield from (Event("warning", words) for one in opened for words in one.unsure)
+    return opened
 
 
 def _searched(asked: Asked, material: Material, opened: list[Opened]) -> Generator[Event, None, Kept]:

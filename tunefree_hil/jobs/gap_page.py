@@ -79,6 +79,12 @@ def _effects(answer: Mapping[str, Any]) -> list[str]:
     return ["## What is missing", "", *markdown_table(("effect", "value (95 %)", "evidence, nats"), rows)]
 
 
+def _long(answer: Mapping[str, Any]) -> str:
+    """How long a block of the proof is at least."""
+    block_s = answer.get("block_s")
+    return f" of {block_s:.3g} s" if block_s else ""
+
+
 def _signals(answer: Mapping[str, Any]) -> list[str]:
     if not answer["signals"]:
         return []
@@ -88,10 +94,8 @@ def _signals(answer: Mapping[str, Any]) -> list[str]:
     keys["floor"] = "floor"
     rows = [(name, *(_number(one.get(key)) for key in keys), one["unit"]) for name, one in answer["signals"].items()]
     closed, count = answer.get("explained_frac"), answer.get("proof_blocks")
-    told = (
-        f"Free runs of the whole car over {count} blocks of 8 s that no fit and no choice has seen: recorded commands "
-    )
-    told += "in, nothing put right within a block. Errors are root mean squares."
+    told = f"Free runs of the whole car over {count} blocks{_long(answer)} that no fit and no choice has seen: "
+    told += "recorded commands in, nothing put right within a block. Errors are root mean squares."
     lines = ["## Proof", "", told]
     if closed:
         lines.append(f"The repair closes {percent(closed)} of what recalibration leaves above the floor.")

@@ -10,6 +10,7 @@ from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
 from tunefree_hil.gap.pays import Paid, chosen_runs, gained, groups_of, that_pays
 from tunefree_hil.gap.repair import Repaired, found_effects, repaired, write_repaired
+from tunefree_hil.gap.segments import block_s_of
 from tunefree_hil.gap.shrink import (
     better_by_recalibration,
     explained_frac,
@@ -108,6 +109,7 @@ def proved(
     data: dict[str, Any] = {
         "signals": {name: one._asdict() for name, one in gaps.items()},
         "proof_blocks": proof.blocks,
+        "block_s": round(block_s_of([one.ticks for one in opened], opened[0].dt_s), 2),
         "recalibration": _gained(gaps),
     }
     if mended.model is None:

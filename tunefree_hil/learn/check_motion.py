@@ -14,6 +14,7 @@ from tunefree_hil.learn.check_stuck import check_stuck
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.problems import Problem
 from tunefree_hil.learn.series import BRAKES, SPEEDS, THROTTLES, TURNS, as_columns, backwards, first_of, moving, name_of
+from tunefree_hil.learn.smooth import between_fresh
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import NominalSpec, VehicleSpec
@@ -27,6 +28,10 @@ LEAST_TURNED = 0.05  # of the greatest angle: a wheel that is not centred may be
 ONLY_TOLD = ("accel_and_speed",)  # a hill is in the one and not in the other
 PRESSED_FRAC, LET_GO_FRAC = 0.03, 0.01
 DELAY_S, WINDOW_S = 0.1, 0.5  # a pedal's effect is looked for from here on, over so long
+# A steering moves as its command where it goes at least WHOLE_MOVE of its way within MOVE_S, of the moves that are as
+# large as CLEAR_MOVE of the largest; for so long, and in such a share of them, no chance does it
+STEER = "report.steer_rad"
+MOVE_S, CLEAR_MOVE, WHOLE_MOVE, LEAST_OBEYED_S, OBEYED_SHARE = 0.1, 0.3, 0.67, 0.5, 0.05
 LEAST_PRESSED_S, LEAST_APART_MPS2 = 1.0, 0.2
 LEAST_ACCEL_MPS2, LEAST_MOVED_FRAC, TURNED_FIT = 0.2, 0.03, -0.5  # standard deviations; a correlation
 
@@ -100,8 +105,23 @@ def _pairs(drive: Drive, nominal: NominalSpec, most_rad: float) -> Iterator[Prob
             words = f"{drive.name}: {second} is {factor:.3g} times what {first} makes one expect (allowed {low:.2g} to "
             words += f"{high:.2g}); is a unit or scale in vehicle.toml wrong, or this the log of another vehicle?"
             # a unit is wrong by as much everywhere; a wheel that stops before its command does may be the car itself
-            short = "command" in first and factor < low
+            short = not instead and pair.second == (STEER,) and factor < low and _obeys_somewhere(drive, pair.first[0])
             yield Problem(severity, "short_of_command" if short else "units", drive.name, field, words)
+
+
+def _obeys_somewhere(drive: Drive, command: str) -> bool:
+    """Whether the reported steering goes about as far as its command does for some time: it stops, it is slow, or it
+    has play, where a wrong unit makes every move too small.
+    """
+    asked, said = (between_fresh(drive.fields[name], drive.fresh[name]) for name in (command, STEER))
+    delay, window = round(DELAY_S / drive.dt_s), max(1, round(MOVE_S / drive.dt_s))
+    if drive.ticks <= 2 * (delay + window):
+        return False
+    moved = (asked[window:] - asked[:-window])[: -delay or None]
+    went = (said[window:] - said[:-window])[delay:]
+    clear = np.abs(moved) > CLEAR_MOVE * np.nanmax(np.abs(moved), initial=0.0)
+    whole = went[clear] / moved[clear] > WHOLE_MOVE
+    return bool(whole.sum() * drive.dt_s > LEAST_OBEYED_S and whole.mean() > OBEYED_SHARE)
 
 
 def _pedals(drive: Drive, rest_frac: float) -> Iterator[Problem]:

@@ -17,11 +17,14 @@ from tools.gap_exam.cases import Case
 from tools.gap_exam.catalogue import EFFECTS, kind_of, value
 from tools.gap_exam.files import Run, write_json
 from tools.gap_exam.ladder import FIRST_STEP, Ladder, at_size, effect_of, next_size, threshold
+from tools.gap_exam.limits import limits
 from tools.gap_exam.order import in_order, part_of
+from tools.gap_exam.outcomes import Mark
 from tools.gap_exam.rows import PER_ROUND, ROUNDS, exam_of
 from tools.gap_exam.runner import Turns
+from tools.gap_exam.score import Marked
 from tools.gap_exam.seal import put_away
-from tools.gap_exam.session import Wish, chosen, exam_for
+from tools.gap_exam.session import Wish, askable, chosen, exam_for
 
 EXAM = exam_of(DOMAIN)
 STEPS = [case for case in EXAM.cases if case.rung >= 0 and effect_of(case) == "steer_lag"]
@@ -154,3 +157,28 @@ def test_a_folder_is_gone_on_with_in_its_own_domain(tmp_path: Path) -> None:
     assert exam_for(Wish(tmp_path)).cases == EXAM.cases
     with pytest.raises(Exception, match="whole exam"):
         exam_for(Wish(tmp_path, sample=True))
+
+
+def test_a_limit_is_said_by_the_drives_that_excite_as_well() -> None:
+    """An effect that ordinary drives never show is named on excited ones from 0.4 on, and not in 90 % of all logs."""
+
+    def marked(row: str, kind: str, size: float) -> Marked:
+        effects = {"steer_lag": {kind_of("steer_lag").parameter: value("steer_lag", size)}}
+        truth = {"row": row, "kind": kind, "size": size if row == "limits" else -1.0, "effects": effects}
+        return Marked(0, truth, None, Mark("right" if kind == "excited" and size >= 0.4 else "silent"))
+
+    sizes = [0.5, 0.3, 0.4, 0.35, 0.45]
+    asked = [marked("limits", "excited", size) for size in sizes]
+    drawn = [marked("one", kind, size) for kind in ("excited", "ordinary") for size in (0.6, 0.8, 0.95)]
+    (found,) = limits([*asked, *drawn])
+    assert found.excited is not None and value("steer_lag", 0.3) < found.excited < value("steer_lag", 0.6)
+    assert found.value is None or found.value > 1.5 * found.excited
+    (of_excited,) = limits([one for one in (*asked, *drawn) if one.truth["kind"] == "excited"])
+    assert of_excited.value == of_excited.excited == found.excited
+
+
+def test_cases_of_recordings_are_not_left_where_none_were_given(tmp_path: Path) -> None:
+    run = Run(tmp_path)
+    assert not any(case.source for case in askable(run, EXAM).cases) and any(case.source for case in EXAM.cases)
+    (tmp_path / "recordings").mkdir()
+    assert askable(run, EXAM) is EXAM

@@ -115,6 +115,14 @@ def test_recordings_that_are_not_there_are_named(tmp_path: Path) -> None:
         make_ready(Run(tmp_path / "run"), tmp_path)
 
 
+def test_a_sheet_that_has_no_place_for_the_track_is_said() -> None:
+    sheet = "[nominal]\nmass_kg = 1.0\n"
+    assert tomllib.loads(recordings.with_track("a = 1\n" + sheet))["nominal"]["track_m"] == 1.57
+    for wrong in (sheet.replace("nominal", "other"), f"a = 1\n{sheet}\ntrack_m = 1.5\n"):
+        with pytest.raises(NoRecording, match="nominal"):
+            recordings.with_track(wrong)
+
+
 @pytest.mark.slow
 def test_the_rav4s_minute_rewritten(tmp_path: Path, shared_data: Path) -> None:
     """Of the recording, not of a toy: the angle moves by the offset, as far as its steps of 0.1 degrees allow."""

@@ -1,0 +1,48 @@
+"""What is the same for all drives of a target: pooled over them, with what the model's own calibration missed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tunefree_hil.base.contracts import Link
+from tunefree_hil.gap.targets import Target
+from tunefree_hil.gap.work import EXACT, FLOOR_SHARE, LEAST_OF_LEVEL, kind_of, missed_of, size_of
+
+ROWS = 4000
+VALID = np.ones(ROWS, dtype=bool)
+
+
+def target(noise: float, name: str = "rate_of_speed", size: float = 1.0, dt_s: float = 0.05, seed: int = 1) -> Target:
+    measured = noise * np.random.default_rng(seed).standard_normal(ROWS)
+    return Target(name, Link.REPORT_TO_MOTION, "m/s2", np.arange(ROWS), VALID, measured, dt_s, 0.0, size)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_no_drive_says_for_all_of_them_how_noisy_they_are(first: int) -> None:
+    calm, loud = target(0.01, dt_s=0.05), target(0.7, dt_s=0.06, seed=2)
+    kind = kind_of([calm, loud] if first == 0 else [loud, calm], 0.02)
+    assert kind.floor == pytest.approx(FLOOR_SHARE * (0.5 * (0.01**2 + 0.7**2)) ** 0.5, rel=0.05)
+    assert kind.dt_s == pytest.approx(0.055) and kind.missed == 0.02
+    assert kind_of([target(0.0)], 0.0).floor == EXACT
+
+
+def test_wheels_are_off_by_a_share_of_the_speed_however_even_the_drive_is() -> None:
+    even, lively = np.full(ROWS, 20.0), np.full(ROWS, 10.0)
+    wheels = [target(0.01, "wheel_vs_ins", size=0.1)]
+    assert size_of(wheels, [even]) == pytest.approx(LEAST_OF_LEVEL * 20.0)
+    assert size_of([wheels[0]._replace(size=4.0)], [lively]) == 4.0
+    assert size_of([target(0.01, size=0.1)], [even]) == pytest.approx(0.1), "a rate has no level"
+
+
+CARD = {
+    "actuators": {"brake": {"held_out_rms": 0.005, "noise": 0.003}, "steer": {}},
+    "free_run_rms": {"held_out": {"fitted": {"yaw_rate_radps": 0.01, "speed_mps": 0.05}}},
+}
+
+
+def test_what_a_calibration_missed_of_other_drives_is_read_from_its_card_less_the_noise() -> None:
+    assert missed_of("brake", CARD, 0.0) == pytest.approx(0.004)
+    assert missed_of("yaw_rate", CARD, 0.008) == pytest.approx(0.006) and missed_of("yaw_rate", CARD, 0.02) == 0.0
+    assert missed_of("rate_of_speed", CARD, 0.0) == 0.0, "of a rate the card says nothing"
+    assert missed_of("steer", CARD, 0.0) == missed_of("lateral_accel", CARD, 0.0) == missed_of("brake", {}, 0.0) == 0.0
