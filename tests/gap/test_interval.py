@@ -99,13 +99,13 @@ def scattered(differ: float) -> float:
 def test_an_effect_that_is_there_is_the_same_in_all_blocks() -> None:
     """At z = 0.2, with a curvature of 400 a block: a block knows it by 0.05, a quarter of the way from neutral."""
     late = "steer_dead_time"
-    assert wavering(fitted(DELAY, differ=1.2), late, ALL, ONE_DAY) == 0.0, "chance"
+    assert wavering(fitted(DELAY, differ=1.2), late, ALL, ONE_DAY).share == 0.0, "chance"
     share = scattered(3.0) * 0.05 / 0.2
-    assert wavering(fitted(DELAY, differ=3.0), late, ALL, ONE_DAY) == pytest.approx(share, rel=0.01)
+    assert wavering(fitted(DELAY, differ=3.0), late, ALL, ONE_DAY).share == pytest.approx(share, rel=0.01)
     sharp = fitted(DELAY, differ=3.0, curve=4e6)
-    assert wavering(sharp, late, ALL, ONE_DAY) == 0.0, "half a thousandth of a second is the bus's own"
+    assert wavering(sharp, late, ALL, ONE_DAY).share == 0.0, "half a thousandth of a second is the bus's own"
     size = DELAY._replace(key="brake_drag.force_n")
-    assert 0.0 < wavering(fitted(size, differ=3.0, curve=4e6), "brake_drag", ALL, ONE_DAY) < WAVERS, "too little"
+    assert 0.0 < wavering(fitted(size, differ=3.0, curve=4e6), "brake_drag", ALL, ONE_DAY).share < WAVERS, "too little"
 
 
 @pytest.mark.parametrize("gain", [0.7, 1.08, 1.55])
@@ -117,7 +117,7 @@ def test_an_effect_may_waver_as_much_as_the_same_number_does_in_a_model_that_lac
     for sigmas, says in ((1.1, False), (UNSTEADY * 1.2, True)):
         differ = float(np.hypot(sigmas * 0.02 / known, 1.0)) * ((BLOCKS - 1) / BLOCKS) ** 0.5
         one = fitted(free, differ=differ, curve=curve, z=free.place(gain))
-        assert (wavering(one, "throttle_gain", ALL, ONE_DAY) > WAVERS) == says
+        assert (wavering(one, "throttle_gain", ALL, ONE_DAY).share > WAVERS) == says
 
 
 def test_what_all_blocks_say_alike_is_no_wavering() -> None:
@@ -126,7 +126,7 @@ def test_what_all_blocks_say_alike_is_no_wavering() -> None:
     sums = one.sums["steer"]
     curve = sums.curve * np.linspace(0.2, 5.0, BLOCKS)[:, None, None]
     pulled = sums._replace(slope=sums.slope + 0.5 * curve[:, :, 0], curve=curve)
-    assert wavering(one._replace(sums={"steer": pulled}), "steer_dead_time", ALL, ONE_DAY) == 0.0
+    assert wavering(one._replace(sums={"steer": pulled}), "steer_dead_time", ALL, ONE_DAY).share == 0.0
 
 
 def test_blocks_that_know_little_are_asked_as_far_as_they_know() -> None:
@@ -141,7 +141,7 @@ def test_blocks_that_know_little_are_asked_as_far_as_they_know() -> None:
         pull = loud * chance.standard_normal(BLOCKS) * np.sqrt(curve)
         pull[0] = 0.0
         sums = one.sums["steer"]._replace(slope=pull[:, None], curve=curve[:, None, None])
-        found = wavering(one._replace(sums={"steer": sums}), "steer_dead_time", ALL, ONE_DAY)
+        found = wavering(one._replace(sums={"steer": sums}), "steer_dead_time", ALL, ONE_DAY).share
         assert (found > 0.0) == says
 
 
@@ -151,7 +151,11 @@ def test_blocks_of_other_days_need_not_say_the_same() -> None:
     sums = one.sums["steer"]
     shifted = sums._replace(slope=sums.slope + np.where(days == 0, 200.0, -200.0)[:, None])
     twice = one._replace(sums={"steer": shifted})
-    assert wavering(twice, "steer_dead_time", ALL, days) == 0.0 < wavering(twice, "steer_dead_time", ALL, ONE_DAY)
+    assert (
+        wavering(twice, "steer_dead_time", ALL, days).share
+        == 0.0
+        < wavering(twice, "steer_dead_time", ALL, ONE_DAY).share
+    )
     graded = twice._replace(keys=("grade.grade_rad",), free=())
     assert apart(graded, ALL, days) == {} and apart(graded, ALL, ONE_DAY) == {}, "half a deviation is what it may be"
     far = graded._replace(sums={"steer": shifted._replace(slope=10.0 * shifted.slope)})

@@ -121,12 +121,28 @@ def test_a_name_is_answerable_for_what_is_left(was: Looked, still: Looked, left:
     assert (found[0] == "none_of_these") == bool(says)
 
 
-@pytest.mark.parametrize(("differ", "says"), [(0.5, False), (30.0, True)])
-def test_what_is_another_one_in_each_block_is_no_effect(differ: float, says: bool) -> None:
-    one = step("steer_dead_time")
+@pytest.mark.parametrize(
+    ("differ", "moves", "explains", "says"),
+    [
+        (0.5, 0.2, 0.3, False),
+        (30.0, 0.2, 0.3, True),
+        (30.0, 0.02, 0.03, False),  # as much a calibrated model may miss
+        (30.0, 0.05, 0.3, False),  # a sixth of what it explains
+    ],
+)
+def test_what_is_another_one_in_each_block_is_no_effect(
+    differ: float, moves: float, explains: float, says: bool
+) -> None:
+    one, asked = step("steer_dead_time"), list[tuple[str, float]]()
+
+    def moved(key: str, by: float) -> dict[str, float]:
+        asked.append((key, by))
+        return {"brake": moves}
+
     repaired = one.model._replace(fitted=fitted(DELAY, differ=differ))
-    said = wavers([one], repaired, BLOCKS_OF, np.zeros(len(BLOCKS_OF)))
+    said = wavers([one], repaired, BLOCKS_OF, np.zeros(len(BLOCKS_OF)), [QUIET], {"brake": explains}, moved)
     assert bool(said) == says and (not says or said.startswith("what it would be of steer_dead_time differs by"))
+    assert [key for key, _ in asked] == ([DELAY.key] if differ > 1.0 else [])
 
 
 def test_what_is_of_the_day_and_differs_between_drives_is_told() -> None:

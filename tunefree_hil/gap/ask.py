@@ -165,6 +165,29 @@ def seen_of(token: str, model: Fitted, target: str) -> tuple[list[Region], Shape
     return regions(work, target, residual), shape
 
 
+def moved_by(token: str, model: Fitted, key: str, by: float) -> dict[str, float]:
+    """What another value of one of a model's free parameters moves of each target where it may be looked at, root mean
+    square, in its unit. by: to either side, in u; the mean of both, or the one that makes a car.
+    """
+    work, found = _questions[token].work, list[dict[str, float]]()
+    i = model.keys.index(key)
+    free = next(one for one in model.free if one.key == key)
+    was = work.residuals(model.values)
+    for u in (model.z[i] - by, model.z[i] + by):
+        try:
+            now = work.residuals({**model.values, key: free.value(float(np.clip(u, free.least, free.most)))})
+        except InputError:
+            continue
+        found.append({name: _apart(some, now[name], work.seen(name)) for name, some in was.items()})
+    return {name: float(np.mean([one[name] for one in found])) for name in was} if found else {}
+
+
+def _apart(some: Sequence[Array], others: Sequence[Array], seen: Sequence[Array]) -> float:
+    """Root mean square of the difference, over all drives."""
+    apart = np.concatenate([(a - b)[rows] for a, b, rows in zip(some, others, seen, strict=True)])
+    return float(np.sqrt(np.mean(apart * apart))) if len(apart) else 0.0
+
+
 def bursts_of(token: str, models: Sequence[Fitted], blocks: Array) -> list[dict[str, Burst]]:
     """How loud each model's misses get where they are loudest, by target."""
     work = _questions[token].work

@@ -46,6 +46,16 @@ class Value(NamedTuple):
     unit: str
 
 
+class Wavering(NamedTuple):
+    """By how much an effect's first parameter differs from block to block beyond noise: in u (problem.Free), and as a
+    share of its distance from neutral (of a factor of itself where neutral is none); 0 where chance would do.
+    """
+
+    key: str
+    by: float
+    share: float
+
+
 def values_of(name: str, model: Fitted, blocks: Array) -> dict[str, Value]:
     """The parameters of one of a model's effects, by their names. blocks: those that it was fitted on."""
     deviation, units, found = deviations(model, blocks), effects()[name].units, {}
@@ -88,20 +98,20 @@ def deviations(model: Fitted, blocks: Array) -> Array:
     return np.sqrt(np.maximum(np.diag(inverse), np.diag(sandwich)))
 
 
-def wavering(model: Fitted, name: str, blocks: Array, drives: Array) -> float:
-    """By how much an effect's first parameter differs from block to block beyond noise, as a share of its distance from
-    neutral (of a factor of itself where neutral is none); 0 where chance would do, or where the same number differs no
-    less in a model that misses nothing. An effect that is there is the same in all of them; what stands in for
-    something else follows that. drives: of which drive each block is.
+def wavering(model: Fitted, name: str, blocks: Array, drives: Array) -> Wavering:
+    """Of one of a model's effects; 0 too where the same number differs no less in a model that misses nothing. An
+    effect that is there is the same in all blocks; what stands in for something else follows that. drives: of which
+    drive each block is.
     """
     one = next(free for free in model.free if free.key.partition(".")[0] == name)
     i = model.keys.index(one.key)
     u, by = float(model.z[i]), _between(model, i, blocks, drives)
-    if effects()[name].units[one.key.partition(".")[2]] == "s" and abs(one.value(u + by) - one.value(u)) < JITTER_S:
-        return 0.0
-    if by <= UNSTEADY * _in_u(one, u, SIGMAS.get(one.key, 0.0)):
-        return 0.0
-    return by / max(_distance(one, u), 1e-9)
+    jitters = (
+        effects()[name].units[one.key.partition(".")[2]] == "s" and abs(one.value(u + by) - one.value(u)) < JITTER_S
+    )
+    if jitters or by <= UNSTEADY * _in_u(one, u, SIGMAS.get(one.key, 0.0)):
+        return Wavering(one.key, 0.0, 0.0)
+    return Wavering(one.key, by, by / max(_distance(one, u), 1e-9))
 
 
 def unsteady(model: Fitted, blocks: Array, drives: Array, sigmas: Mapping[str, float]) -> dict[str, float]:

@@ -142,7 +142,12 @@ def _named(
     days = question.blocks.drives[blocks]
     worked = worked_on(question.null, repaired, question.sizes, blocks)
     left = {name: left_share(before[name], one) for name, one in after.items()}
-    amiss = not_it(looked, still, left, worked) or wavers(steps, repaired, blocks, days)
+
+    def moved(key: str, by: float) -> dict[str, float]:
+        found = team.ask("moved_by", repaired.fitted, key, by)
+        return {target: rms / question.sizes[target] for target, rms in found.items()}
+
+    amiss = not_it(looked, still, left, worked) or wavers(steps, repaired, blocks, days, still, worked, moved)
     held = excitation(effects(), held_by(drives, vehicle))
     steps = [with_others(step, steps, held, drives) for step in steps]
     sigmas = {free.key: free.doubt for one in question.suspects for free in one.free if free.doubt}

@@ -67,7 +67,7 @@ DOUBTED = {
     "rear_stiffness.gain_frac": "rear_stiffness_n_per_rad",
 }
 TAKEN = 1.8  # standard deviations, of the 2 that it may go: as well something missing, and it takes that in
-WIDER = 2.0  # than a calibration's own deviation: it judged itself on the drives that it was fitted on
+WIDER = math.sqrt(2.0)  # than a calibration's own deviation: what these drives would make of it is no better known
 MOST_DOUBT = 0.15  # of a constant; what was never known is no licence to explain everything
 MOST_DRAG = 3.1  # deviations that the drag area must hold: less than nothing is no car
 # A calibration's doubt of each of these is that of the others: it knows what they come to together much better

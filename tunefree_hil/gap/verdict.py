@@ -7,7 +7,7 @@ it was not that.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -23,8 +23,13 @@ from tunefree_hil.gap.suspects import class_of
 
 Array = np.ndarray
 
+# (key, by how much it is moved, in u) -> by target, what that moves of its signal, root mean square, as a share
+Moved = Callable[[str, float], Mapping[str, float]]
+
 HARDLY = 0.5  # of what an effect needs to be seen: from a drive that holds less than that it is not named alone,
 NEARLY = 0.7  # where another comes so near to its evidence: what stands on little is not told by a lead of a third
+
+MOST_WAVERING = 0.25  # of what effects explain of a signal: what a parameter that is another one in each block moves
 
 
 def verdict_of(
@@ -80,14 +85,20 @@ def not_it(
     return ""
 
 
-def wavers(steps: Sequence[Weighed], repaired: Modelled, blocks: Array, drives: Array) -> str:
-    """An effect whose parameter is another one from block to block, in words: a constant it is not. drives: of which
-    drive each block is.
+def wavers(
+    steps: Sequence[Weighed], repaired: Modelled, blocks: Array, drives: Array, still: Sequence[Looked],
+    worked: Mapping[str, float], moved: Moved,
+) -> str:  # fmt: skip
+    """An effect whose parameter is another one from block to block, in words: a constant it is not. Where that moves no
+    signal by more than a calibrated model may miss of it, and by little of what the effects explain there, it is the
+    form of the effect that is not quite the car's. drives: of which drive each block is; still: targets with the
+    effects in the model; worked: the targets that they explain, each by how much of its signal.
     """
+    bar = {one.signal: max(one.visible, MOST_WAVERING * worked.get(one.signal, 0.0)) for one in still}
     for step in steps:
-        share = wavering(repaired.fitted, step.name, blocks, drives)
-        if share > WAVERS:
-            return f"what it would be of {step.name} differs by {share:.0%} of itself from block to block"
+        found = wavering(repaired.fitted, step.name, blocks, drives)
+        if found.share > WAVERS and any(by > bar[name] for name, by in moved(found.key, found.by).items()):
+            return f"what it would be of {step.name} differs by {found.share:.0%} of itself from block to block"
     return ""
 
 

@@ -20,6 +20,7 @@ from tunefree_hil.gap.shrink import (
     worse_signals,
 )
 from tunefree_hil.gap.verify import Proof, Variant, prove
+from tunefree_hil.jobs.gap_words import listed
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import EffectSpec, ModelSpec
@@ -124,10 +125,31 @@ def proved(
         "older": older,
         "worse": [f"{name} (by {100.0 * by:.0f} %)" for name, by in sorted(worse.items(), key=lambda one: -one[1])],
     }
-    if worse:
+    closes = data["explained_frac"]
+    if closes is not None and closes["value"] <= 0.0:
+        data |= taken_back(found.answer, closes)
+        yield Event("warning", f"taken back: {data['words'][0]}")
+    if worse or "taken_back" in data:
         shutil.rmtree(folder.model)
         data["model"] = None
     return data, proof
+
+
+def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float]) -> dict[str, Any]:
+    """Keys of gap.json where a repair closes nothing of the gap on blocks that no fit has seen: what was found there
+    was chance, or stood in for something else, and is not named.
+    """
+    names = [one["name"] for one in answer["effects"]]
+    words = f"{listed(names)} came nearest, and closed nothing of the gap in stretches that no fit has seen"
+    return {
+        "verdict": "none_of_these" if any(one["broken"] for one in answer["links"]) else "none_missing",
+        "effects": [],
+        "words": [words],
+        "taken_back": {"names": names, "explained_frac": dict(closes)},
+        "explained_frac": None,
+        "explicable_frac": None,
+        "worse": [],
+    }
 
 
 def _gained(gaps: Mapping[str, Any]) -> dict[str, dict[str, float]]:

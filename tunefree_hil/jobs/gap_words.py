@@ -30,6 +30,7 @@ def sentence_of(answer: Mapping[str, Any]) -> str:
         lacking = [name for name, one in answer["excitation"].items() if not one["enough"]]
         unseen = list(dict.fromkeys([*answer["untold"], *lacking]))
         told = "nothing is missing beyond noise and recalibration" + _moved(answer) + _recalibrated(answer)
+        told += f"; {answer['words'][0]}" if answer.get("taken_back") else ""
         return f"{told}; these logs could not have shown {_few(unseen)}" if unseen else told
     if verdict == "none_of_these":
         return f"something is missing that is none of the catalogue: {'; '.join(answer['words'])}{_place(answer)}"

@@ -13,6 +13,7 @@ from collections.abc import Generator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import t as student
 
 from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.errors import InputError
@@ -48,6 +49,9 @@ PIECES = 4.0  # independent numbers that a window has to say of each target
 ROBUST = 3.0
 KNOWN_SHARE = 0.5  # of the doubt before the fit that may be left after it
 HOPELESS = 0.95  # of it: nothing at all was learned
+STRETCH = 3  # windows one behind the other: they see one manoeuvre, and share what the model's form lacks there
+LEAST_STRETCHES = 4  # of which something can be told; of fewer each window is one
+LEAST_LEFT = 1e-6  # of a stretch's residuals that the fit can have left in them
 WORSE = 1.5  # than with all constants free, from which on what was known before is not gone back to
 TOGETHER = "these logs tell it only together with the others: the best of all together"
 FLOOR = 0.02  # of the first scale: no target is believed better than that
@@ -168,6 +172,7 @@ class Problem:
         self.seen = seen
         self.rows = len(self.some[0].at) if self.some else 0
         self.blocks = np.repeat(np.arange(len(self.some)), self.rows * WIDTH)[seen]
+        self.stretches = np.repeat(stretches_of(self.some), self.rows * WIDTH)[seen]
 
     def value(self, name: str, unknown: float) -> float:
         """The constant that an unknown stands for."""
@@ -230,6 +235,7 @@ def fit(
     yield 2, total
     lost: dict[str, float] = {}
     joint, together = problem.values(names, least.x), rms_of(problem.misses(problem.values(names, least.x)))
+    doubts = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
     while names:
         left = deviations_left(least)
         worst = np.flatnonzero((left > KNOWN_SHARE) & (left >= min(HOPELESS, float(left.max()))))
@@ -244,7 +250,10 @@ def fit(
     values = problem.values(names, least.x if names else np.zeros(0))
     after = rms_of(problem.misses(values))
     yield total, total
-    found = {name: _value(problem, names, least, name, lost) for name in problem.known}
+    if names and lost:  # held where they were known before, they would lend the others a certainty that nobody has
+        alone = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
+        doubts = {name: max(doubts[name], one) for name, one in alone.items()}
+    found = {name: _value(problem, names, least, name, doubts, lost) for name in problem.known}
     if any(after[name] > WORSE * together[name] for name in after):  # what was known before is no car that drives so
         values, after = joint, together
         found = {name: together_with(one, joint[name], TOGETHER) for name, one in found.items()}
@@ -279,10 +288,45 @@ def deviations_left(least: Least) -> Array:
     return np.maximum(np.sqrt(np.maximum(np.diag(inner), 0.0)), least.deviation)
 
 
-def _value(problem: Problem, names: Sequence[str], least: Least, name: str, lost: Mapping[str, float]) -> Value:
+def stretches_of(some: Sequence[Window]) -> Array:
+    """The stretch of each window [windows]: STRETCH of a drive, one behind the other; the window where they are few."""
+    found, stretch, held = np.zeros(len(some), dtype=int), -1, 0
+    for i, window in enumerate(some):
+        if i == 0 or window.name != some[i - 1].name or held == STRETCH:
+            stretch, held = stretch + 1, 0
+        found[i], held = stretch, held + 1
+    return found if stretch + 1 >= LEAST_STRETCHES else np.arange(len(some))
+
+
+def doubts_left(least: Least, stretches: Array) -> Array:
+    """Half of each unknown's 95 % interval, in what was doubted before the fit (1: one standard deviation of that).
+
+    What a fit leaves of a stretch's residuals is less than its error, and the more so the more it told the fit: taken
+    as they are, the few stretches that know the tyres would vouch for themselves. They are set right by what the fit
+    took off them (Bell and McCaffrey 2002), stretch by stretch (`stretches` [n], of each residual that is data).
+    """
+    inner = np.linalg.pinv(least.jacobian.T @ least.jacobian, hermitian=True)
+    root = np.linalg.cholesky(inner)
+    every = np.unique(stretches)
+    pulls = np.zeros((len(every), len(inner)))
+    for i, one in enumerate(every):
+        rows = np.flatnonzero(stretches == one)
+        here, miss = least.jacobian[rows], least.residuals[rows]
+        basis, size, _ = np.linalg.svd(here @ root, full_matrices=False)
+        more = 1.0 / np.sqrt(np.maximum(1.0 - size * size, LEAST_LEFT)) - 1.0
+        pulls[i] = inner @ (here.T @ (miss + basis @ (more * (basis.T @ miss))))
+    count = len(every)
+    scatter = np.sqrt(np.sum(pulls * pulls, axis=0) * (count / (count - 1)))
+    wide = float(student.ppf(0.975, count - 1)) * scatter
+    return np.minimum(np.maximum(wide, least.quantile * deviations_left(least)), least.quantile)
+
+
+def _value(
+    problem: Problem, names: Sequence[str], least: Least, name: str, doubts: Mapping[str, float],
+    lost: Mapping[str, float],
+) -> Value:  # fmt: skip
     if name in names:
-        i = names.index(name)
-        x, half = float(least.x[i]), least.quantile * float(deviations_left(least)[i])
+        x, half = float(least.x[names.index(name)]), float(doubts[name])
         return Value(problem.value(name, x), problem.value(name, x - half), problem.value(name, x + half))
     return _taken(problem, name, lost)
 

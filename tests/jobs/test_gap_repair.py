@@ -1,0 +1,59 @@
+"""A repair that closes nothing on the blocks that prove takes its name back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.gap.made_answer import SECONDS, VEHICLE, answer, late_drive, made_kept, made_model
+from tests.learn.made_drives import made_drive
+from tunefree_hil.gap.chain import open_chain
+from tunefree_hil.gap.verify import Proof
+from tunefree_hil.jobs.gap import Material
+from tunefree_hil.jobs.gap_folder import Folder
+from tunefree_hil.jobs.gap_repair import mend, proved, taken_back
+from tunefree_hil.jobs.gap_words import sentence_of
+from tunefree_hil.learn.drives import Drive
+
+WORDS = "steer_dead_time came nearest, and closed nothing of the gap in stretches that no fit has seen"
+CLOSES = {"value": -0.4, "low": -0.9, "high": 0.1}
+
+
+def proof_of(drive: Drive, out: Path) -> tuple[dict[str, Any], list[str]]:
+    """(keys of gap.json, warnings) of a search that named a later steering."""
+    material, opened = Material(VEHICLE, made_model(), [drive], []), [open_chain(drive, VEHICLE)]
+    folder, kept = Folder(out), made_kept()
+    mended, warnings = mend(folder, material, opened, kept, "sha256:0"), list[str]()
+    steps = proved(folder, material, opened, kept, mended)
+    while True:
+        try:
+            event = next(steps)
+        except StopIteration as end:
+            found: tuple[dict[str, Any], Proof] = end.value
+            return found[0], warnings
+        warnings += [event.message] if event.kind == "warning" else []
+
+
+def test_a_name_that_closes_the_gap_stays(tmp_path: Path) -> None:
+    data, warnings = proof_of(late_drive(), tmp_path)
+    assert "taken_back" not in data and data["explained_frac"]["value"] > 0.8 and warnings == []
+    assert (tmp_path / "model" / "model.toml").is_file()
+
+
+def test_a_name_that_closes_nothing_is_taken_back_with_its_model(tmp_path: Path) -> None:
+    """The car has no such delay."""
+    data, warnings = proof_of(made_drive(SECONDS, seed=5, name="as_modelled.log"), tmp_path)
+    assert data["effects"] == [] and data["words"] == [WORDS] and warnings == [f"taken back: {WORDS}"]
+    assert data["model"] is None and not (tmp_path / "model").exists()
+    assert data["taken_back"]["names"] == ["steer_dead_time"] and data["taken_back"]["explained_frac"]["value"] < 0.0
+
+
+@pytest.mark.parametrize(("broken", "verdict"), [(True, "none_of_these"), (False, "none_missing")])
+def test_what_is_said_in_place_of_a_name_that_is_taken_back(broken: bool, verdict: str) -> None:
+    one = answer()
+    one["links"] = [{**link, "broken": broken} for link in one["links"]]
+    now = {**one, **taken_back(one, CLOSES)}
+    assert now["verdict"] == verdict and now["explained_frac"] is None and now["forced"] == "steer_dead_time"
+    assert WORDS in sentence_of(now)
