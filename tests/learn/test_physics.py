@@ -11,21 +11,15 @@ from tests.learn.made_drives import REST, excitation, made_drive, whole
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import Command
 from tunefree_hil.config.load import load_vehicle
-from tunefree_hil.learn.least import Least, deviations
 from tunefree_hil.learn.physics import (
     BAND,
     EFFECTS,
-    LEAST_STRETCHES,
     OFFSET,
-    STRETCH,
     Off,
     PhysicsFit,
-    deviations_left,
-    doubts_left,
     errors,
     fit,
     is_clear,
-    stretches_of,
 )
 from tunefree_hil.learn.sheet import constants, fixed_params
 from tunefree_hil.learn.windows import TARGETS, Windows, windows_of
@@ -93,46 +87,6 @@ def _joined():
     fields = {key: np.concatenate([flat.fields[key], hill.fields[key]]) for key in flat.fields}
     fresh = {key: np.concatenate([flat.fresh[key], hill.fresh[key]]) for key in flat.fresh}
     return flat._replace(fields=fields, fresh=fresh, enabled=np.ones(12000, dtype=bool))
-
-
-def test_windows_one_behind_the_other_are_one_stretch(windows: Windows) -> None:
-    some, names = stretches_of(windows.some), [window.name for window in windows.some]
-    every = np.unique(some)
-    assert len(every) >= LEAST_STRETCHES and max(np.sum(some == one) for one in every) == STRETCH
-    assert all(len({names[i] for i in np.flatnonzero(some == one)}) == 1 for one in every), "none is of two drives"
-    few = windows.some[: STRETCH * (LEAST_STRETCHES - 1)]
-    assert stretches_of(few).tolist() == list(range(len(few))) and len(stretches_of(())) == 0
-
-
-def test_the_few_stretches_that_know_a_constant_do_not_vouch_for_themselves() -> None:
-    chance, old, new = np.random.default_rng(5), [], []
-    for _ in range(150):
-        truth, found, were, are = _few_that_know(chance)
-        old += list(np.abs(found - truth) < were)
-        new += list(np.abs(found - truth) < are)
-    assert np.mean(old) < 0.65, np.mean(old)
-    assert 0.8 < np.mean(new) < 0.99, np.mean(new)
-
-
-def _few_that_know(chance: np.random.Generator) -> tuple[np.ndarray, ...]:
-    """(truth, found, half of the interval window by window, stretch by stretch) of three constants, of each of which
-    half of the stretches know most; what the form lacks is the same in a stretch's windows.
-    """
-    count, rows, unknowns = 12, 8, 3
-    knows = np.where(np.arange(count)[:, None] % 2 == np.arange(unknowns) % 2, 30.0, 3.0)
-    stretches = np.repeat(np.arange(count), STRETCH * rows)
-    windows = np.repeat(np.arange(count * STRETCH), rows)
-    slopes = knows[stretches] * chance.standard_normal((count, unknowns))[stretches]
-    slopes += 0.3 * chance.standard_normal(slopes.shape)
-    truth = 0.3 * chance.standard_normal(unknowns)
-    lacks = chance.standard_normal(count)[stretches] + 0.3 * chance.standard_normal(len(stretches))
-    jacobian = np.concatenate([slopes, np.eye(unknowns)])
-    sought = np.concatenate([slopes @ truth + lacks, np.zeros(unknowns)])
-    x = np.linalg.lstsq(jacobian, sought, rcond=None)[0]
-    residuals = jacobian @ x - sought
-    deviation, quantile = deviations(jacobian, residuals, windows, unknowns)
-    least = Least(x, deviation, quantile, jacobian, residuals, 1.0, True)
-    return truth, x, quantile * deviations_left(least), doubts_left(least, stretches)
 
 
 @pytest.fixture(scope="module")

@@ -13,13 +13,13 @@ from collections.abc import Generator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
 
 from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import kept, kernel
 from tunefree_hil.base.records import Actuation, Disturbance, Motion
 from tunefree_hil.learn.least import Least, solve
+from tunefree_hil.learn.physics_doubts import deviations_left, doubts_left, stretches_of
 from tunefree_hil.learn.sheet import Constant
 from tunefree_hil.learn.values import Value, together_with
 from tunefree_hil.learn.windows import TARGETS, Window, Windows
@@ -37,21 +37,13 @@ BAND_DOUBT = 0.2  # of the brake's way
 EFFECTS = {OFFSET: ("steer_offset", "offset_rad", 0.005), BAND: ("brake_dead_band", "half_width_frac", 0.002)}
 LATERAL = ("front_stiffness_n_per_rad", "rear_stiffness_n_per_rad", "yaw_inertia_kgm2", "steer_ratio", OFFSET)
 FIRST_SCALE = {
-    "speed_mps": 0.2,
-    "yaw_rate_radps": 0.01,
-    "heading_rad": 0.02,
-    "lateral_accel_mps2": 0.3,
-    "x_m": 0.7,
-    "y_m": 0.7,
-}
+    "speed_mps": 0.2, "yaw_rate_radps": 0.01, "heading_rad": 0.02, "lateral_accel_mps2": 0.3, "x_m": 0.7, "y_m": 0.7,
+}  # fmt: skip
 LEAST_WINDOWS = 6
 PIECES = 4.0  # independent numbers that a window has to say of each target
 ROBUST = 3.0
 KNOWN_SHARE = 0.5  # of the doubt before the fit that may be left after it
 HOPELESS = 0.95  # of it: nothing at all was learned
-STRETCH = 3  # windows one behind the other: they see one manoeuvre, and share what the model's form lacks there
-LEAST_STRETCHES = 4  # of which something can be told; of fewer each window is one
-LEAST_LEFT = 1e-6  # of a stretch's residuals that the fit can have left in them
 WORSE = 1.5  # than with all constants free, from which on what was known before is not gone back to
 TOGETHER = "these logs tell it only together with the others: the best of all together"
 FLOOR = 0.02  # of the first scale: no target is believed better than that
@@ -280,45 +272,6 @@ def _solved(problem: Problem, names: Sequence[str], x: Array, most: int) -> Leas
 
     robust = ROBUST * math.sqrt(PIECES / problem.rows)  # of a residual as it is scaled here
     return solve(residuals, x, low, wide, problem.blocks, robust=robust, most=most, priors=len(names))
-
-
-def deviations_left(least: Least) -> Array:
-    """What is left of each unknown's doubt (1 before the fit), with the windows' own scatter where that is wider."""
-    inner = np.linalg.pinv(least.jacobian.T @ least.jacobian, hermitian=True)
-    return np.maximum(np.sqrt(np.maximum(np.diag(inner), 0.0)), least.deviation)
-
-
-def stretches_of(some: Sequence[Window]) -> Array:
-    """The stretch of each window [windows]: STRETCH of a drive, one behind the other; the window where they are few."""
-    found, stretch, held = np.zeros(len(some), dtype=int), -1, 0
-    for i, window in enumerate(some):
-        if i == 0 or window.name != some[i - 1].name or held == STRETCH:
-            stretch, held = stretch + 1, 0
-        found[i], held = stretch, held + 1
-    return found if stretch + 1 >= LEAST_STRETCHES else np.arange(len(some))
-
-
-def doubts_left(least: Least, stretches: Array) -> Array:
-    """Half of each unknown's 95 % interval, in what was doubted before the fit (1: one standard deviation of that).
-
-    What a fit leaves of a stretch's residuals is less than its error, and the more so the more it told the fit: taken
-    as they are, the few stretches that know the tyres would vouch for themselves. They are set right by what the fit
-    took off them (Bell and McCaffrey 2002), stretch by stretch (`stretches` [n], of each residual that is data).
-    """
-    inner = np.linalg.pinv(least.jacobian.T @ least.jacobian, hermitian=True)
-    root = np.linalg.cholesky(inner)
-    every = np.unique(stretches)
-    pulls = np.zeros((len(every), len(inner)))
-    for i, one in enumerate(every):
-        rows = np.flatnonzero(stretches == one)
-        here, miss = least.jacobian[rows], least.residuals[rows]
-        basis, size, _ = np.linalg.svd(here @ root, full_matrices=False)
-        more = 1.0 / np.sqrt(np.maximum(1.0 - size * size, LEAST_LEFT)) - 1.0
-        pulls[i] = inner @ (here.T @ (miss + basis @ (more * (basis.T @ miss))))
-    count = len(every)
-    scatter = np.sqrt(np.sum(pulls * pulls, axis=0) * (count / (count - 1)))
-    wide = float(student.ppf(0.975, count - 1)) * scatter
-    return np.minimum(np.maximum(wide, least.quantile * deviations_left(least)), least.quantile)
 
 
 def _value(
