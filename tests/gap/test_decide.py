@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
 from tunefree_hil.gap.ask import Modelled
-from tunefree_hil.gap.decide import MOST_WORSE, Weighed, left_share, outdone, rivals, shrink, weigh, worked_on
+from tunefree_hil.gap.decide import (
+    MOST_WORSE,
+    RARE,
+    Weighed,
+    felt,
+    left_share,
+    outdone,
+    rivals,
+    shrink,
+    weigh,
+    worked_on,
+)
 from tunefree_hil.gap.leftover import Left
 from tunefree_hil.gap.noise import Colour
 from tunefree_hil.gap.problem import Fitted, Free, Sums
@@ -16,9 +29,12 @@ ALL = np.arange(BLOCKS)
 ROWS = 100.0
 
 
-def model(name: str, square: np.ndarray, other: float = ROWS) -> Modelled:
-    """A candidate whose target `a` has these squares by block in units of the noise; `b` has `other` in each."""
-    free = (Free(f"{name}.size", 0.0, 1.0, False, 0.0, -0.3, 1.3),) if name else ()
+def model(name: str, square: np.ndarray, other: float = ROWS, before: Sequence[str] = ()) -> Modelled:
+    """A candidate whose target `a` has these squares by block in units of the noise; `b` has `other` in each. before:
+    effects that the model has beside it.
+    """
+    names = [one for one in (*before, name) if one]
+    free = tuple(Free(f"{one}.size", 0.0, 1.0, False, 0.0, -0.3, 1.3) for one in names)
     p = len(free)
     colour = Colour(np.array([1.0]), 1.0, 1.0)
     count = np.full(BLOCKS, ROWS)
@@ -62,6 +78,30 @@ def test_what_explains_one_block_only_is_no_name() -> None:
     assert found.evidence > 100.0 and not found.counts
 
 
+def test_what_two_blocks_hold_clearly_is_a_name() -> None:
+    """A limit that is touched in two of them: draws of blocks that have neither say nothing against it."""
+    null, square = np.full(BLOCKS, ROWS), np.full(BLOCKS, ROWS)
+    null[[3, 8]] = 400.0 * ROWS
+    before = model("", null)
+    (found,) = weigh({"limit": model("limit", square)}, before, before, SIZES, ALL)
+    assert found.shrink[1] < 0.05 < RARE < found.rest
+    sure = found.gain._replace(low=1.0)  # a search takes the noise that the limit leaves: all blocks are better told
+    assert found._replace(gain=sure).counts and not found._replace(gain=sure, rest=0.5 * RARE).counts
+    null[8] = ROWS
+    (found,) = weigh({"limit": model("limit", square)}, model("", null), model("", null), SIZES, ALL)
+    assert found.shrink[0] > 0.5 and found.rest == pytest.approx(0.0), "one block"
+    assert not found._replace(gain=sure).counts
+
+
+def test_what_a_signal_gains_that_does_not_feel_an_effect_is_not_its_merit() -> None:
+    right, deaf = model("right", spread(1.0)), model("deaf", spread(1.0))
+    sums = {target: one._replace(curve=1e-4 * one.curve / 1e4) for target, one in deaf.fitted.sums.items()}
+    deaf = deaf._replace(fitted=deaf.fitted._replace(sums=sums))
+    assert felt(right) == felt(right, "right") == ["a", "b"] and felt(deaf) == felt(right, "deaf") == []
+    found = {one.name: one for one in weigh({"right": right, "deaf": deaf}, NULL, NULL, SIZES, ALL)}
+    assert found["right"].counts and not found["deaf"].matters and not found["deaf"].counts
+
+
 def test_what_explains_as_much_is_a_rival_whatever_the_order() -> None:
     found = weighed(one=spread(1.0, 1), other=spread(1.0, 2), worse=spread(4.0))
     assert {found[0].name, *rivals(found, ALL)} == {"one", "other"}
@@ -78,6 +118,10 @@ def test_nobody_is_named_beside_one_that_explains_more_and_may_not_be_named() ->
     found = weigh(some, NULL, NULL, {"a": 3.0, "b": 3.0}, ALL)
     assert found[0].name == "fair" and found[0].counts and outdone(found) == "foul"
     assert outdone(weigh({"fair": some["fair"]}, NULL, NULL, SIZES, ALL)) == ""
+    unsure = found[1]._replace(gain=found[1].gain._replace(low=-1.0))
+    assert outdone([found[0], unsure]) == "foul", "it explains more of what was held out, too"
+    less = unsure._replace(gain=unsure.gain._replace(total=found[0].gain.total))
+    assert outdone([found[0], less]) == ""
 
 
 def test_what_is_a_trifle_of_the_signal_is_no_name() -> None:

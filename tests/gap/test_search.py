@@ -19,9 +19,7 @@ QUESTION = cast(Question, type("Asked", (), {"null": NULL, "sizes": SIZES, "susp
 
 def beside(first: Modelled, name: str, square: np.ndarray, other: float = ROWS) -> Modelled:
     """A model with the effects of `first` and one more."""
-    one = model(name, square, other)
-    free = (*first.fitted.free, *one.fitted.free)
-    return one._replace(fitted=one.fitted._replace(free=free))
+    return model(name, square, other, [one.key.partition(".")[0] for one in first.fitted.free])
 
 
 FIRST = model("delay", spread(2.0))

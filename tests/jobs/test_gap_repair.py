@@ -13,7 +13,7 @@ from tunefree_hil.gap.chain import open_chain
 from tunefree_hil.gap.verify import Proof
 from tunefree_hil.jobs.gap import Material
 from tunefree_hil.jobs.gap_folder import Folder
-from tunefree_hil.jobs.gap_repair import mend, proved, taken_back
+from tunefree_hil.jobs.gap_repair import is_borne_out, mend, proved, taken_back
 from tunefree_hil.jobs.gap_words import sentence_of
 from tunefree_hil.learn.drives import Drive
 
@@ -48,6 +48,27 @@ def test_a_name_that_closes_nothing_is_taken_back_with_its_model(tmp_path: Path)
     assert data["effects"] == [] and data["words"] == [WORDS] and warnings == [f"taken back: {WORDS}"]
     assert data["model"] is None and not (tmp_path / "model").exists()
     assert data["taken_back"]["names"] == ["steer_dead_time"] and data["taken_back"]["explained_frac"]["value"] < 0.0
+
+
+@pytest.mark.parametrize(
+    ("broken", "closes", "says"),
+    [
+        (True, {"value": 0.5, "low": -0.2, "high": 0.9}, True),
+        (True, CLOSES, False),
+        (False, {"value": 0.5, "low": 0.2, "high": 0.9}, True),
+        (False, {"value": 0.5, "low": -0.2, "high": 0.9}, False),  # nothing but the name says that anything is missing
+        (False, None, True),  # there is no gap to close
+    ],
+)
+def test_who_is_borne_out(broken: bool, closes: dict[str, float] | None, says: bool) -> None:
+    assert is_borne_out({"links": [{"broken": False}, {"broken": broken}]}, closes) == says
+
+
+def test_what_was_closed_is_told_where_that_is_not_sure() -> None:
+    words = taken_back(answer(), {"value": 0.5, "low": -0.2, "high": 0.9})["words"][0]
+    assert words.endswith(
+        "closed 50 % (-20 to 90), which is not sure to be any, of the gap in stretches that no fit has seen"
+    )
 
 
 @pytest.mark.parametrize(("broken", "verdict"), [(True, "none_of_these"), (False, "none_missing")])

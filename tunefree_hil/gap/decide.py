@@ -22,6 +22,7 @@ from tunefree_hil.gap.evidence import (
     stretched,
     stretches,
 )
+from tunefree_hil.gap.interval import distance
 from tunefree_hil.gap.leftover import Left
 
 Array = np.ndarray
@@ -35,6 +36,10 @@ SPOILT = 0.1  # of what is explained, each by its signal: recalibration trades s
 CLOSE = 0.03  # of what the best gains: a rival as near as that is too near for a model that is not exact
 MOST_LEFT = 0.25  # of what could be explained of a target before: more, and the name was not it
 BY_A_HAIR = 0.8  # of every bar: who misses none by more is no name, but a name's rival
+RARE = (
+    0.3  # of that, without the block that gains most: what few blocks hold, a limit that is touched twice, is no chance
+)
+FELT = 1.0  # squares, all blocks together, that an effect moves by itself: less is nothing that a target feels
 NOISY = 3.0  # standard deviations between blocks: a further effect that gains less is the noise of the first one's fit
 
 NOBODY: Mapping[str, float] = {}
@@ -42,8 +47,9 @@ NOBODY: Mapping[str, float] = {}
 
 class Weighed(NamedTuple):
     """A candidate against the model that it is added to. evidence: nats. target: where it gains most clearly; shrink:
-    by how much the error there gets less, as a share of what it is without any effect, (value, low, high). worst: by
-    how much the mean square grows where it grows most, as a share. further: beside some.
+    by how much the error there gets less, as a share of what it is without any effect, (value, low, high); rest: the
+    same of all blocks but the one that gains most. worst: by how much the mean square grows where it grows most, as a
+    share. further: beside some.
 
     others: names that explain as much in its place; known once a search is done (search.py). placed: evidence of all
     who were asked there, itself among them.
@@ -58,6 +64,7 @@ class Weighed(NamedTuple):
     worst: float
     matters: bool
     further: bool = False
+    rest: float = 0.0
     others: tuple[str, ...] = ()
     placed: Mapping[str, float] = NOBODY
 
@@ -83,7 +90,7 @@ class Weighed(NamedTuple):
             sure
             and self.matters
             and self.shrink[0] > bar * shrink
-            and self.shrink[1] > bar * SURE * shrink
+            and (self.shrink[1] > bar * SURE * shrink or self.rest > RARE / bar)
             and self.worst < MOST_WORSE / bar
         )
 
@@ -113,26 +120,38 @@ def weigh(
         model = stretched(one.fitted, by)
         gains = {t: float((predictive(model, blocks, [t]) - predictive(base, blocks, [t])).sum()) for t in model.sums}
         shrinks = {t: shrink(start, one, t, blocks, null) for t in model.sums}
-        worth = [t for t in gains if gains[t] > LEAST_NATS and _explained(start, one, t, sizes, blocks) > MATTERS]
-        target = max(worth, key=lambda t: shrinks[t][1]) if worth else max(gains, key=lambda t: gains[t])
+        own = felt(one, name)
+        worth = [t for t in own if gains[t] > LEAST_NATS and _explained(start, one, t, sizes, blocks) > MATTERS]
+        target = max(worth, key=lambda t: shrinks[t][1]) if worth else max(own or gains, key=lambda t: gains[t])
         least = max(MATTERS, SPOILT * _explained(start, one, target, sizes, blocks))
-        worse = [_grown(start, one, t, blocks) for t in felt(one) if _explained(one, start, t, sizes, blocks) > least]
+        worse = [_grown(start, one, t, blocks) for t in own if _explained(one, start, t, sizes, blocks) > least]
         found.append(
             Weighed(
                 name, one._replace(fitted=model), log_evidence(model, blocks) - before, paired(model, base, blocks),
                 target, shrinks[target], max(worse, default=0.0),
-                _explained(start, one, target, sizes, blocks) > MATTERS, bool(start.fitted.free),
+                bool(worth), bool(start.fitted.free), shrink_of_the_rest(start, one, target, blocks, null),
             )
         )  # fmt: skip
     return sorted(found, key=lambda one: (not one.counts, -one.evidence))
 
 
-def felt(model: Modelled) -> list[str]:
-    """Targets that feel a model's effects. What recalibration, coming to rest elsewhere beside an effect, takes from
-    the others or gives them is no merit of the effect and no fault.
+def felt(model: Modelled, name: str = "") -> list[str]:
+    """Targets that feel a model's effects, or the one of that name. What recalibration, coming to rest elsewhere beside
+    an effect, takes from the others or gives them is no merit of the effect and no fault.
     """
-    own = range(len(model.fitted.keys) - len(model.fitted.free), len(model.fitted.keys))
-    return [name for name, one in model.fitted.sums.items() if np.isin(one.columns, own).any()]
+    fitted = model.fitted
+    behind = range(len(fitted.keys) - len(fitted.free), len(fitted.keys))  # own parameters are the last keys
+    own = [
+        (i, one) for i, one in zip(behind, fitted.free, strict=True) if not name or one.key.partition(".")[0] == name
+    ]
+    way = {i: distance(one, float(fitted.z[i])) for i, one in own}
+    found = []
+    for target, one in fitted.sums.items():
+        curve = np.einsum("bii->i", one.curve) / one.colour.stretch
+        moved = [curve[c] * way[int(i)] ** 2 for c, i in enumerate(one.columns) if int(i) in way]
+        if max(moved, default=0.0) > FELT:
+            found.append(target)
+    return found
 
 
 def _grown(before: Modelled, after: Modelled, target: str, blocks: Array) -> float:
@@ -153,10 +172,14 @@ def _mean_square(model: Modelled, target: str, blocks: Array) -> float:
 
 
 def outdone(weighed: Sequence[Weighed]) -> str:
-    """Who has more evidence than the best that counts, and does not count itself: then nobody is to be named."""
+    """Who has more evidence than the best that counts, and does not count itself: then nobody is to be named. Whose
+    blocks are not at one about that must explain more of what was held out as well.
+    """
     best = weighed[0]
-    beyond = [one for one in weighed[1:] if not one.counts and one.matters and one.gain.low > 0.0]
-    better = [one for one in beyond if one.evidence > best.evidence + LEAST_NATS]
+    beyond = [
+        one for one in weighed[1:] if not one.counts and one.matters and one.evidence > best.evidence + LEAST_NATS
+    ]
+    better = [one for one in beyond if one.gain.low > 0.0 or one.gain.total > best.gain.total + LEAST_NATS]
     return max(better, key=lambda one: one.evidence).name if better else ""
 
 
@@ -172,6 +195,14 @@ def shrink(
     if target in before.slow:
         views.append(_shrunk([one.slow[target] for one in some], blocks, seed))
     return max(views, key=lambda one: one[1])
+
+
+def shrink_of_the_rest(before: Modelled, after: Modelled, target: str, blocks: Array, null: Modelled) -> float:
+    """By how much a target's error shrinks, tick by tick, in all blocks but the one that gains most."""
+    was, now, whole = (one.squares[target][0][blocks] for one in (before, after, null))
+    rest = np.arange(len(blocks)) != int(np.argmax(was - now))
+    left = [float(np.sqrt(one[rest].sum())) for one in (was, now, whole)]
+    return (left[0] - left[1]) / left[2] if left[2] > 0.0 else 0.0
 
 
 def _shrunk(some: Sequence[tuple[Array, Array]], blocks: Array, seed: int) -> tuple[float, float, float]:

@@ -77,7 +77,7 @@ def _ends(one: Free, u: float, by: float, reach: float) -> tuple[float, float]:
     doubt = reach * one.doubt * (value / one.neutral if one.logarithmic and one.neutral > 0.0 else 1.0)
     if one.share:  # a limit's neutral is without end
         doubt = float(np.hypot(doubt, reach * one.share * (value - one.neutral)))
-    by = float(np.hypot(by, reach * FORM * _distance(one, u)))
+    by = float(np.hypot(by, reach * FORM * distance(one, u)))
     ends = [one.value(float(np.clip(u + way * by, one.least, one.most))) for way in (-1.0, 1.0)]
     far = [value - float(np.hypot(value - min(ends), doubt)), value + float(np.hypot(max(ends) - value, doubt))]
     return max(far[0], one.value(one.least)), min(far[1], one.value(one.most))
@@ -111,7 +111,7 @@ def wavering(model: Fitted, name: str, blocks: Array, drives: Array) -> Wavering
     )
     if jitters or by <= UNSTEADY * _in_u(one, u, SIGMAS.get(one.key, 0.0)):
         return Wavering(one.key, 0.0, 0.0)
-    return Wavering(one.key, by, by / max(_distance(one, u), 1e-9))
+    return Wavering(one.key, by, by / max(distance(one, u), 1e-9))
 
 
 def unsteady(model: Fitted, blocks: Array, drives: Array, sigmas: Mapping[str, float]) -> dict[str, float]:
@@ -182,7 +182,7 @@ def _in_u(one: Free, u: float, sigma: float) -> float:
     return sigma / value / float(np.log(one.high / one.low))
 
 
-def _distance(one: Free, u: float) -> float:
+def distance(one: Free, u: float) -> float:
     """From neutral to u; of what is sought by its logarithm and has no neutral on it, one of these."""
     if not one.logarithmic:
         return abs(u - one.place(one.neutral))

@@ -20,7 +20,7 @@ from tunefree_hil.gap.shrink import (
     worse_signals,
 )
 from tunefree_hil.gap.verify import Proof, Variant, prove
-from tunefree_hil.jobs.gap_words import listed
+from tunefree_hil.jobs.gap_words import listed, percent
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import EffectSpec, ModelSpec
@@ -125,9 +125,8 @@ def proved(
         "older": older,
         "worse": [f"{name} (by {100.0 * by:.0f} %)" for name, by in sorted(worse.items(), key=lambda one: -one[1])],
     }
-    closes = data["explained_frac"]
-    if closes is not None and closes["value"] <= 0.0:
-        data |= taken_back(found.answer, closes)
+    if not is_borne_out(found.answer, data["explained_frac"]):
+        data |= taken_back(found.answer, data["explained_frac"])
         yield Event("warning", f"taken back: {data['words'][0]}")
     if worse or "taken_back" in data:
         shutil.rmtree(folder.model)
@@ -135,12 +134,21 @@ def proved(
     return data, proof
 
 
+def is_borne_out(answer: Mapping[str, Any], closes: Mapping[str, float] | None) -> bool:
+    """Whether blocks that no fit has seen bear out what was named: the repair closes something of the gap there. Where
+    no link is broken, so that nothing but the name says that anything is missing, they have to be sure of it.
+    """
+    if closes is None:
+        return True
+    return closes["value" if any(one["broken"] for one in answer["links"]) else "low"] > 0.0
+
+
 def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float]) -> dict[str, Any]:
-    """Keys of gap.json where a repair closes nothing of the gap on blocks that no fit has seen: what was found there
-    was chance, or stood in for something else, and is not named.
+    """Keys of gap.json where the proof does not bear out what was found: it was chance, or stood in for something else,
+    and is not named.
     """
     names = [one["name"] for one in answer["effects"]]
-    words = f"{listed(names)} came nearest, and closed nothing of the gap in stretches that no fit has seen"
+    words = f"{listed(names)} came nearest, and {_share_of(closes)} of the gap in stretches that no fit has seen"
     return {
         "verdict": "none_of_these" if any(one["broken"] for one in answer["links"]) else "none_missing",
         "effects": [],
@@ -150,6 +158,10 @@ def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float]) -> dict[s
         "explicable_frac": None,
         "worse": [],
     }
+
+
+def _share_of(closes: Mapping[str, float]) -> str:
+    return "closed nothing" if closes["value"] <= 0.0 else f"closed {percent(closes)}, which is not sure to be any,"
 
 
 def _gained(gaps: Mapping[str, Any]) -> dict[str, dict[str, float]]:
