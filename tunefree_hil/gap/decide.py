@@ -36,9 +36,7 @@ SPOILT = 0.1  # of what is explained, each by its signal: recalibration trades s
 CLOSE = 0.03  # of what the best gains: a rival as near as that is too near for a model that is not exact
 MOST_LEFT = 0.25  # of what could be explained of a target before: more, and the name was not it
 BY_A_HAIR = 0.8  # of every bar: who misses none by more is no name, but a name's rival
-RARE = (
-    0.3  # of that, without the block that gains most: what few blocks hold, a limit that is touched twice, is no chance
-)
+RARE = 0.3  # of that, without the block that gains most: what two blocks hold clearly is no chance
 FELT = 1.0  # squares, all blocks together, that an effect moves by itself: less is nothing that a target feels
 NOISY = 3.0  # standard deviations between blocks: a further effect that gains less is the noise of the first one's fit
 
@@ -129,7 +127,8 @@ def weigh(
             Weighed(
                 name, one._replace(fitted=model), log_evidence(model, blocks) - before, paired(model, base, blocks),
                 target, shrinks[target], max(worse, default=0.0),
-                bool(worth), bool(start.fitted.free), shrink_of_the_rest(start, one, target, blocks, null),
+                bool(own) and _explained(start, one, target, sizes, blocks) > MATTERS, bool(start.fitted.free),
+                shrink_of_the_rest(start, one, target, blocks, null),
             )
         )  # fmt: skip
     return sorted(found, key=lambda one: (not one.counts, -one.evidence))
