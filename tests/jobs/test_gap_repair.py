@@ -57,6 +57,7 @@ def test_a_name_that_closes_nothing_is_taken_back_with_its_model(tmp_path: Path)
         (True, CLOSES, False),
         (False, {"value": 0.5, "low": 0.2, "high": 0.9}, True),
         (False, {"value": 0.5, "low": -0.2, "high": 0.9}, False),  # nothing but the name says that anything is missing
+        (False, {"value": 0.99, "low": 0.0, "high": 1.0}, True),  # some blocks do not show it
         (False, None, True),  # there is no gap to close
     ],
 )

@@ -12,6 +12,7 @@ from tunefree_hil.gap.pays import Paid, chosen_runs, gained, groups_of, that_pay
 from tunefree_hil.gap.repair import Repaired, found_effects, repaired, write_repaired
 from tunefree_hil.gap.segments import block_s_of
 from tunefree_hil.gap.shrink import (
+    LEAST_OPEN,
     better_by_recalibration,
     explained_frac,
     floors_of,
@@ -136,11 +137,13 @@ def proved(
 
 def is_borne_out(answer: Mapping[str, Any], closes: Mapping[str, float] | None) -> bool:
     """Whether blocks that no fit has seen bear out what was named: the repair closes something of the gap there. Where
-    no link is broken, so that nothing but the name says that anything is missing, they have to be sure of it.
+    no link is broken, so that nothing but the name says that anything is missing, none of them may speak against it
+    (those that do not show the effect say nothing).
     """
     if closes is None:
         return True
-    return closes["value" if any(one["broken"] for one in answer["links"]) else "low"] > 0.0
+    broken = any(one["broken"] for one in answer["links"])
+    return closes["value"] > 0.0 and (broken or closes["low"] > -LEAST_OPEN)
 
 
 def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float]) -> dict[str, Any]:
