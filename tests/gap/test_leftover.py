@@ -68,6 +68,7 @@ def test_features_look_at_nothing_that_comes_later() -> None:
 
 def test_a_link_is_broken_where_more_is_left_than_a_calibrated_model_may_miss() -> None:
     kinds = {name: Kind(name, Link.REPORT_TO_MOTION, "m/s2", 0.05, 0.0) for name in ("much", "little", "noisy")}
+    kinds["noisy"] = kinds["noisy"]._replace(noise=0.99)
     left = {"much": Left(0.02, 0.01), "little": Left(0.0002, 0.0001), "noisy": Left(1.0, 0.004)}
     found = look(left, kinds, dict.fromkeys(kinds, 1.0))
     assert found[0].signal == "much" and {one.signal: one.broken for one in found} == {

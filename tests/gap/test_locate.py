@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tunefree_hil.base.contracts import Link
 from tunefree_hil.gap.bursts import Burst
 from tunefree_hil.gap.leftover import Left
@@ -37,3 +39,16 @@ def test_a_link_is_not_broken_by_what_its_own_calibration_missed_of_other_drives
 
     assert broken(0.0, 0.04) and not broken(0.05, 0.04) and broken(0.05, 0.055)
     assert broken(0.5, 0.07), "a model that misses half of its own drives lacks something itself"
+
+
+def test_what_is_grossly_missed_is_broken_whether_anything_foretells_it_or_not() -> None:
+    """A steering that lies half of its way off now and then, in most of a drive: no moment stands out."""
+    kinds = {"steer": Kind("steer", Link.COMMAND_TO_REPORT, "rad", 0.01, 0.0, noise=0.002)}
+    (one,) = look({"steer": Left(0.25, 0.0)}, kinds, {"steer": 1.0})
+    assert one.broken and one.gross == pytest.approx(0.5, rel=1e-3) == one.amount
+    assert one.missed == "steer is missed by 50% of the signal, and little of that is foretold by anything"
+    loudly = {"steer": kinds["steer"]._replace(noise=0.2)}  # the sensor's own
+    assert not look({"steer": Left(0.25, 0.0)}, loudly, {"steer": 1.0})[0].broken
+    assert not look({"steer": Left(0.04, 0.0)}, kinds, {"steer": 1.0})[0].broken
+    (told,) = look({"steer": Left(0.25, 0.25)}, kinds, {"steer": 1.0})
+    assert told.broken and told.missed == "steer is missed by 50.0%"

@@ -23,6 +23,9 @@ VISIBLE = 0.03  # of the signal: what a calibrated model may miss of a car
 # as others do lacks something itself
 MOST_VISIBLE = 0.06
 LOUD = 0.15  # of the signal, in the loudest moments: of cars with other tyres and pedals up to 0.13 is missed
+# Of the signal, beyond the sensor's noise and far above it (squares): so much is missed of no car that anybody has
+# calibrated, whether it can be foretold or not
+GROSS, FAR = 0.25, 10.0
 NO_BURSTS: Mapping[str, Burst] = {}
 
 
@@ -42,18 +45,25 @@ class Looked(NamedTuple):
     broken: bool
     loud: float = 0.0
     visible: float = VISIBLE
+    gross: float = 0.0
 
     @property
     def missed(self) -> str:
         """What is broken about it, in words."""
         if self.loud > LOUD:
             return f"{self.signal} is missed by {self.loud:.0%} of the signal in moments, and hardly else"
+        if self.gross > max(GROSS, self.share):
+            return (
+                f"{self.signal} is missed by {self.gross:.0%} of the signal, and little of that is foretold by anything"
+            )
         return f"{self.signal} is missed by {self.share:.1%}"
 
     @property
     def amount(self) -> float:
-        """Of the signal, what is missed: what could be explained, or what its moments miss where they are loud."""
-        return max(self.share, self.loud if self.loud > LOUD else 0.0)
+        """Of the signal, what is missed: what could be explained, what its moments miss where they are loud, or all
+        where that is gross.
+        """
+        return max(self.share, self.loud if self.loud > LOUD else 0.0, self.gross if self.gross > GROSS else 0.0)
 
 
 class Card(NamedTuple):
@@ -69,7 +79,9 @@ def look(
     left: Mapping[str, Left], kinds: Mapping[str, Kind], sizes: Mapping[str, float],
     bursts: Mapping[str, Burst] = NO_BURSTS,
 ) -> list[Looked]:  # fmt: skip
-    """All targets, the one that is missed most of its signal first. Broken is what could be explained, or is loud."""
+    """All targets, the one that is missed most of its signal first. Broken is what could be explained, is loud, or is
+    gross.
+    """
     found = []
     for name, one in left.items():
         explicable = max(one.explained, 0.0)
@@ -77,11 +89,15 @@ def look(
         loud = bursts[name].share(sizes[name]) if name in bursts else 0.0
         kind = kinds[name]
         visible = min(max(VISIBLE, kind.missed / max(sizes[name], 1e-12)), MOST_VISIBLE)
-        broken = loud > LOUD or (share > visible and explicable > LEAST_SHARE * one.total)
+        beyond = one.total - kind.noise**2 if one.total > FAR * kind.noise**2 else 0.0
+        gross = beyond**0.5 / max(sizes[name], 1e-12)
+        broken = loud > LOUD or gross > GROSS or (share > visible and explicable > LEAST_SHARE * one.total)
         noise = max(one.total - explicable, 0.0) ** 0.5
         found.append(
-            Looked(name, kind.link, kind.unit, one.total**0.5, noise, explicable**0.5, share, broken, loud, visible)
-        )
+            Looked(
+                name, kind.link, kind.unit, one.total**0.5, noise, explicable**0.5, share, broken, loud, visible, gross
+            )
+        )  # fmt: skip
     return sorted(found, key=lambda one: (not one.broken, -one.amount))
 
 

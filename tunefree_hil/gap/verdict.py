@@ -18,7 +18,7 @@ from tunefree_hil.gap.evidence import LEAST_NATS
 from tunefree_hil.gap.excitation import Excited
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.interval import WAVERS, wavering
-from tunefree_hil.gap.locate import LOUD, Looked
+from tunefree_hil.gap.locate import GROSS, LOUD, Looked
 from tunefree_hil.gap.suspects import class_of
 
 Array = np.ndarray
@@ -78,11 +78,16 @@ def not_it(
         if one.signal not in worked:
             if one.broken and one.amount > max(worked.values(), default=0.0):
                 return f"explains less than what is left elsewhere: {one.missed}"
-        elif one.loud > max(LOUD, MOST_LEFT**0.5 * was[one.signal].loud):
+        elif _stays(one.loud, was[one.signal].loud, LOUD) or _stays(one.gross, was[one.signal].gross, GROSS):
             return f"still {one.missed}"
         elif one.broken and one.share > one.visible and left[one.signal] > MOST_LEFT:
             return f"leaves {left[one.signal]:.0%} of what could be explained of {one.signal}"
     return ""
+
+
+def _stays(now: float, was: float, bar: float) -> bool:
+    """Whether much of what was missed (of a signal, by any road) is missed still."""
+    return now > max(bar, MOST_LEFT**0.5 * was)
 
 
 def wavers(

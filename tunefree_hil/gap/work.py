@@ -40,7 +40,8 @@ class Setting(NamedTuple):
 
 class Kind(NamedTuple):
     """What is the same for all drives of a target. floor: of its residuals, in its unit, above 0. missed: what the
-    model's own calibration missed of it on drives that it was not fitted on, beyond noise; 0 where nobody says.
+    model's own calibration missed of it on drives that it was not fitted on, beyond noise; 0 where nobody says. noise:
+    of the sensor.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Kind(NamedTuple):
     dt_s: float
     floor: float
     missed: float = 0.0
+    noise: float = 0.0
 
 
 class Work:
@@ -146,7 +148,7 @@ def kind_of(targets: Sequence[Target], missed: float) -> Kind:
     noise = _root_mean([max(sensor_noise(one.measured, one.valid), one.quantum / 12.0**0.5) for one in targets])
     floor = max(FLOOR_SHARE * noise, EXACT * _root_mean([one.size for one in targets]))
     dt_s = float(np.mean([one.dt_s for one in targets]))
-    return Kind(targets[0].name, targets[0].link, targets[0].unit, dt_s, floor, missed)
+    return Kind(targets[0].name, targets[0].link, targets[0].unit, dt_s, floor, missed, noise)
 
 
 def size_of(targets: Sequence[Target], speeds: Sequence[Array]) -> float:
