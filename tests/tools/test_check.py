@@ -20,12 +20,13 @@ def check(tmp_path: Path):
     tool.parent.mkdir()
     tool.write_text((ROOT / "tools" / "check").read_text())
 
-    def call(**statuses: int) -> subprocess.CompletedProcess[str]:
+    def call(*words: str, **statuses: int) -> subprocess.CompletedProcess[str]:
         plant = "import sys\nstatuses = %r\nname = sys.argv[1] if %r == 'ruff' else %r\n"
         for name in ("ruff", "pyright", "pytest"):
-            text = plant % (statuses, name, name) + "print('3 passed in 0.10s')\nsys.exit(statuses.get(name, 0))\n"
+            text = plant % (statuses, name, name) + "print(sys.argv[1:])\nprint('3 passed in 0.10s')\n"
+            text += "sys.exit(statuses.get(name, 0))\n"
             (tmp_path / f"{name}.py").write_text(text)
-        return subprocess.run([sys.executable, str(tool)], capture_output=True, text=True, timeout=60)
+        return subprocess.run([sys.executable, str(tool), *words], capture_output=True, text=True, timeout=60)
 
     return call
 
@@ -48,3 +49,9 @@ def test_no_test_at_all_is_a_failure(check) -> None:
     done = check(pytest=5)
     assert done.returncode == 5
     assert "no test was collected" in done.stdout
+
+
+def test_of_the_fast_tests_those_of_a_marker(check) -> None:
+    for words, asked in ((), "and not foreign'"), (("learning",), "and not foreign and learning'"):
+        done = check(*words, pytest=1)
+        assert done.returncode == 1 and asked in done.stdout
