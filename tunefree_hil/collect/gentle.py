@@ -40,11 +40,12 @@ TOO_FAST_SHARE, TOO_FAST_MPS = 0.1, 0.6  # over the wished speed before a speed 
 
 
 class Stretch(NamedTuple):
-    """What is driven: at which speed, for how long, straight or from side to side."""
+    """What is driven: at which speed, for how long, straight or from side to side, and how long it coasts then."""
 
     speed_mps: float
     hold_s: float
     bent: bool
+    coast_s: float = COAST_S
 
 
 class Gait(NamedTuple):
@@ -116,7 +117,7 @@ def _is_over(gait: Gait, stretch: Stretch, speed_mps: float) -> bool:
     if gait.stage in (KEEP, VARY):
         return gait.time_s >= 0.5 * stretch.hold_s
     if gait.stage == COAST:
-        return gait.time_s >= COAST_S
+        return gait.time_s >= stretch.coast_s or speed_mps <= RESTING_MPS
     return speed_mps <= max(_aimed_mps(gait, stretch), RESTING_MPS) or gait.time_s >= SLOW_MOST_S
 
 

@@ -4,6 +4,10 @@ At most ROUNDS times: the drives of a round go in beside the logs before them, a
 `round-N/` in the folder holds what was then answered. The folder's own gap.json and gap.md are those of the last round
 in the end; the first ones stay as gap-1.json and gap-1.md. Logs and rounds are all the state there is, so that a run
 that was cut off goes on with the drive or the search that it lost.
+
+Drives stay inside what the model was made from: outside it misses things that have nothing to do with what is asked.
+And they may only decide between the names that there were: an answer beside them says that drives and logs do not go
+together, for whatever reason, and the set stands.
 """
 
 from __future__ import annotations
@@ -16,9 +20,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
+from tunefree_hil.collect.bounds import bounds_of
 from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.drive_menu import MENU, Manoeuvre, plan_for, to_drive
-from tunefree_hil.jobs.gap import Asked, gap
+from tunefree_hil.gap.suspects import class_of
+from tunefree_hil.jobs.gap import Asked, gap, model_for
 from tunefree_hil.jobs.gap_drive_bench import Job, Wish, drive_all, jobs_of, open_bench, require_same_vehicle
 from tunefree_hil.jobs.gap_folder import ANSWER, LOCK, PAGE, Folder
 from tunefree_hil.jobs.gap_page import write_page
@@ -70,7 +76,7 @@ def gap_drive(asked: Asked, wish: Wish) -> Iterator[Event]:
         return
     with alone(asked.out / LOCK):
         driven = Driven([], [])
-        last = yield from _rounds(asked, wish, answer, driven, again)
+        last = yield from _rounds(asked, wish, answer, driven, again, vehicle)
         whole = {**last, DRIVES: _listed(driven)}
         whole["next"] = following(asked, wish, whole, vehicle)
         _keep(asked, whole, again)
@@ -110,14 +116,20 @@ def _ask(asked: Asked, again: str) -> Generator[Event, None, dict[str, Any]]:
 
 
 def _rounds(
-    asked: Asked, wish: Wish, answer: dict[str, Any], driven: Driven, again: str
+    asked: Asked, wish: Wish, answer: dict[str, Any], driven: Driven, again: str, vehicle: VehicleSpec
 ) -> Generator[Event, None, dict[str, Any]]:
     """The last answer; `driven` is filled on the way."""
     effects = catalogue()
     run, bench = open_bench(wish, asked.out / DRIVES)
-    beyond = {name for name, one in MENU.items() if plan_for(bench.vehicle, one, bench.dt_s) is None}
+    bounds = bounds_of(vehicle, model_for(asked.model, vehicle).valid)
+    beyond = {name for name, one in MENU.items() if plan_for(bench.vehicle, one, bench.dt_s, bounds) is None}
+    told = set[str]()
     for number in range(1, ROUNDS + 1):
-        jobs = jobs_of(run, bench, to_drive(answer, driven.names | beyond, effects), len(driven.jobs))
+        for one in to_drive(answer, driven.names | told, effects):
+            if one.name in beyond:
+                told.add(one.name)
+                yield Event("note", f"beyond the vehicle or the model's data, and so not driven: {one.words}")
+        jobs = jobs_of(run, bench, to_drive(answer, driven.names | beyond, effects), len(driven.jobs), bounds)
         if not jobs:
             if answer["verdict"] in UNDECIDED:
                 yield Event("note", f"nothing more is to be driven that would tell: {answer['sentence']}")
@@ -130,10 +142,26 @@ def _rounds(
         before = answer
         more = asked._replace(logs=[*asked.logs, *driven.logs], out=asked.out / f"round-{number}")
         answer = yield from _ask(more, again)
+        beside = beside_words(before, answer)
+        if beside:
+            yield Event("warning", beside)
+            return {**before, "words": [*before["words"], beside]}
         if answer["verdict"] == "cannot_test" and answer["words"] == before["words"]:
             yield Event("note", "driving has changed nothing of why these logs cannot tell")
             return answer
     return answer
+
+
+def beside_words(before: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
+    """That an answer is none of what a set left open, in words; '' where it decides that, or leaves it open."""
+    if before["verdict"] != "set" or answer["verdict"] in UNDECIDED:
+        return ""
+    names = [one["name"] for one in answer["effects"]]
+    told = frozenset[str]().union(*(class_of(name, has_lateral=False) for name in before["set"]))
+    if names and told.issuperset(names):
+        return ""
+    said = answer["sentence"]
+    return f"with what the bench drove it would be none of the set ({said}): drives and logs do not go together"
 
 
 def _round_words(number: int, answer: dict[str, Any], manoeuvres: Sequence[Manoeuvre]) -> str:
