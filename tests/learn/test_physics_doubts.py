@@ -7,7 +7,14 @@ import numpy as np
 from tests.learn.made_drives import made_drive, whole
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.learn.least import Least, deviations
-from tunefree_hil.learn.physics_doubts import LEAST_STRETCHES, STRETCH, deviations_left, doubts_left, stretches_of
+from tunefree_hil.learn.physics_doubts import (
+    LEAST_STRETCHES,
+    STRETCH,
+    deviations_left,
+    doubts_left,
+    stretches_of,
+    together,
+)
 from tunefree_hil.learn.windows import windows_of
 
 
@@ -29,6 +36,20 @@ def test_the_few_stretches_that_know_a_constant_do_not_vouch_for_themselves() ->
         new += list(np.abs(found - truth) < are)
     assert np.mean(old) < 0.65, np.mean(old)
     assert 0.8 < np.mean(new) < 0.99, np.mean(new)
+
+
+def test_what_is_known_as_a_sum_is_doubted_together() -> None:
+    chance, count, rows = np.random.default_rng(2), 12, 8
+    stretches = np.repeat(np.arange(count), rows)
+    slopes = chance.standard_normal((count * rows, 3))
+    slopes[:, 1] = slopes[:, 0] + 0.05 * slopes[:, 1]  # the first two nearly as a sum only
+    noise = chance.standard_normal(count * rows)
+    jacobian = np.concatenate([slopes, np.eye(3)])
+    x = np.linalg.lstsq(jacobian, np.concatenate([noise, np.zeros(3)]), rcond=None)[0]
+    least = Least(x, np.full(3, 0.1), 2.2, jacobian, np.concatenate([slopes @ x - noise, x]), 1.0, True)
+    found = together(("a", "b", "c"), least, stretches)
+    assert found.names == ("a", "b", "c") and np.allclose(np.diag(found.correlation), 1.0)
+    assert found.correlation[0, 1] < -0.9 and abs(found.correlation[0, 2]) < 0.5
 
 
 def _few_that_know(chance: np.random.Generator) -> tuple[np.ndarray, ...]:

@@ -196,6 +196,7 @@ def card_of(
         "seconds": round(seconds, 1),
         "actuators": {name: _channel_card(found) for name, found in fitted.actuators.items()},
         "constants": as_data(fitted.physics.values),
+        "constants_together": fitted.physics.together,
         "left_out": list(fitted.physics.words),
         "windows": {"training": fitted.physics.windows, "held_out": judged.windows if judged else 0},
         "free_run_rms": {

@@ -19,7 +19,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import kept, kernel
 from tunefree_hil.base.records import Actuation, Disturbance, Motion
 from tunefree_hil.learn.least import Least, solve
-from tunefree_hil.learn.physics_doubts import deviations_left, doubts_left, stretches_of
+from tunefree_hil.learn.physics_doubts import Together, deviations_left, doubts_left, stretches_of, together
 from tunefree_hil.learn.sheet import Constant
 from tunefree_hil.learn.values import Value, together_with
 from tunefree_hil.learn.windows import TARGETS, Window, Windows
@@ -60,7 +60,7 @@ class Off(NamedTuple):
 class PhysicsFit(NamedTuple):
     """params: [plant.params] in full. values: the fitted constants, and those of EFFECTS.
 
-    before, after: root mean square of each target over the windows, data sheet and fit.
+    before, after: root mean square of each target over the windows, data sheet and fit. together: of the doubts.
     """
 
     values: dict[str, Value]
@@ -69,6 +69,7 @@ class PhysicsFit(NamedTuple):
     after: dict[str, float]
     windows: int
     words: tuple[str, ...]
+    together: Together = Together()
 
     def off(self) -> Off:
         """What lies between outputs and car; only what is clear (is_clear) goes into a model."""
@@ -226,8 +227,9 @@ def fit(
     least = _solved(problem, names, least.x, 15)
     yield 2, total
     lost: dict[str, float] = {}
-    joint, together = problem.values(names, least.x), rms_of(problem.misses(problem.values(names, least.x)))
+    joint, jointly = problem.values(names, least.x), rms_of(problem.misses(problem.values(names, least.x)))
     doubts = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
+    related = together(names, least, problem.stretches)
     while names:
         left = deviations_left(least)
         worst = np.flatnonzero((left > KNOWN_SHARE) & (left >= min(HOPELESS, float(left.max()))))
@@ -246,10 +248,10 @@ def fit(
         alone = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
         doubts = {name: max(doubts[name], one) for name, one in alone.items()}
     found = {name: _value(problem, names, least, name, doubts, lost) for name in problem.known}
-    if any(after[name] > WORSE * together[name] for name in after):  # what was known before is no car that drives so
-        values, after = joint, together
+    if any(after[name] > WORSE * jointly[name] for name in after):  # what was known before is no car that drives so
+        values, after = joint, jointly
         found = {name: together_with(one, joint[name], TOGETHER) for name, one in found.items()}
-    return PhysicsFit(found, problem.params(values), before, after, len(windows.some), windows.words)
+    return PhysicsFit(found, problem.params(values), before, after, len(windows.some), windows.words, related)
 
 
 def _unfitted(

@@ -8,6 +8,7 @@ and what the fit itself took off their residuals is given back.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import t as student
@@ -20,6 +21,15 @@ Array = np.ndarray
 STRETCH = 3  # windows one behind the other: they see one manoeuvre, and share what the model's form lacks there
 LEAST_STRETCHES = 4  # of which something can be told; of fewer each window is one
 LEAST_LEFT = 1e-6  # of a stretch's residuals that the fit can have left in them
+
+
+class Together(NamedTuple):
+    """What a fit does not know of some constants goes together: names [p], correlation [p, p] of what they are off by
+    (of the logarithm of what is a factor).
+    """
+
+    names: tuple[str, ...] = ()
+    correlation: Array = np.zeros((0, 0))
 
 
 def deviations_left(least: Least) -> Array:
@@ -45,6 +55,31 @@ def doubts_left(least: Least, stretches: Array) -> Array:
     as they are, the few stretches that know the tyres would vouch for themselves. They are set right by what the fit
     took off them (Bell and McCaffrey 2002), stretch by stretch (`stretches` [n], of each residual that is data).
     """
+    pulls = _pulls(least, stretches)
+    count = len(pulls)
+    scatter = np.sqrt(np.sum(pulls * pulls, axis=0) * (count / (count - 1)))
+    wide = float(student.ppf(0.975, count - 1)) * scatter
+    return np.minimum(np.maximum(wide, least.quantile * deviations_left(least)), least.quantile)
+
+
+def together(names: Sequence[str], least: Least, stretches: Array) -> Together:
+    """How the unknowns' doubts hang together: half as the fit's own curvature says, half as its stretches do. The first
+    knows which of them only their sum is known of; the second, of so few, also what goes together by chance.
+    """
+    pulls = _pulls(least, stretches)
+    inner = np.linalg.pinv(least.jacobian.T @ least.jacobian, hermitian=True)
+    return Together(tuple(names), 0.5 * (_correlation(inner) + _correlation(pulls.T @ pulls)))
+
+
+def _correlation(covariance: Array) -> Array:
+    size = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    found = covariance / np.outer(size, size)
+    np.fill_diagonal(found, 1.0)
+    return found
+
+
+def _pulls(least: Least, stretches: Array) -> Array:
+    """By how much each stretch pulls the unknowns [stretches, p], its residuals as large as its errors are."""
     inner = np.linalg.pinv(least.jacobian.T @ least.jacobian, hermitian=True)
     root = np.linalg.cholesky(inner)
     every = np.unique(stretches)
@@ -55,7 +90,4 @@ def doubts_left(least: Least, stretches: Array) -> Array:
         basis, size, _ = np.linalg.svd(here @ root, full_matrices=False)
         more = 1.0 / np.sqrt(np.maximum(1.0 - size * size, LEAST_LEFT)) - 1.0
         pulls[i] = inner @ (here.T @ (miss + basis @ (more * (basis.T @ miss))))
-    count = len(every)
-    scatter = np.sqrt(np.sum(pulls * pulls, axis=0) * (count / (count - 1)))
-    wide = float(student.ppf(0.975, count - 1)) * scatter
-    return np.minimum(np.maximum(wide, least.quantile * deviations_left(least)), least.quantile)
+    return pulls
