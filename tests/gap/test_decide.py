@@ -47,7 +47,7 @@ def model(name: str, square: np.ndarray, other: float = ROWS, before: Sequence[s
     keys, z = tuple(one.key for one in free), np.full(p, 0.4)
     values = {one.key: 0.4 for one in free}
     squares = {target: (one.square, count) for target, one in both.items()}
-    return Modelled(Fitted(name, keys, z, free, values, both, {}), squares)
+    return Modelled(Fitted(name, keys, z, free, values, np.zeros((p, p)), both, {}), squares)
 
 
 SIZES = {"a": 3.0, "b": 3.0}
@@ -216,3 +216,13 @@ def test_a_further_effect_is_held_against_the_error_that_there_was_at_first() ->
         takes = (0.3 + left) ** 0.5 - 0.3**0.5
         assert found.further and found.shrink[0] == pytest.approx(takes / 8.0**0.5, abs=0.01)
         assert found.counts == counts
+        (unbroken,) = weigh({"beside": beside}, first, NULL, SIZES, ALL, frozenset({"b"}))
+        assert not unbroken.counts, "it takes a third of what is missed where nothing is broken: a mismatch does that"
+
+
+@pytest.mark.parametrize(("broken", "left", "faint"), [({"a"}, 6.0, False), (set(), 6.0, True), (set(), 1.0, False)])
+def test_a_name_is_faint_that_explains_a_part_of_what_no_link_is_broken_by(
+    broken: set[str], left: float, faint: bool
+) -> None:
+    (found,) = weigh({"right": model("right", spread(left))}, NULL, NULL, SIZES, ALL, broken)
+    assert found.counts and found.faint == faint

@@ -26,7 +26,7 @@ def fitted(free: Free, differ: float = 0.0, curve: float = 400.0, z: float = 0.2
     sums = Sums(np.array([0]), np.ones(count), pulls[:, None], np.full((count, 1, 1), curve), np.full(count, ROWS),
                 Colour(np.array([1.0]), 1.0, 1.0))  # fmt: skip
     values = {free.key: free.value(z)}
-    return Fitted("x", (free.key,), np.array([z]), (free,), values, {"steer": sums}, {})
+    return Fitted("x", (free.key,), np.array([z]), (free,), values, np.zeros((1, 1)), {"steer": sums}, {})
 
 
 ALL, ONE_DAY = np.arange(BLOCKS), np.zeros(BLOCKS)

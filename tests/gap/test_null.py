@@ -5,14 +5,28 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.gap.graph import Graph
-from tunefree_hil.gap.null import CONSTANTS, MOST_DOUBT, TAKEN, card_of, doubts_of, nuisances, taken
+from tunefree_hil.gap.null import (
+    CONSTANTS,
+    MOST_DOUBT,
+    TAKEN,
+    Nuisance,
+    card_of,
+    correlation,
+    doubts_of,
+    nuisances,
+    related_of,
+    taken,
+)
+from tunefree_hil.gap.problem import Free, Problem
 
 
 def test_what_recalibration_had_to_move_far_is_told_the_farthest_first() -> None:
@@ -46,5 +60,52 @@ def test_what_a_calibration_left_open_may_be_recalibrated_but_no_licence_comes_o
     (tmp_path / "card.json").write_text(json.dumps({"constants": said}))
     found = {one.key: one.sigma for one in nuisances(Graph(model, vehicle, 0.01), model, doubts_of(model))}
     assert 0.04 / 1.96 < found["brake_gain.gain_frac"] < 2.0 * 0.04 / 1.96
-    assert found["plant.yaw_inertia_kgm2"] == MOST_DOUBT
+    assert found["plant.yaw_inertia_kgm2"] == math.hypot(MOST_DOUBT, CONSTANTS["yaw_inertia_kgm2"])
     assert found["plant.drive_force_n"] == CONSTANTS["drive_force_n"], "it is known together with the knee"
+
+
+def test_what_a_calibration_knows_together_is_recalibrated_together(tmp_path: Path) -> None:
+    model, vehicle = load_model("mkz_nominal"), load_vehicle("mkz_bywire")
+    model = replace(model, folder=str(tmp_path), plant=replace(model.plant, card="card.json"))
+    names = ("drive_force_n", "drive_knee_frac", "steer_ratio", "front_stiffness_n_per_rad")
+    said = {name: {"low": math.exp(-0.2), "high": math.exp(0.2)} for name in names}
+    rows = np.eye(4)
+    rows[0, 1] = rows[1, 0] = rows[2, 3] = rows[3, 2] = 0.95
+    together = {"names": names, "correlation": rows.tolist()}
+    (tmp_path / "card.json").write_text(json.dumps({"constants": said, "constants_together": together}))
+    found = nuisances(Graph(model, vehicle, 0.01), model, doubts_of(model))
+    r = correlation(found, related_of(model))
+    place = {one.key: i for i, one in enumerate(found)}
+    force, knee = place["plant.drive_force_n"], place["plant.drive_knee_frac"]
+    assert found[force].sigma > 5.0 * CONSTANTS["drive_force_n"] and 0.85 < r[force, knee] < 0.95
+    steer, front = place["steer_gain.gain_frac"], place["front_stiffness.gain_frac"]
+    assert -0.95 < r[steer, front] < -0.85, "more steering gain is a lesser ratio"
+    assert np.linalg.eigvalsh(r).min() > 0.0 and np.array_equal(r, r.T)
+    assert np.array_equal(r[place["grade.grade_rad"]], np.eye(len(found))[place["grade.grade_rad"]])
+
+    problem = Problem(None, found, r)  # pyright: ignore[reportArgumentType]
+    keys = [one.key for one in found]
+    whole = problem.prior(keys, ())
+    along, across = np.zeros(len(keys)), np.zeros(len(keys))
+    along[[force, knee]], across[[force, knee]] = (1.0, 1.0), (1.0, -1.0)
+    assert across @ whole @ across > 5.0 * (along @ whole @ along), "one alone is moved at its price"
+    loose = Free("plant.drive_knee_frac", 0.0, 1.0, False, 0.0, 0.0, 1.0)
+    assert abs(problem.prior(keys, (loose,))[force, force] - 1.0) < 1e-9, "the price without the other: its own"
+    assert not problem.prior(keys, (loose,))[knee].any()
+
+
+@pytest.mark.parametrize("said", [{"names": ["a"], "correlation": []}, {"names": ["a"]}, [1], {"names": "a"}])
+def test_a_card_that_says_no_correlations_is_an_input_error(tmp_path: Path, said: Any) -> None:
+    model = load_model("mkz_nominal")
+    model = replace(model, folder=str(tmp_path), plant=replace(model.plant, card="card.json"))
+    (tmp_path / "card.json").write_text(json.dumps({"constants": {}, "constants_together": said}))
+    with pytest.raises(InputError) as refused:
+        related_of(model)
+    assert refused.value.code == "bad_card"
+
+
+def test_days_are_each_ones_own() -> None:
+    one, other = (Nuisance(key, 0.0, 0.05, 0.03, key) for key in "ab")
+    related = {"a": {"a": 1.0, "b": 0.8}, "b": {"a": 0.8, "b": 1.0}}
+    assert abs(correlation((one, other), related)[0, 1] - 0.8 * 0.36) < 1e-12
+    assert correlation((one, other._replace(constant="")), related)[0, 1] == 0.0

@@ -12,7 +12,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.noise import Colour
 from tunefree_hil.gap.null import DRIFTS
-from tunefree_hil.gap.problem import Fitted, Free, Slopes, Sums
+from tunefree_hil.gap.problem import Fitted, Free, Slopes, Sums, is_free
 from tunefree_hil.gap.scan import AMOUNTS, DELAYS, FACTORS, SMALL, TWINS, Scan, grid_of, without
 from tunefree_hil.gap.suspects import free_of
 from tunefree_hil.gap.team import HOPELESS
@@ -37,10 +37,16 @@ class Work:
         return residual[0], np.zeros(ROWS, dtype=np.int64)
 
 
+def prior(keys: Any, free: Any) -> np.ndarray:
+    """Each number by itself."""
+    return np.diag((~is_free(keys, free)).astype(float))
+
+
 class Problem:
     """As `gap.problem` has it, of that work."""
 
     work = Work()
+    prior = staticmethod(prior)
 
     def judged(self) -> np.ndarray:
         return np.array([0])
@@ -52,7 +58,7 @@ class Problem:
 def scan() -> Scan:
     residuals = Work().residuals({})
     sums = {"x": Sums(np.array([0]), np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1)), np.full(1, ROWS), COLOUR)}
-    start = Fitted("", ("a",), np.zeros(1), (), {"a": 0.0}, sums, residuals)
+    start = Fitted("", ("a",), np.zeros(1), (), {"a": 0.0}, np.eye(1), sums, residuals)
     return Scan(Problem(), start, Slopes({"x": (np.array([0]), [3.0 * T[:, None]])}))  # pyright: ignore[reportArgumentType]
 
 
@@ -100,6 +106,8 @@ def factor(name: str, parameter: str) -> Free:
 class Factor:
     """A car whose only trouble is a factor; recalibration may move the very same one, 3 deviations far."""
 
+    prior = staticmethod(prior)
+
     def __init__(self, truth: float, sigma: float) -> None:
         self.truth, self.sigma, self.work = truth, sigma, self
 
@@ -124,7 +132,7 @@ class Factor:
         residuals = self.residuals(values)
         sums = {"x": Sums(np.array([0]), np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1)), np.full(1, ROWS), COLOUR)}
         slopes = Slopes({"x": (np.array([0]), [self.sigma * FELT[:, None] / values["g.size"]])})
-        return Scan(self, Fitted("", ("g.size",), z, (), values, sums, residuals), slopes)  # pyright: ignore[reportArgumentType]
+        return Scan(self, Fitted("", ("g.size",), z, (), values, np.eye(1), sums, residuals), slopes)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize(("name", "parameter", "sigma", "why"), FACTOR_EFFECTS)

@@ -14,7 +14,7 @@ from tunefree_hil.gap.search import CONTENDERS, backward, forward, settled, weig
 from tunefree_hil.gap.suspects import Suspect
 
 SUSPECTS = tuple(Suspect(name, (), ()) for name in ("delay", "friction", "limit", "lag"))
-QUESTION = cast(Question, type("Asked", (), {"null": NULL, "sizes": SIZES, "suspects": SUSPECTS})())
+QUESTION = cast(Question, type("Asked", (), {"null": NULL, "sizes": SIZES, "suspects": SUSPECTS, "broken": None})())
 
 
 def beside(first: Modelled, name: str, square: np.ndarray, other: float = ROWS) -> Modelled:

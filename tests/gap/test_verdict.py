@@ -65,6 +65,14 @@ def test_rivals_make_a_set_of_one_effect_and_of_several(
     assert found[:2] == (says, names) and bool(found[2]) == (says == "set")
 
 
+def test_faint_rivals_are_no_set_as_no_proof_could_bear_one_out() -> None:
+    faint = step("brake_gain", "brake_fade")._replace(unbroken=True, shrink=(0.2, 0.1, 0.3))
+    assert verdict(faint)[:2] == ("none_missing", ()) and "brake_gain, brake_fade" in verdict(faint)[2][0]
+    assert verdict(faint, step("steer_lag"))[0] == "set", "one of several is plain"
+    alone = verdict(faint._replace(others=()))
+    assert alone[0] == "one" and "only a proof" in alone[2][0]
+
+
 def test_what_the_drive_could_hardly_show_is_a_set_with_whom_it_is_easily_taken_for() -> None:
     says, names, words = verdict(step("brake_gain"), brakes=UNSEEN)
     assert (says, names) == ("set", ("brake_gain", "brake_fade")) and "9 are needed" in words[0]

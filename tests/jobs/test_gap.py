@@ -36,7 +36,7 @@ FIELDS = {
 
 
 DRAW = gap_pictures.draw
-FITTED = Fitted("", (), np.zeros(0), (), {}, {}, {})
+FITTED = Fitted("", (), np.zeros(0), (), {}, np.zeros((0, 0)), {}, {})
 MODELLED = Modelled(FITTED, {})
 QUESTION_OF = Question(MODELLED, blocks_of([9000], 0.01), {}, {}, (), {})
 pytestmark = pytest.mark.slow  # free runs of a car, un-jitted

@@ -51,18 +51,32 @@ def test_a_name_that_closes_nothing_is_taken_back_with_its_model(tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("broken", "closes", "says"),
+    ("broken", "faint", "closes", "says"),
     [
-        (True, {"value": 0.5, "low": -0.2, "high": 0.9}, True),
-        (True, CLOSES, False),
-        (False, {"value": 0.5, "low": 0.2, "high": 0.9}, True),
-        (False, {"value": 0.5, "low": -0.2, "high": 0.9}, False),  # nothing but the name says that anything is missing
-        (False, {"value": 0.99, "low": 0.0, "high": 1.0}, True),  # some blocks do not show it
-        (False, None, True),  # there is no gap to close
+        (True, False, {"value": 0.5, "low": -0.2, "high": 0.9}, True),
+        (True, False, CLOSES, False),
+        (False, False, {"value": 0.5, "low": 0.2, "high": 0.9}, True),
+        (
+            False,
+            False,
+            {"value": 0.5, "low": -0.2, "high": 0.9},
+            False,
+        ),  # the name alone says so
+        (False, False, {"value": 0.99, "low": 0.0, "high": 1.0}, True),  # some blocks do not show it
+        (False, False, None, True),  # there is no gap to close
+        (False, True, {"value": 0.99, "low": 0.0, "high": 1.0}, False),  # and so do not speak for it
+        (False, True, {"value": 0.9, "low": 0.5, "high": 1.0}, True),
+        (False, True, None, False),
     ],
 )
-def test_who_is_borne_out(broken: bool, closes: dict[str, float] | None, says: bool) -> None:
-    assert is_borne_out({"links": [{"broken": False}, {"broken": broken}]}, closes) == says
+def test_who_is_borne_out(broken: bool, faint: bool, closes: dict[str, float] | None, says: bool) -> None:
+    effects = [{"name": "a"}, {"name": "b", "faint": faint}]
+    assert is_borne_out({"effects": effects, "links": [{"broken": False}, {"broken": broken}]}, closes) == says
+
+
+def test_nothing_to_be_seen_on_the_proof_is_said_of_a_faint_name() -> None:
+    found = taken_back(answer(), None)
+    assert found["taken_back"]["explained_frac"] is None and "nothing could be seen of the gap" in found["words"][0]
 
 
 def test_what_was_closed_is_told_where_that_is_not_sure() -> None:

@@ -15,7 +15,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.gap.bursts import Burst, burst_of, windows_of
 from tunefree_hil.gap.fit import fit_candidate, fit_null, fit_on, fit_without
 from tunefree_hil.gap.leftover import Left, leftovers
-from tunefree_hil.gap.null import doubts_of, nuisances
+from tunefree_hil.gap.null import correlation, doubts_of, nuisances, related_of
 from tunefree_hil.gap.problem import Fitted, Problem, Slopes
 from tunefree_hil.gap.regions import Region, regions
 from tunefree_hil.gap.scan import Scan, Start
@@ -42,7 +42,9 @@ class Modelled(NamedTuple):
 
 
 class Question(NamedTuple):
-    """What a question is, once opened. sizes: by target the deviation of what was measured."""
+    """What a question is, once opened. sizes: by target the deviation of what was measured. broken: targets that
+    recalibration alone leaves broken (locate.look); None: nobody has looked.
+    """
 
     null: Modelled
     blocks: Blocks
@@ -50,6 +52,7 @@ class Question(NamedTuple):
     sizes: dict[str, float]
     suspects: tuple[Suspect, ...]
     cannot: dict[str, str]
+    broken: frozenset[str] | None = None
 
 
 class _Open:
@@ -57,7 +60,7 @@ class _Open:
         self.work = Work(setting)
         doubts = doubts_of(setting.model)
         drifting = nuisances(self.work.graph, setting.model, doubts)
-        self.problem = Problem(self.work, drifting)
+        self.problem = Problem(self.work, drifting, correlation(drifting, related_of(setting.model)))
         self.null, self.slopes = fit_null(self.problem)
         some, self.cannot = suspects_of(self.work.graph, setting.model, setting.vehicle, setting.drives)
         self.suspects = {one.name: doubted(one, drifting, doubts) for one in some}

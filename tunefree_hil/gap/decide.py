@@ -6,7 +6,7 @@ significant. Rivals that the blocks do not tell from it are named with it, as a 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +29,7 @@ Array = np.ndarray
 
 LEAST_SHRINK = 0.05  # of a target's error without any effect: less is no gap that anybody would repair
 FURTHER_SHRINK = 0.1  # of that as well, by a further effect: what the first one's form misses of its cause is none
+PLAIN = 0.4  # of that, where no link is broken: who is missing explains most of what is missed, a mismatch a part
 SURE = 0.5  # with the doubt between blocks: at least half of that
 MATTERS = 0.004  # of the signal: what an effect explains there, root mean square; less is nobody's worry
 MOST_WORSE = 0.05  # of any target's: what explains one thing by spoiling another explains nothing
@@ -47,7 +48,7 @@ class Weighed(NamedTuple):
     """A candidate against the model that it is added to. evidence: nats. target: where it gains most clearly; shrink:
     by how much the error there gets less, as a share of what it is without any effect, (value, low, high); rest: the
     same of all blocks but the one that gains most. worst: by how much the mean square grows where it grows most, as a
-    share. further: beside some.
+    share. further: beside some. unbroken: recalibration alone misses no more of the target than a model may.
 
     others: names that explain as much in its place; known once a search is done (search.py). placed: evidence of all
     who were asked there, itself among them.
@@ -65,6 +66,7 @@ class Weighed(NamedTuple):
     rest: float = 0.0
     others: tuple[str, ...] = ()
     placed: Mapping[str, float] = NOBODY
+    unbroken: bool = False
 
     @property
     def counts(self) -> bool:
@@ -78,9 +80,18 @@ class Weighed(NamedTuple):
         """Whether it is a name, or misses being one by a hair: a set in which it is not would be too sure."""
         return self._passes(BY_A_HAIR)
 
+    @property
+    def faint(self) -> bool:
+        """Whether nothing but the name itself says that anything is missing, and that not plainly: any mismatch of a
+        model has somebody who explains a part of it. Only a proof can bear such a name out.
+        """
+        return self.unbroken and self.shrink[0] < PLAIN
+
     def _passes(self, bar: float) -> bool:
         """Whether it is above all bars, each taken so many times."""
         least, shrink = bar * LEAST_NATS, FURTHER_SHRINK if self.further else LEAST_SHRINK
+        if self.further and self.unbroken:
+            shrink = PLAIN
         sure = self.evidence > least and self.gain.total > least and self.gain.low > 0.0
         if self.further:
             sure = sure and self.gain.total > bar * NOISY * self.gain.noise
@@ -94,9 +105,11 @@ class Weighed(NamedTuple):
 
 
 def weigh(
-    candidates: Mapping[str, Modelled], start: Modelled, null: Modelled, sizes: Mapping[str, float], blocks: Array
-) -> list[Weighed]:
-    """All candidates, the best first; by the noise that the best of them leaves. sizes: of each target's signal.
+    candidates: Mapping[str, Modelled], start: Modelled, null: Modelled, sizes: Mapping[str, float], blocks: Array,
+    broken: Collection[str] | None = None,
+) -> list[Weighed]:  # fmt: skip
+    """All candidates, the best first; by the noise that the best of them leaves. sizes: of each target's signal;
+    broken: targets that recalibration alone leaves broken (locate.look); None: nobody has looked.
 
     Who is the best is asked by the noise of each, and of start by the same: the noise's own logarithm counts once for
     every row that stands for itself, and where that number differs the unit of a signal would decide. By the noise of
@@ -129,6 +142,7 @@ def weigh(
                 target, shrinks[target], max(worse, default=0.0),
                 bool(own) and _explained(start, one, target, sizes, blocks) > MATTERS, bool(start.fitted.free),
                 shrink_of_the_rest(start, one, target, blocks, null),
+                unbroken=broken is not None and target not in broken,
             )
         )  # fmt: skip
     return sorted(found, key=lambda one: (not one.counts, -one.evidence))

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tunefree_hil.gap.problem import Fitted, bounded, ends_of, gathered, prior_of
+from tunefree_hil.gap.problem import Fitted, bounded, ends_of, gathered, is_free
 from tunefree_hil.gap.segments import PROOF, Blocks
 
 Array = np.ndarray
@@ -63,11 +63,13 @@ def judged(blocks: Blocks) -> Array:
 
 def log_evidence(model: Fitted, blocks: Array) -> float:
     """Laplace's, up to a constant that all models on the same data share."""
-    prior = prior_of(model.keys, model.free)
+    loose = is_free(model.keys, model.free)
     curve, _, _ = gathered(model.sums, len(model.keys), blocks)
-    flat = 2.0 * np.pi * (prior == 0.0)  # what is uniform over its prior, as a normal density that is 1 at its top
-    _, logdet = np.linalg.slogdet(curve + np.diag(prior + flat))
-    fit = sum(_log_likelihood(model, name, blocks).sum() for name in model.sums) - 0.5 * float(prior @ model.z**2)
+    flat = np.diag(2.0 * np.pi * loose)  # what is uniform over its prior, as a normal density that is 1 at its top
+    logdet = np.linalg.slogdet(curve + model.prior + flat)[1]
+    logdet -= np.linalg.slogdet(model.prior[np.ix_(~loose, ~loose)])[1]
+    fit = sum(_log_likelihood(model, name, blocks).sum() for name in model.sums)
+    fit -= 0.5 * float(model.z @ model.prior @ model.z)
     count = len(model.free)
     beyond = sum(max(0.0, -u, u - 1.0) for u in model.z[len(model.z) - count :]) if count else 0.0
     return float(fit - 0.5 * logdet + 0.5 * count * np.log(2.0 * np.pi) - OUTSIDE_NATS * beyond)
@@ -91,7 +93,7 @@ def predictive(model: Fitted, blocks: Array, names: Sequence[str] | None = None)
     """
     found = np.zeros(len(blocks))
     low, high = ends_of(model.keys, model.free)
-    loose = prior_of(model.keys, model.free) == 0.0
+    loose = is_free(model.keys, model.free)
     for fold in range(min(FOLDS, len(blocks))):
         held = np.arange(len(blocks)) % FOLDS == fold
         step = np.zeros(len(model.keys))

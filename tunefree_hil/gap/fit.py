@@ -26,7 +26,6 @@ from tunefree_hil.gap.problem import (
     cost_of,
     ends_of,
     gathered,
-    prior_of,
     squares,
 )
 from tunefree_hil.gap.scan import TWINS, Scan, Start
@@ -134,17 +133,18 @@ def _descended(
 def _finished(problem: Problem, name: str, at: Point, slopes: Slopes) -> Fitted:
     sums = problem.sums(at.residuals, slopes, problem.colours(at.residuals))
     values = problem.values(at.keys, at.z, at.free)
-    return Fitted(name, at.keys, at.z, at.free, values, sums, at.residuals)
+    prior = problem.prior(at.keys, at.free)
+    return Fitted(name, at.keys, at.z, at.free, values, prior, sums, at.residuals)
 
 
 def _stepped(problem: Problem, at: Point, sums: dict[str, Sums], blocks: Array) -> tuple[Point, float]:
     """(point, gain) of a step, ever more damped until it helps under the noise of `sums`; where none does, none."""
-    prior = prior_of(at.keys, at.free)
+    prior = problem.prior(at.keys, at.free)
     before = cost_of(sums, at.z, prior, blocks)
     colours = {name: one.colour for name, one in sums.items()}
     low, high = ends_of(at.keys, at.free)
     curve, slope, _ = gathered(sums, len(at.keys), blocks)
-    curve, slope = curve + np.diag(prior), slope + prior * at.z
+    curve, slope = curve + prior, slope + prior @ at.z
     scale = np.maximum(np.diag(curve), FLAT)
     for damping in DAMPINGS:
         there = at.z + bounded(curve + damping * np.diag(scale), slope, at.z, low, high)
@@ -152,7 +152,7 @@ def _stepped(problem: Problem, at: Point, sums: dict[str, Sums], blocks: Array) 
             found = problem.work.residuals(problem.values(at.keys, there, at.free))
         except InputError:  # a value that makes no such effect: not so far
             continue
-        cost = squares(problem, found, colours, at.residuals, sums, blocks) + float(prior @ (there * there))
+        cost = squares(problem, found, colours, at.residuals, sums, blocks) + float(there @ prior @ there)
         if cost < before:
             return at._replace(z=there, residuals=found), before - cost
     return at, 0.0

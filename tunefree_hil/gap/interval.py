@@ -16,7 +16,7 @@ from scipy.special import chdtri, stdtrit
 
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.null import DRIFTS
-from tunefree_hil.gap.problem import Fitted, Free, gathered, prior_of
+from tunefree_hil.gap.problem import Fitted, Free, gathered, is_free
 
 Array = np.ndarray
 
@@ -85,10 +85,9 @@ def _ends(one: Free, u: float, by: float, reach: float) -> tuple[float, float]:
 
 def deviations(model: Fitted, blocks: Array) -> Array:
     """Of each key of a fitted model [p], in its own unit (nuisances in standard deviations, free ones in u)."""
-    prior = prior_of(model.keys, model.free)
     curve, _, _ = gathered(model.sums, len(model.keys), blocks)
-    flat = 2.0 * np.pi * (prior == 0.0)  # as `log_evidence` takes what is uniform over its prior
-    inverse = np.linalg.inv(curve + np.diag(prior + flat))
+    flat = np.diag(2.0 * np.pi * is_free(model.keys, model.free))  # as `log_evidence` takes what is uniform
+    inverse = np.linalg.inv(curve + model.prior + flat)
     pulls = np.zeros((len(blocks), len(model.keys)))
     for one in model.sums.values():
         pulls[:, one.columns] += one.slope[blocks] / one.colour.stretch

@@ -42,11 +42,12 @@ LEAST_S = FEWEST * SHORTEST_S * (1.0 + GUARD_S / BLOCK_S)  # that a question's l
 
 
 class Effect(NamedTuple):
-    """An effect that is said to be missing. evidence: nats over the model without it."""
+    """An effect that is said to be missing. evidence: nats over the model without it. faint: only if proved."""
 
     name: str
     params: dict[str, Value]
     evidence: float
+    faint: bool = False
 
 
 class Named(NamedTuple):
@@ -125,6 +126,8 @@ def _named(
     team: Team, question: Question, vehicle: VehicleSpec, drives: Sequence[Opened]
 ) -> Generator[str, None, Named]:
     blocks = judged(question.blocks)
+    before, looked = _looked(team, question, question.null, blocks)
+    question = question._replace(broken=frozenset(one.signal for one in looked if one.broken))
     yield f"{len(question.suspects)} suspects"
     first = weighed(team, question, [one.name for one in question.suspects], None, blocks)
     found = yield from forward(team, question, first, blocks)
@@ -133,12 +136,8 @@ def _named(
     question = question._replace(cannot={**question.cannot, **team.dropped})
     repaired = steps[-1].model if steps else question.null
     yield "what is left"
-    models = [question.null.fitted, repaired.fitted]
-    before, after = team.ask("left_by", models, blocks)
-    calm, calmed = team.ask("bursts_of", models, blocks)
+    after, still = _looked(team, question, repaired, blocks) if steps else (before, looked)
     said = tuple(one for opened in drives for one in echoes(opened))
-    looked = look(before, question.kinds, question.sizes, calm)
-    still = look(after, question.kinds, question.sizes, calmed)
     days = question.blocks.drives[blocks]
     worked = worked_on(question.null, repaired, question.sizes, blocks)
     left = {name: left_share(before[name], one) for name, one in after.items()}
@@ -156,11 +155,21 @@ def _named(
     link, shown = _where(team, question, steps, looked, said)
     known: tuple[Effect, ...] = ()
     if verdict in ("one", "several"):
-        known = tuple(Effect(one.name, values_of(one.name, repaired.fitted, blocks), one.evidence) for one in steps)
+        known = tuple(_effect(one, repaired, blocks) for one in steps)
     return Named(
         verdict, known, others, _manoeuvre(others), link, shown, tuple(looked), said, held, tuple(first), question,
         repaired, before, after, lost_links(drives), (*words, *daily_words(apart(repaired.fitted, blocks, days))),
     )  # fmt: skip
+
+
+def _looked(team: Team, question: Question, model: Modelled, blocks: Array) -> tuple[dict[str, Left], list[Looked]]:
+    """(what a model leaves to be explained, by target; what is broken with it in place)."""
+    (left,), (bursts,) = (team.ask(what, [model.fitted], blocks) for what in ("left_by", "bursts_of"))
+    return left, look(left, question.kinds, question.sizes, bursts)
+
+
+def _effect(one: Weighed, repaired: Modelled, blocks: Array) -> Effect:
+    return Effect(one.name, values_of(one.name, repaired.fitted, blocks), one.evidence, one.faint)
 
 
 def _where(

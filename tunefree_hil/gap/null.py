@@ -14,18 +14,29 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ActuatorSpec, Interval, ModelSpec, Number, value_of
 from tunefree_hil.gap.channels import channel_spec, is_known
 from tunefree_hil.gap.graph import CHANNELS, Graph
 
+Array = np.ndarray
+
 
 class Nuisance(NamedTuple):
-    """A number that may be off: key as `Graph.run` takes it, its neutral value, standard deviation in its unit."""
+    """A number that may be off: key as `Graph.run` takes it, its neutral value, standard deviation in its unit.
+
+    told: of that, what the model's calibration says of `constant`; the rest is of the day. turned: 1.0, or -1.0 where
+    more of it is less of the constant.
+    """
 
     key: str
     neutral: float
     sigma: float
+    told: float = 0.0
+    constant: str = ""
+    turned: float = 1.0
 
 
 # Parameters of effects: (effect, parameter, sigma, why)
@@ -58,20 +69,24 @@ CONSTANTS: dict[str, float] = {
     "front_axle_m": 0.04,  # geometry is the data sheet's, and no calibration moves it
     "wheelbase_m": 0.008,
 }
-# Rolling resistance and drag are not among them: a calibration knows their sum much better than either.
 # By which constant of the plant (card.json of `calibrate`) the doubt about an effect's parameter is known
 DOUBTED = {
     "brake_gain.gain_frac": "brake_force_n_per_frac",
     "steer_gain.gain_frac": "steer_ratio",
     "front_stiffness.gain_frac": "front_stiffness_n_per_rad",
     "rear_stiffness.gain_frac": "rear_stiffness_n_per_rad",
+    "rolling_resistance.extra_frac": "rolling_frac",
+    "aero_drag.drag_area_m2": "drag_area_m2",
 }
+AGAINST = {"steer_gain.gain_frac"}  # more of it is less of the constant
+OF_ITSELF = {"aero_drag.drag_area_m2", "plant.throttle_zero_frac"}  # in the constant's own unit; all others in shares
 TAKEN = 1.8  # standard deviations, of the 2 that it may go: as well something missing, and it takes that in
 WIDER = math.sqrt(2.0)  # than a calibration's own deviation: what these drives would make of it is no better known
 MOST_DOUBT = 0.15  # of a constant; what was never known is no licence to explain everything
 MOST_DRAG = 3.1  # deviations that the drag area must hold: less than nothing is no car
-# A calibration's doubt of each of these is that of the others: it knows what they come to together much better
-SHARED = {"drive_force_n", "drive_knee_frac"}
+# A calibration's doubt of each of these is that of the others: it knows what they come to together much better. Where
+# its card does not say how they hang together, their doubt is no licence to move one of them alone.
+SHARED = {"drive_force_n", "drive_knee_frac", "rolling_frac", "drag_area_m2", "throttle_zero_frac"}
 LEAST_DEAD_TIME_S, LEAST_LAG, LEAST_GAIN = (
     0.001,
     0.01,
@@ -84,29 +99,27 @@ CLOCKS = {"clock.throttle_s": 0.004, "clock.brake_s": 0.004, "clock.steer_s": 0.
 
 def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> list[Nuisance]:
     """Of a model: those that its plant has. doubts: standard deviations of its constants' logarithms (`doubts_of`)."""
+    params = {**graph.plant.defaults, **model.plant.params}
+    some = [
+        (f"{name}.{parameter}", DOUBTED.get(f"{name}.{parameter}", ""), graph.can[name].neutral[parameter], least)
+        for name, parameter, least, _ in DRIFTS
+        if name in graph.can
+    ]
+    some += [(f"plant.{name}", name, 0.0, least) for name, least in CONSTANTS.items() if name in graph.plant.defaults]
     found = []
-    for name, parameter, least, _ in DRIFTS:
-        if name in graph.can:
-            key = f"{name}.{parameter}"
-            sigma = max(least, _doubt(doubts, DOUBTED.get(key, "")))
-            if name == "aero_drag":
-                sigma = min(sigma, _drag_m2(graph, model) / MOST_DRAG)
-                if sigma <= 0.0:
-                    continue
-            found.append(Nuisance(key, graph.can[name].neutral[parameter], sigma))
-    for name, least in CONSTANTS.items():
-        if name in graph.plant.defaults:
-            sigma = least if name.endswith("zero_frac") else max(least, _doubt(doubts, name))
-            found.append(Nuisance(f"plant.{name}", 0.0, sigma))
+    for key, constant, neutral, least in some:
+        told = min(WIDER * doubts.get(constant, 0.0), MOST_DOUBT)
+        told *= params.get(constant, 0.0) if key in OF_ITSELF else 1.0
+        # A car that is asked for an acceleration has no drag that anybody sees, and none has less than nothing
+        most = params.get(constant, math.inf) / MOST_DRAG if constant == "drag_area_m2" else math.inf
+        sigma = min(math.hypot(least, told), most)
+        if sigma > 0.0:
+            turned = -1.0 if key in AGAINST else 1.0
+            found.append(Nuisance(key, neutral, sigma, min(told, sigma), constant, turned))
     found += [Nuisance(key, 0.0, sigma) for key, sigma in CLOCKS.items()]
     for channel in CHANNELS:
         found += _of_channel(channel, channel_spec(model, channel) if is_known(model, channel) else None)
     return found
-
-
-def _drag_m2(graph: Graph, model: ModelSpec) -> float:
-    """The model's own drag area. A car that is asked for an acceleration has none that anybody sees."""
-    return {**graph.plant.defaults, **model.plant.params}.get("drag_area_m2", math.inf)
 
 
 def card_of(model: ModelSpec) -> dict[str, Any]:
@@ -131,18 +144,38 @@ def _no_card(path: Path, why: object) -> InputError:
 
 def doubts_of(model: ModelSpec) -> dict[str, float]:
     """Standard deviations of the logarithms of a model's constants, from the card of `calibrate`; empty without one."""
+    together = related_of(model)
     try:
         return {
             name: math.log(one["high"] / one["low"]) / 3.92
             for name, one in card_of(model).get("constants", {}).items()
             if isinstance(one, dict) and one.get("low", 0.0) > 0.0 and one.get("high", 0.0) > one["low"]
+            if name in together or name not in SHARED
         }
     except (AttributeError, TypeError, KeyError) as error:
         raise _no_card(Path(model.folder) / model.plant.card, error) from error
 
 
-def _doubt(doubts: Mapping[str, float], name: str) -> float:
-    return 0.0 if name in SHARED else min(WIDER * doubts.get(name, 0.0), MOST_DOUBT)
+def related_of(model: ModelSpec) -> dict[str, dict[str, float]]:
+    """How far the doubts of a model's constants go together: correlations by name and name, from the card of
+    `calibrate`; empty where it says nothing of that.
+    """
+    try:
+        said = card_of(model).get("constants_together") or {"names": [], "correlation": []}
+        rows = zip(said["names"], said["correlation"], strict=True)
+        return {name: {other: float(r) for other, r in zip(said["names"], row, strict=True)} for name, row in rows}
+    except (AttributeError, TypeError, KeyError, ValueError) as error:
+        raise _no_card(Path(model.folder) / model.plant.card, error) from error
+
+
+def correlation(some: Sequence[Nuisance], related: Mapping[str, Mapping[str, float]]) -> Array:
+    """Of all nuisances [p, p]: what a calibration is off by is off together, what is of the day is each one's own."""
+    found = np.eye(len(some))
+    for i, one in enumerate(some):
+        for j, other in enumerate(some[:i]):
+            both = one.turned * other.turned * one.told * other.told / (one.sigma * other.sigma)
+            found[i, j] = found[j, i] = both * related.get(one.constant, {}).get(other.constant, 0.0)
+    return found
 
 
 def _of_channel(channel: str, spec: ActuatorSpec | None) -> list[Nuisance]:

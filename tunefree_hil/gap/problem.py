@@ -75,7 +75,7 @@ class Fitted(NamedTuple):
     """A model that was fitted: name; keys [p] of what it moved, z [p]: where to (nuisances in standard deviations, free
     parameters in u); free: how many of the keys, at the end, are free ones; values: as the graph takes them.
 
-    sums: by target, at the solution; residuals: there.
+    prior [p, p]: precision of the priors of what is not free. sums: by target, at the solution; residuals: there.
     """
 
     name: str
@@ -83,6 +83,7 @@ class Fitted(NamedTuple):
     z: Array
     free: tuple[Free, ...]
     values: dict[str, float]
+    prior: Array
     sums: dict[str, Sums]
     residuals: Residuals
 
@@ -94,11 +95,21 @@ class Slopes(NamedTuple):
 
 
 class Problem:
-    """Fits of one question. keys: of all nuisances, in their order."""
+    """Fits of one question. nuisances: by key, in their order. correlation [n, n]: of their priors; None: of none."""
 
-    def __init__(self, work: Work, nuisances: Sequence[Nuisance]) -> None:
+    def __init__(self, work: Work, nuisances: Sequence[Nuisance], correlation: Array | None = None) -> None:
         self.work = work
         self.nuisances = {one.key: one for one in nuisances}
+        self._correlation = np.eye(len(nuisances)) if correlation is None else correlation
+
+    def prior(self, keys: Sequence[str], free: Sequence[Free]) -> Array:
+        """Precision [p, p] of the priors of some keys, each in its unit; 0 for what is free within its ends."""
+        loose = is_free(keys, free)
+        place = {key: i for i, key in enumerate(self.nuisances)}
+        some = [place[key] for key, one in zip(keys, loose, strict=True) if not one]
+        found = np.zeros((len(keys), len(keys)))
+        found[np.ix_(~loose, ~loose)] = np.linalg.inv(self._correlation[np.ix_(some, some)])
+        return found
 
     def values(self, keys: Sequence[str], z: Array, free: Sequence[Free]) -> dict[str, float]:
         """As the graph takes them."""
@@ -171,10 +182,10 @@ class Problem:
         return np.flatnonzero(self.work.blocks.roles != PROOF)
 
 
-def prior_of(keys: Sequence[str], free: Sequence[Free]) -> Array:
-    """Precision of each key's prior in its unit: 1 for a nuisance, 0 for what is free within its ends."""
+def is_free(keys: Sequence[str], free: Sequence[Free]) -> Array:
+    """Which keys [p] are free within their ends; all others are nuisances."""
     loose = {one.key for one in free}
-    return np.array([0.0 if key in loose else 1.0 for key in keys])
+    return np.array([key in loose for key in keys], dtype=bool)
 
 
 def gathered(sums: dict[str, Sums], width: int, blocks: Array) -> tuple[Array, Array, float]:
@@ -190,9 +201,9 @@ def gathered(sums: dict[str, Sums], width: int, blocks: Array) -> tuple[Array, A
 
 
 def cost_of(sums: dict[str, Sums], z: Array, prior: Array, blocks: Array) -> float:
-    """Squares over the noise, and the prior's."""
+    """Squares over the noise, and those of the prior [p, p]."""
     square = sum(float(one.square[blocks].sum()) / one.colour.stretch for one in sums.values())
-    return square + float(prior @ (z * z))
+    return square + float(z @ prior @ z)
 
 
 def squares(

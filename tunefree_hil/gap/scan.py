@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.gap.problem import Fitted, Free, Problem, Slopes, bounded, ends_of, prior_of
+from tunefree_hil.gap.problem import Fitted, Free, Problem, Slopes, bounded, ends_of
 from tunefree_hil.gap.work import Residuals
 
 Array = np.ndarray
@@ -94,8 +94,9 @@ class Scan:
         kept, start = self.kept(free), self.start
         keys = tuple(start.keys[i] for i in kept) + tuple(one.key for one in free)
         loose, base = (*start.free, *free), np.array([start.z[i] for i in kept])
-        gone = [i for i in range(len(start.keys)) if i not in kept]
-        before = self._left(start.residuals, kept, base)[0] + float(start.z[gone] @ start.z[gone])
+        prior = self.problem.prior([start.keys[i] for i in kept], start.free)
+        gone = float(start.z @ start.prior @ start.z - base @ prior @ base)
+        before = self._left(start.residuals, kept, base, prior)[0] + gone
         best: Start | None = None
         for u in points:
             z = np.concatenate([base, u])
@@ -103,7 +104,7 @@ class Scan:
                 residuals = self.problem.work.residuals(self.problem.values(keys, z, loose))
             except InputError:  # a value that makes no such effect
                 continue
-            left, step = self._left(residuals, kept, base)
+            left, step = self._left(residuals, kept, base, prior)
             if best is None or before - left > best.gain:
                 low, high = ends_of(keys, loose)
                 best = Start(keys, np.clip(np.concatenate([base + step, u]), low, high), before - left)
@@ -111,8 +112,10 @@ class Scan:
             raise InputError("no value of it makes a car", code="no_such_effect", key=",".join(one.key for one in free))
         return best
 
-    def _left(self, residuals: Residuals, kept: Sequence[int], z: Array) -> tuple[float, Array]:
-        """(cost, step) of the best that recalibration can do from z with these residuals, by the normal equations."""
+    def _left(self, residuals: Residuals, kept: Sequence[int], z: Array, prior: Array) -> tuple[float, Array]:
+        """(cost, step) of the best that recalibration can do from z with these residuals, by the normal equations.
+        prior [p, p]: precision, of what is kept.
+        """
         slope, square = np.zeros(len(self.start.keys)), 0.0
         for name, some in residuals.items():
             felt = self._felt[name]
@@ -120,11 +123,10 @@ class Scan:
                 white = self._white(name, some)
                 felt = _Felt(felt.slopes, white @ felt.slopes, float(white @ white))
             slope, square = slope + felt.slope, square + felt.square
-        prior = prior_of(self.start.keys, self.start.free)[kept]
         low, high = ends_of(self.start.keys, self.start.free)
-        curve, slope = self._curve[np.ix_(kept, kept)] + np.diag(prior), slope[kept] + prior * z
+        curve, slope = self._curve[np.ix_(kept, kept)] + prior, slope[kept] + prior @ z
         step = bounded(curve, slope, z, low[kept], high[kept])
-        return square + float(prior @ (z * z)) + float(2.0 * slope @ step + step @ curve @ step), step
+        return square + float(z @ prior @ z) + float(2.0 * slope @ step + step @ curve @ step), step
 
     def _feel(self, name: str, residual: list[Array]) -> _Felt:
         columns, pieces = self._slopes.by_target[name]

@@ -58,9 +58,13 @@ def verdict_of(
         best = ", ".join(step.name for step in steps)
         return "none_of_these", (), (f"{best} comes nearest, and {amiss}",)
     if not any(step.others for step in steps):
-        lacking = tuple(f"{one.name}: {what}" for one in steps for what in held[one.name].lacks)
-        return ("one" if len(steps) == 1 else "several"), (), lacking
+        lacking = [f"{one.name}: {what}" for one in steps for what in held[one.name].lacks]
+        lacking += [f"{one.name}: no link is broken, and only a proof can bear it out" for one in steps if one.faint]
+        return ("one" if len(steps) == 1 else "several"), (), tuple(lacking)
     names = dict.fromkeys(name for step in steps for name in (step.name, *step.others))
+    if all(step.faint for step in steps):  # which no proof could bear out, as nobody is to be repaired
+        words = f"{', '.join(names)} would each explain a part of what a model may miss, and no link is broken"
+        return "none_missing", (), (words,)
     return "set", tuple(names), tuple(_set_words(step, held[step.name]) for step in steps)
 
 

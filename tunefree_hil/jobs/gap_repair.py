@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from tunefree_hil.jobs.gap_folder import Folder
 
 
+SPEAKS_FOR = 0.3  # of the gap, surely closed: what a name needs that nothing else speaks for
+
+
 class Mended(NamedTuple):
     """null: the model recalibrated; made: with what was found, None where nothing was; model: as written and loaded.
     left: groups of numbers (gap/pays.py) that recalibration moved and that stay as they were, as that did not pay.
@@ -138,15 +141,19 @@ def proved(
 def is_borne_out(answer: Mapping[str, Any], closes: Mapping[str, float] | None) -> bool:
     """Whether blocks that no fit has seen bear out what was named: the repair closes something of the gap there. Where
     no link is broken, so that nothing but the name says that anything is missing, none of them may speak against it
-    (those that do not show the effect say nothing).
+    (those that do not show the effect say nothing); a name that is faint even there (gap/decide.py) they have to speak
+    for.
     """
+    faint = any(one.get("faint") for one in answer["effects"])
     if closes is None:
-        return True
+        return not faint
+    if faint:
+        return closes["low"] > SPEAKS_FOR
     broken = any(one["broken"] for one in answer["links"])
     return closes["value"] > 0.0 and (broken or closes["low"] > -LEAST_OPEN)
 
 
-def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float]) -> dict[str, Any]:
+def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float] | None) -> dict[str, Any]:
     """Keys of gap.json where the proof does not bear out what was found: it was chance, or stood in for something else,
     and is not named.
     """
@@ -156,14 +163,16 @@ def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float]) -> dict[s
         "verdict": "none_of_these" if any(one["broken"] for one in answer["links"]) else "none_missing",
         "effects": [],
         "words": [words],
-        "taken_back": {"names": names, "explained_frac": dict(closes)},
+        "taken_back": {"names": names, "explained_frac": None if closes is None else dict(closes)},
         "explained_frac": None,
         "explicable_frac": None,
         "worse": [],
     }
 
 
-def _share_of(closes: Mapping[str, float]) -> str:
+def _share_of(closes: Mapping[str, float] | None) -> str:
+    if closes is None:
+        return "nothing could be seen"
     return "closed nothing" if closes["value"] <= 0.0 else f"closed {percent(closes)}, which is not sure to be any,"
 
 
