@@ -37,7 +37,7 @@ class Program(NamedTuple):
     name_only: what is added where nothing but the name is asked for (the row `limits`), which takes less time.
     """
 
-    gap: str = "tunefree-hil gap {log} --vehicle {vehicle} --model {model} --out {out} --json"
+    gap: str = "tunefree-hil gap {log} --vehicle {vehicle} --model {model} --out {out} --workers 1 --json"
     calibrate: str = "tunefree-hil calibrate {logs} --vehicle {vehicle} --out {out} --json"
     name_only: str = "--until name"
     learn: str = "tunefree-hil learn {logs} --vehicle {vehicle} --physics {physics} --out {out} --minutes 4 --json"

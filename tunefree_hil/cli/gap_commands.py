@@ -40,6 +40,9 @@ def gap(
     bus: Annotated[
         str, typer.Option(help="with --drive: auto, tfhub, socketcan:vcan0, or virtual: within this process")
     ] = "auto",
+    workers: Annotated[
+        int, typer.Option(min=1, max=8, help="processes that share the search; 1 where others are at work here")
+    ] = 2,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
@@ -54,7 +57,7 @@ def gap(
         from tunefree_hil.jobs.gap import Asked
         from tunefree_hil.jobs.gap import gap as run
 
-        asked = Asked(logs, vehicle, model, out, older or [], until.value)
+        asked = Asked(logs, vehicle, model, out, older or [], until.value, workers)
         if not drive:
             if bench is not None:
                 hint = "add --drive, or leave it out"

@@ -44,7 +44,7 @@ STAGES = {  # of a search: the share of its time that has gone when it begins, a
 
 
 class Asked(NamedTuple):
-    """What the command line says."""
+    """What the command line says. workers: processes that share the search, which comes to the same with any number."""
 
     logs: Sequence[Path]
     vehicle: str
@@ -52,6 +52,7 @@ class Asked(NamedTuple):
     out: Path
     older: Sequence[Path] = ()
     until: str = "verify"
+    workers: int = 2
 
 
 class Material(NamedTuple):
@@ -149,7 +150,9 @@ def _searched(asked: Asked, material: Material, opened: list[Opened]) -> Generat
     from tunefree_hil.gap.name import name
 
     began, resume = time.monotonic(), command_of(asked)
-    search = (look_first if asked.until == "locate" else name)(material.model, material.vehicle, opened)
+    looks = asked.until == "locate"
+    question = (material.model, material.vehicle, opened)
+    search = look_first(*question) if looks else name(*question, asked.workers)
     try:
         while True:
             try:
