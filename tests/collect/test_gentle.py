@@ -17,7 +17,9 @@ from tunefree_hil.collect.drive_state import GENTLE, STAND, TURN, Params
 from tunefree_hil.collect.envelope import Envelope, envelope_of
 from tunefree_hil.collect.gentle import (
     ACCEL_SHARE,
+    COAST,
     LATERAL_SHARE,
+    SLOW,
     STEER_RATE_SHARE,
     Gait,
     Stretch,
@@ -127,3 +129,12 @@ def test_a_kart_on_a_small_place_does_it_too() -> None:
     rows, _, ended = drive(own, Car(KART, 2))
     assert ended and max(max(abs(row.x_m), abs(row.y_m)) for row in rows) < 30.0
     assert max(of_mode(tuple(rows), GENTLE, "speed_mps")) < KART.speed_mps
+
+
+def test_it_coasts_as_long_as_it_is_told_unless_it_stands_before() -> None:
+    envelope = envelope_of(load_vehicle("mkz_bywire"))
+    coasting = Gait(stage=COAST, time_s=5.0, wish_mps=8.0)
+    usual = Stretch(10.0, 15.0, False)
+    assert gone_on(coasting, usual, envelope, 8.0, DT_S).stage == SLOW
+    assert gone_on(coasting, usual._replace(coast_s=12.0), envelope, 8.0, DT_S).stage == COAST
+    assert gone_on(coasting, usual._replace(coast_s=12.0), envelope, 0.05, DT_S).stage == SLOW

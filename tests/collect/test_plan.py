@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.collect.bounds import bounds_of
 from tunefree_hil.collect.cells import COUNT
 from tunefree_hil.collect.coverage import Coverage, map_lines
 from tunefree_hil.collect.ground import Ground
@@ -23,6 +24,7 @@ from tunefree_hil.collect.plan import (
 )
 from tunefree_hil.collect.seen import lacking
 from tunefree_hil.config.load import load_scenario, load_vehicle
+from tunefree_hil.config.schema import ValidSpec
 from tunefree_hil.episode.scenario import build_course, start_of
 from tunefree_hil.jobs.collect_plan import Start, write_scenario
 from tunefree_hil.jobs.collector import read_plan
@@ -33,13 +35,19 @@ GENTLY = (MKZ, PLAN.quota_s, PLAN.stop_s, PLAN.area_m, PLAN.top_mps)
 
 
 def test_a_plan_survives_its_file(tmp_path: Path) -> None:
-    for plan in (PLAN, PLAN._replace(centre=None, top_mps=12.0), PLAN._replace(stretches=(3, 6))):
+    bounds = bounds_of(MKZ, ValidSpec())
+    for plan in (
+        PLAN,
+        PLAN._replace(centre=None, top_mps=12.0),
+        PLAN._replace(stretches=(3, 6), bounds=bounds, coast_s=7.5),
+    ):
         (tmp_path / "a.json").write_text(json.dumps(as_dict(plan)))
         assert read_plan(tmp_path / "a.json") == plan
 
 
 @pytest.mark.parametrize(
-    "change", [{"have": [0, 1]}, {"schema": "other"}, {"stretches": 3}, {"area_m": "wide"}, {"centre": [1.0]}]
+    "change",
+    [{"have": [0, 1]}, {"schema": "other"}, {"stretches": 3}, {"area_m": "wide"}, {"centre": [1.0]}, {"bounds": [1.0]}],
 )
 def test_a_wrong_plan_is_refused_by_name(change: dict[str, object]) -> None:
     with pytest.raises(InputError, match=r"a\.json: is no plan"):
@@ -55,6 +63,8 @@ def test_params_are_the_plan_in_ticks_and_places() -> None:
     params = params_of(MKZ, PLAN, 0.01)
     assert (params.stop_tick, params.first_hold, params.have, params.stretches) == (11000, 14, PLAN.have, ())
     assert params_of(MKZ, PLAN._replace(stretches=(3, 6)), 0.01).stretches == driven_stretches(*GENTLY)[3:6]
+    longer = params_of(MKZ, PLAN._replace(stretches=(3, 6), coast_s=9.0), 0.01).stretches
+    assert {one.coast_s for one in longer} == {9.0}
     assert params.ground == Ground(1.5, -2.0, 200.0)
     assert {need for need, target in zip(params.need, params.targets, strict=True) if not target.excluded} == {1000}
     assert all(need == 0 for need, target in zip(params.need, params.targets, strict=True) if target.excluded)

@@ -12,10 +12,12 @@ import pytest
 from tests import other_vehicle
 from tests.collect.cars import DT_S, Car, Row, drive
 from tunefree_hil.base.contracts import QUANTITIES, Effect, Need, Port
+from tunefree_hil.collect.bounds import bounds_of
 from tunefree_hil.collect.cells import place_of
 from tunefree_hil.collect.envelope import LATERAL_SHARE, envelope_of
 from tunefree_hil.collect.plan import as_dict, params_of, plan_of
 from tunefree_hil.config.load import load_vehicle
+from tunefree_hil.config.schema import ValidSpec
 from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.drive_menu import AREA_M, GIVEN_BY, MENU, MOST, SAID, manoeuvres_of, plan_for, to_drive
@@ -64,6 +66,31 @@ def test_every_entry_has_a_plan_that_asks_for_its_cells_only(name: str, vehicle:
     assert bool(lacking) is not one.gentle and bool(params.stretches) is one.gentle
     for place in lacking:
         assert place.steer in one.steers and place.speed in one.speeds and place.pedal in one.pedals
+
+
+def test_a_plan_stays_inside_what_a_models_data_covered() -> None:
+    spec = load_vehicle("mkz_bywire")
+    bounds = bounds_of(spec, ValidSpec(speed_mps=[0.0, 11.0], pedals=[-0.30, 0.40]))
+    plan = plan_for(spec, MENU["throttle_steps"], DT_S, bounds)
+    assert plan is not None and plan.bounds == bounds and plan.top_mps == 11.0
+    free = plan_for(spec, MENU["throttle_steps"], DT_S)
+    assert free is not None and free.bounds is None and (free.top_mps or 0.0) > 11.0
+
+
+@pytest.mark.parametrize(
+    ("valid", "left"),
+    [
+        (ValidSpec(pedals=[-0.30, 0.2]), {"full_throttle"}),  # a bit of throttle
+        (ValidSpec(pedals=[-0.20, 0.5]), {"stops"}),
+        (ValidSpec(speed_mps=[0.0, 2.9]), set(MENU)),  # creeps
+        (ValidSpec(steer_rad=[-0.1, 0.1]), set(MENU)),  # a motorway: no turning back inside the area
+        (ValidSpec(accel_mps2=[0.0, 1.0]), set(MENU)),  # never slowed down
+    ],
+)
+def test_what_is_impossible_inside_has_no_plan(valid: ValidSpec, left: set[str]) -> None:
+    spec = load_vehicle("mkz_bywire")
+    bounds = bounds_of(spec, valid)
+    assert {name for name, one in MENU.items() if plan_for(spec, one, DT_S, bounds) is None} == left
 
 
 @cache

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from tests import other_vehicle
 from tests.bench.tiny import write_bench
@@ -18,6 +19,9 @@ from tests.jobs.command import new_session, no_orphans
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bus.codec import Codec
+from tunefree_hil.collect.plan import DrivePlan
+from tunefree_hil.config.load import load_model
+from tunefree_hil.config.schema import ValidSpec
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.gap.drive_menu import MENU, Manoeuvre
 from tunefree_hil.jobs import gap_drive as module
@@ -39,6 +43,7 @@ class Bench:
         self.says: dict[int, dict[str, Any]] = {}
         self.asked: list[list[str]] = []
         self.driven: list[str] = []
+        self.plans: list[DrivePlan] = []
         self.dies = ""
 
     def gap(self, asked: Asked) -> Iterator[Event]:
@@ -63,6 +68,7 @@ class Bench:
                 raise KeyboardInterrupt
             if not job.log.is_file():
                 self.driven.append(job.manoeuvre.name)
+                self.plans.append(job.plan)
                 yield Event("note", f"driving {job.manoeuvre.words}")
                 job.log.write_text("")
 
@@ -103,6 +109,7 @@ def test_a_set_is_driven_apart_and_the_first_answer_is_kept(bench: Bench, asked:
     assert written["verdict"] == "one" and "exit" not in written and "next" not in written
     (one,) = written["drives"]
     assert (one["round"], one["manoeuvre"], Path(one["log"]).name) == (1, "steer_steps", "drive-001-steer_steps.log")
+    assert one["fits"]
     assert json.loads((out / "gap-1.json").read_text())["verdict"] == "set"
     page = (out / "gap.md").read_text()
     assert page.startswith("# said of 2 logs") and "## What the bench drove" in page and "--drive --bench" in page
@@ -124,6 +131,54 @@ def test_where_it_is_decided_nothing_is_driven(name: str, bench: Bench, asked: A
     data = events(asked, wish)[-1].data
     assert data["verdict"] == name and "drives" not in data and bench.driven == []
     assert not (asked.out / "drives").exists() and not (asked.out / "gap-1.json").exists()
+
+
+def named(name: str) -> dict[str, Any]:
+    return verdict("one", effects=[{**made_answer("one")["effects"][0], "name": name}])
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        verdict("none_of_these"),
+        verdict("none_missing"),
+        named("powertrain_lag"),
+        verdict("set", set=["powertrain_lag", "throttle_gain"]),
+    ],
+)
+def test_what_none_of_the_set_would_be_decides_nothing(
+    other: dict[str, Any], bench: Bench, asked: Asked, wish: Wish
+) -> None:
+    bench.says = {1: verdict("set"), 2: other}
+    found = events(asked, wish)
+    data, out = found[-1].data, asked.out
+    assert data["verdict"] == "set" and data["set"] == SET and len(bench.asked) == 2
+    assert any(one.kind == "warning" and "drives and logs do not go together" in one.message for one in found)
+    assert "said of 2 logs" in data["words"][-1] and [one["round"] for one in data["drives"]] == [1]
+    assert json.loads((out / "gap.json").read_text())["words"] == data["words"]
+    assert json.loads((out / "round-1" / "gap.json").read_text())["verdict"] == other["verdict"]
+    assert "do not go together" in (out / "gap.md").read_text()
+    assert not data["drives"][0]["fits"] and "a.log" in data["next"][0] and "drive-001" not in data["next"][0]
+    assert events(asked, wish)[-1].data == data
+
+
+def test_a_name_that_no_log_tells_from_one_of_the_set_decides(bench: Bench, asked: Asked, wish: Wish) -> None:
+    bench.says = {1: verdict("set", set=["aero_drag", "rolling_resistance"]), 2: named("brake_drag")}
+    data = events(asked, wish)[-1].data
+    assert data["verdict"] == "one" and data["effects"][0]["name"] == "brake_drag"
+
+
+def test_what_the_data_of_a_model_do_not_cover_is_not_driven_and_that_is_said(
+    bench: Bench, asked: Asked, wish: Wish, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calm = replace(load_model("mkz_nominal"), valid=ValidSpec(speed_mps=[0.0, 15.0], pedals=[-0.25, 0.3]))
+    monkeypatch.setattr(module, "model_for", lambda name, vehicle: calm)
+    bench.says = dict.fromkeys(range(1, 9), verdict("set", set=["power_limit", "brake_gain"]))
+    found = events(asked, wish)
+    assert bench.driven and "full_throttle" not in bench.driven and "stops" not in bench.driven
+    said = [one.message.rpartition(": ")[2] for one in found if "not driven" in one.message]
+    assert said == [MENU["full_throttle"].words, MENU["stops"].words]
+    assert bench.plans and all(plan.top_mps == 15.0 and plan.bounds is not None for plan in bench.plans)
 
 
 def test_it_gives_up_after_three_rounds(bench: Bench, asked: Asked, wish: Wish) -> None:
@@ -163,7 +218,7 @@ def test_logs_that_cannot_tell_are_driven_for_until_the_reason_stays(bench: Benc
 
 
 def test_cut_off_in_a_drive_it_goes_on_with_that_drive(bench: Bench, asked: Asked, wish: Wish) -> None:
-    bench.says = {1: verdict("set", set=["report_latency", "steer_lag"]), 4: verdict("one")}
+    bench.says = {1: verdict("set", set=["report_latency", "steer_dead_time"]), 4: verdict("one")}
     bench.dies = "throttle_steps"
     with pytest.raises(KeyboardInterrupt):
         events(asked, wish)

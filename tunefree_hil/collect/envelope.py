@@ -18,6 +18,7 @@ from tunefree_hil.config.schema import VehicleSpec
 LATERAL_SHARE = 0.6  # of the vehicle's lateral acceleration that the planner plans with
 RATE_SHARE = 0.9  # of its steering rate
 BRAKE_SHARE = 0.5  # of its deceleration that stopping distances are planned with
+HARD_SHARE = 0.7  # and the most that turning back brakes with
 BUILD_UP_SHARE = 0.6  # of its acceleration that run-ups are planned with
 SPEED_SHARE = 0.95
 REACTION_S = 0.6  # from the wish to brake or steer to its effect: dead times, lags, the bus
@@ -31,7 +32,12 @@ Array = np.ndarray
 
 
 class Envelope(NamedTuple):
-    """Limits of vehicle.toml (pedals as duty), and what turns a steering-wheel angle into a curvature."""
+    """Limits of vehicle.toml (pedals as duty), and what turns a steering-wheel angle into a curvature.
+
+    throttle_most, brake_most: the greatest push, as share of the way from rest to the limit. calm_mps2: an acceleration
+    above which the throttle is let go of, where a drive is to stay below one. high_share, low_share: what the two
+    accelerations are of the vehicle's own, which say how much a pedal does.
+    """
 
     speed_mps: float
     lateral_mps2: float
@@ -44,6 +50,11 @@ class Envelope(NamedTuple):
     rest_frac: float
     wheelbase_m: float
     steer_ratio: float
+    throttle_most: float = 1.0
+    brake_most: float = 1.0
+    calm_mps2: float = math.inf
+    high_share: float = 1.0
+    low_share: float = 1.0
 
 
 def envelope_of(vehicle: VehicleSpec) -> Envelope:

@@ -40,11 +40,16 @@ TOO_FAST_SHARE, TOO_FAST_MPS = 0.1, 0.6  # over the wished speed before a speed 
 
 
 class Stretch(NamedTuple):
-    """What is driven: at which speed, for how long, straight or from side to side."""
+    """What is driven: at which speed, for how long, straight or from side to side, and how long it coasts then.
+
+    most_mps: the speed that is not varied beyond.
+    """
 
     speed_mps: float
     hold_s: float
     bent: bool
+    coast_s: float = COAST_S
+    most_mps: float = math.inf
 
 
 class Gait(NamedTuple):
@@ -116,14 +121,14 @@ def _is_over(gait: Gait, stretch: Stretch, speed_mps: float) -> bool:
     if gait.stage in (KEEP, VARY):
         return gait.time_s >= 0.5 * stretch.hold_s
     if gait.stage == COAST:
-        return gait.time_s >= COAST_S
+        return gait.time_s >= stretch.coast_s or speed_mps <= RESTING_MPS
     return speed_mps <= max(_aimed_mps(gait, stretch), RESTING_MPS) or gait.time_s >= SLOW_MOST_S
 
 
 def _aimed_mps(gait: Gait, stretch: Stretch) -> float:
     if gait.stage == VARY:
         phase = 2.0 * math.pi * gait.time_s / (0.5 * stretch.hold_s)
-        return stretch.speed_mps * (1.0 + VARY_SHARE * math.sin(phase))
+        return min(stretch.speed_mps * (1.0 + VARY_SHARE * math.sin(phase)), stretch.most_mps)
     if gait.stage == SLOW:
         return LEFT_SHARE * stretch.speed_mps if stretch.bent else 0.0
     return stretch.speed_mps
@@ -140,7 +145,7 @@ def pushed(gait: Gait, pedal: Pedal, envelope: Envelope, dt_s: float) -> Gait:
         wish = gait.slope_mps2 + PULL_PER_S * (gait.wish_mps - pedal.speed_mps)
         if gait.stage == SLOW:
             wish = min(wish, -0.5 * ACCEL_SHARE * envelope.accel_high_mps2)
-        wanted = LEARN_PER_S * (wish - pedal.accel_mps2) / envelope.accel_high_mps2
+        wanted = LEARN_PER_S * envelope.high_share * (wish - pedal.accel_mps2) / envelope.accel_high_mps2
     push = gait.push + clamp(wanted, -PUSH_PER_S, PUSH_PER_S) * dt_s
     fast = pedal.speed_mps - gait.wish_mps > TOO_FAST_SHARE * gait.wish_mps + TOO_FAST_MPS
     low = -BRAKE_MOST if fast or gait.stage == SLOW else min(0.0, gait.push + PUSH_PER_S * dt_s)

@@ -25,16 +25,21 @@ THROTTLE_PUSHES = ((0.025, 0.14), (0.162, 0.224), (0.25, 0.65))
 BRAKE_PUSHES = ((0.025, 0.13), (0.155, 0.272))
 BRAKE_HARD = 0.31  # least of the hardest band; its most is found while driving
 CAP_FIRST, CAP_PER_S, CAP_BACK_PER_S = 0.42, 0.04, 0.5
+CALM_LEAST, CALM_PER_S = 0.1, 0.01  # of the throttle's way: so much is never too much; tried again so slowly
 CAP_GENTLE, CAP_HARSH = 0.55, 0.75  # of the greatest deceleration
 
 
 class Pedal(NamedTuple):
-    """State of the feedback: integral of the acceleration error, filtered acceleration, how hard braking may get."""
+    """State of the feedback: integral of the acceleration error, filtered acceleration, how hard braking may get.
+
+    calm: the most throttle that did not quicken the vehicle more than the drive is to.
+    """
 
     trim: float = 0.0
     accel_mps2: float = 0.0
     speed_mps: float = 0.0
     cap: float = CAP_FIRST
+    calm: float = 1.0
 
 
 def felt(pedal: Pedal, speed_mps: float, dt_s: float) -> Pedal:
@@ -50,10 +55,10 @@ def push_for(pedal: Pedal, envelope: Envelope, accel_mps2: float, dt_s: float) -
         return pedal._replace(trim=0.0), 0.0
     if accel_mps2 > 0.0:
         less = 1.0 + pedal.speed_mps / (POWER_SHARE * envelope.speed_mps)  # power limits the force
-        guess = min(THROTTLE_GUESS * less * accel_mps2 / envelope.accel_high_mps2, 1.0)
+        guess = min(THROTTLE_GUESS * less * envelope.high_share * accel_mps2 / envelope.accel_high_mps2, 1.0)
         low, high = 0.0, 1.0
     else:
-        guess = -BRAKE_PLAY - BRAKE_GUESS * accel_mps2 / envelope.accel_low_mps2
+        guess = -BRAKE_PLAY - BRAKE_GUESS * envelope.low_share * accel_mps2 / envelope.accel_low_mps2
         low, high = -1.0, -0.02
     trim = pedal.trim if pedal.trim * accel_mps2 > 0.0 or abs(pedal.trim) < 0.15 else 0.0
     trim = clamp(trim + TRIM_PER_S * dt_s * (accel_mps2 - pedal.accel_mps2), -TRIM_MOST, TRIM_MOST)
@@ -61,8 +66,8 @@ def push_for(pedal: Pedal, envelope: Envelope, accel_mps2: float, dt_s: float) -
     return pedal._replace(trim=trim), guess + trim
 
 
-def level(place: Place, hold: int, cap: float, wave: float) -> float:
-    """The push of a cell's pedal band in the hold of this number, with a wave of [-1, 1]."""
+def level(place: Place, hold: int, cap: float, wave: float, most: float = 1.0) -> float:
+    """The push of a cell's pedal band in the hold of this number, with a wave of [-1, 1]; at most `most`."""
     pedal = place.pedal
     if pedal == 0:
         gentle = 0.05 if place.speed == SPEEDS - 1 else 1.0  # a high speed is soon lost
@@ -73,12 +78,29 @@ def level(place: Place, hold: int, cap: float, wave: float) -> float:
         low, high = THROTTLE_PUSHES[pedal - 3]
     if pedal == 5:
         high = low + (high - low) * (0.25, 0.6, 1.0)[hold % 3]
+    high = max(low, min(high, most))
     push = 0.5 * (low + high) + 0.5 * (high - low) * wave
     return -push if pedal < 3 else push
 
 
+def least_push(place: Place) -> float:
+    """The least push of a cell's pedal band, whichever pedal it is."""
+    if place.pedal == 0:
+        return BRAKE_HARD
+    return BRAKE_PUSHES[2 - place.pedal][0] if place.pedal < 3 else THROTTLE_PUSHES[place.pedal - 3][0]
+
+
+def ends(envelope: Envelope, pedal: Pedal) -> tuple[float, float]:
+    """(least, most) push that the drive's bounds leave."""
+    return -envelope.brake_most, min(envelope.throttle_most, pedal.calm)
+
+
 def learned_cap(pedal: Pedal, envelope: Envelope, push: float, dt_s: float) -> Pedal:
-    """How hard the brake may be pressed: more where it is weak, less where it is strong."""
+    """How hard the brake may be pressed: more where it is weak, less where it is strong; and the throttle, calmly."""
+    if push > 0.0 and pedal.accel_mps2 > envelope.calm_mps2:
+        pedal = pedal._replace(calm=max(CALM_LEAST, min(pedal.calm, push) - CAP_BACK_PER_S * dt_s))
+    elif pedal.calm < 1.0:
+        pedal = pedal._replace(calm=min(1.0, pedal.calm + CALM_PER_S * dt_s))
     if pedal.accel_mps2 < CAP_HARSH * envelope.accel_low_mps2:
         return pedal._replace(cap=max(BRAKE_HARD + 0.03, pedal.cap - CAP_BACK_PER_S * dt_s))
     if push < -BRAKE_HARD and pedal.accel_mps2 > CAP_GENTLE * envelope.accel_low_mps2:

@@ -16,7 +16,7 @@ from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.maths import clamp
 from tunefree_hil.base.records import GEAR_DRIVE, NAN, Command, Ins
 from tunefree_hil.collect import gentle, steering
-from tunefree_hil.collect.cells import NONE, STRAIGHT, Counter, Place, Seen, cell_of, number_of
+from tunefree_hil.collect.cells import FIRST_THROTTLE, NONE, STRAIGHT, Counter, Place, Seen, cell_of, number_of
 from tunefree_hil.collect.drive_state import (
     APPROACH,
     GENTLE,
@@ -30,9 +30,9 @@ from tunefree_hil.collect.drive_state import (
     Params,
     State,
 )
-from tunefree_hil.collect.envelope import curvature_1pm, room_to_turn_m, turn_room_m, turn_speed_mps
+from tunefree_hil.collect.envelope import HARD_SHARE, curvature_1pm, room_to_turn_m, turn_room_m, turn_speed_mps
 from tunefree_hil.collect.ground import Ground, Pose, circle_fits, far_corner, room_m
-from tunefree_hil.collect.pedals import BRAKE_HARD, HOLD_PUSH, Pedal, duties, felt, learned_cap, level, push_for
+from tunefree_hil.collect.pedals import BRAKE_HARD, HOLD_PUSH, Pedal, duties, ends, felt, learned_cap, level, push_for
 from tunefree_hil.collect.pick import entry_mps, pick
 from tunefree_hil.collect.seen import look
 from tunefree_hil.collect.waves import KINDS, wave
@@ -48,7 +48,6 @@ STOP_MPS2 = 1.5
 FACING_RAD = 0.12  # a turn is over when it looks at its aim
 EARLY_MPS = 2.0  # above the turning speed: a turn only brakes
 NARROW_MPS = 3.0  # turning with the border near
-HARD_SHARE = 0.7  # of the vehicle's deceleration: the most that turning back brakes with
 APPROACH_SHARE = 0.95  # of its acceleration
 UNHEARD_S = 0.2
 
@@ -79,6 +78,8 @@ def step(p: Params, s: State, x: Sight, dt_s: float) -> tuple[State, Answer]:
     s = think(p, s, now)
     wheel = steering.turned(p.envelope, s.wheel, _wish_rad(p, s, now), seen.speed_mps, _lateral(ins, seen), dt_s)
     pedal, push = _push(p, s, now)
+    if s.mode not in (START, STOP, STAND):  # it stands and comes to a stand whatever a model's data covered
+        push = clamp(push, *ends(p.envelope, pedal))
     throttle, brake = duties(p.envelope, push)
     command = Command(throttle, brake, wheel.steer_rad, GEAR_DRIVE, 0.0, NAN)
     s = s._replace(wheel=wheel, pedal=learned_cap(pedal, p.envelope, push, dt_s), command=command)
@@ -210,7 +211,9 @@ def _push(p: Params, s: State, now: Now) -> tuple[Pedal, float]:
         return s.pedal._replace(trim=0.0), s.gait.push
     if s.mode == HOLD:
         sway = wave(s.hold % KINDS, now.since_s(s.since))
-        return s.pedal._replace(trim=0.0), level(p.targets[s.cell].place, s.hold, s.pedal.cap, sway)
+        place, (least, most) = p.targets[s.cell].place, ends(p.envelope, s.pedal)
+        most = most if place.pedal >= FIRST_THROTTLE else -least
+        return s.pedal._replace(trim=0.0), level(place, s.hold, s.pedal.cap, sway, most)
     wish = clamp(_accel(p, s, now, speed), -_hardest(p), _liveliest(p))
     pedal, push = push_for(s.pedal, p.envelope, wish, now.dt_s)
     if s.mode == TURN and wish < 0.0 and _braked(p, s, now) != NONE:

@@ -12,13 +12,15 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.contracts import Effect
-from tunefree_hil.collect.cells import fastest_mps, needs_of
-from tunefree_hil.collect.envelope import envelope_of, side_needed_m
-from tunefree_hil.collect.plan import DrivePlan, driven_stretches, driven_targets
+from tunefree_hil.collect.bounds import Bounds
+from tunefree_hil.collect.cells import LEAST_MPS, fastest_mps, needs_of
+from tunefree_hil.collect.envelope import side_needed_m
+from tunefree_hil.collect.plan import DrivePlan, bounded, driven_stretches, driven_targets
 from tunefree_hil.config.schema import VehicleSpec
 
 AREA_M = 500.0  # side of the square that a drive stays in: room to coast from 14 m/s
 MOST = 3  # manoeuvres a round: more would hide the log that was there before
+LONG_COAST_S = 12.0  # what slows a car down shows in how that changes with the speed: some m/s have to go
 FITS = 0.9  # a top speed for which the area is too small is lowered by this
 SHARP_RIGHT, TURN_RIGHT, BRANCH_RIGHT, AHEAD, BRANCH_LEFT, TURN_LEFT, SHARP_LEFT = range(7)  # cells.STEERS
 BRAKE_HIGH, BRAKE_MID, BRAKE_LIGHT, THROTTLE_LIGHT, THROTTLE_MID, THROTTLE_HIGH = range(6)  # cells.PEDALS
@@ -169,19 +171,25 @@ def _first_of(names: Sequence[str], driven: Collection[str], effects: Mapping[st
     return ()
 
 
-def top_speed_mps(vehicle: VehicleSpec) -> float:
-    """The highest speed that is driven: the vehicle's own, or less where the area is too small for it."""
-    envelope = envelope_of(vehicle)
-    top = fastest_mps(envelope)
-    while side_needed_m(envelope, top) > AREA_M:
+def top_speed_mps(vehicle: VehicleSpec, bounds: Bounds | None = None) -> float:
+    """The highest speed that is driven: the vehicle's own, or less where bounds say so or the area is too small for it;
+    0 where that leaves none.
+    """
+    if bounds is not None and not bounds.is_drivable:
+        return 0.0
+    envelope = bounded(vehicle, bounds)
+    top = fastest_mps(envelope, bounds and bounds.speed_mps)
+    while top > LEAST_MPS and side_needed_m(envelope, top) > AREA_M:
         top *= FITS
-    return top
+    return top if top > LEAST_MPS else 0.0
 
 
-def plan_for(vehicle: VehicleSpec, manoeuvre: Manoeuvre, dt_s: float) -> DrivePlan | None:
-    """The planner's plan of a manoeuvre for a vehicle; None where it can drive no part of it."""
-    top = top_speed_mps(vehicle)
-    targets = driven_targets(vehicle, top)
+def plan_for(vehicle: VehicleSpec, manoeuvre: Manoeuvre, dt_s: float, bounds: Bounds | None = None) -> DrivePlan | None:
+    """The planner's plan of a manoeuvre for a vehicle, inside of bounds; None where it can drive no part of it."""
+    top = top_speed_mps(vehicle, bounds)
+    if not top:
+        return None
+    targets = driven_targets(vehicle, top, bounds)
     have = needs_of(targets, manoeuvre.seconds, dt_s)  # full, and so not asked for
     wanted = [
         number
@@ -194,10 +202,12 @@ def plan_for(vehicle: VehicleSpec, manoeuvre: Manoeuvre, dt_s: float) -> DrivePl
     ]
     for number in wanted:
         have[number] = 0
-    stretches = driven_stretches(vehicle, manoeuvre.seconds, manoeuvre.drive_s, AREA_M, top) if manoeuvre.gentle else ()
+    every = driven_stretches(vehicle, manoeuvre.seconds, manoeuvre.drive_s, AREA_M, top, bounds)
+    stretches = every if manoeuvre.gentle else ()
     if not wanted and not stretches:
         return None
     straight_first = (0, len(stretches) // 2)  # each speed once
     return DrivePlan(
-        manoeuvre.seconds, AREA_M, top, None, tuple(have), manoeuvre.first_hold, manoeuvre.drive_s, straight_first
-    )
+        manoeuvre.seconds, AREA_M, top, None, tuple(have), manoeuvre.first_hold, manoeuvre.drive_s, straight_first,
+        bounds, LONG_COAST_S,
+    )  # fmt: skip

@@ -4,6 +4,10 @@ At most ROUNDS times: the drives of a round go in beside the logs before them, a
 `round-N/` in the folder holds what was then answered. The folder's own gap.json and gap.md are those of the last round
 in the end; the first ones stay as gap-1.json and gap-1.md. Logs and rounds are all the state there is, so that a run
 that was cut off goes on with the drive or the search that it lost.
+
+Drives stay inside what the model was made from: outside it misses things that have nothing to do with what is asked.
+And they may only decide between the names that there were: an answer beside them says that drives and logs do not go
+together, for whatever reason, and the set stands.
 """
 
 from __future__ import annotations
@@ -16,9 +20,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
+from tunefree_hil.collect.bounds import bounds_of
 from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.drive_menu import MENU, Manoeuvre, plan_for, to_drive
-from tunefree_hil.jobs.gap import Asked, gap
+from tunefree_hil.gap.suspects import class_of
+from tunefree_hil.jobs.gap import Asked, gap, model_for
 from tunefree_hil.jobs.gap_drive_bench import Job, Wish, drive_all, jobs_of, open_bench, require_same_vehicle
 from tunefree_hil.jobs.gap_folder import ANSWER, LOCK, PAGE, Folder
 from tunefree_hil.jobs.gap_page import write_page
@@ -35,10 +41,11 @@ OF_A_RUN = ("exit", "next")  # what a result says beside gap.json
 
 
 class Driven(NamedTuple):
-    """How far it has come: all drives in their order, with the round of each."""
+    """How far it has come: all drives in their order, with the round of each; apart: rounds that fit no logs."""
 
     rounds: list[int]
     jobs: list[Job]
+    apart: set[int]
 
     @property
     def names(self) -> set[str]:
@@ -69,8 +76,8 @@ def gap_drive(asked: Asked, wish: Wish) -> Iterator[Event]:
         yield Event("result", "", {**answer, "next": following(asked, wish, answer, vehicle)})
         return
     with alone(asked.out / LOCK):
-        driven = Driven([], [])
-        last = yield from _rounds(asked, wish, answer, driven, again)
+        driven = Driven([], [], set())
+        last = yield from _rounds(asked, wish, answer, driven, again, vehicle)
         whole = {**last, DRIVES: _listed(driven)}
         whole["next"] = following(asked, wish, whole, vehicle)
         _keep(asked, whole, again)
@@ -84,8 +91,8 @@ def with_drive(command: str, wish: Wish) -> str:
 
 
 def following(asked: Asked, wish: Wish, answer: Mapping[str, Any], vehicle: VehicleSpec) -> list[str]:
-    """Commands to go on with: with what was driven beside the logs, and with the bench that drives."""
-    logs = [*asked.logs, *(Path(one["log"]) for one in answer.get(DRIVES, ()))]
+    """Commands to go on with: with what was driven beside the logs and fits them, and with the bench that drives."""
+    logs = [*asked.logs, *(Path(one["log"]) for one in answer.get(DRIVES, ()) if one.get("fits", True))]
     commands = next_of(asked._replace(logs=logs), answer, vehicle, str(wish.bench))
     return [with_drive(one, wish) if one.startswith(COMMAND) else one for one in commands]
 
@@ -110,14 +117,20 @@ def _ask(asked: Asked, again: str) -> Generator[Event, None, dict[str, Any]]:
 
 
 def _rounds(
-    asked: Asked, wish: Wish, answer: dict[str, Any], driven: Driven, again: str
+    asked: Asked, wish: Wish, answer: dict[str, Any], driven: Driven, again: str, vehicle: VehicleSpec
 ) -> Generator[Event, None, dict[str, Any]]:
     """The last answer; `driven` is filled on the way."""
     effects = catalogue()
     run, bench = open_bench(wish, asked.out / DRIVES)
-    beyond = {name for name, one in MENU.items() if plan_for(bench.vehicle, one, bench.dt_s) is None}
+    bounds = bounds_of(vehicle, model_for(asked.model, vehicle).valid)
+    beyond = {name for name, one in MENU.items() if plan_for(bench.vehicle, one, bench.dt_s, bounds) is None}
+    told = set[str]()
     for number in range(1, ROUNDS + 1):
-        jobs = jobs_of(run, bench, to_drive(answer, driven.names | beyond, effects), len(driven.jobs))
+        for one in to_drive(answer, driven.names | told, effects):
+            if one.name in beyond:
+                told.add(one.name)
+                yield Event("note", f"beyond the vehicle or the model's data, and so not driven: {one.words}")
+        jobs = jobs_of(run, bench, to_drive(answer, driven.names | beyond, effects), len(driven.jobs), bounds)
         if not jobs:
             if answer["verdict"] in UNDECIDED:
                 yield Event("note", f"nothing more is to be driven that would tell: {answer['sentence']}")
@@ -130,10 +143,29 @@ def _rounds(
         before = answer
         more = asked._replace(logs=[*asked.logs, *driven.logs], out=asked.out / f"round-{number}")
         answer = yield from _ask(more, again)
+        beside = beside_words(before, answer)
+        if beside:
+            driven.apart.add(number)
+            yield Event("warning", beside)
+            return {**before, "words": [*before["words"], beside]}
         if answer["verdict"] == "cannot_test" and answer["words"] == before["words"]:
             yield Event("note", "driving has changed nothing of why these logs cannot tell")
             return answer
     return answer
+
+
+def beside_words(before: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
+    """That an answer is none of what a set left open, in words; '' where it decides that, or leaves it open."""
+    if before["verdict"] != "set" or answer["verdict"] == "cannot_test":
+        return ""
+    # The widest classes: what any log cannot tell from a name of the set is no other answer
+    told = frozenset[str]().union(*(class_of(name, has_lateral=False) for name in before["set"]))
+    names = [one["name"] for one in answer["effects"]]
+    is_open = answer["verdict"] == "set" and not told.isdisjoint(answer["set"])
+    if is_open or (names and told.issuperset(names)):
+        return ""
+    said = answer["sentence"]
+    return f"with what the bench drove it would be none of the set ({said}): drives and logs do not go together"
 
 
 def _round_words(number: int, answer: dict[str, Any], manoeuvres: Sequence[Manoeuvre]) -> str:
@@ -144,7 +176,13 @@ def _round_words(number: int, answer: dict[str, Any], manoeuvres: Sequence[Manoe
 
 def _listed(driven: Driven) -> list[dict[str, Any]]:
     return [
-        {"round": number, "manoeuvre": one.manoeuvre.name, "words": one.manoeuvre.words, "log": str(one.log)}
+        {
+            "round": number,
+            "manoeuvre": one.manoeuvre.name,
+            "words": one.manoeuvre.words,
+            "log": str(one.log),
+            "fits": number not in driven.apart,
+        }
         for number, one in zip(driven.rounds, driven.jobs, strict=True)
     ]
 

@@ -18,6 +18,7 @@ from tunefree_hil.bench import Bench, VehicleFor, is_heavy, needed_messages
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.formats.rows import FD, Row
 from tunefree_hil.bus.ledger import can_key
+from tunefree_hil.collect.bounds import Bounds
 from tunefree_hil.collect.plan import DrivePlan, as_dict
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.config.schema import ScenarioSpec, VehicleSpec
@@ -86,11 +87,13 @@ def _collection(wish: Wish, folder: Path) -> collect_plan.Asked:
     )  # fmt: skip
 
 
-def jobs_of(run: RunFolder, bench: Bench, manoeuvres: Sequence[Manoeuvre], before: int) -> list[Job]:
-    """What of these the vehicle can drive, numbered after the `before` drives that there are."""
+def jobs_of(
+    run: RunFolder, bench: Bench, manoeuvres: Sequence[Manoeuvre], before: int, bounds: Bounds | None = None
+) -> list[Job]:
+    """What of these the vehicle can drive inside of bounds, numbered after the `before` drives that there are."""
     found: list[Job] = []
     for one in manoeuvres:
-        plan = plan_for(bench.vehicle, one, bench.dt_s)
+        plan = plan_for(bench.vehicle, one, bench.dt_s, bounds)
         if plan is not None:
             number = before + len(found) + 1
             found.append(Job(number, one, plan, run.path / "logs" / f"{drive_name(number)}-{one.name}.log"))
