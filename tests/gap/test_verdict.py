@@ -111,11 +111,11 @@ WORKED = {"brake": 0.135}
         (BROKEN, BROKEN, 0.6, "leaves 60% of what could be explained of brake"),
         (LOUD, LOUD._replace(loud=0.3), 0.0, "still brake is missed by 30% of the signal in moments, and hardly else"),
         (LOUD._replace(loud=5.0), LOUD, 0.0, ""),  # the form of what is there is not quite the catalogue's
-        (LOUD._replace(loud=0.9), LOUD, 0.0, ""),  # a fifth of its square
-        (LOUD._replace(loud=0.7), LOUD, 0.0, "still brake is missed by 40% of the signal in moments, and hardly else"),
+        (LOUD._replace(loud=1.7), LOUD, 0.0, ""),  # less than a quarter
+        (LOUD._replace(loud=1.5), LOUD, 0.0, "still brake is missed by 40% of the signal in moments, and hardly else"),
         (BROKEN._replace(gross=0.9), BROKEN._replace(gross=0.5), 0.2,
          "still brake is missed by 50% of the signal, and little of that is foretold by anything"),
-        (BROKEN._replace(gross=0.9), BROKEN._replace(gross=0.4), 0.2, ""),
+        (BROKEN._replace(gross=2.1), BROKEN._replace(gross=0.5), 0.2, ""),
         (BROKEN, BROKEN._replace(visible=0.12), 0.6, ""),  # as much its own calibration missed
         (BROKEN, HUM._replace(signal="steer", share=0.13), 1.0, ""),
         (BROKEN, HUM._replace(signal="steer", share=0.13, loud=0.9), 1.0,

@@ -55,6 +55,7 @@ def test_a_name_that_closes_nothing_is_taken_back_with_its_model(tmp_path: Path)
     [
         (True, False, {"value": 0.5, "low": -0.2, "high": 0.9}, True),
         (True, False, CLOSES, False),
+        (True, False, {"value": 0.4, "low": 0.2, "high": 0.6}, False),  # a third is left for sure
         (False, False, {"value": 0.5, "low": 0.2, "high": 0.9}, True),
         (
             False,
@@ -72,6 +73,11 @@ def test_a_name_that_closes_nothing_is_taken_back_with_its_model(tmp_path: Path)
 def test_who_is_borne_out(broken: bool, faint: bool, closes: dict[str, float] | None, says: bool) -> None:
     effects = [{"name": "a"}, {"name": "b", "faint": faint}]
     assert is_borne_out({"effects": effects, "links": [{"broken": False}, {"broken": broken}]}, closes) == says
+
+
+def test_what_is_left_for_sure_is_told() -> None:
+    words = taken_back(answer(), {"value": 0.4, "low": 0.2, "high": 0.6})["words"][0]
+    assert "closed 40 % (20 to 60), which leaves a third and more, of the gap" in words
 
 
 def test_nothing_to_be_seen_on_the_proof_is_said_of_a_faint_name() -> None:

@@ -91,7 +91,7 @@ def not_it(
 
 def _stays(now: float, was: float, bar: float) -> bool:
     """Whether much of what was missed (of a signal, by any road) is missed still."""
-    return now > max(bar, MOST_LEFT**0.5 * was)
+    return now > max(bar, MOST_LEFT * was)
 
 
 def wavers(

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from tunefree_hil.jobs.gap_folder import Folder
 
 
+LEAST_CLOSED = 2.0 / 3.0  # of the gap: who surely leaves a third of it stands in for something else
 SPEAKS_FOR = 0.3  # of the gap, surely closed: what a name needs that nothing else speaks for
 
 
@@ -139,14 +140,16 @@ def proved(
 
 
 def is_borne_out(answer: Mapping[str, Any], closes: Mapping[str, float] | None) -> bool:
-    """Whether blocks that no fit has seen bear out what was named: the repair closes something of the gap there. Where
-    no link is broken, so that nothing but the name says that anything is missing, none of them may speak against it
-    (those that do not show the effect say nothing); a name that is faint even there (gap/decide.py) they have to speak
-    for.
+    """Whether blocks that no fit has seen bear out what was named: the repair closes something of the gap there, and as
+    far as they can tell most of it. Where no link is broken, so that nothing but the name says that anything is
+    missing, none of them may speak against it (those that do not show the effect say nothing); a name that is faint
+    even there (gap/decide.py) they have to speak for.
     """
     faint = any(one.get("faint") for one in answer["effects"])
     if closes is None:
         return not faint
+    if closes["high"] < LEAST_CLOSED:
+        return False
     if faint:
         return closes["low"] > SPEAKS_FOR
     broken = any(one["broken"] for one in answer["links"])
@@ -173,7 +176,10 @@ def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float] | None) ->
 def _share_of(closes: Mapping[str, float] | None) -> str:
     if closes is None:
         return "nothing could be seen"
-    return "closed nothing" if closes["value"] <= 0.0 else f"closed {percent(closes)}, which is not sure to be any,"
+    if closes["value"] <= 0.0:
+        return "closed nothing"
+    why = "leaves a third and more" if closes["high"] < LEAST_CLOSED else "is not sure to be any"
+    return f"closed {percent(closes)}, which {why},"
 
 
 def _gained(gaps: Mapping[str, Any]) -> dict[str, dict[str, float]]:
