@@ -17,7 +17,7 @@ from tools.gap_exam.runner import Program
 from tools.gap_exam.seal import put_away
 from tools.gap_exam.seeds import Domain
 from tools.gap_exam.session import exam_for
-from tools.measures import _gap_exam, gap_exam, gap_limits, gap_sample
+from tools.measures import _gap_exam, gap_exam, gap_limits, gap_sample, gap_time
 from tunefree_hil.base.errors import InputError
 
 DOMAIN = Domain("dev", "measures")
@@ -45,7 +45,7 @@ def _compared(run: Run, exam: Any, cases: Any, logs: int) -> None:
 @pytest.fixture
 def begun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     """A run of which ten one-effect logs are answered: of eight detectable ones six right, one silent, one wrong."""
-    for module in (gap_exam, gap_limits, gap_sample):
+    for module in (gap_exam, gap_limits, gap_sample, gap_time):
         monkeypatch.setattr(module, "there_is_gap", lambda: None)
     monkeypatch.setattr(_gap_exam, "conduct", exam_for)
     monkeypatch.setattr(_gap_exam, "compare_all", _compared)
@@ -119,3 +119,15 @@ def test_a_run_is_begun_gone_on_with_and_counted(tmp_path: Path, monkeypatch: py
     run = Run(tmp_path / "run")
     assert read_json(run.exam)["sample"] and not read_json(run.exam)["frozen"]
     assert read_json(next((run.folder / "answers").glob("*/run.json")))["status"] == 0
+
+
+def test_the_time_of_a_long_log_is_that_of_whole_answers(begun: Run, tmp_path: Path) -> None:
+    run, exam = Run(tmp_path / "long"), gap_time.long_logs(2)
+    assert [case.duration_s for case in exam.cases] == [600.0, 600.0]
+    for case in exam.cases:
+        answer(run, case, "payload")
+    found = gap_time.measure(str(run.folder), 2)
+    assert (found["value"], found["n"], found["low"], found["high"]) == (2.0, 2, 2.0, 2.0)
+    (run.answer(exam.cases[0].number) / "gap.json").unlink()
+    with pytest.raises(InputError, match="no answer"):
+        gap_time.measure(str(run.folder), 2)
