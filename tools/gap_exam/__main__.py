@@ -82,7 +82,6 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--unfrozen", action="store_true", help="an exam of a checkout that is not the commit's")
     run.add_argument("--keep", action="store_true", help="leave logs and all that the program wrote")
     run.add_argument("--gap", default=Program().gap)
-    run.add_argument("--name-only", default=Program().name_only, help="added to --gap where only the name is asked for")
     run.add_argument("--calibrate", default=Program().calibrate)
     run.add_argument("--learn", default=Program().learn)
     run.add_argument("--limit-s", type=float, default=Program().limit_s)
@@ -172,7 +171,7 @@ def _open(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     names = ("run", "domain", "sample", "part", "logs", "hours", "recordings", "parallel", "unfrozen", "keep")
-    words = ("gap", "calibrate", "learn", "limit_s", "name_only")
+    words = ("gap", "calibrate", "learn", "limit_s")
     program = Program(**{name: getattr(options, name) for name in words})
     conduct(Wish(**{name: getattr(options, name) for name in names}, rows=rows_of(options), program=program))
     print(standing(Run(options.run))["done"], file=sys.stderr)

@@ -32,14 +32,10 @@ LEAST_REFUSALS = 2
 
 
 class Program(NamedTuple):
-    """How the examined program is called. {log}, {vehicle}, {model}, {out}, {logs}, {physics} are put in.
-
-    name_only: what is added where nothing but the name is asked for (the row `limits`), which takes less time.
-    """
+    """How the examined program is called. {log}, {vehicle}, {model}, {out}, {logs}, {physics} are put in."""
 
     gap: str = "tunefree-hil gap {log} --vehicle {vehicle} --model {model} --out {out} --workers 1 --json"
     calibrate: str = "tunefree-hil calibrate {logs} --vehicle {vehicle} --out {out} --json"
-    name_only: str = "--until name"
     learn: str = "tunefree-hil learn {logs} --vehicle {vehicle} --physics {physics} --out {out} --minutes 4 --json"
     limit_s: float = 900.0
     learn_limit_s: float = 3600.0
@@ -147,9 +143,8 @@ class Examiner:
         out = logs[0].parent / "out"
         if failed is None:
             shutil.rmtree(out, ignore_errors=True)
-            command = f"{self.program.gap} {self.program.name_only}" if case.rung >= 0 else self.program.gap
             places = {"vehicle": str(vehicle), "model": str(model), "out": str(out)}
-            done = call(command, self.program.limit_s, log=[str(path) for path in logs], **places)
+            done = call(self.program.gap, self.program.limit_s, log=[str(path) for path in logs], **places)
         elif self._refusals(case) < LEAST_REFUSALS:
             self.unasked += 1
             if not self.keep:
