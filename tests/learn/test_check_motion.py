@@ -122,7 +122,7 @@ def stopped(at_rad: float) -> Change:
 
 
 @pytest.mark.parametrize(("change", "short"), [
-    (stopped(0.4), True), (scaled("steer_rad", 0.3), False), (scaled("steer_rad", 0.017), False)
+    (stopped(0.4), True), (stopped(0.2), True), (scaled("steer_rad", 0.3), False), (scaled("steer_rad", 0.017), False)
 ])  # fmt: skip
 def test_a_wheel_that_stops_before_its_command_does_has_a_word_of_its_own(
     change: Change, short: bool, tmp_path: Path

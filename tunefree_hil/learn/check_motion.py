@@ -32,6 +32,7 @@ DELAY_S, WINDOW_S = 0.1, 0.5  # a pedal's effect is looked for from here on, ove
 # large as CLEAR_MOVE of the largest; for so long, and in such a share of them, no chance does it
 STEER = "report.steer_rad"
 MOVE_S, CLEAR_MOVE, WHOLE_MOVE, LEAST_OBEYED_S, OBEYED_SHARE = 0.1, 0.3, 0.67, 0.5, 0.05
+INSIDE, CLEAR_ANGLE, LEAST_INSIDE_S = 0.7, 0.2, 2.0  # of the largest angle that is reached; for so long in all
 LEAST_PRESSED_S, LEAST_APART_MPS2 = 1.0, 0.2
 LEAST_ACCEL_MPS2, LEAST_MOVED_FRAC, TURNED_FIT = 0.2, 0.03, -0.5  # standard deviations; a correlation
 
@@ -111,7 +112,7 @@ def _pairs(drive: Drive, nominal: NominalSpec, most_rad: float) -> Iterator[Prob
 
 def _obeys_somewhere(drive: Drive, command: str) -> bool:
     """Whether the reported steering goes about as far as its command does for some time: it stops, it is slow, or it
-    has play, where a wrong unit makes every move too small.
+    has play, where a wrong unit makes every move too small, and every angle.
     """
     asked, said = (between_fresh(drive.fields[name], drive.fresh[name]) for name in (command, STEER))
     delay, window = round(DELAY_S / drive.dt_s), max(1, round(MOVE_S / drive.dt_s))
@@ -121,7 +122,19 @@ def _obeys_somewhere(drive: Drive, command: str) -> bool:
     went = (said[window:] - said[:-window])[delay:]
     clear = np.abs(moved) > CLEAR_MOVE * np.nanmax(np.abs(moved), initial=0.0)
     whole = went[clear] / moved[clear] > WHOLE_MOVE
-    return bool(whole.sum() * drive.dt_s > LEAST_OBEYED_S and whole.mean() > OBEYED_SHARE)
+    moves = bool(whole.sum() * drive.dt_s > LEAST_OBEYED_S and whole.mean() > OBEYED_SHARE)
+    return moves or _reaches_small_angles(asked[: -delay or None], said[delay:], drive.dt_s)
+
+
+def _reaches_small_angles(asked: Array, said: Array, dt_s: float) -> bool:
+    """Whether angles far inside of what is reached are about those that were asked for: a wheel that most of its
+    commands pass, makes few whole moves.
+    """
+    reached = np.nanmax(np.abs(said), initial=0.0)
+    inside = np.isfinite(said) & (np.abs(asked) < INSIDE * reached) & (np.abs(asked) > CLEAR_ANGLE * reached)
+    if inside.sum() * dt_s <= LEAST_INSIDE_S:
+        return False
+    return float(np.median(said[inside] / asked[inside])) > WHOLE_MOVE
 
 
 def _pedals(drive: Drive, rest_frac: float) -> Iterator[Problem]:
