@@ -226,3 +226,16 @@ def test_a_name_is_faint_that_explains_a_part_of_what_no_link_is_broken_by(
 ) -> None:
     (found,) = weigh({"right": model("right", spread(left))}, NULL, NULL, SIZES, ALL, broken)
     assert found.counts and found.faint == faint
+
+
+@pytest.mark.parametrize(("left", "broken", "counts"), [(1.0, {"a"}, True), (1.0, set(), False), (60.0, {"a"}, False)])
+def test_one_block_is_enough_for_who_explains_all_that_is_missed_of_a_broken_link(
+    left: float, broken: set[str], counts: bool
+) -> None:
+    """A stop that one manoeuvre reaches; half explained it may be anybody's."""
+    before, after = spread(1.0), spread(1.0)
+    before[3], after[3] = 9e3 * ROWS, left * ROWS
+    null = model("", before)
+    (found,) = weigh({"limit": model("limit", after)}, null, null, SIZES, ALL, broken)
+    sure = found.gain._replace(low=1.0)  # a search takes the noise that the limit leaves
+    assert found.shrink[1] < 0.05 and found.rest < 0.05 and found._replace(gain=sure).counts == counts, found.shrink

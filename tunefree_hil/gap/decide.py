@@ -38,6 +38,7 @@ CLOSE = 0.03  # of what the best gains: a rival as near as that is too near for 
 MOST_LEFT = 0.25  # of what could be explained of a target before: more, and the name was not it
 BY_A_HAIR = 0.8  # of every bar: who misses none by more is no name, but a name's rival
 RARE = 0.3  # of that, without the block that gains most: what two blocks hold clearly is no chance
+ALL_OF_IT = 0.95  # of a broken target's error: what one block alone holds, and explains so well, is no chance either
 FELT = 1.0  # squares, all blocks together, that an effect moves by itself: less is nothing that a target feels
 NOISY = 3.0  # standard deviations between blocks: a further effect that gains less is the noise of the first one's fit
 
@@ -87,6 +88,13 @@ class Weighed(NamedTuple):
         """
         return self.unbroken and self.shrink[0] < PLAIN
 
+    @property
+    def _all_of_it(self) -> bool:
+        """Whether it explains all that is missed where a link is broken: of a stop that one manoeuvre reaches nobody
+        else comes near to that.
+        """
+        return not self.unbroken and self.shrink[0] > ALL_OF_IT
+
     def _passes(self, bar: float) -> bool:
         """Whether it is above all bars, each taken so many times."""
         least, shrink = bar * LEAST_NATS, FURTHER_SHRINK if self.further else LEAST_SHRINK
@@ -99,7 +107,7 @@ class Weighed(NamedTuple):
             sure
             and self.matters
             and self.shrink[0] > bar * shrink
-            and (self.shrink[1] > bar * SURE * shrink or self.rest > RARE / bar)
+            and (self.shrink[1] > bar * SURE * shrink or self.rest > RARE / bar or self._all_of_it)
             and self.worst < MOST_WORSE / bar
         )
 
