@@ -10,6 +10,7 @@ import pytest
 from tunefree_hil.gap.ask import Modelled
 from tunefree_hil.gap.decide import (
     MOST_WORSE,
+    PLAIN_NATS,
     RARE,
     Weighed,
     felt,
@@ -225,7 +226,8 @@ def test_a_name_is_faint_that_explains_a_part_of_what_no_link_is_broken_by(
     broken: set[str], left: float, faint: bool
 ) -> None:
     (found,) = weigh({"right": model("right", spread(left))}, NULL, NULL, SIZES, ALL, broken)
-    assert found.counts and found.faint == faint
+    assert found.counts and found._replace(evidence=PLAIN_NATS - 1.0).faint == faint
+    assert not found._replace(evidence=PLAIN_NATS).faint, "no mismatch has so much evidence for anybody"
 
 
 @pytest.mark.parametrize(("left", "broken", "counts"), [(1.0, {"a"}, True), (1.0, set(), False), (60.0, {"a"}, False)])

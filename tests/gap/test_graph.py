@@ -10,10 +10,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from msgspec.structs import replace
 
+from tests.learn.made_drives import CHANNELS, made_drive
 from tunefree_hil.base import parts
-from tunefree_hil.gap.graph import scaled
+from tunefree_hil.config.load import load_model, load_vehicle
+from tunefree_hil.gap.chain import open_chain
+from tunefree_hil.gap.graph import BEND, LINKAGE, Graph, scaled
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -52,6 +57,15 @@ def test_every_effect_changes_something_that_is_compared() -> None:
 @pytest.mark.timeout(600)
 def test_nothing_is_compiled_for_a_candidate_or_for_two_together() -> None:
     assert found()["compiled"] == [2, 2]
+
+
+def test_the_linkage_bends_on_any_plant_as_the_single_tracks_own_constant_does() -> None:
+    vehicle, model = load_vehicle("mkz_bywire"), load_model("mkz_nominal")
+    x = open_chain(made_drive(6.0, channels=CHANNELS), vehicle).inputs
+    bent = replace(model, plant=replace(model.plant, params={**model.plant.params, BEND: 0.2}))
+    ours, theirs = Graph(model, vehicle, x.dt_s).run(x, {LINKAGE: 0.2}), Graph(bent, vehicle, x.dt_s).run(x, {})
+    assert ours == pytest.approx(theirs, abs=1e-9)
+    assert np.abs(ours - Graph(model, vehicle, x.dt_s).run(x, {})).max() > 1e-5
 
 
 def test_constants_are_moved_by_the_log_of_a_factor_or_an_amount_of_pedal() -> None:

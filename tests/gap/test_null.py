@@ -13,9 +13,10 @@ from msgspec.structs import replace
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_model, load_vehicle
-from tunefree_hil.gap.graph import Graph
+from tunefree_hil.gap.graph import BEND, LINKAGE, Graph
 from tunefree_hil.gap.null import (
     CONSTANTS,
+    MOST_BEND,
     MOST_DOUBT,
     TAKEN,
     Nuisance,
@@ -102,6 +103,21 @@ def test_a_card_that_says_no_correlations_is_an_input_error(tmp_path: Path, said
     with pytest.raises(InputError) as refused:
         related_of(model)
     assert refused.value.code == "bad_card"
+
+
+@pytest.mark.parametrize(("said", "least", "most"), [((-0.4, 0.4), 0.2, 0.2), ((0.24, 0.26), 0.08, 0.09)])
+def test_the_linkage_is_recalibrated_as_far_as_a_calibration_leaves_it_open(
+    tmp_path: Path, said: tuple[float, float], least: float, most: float
+) -> None:
+    model, vehicle = load_model("mkz_nominal"), load_vehicle("mkz_bywire")
+    model = replace(model, folder=str(tmp_path), plant=replace(model.plant, card="card.json"))
+    graph = Graph(model, vehicle, 0.01)
+    alone = {one.key: one.sigma for one in nuisances(graph, model, doubts_of(model))}
+    (tmp_path / "card.json").write_text(
+        json.dumps({"constants": {BEND: dict(zip(("low", "high"), said, strict=True))}})
+    )
+    found = {one.key: one.sigma for one in nuisances(graph, model, doubts_of(model))}
+    assert alone[LINKAGE] == MOST_BEND and least <= found[LINKAGE] <= most
 
 
 def test_days_are_each_ones_own() -> None:

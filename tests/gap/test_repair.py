@@ -14,6 +14,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import ActuatorSpec, EffectSpec, Interval, ModelSpec
 from tunefree_hil.gap.chain import Opened, open_chain
+from tunefree_hil.gap.graph import BEND, LINKAGE
 from tunefree_hil.gap.repair import by_channel, found_effects, repaired, write_repaired
 from tunefree_hil.gap.replay import car_of, run_over
 
@@ -56,6 +57,12 @@ def test_constants_that_were_moved_drive_as_the_effects_would(found: list[Effect
     assert not np.allclose(ours["ins.x_m"], run_over(car_of(model, VEHICLE, drive), drive, free(drive))["ins.x_m"])
     names = [one.name for one in made.model.effects]
     assert names == (["steer_gain", "steer_offset"] if found else ["steer_offset"]), "the rest is in the constants"
+
+
+def test_the_linkages_bend_is_a_constant_of_the_car() -> None:
+    made = repaired(made_model(), VEHICLE, {LINKAGE: 0.2}, [])
+    assert made.model.plant.params[BEND] == 0.2 and made.model.effects == [] and made.day == ()
+    assert [(one.key, one.after) for one in made.changes] == [(f"plant.params.{BEND}", 0.2)]
 
 
 def test_what_is_of_the_day_is_not_written() -> None:

@@ -13,7 +13,7 @@ from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.noise import Colour
 from tunefree_hil.gap.null import DRIFTS
 from tunefree_hil.gap.problem import Fitted, Free, Slopes, Sums, is_free
-from tunefree_hil.gap.scan import AMOUNTS, DELAYS, FACTORS, SMALL, TWINS, Scan, grid_of, without
+from tunefree_hil.gap.scan import AMOUNTS, DELAY_STEP_S, EVEN, FACTORS, SMALL, TWINS, Scan, grid_of, without
 from tunefree_hil.gap.suspects import free_of
 from tunefree_hil.gap.team import HOPELESS
 
@@ -66,7 +66,7 @@ def test_the_grid_comes_near_and_the_finer_one_nearer() -> None:
     one = scan()
     coarse = one.best([WIND])
     fine = one.finer([WIND], coarse)
-    assert coarse.keys == ("a", "wind.size") and abs(coarse.z[-1] - TRUTH) < 0.5 / (DELAYS - 1)
+    assert coarse.keys == ("a", "wind.size") and abs(coarse.z[-1] - TRUTH) < 0.5 / (EVEN - 1)
     assert abs(fine.z[-1] - TRUTH) < 0.02 and fine.gain >= coarse.gain > 0.5 * float(np.sum((TRUTH * BENT) ** 2))
 
 
@@ -81,10 +81,36 @@ def test_an_effect_of_which_no_value_makes_a_car_is_refused() -> None:
 
 
 def test_grids_are_as_fine_as_what_they_search_is_rugged() -> None:
-    delay = Free("a.b", 0.01, 0.5, False, 0.0, 0.0, 1.3)
-    some = (delay, delay._replace(logarithmic=True), delay._replace(low=-0.5))
-    assert [len(grid_of([one])) for one in some] == [DELAYS, FACTORS, 2 * len(AMOUNTS)]
-    assert len(grid_of([delay, delay])) == 3 * DELAYS and all(len(point) == 2 for point in grid_of([delay, delay]))
+    even = Free("a.b", 0.01, 0.5, False, 0.0, 0.0, 1.3)
+    some = (even, even._replace(logarithmic=True), even._replace(low=-0.5))
+    assert [len(grid_of([one])) for one in some] == [EVEN, FACTORS, 2 * len(AMOUNTS)]
+    assert len(grid_of([even, even])) == 3 * EVEN and all(len(point) == 2 for point in grid_of([even, even]))
+
+
+@pytest.mark.parametrize("high", [0.2, 0.8])
+def test_no_delay_lies_far_from_a_point_of_its_grid(high: float) -> None:
+    """Which it would be worse to take than none: edges that are moved by another time stand beside those measured."""
+    delay = Free("a.delay_s", 0.01, high, False, 0.0, 0.0, 1.3)
+    asked = [delay.value(float(point[0])) for point in grid_of([delay])]
+    assert asked[0] == pytest.approx(0.01) and asked[-1] == pytest.approx(high)
+    far = [max(DELAY_STEP_S, 0.11 * one) for one in asked[:-1]]
+    assert all(0.0 < step < wide + 1e-9 for step, wide in zip(np.diff(asked), far, strict=True))
+
+
+def test_the_finer_points_reach_to_the_neighbours_of_the_best() -> None:
+    delay = Free("wind.delay_s", 0.01, 0.8, False, 0.0, 0.0, 1.3)
+    begin, asked = scan().best([delay]), list[float]()
+
+    class Asked(Scan):
+        def _best(self, free: Any, points: Any) -> Any:
+            asked.extend(float(point[0]) for point in points)
+            return begin
+
+    one = scan()
+    Asked(one.problem, one.start, Slopes({"x": (np.array([0]), [3.0 * T[:, None]])})).finer([delay], begin)
+    places = sorted(float(point[0]) for point in grid_of([delay]))
+    here = int(np.argmin(np.abs(np.array(places) - begin.z[-1])))
+    assert min(asked) <= places[max(here - 1, 0)] + 1e-9 and max(asked) >= places[min(here + 1, len(places) - 1)] - 1e-9
 
 
 def test_no_point_for_an_amount_is_neutral_and_small_amounts_are_asked_too() -> None:

@@ -9,7 +9,7 @@ from tests.learn.made_drives import DT_S, QUANTUM, REST, as_drive
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.gap.chain import Opened, open_chain
 from tunefree_hil.gap.ride import SHOWN, WIDE
-from tunefree_hil.gap.targets import COLUMN, Compared, Target, simulated_columns
+from tunefree_hil.gap.targets import COLUMN, TIGHT_RAD, Compared, Target, simulated_columns
 from tunefree_hil.learn.smooth import rate_of
 
 TICKS = 3000
@@ -63,6 +63,19 @@ def test_a_pedal_that_knows_two_places_only_is_compared() -> None:
 
 def test_a_sensor_that_never_moves_is_compared_with_nothing() -> None:
     assert "yaw_rate" not in targets(opened(yaw=np.zeros(TICKS)))
+
+
+@pytest.mark.parametrize(("share", "left_out"), [(0.2, True), (0.7, False)])
+def test_the_rate_of_speed_is_not_asked_for_in_tight_turns_unless_there_is_hardly_anything_else(
+    share: float, left_out: bool
+) -> None:
+    ends = share * T[-1]
+    tight = ends > T
+    drive = opened(yaw=np.where(tight, 1.3, 0.1) * (1.0 + 0.01 * np.sin(T)))  # at 10 m/s: 0.37 and 0.03 rad
+    rate, yaw = (targets(drive)[name] for name in ("rate_of_speed", "yaw_rate"))
+    inner = tight & (T > 1.0) & (ends - 3.0 > T)
+    assert rate.valid[inner[rate.rows]].any() != left_out and yaw.valid[inner[yaw.rows]].all()
+    assert np.abs(drive.bend[~tight]).max() < TIGHT_RAD < np.abs(drive.bend[inner]).min()
 
 
 def test_what_was_made_of_a_pose_is_compared_with_the_same_slope_of_the_simulation() -> None:

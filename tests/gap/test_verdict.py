@@ -14,7 +14,7 @@ from tunefree_hil.base.contracts import Link
 from tunefree_hil.gap.decide import Weighed
 from tunefree_hil.gap.excitation import Excited
 from tunefree_hil.gap.locate import Looked
-from tunefree_hil.gap.verdict import daily_words, not_it, verdict_of, wavers, with_others
+from tunefree_hil.gap.verdict import SET_NATS, daily_words, not_it, verdict_of, wavers, with_others
 
 SEEN, UNSEEN = Excited(2.0, True, ()), Excited(0.3, False, ("3 brakings by 3 m/s or more, 9 are needed",))
 BARELY = Excited(0.75, False, ("3 brakings by 3 m/s or more, 4 are needed",))
@@ -66,7 +66,8 @@ def test_rivals_make_a_set_of_one_effect_and_of_several(
 
 
 def test_faint_rivals_are_no_set_as_no_proof_could_bear_one_out() -> None:
-    faint = step("brake_gain", "brake_fade")._replace(unbroken=True, shrink=(0.2, 0.1, 0.3))
+    faint = step("brake_gain", "brake_fade")._replace(unbroken=True, shrink=(0.2, 0.1, 0.3), evidence=SET_NATS - 1.0)
+    assert verdict(faint._replace(evidence=SET_NATS + 1.0))[:2] == ("set", ("brake_gain", "brake_fade"))
     assert verdict(faint)[:2] == ("none_missing", ()) and "brake_gain, brake_fade" in verdict(faint)[2][0]
     assert verdict(faint, step("steer_lag"))[0] == "set", "one of several is plain"
     alone = verdict(faint._replace(others=()))

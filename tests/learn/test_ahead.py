@@ -65,7 +65,7 @@ def run(models: dict[str, ModelSpec], vehicle: VehicleSpec, tracks: list[Track])
 def test_a_car_without_pedals_has_other_channels_and_no_drive_to_fit(vehicle: VehicleSpec) -> None:
     assert channels_of(vehicle) == ["steer", "accel", "steer_torque"]
     assert set(constants(vehicle)) == {
-        "front_stiffness_n_per_rad", "rear_stiffness_n_per_rad", "yaw_inertia_kgm2", "steer_ratio",
+        "front_stiffness_n_per_rad", "rear_stiffness_n_per_rad", "yaw_inertia_kgm2", "steer_ratio", "linkage_bend",
     }  # fmt: skip
     assert fixed_params(vehicle)["brake_force_n_per_frac"] == FULL_MPS2 * MASS_KG
 

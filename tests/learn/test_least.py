@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tunefree_hil.learn.least import correlation_length, solve
+from tunefree_hil.learn.least import WARM, correlation_length, solve
 
 LOW, HIGH = np.full(2, -50.0), np.full(2, 50.0)
 
@@ -42,6 +42,19 @@ def test_the_plain_covariance_would_not_have() -> None:
     rows = correlated(chance, 6000, 0.9)
     assert correlation_length(rows, np.repeat(np.arange(10), 600)) == pytest.approx(19.0, rel=0.35)
     assert correlation_length(chance.standard_normal(6000), np.zeros(6000)) < 1.3
+
+
+def test_what_was_found_near_a_bound_is_found_again_in_few_steps() -> None:
+    """A cold search begins far from bounds, and a few steps do not lead back from there."""
+    t, blocks = np.linspace(0.0, 1.0, 400), np.repeat(np.arange(10), 40)
+    low, found = np.array([0.0, -50.0]), np.array([1e-3, 2.0])
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        return 30.0 * (np.tanh(4.0 * (x[0] - found[0])) * (1.0 + t) + (x[1] - found[1]) * t)
+
+    miss = [float(np.abs(solve(residuals, found, low, HIGH, blocks, most=3, **how).x - found).max())
+            for how in ({}, {"inside": WARM})]  # fmt: skip
+    assert miss[1] < 0.2 * miss[0]
 
 
 def test_outliers_are_held_down() -> None:

@@ -31,6 +31,7 @@ TRUTH = {
     "brake_force_n_per_frac": 45000.0,
     "drive_force_n": 8000.0,
     "front_stiffness_n_per_rad": 120000.0,
+    "linkage_bend": 0.25,
     "rear_stiffness_n_per_rad": 170000.0,
     "steer_ratio": 15.4,
     "throttle_zero_frac": 0.175,

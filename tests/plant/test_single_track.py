@@ -51,6 +51,18 @@ def test_kinematic_at_walking_pace() -> None:
             assert motion.yaw_rate_radps == pytest.approx(motion.speed_mps * math.tan(steer) / BASE, rel=1e-9)
 
 
+@pytest.mark.parametrize("wheel_rad", [0.05, -0.2, 0.35])
+def test_a_linkage_that_bends_turns_the_road_wheels_less_by_a_share_per_square(wheel_rad: float) -> None:
+    bent = car("physics", {"linkage_bend": 0.3})
+    straight, less = car("physics"), wheel_rad * (1.0 - 0.3 * wheel_rad**2)
+    found, same = (
+        drive(one, lambda t, angle=angle: command(0.2, REST, 16.0 * angle), 3.0, start=Start(speed_mps=3.0))[-1].motion
+        for one, angle in ((bent, wheel_rad), (straight, less))
+    )
+    assert found.yaw_rate_radps == pytest.approx(same.yaw_rate_radps, rel=2e-4)
+    assert abs(found.yaw_rate_radps) > 0.01
+
+
 def test_the_blend_to_the_dynamic_model_does_not_jerk() -> None:
     outputs = drive(car("physics"), lambda t: command(0.25, REST, 3.0), 4.0, start=Start(speed_mps=0.3))
     assert outputs[-1].motion.speed_mps > 3.0

@@ -31,6 +31,7 @@ OUTPUTS = {"throttle": "throttle_frac", "brake": "brake_frac", "steer": "steer_r
 PIN_WINDOW_S = 0.21  # of the polynomial through the measured speed that the car is told
 SILENCE_S = 0.25  # beyond which a signal has a gap
 ROAD_CAR_M = 2.7  # wheelbase
+STANDING_MPS = 0.5
 SMALL = 0.5  # of it: no road car is shorter
 YAW_RATES = ("report.yaw_rate_radps", "ins.yaw_rate_radps")
 NOTHING: Mapping[str, int] = {}
@@ -69,11 +70,17 @@ class Opened(NamedTuple):
     derived: Mapping[str, int] = NOTHING
     most_steer_rad: float = 8.0
     unsure: tuple[str, ...] = ()
+    wheelbase_m: float = ROAD_CAR_M
 
     @property
     def ticks(self) -> int:
         """Rows."""
         return len(self.moving)
+
+    @property
+    def bend(self) -> Array:
+        """The path's bend [n] over a wheelbase, which is about the road wheels' angle, rad."""
+        return self.wheelbase_m * self.inputs.yaw_rate_radps / np.maximum(self.inputs.speed_mps, STANDING_MPS)
 
     def has(self, *names: str) -> bool:
         """Whether all of these fields were measured."""
@@ -104,6 +111,7 @@ def open_chain(drive: Drive, vehicle: VehicleSpec) -> Opened:
     return Opened(
         drive.name, drive.log_hash, drive.dt_s, inputs, signals, follows, moving, _lost(signals, drive, by_ins),
         pace_of(vehicle), derived, vehicle.limits.steer_rad, _unsure(drive, said),
+        vehicle.nominal.wheelbase_m or ROAD_CAR_M,
     )  # fmt: skip
 
 

@@ -30,6 +30,7 @@ Array = np.ndarray
 LEAST_SHRINK = 0.05  # of a target's error without any effect: less is no gap that anybody would repair
 FURTHER_SHRINK = 0.1  # of that as well, by a further effect: what the first one's form misses of its cause is none
 PLAIN = 0.4  # of that, where no link is broken: who is missing explains most of what is missed, a mismatch a part
+PLAIN_NATS = 60.0  # of evidence: more is no mismatch's (the most of 60 clean logs of development was 8)
 SURE = 0.5  # with the doubt between blocks: at least half of that
 MATTERS = 0.004  # of the signal: what an effect explains there, root mean square; less is nobody's worry
 MOST_WORSE = 0.05  # of any target's: what explains one thing by spoiling another explains nothing
@@ -84,9 +85,9 @@ class Weighed(NamedTuple):
     @property
     def faint(self) -> bool:
         """Whether nothing but the name itself says that anything is missing, and that not plainly: any mismatch of a
-        model has somebody who explains a part of it. Only a proof can bear such a name out.
+        model has somebody who explains a part of it, and little evidence. Only a proof can bear such a name out.
         """
-        return self.unbroken and self.shrink[0] < PLAIN
+        return self.unbroken and self.shrink[0] < PLAIN and self.evidence < PLAIN_NATS
 
     @property
     def _all_of_it(self) -> bool:

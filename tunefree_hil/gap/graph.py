@@ -35,9 +35,11 @@ from tunefree_hil.plant.actuators import ActuatorParams, init_actuator
 
 Array = np.ndarray
 # 'steer_lag.tau_s'; 'plant.drive_force_n' (log of a factor); 'actuator.steer.lag_s' (the same); 'clock.steer_s', by
-# which the car feels an output later than its report says, 'clock.ins_s', by which the INS is later than it says
+# which the car feels an output later than its report says, 'clock.ins_s', by which the INS is later than it says;
+# 'linkage.bend', which is extra to the plant's linkage_bend, and on any plant
 Values = Mapping[str, float]
 
+LINKAGE, BEND = "linkage.bend", "linkage_bend"
 CHANNELS = ("throttle", "brake", "steer")
 PORTS_A = (Port.THROTTLE_A, Port.BRAKE_A, Port.STEER_A)
 PORTS_B = (Port.THROTTLE_B, Port.BRAKE_B, Port.STEER_B)
@@ -81,6 +83,7 @@ class Graph:
         self.model, self.vehicle, self.dt_s = model, vehicle, dt_s
         self.plant = plant_of(model)
         self.rest = vehicle.nominal.rest_pedal_frac
+        self.ratio = {**self.plant.defaults, **model.plant.params}["steer_ratio"]
         self._cached: dict[Any, Any] = {}
         self.can, self.cannot = self._able()
         own = heard(model)
@@ -259,6 +262,7 @@ class Graph:
         for i, name in enumerate(CHANNELS):
             moved = late - values.get(f"clock.{name}_s", 0.0) / x.dt_s
             taken[:, 3 + i] = ahead(outputs[:, i], moved) if x.measured[i] else said[:, 3 + i]
+        taken[:, 5] *= 1.0 - values.get(LINKAGE, 0.0) * (taken[:, 5] / self.ratio) ** 2
         late = self._late(Port.INS if x.by_ins else Port.REPORT, blocks) / x.dt_s
         for i, motion in enumerate((x.speed_mps, x.yaw_rate_radps, x.side_speed_mps, x.rate_mps2)):
             taken[:, 7 + i] = ahead(motion, late)

@@ -19,7 +19,7 @@ import numpy as np
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ActuatorSpec, Interval, ModelSpec, Number, value_of
 from tunefree_hil.gap.channels import channel_spec, is_known
-from tunefree_hil.gap.graph import CHANNELS, Graph
+from tunefree_hil.gap.graph import BEND, CHANNELS, LINKAGE, Graph
 
 Array = np.ndarray
 
@@ -81,7 +81,6 @@ DOUBTED = {
 AGAINST = {"steer_gain.gain_frac"}  # more of it is less of the constant
 OF_ITSELF = {"aero_drag.drag_area_m2", "plant.throttle_zero_frac"}  # in the constant's own unit; all others in shares
 TAKEN = 1.8  # standard deviations, of the 2 that it may go: as well something missing, and it takes that in
-WIDER = math.sqrt(2.0)  # than a calibration's own deviation: what these drives would make of it is no better known
 MOST_DOUBT = 0.15  # of a constant; what was never known is no licence to explain everything
 MOST_DRAG = 3.1  # deviations that the drag area must hold: less than nothing is no car
 # A calibration's doubt of each of these is that of the others: it knows what they come to together much better. Where
@@ -95,6 +94,9 @@ LEAST_DEAD_TIME_S, LEAST_LAG, LEAST_GAIN = (
 LEAST_OFFSET = 5e-5  # of a duty, or rad
 # How well it is known when a frame's numbers were taken, s: parts of a tick, of a bus's queue
 CLOCKS = {"clock.throttle_s": 0.004, "clock.brake_s": 0.004, "clock.steer_s": 0.004, "clock.ins_s": 0.004}
+# Of the road wheels' linkage (plant/data_sheet.py), per rad²: what nobody calibrated may be off by (learn/sheet.py says
+# why), and what a calibration's own deviation is never less than
+MOST_BEND, LEAST_BEND = 0.2, 0.08
 
 
 def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> list[Nuisance]:
@@ -108,7 +110,7 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> li
     some += [(f"plant.{name}", name, 0.0, least) for name, least in CONSTANTS.items() if name in graph.plant.defaults]
     found = []
     for key, constant, neutral, least in some:
-        told = min(WIDER * doubts.get(constant, 0.0), MOST_DOUBT)
+        told = min(doubts.get(constant, 0.0), MOST_DOUBT)
         told *= params.get(constant, 0.0) if key in OF_ITSELF else 1.0
         # A car that is asked for an acceleration has no drag that anybody sees, and none has less than nothing
         most = params.get(constant, math.inf) / MOST_DRAG if constant == "drag_area_m2" else math.inf
@@ -117,9 +119,16 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> li
             turned = -1.0 if key in AGAINST else 1.0
             found.append(Nuisance(key, neutral, sigma, min(told, sigma), constant, turned))
     found += [Nuisance(key, 0.0, sigma) for key, sigma in CLOCKS.items()]
+    found.append(_linkage(doubts))
     for channel in CHANNELS:
         found += _of_channel(channel, channel_spec(model, channel) if is_known(model, channel) else None)
     return found
+
+
+def _linkage(doubts: Mapping[str, float]) -> Nuisance:
+    told = doubts.get(BEND, MOST_BEND)
+    sigma = min(math.hypot(LEAST_BEND, told), MOST_BEND)
+    return Nuisance(LINKAGE, 0.0, sigma, min(told, sigma), BEND)
 
 
 def card_of(model: ModelSpec) -> dict[str, Any]:
@@ -143,13 +152,16 @@ def _no_card(path: Path, why: object) -> InputError:
 
 
 def doubts_of(model: ModelSpec) -> dict[str, float]:
-    """Standard deviations of the logarithms of a model's constants, from the card of `calibrate`; empty without one."""
+    """Standard deviations of the logarithms of a model's constants (of the linkage's bend its own), from the card of
+    `calibrate`; empty without one.
+    """
     together = related_of(model)
     try:
         return {
-            name: math.log(one["high"] / one["low"]) / 3.92
+            name: (one["high"] - one["low"] if name == BEND else math.log(one["high"] / one["low"])) / 3.92
             for name, one in card_of(model).get("constants", {}).items()
-            if isinstance(one, dict) and one.get("low", 0.0) > 0.0 and one.get("high", 0.0) > one["low"]
+            if isinstance(one, dict) and one.get("high", 0.0) > one.get("low", 0.0)
+            if one.get("low", 0.0) > 0.0 or name == BEND
             if name in together or name not in SHARED
         }
     except (AttributeError, TypeError, KeyError) as error:

@@ -29,7 +29,7 @@ GROUPS = (ALONG, ACROSS, SENSORS)
 STEERS = (Port.STEER_A, Port.STEER_B)
 SIDEWAYS = {  # on the body: what shows in how the car turns and in what it feels sideways
     "friction", "front_stiffness", "rear_stiffness", "side_wind", "road_bank",
-    "plant.yaw_inertia_kgm2", "plant.front_axle_m", "plant.wheelbase_m",
+    "plant.yaw_inertia_kgm2", "plant.front_axle_m", "plant.wheelbase_m", "linkage",
 }  # fmt: skip
 # By how much one block's gain differs from another's (logarithms of errors, summed over the signals), and how many
 # blocks that counts for beside those that there are: two blocks that happen to agree know no scatter.

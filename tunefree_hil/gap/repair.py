@@ -24,7 +24,7 @@ from tunefree_hil.config.schema import (
     value_of,
 )
 from tunefree_hil.gap.channels import ACCEL, PEDALS, is_by_accel
-from tunefree_hil.gap.graph import effects, scaled
+from tunefree_hil.gap.graph import BEND, LINKAGE, effects, scaled
 from tunefree_hil.gap.kept import Kept
 from tunefree_hil.gap.null import card_of
 from tunefree_hil.learn.free_run import plant_of
@@ -72,6 +72,8 @@ def repaired(
     plant = plant_of(model)
     base = {**plant.defaults, **model.plant.params}
     params = scaled(model.plant.params, plant.defaults, values)
+    if BEND in params:
+        params[BEND] += values.get(LINKAGE, 0.0)
     if model.plant.kind == "physics":
         _fold(params, moved, vehicle.nominal.rest_pedal_frac, names)
     own = {key: value for key, value in params.items() if key in model.plant.params or _differs(base[key], value)}

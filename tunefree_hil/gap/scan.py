@@ -18,7 +18,10 @@ from tunefree_hil.gap.work import Residuals
 
 Array = np.ndarray
 
-DELAYS, FACTORS = 12, 8  # points of a grid: of what is rugged, of what goes by a logarithm
+EVEN, FACTORS = 12, 8  # points of a grid: even ones, and of what goes by a logarithm
+# Of a delay, from one point to the next: edges a few hundredths of a second too early or late are worse than none moved
+# at all, and a coarser grid has no point from which a slope leads to the truth
+DELAY_STEP_S, DELAY_SHARE = 0.015, 0.1
 AMOUNTS = (0.03, 0.1, 0.3, 1.0)  # of the prior's ends, to either side: of what is nearly linear, and may be small
 SMALL = AMOUNTS[:2]  # those of a factor, beside its even grid, which has no point near neutral
 # What recalibration has of the very same kind: beside the effect it would move the other way, and what is left of both
@@ -66,7 +69,10 @@ class Scan:
         """Around a point that was found, where there is one parameter and what it does is not nearly linear."""
         if len(free) != 1 or free[0].low < 0.0:
             return found
-        near = found.z[-1] + np.linspace(-1.0, 1.0, FINER) / (_even(free[0]) - 1)
+        places = sorted(_places(free[0]))
+        i = int(np.argmin(np.abs(np.array(places) - found.z[-1])))
+        wide = max(places[min(i + 1, len(places) - 1)] - places[i], places[i] - places[max(i - 1, 0)])
+        near = found.z[-1] + wide * np.linspace(-1.0, 1.0, FINER)
         points = [np.array([u]) for u in np.clip(near, free[0].least, free[0].most)]
         return max(found, self._best(free, points), key=lambda one: one.gain)
 
@@ -170,7 +176,9 @@ def grid_of(free: Sequence[Free]) -> list[Array]:
 
 def _places(one: Free) -> list[float]:
     """Of what may go to either side of neutral, amounts to both, a factor's by its logarithm; else even places."""
-    even = [float(u) for u in np.linspace(0.0, 1.0, _even(one))]
+    even = [float(u) for u in np.linspace(0.0, 1.0, FACTORS if one.logarithmic else EVEN)]
+    if one.key.endswith("delay_s") and not one.logarithmic:
+        return _delays(one)
     if not one.low < one.neutral < one.high:
         return even
     middle = one.place(one.neutral)
@@ -179,5 +187,8 @@ def _places(one: Free) -> list[float]:
     return even + amounts if one.logarithmic else amounts
 
 
-def _even(one: Free) -> int:
-    return FACTORS if one.logarithmic else DELAYS
+def _delays(one: Free) -> list[float]:
+    found = [one.low]
+    while found[-1] < one.high:
+        found.append(min(found[-1] + max(DELAY_STEP_S, DELAY_SHARE * found[-1]), one.high))
+    return [one.place(delay_s) for delay_s in found]

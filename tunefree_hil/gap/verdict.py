@@ -26,6 +26,7 @@ Array = np.ndarray
 # (key, by how much it is moved, in u) -> by target, what that moves of its signal, root mean square, as a share
 Moved = Callable[[str, float], Mapping[str, float]]
 
+SET_NATS = 3.0 * LEAST_NATS  # of a set of faint names, which no proof can bear out, as nobody is to be repaired
 HARDLY = 0.5  # of what an effect needs to be seen: from a drive that holds less than that it is not named alone,
 NEARLY = 0.7  # where another comes so near to its evidence: what stands on little is not told by a lead of a third
 
@@ -62,7 +63,9 @@ def verdict_of(
         lacking += [f"{one.name}: no link is broken, and only a proof can bear it out" for one in steps if one.faint]
         return ("one" if len(steps) == 1 else "several"), (), tuple(lacking)
     names = dict.fromkeys(name for step in steps for name in (step.name, *step.others))
-    if all(step.faint for step in steps):  # which no proof could bear out, as nobody is to be repaired
+    if all(
+        step.faint and step.evidence < SET_NATS for step in steps
+    ):  # which no proof could bear out, as nobody is to be repaired
         words = f"{', '.join(names)} would each explain a part of what a model may miss, and no link is broken"
         return "none_missing", (), (words,)
     return "set", tuple(names), tuple(_set_words(step, held[step.name]) for step in steps)

@@ -29,6 +29,7 @@ UNITS = {
     "rear_stiffness_n_per_rad": ("kN/rad", 1e-3),
     "yaw_inertia_kgm2": ("kg m²", 1.0),
     "steer_ratio": ("", 1.0),
+    "linkage_bend": ("per rad²", 1.0),
     OFFSET: ("rad", 1.0),
     BAND: ("duty", 1.0),
 }

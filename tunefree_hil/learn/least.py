@@ -19,7 +19,7 @@ Array = np.ndarray
 Residuals = Callable[[Array], Array]
 
 STEP = 1e-3  # of a scaled unknown, for differences
-INSIDE = 0.3  # how far from its bounds a search begins
+INSIDE, WARM = 0.3, 0.02  # how far from its bounds a search begins, cold, and from what was found before
 FEW_BLOCKS = 30
 CONFIDENCE = 0.95
 
@@ -55,18 +55,19 @@ def solve(
     robust: float = 0.0,
     most: int = 40,
     priors: int = 0,
+    inside: float = INSIDE,
 ) -> Least:
     """Minimise the sum of squares from `start` within [low, high].
 
     Unknowns must be scaled so that 1 is a large step. blocks [n - priors]: the block of each residual; the last
     `priors` residuals are prior knowledge and not data. robust: 0 for plain squares, else the residual from which on
-    they count less (soft L1).
+    they count less (soft L1). inside: how far from its bounds the search begins; WARM where one was found before.
     """
 
     def slopes(x: Array) -> Array:
         return differences(residuals, x, low, high)
 
-    room = np.minimum(INSIDE, 0.1 * (high - low))
+    room = np.minimum(inside, 0.1 * (high - low))
     start = np.clip(start, low + room, high - room)  # at a bound the search would take no step at all
     loss = "soft_l1" if robust > 0.0 else "linear"
     found = least_squares(

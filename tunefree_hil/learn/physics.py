@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import kept, kernel
 from tunefree_hil.base.records import Actuation, Disturbance, Motion
-from tunefree_hil.learn.least import Least, solve
+from tunefree_hil.learn.least import INSIDE, WARM, Least, solve
 from tunefree_hil.learn.physics_doubts import Together, deviations_left, doubts_left, stretches_of, together
 from tunefree_hil.learn.sheet import Constant
 from tunefree_hil.learn.values import Value, together_with
@@ -35,7 +36,8 @@ OFFSET, BAND = "steer_offset_rad", "brake_dead_band_frac"
 OFFSET_DOUBT_RAD = 0.1
 BAND_DOUBT = 0.2  # of the brake's way
 EFFECTS = {OFFSET: ("steer_offset", "offset_rad", 0.005), BAND: ("brake_dead_band", "half_width_frac", 0.002)}
-LATERAL = ("front_stiffness_n_per_rad", "rear_stiffness_n_per_rad", "yaw_inertia_kgm2", "steer_ratio", OFFSET)
+LATERAL = ("front_stiffness_n_per_rad", "rear_stiffness_n_per_rad", "yaw_inertia_kgm2", "steer_ratio",
+           "linkage_bend", OFFSET)  # fmt: skip
 FIRST_SCALE = {
     "speed_mps": 0.2, "yaw_rate_radps": 0.01, "heading_rad": 0.02, "lateral_accel_mps2": 0.3, "x_m": 0.7, "y_m": 0.7,
 }  # fmt: skip
@@ -266,14 +268,12 @@ def _unfitted(
 
 
 def _solved(problem: Problem, names: Sequence[str], x: Array, most: int) -> Least:
-    wide = np.full(len(names), 6.0)
-    low = np.where([name == BAND for name in names], 0.0, -wide)
-
-    def residuals(x: Array) -> Array:
-        return problem.residuals(names, x)
-
+    high = np.full(len(names), 6.0)
+    low = np.where([name == BAND for name in names], 0.0, -high)
     robust = ROBUST * math.sqrt(PIECES / problem.rows)  # of a residual as it is scaled here
-    return solve(residuals, x, low, wide, problem.blocks, robust=robust, most=most, priors=len(names))
+    inside = WARM if x.any() else INSIDE
+    run = partial(problem.residuals, names)
+    return solve(run, x, low, high, problem.blocks, robust=robust, most=most, priors=len(names), inside=inside)
 
 
 def _value(

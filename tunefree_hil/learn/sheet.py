@@ -13,6 +13,10 @@ from tunefree_hil.plant.data_sheet import DEFAULTS
 
 RISE_IN_LAGS = 2.2  # 10 to 90 % of a first-order step response
 SEEN_DOUBT, RATIO_DOUBT = 4.0, 1.5  # of what a plain law of the motion suggests
+# Two front wheels on their own circles are no single track. Where both turn by the same angle, theirs together counts
+# as a share less: t²/L² (1 + L/a) = 0.2 to 0.4 per rad², t half the track, a the front axle's distance; none where the
+# linkage turns each as its circle asks (Ackermann). No ratio is the same from straight ahead to the lock, either.
+BEND_DOUBT = 0.4
 PEDALS = ("throttle", "brake")
 SCALE_DOUBT = 0.3  # by how much the doubt's logarithm grows with that of the mass, beyond a factor of e
 
@@ -127,6 +131,7 @@ def constants(vehicle: VehicleSpec, seen: Mapping[str, float] | None = None) -> 
         "rear_stiffness_n_per_rad": stated(said.rear_stiffness_n_per_rad, axle_n * front_m, 1.8),
         "yaw_inertia_kgm2": stated(said.yaw_inertia_kgm2, mass_kg * front_m * (wheelbase_m - front_m), 1.5),
         "steer_ratio": stated(said.steer_ratio, DEFAULTS["steer_ratio"], 1.1),
+        "linkage_bend": Constant(0.0, BEND_DOUBT, False, False),
     }
     for name, value in (seen or {}).items():
         if name == "throttle_zero_frac":

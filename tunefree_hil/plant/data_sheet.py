@@ -19,6 +19,7 @@ DEFAULTS: dict[str, float] = {
     "rear_stiffness_n_per_rad": 155494.663,
     "friction": 0.9,
     "steer_ratio": 16.0,
+    "linkage_bend": 0.0,  # share by which the road wheels turn less than the ratio says, per square of their angle
     "wheel_radius_m": 0.335,
     "track_m": 1.5824,
     "rest_pedal_frac": 0.15,
@@ -50,6 +51,7 @@ class SingleTrack(NamedTuple):
     rear_load_n: float
     friction: float
     inverse_ratio: float
+    linkage_bend: float
     wheel_radius_m: float
     inverse_radius: float
     half_track_m: float
@@ -92,6 +94,7 @@ def constants_of(params: Mapping[str, float], change: BodyChange) -> SingleTrack
         rear_load_n=weight_n * car.front_axle_m / v["wheelbase_m"],
         friction=v["friction"] * change.friction_frac,
         inverse_ratio=1.0 / v["steer_ratio"],
+        linkage_bend=v["linkage_bend"],
         wheel_radius_m=v["wheel_radius_m"],
         inverse_radius=1.0 / v["wheel_radius_m"],
         half_track_m=0.5 * v["track_m"],

@@ -113,6 +113,7 @@ def pushed(
     push = push_of(p, x, braked_j)
     after = AT_EASE
     angle = x.actuation.steer_rad * p.inverse_ratio
+    angle *= 1.0 - p.linkage_bend * angle * angle
     cosine, sine = math.cos(angle), math.sin(angle)
     if was.speed_mps > LOW_MPS:
         grip = p.friction * x.road.friction_frac

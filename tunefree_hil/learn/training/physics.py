@@ -49,6 +49,7 @@ class Physics:
         drive_n = np.minimum(p.drive_force_n * (1.0 - np.exp(-throttle * p.inverse_knee)), 0.5 * grip_n)
         ratio = drive_n / np.maximum(p.drive_power_w * throttle, 1.0)
         angle = outputs[:, 2] * p.inverse_ratio
+        angle *= 1.0 - p.linkage_bend * angle * angle
         cosine, sine = np.cos(angle), np.sin(angle)
         curvature = sine / np.maximum(cosine, 0.1) * p.inverse_wheelbase
         creep_n = np.full_like(angle, p.creep_force_n)
