@@ -42,6 +42,7 @@ def test_who_only_reports_is_no_commander() -> None:
     assert error is not None and error.code == "foreign_reporter"
 
 
+LONG_S = 60.0
 PLAYER = """
 import contextlib, pathlib, sys, time
 import can.player, tunefree_hil.bus
@@ -58,7 +59,7 @@ while True:
 def playing(session: str, log: Path) -> Iterator[None]:
     """can.player as a member, some 2000 frames a second, again and again from the moment there is a hub.
 
-    It has imported all it needs by then: an episode of two seconds is over soon.
+    It has imported all it needs by then, and the episode is long beside what a busy machine keeps it waiting.
     """
     where = f"{session}/veh?role=member&listen=no&name=player"
     options = ["-i", "tfhub", "-c", where, "--ignore-timestamps", "-g", "0.0005", str(log)]
@@ -78,7 +79,7 @@ def drive(folder: Path, session: str, out: str) -> Ended:
 @pytest.mark.slow
 def test_a_foreign_drive_on_our_bus_changes_neither_frames_nor_score(tmp_path: Path, shared_data: Path) -> None:
     log = shared_data / "comma2k19_rav4" / "drive.candump.log"
-    write_bench(tmp_path)
+    write_bench(tmp_path, duration_s=LONG_S)
     quiet = drive(tmp_path, new_session(), "quiet")
     session = new_session()
     with no_orphans(session), playing(session, log):
@@ -104,7 +105,7 @@ def test_a_foreign_drive_on_our_bus_changes_neither_frames_nor_score(tmp_path: P
 
 @pytest.mark.slow
 def test_a_foreign_commander_fails_the_episode_by_name(tmp_path: Path, codec: Codec) -> None:
-    write_bench(tmp_path)
+    write_bench(tmp_path, duration_s=LONG_S)
     command = codec.commands[0]
     log = tmp_path / "foreign.log"
     log.write_text(f"(0.000000) can0 {command.can_id:03X}#{'00' * command.length}\n" * 3000)
