@@ -81,6 +81,7 @@ DOUBTED = {
 AGAINST = {"steer_gain.gain_frac"}  # more of it is less of the constant
 OF_ITSELF = {"aero_drag.drag_area_m2", "plant.throttle_zero_frac"}  # in the constant's own unit; all others in shares
 TAKEN = 1.8  # standard deviations, of the 2 that it may go: as well something missing, and it takes that in
+WIDER = math.sqrt(2.0)  # than a calibration's own deviation: what these drives would make of it is no better known
 MOST_DOUBT = 0.15  # of a constant; what was never known is no licence to explain everything
 MOST_DRAG = 3.1  # deviations that the drag area must hold: less than nothing is no car
 # A calibration's doubt of each of these is that of the others: it knows what they come to together much better. Where
@@ -110,7 +111,7 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> li
     some += [(f"plant.{name}", name, 0.0, least) for name, least in CONSTANTS.items() if name in graph.plant.defaults]
     found = []
     for key, constant, neutral, least in some:
-        told = min(doubts.get(constant, 0.0), MOST_DOUBT)
+        told = min(WIDER * doubts.get(constant, 0.0), MOST_DOUBT)
         told *= params.get(constant, 0.0) if key in OF_ITSELF else 1.0
         # A car that is asked for an acceleration has no drag that anybody sees, and none has less than nothing
         most = params.get(constant, math.inf) / MOST_DRAG if constant == "drag_area_m2" else math.inf
@@ -126,7 +127,7 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> li
 
 
 def _linkage(doubts: Mapping[str, float]) -> Nuisance:
-    told = doubts.get(BEND, MOST_BEND)
+    told = WIDER * doubts.get(BEND, MOST_BEND)
     sigma = min(math.hypot(LEAST_BEND, told), MOST_BEND)
     return Nuisance(LINKAGE, 0.0, sigma, min(told, sigma), BEND)
 

@@ -63,9 +63,7 @@ def verdict_of(
         lacking += [f"{one.name}: no link is broken, and only a proof can bear it out" for one in steps if one.faint]
         return ("one" if len(steps) == 1 else "several"), (), tuple(lacking)
     names = dict.fromkeys(name for step in steps for name in (step.name, *step.others))
-    if all(
-        step.faint and step.evidence < SET_NATS for step in steps
-    ):  # which no proof could bear out, as nobody is to be repaired
+    if all(step.faint and step.evidence < SET_NATS for step in steps):
         words = f"{', '.join(names)} would each explain a part of what a model may miss, and no link is broken"
         return "none_missing", (), (words,)
     return "set", tuple(names), tuple(_set_words(step, held[step.name]) for step in steps)
