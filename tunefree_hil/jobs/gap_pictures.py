@@ -67,7 +67,7 @@ def _proved(folder: Path, answer: Mapping[str, Any], found: Kept, proof: Proof) 
         for name, one in answer["signals"].items()
     ]
     yield write_shrink(folder / "shrink.png", bars, _title(answer))
-    block = proof.traces[0]
+    block = telling(proof.traces, FIELDS.get(found.signal, ()))
     own = [name for name in FIELDS.get(found.signal, ()) if name in block.measured][:1]
     others = [name for name in ALWAYS if name in block.measured and name not in own]
     shown = [*own, *others[:1], *(name for name in others if "yaw" in name)][:MOST_PANELS]
@@ -77,6 +77,19 @@ def _proved(folder: Path, answer: Mapping[str, Any], found: Kept, proof: Proof) 
         names = " and ".join(found.names)
         stretch, whole = _run([block], own[0], answer, REPAIR), _run(proof.traces, own[0], answer, REPAIR)
         yield write_signature(folder / "signature.png", stretch, whole, f"What is missed without and with {names}")
+
+
+def telling(blocks: Sequence[Traces], names: Sequence[str]) -> Traces:
+    """The block in which recalibration alone misses most of the first of some signals that was measured; the first one
+    where none was. In a block without a braking nobody sees what a brake lacks.
+    """
+    import numpy as np
+
+    def missed(one: Traces) -> float:
+        some = [name for name in names if name in one.measured][:1]
+        return sum(float(np.mean((one.simulated["recalibrated"][name] - one.measured[name]) ** 2)) for name in some)
+
+    return max(blocks, key=missed)
 
 
 VARIANTS = ("before", "recalibrated", "after", "floor")
