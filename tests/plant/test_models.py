@@ -19,7 +19,7 @@ from tunefree_hil.plant.sensors import noise_table
 # Constants that make the published tables another vehicle's; the vehicle of the tables leaves them out
 OTHER_SHAPE = ("throttle_scale", "brake_scale", *MapShape._fields, "drive_front_frac", "brake_front_frac")
 FITTED = 0.1  # a calibrated steering ratio is the vehicle's own, which is near the data sheet's
-ALL_CARS = {"linkage_bend"}  # 0 in whatever a model is silent of: those that were learned before they were constants
+ALL_CARS = {"linkage_bend"}  # 0 where a model does not say it: one that was learned before there was such a constant
 MODELS = Path(__file__).resolve().parents[2] / "bench_configs" / "models"
 
 
