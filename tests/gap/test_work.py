@@ -27,6 +27,13 @@ def test_no_drive_says_for_all_of_them_how_noisy_they_are(first: int) -> None:
     assert kind_of([target(0.0)], 0.0).floor == EXACT
 
 
+def test_a_sensor_is_as_loud_as_it_is_in_the_target_and_the_floor_asks_for_its_roughness() -> None:
+    rough = target(0.1)
+    kind = kind_of([rough._replace(noise=0.7)], 0.0)
+    assert kind.noise == 0.7 and kind.floor == kind_of([rough], 0.0).floor
+    assert kind_of([rough._replace(noise=0.01)], 0.0).noise == pytest.approx(0.1, rel=0.05)
+
+
 def test_wheels_are_off_by_a_share_of_the_speed_however_even_the_drive_is() -> None:
     even, lively = np.full(ROWS, 20.0), np.full(ROWS, 10.0)
     wheels = [target(0.01, "wheel_vs_ins", size=0.1)]

@@ -103,6 +103,12 @@ def test_what_motion_shows_is_wider_and_leaves_the_rest_to_the_plant(vehicle: Ve
     lost = in_motion(blind, sheet)
     assert lost.dead_time_s.value == sheet.dead_time_s and not lost.dead_time_s.known
     assert "hardly shows" in lost.dead_time_s.why
+    told, unknown = Value(0.1, 0.08, 0.12), Value(2.0, 0.0, 9.0, False)
+    endless = in_motion(blind._replace(dead_time_s=told, lag_s=Value(2.99, 1.2, 8.0)), sheet)
+    assert endless.lag_s.value == sheet.lag_s, "as slow as the search goes: so a car changes by itself"
+    second = blind._replace(order=2, dead_time_s=unknown, lag_s=Value(0.0, 0.0, 0.0), natural_hz=unknown)
+    assert in_motion(second, sheet).order == 1, "a channel of second order has no lag that could be known"
+    assert in_motion(second._replace(natural_hz=Value(2.0, 1.5, 2.5)), sheet).natural_hz.value == 2.0
 
 
 def test_suggestions_replace_what_no_folder_states(drive: Drive, vehicle: VehicleSpec) -> None:

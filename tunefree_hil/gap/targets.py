@@ -16,8 +16,9 @@ from scipy.ndimage import convolve1d
 from scipy.signal import savgol_coeffs
 
 from tunefree_hil.base.contracts import Link
-from tunefree_hil.gap.chain import OUTPUTS, Opened
+from tunefree_hil.gap.chain import OUTPUTS, Opened, Signal
 from tunefree_hil.gap.graph import CHANNELS, Inputs
+from tunefree_hil.gap.noise import sensor_noise
 from tunefree_hil.gap.ride import SHOWN
 from tunefree_hil.learn.smooth import quantum_of
 
@@ -51,6 +52,7 @@ class Target(NamedTuple):
 
     quantum: what the wire rounds to, as far as the functional lets it through. size: deviation of the signal that it is
     about (of a difference of two sensors, of what both sense), above 0: what never moves is compared with nothing.
+    noise: of the sensors that it is made of, as far as the functional lets it through.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Target(NamedTuple):
     dt_s: float
     quantum: float
     size: float
+    noise: float = 0.0
 
 
 Functional = Callable[["Columns"], Array]
@@ -107,6 +110,25 @@ def measured_columns(opened: Opened) -> Columns:
     for i, name in enumerate(CHANNELS):
         found[OUTPUTS[name]] = opened.inputs.outputs[:, i]
     return Columns(found, opened.dt_s)
+
+
+def noisier(columns: Columns, opened: Opened) -> Columns:
+    """What was measured with as much white noise again as each sensor has, as often as it speaks: what comes seldom is
+    no quieter for lying between two values on a straight line. The draw is the same each time.
+    """
+    rng, found = np.random.default_rng(1), dict(columns.columns)
+    for name, field in FIELDS.items():
+        if field in opened.signals:
+            found[name] = columns[name] + _noise_like(opened.signals[field], rng)
+    found["travel"] = found["ins_speed_mps" if opened.inputs.by_ins else "speed_mps"]
+    return Columns(found, opened.dt_s)
+
+
+def _noise_like(signal: Signal, rng: np.random.Generator) -> Array:
+    """[n]: white at a signal's fresh values."""
+    at = np.flatnonzero(signal.fresh & signal.there)
+    loud = sensor_noise(signal.values[at], np.ones(len(at), dtype=bool))
+    return np.interp(np.arange(len(signal.values)), at, loud * rng.standard_normal(len(at)))
 
 
 def simulated_columns(shown: Array, opened: Opened) -> Columns:
@@ -221,7 +243,9 @@ class Compared:
         size = _size((SENSED[name](opened.inputs)[rows] if name in SENSED else measured)[good[rows]])
         if size > 0.0:
             every_s = max(round(EVERY_S / opened.dt_s), 1) * opened.dt_s
-            self.targets.append(Target(name, link, unit, rows, good[rows], measured, every_s, 0.0, size))
+            noise = functional(noisier(columns, opened))[rows] - measured
+            loud = float(np.std(noise[good[rows]]))
+            self.targets.append(Target(name, link, unit, rows, good[rows], measured, every_s, 0.0, size, loud))
             self._functionals.append(functional)
 
     def _add_channel(self, i: int, channel: str, columns: Columns) -> None:

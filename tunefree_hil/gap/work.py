@@ -41,7 +41,7 @@ class Setting(NamedTuple):
 class Kind(NamedTuple):
     """What is the same for all drives of a target. floor: of its residuals, in its unit, above 0. missed: what the
     model's own calibration missed of it on drives that it was not fitted on, beyond noise; 0 where nobody says. noise:
-    of the sensor.
+    of the sensors, as loud as they are in it; the floor asks only for what of that differs from row to row.
     """
 
     name: str
@@ -145,9 +145,10 @@ class Work:
 
 def kind_of(targets: Sequence[Target], missed: float) -> Kind:
     """Of a target, over all drives: each has its own noise, and reports that come as often as they came."""
-    noise = _root_mean([max(sensor_noise(one.measured, one.valid), one.quantum / 12.0**0.5) for one in targets])
-    floor = max(FLOOR_SHARE * noise, EXACT * _root_mean([one.size for one in targets]))
+    rough = [max(sensor_noise(one.measured, one.valid), one.quantum / 12.0**0.5) for one in targets]
+    floor = max(FLOOR_SHARE * _root_mean(rough), EXACT * _root_mean([one.size for one in targets]))
     dt_s = float(np.mean([one.dt_s for one in targets]))
+    noise = _root_mean([max(one.noise, by) for one, by in zip(targets, rough, strict=True)])
     return Kind(targets[0].name, targets[0].link, targets[0].unit, dt_s, floor, missed, noise)
 
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from tunefree_hil.learn.actuator_shapes import MOST_LAG_S
 from tunefree_hil.learn.pairs import Pairs
 from tunefree_hil.learn.sheet import ChannelSheet
 from tunefree_hil.learn.smooth import quantum_of
@@ -16,6 +17,7 @@ LEAST_CHANGES = 8  # of the command by 2 % of its span, from which on a channel 
 TIMES = ("dead_time_s", "lag_s")
 LOOSE_S, LOOSE_FACTOR = 0.1, 10.0  # an interval so wide says next to nothing
 MOST_TOLD = 1e3
+AT_THE_END = 0.95  # of the longest lag that is looked for
 LOOK_S = 0.2  # between two looks: a ramp is a change too
 
 
@@ -95,7 +97,7 @@ def in_motion(found: ActuatorFit, sheet: ChannelSheet) -> ActuatorFit:
 
     Where the motion shows neither dead time nor lag, the data sheet's stand, wider by what the motion leaves open.
     """
-    if not (found.dead_time_s.known or found.lag_s.known):
+    if not _timed(found):
         return from_sheet(sheet, "the motion hardly shows it, and no output is reported")
     why = "seen in the motion only: what a command is worth is fitted as a constant of the plant"
     lag_why = "seen in the motion only: it holds the car's own answer too"
@@ -111,6 +113,15 @@ def in_motion(found: ActuatorFit, sheet: ChannelSheet) -> ActuatorFit:
         offset=exactly(0.0, why),
         **times,
     )
+
+
+def _timed(found: ActuatorFit) -> bool:
+    """Whether the motion tells one of a channel's times. A lag as long as any that is looked for is none: a car whose
+    command hardly moves changes by itself as slowly.
+    """
+    lag = found.lag_s if found.order == 1 else found.natural_hz
+    longest = found.order == 1 and found.lag_s.value > AT_THE_END * MOST_LAG_S
+    return not longest and (found.dead_time_s.known or lag.known)
 
 
 def doubted(found: ActuatorFit, dt_s: float) -> ActuatorFit:
