@@ -126,3 +126,4 @@ def test_a_pose_that_jumps_tells_no_speed_and_that_is_said() -> None:
     one = open_chain(drive()._replace(fields=fields), load_vehicle("mkz_bywire"))
     assert not whole.unsure and len(one.unsure) == 1 and "ins.x_m jumps" in one.unsure[0]
     assert set(one.derived) == {"ins.yaw_rate_radps"} and not one.inputs.by_ins
+    assert not one.by_wheels and one._replace(derived={"report.yaw_rate_radps": 1}).by_wheels

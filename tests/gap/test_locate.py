@@ -50,5 +50,10 @@ def test_what_is_grossly_missed_is_broken_whether_anything_foretells_it_or_not()
     loudly = {"steer": kinds["steer"]._replace(noise=0.2)}  # the sensor's own
     assert not look({"steer": Left(0.25, 0.0)}, loudly, {"steer": 1.0})[0].broken
     assert not look({"steer": Left(0.04, 0.0)}, kinds, {"steer": 1.0})[0].broken
+    bumps = {"steer": kinds["steer"]._replace(by_wheels=True)}
+    bursts = {"steer": Burst(0.5, 0.01, 3, 1.0)}
+    assert look({"steer": Left(0.01, 0.0)}, kinds, {"steer": 1.0}, bursts)[0].broken
+    assert not look({"steer": Left(0.25, 0.0)}, bumps, {"steer": 1.0}, bursts)[0].broken
+    assert look({"steer": Left(0.25, 0.25)}, bumps, {"steer": 1.0})[0].broken, "what is foretold no bump did"
     (told,) = look({"steer": Left(0.25, 0.25)}, kinds, {"steer": 1.0})
     assert told.broken and told.missed == "steer is missed by 50.0%"

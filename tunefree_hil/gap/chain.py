@@ -78,6 +78,11 @@ class Opened(NamedTuple):
         return len(self.moving)
 
     @property
+    def by_wheels(self) -> bool:
+        """Whether the chassis's yaw rate is made from its wheels: there is no gyro."""
+        return YAW_RATES[0] in self.derived
+
+    @property
     def bend(self) -> Array:
         """The path's bend [n] over a wheelbase, which is about the road wheels' angle, rad."""
         return self.wheelbase_m * self.inputs.yaw_rate_radps / np.maximum(self.inputs.speed_mps, STANDING_MPS)

@@ -80,16 +80,17 @@ def look(
     bursts: Mapping[str, Burst] = NO_BURSTS,
 ) -> list[Looked]:  # fmt: skip
     """All targets, the one that is missed most of its signal first. Broken is what could be explained, is loud, or is
-    gross.
+    gross; of a yaw rate that wheels tell only the first, as a bump in the road is loud in it.
     """
     found = []
     for name, one in left.items():
         explicable = max(one.explained, 0.0)
         share = explicable**0.5 / max(sizes[name], 1e-12)
-        loud = bursts[name].share(sizes[name]) if name in bursts else 0.0
         kind = kinds[name]
+        loud = bursts[name].share(sizes[name]) if name in bursts and not kind.by_wheels else 0.0
         visible = min(max(VISIBLE, kind.missed / max(sizes[name], 1e-12)), MOST_VISIBLE)
-        beyond = one.total - kind.noise**2 if one.total > FAR * kind.noise**2 else 0.0
+        far = one.total > FAR * kind.noise**2 and not kind.by_wheels
+        beyond = one.total - kind.noise**2 if far else 0.0
         gross = beyond**0.5 / max(sizes[name], 1e-12)
         broken = loud > LOUD or gross > GROSS or (share > visible and explicable > LEAST_SHARE * one.total)
         noise = max(one.total - explicable, 0.0) ** 0.5

@@ -55,7 +55,7 @@ def suspects_of(
 def _without_gyro(drives: Sequence[Opened]) -> bool:
     """Whether the chassis's yaw rate is its wheels' in every drive that has one."""
     said = [one for one in drives if one.has(YAW_RATES[0])]
-    return bool(said) and all(YAW_RATES[0] in one.derived for one in said)
+    return bool(said) and all(one.by_wheels for one in said)
 
 
 def free_of(key: str, prior: Prior, neutral: float) -> Free:

@@ -27,6 +27,7 @@ FLOOR_SHARE = 0.3  # of the sensor's own noise: what is left is never believed t
 LEVELLED, LEAST_OF_LEVEL = "wheel_vs_ins", 0.1  # wheels are off by a share of the speed, however even the drive is
 # By target: what a calibration's card says of free runs. Of speed itself it does, of its rate it does not.
 BY_FREE_RUN = {"yaw_rate": "yaw_rate_radps", "lateral_accel": "lateral_accel_mps2"}
+INS_YAW = "ins.yaw_rate_radps"  # where it is measured it is what is compared
 EXACT = 0.002  # of the signal: no model of a car is believed to be better than that at any instant
 
 
@@ -41,7 +42,8 @@ class Setting(NamedTuple):
 class Kind(NamedTuple):
     """What is the same for all drives of a target. floor: of its residuals, in its unit, above 0. missed: what the
     model's own calibration missed of it on drives that it was not fitted on, beyond noise; 0 where nobody says. noise:
-    of the sensors, as loud as they are in it; the floor asks only for what of that differs from row to row.
+    of the sensors, as loud as they are in it; the floor asks only for what of that differs from row to row. by_wheels:
+    wheels tell this yaw rate, and a bump in the road moves it as well.
     """
 
     name: str
@@ -51,6 +53,7 @@ class Kind(NamedTuple):
     floor: float
     missed: float = 0.0
     noise: float = 0.0
+    by_wheels: bool = False
 
 
 class Work:
@@ -125,7 +128,13 @@ class Work:
         return [self.compared[drive].targets[place] for drive, place in self._where[name]]
 
     def _kind(self, name: str, card: Mapping[str, Any]) -> Kind:
-        return kind_of(self._targets(name), missed_of(name, card, self._noise_of(BY_FREE_RUN.get(name, ""))))
+        kind = kind_of(self._targets(name), missed_of(name, card, self._noise_of(BY_FREE_RUN.get(name, ""))))
+        return kind._replace(by_wheels=name == "yaw_rate" and self._bumpy(self.drives_of(name)))
+
+    def _bumpy(self, drives: Sequence[int]) -> bool:
+        """Whether it is wheels that tell one of these drives' yaw rate."""
+        some = [self.setting.drives[drive] for drive in drives]
+        return any(one.by_wheels and not one.has(INS_YAW) for one in some)
 
     def _noise_of(self, signal: str) -> float:
         """Of a sensor, the chassis's or else the INS's, by its fresh values; 0 where there is none."""
