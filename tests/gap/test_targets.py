@@ -7,10 +7,8 @@ import pytest
 
 from tests.learn.made_drives import DT_S, QUANTUM, REST, as_drive
 from tunefree_hil.config.load import load_vehicle
-from tunefree_hil.gap.chain import Opened, Signal, open_chain
-from tunefree_hil.gap.ride import SHOWN, WIDE
-from tunefree_hil.gap.targets import COLUMN, TIGHT_RAD, Compared, Target, simulated_columns
-from tunefree_hil.learn.smooth import rate_of
+from tunefree_hil.gap.chain import Opened, open_chain
+from tunefree_hil.gap.targets import TIGHT_RAD, Compared, Target
 
 TICKS = 3000
 T = DT_S * np.arange(TICKS)
@@ -76,30 +74,3 @@ def test_the_rate_of_speed_is_not_asked_for_in_tight_turns_unless_there_is_hardl
     inner = tight & (T > 1.0) & (ends - 3.0 > T)
     assert rate.valid[inner[rate.rows]].any() != left_out and yaw.valid[inner[yaw.rows]].all()
     assert np.abs(drive.bend[~tight]).max() < TIGHT_RAD < np.abs(drive.bend[inner]).min()
-
-
-def test_what_was_made_of_a_pose_is_compared_with_the_same_slope_of_the_simulation() -> None:
-    """A heading that the simulation drives, seen as a pose: its slope is what the simulated yaw rate comes to."""
-    drive, window = opened()._replace(derived={"ins.yaw_rate_radps": 21}), 21
-    yaw = np.sin(40.0 * T * T / T[-1])  # up to 13 Hz: much of it is smoothed away
-    shown = np.zeros((TICKS, max(WIDE, len(SHOWN))))
-    shown[:, COLUMN["ins_yaw_rate_radps"]] = shown[:, COLUMN["yaw_rate_radps"]] = yaw
-    heading = DT_S * np.concatenate([[0.0], np.cumsum(0.5 * (yaw[1:] + yaw[:-1]))])
-    measured = rate_of(heading, np.ones(TICKS, dtype=bool), window, DT_S)
-    columns, inside = simulated_columns(shown, drive), slice(50, -50)
-    assert columns["ins_yaw_rate_radps"][inside] == pytest.approx(measured[inside], abs=1e-9)
-    assert np.abs(measured - yaw)[inside].max() > 0.2 and np.array_equal(columns["yaw_rate_radps"], yaw)
-
-
-@pytest.mark.parametrize("every", [1, 10])
-def test_a_sensor_is_as_loud_in_a_target_as_smoothing_leaves_it_however_seldom_it_speaks(every: int) -> None:
-    """A car that shakes, seen every tick or ten times a second: of the second hardly anything is smoothed away."""
-    fresh = np.arange(TICKS) % every == 0
-    truth = 0.1 * np.sin(0.4 * T)
-    seen = (truth + 0.5 * np.random.default_rng(3).standard_normal(TICKS))[fresh]
-    drive = opened()
-    signal = Signal(np.interp(np.arange(TICKS), np.flatnonzero(fresh), seen), fresh, np.ones(TICKS, dtype=bool))
-    yaw = targets(drive._replace(signals={**drive.signals, "report.yaw_rate_radps": signal}))["yaw_rate"]
-    loud = float(np.std((yaw.measured - truth[yaw.rows])[yaw.valid]))
-    assert yaw.noise == pytest.approx(loud, rel=0.25)
-    assert (loud > 0.3) == (every == 10)

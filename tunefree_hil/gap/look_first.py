@@ -11,8 +11,8 @@ from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.clock import echoes
 from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.excitation import excitation, held_by
-from tunefree_hil.gap.locate import Card, Looked, card, echo_words, look
-from tunefree_hil.gap.name import Named, lost_links, refuse_untold
+from tunefree_hil.gap.locate import Card, Looked, card, echo_words
+from tunefree_hil.gap.name import Named, looked_at, lost_links, refuse_untold
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.work import Setting
 
@@ -27,9 +27,7 @@ def look_first(model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened])
         yield "recalibration alone"
         question = team.open()
         yield "every link by itself"
-        null, blocks = [question.null.fitted], judged(question.blocks)
-        (left,), (loud,) = (team.ask(what, null, blocks) for what in ("left_by", "bursts_of"))
-        looked = tuple(look(left, question.kinds, question.sizes, loud))
+        left, looked = looked_at(team, question, question.null, judged(question.blocks))
         said = tuple(one for opened in drives for one in echoes(opened))
         strange = echo_words(said)
         shown: Card | None = None
@@ -40,9 +38,10 @@ def look_first(model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened])
         team.close()
     link = Link.COMMAND_ECHO if strange else looked[0].link if shown else None
     held = excitation(catalogue(), held_by(drives, vehicle))
+    words = tuple(strange) or (() if shown else ("nothing beyond noise and recalibration",))
     return Named(
-        _verdict(looked, strange), (), (), "", link, shown, looked, said, held, (), question, question.null, left,
-        left, lost_links(drives), tuple(strange) or (() if shown else ("nothing beyond noise and recalibration",)),
+        _verdict(looked, strange), (), (), "", link, shown, tuple(looked), said, held, (), question, question.null,
+        left, left, lost_links(drives), words,
     )  # fmt: skip
 
 

@@ -126,7 +126,7 @@ def _named(
     team: Team, question: Question, vehicle: VehicleSpec, drives: Sequence[Opened]
 ) -> Generator[str, None, Named]:
     blocks = judged(question.blocks)
-    before, looked = _looked(team, question, question.null, blocks)
+    before, looked = looked_at(team, question, question.null, blocks)
     question = question._replace(broken=frozenset(one.signal for one in looked if one.broken))
     yield f"{len(question.suspects)} suspects"
     first = weighed(team, question, [one.name for one in question.suspects], None, blocks)
@@ -136,7 +136,7 @@ def _named(
     question = question._replace(cannot={**question.cannot, **team.dropped})
     repaired = steps[-1].model if steps else question.null
     yield "what is left"
-    after, still = _looked(team, question, repaired, blocks) if steps else (before, looked)
+    after, still = looked_at(team, question, repaired, blocks) if steps else (before, looked)
     said = tuple(one for opened in drives for one in echoes(opened))
     days = question.blocks.drives[blocks]
     worked = worked_on(question.null, repaired, question.sizes, blocks)
@@ -162,7 +162,7 @@ def _named(
     )  # fmt: skip
 
 
-def _looked(team: Team, question: Question, model: Modelled, blocks: Array) -> tuple[dict[str, Left], list[Looked]]:
+def looked_at(team: Team, question: Question, model: Modelled, blocks: Array) -> tuple[dict[str, Left], list[Looked]]:
     """(what a model leaves to be explained, by target; what is broken with it in place)."""
     (left,), (bursts,) = (team.ask(what, [model.fitted], blocks) for what in ("left_by", "bursts_of"))
     return left, look(left, question.kinds, question.sizes, bursts)

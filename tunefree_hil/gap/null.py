@@ -20,6 +20,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ActuatorSpec, Interval, ModelSpec, Number, value_of
 from tunefree_hil.gap.channels import channel_spec, is_known
 from tunefree_hil.gap.graph import BEND, CHANNELS, LINKAGE, Graph
+from tunefree_hil.learn.sheet import BEND_DOUBT
 
 Array = np.ndarray
 
@@ -95,9 +96,9 @@ LEAST_DEAD_TIME_S, LEAST_LAG, LEAST_GAIN = (
 LEAST_OFFSET = 5e-5  # of a duty, or rad
 # How well it is known when a frame's numbers were taken, s: parts of a tick, of a bus's queue
 CLOCKS = {"clock.throttle_s": 0.004, "clock.brake_s": 0.004, "clock.steer_s": 0.004, "clock.ins_s": 0.004}
-# Of the road wheels' linkage (plant/data_sheet.py), per rad²: what nobody calibrated may be off by (learn/sheet.py says
-# why), and what a calibration's own deviation is never less than
-MOST_BEND, LEAST_BEND = 0.2, 0.08
+# Of the road wheels' linkage (plant/data_sheet.py), per rad²: what nobody calibrated may be off by, and what a
+# calibration's own deviation is never less than
+MOST_BEND, LEAST_BEND = 0.5 * BEND_DOUBT, 0.08
 
 
 def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> list[Nuisance]:

@@ -34,13 +34,17 @@ def weighed(
     """
     begin, known = question.null if start is None else start, known or {}
     found = {**team.fit(names, start), **known}
-    some = weigh(found, begin, question.null, question.sizes, blocks, question.broken)
+    some = _weigh(question, found, begin, blocks)
     share, done = NEAR, set(known)
     while near := _near(some, share, done):
         found |= dict(zip(near, team.fit_on([found[name] for name in near]), strict=True))
-        some = weigh(found, begin, question.null, question.sizes, blocks, question.broken)
+        some = _weigh(question, found, begin, blocks)
         share, done = WITHIN, done | set(near)
     return some
+
+
+def _weigh(question: Question, models: Mapping[str, Modelled], start: Modelled, blocks: Array) -> list[Weighed]:
+    return weigh(models, start, question.null, question.sizes, blocks, question.broken)
 
 
 def _near(some: Sequence[Weighed], share: float, done: set[str]) -> list[str]:
@@ -75,7 +79,7 @@ def _against_the_rest(team: Team, question: Question, step: Weighed, name: str, 
     What a search finds of the rest on its way is no merit of the effect: a limit that no drive touches stays without.
     """
     rest = team.fit_without(step.model, [name])[name]
-    return weigh({step.name: step.model}, rest, question.null, question.sizes, blocks, question.broken)[0]
+    return _weigh(question, {step.name: step.model}, rest, blocks)[0]
 
 
 def backward(
@@ -92,7 +96,7 @@ def backward(
         if len(stay) == 1 or (name == steps[-1].name and len(stay) == len(steps)):  # the newest counts beside all
             break
         rest = team.fit_without(last, [name])[name]
-        if not weigh({name: last}, rest, question.null, question.sizes, blocks, question.broken)[0].counts:
+        if not _weigh(question, {name: last}, rest, blocks)[0].counts:
             last, stay = rest, [step for step in stay if step.name != name]
     return [*stay[:-1], stay[-1]._replace(model=last)]
 
@@ -110,7 +114,7 @@ def settled(
     if len(steps) == 1:
         if first[0].name != steps[0].name:
             models = {one.name: one.model for one in first} | {steps[0].name: steps[0].model}
-            first = weigh(models, question.null, question.null, question.sizes, blocks, question.broken)
+            first = _weigh(question, models, question.null, blocks)
         if not first[0].counts or outdone(first):
             return [], first
         return [first[0]._replace(others=tuple(rivals(first, blocks)), placed=_evidences(first))], first

@@ -1,30 +1,24 @@
 """What is compared of a drive, link by link: the same linear functional of what was measured and what was simulated.
 
 Differences between two sensors are compared as differences, so that what the car model gets wrong cancels out of the
-links between sensors. `travel` is the summed-up rate of speed of the simulation, and the speed of the measurement: its
-slope over a short window is the acceleration of either.
+links between sensors.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import convolve1d
-from scipy.signal import savgol_coeffs
 
 from tunefree_hil.base.contracts import Link
-from tunefree_hil.gap.chain import OUTPUTS, Opened, Signal
+from tunefree_hil.gap.chain import OUTPUTS, Opened
+from tunefree_hil.gap.columns import Columns, measured_columns, noisier, simulated_columns
 from tunefree_hil.gap.graph import CHANNELS, Inputs
-from tunefree_hil.gap.noise import sensor_noise
-from tunefree_hil.gap.ride import SHOWN
 from tunefree_hil.learn.smooth import quantum_of
 
 Array = np.ndarray
 
-WINDOW_S = 0.21  # of the polynomials; delays of a few hundredths still show through it
 EVERY_S = 0.05
 ACT_EVERY_S = 0.02
 LEAST_MPS = 1.5  # below it creep, stick and standing still are no car that a single track describes
@@ -36,15 +30,6 @@ MOSTLY = 0.5  # of the rows must be gentler; a car that does nothing else is tak
 STILL = 1e-9  # of a signal's largest value: what moves less is rounding of numbers
 FLICKER = 2.0  # steps of the wire: a report that moves no more than that stands
 OUT = len(CHANNELS)  # columns of SHOWN that are outputs
-COLUMN = {name: i for i, name in enumerate(SHOWN)}
-FIELDS = {
-    "speed_mps": "report.speed_mps",
-    "yaw_rate_radps": "report.yaw_rate_radps",
-    "accel_mps2": "report.accel_mps2",
-    "lateral_accel_mps2": "report.lateral_accel_mps2",
-    "ins_speed_mps": "ins.speed_mps",
-    "ins_yaw_rate_radps": "ins.yaw_rate_radps",
-}
 
 
 class Target(NamedTuple):
@@ -68,79 +53,6 @@ class Target(NamedTuple):
 
 
 Functional = Callable[["Columns"], Array]
-
-
-@cache
-def _taps(window: int, derivative: int, dt_s: float) -> Array:
-    """Of a parabola fitted to a window; at the ends of a drive, where none fits, nothing is compared."""
-    return np.asarray(savgol_coeffs(window, 2, deriv=derivative, delta=dt_s))
-
-
-@cache
-def _under_slope(window: int) -> Array:
-    """The weights [window] that a slope (a parabola's) gives the rates whose sum it is the slope of."""
-    taps = np.cumsum(savgol_coeffs(window, 2, deriv=1, use="dot"))[:-1]
-    return -0.5 * np.convolve(taps, [1.0, 1.0])
-
-
-class Columns:
-    """The signals of a drive, simulated or measured, by the names of SHOWN; `travel` beside them."""
-
-    def __init__(self, columns: dict[str, Array], dt_s: float) -> None:
-        self.columns, self.dt_s = columns, dt_s
-        self.window = max(round(WINDOW_S / dt_s) | 1, 5)
-
-    def __getitem__(self, name: str) -> Array:
-        return self.columns[name]
-
-    def mean(self, values: Array) -> Array:
-        """Smoothed."""
-        return convolve1d(values, _taps(self.window, 0, self.dt_s), mode="nearest")
-
-    def slope(self, values: Array) -> Array:
-        """Rate per s of the smoothed signal."""
-        return convolve1d(values, _taps(self.window, 1, self.dt_s), mode="nearest")
-
-
-def measured_columns(opened: Opened) -> Columns:
-    """What was measured, as far as it was."""
-    found = {name: opened.signals[field].values for name, field in FIELDS.items() if field in opened.signals}
-    source = "ins.speed_mps" if opened.inputs.by_ins else "report.speed_mps"
-    found["travel"] = opened.signals[source].values
-    for i, name in enumerate(CHANNELS):
-        found[OUTPUTS[name]] = opened.inputs.outputs[:, i]
-    return Columns(found, opened.dt_s)
-
-
-def noisier(columns: Columns, opened: Opened) -> Columns:
-    """What was measured with as much white noise again as each sensor has, as often as it speaks: what comes seldom is
-    no quieter for lying between two values on a straight line. The draw is the same each time.
-    """
-    rng, found = np.random.default_rng(1), dict(columns.columns)
-    for name, field in FIELDS.items():
-        if field in opened.signals:
-            found[name] = columns[name] + _noise_like(opened.signals[field], rng)
-    found["travel"] = found["ins_speed_mps" if opened.inputs.by_ins else "speed_mps"]
-    return Columns(found, opened.dt_s)
-
-
-def _noise_like(signal: Signal, rng: np.random.Generator) -> Array:
-    """[n]: white at a signal's fresh values."""
-    at = np.flatnonzero(signal.fresh & signal.there)
-    loud = sensor_noise(signal.values[at], np.ones(len(at), dtype=bool))
-    return np.interp(np.arange(len(signal.values)), at, loud * rng.standard_normal(len(at)))
-
-
-def simulated_columns(shown: Array, opened: Opened) -> Columns:
-    """What the graph showed."""
-    found = {name: shown[:, i] for name, i in COLUMN.items()}
-    rate = shown[:, COLUMN["ins_accel_mps2" if opened.inputs.by_ins else "rate_mps2"]]
-    found["travel"] = np.cumsum(rate) * opened.dt_s
-    for name, field in (*FIELDS.items(), ("travel", "ins.speed_mps" if opened.inputs.by_ins else "report.speed_mps")):
-        window = opened.derived.get(field, 1)
-        if window > 1:  # what was made of a pose is a slope over several values: so is what it is held against
-            found[name] = convolve1d(found[name], _under_slope(window), mode="nearest")
-    return Columns(found, opened.dt_s)
 
 
 def _rate(c: Columns) -> Array:
@@ -177,17 +89,32 @@ def _felt(c: Columns) -> Array:
 
 
 MOTION = Link.REPORT_TO_MOTION
-# name, link, unit, fields that must be measured, fields in whose presence another one is better
-PLANNED: tuple[tuple[str, Link, str, tuple[str, ...], tuple[str, ...], Functional], ...] = (
-    ("rate_of_speed", MOTION, "m/s2", (), (), _rate),
-    ("yaw_rate", MOTION, "rad/s", ("ins.yaw_rate_radps",), (), _yaw),
-    ("yaw_rate", MOTION, "rad/s", ("report.yaw_rate_radps",), ("ins.yaw_rate_radps",), _own_yaw),
-    ("lateral_beyond_turning", MOTION, "m/s2",
-     ("report.lateral_accel_mps2", "ins.speed_mps", "ins.yaw_rate_radps"), (), _beyond_turning),
-    ("lateral_accel", MOTION, "m/s2", ("report.lateral_accel_mps2",), ("ins.yaw_rate_radps",), _lateral),
-    ("wheel_vs_ins", Link.WHEEL_VS_INS, "m/s", ("report.speed_mps", "ins.speed_mps"), (), _wheels),
-    ("yaw_vs_ins", Link.YAW_VS_INS, "rad/s", ("report.yaw_rate_radps", "ins.yaw_rate_radps"), (), _turns),
-    ("accel_vs_dvdt", Link.ACCEL_VS_DVDT, "m/s2", ("report.accel_mps2",), (), _felt),
+
+
+class Planned(NamedTuple):
+    """A target to be had. needed: fields that must be measured; better: fields in whose presence another one is better;
+    gentle: not asked for in tight turns, as long as most of a drive is none.
+    """
+
+    name: str
+    link: Link
+    unit: str
+    functional: Functional
+    needed: tuple[str, ...] = ()
+    better: tuple[str, ...] = ()
+    gentle: bool = False
+
+
+PLANNED = (
+    Planned("rate_of_speed", MOTION, "m/s2", _rate, gentle=True),
+    Planned("yaw_rate", MOTION, "rad/s", _yaw, ("ins.yaw_rate_radps",)),
+    Planned("yaw_rate", MOTION, "rad/s", _own_yaw, ("report.yaw_rate_radps",), ("ins.yaw_rate_radps",)),
+    Planned("lateral_beyond_turning", MOTION, "m/s2", _beyond_turning,
+            ("report.lateral_accel_mps2", "ins.speed_mps", "ins.yaw_rate_radps")),
+    Planned("lateral_accel", MOTION, "m/s2", _lateral, ("report.lateral_accel_mps2",), ("ins.yaw_rate_radps",)),
+    Planned("wheel_vs_ins", Link.WHEEL_VS_INS, "m/s", _wheels, ("report.speed_mps", "ins.speed_mps")),
+    Planned("yaw_vs_ins", Link.YAW_VS_INS, "rad/s", _turns, ("report.yaw_rate_radps", "ins.yaw_rate_radps")),
+    Planned("accel_vs_dvdt", Link.ACCEL_VS_DVDT, "m/s2", _felt, ("report.accel_mps2",)),
 )  # fmt: skip
 
 
@@ -210,9 +137,9 @@ class Compared:
         columns = measured_columns(opened)
         for i, channel in enumerate(CHANNELS):
             self._add_channel(i, channel, columns)
-        for name, link, unit, needed, better, functional in PLANNED:
-            if opened.has(*needed) and not (better and opened.has(*better)):
-                self._add(name, link, unit, functional, columns, needed)
+        for plan in PLANNED:
+            if opened.has(*plan.needed) and not (plan.better and opened.has(*plan.better)):
+                self._add(plan, columns)
 
     def of(self, shown: Array) -> list[Array]:
         """Simulated minus measured, target by target, at their rows."""
@@ -225,14 +152,12 @@ class Compared:
         self._before = (shown, found)
         return found
 
-    def _add(
-        self, name: str, link: Link, unit: str, functional: Functional, columns: Columns, needed: tuple[str, ...]
-    ) -> None:
-        opened = self.opened
+    def _add(self, plan: Planned, columns: Columns) -> None:
+        opened, functional = self.opened, plan.functional
         good = opened.moving & (opened.inputs.speed_mps > LEAST_MPS * opened.pace)
-        for field in needed:
+        for field in plan.needed:
             good &= opened.signals[field].there
-        if name == "rate_of_speed":
+        if plan.gentle:
             gentle = good & (np.abs(opened.bend) < TIGHT_RAD)
             good = gentle if gentle.sum() > MOSTLY * good.sum() else good
         good = _inside(good, 2 * columns.window)
@@ -240,12 +165,14 @@ class Compared:
         if good[rows].sum() < LEAST_ROWS:
             return
         measured = functional(columns)[rows]
-        size = _size((SENSED[name](opened.inputs)[rows] if name in SENSED else measured)[good[rows]])
+        sensed = SENSED[plan.name](opened.inputs)[rows] if plan.name in SENSED else measured
+        size = _size(sensed[good[rows]])
         if size > 0.0:
             every_s = max(round(EVERY_S / opened.dt_s), 1) * opened.dt_s
             noise = functional(noisier(columns, opened))[rows] - measured
             loud = float(np.std(noise[good[rows]]))
-            self.targets.append(Target(name, link, unit, rows, good[rows], measured, every_s, 0.0, size, loud))
+            known = (rows, good[rows], measured, every_s, 0.0, size, loud)
+            self.targets.append(Target(plan.name, plan.link, plan.unit, *known))
             self._functionals.append(functional)
 
     def _add_channel(self, i: int, channel: str, columns: Columns) -> None:
