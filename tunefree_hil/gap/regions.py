@@ -21,6 +21,7 @@ DRAWS = 400
 RATE = 0.1  # of false finds
 LEAST_ROWS = 60
 BINS = 3
+NARROW = 0.02  # of what a quantity covers: thirds that lie so close are one, as a pedal at rest is noise
 
 
 class Region(NamedTuple):
@@ -93,8 +94,12 @@ def _quantities(opened: Opened, rows: Array, target: str) -> dict[str, Array]:
 def _edges(name: str, what: Array) -> list[tuple[float, float]]:
     if name in SIDES:
         return [(0.0, 0.4), (0.6, 1.0)]
-    cuts = np.unique(np.quantile(what, np.linspace(0.0, 1.0, BINS + 1)))
-    return [(float(a), float(b)) for a, b in pairwise(cuts.tolist())]
+    first, *inner, last = np.quantile(what, np.linspace(0.0, 1.0, BINS + 1)).tolist()
+    cuts, least = [first], NARROW * (last - first)
+    for cut in inner:
+        if cut - cuts[-1] > least and last - cut > least:
+            cuts.append(cut)
+    return list(pairwise([*cuts, last])) if last > first else []
 
 
 def _judged(found: list[tuple[str, float, float, Array]], values: Array, at: Array, seed: int) -> list[Region]:
