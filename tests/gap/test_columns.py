@@ -8,7 +8,7 @@ import pytest
 from tests.gap.test_targets import TICKS, T, opened, targets
 from tests.learn.made_drives import DT_S
 from tunefree_hil.gap.chain import Signal
-from tunefree_hil.gap.columns import COLUMN, simulated_columns
+from tunefree_hil.gap.columns import COLUMN, measured_columns, noisier, simulated_columns
 from tunefree_hil.gap.ride import SHOWN, WIDE
 from tunefree_hil.learn.smooth import rate_of
 
@@ -38,3 +38,12 @@ def test_a_sensor_is_as_loud_in_a_target_as_smoothing_leaves_it_however_seldom_i
     loud = float(np.std((yaw.measured - truth[yaw.rows])[yaw.valid]))
     assert yaw.noise == pytest.approx(loud, rel=0.25)
     assert (loud > 0.3) == (every == 10)
+
+
+def test_a_signal_that_is_all_gaps_gets_no_noise() -> None:
+    drive = opened()
+    gaps = {name: one._replace(there=np.zeros(TICKS, dtype=bool)) for name, one in drive.signals.items()}
+    columns = measured_columns(drive)
+    same = noisier(columns, drive._replace(signals=gaps))
+    assert all(np.array_equal(same[name], columns[name]) for name in ("speed_mps", "yaw_rate_radps", "travel"))
+    assert not np.array_equal(noisier(columns, drive)["speed_mps"], columns["speed_mps"])

@@ -86,8 +86,10 @@ def noisier(columns: Columns, opened: Opened) -> Columns:
 
 
 def _noise_like(signal: Signal, rng: np.random.Generator) -> Array:
-    """[n]: white at a signal's fresh values."""
+    """[n]: white at a signal's fresh values; nothing of one that is all gaps."""
     at = np.flatnonzero(signal.fresh & signal.there)
+    if not len(at):
+        return np.zeros(len(signal.values))
     loud = sensor_noise(signal.values[at], np.ones(len(at), dtype=bool))
     return np.interp(np.arange(len(signal.values)), at, loud * rng.standard_normal(len(at)))
 
