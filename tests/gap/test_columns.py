@@ -47,3 +47,13 @@ def test_a_signal_that_is_all_gaps_gets_no_noise() -> None:
     same = noisier(columns, drive._replace(signals=gaps))
     assert all(np.array_equal(same[name], columns[name]) for name in ("speed_mps", "yaw_rate_radps", "travel"))
     assert not np.array_equal(noisier(columns, drive)["speed_mps"], columns["speed_mps"])
+
+
+def test_a_wire_that_rounds_coarsely_is_noise_though_most_values_stand() -> None:
+    drive = opened()
+    slow = 10.0 + 0.03 * T
+    coarse = Signal(np.round(slow / 0.1) * 0.1, np.ones(TICKS, dtype=bool), np.ones(TICKS, dtype=bool))
+    rounded = drive._replace(signals={**drive.signals, "report.speed_mps": coarse})
+    columns = measured_columns(rounded)
+    loud = float(np.std(noisier(columns, rounded)["speed_mps"] - columns["speed_mps"]))
+    assert loud == pytest.approx(0.1 / np.sqrt(12.0), rel=0.1)

@@ -16,6 +16,7 @@ from tunefree_hil.gap.chain import OUTPUTS, Opened, Signal
 from tunefree_hil.gap.graph import CHANNELS
 from tunefree_hil.gap.noise import sensor_noise
 from tunefree_hil.gap.ride import SHOWN
+from tunefree_hil.learn.smooth import quantum_of
 
 Array = np.ndarray
 
@@ -86,11 +87,12 @@ def noisier(columns: Columns, opened: Opened) -> Columns:
 
 
 def _noise_like(signal: Signal, rng: np.random.Generator) -> Array:
-    """[n]: white at a signal's fresh values; nothing of one that is all gaps."""
+    """[n]: white at fresh values, no quieter than what their wire rounds; nothing of a signal that is all gaps."""
     at = np.flatnonzero(signal.fresh & signal.there)
     if not len(at):
         return np.zeros(len(signal.values))
-    loud = sensor_noise(signal.values[at], np.ones(len(at), dtype=bool))
+    some = signal.values[at]
+    loud = max(sensor_noise(some, np.ones(len(at), dtype=bool)), quantum_of(some) / 12.0**0.5)
     return np.interp(np.arange(len(signal.values)), at, loud * rng.standard_normal(len(at)))
 
 
