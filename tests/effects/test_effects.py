@@ -38,6 +38,21 @@ def test_lag_is_first_order() -> None:
     assert out == pytest.approx([1.0 - math.exp(-0.1 * (k + 1)) for k in range(30)])
 
 
+@pytest.mark.parametrize("name", ["powertrain_lag", "brake_pressure_lag"])
+def test_a_lag_of_the_car_lets_a_ramp_come_exactly_its_time_later(name: str) -> None:
+    effect = EFFECTS[name]
+    rest = rest_of(effect.port)
+    ramp = [rest + 0.1 * DT_S * k for k in range(300)]
+    out = run(make_effect(effect, {"tau_s": 0.1}, rest=rest), ramp, DT_S)
+    assert out[-1] == pytest.approx(ramp[-1] - 0.1 * 0.1, abs=1e-9)
+
+
+@given(st.floats(1e-9, 2.0), st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=40))
+def test_a_lag_of_the_car_stays_between_the_values_it_has_seen(tau_s: float, values: list[float]) -> None:
+    out = run(make_effect(EFFECTS["powertrain_lag"], {"tau_s": tau_s}), values, DT_S)
+    assert min(0.0, *values) - 1e-12 <= min(out) and max(out) <= max(0.0, *values) + 1e-12
+
+
 def test_effects_begin_at_rest() -> None:
     for name in SCALAR:
         if name != "steer_offset":

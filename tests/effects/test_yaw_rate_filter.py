@@ -11,11 +11,17 @@ from tests.plant.drives import DT_S
 from tunefree_hil.base.records import Report
 
 
-def test_a_step_is_answered_by_an_exponential() -> None:
-    out = through("yaw_rate_filter", {"tau_s": 0.1}, [Report(yaw_rate_radps=0.5, speed_mps=3.0)] * 40)
-    assert [one.yaw_rate_radps for one in out] == pytest.approx(
-        [0.5 * (1.0 - math.exp(-DT_S * (k + 1) / 0.1)) for k in range(40)]
+def test_a_turn_is_followed_by_the_filters_own_time() -> None:
+    """Of a steady sine a first-order lag leaves cos(a), later by a = atan(w tau); no half tick beside it."""
+    turn = 2.0 * math.pi * 0.7
+    out = through(
+        "yaw_rate_filter",
+        {"tau_s": 0.1},
+        [Report(yaw_rate_radps=0.5 * math.sin(turn * DT_S * k), speed_mps=3.0) for k in range(400)],
     )
+    late = math.atan(turn * 0.1)
+    asked = [0.5 * math.cos(late) * math.sin(turn * DT_S * k - late) for k in range(200, 400)]
+    assert [one.yaw_rate_radps for one in out[200:]] == pytest.approx(asked, abs=2e-4)
     assert all(one.speed_mps == 3.0 for one in out)
 
 

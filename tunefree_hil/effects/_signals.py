@@ -83,6 +83,40 @@ def lag(tau_s: float, rest: float) -> Block:
     return Block(init, step_lag, (positive("tau_s", tau_s), rest))
 
 
+class SoftState(NamedTuple):
+    """Output, the newest input, and how far the output goes to the input before and along with the newest change."""
+
+    output: float
+    before: float
+    share: float
+    fresh: float
+
+
+@kernel
+def step_soft(params: Any, state: SoftState, x: float, dt_s: float) -> tuple[SoftState, float]:
+    """First-order lag of an input that goes in straight lines from tick to tick, solved exactly."""
+    if state.fresh >= 1.0:
+        output = x
+    else:
+        change = x - state.before
+        output = state.output + state.share * (state.before - state.output) + state.fresh * change
+    return SoftState(output, x, state.share, state.fresh), output
+
+
+def soft(tau_s: float, rest: float) -> Block:
+    """First-order lag of a quantity of the car, which does not stand still over a tick as a command does (`lag` there
+    would be half a tick too early, and a lag fitted with it half a tick too long); tau_s = 0 is the identity.
+    """
+
+    def init(params: tuple[float, float], dt_s: float) -> SoftState:
+        tau, first = params
+        share = 1.0 if tau == 0.0 else -math.expm1(-dt_s / tau)
+        fresh = 1.0 if tau == 0.0 else 1.0 - tau / dt_s * share
+        return SoftState(first, first, share, fresh)
+
+    return Block(init, step_soft, (positive("tau_s", tau_s), rest))
+
+
 @kernel
 def step_rate_limit(params: float, state: float, x: float, dt_s: float) -> tuple[float, float]:
     """Follows the input no faster than `params` a second."""

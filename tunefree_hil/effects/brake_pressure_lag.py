@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from tunefree_hil.base.contracts import Block, Effect, Need, Port, Prior
-from tunefree_hil.effects._signals import lag
+from tunefree_hil.effects._signals import soft
 
 
 def make(params: dict[str, float], rest: float) -> Block:
     """Block on the brake duty; a first-order lag of tau_s [s]."""
-    return lag(params["tau_s"], rest)
+    return soft(params["tau_s"], rest)
 
 
 EFFECT = Effect(

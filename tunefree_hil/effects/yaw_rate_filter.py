@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from tunefree_hil.base.contracts import Block, Effect, Link, Need, Port, Prior
 from tunefree_hil.effects._reports import on_yaw_rate
-from tunefree_hil.effects._signals import lag
+from tunefree_hil.effects._signals import soft
 
 
 def make(params: dict[str, float], rest: float) -> Block:
     """Block on Report: a first-order lag of tau_s [s] on the yaw rate."""
-    return on_yaw_rate(lag(params["tau_s"], 0.0))
+    return on_yaw_rate(soft(params["tau_s"], 0.0))
 
 
 EFFECT = Effect(
