@@ -75,6 +75,18 @@ def test_what_was_measured_is_there_where_the_log_has_it() -> None:
     assert one.follows[200:].mean() > 0.95
 
 
+def test_after_a_gap_in_the_recording_nobody_knows_for_a_while_what_a_channel_follows() -> None:
+    gap = slice(2000, 2300)
+    fresh = {name: one.copy() for name, one in drive().fresh.items()}
+    for one in fresh.values():
+        one[gap] = False
+    one = open_chain(drive()._replace(fresh=fresh), load_vehicle("mkz_bywire"))
+    whole = opened()
+    assert whole.follows[1900:2500].all() and not one.follows[2000:2390].any()
+    assert one.follows[1900:1990].all() and one.follows[2410:-10].all()
+    assert not one.moving[2005:2295].any()
+
+
 def test_an_ins_that_says_its_pose_alone_tells_its_rates() -> None:
     one, whole = opened(["ins.speed_mps", "ins.yaw_rate_radps", "ins.accel_mps2"]), opened()
     assert one.inputs.by_ins and not {Link.WHEEL_VS_INS, Link.YAW_VS_INS} & set(one.lost)

@@ -9,6 +9,7 @@ from tests.learn.made_drives import DT_S, LATE, made_drive
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.gap.chain import Opened, open_chain
 from tunefree_hil.gap.clock import echoes
+from tunefree_hil.gap.signals import as_told
 from tunefree_hil.learn.drives import Drive
 
 
@@ -39,6 +40,18 @@ def test_frames_that_are_lost_for_a_while_are_found() -> None:
 def test_slow_commands_are_no_lost_frames(period: int, lost: bool) -> None:
     found = {one.channel: one for one in echoes(sent(period, lost))}
     assert found["steer"].broken == lost
+
+
+def test_commands_that_nobody_recorded_are_no_lost_frames() -> None:
+    """The tap was away for two seconds: what the by-wire unit obeyed then is not on the wire of this log."""
+    whole = sent(1, lost=False)
+    wire = whole.signals["command.steer_rad"]
+    fresh = wire.fresh.copy()
+    for begin in range(500, 2500, 600):
+        fresh[begin : begin + 200] = False
+    gaps = as_told(np.where(fresh, wire.values, np.nan), fresh, DT_S)
+    steer, *_ = echoes(whole._replace(signals={**whole.signals, "command.steer_rad": gaps}))
+    assert not steer.broken and steer.rows < 2000 and steer.late_s == pytest.approx(0.07)
 
 
 def sent(period: int, lost: bool, ticks: int = 3000, late: int = 7) -> Opened:

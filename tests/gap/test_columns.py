@@ -7,9 +7,9 @@ import pytest
 
 from tests.gap.test_targets import TICKS, T, opened, targets
 from tests.learn.made_drives import DT_S
-from tunefree_hil.gap.chain import Signal
 from tunefree_hil.gap.columns import COLUMN, measured_columns, noisier, simulated_columns
 from tunefree_hil.gap.ride import SHOWN, WIDE
+from tunefree_hil.gap.signals import Signal
 from tunefree_hil.learn.smooth import rate_of
 
 

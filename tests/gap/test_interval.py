@@ -111,7 +111,8 @@ def test_an_effect_that_is_there_is_the_same_in_all_blocks() -> None:
 @pytest.mark.parametrize("gain", [0.7, 1.08, 1.55])
 def test_an_effect_may_waver_as_much_as_the_same_number_does_in_a_model_that_lacks_nothing(gain: float) -> None:
     """Two hundredths, from another form of the pedal, are much of a gain of 8 %, and no sign against it."""
-    free = Free("throttle_gain.gain_frac", 0.4, 2.0, True, 1.0, -0.35, 1.35)
+    plain = Free("throttle_gain.gain_frac", 0.4, 2.0, True, 1.0, -0.35, 1.35)
+    (free,) = doubted(Suspect("x", (plain,), ()), [Nuisance(plain.key, 1.0, 0.05, drift=0.02)], {}).free
     curve = 4e6
     known = curve**-0.5 * np.log(2.0 / 0.4)  # by a block, of itself
     for sigmas, says in ((1.1, False), (UNSTEADY * 1.2, True)):

@@ -65,6 +65,16 @@ def test_what_a_calibration_left_open_may_be_recalibrated_but_no_licence_comes_o
     assert found["plant.drive_force_n"] == CONSTANTS["drive_force_n"], "it is known together with the knee"
 
 
+def test_a_breeze_pushes_a_model_car_as_much_less_as_it_weighs() -> None:
+    model, vehicle = load_model("mkz_nominal"), load_vehicle("mkz_bywire")
+    light = replace(model, plant=replace(model.plant, params={**model.plant.params, "mass_kg": 1.8}))
+    (heavy_n, light_n) = (
+        next(n for n in nuisances(Graph(one, vehicle, 0.01), one, {}) if n.key == "side_wind.force_n")
+        for one in (model, light)
+    )
+    assert light_n.sigma == light_n.drift == pytest.approx(0.008) and 8.0 < heavy_n.sigma < 10.0
+
+
 def test_what_a_calibration_knows_together_is_recalibrated_together(tmp_path: Path) -> None:
     model, vehicle = load_model("mkz_nominal"), load_vehicle("mkz_bywire")
     model = replace(model, folder=str(tmp_path), plant=replace(model.plant, card="card.json"))

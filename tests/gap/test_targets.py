@@ -74,3 +74,11 @@ def test_the_rate_of_speed_is_not_asked_for_in_tight_turns_unless_there_is_hardl
     inner = tight & (T > 1.0) & (ends - 3.0 > T)
     assert rate.valid[inner[rate.rows]].any() != left_out and yaw.valid[inner[yaw.rows]].all()
     assert np.abs(drive.bend[~tight]).max() < TIGHT_RAD < np.abs(drive.bend[inner]).min()
+
+
+def test_short_drives_tell_together_what_a_long_one_tells() -> None:
+    """9 s: none of them says enough alone, three of them are half a minute."""
+    short = opened()
+    piece = short._replace(moving=short.moving & (T > 10.0) & (T < 19.5))
+    assert "yaw_rate" not in targets(piece)
+    assert "yaw_rate" in {one.name for one in Compared(piece, share=1 / 3).targets}

@@ -19,34 +19,22 @@ from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.gap.by_pose import HEADING, jumps_of, rates_by_pose, window_of
 from tunefree_hil.gap.graph import CHANNELS, Inputs
-from tunefree_hil.gap.recent import ahead
+from tunefree_hil.gap.signals import Signal, as_told, carried, signals_of
 from tunefree_hil.learn.acted import accel_asked, asked_pedals, channel_of
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.pairs import ECHOES, runs
-from tunefree_hil.learn.smooth import between_fresh, rate_of, smooth, yaw_by_wheels
+from tunefree_hil.learn.smooth import rate_of, smooth, yaw_by_wheels
 
 Array = np.ndarray
 
 OUTPUTS = {"throttle": "throttle_frac", "brake": "brake_frac", "steer": "steer_rad"}
 PIN_WINDOW_S = 0.21  # of the polynomial through the measured speed that the car is told
-SILENCE_S = 0.25  # beyond which a signal has a gap
 ROAD_CAR_M = 2.7  # wheelbase
 STANDING_MPS = 0.5  # no bend is told by slower wheels
 SMALL = 0.5  # of it: no road car is shorter
 YAW_RATES = ("report.yaw_rate_radps", "ins.yaw_rate_radps")
 NOTHING: Mapping[str, int] = {}
 AFTER_S = 1.0  # after a stretch in which a channel did not obey its commands, its output is still another's
-
-
-class Signal(NamedTuple):
-    """A measured signal on every tick, straight lines between fresh values; the INS's as much earlier as it is late.
-
-    there: bool [n], not within a gap.
-    """
-
-    values: Array
-    fresh: Array
-    there: Array
 
 
 class Opened(NamedTuple):
@@ -95,7 +83,7 @@ class Opened(NamedTuple):
 def open_chain(drive: Drive, vehicle: VehicleSpec) -> Opened:
     """Raises InputError where neither INS nor chassis says the speed: nothing of the motion can be told then."""
     late = vehicle.ins_frame.latency_s / drive.dt_s
-    signals = {name: one for name in drive.fields if (one := _signal(drive, name, late)) is not None}
+    signals, left_out = signals_of(drive, late)
     said = dict(signals)
     unsaid = _unsaid(drive, vehicle, said)
     signals |= unsaid
@@ -115,7 +103,8 @@ def open_chain(drive: Drive, vehicle: VehicleSpec) -> Opened:
     moving = known & speed.there & (inputs.gear >= GEAR_DRIVE)
     return Opened(
         drive.name, drive.log_hash, drive.dt_s, inputs, signals, follows, moving, _lost(signals, drive, by_ins),
-        pace_of(vehicle), derived, vehicle.limits.steer_rad, _unsure(drive, said),
+        pace_of(vehicle), derived, vehicle.limits.steer_rad,
+        left_out + _unsure(drive, said),
         vehicle.nominal.wheelbase_m or ROAD_CAR_M,
     )  # fmt: skip
 
@@ -132,42 +121,17 @@ def _unsaid(drive: Drive, vehicle: VehicleSpec, signals: Mapping[str, Signal]) -
     rates = rates_by_pose(values, {name: one.fresh for name, one in signals.items()}, drive.dt_s)
     found = {name: signals[HEADING]._replace(values=np.nan_to_num(one)) for name, one in rates.items()}
     wheels = yaw_by_wheels(drive, vehicle.nominal)
-    if wheels is not None and not any(name in signals or name in found for name in YAW_RATES):
-        fresh = wheels[1] & np.isfinite(wheels[0])
-        if fresh.sum() > 1:
-            found[YAW_RATES[0]] = Signal(between_fresh(*wheels), fresh, _there(fresh, drive.dt_s))
+    told = wheels is not None and (wheels[1] & np.isfinite(wheels[0])).sum() > 1
+    if wheels is not None and told and not any(name in signals or name in found for name in YAW_RATES):
+        found[YAW_RATES[0]] = as_told(*wheels, drive.dt_s)
     return found
 
 
 def _unsure(drive: Drive, signals: Mapping[str, Signal]) -> tuple[str, ...]:
     """What a pose does not tell because it jumps."""
-    values, fresh = ({name: one[i] for name, one in signals.items()} for i in (0, 1))
-    jump = jumps_of(values, fresh, drive.dt_s)
+    values = {name: one.values for name, one in signals.items()}
+    jump = jumps_of(values, {name: one.fresh for name, one in signals.items()}, drive.dt_s)
     return (f"{drive.name}: {', '.join(jump)} jumps, so that no rate is made from it",) if jump else ()
-
-
-def _signal(drive: Drive, name: str, late: float) -> Signal | None:
-    values, fresh = drive.fields[name], drive.fresh[name] & np.isfinite(drive.fields[name])
-    if not name.startswith(("report.", "ins.", "command.")) or fresh.sum() < 2:
-        return None
-    if name.endswith("heading_rad"):
-        values = values.copy()
-        values[fresh] = np.unwrap(values[fresh])
-    even, there = between_fresh(values, fresh), _there(fresh, drive.dt_s)
-    if name.startswith("ins.") and late:
-        return Signal(ahead(even, late), fresh, ahead(there.astype(float), late) > 0.999)
-    return Signal(even, fresh, there)
-
-
-def _there(fresh: Array, dt_s: float) -> Array:
-    """Rows between two values that are no gap apart."""
-    rows = np.flatnonzero(fresh)
-    there = np.zeros(len(fresh), dtype=bool)
-    there[rows[0] : rows[-1] + 1] = True
-    usual = max(float(np.median(np.diff(rows))), 1.0)
-    for i in np.flatnonzero(np.diff(rows) > 2.0 * usual + SILENCE_S / dt_s):
-        there[rows[i] + 1 : rows[i + 1]] = False
-    return there
 
 
 def _inputs(
@@ -182,7 +146,7 @@ def _inputs(
     for i, name in enumerate(CHANNELS):
         idle = 0.0 if name == "steer" else rest
         asked, _, obeyed = pedals[i] if i < len(pedals) else channel_of(drive, name, idle)
-        obeyed = obeyed & drive.enabled & np.isfinite(asked)
+        obeyed = obeyed & drive.enabled & np.isfinite(asked) & carried(signals, _carriers(name), n)
         report = signals.get(f"report.{OUTPUTS[name]}")
         output = np.nan_to_num(asked, nan=idle) if report is None else report.values
         commands[:, i] = np.where(obeyed, np.nan_to_num(asked, nan=idle), output)
@@ -190,7 +154,7 @@ def _inputs(
         follows[:, i] = _settled(obeyed, drive.dt_s)
         known &= follows[:, i] > 0.5 if report is None else report.there
         measured.append(report is not None)
-        echoed.append(f"report.{ECHOES[name]}" in signals)
+        echoed.append(f"report.{ECHOES['accel' if i < len(pedals) else name]}" in signals)
     gear = signals.get("report.gear")
     held = np.full(n, GEAR_DRIVE) if gear is None else np.round(_held(drive, "report.gear"))
     window = max(round(PIN_WINDOW_S / drive.dt_s) | 1, 5)
@@ -205,6 +169,12 @@ def _inputs(
         source.startswith("ins."), drive.dt_s,
     )  # fmt: skip
     return inputs, follows > 0.5, known
+
+
+def _carriers(channel: str) -> tuple[str, ...]:
+    """What says a channel's commands, the first that there is: what was asked in a gap of it nobody knows."""
+    said = (f"report.{ECHOES[channel]}", f"command.{OUTPUTS[channel]}")
+    return said if channel == "steer" else (*said, f"report.{ECHOES['accel']}", "command.accel_mps2")
 
 
 def _held(drive: Drive, name: str) -> Array:

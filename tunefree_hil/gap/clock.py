@@ -12,6 +12,7 @@ import numpy as np
 
 from tunefree_hil.gap.chain import OUTPUTS, Opened
 from tunefree_hil.gap.graph import CHANNELS
+from tunefree_hil.gap.signals import all_there
 from tunefree_hil.learn.pairs import ECHOES, tolerance
 
 Array = np.ndarray
@@ -44,12 +45,13 @@ def echoes(opened: Opened) -> list[Echo]:
         echo = opened.signals.get(f"report.{ECHOES[channel]}")
         if wire is None or echo is None:
             continue
-        rows = np.flatnonzero(echo.fresh & opened.follows[:, i])
-        rows = rows[(rows > LONGEST_S / opened.dt_s + SLACK) & (rows < opened.ticks - SLACK)]
+        slack = SLACK + _period(wire.fresh) - 1
+        # what was sent in a gap of the recording nobody knows, and whether it was obeyed
+        sure = all_there(wire.there, round(LONGEST_S / opened.dt_s) + slack, slack)
+        rows = np.flatnonzero(echo.fresh & opened.follows[:, i] & sure)
         values = echo.values[rows]
         moved = np.abs(np.diff(values, prepend=values[:1])) > tolerance(echo.values)
         if moved.sum() >= LEAST_MOVED:
-            slack = SLACK + _period(wire.fresh) - 1
             found.append(_echo(channel, wire.values, values, rows, moved, slack, opened.dt_s))
     return found
 

@@ -12,10 +12,11 @@ import numpy as np
 from scipy.ndimage import convolve1d
 from scipy.signal import savgol_coeffs
 
-from tunefree_hil.gap.chain import OUTPUTS, Opened, Signal
+from tunefree_hil.gap.chain import OUTPUTS, Opened
 from tunefree_hil.gap.graph import CHANNELS
 from tunefree_hil.gap.noise import sensor_noise
 from tunefree_hil.gap.ride import SHOWN
+from tunefree_hil.gap.signals import Signal
 from tunefree_hil.learn.smooth import quantum_of
 
 Array = np.ndarray
@@ -105,4 +106,6 @@ def simulated_columns(shown: Array, opened: Opened) -> Columns:
         window = opened.derived.get(field, 1)
         if window > 1:  # what was made of a pose is a slope over several values: so is what it is held against
             found[name] = convolve1d(found[name], _under_slope(window), mode="nearest")
+        elif field in opened.signals:
+            found[name] = opened.signals[field].as_seldom(found[name])
     return Columns(found, opened.dt_s)

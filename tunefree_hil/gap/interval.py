@@ -32,7 +32,7 @@ UNSTEADY = 1.5
 DAILY = ("friction", "grade", "side_wind", "yaw_rate_bias", "accel_bias")  # effects that are of the day, not of the car
 FORM = 0.01  # of the distance from neutral, standard deviation: no car does an effect quite in the catalogue's form
 KNOWS = 1e-9  # of the block that knows most of a key: who knows less says nothing of it
-SIGMAS = {f"{name}.{parameter}": sigma for name, parameter, sigma, _ in DRIFTS}
+DRIFT = {f"{name}.{parameter}": sigma for name, parameter, sigma, _ in DRIFTS}
 
 UPPER = 0.975  # of Student's t with one degree of freedom less than there are blocks
 
@@ -108,7 +108,7 @@ def wavering(model: Fitted, name: str, blocks: Array, drives: Array) -> Wavering
     jitters = (
         effects()[name].units[one.key.partition(".")[2]] == "s" and abs(one.value(u + by) - one.value(u)) < JITTER_S
     )
-    if jitters or by <= UNSTEADY * _in_u(one, u, SIGMAS.get(one.key, 0.0)):
+    if jitters or by <= UNSTEADY * _in_u(one, u, one.drift):
         return Wavering(one.key, 0.0, 0.0)
     return Wavering(one.key, by, by / max(distance(one, u), 1e-9))
 
@@ -118,7 +118,7 @@ def unsteady(model: Fitted, blocks: Array, drives: Array, sigmas: Mapping[str, f
     that is more than UNSTEADY. drives: of which drive each block is; sigmas: what each key's unit is (null.nuisances).
     """
     some = [key for key in GAINS if key in model.keys]
-    unit = {key: sigmas.get(key, SIGMAS[key]) / SIGMAS[key] for key in some}
+    unit = {key: sigmas.get(key, DRIFT[key]) / DRIFT[key] for key in some}
     found = {key: unit[key] * _between(model, model.keys.index(key), blocks, drives) for key in some}
     return {key: by for key, by in found.items() if by > UNSTEADY}
 

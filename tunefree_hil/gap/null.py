@@ -28,8 +28,8 @@ Array = np.ndarray
 class Nuisance(NamedTuple):
     """A number that may be off: key as `Graph.run` takes it, its neutral value, standard deviation in its unit.
 
-    told: of that, what the model's calibration says of `constant`; the rest is of the day. turned: 1.0, or -1.0 where
-    more of it is less of the constant.
+    told: of that, what the model's calibration says of `constant`; the rest, `drift`, is of the day. turned: 1.0, or
+    -1.0 where more of it is less of the constant.
     """
 
     key: str
@@ -38,6 +38,7 @@ class Nuisance(NamedTuple):
     told: float = 0.0
     constant: str = ""
     turned: float = 1.0
+    drift: float = 0.0
 
 
 # Parameters of effects: (effect, parameter, sigma, why)
@@ -52,12 +53,14 @@ DRIFTS: tuple[tuple[str, str, float, str], ...] = (
     ("front_stiffness", "gain_frac", 0.02, "tyre pressure, temperature"),
     ("rear_stiffness", "gain_frac", 0.02, "tyre pressure, temperature"),
     ("grade", "grade_rad", 0.0007, "no road is level"),
-    ("side_wind", "force_n", 8.0, "camber of a level road, a breeze"),
+    ("side_wind", "force_n", 8.0, "camber of a level road, a breeze; of ROAD_CAR_KG"),
     ("speed_scale", "scale_frac", 0.001, "rolling radius"),
     ("yaw_rate_bias", "bias_radps", 0.0003, "a gyro's bias from one start to the next"),
     ("yaw_rate_scale", "scale_frac", 0.002, "a gyro's scale"),
     ("accel_bias", "bias_mps2", 0.008, "an accelerometer's bias from one start to the next"),
 )
+ROAD_CAR_KG = 1800.0
+BY_WEIGHT = {"side_wind.force_n"}  # a tenth of the weight is pushed by a tenth
 # Constants of the plant: standard deviation of the logarithm, or an amount of pedal
 CONSTANTS: dict[str, float] = {
     "drive_force_n": 0.01,  # the throttle's gain, above, does nearly the same
@@ -104,10 +107,11 @@ MOST_BEND, LEAST_BEND = 0.5 * BEND_DOUBT, 0.08
 def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> list[Nuisance]:
     """Of a model: those that its plant has. doubts: standard deviations of its constants' logarithms (`doubts_of`)."""
     params = {**graph.plant.defaults, **model.plant.params}
+    heavy = params.get("mass_kg", ROAD_CAR_KG) / ROAD_CAR_KG
     some = [
-        (f"{name}.{parameter}", DOUBTED.get(f"{name}.{parameter}", ""), graph.can[name].neutral[parameter], least)
+        (key, DOUBTED.get(key, ""), graph.can[name].neutral[parameter], least * (heavy if key in BY_WEIGHT else 1.0))
         for name, parameter, least, _ in DRIFTS
-        if name in graph.can
+        if name in graph.can and (key := f"{name}.{parameter}")
     ]
     some += [(f"plant.{name}", name, 0.0, least) for name, least in CONSTANTS.items() if name in graph.plant.defaults]
     found = []
@@ -119,7 +123,7 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> li
         sigma = min(math.hypot(least, told), most)
         if sigma > 0.0:
             turned = -1.0 if key in AGAINST else 1.0
-            found.append(Nuisance(key, neutral, sigma, min(told, sigma), constant, turned))
+            found.append(Nuisance(key, neutral, sigma, min(told, sigma), constant, turned, least))
     found += [Nuisance(key, 0.0, sigma) for key, sigma in CLOCKS.items()]
     found.append(_linkage(doubts))
     for channel in CHANNELS:

@@ -32,7 +32,8 @@ class Free(NamedTuple):
 
     least, most: ends of u that it may reach, beyond the prior where that makes sense. neutral: its neutral value.
     doubt: standard deviation, in its unit at neutral, with which the model's own calibration knows that number; share:
-    of the parameter itself, where it counts by a constant of the model that its calibration does not know.
+    of the parameter itself, where it counts by a constant of the model that its calibration does not know; drift: by
+    how much that number is another one from day to day, in its unit at neutral.
     """
 
     key: str
@@ -44,6 +45,7 @@ class Free(NamedTuple):
     most: float
     doubt: float = 0.0
     share: float = 0.0
+    drift: float = 0.0
 
     def value(self, u: float) -> float:
         """The parameter at u."""

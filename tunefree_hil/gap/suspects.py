@@ -69,13 +69,14 @@ def free_of(key: str, prior: Prior, neutral: float) -> Free:
 
 def doubted(suspect: Suspect, nuisances: Sequence[Nuisance], doubts: Mapping[str, float]) -> Suspect:
     """A suspect with the doubt about what it takes the place of, recalibration's own number in the same unit, and about
-    the constant of the model by which it counts. doubts: standard deviations of the constants' logarithms.
+    the constant of the model by which it counts, and with its drift. doubts: standard deviations of the constants'
+    logarithms.
     """
-    sigmas = {one.key: one.sigma for one in nuisances}
+    sigmas, drifts = ({one.key: getattr(one, number) for one in nuisances} for number in ("sigma", "drift"))
     known = [sigmas.get(one.key, sigmas.get(TWINS.get(one.key, ""), 0.0)) for one in suspect.free]
     return suspect._replace(
         free=tuple(
-            one._replace(doubt=sigma, share=doubts.get(COUNTS_BY.get(one.key, ""), 0.0))
+            one._replace(doubt=sigma, share=doubts.get(COUNTS_BY.get(one.key, ""), 0.0), drift=drifts.get(one.key, 0.0))
             for one, sigma in zip(suspect.free, known, strict=True)
         )
     )

@@ -22,7 +22,7 @@ Array = np.ndarray
 EVERY_S = 0.05
 ACT_EVERY_S = 0.02
 LEAST_MPS = 1.5  # below it creep, stick and standing still are no car that a single track describes
-LEAST_ROWS = 200
+LEAST_ROWS = 200  # of all drives of a question; of one its share of these
 # In tighter turns the front tyres work against each other, as far as the linkage does not turn each as its own circle
 # asks. What that scrubs off the speed, t²/L² C δ⁴ / m, no single track has: 0.016 m/s² here, 0.06 at 0.33 rad.
 TIGHT_RAD = 0.24
@@ -127,10 +127,10 @@ SENSED: dict[str, Callable[[Inputs], Array]] = {  # what both sensors of a diffe
 
 
 class Compared:
-    """All targets of a drive, with the functionals that give them."""
+    """All targets of a drive, with the functionals that give them. share: of a question's rows, what the drive has."""
 
-    def __init__(self, opened: Opened) -> None:
-        self.opened = opened
+    def __init__(self, opened: Opened, share: float = 1.0) -> None:
+        self.opened, self._least = opened, LEAST_ROWS * share
         self._functionals: list[Functional] = []
         self.targets: list[Target] = []
         self._before: tuple[Array, list[Array]] | None = None  # the newest: often only the outputs differ from it
@@ -162,7 +162,7 @@ class Compared:
             good = gentle if gentle.sum() > MOSTLY * good.sum() else good
         good = _inside(good, 2 * columns.window)
         rows = np.arange(0, opened.ticks, max(round(EVERY_S / opened.dt_s), 1))
-        if good[rows].sum() < LEAST_ROWS:
+        if good[rows].sum() < self._least:
             return
         measured = functional(columns)[rows]
         sensed = SENSED[plan.name](opened.inputs)[rows] if plan.name in SENSED else measured
@@ -183,7 +183,7 @@ class Compared:
         rows = np.flatnonzero(report.fresh)
         rows = rows[:: max(round(ACT_EVERY_S / (opened.dt_s * max(float(np.median(np.diff(rows))), 1.0))), 1)]
         good = opened.follows[rows, i] & report.there[rows]
-        if good.sum() < LEAST_ROWS:
+        if good.sum() < self._least:
             return
         measured = columns[field][rows]
         every_s = float(np.median(np.diff(rows))) * opened.dt_s

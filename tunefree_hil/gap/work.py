@@ -63,7 +63,8 @@ class Work:
         self.setting = setting
         self.dt_s = setting.drives[0].dt_s
         self.graph = Graph(setting.model, setting.vehicle, self.dt_s)
-        self.compared = [Compared(one) for one in setting.drives]
+        whole = sum(one.ticks for one in setting.drives)
+        self.compared = [Compared(one, one.ticks / whole) for one in setting.drives]
         self.blocks: Blocks = blocks_of([one.ticks for one in setting.drives], self.dt_s)
         self._where: dict[str, list[tuple[int, int]]] = {}
         for drive, compared in enumerate(self.compared):

@@ -27,6 +27,7 @@ def read(
     from tunefree_hil.learn.checks import check_drives
     from tunefree_hil.learn.problems import require_good
     from tunefree_hil.learn.read import read_drives
+    from tunefree_hil.learn.spikes import without_spikes
 
     if not logs:
         raise InputError("no log is named", code="no_log", key="LOG", hint="name one log or more")
@@ -35,5 +36,10 @@ def read(
     problems = [one for one in check_drives(drives, vehicle) if one.code not in unsaid]
     for problem in require_good(one._replace(severity="warn") if one.code in excused else one for one in problems):
         yield Event("warning", problem.words)
+    for i, drive in enumerate(drives):
+        drives[i], left_out = without_spikes(drive)
+        if left_out:
+            said = ", ".join(f"{count} of {name}" for name, count in left_out.items())
+            yield Event("warning", f"{drive.name}: single values that no car can have come to are left out: {said}")
     yield Event("note", f"{sum(drive.ticks * drive.dt_s for drive in drives) / 60.0:.1f} minutes of driving")
     return drives

@@ -1,0 +1,111 @@
+"""A measured signal on every tick: its values, where a frame brought one, and where there was a gap."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from tunefree_hil.gap.recent import ahead
+from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.smooth import between_fresh
+
+Array = np.ndarray
+
+SILENCE_S = 0.25  # beyond which a signal has a gap
+SLOW_TICKS = 3  # from value to value, from which a signal lies on straight lines that are seen
+COVERS = 0.5  # of what the chassis says: an INS that says less is no second opinion of a drive
+INS = "ins."
+SPEEDS = ("ins.speed_mps", "report.speed_mps")
+
+
+class Signal(NamedTuple):
+    """A measured signal on every tick, straight lines between fresh values; the INS's as much earlier as it is late.
+
+    there: bool [n], not within a gap. late: rows by which it was moved, parts of a row too. every: rows from one value
+    to the next.
+    """
+
+    values: Array
+    fresh: Array
+    there: Array
+    late: float = 0.0
+    every: float = 1.0
+
+    def as_seldom(self, values: Array) -> Array:
+        """Another signal [n], on the straight lines that this one lies on: what is simulated on every tick and held
+        against what was measured ten times a second.
+        """
+        if self.every < SLOW_TICKS:
+            return values
+        ticks = np.arange(len(values))
+        seen = np.flatnonzero(self.fresh) - self.late
+        return np.interp(ticks, seen, np.interp(seen, ticks, values))
+
+
+def signals_of(drive: Drive, late: float) -> tuple[dict[str, Signal], tuple[str, ...]]:
+    """(signals by field name, in words what was left out). late: rows by which the INS is late."""
+    found = {name: one for name in drive.fields if (one := signal_of(drive, name, late)) is not None}
+    by_ins, by_chassis = (float(found[name].there.sum()) if name in found else 0.0 for name in SPEEDS)
+    if not 0.0 < by_ins < COVERS * by_chassis:
+        return found, ()
+    words = f"{drive.name}: the INS says a speed in {by_ins / drive.ticks:.0%} of it only, so it is left out"
+    return {name: one for name, one in found.items() if not name.startswith(INS)}, (words,)
+
+
+def signal_of(drive: Drive, name: str, late: float) -> Signal | None:
+    """A field of a drive; None for one that says next to nothing, or that nobody measured or sent."""
+    values, fresh = drive.fields[name], drive.fresh[name] & np.isfinite(drive.fields[name])
+    if not name.startswith(("report.", INS, "command.")) or fresh.sum() < 2:
+        return None
+    if name.endswith("heading_rad"):
+        values = values.copy()
+        values[fresh] = np.unwrap(values[fresh])
+    one = as_told(values, fresh, drive.dt_s)
+    if name.startswith(INS) and late:
+        there = ahead(one.there.astype(float), late) > 0.999
+        return one._replace(values=ahead(one.values, late), there=there, late=late)
+    return one
+
+
+def as_told(values: Array, fresh: Array, dt_s: float) -> Signal:
+    """Of values [n] that are fresh now and then, twice at least."""
+    told = fresh & np.isfinite(values)
+    return Signal(between_fresh(values, told), told, there_of(told, dt_s), every=every_of(told))
+
+
+def every_of(fresh: Array) -> float:
+    """Ticks from one value to the next."""
+    return max(float(np.median(np.diff(np.flatnonzero(fresh)))), 1.0)
+
+
+def there_of(fresh: Array, dt_s: float) -> Array:
+    """Rows between two values that are no gap apart."""
+    rows = np.flatnonzero(fresh)
+    there = np.zeros(len(fresh), dtype=bool)
+    there[rows[0] : rows[-1] + 1] = True
+    for i in np.flatnonzero(np.diff(rows) > 2.0 * every_of(fresh) + SILENCE_S / dt_s):
+        there[rows[i] + 1 : rows[i + 1]] = False
+    return there
+
+
+def all_there(there: Array, before: int, behind: int) -> Array:
+    """bool [n]: rows with no gap from `before` rows before them to `behind` rows behind them; a drive begins and ends
+    with one.
+    """
+    gaps = np.concatenate([[0], np.cumsum(~there)])
+    rows = np.arange(len(there))
+    begin, end = rows - before, rows + behind + 1
+    inside = (begin >= 0) & (end <= len(there))
+    found = np.zeros(len(there), dtype=bool)
+    found[inside] = gaps[end[inside]] == gaps[begin[inside]]
+    return found
+
+
+def carried(signals: Mapping[str, Signal], names: tuple[str, ...], ticks: int) -> Array:
+    """bool [n]: where the first of some signals that there is has no gap; everywhere where there is none of them."""
+    for name in names:
+        if name in signals:
+            return signals[name].there
+    return np.ones(ticks, dtype=bool)
