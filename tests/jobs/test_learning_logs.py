@@ -6,9 +6,10 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
-from tests.learn.made_logs import MKZ, car, good, rows_of, write_log
+from tests.learn.made_logs import MKZ, car, good, rows_of, with_report, write_log
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs import calibrate, learn
@@ -67,6 +68,14 @@ def test_what_is_not_excused_is_refused_without_what_is(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="1 thing is wrong") as caught:
         ended([log], ["too_short"])
     assert caught.value.code == "clock_jump" and "too short" not in caught.value.message
+
+
+def test_a_frame_that_says_what_no_car_can_is_left_out_with_a_word(tmp_path: Path) -> None:
+    broken = with_report(lambda k, report: report._replace(speed_mps=40.0) if k == 300 else report)
+    log = write_log(tmp_path / "flipped.log", rows_of(MKZ, 6.0, change=broken))
+    found = ended([log], ["too_short"])
+    assert any("1 of report.speed_mps" in words for words in found.said("warning"))
+    assert np.nanmax(found.drives[0].fields["report.speed_mps"]) < 20.0
 
 
 def test_no_log_and_one_that_is_not_there(tmp_path: Path) -> None:

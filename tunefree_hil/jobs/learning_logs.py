@@ -33,13 +33,13 @@ def read(
         raise InputError("no log is named", code="no_log", key="LOG", hint="name one log or more")
     yield Event("note", f"reading {len(logs)} log{'s' if len(logs) > 1 else ''} of {vehicle.name}")
     drives = read_drives(list(logs), Codec(vehicle))
-    problems = [one for one in check_drives(drives, vehicle) if one.code not in unsaid]
-    for problem in require_good(one._replace(severity="warn") if one.code in excused else one for one in problems):
-        yield Event("warning", problem.words)
     for i, drive in enumerate(drives):
         drives[i], left_out = without_spikes(drive)
         if left_out:
             said = ", ".join(f"{count} of {name}" for name, count in left_out.items())
             yield Event("warning", f"{drive.name}: single values that no car can have come to are left out: {said}")
+    problems = [one for one in check_drives(drives, vehicle) if one.code not in unsaid]
+    for problem in require_good(one._replace(severity="warn") if one.code in excused else one for one in problems):
+        yield Event("warning", problem.words)
     yield Event("note", f"{sum(drive.ticks * drive.dt_s for drive in drives) / 60.0:.1f} minutes of driving")
     return drives
