@@ -95,6 +95,17 @@ def test_an_ins_that_says_its_pose_alone_tells_its_rates() -> None:
         assert np.sqrt(np.mean((here - there) ** 2)) < near
 
 
+@pytest.mark.parametrize("bare", [True, False])
+def test_an_ins_of_the_first_seconds_only_is_left_out_whether_it_says_its_rates_or_its_pose(bare: bool) -> None:
+    gone = ("ins.speed", "ins.yaw_rate", "ins.accel") if bare else ("none",)
+    fields = {key: one for key, one in drive().fields.items() if not key.startswith(gone)}
+    first = np.arange(drive().ticks) < 0.3 * drive().ticks
+    fresh = {key: one & first if key.startswith("ins.") else one for key, one in drive().fresh.items()}
+    one = open_chain(drive()._replace(fields=fields, fresh=fresh), load_vehicle("mkz_bywire"))
+    assert not one.inputs.by_ins and one.moving.mean() > 0.8 and len(one.unsure) == 1
+    assert {"yaw_rate", "rate_of_speed"} <= names(one) and not one.derived
+
+
 def test_a_car_without_a_gyro_has_the_yaw_rate_of_its_wheels() -> None:
     vehicle = load_vehicle("mkz_bywire")
     nominal = msgspec.structs.replace(vehicle.nominal, track_m=1.6, wheel_radius_m=0.33)

@@ -121,6 +121,12 @@ def test_an_effect_may_waver_as_much_as_the_same_number_does_in_a_model_that_lac
         assert (wavering(one, "throttle_gain", ALL, ONE_DAY).share > WAVERS) == says
 
 
+def test_a_car_whose_model_has_no_drag_drifts_as_any_other() -> None:
+    drag = Free("aero_drag.drag_area_m2", 0.03, 3.0, True, 0.0, -0.35, 1.35)
+    assert doubted(Suspect("x", (drag,), ()), [], {}).free[0].drift == 0.03
+    assert doubted(Suspect("x", (DELAY,), ()), [], {}).free[0].drift == 0.0
+
+
 def test_what_all_blocks_say_alike_is_no_wavering() -> None:
     """A number that is held at an end of its range is pulled the same way by all blocks; they may know it unequally."""
     one = fitted(DELAY, differ=0.5)

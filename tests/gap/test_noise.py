@@ -39,6 +39,12 @@ def test_rows_that_do_not_count_are_not_looked_at() -> None:
     assert not whitened(Piece(spoilt, valid), found.filter).valid[1200 : 1200 + ORDER].any()
 
 
+@pytest.mark.parametrize("rows", [2, 30, 79, 81])
+def test_a_piece_shorter_than_the_longest_lag_says_what_it_can(rows: int) -> None:
+    long, short = (Piece(hanging(0.5, seed)[:n], np.ones(n, dtype=bool)) for seed, n in ((1, N), (2, rows)))
+    assert colour_of([long, short], 0.0, 0.05).stretch == pytest.approx(colour_of([long], 0.0, 0.05).stretch, rel=0.1)
+
+
 def test_no_residual_is_believed_smaller_than_its_floor() -> None:
     assert colour_of([Piece(1e-9 * hanging(0.5), np.ones(N, dtype=bool))], 0.01, 0.05).sigma >= 0.01
 

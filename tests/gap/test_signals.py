@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tunefree_hil.gap.signals import all_there, as_told, carried, signals_of
+from tunefree_hil.gap.signals import all_there, as_told, carried, signals_of, well_covered
 from tunefree_hil.learn.drives import Drive
 
 DT_S, TICKS = 0.01, 3000
@@ -23,10 +23,23 @@ def drive(ins_until: int, every: int = 1) -> Drive:
 
 
 def test_an_ins_that_covers_little_of_a_drive_is_left_out_with_a_word() -> None:
-    few, words = signals_of(drive(ins_until=900), 0.0)
-    assert set(few) == {"report.speed_mps"} and "30%" in words[0]
-    most, none = signals_of(drive(ins_until=2100), 0.0)
-    assert {"ins.speed_mps", "ins.yaw_rate_radps"} < set(most) and not none
+    little = signals_of(drive(ins_until=900), 0.0)
+    alone, words = well_covered(little, "made")
+    assert set(alone) == {"report.speed_mps", "ins.yaw_rate_radps"} and "30%" in words[0], (
+        "nobody else tells the yaw rate"
+    )
+    both, _ = well_covered(little | {"report.yaw_rate_radps": little["report.speed_mps"]}, "made")
+    assert set(both) == {"report.speed_mps", "report.yaw_rate_radps"}
+    most = signals_of(drive(ins_until=2100), 0.0)
+    assert well_covered(most, "made") == (most, ())
+
+
+def test_of_an_ins_that_loses_its_yaw_rate_that_alone_is_left_out() -> None:
+    all_ = signals_of(drive(TICKS), 0.0)
+    few = signals_of(drive(ins_until=900), 0.0)["ins.yaw_rate_radps"]
+    some = all_ | {"report.yaw_rate_radps": all_["report.speed_mps"], "ins.yaw_rate_radps": few}
+    kept, words = well_covered(some, "made")
+    assert set(some) - set(kept) == {"ins.yaw_rate_radps"} and "a yaw rate in 30%" in words[0]
 
 
 @pytest.mark.parametrize("late", [0.0, 2.5, 7.0])
@@ -36,7 +49,7 @@ def test_a_simulation_that_is_right_is_missed_by_nothing_however_seldom_a_sensor
     seen = drive(TICKS, every=10)
     earlier = np.sin(2.0 * np.pi * 2.0 * (T - late * DT_S))  # what an INS that is late says
     seen = seen._replace(fields={**seen.fields, "ins.speed_mps": earlier})
-    signal = signals_of(seen, late)[0]["ins.speed_mps"]
+    signal = signals_of(seen, late)["ins.speed_mps"]
     inside = slice(20, -20)
     assert np.abs(signal.values - true)[inside].max() > 0.1
     assert signal.values[inside] == pytest.approx(signal.as_seldom(true)[inside], abs=0.02)
@@ -50,6 +63,13 @@ def test_a_gap_is_no_place_to_look() -> None:
     assert np.flatnonzero(~signal.there).tolist() == [*range(999, 1100), 2999]
     assert np.array_equal(carried({"a": signal}, ("b", "a"), TICKS), signal.there)
     assert carried({}, ("a",), TICKS).all()
+
+
+def test_a_message_that_is_sent_on_demand_has_no_gap_between_two_demands() -> None:
+    braking = as_told(np.sin(T), T % 10.0 < 3.0, DT_S)
+    assert not braking.there.all() and carried({"a": braking}, ("a",), TICKS).all()
+    once = as_told(np.sin(T), T < 12.0, DT_S)
+    assert not carried({"a": once}, ("a",), TICKS).all(), "it ends, and nobody knows what was asked then"
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=60), st.integers(0, 9), st.integers(0, 9))

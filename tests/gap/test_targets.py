@@ -8,7 +8,7 @@ import pytest
 from tests.learn.made_drives import DT_S, QUANTUM, REST, as_drive
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.gap.chain import Opened, open_chain
-from tunefree_hil.gap.targets import TIGHT_RAD, Compared, Target
+from tunefree_hil.gap.targets import LEAST_ROWS, TIGHT_RAD, Compared, Target, too_few
 
 TICKS = 3000
 T = DT_S * np.arange(TICKS)
@@ -61,6 +61,23 @@ def test_a_pedal_that_knows_two_places_only_is_compared() -> None:
 
 def test_a_sensor_that_never_moves_is_compared_with_nothing() -> None:
     assert "yaw_rate" not in targets(opened(yaw=np.zeros(TICKS)))
+
+
+def test_drives_together_must_have_enough_of_a_target_and_each_more_than_a_moment_of_it() -> None:
+    one = opened()
+    moment = one._replace(moving=one.moving & (T > 5.0) & (T < 10.5))
+    assert "yaw_rate" not in {target.name for target in Compared(moment).targets}, "it is all there is"
+    short = Compared(moment, 0.05)
+    (rows,) = (int(target.valid.sum()) for target in short.targets if target.name == "yaw_rate")
+    assert 40 <= rows < LEAST_ROWS and {"yaw_rate", "rate_of_speed"} <= too_few([short])
+    assert "yaw_rate" not in too_few([short, Compared(one, 0.95)])
+    glimpse = one._replace(moving=one.moving & (T > 5.0) & (T < 7.0))
+    assert "yaw_rate" not in {target.name for target in Compared(glimpse, 0.01).targets}
+
+    throttle = next(target for target in short.targets if target.name == "throttle")
+    short.leave_out(too_few([short]))
+    assert "throttle" in {target.name for target in short.targets} and throttle.valid.sum() >= LEAST_ROWS
+    assert "yaw_rate" not in {target.name for target in short.targets}
 
 
 @pytest.mark.parametrize(("share", "left_out"), [(0.2, True), (0.7, False)])

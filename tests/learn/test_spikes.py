@@ -57,6 +57,32 @@ def test_a_sensor_that_often_jumps_is_taken_as_it_is() -> None:
     assert without_spikes(made(report__speed_mps=values))[1] == {}
 
 
+@pytest.mark.parametrize("values", [60, 99, 100, 400])
+def test_a_short_signal_may_have_one_as_well(values: int) -> None:
+    short = speed()[:values].copy()
+    short[values // 2] = 0.0
+    drive = made(report__speed_mps=np.concatenate([short, np.full(TICKS - values, np.nan)]))
+    assert without_spikes(drive)[1] == {"report.speed_mps": 1}
+
+
+def test_a_tap_of_an_actuator_is_none_however_seldom_it_is_told() -> None:
+    tap = np.interp(T % 4.0, [1.0, 1.05, 1.1, 1.2], [0.0, 0.0, 0.23, 0.0])
+    for every in (1, 2, 5, 10):
+        drive = made(report__brake_frac=tap)
+        fresh = np.arange(TICKS) % every == 0
+        assert without_spikes(drive._replace(fresh={"report.brake_frac": fresh}))[1] == {}
+    loose = 0.02 * np.random.default_rng(1).standard_normal(TICKS)
+    loose[2000:2006] += [0.0, -4.56, 0.89, 2.32, -2.59, 3.79]  # a car begins to shake
+    assert not spikes(loose).any()
+
+
+def test_a_frame_without_a_number_stays_one() -> None:
+    values = speed()
+    values[700:702] = 40.0, np.nan
+    cured, _ = without_spikes(made(report__speed_mps=values))
+    assert cured.fields["report.speed_mps"][700] == values[699] and np.isnan(cured.fields["report.speed_mps"][701])
+
+
 @settings(deadline=None, max_examples=40)
 @given(st.integers(0, 10**6), st.floats(1e-3, 10.0), st.integers(1, 9))
 def test_white_noise_has_none(seed: int, loud: float, digits: int) -> None:

@@ -19,7 +19,7 @@ from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.gap.by_pose import HEADING, jumps_of, rates_by_pose, window_of
 from tunefree_hil.gap.graph import CHANNELS, Inputs
-from tunefree_hil.gap.signals import Signal, as_told, carried, signals_of
+from tunefree_hil.gap.signals import Signal, as_told, carried, outdone, signals_of, well_covered
 from tunefree_hil.learn.acted import accel_asked, asked_pedals, channel_of
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.pairs import ECHOES, runs
@@ -83,11 +83,12 @@ class Opened(NamedTuple):
 def open_chain(drive: Drive, vehicle: VehicleSpec) -> Opened:
     """Raises InputError where neither INS nor chassis says the speed: nothing of the motion can be told then."""
     late = vehicle.ins_frame.latency_s / drive.dt_s
-    signals, left_out = signals_of(drive, late)
-    said = dict(signals)
+    said = signals_of(drive, late)
     unsaid = _unsaid(drive, vehicle, said)
-    signals |= unsaid
-    derived = {name: 1 if name.startswith("report.") else window_of(signals[HEADING].fresh) for name in unsaid}
+    signals, left_out = well_covered(said | unsaid, drive.name)
+    derived = {
+        name: 1 if name.startswith("report.") else window_of(said[HEADING].fresh) for name in unsaid if name in signals
+    }
     by_ins = "ins.speed_mps" in signals
     source = "ins.speed_mps" if by_ins else "report.speed_mps"
     if source not in signals:
@@ -121,9 +122,12 @@ def _unsaid(drive: Drive, vehicle: VehicleSpec, signals: Mapping[str, Signal]) -
     rates = rates_by_pose(values, {name: one.fresh for name, one in signals.items()}, drive.dt_s)
     found = {name: signals[HEADING]._replace(values=np.nan_to_num(one)) for name, one in rates.items()}
     wheels = yaw_by_wheels(drive, vehicle.nominal)
-    told = wheels is not None and (wheels[1] & np.isfinite(wheels[0])).sum() > 1
-    if wheels is not None and told and not any(name in signals or name in found for name in YAW_RATES):
-        found[YAW_RATES[0]] = as_told(*wheels, drive.dt_s)
+    by_chassis, by_ins = YAW_RATES
+    if by_chassis in signals or wheels is None or (wheels[1] & np.isfinite(wheels[0])).sum() < 2:
+        return found
+    told = {**signals, **found, by_chassis: as_told(*wheels, drive.dt_s)}
+    if by_ins not in told or outdone(told, by_ins, by_chassis):
+        found[by_chassis] = told[by_chassis]
     return found
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import chdtri, stdtrit
 
 from tunefree_hil.gap.graph import effects
-from tunefree_hil.gap.null import DRIFTS
+from tunefree_hil.gap.null import DRIFT
 from tunefree_hil.gap.problem import Fitted, Free, gathered, is_free
 
 Array = np.ndarray
@@ -32,7 +32,6 @@ UNSTEADY = 1.5
 DAILY = ("friction", "grade", "side_wind", "yaw_rate_bias", "accel_bias")  # effects that are of the day, not of the car
 FORM = 0.01  # of the distance from neutral, standard deviation: no car does an effect quite in the catalogue's form
 KNOWS = 1e-9  # of the block that knows most of a key: who knows less says nothing of it
-DRIFT = {f"{name}.{parameter}": sigma for name, parameter, sigma, _ in DRIFTS}
 
 UPPER = 0.975  # of Student's t with one degree of freedom less than there are blocks
 

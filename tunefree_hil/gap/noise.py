@@ -78,7 +78,8 @@ def _products(pieces: Sequence[Piece], count: int) -> tuple[Array, Array]:
         size = 1 << (2 * len(values) - 1).bit_length()
         for into, what in ((sums, values), (pairs, piece.valid.astype(float))):
             spectrum = np.fft.rfft(what, size)
-            into += np.fft.irfft(spectrum * np.conj(spectrum), size)[:count]
+            some = np.fft.irfft(spectrum * np.conj(spectrum), size)[: min(count, len(values))]
+            into[: len(some)] += some
     return sums, pairs
 
 

@@ -59,6 +59,7 @@ DRIFTS: tuple[tuple[str, str, float, str], ...] = (
     ("yaw_rate_scale", "scale_frac", 0.002, "a gyro's scale"),
     ("accel_bias", "bias_mps2", 0.008, "an accelerometer's bias from one start to the next"),
 )
+DRIFT = {f"{name}.{parameter}": sigma for name, parameter, sigma, _ in DRIFTS}
 ROAD_CAR_KG = 1800.0
 BY_WEIGHT = {"side_wind.force_n"}  # a tenth of the weight is pushed by a tenth
 # Constants of the plant: standard deviation of the logarithm, or an amount of pedal

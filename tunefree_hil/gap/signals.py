@@ -18,6 +18,8 @@ SLOW_TICKS = 3  # from value to value, from which a signal lies on straight line
 COVERS = 0.5  # of what the chassis says: an INS that says less is no second opinion of a drive
 INS = "ins."
 SPEEDS = ("ins.speed_mps", "report.speed_mps")
+YAWS = ("ins.yaw_rate_radps", "report.yaw_rate_radps")
+PAUSES = 3  # of a message, which is sent on demand then and not every so often
 
 
 class Signal(NamedTuple):
@@ -44,14 +46,33 @@ class Signal(NamedTuple):
         return np.interp(ticks, seen, np.interp(seen, ticks, values))
 
 
-def signals_of(drive: Drive, late: float) -> tuple[dict[str, Signal], tuple[str, ...]]:
-    """(signals by field name, in words what was left out). late: rows by which the INS is late."""
-    found = {name: one for name in drive.fields if (one := signal_of(drive, name, late)) is not None}
-    by_ins, by_chassis = (float(found[name].there.sum()) if name in found else 0.0 for name in SPEEDS)
-    if not 0.0 < by_ins < COVERS * by_chassis:
-        return found, ()
-    words = f"{drive.name}: the INS says a speed in {by_ins / drive.ticks:.0%} of it only, so it is left out"
-    return {name: one for name, one in found.items() if not name.startswith(INS)}, (words,)
+def signals_of(drive: Drive, late: float) -> dict[str, Signal]:
+    """Signals by field name. late: rows by which the INS is late."""
+    return {name: one for name in drive.fields if (one := signal_of(drive, name, late)) is not None}
+
+
+def well_covered(signals: Mapping[str, Signal], name: str) -> tuple[dict[str, Signal], tuple[str, ...]]:
+    """(signals without an INS that says little of a drive and the chassis says the same, what was left out in words).
+
+    Without a speed of its own an INS is left out whole, but for a yaw rate that nobody else tells.
+    """
+    if outdone(signals, *SPEEDS):
+        out = {one for one in signals if one.startswith(INS) and (one != YAWS[0] or YAWS[1] in signals)}
+        what = ("a speed", SPEEDS[0], "it")
+    elif outdone(signals, *YAWS):
+        out, what = {YAWS[0]}, ("a yaw rate", YAWS[0], "that")
+    else:
+        return dict(signals), ()
+    share = signals[what[1]].there.mean()
+    words = f"{name}: the INS says {what[0]} in {share:.0%} of it only, so {what[2]} is left out"
+    return {key: one for key, one in signals.items() if key not in out}, (words,)
+
+
+def outdone(signals: Mapping[str, Signal], by_ins: str, by_chassis: str) -> bool:
+    """Whether an INS says something in less than COVERS of what the chassis says it in."""
+    if by_ins not in signals or by_chassis not in signals:
+        return False
+    return bool(signals[by_ins].there.sum() < COVERS * signals[by_chassis].there.sum())
 
 
 def signal_of(drive: Drive, name: str, late: float) -> Signal | None:
@@ -104,8 +125,12 @@ def all_there(there: Array, before: int, behind: int) -> Array:
 
 
 def carried(signals: Mapping[str, Signal], names: tuple[str, ...], ticks: int) -> Array:
-    """bool [n]: where the first of some signals that there is has no gap; everywhere where there is none of them."""
+    """bool [n]: where the first of some signals that there is has no gap; everywhere where there is none of them, or it
+    is sent on demand: then it pauses for most of a drive, again and again, and what was said last holds.
+    """
     for name in names:
         if name in signals:
-            return signals[name].there
+            there = signals[name].there
+            pauses = int((np.diff(there.astype(int)) < 0).sum())
+            return np.ones(ticks, dtype=bool) if pauses >= PAUSES and there.mean() < COVERS else there
     return np.ones(ticks, dtype=bool)

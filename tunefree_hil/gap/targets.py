@@ -6,7 +6,7 @@ links between sensors.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +22,8 @@ Array = np.ndarray
 EVERY_S = 0.05
 ACT_EVERY_S = 0.02
 LEAST_MPS = 1.5  # below it creep, stick and standing still are no car that a single track describes
-LEAST_ROWS = 200  # of all drives of a question; of one its share of these
+LEAST_ROWS = 200  # of all drives of a question; of one its share of these, but not fewer than FEWEST_ROWS
+FEWEST_ROWS = 40
 # In tighter turns the front tyres work against each other, as far as the linkage does not turn each as its own circle
 # asks. What that scrubs off the speed, t²/L² C δ⁴ / m, no single track has: 0.016 m/s² here, 0.06 at 0.33 rad.
 TIGHT_RAD = 0.24
@@ -111,7 +112,8 @@ PLANNED = (
     Planned("yaw_rate", MOTION, "rad/s", _own_yaw, ("report.yaw_rate_radps",), ("ins.yaw_rate_radps",)),
     Planned("lateral_beyond_turning", MOTION, "m/s2", _beyond_turning,
             ("report.lateral_accel_mps2", "ins.speed_mps", "ins.yaw_rate_radps")),
-    Planned("lateral_accel", MOTION, "m/s2", _lateral, ("report.lateral_accel_mps2",), ("ins.yaw_rate_radps",)),
+    Planned("lateral_accel", MOTION, "m/s2", _lateral, ("report.lateral_accel_mps2",),
+            ("ins.speed_mps", "ins.yaw_rate_radps")),
     Planned("wheel_vs_ins", Link.WHEEL_VS_INS, "m/s", _wheels, ("report.speed_mps", "ins.speed_mps")),
     Planned("yaw_vs_ins", Link.YAW_VS_INS, "rad/s", _turns, ("report.yaw_rate_radps", "ins.yaw_rate_radps")),
     Planned("accel_vs_dvdt", Link.ACCEL_VS_DVDT, "m/s2", _felt, ("report.accel_mps2",)),
@@ -130,7 +132,7 @@ class Compared:
     """All targets of a drive, with the functionals that give them. share: of a question's rows, what the drive has."""
 
     def __init__(self, opened: Opened, share: float = 1.0) -> None:
-        self.opened, self._least = opened, LEAST_ROWS * share
+        self.opened, self._least = opened, max(LEAST_ROWS * share, FEWEST_ROWS)
         self._functionals: list[Functional] = []
         self.targets: list[Target] = []
         self._before: tuple[Array, list[Array]] | None = None  # the newest: often only the outputs differ from it
@@ -151,6 +153,12 @@ class Compared:
             found.append(before[1][i] if known and before else functional(columns)[target.rows] - target.measured)
         self._before = (shown, found)
         return found
+
+    def leave_out(self, names: Collection[str]) -> None:
+        """Compare none of these any more."""
+        kept = [i for i, target in enumerate(self.targets) if target.name not in names]
+        self.targets = [self.targets[i] for i in kept]
+        self._functionals, self._before = [self._functionals[i] for i in kept], None
 
     def _add(self, plan: Planned, columns: Columns) -> None:
         opened, functional = self.opened, plan.functional
@@ -195,6 +203,14 @@ class Compared:
             link = Link.COMMAND_TO_REPORT
             self.targets.append(Target(channel, link, unit, rows, good, measured, every_s, quantum, size))
             self._functionals.append(lambda c: c[field])
+
+
+def too_few(drives: Sequence[Compared]) -> set[str]:
+    """Targets of which all drives of a question together have fewer rows than LEAST_ROWS."""
+    rows: dict[str, int] = {}
+    for target in (target for one in drives for target in one.targets):
+        rows[target.name] = rows.get(target.name, 0) + int(target.valid.sum())
+    return {name for name, many in rows.items() if many < LEAST_ROWS}
 
 
 def _size(values: Array, flicker: float = 0.0) -> float:

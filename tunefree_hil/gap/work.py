@@ -18,7 +18,7 @@ from tunefree_hil.gap.graph import CHANNELS, Graph, Values
 from tunefree_hil.gap.noise import Colour, Piece, colour_of, sensor_noise, whitened
 from tunefree_hil.gap.null import card_of
 from tunefree_hil.gap.segments import GUARD, PROOF, Blocks, block_at, blocks_of
-from tunefree_hil.gap.targets import Compared, Target
+from tunefree_hil.gap.targets import Compared, Target, too_few
 
 Array = np.ndarray
 Residuals = dict[str, list[Array]]  # by target, a piece a drive
@@ -65,6 +65,9 @@ class Work:
         self.graph = Graph(setting.model, setting.vehicle, self.dt_s)
         whole = sum(one.ticks for one in setting.drives)
         self.compared = [Compared(one, one.ticks / whole) for one in setting.drives]
+        thin = too_few(self.compared)
+        for one in self.compared:
+            one.leave_out(thin)
         self.blocks: Blocks = blocks_of([one.ticks for one in setting.drives], self.dt_s)
         self._where: dict[str, list[tuple[int, int]]] = {}
         for drive, compared in enumerate(self.compared):
