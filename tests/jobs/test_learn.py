@@ -145,3 +145,16 @@ def test_the_command_that_goes_on(asked: Asked) -> None:
     words = command_of(asked._replace(minutes=2.0, sample_spacing_s=0.05, kind="paper"))
     assert "--kind paper" in words and "--minutes 2" in words and "--sample-spacing 0.05" in words
     assert set(KINDS) == {"hybrid", "lstm", "mlp", "rule_based", "paper"}
+
+
+def test_a_share_of_the_road_is_taken_from_a_calibration_on_the_same_logs_only(
+    tmp_path: Path, drives: list[Drive]
+) -> None:
+    card = {"seed": 1, "logs": [{"hash": one.log_hash} for one in drives]}
+    for share, taken in (({"value": 0.8, "known": True}, 0.8), ({"value": 0.8, "known": False}, 0.0), (None, 0.0),
+                         ({"value": 1.3, "known": True}, 1.0)):  # fmt: skip
+        constants = {} if share is None else {"road_share": share}
+        (tmp_path / "card.json").write_text(json.dumps({**card, "constants": constants}), encoding="utf-8")
+        assert job.road_share_of(tmp_path, drives) == taken
+        assert job.road_share_of(tmp_path, drives[:2]) == 0.0
+    assert job.road_share_of(tmp_path / "none", drives) == 0.0

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from tests.learn.made_drives import CHANNELS, REST, made_drive, whole
+from tests.learn.test_level import drive_with
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import ActuatorSpec, EffectSpec, ModelSpec, VehicleSpec
 from tunefree_hil.learn.drives import Drive, Part
@@ -90,6 +92,13 @@ def test_a_slope_is_seen_and_level_ground_is_level(vehicle: VehicleSpec, track: 
     assert np.abs(uphill.grade_rad[middle][moving[middle]] - 0.04).mean() < 0.006
     assert is_hill(uphill, 500, 1000)
     assert not track.grade_rad.any() and not is_hill(track, 500, 1000)
+
+
+def test_what_an_accelerometer_says_throughout_is_no_hill_but_for_its_share(vehicle: VehicleSpec) -> None:
+    drive = drive_with(0.25)
+    assert not track_of(whole(drive), vehicle).grade_rad.any()
+    (road,) = tracks_of([whole(drive)], vehicle, road_share=1.0)
+    assert np.median(road.grade_rad) == pytest.approx(0.25 / G_MPS2, abs=0.003)
 
 
 def test_rows_in_another_gear_or_with_holes_are_not_good(drive: Drive, vehicle: VehicleSpec) -> None:

@@ -15,13 +15,13 @@ from tunefree_hil.learn.physics import (
     BAND,
     EFFECTS,
     OFFSET,
-    Off,
+    ROAD,
     PhysicsFit,
-    errors,
     fit,
     is_clear,
 )
 from tunefree_hil.learn.sheet import constants, fixed_params
+from tunefree_hil.learn.window_runs import Off, errors
 from tunefree_hil.learn.windows import TARGETS, Windows, windows_of
 from tunefree_hil.learn.worker import Worker
 from tunefree_hil.plant.data_sheet import DEFAULTS
@@ -139,3 +139,20 @@ def test_what_was_not_excited_stays_the_data_sheets() -> None:
     assert "doubt" in brake.why and brake.low < brake.value < brake.high
     assert found.params["brake_force_n_per_frac"] == brake.value
     assert found.values["steer_ratio"].known
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("grade_rad", "bias_mps2", "share"), [(-0.03, 0.0, 1.0), (0.0, -0.3, 0.0)])
+def test_motion_tells_a_slope_that_follows_the_car_from_a_fault_of_the_accelerometer(
+    grade_rad: float, bias_mps2: float, share: float
+) -> None:
+    drive = made_drive(110.0, params=TRUTH, grade_rad=grade_rad)
+    fields = {**drive.fields, "report.accel_mps2": drive.fields["report.accel_mps2"] + bias_mps2}
+    some = windows_of([whole(drive._replace(fields=fields))], VEHICLE)
+    assert all(window.standing == pytest.approx(-0.03, abs=0.003) for window in some.some)
+    with Worker() as worker:
+        found = worker.result(
+            "tunefree_hil.learn.physics", "fit", some, fixed_params(VEHICLE), constants(VEHICLE), 0.35
+        )
+    assert found.values[ROAD].known and found.values[ROAD].value == pytest.approx(share, abs=0.35)
+    assert found.off().road_share == found.values[ROAD].value and set(found.params) == set(DEFAULTS)

@@ -18,13 +18,15 @@ from tunefree_hil.learn.by_motion import Law
 from tunefree_hil.learn.channel_doubts import in_motion
 from tunefree_hil.learn.drives import Drive, Split
 from tunefree_hil.learn.law_constants import suggested
+from tunefree_hil.learn.level import offset_words
 from tunefree_hil.learn.pairs import ECHOES, Pairs, has_channel
-from tunefree_hil.learn.physics import EFFECTS, Off, PhysicsFit, is_clear
+from tunefree_hil.learn.physics import EFFECTS, PhysicsFit, is_clear
 from tunefree_hil.learn.sheet import asks_accel, channel_sheet, constants, fixed_params
 from tunefree_hil.learn.shown import Judged
 from tunefree_hil.learn.smooth import noise_table_of, valid_region
 from tunefree_hil.learn.sources import channels_of, sources
 from tunefree_hil.learn.values import ActuatorFit, Value, as_data
+from tunefree_hil.learn.window_runs import Off
 from tunefree_hil.learn.windows import Windows, windows_of
 from tunefree_hil.learn.worker import Worker
 from tunefree_hil.learn.write_model import require_new, write_model
@@ -61,6 +63,8 @@ def calibrate(logs: Sequence[Path], vehicle: str, out: Path, seed: int = 1) -> I
     began = time.monotonic()
     drives = yield from read(logs, spec, excused=LACKING)
     split = yield from split_of(drives, seed)
+    for words in offset_words(drives, spec):
+        yield Event("warning", words)
     with Worker() as worker:
         fitted = yield from fit_all(worker, split, spec)
     seconds = time.monotonic() - began

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tunefree_hil.learn.physics import BAND, OFFSET, PhysicsFit
+from tunefree_hil.learn.physics import BAND, OFFSET, ROAD, PhysicsFit
 from tunefree_hil.learn.shown import Judged
 from tunefree_hil.learn.values import ActuatorFit, Value
 
@@ -32,6 +32,7 @@ UNITS = {
     "linkage_bend": ("per rad²", 1.0),
     OFFSET: ("rad", 1.0),
     BAND: ("duty", 1.0),
+    ROAD: ("of what the accelerometer says throughout is a slope, the rest its own", 1.0),
 }
 KNOWN, TAKEN = "", " (not from these logs)"
 

@@ -17,7 +17,9 @@ from tunefree_hil.learn.card import Training, card_of
 from tunefree_hil.learn.drives import Drive, Split
 from tunefree_hil.learn.free_run import Judged
 from tunefree_hil.learn.learned_folder import calibration_of, write_learned
+from tunefree_hil.learn.level import offset_words
 from tunefree_hil.learn.motion import Track, tracks_of
+from tunefree_hil.learn.physics import ROAD
 from tunefree_hil.learn.worker import Worker
 from tunefree_hil.learn.write_model import CARD_FILE, require_new
 
@@ -68,8 +70,11 @@ def learn(asked: Asked) -> Iterator[Event]:
     began = time.monotonic()
     drives = yield from read(asked.logs, vehicle)
     split = yield from calibrate.split_of(drives, asked.seed)
+    for words in offset_words(drives, vehicle):
+        yield Event("warning", words)
     physics = yield from physics_of(asked, vehicle, drives, split)
-    data = Data(drives, split, _tracks(split.training, vehicle), _tracks(split.held_out, vehicle))
+    share = road_share_of(Path(physics.folder), drives)
+    data = Data(drives, split, *(_tracks(parts, vehicle, share) for parts in (split.training, split.held_out)))
     part = asked.out.with_name(asked.out.name + ".part")
     arrays, calibration, training = None, calibration_of(physics), None
     if asked.kind == "rule_based":
@@ -136,17 +141,28 @@ def physics_in(folder: Path, vehicle: VehicleSpec) -> ModelSpec:
     return model
 
 
-def _is_of(folder: Path, drives: list[Drive], seed: int) -> bool:
-    """Whether a folder was calibrated on these very logs and this split."""
-    card = folder / "card.json"
+def _is_of(folder: Path, drives: list[Drive], seed: int | None) -> bool:
+    """Whether a folder was calibrated on these very logs, and this split (None: whatever the split)."""
+    card = folder / CARD_FILE
     if not card.is_file():
         return False
     said = json.loads(card.read_text(encoding="utf-8"))
-    return said.get("seed") == seed and [one["hash"] for one in said["logs"]] == [one.log_hash for one in drives]
+    same = [one["hash"] for one in said.get("logs", [])] == [one.log_hash for one in drives]
+    return same and seed in (None, said.get("seed"))
 
 
-def _tracks(parts: Sequence[Any], vehicle: VehicleSpec) -> list[Track]:
-    return tracks_of(parts, vehicle, round(LEAST_TRACK_S * 1000.0 / vehicle.tick_ms))
+def road_share_of(folder: Path, drives: list[Drive]) -> float:
+    """Of what the accelerometer of these logs says wherever the car heads, the part that is a slope; 0.0 where the
+    calibration does not know, or knew other logs.
+    """
+    if not _is_of(folder, drives, None):
+        return 0.0
+    said = json.loads((folder / CARD_FILE).read_text(encoding="utf-8")).get("constants", {}).get(ROAD, {})
+    return min(max(float(said["value"]), 0.0), 1.0) if said.get("known") else 0.0
+
+
+def _tracks(parts: Sequence[Any], vehicle: VehicleSpec, road_share: float) -> list[Track]:
+    return tracks_of(parts, vehicle, round(LEAST_TRACK_S * 1000.0 / vehicle.tick_ms), road_share)
 
 
 def _trained(asked: Asked, vehicle: VehicleSpec, physics: ModelSpec, data: Data, part: Path) -> Iterator[Event]:

@@ -21,13 +21,14 @@ from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec, VehicleSpec, value_of
 from tunefree_hil.learn.acted import accel_asked, asked_pedals, channel_of
 from tunefree_hil.learn.drives import Array, Drive, Part
+from tunefree_hil.learn.level import offset_of
 from tunefree_hil.learn.smooth import between_fresh, mean_noise, yaw_by_wheels
 from tunefree_hil.plant.actuators import ActuatorParams, actuator
 from tunefree_hil.plant.asked_accel import pedals_of
 
 WINDOW, ORDER = 51, 3  # Savitzky-Golay of the labels (apollo_facts 5.3)
 GRADE_ROWS = 201  # the accelerometer's view of the road is smoothed over these
-HILL_RAD = 0.015  # from here on a stretch counts as a hill; an accelerometer's bias is below it
+HILL_RAD = 0.015  # from here on a stretch counts as a hill; what a bias leaves (learn/level.py) is below it
 MOST_DOUBT_RAD = 0.5 * HILL_RAD  # of a slope: an accelerometer that shakes more than that says nothing about the road
 SLOW_MPS = 1.0  # below it an accelerometer says little about the road: stick, pitch, brakes
 CHANNELS = ("throttle", "brake", "steer")
@@ -68,17 +69,18 @@ class Track(NamedTuple):
         return len(self.speed_mps)
 
 
-def tracks_of(parts: Iterable[Part], vehicle: VehicleSpec, least_rows: int = 0) -> list[Track]:
+def tracks_of(parts: Iterable[Part], vehicle: VehicleSpec, least_rows: int = 0, road_share: float = 0.0) -> list[Track]:
     """A track of every part that is long enough (at least WINDOW rows).
 
-    Raises InputError where the vehicle reports no speed or no yaw rate at all.
+    road_share: of what an accelerometer says wherever the car heads (learn/level.py) the part that is a slope. Raises
+    InputError where the vehicle reports no speed or no yaw rate at all.
     """
     least = max(least_rows, WINDOW)
-    return [track_of(part, vehicle) for part in parts if part.end - part.begin >= least]
+    return [track_of(part, vehicle, road_share) for part in parts if part.end - part.begin >= least]
 
 
-def track_of(part: Part, vehicle: VehicleSpec) -> Track:
-    """One stretch; see Track."""
+def track_of(part: Part, vehicle: VehicleSpec, road_share: float = 0.0) -> Track:
+    """One stretch; see Track, and tracks_of."""
     drive, cut = part.drive, slice(part.begin, part.end)
     late = round(vehicle.ins_frame.latency_s / drive.dt_s)
     speed = smooth(_first(drive, ("ins.speed_mps", "report.speed_mps"), late)[cut])
@@ -97,7 +99,7 @@ def track_of(part: Part, vehicle: VehicleSpec) -> Track:
     gear = drive.get("report.gear")
     if gear is not None and not np.isnan(gear).all():
         good &= gear[cut] == GEAR_DRIVE
-    grade = _grade(drive, cut, speed, yaw, accel, vehicle)
+    grade = _grade(drive, cut, speed, yaw, accel, vehicle, (1.0 - road_share) * offset_of(drive, vehicle))
     return Track(
         drive.name, drive.log_hash, part.begin, drive.dt_s, np.maximum(speed, 0.0), yaw, accel, heading, x, y, grade,
         commands, recorded, obeyed, good, placed, None if asked is None else asked[cut],
@@ -170,8 +172,10 @@ def _pose(drive: Drive, cut: slice, late: int, speed: Array, yaw: Array) -> tupl
     return heading, x, y, False
 
 
-def _grade(drive: Drive, cut: slice, speed: Array, yaw: Array, accel: Array, vehicle: VehicleSpec) -> Array:
-    """Slope of the road from specific force beyond the rate of speed; 0 where it is level, slow or not measured."""
+def _grade(drive: Drive, cut: slice, speed: Array, yaw: Array, accel: Array, vehicle: VehicleSpec, own: float) -> Array:
+    """Slope of the road from specific force beyond the rate of speed; 0 where it is level, slow or not measured. own:
+    what the accelerometer says too much, in g.
+    """
     said = drive.get("report.accel_mps2")
     flat = np.zeros(len(speed))
     if said is None or len(speed) < GRADE_ROWS:
@@ -179,6 +183,7 @@ def _grade(drive: Drive, cut: slice, speed: Array, yaw: Array, accel: Array, veh
     nominal = vehicle.nominal
     behind_m = (nominal.wheelbase_m or 0.0) - (nominal.front_axle_m or 0.0)
     beyond = (said[cut] - accel + behind_m * yaw * yaw) / G_MPS2  # the centre of mass slides outwards at b * yaw rate
+    beyond -= own
     usable = np.isfinite(beyond) & (speed > SLOW_MPS)
     if mean_noise(np.where(usable, beyond, np.nan), drive.fresh["report.accel_mps2"][cut], GRADE_ROWS) > MOST_DOUBT_RAD:
         return flat

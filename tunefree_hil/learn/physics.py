@@ -15,18 +15,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.base.kernel import kept, kernel
-from tunefree_hil.base.records import Actuation, Disturbance, Motion
 from tunefree_hil.learn.least import INSIDE, WARM, Least, solve
 from tunefree_hil.learn.physics_doubts import Together, deviations_left, doubts_left, stretches_of, together
 from tunefree_hil.learn.sheet import Constant
 from tunefree_hil.learn.values import Value, together_with
-from tunefree_hil.learn.windows import TARGETS, Window, Windows
-from tunefree_hil.plant.body import ChassisInput, ChassisParams
-from tunefree_hil.plant.data_sheet import constants_of
-from tunefree_hil.plant.single_track import SingleTrackState, step_single_track
+from tunefree_hil.learn.window_runs import WIDTH, Off, errors, rms_of
+from tunefree_hil.learn.windows import TARGETS, Windows
 
 Array = np.ndarray
 
@@ -35,6 +30,8 @@ Array = np.ndarray
 OFFSET, BAND = "steer_offset_rad", "brake_dead_band_frac"
 OFFSET_DOUBT_RAD = 0.1
 BAND_DOUBT = 0.2  # of the brake's way
+# The logs' and not the car's: of what their accelerometer says throughout, the part that is a slope.
+ROAD, ROAD_DOUBT = "road_share", 2.0
 EFFECTS = {OFFSET: ("steer_offset", "offset_rad", 0.005), BAND: ("brake_dead_band", "half_width_frac", 0.002)}
 LATERAL = ("front_stiffness_n_per_rad", "rear_stiffness_n_per_rad", "yaw_inertia_kgm2", "steer_ratio",
            "linkage_bend", OFFSET)  # fmt: skip
@@ -49,14 +46,6 @@ HOPELESS = 0.95  # of it: nothing at all was learned
 WORSE = 1.5  # than with all constants free, from which on what was known before is not gone back to
 TOGETHER = "these logs tell it only together with the others: the best of all together"
 FLOOR = 0.02  # of the first scale: no target is believed better than that
-WIDTH = len(TARGETS)
-
-
-class Off(NamedTuple):
-    """What lies between a reported output and the car: added to the steering wheel, taken off the brake."""
-
-    steer_rad: float = 0.0
-    brake_frac: float = 0.0
 
 
 class PhysicsFit(NamedTuple):
@@ -76,67 +65,13 @@ class PhysicsFit(NamedTuple):
     def off(self) -> Off:
         """What lies between outputs and car; only what is clear (is_clear) goes into a model."""
         found = {name: self.values[name].value if is_clear(name, self.values[name]) else 0.0 for name in EFFECTS}
-        return Off(float(found[OFFSET]), float(found[BAND]))
-
-
-@kernel
-def run_free(params: ChassisParams, state: SingleTrackState, inputs: Any, off: Off, outputs: Any, dt_s: float) -> int:
-    """Drive the car with rows of (throttle, brake, steer, gear) from row 1 on; rows of TARGETS go into `outputs`."""
-    road = Disturbance(0.0, 1.0)
-    rows = len(inputs) // 4
-    idle = params.constants.rest_frac
-    for i in range(1, rows):
-        brake = float(inputs[4 * i + 1]) - off.brake_frac
-        if brake < idle:
-            brake = idle
-        steer = float(inputs[4 * i + 2]) + off.steer_rad
-        act = Actuation(float(inputs[4 * i]), brake, steer, float(inputs[4 * i + 3]))
-        state, motion = step_single_track(params, state, ChassisInput(act, road), dt_s)
-        outputs[6 * i] = motion.speed_mps
-        outputs[6 * i + 1] = motion.yaw_rate_radps
-        outputs[6 * i + 2] = motion.heading_rad
-        outputs[6 * i + 3] = motion.lateral_accel_mps2
-        outputs[6 * i + 4] = motion.x_m
-        outputs[6 * i + 5] = motion.y_m
-    return rows
-
-
-kept(run_free)
-
-
-def simulated(params: ChassisParams, window: Window, off: Off) -> Array:
-    """TARGETS [m, 6] of a free run at the window's rows."""
-    x_m, y_m, heading, speed, yaw = window.start
-    p = params.constants
-    grip = p.rear_stiffness * (p.front_axle_m + p.rear_axle_m)
-    mass_kg = p.mass_kg * p.front_axle_m
-    side = p.rear_axle_m * yaw - mass_kg * speed * speed * yaw / grip  # as it is in a steady turn
-    first = Motion(x_m, y_m, heading, speed, side, yaw, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    outputs = np.zeros(len(window.inputs) * WIDTH)
-    flat = np.ascontiguousarray(window.inputs).ravel()
-    run_free(params, SingleTrackState(first, 0.0), flat, off, outputs, window.dt_s)
-    return outputs.reshape(-1, WIDTH)[window.at]
-
-
-def errors(params: Mapping[str, float], off: Off, some: Sequence[Window]) -> Array:
-    """Simulated minus measured TARGETS [windows, m, 6]; NaN where nothing was measured."""
-    chassis = ChassisParams(constants_of(params, BodyChange()))
-    return np.stack([simulated(chassis, window, off) - window.targets for window in some])
+        road = self.values.get(ROAD)
+        return Off(float(found[OFFSET]), float(found[BAND]), road.value if road is not None and road.known else 0.0)
 
 
 def is_clear(name: str, value: Value) -> bool:
     """Whether one of EFFECTS is there: off zero by more than the doubt about it, and by more than a trifle."""
     return value.known and (value.low > 0.0 or value.high < 0.0) and abs(value.value) > EFFECTS[name][2]
-
-
-def rms_of(misses: Array) -> dict[str, float]:
-    """Root mean square of each target that was measured."""
-    found = {}
-    for i, name in enumerate(TARGETS):
-        some = misses[:, :, i][np.isfinite(misses[:, :, i])]
-        if len(some):
-            found[name] = float(np.sqrt(np.mean(some * some)))
-    return found
 
 
 class Problem:
@@ -152,6 +87,8 @@ class Problem:
             OFFSET: Constant(0.0, OFFSET_DOUBT_RAD, False, False),
             BAND: Constant(0.0, BAND_DOUBT * brake_way, False, False),
         }
+        if any(window.standing for window in self.some):
+            self.known[ROAD] = Constant(0.0, ROAD_DOUBT, False, False)
         names = list(self.known)
         if "brake_force_n_per_frac" not in known:  # no brake, or none that anybody sees
             names.remove(BAND)
@@ -183,11 +120,12 @@ class Problem:
 
     def params(self, values: Mapping[str, float]) -> dict[str, float]:
         """[plant.params] in full."""
-        return self.fixed | {name: value for name, value in values.items() if name not in EFFECTS}
+        return self.fixed | {name: value for name, value in values.items() if name not in (*EFFECTS, ROAD)}
 
     def misses(self, values: Mapping[str, float]) -> Array:
         """[windows, m, 6], not scaled."""
-        return errors(self.params(values), Off(float(values[OFFSET]), float(values[BAND])), self.some)
+        off = Off(float(values[OFFSET]), float(values[BAND]), float(values.get(ROAD, 0.0)))
+        return errors(self.params(values), off, self.some)
 
     def residuals(self, names: Sequence[str], x: Array) -> Array:
         """Scaled so that each window has PIECES of each target to say; then what was known before."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from tunefree_hil.learn.actuator_shapes import Way, simulated
 from tunefree_hil.learn.pairs import Pair, Pairs
-from tunefree_hil.learn.physics import Off, errors, rms_of
+from tunefree_hil.learn.window_runs import Off, errors, rms_of
 from tunefree_hil.learn.windows import Window
 from tunefree_hil.plant.actuators import ActuatorParams
 

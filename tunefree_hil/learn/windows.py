@@ -13,6 +13,7 @@ from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.learn.acted import accel_asked, channel_of
 from tunefree_hil.learn.actuator_shapes import Way, answered
 from tunefree_hil.learn.drives import Drive, Part
+from tunefree_hil.learn.level import TOLD, offset_of
 from tunefree_hil.learn.pairs import runs
 from tunefree_hil.learn.smooth import between_fresh, mean_noise, rate_of, smooth, yaw_by_wheels
 from tunefree_hil.learn.values import ActuatorFit
@@ -28,7 +29,7 @@ SLOWEST_MPS = 0.5  # a window that never is faster is left out
 HILL_RAD = 0.02  # mean slope from which on a window is left out: the road is an input that nobody recorded
 SLOPE_S = 2.0  # over which an accelerometer must tell it
 LOOK_BACK_S = 0.5  # of specific force, for the slope
-MOST_BIAS = 0.01  # of an accelerometer, in g
+MOST_BIAS = 0.01  # of an accelerometer, in g, where the drive does not tell it from a road (learn/level.py)
 
 # What is compared, in this order: where it is read from, and the error that counts as 1 before there is a better scale.
 TARGETS = ("speed_mps", "yaw_rate_radps", "heading_rad", "lateral_accel_mps2", "x_m", "y_m")
@@ -47,7 +48,8 @@ class Window(NamedTuple):
     """inputs [n, 4]: throttle, brake (duty), steer (rad), gear in the tick that ends at the row; row 0 is not used.
 
     start: x, y, heading, speed, yaw rate at row 0. targets [m, 6]: TARGETS at rows `at` [m], NaN where not measured;
-    heading continuous.
+    heading continuous. standing: what the drive's accelerometer says of a slope throughout (learn/level.py), sin; 0.0
+    where that is no more than sensors are off by.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Window(NamedTuple):
     at: Array
     targets: Array
     dt_s: float
+    standing: float = 0.0
 
 
 class Windows(NamedTuple):
@@ -131,6 +134,7 @@ class _Signals:
         self.good &= self._heard()
         if not self.pedals:
             self.good &= self.speed > SLOWEST_MPS
+        self.standing = offset_of(drive, vehicle)
         self.slope = self._slope()
 
     def _input(self, name: str, rest: float) -> Array:
@@ -213,7 +217,7 @@ class _Signals:
         found = (between_fresh(felt, fresh) - rate) / G_MPS2
         if mean_noise(found, fresh, round(SLOPE_S / self.dt_s)) > 0.5 * HILL_RAD:
             return None  # it shakes too much to tell a slope
-        return found - float(np.clip(np.nanmedian(found), -MOST_BIAS, MOST_BIAS))  # a sensor's bias is no slope
+        return found - (self.standing or float(np.clip(np.nanmedian(found), -MOST_BIAS, MOST_BIAS)))
 
     def on_hill(self, span: slice) -> bool:
         """Whether the road under a window is not level."""
@@ -239,6 +243,7 @@ class _Signals:
             at,
             here[at],
             self.dt_s,
+            self.standing if abs(self.standing) > TOLD else 0.0,
         )
 
     def _start(self, target: int, row: int) -> float:
