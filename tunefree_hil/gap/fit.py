@@ -79,19 +79,30 @@ def fit_without(problem: Problem, model: Fitted, name: str) -> Fitted:
 
 
 def fit_candidate(scan: Scan, name: str, free: Sequence[Free], begin: Start, hopeless: float) -> Fitted:
-    """A candidate fitted from a point of its grid beside the scan's model. Who gains less than `hopeless` there gets
-    one step: enough to be sure that nobody is left out for the grid's sake.
+    """A candidate fitted from a point of its grid beside the scan's model, or from two, the better one taken. Who gains
+    less than `hopeless` there gets one step: enough to be sure that nobody is left out for the grid's sake.
     """
-    problem, loose = scan.problem, (*scan.start.free, *free)
+    problem, colours = scan.problem, {one: scan.start.sums[one].colour for one in scan.start.sums}
+    turns = TURNS if begin.gain > hopeless else 1
     if begin.gain > hopeless:
         begin = scan.finer(free, begin)
-    residuals = problem.work.residuals(problem.values(begin.keys, begin.z, loose))
-    at = Point(begin.keys, loose, begin.z, residuals)
-    colours = {one: scan.start.sums[one].colour for one in scan.start.sums}
-    turns = TURNS if begin.gain > hopeless else 1
     own = list(range(len(begin.keys) - len(free), len(begin.keys)))
-    at, slopes = _descended(problem, at, scan.slopes(free), own, colours, turns)
+    loose = (*scan.start.free, *free)
+    found = []
+    for one in (begin, begin.plain):
+        if one is not None:
+            residuals = problem.work.residuals(problem.values(one.keys, one.z, loose))
+            at = Point(one.keys, loose, one.z, residuals)
+            found.append(_descended(problem, at, scan.slopes(free), own, colours, turns))
+    at, slopes = min(found, key=lambda one: _cost(scan, one[0], colours)) if len(found) > 1 else found[0]
     return _finished(problem, name, at, slopes)
+
+
+def _cost(scan: Scan, at: Point, colours: dict[str, Colour]) -> float:
+    """What a point leaves under the noise of the model that it is added to."""
+    problem, start = scan.problem, scan.start
+    left = squares(problem, at.residuals, colours, start.residuals, start.sums, problem.judged())
+    return left + float(at.z @ problem.prior(at.keys, at.free) @ at.z)
 
 
 def _fitted_on(problem: Problem, name: str, at: Point) -> tuple[Fitted, Slopes]:

@@ -8,6 +8,7 @@ recalibration could still do there is a small linear problem.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -32,12 +33,14 @@ FINER = 9  # points between the best one's neighbours: a delay is rugged on the 
 
 class Start(NamedTuple):
     """The best point of a grid: keys that move and z of them (all but `free`: recalibration done there), and what it
-    gains over the model that the candidate is added to, in squares.
+    gains over the model that the candidate is added to, in squares. plain: of several parameters the best point with
+    all but the first neutral, where that is another one.
     """
 
     keys: tuple[str, ...]
     z: Array
     gain: float
+    plain: Start | None = None
 
 
 class _Felt(NamedTuple):
@@ -63,7 +66,12 @@ class Scan:
         """Over the whole grid, and where recalibration has put the very same parameter: taking its place must be no
         loss. Raises InputError where no value of it makes a car.
         """
-        return self._best(free, [*grid_of(free), *self._recalibrated(free)])
+        found = self._best(free, [*grid_of(free), *self._recalibrated(free)])
+        neutral = [one.place(one.neutral) for one in free[1:]]
+        if np.array_equal(found.z[len(found.z) - len(neutral) :], neutral):
+            return found
+        # A grid of two is coarse: its best point may trade the one for the other on a ridge that leads nowhere
+        return found._replace(plain=self._best(free, [np.array([u, *neutral]) for u in _places(free[0])]))
 
     def finer(self, free: Sequence[Free], found: Start) -> Start:
         """Around a point that was found, where there is one parameter and what it does is not nearly linear."""
@@ -170,8 +178,8 @@ def grid_of(free: Sequence[Free]) -> list[Array]:
     first = _places(free[0])
     if len(free) == 1:
         return [np.array([u]) for u in first]
-    places = [tuple((0.1, 0.5, 0.9)[k] for k in more) for more in np.ndindex(*(3,) * (len(free) - 1))]
-    return [np.array([u, *more]) for u in first for more in places]
+    places = product(*((0.1, one.place(one.neutral), 0.9) for one in free[1:]))
+    return [np.array([u, *more]) for u, more in product(first, places)]
 
 
 def _places(one: Free) -> list[float]:
