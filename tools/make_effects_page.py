@@ -21,9 +21,9 @@ from tunefree_hil.effects import catalogue  # noqa: E402
 PAGE = ROOT / "docs" / "effects.md"
 BEGIN, END = "<!-- tables: tools/make_effects_page.py -->", "<!-- end of tables -->"
 GROUPS = {
-    "Steering": (Port.STEER_A, Port.STEER_B),
-    "Throttle and driveline": (Port.THROTTLE_A, Port.THROTTLE_B),
-    "Brake": (Port.BRAKE_A, Port.BRAKE_B),
+    "Steering": (Port.STEER_A, Port.STEER_OUT, Port.STEER_B),
+    "Throttle and driveline": (Port.THROTTLE_A, Port.THROTTLE_OUT, Port.THROTTLE_B),
+    "Brake": (Port.BRAKE_A, Port.BRAKE_OUT, Port.BRAKE_B),
     "Body, tyres and surroundings": (Port.BODY,),
     "Sensing and timing": (Port.REPORT, Port.INS),
 }

@@ -33,6 +33,10 @@ class Port(Enum):
     THROTTLE_B = "throttle B"
     BRAKE_A = "brake A"
     BRAKE_B = "brake B"
+    # at the actuator's end, behind its dead time and lag, and still before the report: limits of the motor itself
+    STEER_OUT = "steer out A"
+    THROTTLE_OUT = "throttle out A"
+    BRAKE_OUT = "brake out A"
     BODY = "body"
     REPORT = "report"
     INS = "ins"

@@ -9,12 +9,12 @@ from tunefree_hil.effects._signals import rate_limit
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on the steering-wheel angle [rad]: no faster than rate_radps, an absolute limit."""
+    """Block on the steering-wheel angle [rad]: behind the motor's lag: no faster than rate_radps, an absolute limit."""
     return rate_limit("rate_radps", params["rate_radps"], rest)
 
 
 EFFECT = Effect(
-    Port.STEER_A,
+    Port.STEER_OUT,
     {"rate_radps": math.inf},
     {"rate_radps": "rad/s"},
     make,

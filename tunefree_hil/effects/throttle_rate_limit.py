@@ -9,12 +9,12 @@ from tunefree_hil.effects._signals import rate_limit
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on the throttle duty: no faster than rate_per_s [1/s], an absolute limit."""
+    """Block on the throttle duty: behind the actuator's lag: no faster than rate_per_s [1/s], an absolute limit."""
     return rate_limit("rate_per_s", params["rate_per_s"], rest)
 
 
 EFFECT = Effect(
-    Port.THROTTLE_A,
+    Port.THROTTLE_OUT,
     {"rate_per_s": math.inf},
     {"rate_per_s": "1/s"},
     make,

@@ -23,7 +23,7 @@ def is_by_accel(model: ModelSpec) -> bool:
 
 def is_unheard(model: ModelSpec, port: Port) -> bool:
     """Whether an effect at a port does nothing to a model's car: what is before the pedals of one that has none."""
-    return port in (Port.THROTTLE_A, Port.BRAKE_A) and is_by_accel(model)
+    return port in (Port.THROTTLE_A, Port.THROTTLE_OUT, Port.BRAKE_A, Port.BRAKE_OUT) and is_by_accel(model)
 
 
 def heard(model: ModelSpec) -> dict[str, tuple[Effect, dict[str, float]]]:

@@ -1,7 +1,7 @@
 """One compiled car with every effect of the catalogue in it, each neutral until its parameters say otherwise.
 
-    commands -> effects A -> actuators -+-> reported outputs
-                                        |
+    commands -> effects A -> actuators, effects on their outputs -+-> reported outputs
+                                                                  |
     measured outputs (or those) -> effects B -> chassis -> sensors -> effects on reports and INS -> what is compared
 
 The chassis takes the *measured* outputs where there are any, so that a link is judged without the links before it. In a
@@ -26,7 +26,7 @@ from tunefree_hil.base.records import Report
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.channels import UNHEARD, channel_spec, heard, is_unheard
-from tunefree_hil.gap.ports import chain_of
+from tunefree_hil.gap.ports import PORTS_A, PORTS_B, PORTS_OUT, SCALAR_PORTS, chain_of, three_of
 from tunefree_hil.gap.recent import Recent, ahead
 from tunefree_hil.gap.ride import INS_COLUMNS, SAID, TAKEN, WIDE, Bodies, Heads, make_heads, make_ride
 from tunefree_hil.learn.free_run import plant_of
@@ -41,9 +41,6 @@ Values = Mapping[str, float]
 
 LINKAGE, BEND = "linkage.bend", "linkage_bend"
 CHANNELS = ("throttle", "brake", "steer")
-PORTS_A = (Port.THROTTLE_A, Port.BRAKE_A, Port.STEER_A)
-PORTS_B = (Port.THROTTLE_B, Port.BRAKE_B, Port.STEER_B)
-SCALAR_PORTS = (*PORTS_A, *PORTS_B)
 
 
 class Inputs(NamedTuple):
@@ -97,7 +94,7 @@ class Graph:
         }
         chassis = self.plant.make(model.plant.params, BodyChange())
         step = {port: self._chains[port].block.step for port in (*SCALAR_PORTS, Port.REPORT, Port.INS)}
-        self._heads = make_heads([step[port] for port in (*PORTS_A, Port.REPORT)])
+        self._heads = make_heads([step[port] for port in (*PORTS_A, *PORTS_OUT, Port.REPORT)])
         self._ride = make_ride(
             [step[port] for port in (*PORTS_B, Port.REPORT, Port.INS)], chassis.step, self.plant.observe
         )
@@ -152,7 +149,7 @@ class Graph:
         if name == "actuator":
             return True
         port = self.can[name].port if name in self.can else None
-        return port in PORTS_A or (not alone and port is Port.REPORT and name in self._shifts)
+        return port in (*PORTS_A, *PORTS_OUT) or (not alone and port is Port.REPORT and name in self._shifts)
 
     def _is_shift(self, name: str) -> bool:
         """Whether an effect on the report touches the outputs in it, by delay or by amount."""
@@ -177,12 +174,11 @@ class Graph:
         taken = np.zeros((len(commands), TAKEN))
         taken[:, :3], taken[:, 6] = commands, x.gear
         own = tuple(self._actuator(i, float(commands[0, i]), values) for i in range(3))
-        before = tuple(self._chains[port].params(blocks) for port in PORTS_A)
-        states = tuple(self._chains[port].state(blocks, self.dt_s) for port in PORTS_A)
+        before, ends = (three_of(self._chains, ports, blocks, self.dt_s) for ports in (PORTS_A, PORTS_OUT))
         report = self._chains[Port.REPORT]
-        params = Heads(before, own, report.params(blocks))  # pyright: ignore[reportArgumentType]
+        params = Heads(before[0], own, ends[0], report.params(blocks))  # pyright: ignore[reportArgumentType]
         begin = tuple(init_actuator(one, self.dt_s) for one in own)
-        state = Heads(states, begin, report.state(blocks, self.dt_s))  # pyright: ignore[reportArgumentType]
+        state = Heads(before[1], begin, ends[1], report.state(blocks, self.dt_s))  # pyright: ignore[reportArgumentType]
         said = np.zeros(len(taken) * SAID)
         self._heads(params, state, taken.ravel(), said, x.dt_s)
         found = said.reshape(-1, SAID)
@@ -193,12 +189,11 @@ class Graph:
         taken = self._taken(x, blocks, values, said)
         chassis = self.plant.make(scaled(self.model.plant.params, self.plant.defaults, values), change)
         own = chassis.params._replace(start=chassis.params.start._replace(speed_mps=float(taken[0, 7])))
-        behind = tuple(self._chains[port].params(blocks) for port in PORTS_B)
-        states = tuple(self._chains[port].state(blocks, self.dt_s) for port in PORTS_B)
+        behind, states = three_of(self._chains, PORTS_B, blocks, self.dt_s)
         report, ins = self._chains[Port.REPORT], self._chains[Port.INS]
-        params = Bodies(behind, own, report.params(blocks), ins.params(blocks))  # pyright: ignore[reportArgumentType]
+        params = Bodies(behind, own, report.params(blocks), ins.params(blocks))
         begin = chassis.init(own, self.dt_s)
-        state = Bodies(states, begin, report.state(blocks, self.dt_s), ins.state(blocks, self.dt_s))  # pyright: ignore[reportArgumentType]
+        state = Bodies(states, begin, report.state(blocks, self.dt_s), ins.state(blocks, self.dt_s))
         shown = np.zeros(len(taken) * WIDE)
         self._ride(params, state, taken.ravel(), shown, x.dt_s)
         found = shown.reshape(-1, WIDE)

@@ -26,7 +26,7 @@ Array = np.ndarray
 
 ALONG, ACROSS, SENSORS = "along", "across", "sensors"
 GROUPS = (ALONG, ACROSS, SENSORS)
-STEERS = (Port.STEER_A, Port.STEER_B)
+STEERS = (Port.STEER_A, Port.STEER_OUT, Port.STEER_B)
 SIDEWAYS = {  # on the body: what shows in how the car turns and in what it feels sideways
     "friction", "front_stiffness", "rear_stiffness", "side_wind", "road_bank",
     "plant.yaw_inertia_kgm2", "plant.front_axle_m", "plant.wheelbase_m", "linkage",

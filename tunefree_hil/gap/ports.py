@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from tunefree_hil.base.contracts import Port
 from tunefree_hil.base.kernel import Block, kernel, series
+
+Three = tuple[Any, Any, Any]
+
+# Of throttle, brake, steer: before the actuator, on its output, behind the report
+PORTS_A = (Port.THROTTLE_A, Port.BRAKE_A, Port.STEER_A)
+PORTS_OUT = (Port.THROTTLE_OUT, Port.BRAKE_OUT, Port.STEER_OUT)
+PORTS_B = (Port.THROTTLE_B, Port.BRAKE_B, Port.STEER_B)
+SCALAR_PORTS = (*PORTS_A, *PORTS_OUT, *PORTS_B)
 
 
 @kernel
@@ -50,3 +59,12 @@ def chain_of(names: Sequence[str], blocks: Mapping[str, Block]) -> Chain:
     for name in names[1:]:
         whole = series(whole, blocks[name])
     return Chain(tuple(names), whole)
+
+
+def three_of(
+    chains: Mapping[Port, Chain], ports: tuple[Port, Port, Port], blocks: Mapping[str, Block], dt_s: float
+) -> tuple[Three, Three]:
+    """(params, states) of the effects on three channels."""
+    one, two, three = (chains[port] for port in ports)
+    params = (one.params(blocks), two.params(blocks), three.params(blocks))
+    return params, (one.state(blocks, dt_s), two.state(blocks, dt_s), three.state(blocks, dt_s))

@@ -70,7 +70,7 @@ def car_of(model: ModelSpec, vehicle: VehicleSpec, opened: Opened, more: Sequenc
     late = [sum(made.params.delay_s for port, made in effects if port is where and _is_late(made)) for where in _ENDS]
     parts_of_it = [*effects, *((None, actuator(one)) for one in channels.values())]
     forgets = chassis_forgets(model.plant.kind, biased.block.params.chassis) and all(
-        is_forgotten(one, port, 0.0 if port in (Port.STEER_A, Port.STEER_B) else rest, opened.dt_s)
+        is_forgotten(one, port, 0.0 if port is not None and port.value.startswith("steer") else rest, opened.dt_s)
         for port, one in parts_of_it
     )
     return Car(biased, plant.observe, rest, (late[0], late[1]), forgets)

@@ -23,10 +23,11 @@ EYES = SensorParams((0.0,) * WIDTH, 0.0, 0.0)
 
 
 class Heads(NamedTuple):
-    """Of the actuators (params or states): effects A, the channels' own, effects on reports."""
+    """Of the actuators (params or states): effects A, the channels' own, effects on their outputs, those on reports."""
 
     before: tuple[Any, Any, Any]
     own: tuple[Any, Any, Any]
+    ends: tuple[Any, Any, Any]
     report: Any
 
 
@@ -53,12 +54,14 @@ def _measured(inputs: Any, at: int) -> Motion:
 
 
 def make_heads(steps: Sequence[Any]) -> Callable[..., int]:
-    """The loop over a drive from commands to outputs. steps: of throttle A, brake A, steer A, report."""
-    throttle_a, brake_a, steer_a, on_report = steps
+    """The loop over a drive from commands to outputs. steps: of throttle, brake, steer A, the same three on
+    the actuators' outputs, report.
+    """
+    throttle_a, brake_a, steer_a, throttle_out, brake_out, steer_out, on_report = steps
 
     @kernel
     def heads(params: Heads, state: Heads, inputs: Any, said: Any, dt_s: float) -> int:
-        before, own, report = state
+        before, own, ends, report = state
         rows = len(inputs) // TAKEN
         for k in range(1, rows):
             told = _told(inputs, k * TAKEN)
@@ -70,6 +73,10 @@ def make_heads(steps: Sequence[Any]) -> Callable[..., int]:
             own_2, brake = step_actuator(params.own[1], own[1], brake, dt_s)
             own_3, steer = step_actuator(params.own[2], own[2], steer, dt_s)
             own = (own_1, own_2, own_3)
+            end_1, throttle = throttle_out(params.ends[0], ends[0], throttle, dt_s)
+            end_2, brake = brake_out(params.ends[1], ends[1], brake, dt_s)
+            end_3, steer = steer_out(params.ends[2], ends[2], steer, dt_s)
+            ends = (end_1, end_2, end_3)
             look = SensorInput(STILL, Actuation(throttle, brake, steer, told.gear), told, NOBODY)
             report, heard = on_report(params.report, report, report_of(look, EYES.noise, 0), dt_s)
             at = k * SAID

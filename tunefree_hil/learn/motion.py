@@ -243,18 +243,19 @@ def body_change(model: ModelSpec) -> BodyChange:
 
 
 def _channel_block(model: ModelSpec, name: str, rest: float, initial: float, identity: bool) -> Block:
-    """Effects A, actuator, effects B of one channel, in series."""
-    before, behind = [], []
+    """Effects A, actuator, effects on its output, effects B of one channel, in series."""
+    before, ends, behind = [], [], []
+    places = {f"{name} A": before, f"{name} out A": ends, f"{name} B": behind}
     for spec in model.effects:
         effect = parts.load("tunefree_hil.effects", spec.name, "EFFECT")
-        if effect.port.value in (f"{name} A", f"{name} B"):
+        if effect.port.value in places:
             made = make_effect(effect, spec.params, rest=rest, name=spec.name)
             if isinstance(made, Block):
-                (before if effect.port.value.endswith("A") else behind).append(made)
+                places[effect.port.value].append(made)
     own = ActuatorParams(rest=rest, initial=initial)
     if not identity:
         own = actuator_params(model.actuators.get(name, ActuatorSpec()), rest, initial)
-    chain = [*before, actuator(own), *behind]
+    chain = [*before, actuator(own), *ends, *behind]
     block = chain[0]
     for one in chain[1:]:
         block = series(block, one)

@@ -62,12 +62,14 @@ def channels_of(effects: Effects, ports: tuple[Port, Port, Port], record: Any) -
     return Block(init, on_command if is_command else on_actuation, (throttle.params, brake.params, steer.params))
 
 
-def before(effects: Effects, own: Block) -> Block:
-    """Effects A and the actuators, Command -> Actuation."""
-    ports = (Port.THROTTLE_A, Port.BRAKE_A, Port.STEER_A)
-    if not any(where in ports for where, _ in effects):
-        return own
-    return series(channels_of(effects, ports, Command), own)
+def upto_report(effects: Effects, own: Block) -> Block:
+    """Effects A and the actuators, Command -> Actuation; those on an actuator's output are behind its lag."""
+    ports, ends = (Port.THROTTLE_A, Port.BRAKE_A, Port.STEER_A), (Port.THROTTLE_OUT, Port.BRAKE_OUT, Port.STEER_OUT)
+    if any(where in ports for where, _ in effects):
+        own = series(channels_of(effects, ports, Command), own)
+    if any(where in ends for where, _ in effects):
+        own = series(own, channels_of(effects, ends, Actuation))
+    return own
 
 
 def seen_of(effects: Effects) -> Block:

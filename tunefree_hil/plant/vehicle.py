@@ -1,8 +1,8 @@
 """A whole simulated vehicle out of actuators, chassis, sensors and effects.
 
-`assemble(...)` gives a Block BodyInput -> BodyOutput. Order of a tick: command, effects A, actuators, effects B,
-chassis, sensors; the measurement belongs to the state after the tick. `first_output` is tick 0, before any step.
-Start and noise are params, so that one compiled body serves every episode (`for_episode`).
+`assemble(...)` gives a Block BodyInput -> BodyOutput. Order of a tick: command, effects A, actuators, effects on
+their outputs, effects B, chassis, sensors; the measurement belongs to the state after the tick. `first_output` is tick
+0, before any step. Start and noise are params, so that one compiled body serves every episode (`for_episode`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tunefree_hil.plant.body import (
     rolling_motion,
 )
 from tunefree_hil.plant.late import latency_of
-from tunefree_hil.plant.ports import Effects, before, channels_of, seen_of
+from tunefree_hil.plant.ports import Effects, channels_of, seen_of, upto_report
 from tunefree_hil.plant.sensors import SensorInput, SensorParams, noise_table, rolled_in, sensors
 
 
@@ -91,7 +91,7 @@ def assemble(
         own = plant.actuators(params)
     else:
         own = _own_actuators(channels or {}, rest_frac[0])
-    front = before(effects, own)
+    front = upto_report(effects, own)
     behind = channels_of(effects, (Port.THROTTLE_B, Port.BRAKE_B, Port.STEER_B), Actuation)
     seen = seen_of(effects)
     ins_ticks = round(ins_latency_s / dt_s)
