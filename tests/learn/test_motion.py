@@ -131,6 +131,19 @@ def test_reports_stand_where_there_are_no_commands(drive: Drive, vehicle: Vehicl
     assert not track.obeyed.any() and np.array_equal(outputs_of(track, truth, REST), track.recorded)
 
 
+def test_a_rate_limit_counts_behind_the_actuators_lag(track: Track, truth: ModelSpec) -> None:
+    fields = {name: getattr(truth, name) for name in truth.__struct_fields__}
+    limited = [EffectSpec(name="steer_rate_limit", params={"rate_radps": 0.2})]
+    slow = ActuatorSpec(dead_time_s=0.0, lag_s=0.5)
+    found = outputs_of(track, type(truth)(**{**fields, "effects": limited, "actuators": {"steer": slow}}), REST)
+    free = outputs_of(track, type(truth)(**{**fields, "effects": [], "actuators": {"steer": slow}}), REST)
+    y, expected = 0.0, []  # an effect has been at rest for ever
+    for x in free[:, 2]:
+        y += float(np.clip(x - y, -0.2 * track.dt_s, 0.2 * track.dt_s))
+        expected.append(y)
+    assert np.abs(np.diff(free[:, 2])).max() > 0.004 and np.allclose(found[200:, 2], expected[200:], atol=2e-3)
+
+
 def test_effects_of_a_channel_count(track: Track, truth: ModelSpec) -> None:
     fields = {name: getattr(truth, name) for name in truth.__struct_fields__}
     offset = [

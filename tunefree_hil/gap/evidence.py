@@ -114,18 +114,6 @@ def paired(one: Fitted, other: Fitted, blocks: Array, seed: int = 1, names: Sequ
     return bootstrapped(differences, seed)
 
 
-def unseen(one: Fitted, other: Fitted, blocks: Blocks) -> tuple[Array, Array]:
-    """Differences in log likelihood of one model over another as both stand, by the noise that the first one leaves: of
-    each block that proves, and of each that was judged.
-    """
-    base = stretched(other, stretches(one))
-    every = np.arange(blocks.count)
-    more = sum(
-        (_log_likelihood(one, name, every) - _log_likelihood(base, name, every) for name in one.sums), every * 0.0
-    )
-    return more[blocks.roles == PROOF], more[blocks.roles != PROOF]
-
-
 def bootstrapped(differences: Array, seed: int = 1) -> Paired:
     """The sum of differences over blocks, with an interval. The doubt is the share of draws that are not positive, but
     no less than by chance all of so few blocks say the same: no draw of equal signs is of another one.

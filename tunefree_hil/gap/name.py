@@ -20,7 +20,7 @@ from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.gap.ask import Modelled, Question
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.clock import Echo, echoes
-from tunefree_hil.gap.decide import Weighed, left_share, worked_on
+from tunefree_hil.gap.decide import Weighed, left_share, shrink, worked_on
 from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.excitation import Excited, excitation, held_by
 from tunefree_hil.gap.graph import effects
@@ -42,12 +42,17 @@ LEAST_S = FEWEST * SHORTEST_S * (1.0 + GUARD_S / BLOCK_S)  # that a question's l
 
 
 class Effect(NamedTuple):
-    """An effect that is said to be missing. evidence: nats over the model without it. faint: only if proved."""
+    """An effect that is said to be missing. evidence: nats over the model without it. faint: only if proved. shrink,
+    unseen: by how much all effects together shrink the error of the target that shows this one best, on the blocks that
+    judged and on those that prove; the second is nobody's business before the proof.
+    """
 
     name: str
     params: dict[str, Value]
     evidence: float
     faint: bool = False
+    shrink: float = 0.0
+    unseen: float = 0.0
 
 
 class Named(NamedTuple):
@@ -155,7 +160,7 @@ def _named(
     link, shown = _where(team, question, steps, looked, said)
     known: tuple[Effect, ...] = ()
     if verdict in ("one", "several"):
-        known = tuple(_effect(one, repaired, blocks) for one in steps)
+        known = tuple(_effect(one, repaired, question) for one in steps)
     return Named(
         verdict, known, others, _manoeuvre(others), link, shown, tuple(looked), said, held, tuple(first), question,
         repaired, before, after, lost_links(drives), (*words, *daily_words(apart(repaired.fitted, blocks, days))),
@@ -168,8 +173,11 @@ def looked_at(team: Team, question: Question, model: Modelled, blocks: Array) ->
     return left, look(left, question.kinds, question.sizes, bursts)
 
 
-def _effect(one: Weighed, repaired: Modelled, blocks: Array) -> Effect:
-    return Effect(one.name, values_of(one.name, repaired.fitted, blocks), one.evidence, one.faint)
+def _effect(one: Weighed, repaired: Modelled, question: Question) -> Effect:
+    blocks = judged(question.blocks)
+    proof = np.setdiff1d(np.arange(question.blocks.count), blocks)
+    seen, unseen = (shrink(question.null, repaired, one.target, some)[0] for some in (blocks, proof))
+    return Effect(one.name, values_of(one.name, repaired.fitted, blocks), one.evidence, one.faint, seen, unseen)
 
 
 def _where(

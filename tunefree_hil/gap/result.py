@@ -105,7 +105,8 @@ def is_absorbed(found: Named, kind: str) -> bool:
 
 def _effect(one: Effect) -> dict[str, Any]:
     params = {key: {**value._asdict(), **_ends(value.low, value.high)} for key, value in one.params.items()}
-    return {"name": one.name, "params": params, "evidence": _number(one.evidence), "faint": one.faint}
+    seen = {"shrink": _number(one.shrink), "unseen_shrink": _number(one.unseen)}
+    return {"name": one.name, "params": params, "evidence": _number(one.evidence), "faint": one.faint, **seen}
 
 
 def _ends(low: float, high: float) -> dict[str, float | None]:

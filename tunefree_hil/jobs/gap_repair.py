@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
+from tunefree_hil.gap.decide import PLAIN_NATS
 from tunefree_hil.gap.pays import Paid, chosen_runs, gained, groups_of, that_pays
 from tunefree_hil.gap.repair import Repaired, found_effects, repaired, write_repaired
 from tunefree_hil.gap.segments import block_s_of
@@ -21,7 +22,7 @@ from tunefree_hil.gap.shrink import (
     worse_signals,
 )
 from tunefree_hil.gap.verify import Proof, Variant, prove
-from tunefree_hil.jobs.gap_words import listed, percent
+from tunefree_hil.jobs.gap_words import CLOSES_NOTHING, listed, percent
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import EffectSpec, ModelSpec
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 LEAST_CLOSED = 2.0 / 3.0  # of the gap: who surely leaves a third of it stands in for something else
 SPEAKS_FOR = 0.3  # of the gap, surely closed: what a name needs that nothing else speaks for
+AGAIN = 0.5  # of what an effect takes off its own signal's error, on the blocks that prove: it is there as well
+SILENT = 0.02  # of that error: blocks in which the effect moves less do not show it
 
 
 class Mended(NamedTuple):
@@ -133,7 +136,8 @@ def proved(
     if not is_borne_out(found.answer, data["explained_frac"]):
         data |= taken_back(found.answer, data["explained_frac"])
         yield Event("warning", f"taken back: {data['words'][0]}")
-    if worse or "taken_back" in data:
+    closes = data["explained_frac"]
+    if worse or "taken_back" in data or (closes is not None and closes["value"] < CLOSES_NOTHING):
         shutil.rmtree(folder.model)
         data["model"] = None
     return data, proof
@@ -143,17 +147,33 @@ def is_borne_out(answer: Mapping[str, Any], closes: Mapping[str, float] | None) 
     """Whether blocks that no fit has seen bear out what was named: the repair closes something of the gap there, and as
     far as they can tell most of it. Where no link is broken, so that nothing but the name says that anything is
     missing, none of them may speak against it (those that do not show the effect say nothing); a name that is faint
-    even there (gap/decide.py) they have to speak for.
+    even there (gap/decide.py) they have to speak for. A plain one (by its evidence) is
+    borne out by its own signal as well.
     """
     faint = any(one.get("faint") for one in answer["effects"])
     if closes is None:
         return not faint
+    if all(one.get("evidence", 0.0) > PLAIN_NATS for one in answer["effects"]) and _is_there_too(answer, closes):
+        return True
     if closes["high"] < LEAST_CLOSED:
         return False
     if faint:
         return closes["low"] > SPEAKS_FOR
     broken = any(one["broken"] for one in answer["links"])
     return closes["value"] > 0.0 and (broken or closes["low"] > -LEAST_OPEN)
+
+
+def _is_there_too(answer: Mapping[str, Any], closes: Mapping[str, float]) -> bool:
+    """Whether effects do on the blocks that prove what they do elsewhere, each to the signal that shows it best, where
+    the whole car's free run may be the better for it; or whether those blocks do not show them at all.
+
+    A free run of a whole car sums up all that a model misses: a few blocks of it may not tell, or one that goes astray
+    for another reason, what is plain from row to row.
+    """
+    shrinks = [(one.get("shrink") or 0.0, one.get("unseen_shrink") or 0.0) for one in answer["effects"]]
+    if all(abs(there) < SILENT for _, there in shrinks):
+        return abs(closes["value"]) < LEAST_OPEN
+    return closes["high"] > LEAST_OPEN and all(there > AGAIN * here or abs(there) < SILENT for here, there in shrinks)
 
 
 def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float] | None) -> dict[str, Any]:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 COMMAND = "tunefree-hil gap"
 SHARE = ("value", "low", "high")
+CLOSES_NOTHING = 0.01  # of the gap: no model is written for less
 MOST_MOVED = 3  # numbers that are told of
 
 
@@ -65,6 +66,8 @@ def _missing(answer: Mapping[str, Any]) -> str:
     named = [f"{one['name']} ({value_words(one)})" for one in answer["effects"]]
     told = f"{listed(named)} {'is' if len(named) == 1 else 'are'} missing"
     worse, closed = answer.get("worse") or [], answer.get("explained_frac")
+    if closed and closed["value"] < CLOSES_NOTHING:
+        return f"{told}; no model is written, as it closes nothing of the gap in the stretches that no fit has seen"
     if closed:
         told += f"; it closes {percent(closed)} of the gap that recalibration leaves"
     if worse:
