@@ -75,6 +75,31 @@ def test_who_is_borne_out(broken: bool, faint: bool, closes: dict[str, float] | 
     assert is_borne_out({"effects": effects, "links": [{"broken": False}, {"broken": broken}]}, closes) == says
 
 
+@pytest.mark.parametrize(
+    ("evidence", "here", "there", "closes", "says"),
+    [
+        (200.0, 0.6, 0.5, {"value": 0.1, "low": -0.9, "high": 0.5}, True),  # its own signal says so, row by row
+        (200.0, 0.6, 0.2, {"value": 0.1, "low": -0.9, "high": 0.5}, False),  # it is hardly there
+        (200.0, 0.6, 0.5, {"value": -0.6, "low": -9.0, "high": 0.0}, False),  # the whole car is none the better for it
+        (200.0, 0.6, 0.001, {"value": 0.0, "low": 0.0, "high": 0.0}, True),  # these blocks do not show it
+        (200.0, 0.6, 0.1, {"value": 0.0, "low": 0.0, "high": 0.0}, True),  # what recalibration spoilt there was left
+        (200.0, 0.6, -0.1, {"value": -0.2, "low": -0.5, "high": 0.1}, False),  # they show it, and it spoils them
+        (40.0, 0.6, 0.5, {"value": 0.1, "low": -0.9, "high": 0.5}, False),  # not plain
+    ],
+)
+def test_a_plain_name_is_borne_out_by_its_own_signal_as_well(
+    evidence: float, here: float, there: float, closes: dict[str, float], says: bool
+) -> None:
+    effects = [{"name": "a", "evidence": evidence, "shrink": here, "unseen_shrink": there, "faint": False}]
+    assert is_borne_out({"effects": effects, "links": [{"broken": True}]}, closes) == says
+
+
+def test_a_model_that_closes_nothing_is_not_kept_and_that_is_said() -> None:
+    one = {**answer(), "explained_frac": {"value": 0.0, "low": 0.0, "high": 0.0}, "worse": []}
+    told = sentence_of(one)
+    assert "is missing; no model is written" in told and "closes nothing" in told
+
+
 def test_what_is_left_for_sure_is_told() -> None:
     words = taken_back(answer(), {"value": 0.4, "low": 0.2, "high": 0.6})["words"][0]
     assert "closed 40 % (20 to 60), which leaves a third and more, of the gap" in words

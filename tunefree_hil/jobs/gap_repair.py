@@ -171,8 +171,8 @@ def _is_there_too(answer: Mapping[str, Any], closes: Mapping[str, float]) -> boo
     for another reason, what is plain from row to row.
     """
     shrinks = [(one.get("shrink") or 0.0, one.get("unseen_shrink") or 0.0) for one in answer["effects"]]
-    if all(abs(there) < SILENT for _, there in shrinks):
-        return abs(closes["value"]) < LEAST_OPEN
+    if max(abs(one) for one in closes.values()) < SILENT or all(abs(there) < SILENT for _, there in shrinks):
+        return abs(closes["value"]) < SILENT
     return closes["high"] > LEAST_OPEN and all(there > AGAIN * here or abs(there) < SILENT for here, there in shrinks)
 
 
