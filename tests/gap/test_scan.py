@@ -189,6 +189,14 @@ def test_slopes_without_a_column_are_numbered_anew() -> None:
 
 def test_beside_a_latency_its_own_clock_is_not_recalibrated() -> None:
     one = scan()
-    one.start = one.start._replace(keys=("a", *TWINS.values()))
-    (late,) = TWINS
-    assert one.kept([WIND._replace(key=late)]) == [0] and one.kept([WIND]) == [0, 1]
+    one.start = one.start._replace(keys=("a", "clock.ins_s"))
+    assert [one.kept([WIND._replace(key=late)]) for late in TWINS] == [[0], [0]] and one.kept([WIND]) == [0, 1]
+
+
+@pytest.mark.parametrize(("key", "clock_s", "place"), [("ins_latency", 0.01, 0.01), ("report_latency", -0.01, 0.01)])
+def test_a_latency_begins_where_recalibration_has_put_its_clock(key: str, clock_s: float, place: float) -> None:
+    """An INS that is late and reports that are late are the same clock, moved to either side."""
+    one = scan()
+    one.start = one.start._replace(values={"clock.ins_s": clock_s})
+    late = WIND._replace(key=f"{key}.delay_s", low=0.0, high=0.1, least=-0.35, most=1.35)
+    assert late.value(float(one._recalibrated([late])[0][0])) == pytest.approx(place)

@@ -28,7 +28,7 @@ from tunefree_hil.gap.problem import (
     gathered,
     squares,
 )
-from tunefree_hil.gap.scan import TWINS, Scan, Start
+from tunefree_hil.gap.scan import NO_TWIN, TWINS, Scan, Start
 from tunefree_hil.gap.work import Residuals
 
 Array = np.ndarray
@@ -71,7 +71,7 @@ def fit_without(problem: Problem, model: Fitted, name: str) -> Fitted:
     free = tuple(one for one in model.free if one.key.partition(".")[0] != name)
     loose, held = {one.key for one in free}, {one.key for one in model.free}
     place = {key: float(z) for key, z in zip(model.keys, model.z, strict=True) if key not in held or key in loose}
-    apart = loose | {TWINS.get(key, "") for key in loose}
+    apart = loose | {TWINS.get(key, NO_TWIN)[0] for key in loose}
     keys = (*(key for key in problem.nuisances if key not in apart), *(one.key for one in free))
     z = np.array([place.get(key, 0.0) for key in keys])
     residuals = problem.work.residuals(problem.values(keys, z, free))

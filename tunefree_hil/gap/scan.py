@@ -25,9 +25,10 @@ EVEN, FACTORS = 12, 8  # points of a grid: even ones, and of what goes by a loga
 DELAY_STEP_S, DELAY_SHARE = 0.015, 0.1
 AMOUNTS = (0.03, 0.1, 0.3, 1.0)  # of the prior's ends, to either side: of what is nearly linear, and may be small
 SMALL = AMOUNTS[:2]  # those of a factor, beside its even grid, which has no point near neutral
-# What recalibration has of the very same kind: beside the effect it would move the other way, and what is left of both
-# is a signal smoothed by nothing that a car has.
-TWINS = {"ins_latency.delay_s": "clock.ins_s"}
+# What recalibration has of the very same kind, and its sign: beside the effect it would move the other way, and what is
+# left of both is a signal smoothed by nothing that a car has, or a delay that is told from it by nothing but rounding.
+TWINS = {"ins_latency.delay_s": ("clock.ins_s", 1.0), "report_latency.delay_s": ("clock.ins_s", -1.0)}
+NO_TWIN = ("", 1.0)
 FINER = 9  # points between the best one's neighbours: a delay is rugged on the scale of a tick
 
 
@@ -86,7 +87,7 @@ class Scan:
 
     def kept(self, free: Sequence[Free]) -> list[int]:
         """The model's keys that are fitted beside a candidate: not what is the candidate's own."""
-        loose = {one.key for one in free} | {TWINS.get(one.key, "") for one in free}
+        loose = {one.key for one in free} | {TWINS.get(one.key, NO_TWIN)[0] for one in free}
         return [i for i, key in enumerate(self.start.keys) if key not in loose]
 
     def slopes(self, free: Sequence[Free]) -> Slopes:
@@ -95,11 +96,12 @@ class Scan:
 
     def _recalibrated(self, free: Sequence[Free]) -> list[Array]:
         """The point at which the model has these parameters by recalibration; none where it has not."""
-        values = self.start.values
-        found = [values.get(one.key, values.get(TWINS.get(one.key, ""), one.neutral)) for one in free]
-        moved = [one.key in values or TWINS.get(one.key, "") in values for one in free]
-        if not all(moved):
-            return []
+        values, found = self.start.values, list[float]()
+        for one in free:
+            twin, sign = TWINS.get(one.key, NO_TWIN)
+            if one.key not in values and twin not in values:
+                return []
+            found.append(values[one.key] if one.key in values else sign * values[twin])
         places = [one.place(value) for one, value in zip(free, found, strict=True)]
         return [np.clip(places, [one.least for one in free], [one.most for one in free])]
 

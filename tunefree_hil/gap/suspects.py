@@ -14,7 +14,7 @@ from tunefree_hil.gap.chain import YAW_RATES, Opened
 from tunefree_hil.gap.graph import Graph
 from tunefree_hil.gap.null import DRIFT, Nuisance
 from tunefree_hil.gap.problem import Free
-from tunefree_hil.gap.scan import TWINS
+from tunefree_hil.gap.scan import NO_TWIN, TWINS
 
 BEYOND = 0.35  # of the prior's width, that a search may go past its ends
 LATERAL = "report.lateral_accel_mps2"
@@ -75,7 +75,7 @@ def doubted(suspect: Suspect, nuisances: Sequence[Nuisance], doubts: Mapping[str
     sigmas, drifts = ({one.key: getattr(one, number) for one in nuisances} for number in ("sigma", "drift"))
     # a number of which the model has nothing (no drag) is not recalibrated, and drifts all the same
     drifts = {one.key: drifts.get(one.key, DRIFT.get(one.key, 0.0)) for one in suspect.free}
-    known = [sigmas.get(one.key, sigmas.get(TWINS.get(one.key, ""), 0.0)) for one in suspect.free]
+    known = [sigmas.get(one.key, sigmas.get(TWINS.get(one.key, NO_TWIN)[0], 0.0)) for one in suspect.free]
     return suspect._replace(
         free=tuple(
             one._replace(doubt=sigma, share=doubts.get(COUNTS_BY.get(one.key, ""), 0.0), drift=drifts[one.key])
