@@ -12,6 +12,7 @@ from tunefree_hil.gap.decide import (
     MOST_WORSE,
     PLAIN_NATS,
     RARE,
+    SPARED,
     Weighed,
     felt,
     left_share,
@@ -161,6 +162,13 @@ def test_a_rival_that_misses_a_bar_by_a_hair_is_still_one() -> None:
         close = other._replace(worst=worst)
         assert close.counts == (worst < MOST_WORSE)
         assert (rivals([best, close], ALL) == [other.name]) == rival
+
+
+def test_who_surely_explains_nearly_all_may_leave_another_target_a_little_worse() -> None:
+    (one,) = weighed(one=spread(1.0, 1))
+    most, part = one._replace(shrink=(0.96, 0.95, 0.97)), one._replace(shrink=(0.6, 0.5, 0.7))
+    for worst, found in ((0.8 * SPARED, (True, False)), (1.2 * SPARED, (False, False))):
+        assert tuple(each._replace(worst=worst).counts for each in (most, part)) == found
 
 
 def test_what_is_left_is_counted_target_by_target() -> None:

@@ -41,5 +41,5 @@ def test_a_car_that_is_asked_for_an_acceleration_has_no_pedal_before_its_actuato
     made = made_model()
     model = replace(made, actuators={"accel": ActuatorSpec(lag_s=0.3), "steer": made.actuators["steer"]})
     graph = Graph(model, VEHICLE, 0.01)
-    deaf = {name for name, one in effects().items() if one.port in (Port.THROTTLE_A, Port.BRAKE_A)}
+    deaf = {name for name, one in effects().items() if one.port in (Port.THROTTLE_A, Port.THROTTLE_OUT, Port.BRAKE_A)}
     assert deaf and graph.cannot == dict.fromkeys(deaf, UNHEARD) and not deaf & set(graph.can)

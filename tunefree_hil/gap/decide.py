@@ -34,6 +34,7 @@ PLAIN_NATS = 60.0  # of evidence: more is no mismatch's (the most of 47 clean lo
 SURE = 0.5  # with the doubt between blocks: at least half of that
 MATTERS = 0.004  # of the signal: what an effect explains there, root mean square; less is nobody's worry
 MOST_WORSE = 0.05  # of any target's: what explains one thing by spoiling another explains nothing
+NEARLY_ALL, SPARED = 0.9, 0.2  # of a target surely explained: then it may be so much, of another that hardly is missed
 SPOILT = 0.1  # of what is explained, each by its signal: recalibration trades so much between signals by itself
 CLOSE = 0.03  # of what the best gains: a rival as near as that is too near for a model that is not exact
 MOST_LEFT = 0.25  # of what could be explained of a target before: more, and the name was not it
@@ -109,7 +110,7 @@ class Weighed(NamedTuple):
             and self.matters
             and self.shrink[0] > bar * shrink
             and (self.shrink[1] > bar * SURE * shrink or self.rest > RARE / bar or self._all_of_it)
-            and self.worst < MOST_WORSE / bar
+            and self.worst < (SPARED if self.shrink[1] > NEARLY_ALL else MOST_WORSE) / bar
         )
 
 

@@ -181,12 +181,13 @@ def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float] | None) ->
     and is not named.
     """
     names = [one["name"] for one in answer["effects"]]
+    shrinks = [[one.get("shrink"), one.get("unseen_shrink")] for one in answer["effects"]]
     words = f"{listed(names)} came nearest, and {_share_of(closes)} of the gap in stretches that no fit has seen"
     return {
         "verdict": "none_of_these" if any(one["broken"] for one in answer["links"]) else "none_missing",
         "effects": [],
         "words": [words],
-        "taken_back": {"names": names, "explained_frac": None if closes is None else dict(closes)},
+        "taken_back": {"names": names, "explained_frac": closes and dict(closes), "shrinks": shrinks},
         "explained_frac": None,
         "explicable_frac": None,
         "worse": [],
