@@ -171,6 +171,20 @@ def test_who_surely_explains_nearly_all_may_leave_another_target_a_little_worse(
         assert tuple(each._replace(worst=worst).counts for each in (most, part)) == found
 
 
+def test_where_no_link_is_broken_a_small_lead_over_who_explains_the_same_is_none() -> None:
+    best, other = weighed(one=spread(1.0, 1), other=spread(1.5, 2))
+    assert best.evidence - other.evidence > PLAIN_NATS and not rivals([best, other], ALL)
+    near = other._replace(shrink=best.shrink, evidence=best.evidence - 0.5 * PLAIN_NATS)
+    for first, second, told in (
+        (best._replace(unbroken=True), near, False),
+        (best, near, True),
+        (best._replace(unbroken=True), near._replace(evidence=best.evidence - 2.0 * PLAIN_NATS), True),
+        (best._replace(unbroken=True), near._replace(shrink=(0.5, 0.4, 0.6)), True),
+        (best._replace(unbroken=True), near._replace(target="b"), True),
+    ):
+        assert bool(rivals([first, second], ALL)) != told
+
+
 def test_what_is_left_is_counted_target_by_target() -> None:
     assert left_share(Left(10.0, 9.0), Left(1.0, 0.0)) == 0.0
     assert left_share(Left(10.0, 9.0), Left(4.0, 3.0)) == pytest.approx(1.0 / 3.0)

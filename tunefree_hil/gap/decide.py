@@ -241,12 +241,25 @@ def _shrunk(some: Sequence[tuple[Array, Array]], blocks: Array, seed: int) -> tu
 
 
 def rivals(weighed: Sequence[Weighed], blocks: Array) -> list[str]:
-    """Names that the best cannot be told from: those which its blocks do not beat, all of them asked at once."""
+    """Names that the best cannot be told from: those which its blocks do not beat, all of them asked at once. Where no
+    link is broken also those which explain as much of the same and are behind by no more than any mismatch is worth.
+    """
     best, others = weighed[0], [one for one in weighed[1:] if one.nearly]
     pairs = {one.name: paired(best.model.fitted, one.model.fitted, blocks) for one in others}
     beaten = holm({name: pair.doubt for name, pair in pairs.items()})
     near = CLOSE * max(best.gain.total, 0.0)
-    return [name for name, pair in pairs.items() if name not in beaten or pair.total < max(LEAST_NATS, near)]
+    equal = {one.name for one in others if best.unbroken and _is_equal(one, best)}
+    return [
+        name
+        for name, pair in pairs.items()
+        if name not in beaten or pair.total < max(LEAST_NATS, near) or name in equal
+    ]
+
+
+def _is_equal(one: Weighed, best: Weighed) -> bool:
+    """Whether it explains as much of the same target, with hardly less evidence."""
+    as_much = one.target == best.target and abs(one.shrink[0] - best.shrink[0]) < CLOSE * best.shrink[0]
+    return as_much and best.evidence - one.evidence < PLAIN_NATS
 
 
 def worked_on(null: Modelled, repaired: Modelled, sizes: Mapping[str, float], blocks: Array) -> dict[str, float]:
