@@ -48,7 +48,15 @@ def candidate(name: str, evidence: float, counts: bool) -> dict[str, Any]:
 def answer(verdict: str = "one", **more: Any) -> dict[str, Any]:
     """The part of gap.json that a search gives."""
     value = {"value": LATE_S, "low": LATE_S - 0.001, "high": LATE_S + 0.001, "unit": "s"}
-    found = [{"name": "steer_dead_time", "params": {"delay_s": value}, "evidence": 900.0}]
+    found = [
+        {
+            "name": "steer_dead_time",
+            "params": {"delay_s": value},
+            "evidence": 900.0,
+            "shrink": 0.97,
+            "unseen_shrink": 0.95,
+        }
+    ]
     named = verdict in ("one", "several")
     link = {
         "link": "command_to_report", "signal": "steer", "unit": "rad", "rms": 0.1, "noise": 0.001, "explicable": 0.1,

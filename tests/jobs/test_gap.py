@@ -108,6 +108,7 @@ def test_the_page_begins_with_the_sentence_and_shows_recalibration_alone(search:
     assert page.splitlines()[0] == f"# {data['sentence']}"
     assert "| recalibration only | repaired | floor |" in page
     assert "brake_fade: 2 brakings by 3 m/s or more, 12 are needed" in page
+    assert "| 97 %; 95 % on the blocks that prove |" in page
     assert "`effects.steer_dead_time.delay_s`" in page
 
 

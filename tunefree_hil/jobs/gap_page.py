@@ -75,8 +75,19 @@ def _driven(answer: Mapping[str, Any]) -> list[str]:
 def _effects(answer: Mapping[str, Any]) -> list[str]:
     if not answer["effects"]:
         return []
-    rows = [(one["name"], value_words(one), _number(one["evidence"])) for one in answer["effects"]]
-    return ["## What is missing", "", *markdown_table(("effect", "value (95 %)", "evidence, nats"), rows)]
+    rows = [(one["name"], value_words(one), _number(one["evidence"]), _own(one)) for one in answer["effects"]]
+    head = ("effect", "value (95 %)", "evidence, nats", "off the error of its own signal")
+    return ["## What is missing", "", *markdown_table(head, rows)]
+
+
+def _own(effect: Mapping[str, Any]) -> str:
+    """What an effect takes off the signal that shows it best, row by row: where it was judged, and on the proof."""
+    seen, unseen = effect.get("shrink"), effect.get("unseen_shrink")
+    return (
+        ""
+        if seen is None or unseen is None
+        else f"{100.0 * seen:.0f} %; {100.0 * unseen:.0f} % on the blocks that prove"
+    )
 
 
 def _long(answer: Mapping[str, Any]) -> str:
