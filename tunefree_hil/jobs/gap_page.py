@@ -83,11 +83,9 @@ def _effects(answer: Mapping[str, Any]) -> list[str]:
 def _own(effect: Mapping[str, Any]) -> str:
     """What an effect takes off the signal that shows it best, row by row: where it was judged, and on the proof."""
     seen, unseen = effect.get("shrink"), effect.get("unseen_shrink")
-    return (
-        ""
-        if seen is None or unseen is None
-        else f"{100.0 * seen:.0f} %; {100.0 * unseen:.0f} % on the blocks that prove"
-    )
+    if seen is None or unseen is None:
+        return ""
+    return f"{100.0 * seen:.0f} %; {100.0 * unseen:.0f} % on the blocks that prove"
 
 
 def _long(answer: Mapping[str, Any]) -> str:
