@@ -14,7 +14,7 @@ from tunefree_hil.gap.verify import Proof
 from tunefree_hil.jobs.gap import Material
 from tunefree_hil.jobs.gap_folder import Folder
 from tunefree_hil.jobs.gap_repair import is_borne_out, mend, proved, taken_back
-from tunefree_hil.jobs.gap_words import sentence_of
+from tunefree_hil.jobs.gap_words import is_unproved, sentence_of
 from tunefree_hil.learn.drives import Drive
 
 WORDS = "steer_dead_time came nearest, and closed nothing of the gap in stretches that no fit has seen"
@@ -98,6 +98,7 @@ def test_a_model_that_closes_nothing_is_not_kept_and_that_is_said() -> None:
     one = {**answer(), "explained_frac": {"value": 0.0, "low": 0.0, "high": 0.0}, "worse": []}
     told = sentence_of(one)
     assert "is missing; no model is written" in told and "closes nothing" in told
+    assert is_unproved(one) and not is_unproved({**one, "explained_frac": None})
 
 
 def test_what_is_left_for_sure_is_told() -> None:

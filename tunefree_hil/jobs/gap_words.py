@@ -66,13 +66,19 @@ def _missing(answer: Mapping[str, Any]) -> str:
     named = [f"{one['name']} ({value_words(one)})" for one in answer["effects"]]
     told = f"{listed(named)} {'is' if len(named) == 1 else 'are'} missing"
     worse, closed = answer.get("worse") or [], answer.get("explained_frac")
-    if closed and closed["value"] < CLOSES_NOTHING:
+    if is_unproved(answer):
         return f"{told}; no model is written, as it closes nothing of the gap in the stretches that no fit has seen"
     if closed:
         told += f"; it closes {percent(closed)} of the gap that recalibration leaves"
     if worse:
         told += f"; no model is written, as it would make what was there worse, above all {worse[0]}"
     return told
+
+
+def is_unproved(answer: Mapping[str, Any]) -> bool:
+    """Whether a name stands, and its repair closes nothing where no fit has looked: another drive has to prove it."""
+    closed = answer.get("explained_frac")
+    return answer["verdict"] in ("one", "several") and bool(closed) and closed["value"] < CLOSES_NOTHING
 
 
 def _one_of(answer: Mapping[str, Any]) -> str:
@@ -152,7 +158,7 @@ def next_of(asked: Asked, answer: Mapping[str, Any], vehicle: VehicleSpec, bench
     folder = shlex.quote(asked.vehicle)
     if verdict is None:
         return [command_of(asked, "verify")]
-    if verdict in ("set", "cannot_test"):
+    if verdict in ("set", "cannot_test") or is_unproved(answer):
         return [command_of(asked, more=["NEXT.log"], out=f"{asked.out}-2")]
     if verdict == "none_of_these":
         return [f"tunefree-hil learn {logs} --vehicle {folder} --out {shlex.quote(str(asked.out))}-hybrid"]
