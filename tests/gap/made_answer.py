@@ -55,6 +55,7 @@ def answer(verdict: str = "one", **more: Any) -> dict[str, Any]:
             "evidence": 900.0,
             "shrink": 0.97,
             "unseen_shrink": 0.95,
+            "unseen_stirs": 0.99,
         }
     ]
     named = verdict in ("one", "several")

@@ -169,6 +169,15 @@ def test_who_surely_explains_nearly_all_may_leave_another_target_a_little_worse(
     most, part = one._replace(shrink=(0.96, 0.95, 0.97)), one._replace(shrink=(0.6, 0.5, 0.7))
     for worst, found in ((0.8 * SPARED, (True, False)), (1.2 * SPARED, (False, False))):
         assert tuple(each._replace(worst=worst).counts for each in (most, part)) == found
+    assert not most._replace(worst=0.8 * SPARED, worst_missed=0.8 * SPARED).counts, "what is missed is not spared"
+
+
+def test_a_target_that_is_missed_is_never_spared() -> None:
+    """`b` grows by a tenth, `a` is all but gone."""
+    null, spoils = model("", spread(8.0), other=1.0 * ROWS), model("x", spread(0.01), other=1.1 * ROWS)
+    for broken, counts in ((None, False), ({"a", "b"}, False), ({"a"}, True)):
+        (found,) = weigh({"x": spoils}, null, null, SIZES, ALL, broken)
+        assert found.worst > MOST_WORSE and found.counts == counts
 
 
 def test_where_no_link_is_broken_a_small_lead_over_who_explains_the_same_is_none() -> None:
@@ -177,6 +186,7 @@ def test_where_no_link_is_broken_a_small_lead_over_who_explains_the_same_is_none
     near = other._replace(shrink=best.shrink, evidence=best.evidence - 0.5 * PLAIN_NATS)
     for first, second, told in (
         (best._replace(unbroken=True), near, False),
+        (best._replace(unbroken=True), near._replace(shrink=(0.99, 0.98, 0.995)), False),
         (best, near, True),
         (best._replace(unbroken=True), near._replace(evidence=best.evidence - 2.0 * PLAIN_NATS), True),
         (best._replace(unbroken=True), near._replace(shrink=(0.5, 0.4, 0.6)), True),

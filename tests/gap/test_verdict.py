@@ -14,7 +14,8 @@ from tunefree_hil.base.contracts import Link
 from tunefree_hil.gap.decide import Weighed
 from tunefree_hil.gap.excitation import Excited
 from tunefree_hil.gap.locate import Looked
-from tunefree_hil.gap.verdict import SET_NATS, daily_words, not_it, verdict_of, wavers, with_others
+from tunefree_hil.gap.null import DRIFT
+from tunefree_hil.gap.verdict import SET_NATS, daily_words, not_it, small_words, verdict_of, wavers, with_others
 
 SEEN, UNSEEN = Excited(2.0, True, ()), Excited(0.3, False, ("3 brakings by 3 m/s or more, 9 are needed",))
 BARELY = Excited(0.75, False, ("3 brakings by 3 m/s or more, 4 are needed",))
@@ -161,3 +162,11 @@ def test_what_is_of_the_day_and_differs_between_drives_is_told() -> None:
     (words,) = daily_words({"grade.grade_rad": 2.3})
     assert words.startswith("grade.grade_rad differs by 2.3 standard deviations between the drives")
     assert daily_words({}) == ()
+
+
+def test_of_a_name_no_larger_than_a_days_change_that_is_said() -> None:
+    by = DRIFT["brake_gain.gain_frac"]
+    assert small_words({"brake_gain": {"gain_frac": 1.0 - 1.9 * by}, "steer_lag": {"tau_s": 0.001}}) == (
+        "brake_gain: so little of it may come and go from day to day",
+    )
+    assert small_words({"brake_gain": {"gain_frac": 1.0 + 2.1 * by}}) == ()

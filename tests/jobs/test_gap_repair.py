@@ -75,23 +75,40 @@ def test_who_is_borne_out(broken: bool, faint: bool, closes: dict[str, float] | 
     assert is_borne_out({"effects": effects, "links": [{"broken": False}, {"broken": broken}]}, closes) == says
 
 
+SOME, NONE = {"value": 0.1, "low": -0.9, "high": 0.5}, {"value": 0.0, "low": 0.0, "high": 0.0}
+
+
 @pytest.mark.parametrize(
-    ("evidence", "here", "there", "closes", "says"),
+    ("evidence", "here", "there", "stirs", "closes", "says"),
     [
-        (200.0, 0.6, 0.5, {"value": 0.1, "low": -0.9, "high": 0.5}, True),  # its own signal says so, row by row
-        (200.0, 0.6, 0.2, {"value": 0.1, "low": -0.9, "high": 0.5}, False),  # it is hardly there
-        (200.0, 0.6, 0.5, {"value": -0.6, "low": -9.0, "high": 0.0}, False),  # the whole car is none the better for it
-        (200.0, 0.6, 0.001, {"value": 0.0, "low": 0.0, "high": 0.0}, True),  # these blocks do not show it
-        (200.0, 0.6, 0.1, {"value": 0.0, "low": 0.0, "high": 0.0}, True),  # what recalibration spoilt there was left
-        (200.0, 0.6, -0.1, {"value": -0.2, "low": -0.5, "high": 0.1}, False),  # they show it, and it spoils them
-        (40.0, 0.6, 0.5, {"value": 0.1, "low": -0.9, "high": 0.5}, False),  # not plain
+        (200.0, 0.6, 0.5, 0.7, SOME, True),  # its own signal says so, row by row
+        (200.0, 0.6, 0.2, 0.4, SOME, False),  # it is hardly there
+        (200.0, 0.6, 0.5, 0.7, {"value": -0.6, "low": -9.0, "high": 0.0}, False),  # the car is none the better for it
+        (200.0, 0.6, 0.001, 0.002, NONE, True),  # these blocks do not show it
+        (200.0, 0.6, 0.1, 0.2, NONE, True),  # what recalibration spoilt there was left
+        (200.0, 0.6, -0.1, 0.2, {"value": -0.2, "low": -0.5, "high": 0.1}, False),  # they show it, and it spoils them
+        (200.0, 0.6, -0.5, 0.9, NONE, False),  # its own signal speaks against it
+        (200.0, 0.6, 0.0, 0.6, SOME, False),  # it helps one block and spoils another
+        (200.0, 0.6, 0.001, 0.002, {"value": 0.0, "low": -9.0, "high": 0.01}, False),  # one of them goes far astray
+        (200.0, -0.3, -0.01, 0.2, SOME, False),  # nowhere of any use
+        (200.0, 0.6, None, None, NONE, False),  # those blocks have nothing of its signal
+        (40.0, 0.6, 0.5, 0.7, SOME, False),  # not plain
     ],
 )
 def test_a_plain_name_is_borne_out_by_its_own_signal_as_well(
-    evidence: float, here: float, there: float, closes: dict[str, float], says: bool
+    evidence: float, here: float, there: float | None, stirs: float | None, closes: dict[str, float], says: bool
 ) -> None:
-    effects = [{"name": "a", "evidence": evidence, "shrink": here, "unseen_shrink": there, "faint": False}]
+    seen = {"shrink": here, "unseen_shrink": there, "unseen_stirs": stirs}
+    effects = [{"name": "a", "evidence": evidence, "faint": False, **seen}]
     assert is_borne_out({"effects": effects, "links": [{"broken": True}]}, closes) == says
+
+
+def test_each_of_several_plain_names_needs_its_own_signals_word() -> None:
+    sure = {"evidence": 200.0, "faint": False, "shrink": 0.6, "unseen_shrink": 0.5, "unseen_stirs": 0.7}
+    links = [{"broken": True}]
+    assert is_borne_out({"effects": [sure, sure], "links": links}, SOME)
+    assert not is_borne_out({"effects": [sure, {**sure, "unseen_shrink": 0.01}], "links": links}, SOME)
+    assert is_borne_out({"effects": [sure, {**sure, "unseen_shrink": 0.0, "unseen_stirs": 0.0}], "links": links}, SOME)
 
 
 def test_a_model_that_closes_nothing_is_not_kept_and_that_is_said() -> None:

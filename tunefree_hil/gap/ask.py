@@ -15,7 +15,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.gap.bursts import Burst, burst_of, windows_of
 from tunefree_hil.gap.fit import fit_candidate, fit_null, fit_on, fit_without
 from tunefree_hil.gap.leftover import Left, leftovers
-from tunefree_hil.gap.null import correlation, doubts_of, nuisances, related_of
+from tunefree_hil.gap.null import correlation, doubts_of, held_of, nuisances, related_of
 from tunefree_hil.gap.problem import Fitted, Problem, Slopes
 from tunefree_hil.gap.regions import Region, regions
 from tunefree_hil.gap.scan import Scan, Start
@@ -59,7 +59,8 @@ class _Open:
     def __init__(self, setting: Setting) -> None:
         self.work = Work(setting)
         doubts = doubts_of(setting.model)
-        drifting = nuisances(self.work.graph, setting.model, doubts)
+        held = held_of(setting.model, setting.drives[0].pace)
+        drifting = nuisances(self.work.graph, setting.model, doubts, held)
         self.problem = Problem(self.work, drifting, correlation(drifting, related_of(setting.model)))
         self.null, self.slopes = fit_null(self.problem)
         some, self.cannot = suspects_of(self.work.graph, setting.model, setting.vehicle, setting.drives)

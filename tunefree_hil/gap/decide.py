@@ -51,7 +51,8 @@ class Weighed(NamedTuple):
     """A candidate against the model that it is added to. evidence: nats. target: where it gains most clearly; shrink:
     by how much the error there gets less, as a share of what it is without any effect, (value, low, high); rest: the
     same of all blocks but the one that gains most. worst: by how much the mean square grows where it grows most, as a
-    share. further: beside some. unbroken: recalibration alone misses no more of the target than a model may.
+    share; worst_missed: the same of targets that are broken as it is. further: beside some. unbroken: recalibration
+    alone misses no more of the target than a model may.
 
     others: names that explain as much in its place; known once a search is done (search.py). placed: evidence of all
     who were asked there, itself among them.
@@ -70,6 +71,7 @@ class Weighed(NamedTuple):
     others: tuple[str, ...] = ()
     placed: Mapping[str, float] = NOBODY
     unbroken: bool = False
+    worst_missed: float = 0.0
 
     @property
     def counts(self) -> bool:
@@ -111,6 +113,7 @@ class Weighed(NamedTuple):
             and self.shrink[0] > bar * shrink
             and (self.shrink[1] > bar * SURE * shrink or self.rest > RARE / bar or self._all_of_it)
             and self.worst < (SPARED if self.shrink[1] > NEARLY_ALL else MOST_WORSE) / bar
+            and self.worst_missed < MOST_WORSE / bar
         )
 
 
@@ -145,14 +148,15 @@ def weigh(
         worth = [t for t in own if gains[t] > LEAST_NATS and _explained(start, one, t, sizes, blocks) > MATTERS]
         target = max(worth, key=lambda t: shrinks[t][1]) if worth else max(own or gains, key=lambda t: gains[t])
         least = max(MATTERS, SPOILT * _explained(start, one, target, sizes, blocks))
-        worse = [_grown(start, one, t, blocks) for t in own if _explained(one, start, t, sizes, blocks) > least]
+        worse = {t: _grown(start, one, t, blocks) for t in own if _explained(one, start, t, sizes, blocks) > least}
+        missed = [by for t, by in worse.items() if broken is None or t in broken]
         found.append(
             Weighed(
                 name, one._replace(fitted=model), log_evidence(model, blocks) - before, paired(model, base, blocks),
-                target, shrinks[target], max(worse, default=0.0),
+                target, shrinks[target], max(worse.values(), default=0.0),
                 bool(own) and _explained(start, one, target, sizes, blocks) > MATTERS, bool(start.fitted.free),
                 shrink_of_the_rest(start, one, target, blocks, null),
-                unbroken=broken is not None and target not in broken,
+                unbroken=broken is not None and target not in broken, worst_missed=max(missed, default=0.0),
             )
         )  # fmt: skip
     return sorted(found, key=lambda one: (not one.counts, -one.evidence))
@@ -214,9 +218,9 @@ def shrink(
     misses from tick to tick no model takes away, and what a car goes astray by within a block is in the means.
     """
     some = (before, after, before if null is None else null)
-    views = [_shrunk([one.squares[target] for one in some], blocks, seed)]
+    views = [shrunk([one.squares[target] for one in some], blocks, seed)]
     if target in before.slow:
-        views.append(_shrunk([one.slow[target] for one in some], blocks, seed))
+        views.append(shrunk([one.slow[target] for one in some], blocks, seed))
     return max(views, key=lambda one: one[1])
 
 
@@ -228,7 +232,7 @@ def shrink_of_the_rest(before: Modelled, after: Modelled, target: str, blocks: A
     return (left[0] - left[1]) / left[2] if left[2] > 0.0 else 0.0
 
 
-def _shrunk(some: Sequence[tuple[Array, Array]], blocks: Array, seed: int) -> tuple[float, float, float]:
+def shrunk(some: Sequence[tuple[Array, Array]], blocks: Array, seed: int = 1) -> tuple[float, float, float]:
     """(value, low, high) of one view. some: sums and counts by block, before, after, and of what it is a share."""
     sums = np.stack([sums[blocks] for sums, _ in some])
     if sums[2].sum() <= 0.0:
@@ -258,7 +262,7 @@ def rivals(weighed: Sequence[Weighed], blocks: Array) -> list[str]:
 
 def _is_equal(one: Weighed, best: Weighed) -> bool:
     """Whether it explains as much of the same target, with hardly less evidence."""
-    as_much = one.target == best.target and abs(one.shrink[0] - best.shrink[0]) < CLOSE * best.shrink[0]
+    as_much = one.target == best.target and one.shrink[0] > (1.0 - CLOSE) * best.shrink[0]
     return as_much and best.evidence - one.evidence < PLAIN_NATS
 
 

@@ -80,7 +80,8 @@ def fit_without(problem: Problem, model: Fitted, name: str) -> Fitted:
 
 def fit_candidate(scan: Scan, name: str, free: Sequence[Free], begin: Start, hopeless: float) -> Fitted:
     """A candidate fitted from a point of its grid beside the scan's model, or from two, the better one taken. Who gains
-    less than `hopeless` there gets one step: enough to be sure that nobody is left out for the grid's sake.
+    less than `hopeless` there gets one step: enough to be sure that nobody is left out for the grid's sake. Raises
+    InputError where no way leads on from any of them.
     """
     problem, colours = scan.problem, {one: scan.start.sums[one].colour for one in scan.start.sums}
     turns = TURNS if begin.gain > hopeless else 1
@@ -88,12 +89,16 @@ def fit_candidate(scan: Scan, name: str, free: Sequence[Free], begin: Start, hop
         begin = scan.finer(free, begin)
     own = list(range(len(begin.keys) - len(free), len(begin.keys)))
     loose = (*scan.start.free, *free)
-    found = []
-    for one in (begin, begin.plain):
-        if one is not None:
+    found, lost = list[tuple[Point, Slopes]](), list[InputError]()
+    for one in [some for some in (begin, begin.plain) if some is not None]:
+        try:
             residuals = problem.work.residuals(problem.values(one.keys, one.z, loose))
             at = Point(one.keys, loose, one.z, residuals)
             found.append(_descended(problem, at, scan.slopes(free), own, colours, turns))
+        except InputError as error:  # over the edge of what makes a car: the other start may stay within it
+            lost.append(error)
+    if not found:
+        raise lost[0]
     at, slopes = min(found, key=lambda one: _cost(scan, one[0], colours)) if len(found) > 1 else found[0]
     return _finished(problem, name, at, slopes)
 

@@ -20,7 +20,7 @@ from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.gap.ask import Modelled, Question
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.clock import Echo, echoes
-from tunefree_hil.gap.decide import Weighed, left_share, shrink, worked_on
+from tunefree_hil.gap.decide import Weighed, left_share, worked_on
 from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.excitation import Excited, excitation, held_by
 from tunefree_hil.gap.graph import effects
@@ -31,7 +31,8 @@ from tunefree_hil.gap.search import backward, forward, settled, weighed
 from tunefree_hil.gap.segments import BLOCK_S, FEWEST, FEWEST_DRIVEN, GUARD_S, SHORTEST_S, Blocks, block_s_of, blocks_of
 from tunefree_hil.gap.targets import LEAST_MPS
 from tunefree_hil.gap.team import Team
-from tunefree_hil.gap.verdict import daily_words, not_it, verdict_of, wavers, with_others
+from tunefree_hil.gap.unseen import NOT_LOOKED, Own, own
+from tunefree_hil.gap.verdict import daily_words, not_it, small_words, verdict_of, wavers, with_others
 from tunefree_hil.gap.work import Setting
 
 VERDICTS = ("one", "several", "set", "none_missing", "none_of_these", "cannot_test")
@@ -42,17 +43,15 @@ LEAST_S = FEWEST * SHORTEST_S * (1.0 + GUARD_S / BLOCK_S)  # that a question's l
 
 
 class Effect(NamedTuple):
-    """An effect that is said to be missing. evidence: nats over the model without it. faint: only if proved. shrink,
-    unseen: by how much all effects together shrink the error of the target that shows this one best, on the blocks that
-    judged and on those that prove; the second is nobody's business before the proof.
+    """An effect that is said to be missing. evidence: nats over the model without it. faint: only if proved. own: what
+    it does to the target that shows it best; on the blocks that prove that is nobody's business before the proof.
     """
 
     name: str
     params: dict[str, Value]
     evidence: float
     faint: bool = False
-    shrink: float = 0.0
-    unseen: float = 0.0
+    own: Own = NOT_LOOKED
 
 
 class Named(NamedTuple):
@@ -160,7 +159,9 @@ def _named(
     link, shown = _where(team, question, steps, looked, said)
     known: tuple[Effect, ...] = ()
     if verdict in ("one", "several"):
-        known = tuple(_effect(one, repaired, question) for one in steps)
+        known = _effects(team, question, steps, repaired)
+        sizes = {one.name: {key: value.value for key, value in one.params.items()} for one in known}
+        words = (*words, *small_words(sizes))
     return Named(
         verdict, known, others, _manoeuvre(others), link, shown, tuple(looked), said, held, tuple(first), question,
         repaired, before, after, lost_links(drives), (*words, *daily_words(apart(repaired.fitted, blocks, days))),
@@ -173,11 +174,18 @@ def looked_at(team: Team, question: Question, model: Modelled, blocks: Array) ->
     return left, look(left, question.kinds, question.sizes, bursts)
 
 
-def _effect(one: Weighed, repaired: Modelled, question: Question) -> Effect:
-    blocks = judged(question.blocks)
+def _effects(team: Team, question: Question, steps: Sequence[Weighed], repaired: Modelled) -> tuple[Effect, ...]:
+    """What was found, each effect held against the model without it."""
+    blocks, null = judged(question.blocks), question.null
     proof = np.setdiff1d(np.arange(question.blocks.count), blocks)
-    seen, unseen = (shrink(question.null, repaired, one.target, some)[0] for some in (blocks, proof))
-    return Effect(one.name, values_of(one.name, repaired.fitted, blocks), one.evidence, one.faint, seen, unseen)
+    without = {steps[0].name: null} if len(steps) == 1 else team.fit_without(repaired, [one.name for one in steps])
+    return tuple(
+        Effect(
+            one.name, values_of(one.name, repaired.fitted, blocks), one.evidence, one.faint,
+            own(without[one.name], repaired, null, one.target, blocks, proof),
+        )
+        for one in steps
+    )  # fmt: skip
 
 
 def _where(

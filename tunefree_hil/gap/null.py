@@ -85,7 +85,11 @@ DOUBTED = {
 }
 AGAINST = {"steer_gain.gain_frac"}  # more of it is less of the constant
 OF_ITSELF = {"aero_drag.drag_area_m2", "plant.throttle_zero_frac"}  # in the constant's own unit; all others in shares
-TAKEN = 1.8  # standard deviations, of the 2 that it may go: as well something missing, and it takes that in
+# Of a model that comes as near to the logs it was made from as EXACT_MPS (of speed, after free runs of 8 s, or of 10)
+# recalibration may move no more than this share of what changes from day to day. Its making took in what the car has
+# throughout; what has moved further since is looked for by name. A model that has not shown that may move all of it, as
+# what it misses there is missed here, too, and is no news: from EXACT_MPS / HELD on.
+HELD, EXACT_MPS, FREE_S = 0.25, 0.06, "10"
 WIDER = math.sqrt(2.0)  # than a calibration's own deviation: what these drives would make of it is no better known
 MOST_DOUBT = 0.15  # of a constant; what was never known is no licence to explain everything
 MOST_DRAG = 3.1  # deviations that the drag area must hold: less than nothing is no car
@@ -105,8 +109,10 @@ CLOCKS = {"clock.throttle_s": 0.004, "clock.brake_s": 0.004, "clock.steer_s": 0.
 MOST_BEND, LEAST_BEND = 0.5 * BEND_DOUBT, 0.08
 
 
-def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> list[Nuisance]:
-    """Of a model: those that its plant has. doubts: standard deviations of its constants' logarithms (`doubts_of`)."""
+def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float], held: float = 1.0) -> list[Nuisance]:
+    """Of a model: those that its plant has. doubts: standard deviations of its constants' logarithms (`doubts_of`);
+    held: the share of what changes from day to day that they may move (`held_of`).
+    """
     params = {**graph.plant.defaults, **model.plant.params}
     heavy = params.get("mass_kg", ROAD_CAR_KG) / ROAD_CAR_KG
     some = [
@@ -117,6 +123,7 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float]) -> li
     some += [(f"plant.{name}", name, 0.0, least) for name, least in CONSTANTS.items() if name in graph.plant.defaults]
     found = []
     for key, constant, neutral, least in some:
+        least *= held
         told = min(WIDER * doubts.get(constant, 0.0), MOST_DOUBT)
         told *= params.get(constant, 0.0) if key in OF_ITSELF else 1.0
         # A car that is asked for an acceleration has no drag that anybody sees, and none has less than nothing
@@ -187,6 +194,27 @@ def related_of(model: ModelSpec) -> dict[str, dict[str, float]]:
         raise _no_card(Path(model.folder) / model.plant.card, error) from error
 
 
+def held_of(model: ModelSpec, pace: float = 1.0) -> float:
+    """Share of what changes from day to day that recalibration may move, by how near a model comes to its own logs.
+
+    pace: of a model car, as a share of a road car's (chain.pace_of). Raises InputError for a card that is none.
+    """
+    card = card_of(model)
+    try:
+        if "free_run_rms" in card:
+            told = any(one["known"] for one in card["constants"].values())
+            missed = card["free_run_rms"]["training"]["fitted"]["speed_mps"] if told else None
+        else:
+            runs = card.get("free_run", {}).get(card.get("kind"), {})
+            missed = max(
+                (one[FREE_S]["speed_mps"]["mean"] for one in runs.values() if FREE_S in (one or ())), default=None
+            )
+        share = math.inf if missed is None else float(missed) / (pace * EXACT_MPS / HELD)
+    except (AttributeError, TypeError, KeyError, ValueError) as error:
+        raise _no_card(Path(model.folder) / model.plant.card, error) from error
+    return min(max(share, HELD), 1.0)
+
+
 def correlation(some: Sequence[Nuisance], related: Mapping[str, Mapping[str, float]]) -> Array:
     """Of all nuisances [p, p]: what a calibration is off by is off together, what is of the day is each one's own."""
     found = np.eye(len(some))
@@ -221,11 +249,3 @@ def _added(channel: str, name: str, number: Number, least: float) -> Nuisance:
 def _deviation(number: Number) -> float:
     """Standard deviation of a number with an interval of 95 %."""
     return (number.high - number.low) / 3.92 if isinstance(number, Interval) else 0.0
-
-
-def taken(keys: Sequence[str], z: Sequence[float]) -> tuple[str, ...]:
-    """What recalibration had to move by more than TAKEN of its deviations, in words, the farthest first. keys [p]: z
-    [p] in standard deviations.
-    """
-    far = sorted(((abs(at), key, at) for key, at in zip(keys, z, strict=True) if abs(at) > TAKEN), reverse=True)
-    return tuple(f"recalibration moves {key} by {at:+.1f} standard deviations" for _, key, at in far)

@@ -11,8 +11,8 @@ from typing import Any
 from tunefree_hil.base.contracts import links_of
 from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.evidence import judged
+from tunefree_hil.gap.held import held_back
 from tunefree_hil.gap.name import Effect, Named
-from tunefree_hil.gap.null import taken
 
 FEW_BLOCKS = 9  # judged, of a drive of a minute and three quarters; shorter ones have fewer
 BY_TEST = ("one", "several", "set", "none_missing")  # verdicts that hold as far as nothing else was seen
@@ -76,10 +76,8 @@ def together(found: Named) -> list[str]:
 
 
 def moved_words(found: Named) -> tuple[str, ...]:
-    """What recalibration moved by more than a calibrated model may be off, in words: it may as well be missing."""
-    fitted = found.repaired.fitted
-    own = len(fitted.keys) - len(fitted.free)
-    return taken(fitted.keys[:own], fitted.z[:own].tolist())
+    """What recalibration would move further than a calibrated model may be off, in words: it may as well be missing."""
+    return tuple(one.words for one in held_back(found.repaired.fitted, judged(found.question.blocks)))
 
 
 def forced_name(found: Named) -> str | None:
@@ -105,8 +103,9 @@ def is_absorbed(found: Named, kind: str) -> bool:
 
 def _effect(one: Effect) -> dict[str, Any]:
     params = {key: {**value._asdict(), **_ends(value.low, value.high)} for key, value in one.params.items()}
-    seen = {"shrink": _number(one.shrink), "unseen_shrink": _number(one.unseen)}
-    return {"name": one.name, "params": params, "evidence": _number(one.evidence), "faint": one.faint, **seen}
+    seen = {"shrink": one.own.seen, "unseen_shrink": one.own.unseen, "unseen_stirs": one.own.stirs}
+    numbers = {key: _number(value) for key, value in {"evidence": one.evidence, **seen}.items()}
+    return {"name": one.name, "params": params, "faint": one.faint, **numbers}
 
 
 def _ends(low: float, high: float) -> dict[str, float | None]:

@@ -72,7 +72,10 @@ class Scan:
         if np.array_equal(found.z[len(found.z) - len(neutral) :], neutral):
             return found
         # A grid of two is coarse: its best point may trade the one for the other on a ridge that leads nowhere
-        return found._replace(plain=self._best(free, [np.array([u, *neutral]) for u in _places(free[0])]))
+        try:
+            return found._replace(plain=self._best(free, [np.array([u, *neutral]) for u in _places(free[0])]))
+        except InputError:
+            return found
 
     def finer(self, free: Sequence[Free], found: Start) -> Start:
         """Around a point that was found, where there is one parameter and what it does is not nearly linear."""

@@ -162,6 +162,16 @@ def worse_signals(proof: Proof, floors: Mapping[str, float], seed: int = 1) -> d
     return found
 
 
+def grown(proof: Proof, floors: Mapping[str, float]) -> dict[str, float]:
+    """Signals that are worse by more than MOST_WORSE and their noise, be it by chance: by how much."""
+    rms = {one: (proof.rms("before", one), proof.rms("after", one)) for one in proof.counts}
+    return {
+        one: min(now / was - 1.0, MANY) if was > 0.0 else MANY
+        for one, (was, now) in rms.items()
+        if now > (1.0 + MOST_WORSE) * was and now > floors[one]
+    }
+
+
 def better_by_recalibration(gaps: Mapping[str, Gap]) -> dict[str, tuple[float, float]]:
     """Signals that recalibration alone takes CLEARLY nearer to the measurement: RMS before and after it."""
     return {

@@ -19,6 +19,7 @@ from tunefree_hil.gap.excitation import Excited
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.interval import WAVERS, wavering
 from tunefree_hil.gap.locate import GROSS, LOUD, Looked
+from tunefree_hil.gap.null import DRIFT
 from tunefree_hil.gap.suspects import class_of
 
 Array = np.ndarray
@@ -118,6 +119,20 @@ def daily_words(found: Mapping[str, float]) -> tuple[str, ...]:
         f"{key} differs by {by:.1f} standard deviations between the drives, and is one for all of them here: ask them "
         "one by one as well"
         for key, by in found.items()
+    )
+
+
+def small_words(found: Mapping[str, Mapping[str, float]]) -> tuple[str, ...]:
+    """Of effects that were named, each with the values of its parameters, those that are no more than what changes from
+    one day to the next (null.DRIFTS, twice its deviation), in words.
+    """
+    some = [
+        (name, DRIFT.get(f"{name}.{parameter}", 0.0), value - effects()[name].neutral[parameter])
+        for name, params in found.items()
+        for parameter, value in params.items()
+    ]
+    return tuple(
+        f"{name}: so little of it may come and go from day to day" for name, by, off in some if abs(off) < 2.0 * by
     )
 
 

@@ -75,17 +75,18 @@ def _driven(answer: Mapping[str, Any]) -> list[str]:
 def _effects(answer: Mapping[str, Any]) -> list[str]:
     if not answer["effects"]:
         return []
-    rows = [(one["name"], value_words(one), _number(one["evidence"]), _own(one)) for one in answer["effects"]]
+    proved = bool(answer.get("proof_blocks"))
+    rows = [(one["name"], value_words(one), _number(one["evidence"]), _own(one, proved)) for one in answer["effects"]]
     head = ("effect", "value (95 %)", "evidence, nats", "off the error of its own signal")
     return ["## What is missing", "", *markdown_table(head, rows)]
 
 
-def _own(effect: Mapping[str, Any]) -> str:
-    """What an effect takes off the signal that shows it best, row by row: where it was judged, and on the proof."""
+def _own(effect: Mapping[str, Any], proved: bool) -> str:
+    """What an effect takes off the signal that shows it best: where it was judged, and on the proof."""
     seen, unseen = effect.get("shrink"), effect.get("unseen_shrink")
-    if seen is None or unseen is None:
+    if seen is None:
         return ""
-    return f"{100.0 * seen:.0f} %; {100.0 * unseen:.0f} % on the blocks that prove"
+    return f"{100.0 * seen:.0f} %" + (f"; {100.0 * unseen:.0f} % on the blocks that prove" if proved and unseen else "")
 
 
 def _long(answer: Mapping[str, Any]) -> str:

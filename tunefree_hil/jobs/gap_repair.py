@@ -18,6 +18,7 @@ from tunefree_hil.gap.shrink import (
     explained_frac,
     floors_of,
     gaps_of,
+    grown,
     unforetold,
     worse_signals,
 )
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 LEAST_CLOSED = 2.0 / 3.0  # of the gap: who surely leaves a third of it stands in for something else
 SPEAKS_FOR = 0.3  # of the gap, surely closed: what a name needs that nothing else speaks for
 AGAIN = 0.5  # of what an effect takes off its own signal's error, on the blocks that prove: it is there as well
-SILENT = 0.02  # of that error: blocks in which the effect moves less do not show it
+SILENT, STIRS = 0.02, 0.05  # of that error, of its squares: blocks that the effect changes by less do not show it
 
 
 class Mended(NamedTuple):
@@ -131,11 +132,14 @@ def proved(
         "explained_frac": explained_frac(proof, floors),
         "explicable_frac": explained_frac(proof, floors, left) if found.foretold else None,
         "older": older,
-        "worse": [f"{name} (by {100.0 * by:.0f} %)" for name, by in sorted(worse.items(), key=lambda one: -one[1])],
+        "worse": _worse_words(worse),
     }
     if not is_borne_out(found.answer, data["explained_frac"]):
         data |= taken_back(found.answer, data["explained_frac"])
         yield Event("warning", f"taken back: {data['words'][0]}")
+    elif not _closes_it(found.answer, data["explained_frac"]):  # its own signal's word is none for all the others
+        worse |= {signal: by for signal, by in grown(proof, floors).items() if signal not in worse}
+        data["worse"] = _worse_words(worse)
     closes = data["explained_frac"]
     if worse or "taken_back" in data or (closes is not None and closes["value"] < CLOSES_NOTHING):
         shutil.rmtree(folder.model)
@@ -143,18 +147,25 @@ def proved(
     return data, proof
 
 
+def _worse_words(worse: Mapping[str, float]) -> list[str]:
+    return [f"{name} (by {100.0 * by:.0f} %)" for name, by in sorted(worse.items(), key=lambda one: -one[1])]
+
+
 def is_borne_out(answer: Mapping[str, Any], closes: Mapping[str, float] | None) -> bool:
-    """Whether blocks that no fit has seen bear out what was named: the repair closes something of the gap there, and as
-    far as they can tell most of it. Where no link is broken, so that nothing but the name says that anything is
-    missing, none of them may speak against it (those that do not show the effect say nothing); a name that is faint
-    even there (gap/decide.py) they have to speak for. A plain one (by its evidence) is
-    borne out by its own signal as well.
+    """Whether blocks that no fit has seen bear out what was named: the repair closes the gap there, or, of a plain name
+    (by its evidence), its own signal says so there.
+    """
+    return _closes_it(answer, closes) or (closes is not None and _is_there_too(answer, closes))
+
+
+def _closes_it(answer: Mapping[str, Any], closes: Mapping[str, float] | None) -> bool:
+    """Whether the repair closes something of the gap there, and as far as those blocks can tell most of it. Where no
+    link is broken, so that nothing but the name says that anything is missing, none of them may speak against it (those
+    that do not show the effect say nothing); a name that is faint even there (gap/decide.py) they have to speak for.
     """
     faint = any(one.get("faint") for one in answer["effects"])
     if closes is None:
         return not faint
-    if all(one.get("evidence", 0.0) > PLAIN_NATS for one in answer["effects"]) and _is_there_too(answer, closes):
-        return True
     if closes["high"] < LEAST_CLOSED:
         return False
     if faint:
@@ -164,16 +175,23 @@ def is_borne_out(answer: Mapping[str, Any], closes: Mapping[str, float] | None) 
 
 
 def _is_there_too(answer: Mapping[str, Any], closes: Mapping[str, float]) -> bool:
-    """Whether effects do on the blocks that prove what they do elsewhere, each to the signal that shows it best, where
-    the whole car's free run may be the better for it; or whether those blocks do not show them at all.
+    """Whether plain effects do on the blocks that prove what they do elsewhere, each to the signal that shows it best,
+    where the whole car's free run may be the better for it; or whether those blocks do not show them at all.
 
     A free run of a whole car sums up all that a model misses: a few blocks of it may not tell, or one that goes astray
     for another reason, what is plain from row to row.
     """
-    shrinks = [(one.get("shrink") or 0.0, one.get("unseen_shrink") or 0.0) for one in answer["effects"]]
-    if max(abs(one) for one in closes.values()) < SILENT or all(abs(there) < SILENT for _, there in shrinks):
-        return abs(closes["value"]) < SILENT
-    return closes["high"] > LEAST_OPEN and all(there > AGAIN * here or abs(there) < SILENT for here, there in shrinks)
+    told = [[one.get(key) for key in ("shrink", "unseen_shrink", "unseen_stirs")] for one in answer["effects"]]
+    plain = all((one.get("evidence") or 0.0) > PLAIN_NATS for one in answer["effects"])
+    if not plain or any(one is None for some in told for one in some):
+        return False
+    if any(there < -SILENT for _, there, _ in told):
+        return False
+    if all(stirs < STIRS for _, _, stirs in told) or max(abs(one) for one in closes.values()) < SILENT:
+        return abs(closes["value"]) < SILENT and closes["low"] > -SPEAKS_FOR
+    return closes["high"] > LEAST_OPEN and all(
+        there > max(AGAIN * here, SILENT) or stirs < STIRS for here, there, stirs in told
+    )
 
 
 def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float] | None) -> dict[str, Any]:

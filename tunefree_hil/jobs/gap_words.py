@@ -66,7 +66,7 @@ def _missing(answer: Mapping[str, Any]) -> str:
     named = [f"{one['name']} ({value_words(one)})" for one in answer["effects"]]
     told = f"{listed(named)} {'is' if len(named) == 1 else 'are'} missing"
     worse, closed = answer.get("worse") or [], answer.get("explained_frac")
-    if is_unproved(answer):
+    if is_unproved(answer) and not worse:
         return f"{told}; no model is written, as it closes nothing of the gap in the stretches that no fit has seen"
     if closed:
         told += f"; it closes {percent(closed)} of the gap that recalibration leaves"
