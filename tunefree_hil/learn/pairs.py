@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.learn.drives import Drive, Part
+from tunefree_hil.learn.stops import stop_words, stops_of, within
 
 Array = np.ndarray
 
@@ -68,7 +69,9 @@ class Pairs(NamedTuple):
 
 
 def pairs_of(parts: Iterable[Part], channel: str) -> Pairs:
-    """Command and output of a channel in `parts`; without stretches where the logs do not have both."""
+    """Command and output of a channel in `parts`; without stretches where the logs do not have both. A command ends
+    where the channel does (stops.py).
+    """
     found: list[Pair] = []
     words: list[str] = []
     for part in parts:
@@ -83,7 +86,9 @@ def pairs_of(parts: Iterable[Part], channel: str) -> Pairs:
             counts[: round(WARM_S / drive.dt_s)] = False
             if counts.any():
                 found.append(Pair(command[begin:end], output[begin:end], counts, drive.dt_s, window))
-    return Pairs(channel, tuple(found), "; ".join(words))
+    stops = stops_of(found)
+    said = stop_words(found, *stops)
+    return Pairs(channel, tuple(within(pair, *stops) for pair in found), "; ".join([*words, *([said] if said else [])]))
 
 
 def _taken(drive: Drive, channel: str) -> tuple[Array, Array, Array, int, str] | None:
