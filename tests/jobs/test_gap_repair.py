@@ -142,3 +142,14 @@ def test_what_is_said_in_place_of_a_name_that_is_taken_back(broken: bool, verdic
     now = {**one, **taken_back(one, CLOSES)}
     assert now["verdict"] == verdict and now["explained_frac"] is None and now["forced"] == "steer_dead_time"
     assert WORDS in sentence_of(now)
+
+
+def test_the_free_run_of_a_model_that_misses_its_own_logs_tells_nothing() -> None:
+    sure = {"evidence": 300.0, "shrink": 0.9, "unseen_shrink": 0.85, "unseen_stirs": 0.9}
+    links, usual = [{"broken": True}], ["rate_of_speed"]
+    lost = {"value": -1.4, "low": -1.5, "high": -0.8}
+    assert not is_borne_out({"effects": [sure], "links": links, "as_usual": []}, lost)
+    assert is_borne_out({"effects": [sure], "links": links, "as_usual": usual}, lost)
+    silent = {**sure, "unseen_shrink": 0.0, "unseen_stirs": 0.0}  # blocks that do not show it bear nobody out
+    for other in ({**sure, "unseen_shrink": 0.4}, {**sure, "evidence": 30.0}, silent):
+        assert not is_borne_out({"effects": [sure, other], "links": links, "as_usual": usual}, lost)

@@ -24,6 +24,7 @@ from tunefree_hil.learn import learned_folder
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.learned_folder import fit_of, params_of, write_learned
 from tunefree_hil.learn.worker import answers_to
+from tunefree_hil.learn.write_model import OWN_EFFECTS
 
 TRUTH = {"drive_force_n": 5200.0, "brake_force_n_per_frac": 70000.0, "rolling_frac": 0.02}
 
@@ -53,7 +54,7 @@ def drives() -> list[Drive]:
 def asked(repo: Path, tmp_path: Path, drives: list[Drive], monkeypatch: pytest.MonkeyPatch) -> Asked:
     """A wish whose logs are the made drives, and whose physics is the nominal car."""
 
-    def read(logs: Any, vehicle: Any) -> Iterator[Event]:
+    def read(logs: Any, vehicle: Any, excused: Any = ()) -> Iterator[Event]:
         yield Event("note", "made drives")
         return drives
 
@@ -158,3 +159,15 @@ def test_a_share_of_the_road_is_taken_from_a_calibration_on_the_same_logs_only(
         assert job.road_share_of(tmp_path, drives) == taken
         assert job.road_share_of(tmp_path, drives[:2]) == 0.0
     assert job.road_share_of(tmp_path / "none", drives) == 0.0
+
+
+def test_what_explains_the_logs_beside_the_physics_is_that_of_the_very_same_logs_only(
+    tmp_path: Path, drives: list[Drive]
+) -> None:
+    there = {OWN_EFFECTS: {"accel_bias": {"bias_mps2": {"value": 0.1, "deviation": 0.01}}}}
+    card = {"seed": 1, "logs": [{"hash": one.log_hash} for one in drives]}
+    (tmp_path / "card.json").write_text(json.dumps({**card, **there}), encoding="utf-8")
+    assert job.own_effects_of(tmp_path, drives) == there
+    assert job.own_effects_of(tmp_path, drives[:2]) == {} == job.own_effects_of(tmp_path / "none", drives)
+    (tmp_path / "card.json").write_text(json.dumps(card), encoding="utf-8")
+    assert job.own_effects_of(tmp_path, drives) == {}

@@ -31,6 +31,7 @@ GAINS = ("throttle_gain.gain_frac", "brake_gain.gain_frac", "steer_gain.gain_fra
 UNSTEADY = 1.5
 DAILY = ("friction", "grade", "side_wind", "yaw_rate_bias", "accel_bias")  # effects that are of the day, not of the car
 FORM = 0.01  # of the distance from neutral, standard deviation: no car does an effect quite in the catalogue's form
+AROUND = 0.01  # of u, to either side: over which a parameter's scale is taken as even
 KNOWS = 1e-9  # of the block that knows most of a key: who knows less says nothing of it
 
 UPPER = 0.975  # of Student's t with one degree of freedom less than there are blocks
@@ -94,6 +95,20 @@ def deviations(model: Fitted, blocks: Array) -> Array:
     share = len(blocks) / max(len(blocks) - 1, 1)
     sandwich = inverse @ (share * pulls.T @ pulls) @ inverse
     return np.sqrt(np.maximum(np.diag(inverse), np.diag(sandwich)))
+
+
+def across(model: Fitted, blocks: Array) -> dict[str, tuple[float, float]]:
+    """(value, deviation) of each free key, in its unit: by the fit, and by what it is from one block to another, be
+    that of one drive or of two.
+    """
+    by, found = deviations(model, blocks), {}
+    for one in model.free:
+        i = model.keys.index(one.key)
+        u = float(model.z[i])
+        whole = float(np.hypot(by[i], _spread(*_pulls(model, i, blocks), np.zeros(len(blocks)))))
+        slope = abs(one.value(u + AROUND) - one.value(u - AROUND)) / (2.0 * AROUND)
+        found[one.key] = (model.values[one.key], whole * slope)
+    return found
 
 
 def wavering(model: Fitted, name: str, blocks: Array, drives: Array) -> Wavering:

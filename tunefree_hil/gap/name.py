@@ -9,7 +9,7 @@ behind it come with it.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ from tunefree_hil.gap.decide import Weighed, left_share, worked_on
 from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.excitation import Excited, excitation, held_by
 from tunefree_hil.gap.graph import effects
+from tunefree_hil.gap.hill import with_hill
 from tunefree_hil.gap.interval import Value, apart, unsteady, values_of
 from tunefree_hil.gap.leftover import Left
 from tunefree_hil.gap.locate import Card, Looked, card, echo_words, look
@@ -32,6 +33,7 @@ from tunefree_hil.gap.segments import BLOCK_S, FEWEST, FEWEST_DRIVEN, GUARD_S, S
 from tunefree_hil.gap.targets import LEAST_MPS
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.unseen import NOT_LOOKED, Own, own
+from tunefree_hil.gap.usual import NOTHING, Usual, parted, usual_of, usual_words
 from tunefree_hil.gap.verdict import daily_words, not_it, small_words, verdict_of, wavers, with_others
 from tunefree_hil.gap.work import Setting
 
@@ -58,9 +60,10 @@ class Named(NamedTuple):
     """The answer. candidates: all first-round suspects weighed, best first; null: recalibration alone; repaired: the
     model with the effects in it (the null where there are none). before, after: what each leaves to be explained.
 
-    looked: every target with recalibration done; card: of the one that shows it best (None: no link is broken), with
-    the link that is to blame. echoes: of the commands. set: names where it is one of them, and not known which. lost:
-    links that the logs cannot show, in words.
+    looked, still: every target with recalibration done, and with all that was found besides; card: of the one that
+    shows it best (None: no link is broken), with the link that is to blame. echoes: of the commands. set: names where
+    it is one of them, and not known which. lost: links that the logs cannot show, in words.
+    usual: what the model misses of its own logs.
     """
 
     verdict: str
@@ -79,6 +82,8 @@ class Named(NamedTuple):
     after: dict[str, Left]
     lost: dict[Link, str]
     words: tuple[str, ...]
+    still: tuple[Looked, ...] = ()
+    usual: Usual = NOTHING
 
 
 def name(
@@ -141,8 +146,40 @@ def _named(
     repaired = steps[-1].model if steps else question.null
     yield "what is left"
     after, still = looked_at(team, question, repaired, blocks) if steps else (before, looked)
-    said = tuple(one for opened in drives for one in echoes(opened))
-    days = question.blocks.drives[blocks]
+    usual = usual_of(team.setting.model)
+    news, no_news = parted(steps, repaired.fitted, usual, blocks)
+    news = with_hill(news, repaired.fitted, usual, team.setting.model)
+    amiss = _amiss(team, question, repaired, news, before, looked, after, still, usual) if news else ""
+    if no_news:
+        repaired = _without(team, question, repaired, steps, news)
+        after, _ = looked_at(team, question, repaired, blocks)
+    held = excitation(effects(), held_by(drives, vehicle))
+    steps = [with_others(step, news, held, drives) for step in news]
+    said, days = tuple(one for opened in drives for one in echoes(opened)), question.blocks.drives[blocks]
+    sigmas = {free.key: free.doubt for one in question.suspects for free in one.free if free.doubt}
+    restless = unsteady(question.null.fitted, blocks, days, sigmas)
+    verdict, others, words = verdict_of(first, steps, looked, amiss, held, echo_words(said), restless, usual)
+    link, shown = _where(team, question, steps, looked, said)
+    known: tuple[Effect, ...] = ()
+    if verdict in ("one", "several"):
+        known = _effects(team, question, steps, repaired)
+        sizes = {one.name: {key: value.value for key, value in one.params.items()} for one in known}
+        words = (*words, *small_words(sizes))
+    words = (*words, *no_news, *usual_words(usual), *daily_words(apart(repaired.fitted, blocks, days)))
+    return Named(
+        verdict, known, others, _manoeuvre(others), link, shown, tuple(looked), said, held, tuple(first), question,
+        repaired, before, after, lost_links(drives), words, tuple(still), usual,
+    )  # fmt: skip
+
+
+def _amiss(
+    team: Team, question: Question, repaired: Modelled, steps: Sequence[Weighed], before: Mapping[str, Left],
+    looked: Sequence[Looked], after: Mapping[str, Left], still: Sequence[Looked], usual: Usual,
+) -> str:  # fmt: skip
+    """Why what was found is not what is missing, in words; '' where nothing speaks against it. before, looked: of the
+    null; after, still: of the model with all that was found, of which `steps` are to be named.
+    """
+    blocks = judged(question.blocks)
     worked = worked_on(question.null, repaired, question.sizes, blocks)
     left = {name: left_share(before[name], one) for name, one in after.items()}
 
@@ -150,22 +187,21 @@ def _named(
         found = team.ask("moved_by", repaired.fitted, key, by)
         return {target: rms / question.sizes[target] for target, rms in found.items()}
 
-    amiss = not_it(looked, still, left, worked) or wavers(steps, repaired, blocks, days, still, worked, moved)
-    held = excitation(effects(), held_by(drives, vehicle))
-    steps = [with_others(step, steps, held, drives) for step in steps]
-    sigmas = {free.key: free.doubt for one in question.suspects for free in one.free if free.doubt}
-    restless = unsteady(question.null.fitted, blocks, days, sigmas)
-    verdict, others, words = verdict_of(first, steps, looked, amiss, held, echo_words(said), restless)
-    link, shown = _where(team, question, steps, looked, said)
-    known: tuple[Effect, ...] = ()
-    if verdict in ("one", "several"):
-        known = _effects(team, question, steps, repaired)
-        sizes = {one.name: {key: value.value for key, value in one.params.items()} for one in known}
-        words = (*words, *small_words(sizes))
-    return Named(
-        verdict, known, others, _manoeuvre(others), link, shown, tuple(looked), said, held, tuple(first), question,
-        repaired, before, after, lost_links(drives), (*words, *daily_words(apart(repaired.fitted, blocks, days))),
-    )  # fmt: skip
+    days = question.blocks.drives[blocks]
+    return not_it(looked, still, left, worked, usual) or wavers(steps, repaired, blocks, days, still, worked, moved)
+
+
+def _without(
+    team: Team, question: Question, model: Modelled, steps: Sequence[Weighed], stay: Sequence[Weighed]
+) -> Modelled:
+    """A model without those of its steps that do not stay, the rest fitted on."""
+    if not stay:
+        return question.null
+    stays = {step.name for step in stay}
+    for step in steps:
+        if step.name not in stays:
+            model = team.fit_without(model, [step.name])[step.name]
+    return model
 
 
 def looked_at(team: Team, question: Question, model: Modelled, blocks: Array) -> tuple[dict[str, Left], list[Looked]]:

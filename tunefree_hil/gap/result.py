@@ -42,6 +42,7 @@ def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
             }
             for one in found.looked
         ],
+        "as_usual": [one.signal for one in found.looked if one.broken and found.usual.as_usual(one.signal, one.amount)],
         "untold": untold(found),
         "lost": {link.value: words for link, words in found.lost.items()},
         "not_suspected": dict(found.question.cannot),

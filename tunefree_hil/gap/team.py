@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from typing import Any, TypeVar
@@ -20,10 +21,13 @@ SCREEN = 0.15  # who gains less than that gets one step: the truth, even midway 
 
 
 class Team:
-    """Two processes that have the same question open. dropped: who could not be asked at all, with the reason."""
+    """Two processes that have the same question open. dropped: who could not be asked at all, with the reason.
+    thorough: whether all suspects are fitted, however little they gain.
+    """
 
-    def __init__(self, setting: Setting, workers: int = 2) -> None:
+    def __init__(self, setting: Setting, workers: int = 2, *, thorough: bool = False) -> None:
         self.setting = setting
+        self.thorough = thorough
         self.workers = [Worker() for _ in range(workers)]
         self.token = "gap"
         self.dropped: dict[str, str] = {}
@@ -43,8 +47,10 @@ class Team:
             self._drop(lost, model is None)
         best = max((one.gain for one in begins.values()), default=0.0)
         order = sorted(begins, key=lambda name: -begins[name].gain)
-        asked = [name for name in order if begins[name].gain > max(HOPELESS, LEFT_OUT * best)]
-        bar = max(HOPELESS, SCREEN * best)
+        least, bar = (
+            (-math.inf, 0.0) if self.thorough else (max(HOPELESS, LEFT_OUT * best), max(HOPELESS, SCREEN * best))
+        )
+        asked = [name for name in order if begins[name].gain > least]
         shares = [{name: begins[name] for name in share} for share in self._shares(asked)]
         found: dict[str, Modelled] = {}
         for some, lost in self._all([("fit_suspects", self.token, share, model, bar) for share in shares]):

@@ -21,6 +21,7 @@ from tunefree_hil.gap.interval import WAVERS, wavering
 from tunefree_hil.gap.locate import GROSS, LOUD, Looked
 from tunefree_hil.gap.null import DRIFT
 from tunefree_hil.gap.suspects import class_of
+from tunefree_hil.gap.usual import NOTHING, Usual
 
 Array = np.ndarray
 
@@ -36,7 +37,7 @@ MOST_WAVERING = 0.25  # of what effects explain of a signal: what a parameter th
 
 def verdict_of(
     first: list[Weighed], steps: list[Weighed], looked: Sequence[Looked], amiss: str, held: Mapping[str, Excited],
-    lost: Sequence[str], unsteady: Mapping[str, float],
+    lost: Sequence[str], unsteady: Mapping[str, float], usual: Usual = NOTHING,
 ) -> tuple[str, tuple[str, ...], tuple[str, ...]]:  # fmt: skip
     """(verdict, set, words). looked: before anything was found; amiss: why what was found is not it, in words;
     unsteady: gains that recalibration would have to move from block to block, by how many deviations. Of several
@@ -45,10 +46,13 @@ def verdict_of(
     if lost:
         return "none_of_these", (), tuple(lost)
     if not steps:
-        worst, doubtful = looked[0], first and first[0].counts and outdone(first)
+        beyond = [one for one in looked if one.broken and not usual.as_usual(one.signal, one.amount)]
+        worst, doubtful = (beyond or looked)[0], first and first[0].counts and outdone(first)
         if doubtful:
             words = f"{first[0].name} would explain it, {doubtful} would explain more, and spoils other signals"
             return "none_of_these", (), (words,)
+        if worst.broken and not beyond:
+            return "none_of_these", (), (f"{worst.missed}, as usual with this model",)
         if worst.broken:
             return "none_of_these", (), (f"{worst.missed}, and no effect explains it",)
         if unsteady:
@@ -71,16 +75,20 @@ def verdict_of(
 
 
 def not_it(
-    looked: Sequence[Looked], still: Sequence[Looked], left: Mapping[str, float], worked: Mapping[str, float]
-) -> str:
+    looked: Sequence[Looked], still: Sequence[Looked], left: Mapping[str, float], worked: Mapping[str, float],
+    usual: Usual = NOTHING,
+) -> str:  # fmt: skip
     """Why effects that were found are not what is missing, in words; '' where nothing speaks against them.
 
     looked, still: targets without and with them in the model; left: by target, of what could be explained the part that
     still can be; worked: the targets that they explain, each by how much of its signal. There they have to explain what
-    there is; and what is missed elsewhere must be less than what they explain.
+    there is; and what is missed elsewhere must be less than what they explain. What this model misses as usual speaks
+    against nobody.
     """
     was = {one.signal: one for one in looked}
     for one in still:
+        if usual.as_usual(one.signal, one.amount):
+            continue
         if one.signal not in worked:
             if one.broken and one.amount > max(worked.values(), default=0.0):
                 return f"explains less than what is left elsewhere: {one.missed}"

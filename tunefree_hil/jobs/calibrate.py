@@ -14,6 +14,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.calibrate_words import channel_words, closing, constant_words
 from tunefree_hil.jobs.learning_logs import read
+from tunefree_hil.jobs.own_logs import ask_own_logs
 from tunefree_hil.learn.by_motion import Law
 from tunefree_hil.learn.channel_doubts import in_motion
 from tunefree_hil.learn.drives import Drive, Split
@@ -37,8 +38,10 @@ if TYPE_CHECKING:
 CARD_SCHEMA = "tunefree.card/1"
 FIGURES = "figures"
 WINDOWS_S, ENOUGH_WINDOWS = (8.0, 5.0, 3.0), 12  # lengths of free runs; several logs may be 5 s long each
+# A channel that stops before its command does is identified up to its stop (learn/stops.py)
+STOPPED = ("short_of_command",)
 # What is too little to learn from may be enough to calibrate a channel: the fit itself says what it lacks.
-LACKING = ("too_short", "one_speed", "no_braking")
+LACKING = ("too_short", "one_speed", "no_braking", *STOPPED)
 
 
 class Fitted(NamedTuple):
@@ -70,6 +73,7 @@ def calibrate(logs: Sequence[Path], vehicle: str, out: Path, seed: int = 1) -> I
     seconds = time.monotonic() - began
     card = card_of(drives, split, spec, fitted, seed, seconds)
     write(out, spec, fitted, split, card)
+    yield from ask_own_logs(out, spec, drives)
     figures = draw(out / FIGURES, fitted, split)
     data = {**card, "model": str(out), "figures": [str(path) for path in figures]}
     yield Event("result", "", {**data, **closing(out, spec, logs, fitted.actuators, fitted.physics, fitted.judged)})

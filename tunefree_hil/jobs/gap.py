@@ -161,12 +161,12 @@ def _searched(asked: Asked, material: Material, opened: list[Opened]) -> Generat
                 found: Named = end.value
                 seconds = time.monotonic() - began
                 return keep(found, material.model.plant.kind, seconds, asked.until != "locate")
-            yield Event("progress", stage, {"label": "search", "resume": resume, **_eta(stage, began)})
+            yield Event("progress", stage, {"label": "search", "resume": resume, **eta_of(stage, began)})
     finally:
         search.close()
 
 
-def _eta(stage: str, began: float) -> dict[str, float]:
+def eta_of(stage: str, began: float) -> dict[str, float]:
     """What is left of a search, by the share of it that has gone."""
     share = next((one for name, one in STAGES.items() if name in stage), 0.0)
     if share == 0.0:

@@ -179,7 +179,8 @@ def _is_there_too(answer: Mapping[str, Any], closes: Mapping[str, float]) -> boo
     where the whole car's free run may be the better for it; or whether those blocks do not show them at all.
 
     A free run of a whole car sums up all that a model misses: a few blocks of it may not tell, or one that goes astray
-    for another reason, what is plain from row to row.
+    for another reason, what is plain from row to row. One of a model that misses its own logs tells nothing: there the
+    effects have to show themselves on their own signals.
     """
     told = [[one.get(key) for key in ("shrink", "unseen_shrink", "unseen_stirs")] for one in answer["effects"]]
     plain = all((one.get("evidence") or 0.0) > PLAIN_NATS for one in answer["effects"])
@@ -187,6 +188,8 @@ def _is_there_too(answer: Mapping[str, Any], closes: Mapping[str, float]) -> boo
         return False
     if any(there < -SILENT for _, there, _ in told):
         return False
+    if answer.get("as_usual"):
+        return all(there > max(AGAIN * here, SILENT) for here, there, _ in told)
     if all(stirs < STIRS for _, _, stirs in told) or max(abs(one) for one in closes.values()) < SILENT:
         return abs(closes["value"]) < SILENT and closes["low"] > -SPEAKS_FOR
     return closes["high"] > LEAST_OPEN and all(

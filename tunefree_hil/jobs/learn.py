@@ -13,6 +13,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bench.load import require_current
 from tunefree_hil.jobs import calibrate
 from tunefree_hil.jobs.learning_logs import read
+from tunefree_hil.jobs.own_logs import ask_own_logs
 from tunefree_hil.learn.card import Training, card_of
 from tunefree_hil.learn.drives import Drive, Split
 from tunefree_hil.learn.free_run import Judged
@@ -21,7 +22,7 @@ from tunefree_hil.learn.level import offset_words
 from tunefree_hil.learn.motion import Track, tracks_of
 from tunefree_hil.learn.physics import ROAD
 from tunefree_hil.learn.worker import Worker
-from tunefree_hil.learn.write_model import CARD_FILE, require_new
+from tunefree_hil.learn.write_model import CARD_FILE, OWN_EFFECTS, require_new
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import ModelSpec, VehicleSpec
@@ -68,7 +69,7 @@ def learn(asked: Asked) -> Iterator[Event]:
     if asked.physics is not None:
         physics_in(asked.physics, vehicle)
     began = time.monotonic()
-    drives = yield from read(asked.logs, vehicle)
+    drives = yield from read(asked.logs, vehicle, excused=calibrate.STOPPED)
     split = yield from calibrate.split_of(drives, asked.seed)
     for words in offset_words(drives, vehicle):
         yield Event("warning", words)
@@ -87,6 +88,7 @@ def learn(asked: Asked) -> Iterator[Event]:
     judged = yield from _judged(asked, vehicle, physics, data, arrays, calibration)
     seconds = time.monotonic() - began
     card = card_of(asked.kind, vehicle, physics, drives, split.words, asked.seed, seconds, training, judged)
+    card |= own_effects_of(Path(physics.folder), drives)
     write_learned(
         asked.out, vehicle, physics, asked.kind, arrays, calibration, card, sample_spacing_s=asked.sample_spacing_s
     )
@@ -120,6 +122,7 @@ def physics_of(asked: Asked, vehicle: VehicleSpec, drives: list[Drive], split: S
             fitted = yield from calibrate.fit_all(worker, split, vehicle)
         card = calibrate.card_of(drives, split, vehicle, fitted, asked.seed, time.monotonic() - began)
         calibrate.write(folder, vehicle, fitted, split, card)
+        yield from ask_own_logs(folder, vehicle, drives)
     yield Event("note", f"physics: {folder}")
     return physics_in(folder, vehicle)
 
@@ -159,6 +162,16 @@ def road_share_of(folder: Path, drives: list[Drive]) -> float:
         return 0.0
     said = json.loads((folder / CARD_FILE).read_text(encoding="utf-8")).get("constants", {}).get(ROAD, {})
     return min(max(float(said["value"]), 0.0), 1.0) if said.get("known") else 0.0
+
+
+def own_effects_of(folder: Path, drives: list[Drive]) -> dict[str, Any]:
+    """What explains these very logs beside the physics, as its card says it: a net that is taught by them has no other
+    sensors.
+    """
+    if not _is_of(folder, drives, None):
+        return {}
+    said = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
+    return {OWN_EFFECTS: said[OWN_EFFECTS]} if OWN_EFFECTS in said else {}
 
 
 def _tracks(parts: Sequence[Any], vehicle: VehicleSpec, road_share: float) -> list[Track]:

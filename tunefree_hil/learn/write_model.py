@@ -19,12 +19,13 @@ from tunefree_hil.config.convert import SET_BY_LOADER
 from tunefree_hil.config.dump import plain as plain_spec
 from tunefree_hil.config.dump import to_toml
 from tunefree_hil.config.load import load_model
-from tunefree_hil.config.schema import ModelSpec, ValidSpec, VehicleSpec
+from tunefree_hil.config.schema import EffectSpec, ModelSpec, ValidSpec, VehicleSpec
 from tunefree_hil.learn.values import ActuatorFit, Value
 
 Array = np.ndarray
 
 PLANT_FILE, CARD_FILE = "plant.npz", "card.json"
+OWN_EFFECTS = "own_effects"  # of card.json: what explains a model's own logs beside it (gap/usual.py)
 TIMING = {"report_ticks": 1, "command_ticks": 1, "phase_seed": 1}
 HEAD = """\
 # Written by tunefree_hil from logs of the vehicle; {card} says from which, with intervals and errors.
@@ -126,9 +127,22 @@ def write_beside(
             write_card(part, card)
 
 
+def write_effects(folder: Path, model: ModelSpec, more: Sequence[EffectSpec]) -> None:
+    """model.toml in that model's folder with effects behind its own; whole or as it was."""
+    data = data_of(model)
+    data["effects"] = [*data.get("effects", []), *plain_spec(list(more))]
+    _replaced(folder / "model.toml", HEAD.format(card=CARD_FILE) + to_toml(data))
+
+
 def write_card(folder: Path, card: Mapping[str, Any]) -> None:
-    """card.json of a model folder."""
-    (folder / CARD_FILE).write_text(json.dumps(plain(card), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    """card.json of a model folder, whole or as it was."""
+    _replaced(folder / CARD_FILE, json.dumps(plain(card), indent=1, allow_nan=False) + "\n")
+
+
+def _replaced(path: Path, text: str) -> None:
+    part = path.with_name(f"part-{os.getpid()}-{path.name}")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)
 
 
 def plain(value: Any) -> Any:

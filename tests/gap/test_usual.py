@@ -1,0 +1,102 @@
+"""What a model misses as usual: it speaks against nobody, and who has the value that he always had is no news."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from tests.gap.test_decide import spread, weighed
+from tests.gap.test_interval import ALL, DELAY, fitted
+from tunefree_hil.base.contracts import Link
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.config.load import load_model
+from tunefree_hil.gap.interval import across
+from tunefree_hil.gap.locate import Looked
+from tunefree_hil.gap.usual import (
+    KEY,
+    NEWS,
+    NOTHING,
+    TIMES,
+    Usual,
+    as_data,
+    parted,
+    usual_of,
+    usual_words,
+)
+from tunefree_hil.gap.verdict import not_it, verdict_of
+from tunefree_hil.learn.write_model import plain
+
+BROKEN = Looked("yaw_rate", Link.REPORT_TO_MOTION, "rad/s", 0.2, 0.1, 0.2, 0.8, True)
+STEP = weighed(steer_dead_time=spread(1.0))[0]
+FOUND = fitted(DELAY)  # 0.1 s
+VALUE, DEVIATION = across(FOUND, ALL)[DELAY.key]
+
+
+def usual(delay_s: float, deviation: float = 0.001) -> Usual:
+    there = {"steer_dead_time": {"delay_s": (delay_s, deviation)}}
+    return Usual({"yaw_rate": 0.5}, there, there)
+
+
+def test_a_model_that_comes_near_its_own_logs_takes_everything_for_news() -> None:
+    assert parted([STEP], FOUND, NOTHING, ALL) == ([STEP], ())
+
+
+def test_who_has_the_value_that_the_own_logs_gave_it_is_no_news_and_both_are_said() -> None:
+    news, words = parted([STEP], FOUND, usual(VALUE + 0.5 * DEVIATION), ALL)
+    assert news == []
+    assert words[0].startswith("steer_dead_time is no news: delay_s 0.1, and 0.10")
+
+
+@given(off=st.floats(-0.09, 0.4), deviation=st.floats(1e-4, 0.1))
+def test_news_is_what_is_further_off_than_both_are_doubted(off: float, deviation: float) -> None:
+    news, words = parted([STEP], FOUND, usual(VALUE + off, deviation), ALL)
+    far = abs(off) > NEWS * np.hypot(DEVIATION, deviation)
+    assert bool(news) == far and bool(words) != far
+
+
+def test_whom_the_own_logs_could_not_show_is_no_news() -> None:
+    news, words = parted([STEP], FOUND, Usual({"yaw_rate": 0.5}, {}), ALL)
+    assert not news and "do not hold what would show it" in words[0]
+
+
+def test_what_is_missed_as_usual_speaks_against_nobody() -> None:
+    was = BROKEN._replace(share=0.85)
+    assert not_it([was], [BROKEN], {"yaw_rate": 0.9}, {"yaw_rate": 0.3})
+    assert not not_it([was], [BROKEN], {"yaw_rate": 0.9}, {"yaw_rate": 0.3}, usual(0.1))
+    more = BROKEN._replace(share=1.01 * TIMES * 0.5)
+    assert not_it([more], [more], {"yaw_rate": 1.0}, {}, usual(0.1))
+    assert not not_it([BROKEN], [BROKEN], {}, {"speed": 0.1}, usual(0.1))
+
+
+def test_what_is_missed_beyond_the_usual_is_told_first() -> None:
+    worse = BROKEN._replace(signal="rate_of_speed", share=0.3)
+    _, _, words = verdict_of([], [], [BROKEN], "", {}, (), {}, usual(0.1))
+    assert words == ("yaw_rate is missed by 80.0%, as usual with this model",)
+    said = verdict_of([], [], [BROKEN, worse], "", {}, (), {}, usual(0.1))
+    assert said == ("none_of_these", (), ("rate_of_speed is missed by 30.0%, and no effect explains it",))
+
+
+def test_words_are_of_what_is_missed_most() -> None:
+    told = usual(0.1)._replace(missed={"yaw_rate": 0.8, "brake": 0.1})
+    words = "the model misses yaw_rate by 80% of the signal in the very logs that it was made from"
+    assert usual_words(told) == (words,) and usual_words(NOTHING) == () and as_data(NOTHING) == {}
+
+
+def test_a_card_keeps_it_and_one_that_is_none_is_named(tmp_path: Path) -> None:
+    nominal = load_model("mkz_nominal")
+    model = replace(nominal, folder=str(tmp_path), plant=replace(nominal.plant, card="card.json"))
+    assert usual_of(model) == NOTHING
+    kept = usual(0.25)
+    endless = {**kept.effects, "steer_rate_limit": {"rate_radps": (np.inf, 0.1)}}
+    (tmp_path / "card.json").write_text(json.dumps(plain(as_data(kept._replace(effects=endless)))))
+    assert usual_of(model) == kept
+    (tmp_path / "card.json").write_text(json.dumps({KEY: {"missed": {"yaw_rate": "much"}}}))
+    with pytest.raises(InputError) as refused:
+        usual_of(model)
+    assert refused.value.key == KEY and "card.json" in refused.value.file

@@ -1,0 +1,145 @@
+"""What a model misses as usual: of the very logs that it was made from, where nothing in the catalogue explains it all.
+
+Most models come near their own logs, and whatever a later log shows is news. A model of a shaking car of 2 kg does not,
+and each later log is missed as its own were: that is no reason to doubt a name, and an effect that has the value there
+that its own logs gave it, is nothing that came later. `calibrate` asks a model's own logs once, and its card keeps it.
+What explains them is kept as well (gap/hill.py).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.gap.decide import Weighed
+from tunefree_hil.gap.interval import across
+from tunefree_hil.gap.null import card_of
+from tunefree_hil.gap.problem import Fitted
+from tunefree_hil.learn.write_model import OWN_EFFECTS
+
+if TYPE_CHECKING:
+    from tunefree_hil.config.schema import ModelSpec
+
+Array = np.ndarray
+
+KEY = "usual"  # of card.json
+TIMES = 2.0  # as much missed as usual is as usual: another drive shakes more, or less
+NEWS = 3.0  # deviations, of both values together, from which on a value is another one
+
+Known = tuple[float, float]  # (value, deviation), both in the parameter's unit
+
+
+class Usual(NamedTuple):
+    """missed: by target, as a share of its signal. effects: what the own logs make of each, alone. own: effects that
+    explain the own logs, where these leave nothing broken, with what they are there.
+    """
+
+    missed: Mapping[str, float]
+    effects: Mapping[str, Mapping[str, Known]]
+    own: Mapping[str, Mapping[str, Known]] = {}
+
+    def as_usual(self, target: str, amount: float) -> bool:
+        """Whether no more is missed of a target, as a share of its signal, than usual."""
+        return amount <= TIMES * self.missed.get(target, 0.0)
+
+
+NOTHING = Usual({}, {})
+
+
+def usual_of(model: ModelSpec) -> Usual:
+    """What a model's card says; nothing is usual with a model that comes near its own logs, or was not asked.
+
+    Raises InputError for a card that is none.
+    """
+    card = card_of(model)
+    said, own = card.get(KEY) or {}, card.get(OWN_EFFECTS) or {}
+    try:
+        found, there = _numbers(said.get("effects", {})), _numbers(own)
+        missed = {name: float(one) for name, one in said.get("missed", {}).items()}
+        return Usual(missed, found, there)
+    except (AttributeError, TypeError, KeyError, ValueError) as error:
+        raise InputError(
+            f"{KEY}: {error}",
+            code="bad_card",
+            file=str(Path(model.folder) / model.plant.card),
+            key=KEY,
+            hint="calibrate the model again",
+        ) from error
+
+
+def as_data(usual: Usual) -> dict[str, Any]:
+    """Keys of the card; none where there is nothing to keep."""
+    said: dict[str, Any] = {OWN_EFFECTS: _as_numbers(usual.own)} if usual.own else {}
+    if usual.missed:
+        said[KEY] = {"missed": dict(usual.missed), "effects": _as_numbers(usual.effects)}
+    return said
+
+
+def by_name(values: Mapping[str, Known]) -> dict[str, dict[str, Known]]:
+    """'effect.parameter' -> by effect, by parameter."""
+    found: dict[str, dict[str, Known]] = {}
+    for key, known in values.items():
+        name, _, parameter = key.partition(".")
+        found.setdefault(name, {})[parameter] = known
+    return found
+
+
+def _as_numbers(some: Mapping[str, Mapping[str, Known]]) -> dict[str, Any]:
+    return {
+        name: {key: {"value": value, "deviation": by} for key, (value, by) in params.items()}
+        for name, params in some.items()
+        if all(math.isfinite(number) for known in params.values() for number in known)
+    }
+
+
+def _numbers(said: Mapping[str, Any]) -> dict[str, dict[str, Known]]:
+    return {
+        name: {key: (float(one["value"]), float(one["deviation"])) for key, one in params.items()}
+        for name, params in said.items()
+    }
+
+
+def parted(
+    steps: Sequence[Weighed], model: Fitted, usual: Usual, blocks: Array
+) -> tuple[list[Weighed], tuple[str, ...]]:
+    """(steps that are news, why each of the others is none, in words). model: with all of them."""
+    if not usual.missed:
+        return list(steps), ()
+    values, news, words = across(model, blocks), list[Weighed](), list[str]()
+    for step in steps:
+        why = _no_news(step.name, values, usual)
+        if why:
+            words.append(f"{step.name} is no news: {why}")
+        else:
+            news.append(step)
+    return news, tuple(words)
+
+
+def _no_news(name: str, values: Mapping[str, Known], usual: Usual) -> str:
+    """Why an effect with these values (of all keys) is nothing that came after the model; '' where it is."""
+    said = []
+    for key, (value, by) in values.items():
+        owner, _, parameter = key.partition(".")
+        if owner != name:
+            continue
+        known = usual.effects.get(name, {}).get(parameter)
+        if known is None:
+            return "the logs that the model was made from do not hold what would show it, and it misses those as well"
+        was, doubt = known
+        if abs(value - was) > NEWS * math.hypot(by, doubt):
+            return ""
+        said.append(f"{parameter} {value:.4g}, and {was:.4g} in the logs that the model was made from")
+    return ", ".join(said)
+
+
+def usual_words(usual: Usual) -> tuple[str, ...]:
+    """That the model misses its own logs, in words."""
+    if not usual.missed:
+        return ()
+    name, by = max(usual.missed.items(), key=lambda one: one[1])
+    return (f"the model misses {name} by {by:.0%} of the signal in the very logs that it was made from",)
