@@ -43,6 +43,12 @@ def test_the_proof_does_not_choose_how_it_is_looked_at() -> None:
     assert found.seen == pytest.approx(0.5) and found.unseen < -0.2
 
 
+def test_where_the_null_misses_next_to_nothing_it_is_held_against_what_it_misses_elsewhere() -> None:
+    """A stop that the proof does not reach: what the rest of the fit does there is small, and no verdict."""
+    null, after = told([100.0, 0.01, 0.01, 0.01, 0.01]), told([1.0, 0.04, 0.04, 0.04, 0.04])
+    assert own(null, after, null, "a", SEEN, PROOF) == pytest.approx((0.9, -0.1, 0.03))
+
+
 def test_where_the_proof_has_nothing_of_the_signal_nothing_is_said() -> None:
     null, after = told([4.0, 0.0, 0.0, 0.0, 0.0]), told([1.0, 0.0, 0.0, 0.0, 0.0])
     found = own(null, after, null, "a", SEEN, PROOF)
