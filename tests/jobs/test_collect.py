@@ -126,7 +126,7 @@ def test_killed_and_with_a_node_lost_it_goes_on_to_the_same_logs(calm: tuple[Pat
 def test_a_watch_sees_what_is_driven_and_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
     out, session = tmp_path / "run", new_session()
     with no_orphans(session):
-        process = start(*words_of(out, "--session", session, "--quota-s", "5"))
+        process = start(*words_of(out, "--session", session, "--quota-s", "60"))
         eventually(lambda: list(out.glob("episodes/1/*")), PATIENCE_S, "a drive")
         listens = ("--watch", "--bus", "tfhub", "--vehicle", "mkz_bywire", "--seconds", "2.5", "--quota-s", "0.2")
         watched = tunefree("collect", *listens, "--session", session, "--out", tmp_path / "seen", "--json")
