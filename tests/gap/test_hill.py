@@ -47,6 +47,14 @@ def test_a_hill_is_a_rival_where_the_rolling_resistance_may_hold_it(
     assert (HILL in said.others) == rival
 
 
+def test_a_net_may_have_taken_in_any_hill_and_a_plant_of_physics_has_the_ordinary_tyre() -> None:
+    bare = replace(model(0.0).plant, params={})
+    for kind, bias_mps2, rival in (("lstm", -0.4, True), ("physics", -0.4, False), ("physics", 0.05, True)):
+        made = replace(model(0.0), plant=replace(bare, kind=kind))
+        (said,) = with_hill([STEP], found(bias_mps2), own(bias_mps2), made)
+        assert (HILL in said.others) == rival
+
+
 def test_an_offset_that_came_after_the_model_is_one() -> None:
     bias = 0.118
     for usual in (NOTHING, own(bias * (1.0 + 1.5 * AS_MUCH)), own(-bias)):

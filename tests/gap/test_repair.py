@@ -17,6 +17,7 @@ from tunefree_hil.gap.chain import Opened, open_chain
 from tunefree_hil.gap.graph import BEND, LINKAGE
 from tunefree_hil.gap.repair import by_channel, found_effects, repaired, write_repaired
 from tunefree_hil.gap.replay import car_of, run_over
+from tunefree_hil.learn.write_model import data_of, write_beside
 
 MOVED = {
     "throttle_gain.gain_frac": 0.93,
@@ -99,6 +100,15 @@ def test_the_folder_is_a_normal_model_with_interval_and_provenance(tmp_path: Pat
     assert [path.name for path in tmp_path.iterdir()] == ["model"]
     with pytest.raises(InputError, match="there already"):
         write_repaired(tmp_path / "model", model, made.model, {})
+
+
+def test_what_the_old_model_missed_of_its_own_logs_is_not_the_repaired_ones(tmp_path: Path) -> None:
+    made = made_model()
+    card = {"seed": 3, "usual": {"missed": {"yaw_rate": 0.5}}, "own_effects": {}}
+    write_beside(tmp_path / "old", made, "", data_of(replace(made, plant=replace(made.plant, card="card.json"))), card)
+    old = load_model(tmp_path / "old")
+    write_repaired(tmp_path / "new", old, old, {"logs": []})
+    assert json.loads((tmp_path / "new" / "card.json").read_text()) == {"seed": 3, "repair": {"logs": []}}
 
 
 def by_accel(**accel: float) -> ModelSpec:

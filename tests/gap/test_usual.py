@@ -40,7 +40,7 @@ VALUE, DEVIATION = across(FOUND, ALL)[DELAY.key]
 
 def usual(delay_s: float, deviation: float = 0.001) -> Usual:
     there = {"steer_dead_time": {"delay_s": (delay_s, deviation)}}
-    return Usual({"yaw_rate": 0.5}, there, there)
+    return Usual({"yaw_rate": 0.5}, there, frozenset({STEP.target}), there)
 
 
 def test_a_model_that_comes_near_its_own_logs_takes_everything_for_news() -> None:
@@ -61,8 +61,13 @@ def test_news_is_what_is_further_off_than_both_are_doubted(off: float, deviation
 
 
 def test_whom_the_own_logs_could_not_show_is_no_news() -> None:
-    news, words = parted([STEP], FOUND, Usual({"yaw_rate": 0.5}, {}), ALL)
+    news, words = parted([STEP], FOUND, usual(VALUE)._replace(effects={}), ALL)
     assert not news and "do not hold what would show it" in words[0]
+
+
+def test_where_the_model_came_near_its_own_logs_everything_is_news() -> None:
+    elsewhere = usual(VALUE)._replace(broken=frozenset({"another signal"}))
+    assert parted([STEP], FOUND, elsewhere, ALL) == ([STEP], ())
 
 
 def test_what_is_missed_as_usual_speaks_against_nobody() -> None:
@@ -96,7 +101,8 @@ def test_a_card_keeps_it_and_one_that_is_none_is_named(tmp_path: Path) -> None:
     endless = {**kept.effects, "steer_rate_limit": {"rate_radps": (np.inf, 0.1)}}
     (tmp_path / "card.json").write_text(json.dumps(plain(as_data(kept._replace(effects=endless)))))
     assert usual_of(model) == kept
-    (tmp_path / "card.json").write_text(json.dumps({KEY: {"missed": {"yaw_rate": "much"}}}))
-    with pytest.raises(InputError) as refused:
-        usual_of(model)
-    assert refused.value.key == KEY and "card.json" in refused.value.file
+    for much in ("much", "nan"):
+        (tmp_path / "card.json").write_text(json.dumps({KEY: {"missed": {"yaw_rate": much}}}))
+        with pytest.raises(InputError) as refused:
+            usual_of(model)
+        assert refused.value.key == KEY and "card.json" in refused.value.file

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -18,13 +19,14 @@ from tests.learn.made_drives import made_drive
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_model
+from tunefree_hil.config.schema import EffectSpec
 from tunefree_hil.jobs import learn as job
 from tunefree_hil.jobs.learn import KINDS, Asked, command_of, finished, learn
 from tunefree_hil.learn import learned_folder
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.learned_folder import fit_of, params_of, write_learned
 from tunefree_hil.learn.worker import answers_to
-from tunefree_hil.learn.write_model import OWN_EFFECTS
+from tunefree_hil.learn.write_model import OWN_EFFECTS, OWN_LOGS
 
 TRUTH = {"drive_force_n": 5200.0, "brake_force_n_per_frac": 70000.0, "rolling_frac": 0.02}
 
@@ -140,6 +142,32 @@ def test_a_folder_written_from_a_folder_keeps_what_is_known(repo: Path, tmp_path
     }
     assert params_of("hybrid", physics) == physics.plant.params
     assert set(params_of("paper", physics, 0.05)) > {"wheelbase_m", "sample_spacing_s"}
+
+
+def test_a_latency_that_the_own_logs_told_is_in_the_net_that_they_taught(repo: Path, tmp_path: Path) -> None:
+    from tunefree_hil.config.load import load_vehicle
+
+    vehicle = load_vehicle(repo / "dbc" / "mkz_bywire")
+    physics = load_model(repo / "bench_configs" / "models" / "mkz_nominal")
+    told = [
+        EffectSpec(name=name, params={key: 0.02}, provenance={"by": by})
+        for name, key, by in (
+            ("ins_latency", "delay_s", OWN_LOGS),
+            ("report_latency", "delay_s", "a person"),
+            ("accel_bias", "bias_mps2", OWN_LOGS),
+        )
+    ]
+    physics = msgspec.structs.replace(physics, effects=told)
+    write_learned(tmp_path / "physics", vehicle, physics, "physics", None, None, {})
+    assert [one.name for one in load_model(tmp_path / "physics").effects] == [one.name for one in told]
+    with np.load(repo / "bench_configs" / "models" / "mkz_learned" / "plant.npz") as net:
+        arrays = {name: net[name] for name in net.files if name not in ("kind", "inputs")}
+    write_learned(tmp_path / "net", vehicle, physics, "hybrid", arrays, None, {})
+    kept = load_model(tmp_path / "net").effects
+    assert [(one.name, one.provenance["by"]) for one in kept] == [
+        ("report_latency", "a person"),
+        ("accel_bias", OWN_LOGS),
+    ]
 
 
 def test_the_command_that_goes_on(asked: Asked) -> None:

@@ -11,10 +11,12 @@ from msgspec.structs import replace
 
 from tests.gap.made_answer import LATE_S, VEHICLE, late_drive, made_model
 from tests.learn.made_drives import made_drive
+from tests.learn.test_pairs import without
+from tunefree_hil.base.errors import PeerGone
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_model
 from tunefree_hil.gap.usual import NOTHING, usual_of
-from tunefree_hil.jobs.own_logs import ask_own_logs
+from tunefree_hil.jobs.own_logs import ASKED, ask_own_logs, some_of, were_asked
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.write_model import CARD_FILE, data_of, write_beside
 
@@ -42,7 +44,36 @@ def test_logs_that_are_too_short_leave_the_model_as_it_is_and_say_so(tmp_path: P
     folder = folder_of(tmp_path / "model")
     events = asked(folder, made_drive(20.0, seed=3))
     assert [one.kind for one in events] == ["note"] and "is not told" in events[0].message
-    assert json.loads((folder / CARD_FILE).read_text()) == {"seed": 1}
+    assert json.loads((folder / CARD_FILE).read_text()) == {"seed": 1, ASKED: True}
+    assert were_asked(folder)
+
+
+def test_a_log_that_says_no_speed_is_left_out_and_leaves_a_whole_model(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "model")
+    assert not were_asked(folder)
+    drive = made_drive(20.0, seed=3)
+    dumb = without(drive, *(name for name in drive.fields if "speed" in name or name.startswith("ins.")))
+    assert asked(folder, dumb) == [] and were_asked(folder)
+    assert "is not told" in asked(folder, dumb, made_drive(20.0, seed=4))[0].message
+
+
+def test_whatever_is_lost_while_they_are_asked_the_model_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(*_: object) -> None:
+        raise PeerGone("the process that fits was killed")
+
+    monkeypatch.setattr("tunefree_hil.gap.look_first.look_first", lost)
+    folder = folder_of(tmp_path / "model")
+    (event,) = asked(folder, made_drive(110.0, seed=5))
+    assert "was killed" in event.message and were_asked(folder)
+
+
+@pytest.mark.parametrize(("lengths_s", "some"), [((20.0, 30.0), (0, 1)), ((500.0,) * 4, (0, 3)), ((2000.0,), (0,))])
+def test_of_many_logs_some_are_asked_from_all_over_them(lengths_s: tuple[float, ...], some: tuple[int, ...]) -> None:
+    short = made_drive(4.0)
+    drives = [short._replace(dt_s=one / short.ticks, name=str(i)) for i, one in enumerate(lengths_s)]
+    assert [one.name for one in some_of(drives)] == [str(i) for i in some]
 
 
 @pytest.mark.slow
@@ -84,3 +115,7 @@ def test_what_explains_the_own_logs_is_kept_and_said(tmp_path: Path) -> None:
     assert not usual.missed and usual.own["steer_dead_time"]["delay_s"][0] == pytest.approx(LATE_S, abs=0.01)
     assert load_model(folder).effects == []
     assert events[-1].kind == "warning" and "steer_dead_time; `gap` on them adds it" in events[-1].message
+    drive, accel = made_drive(110.0, seed=5), "report.accel_mps2"
+    off = drive._replace(fields={**drive.fields, accel: drive.fields[accel] - 0.06})
+    events = asked(folder_of(tmp_path / "tilted"), off)
+    assert "accel_bias may as well be a grade that all of them have" in events[-1].message

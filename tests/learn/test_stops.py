@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tests.learn.made_drives import DT_S, made_drive, whole
-from tunefree_hil.learn.pairs import Pair, pairs_of
+from tunefree_hil.learn.drives import Drive, Part
+from tunefree_hil.learn.pairs import Pair, pairs_of, up_to_stops
 from tunefree_hil.learn.stops import stop_words, stops_of, within
 
 CHANCE = np.random.default_rng(3)
@@ -32,8 +33,9 @@ def test_a_stop_is_found_at_either_end_before_the_lag_and_behind_it(ends: tuple[
     for output in (lagging(np.clip(ASKED, *ends)), np.clip(lagging(ASKED), *ends)):
         found = stops_of([pair(output)])
         assert found == pytest.approx(ends, abs=0.01)
-        clipped = within(pair(output), *found).command
-        assert clipped == pytest.approx(np.clip(ASKED, *found))
+        left = within(pair(output), *found)
+        assert np.array_equal(left.command, ASKED) and 0 < left.counts.sum() < pair(output).counts.sum()
+        assert left.output[left.counts].max() < found[1] and left.output[left.counts].min() > found[0]
 
 
 def rate_limited(command: np.ndarray, by: float) -> np.ndarray:
@@ -67,14 +69,30 @@ def test_one_command_again_and_again_is_no_stop() -> None:
     assert stops_of([pair(lagging(0.7 * held), held)]) == (-np.inf, np.inf)
 
 
+@pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.0), (0.85, 0.0), (1.1, 0.0), (1.0, 0.05), (0.93, -0.04)])
+def test_gain_and_offset_are_those_of_a_channel_that_stops_nowhere(gain: float, offset: float) -> None:
+    moved = lagging(gain * ASKED + offset)
+    stopped = pair(np.clip(moved, -0.9, 0.9))
+    left = within(stopped, *stops_of([stopped]))
+    followed = lagging(ASKED)[left.counts]  # the lag is known: what is asked is whether rows at the stop decide
+    found = np.polyfit(followed, left.output[left.counts], 1)
+    assert found == pytest.approx([gain, offset], abs=0.01)
+    all_rows = np.polyfit(lagging(ASKED)[stopped.counts], stopped.output[stopped.counts], 1)
+    assert abs(all_rows[0] - gain) > 0.1, "with them they do"
+
+
+def stopped(drive: Drive, by: float) -> Drive:
+    name = "report.steer_rad"
+    return drive._replace(fields={**drive.fields, name: np.clip(drive.fields[name], -by, by)})
+
+
 def test_pairs_end_where_the_channel_does_and_say_so() -> None:
     drive = made_drive(60.0, seed=2)
     plain = pairs_of([whole(drive)], "steer")
-    assert "stops" not in plain.words
-    name = "report.steer_rad"
-    stopped = drive._replace(fields={**drive.fields, name: np.clip(drive.fields[name], -0.7, 0.7)})
-    found = pairs_of([whole(stopped)], "steer")
-    assert "stops at -0.7 and 0.7, which" in found.words
-    most, plainly = (float(np.nanmax(np.abs(one.some[0].command))) for one in (found, plain))
-    assert most == pytest.approx(0.7, abs=1e-3) and plainly > 1.0
+    assert up_to_stops(plain, plain) == (plain, plain)
+    raw = pairs_of([whole(stopped(drive, 0.7))], "steer")
+    short = pairs_of([Part(stopped(drive, 0.7), 0, drive.ticks // 12)], "steer")  # too short to show it by itself
+    for found, was in zip(up_to_stops(raw, short), (raw, short), strict=True):
+        assert "stops at -0.7 and 0.7, which" in found.words and 0 < found.rows < was.rows
+        assert max(float(np.abs(one.output[one.counts]).max()) for one in found.some) < 0.7
     assert stop_words(plain.some, -np.inf, np.inf) == ""

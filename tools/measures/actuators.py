@@ -30,7 +30,7 @@ from tunefree_hil.bus.codec import Codec
 from tunefree_hil.bus.formats.rows import Row
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.episode.candump import write_candump
-from tunefree_hil.learn.pairs import pairs_of
+from tunefree_hil.learn.pairs import pairs_of, up_to_stops
 from tunefree_hil.learn.read import read_drives
 from tunefree_hil.learn.sheet import channel_sheet
 from tunefree_hil.learn.split import split_drives
@@ -138,7 +138,7 @@ def _one(bench: Bench, values: dict[str, float], seconds: float, number: int, wo
     truths = truth_of(values, bench.vehicle.nominal.rest_pedal_frac)
     found = []
     for channel in CHANNELS:
-        parts = pairs_of(split.training, channel), pairs_of(split.held_out, channel)
+        parts = up_to_stops(pairs_of(split.training, channel), pairs_of(split.held_out, channel))
         sheet = channel_sheet(bench.vehicle, channel)
         one = worker.result("tunefree_hil.learn.actuators", "fit", *parts, sheet, True)
         found += _rows(channel, truths[channel], one)

@@ -17,6 +17,7 @@ from tunefree_hil.gap.usual import NEWS, Usual
 from tunefree_hil.plant.data_sheet import DEFAULTS
 
 HILL, OFFSET, BIAS, ROLLING = "grade", "accel_bias", "bias_mps2", "rolling_frac"
+WITH_ROLLING = ("physics", "hybrid")  # kinds of plant that have it, whether or not their file says so
 DOUBT = 0.35  # standard deviation of the logarithm of a rolling resistance: tyres and roads of one kind of car
 LEAST_NATS = 2.0  # by which it tells a hill in it from none
 AS_MUCH = 0.1  # of an offset: by so much it may differ from one log to the next, and be the same hill
@@ -28,7 +29,7 @@ def with_hill(steps: Sequence[Weighed], found: Fitted, usual: Usual, model: Mode
     """
     return [
         step._replace(others=(*step.others, HILL))
-        if step.name == OFFSET and HILL not in step.others and _was_there(found, usual) and _may_be_hill(found, model)
+        if step.name == OFFSET and HILL not in step.others and _was_there(found, usual) and may_be_hill(found, model)
         else step
         for step in steps
     ]
@@ -41,9 +42,14 @@ def _was_there(found: Fitted, usual: Usual) -> bool:
     return abs(bias - was) <= max(NEWS * by, AS_MUCH * abs(bias))
 
 
-def _may_be_hill(found: Fitted, model: ModelSpec) -> bool:
-    """Whether a hill as steep as the offset makes believe may stand in the model's rolling resistance."""
-    rolling, ordinary = model.plant.params.get(ROLLING, 0.0), DEFAULTS[ROLLING]
+def may_be_hill(found: Fitted, model: ModelSpec) -> bool:
+    """Whether a hill as steep as the offset makes believe may stand in the model's rolling resistance; in a net that
+    has none any hill may.
+    """
+    ordinary = DEFAULTS[ROLLING]
+    if model.plant.kind not in WITH_ROLLING and ROLLING not in model.plant.params:
+        return True
+    rolling = model.plant.params.get(ROLLING, ordinary)
     level = rolling - found.values[f"{OFFSET}.{BIAS}"] / G_MPS2
     if rolling <= 0.0 or level <= 0.0:
         return False

@@ -91,6 +91,7 @@ def name(
 ) -> Generator[str, None, Named]:
     """Find who it was; yields what is being done. Raises InputError for logs in which nothing can be compared."""
     refuse_untold(drives)
+    usual_of(model)  # a card that is none is said before anybody waits for a search
     team = Team(Setting(model, vehicle, tuple(drives)), workers)
     try:
         yield "recalibration alone"

@@ -90,6 +90,8 @@ OF_ITSELF = {"aero_drag.drag_area_m2", "plant.throttle_zero_frac"}  # in the con
 # throughout; what has moved further since is looked for by name. A model that has not shown that may move all of it, as
 # what it misses there is missed here, too, and is no news: from EXACT_MPS / HELD on.
 HELD, EXACT_MPS, FREE_S = 0.25, 0.06, "10"
+# What no calibration takes in, however near it comes: a tyre's grip, and by it the form of its curve
+UNFITTED = {"friction.friction_frac"}
 WIDER = math.sqrt(2.0)  # than a calibration's own deviation: what these drives would make of it is no better known
 MOST_DOUBT = 0.15  # of a constant; what was never known is no licence to explain everything
 MOST_DRAG = 3.1  # deviations that the drag area must hold: less than nothing is no car
@@ -123,7 +125,7 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float], held:
     some += [(f"plant.{name}", name, 0.0, least) for name, least in CONSTANTS.items() if name in graph.plant.defaults]
     found = []
     for key, constant, neutral, least in some:
-        least *= held
+        least *= 1.0 if key in UNFITTED else held
         told = min(WIDER * doubts.get(constant, 0.0), MOST_DOUBT)
         told *= params.get(constant, 0.0) if key in OF_ITSELF else 1.0
         # A car that is asked for an acceleration has no drag that anybody sees, and none has less than nothing

@@ -10,22 +10,29 @@ from __future__ import annotations
 from collections.abc import Generator, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from tunefree_hil.base.contracts import Link, links_of
 from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
+from tunefree_hil.gap.ask import Modelled
 from tunefree_hil.gap.chain import Opened
-from tunefree_hil.gap.evidence import LEAST_NATS, judged
+from tunefree_hil.gap.decide import MOST_WORSE, PLAIN_NATS, Weighed
+from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.graph import effects
-from tunefree_hil.gap.interval import across
-from tunefree_hil.gap.name import Named, looked_at
+from tunefree_hil.gap.interval import across, deviations
+from tunefree_hil.gap.name import Named, looked_at, lost_links
 from tunefree_hil.gap.search import weighed
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.usual import NOTHING, Usual, by_name
 from tunefree_hil.gap.work import Setting
+from tunefree_hil.learn.write_model import OWN_LOGS
+
+Array = np.ndarray
 
 SENSING = (Link.WHEEL_VS_INS, Link.YAW_VS_INS, Link.ACCEL_VS_DVDT, Link.CLOCK)
 MOST_SENSORS = 6
+UNTOLD = (4.0 * np.pi) ** -0.5  # deviation in u from which on logs say less of a parameter than its flat prior does
 NORMAL_95 = 1.96
-BY = "the model's own logs"  # provenance
 
 
 class Asked(NamedTuple):
@@ -44,18 +51,21 @@ def explained(found: Named) -> Usual:
 
 def sensors(asked: Asked) -> Generator[str, None, list[EffectSpec]]:
     """What ails the sensors, whatever else is missed: one after the other, each beside those before it, as long as
-    there is evidence; whether all blocks say so is not asked, as none of them is explained.
+    there is plain evidence; whether all blocks say so is not asked, as none of them is explained. Where there is no
+    second sensor to hold one against, it would be held against the car's model, which is wrong: nobody is asked.
     """
+    yield "its sensors"
     team = Team(Setting(asked.model, asked.vehicle, tuple(asked.drives)), asked.workers)
     try:
         question = team.open()
-        names = [one.name for one in question.suspects if links_of(effects()[one.name])[0] in SENSING]
+        told = set(SENSING) - set(lost_links(asked.drives))
+        names = [one.name for one in question.suspects if links_of(effects()[one.name])[0] in told]
         blocks, model = judged(question.blocks), None
         for _ in range(MOST_SENSORS):
-            yield f"sensors, {len(names)} suspects"
-            some = [one for one in weighed(team, question, names, model, blocks) if one.matters]
+            yield f"its sensors, {len(names)} of them"
+            some = [one for one in weighed(team, question, names, model, blocks) if _is_plain(one)]
             best = max(some, key=lambda one: one.evidence, default=None)
-            if best is None or best.evidence <= LEAST_NATS or best.gain.total <= LEAST_NATS:
+            if best is None:
                 break
             model, names = best.model, [name for name in names if name != best.name]
     finally:
@@ -66,24 +76,47 @@ def sensors(asked: Asked) -> Generator[str, None, list[EffectSpec]]:
             name=name,
             params={key: value for key, (value, _) in params.items()},
             interval={key: [value - NORMAL_95 * by, value + NORMAL_95 * by] for key, (value, by) in params.items()},
-            provenance={"by": BY},
+            provenance={"by": OWN_LOGS},
         )
         for name, params in sorted(values.items())  # as the graph has them in series
     ]
 
 
+def _is_plain(one: Weighed) -> bool:
+    """Whether a sensor is plainly off, and no other signal the worse for it."""
+    return one.matters and min(one.evidence, one.gain.total) > PLAIN_NATS and one.worst_missed < MOST_WORSE
+
+
 def usual(asked: Asked) -> Generator[str, None, Usual]:
-    """What is missed, and what each effect would be, alone: all of them, however little they gain."""
+    """What is missed, and what each effect would be, alone: all of them, however little they gain. NOTHING where the
+    sensors explained what was missed.
+    """
+    yield "what is left"
     team = Team(Setting(asked.model, asked.vehicle, tuple(asked.drives)), asked.workers, thorough=True)
     try:
         question = team.open()
         blocks = judged(question.blocks)
         _, looked = looked_at(team, question, question.null, blocks)
-        yield f"each of {len(question.suspects)} effects"
+        broken = frozenset(one.signal for one in looked if one.broken)
+        if not broken:
+            return NOTHING
+        yield f"{len(question.suspects)} suspects, each alone"
         found = team.fit([one.name for one in question.suspects], None)
     finally:
         team.close()
     values: dict[str, dict[str, tuple[float, float]]] = {}
-    for one in found.values():
-        values |= by_name(across(one.fitted, blocks))
-    return Usual({one.signal: one.amount for one in looked}, values)
+    for name, one in found.items():
+        values |= by_name(known_of(name, one, blocks))
+    return Usual({one.signal: one.amount for one in looked}, values, broken)
+
+
+def known_of(name: str, model: Modelled, blocks: Array) -> dict[str, tuple[float, float]]:
+    """What the own logs make of an effect, by key, as far as they tell it. A limit of which they tell nothing lies
+    beyond all that they reached: one that is lower later came later, however little is known of the first.
+    """
+    found, neutral = across(model.fitted, blocks), effects()[name].neutral
+    keys, by = list(model.fitted.keys), deviations(model.fitted, blocks)
+    told = {key for key in found if by[keys.index(key)] < UNTOLD}
+    limits = {key for key in found if not np.isfinite(neutral[key.partition(".")[2]])}
+    endless = {key: (value, 0.0) for key, (value, _) in found.items() if key in limits - told}
+    return {key: known for key, known in found.items() if key in told} | endless

@@ -27,8 +27,9 @@ from tunefree_hil.gap.channels import ACCEL, PEDALS, is_by_accel
 from tunefree_hil.gap.graph import BEND, LINKAGE, effects, scaled
 from tunefree_hil.gap.kept import Kept
 from tunefree_hil.gap.null import card_of
+from tunefree_hil.gap.usual import KEY
 from tunefree_hil.learn.free_run import plant_of
-from tunefree_hil.learn.write_model import CARD_FILE, data_of, write_beside
+from tunefree_hil.learn.write_model import CARD_FILE, OWN_EFFECTS, data_of, write_beside
 from tunefree_hil.plant.asked_accel import FULL_MPS2
 
 OF_THE_DAY = ("grade", "side_wind", "friction", "speed_scale", "yaw_rate_bias", "yaw_rate_scale", "accel_bias")
@@ -102,12 +103,14 @@ def found_effects(kept: Kept, log_hash: str, version: str) -> list[EffectSpec]:
 def write_repaired(folder: Path, model: ModelSpec, made: ModelSpec, story: Mapping[str, Any]) -> ModelSpec:
     """Write the folder whole or not at all, beside what else the model's folder holds; the model as it is loaded.
 
-    story: what card.json says of the repair. Raises InputError for a folder that is there already.
+    story: what card.json says of the repair. What the old model missed of its own logs is not this one's any more.
+    Raises InputError for a folder that is there already.
     """
     data = data_of(made)
     data["plant"]["card"] = CARD_FILE
     head = HEAD.format(model=Path(model.folder).name, card=CARD_FILE)
-    write_beside(folder, model, head, data, {**card_of(model), "repair": story})
+    card = {key: said for key, said in card_of(model).items() if key not in (KEY, OWN_EFFECTS)}
+    write_beside(folder, model, head, data, card | {"repair": story})
     return load_model(folder)
 
 

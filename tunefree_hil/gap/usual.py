@@ -35,12 +35,14 @@ Known = tuple[float, float]  # (value, deviation), both in the parameter's unit
 
 
 class Usual(NamedTuple):
-    """missed: by target, as a share of its signal. effects: what the own logs make of each, alone. own: effects that
-    explain the own logs, where these leave nothing broken, with what they are there.
+    """missed: by target, as a share of its signal. effects: what the own logs make of each, alone, as far as they feel
+    it. broken: the targets that are missed by more than a calibrated model may. own: effects that explain the own logs,
+    where these leave nothing broken, with what they are there.
     """
 
     missed: Mapping[str, float]
     effects: Mapping[str, Mapping[str, Known]]
+    broken: frozenset[str] = frozenset()
     own: Mapping[str, Mapping[str, Known]] = {}
 
     def as_usual(self, target: str, amount: float) -> bool:
@@ -60,8 +62,8 @@ def usual_of(model: ModelSpec) -> Usual:
     said, own = card.get(KEY) or {}, card.get(OWN_EFFECTS) or {}
     try:
         found, there = _numbers(said.get("effects", {})), _numbers(own)
-        missed = {name: float(one) for name, one in said.get("missed", {}).items()}
-        return Usual(missed, found, there)
+        missed = {name: _finite(one) for name, one in said.get("missed", {}).items()}
+        return Usual(missed, found, frozenset(str(name) for name in said.get("broken", ())), there)
     except (AttributeError, TypeError, KeyError, ValueError) as error:
         raise InputError(
             f"{KEY}: {error}",
@@ -76,7 +78,8 @@ def as_data(usual: Usual) -> dict[str, Any]:
     """Keys of the card; none where there is nothing to keep."""
     said: dict[str, Any] = {OWN_EFFECTS: _as_numbers(usual.own)} if usual.own else {}
     if usual.missed:
-        said[KEY] = {"missed": dict(usual.missed), "effects": _as_numbers(usual.effects)}
+        broken = sorted(usual.broken)
+        said[KEY] = {"missed": dict(usual.missed), "broken": broken, "effects": _as_numbers(usual.effects)}
     return said
 
 
@@ -99,20 +102,29 @@ def _as_numbers(some: Mapping[str, Mapping[str, Known]]) -> dict[str, Any]:
 
 def _numbers(said: Mapping[str, Any]) -> dict[str, dict[str, Known]]:
     return {
-        name: {key: (float(one["value"]), float(one["deviation"])) for key, one in params.items()}
+        name: {key: (_finite(one["value"]), _finite(one["deviation"])) for key, one in params.items()}
         for name, params in said.items()
     }
+
+
+def _finite(number: Any) -> float:
+    found = float(number)
+    if not math.isfinite(found):
+        raise ValueError(f"{number} is no number to compare with")
+    return found
 
 
 def parted(
     steps: Sequence[Weighed], model: Fitted, usual: Usual, blocks: Array
 ) -> tuple[list[Weighed], tuple[str, ...]]:
-    """(steps that are news, why each of the others is none, in words). model: with all of them."""
-    if not usual.missed:
+    """(steps that are news, why each of the others is none, in words). model: with all of them. A step that gains where
+    the model came near its own logs is news whatever it is: there they had none of it.
+    """
+    if not usual.broken:
         return list(steps), ()
     values, news, words = across(model, blocks), list[Weighed](), list[str]()
     for step in steps:
-        why = _no_news(step.name, values, usual)
+        why = _no_news(step.name, values, usual) if step.target in usual.broken else ""
         if why:
             words.append(f"{step.name} is no news: {why}")
         else:

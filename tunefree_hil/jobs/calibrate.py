@@ -73,8 +73,8 @@ def calibrate(logs: Sequence[Path], vehicle: str, out: Path, seed: int = 1) -> I
     seconds = time.monotonic() - began
     card = card_of(drives, split, spec, fitted, seed, seconds)
     write(out, spec, fitted, split, card)
-    yield from ask_own_logs(out, spec, drives)
     figures = draw(out / FIGURES, fitted, split)
+    yield from ask_own_logs(out, spec, drives)
     data = {**card, "model": str(out), "figures": [str(path) for path in figures]}
     yield Event("result", "", {**data, **closing(out, spec, logs, fitted.actuators, fitted.physics, fitted.judged)})
 

@@ -13,7 +13,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bench.load import require_current
 from tunefree_hil.jobs import calibrate
 from tunefree_hil.jobs.learning_logs import read
-from tunefree_hil.jobs.own_logs import ask_own_logs
+from tunefree_hil.jobs.own_logs import ask_own_logs, were_asked
 from tunefree_hil.learn.card import Training, card_of
 from tunefree_hil.learn.drives import Drive, Split
 from tunefree_hil.learn.free_run import Judged
@@ -122,6 +122,7 @@ def physics_of(asked: Asked, vehicle: VehicleSpec, drives: list[Drive], split: S
             fitted = yield from calibrate.fit_all(worker, split, vehicle)
         card = calibrate.card_of(drives, split, vehicle, fitted, asked.seed, time.monotonic() - began)
         calibrate.write(folder, vehicle, fitted, split, card)
+    if asked.physics is None and not were_asked(folder):
         yield from ask_own_logs(folder, vehicle, drives)
     yield Event("note", f"physics: {folder}")
     return physics_in(folder, vehicle)

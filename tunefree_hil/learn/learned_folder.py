@@ -16,11 +16,12 @@ from tunefree_hil.learn.free_run import Judged
 from tunefree_hil.learn.motion import Track
 from tunefree_hil.learn.values import ActuatorFit, Value, exactly
 from tunefree_hil.learn.worker import Worker
-from tunefree_hil.learn.write_model import write_model
+from tunefree_hil.learn.write_model import OWN_LOGS, write_model
 from tunefree_hil.plant.carriage import DEFAULTS as CARRIAGE
 from tunefree_hil.plant.learned_file import INPUTS
 
 Arrays = Mapping[str, Any]
+LATENCIES = ("report_latency", "ins_latency")
 
 
 def calibration_of(model: ModelSpec) -> dict[str, Any] | None:
@@ -67,12 +68,17 @@ def write_learned(
     *,
     sample_spacing_s: float = 0.01,
 ) -> Path:
-    """Write the folder: actuators, noise, effects, timing and valid region are those of the physics' folder.
+    """Write the folder: actuators, noise, effects, timing and valid region are those of the physics' folder. A latency
+    that its own logs told is not: a net that was taught by them has it in it.
 
     arrays: of plant.npz, None for kind rule_based, whose file is `calibration`.
     """
     valid = {name: getattr(physics.valid, name) for name in physics.valid.__struct_fields__}
-    effects = [{"name": one.name, "params": one.params, "interval": one.interval} for one in physics.effects]
+    effects = [
+        {"name": one.name, "params": one.params, "interval": one.interval, "provenance": one.provenance}
+        for one in physics.effects
+        if arrays is None or not (one.name in LATENCIES and one.provenance.get("by") == OWN_LOGS)
+    ]
     return write_model(
         folder,
         vehicle,

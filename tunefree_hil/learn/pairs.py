@@ -69,9 +69,7 @@ class Pairs(NamedTuple):
 
 
 def pairs_of(parts: Iterable[Part], channel: str) -> Pairs:
-    """Command and output of a channel in `parts`; without stretches where the logs do not have both. A command ends
-    where the channel does (stops.py).
-    """
+    """Command and output of a channel in `parts`; without stretches where the logs do not have both."""
     found: list[Pair] = []
     words: list[str] = []
     for part in parts:
@@ -86,9 +84,22 @@ def pairs_of(parts: Iterable[Part], channel: str) -> Pairs:
             counts[: round(WARM_S / drive.dt_s)] = False
             if counts.any():
                 found.append(Pair(command[begin:end], output[begin:end], counts, drive.dt_s, window))
-    stops = stops_of(found)
-    said = stop_words(found, *stops)
-    return Pairs(channel, tuple(within(pair, *stops) for pair in found), "; ".join([*words, *([said] if said else [])]))
+    return Pairs(channel, tuple(found), "; ".join(words))
+
+
+def up_to_stops(training: Pairs, held_out: Pairs) -> tuple[Pairs, Pairs]:
+    """Both without what a channel does at its stops (stops.py), which all of them show together."""
+    every = (*training.some, *held_out.some)
+    stops = stops_of(every)
+    said = stop_words(every, *stops)
+    if not said:
+        return training, held_out
+
+    def without(pairs: Pairs) -> Pairs:
+        some = tuple(pair for pair in (within(one, *stops) for one in pairs.some) if pair.counts.any())
+        return pairs._replace(some=some, words=f"{pairs.words}; {said}")
+
+    return without(training), without(held_out)
 
 
 def _taken(drive: Drive, channel: str) -> tuple[Array, Array, Array, int, str] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.learn.by_motion import Law, law_of, pairs_by_motion
 from tunefree_hil.learn.drives import Split
-from tunefree_hil.learn.pairs import CHANNELS, Pairs, pairs_of
+from tunefree_hil.learn.pairs import CHANNELS, Pairs, pairs_of, up_to_stops
 from tunefree_hil.learn.sheet import asks_accel
 
 PEDALS_AND_WHEEL = ("throttle", "brake", "steer")
@@ -22,5 +22,5 @@ def sources(split: Split, channel: str, vehicle: VehicleSpec) -> tuple[Pairs, Pa
     training, held_out = pairs_of(split.training, channel), pairs_of(split.held_out, channel)
     law = None if training.some or held_out.some else law_of(split.training, channel, vehicle)
     if law is None:
-        return training, held_out, None
+        return *up_to_stops(training, held_out), None
     return pairs_by_motion(split.training, law, vehicle), pairs_by_motion(split.held_out, law, vehicle), law

@@ -1,7 +1,9 @@
 """The stops of a by-wire channel: outputs that no command moves any further.
 
 A wheel or a valve that stops before its command does is no wrong gain and no lag; what is identified of it has to be
-identified from what it could obey. The stop itself is an effect of the catalogue, which `gap` names with its value.
+identified from what it could obey: where its output stands at a stop, and for a while behind it, nothing is compared
+(the command that a stop answers is not known before the channel's gain and offset are). The stop itself is an effect
+of the catalogue, which `gap` names with its value.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ Array = np.ndarray
 HELD_S = 0.3  # for which the output stands still while its command asks for more: longer than lags of such channels
 EVEN = 0.01  # of what the outputs span: what stands still moves by no more, and all its stands are at one level
 BEYOND = 0.05  # of it: so much further goes the command, and so much do the commands differ that all end there
+AFTER_S = 0.5  # behind a stop: a lag that goes on beyond it has come back by then
 LEAST_HELD_S, LEAST_RUNS = 0.5, 2  # beyond HELD_S, altogether
 
 
@@ -34,8 +37,11 @@ def stops_of(pairs: Sequence[Pair]) -> tuple[float, float]:
 
 
 def within(pair: Pair, low: float, high: float) -> Pair:
-    """A stretch whose commands end where the channel does."""
-    return pair._replace(command=np.clip(pair.command, low, high))
+    """A stretch of which nothing counts where the output is at one of these stops, nor shortly after."""
+    near = EVEN * (high - low) if math.isfinite(high - low) else EVEN * float(np.ptp(pair.output[pair.counts]))
+    stands = pair.counts & ((pair.output >= high - near) | (pair.output <= low + near))
+    after = np.ones(max(round(AFTER_S / pair.dt_s), 1) + 1)
+    return pair._replace(counts=pair.counts & ~(np.convolve(stands, after)[: len(stands)] > 0.5))
 
 
 def stop_words(pairs: Sequence[Pair], low: float, high: float) -> str:

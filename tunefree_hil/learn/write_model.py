@@ -25,6 +25,7 @@ from tunefree_hil.learn.values import ActuatorFit, Value
 Array = np.ndarray
 
 PLANT_FILE, CARD_FILE = "plant.npz", "card.json"
+OWN_LOGS = "the model's own logs"  # provenance of effects that these told
 OWN_EFFECTS = "own_effects"  # of card.json: what explains a model's own logs beside it (gap/usual.py)
 TIMING = {"report_ticks": 1, "command_ticks": 1, "phase_seed": 1}
 HEAD = """\
