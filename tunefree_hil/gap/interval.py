@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import chdtri, stdtrit
 
 from tunefree_hil.gap.graph import effects
-from tunefree_hil.gap.null import DRIFT
+from tunefree_hil.gap.null import DAILY, DRIFT
 from tunefree_hil.gap.problem import Fitted, Free, gathered, is_free
 
 Array = np.ndarray
@@ -29,7 +29,6 @@ GAINS = ("throttle_gain.gain_frac", "brake_gain.gain_frac", "steer_gain.gain_fra
 # Of what a number drifts from day to day (null.DRIFTS), standard deviations: a car with other pedals than a model has
 # comes to 1.1. Not of what its calibration leaves open: the worse that is, the more would be let pass.
 UNSTEADY = 1.5
-DAILY = ("friction", "grade", "side_wind", "yaw_rate_bias", "accel_bias")  # effects that are of the day, not of the car
 FORM = 0.01  # of the distance from neutral, standard deviation: no car does an effect quite in the catalogue's form
 AROUND = 0.01  # of u, to either side: over which a parameter's scale is taken as even
 KNOWS = 1e-9  # of the block that knows most of a key: who knows less says nothing of it

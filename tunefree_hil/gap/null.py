@@ -60,6 +60,9 @@ DRIFTS: tuple[tuple[str, str, float, str], ...] = (
     ("accel_bias", "bias_mps2", 0.008, "an accelerometer's bias from one start to the next"),
 )
 DRIFT = {f"{name}.{parameter}": sigma for name, parameter, sigma, _ in DRIFTS}
+# Effects that are of the day and not of the car: no calibration takes them in, however near it comes. By the grip a
+# model has the form of its tyres' curve right, too.
+DAILY = ("friction", "grade", "side_wind", "yaw_rate_bias", "accel_bias")
 ROAD_CAR_KG = 1800.0
 BY_WEIGHT = {"side_wind.force_n"}  # a tenth of the weight is pushed by a tenth
 # Constants of the plant: standard deviation of the logarithm, or an amount of pedal
@@ -86,12 +89,10 @@ DOUBTED = {
 AGAINST = {"steer_gain.gain_frac"}  # more of it is less of the constant
 OF_ITSELF = {"aero_drag.drag_area_m2", "plant.throttle_zero_frac"}  # in the constant's own unit; all others in shares
 # Of a model that comes as near to the logs it was made from as EXACT_MPS (of speed, after free runs of 8 s, or of 10)
-# recalibration may move no more than this share of what changes from day to day. Its making took in what the car has
-# throughout; what has moved further since is looked for by name. A model that has not shown that may move all of it, as
-# what it misses there is missed here, too, and is no news: from EXACT_MPS / HELD on.
+# recalibration may move no more than this share of what changes in a car from day to day. Its making took in what the
+# car has throughout; what has moved further since is looked for by name. A model that has not shown that may move all
+# of it, as what it misses there is missed here, too, and is no news: from EXACT_MPS / HELD on.
 HELD, EXACT_MPS, FREE_S = 0.25, 0.06, "10"
-# What no calibration takes in, however near it comes: a tyre's grip, and by it the form of its curve
-UNFITTED = {"friction.friction_frac"}
 WIDER = math.sqrt(2.0)  # than a calibration's own deviation: what these drives would make of it is no better known
 MOST_DOUBT = 0.15  # of a constant; what was never known is no licence to explain everything
 MOST_DRAG = 3.1  # deviations that the drag area must hold: less than nothing is no car
@@ -125,7 +126,7 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float], held:
     some += [(f"plant.{name}", name, 0.0, least) for name, least in CONSTANTS.items() if name in graph.plant.defaults]
     found = []
     for key, constant, neutral, least in some:
-        least *= 1.0 if key in UNFITTED else held
+        least *= 1.0 if key.partition(".")[0] in DAILY else held
         told = min(WIDER * doubts.get(constant, 0.0), MOST_DOUBT)
         told *= params.get(constant, 0.0) if key in OF_ITSELF else 1.0
         # A car that is asked for an acceleration has no drag that anybody sees, and none has less than nothing
