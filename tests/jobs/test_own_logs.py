@@ -15,10 +15,19 @@ from tests.learn.test_pairs import without
 from tunefree_hil.base.errors import PeerGone
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_model
-from tunefree_hil.gap.usual import NOTHING, usual_of
+from tunefree_hil.config.schema import EffectSpec
+from tunefree_hil.gap.usual import KEY, NOTHING, usual_of
 from tunefree_hil.jobs.own_logs import ASKED, ask_own_logs, some_of, were_asked
 from tunefree_hil.learn.drives import Drive
-from tunefree_hil.learn.write_model import CARD_FILE, data_of, write_beside
+from tunefree_hil.learn.write_model import (
+    CARD_FILE,
+    OWN_EFFECTS,
+    OWN_LOGS,
+    data_of,
+    write_beside,
+    write_card,
+    write_effects,
+)
 
 YAW = "report.yaw_rate_radps"
 
@@ -48,6 +57,17 @@ def test_logs_that_are_too_short_leave_the_model_as_it_is_and_say_so(tmp_path: P
     assert were_asked(folder)
 
 
+def test_what_a_search_that_was_cut_off_had_written_is_forgotten_when_they_are_asked_again(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "model")
+    mine = EffectSpec(name="grade", params={"grade_rad": 0.01}, provenance={"by": "a person"})
+    write_effects(folder, load_model(folder), [mine, replace(mine, name="accel_bias", provenance={"by": OWN_LOGS})])
+    card = {"seed": 1, KEY: {"missed": {"yaw_rate": 0.5}, "broken": [], "effects": {}}, OWN_EFFECTS: {}}
+    write_card(folder, card)
+    asked(folder, made_drive(20.0, seed=3))
+    assert json.loads((folder / CARD_FILE).read_text()) == {"seed": 1, ASKED: True}
+    assert [one.name for one in load_model(folder).effects] == ["grade"]
+
+
 def test_a_log_that_says_no_speed_is_left_out_and_leaves_a_whole_model(tmp_path: Path) -> None:
     folder = folder_of(tmp_path / "model")
     assert not were_asked(folder)
@@ -69,7 +89,18 @@ def test_whatever_is_lost_while_they_are_asked_the_model_is_made(
     assert "was killed" in event.message and were_asked(folder)
 
 
-@pytest.mark.parametrize(("lengths_s", "some"), [((20.0, 30.0), (0, 1)), ((500.0,) * 4, (0, 3)), ((2000.0,), (0,))])
+@pytest.mark.parametrize(
+    ("lengths_s", "some"),
+    [
+        ((20.0, 30.0), (0, 1)),
+        ((500.0,) * 4, (1,)),
+        ((60.0,) * 30, tuple(range(0, 30, 2))),
+        ((2000.0,), (0,)),
+        ((8.0, 1000.0), (1,)),
+        ((5.0, 400.0, 5.0, 400.0, 5.0, 400.0), (1, 3, 5)),
+        ((), ()),
+    ],
+)
 def test_of_many_logs_some_are_asked_from_all_over_them(lengths_s: tuple[float, ...], some: tuple[int, ...]) -> None:
     short = made_drive(4.0)
     drives = [short._replace(dt_s=one / short.ticks, name=str(i)) for i, one in enumerate(lengths_s)]

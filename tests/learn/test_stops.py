@@ -8,7 +8,7 @@ import pytest
 from tests.learn.made_drives import DT_S, made_drive, whole
 from tunefree_hil.learn.drives import Drive, Part
 from tunefree_hil.learn.pairs import Pair, pairs_of, up_to_stops
-from tunefree_hil.learn.stops import stop_words, stops_of, within
+from tunefree_hil.learn.stops import commands_at, stop_words, stops_of, within
 
 CHANCE = np.random.default_rng(3)
 HELD = 80  # rows that a command is held for
@@ -33,9 +33,8 @@ def test_a_stop_is_found_at_either_end_before_the_lag_and_behind_it(ends: tuple[
     for output in (lagging(np.clip(ASKED, *ends)), np.clip(lagging(ASKED), *ends)):
         found = stops_of([pair(output)])
         assert found == pytest.approx(ends, abs=0.01)
-        left = within(pair(output), *found)
-        assert np.array_equal(left.command, ASKED) and 0 < left.counts.sum() < pair(output).counts.sum()
-        assert left.output[left.counts].max() < found[1] and left.output[left.counts].min() > found[0]
+        clipped = within(pair(output), *commands_at([pair(output)], *found)).command
+        assert clipped == pytest.approx(np.clip(ASKED, *ends), abs=0.02)
 
 
 def rate_limited(command: np.ndarray, by: float) -> np.ndarray:
@@ -69,16 +68,25 @@ def test_one_command_again_and_again_is_no_stop() -> None:
     assert stops_of([pair(lagging(0.7 * held), held)]) == (-np.inf, np.inf)
 
 
+@pytest.mark.parametrize("before_the_lag", [True, False])
+@pytest.mark.parametrize("rows", [12.0, 20.0])
 @pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.0), (0.85, 0.0), (1.1, 0.0), (1.0, 0.05), (0.93, -0.04)])
-def test_gain_and_offset_are_those_of_a_channel_that_stops_nowhere(gain: float, offset: float) -> None:
-    moved = lagging(gain * ASKED + offset)
-    stopped = pair(np.clip(moved, -0.9, 0.9))
-    left = within(stopped, *stops_of([stopped]))
-    followed = lagging(ASKED)[left.counts]  # the lag is known: what is asked is whether rows at the stop decide
-    found = np.polyfit(followed, left.output[left.counts], 1)
-    assert found == pytest.approx([gain, offset], abs=0.01)
-    all_rows = np.polyfit(lagging(ASKED)[stopped.counts], stopped.output[stopped.counts], 1)
-    assert abs(all_rows[0] - gain) > 0.1, "with them they do"
+def test_commands_end_where_the_channels_own_gain_and_offset_reach_its_stop(
+    gain: float, offset: float, rows: float, before_the_lag: bool
+) -> None:
+    moved = gain * ASKED + offset
+    output = lagging(np.clip(moved, -0.9, 0.9), rows) if before_the_lag else np.clip(lagging(moved, rows), -0.9, 0.9)
+    found = pair(output)
+    ends = commands_at([found], *stops_of([found]))
+    assert ends == pytest.approx(((-0.9 - offset) / gain, (0.9 - offset) / gain), abs=0.025)
+    given = within(found, *ends).command
+    off = lagging(gain * given + offset, rows) - lagging(np.clip(moved, -0.9, 0.9), rows)
+    assert np.abs(off).max() < 0.03, "what the fit is given is what the channel obeyed"
+
+
+def test_where_nothing_rests_a_channel_is_taken_to_reach_what_it_is_asked() -> None:
+    swept = 1.5 * np.sin(np.arange(6000) * DT_S * 2.0)
+    assert commands_at([pair(np.clip(swept, -0.9, 0.9), swept)], -0.9, 0.9) == (-0.9, 0.9)
 
 
 def stopped(drive: Drive, by: float) -> Drive:
@@ -93,6 +101,7 @@ def test_pairs_end_where_the_channel_does_and_say_so() -> None:
     raw = pairs_of([whole(stopped(drive, 0.7))], "steer")
     short = pairs_of([Part(stopped(drive, 0.7), 0, drive.ticks // 12)], "steer")  # too short to show it by itself
     for found, was in zip(up_to_stops(raw, short), (raw, short), strict=True):
-        assert "stops at -0.7 and 0.7, which" in found.words and 0 < found.rows < was.rows
-        assert max(float(np.abs(one.output[one.counts]).max()) for one in found.some) < 0.7
+        assert "it stops at a command of " in found.words and found.rows == was.rows
+        assert max(float(np.nanmax(np.abs(one.command))) for one in found.some) == pytest.approx(0.7, abs=0.01)
+    assert max(float(np.nanmax(np.abs(one.command))) for one in raw.some) > 1.0
     assert stop_words(plain.some, -np.inf, np.inf) == ""

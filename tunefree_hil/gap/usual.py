@@ -63,7 +63,7 @@ def usual_of(model: ModelSpec) -> Usual:
     try:
         found, there = _numbers(said.get("effects", {})), _numbers(own)
         missed = {name: _finite(one) for name, one in said.get("missed", {}).items()}
-        return Usual(missed, found, frozenset(str(name) for name in said.get("broken", ())), there)
+        return Usual(missed, found, frozenset(str(name) for name in said["broken"]) if said else frozenset(), there)
     except (AttributeError, TypeError, KeyError, ValueError) as error:
         raise InputError(
             f"{KEY}: {error}",

@@ -9,6 +9,9 @@ from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+from msgspec.structs import replace
+
 from tunefree_hil.base.errors import InputError, TunefreeError
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.gap import eta_of
@@ -34,6 +37,7 @@ def ask_own_logs(folder: Path, vehicle: VehicleSpec, drives: Sequence[Drive]) ->
     tell; the card says that they were asked. A model that is cut off before is whole: later logs are held against
     nothing then.
     """
+    _forget(folder)
     try:
         opened = _opened(drives, vehicle)
         if opened:
@@ -41,6 +45,21 @@ def ask_own_logs(folder: Path, vehicle: VehicleSpec, drives: Sequence[Drive]) ->
     except TunefreeError as error:  # whatever it is, the model is made
         yield Event("note", f"{LABEL} is not told: {error.message}")
     _added_to_card(folder, {ASKED: True})
+
+
+def _forget(folder: Path) -> None:
+    """What a search that was cut off had written already."""
+    from tunefree_hil.config.load import load_model
+    from tunefree_hil.gap.usual import KEY
+    from tunefree_hil.learn.write_model import OWN_EFFECTS, OWN_LOGS
+
+    card = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
+    if {KEY, OWN_EFFECTS} & set(card):
+        write_card(folder, {key: said for key, said in card.items() if key not in (KEY, OWN_EFFECTS)})
+    model = load_model(folder)
+    stay = [one for one in model.effects if one.provenance.get("by") != OWN_LOGS]
+    if len(stay) < len(model.effects):
+        write_effects(folder, replace(model, effects=stay), ())
 
 
 def were_asked(folder: Path) -> bool:
@@ -54,20 +73,25 @@ def _opened(drives: Sequence[Drive], vehicle: VehicleSpec) -> list[Opened]:
     from tunefree_hil.gap.saturated import stops_of, without
 
     found = []
-    for one in some_of(drives):
+    for one in drives:
         try:
-            found.append(open_chain(without(one, stops_of(one)), vehicle))
+            open_chain(one, vehicle)
         except InputError as error:
             if error.code != "no_motion":
                 raise
-    return found
+        else:
+            found.append(one)
+    return [open_chain(without(one, stops_of(one)), vehicle) for one in some_of(found)]
 
 
 def some_of(drives: Sequence[Drive]) -> list[Drive]:
-    """Every so many-th drive, so that they hold about MOST_S; always one."""
-    whole_s = sum(one.ticks * one.dt_s for one in drives)
-    every = max(math.ceil(whole_s / MOST_S), 1)
-    return list(drives[::every])
+    """All of them, or of more than MOST_S those in which marks at even distances fall: long ones rather than short."""
+    ends_s = np.cumsum([one.ticks * one.dt_s for one in drives])
+    if not len(ends_s) or ends_s[-1] <= MOST_S:
+        return list(drives)
+    marks = max(math.floor(MOST_S * len(drives) / ends_s[-1]), 1)
+    hit = np.searchsorted(ends_s, (np.arange(marks) + 0.5) * ends_s[-1] / marks)
+    return [drives[i] for i in sorted({int(one) for one in hit})]
 
 
 def _asked(folder: Path, vehicle: VehicleSpec, opened: Sequence[Opened]) -> Generator[Event, None, None]:

@@ -8,13 +8,14 @@ the wire is moved by the bench's delays ([timing]: one tick each way, and one fo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from tunefree_hil.learn.drives import Drive, Part
-from tunefree_hil.learn.stops import stop_words, stops_of, within
+from tunefree_hil.learn.stops import commands_at, stop_words, stops_of, within
 
 Array = np.ndarray
 
@@ -88,18 +89,18 @@ def pairs_of(parts: Iterable[Part], channel: str) -> Pairs:
 
 
 def up_to_stops(training: Pairs, held_out: Pairs) -> tuple[Pairs, Pairs]:
-    """Both without what a channel does at its stops (stops.py), which all of them show together."""
+    """Both with commands that end where the channel does (stops.py), which all of them show together."""
     every = (*training.some, *held_out.some)
-    stops = stops_of(every)
-    said = stop_words(every, *stops)
-    if not said:
+    low, high = stops_of(every)
+    if math.isinf(low) and math.isinf(high):
         return training, held_out
+    ends = commands_at(every, low, high)
+    said = stop_words(every, *ends)
 
-    def without(pairs: Pairs) -> Pairs:
-        some = tuple(pair for pair in (within(one, *stops) for one in pairs.some) if pair.counts.any())
-        return pairs._replace(some=some, words=f"{pairs.words}; {said}")
+    def ended(pairs: Pairs) -> Pairs:
+        return pairs._replace(some=tuple(within(one, *ends) for one in pairs.some), words=f"{pairs.words}; {said}")
 
-    return without(training), without(held_out)
+    return ended(training), ended(held_out)
 
 
 def _taken(drive: Drive, channel: str) -> tuple[Array, Array, Array, int, str] | None:

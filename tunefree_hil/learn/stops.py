@@ -1,9 +1,8 @@
 """The stops of a by-wire channel: outputs that no command moves any further.
 
 A wheel or a valve that stops before its command does is no wrong gain and no lag; what is identified of it has to be
-identified from what it could obey: where its output stands at a stop, and for a while behind it, nothing is compared
-(the command that a stop answers is not known before the channel's gain and offset are). The stop itself is an effect
-of the catalogue, which `gap` names with its value.
+identified from what it could obey: its commands end at the one that reaches the stop. The stop itself is an effect of
+the catalogue, which `gap` names with its value.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ Array = np.ndarray
 HELD_S = 0.3  # for which the output stands still while its command asks for more: longer than lags of such channels
 EVEN = 0.01  # of what the outputs span: what stands still moves by no more, and all its stands are at one level
 BEYOND = 0.05  # of it: so much further goes the command, and so much do the commands differ that all end there
-AFTER_S = 0.5  # behind a stop: a lag that goes on beyond it has come back by then
+REST_S, LEAST_RESTS, LEAST_RANGE = 2.0 * HELD_S, 20, 0.2  # longer than dead times; rows; of the span, of commands
 LEAST_HELD_S, LEAST_RUNS = 0.5, 2  # beyond HELD_S, altogether
 
 
@@ -37,21 +36,55 @@ def stops_of(pairs: Sequence[Pair]) -> tuple[float, float]:
 
 
 def within(pair: Pair, low: float, high: float) -> Pair:
-    """A stretch of which nothing counts where the output is at one of these stops, nor shortly after."""
-    near = EVEN * (high - low) if math.isfinite(high - low) else EVEN * float(np.ptp(pair.output[pair.counts]))
-    stands = pair.counts & ((pair.output >= high - near) | (pair.output <= low + near))
-    after = np.ones(max(round(AFTER_S / pair.dt_s), 1) + 1)
-    return pair._replace(counts=pair.counts & ~(np.convolve(stands, after)[: len(stands)] > 0.5))
+    """A stretch whose commands end at these."""
+    return pair._replace(command=np.clip(pair.command, low, high))
+
+
+def commands_at(pairs: Sequence[Pair], low: float, high: float) -> tuple[float, float]:
+    """The commands that reach these outputs, by the gain and offset of a channel where it is at rest: (low, high)."""
+    gain, offset = _at_rest(pairs, low, high)
+    return (low - offset) / gain, (high - offset) / gain
+
+
+def _at_rest(pairs: Sequence[Pair], low: float, high: float) -> tuple[float, float]:
+    """(gain, offset) of outputs that have come to rest, short of these stops, under commands that stand; (1, 0) where
+    hardly any do or all at one level.
+    """
+    outputs = [pair.output[pair.counts] for pair in pairs]
+    span = float(np.ptp(np.concatenate(outputs)))
+    found = list[Array]()
+    for pair in pairs:
+        rows, count = _rows_of(pair, REST_S)
+        if count > len(rows):
+            continue
+        output, asked = (sliding_window_view(one[rows], count) for one in (pair.output, pair.command))
+        output = output[:, -max(count // 3, 2) :]  # what it has come to in the end
+        level = output.mean(axis=1)
+        rests = (np.ptp(output, axis=1) <= EVEN * span) & (np.ptp(asked, axis=1) <= EVEN * span)
+        rests &= (level > low + BEYOND * span) & (level < high - BEYOND * span)
+        found.append(np.stack([asked.mean(axis=1)[rests], level[rests]]))
+    command, output = np.concatenate(found, axis=1) if found else np.zeros((2, 0))
+    if len(command) < LEAST_RESTS or float(np.ptp(command)) < LEAST_RANGE * span:
+        return 1.0, 0.0
+    gain, offset = (float(one) for one in np.polyfit(command, output, 1))
+    return (gain, offset) if gain > 0.0 else (1.0, 0.0)
 
 
 def stop_words(pairs: Sequence[Pair], low: float, high: float) -> str:
-    """What was found, for people; '' where there is none."""
+    """Where a channel stops, for people; '' where it does not. low, high: the commands that reach it."""
     ends = " and ".join(f"{end:.4g}" for end in (low, high) if math.isfinite(end))
     if not ends:
         return ""
     command = np.concatenate([pair.command[pair.counts] for pair in pairs])
     share = float(np.mean((command < low) | (command > high)))
-    return f"it stops at {ends}, which {share:.1%} of its commands pass"
+    return f"it stops at a command of {ends}, which {share:.1%} of its commands pass"
+
+
+def _rows_of(pair: Pair, wide_s: float) -> tuple[Array, int]:
+    """(rows that count, how many of them such a time holds; more than there are where nobody can tell)."""
+    rows = np.flatnonzero(pair.counts)
+    every_s = pair.dt_s * float(np.median(np.diff(rows))) if len(rows) > 1 else math.inf
+    return rows, max(round(wide_s / every_s), 2) if math.isfinite(every_s) else len(rows) + 1
 
 
 def _highest(pairs: Sequence[Pair], sign: float, span: float) -> float:
@@ -59,11 +92,10 @@ def _highest(pairs: Sequence[Pair], sign: float, span: float) -> float:
     top = max(float((sign * pair.output[pair.counts]).max()) for pair in pairs)
     levels, commands, held_s, runs = list[Array](), list[Array](), 0.0, 0
     for pair in pairs:
-        rows = np.flatnonzero(pair.counts)
-        every_s = pair.dt_s * float(np.median(np.diff(rows))) if len(rows) > 1 else math.inf
-        count = max(round(HELD_S / every_s), 2) if math.isfinite(every_s) else len(rows) + 1
+        rows, count = _rows_of(pair, HELD_S)
         if count > len(rows):
             continue
+        every_s = HELD_S / count
         outputs, asked = (sliding_window_view(sign * one[rows], count) for one in (pair.output, pair.command))
         level, least = outputs.mean(axis=1), asked.min(axis=1)
         stands = (np.ptp(outputs, axis=1) <= EVEN * span) & (level >= top - EVEN * span)
