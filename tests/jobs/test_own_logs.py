@@ -66,6 +66,8 @@ def test_what_a_search_that_was_cut_off_had_written_is_forgotten_when_they_are_a
     asked(folder, made_drive(20.0, seed=3))
     assert json.loads((folder / CARD_FILE).read_text()) == {"seed": 1, ASKED: True}
     assert [one.name for one in load_model(folder).effects] == ["grade"]
+    write_effects(folder, load_model(folder), [])
+    assert load_model(folder).effects == []
 
 
 def test_a_log_that_says_no_speed_is_left_out_and_leaves_a_whole_model(tmp_path: Path) -> None:

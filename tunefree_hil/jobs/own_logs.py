@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from msgspec.structs import replace
 
 from tunefree_hil.base.errors import InputError, TunefreeError
 from tunefree_hil.base.events import Event
@@ -59,7 +58,7 @@ def _forget(folder: Path) -> None:
     model = load_model(folder)
     stay = [one for one in model.effects if one.provenance.get("by") != OWN_LOGS]
     if len(stay) < len(model.effects):
-        write_effects(folder, replace(model, effects=stay), ())
+        write_effects(folder, model, stay)
 
 
 def were_asked(folder: Path) -> bool:
@@ -136,7 +135,7 @@ def _poor(folder: Path, asked: Asked) -> Generator[Event, None, None]:
 
     found = yield from _with_progress(sensors(asked))
     if found:
-        write_effects(folder, asked.model, found)
+        write_effects(folder, asked.model, [*asked.model.effects, *found])
         yield Event("note", f"its sensors, by its own logs: {', '.join(_words(one) for one in found)}")
     told = yield from _with_progress(usual(asked._replace(model=load_model(folder))))
     _kept(folder, told)

@@ -128,10 +128,9 @@ def write_beside(
             write_card(part, card)
 
 
-def write_effects(folder: Path, model: ModelSpec, more: Sequence[EffectSpec]) -> None:
-    """model.toml in that model's folder with effects behind its own; whole or as it was."""
-    data = data_of(model)
-    data["effects"] = [*data.get("effects", []), *plain_spec(list(more))]
+def write_effects(folder: Path, model: ModelSpec, effects: Sequence[EffectSpec]) -> None:
+    """model.toml in that model's folder with these effects; whole or as it was."""
+    data = {**data_of(model), "effects": plain_spec(list(effects))}
     _replaced(folder / "model.toml", HEAD.format(card=CARD_FILE) + to_toml(data))
 
 
