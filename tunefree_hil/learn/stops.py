@@ -54,7 +54,7 @@ def _at_rest(pairs: Sequence[Pair], low: float, high: float) -> tuple[float, flo
     span = float(np.ptp(np.concatenate(outputs)))
     found = list[Array]()
     for pair in pairs:
-        rows, count = _rows_of(pair, REST_S)
+        rows, count, _ = _rows_of(pair, REST_S)
         if count > len(rows):
             continue
         output, asked = (sliding_window_view(one[rows], count) for one in (pair.output, pair.command))
@@ -80,11 +80,13 @@ def stop_words(pairs: Sequence[Pair], low: float, high: float) -> str:
     return f"it stops at a command of {ends}, which {share:.1%} of its commands pass"
 
 
-def _rows_of(pair: Pair, wide_s: float) -> tuple[Array, int]:
-    """(rows that count, how many of them such a time holds; more than there are where nobody can tell)."""
+def _rows_of(pair: Pair, wide_s: float) -> tuple[Array, int, float]:
+    """(rows that count, how many of them such a time holds: more than there are where nobody can tell, s from one to
+    the next).
+    """
     rows = np.flatnonzero(pair.counts)
     every_s = pair.dt_s * float(np.median(np.diff(rows))) if len(rows) > 1 else math.inf
-    return rows, max(round(wide_s / every_s), 2) if math.isfinite(every_s) else len(rows) + 1
+    return rows, max(round(wide_s / every_s), 2) if math.isfinite(every_s) else len(rows) + 1, every_s
 
 
 def _highest(pairs: Sequence[Pair], sign: float, span: float) -> float:
@@ -92,10 +94,9 @@ def _highest(pairs: Sequence[Pair], sign: float, span: float) -> float:
     top = max(float((sign * pair.output[pair.counts]).max()) for pair in pairs)
     levels, commands, held_s, runs = list[Array](), list[Array](), 0.0, 0
     for pair in pairs:
-        rows, count = _rows_of(pair, HELD_S)
+        rows, count, every_s = _rows_of(pair, HELD_S)
         if count > len(rows):
             continue
-        every_s = HELD_S / count
         outputs, asked = (sliding_window_view(sign * one[rows], count) for one in (pair.output, pair.command))
         level, least = outputs.mean(axis=1), asked.min(axis=1)
         stands = (np.ptp(outputs, axis=1) <= EVEN * span) & (level >= top - EVEN * span)
