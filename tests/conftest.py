@@ -18,11 +18,11 @@ ROOT = Path(__file__).resolve().parents[1]
 LEARNING = (
     "learn/",
     "collect/",
-    "jobs/test_calibrate.py",
-    "jobs/test_collect.py",
-    "jobs/test_learn.py",
-    "jobs/test_map.py",
-    "jobs/test_outside.py",
+    "jobs/learn/test_calibrate.py",
+    "jobs/collect/test_collect.py",
+    "jobs/learn/test_learn.py",
+    "jobs/learn/test_map.py",
+    "jobs/learn/test_outside.py",
     "tools/test_actuators_measure.py",
 )
 

@@ -28,7 +28,7 @@ from tunefree_hil.cli.output import present  # noqa: E402
 from tunefree_hil.config.find import available  # noqa: E402
 from tunefree_hil.config.load import load_model, load_vehicle  # noqa: E402
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec  # noqa: E402
-from tunefree_hil.jobs.model_words import off_after  # noqa: E402
+from tunefree_hil.jobs.learn.model_words import off_after  # noqa: E402
 from tunefree_hil.jobs.run_folder import read_json, write_json  # noqa: E402
 
 MODELS = ROOT / "bench_configs" / "models"
@@ -107,10 +107,10 @@ def driven_model(vehicle: VehicleSpec) -> ModelSpec | None:
 
 def _vehicle(plan: Plan) -> Steps:
     """Everything of one vehicle; a sentence about each model."""
-    from tunefree_hil.jobs.calibrate import calibrate
-    from tunefree_hil.jobs.learn import Asked as Wish
-    from tunefree_hil.jobs.learn import learn
-    from tunefree_hil.jobs.map import map_logs
+    from tunefree_hil.jobs.learn.calibrate import calibrate
+    from tunefree_hil.jobs.learn.learn import Asked as Wish
+    from tunefree_hil.jobs.learn.learn import learn
+    from tunefree_hil.jobs.learn.map import map_logs
 
     asked, folder, seed = plan.asked, plan.vehicle.folder, plan.asked.seed
     collected = yield from _collected(plan)
@@ -134,8 +134,8 @@ def name_of(stem: str, kind: str) -> str:
 
 def _collected(plan: Plan) -> Steps:
     """The collection, driven as far as it is not there; what it covers. Raises InputError where that is too little."""
-    from tunefree_hil.jobs.collect import collect
-    from tunefree_hil.jobs.collect_plan import Asked as Wish
+    from tunefree_hil.jobs.collect.collect import collect
+    from tunefree_hil.jobs.collect.plan import Asked as Wish
 
     asked = plan.asked
     wish = Wish(

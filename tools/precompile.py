@@ -23,7 +23,7 @@ if str(ROOT) not in sys.path:
 from tunefree_hil.base.errors import TunefreeError  # noqa: E402
 from tunefree_hil.bench import is_heavy, load, parameters_of  # noqa: E402
 from tunefree_hil.bench.batch import Batch, Job  # noqa: E402
-from tunefree_hil.jobs.margins import EFFECTS, why_not  # noqa: E402
+from tunefree_hil.jobs.tune.margins import EFFECTS, why_not  # noqa: E402
 
 BATCH = "batch"
 

@@ -24,9 +24,9 @@ from tunefree_hil.config.load import load_bench, load_model, load_vehicle
 from tunefree_hil.config.schema import FaultSpec
 from tunefree_hil.control.parameters import SETS, clip_into_box
 from tunefree_hil.episode.candump import read_candump
-from tunefree_hil.jobs.candidates import baseline_vectors
 from tunefree_hil.jobs.doctor import bench_findings, vehicle_findings
 from tunefree_hil.jobs.machine import FAULT
+from tunefree_hil.jobs.tune.candidates import baseline_vectors
 
 VEHICLES = sorted(path.parent.name for path in (ROOT / "dbc").glob("*/vehicle.toml"))
 BENCHES = sorted((ROOT / "bench_configs").glob("*.toml"))

@@ -12,9 +12,9 @@ from tools.make_calibration import calibrate, write
 from tools.measures._in_process import InProcess
 from tools.measures.faults import NOT_DETECTABLE, SILENT, rows_of
 from tunefree_hil.bench import Bench, load, parameters_of, require_buildable
-from tunefree_hil.jobs.candidates import baseline_vectors
 from tunefree_hil.jobs.doctor import bench_findings, vehicle_findings
 from tunefree_hil.jobs.machine import FAULT
+from tunefree_hil.jobs.tune.candidates import baseline_vectors
 
 
 @pytest.fixture(scope="module")

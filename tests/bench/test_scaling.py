@@ -16,7 +16,7 @@ from tunefree_hil.bench import Bench, load, model_of, parameters_of
 from tunefree_hil.bench.scaling import mass_of, own_times, scaled
 from tunefree_hil.bench.simulator import Drive, Job, Simulator
 from tunefree_hil.config.schema import ActuatorSpec, Interval
-from tunefree_hil.jobs.margins import EFFECTS
+from tunefree_hil.jobs.tune.margins import EFFECTS
 from tunefree_hil.plant import reference
 
 

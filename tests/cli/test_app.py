@@ -18,7 +18,7 @@ import pytest
 from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
 from tunefree_hil.cli.entry import run
-from tunefree_hil.jobs.tune_wish import Asked
+from tunefree_hil.jobs.tune.wish import Asked
 
 Fake = Callable[..., list[tuple[tuple[Any, ...], dict[str, Any]]]]
 
@@ -77,10 +77,10 @@ DRIVE = {
                 "out": Path("runs"),
             },
         ),
-        ("tune b.toml", "tune", (Asked(BENCH),), {}),
+        ("tune b.toml", "tune.tune", (Asked(BENCH),), {}),
         (
             "tune b.toml --trials 5 --set lateral --scale linear --no-verify --sampler random --study x --realtime",
-            "tune",
+            "tune.tune",
             (
                 Asked(
                     BENCH,
@@ -97,7 +97,7 @@ DRIVE = {
         ),
         (
             "tune b.toml --backend batch --confirm 5 --in-flight 4 --benches 2 --seed 9 --join --controller ./c",
-            "tune",
+            "tune.tune",
             (
                 Asked(
                     BENCH,
@@ -113,8 +113,8 @@ DRIVE = {
             ),
             {},
         ),
-        ("tune --resume runs/x", "tune", (Asked(Path("runs/x/bench.toml"), resume=Path("runs/x")),), {}),
-        ("verify runs/x --bus tfhub", "verify", (Path("runs/x"),), {"bus": "tfhub"}),
+        ("tune --resume runs/x", "tune.tune", (Asked(Path("runs/x/bench.toml"), resume=Path("runs/x")),), {}),
+        ("verify runs/x --bus tfhub", "tune.verify", (Path("runs/x"),), {"bus": "tfhub"}),
         ("replay runs/x --episode 3 --verify", "replay", (Path("runs/x"),), {"episode": 3, "verify": True}),
         ("hub --clock real --owned", "hub", (), {"session": "default", "clock": "real", "owned": True}),
         ("ecu b.toml --model m --realtime", "ecu", (BENCH,), {**NODE, "model": "m", "realtime": True}),
@@ -126,16 +126,16 @@ DRIVE = {
 def test_options_reach_the_job(
     words: str, module: str, arguments: tuple[Any, ...], options: dict[str, Any], fake: Fake
 ) -> None:
-    calls = fake(module, module)
+    calls = fake(module, module.rpartition(".")[2])
     assert run(words.split()) == 0
     assert calls[0][0] == arguments
     assert options.items() <= calls[0][1].items()
 
 
 def test_log_commands(fake: Fake) -> None:
-    checks = fake("log_check", "check")
+    checks = fake("log.check", "check")
     assert run(["log", "check", "a.log", "--vehicle", "mkz"]) == 0
-    shows = fake("log_show", "show")
+    shows = fake("log.show", "show")
     assert run(["log", "show", "a.log", "--signal", "PO", "--signal", "speed_mps"]) == 0
     assert checks == [((Path("a.log"), "mkz"), {})]
     assert shows == [((Path("a.log"), None, ["PO", "speed_mps"]), {})]

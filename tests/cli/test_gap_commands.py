@@ -12,7 +12,7 @@ import pytest
 
 from tunefree_hil.base.events import Event
 from tunefree_hil.cli.entry import run
-from tunefree_hil.jobs.gap import Asked
+from tunefree_hil.jobs.gap.gap import Asked
 
 WORDS = ["a.log", "--vehicle", "v", "--model", "m", "--out", "o"]
 
@@ -26,7 +26,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         heard.append(asked)
         yield Event("result", "", {"sentence": "steer_lag is missing", "next": ["ls"], "exit": 1})
 
-    stand_in: Any = ModuleType("tunefree_hil.jobs.gap")
+    stand_in: Any = ModuleType("tunefree_hil.jobs.gap.gap")
     stand_in.gap, stand_in.Asked = job, Asked
     monkeypatch.setitem(sys.modules, stand_in.__name__, stand_in)
     return heard
@@ -59,7 +59,7 @@ def test_a_bench_reaches_the_drives(calls: list[Any], monkeypatch: pytest.Monkey
         heard.append((asked, wish))
         yield Event("result", "", {"sentence": "steer_lag is missing", "next": []})
 
-    stand_in: Any = ModuleType("tunefree_hil.jobs.gap_drive")
+    stand_in: Any = ModuleType("tunefree_hil.jobs.gap.drive")
     stand_in.gap_drive, stand_in.Wish = job, Wish
     monkeypatch.setitem(sys.modules, stand_in.__name__, stand_in)
     assert run(["gap", *WORDS, "--drive", "--bench", "b.toml"]) == 0

@@ -20,15 +20,15 @@ COMPARE = {"fail_if": [], "weights": None, "out": None}
 @pytest.mark.parametrize(
     ("words", "module", "function", "arguments", "options"),
     [
-        (["grade", "a.log", "--path", "u_turn"], "grade_run", "grade_any", ("a.log",), GRADE),
+        (["grade", "a.log", "--path", "u_turn"], "grade.run", "grade_any", ("a.log",), GRADE),
         (
             ["grade", "a.blf", "--path", "p.csv", "--vehicle", "v", "--align", "start", "--start-s", "2.5"],
-            "grade_run",
+            "grade.run",
             "grade_any",
             ("a.blf",),
             {**GRADE, "path": "p.csv", "vehicle": "v", "align": "start", "start_s": 2.5},
         ),
-        (["compare", "a", "b"], "compare", "compare", (["a", "b"],), COMPARE),
+        (["compare", "a", "b"], "grade.compare", "compare", (["a", "b"],), COMPARE),
         (
             [
                 "compare",
@@ -42,15 +42,15 @@ COMPARE = {"fail_if": [], "weights": None, "out": None}
                 "--weights",
                 "w",
             ],
-            "compare",
+            "grade.compare",
             "compare",
             (["a", "b:mrac_on", "c"],),
             {"fail_if": ["score > +5%", "replans > 0"], "weights": "w", "out": None},
         ),
-        (["explain", "runs/x"], "explain", "explain", (Path("runs/x"),), {"points": 9, "slices": True}),
+        (["explain", "runs/x"], "tune.explain", "explain", (Path("runs/x"),), {"points": 9, "slices": True}),
         (
             ["explain", "runs/x", "--points", "5", "--no-slices"],
-            "explain",
+            "tune.explain",
             "explain",
             (Path("runs/x"),),
             {"points": 5, "slices": False},

@@ -23,7 +23,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         heard.append(arguments)
         yield Event("result", "", {"sentence": "fine"})
 
-    stand_in = ModuleType("tunefree_hil.jobs.map")
+    stand_in = ModuleType("tunefree_hil.jobs.learn.map")
     stand_in.map_logs = job  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, stand_in.__name__, stand_in)
     return heard

@@ -26,7 +26,7 @@ from tunefree_hil.collect.seen import lacking
 from tunefree_hil.config.load import load_scenario, load_vehicle
 from tunefree_hil.config.schema import ValidSpec
 from tunefree_hil.episode.scenario import build_course, start_of
-from tunefree_hil.jobs.collect_plan import Start, write_scenario
+from tunefree_hil.jobs.collect.plan import Start, write_scenario
 from tunefree_hil.jobs.collector import read_plan
 
 PLAN = DrivePlan(10.0, 400.0, None, (1.5, -2.0), tuple(range(COUNT)), 14, 110.0)

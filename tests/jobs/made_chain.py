@@ -11,10 +11,10 @@ import pytest
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.jobs import commission as module
-from tunefree_hil.jobs import commission_plan as plans
-from tunefree_hil.jobs.commission import NAMES, STAGES, commission
-from tunefree_hil.jobs.commission_plan import FOLDERS, Asked, Plan
+from tunefree_hil.jobs.commission import commission as module
+from tunefree_hil.jobs.commission import plan as plans
+from tunefree_hil.jobs.commission.commission import NAMES, STAGES, commission
+from tunefree_hil.jobs.commission.plan import FOLDERS, Asked, Plan
 
 
 def judged(mean_m: float | None, n: int = 100, kind: str = "hybrid", ground: str = "level") -> dict[str, Any]:

@@ -14,10 +14,10 @@ from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bus.bench_channel import ErrorCode
 from tunefree_hil.config.dump import to_toml
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.jobs.candidates import baseline_vectors
-from tunefree_hil.jobs.harvest import Episode, evaluation_of, harvest
 from tunefree_hil.jobs.identity import resolved_toml
 from tunefree_hil.jobs.run_folder import RunFolder
+from tunefree_hil.jobs.running.harvest import Episode, evaluation_of, harvest
+from tunefree_hil.jobs.tune.candidates import baseline_vectors
 from tunefree_hil.nodes.runner import Outcome
 from tunefree_hil.tune.space import resolve
 from tunefree_hil.tune.store import Settings

@@ -22,7 +22,7 @@ def no_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     def start(*arguments: object, **options: object) -> None:
         raise AssertionError("a process was started")
 
-    monkeypatch.setattr("tunefree_hil.jobs.processes.Processes.start", start)
+    monkeypatch.setattr("tunefree_hil.jobs.running.processes.Processes.start", start)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.integrity import E2eStatus
 from tunefree_hil.episode.candump import read_candump
-from tunefree_hil.jobs.heard import heard_of
+from tunefree_hil.jobs.running.heard import heard_of
 
 pytestmark = pytest.mark.slow
 

@@ -12,7 +12,8 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bus.codec import Codec
 from tunefree_hil.config.load import load_scenario, load_vehicle
-from tunefree_hil.jobs import log_check, log_show
+from tunefree_hil.jobs.log import check as log_check
+from tunefree_hil.jobs.log import show as log_show
 from tunefree_hil.jobs.scenarios import describe, export, scenarios
 
 SCENARIO = """

@@ -25,7 +25,7 @@ from tests.jobs.command import (
     tunefree,
     tunefree_alone,
 )
-from tunefree_hil.jobs.session import SLOW_VARIABLE
+from tunefree_hil.jobs.running.session import SLOW_VARIABLE
 
 pytestmark = pytest.mark.slow
 HARD_LIMIT_S = 5.0

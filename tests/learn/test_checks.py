@@ -31,7 +31,7 @@ from tunefree_hil.base.records import GROUPS, Report
 from tunefree_hil.bus.codec import Codec
 from tunefree_hil.bus.formats.rows import Row
 from tunefree_hil.config.load import load_vehicle
-from tunefree_hil.jobs.log_import import import_csv
+from tunefree_hil.jobs.log.csv_import import import_csv
 from tunefree_hil.learn.checks import check_drives
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.problems import require_good

@@ -201,10 +201,10 @@ class Jobs:
 
         covers = {"cells_full": cells, "cells_wanted": 100, "simulated_s": 1.0, "beyond_envelope_s": 0.0, "run": "r"}
         stand_ins = {
-            "collect.collect": lambda wish: leave("collect", wish.out / "logs", charted.parent, covers),
-            "calibrate.calibrate": lambda logs, vehicle, out, seed: leave("calibrate", out, learned, {}),
-            "learn.learn": lambda wish: leave(f"learn {wish.kind}", wish.out, learned, {}),
-            "map.map_logs": lambda logs, vehicle, out, seed: leave("map", out, charted.parent, {}),
+            "collect.collect.collect": lambda wish: leave("collect", wish.out / "logs", charted.parent, covers),
+            "learn.calibrate.calibrate": lambda logs, vehicle, out, seed: leave("calibrate", out, learned, {}),
+            "learn.learn.learn": lambda wish: leave(f"learn {wish.kind}", wish.out, learned, {}),
+            "learn.map.map_logs": lambda logs, vehicle, out, seed: leave("map", out, charted.parent, {}),
         }
         for name, job in stand_ins.items():
             monkeypatch.setattr(f"tunefree_hil.jobs.{name}", job)

@@ -13,8 +13,8 @@ from tools.measures import margins as measure_margins
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load
-from tunefree_hil.jobs.margins import Found
 from tunefree_hil.jobs.run_folder import write_json
+from tunefree_hil.jobs.tune.margins import Found
 
 
 def run_with(folder: Path, margins: dict[str, Any]) -> Path:

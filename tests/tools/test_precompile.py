@@ -12,7 +12,7 @@ from tests.house import ROOT
 from tunefree_hil.base.kernel_cache import cache_folder
 from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.bench.batch import Batch, Job
-from tunefree_hil.jobs.margins import EFFECTS
+from tunefree_hil.jobs.tune.margins import EFFECTS
 
 TOOL = ROOT / "tools" / "precompile.py"
 BENCH = "bench_configs/mkz_learned.toml"  # what `make tune` takes

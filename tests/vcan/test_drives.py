@@ -18,10 +18,10 @@ from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.episode.candump import LogFrame, read_candump
 from tunefree_hil.episode.same_frames import same_frames
-from tunefree_hil.jobs.harvest import Episode
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.session import Session
-from tunefree_hil.jobs.track import Track
+from tunefree_hil.jobs.running.harvest import Episode
+from tunefree_hil.jobs.running.session import Session
+from tunefree_hil.jobs.running.track import Track
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(3000)]
 

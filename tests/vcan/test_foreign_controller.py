@@ -16,11 +16,11 @@ import pytest
 from tests.house import ROOT
 from tests.vcan.peers import HERE, PATIENCE_S, Links, eventually
 from tunefree_hil.bench import load, parameters_of
-from tunefree_hil.jobs.foreign import command_of, with_command
-from tunefree_hil.jobs.harvest import Episode
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.session import Session
-from tunefree_hil.jobs.track import Track
+from tunefree_hil.jobs.running.foreign import command_of, with_command
+from tunefree_hil.jobs.running.harvest import Episode
+from tunefree_hil.jobs.running.session import Session
+from tunefree_hil.jobs.running.track import Track
 
 pytestmark = [
     pytest.mark.vcan,

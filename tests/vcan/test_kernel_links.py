@@ -20,7 +20,7 @@ from tunefree_hil.bus.kernel_link import Claim, link_state
 from tunefree_hil.bus.open import open_link, resolve_bus
 from tunefree_hil.bus.socketcan import SocketCanLink
 from tunefree_hil.jobs.machine import NOTE, OK, can_links, which_bus
-from tunefree_hil.jobs.node_links import bus_for, sends_fd, usable_bus
+from tunefree_hil.jobs.running.node_links import bus_for, sends_fd, usable_bus
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(300)]
 BURST = 5000

@@ -16,12 +16,12 @@ from tunefree_hil.bench import Bench, is_heavy
 from tunefree_hil.bench.batch import Batch
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.grade.score import FINISHED
-from tunefree_hil.jobs.evaluators import BatchEvaluator, Candidate
-from tunefree_hil.jobs.harvest import evaluation_of
 from tunefree_hil.jobs.identity import identity_of
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.session import Session
-from tunefree_hil.jobs.track import Track
+from tunefree_hil.jobs.running.harvest import evaluation_of
+from tunefree_hil.jobs.running.session import Session
+from tunefree_hil.jobs.running.track import Track
+from tunefree_hil.jobs.tune.evaluators import BatchEvaluator, Candidate
 from tunefree_hil.tune.trial import Evaluation
 
 _numbers = itertools.count()  # one worker opens several benches, one after the other

@@ -18,7 +18,7 @@ from tools.measures._rig import Rig, failed, replans, standing
 from tools.measures._side_by_side import side_by_side
 from tools.measures._summary import machine, rounded, summary
 from tunefree_hil.bench import Bench, load, parameters_of
-from tunefree_hil.jobs.candidates import baseline_vectors
+from tunefree_hil.jobs.tune.candidates import baseline_vectors
 from tunefree_hil.tune.baselines import first_trial
 from tunefree_hil.tune.space import resolve
 from tunefree_hil.tune.store import Settings

@@ -18,8 +18,8 @@ from tunefree_hil.base.kernel_cache import PLACE_VARIABLE
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Batch, Job
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.jobs.candidates import baseline_vectors, opening_of
-from tunefree_hil.jobs.evaluators import BatchEvaluator, Candidate
+from tunefree_hil.jobs.tune.candidates import baseline_vectors, opening_of
+from tunefree_hil.jobs.tune.evaluators import BatchEvaluator, Candidate
 from tunefree_hil.tune.baselines import first_trial
 from tunefree_hil.tune.journal import open_journal
 from tunefree_hil.tune.space import resolve

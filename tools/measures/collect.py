@@ -13,8 +13,8 @@ from tools.measures._ledger import FOLDER, Ledger, code_hash, meaning
 from tools.measures._summary import machine, rounded
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_bench, load_model, load_vehicle
-from tunefree_hil.jobs.collect import collect
-from tunefree_hil.jobs.collect_plan import Asked
+from tunefree_hil.jobs.collect.collect import collect
+from tunefree_hil.jobs.collect.plan import Asked
 
 VALUE = "simulated minutes of driving until a collection over the bus has filled every cell, mkz_bywire"
 FIRST = "bench_configs/mkz_steer.toml"  # its vehicle is the value

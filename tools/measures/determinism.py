@@ -20,9 +20,9 @@ from tools.measures._summary import rounded
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.jobs.harvest import harvest
-from tunefree_hil.jobs.processes import Processes
-from tunefree_hil.jobs.session import Session
+from tunefree_hil.jobs.running.harvest import harvest
+from tunefree_hil.jobs.running.processes import Processes
+from tunefree_hil.jobs.running.session import Session
 
 VALUE = "distinct frame hashes of one drive: shuffled start order, members held up at random, busy CPUs (1 is right)"
 START_S = 30.0

@@ -23,8 +23,8 @@ from tunefree_hil.bench import Bench, load
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import ModelSpec
 from tunefree_hil.figures.learning import Heading, write_free_run, write_headings
-from tunefree_hil.jobs.calibrate import calibrate
-from tunefree_hil.jobs.learn import Asked, learn
+from tunefree_hil.jobs.learn.calibrate import calibrate
+from tunefree_hil.jobs.learn.learn import Asked, learn
 from tunefree_hil.learn.free_run import Judged
 from tunefree_hil.learn.free_run_table import reduction, table_of
 from tunefree_hil.learn.motion import Track, is_hill, starts_of, tracks_of

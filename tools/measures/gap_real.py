@@ -21,8 +21,8 @@ from tools.measures._summary import rounded
 from tools.measures._unseen import ended
 from tools.measures.realcars import DATA, SETS, dart, needed
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.jobs.calibrate import calibrate
-from tunefree_hil.jobs.gap import Asked, gap
+from tunefree_hil.jobs.gap.gap import Asked, gap
+from tunefree_hil.jobs.learn.calibrate import calibrate
 
 VALUE = "recordings of real cars of which a name or a set is said, out of those that were asked; no truth is known"
 NAME = "gap_real"

@@ -11,7 +11,7 @@ import numpy as np
 
 from tools.measures._summary import machine, rounded, summary
 from tunefree_hil.bench import Bench, is_heavy, load, parameters_of
-from tunefree_hil.jobs.session import Session
+from tunefree_hil.jobs.running.session import Session
 
 VALUE = "times real time in lockstep: nominal plant, hub, ECU and controller as processes, MRAC, noise, logs (median)"
 

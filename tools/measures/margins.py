@@ -16,14 +16,14 @@ from tools.measures._summary import machine, rounded, summary
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, load, parameters_of
-from tunefree_hil.jobs.candidates import TUNED, baseline_vectors
-from tunefree_hil.jobs.margins import Found, find_margins
-from tunefree_hil.jobs.margins_report import margin_data
-from tunefree_hil.jobs.margins_words import margin_table, margin_words
 from tunefree_hil.jobs.run_folder import open_run, read_json
-from tunefree_hil.jobs.tune import tune
-from tunefree_hil.jobs.tune_wish import BATCH, Asked
-from tunefree_hil.jobs.verify import winner_of
+from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors
+from tunefree_hil.jobs.tune.margins import Found, find_margins
+from tunefree_hil.jobs.tune.margins_report import margin_data
+from tunefree_hil.jobs.tune.margins_words import margin_table, margin_words
+from tunefree_hil.jobs.tune.tune import tune
+from tunefree_hil.jobs.tune.verify import winner_of
+from tunefree_hil.jobs.tune.wish import BATCH, Asked
 
 VALUE = "winner's / best manual's delay margin, smallest over the verify scenarios (manual must not re-plan as it is)"
 OWN = "runs/measure-margins"

@@ -9,7 +9,7 @@ from typing import Any
 
 from tools.measures._summary import rounded, summary
 from tunefree_hil.bench import Bench, load, parameters_of
-from tunefree_hil.jobs.session import Session
+from tunefree_hil.jobs.running.session import Session
 
 VALUE = "MB, peak resident size of the largest node, the compiled ECU among them (median of sessions)"
 LIMITS_MB = {"plain": 150.0, "compiled": 250.0}  # design D1

@@ -24,10 +24,10 @@ from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.control.parameters import PARAMETERS, SETS, Parameter, round32, study_values
 from tunefree_hil.episode.recording import Recording
 from tunefree_hil.grade.score import ScenarioGrade
-from tunefree_hil.jobs.candidates import baseline_vectors
 from tunefree_hil.jobs.run_folder import RunFolder, drop_bulk
-from tunefree_hil.jobs.session import Session
-from tunefree_hil.jobs.track import DriveJob, Track
+from tunefree_hil.jobs.running.session import Session
+from tunefree_hil.jobs.running.track import DriveJob, Track
+from tunefree_hil.jobs.tune.candidates import baseline_vectors
 
 VALUE = "values that differ in a bit between bus and batch: all columns, ticks, scenarios, vehicles (0 is right)"
 SEARCHED = tuple(SETS["complete"])

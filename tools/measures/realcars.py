@@ -26,9 +26,9 @@ from tunefree_hil.bus.codec import Codec
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import ModelSpec
 from tunefree_hil.figures.ahead import Run, write_runs
-from tunefree_hil.jobs.calibrate import calibrate
-from tunefree_hil.jobs.learn import Asked, learn
-from tunefree_hil.jobs.log_import import import_csv
+from tunefree_hil.jobs.learn.calibrate import calibrate
+from tunefree_hil.jobs.learn.learn import Asked, learn
+from tunefree_hil.jobs.log.csv_import import import_csv
 from tunefree_hil.learn.ahead import Ahead
 from tunefree_hil.learn.drives import Drive, Split
 from tunefree_hil.learn.free_run_table import interval_of

@@ -16,7 +16,7 @@ from tools.measures._unseen import ended
 from tools.measures.map import logs_in
 from tunefree_hil.bench import load
 from tunefree_hil.config.load import load_model
-from tunefree_hil.jobs.calibrate import calibrate
+from tunefree_hil.jobs.learn.calibrate import calibrate
 
 VALUE = "s of wall time of `learn` alone (default kind, its own number of steps), mkz_bywire"
 NAME = "train"

@@ -28,7 +28,7 @@ def calibrate(
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.calibrate import calibrate as run
+        from tunefree_hil.jobs.learn.calibrate import calibrate as run
 
         return run(logs, vehicle, out, seed)
 

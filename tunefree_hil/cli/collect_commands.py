@@ -58,8 +58,8 @@ def collect(
     def job() -> Iterable[Event]:
         if watch or from_logs:
             return _by_others(bench, vehicle, bus, session, quota_s, top_mps, seconds, out, from_logs)
-        from tunefree_hil.jobs.collect import collect as run
-        from tunefree_hil.jobs.collect_plan import Asked
+        from tunefree_hil.jobs.collect.collect import collect as run
+        from tunefree_hil.jobs.collect.plan import Asked
 
         wished = (bench, vehicle, model, bus, bench_bus, session, realtime, out, quota_s, area_m, top_mps, seed)
         return run(Asked(*wished, drive_s))
@@ -80,7 +80,7 @@ def _by_others(
     logs: list[Path] | None,
 ) -> Iterable[Event]:
     """Count what somebody else drives."""
-    from tunefree_hil.jobs.collect_watch import Wish, from_logs, watch
+    from tunefree_hil.jobs.collect.watch import Wish, from_logs, watch
 
     if vehicle is None and bench is not None:
         from tunefree_hil.config.load import load_bench

@@ -46,8 +46,8 @@ def commission(
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.commission import commission as run
-        from tunefree_hil.jobs.commission_plan import Asked
+        from tunefree_hil.jobs.commission.commission import commission as run
+        from tunefree_hil.jobs.commission.plan import Asked
 
         return run(
             Asked(vehicle, bench, out, set_name, trials, kind, quota_s, area_m, minutes, seed, bus, bench_bus, backend,

@@ -70,7 +70,7 @@ def log_check(path: LogPath, vehicle: Vehicle = None, plain: Plain = False, as_j
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.log_check import check
+        from tunefree_hil.jobs.log.check import check
 
         return check(path, vehicle)
 
@@ -88,7 +88,7 @@ def log_show(
     """Print a log decoded, one line a frame."""
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.log_show import show
+        from tunefree_hil.jobs.log.show import show
 
         return show(path, vehicle, signal or [])
 
@@ -107,7 +107,7 @@ def log_plot(
     """Draw signals of a log over time, a panel a unit, gaps visible."""
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.log_plot import plot
+        from tunefree_hil.jobs.log.plot import plot
 
         return plot(path, vehicle, signals, out)
 
@@ -129,7 +129,7 @@ def log_convert(
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.log_convert import convert
+        from tunefree_hil.jobs.log.convert import convert
 
         return convert(path, out, channels=channel or [], to=to)
 
@@ -150,7 +150,7 @@ def log_import(
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.log_import import import_csv
+        from tunefree_hil.jobs.log.csv_import import import_csv
 
         return import_csv(path, mapping, out)
 

@@ -54,8 +54,8 @@ def gap(
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.gap import Asked
-        from tunefree_hil.jobs.gap import gap as run
+        from tunefree_hil.jobs.gap.gap import Asked
+        from tunefree_hil.jobs.gap.gap import gap as run
 
         asked = Asked(logs, vehicle, model, out, older or [], until.value, workers)
         if not drive:
@@ -66,7 +66,7 @@ def gap(
         if bench is None:
             hint = "--drive --bench BENCH: its verify model must be the car that the logs are of"
             raise InputError("no bench is named that drives", code="usage", key="--drive", hint=hint)
-        from tunefree_hil.jobs.gap_drive import Wish, gap_drive
+        from tunefree_hil.jobs.gap.drive import Wish, gap_drive
 
         return gap_drive(asked, Wish(bench, bus))
 

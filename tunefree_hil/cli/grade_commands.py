@@ -46,7 +46,7 @@ def grade(
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.grade_run import grade_any as run
+        from tunefree_hil.jobs.grade.run import grade_any as run
 
         return run(log, vehicle=vehicle, path=path, align=align.value, start_s=start_s, weights=weights, out=out)
 
@@ -73,7 +73,7 @@ def compare(
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.compare import compare as run
+        from tunefree_hil.jobs.grade.compare import compare as run
 
         return run(runs, fail_if=fail_if or [], weights=weights, out=out)
 
@@ -93,7 +93,7 @@ def explain(
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.explain import explain as start
+        from tunefree_hil.jobs.tune.explain import explain as start
 
         return start(run, points=points, slices=slices)
 

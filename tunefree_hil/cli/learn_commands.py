@@ -47,8 +47,8 @@ def learn(
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.learn import Asked
-        from tunefree_hil.jobs.learn import learn as run
+        from tunefree_hil.jobs.learn.learn import Asked
+        from tunefree_hil.jobs.learn.learn import learn as run
 
         return run(Asked(logs, vehicle, out, kind.value, seed, minutes, physics, sample_spacing))
 

@@ -31,7 +31,7 @@ def map_logs(
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.map import map_logs as run
+        from tunefree_hil.jobs.learn.map import map_logs as run
 
         return run(logs, vehicle, out, seed)
 

@@ -126,8 +126,8 @@ def tune(
 
     def job() -> Iterable[Event]:
         bench_file = _bench_of(bench, resume)
-        from tunefree_hil.jobs.tune import tune as run
-        from tunefree_hil.jobs.tune_wish import Asked
+        from tunefree_hil.jobs.tune.tune import tune as run
+        from tunefree_hil.jobs.tune.wish import Asked
 
         return run(
             Asked(
@@ -183,7 +183,7 @@ def verify(
     """
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.verify import verify as start_job
+        from tunefree_hil.jobs.tune.verify import verify as start_job
 
         return start_job(run, bus=bus, bench_bus=bench_bus, join=join, session=session_of(session, join))
 

@@ -11,7 +11,7 @@ from tunefree_hil.base.events import Event
 def controller(bench: Path, *, bus: str, bench_bus: str, session: str, realtime: bool) -> Iterator[Event]:
     """Serve episodes on the bus until the runner says end or the bus is gone."""
     from tunefree_hil.bench import ControllerFor
-    from tunefree_hil.jobs.serving import serve_controller
+    from tunefree_hil.jobs.running.serving import serve_controller
 
     yield from serve_controller(
         bench,

@@ -23,17 +23,17 @@ from tunefree_hil.config.load import load_scenario
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.grade.score import combine
-from tunefree_hil.jobs.foreign import command_of, with_command
-from tunefree_hil.jobs.harvest import Episode
-from tunefree_hil.jobs.heard import heard_of
 from tunefree_hil.jobs.identity import identity_of, resolved_toml
-from tunefree_hil.jobs.lateness import judge_realtime
-from tunefree_hil.jobs.model_words import model_words
-from tunefree_hil.jobs.node_links import bus_for
-from tunefree_hil.jobs.outside import drive_warning, outside_data, outside_words
+from tunefree_hil.jobs.learn.model_words import model_words
+from tunefree_hil.jobs.learn.outside import drive_warning, outside_data, outside_words
 from tunefree_hil.jobs.run_folder import RunFolder, write_text
-from tunefree_hil.jobs.session import Session
-from tunefree_hil.jobs.track import Track
+from tunefree_hil.jobs.running.foreign import command_of, with_command
+from tunefree_hil.jobs.running.harvest import Episode
+from tunefree_hil.jobs.running.heard import heard_of
+from tunefree_hil.jobs.running.lateness import judge_realtime
+from tunefree_hil.jobs.running.node_links import bus_for
+from tunefree_hil.jobs.running.session import Session
+from tunefree_hil.jobs.running.track import Track
 
 DEFAULT_ROOT = Path("runs")
 

@@ -31,7 +31,7 @@ def ecu(
     (cansend, canplayer, a controller of the user's own).
     """
     from tunefree_hil.bench import VehicleFor, load
-    from tunefree_hil.jobs.node_links import open_exchange, timing_folder
+    from tunefree_hil.jobs.running.node_links import open_exchange, timing_folder
     from tunefree_hil.nodes.node import Node
     from tunefree_hil.nodes.timing import CycleTimes
 

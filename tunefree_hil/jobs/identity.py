@@ -13,7 +13,7 @@ from tunefree_hil.bench import Bench, calibration_path, model_of
 from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.find import find
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.jobs.foreign import command_of, program_hashes
+from tunefree_hil.jobs.running.foreign import command_of, program_hashes
 
 
 def identity_of(bench: Bench, model: str, scenarios: Iterable[ScenarioSpec]) -> dict[str, Any]:

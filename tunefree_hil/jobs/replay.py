@@ -14,9 +14,9 @@ from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.episode.compare import compare_logs
 from tunefree_hil.episode.frame_hash import frame_hash
 from tunefree_hil.jobs.drive import find_scenario, own_session
-from tunefree_hil.jobs.foreign import command_of, program_hashes, require_one
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, read_json
-from tunefree_hil.jobs.session import Session
+from tunefree_hil.jobs.running.foreign import command_of, program_hashes, require_one
+from tunefree_hil.jobs.running.session import Session
 
 DIFFERS = 1  # exit status
 SUMMARY_KEYS = ("frame_hash", "parameters", "scenario", "seed")

@@ -2,7 +2,7 @@
 
 A search bends its gains to the plant that it is given, up to the edge where that plant just holds. What holds on the
 vehicle is asked with a second car: the same plant with slower actuators. Pure functions of scores; who drives is
-jobs/hold.py.
+jobs/tune/hold.py.
 """
 
 from __future__ import annotations

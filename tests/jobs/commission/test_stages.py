@@ -1,0 +1,85 @@
+"""How the jobs of a commission are called, how they go on, and when what they came to will not do."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from tests import other_vehicle
+from tests.jobs.made_chain import asked, chain, judged
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.jobs.commission import stages as jobs_of
+from tunefree_hil.jobs.commission.gates import covered_enough, free_run_good_enough, free_run_of, inside_enough
+from tunefree_hil.jobs.commission.plan import Asked, make_plan
+
+__all__ = ["asked", "chain"]  # fixtures
+
+
+def test_the_bench_that_is_tuned_stands_on_what_was_learned(asked: Asked) -> None:
+    plan = make_plan(asked)
+    plan.folder.mkdir()
+    text = plan.write_bench().read_text()
+    assert str(plan.model.resolve()) in text and str((plan.map / "calibration.npz").resolve()) in text
+    assert 'verify_model = "mkz_reference"' in text and "left_turn" in text
+
+
+def test_a_bench_of_another_vehicle_is_refused(asked: Asked) -> None:
+    with pytest.raises(InputError) as caught:
+        make_plan(asked._replace(bench=other_vehicle.BENCH))
+    assert caught.value.key == "vehicle"
+
+
+def test_limits(asked: Asked) -> None:
+    plan = make_plan(asked)
+    assert covered_enough({"cells_full": 8, "cells_wanted": 10}, plan) == ""
+    assert covered_enough({"cells_full": 0, "cells_wanted": 0}, plan)
+    good = judged(2.0)
+    assert free_run_of(good) == (2.0, 100, 0) and free_run_good_enough(good, plan) == ""
+    assert "40.0 m off" in free_run_good_enough(judged(40.0), plan)
+    assert "40.0 m off" in free_run_good_enough(judged(40.0, ground="hills"), plan)
+    assert "in 3 of 100" in free_run_good_enough(judged(2.0, n=97), plan)
+    assert "in 100 of 100" in free_run_good_enough(judged(None, n=0), plan)
+    assert "long enough" in free_run_good_enough({"kind": "hybrid", "free_run": {}}, plan)
+    assert inside_enough({"outside": {"share": 0.5}}, plan)
+    assert not inside_enough({}, plan) and not inside_enough({"outside": {"share": None}}, plan)
+
+
+def test_a_tune_that_came_to_its_end_is_not_searched_again(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = make_plan(asked)
+    wishes: list[Any] = []
+    monkeypatch.setattr("tunefree_hil.jobs.tune.tune.tune", lambda wish: wishes.append(wish) or iter(()))
+    with pytest.raises(InputError, match="no finished tune"):
+        jobs_of.tune_run(plan)
+    for name, complete in (("1-tune-bench", True), ("2-tune-bench", False)):
+        (plan.folder / "tune" / name).mkdir(parents=True)
+        jobs_of.run_tune(plan)
+        (plan.folder / "tune" / name / "run.json").write_text(json.dumps({"complete": complete}))
+    jobs_of.run_tune(plan)
+    finished = plan.folder / "tune" / "1-tune-bench"
+    assert [wish.resume for wish in wishes] == [None, finished, finished]
+    assert jobs_of.tune_run(plan) == finished
+
+
+def test_a_plant_that_was_written_is_not_trained_again(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = make_plan(asked)
+    called: list[str] = []
+    for name in ("learn", "finished"):
+        monkeypatch.setattr(
+            f"tunefree_hil.jobs.learn.learn.{name}", lambda wish, name=name: called.append(name) or iter(())
+        )
+    jobs_of.run_learn(plan)
+    plan.model.mkdir(parents=True)
+    jobs_of.run_learn(plan)
+    assert called == ["learn", "finished"]
+
+
+def test_what_a_killed_stage_half_wrote_is_out_of_the_way(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = make_plan(asked)
+    for name in ("physics", "part-77-model"):
+        (plan.folder / name).mkdir(parents=True)
+    plan.tidy()
+    monkeypatch.setattr("tunefree_hil.jobs.learn.calibrate.calibrate", lambda *_: iter(()))
+    jobs_of.run_calibrate(plan)
+    assert [path.name for path in plan.folder.iterdir()] == ["physics-1"]

@@ -1,0 +1,251 @@
+"""gap: logs in, an answer, a repaired model and its proof out; what was kept is not searched for again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Generator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from tests import other_vehicle
+from tests.gap.made_answer import SECONDS, VEHICLE, late_drive, made_kept, made_model
+from tests.learn.made_drives import made_drive
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.events import Event
+from tunefree_hil.config.load import load_model
+from tunefree_hil.gap.ask import Modelled, Question
+from tunefree_hil.gap.excitation import Excited
+from tunefree_hil.gap.kept import Kept, keep
+from tunefree_hil.gap.name import Named
+from tunefree_hil.gap.problem import Fitted
+from tunefree_hil.gap.segments import blocks_of
+from tunefree_hil.jobs.gap import gap as module
+from tunefree_hil.jobs.gap import pictures as gap_pictures
+from tunefree_hil.jobs.gap.folder import ANSWER, PAGE, QUESTION
+from tunefree_hil.jobs.gap.gap import Asked, gap
+from tunefree_hil.learn.drives import Drive
+
+FIELDS = {
+    "schema", "verdict", "effects", "set", "separate_by", "where", "signals", "explained_frac", "excitation",
+    "absorbed", "model", "figures", "elapsed_s", "log_hash", "model_hash", "version", "forced", "closed_loop",
+}  # fmt: skip
+
+
+DRAW = gap_pictures.draw
+FITTED = Fitted("", (), np.zeros(0), (), {}, np.zeros((0, 0)), {}, {})
+MODELLED = Modelled(FITTED, {})
+QUESTION_OF = Question(MODELLED, blocks_of([9000], 0.01), {}, {}, (), {})
+pytestmark = pytest.mark.slow  # free runs of a car, un-jitted
+
+
+class Search:
+    """In the place of the search: what it gives, and how often it was asked."""
+
+    def __init__(self) -> None:
+        self.kept, self.asked = made_kept(), 0
+        self.drives: dict[str, Drive] = {"late.log": late_drive()}
+        self.older = made_drive(SECONDS, seed=7, name="before.log")
+
+    def searched(self, *_: Any) -> Generator[Event, None, Kept]:
+        self.asked += 1
+        yield Event("progress", "suspects", {"label": "search", "done": 1, "total": 2})
+        return self.kept
+
+    def read(self, logs: Sequence[Path], *_: Any, **__: Any) -> Generator[Event, None, list[Drive]]:
+        yield Event("note", "reading")
+        return [self.older if path.name == "before.log" else self.drives[path.name] for path in logs]
+
+
+@pytest.fixture
+def search(monkeypatch: pytest.MonkeyPatch) -> Search:
+    """The made answer instead of a search of a minute; no pictures."""
+    found = Search()
+    monkeypatch.setattr(gap_pictures, "draw", lambda *_: [])
+    monkeypatch.setattr(module, "_searched", found.searched)
+    monkeypatch.setattr(module, "read", found.read)
+    monkeypatch.setattr(module, "model_for", lambda *_: replace(made_model(), hash="a model"))
+    return found
+
+
+def asked(tmp_path: Path, **more: Any) -> Asked:
+    return Asked([Path("late.log")], VEHICLE.folder, "mkz_nominal", tmp_path / "out")._replace(**more)
+
+
+def result(one: Asked) -> dict[str, Any]:
+    last = list(gap(one))[-1]
+    assert last.kind == "result"
+    return last.data
+
+
+def test_what_is_missing_is_named_repaired_and_proved(
+    search: Search, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gap_pictures, "draw", DRAW)
+    data = result(asked(tmp_path))
+    out = tmp_path / "out"
+    written = json.loads((out / ANSWER).read_text())
+    assert written.keys() >= FIELDS and written["schema"] == "tunefree.gap/1" and data["exit"] == 0
+    assert data["sentence"].startswith("steer_dead_time (delay_s 0.070 s (0.069 to 0.071)) is missing; it closes 99 %")
+    model = load_model(out / "model")
+    assert [one.name for one in model.effects] == ["steer_dead_time"] and written["model"] == model.folder
+    steer = written["signals"]["report.steer_rad"]
+    assert steer["floor"] <= steer["after"] < 0.05 * steer["recalibrated"] < steer["before"]
+    assert written["explained_frac"]["low"] <= written["explained_frac"]["value"] > 0.9
+    assert data["next"][-1].endswith(f"--model {model.folder}") and "tunefree-hil drive" in data["next"][-1]
+    names = {Path(path).name for path in written["figures"]}
+    assert names == {"where.png", "evidence.png", "shrink.png", "traces.png", "signature.png"}
+    assert all(Path(path).read_bytes()[:4] == b"\x89PNG" for path in written["figures"])
+    assert "![How the gap shrinks](figures/shrink.png)" in (out / PAGE).read_text()
+
+
+def test_the_page_begins_with_the_sentence_and_shows_recalibration_alone(search: Search, tmp_path: Path) -> None:
+    data = result(asked(tmp_path))
+    page = (tmp_path / "out" / PAGE).read_text()
+    assert page.splitlines()[0] == f"# {data['sentence']}"
+    assert "| recalibration only | repaired | floor |" in page
+    assert "brake_fade: 2 brakings by 3 m/s or more, 12 are needed" in page
+    assert "| 97 %; 95 % on the blocks that prove |" in page
+    assert "`effects.steer_dead_time.delay_s`" in page
+
+
+def test_the_page_says_what_of_recalibration_was_left_and_what_could_have_been_foretold(
+    search: Search, tmp_path: Path
+) -> None:
+    spoilt = {**search.kept.repaired, "brake_gain.gain_frac": 1.3}
+    search.kept = search.kept._replace(foretold={"steer": 0.1, "yaw_rate": 0.2}, repaired=spoilt)
+    search.kept.answer["moved"] = ["recalibration moves brake_gain.gain_frac by -2.9 standard deviations"]
+    data = result(asked(tmp_path))
+    page = (tmp_path / "out" / PAGE).read_text()
+    assert "| repaired | of that, foretold by nothing | floor |" in page
+    assert "Of what anything in these logs could still have foretold: " in page and data["explicable_frac"]
+    assert data["does_not_pay"] == ["along"]
+    assert "Recalibration leaves what acts along the car as it was: moved, it came no nearer" in page
+    assert "- recalibration moves brake_gain.gain_frac by -2.9" in page
+
+
+def test_a_run_that_was_cut_off_goes_on_without_another_search(search: Search, tmp_path: Path) -> None:
+    result(asked(tmp_path))
+    out = tmp_path / "out"
+    before = json.loads((out / ANSWER).read_text())
+    (out / ANSWER).unlink()
+    (out / "model" / "model.toml").write_text("half of it")  # killed while it wrote
+    (out / "part-77-model").mkdir()
+    data = result(asked(tmp_path))
+    assert not list(out.glob("part-*"))
+    after = json.loads((out / ANSWER).read_text())
+    assert search.asked == 1 and data["verdict"] == "one"
+    assert {**before, "elapsed_s": 0.0} == {**after, "elapsed_s": 0.0} and after["elapsed_s"] >= 12.5
+
+
+def test_what_was_answered_is_said_again_and_not_made_again(search: Search, tmp_path: Path) -> None:
+    first = result(asked(tmp_path))
+    text = (tmp_path / "out" / ANSWER).read_bytes()
+    again = result(asked(tmp_path))
+    assert again == first and (tmp_path / "out" / ANSWER).read_bytes() == text and search.asked == 1
+
+
+def test_a_folder_of_another_question_is_refused(search: Search, tmp_path: Path) -> None:
+    result(asked(tmp_path, until="name"))
+    search.drives["late.log"] = late_drive()._replace(log_hash="sha256:other")
+    with pytest.raises(InputError, match="another question: logs"):
+        result(asked(tmp_path))
+
+
+def test_a_folder_that_holds_something_else_is_refused_before_anything_is_read(search: Search, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mine").write_text("kept")
+    with pytest.raises(InputError, match="there already"):
+        next(gap(asked(tmp_path)))
+    assert not (tmp_path / "out" / QUESTION).exists()
+
+
+@pytest.mark.parametrize(("until", "model"), [("name", False), ("repair", True)])
+def test_it_stops_where_it_is_told_to(until: str, model: bool, search: Search, tmp_path: Path) -> None:
+    data = result(asked(tmp_path, until=until))
+    assert data["until"] == until and data["signals"] == {} and bool(data["model"]) is model
+    assert (tmp_path / "out" / "model").exists() is model
+    assert not data["next"][-1].endswith(until)
+    assert result(asked(tmp_path))["signals"] and search.asked == 1, "the same folder goes on to the proof"
+
+
+def test_an_older_log_that_gets_worse_keeps_the_model_from_being_saved(search: Search, tmp_path: Path) -> None:
+    data = result(asked(tmp_path, older=[Path("before.log")]))
+    assert data["exit"] == 1 and data["verdict"] == "one" and data["model"] is None
+    assert not (tmp_path / "out" / "model").exists()
+    assert any("report.steer_rad of before.log" in words for words in data["worse"])
+    assert "no model is written, as it would make" in data["sentence"]
+    (older,) = data["older"]
+    assert older["signals"]["report.steer_rad"]["after"] > 10.0 * older["signals"]["report.steer_rad"]["before"]
+    assert "recorded before the effect came" in (tmp_path / "out" / PAGE).read_text()
+
+
+def test_an_older_log_with_the_effect_is_no_obstacle(search: Search, tmp_path: Path) -> None:
+    search.older = late_drive(SECONDS, 9)
+    data = result(asked(tmp_path, older=[Path("before.log")]))
+    assert data["exit"] == 0 and data["worse"] == [] and data["model"]
+
+
+def test_a_set_writes_no_model_and_says_what_to_drive(search: Search, tmp_path: Path) -> None:
+    names = ["steer_dead_time", "report_latency"]
+    search.kept = made_kept("set", set=names, separate_by="steps of the steering")
+    data = result(asked(tmp_path))
+    assert data["model"] is None and data["effects"] == [] and data["explained_frac"] is None
+    assert "one of steer_dead_time and report_latency is missing" in data["sentence"]
+    assert "NEXT.log" in data["next"][-1] and f"{tmp_path / 'out'}-2" in data["next"][-1]
+    assert "Drive steps of the steering" in (tmp_path / "out" / PAGE).read_text()
+    assert data["signals"]["report.steer_rad"]["after"] is None
+
+
+def test_where_nothing_is_missing_it_says_what_a_calibration_would_do(search: Search, tmp_path: Path) -> None:
+    late = {"actuator.steer.dead_time_s": 0.07}
+    search.kept = made_kept("none_missing")._replace(null=late, repaired=late)
+    data = result(asked(tmp_path))
+    assert data["model"] is None and not (tmp_path / "out" / "model").exists()
+    assert "report.steer_rad" in data["recalibration"] and "`calibrate` on these logs" in data["sentence"]
+    assert data["next"][-1].startswith("tunefree-hil calibrate late.log")
+    assert "could not have shown brake_fade" in data["sentence"]
+
+
+def test_another_model_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is a model of 'mkz_bywire'"):
+        next(gap(asked(tmp_path, vehicle=other_vehicle.NAME)))
+
+
+def test_a_sensor_at_its_stop_is_left_out_with_a_warning(search: Search, tmp_path: Path) -> None:
+    drive, name = late_drive(), "report.yaw_rate_radps"
+    clipped = np.clip(drive.fields[name], -0.15, 0.15)
+    search.drives["late.log"] = drive._replace(fields={**drive.fields, name: clipped})
+    events = list(gap(asked(tmp_path)))
+    assert any(one.kind == "warning" and f"{name} stands at its stop of 0.15" in one.message for one in events)
+    assert name not in events[-1].data["signals"] and "ins.yaw_rate_radps" in events[-1].data["signals"]
+
+
+def test_nothing_found_where_nothing_could_have_been_seen_is_no_answer() -> None:
+    lacking = Excited(0.1, False, ("3 s above 2 m/s, 20 are needed",))
+    found = Named(
+        "none_missing",
+        (),
+        (),
+        "",
+        None,
+        None,
+        (),
+        (),
+        {"steer_lag": lacking},
+        (),
+        QUESTION_OF,
+        MODELLED,
+        {},
+        {},
+        {},
+        (),
+    )
+    kept = keep(found, "physics", 1.0)
+    assert kept.verdict == "cannot_test" and "record a drive with more: 3 s above" in kept.answer["words"][0]
+    seen = found._replace(excitation={"steer_lag": Excited(2.0, True, ())})
+    assert keep(seen, "physics", 1.0).verdict == "none_missing"
+    assert keep(seen, "hybrid", 1.0).answer["absorbed"] and not keep(seen, "physics", 1.0).answer["absorbed"]

@@ -1,0 +1,154 @@
+"""What a model misses of its own logs: nothing is kept of one that comes near them, and of another all of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from tests.gap.made_answer import LATE_S, VEHICLE, late_drive, made_model
+from tests.learn.made_drives import made_drive
+from tests.learn.test_pairs import without
+from tunefree_hil.base.errors import PeerGone
+from tunefree_hil.base.events import Event
+from tunefree_hil.config.load import load_model
+from tunefree_hil.config.schema import EffectSpec
+from tunefree_hil.gap.usual import KEY, NOTHING, usual_of
+from tunefree_hil.jobs.gap.own_logs import ASKED, ask_own_logs, some_of, were_asked
+from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.write_model import (
+    CARD_FILE,
+    OWN_EFFECTS,
+    OWN_LOGS,
+    data_of,
+    write_beside,
+    write_card,
+    write_effects,
+)
+
+YAW = "report.yaw_rate_radps"
+
+
+def folder_of(folder: Path) -> Path:
+    """The made car's model, with a card."""
+    model = made_model()
+    write_beside(folder, model, "", data_of(replace(model, plant=replace(model.plant, card=CARD_FILE))), {"seed": 1})
+    return folder
+
+
+def asked(folder: Path, *drives: Drive) -> list[Event]:
+    return list(ask_own_logs(folder, VEHICLE, list(drives)))
+
+
+def swinging(drive: Drive) -> Drive:
+    """Its yaw rate is reported half as large again, and half as large, by turns: no effect of the catalogue does so."""
+    by = 1.0 + 0.5 * np.sin(2.0 * np.pi * np.arange(drive.ticks) * drive.dt_s / 9.0)
+    return drive._replace(fields={**drive.fields, YAW: by * drive.fields[YAW]})
+
+
+def test_logs_that_are_too_short_leave_the_model_as_it_is_and_say_so(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "model")
+    events = asked(folder, made_drive(20.0, seed=3))
+    assert [one.kind for one in events] == ["note"] and "is not told" in events[0].message
+    assert json.loads((folder / CARD_FILE).read_text()) == {"seed": 1, ASKED: True}
+    assert were_asked(folder)
+
+
+def test_what_a_search_that_was_cut_off_had_written_is_forgotten_when_they_are_asked_again(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "model")
+    mine = EffectSpec(name="grade", params={"grade_rad": 0.01}, provenance={"by": "a person"})
+    write_effects(folder, load_model(folder), [mine, replace(mine, name="accel_bias", provenance={"by": OWN_LOGS})])
+    card = {"seed": 1, KEY: {"missed": {"yaw_rate": 0.5}, "broken": [], "effects": {}}, OWN_EFFECTS: {}}
+    write_card(folder, card)
+    asked(folder, made_drive(20.0, seed=3))
+    assert json.loads((folder / CARD_FILE).read_text()) == {"seed": 1, ASKED: True}
+    assert [one.name for one in load_model(folder).effects] == ["grade"]
+    write_effects(folder, load_model(folder), [])
+    assert load_model(folder).effects == []
+
+
+def test_a_log_that_says_no_speed_is_left_out_and_leaves_a_whole_model(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "model")
+    assert not were_asked(folder)
+    drive = made_drive(20.0, seed=3)
+    dumb = without(drive, *(name for name in drive.fields if "speed" in name or name.startswith("ins.")))
+    assert asked(folder, dumb) == [] and were_asked(folder)
+    assert "is not told" in asked(folder, dumb, made_drive(20.0, seed=4))[0].message
+
+
+def test_whatever_is_lost_while_they_are_asked_the_model_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(*_: object) -> None:
+        raise PeerGone("the process that fits was killed")
+
+    monkeypatch.setattr("tunefree_hil.gap.look_first.look_first", lost)
+    folder = folder_of(tmp_path / "model")
+    (event,) = asked(folder, made_drive(110.0, seed=5))
+    assert "was killed" in event.message and were_asked(folder)
+
+
+@pytest.mark.parametrize(
+    ("lengths_s", "some"),
+    [
+        ((20.0, 30.0), (0, 1)),
+        ((500.0,) * 4, (1,)),
+        ((60.0,) * 30, tuple(range(0, 30, 2))),
+        ((2000.0,), (0,)),
+        ((8.0, 1000.0), (1,)),
+        ((5.0, 400.0, 5.0, 400.0, 5.0, 400.0), (1, 3, 5)),
+        ((), ()),
+    ],
+)
+def test_of_many_logs_some_are_asked_from_all_over_them(lengths_s: tuple[float, ...], some: tuple[int, ...]) -> None:
+    short = made_drive(4.0)
+    drives = [short._replace(dt_s=one / short.ticks, name=str(i)) for i, one in enumerate(lengths_s)]
+    assert [one.name for one in some_of(drives)] == [str(i) for i in some]
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.timeout(900)
+def test_a_model_that_comes_near_its_logs_keeps_nothing(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "model")
+    events = asked(folder, made_drive(110.0, seed=5))
+    assert {one.kind for one in events} == {"progress"} and all(one.data["label"] for one in events)
+    assert usual_of(load_model(folder)) == NOTHING
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.timeout(900)
+def test_of_a_model_that_misses_its_logs_what_it_misses_is_kept_and_its_sensors_are_told(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "model")
+    drive = swinging(made_drive(110.0, seed=5))
+    accel = "report.accel_mps2"
+    events = asked(folder, drive._replace(fields={**drive.fields, accel: drive.fields[accel] + 0.4}))
+    (bias,) = (one for one in load_model(folder).effects if one.name == "accel_bias")
+    low, high = bias.interval["bias_mps2"]
+    assert low < bias.params["bias_mps2"] < high and bias.params["bias_mps2"] == pytest.approx(0.4, abs=0.02)
+    assert any("accel_bias (bias_mps2 0.4" in one.message for one in events if one.kind == "note")
+    assert any(one.kind == "warning" and "for no reason in the catalogue" in one.message for one in events)
+    usual = usual_of(load_model(folder))
+    assert max(usual.missed.values()) > 0.1 and {"speed_scale", "steer_gain", "grade"} <= set(usual.effects)
+    assert json.loads((folder / CARD_FILE).read_text())["seed"] == 1
+    assert usual.effects["accel_bias"]["bias_mps2"][0] == pytest.approx(0.0, abs=0.02), "beside what the model has now"
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.timeout(900)
+def test_what_explains_the_own_logs_is_kept_and_said(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "model")
+    events = asked(folder, late_drive())
+    usual = usual_of(load_model(folder))
+    assert not usual.missed and usual.own["steer_dead_time"]["delay_s"][0] == pytest.approx(LATE_S, abs=0.01)
+    assert load_model(folder).effects == []
+    assert events[-1].kind == "warning" and "steer_dead_time; `gap` on them adds it" in events[-1].message
+    drive, accel = made_drive(110.0, seed=5), "report.accel_mps2"
+    off = drive._replace(fields={**drive.fields, accel: drive.fields[accel] - 0.06})
+    events = asked(folder_of(tmp_path / "tilted"), off)
+    assert "accel_bias may as well be a grade that all of them have" in events[-1].message

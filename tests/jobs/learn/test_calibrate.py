@@ -1,0 +1,173 @@
+"""calibrate: a log in, a model folder out that can be driven; and what it says where the logs cannot do."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.learn.made_drives import made_drive, whole
+from tests.learn.test_write_model import FIT
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.events import Event
+from tunefree_hil.bench.vehicle import VehicleFor
+from tunefree_hil.config.load import load_model, load_vehicle
+from tunefree_hil.control.calibration_map import load, lookup
+from tunefree_hil.jobs.learn import calibrate as job
+from tunefree_hil.jobs.learn.calibrate_words import benches_of, channel_words
+from tunefree_hil.learn.drives import Drive, Split
+from tunefree_hil.learn.physics import BAND, EFFECTS, OFFSET, is_clear
+from tunefree_hil.learn.values import Value, unknown
+from tunefree_hil.learn.worker import Worker
+
+VEHICLE = load_vehicle("mkz_bywire")
+OFF_CENTRE = 0.04
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
+    """A calibration of two made drives on a car whose steering is off centre, written; events and folder."""
+    drives = [off_centre(made_drive(110.0, seed=seed, name=f"made-{seed}")) for seed in (1, 2)]
+    split = Split((whole(drives[0]),), (whole(drives[1]),), "one of two")
+    out = tmp_path_factory.mktemp("models") / "made"
+    events: list[Event] = []
+    with Worker() as worker:
+        calling = job.fit_all(worker, split, VEHICLE)
+        while True:
+            try:
+                events.append(next(calling))
+            except StopIteration as end:
+                fitted = end.value
+                break
+    card = job.card_of(drives, split, VEHICLE, fitted, 1, 12.0)
+    job.write(out, VEHICLE, fitted, split, card)
+    yield {"out": out, "events": events, "fitted": fitted, "split": split}
+
+
+def off_centre(drive: Drive) -> Drive:
+    """The steering's report says less than the road wheels do."""
+    fields = dict(drive.fields)
+    for name in ("report.steer_rad", "report.steer_command_rad", "command.steer_rad"):
+        fields[name] = fields[name] - OFF_CENTRE
+    return drive._replace(fields=fields)
+
+
+@pytest.mark.slow
+def test_the_model_is_that_of_the_car(made: dict[str, Any]) -> None:
+    model = load_model(made["out"])
+    assert model.plant.kind == "physics" and model.vehicle_hash == f"sha256:{VEHICLE.hash}"
+    steer: Any = model.actuators["steer"]
+    assert steer.dead_time_s.value == pytest.approx(0.115, abs=0.003)
+    assert steer.dead_time_s.low < steer.dead_time_s.value < steer.dead_time_s.high
+    assert model.noise["report.yaw_rate_radps"] == pytest.approx(0.001, rel=0.2)
+    assert model.valid.speed_mps is not None and model.valid.speed_mps[1] > 8.0
+    assert [effect.name for effect in model.effects] == ["steer_offset"]
+    assert model.effects[0].params["offset_rad"] == pytest.approx(OFF_CENTRE, abs=0.006)
+
+
+@pytest.mark.slow
+def test_its_map_and_its_bench_work(made: dict[str, Any]) -> None:
+    table = load(made["out"] / "calibration.npz")
+    assert lookup(table, 8.0, 1.0) > 0.2 and lookup(table, 8.0, -2.0) < -0.17
+    from tunefree_hil.bench import load as load_bench
+
+    bench = load_bench(benches_of(VEHICLE)[0])
+    vehicle = VehicleFor(bench, str(made["out"]))
+    scenario = next(iter(bench.scenarios.values()))
+    assert vehicle(bytes.fromhex(scenario.hash)[:6], 1).dt_s == 0.01
+
+
+@pytest.mark.slow
+def test_the_card_says_what_it_is_made_of(made: dict[str, Any]) -> None:
+    card = json.loads((made["out"] / "card.json").read_text())
+    assert [log["name"] for log in card["logs"]] == ["made-1", "made-2"] and card["seed"] == 1
+    assert (
+        card["free_run_rms"]["held_out"]["fitted"]["speed_mps"]
+        < card["free_run_rms"]["held_out"]["data_sheet"]["speed_mps"]
+    )
+    assert card["actuators"]["throttle"]["dead_time_s"]["known"] is True
+    assert {"value", "low", "high", "known", "why"} == set(card["constants"]["drag_area_m2"])
+
+
+@pytest.mark.slow
+def test_it_says_what_it_found_and_draws_it(made: dict[str, Any], tmp_path: Path) -> None:
+    notes = [event.message for event in made["events"] if event.kind == "note"]
+    assert any(text.startswith("steer: dead time 11") for text in notes)
+    steps = [event.data for event in made["events"] if event.kind == "progress"]
+    assert all(0 <= one["done"] <= one["total"] for one in steps) and len({one["label"] for one in steps}) == 4
+    pictures = job.draw(tmp_path, made["fitted"], made["split"])
+    assert [path.name for path in pictures] == ["actuators.png", "free_run.png"]
+    assert all(path.read_bytes()[:4] == b"\x89PNG" for path in pictures)
+
+
+def test_a_folder_that_is_there_is_refused_before_anything_is_read(tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("kept")
+    with pytest.raises(InputError, match="there already"):
+        list(job.calibrate([tmp_path / "no.log"], "mkz_bywire", tmp_path))
+
+
+def test_no_log_and_another_vehicles_log(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no log"):
+        list(job.calibrate([], "mkz_bywire", tmp_path / "new"))
+    log = tmp_path / "a.log"
+    log.write_text("".join(f"({0.01 * k:.6f}) can0 7FF#00\n" for k in range(500)))
+    with pytest.raises(InputError, match="not one frame of vehicle 'mkz_bywire'"):
+        list(job.calibrate([log], "mkz_bywire", tmp_path / "new"))
+    assert not (tmp_path / "new").exists()
+
+
+def still() -> Drive:
+    """Nobody touched anything."""
+    n = 3000
+    names = {"throttle_frac": 0.15, "brake_frac": 0.15, "steer_rad": 0.0}
+    fields = {"report.speed_mps": np.full(n, 5.0)}
+    for name, value in names.items():
+        echo = name.replace("_", "_command_", 1)
+        fields |= {key: np.full(n, value) for key in (f"command.{name}", f"report.{name}", f"report.{echo}")}
+    ones = np.ones(n, dtype=bool)
+    return Drive("still.log", "sha256:0", 0.01, fields, dict.fromkeys(fields, ones), ones)
+
+
+@pytest.mark.slow
+def test_commands_that_never_move_are_one_clear_message() -> None:
+    split = Split((whole(still()),), (), "")
+    with Worker() as worker, pytest.raises(InputError, match="not one by-wire channel") as caught:
+        list(job.fit_all(worker, split, VEHICLE))
+    assert "constant" in caught.value.message and caught.value.file == "still.log" and "collect" in caught.value.hint
+
+
+def test_a_short_drive_is_fitted_on_as_a_whole() -> None:
+    calling = job.split_of([made_drive(8.0)], 1)
+    events = []
+    while True:
+        try:
+            events.append(next(calling))
+        except StopIteration as end:
+            split = end.value
+            break
+    assert split.held_out == () and len(split.training) == 1
+    assert events[0].kind == "warning" and "too short" in events[0].message
+
+
+def test_an_effect_is_there_only_where_it_is_clear() -> None:
+    assert is_clear(OFFSET, Value(0.03, 0.02, 0.04)) and not is_clear(OFFSET, Value(0.03, -0.01, 0.07))
+    assert not is_clear(OFFSET, Value(0.002, 0.001, 0.003)), "a trifle"
+    assert not is_clear(BAND, unknown(0.05, "not shown"))
+    assert job.effect_of(BAND, Value(0.05, 0.04, 0.06)) == {
+        "name": "brake_dead_band",
+        "params": {"half_width_frac": 0.05},
+        "interval": {"half_width_frac": [0.04, 0.06]},
+    }
+    assert set(EFFECTS) == {OFFSET, BAND}
+
+
+def test_a_channel_in_words() -> None:
+    assert channel_words("steer", FIT).startswith(
+        "steer: dead time 100.0 ms (90.0 to 110.0), second-order lag, 63 % in"
+    )
+    taken = FIT._replace(dead_time_s=unknown(0.1, "never moved"))
+    assert "not from these logs" in channel_words("steer", taken)

@@ -1,0 +1,117 @@
+"""Verify over a real bus: the winner against a manual vector, their margins from the batch's drives, un-jitted here."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.bench.tiny import write_bench
+from tests.jobs.command import new_session, no_orphans
+from tests.jobs.made_runs import made_tune
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.events import Event
+from tunefree_hil.bench import load, parameters_of
+from tunefree_hil.bench.fleet import Fleet
+from tunefree_hil.config.dump import to_toml
+from tunefree_hil.grade.margins import SAME, WALKS
+from tunefree_hil.jobs.run_folder import write_text
+from tunefree_hil.jobs.tune import margins, margins_report, verify
+from tunefree_hil.jobs.tune.candidates import baseline_vectors
+
+FEW = {"friction": (SAME._replace(friction=0.8), SAME._replace(friction=0.6)), "lag": (SAME._replace(lag=1.4),)}
+SHORT = {what: cars[:2] for what, cars in WALKS.items()}
+
+
+class HereBatch(Fleet):
+    """A Batch whose drives are made in this process."""
+
+    def __init__(self, bench: Any, model: str, *, extra_effects: tuple[str, ...]) -> None:
+        super().__init__(bench, model, extra_effects, 1)
+
+    def __enter__(self) -> HereBatch:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A finished tune whose winner is known, of one scenario of a second."""
+    bench_file = write_bench(tmp_path, duration_s=1.0)
+    path = made_tune(bench_file, tmp_path / "runs", 1)
+    values = parameters_of(load(bench_file), {"mrac.p": 0.002})
+    write_text(path / "best.toml", to_toml({"schema": "tunefree.best/1", "parameters": values}))
+    return path
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few changed cars, and one manual vector."""
+    for module in (margins, margins_report):
+        monkeypatch.setattr(module, "POINTS", FEW)
+        monkeypatch.setattr(module, "WALKS", SHORT)
+    monkeypatch.setattr(margins, "Batch", HereBatch)
+    monkeypatch.setattr(verify, "baseline_vectors", lambda bench: {"mrac_on": baseline_vectors(bench)["mrac_on"]})
+
+
+def ended(run: Path, session: str) -> list[Event]:
+    return list(verify.verify(run, bus="tfhub", bench_bus="", join=False, session=session))
+
+
+@pytest.mark.slow
+def test_verify_prints_margins_and_keeps_them(run: Path, few: None) -> None:
+    session = new_session()
+    with no_orphans(session):
+        *events, result = ended(run, session)
+    found = json.loads((run / "verify.json").read_text())
+    assert found["outside"]["model"] == "mkz_nominal" and found["outside"]["share"] == 0.0
+    kept = found["margins"]
+    assert kept["same_as_bus"] == {"equal": 2, "of": 2}  # the batch's drives are those of the bus, bit for bit
+    assert kept["against"] == "mrac_on" and set(kept["vectors"]) == {"tuned", "mrac_on"}
+    assert kept["vectors"]["tuned"]["delay"] == {"value": 0.01, "at_least": True, "scenario": "", "what": ""}
+    assert [one["what"] for one in kept["vectors"]["tuned"]["points"]] == [
+        "friction -20 %",
+        "friction -40 %",
+        "lag +40 %",
+    ]
+    assert all(one["steering"]["rate_rms_radps"] > 0.0 for one in kept["vectors"].values())
+    assert result.kind == "result" and result.message == found["sentence"]
+    assert "delay margin >= 10 ms against >= 10 ms of mrac_on" in found["sentence"]
+    table = [
+        event.message for event in events if event.kind == "note" and event.message.startswith(("tuned", "mrac_on"))
+    ]
+    assert len(table) == 4 and ">= 10 ms" in table[2] + table[3]
+    assert [Path(one).name for one in found["figures"]] == ["margins.png", "verify_tiny.png"]
+    assert any(event.kind == "progress" and event.data["label"] == "margins" for event in events)
+
+
+@pytest.mark.slow
+def test_a_batch_that_cannot_be_had_costs_the_margins_only(
+    run: Path, few: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(*_: Any, **__: Any) -> Any:
+        raise InputError("it does not compile", code="not_in_batch")
+
+    monkeypatch.setattr(margins, "Batch", none)
+    session = new_session()
+    with no_orphans(session):
+        *events, result = ended(run, session)
+    found = json.loads((run / "verify.json").read_text())
+    assert found["margins"]["reason"] == "not_in_batch: it does not compile"
+    assert found["margins"]["vectors"]["tuned"]["delay"] is None
+    assert found["margins"]["vectors"]["tuned"]["steering"]["rate_rms_radps"] > 0.0
+    assert "delay" not in result.message and result.data["scores"].keys() == {"tuned", "mrac_on"}
+    assert any(event.kind == "warning" and "no margins of mkz_nominal" in event.message for event in events)
+
+
+def test_a_run_that_is_no_tune_is_refused(tmp_path: Path) -> None:
+    from tests.jobs.made_runs import made_drive
+
+    bench_file = write_bench(tmp_path, duration_s=1.0)
+    path = made_drive(bench_file, tmp_path / "runs", "drive", {})
+    with pytest.raises(InputError, match="is a run of 'drive'"):
+        list(verify.verify(path, bus="tfhub", bench_bus="", join=False, session=""))

@@ -1,0 +1,240 @@
+"""Finds what a model lacks that logs show: where they part, what it is, the model with it, and the proof.
+
+Reads logs, searches (gap/name.py, two processes), repairs and proves; writes a folder of which `gap.json` comes last.
+What the search came to is kept, so that a run that was cut off after it goes on from there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Generator, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from tunefree_hil import __version__
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.events import Event
+from tunefree_hil.bench.load import require_current
+from tunefree_hil.gap.kept import Kept, keep
+from tunefree_hil.jobs.gap.folder import Folder, held_folder, question_of, require_ours
+from tunefree_hil.jobs.gap.page import write_page
+from tunefree_hil.jobs.gap.words import command_of, next_of, remarks, sentence_of
+from tunefree_hil.jobs.learn.logs import read
+
+if TYPE_CHECKING:
+    from tunefree_hil.config.schema import ModelSpec, VehicleSpec
+    from tunefree_hil.gap.chain import Opened
+    from tunefree_hil.gap.name import Named
+    from tunefree_hil.learn.drives import Drive
+
+SCHEMA = "tunefree.gap/1"
+# What is too little to learn from may be enough to judge by; where it is not, the answer is that it cannot be told. A
+# steering that stays short of its command is what somebody may ask about.
+EXCUSED = ("too_short", "one_speed", "no_braking", "short_of_command")
+UNSAID = ("short",)  # the search says it by its own measure
+CANNOT = ("too_short", "standing", "nothing_to_compare", "no_motion")
+STAGES = {  # of a search: the share of its time that has gone when it begins, as measured
+    "recalibration alone": 0.0,
+    "suspects": 0.24,
+    "beside": 0.86,
+    "each without the others": 0.94,
+    "what is left": 0.97,
+}
+
+
+class Asked(NamedTuple):
+    """What the command line says. workers: processes that share the search, which comes to the same with any number."""
+
+    logs: Sequence[Path]
+    vehicle: str
+    model: str
+    out: Path
+    older: Sequence[Path] = ()
+    until: str = "verify"
+    workers: int = 2
+
+
+class Material(NamedTuple):
+    """What an answer is made of."""
+
+    vehicle: VehicleSpec
+    model: ModelSpec
+    drives: list[Drive]
+    older: list[Drive]
+
+
+def gap(asked: Asked) -> Iterator[Event]:
+    """Answer, and write `asked.out`. A question that was answered is not asked again.
+
+    Raises InputError for logs that cannot be used, a model of another vehicle, a folder that holds something else.
+    """
+    from tunefree_hil.config.load import load_vehicle
+
+    vehicle = load_vehicle(asked.vehicle)
+    model = model_for(asked.model, vehicle)
+    require_ours(asked.out)
+    drives = yield from _read(asked.logs, vehicle)
+    older = (yield from _read(asked.older, vehicle)) if asked.older else []
+    material = Material(vehicle, model, drives, older)
+    with held_folder(asked.out, question_of(drives, older, vehicle, model)) as folder:
+        answer = folder.answer(asked.until)
+        if answer is None:
+            answer = yield from _answered(asked, folder, material)
+    status = 1 if answer.get("worse") else 0
+    yield Event("result", "", {**answer, "exit": status, "next": next_of(asked, answer, vehicle)})
+
+
+def model_for(name: str, vehicle: VehicleSpec) -> ModelSpec:
+    """The model folder to be judged. Raises InputError for another vehicle's, and for one of the vehicle as it was."""
+    from tunefree_hil.config.load import load_model
+
+    model = load_model(name)
+    if model.vehicle != vehicle.name:
+        raise InputError(
+            f"is a model of {model.vehicle!r}, the logs are of {vehicle.name!r}",
+            code="model_of_other_vehicle",
+            file=f"{model.folder}/model.toml",
+            key="vehicle",
+            hint="name a model of the logs' vehicle",
+        )
+    require_current(model, vehicle)
+    return model
+
+
+def _read(logs: Sequence[Path], vehicle: VehicleSpec) -> Generator[Event, None, list[Drive]]:
+    """The drives of logs, without signals that stand at a sensor's stop."""
+    from tunefree_hil.gap.saturated import stops_of, without
+
+    found = []
+    for drive in (yield from read(logs, vehicle, excused=EXCUSED, unsaid=UNSAID)):
+        stops = stops_of(drive)
+        for stop in stops:
+            yield Event("warning", f"{drive.name}: {stop.words} and is left out: what shows in it alone is not told")
+        found.append(without(drive, stops) if stops else drive)
+    return found
+
+
+def _answered(asked: Asked, folder: Folder, material: Material) -> Generator[Event, None, dict[str, Any]]:
+    """The answer, written."""
+    began = time.monotonic()
+    try:
+        opened = yield from _opened(material)
+        found = folder.search(named=asked.until != "locate")
+        if found is None:
+            found = folder.keep((yield from _searched(asked, material, opened)))
+        else:
+            began -= found.seconds  # what it took when it was made
+    except InputError as error:
+        if error.code not in CANNOT:
+            raise
+        answer = _whole(asked, material, _untold(error), time.monotonic() - began)
+    else:
+        answer = yield from _proved(asked, folder, material, opened, found, began)
+    write_page(folder.page, answer, next_of(asked, answer, material.vehicle), command_of(asked))
+    folder.write_answer(answer)
+    return answer
+
+
+def _opened(material: Material) -> Generator[Event, None, list[Opened]]:
+    from tunefree_hil.gap.chain import open_chain
+
+    opened = [open_chain(drive, material.vehicle) for drive in material.drives]
+    yield from (Event("warning", words) for one in opened for words in one.unsure)
+    return opened
+
+
+def _searched(asked: Asked, material: Material, opened: list[Opened]) -> Generator[Event, None, Kept]:
+    """The search, with its progress."""
+    from tunefree_hil.gap.look_first import look_first
+    from tunefree_hil.gap.name import name
+
+    began, resume = time.monotonic(), command_of(asked)
+    looks = asked.until == "locate"
+    question = (material.model, material.vehicle, opened)
+    search = look_first(*question) if looks else name(*question, asked.workers)
+    try:
+        while True:
+            try:
+                stage = next(search)
+            except StopIteration as end:
+                found: Named = end.value
+                seconds = time.monotonic() - began
+                return keep(found, material.model.plant.kind, seconds, asked.until != "locate")
+            yield Event("progress", stage, {"label": "search", "resume": resume, **eta_of(stage, began)})
+    finally:
+        search.close()
+
+
+def eta_of(stage: str, began: float) -> dict[str, float]:
+    """What is left of a search, by the share of it that has gone."""
+    share = next((one for name, one in STAGES.items() if name in stage), 0.0)
+    if share == 0.0:
+        return {}
+    return {"done": round(100.0 * share), "total": 100, "eta_s": (time.monotonic() - began) * (1.0 / share - 1.0)}
+
+
+def _untold(error: InputError) -> dict[str, Any]:
+    """The answer of logs that cannot tell."""
+    words = error.message + (f": {error.hint}" if error.hint else "")
+    where = {"link": None, "signal": "", "regime": [], "card": ""}
+    return {
+        "verdict": "cannot_test", "forced": None, "absorbed": False, "effects": [], "set": [], "separate_by": "",
+        "where": where, "excitation": {}, "links": [], "lost": {}, "untold": {}, "not_suspected": {}, "candidates": [],
+        "words": [words],
+    }  # fmt: skip
+
+
+def _proved(
+    asked: Asked, folder: Folder, material: Material, opened: list[Opened], found: Kept, began: float
+) -> Generator[Event, None, dict[str, Any]]:
+    """The answer with its repair and its proof, as far as they are asked for."""
+    from tunefree_hil.jobs.gap import repair as gap_repair
+    from tunefree_hil.jobs.gap.pictures import draw
+    from tunefree_hil.jobs.gap.replay import replayed
+
+    answer = dict(found.answer)
+    yield from (Event("note", words) for words in (sentence_of(answer), *remarks(answer)))
+    proof = None
+    if asked.until in ("repair", "verify"):
+        mended = gap_repair.mend(folder, material, opened, found, log_hash_of(material))
+        answer |= gap_repair.as_data(mended)
+        if asked.until == "verify":
+            yield Event("note", "proof: free runs of the whole car over blocks that no fit has seen")
+            more, proof = yield from gap_repair.proved(folder, material, opened, found, mended)
+            answer |= more
+            if answer["model"]:
+                loop, why = yield from replayed(asked.logs, material, mended)
+                answer |= {"closed_loop": loop, "closed_loop_words": why}
+        elif mended.model is not None:
+            yield Event("warning", "the repaired model is not proved: without --until it is")
+    answer["figures"] = [str(path) for path in draw(folder.figures, answer, found, proof)]
+    return _whole(asked, material, answer, time.monotonic() - began)
+
+
+def log_hash_of(material: Material) -> str:
+    """Of one log its own, of several one over theirs."""
+    hashes = [drive.log_hash for drive in material.drives]
+    return hashes[0] if len(hashes) == 1 else f"sha256:{hashlib.sha256(' '.join(hashes).encode()).hexdigest()}"
+
+
+def _whole(asked: Asked, material: Material, answer: dict[str, Any], seconds: float) -> dict[str, Any]:
+    """gap.json (interfaces 9)."""
+    whole = {
+        "schema": SCHEMA,
+        "signals": {},
+        "explained_frac": None,
+        "closed_loop": None,
+        "older": [],
+        "model": None,
+        "figures": [],
+        **answer,
+        "until": asked.until,
+        "elapsed_s": round(seconds, 1),
+        "log_hash": log_hash_of(material),
+        "logs": [{"name": drive.name, "hash": drive.log_hash} for drive in material.drives],
+        "model_hash": f"sha256:{material.model.hash}",
+        "vehicle_hash": f"sha256:{material.vehicle.hash}",
+        "version": __version__,
+    }
+    return {**whole, "sentence": sentence_of(whole)}

@@ -1,0 +1,172 @@
+"""Asks the logs that a model was made from what it misses of them, for later logs to be held against that."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Generator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from tunefree_hil.base.errors import InputError, TunefreeError
+from tunefree_hil.base.events import Event
+from tunefree_hil.jobs.gap.gap import eta_of
+from tunefree_hil.learn.write_model import CARD_FILE, write_card, write_effects
+
+if TYPE_CHECKING:
+    from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
+    from tunefree_hil.gap.chain import Opened
+    from tunefree_hil.gap.name import Named
+    from tunefree_hil.gap.own_logs import Asked
+    from tunefree_hil.gap.usual import Usual
+    from tunefree_hil.learn.drives import Drive
+
+LABEL = "what the model misses of its own logs"
+ASKED = "own_logs_asked"  # of card.json
+MOST_S = 900.0  # of driving that is asked: what a model misses of its own logs shows in a quarter of an hour
+T = TypeVar("T")
+
+
+def ask_own_logs(folder: Path, vehicle: VehicleSpec, drives: Sequence[Drive]) -> Generator[Event, None, None]:
+    """Add to a model's folder what its own logs say of it: to the card what explains them, or what is missed as usual,
+    and then to the model the sensors' own numbers. Nothing where the model comes near its logs, or they are too few to
+    tell; the card says that they were asked. A model that is cut off before is whole: later logs are held against
+    nothing then.
+    """
+    _forget(folder)
+    try:
+        opened = _opened(drives, vehicle)
+        if opened:
+            yield from _asked(folder, vehicle, opened)
+    except TunefreeError as error:  # whatever it is, the model is made
+        yield Event("note", f"{LABEL} is not told: {error.message}")
+    _added_to_card(folder, {ASKED: True})
+
+
+def _forget(folder: Path) -> None:
+    """What a search that was cut off had written already."""
+    from tunefree_hil.config.load import load_model
+    from tunefree_hil.gap.usual import KEY
+    from tunefree_hil.learn.write_model import OWN_EFFECTS, OWN_LOGS
+
+    card = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
+    if {KEY, OWN_EFFECTS} & set(card):
+        write_card(folder, {key: said for key, said in card.items() if key not in (KEY, OWN_EFFECTS)})
+    model = load_model(folder)
+    stay = [one for one in model.effects if one.provenance.get("by") != OWN_LOGS]
+    if len(stay) < len(model.effects):
+        write_effects(folder, model, stay)
+
+
+def were_asked(folder: Path) -> bool:
+    """Whether a model's own logs were asked to the end."""
+    return bool(json.loads((folder / CARD_FILE).read_text(encoding="utf-8")).get(ASKED))
+
+
+def _opened(drives: Sequence[Drive], vehicle: VehicleSpec) -> list[Opened]:
+    """Those of the logs that say how the car moves; of many some, from all over them."""
+    from tunefree_hil.gap.chain import open_chain
+    from tunefree_hil.gap.saturated import stops_of, without
+
+    found = []
+    for one in drives:
+        try:
+            open_chain(one, vehicle)
+        except InputError as error:
+            if error.code != "no_motion":
+                raise
+        else:
+            found.append(one)
+    return [open_chain(without(one, stops_of(one)), vehicle) for one in some_of(found)]
+
+
+def some_of(drives: Sequence[Drive]) -> list[Drive]:
+    """All of them, or of more than MOST_S those in which marks at even distances fall: long ones rather than short."""
+    ends_s = np.cumsum([one.ticks * one.dt_s for one in drives])
+    if not len(ends_s) or ends_s[-1] <= MOST_S:
+        return list(drives)
+    marks = max(math.floor(MOST_S * len(drives) / ends_s[-1]), 1)
+    hit = np.searchsorted(ends_s, (np.arange(marks) + 0.5) * ends_s[-1] / marks)
+    return [drives[i] for i in sorted({int(one) for one in hit})]
+
+
+def _asked(folder: Path, vehicle: VehicleSpec, opened: Sequence[Opened]) -> Generator[Event, None, None]:
+    from tunefree_hil.config.load import load_model
+    from tunefree_hil.gap.look_first import look_first
+    from tunefree_hil.gap.name import name
+    from tunefree_hil.gap.own_logs import Asked, explained
+
+    asked = Asked(load_model(folder), vehicle, opened)
+    looked = (yield from _with_progress(look_first(*asked[:3]))).looked[0]
+    if not looked.broken:
+        return
+    yield Event("note", f"{looked.missed}: the model's own logs are asked for what it lacks")
+    found = yield from _with_progress(name(*asked))
+    if any(one.broken for one in found.still):
+        yield from _poor(folder, asked)
+        return
+    _kept(folder, explained(found))
+    if words := _named_words(found, asked.model):
+        yield Event("warning", f"what no calibration takes in is in these logs: {words}")
+
+
+def _named_words(found: Named, model: ModelSpec) -> str:
+    """What explains the own logs, in words; '' where nobody is named."""
+    from tunefree_hil.gap.hill import HILL, OFFSET, may_be_hill
+
+    if found.verdict == "set":
+        return f"one of {', '.join(found.set)}, which they cannot tell apart"
+    named = [one.name for one in found.effects]
+    if not named:
+        return ""
+    if OFFSET in named and may_be_hill(found.repaired.fitted, model):
+        return f"{', '.join(named)}; {OFFSET} may as well be a {HILL} that all of them have"
+    return f"{', '.join(named)}; `gap` on them adds it"
+
+
+def _poor(folder: Path, asked: Asked) -> Generator[Event, None, None]:
+    """Of a model that misses its own logs for no reason in the catalogue: its sensors' numbers, then what is usual."""
+    from tunefree_hil.config.load import load_model
+    from tunefree_hil.gap.own_logs import sensors, usual
+    from tunefree_hil.gap.usual import usual_words
+
+    found = yield from _with_progress(sensors(asked))
+    if found:
+        write_effects(folder, asked.model, [*asked.model.effects, *found])
+        yield Event("note", f"its sensors, by its own logs: {', '.join(_words(one) for one in found)}")
+    told = yield from _with_progress(usual(asked._replace(model=load_model(folder))))
+    _kept(folder, told)
+    yield from (Event("warning", f"{words}, for no reason in the catalogue") for words in usual_words(told))
+
+
+def _words(one: EffectSpec) -> str:
+    return f"{one.name} ({', '.join(f'{key} {value:.4g}' for key, value in one.params.items())})"
+
+
+def _with_progress(search: Generator[str, None, T]) -> Generator[Event, None, T]:
+    """A search with its stages as progress."""
+    began = time.monotonic()
+    try:
+        while True:
+            try:
+                stage = next(search)
+            except StopIteration as end:
+                return end.value
+            yield Event("progress", stage, {"label": LABEL, **eta_of(stage, began)})
+    finally:
+        search.close()
+
+
+def _kept(folder: Path, usual: Usual) -> None:
+    """In the card."""
+    from tunefree_hil.gap.usual import as_data
+
+    _added_to_card(folder, as_data(usual))
+
+
+def _added_to_card(folder: Path, more: Mapping[str, Any]) -> None:
+    card = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
+    write_card(folder, {**card, **more})

@@ -1,0 +1,202 @@
+"""The page of a `gap` for people: one sentence on top, what to do next, tables, pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tunefree_hil.jobs.gap.words import listed, percent, remarks, value_words
+from tunefree_hil.jobs.run_folder import write_text
+from tunefree_hil.jobs.words import markdown_table
+
+MOST_SUSPECTS = 10
+GROUPS = {"along": "what acts along the car", "across": "what acts across it", "sensors": "its sensors"}  # gap/pays.py
+CAPTIONS = {
+    "where": "Where it is missed",
+    "signature": "What it looks like, without and with the effect",
+    "evidence": "Evidence",
+    "traces": "Before and after",
+    "shrink": "How the gap shrinks",
+}
+
+
+def write_page(path: Path, answer: Mapping[str, Any], following: Sequence[str], again: str) -> None:
+    """Write gap.md; pictures are linked as they lie beside it."""
+    lines = [f"# {answer['sentence']}", ""]
+    lines += _next(answer, following) + _beside(answer) + _driven(answer)
+    lines += _effects(answer) + _signals(answer) + _older(answer) + _pictures(path, answer) + _links(answer)
+    lines += _suspects(answer) + _changes(answer) + _unseen(answer)
+    lines += ["## Made of", "", *(f"- {one['name']} `{one['hash']}`" for one in answer["logs"])]
+    lines += [f"- model `{answer['model_hash']}`, vehicle `{answer['vehicle_hash']}`, version {answer['version']}", ""]
+    write_text(path, "\n".join([*lines, "```", again, "```", ""]))
+
+
+def _next(answer: Mapping[str, Any], following: Sequence[str]) -> list[str]:
+    lines = ["## What to do next", ""]
+    if answer["separate_by"]:
+        told = f"Drive {answer['separate_by']}; give that log beside these."
+        lines += [
+            told if answer.get("drives") else f"{told} `--drive --bench BENCH` has a bench of this vehicle do it.",
+            "",
+        ]
+    if answer["verdict"] == "cannot_test":
+        lines += [f"- {words}" for words in answer["words"]] + [""]
+    if answer.get("worse"):
+        lines += [
+            "No model was written: it would be worse than the one before in "
+            f"{', '.join(answer['worse'])}. An older log that was recorded before the effect came does not fit a model "
+            "that has it: leave it out.",
+            "",
+        ]
+    if answer.get("absorbed"):
+        lines += [
+            "The plant was learned: its net may have absorbed what these logs and those it learned from share.",
+            "",
+        ]
+    return [*lines, "```", *following, "```", ""] if following else lines
+
+
+def _beside(answer: Mapping[str, Any]) -> list[str]:
+    """Why it is a set, what the drive lacked, what recalibration moved."""
+    told = remarks(answer)
+    return ["## To be known beside it", "", *(f"- {words}" for words in told), ""] if told else []
+
+
+def _driven(answer: Mapping[str, Any]) -> list[str]:
+    """What a bench drove for this answer (`--drive`)."""
+    rows = [(str(one["round"]), one["words"], f"`{one['log']}`") for one in answer.get("drives", [])]
+    if not rows:
+        return []
+    told = "The first answer, of the logs alone, is kept in gap-1.md and gap-1.json."
+    return ["## What the bench drove", "", *markdown_table(("round", "manoeuvre", "log"), rows), told, ""]
+
+
+def _effects(answer: Mapping[str, Any]) -> list[str]:
+    if not answer["effects"]:
+        return []
+    proved = bool(answer.get("proof_blocks"))
+    rows = [(one["name"], value_words(one), _number(one["evidence"]), _own(one, proved)) for one in answer["effects"]]
+    head = ("effect", "value (95 %)", "evidence, nats", "off the error of its own signal")
+    return ["## What is missing", "", *markdown_table(head, rows)]
+
+
+def _own(effect: Mapping[str, Any], proved: bool) -> str:
+    """What an effect takes off the signal that shows it best: where it was judged, and on the proof."""
+    seen, unseen = effect.get("shrink"), effect.get("unseen_shrink")
+    if seen is None:
+        return ""
+    return f"{100.0 * seen:.0f} %" + (f"; {100.0 * unseen:.0f} % on the blocks that prove" if proved and unseen else "")
+
+
+def _long(answer: Mapping[str, Any]) -> str:
+    """How long a block of the proof is at least."""
+    block_s = answer.get("block_s")
+    return f" of {block_s:.3g} s" if block_s else ""
+
+
+def _signals(answer: Mapping[str, Any]) -> list[str]:
+    if not answer["signals"]:
+        return []
+    keys = {"before": "as it was", "recalibrated": "recalibration only", "after": "repaired"}
+    if any(one.get("unforetold") is not None for one in answer["signals"].values()):
+        keys["unforetold"] = "of that, foretold by nothing"
+    keys["floor"] = "floor"
+    rows = [(name, *(_number(one.get(key)) for key in keys), one["unit"]) for name, one in answer["signals"].items()]
+    closed, count = answer.get("explained_frac"), answer.get("proof_blocks")
+    told = f"Free runs of the whole car over {count} blocks{_long(answer)} that no fit and no choice has seen: "
+    told += "recorded commands in, nothing put right within a block. Errors are root mean squares."
+    lines = ["## Proof", "", told]
+    if closed:
+        lines.append(f"The repair closes {percent(closed)} of what recalibration leaves above the floor.")
+    if answer.get("explicable_frac"):
+        lines.append(f"Of what anything in these logs could still have foretold: {percent(answer['explicable_frac'])}.")
+    if answer.get("does_not_pay"):
+        what = listed([GROUPS[one] for one in answer["does_not_pay"]])
+        lines.append(f"Recalibration leaves {what} as it was: moved, it came no nearer on the blocks that choose.")
+    return [*lines, "", *markdown_table(("signal", *keys.values(), "unit"), rows), *_replay(answer)]
+
+
+def _replay(answer: Mapping[str, Any]) -> list[str]:
+    found = answer.get("closed_loop")
+    if not found:
+        words = answer.get("closed_loop_words")
+        return [f"Closed loop: {words}.", ""] if words else []
+    rows = [
+        (name, *(_number(one[key]) for key in ("before", "recalibrated", "after")), one["unit"])
+        for name, one in found["signals"].items()
+    ]
+    told = f"Closed loop, the same controller on the same road: {found['words']}."
+    return [told, "", *markdown_table(("signal", "as it was", "recalibration only", "repaired", "unit"), rows)]
+
+
+def _older(answer: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for one in answer["older"]:
+        rows = [
+            (name, _number(s["before"]), _number(s["after"]), s["unit"], "worse" if name in one["worse"] else "")
+            for name, s in one["signals"].items()
+        ]
+        lines += [
+            f"## Older log {one['name']}",
+            "",
+            *markdown_table(("signal", "as it was", "repaired", "unit", ""), rows),
+        ]
+    return lines
+
+
+def _pictures(path: Path, answer: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for figure in map(Path, answer["figures"]):
+        beside = figure.relative_to(path.parent).as_posix()
+        lines += [f"## {CAPTIONS[figure.stem]}", "", f"![{CAPTIONS[figure.stem]}]({beside})", ""]
+    return lines
+
+
+def _links(answer: Mapping[str, Any]) -> list[str]:
+    if not answer["links"]:
+        return []
+    rows = [
+        (
+            one["link"], one["signal"], _number(one["rms"]), _number(one["noise"]), one["unit"],
+            f"{100.0 * one['share']:.1f} %", "broken" if one["broken"] else "",
+        )
+        for one in answer["links"]
+    ]  # fmt: skip
+    head = ("link", "signal", "missed (RMS)", "of it noise", "unit", "explicable, of the signal", "")
+    lost = [f"- {link}: {words}" for link, words in answer["lost"].items()]
+    return ["## Every link by itself", "", *markdown_table(head, rows), *lost, *([""] if lost else [])]
+
+
+def _suspects(answer: Mapping[str, Any]) -> list[str]:
+    some = sorted(answer["candidates"], key=lambda one: -(one["evidence"] or 0.0))[:MOST_SUSPECTS]
+    if not some:
+        return []
+    rows = [
+        (
+            one["name"], _number(one["evidence"]), _number(one["held_out"][0]), one["signal"],
+            f"{100.0 * (one['shrink'][0] or 0.0):.0f} %", "yes" if one["counts"] else "",
+        )
+        for one in some
+    ]  # fmt: skip
+    head = ("suspect", "evidence, nats", "on held-out blocks", "signal", "shrinks by", "counts")
+    count = len(answer["candidates"])
+    return [f"## The {len(some)} best of {count} suspects", "", *markdown_table(head, rows)]
+
+
+def _changes(answer: Mapping[str, Any]) -> list[str]:
+    if not answer.get("changes"):
+        return []
+    rows = [(f"`{one['key']}`", _number(one["before"]), _number(one["after"])) for one in answer["changes"]]
+    return ["## The model, old and new", "", *markdown_table(("key", "before", "after"), rows)]
+
+
+def _unseen(answer: Mapping[str, Any]) -> list[str]:
+    lines = [
+        f"- {name}: {', '.join(one['lacks'])}" for name, one in answer["excitation"].items() if not one["enough"]
+    ] + [f"- {name}: {words}" for name, words in [*answer["not_suspected"].items(), *answer["untold"].items()]]
+    return ["## What these logs cannot show", "", *lines, ""] if lines else []
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.4g}"

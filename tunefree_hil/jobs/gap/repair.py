@@ -1,0 +1,255 @@
+"""The repaired model of a `gap`, its proof, and older logs scored with it; what makes a signal worse is not saved."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Generator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from tunefree_hil import __version__
+from tunefree_hil.base.events import Event
+from tunefree_hil.gap.decide import PLAIN_NATS
+from tunefree_hil.gap.pays import Paid, chosen_runs, gained, groups_of, that_pays
+from tunefree_hil.gap.repair import Repaired, found_effects, repaired, write_repaired
+from tunefree_hil.gap.segments import block_s_of
+from tunefree_hil.gap.shrink import (
+    LEAST_OPEN,
+    better_by_recalibration,
+    explained_frac,
+    floors_of,
+    gaps_of,
+    grown,
+    unforetold,
+    worse_signals,
+)
+from tunefree_hil.gap.verify import Proof, Variant, prove
+from tunefree_hil.jobs.gap.words import CLOSES_NOTHING, listed, percent
+
+if TYPE_CHECKING:
+    from tunefree_hil.config.schema import EffectSpec, ModelSpec
+    from tunefree_hil.gap.chain import Opened
+    from tunefree_hil.gap.kept import Kept
+    from tunefree_hil.jobs.gap.folder import Folder
+    from tunefree_hil.jobs.gap.gap import Material
+
+
+LEAST_CLOSED = 2.0 / 3.0  # of the gap: who surely leaves a third of it stands in for something else
+SPEAKS_FOR = 0.3  # of the gap, surely closed: what a name needs that nothing else speaks for
+AGAIN = 0.5  # of what an effect takes off its own signal's error, on the blocks that prove: it is there as well
+SILENT, STIRS = 0.02, 0.05  # of that error, of its squares: blocks that the effect changes by less do not show it
+
+
+class Mended(NamedTuple):
+    """null: the model recalibrated; made: with what was found, None where nothing was; model: as written and loaded.
+    left: groups of numbers (gap/pays.py) that recalibration moved and that stay as they were, as that did not pay.
+    """
+
+    null: Repaired
+    made: Repaired | None
+    model: ModelSpec | None
+    left: tuple[str, ...] = ()
+
+
+def mend(folder: Folder, material: Material, opened: list[Opened], found: Kept, log_hash: str) -> Mended:
+    """Write the repaired model where something was found. One that a cut-off run left is made anew. Either model has of
+    what recalibration moved only what pays on the blocks that choose.
+    """
+    model, vehicle = material.model, material.vehicle
+    paid = that_pays(model, vehicle, found.null, (), opened)
+    null = repaired(model, vehicle, paid.values)
+    if not found.names:
+        return Mended(null, None, None, paid.left)
+    effects = found_effects(found, log_hash, __version__)
+    paid = _as_open(that_pays(model, vehicle, found.repaired, effects, opened), paid, material, found, effects, opened)
+    made = repaired(model, vehicle, paid.values, effects)
+    for place in (folder.model, *folder.path.glob(f"part-*-{folder.model.name}")):  # a killed run's, half written
+        shutil.rmtree(place, ignore_errors=True)
+    story = {
+        "logs": [{"name": one.name, "hash": one.log_hash} for one in material.drives],
+        "from_model": f"sha256:{model.hash}",
+        "version": __version__,
+        "changes": _changes(made),
+        "does_not_pay": list(paid.left),
+    }
+    return Mended(null, made, write_repaired(folder.model, model, made.model, story), paid.left)
+
+
+def _as_open(
+    mine: Paid, null: Paid, material: Material, found: Kept, effects: list[EffectSpec], opened: list[Opened]
+) -> Paid:
+    """What pays beside the effects, with those groups back that pay for recalibration alone, where they do no harm on
+    the blocks that choose. Else the repair were held against a model that has moved what it may not move itself.
+    """
+    groups = groups_of(found.repaired, {one.name for one in effects})
+    for group in [one for one in mine.left if one not in null.left]:
+        wider = {**mine.values, **{key: found.repaired[key] for key in groups[group]}}
+        runs = [
+            chosen_runs(material.model, material.vehicle, values, effects, opened) for values in (wider, mine.values)
+        ]
+        if gained(*runs, floors_of(runs[0], material.model)).mean() > 0.0:
+            mine = Paid(wider, tuple(one for one in mine.left if one != group))
+    return mine
+
+
+def as_data(mended: Mended) -> dict[str, Any]:
+    """Keys of gap.json."""
+    left = {"does_not_pay": list(mended.left)}
+    if mended.made is None or mended.model is None:
+        return {"model": None, "changes": [], **left}
+    return {"model": mended.model.folder, "changes": _changes(mended.made), **left}
+
+
+def _changes(made: Repaired) -> list[dict[str, Any]]:
+    return [one._asdict() for one in made.changes]
+
+
+def proved(
+    folder: Folder, material: Material, opened: list[Opened], found: Kept, mended: Mended
+) -> Generator[Event, None, tuple[dict[str, Any], Proof]]:
+    """(keys of gap.json, the proof); the model is taken away again where it makes a signal worse."""
+    variants = {"before": Variant(material.model), "recalibrated": Variant(mended.null.model, mended.null.day)}
+    if mended.model is not None and mended.made is not None:
+        variants["after"] = Variant(mended.model, mended.made.day)
+    proof = prove(variants, material.vehicle, opened)
+    if not proof.blocks:
+        yield Event("warning", "no block that was kept for the proof is whole: the car stood, or signals are missing")
+        return {"signals": {}, "explained_frac": None}, proof
+    floors, left = floors_of(proof, material.model), unforetold(found.foretold)
+    gaps = gaps_of(proof, floors, left)
+    data: dict[str, Any] = {
+        "signals": {name: one._asdict() for name, one in gaps.items()},
+        "proof_blocks": proof.blocks,
+        "block_s": round(block_s_of([one.ticks for one in opened], opened[0].dt_s), 2),
+        "recalibration": _gained(gaps),
+    }
+    if mended.model is None:
+        return data, proof
+    worse = worse_signals(proof, floors)
+    older = yield from _older(material, mended.model)
+    for one in older:
+        worse |= {f"{signal} of {one['name']}": by for signal, by in one["worse"].items()}
+    data |= {
+        "explained_frac": explained_frac(proof, floors),
+        "explicable_frac": explained_frac(proof, floors, left) if found.foretold else None,
+        "older": older,
+        "worse": _worse_words(worse),
+    }
+    if not is_borne_out(found.answer, data["explained_frac"]):
+        data |= taken_back(found.answer, data["explained_frac"])
+        yield Event("warning", f"taken back: {data['words'][0]}")
+    elif not _closes_it(found.answer, data["explained_frac"]):  # its own signal's word is none for all the others
+        worse |= {signal: by for signal, by in grown(proof, floors).items() if signal not in worse}
+        data["worse"] = _worse_words(worse)
+    closes = data["explained_frac"]
+    if worse or "taken_back" in data or (closes is not None and closes["value"] < CLOSES_NOTHING):
+        shutil.rmtree(folder.model)
+        data["model"] = None
+    return data, proof
+
+
+def _worse_words(worse: Mapping[str, float]) -> list[str]:
+    return [f"{name} (by {100.0 * by:.0f} %)" for name, by in sorted(worse.items(), key=lambda one: -one[1])]
+
+
+def is_borne_out(answer: Mapping[str, Any], closes: Mapping[str, float] | None) -> bool:
+    """Whether blocks that no fit has seen bear out what was named: the repair closes the gap there, or, of a plain name
+    (by its evidence), its own signal says so there.
+    """
+    return _closes_it(answer, closes) or (closes is not None and _is_there_too(answer, closes))
+
+
+def _closes_it(answer: Mapping[str, Any], closes: Mapping[str, float] | None) -> bool:
+    """Whether the repair closes something of the gap there, and as far as those blocks can tell most of it. Where no
+    link is broken, so that nothing but the name says that anything is missing, none of them may speak against it (those
+    that do not show the effect say nothing); a name that is faint even there (gap/decide.py) they have to speak for.
+    """
+    faint = any(one.get("faint") for one in answer["effects"])
+    if closes is None:
+        return not faint
+    if closes["high"] < LEAST_CLOSED:
+        return False
+    if faint:
+        return closes["low"] > SPEAKS_FOR
+    broken = any(one["broken"] for one in answer["links"])
+    return closes["value"] > 0.0 and (broken or closes["low"] > -LEAST_OPEN)
+
+
+def _is_there_too(answer: Mapping[str, Any], closes: Mapping[str, float]) -> bool:
+    """Whether plain effects do on the blocks that prove what they do elsewhere, each to the signal that shows it best,
+    where the whole car's free run may be the better for it; or whether those blocks do not show them at all.
+
+    A free run of a whole car sums up all that a model misses: a few blocks of it may not tell, or one that goes astray
+    for another reason, what is plain from row to row. One of a model that misses its own logs tells nothing: there the
+    effects have to show themselves on their own signals.
+    """
+    told = [[one.get(key) for key in ("shrink", "unseen_shrink", "unseen_stirs")] for one in answer["effects"]]
+    plain = all((one.get("evidence") or 0.0) > PLAIN_NATS for one in answer["effects"])
+    if not plain or any(one is None for some in told for one in some):
+        return False
+    if any(there < -SILENT for _, there, _ in told):
+        return False
+    if answer.get("as_usual"):
+        return all(there > max(AGAIN * here, SILENT) for here, there, _ in told)
+    if all(stirs < STIRS for _, _, stirs in told) or max(abs(one) for one in closes.values()) < SILENT:
+        return abs(closes["value"]) < SILENT and closes["low"] > -SPEAKS_FOR
+    return closes["high"] > LEAST_OPEN and all(
+        there > max(AGAIN * here, SILENT) or stirs < STIRS for here, there, stirs in told
+    )
+
+
+def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float] | None) -> dict[str, Any]:
+    """Keys of gap.json where the proof does not bear out what was found: it was chance, or stood in for something else,
+    and is not named.
+    """
+    names = [one["name"] for one in answer["effects"]]
+    shrinks = [[one.get("shrink"), one.get("unseen_shrink")] for one in answer["effects"]]
+    words = f"{listed(names)} came nearest, and {_share_of(closes)} of the gap in stretches that no fit has seen"
+    return {
+        "verdict": "none_of_these" if any(one["broken"] for one in answer["links"]) else "none_missing",
+        "effects": [],
+        "words": [words],
+        "taken_back": {"names": names, "explained_frac": closes and dict(closes), "shrinks": shrinks},
+        "explained_frac": None,
+        "explicable_frac": None,
+        "worse": [],
+    }
+
+
+def _share_of(closes: Mapping[str, float] | None) -> str:
+    if closes is None:
+        return "nothing could be seen"
+    if closes["value"] <= 0.0:
+        return "closed nothing"
+    why = "leaves a third and more" if closes["high"] < LEAST_CLOSED else "is not sure to be any"
+    return f"closed {percent(closes)}, which {why},"
+
+
+def _gained(gaps: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    better = better_by_recalibration(gaps)
+    return {name: {"before": before, "recalibrated": after} for name, (before, after) in better.items()}
+
+
+def _older(material: Material, model: ModelSpec) -> Generator[Event, None, list[dict[str, Any]]]:
+    """Every older log by itself, the model as it was against the repaired one, both as a bench would drive them."""
+    from tunefree_hil.gap.chain import open_chain
+
+    found = []
+    for drive in material.older:
+        yield Event("note", f"older log {drive.name}")
+        variants = {"before": Variant(material.model), "after": Variant(model)}
+        proof: Proof = prove(variants, material.vehicle, [open_chain(drive, material.vehicle)], whole=True)
+        floors = floors_of(proof, material.model)
+        signals = {
+            name: {"before": one.before, "after": one.after, "unit": one.unit}
+            for name, one in gaps_of(proof, floors, unforetold({})).items()
+        }
+        found.append(
+            {
+                "name": drive.name,
+                "hash": drive.log_hash,
+                "blocks": proof.blocks,
+                "signals": signals,
+                "worse": worse_signals(proof, floors),
+            }
+        )
+    return found

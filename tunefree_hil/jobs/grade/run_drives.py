@@ -1,0 +1,200 @@
+"""The drives of a run folder, profiled: of a drive, of a tune's winner, of a verify, of a graded log.
+
+A run is named by its folder; a tune or verify may be followed by `:NAME` for one of its baselines (the winner is
+`:tuned`): runs/x, runs/x:mrac_on, runs/x/verify, runs/x/verify:as_shipped.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.bench import Bench, load, parameters_of
+from tunefree_hil.config.load import load_weights
+from tunefree_hil.config.schema import WeightsSpec
+from tunefree_hil.episode.recording import Recording, load_recording
+from tunefree_hil.grade.profile import Value, combine_profiles, profile
+from tunefree_hil.grade.score import grade, vehicle_of
+from tunefree_hil.grade.table import TABLE
+from tunefree_hil.jobs.drive import find_scenario
+from tunefree_hil.jobs.log.drive import beside_of
+from tunefree_hil.jobs.run_folder import RunFolder, open_run, read_json
+from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors
+
+FINISHED = "finished"
+
+
+class OneDrive(NamedTuple):
+    """One scenario of a run. score: None where there is none (a log that is not whole)."""
+
+    scenario: str
+    hash: str  # of the scenario; '' where it is not known
+    values: dict[str, Value]
+    score: float | None
+    replans: int
+    outcome: str
+    planned_samples: int
+    recording: Recording
+
+
+class RunDrives(NamedTuple):
+    """All scenarios of a run by name."""
+
+    label: str
+    drives: dict[str, OneDrive]
+    weights: WeightsSpec
+    vehicle: str = ""
+    model: str = ""  # of the plant; '' where there is none (a log)
+
+    def only(self, names: Sequence[str]) -> RunDrives:
+        """The same run with these scenarios only."""
+        return self._replace(drives={name: self.drives[name] for name in names})
+
+    def combined(self) -> dict[str, Value]:
+        """The metrics of all scenarios taken together (apollo_facts 6.1)."""
+        return combine_profiles([drive.values for drive in self.drives.values()])
+
+    def score(self) -> float | None:
+        """Eq. 7 over the scenarios; None where one has no score."""
+        drives = self.drives.values()
+        scores = [drive.score for drive in drives if drive.score is not None]
+        if len(scores) < len(drives):
+            return None
+        weighed = sum(score * drive.planned_samples for score, drive in zip(scores, drives, strict=True))
+        return weighed / sum(drive.planned_samples for drive in drives)
+
+
+def read_run(text: str, weights: WeightsSpec | None = None) -> RunDrives:
+    """A run's drives, judged by `weights`, or where None by its own. Raises InputError that names what is missing."""
+    path, candidate = split_run(text)
+    inside_verify = path.name == "verify" and not (path / "run.json").is_file()
+    run = open_run(path.parent if inside_verify else path)
+    if run.record.get("command") == "grade":
+        return _graded(run, weights)
+    _require_drives(run, candidate)
+    bench = load(run.bench_file())
+    weighing = weights or bench.weights
+    source = RunFolder(run.path / "verify", run.record) if inside_verify else run
+    drives = [_read(source, bench, number, weighing) for number in _numbers(run, source, bench, candidate)]
+    model = bench.spec.verify_model if inside_verify else str(run.record.get("model") or bench.spec.model)
+    by_name = {drive.scenario: drive for drive in drives}
+    return RunDrives(_label(path, candidate), by_name, weighing, Path(bench.vehicle.folder).name, model)
+
+
+def split_run(text: str) -> tuple[Path, str]:
+    """(folder, candidate) of what names a run: 'runs/x:mrac_on' unless a folder has that very name."""
+    head, colon, name = text.rpartition(":")
+    if colon and head and not Path(text).exists() and "/" not in name:
+        return Path(head), name
+    return Path(text), ""
+
+
+def _label(path: Path, candidate: str) -> str:
+    folder = path.resolve()
+    name = f"{folder.parent.name}/verify" if folder.name == "verify" else folder.name
+    return f"{name}:{candidate}" if candidate else name
+
+
+def _numbers(run: RunFolder, source: RunFolder, bench: Bench, candidate: str) -> list[int]:
+    """Numbers of the episodes that are meant: all of a drive, those of one candidate of a tune or verify.
+
+    A candidate's are found by their parameters, so that it does not matter in which order they were driven.
+    """
+    wanted = None if run.record.get("command") == "drive" else _parameters_of(run, bench, candidate or TUNED)
+    found = [number for number, parameters in _episodes(source) if wanted is None or parameters == wanted]
+    if not found:
+        raise InputError(
+            f"holds no drive{f' of {candidate or TUNED}' if wanted else ''} with its columns",
+            code="no_columns",
+            file=str(source.path),
+            hint="was it cut off, or were its logs thrown away? drive it again",
+        )
+    return found
+
+
+def _require_drives(run: RunFolder, candidate: str) -> None:
+    command = str(run.record.get("command"))
+    if command not in ("drive", "tune") or (command == "drive" and candidate):
+        raise InputError(
+            f"is a run of {command!r}" + (f", which has no candidate {candidate!r}" if candidate else ""),
+            code="not_a_drive",
+            file=str(run.path),
+            hint="give a run of drive, tune, verify or grade",
+        )
+
+
+def _episodes(source: RunFolder) -> list[tuple[int, dict[str, float]]]:
+    """(number, parameters) of the episodes that are whole and have their columns."""
+    found = []
+    for path in source.path.glob("episodes/*/episode.json"):
+        if (path.parent / "columns.npz").is_file():
+            found.append((int(path.parent.name), read_json(path).get("parameters", {})))
+    return sorted(found, key=lambda one: one[0])
+
+
+def _parameters_of(run: RunFolder, bench: Bench, candidate: str) -> dict[str, float]:
+    """The complete vector of the winner or of a baseline."""
+    if candidate == TUNED:
+        return parameters_of(bench, best_of(run)["parameters"])
+    vectors = baseline_vectors(bench)
+    if candidate not in vectors:
+        hint = f"one of {', '.join([TUNED, *vectors])}"
+        raise InputError(f"has no candidate {candidate!r}", code="no_candidate", file=str(run.path), hint=hint)
+    return vectors[candidate]
+
+
+def best_of(run: RunFolder) -> dict[str, Any]:
+    """best.toml of a tune. Raises InputError where the study is not finished."""
+    path = run.path / "best.toml"
+    if not path.is_file():
+        hint = "run the same tune command again"
+        raise InputError("has no best.toml: the study is not finished", file=str(run.path), hint=hint)
+    return tomllib.loads(path.read_text())
+
+
+def _read(run: RunFolder, bench: Bench, number: int, weights: WeightsSpec) -> OneDrive:
+    """One episode, profiled and graded by `weights`."""
+    folder = run.path / "episodes" / str(number)
+    stored = read_json(folder / "episode.json")
+    scenario = find_scenario(bench, str(stored["scenario"]))
+    if stored.get("scenario_hash") != scenario.hash:
+        raise InputError(
+            "the scenario file changed since this drive", code="changed", file=scenario.path, hint="drive it again"
+        )
+    recording, course, car = load_recording(folder / "columns.npz"), bench.course(scenario), vehicle_of(bench.vehicle)
+    beside = beside_of(folder)
+    graded = grade(recording, course, weights, car, scenario=scenario.name, error=beside.error or "")
+    values = profile(recording, course, car, against=weights.against, as_published=weights.as_published, beside=beside)
+    return OneDrive(
+        scenario.name, scenario.hash, values, graded.score, graded.replans, graded.outcome, course.ticks, recording
+    )
+
+
+def _graded(run: RunFolder, weights: WeightsSpec | None) -> RunDrives:
+    """The one drive of a graded log, as `grade` judged it."""
+    data = read_json(run.path / "grade.json")
+    own = load_weights(str(run.record["weights"]))
+    if weights is not None and weights.name != own.name:
+        raise InputError(
+            f"was graded by weights {own.name!r}, the first run by {weights.name!r}",
+            code="other_weights",
+            file=str(run.path),
+            hint=f"grade it again with --weights {weights.name}",
+        )
+    missing = Value(None, 0, "not in grade.json")
+    values = {name: Value(**data["metrics"][name]) if name in data["metrics"] else missing for name in TABLE}
+    drive = OneDrive(
+        str(data["scenario"]),
+        str(data.get("scenario_hash", "")),
+        values,
+        data["score"],
+        int(data["replans"]),
+        str(data["outcome"]) or FINISHED,
+        int(data["planned_samples"]),
+        load_recording(run.path / "episodes" / "0" / "columns.npz"),
+    )
+    vehicle = Path(str(run.record.get("vehicle", ""))).name
+    return RunDrives(_label(run.path, ""), {drive.scenario: drive}, own, vehicle)

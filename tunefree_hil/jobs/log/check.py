@@ -1,0 +1,52 @@
+"""Is a log of CAN frames whole? Counts, rates, gaps, counters, CRCs, what does not decode, what is foreign."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tunefree_hil.base.events import Event
+from tunefree_hil.jobs.log.files import by_channel, codec_for, cut_warning, open_log
+
+if TYPE_CHECKING:
+    from tunefree_hil.bus.codec import Codec
+
+HEAD = f"{'message':<24}{'id':>11}{'frames':>8}{'Hz':>8}{'wanted':>8}{'gap ms':>8}"
+HEAD += f"{'late':>6}{'lost':>6}{'short':>7}{'crc':>5}"
+
+
+def check(path: Path, vehicle: str | None) -> Iterator[Event]:
+    """One line a message on stdout, then what is wrong. Exit 1 when something is.
+
+    Columns: rate and the period's rate, longest gap, gaps above 1.5 periods, frames lost by their counter, frames
+    shorter than the DBC says, frames whose CRC does not fit ('-': the folder names no profile to check it by).
+    """
+    from tunefree_hil.bus.log_check import check_frames
+
+    codec, where = codec_for(path, vehicle)
+    yield Event("note", f"{path}, read as {where}")
+    log = open_log(path)
+    health = check_frames(log.frames(), codec, by_channel(log.frames(), codec))
+    yield Event("line", HEAD)
+    for row in health.messages:
+        yield Event("line", _row(row, codec))
+    for can_id, count in health.foreign.items():
+        yield Event("line", f"{'(not in the DBC)':<24}{can_id & 0x1FFFFFFF:>#11x}{count:>8}")
+    problems = ([cut_warning(log)] if log.cut else []) + health.problems
+    for problem in problems:
+        yield Event("line", f"fault: {problem}")
+    holds = f"{len(problems)} faults" if len(problems) != 1 else "1 fault"
+    sentence = f"{health.frames} frames in {health.span_s:.2f} s: " + (holds if problems else "the log is whole")
+    data = {"messages": health.messages, "foreign": health.foreign, "problems": problems, "vehicle": where}
+    yield Event("result", "", {**data, "frames": health.frames, "sentence": sentence, "exit": 1 if problems else 0})
+
+
+def _row(row: Any, codec: Codec) -> str:
+    wanted_hz = 1000.0 / row.period_ms
+    gap = f"{1000.0 * row.longest_gap_s:8.1f}" if row.frames > 1 else f"{'-':>8}"
+    rate = f"{row.rate_hz:8.1f}" if row.frames > 1 else f"{'-':>8}"
+    broken = "-" if row.broken is None else row.broken
+    counts = f"{row.late:>6}{row.lost:>6}{row.short:>7}{broken:>5}"
+    can_id = codec.by_name[row.name].can_id
+    return f"{row.name:<24}{can_id:>#11x}{row.frames:>8}{rate}{wanted_hz:8.1f}{gap}{counts}"

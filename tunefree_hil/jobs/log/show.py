@@ -1,0 +1,86 @@
+"""Prints a log decoded, and finds the signals that a person names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.events import Event
+from tunefree_hil.base.records import CanFrame
+from tunefree_hil.episode.candump import ERROR, EXTENDED_BIT, RTR, LogFrame
+from tunefree_hil.jobs.log.files import by_channel, codec_for, cut_warning, open_log
+
+if TYPE_CHECKING:
+    from tunefree_hil.bus.codec import Codec, MessageMap
+
+
+def show(path: Path, vehicle: str | None, signals: Sequence[str]) -> Iterator[Event]:
+    """One line a frame on stdout: the DBC's physical values, then the record fields in SI.
+
+    `signals`: signal names or record fields ('speed_mps', 'report.speed_mps'); frames without any are left out.
+    """
+    codec, where = codec_for(path, vehicle)
+    yield Event("note", f"{path}, read as {where}")
+    known = known_names(codec)
+    for name in signals:
+        refuse_unknown(name, known, codec.name)
+    log = open_log(path)
+    if log.cut:
+        yield Event("warning", cut_warning(log))
+    shown, count, apart = 0, 0, by_channel(log.frames(), codec)
+    for frame in log.frames():
+        count += 1
+        message = message_of(frame, codec, apart)
+        words = _decoded(frame, message, codec, signals)
+        if words:
+            shown += 1
+            name = message.name if message is not None else "(foreign)"
+            yield Event("line", f"{frame.time_s:.6f} {frame.channel} {frame.can_id & 0x1FFFFFFF:03X} {name} {words}")
+    sentence = f"{shown} of {count} frames shown"
+    yield Event("result", "", {"sentence": sentence, "frames": count, "shown": shown})
+
+
+def message_of(frame: LogFrame, codec: Codec, apart: bool) -> MessageMap | None:
+    """The message of a frame; None for a foreign one, an error or a remote frame. apart: log_files.by_channel."""
+    if frame.flags & (ERROR | RTR):
+        return None
+    extended = bool(frame.can_id & EXTENDED_BIT)
+    heard = CanFrame(frame.can_id & ~EXTENDED_BIT, frame.data, extended)
+    return codec.find(heard, frame.channel if apart else "")
+
+
+def known_names(codec: Codec) -> set[str]:
+    """Signals, MESSAGE.SIGNAL, and record fields with and without their group."""
+    messages = codec.by_name.values()
+    names = {name for message in messages for name in message.signals}
+    names |= {f"{message.name}.{name}" for message in messages for name in message.signals}
+    fields = [field for message in messages for field in message.fields]
+    return names | {field.name for field in fields} | {f"{field.group}.{field.name}" for field in fields}
+
+
+def refuse_unknown(name: str, known: set[str], vehicle: str) -> None:
+    """Raise InputError with the nearest name there is, unless `name` is one."""
+    from tunefree_hil.config.find import nearest
+
+    if name not in known:
+        raise InputError(f"{vehicle} has no signal {name!r}", code="unknown_signal", hint=nearest(name, known))
+
+
+def _decoded(frame: LogFrame, message: MessageMap | None, codec: Codec, wanted: Sequence[str]) -> str:
+    """'PO=0.15 report.throttle_frac=0.15', or '' where nothing was asked of this frame."""
+    if message is None or not codec.fits(message, frame.data):
+        return "" if wanted else frame.data.hex().upper() or "-"
+    decoded = codec.decode(message, frame.data)
+    pairs = list(decoded.items())
+    names = {(field.group, field.index): field.name for field in message.fields}
+    pairs += [(f"{group}.{names[group, index]}", value) for group, index, value in codec.values(message, decoded)]
+    if wanted:
+        prefix = f"{message.name}."
+        pairs = [
+            (name, value)
+            for name, value in pairs
+            if name in wanted or name.partition(".")[2] in wanted or prefix + name in wanted
+        ]
+    return " ".join(f"{name}={value:.9g}" for name, value in pairs)

@@ -1,0 +1,72 @@
+"""The run folder of a `tune`: an unfinished one of the same wish, the one to resume, or a new one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.jobs.drive import DEFAULT_ROOT
+from tunefree_hil.jobs.identity import resolved_toml
+from tunefree_hil.jobs.run_folder import RunFolder, open_run, remove_parts, unfinished, write_text
+from tunefree_hil.jobs.tune.wish import Wish
+from tunefree_hil.tune.store import alone
+
+HELD = "worker"
+
+
+@contextmanager
+def run_folder_of(wish: Wish) -> Iterator[tuple[RunFolder, bool]]:
+    """(folder, whether it is an old one): the one to resume, an unfinished one of the same settings, or a new one.
+
+    Workers of a shared study on one machine each hold a folder of their own.
+    """
+    asked = wish.asked
+    name, root = f"tune-{asked.bench.stem}", asked.out or DEFAULT_ROOT
+    with ExitStack() as stack:
+        if asked.resume is not None:
+            run: RunFolder | None = open_run(asked.resume)
+            _refuse_changed(open_run(asked.resume), wish)
+        else:
+            run = _free(root, name, wish, stack) if wish.shown else unfinished(root, name, wish.record)
+        if run is not None:
+            remove_parts(run.path)
+            yield run, True
+            return
+        record = {**wish.record, "bench": str(asked.bench), "hashes": wish.identity["hashes"]}
+        run = RunFolder.create(root, name, {**record, "seed": wish.settings.seed})
+        if wish.shown:
+            stack.enter_context(alone(run.path / HELD))
+        write_text(run.path / "bench.toml", resolved_toml(wish.bench))
+        yield run, False
+
+
+def _free(root: Path, name: str, wish: Wish, stack: ExitStack) -> RunFolder | None:
+    """An unfinished folder of the same settings that no living worker holds; `stack` holds it from now on."""
+    for path in sorted(root.glob(f"*-{name}*"), reverse=True):
+        try:
+            run = open_run(path)
+            if run.record.get("complete") or any(run.record.get(key) != value for key, value in wish.record.items()):
+                continue
+            stack.enter_context(alone(path / HELD))
+            return run
+        except InputError:  # no run of ours, or another worker's
+            continue
+    return None
+
+
+def _refuse_changed(run: RunFolder, wish: Wish) -> None:
+    """Raise InputError where a run was made with other files, or its study is elsewhere."""
+    if run.record.get("identity") != wish.identity["identity"]:
+        raise InputError(
+            "the files it was made with have changed since",
+            code="changed",
+            file=str(run.path),
+            key="identity",
+            hint="bring back the vehicle, model, scenarios and weights, or start a new run",
+        )
+    before = run.record.get("study", "")
+    if before != wish.shown:
+        hint = f"--study {before}" if before else "leave out --study"
+        raise InputError(f"its study is in {before or 'its study.db'}", code="changed", key="--study", hint=hint)

@@ -1,0 +1,147 @@
+"""Hold: what a search found best, driven once more in a slower car; the winner is the best that keeps calm in both.
+
+The slower car is the plant that was searched, dead times and lags of all its actuators times `[tune] slower`. With the
+default, 1.5, what holds has the least phase margin that textbooks allow, 30 degrees (docs/margins.md). The batch drives
+it, whatever drove the trials; what it needs is compiled for a search in the batch anyhow.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import ExitStack
+from typing import NamedTuple
+
+from tunefree_hil.base.errors import BenchError, InputError
+from tunefree_hil.base.events import Event
+from tunefree_hil.bench import Bench, parameters_of
+from tunefree_hil.bench.batch import Batch, Driven, Job
+from tunefree_hil.bench.scaling import DEAD_TIME, LAG
+from tunefree_hil.grade.score import combine
+from tunefree_hil.jobs.run_folder import RunFolder, read_json, write_json
+from tunefree_hil.jobs.tune.margins import ROUND, Drives, why_not
+from tunefree_hil.tune.holding import Came, ahead, came_of, holds, ranked
+from tunefree_hil.tune.journal import slot_key
+from tunefree_hil.tune.trial import Baseline, Scored, Trial
+
+SCHEMA = "tunefree.held/1"
+FILE = "held.json"
+FEWEST = 2  # trials among which there is something to choose
+
+
+class Held(NamedTuple):
+    """What the slower car said. came: by `slot_key` of a trial and by a baseline's name; reason: '' or why it said
+    nothing, and the winner is then the best by grade alone.
+    """
+
+    factor: float = 1.0
+    came: Mapping[str, Came] = {}
+    reason: str = ""
+
+    def ranked(self, trials: Sequence[Trial]) -> list[Trial]:
+        """The trials, the winner first."""
+        return ranked(trials, self.came)
+
+
+def hold(
+    bench: Bench, run: RunFolder, study: Scored, vectors: Mapping[str, Mapping[str, float]], batch: Drives | None = None
+) -> Generator[Event, None, Held]:
+    """Drive what may win, and the baselines, in the slower car; kept in held.json of the run, and read from there.
+
+    batch: of the bench's own model; None for one of its own. Where a batch cannot drive this bench, the reason.
+    """
+    factor = bench.spec.tune.slower
+    if factor == 1.0 or len(study.trials()) < FEWEST:
+        return Held()
+    identity = _identity(study, factor)
+    known = _kept(run, identity)
+    if known is not None:
+        return Held(factor, known)
+    reason = why_not(bench)
+    if not reason:
+        try:
+            with ExitStack() as stack:
+                came = yield from drive_slower(batch or stack.enter_context(Batch(bench)), bench, study, vectors)
+            reason = _indifferent(bench, study, came)
+            if not reason:
+                data = {key: one._asdict() for key, one in came.items()}
+                write_json(run.path / FILE, {"schema": SCHEMA, "of": identity, "slower": factor, "came": data})
+                return Held(factor, came)
+        except (InputError, BenchError) as error:
+            reason = f"{error.code}: {error.message.splitlines()[0]}"
+    yield Event("warning", f"the winner is the best grade alone, no slower car was driven: {reason}")
+    return Held(factor, {}, reason)
+
+
+def drive_slower(
+    batch: Drives, bench: Bench, study: Scored, vectors: Mapping[str, Mapping[str, float]]
+) -> Generator[Event, None, dict[str, Came]]:
+    """Baselines that are calm as they are, then trials by their grade, until no other can win."""
+    came: dict[str, Came] = {}
+    baselines = {name: vectors[name] for name, one in study.baselines().items() if _of(one).calm}
+    yield Event("note", f"now a slower car, {words_of(bench.spec.tune.slower)}: which of the best trials hold")
+    came |= _driven(batch, bench, baselines)
+    if not any(_of(one).calm for one in study.trials()):
+        yield Event("warning", "no trial drives all roads without a re-plan: none can hold, the best grade wins")
+    trials, began, at_once = study.trials(), time.monotonic(), -(-ROUND // len(bench.spec.scenarios))
+    while wanted := ahead(trials, came):
+        some = {slot_key(one.slot): parameters_of(bench, one.parameters) for one in wanted[:at_once]}
+        came |= _driven(batch, bench, some)
+        done, left = len(came) - len(baselines), len(ahead(trials, came))
+        eta_s = (time.monotonic() - began) / done * left
+        held = sum(holds(one, came) for one in trials)
+        data = {"label": "trial in the slower car", "done": done, "total": done + left, "eta_s": eta_s}
+        yield Event("progress", f"{held} of {done} hold", data)
+    return came
+
+
+def words_of(factor: float) -> str:
+    """'dead times and lags +50 %'."""
+    return f"dead times and lags {100.0 * (factor - 1.0):+.0f} %"
+
+
+def _driven(batch: Drives, bench: Bench, vectors: Mapping[str, Mapping[str, float]]) -> dict[str, Came]:
+    """What each came to in all scenarios of the bench, in the slower car."""
+    scenarios = [bench.scenarios[name] for name in bench.spec.scenarios]
+    scale = {DEAD_TIME: bench.spec.tune.slower, LAG: bench.spec.tune.slower}
+    driven = batch.drive([Job(values, one, scale=scale) for values in vectors.values() for one in scenarios])
+    n = len(scenarios)
+    return {name: _came(bench, driven[i * n : (i + 1) * n]) for i, name in enumerate(vectors)}
+
+
+def _came(bench: Bench, driven: Sequence[Driven]) -> Came:
+    """A drive that ended for a reason of the bench's counts as failed: no car may do that to a set that holds."""
+    grades = [one.grade for one in driven if one.grade is not None]
+    lost = len(driven) - len(grades)
+    if lost:
+        return Came(bench.weights.failure_score, sum(one.replans for one in grades), lost)
+    return came_of(combine(grades), {one.scenario: one._asdict() for one in grades})
+
+
+def _of(one: Baseline | Trial) -> Came:
+    return came_of(one.score, one.scenarios)
+
+
+def _indifferent(bench: Bench, study: Scored, came: Mapping[str, Came]) -> str:
+    """'' or that the slower car is the same car: some plants have no actuators of their own."""
+    pairs = [(one.score, came[key].score) for one in study.trials() if (key := slot_key(one.slot)) in came]
+    if pairs and all(score == slower for score, slower in pairs):
+        return f"model {bench.spec.model} has no actuators that could be slower"
+    return ""
+
+
+def _identity(study: Scored, factor: float) -> str:
+    """What held.json belongs to: the trials with their scores, the baselines, the factor."""
+    trials = [[one.slot, one.score] for one in study.trials()]
+    words = json.dumps([study.settings.described(), trials, sorted(study.baselines()), factor], sort_keys=True)
+    return hashlib.sha256(words.encode()).hexdigest()
+
+
+def _kept(run: RunFolder, identity: str) -> dict[str, Came] | None:
+    path = run.path / FILE
+    if not path.is_file():
+        return None
+    data = read_json(path)
+    return {key: Came(**one) for key, one in data["came"].items()} if data.get("of") == identity else None
