@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -18,6 +17,7 @@ import pytest
 from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
 from tunefree_hil.cli.entry import run
+from tunefree_hil.jobs.drive import Asked as Drive
 from tunefree_hil.jobs.tune.wish import Asked
 
 Fake = Callable[..., list[tuple[tuple[Any, ...], dict[str, Any]]]]
@@ -34,9 +34,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> Fake:
             calls.append((arguments, options))
             yield Event("result", "", {"sentence": "fine"})
 
-        stand_in = ModuleType(f"tunefree_hil.jobs.{module}")
-        setattr(stand_in, function, job)
-        monkeypatch.setitem(sys.modules, stand_in.__name__, stand_in)
+        monkeypatch.setattr(f"tunefree_hil.jobs.{module}.{function}", job)
         return calls
 
     return plant
@@ -44,38 +42,28 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> Fake:
 
 BENCH = Path("b.toml")
 NODE = {"bus": "auto", "bench_bus": "", "session": "default", "realtime": False}
-DRIVE = {
-    "scenario": [],
-    "model": None,
-    "bus": "auto",
-    "bench_bus": "",
-    "seed": None,
-    "realtime": False,
-    "join": False,
-    "session": "",
-    "out": None,
-    "parameters": [],
-}
 
 
 @pytest.mark.parametrize(
     ("words", "module", "arguments", "options"),
     [
-        ("drive b.toml", "drive", (BENCH,), DRIVE),
+        ("drive b.toml", "drive", (Drive(BENCH),), {}),
         (
             "drive b.toml --scenario s --parameter a=1 --parameter b=2 --realtime --join --out runs --seed 3",
             "drive",
-            (BENCH,),
-            {
-                **DRIVE,
-                "scenario": ["s"],
-                "parameters": ["a=1", "b=2"],
-                "realtime": True,
-                "join": True,
-                "seed": 3,
-                "session": "default",
-                "out": Path("runs"),
-            },
+            (
+                Drive(
+                    BENCH,
+                    scenario=["s"],
+                    parameters=["a=1", "b=2"],
+                    realtime=True,
+                    join=True,
+                    seed=3,
+                    session="default",
+                    out=Path("runs"),
+                ),
+            ),
+            {},
         ),
         ("tune b.toml", "tune.tune", (Asked(BENCH),), {}),
         (

@@ -25,7 +25,7 @@ def judged(kind: str, factor: float) -> Judged:
     drives = tuple(f"drive {i % 8}" for i in range(40))
     hill = np.arange(40) % 4 == 0
     metres = np.full((40, 4), 50.0)
-    return Judged(kind, (1.0, 3.0, 10.0, 30.0), drives, tuple(range(40)), hill, growth, growth * 0.01, growth * 0.1,
+    return Judged(kind, (1.0, 3.0, 10.0, 30.0), drives, hill, growth, growth * 0.01, growth * 0.1,
                   metres, 0.1, 0.01)  # fmt: skip
 
 

@@ -88,5 +88,5 @@ def made_kept(verdict: str = "one", **more: Any) -> Kept:
     named = verdict in ("one", "several")
     return Kept(
         answer(verdict, **more), null, repaired if named else null, ("steer_dead_time.delay_s",) if named else (),
-        "steer", regions, Shape(0.07, 1.0, 0.0, 0.5, 0.9), 12.5,
+        "steer", regions, Shape(0.07, 1.0, 0.0), 12.5,
     )  # fmt: skip

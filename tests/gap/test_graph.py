@@ -16,9 +16,15 @@ from msgspec.structs import replace
 
 from tests.learn.made_drives import CHANNELS, made_drive
 from tunefree_hil.base import parts
+from tunefree_hil.base.contracts import Effect, Link, Port, Prior
 from tunefree_hil.config.load import load_model, load_vehicle
+from tunefree_hil.effects import catalogue
+from tunefree_hil.effects._reports import on_steer
+from tunefree_hil.effects._signals import gain, shape
+from tunefree_hil.gap import graph as graphs
 from tunefree_hil.gap.chain import open_chain
 from tunefree_hil.gap.graph import BEND, LINKAGE, Graph, scaled
+from tunefree_hil.gap.reported import NO_LINE
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -73,3 +79,38 @@ def test_constants_are_moved_by_the_log_of_a_factor_or_an_amount_of_pedal() -> N
         {"mass_kg": 100.0}, {"throttle_zero_frac": 0.2}, {"plant.mass_kg": 0.1, "plant.throttle_zero_frac": 0.01}
     )
     assert moved["mass_kg"] == pytest.approx(110.517, abs=1e-3) and moved["throttle_zero_frac"] == pytest.approx(0.21)
+
+
+def made_effect(make: Any, parameter: str, neutral: float, typical: float) -> Effect:
+    priors = {parameter: Prior(0.5 * typical, 2.0 * typical, typical)}
+    units, links = {parameter: "1"}, (Link.COMMAND_TO_REPORT,)
+    return Effect(Port.REPORT, {parameter: neutral}, units, make, "made up", priors=priors, links=links)
+
+
+def test_an_effect_file_that_scales_a_reported_output_is_undone_as_one_that_shifts_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A report that says a tenth too much of an angle, of a car that truly turned as `x` says."""
+    scales = made_effect(lambda p, rest: on_steer(gain("scale_frac", p["scale_frac"])), "scale_frac", 1.0, 1.1)
+    monkeypatch.setattr(graphs, "effects", lambda: {**catalogue(), "steer_report_scale": scales})
+    vehicle, model = load_vehicle("mkz_bywire"), load_model("mkz_nominal")
+    x = open_chain(made_drive(4.0, channels=CHANNELS), vehicle).inputs
+    graph = Graph(model, vehicle, x.dt_s)
+    true = graph.run(x, {})
+    for values, outputs in (
+        ({"steer_report_scale.scale_frac": 1.1}, x.outputs * [1.0, 1.0, 1.1]),
+        (  # in series by name: the offset first, then the scale
+            {"steer_report_offset.offset_rad": 0.02, "steer_report_scale.scale_frac": 1.1},
+            (x.outputs + [0.0, 0.0, 0.02]) * [1.0, 1.0, 1.1],
+        ),
+    ):
+        shown = graph.run(x._replace(outputs=outputs), values)
+        assert shown[:, 3:] == pytest.approx(true[:, 3:], rel=1e-9, abs=1e-9, nan_ok=True)
+        assert np.abs(shown[:, 2] - true[:, 2]).max() > 1e-3, "the report itself says it"
+
+
+def test_an_effect_file_whose_report_hides_the_output_is_not_suspected(monkeypatch: pytest.MonkeyPatch) -> None:
+    dead = made_effect(lambda p, rest: on_steer(shape(0.0, half_width=p["half_rad"])), "half_rad", 0.0, 1.5)
+    monkeypatch.setattr(graphs, "effects", lambda: {**catalogue(), "steer_report_dead": dead})
+    found = Graph(load_model("mkz_nominal"), load_vehicle("mkz_bywire"), 0.01)
+    assert found.cannot["steer_report_dead"] == NO_LINE and "steer_report_dead" not in found.can

@@ -13,11 +13,10 @@ from msgspec.structs import replace
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_model, load_vehicle
+from tunefree_hil.gap.drifts import DAILY, DRIFT
 from tunefree_hil.gap.graph import BEND, LINKAGE, Graph
 from tunefree_hil.gap.null import (
     CONSTANTS,
-    DAILY,
-    DRIFT,
     EXACT_MPS,
     HELD,
     MOST_BEND,

@@ -10,8 +10,8 @@ import pytest
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.effects import catalogue
+from tunefree_hil.gap import drifts
 from tunefree_hil.gap.noise import Colour
-from tunefree_hil.gap.null import DRIFTS
 from tunefree_hil.gap.problem import Fitted, Free, Slopes, Sums, is_free
 from tunefree_hil.gap.scan import AMOUNTS, DELAY_STEP_S, EVEN, FACTORS, SMALL, TWINS, Scan, grid_of, without
 from tunefree_hil.gap.suspects import free_of
@@ -119,7 +119,7 @@ def test_no_point_for_an_amount_is_neutral_and_small_amounts_are_asked_too() -> 
     assert asked == pytest.approx([-0.3, -0.09, -0.03, -0.009, 0.009, 0.03, 0.09, 0.3])
 
 
-FACTOR_EFFECTS = tuple(one for one in DRIFTS if catalogue()[one[0]].neutral[one[1]] == 1.0)
+FACTOR_EFFECTS = tuple(one for one in drifts.ROWS if catalogue()[one.effect].neutral[one.parameter] == 1.0)
 FELT = 40.0 * np.sin(9.0 * T)  # by the logarithm of the factor
 
 
@@ -161,11 +161,11 @@ class Factor:
         return Scan(self, Fitted("", ("g.size",), z, (), values, np.eye(1), sums, residuals), slopes)  # pyright: ignore[reportArgumentType]
 
 
-@pytest.mark.parametrize(("name", "parameter", "sigma", "why"), FACTOR_EFFECTS)
+@pytest.mark.parametrize("drift", FACTOR_EFFECTS, ids=lambda one: one.effect)
 def test_a_factor_that_recalibration_cannot_take_is_worth_a_fit_wherever_it_lies(
-    name: str, parameter: str, sigma: float, why: str
+    drift: drifts.Drift,
 ) -> None:
-    one = factor(name, parameter)
+    one, sigma = factor(drift.effect, drift.parameter), drift.sigma
     for truth in np.exp(np.linspace(np.log(one.low), np.log(one.high), 60)):
         if abs(truth - 1.0) > 3.0 * sigma:  # what is nearer is a matter of recalibration
             found = Factor(float(truth), sigma).scan().best([one])

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from tunefree_hil.gap.signals import all_there, as_told, carried, signals_of, well_covered
+from tunefree_hil.gap.signals import as_told, carried, signals_of, well_covered
 from tunefree_hil.learn.drives import Drive
 
 DT_S, TICKS = 0.01, 3000
@@ -70,11 +68,3 @@ def test_a_message_that_is_sent_on_demand_has_no_gap_between_two_demands() -> No
     assert not braking.there.all() and carried({"a": braking}, ("a",), TICKS).all()
     once = as_told(np.sin(T), T < 12.0, DT_S)
     assert not carried({"a": once}, ("a",), TICKS).all(), "it ends, and nobody knows what was asked then"
-
-
-@given(st.lists(st.booleans(), min_size=1, max_size=60), st.integers(0, 9), st.integers(0, 9))
-def test_all_there_is_what_it_says(there: list[bool], before: int, behind: int) -> None:
-    found = all_there(np.array(there), before, behind)
-    for i, one in enumerate(found):
-        begin, end = i - before, i + behind + 1
-        assert one == (begin >= 0 and end <= len(there) and all(there[begin:end]))

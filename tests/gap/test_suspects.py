@@ -10,12 +10,14 @@ from msgspec.structs import replace
 from tests.gap.made_answer import VEHICLE, late_drive, made_model
 from tunefree_hil.base.contracts import Port
 from tunefree_hil.config.schema import ActuatorSpec
-from tunefree_hil.gap.chain import YAW_RATES, open_chain
+from tunefree_hil.gap.chain import open_chain
 from tunefree_hil.gap.channels import UNHEARD
 from tunefree_hil.gap.graph import Graph, effects
-from tunefree_hil.gap.suspects import GYRO, NO_GYRO, suspects_of
+from tunefree_hil.gap.suspects import NO_GYRO, suspects_of
+from tunefree_hil.learn.fields import CHASSIS_FIRST_YAW_RATES
 
 OPENED = open_chain(late_drive(20.0), VEHICLE)
+GYRO = ("yaw_rate_bias", "yaw_rate_filter", "yaw_rate_scale")
 
 
 def asked(derived: Any) -> tuple[set[str], dict[str, str]]:
@@ -29,10 +31,10 @@ def test_a_gyro_that_no_drive_has_is_not_suspected() -> None:
     names, cannot = asked({})
     assert set(GYRO) <= names and not cannot, "one of the drives has a gyro"
     graph = Graph(made_model(), VEHICLE, 0.01)
-    by_wheels = OPENED._replace(derived={YAW_RATES[0]: 1})
+    by_wheels = OPENED._replace(derived={CHASSIS_FIRST_YAW_RATES[0]: 1})
     some, cannot = suspects_of(graph, graph.model, VEHICLE, [by_wheels, by_wheels])
     assert cannot == dict.fromkeys(GYRO, NO_GYRO) and not set(GYRO) & {one.name for one in some}
-    mixed, _ = asked({YAW_RATES[0]: 1})
+    mixed, _ = asked({CHASSIS_FIRST_YAW_RATES[0]: 1})
     assert set(GYRO) <= mixed
 
 

@@ -12,10 +12,19 @@ from tests.gap.test_interval import ALL as BLOCKS_OF
 from tests.gap.test_interval import DELAY, fitted
 from tunefree_hil.base.contracts import Link
 from tunefree_hil.gap.decide import Weighed
+from tunefree_hil.gap.drifts import DRIFT
 from tunefree_hil.gap.excitation import Excited
 from tunefree_hil.gap.locate import Looked
-from tunefree_hil.gap.null import DRIFT
-from tunefree_hil.gap.verdict import SET_NATS, daily_words, not_it, small_words, verdict_of, wavers, with_others
+from tunefree_hil.gap.verdict import (
+    SET_NATS,
+    alike_words,
+    daily_words,
+    not_it,
+    small_words,
+    verdict_of,
+    wavers,
+    with_others,
+)
 
 SEEN, UNSEEN = Excited(2.0, True, ()), Excited(0.3, False, ("3 brakings by 3 m/s or more, 9 are needed",))
 BARELY = Excited(0.75, False, ("3 brakings by 3 m/s or more, 4 are needed",))
@@ -66,10 +75,19 @@ def test_rivals_make_a_set_of_one_effect_and_of_several(
     assert found[:2] == (says, names) and bool(found[2]) == (says == "set")
 
 
+def test_who_would_look_the_same_is_told_beside_a_name() -> None:
+    (words,) = alike_words(["steer_lag", "brake_drag"], DRIVES)
+    assert words == "brake_drag: no log of this car tells it from rolling_resistance"
+
+
 def test_faint_rivals_are_no_set_as_no_proof_could_bear_one_out() -> None:
     faint = step("brake_gain", "brake_fade")._replace(unbroken=True, shrink=(0.2, 0.1, 0.3), evidence=SET_NATS - 1.0)
     assert verdict(faint._replace(evidence=SET_NATS + 1.0))[:2] == ("set", ("brake_gain", "brake_fade"))
     assert verdict(faint)[:2] == ("none_missing", ()) and "brake_gain, brake_fade" in verdict(faint)[2][0]
+    held = dict.fromkeys(NAMES, SEEN)
+    elsewhere = QUIET._replace(signal="steer", explicable=0.05, share=0.5, broken=True)
+    says, names, words = verdict_of([faint], [faint], [QUIET, elsewhere], "", held, (), {})
+    assert (says, names) == ("none_of_these", ()) and elsewhere.missed in words[0]
     assert verdict(faint, step("steer_lag"))[0] == "set", "one of several is plain"
     alone = verdict(faint._replace(others=()))
     assert alone[0] == "one" and "only a proof" in alone[2][0]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from tunefree_hil.jobs.words import comparison
+from tunefree_hil.grade.score import FINISHED
+from tunefree_hil.jobs.words import comparison, early
 
 SCORES = (0.4, 0.2)
 
@@ -13,6 +14,10 @@ def drives(score: float, replans: int = 0, outcome: str = "finished") -> dict[st
     """One road of a candidate."""
     metrics = {"lateral_err_peak": score}
     return {"bend": {"score": score, "replans": replans, "outcome": outcome, "metrics": metrics}}
+
+
+def test_only_a_drive_that_did_not_come_to_its_end_ended_early() -> None:
+    assert early(FINISHED) == "" and early("left_lane") == "left_lane"
 
 
 def test_a_better_set_is_told_in_score_peak_and_roads() -> None:

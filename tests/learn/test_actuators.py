@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from tests.learn.made_drives import made_pairs
-from tunefree_hil.learn.actuator_shapes import Scale, Shape, bounds, params_at, value_at, vector
+from tunefree_hil.learn.actuator_shapes import Scale, Shape, Way, answered, bounds, params_at, value_at, vector
 from tunefree_hil.learn.actuators import BETWEEN_TICKS, fit
 from tunefree_hil.learn.channel_doubts import from_sheet, not_excited
-from tunefree_hil.learn.pairs import Pair, Pairs
+from tunefree_hil.learn.pairs import Pair, Pairs, up_to_stops
 from tunefree_hil.learn.sheet import ChannelSheet
 from tunefree_hil.learn.values import ActuatorFit, Value
 from tunefree_hil.learn.worker import Worker
@@ -128,6 +128,30 @@ def test_intervals_cover_the_truth_as_often_as_they_say(worker: Worker) -> None:
                 hits.setdefault(name, []).append(value.low <= getattr(truth, name) <= value.high)
     every = [hit for some in hits.values() for hit in some]
     assert len(every) >= 36 and np.mean(every) >= 0.85, {name: np.mean(some) for name, some in hits.items()}
+
+
+def stopping(truth: ActuatorParams, seconds: float, seed: int, by: float) -> Pairs:
+    """A channel that obeys its commands, which go to 1.8, no further than its output reaches `by` to either side."""
+    pairs = made_pairs(truth, seconds, seed, span=1.8)
+    (asked,) = pairs.some
+    low, high = ((end - truth.offset) / truth.gain for end in (-by, by))
+    output = answered(Way(truth), np.clip(asked.command, low, high), asked.dt_s)
+    output += 0.002 * np.random.default_rng(seed).standard_normal(len(output))
+    return pairs._replace(some=(asked._replace(output=output),))
+
+
+@pytest.mark.slow
+def test_a_channel_that_stops_short_of_its_commands_is_known_by_what_it_could_obey(worker: Worker) -> None:
+    truth = ActuatorParams(dead_time_s=0.085, lag_s=0.06, gain=0.94, offset=0.03)
+    raw = stopping(truth, 90.0, 5, 1.0), stopping(truth, 20.0, 105, 1.0)
+    one = worker.result(MODULE, "fit", *up_to_stops(*raw), SHEET, True)
+    assert "it stops at a command of " in one.words and one.order == 1
+    assert one.dead_time_s.value == pytest.approx(truth.dead_time_s, abs=0.0015)
+    assert one.lag_s.value == pytest.approx(truth.lag_s, rel=0.03)
+    assert one.gain.value == pytest.approx(truth.gain, abs=0.004)
+    assert one.offset.value == pytest.approx(truth.offset, abs=0.004)
+    taken = worker.result(MODULE, "fit", *raw, SHEET, True)
+    assert taken.gain.value < truth.gain - 0.015, "with all that was asked for it seems to be a weaker channel"
 
 
 @pytest.mark.slow

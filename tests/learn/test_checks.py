@@ -259,10 +259,12 @@ def test_dart_is_not_refused(mapping: str, shared_data: Path, tmp_path: Path) ->
 
 
 def test_every_field_a_check_speaks_of_is_one() -> None:
-    from tunefree_hil.learn import series
+    from tunefree_hil.learn import fields, series
     from tunefree_hil.learn.check_stuck import _FOLLOWS
 
     names = {f"{group}.{name}" for group, record in GROUPS.items() for name in record._fields}
-    lists = (series.SPEEDS, series.THROTTLES, series.BRAKES, series.TURNS, series.YAW_RATES, tuple(_FOLLOWS))
+    both = (fields.INS_FIRST_SPEEDS, fields.INS_FIRST_YAW_RATES)
+    assert both == (fields.CHASSIS_FIRST_SPEEDS[::-1], fields.CHASSIS_FIRST_YAW_RATES[::-1])
+    lists = (*both, series.THROTTLES, series.BRAKES, series.TURNS, tuple(_FOLLOWS))
     assert all(name in names for some in lists for name in some)
     assert Report().throttle_frac != 0.0

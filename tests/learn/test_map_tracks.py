@@ -11,7 +11,7 @@ from tests.learn.made_pedals import DT_S, REST, changed, pedal_drive, some_drive
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import GEAR_NEUTRAL
 from tunefree_hil.base.units import G_MPS2
-from tunefree_hil.learn.map_tracks import mean_over, throughout, track_of, tracks_of
+from tunefree_hil.learn.map_tracks import mean_over, track_of, tracks_of
 
 
 @given(st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=40), st.integers(1, 9))
@@ -20,14 +20,6 @@ def test_the_moving_mean_is_the_mean_of_what_there_is(values: list[float], rows:
     for k in range(len(values)):
         near = values[max(0, k - rows // 2) : k + rows - rows // 2]
         assert got[k] == pytest.approx(np.mean(near), abs=1e-9)
-
-
-@given(st.lists(st.booleans(), min_size=1, max_size=30), st.integers(0, 5), st.integers(0, 5))
-def test_throughout_looks_at_every_row_of_its_window(holds: list[bool], before: int, after: int) -> None:
-    got = throughout(np.array(holds), before, after)
-    for k in range(len(holds)):
-        inside = k - before >= 0 and k + after < len(holds)
-        assert got[k] == (inside and all(holds[k - before : k + after + 1]))
 
 
 def test_a_straight_level_drive_is_good_wherever_it_moves() -> None:

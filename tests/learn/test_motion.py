@@ -20,7 +20,6 @@ from tunefree_hil.learn.motion import (
     body_change,
     is_hill,
     outputs_of,
-    runs_of,
     smooth,
     starts_of,
     track_of,
@@ -78,11 +77,6 @@ def test_what_is_too_short_to_smooth_is_nothing() -> None:
     values[100] = np.nan
     found = smooth(values)
     assert np.isfinite(found[:60]).all() and np.isnan(found[60:101]).all() and np.isfinite(found[101:]).all()
-
-
-def test_runs() -> None:
-    assert runs_of(np.array([True, True, False, True])) == [(0, 2), (3, 4)]
-    assert runs_of(np.zeros(3, dtype=bool)) == []
 
 
 def test_a_slope_is_seen_and_level_ground_is_level(vehicle: VehicleSpec, track: Track) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.learn.made_drives import DT_S, LATE, REST, excitation, made_drive, whole
+from tests.learn.made_drives import DT_S, LATE, excitation, made_drive, whole
 from tunefree_hil.learn.drives import Drive, Part
-from tunefree_hil.learn.pairs import BENCH_TICKS, by_echo, has_channel, pairs_of, runs, shift_of
+from tunefree_hil.learn.pairs import BENCH_TICKS, by_echo, has_channel, pairs_of, shift_of
 
 
 @pytest.fixture(scope="module")
@@ -73,9 +73,3 @@ def test_an_acceleration_is_read_off_the_motion(drive: Drive) -> None:
     rate = np.gradient(drive.fields["ins.speed_mps"], DT_S)
     middle = slice(300, 1500)
     assert found.some[0].output[middle].mean() == pytest.approx(rate[middle].mean(), abs=0.02)
-
-
-def test_runs() -> None:
-    flags = np.array([1, 1, 0, 1, 1, 1, 0, 1], dtype=bool)
-    assert runs(flags, 2) == [(0, 2), (3, 6)] and runs(flags, 3, 10) == [(13, 16)]
-    assert REST == 0.15

@@ -46,7 +46,7 @@ def test_what_is_known_as_a_sum_is_doubted_together() -> None:
     noise = chance.standard_normal(count * rows)
     jacobian = np.concatenate([slopes, np.eye(3)])
     x = np.linalg.lstsq(jacobian, np.concatenate([noise, np.zeros(3)]), rcond=None)[0]
-    least = Least(x, np.full(3, 0.1), 2.2, jacobian, np.concatenate([slopes @ x - noise, x]), 1.0, True)
+    least = Least(x, np.full(3, 0.1), 2.2, jacobian, np.concatenate([slopes @ x - noise, x]), 1.0)
     found = together(("a", "b", "c"), least, stretches)
     assert found.names == ("a", "b", "c") and np.allclose(np.diag(found.correlation), 1.0)
     assert found.correlation[0, 1] < -0.9 and abs(found.correlation[0, 2]) < 0.5
@@ -69,5 +69,5 @@ def _few_that_know(chance: np.random.Generator) -> tuple[np.ndarray, ...]:
     x = np.linalg.lstsq(jacobian, sought, rcond=None)[0]
     residuals = jacobian @ x - sought
     deviation, quantile = deviations(jacobian, residuals, windows, unknowns)
-    least = Least(x, deviation, quantile, jacobian, residuals, 1.0, True)
+    least = Least(x, deviation, quantile, jacobian, residuals, 1.0)
     return truth, x, quantile * deviations_left(least), doubts_left(least, stretches)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from collections.abc import Generator
 from typing import Any
 
@@ -85,7 +84,7 @@ def test_a_process_that_is_killed_is_named() -> None:
     with Worker() as worker:
         pid = worker.result(HERE, "mode")[1]
         os.kill(pid, signal.SIGKILL)
-        time.sleep(0.1)
+        os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)  # gone, and still to be heard of by who started it
         with pytest.raises(PeerGone, match="-9"):
             worker.result(HERE, "mode")
 

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.plant.learned import arrays_of
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import value_of
 from tunefree_hil.learn.values import ActuatorFit, Value, exactly, unknown
 from tunefree_hil.learn.write_model import write_model
+from tunefree_hil.plant.learned_file import load_plant_file
 
 LIMIT = unknown(math.inf, "never reached", low=3.0, high=math.inf)
 LAG = exactly(0.0), Value(3.0, 2.9, 3.1), Value(0.7, 0.6, 0.8)
@@ -46,12 +48,18 @@ def test_it_is_read_back_as_it_was_given(tmp_path: Path) -> None:
 
 def test_arrays_and_effects_go_with_it(tmp_path: Path) -> None:
     effect = {"name": "steer_offset", "params": {"offset_rad": 0.02}}
-    arrays = {"kind": np.array(3.0), "w": np.eye(2)}
-    folder = write(tmp_path / "new", plant_file=arrays, calibration={"speed_mps": np.ones(2)}, effects=[effect])
+    given = {"kind": "lstm", "plant_arrays": arrays_of("lstm"), "calibration": {"speed_mps": np.ones(2)}}
+    folder = write(tmp_path / "new", **given, effects=[effect])
     assert load_model(folder).effects[0].params == {"offset_rad": 0.02} and load_model(folder).plant.file == "plant.npz"
-    with np.load(folder / "plant.npz") as archive:
-        assert archive["w"].tolist() == [[1.0, 0.0], [0.0, 1.0]]
-    assert (folder / "calibration.npz").is_file()
+    net = load_plant_file(folder / "plant.npz", "lstm")
+    assert all((net.arrays[name] == one).all() for name, one in arrays_of("lstm").items())
+    assert sorted(path.name for path in folder.iterdir()) == ["calibration.npz", "card.json", "model.toml", "plant.npz"]
+
+
+def test_arrays_that_make_no_plant_leave_nothing_behind(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="expected float64"):
+        write(tmp_path / "new", kind="lstm", plant_arrays=arrays_of("lstm") | {"w_out": arrays_of("lstm")["w_out"].T})
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:

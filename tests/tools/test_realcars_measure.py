@@ -20,7 +20,7 @@ HEAD = "elapsed time sensors,current,voltage,acc x (IMU),acc y (IMU),W (IMU),vel
 def a_fold(seed: int, errors: list[float], drive: str = "drive.log") -> Fold:
     speed = np.array([[0.1, 0.2, one] for one in errors])
     time_s = np.arange(0.0, 1.0 + len(errors), 0.1)
-    trace = Trace(drive, 0, time_s, time_s, 0.0 * time_s, {"physics": time_s}, {"physics": 0.0 * time_s})
+    trace = Trace(drive, time_s, time_s, 0.0 * time_s, {"physics": time_s}, {"physics": 0.0 * time_s})
     many = tuple([drive] * len(errors))
     both = {"physics": speed, NAIVE: 2.0 * speed}
     return Fold(seed, f"split {seed}", 1, Ahead((1.0, 3.0, 10.0), many, both, both, (trace,)))

@@ -17,7 +17,7 @@ from tests.house import ROOT
 from tests.vcan.peers import HERE, PATIENCE_S, Links, eventually
 from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.foreign import command_of, with_command
+from tunefree_hil.jobs.running.foreign import program_of, with_command
 from tunefree_hil.jobs.running.harvest import Episode
 from tunefree_hil.jobs.running.session import Session
 from tunefree_hil.jobs.running.track import Track
@@ -62,7 +62,7 @@ def drive(controller: Path, folder: Path, bus: str, bench_bus: str = "") -> Driv
         session=f"vcan-{folder.name}",
         bus=bus,
         bench_bus=bench_bus,
-        controller_command=command_of(bench),
+        controller_command=program_of(bench),
     ) as session:
         track = Track(session, bench, run)
         try:

@@ -50,12 +50,20 @@ class Wish(NamedTuple):
 
 
 def conduct(wish: Wish) -> Exam:
-    """Ask what is wished for and not answered yet; the exam. Raises Frozen, NoRecording, ValueError."""
+    """Ask what is wished for and not answered yet; the exam. Raises Frozen, NoRecording, ValueError.
+
+    Where all of it is answered nothing is asked, and so the checkout need not be the exam's.
+    """
     run, exam = Run(wish.run), exam_for(wish)
     cases = chosen(exam, wish)
+    if run.exam.is_file() and all(run.is_answered(case.number) for case in cases):
+        return exam  # to be counted alone, which any checkout may do
     frozen = is_frozen(exam, ROOT)
     if exam.domain.kind == EXAM and not (frozen or wish.unfrozen):
-        raise Frozen(f"this checkout is not {exam.domain.name} as committed; --unfrozen asks it all the same, said so")
+        raise Frozen(
+            f"this checkout is not {exam.domain.name} as committed, and some of it has no answer; score counts what "
+            "is, --unfrozen asks all the same, said so"
+        )
     begin(run, exam, frozen=frozen, sample=wish.sample)
     if wish.recordings is not None and any(case.source for case in cases):
         make_ready(run, wish.recordings)

@@ -15,14 +15,13 @@ from tools.measures._ledger import FIGURES
 from tools.measures._summary import machine, rounded, summary
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import Bench, load, parameters_of
+from tunefree_hil.bench import Bench, load
 from tunefree_hil.jobs.run_folder import open_run, read_json
-from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors
+from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors, winner_of
 from tunefree_hil.jobs.tune.margins import Found, find_margins
 from tunefree_hil.jobs.tune.margins_report import margin_data
 from tunefree_hil.jobs.tune.margins_words import margin_table, margin_words
 from tunefree_hil.jobs.tune.tune import tune
-from tunefree_hil.jobs.tune.verify import winner_of
 from tunefree_hil.jobs.tune.wish import BATCH, Asked
 
 VALUE = "winner's / best manual's delay margin, smallest over the verify scenarios (manual must not re-plan as it is)"
@@ -56,7 +55,7 @@ def margins_of(run: Path) -> dict[str, Any]:
         return known
     folder = open_run(run)
     bench = load(folder.bench_file())
-    vectors = {TUNED: parameters_of(bench, winner_of(folder)), **baseline_vectors(bench)}
+    vectors = {TUNED: winner_of(bench, folder), **baseline_vectors(bench)}
     scenarios = [bench.scenarios[name] for name in bench.spec.verify_scenarios]
     found = _ended(find_margins(bench, bench.spec.verify_model, vectors, scenarios))
     scores = scores_of(bench, found) if isinstance(found, Found) else {}

@@ -73,21 +73,24 @@ def drive(
     """Drive scenarios over the bus and score them."""
 
     def job() -> Iterable[Event]:
+        from tunefree_hil.jobs.drive import Asked
         from tunefree_hil.jobs.drive import drive as run
 
         return run(
-            bench,
-            scenario=scenario or [],
-            model=model,
-            bus=bus,
-            bench_bus=bench_bus,
-            seed=seed,
-            realtime=realtime,
-            join=join,
-            session=session_of(session, join),
-            out=out,
-            parameters=parameter or [],
-            controller=controller,
+            Asked(
+                bench=bench,
+                scenario=scenario or (),
+                model=model,
+                bus=bus,
+                bench_bus=bench_bus,
+                seed=seed,
+                realtime=realtime,
+                join=join,
+                session=session_of(session, join),
+                out=out,
+                parameters=parameter or (),
+                controller=controller,
+            )
         )
 
     return present("drive", job, plain=plain, as_json=as_json, first=f"drive {bench}")

@@ -1,7 +1,7 @@
 """What a process of learn/worker.py is asked in a search for a name: one question kept open, models fitted one by one.
 
-A question is opened once per process (graph compiled, recalibration fitted, its slopes taken); two processes open the
-same one and share the suspects. What goes back to whoever asks is small: no residuals.
+A question is opened once per process (graph compiled, recalibration fitted, its slopes taken); several processes open
+the same one and share the suspects. What goes back to whoever asks is small: no residuals.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from tunefree_hil.learn.runs import every_of
 from tunefree_hil.learn.smooth import between_fresh, rate_of
 
 Array = np.ndarray
@@ -59,7 +60,7 @@ def jumps_of(fields: Mapping[str, Array], fresh: Mapping[str, Array], dt_s: floa
 
 def window_of(fresh: Array) -> int:
     """Ticks under a slope."""
-    return (VALUES - 1) * _period(fresh) | 1
+    return (VALUES - 1) * round(every_of(fresh)) | 1
 
 
 def _jumps(values: Array, fresh: Array) -> bool:
@@ -75,12 +76,7 @@ def _often(fresh: Mapping[str, Array], names: tuple[str, ...], dt_s: float) -> b
     """Whether values of all of these are there, and come often enough for slopes."""
     if any(name not in fresh or fresh[name].sum() < LEAST_VALUES for name in names):
         return False
-    return all(_period(fresh[name]) * dt_s <= SLOWEST_S for name in names)
-
-
-def _period(fresh: Array) -> int:
-    """Ticks from one value to the next."""
-    return max(round(float(np.median(np.diff(np.flatnonzero(fresh))))), 1)
+    return all(round(every_of(fresh[name])) * dt_s <= SLOWEST_S for name in names)
 
 
 def _unwrapped(values: Array, fresh: Array) -> Array:

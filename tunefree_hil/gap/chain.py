@@ -22,7 +22,10 @@ from tunefree_hil.gap.graph import CHANNELS, Inputs
 from tunefree_hil.gap.signals import Signal, as_told, carried, outdone, signals_of, well_covered
 from tunefree_hil.learn.acted import accel_asked, asked_pedals, channel_of
 from tunefree_hil.learn.drives import Drive
-from tunefree_hil.learn.pairs import ECHOES, runs
+from tunefree_hil.learn.fields import CHASSIS_FIRST_YAW_RATES
+from tunefree_hil.learn.pairs import ECHOES
+from tunefree_hil.learn.runs import runs
+from tunefree_hil.learn.sheet import rear_behind_m
 from tunefree_hil.learn.smooth import rate_of, smooth, yaw_by_wheels
 
 Array = np.ndarray
@@ -32,7 +35,6 @@ PIN_WINDOW_S = 0.21  # of the polynomial through the measured speed that the car
 ROAD_CAR_M = 2.7  # wheelbase
 STANDING_MPS = 0.5  # no bend is told by slower wheels
 SMALL = 0.5  # of it: no road car is shorter
-YAW_RATES = ("report.yaw_rate_radps", "ins.yaw_rate_radps")
 NOTHING: Mapping[str, int] = {}
 AFTER_S = 1.0  # after a stretch in which a channel did not obey its commands, its output is still another's
 
@@ -68,7 +70,7 @@ class Opened(NamedTuple):
     @property
     def by_wheels(self) -> bool:
         """Whether the chassis's yaw rate is made from its wheels: there is no gyro."""
-        return YAW_RATES[0] in self.derived
+        return CHASSIS_FIRST_YAW_RATES[0] in self.derived
 
     @property
     def bend(self) -> Array:
@@ -122,7 +124,7 @@ def _unsaid(drive: Drive, vehicle: VehicleSpec, signals: Mapping[str, Signal]) -
     rates = rates_by_pose(values, {name: one.fresh for name, one in signals.items()}, drive.dt_s)
     found = {name: signals[HEADING]._replace(values=np.nan_to_num(one)) for name, one in rates.items()}
     wheels = yaw_by_wheels(drive, vehicle.nominal)
-    by_chassis, by_ins = YAW_RATES
+    by_chassis, by_ins = CHASSIS_FIRST_YAW_RATES
     if by_chassis in signals or wheels is None or (wheels[1] & np.isfinite(wheels[0])).sum() < 2:
         return found
     told = {**signals, **found, by_chassis: as_told(*wheels, drive.dt_s)}
@@ -165,8 +167,7 @@ def _inputs(
     speed = np.maximum(smooth(signals[source].values, window), 0.0)
     yaw_name = "ins.yaw_rate_radps" if "ins.yaw_rate_radps" in signals else "report.yaw_rate_radps"
     yaw = smooth(signals[yaw_name].values, window) if yaw_name in signals else np.zeros(n)
-    nominal = vehicle.nominal
-    behind_m = (nominal.wheelbase_m or 0.0) - (nominal.front_axle_m or 0.0)
+    behind_m = rear_behind_m(vehicle.nominal)
     rate = np.nan_to_num(rate_of(speed, np.ones(n, dtype=bool), window, drive.dt_s))
     inputs = Inputs(
         commands, outputs, held, speed, yaw, behind_m * yaw, rate, np.ones(n), tuple(measured), tuple(echoed),

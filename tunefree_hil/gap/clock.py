@@ -12,8 +12,8 @@ import numpy as np
 
 from tunefree_hil.gap.chain import OUTPUTS, Opened
 from tunefree_hil.gap.graph import CHANNELS
-from tunefree_hil.gap.signals import all_there
 from tunefree_hil.learn.pairs import ECHOES, tolerance
+from tunefree_hil.learn.runs import every_of, throughout
 
 Array = np.ndarray
 
@@ -45,20 +45,16 @@ def echoes(opened: Opened) -> list[Echo]:
         echo = opened.signals.get(f"report.{ECHOES[channel]}")
         if wire is None or echo is None:
             continue
-        slack = SLACK + _period(wire.fresh) - 1
+        # until the next command an echo stands, while the straight line between commands goes on
+        slack = SLACK + round(every_of(wire.fresh)) - 1
         # what was sent in a gap of the recording nobody knows, and whether it was obeyed
-        sure = all_there(wire.there, round(LONGEST_S / opened.dt_s) + slack, slack)
+        sure = throughout(wire.there, round(LONGEST_S / opened.dt_s) + slack, slack)
         rows = np.flatnonzero(echo.fresh & opened.follows[:, i] & sure)
         values = echo.values[rows]
         moved = np.abs(np.diff(values, prepend=values[:1])) > tolerance(echo.values)
         if moved.sum() >= LEAST_MOVED:
             found.append(_echo(channel, wire.values, values, rows, moved, slack, opened.dt_s))
     return found
-
-
-def _period(fresh: Array) -> int:
-    """Ticks from one command to the next: so long an echo stands while the straight line between commands goes on."""
-    return max(round(float(np.median(np.diff(np.flatnonzero(fresh))))), 1)
 
 
 def _echo(channel: str, wire: Array, values: Array, rows: Array, moved: Array, slack: int, dt_s: float) -> Echo:

@@ -58,7 +58,7 @@ MENU = {
             (BRANCH_RIGHT, AHEAD, BRANCH_LEFT), (SLOW, MEDIUM), (THROTTLE_LIGHT,), 8.0, first_hold=3,
         ),
         Manoeuvre(
-            "steer_lock", "steering from lock to lock at walking pace",
+            "steer_lock", "steering from lock to lock, slowly driven",
             (SHARP_RIGHT, TURN_RIGHT, TURN_LEFT, SHARP_LEFT), (SLOW,), (THROTTLE_LIGHT,), 8.0,
         ),
         Manoeuvre(

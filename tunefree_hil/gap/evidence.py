@@ -34,7 +34,6 @@ class Paired(NamedTuple):
     interval by bootstrap, the doubt that it is positive, and its standard deviation.
     """
 
-    differences: Array
     total: float
     low: float
     high: float
@@ -122,7 +121,7 @@ def bootstrapped(differences: Array, seed: int = 1) -> Paired:
     drawn = chance.choice(differences, (DRAWS, len(differences))).sum(axis=1)
     low, high = np.quantile(drawn, [0.025, 0.975])
     doubt = max(float(np.mean(drawn <= 0.0)), 0.5 ** len(differences))
-    return Paired(differences, float(differences.sum()), float(low), float(high), doubt, float(drawn.std()))
+    return Paired(float(differences.sum()), float(low), float(high), doubt, float(drawn.std()))
 
 
 def holm(doubts: Mapping[str, float], level: float = 0.05) -> set[str]:

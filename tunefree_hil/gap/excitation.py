@@ -10,7 +10,7 @@ import numpy as np
 from tunefree_hil.base.contracts import QUANTITIES, Effect
 from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.gap.chain import Opened
-from tunefree_hil.learn.pairs import runs
+from tunefree_hil.learn.runs import runs
 
 Array = np.ndarray
 

@@ -22,12 +22,12 @@ import numpy as np
 from tunefree_hil.base.contracts import BodyChange, Effect, Latency, Port, make_effect
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
-from tunefree_hil.base.records import Report
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.channels import UNHEARD, channel_spec, heard, is_unheard
 from tunefree_hil.gap.ports import PORTS_A, PORTS_B, PORTS_OUT, SCALAR_PORTS, chain_of, three_of
 from tunefree_hil.gap.recent import Recent, ahead
+from tunefree_hil.gap.reported import Said, said_of, undone
 from tunefree_hil.gap.ride import INS_COLUMNS, SAID, TAKEN, WIDE, Bodies, Heads, make_heads, make_ride
 from tunefree_hil.learn.free_run import plant_of
 from tunefree_hil.learn.motion import actuator_params
@@ -99,7 +99,7 @@ class Graph:
             [step[port] for port in (*PORTS_B, Port.REPORT, Port.INS)], chassis.step, self.plant.observe
         )
         self._shifts = {name for name in self._chains[Port.REPORT].names if self._is_shift(name)}
-        self._own_shift = sum((self._shift_of(self._own[n]) for n in self._shifts & set(self._own)), np.zeros(3))
+        self._own_said = [self._said(self._own[name]) for name in self._chains[Port.REPORT].names if name in self._own]
         self._recent: dict[str, Recent] = {"heads": Recent(), "ride": Recent()}
 
     def _able(self) -> tuple[dict[str, Effect], dict[str, str]]:
@@ -113,6 +113,8 @@ class Graph:
                 made = self._made(effect, {key: _tried(effect, key) for key in effect.neutral})
                 if not isinstance(made, Block):
                     self.plant.make(self.model.plant.params, made(BodyChange()))
+                elif effect.port is Port.REPORT:
+                    self._said(self._typical(effect))
                 can[name] = effect
             except InputError as error:
                 cannot[name] = error.message
@@ -156,18 +158,15 @@ class Graph:
         block = self._neutral[name]
         if isinstance(block.params, Latency):
             return True
-        if name in self.can:
-            block = self._made(self.can[name], {key: prior.typical for key, prior in self.can[name].priors.items()})
-        return bool(self._shift_of(block).any())
+        said = self._said(self._typical(self.can[name]) if name in self.can else block)
+        return bool(said.shift.any() or (said.gain != 1.0).any())
 
-    def _shift_of(self, block: Block) -> Array:
-        """What an effect on the report adds to the three outputs [3]; a delay adds nothing."""
-        if isinstance(block.params, Latency):
-            return np.zeros(3)
-        state = block.init(block.params, self.dt_s)
-        step = getattr(block.step, "py_func", block.step)  # one step is not worth compiling
-        _, said = step(block.params, state, Report(*(1.0,) * len(Report._fields)), self.dt_s)
-        return np.array([said.throttle_frac - 1.0, said.brake_frac - 1.0, said.steer_rad - 1.0])
+    def _said(self, block: Block) -> Said:
+        return said_of(block, self.dt_s)
+
+    def _typical(self, effect: Effect) -> Block:
+        """An effect as large as its priors call usual."""
+        return self._made(effect, {key: prior.typical for key, prior in effect.priors.items()})
 
     def _run_heads(self, x: Inputs, blocks: dict[str, Block], values: Values) -> Array:
         commands = self._commands(x, blocks)
@@ -269,14 +268,12 @@ class Graph:
         return sum(params.delay_s for params in some if isinstance(params, Latency))
 
     def _unshifted(self, outputs: Array, blocks: dict[str, Block]) -> Array:
-        """Measured outputs without what effects on the report add to them: m - (E(m) - m) for each that is on, the
-        model's own among them.
+        """Measured outputs as they were before effects on the report touched them, the last in series undone first; the
+        model's own are the first in series.
         """
-        found = outputs - self._own_shift if self._own_shift.any() else outputs
-        for name in self._shifts:
-            if blocks[name] is not self._neutral[name]:
-                found = found - self._shift_of(blocks[name])  # no effect of the catalogue scales an output
-        return found
+        names = [name for name in self._chains[Port.REPORT].names if name in self._shifts and name not in self._own]
+        tried = [self._said(blocks[name]) for name in names if blocks[name] is not self._neutral[name]]
+        return undone(outputs, [*self._own_said, *tried])
 
 
 def _tried(effect: Effect, parameter: str) -> float:

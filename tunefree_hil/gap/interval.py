@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri, stdtrit
 
+from tunefree_hil.gap.drifts import DAILY, DRIFT
 from tunefree_hil.gap.graph import effects
-from tunefree_hil.gap.null import DAILY, DRIFT
 from tunefree_hil.gap.problem import Fitted, Free, gathered, is_free
 
 Array = np.ndarray
@@ -26,7 +26,7 @@ CHANCE = 0.999  # that blocks differ by no more than chance
 # How much of its throttle, brake and steering a car does: by what that may be off from day to day it is not off from
 # one block to the next
 GAINS = ("throttle_gain.gain_frac", "brake_gain.gain_frac", "steer_gain.gain_frac")
-# Of what a number drifts from day to day (null.DRIFTS), standard deviations: a car with other pedals than a model has
+# Of what a number drifts from day to day (drifts.py), standard deviations: a car with other pedals than a model has
 # comes to 1.1. Not of what its calibration leaves open: the worse that is, the more would be let pass.
 UNSTEADY = 1.5
 FORM = 0.01  # of the distance from neutral, standard deviation: no car does an effect quite in the catalogue's form

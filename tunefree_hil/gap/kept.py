@@ -16,14 +16,15 @@ from tunefree_hil.gap.result import as_data
 from tunefree_hil.gap.shape import Shape
 from tunefree_hil.learn.write_model import plain
 
-SCHEMA = "tunefree.gap_search/1"
+SCHEMA = "tunefree.gap_search/2"
 
 
 class Kept(NamedTuple):
     """answer: as in gap.json (result.py); null, repaired: values by key as gap/graph.py takes them, of recalibration
     alone and with the effects. free: the keys that belong to effects found. regions, shape: of the target that shows it
-    best, `signal` ('' where no link is broken). seconds: that the search took. named: whether names were looked for.
-    foretold: by target, of what the model with the effects still misses, the share that something foretells.
+    best, `signal` ('' where nothing is broken and nobody was found). seconds: that the search took. named: whether
+    names were looked for. foretold: by target, of what the model with the effects still misses, the share that
+    something foretells.
     """
 
     answer: dict[str, Any]
@@ -52,7 +53,7 @@ def keep(found: Named, kind: str, seconds: float, named: bool = True) -> Kept:
     """Of a search's result. kind: of the model's plant; named: whether names were looked for."""
     card, answer = found.card, as_data(found, kind)
     if answer["verdict"] == "none_missing" and not any(one.enough for one in found.excitation.values()):
-        answer |= {"verdict": "cannot_test", "words": [_lacking(found)]}  # nothing could have been seen
+        answer |= {"verdict": "cannot_test", "absorbed": False, "words": [_lacking(found)]}  # nothing could be seen
     return Kept(
         answer, _values(found.question.null), _values(found.repaired),
         tuple(one.key for one in found.repaired.fitted.free), "" if card is None else card.looked.signal,

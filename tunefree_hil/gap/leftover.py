@@ -1,6 +1,6 @@
 """How much of a residual could still be explained, by anything: the absolute test behind a name.
 
-A model that names no cause (ridge regression on commands, outputs and speed of the last second, with the shapes that
+A model that names no cause (ridge regression on commands, outputs and speed of the last 0.8 s, with the shapes that
 dead bands, gains, lags and side slip have) is fitted to the residual on some blocks and judged on others.
 What it finds after a repair is what the repair has left; where that is much of what there was, the name was not it.
 Nothing that is compared goes into it, nor what shares its noise: rates of the measured motion foretell themselves.

@@ -40,7 +40,7 @@ def look_first(model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened])
     held = excitation(catalogue(), held_by(drives, vehicle))
     words = tuple(strange) or (() if shown else ("nothing beyond noise and recalibration",))
     return Named(
-        _verdict(looked, strange), (), (), "", link, shown, tuple(looked), said, held, (), question, question.null,
+        _verdict(looked, strange), (), (), "", link, shown, tuple(looked), held, (), question, question.null,
         left, left, lost_links(drives), words,
     )  # fmt: skip
 

@@ -9,7 +9,7 @@ behind it come with it.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +34,7 @@ from tunefree_hil.gap.targets import LEAST_MPS
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.unseen import NOT_LOOKED, Own, own
 from tunefree_hil.gap.usual import NOTHING, Usual, parted, usual_of, usual_words
-from tunefree_hil.gap.verdict import daily_words, not_it, small_words, verdict_of, wavers, with_others
+from tunefree_hil.gap.verdict import alike_words, daily_words, not_it, small_words, verdict_of, wavers, with_others
 from tunefree_hil.gap.work import Setting
 
 VERDICTS = ("one", "several", "set", "none_missing", "none_of_these", "cannot_test")
@@ -56,13 +56,20 @@ class Effect(NamedTuple):
     own: Own = NOT_LOOKED
 
 
+class Seen(NamedTuple):
+    """Of a model: what it leaves to be explained, by target; every target, the most broken first."""
+
+    left: dict[str, Left]
+    looked: list[Looked]
+
+
 class Named(NamedTuple):
-    """The answer. candidates: all first-round suspects weighed, best first; null: recalibration alone; repaired: the
-    model with the effects in it (the null where there are none). before, after: what each leaves to be explained.
+    """The answer. candidates: all first-round suspects weighed, best first; repaired: the model with the effects in it
+    (the question's null where there are none). before, after: what either leaves to be explained.
 
     looked, still: every target with recalibration done, and with all that was found besides; card: of the one that
-    shows it best (None: no link is broken), with the link that is to blame. echoes: of the commands. set: names where
-    it is one of them, and not known which. lost: links that the logs cannot show, in words.
+    shows it best (None: nothing is broken and nobody was found), with the link that is to blame. set: names where it is
+    one of them, and not known which. lost: links that the logs cannot show, in words.
     usual: what the model misses of its own logs.
     """
 
@@ -73,7 +80,6 @@ class Named(NamedTuple):
     link: Link | None
     card: Card | None
     looked: tuple[Looked, ...]
-    echoes: tuple[Echo, ...]
     excitation: dict[str, Excited]
     candidates: tuple[Weighed, ...]
     question: Question
@@ -136,8 +142,8 @@ def _named(
     team: Team, question: Question, vehicle: VehicleSpec, drives: Sequence[Opened]
 ) -> Generator[str, None, Named]:
     blocks = judged(question.blocks)
-    before, looked = looked_at(team, question, question.null, blocks)
-    question = question._replace(broken=frozenset(one.signal for one in looked if one.broken))
+    before = looked_at(team, question, question.null, blocks)
+    question = question._replace(broken=frozenset(one.signal for one in before.looked if one.broken))
     yield f"{len(question.suspects)} suspects"
     first = weighed(team, question, [one.name for one in question.suspects], None, blocks)
     found = yield from forward(team, question, first, blocks)
@@ -146,50 +152,53 @@ def _named(
     question = question._replace(cannot={**question.cannot, **team.dropped})
     repaired = steps[-1].model if steps else question.null
     yield "what is left"
-    after, still = looked_at(team, question, repaired, blocks) if steps else (before, looked)
+    after = looked_at(team, question, repaired, blocks) if steps else before
+    still = after.looked
     usual = usual_of(team.setting.model)
     news, no_news = parted(steps, repaired.fitted, usual, blocks)
     news = with_hill(news, repaired.fitted, usual, team.setting.model)
-    amiss = _amiss(team, question, repaired, news, before, looked, after, still, usual) if news else ""
+    amiss = _amiss(team, question, repaired, news, before, after, usual) if news else ""
     if no_news:
         repaired = _without(team, question, repaired, steps, news)
-        after, _ = looked_at(team, question, repaired, blocks)
+        after = looked_at(team, question, repaired, blocks)
     held = excitation(effects(), held_by(drives, vehicle))
     steps = [with_others(step, news, held, drives) for step in news]
     said, days = tuple(one for opened in drives for one in echoes(opened)), question.blocks.drives[blocks]
     sigmas = {free.key: free.doubt for one in question.suspects for free in one.free if free.doubt}
     restless = unsteady(question.null.fitted, blocks, days, sigmas)
-    verdict, others, words = verdict_of(first, steps, looked, amiss, held, echo_words(said), restless, usual)
-    link, shown = _where(team, question, steps, looked, said)
+    verdict, others, words = verdict_of(first, steps, before.looked, amiss, held, echo_words(said), restless, usual)
+    link, shown = _where(team, question, steps, before.looked, said)
     known: tuple[Effect, ...] = ()
     if verdict in ("one", "several"):
         known = _effects(team, question, steps, repaired)
         sizes = {one.name: {key: value.value for key, value in one.params.items()} for one in known}
-        words = (*words, *small_words(sizes))
+        words = (*words, *small_words(sizes), *alike_words(sizes, drives))
     words = (*words, *no_news, *usual_words(usual), *daily_words(apart(repaired.fitted, blocks, days)))
     return Named(
-        verdict, known, others, _manoeuvre(others), link, shown, tuple(looked), said, held, tuple(first), question,
-        repaired, before, after, lost_links(drives), words, tuple(still), usual,
+        verdict, known, others, _manoeuvre(others), link, shown, tuple(before.looked), held, tuple(first), question,
+        repaired, before.left, after.left, lost_links(drives), words, tuple(still), usual,
     )  # fmt: skip
 
 
 def _amiss(
-    team: Team, question: Question, repaired: Modelled, steps: Sequence[Weighed], before: Mapping[str, Left],
-    looked: Sequence[Looked], after: Mapping[str, Left], still: Sequence[Looked], usual: Usual,
+    team: Team, question: Question, repaired: Modelled, steps: Sequence[Weighed], before: Seen, after: Seen,
+    usual: Usual,
 ) -> str:  # fmt: skip
-    """Why what was found is not what is missing, in words; '' where nothing speaks against it. before, looked: of the
-    null; after, still: of the model with all that was found, of which `steps` are to be named.
+    """Why what was found is not what is missing, in words; '' where nothing speaks against it. before: of the null;
+    after: of the model with all that was found, of which `steps` are to be named.
     """
     blocks = judged(question.blocks)
     worked = worked_on(question.null, repaired, question.sizes, blocks)
-    left = {name: left_share(before[name], one) for name, one in after.items()}
+    left = {name: left_share(before.left[name], one) for name, one in after.left.items()}
 
     def moved(key: str, by: float) -> dict[str, float]:
         found = team.ask("moved_by", repaired.fitted, key, by)
         return {target: rms / question.sizes[target] for target, rms in found.items()}
 
     days = question.blocks.drives[blocks]
-    return not_it(looked, still, left, worked, usual) or wavers(steps, repaired, blocks, days, still, worked, moved)
+    return not_it(before.looked, after.looked, left, worked, usual) or wavers(
+        steps, repaired, blocks, days, after.looked, worked, moved
+    )
 
 
 def _without(
@@ -205,10 +214,10 @@ def _without(
     return model
 
 
-def looked_at(team: Team, question: Question, model: Modelled, blocks: Array) -> tuple[dict[str, Left], list[Looked]]:
-    """(what a model leaves to be explained, by target; what is broken with it in place)."""
+def looked_at(team: Team, question: Question, model: Modelled, blocks: Array) -> Seen:
+    """What a model leaves, and what is broken with it in place."""
     (left,), (bursts,) = (team.ask(what, [model.fitted], blocks) for what in ("left_by", "bursts_of"))
-    return left, look(left, question.kinds, question.sizes, bursts)
+    return Seen(left, look(left, question.kinds, question.sizes, bursts))
 
 
 def _effects(team: Team, question: Question, steps: Sequence[Weighed], repaired: Modelled) -> tuple[Effect, ...]:

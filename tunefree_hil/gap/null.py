@@ -19,6 +19,7 @@ import numpy as np
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ActuatorSpec, Interval, ModelSpec, Number, value_of
 from tunefree_hil.gap.channels import channel_spec, is_known
+from tunefree_hil.gap.drifts import ROAD_CAR_KG, ROWS, Drift
 from tunefree_hil.gap.graph import BEND, CHANNELS, LINKAGE, Graph
 from tunefree_hil.learn.sheet import BEND_DOUBT
 
@@ -41,30 +42,6 @@ class Nuisance(NamedTuple):
     drift: float = 0.0
 
 
-# Parameters of effects: (effect, parameter, sigma, why)
-DRIFTS: tuple[tuple[str, str, float, str], ...] = (
-    ("throttle_gain", "gain_frac", 0.02, "fuel, temperature of the engine"),
-    ("brake_gain", "gain_frac", 0.02, "temperature of the discs"),
-    ("steer_gain", "gain_frac", 0.01, "what a fit leaves of the steering ratio"),
-    ("steer_offset", "offset_rad", 0.003, "straight ahead, as a calibration finds it"),
-    ("rolling_resistance", "extra_frac", 0.06, "tyre pressure, temperature"),
-    ("aero_drag", "drag_area_m2", 0.03, "what a fit leaves of it at town speeds"),
-    ("friction", "friction_frac", 0.15, "nobody measured it; only what is driven hard shows it"),
-    ("front_stiffness", "gain_frac", 0.02, "tyre pressure, temperature"),
-    ("rear_stiffness", "gain_frac", 0.02, "tyre pressure, temperature"),
-    ("grade", "grade_rad", 0.0007, "no road is level"),
-    ("side_wind", "force_n", 8.0, "camber of a level road, a breeze; of ROAD_CAR_KG"),
-    ("speed_scale", "scale_frac", 0.001, "rolling radius"),
-    ("yaw_rate_bias", "bias_radps", 0.0003, "a gyro's bias from one start to the next"),
-    ("yaw_rate_scale", "scale_frac", 0.002, "a gyro's scale"),
-    ("accel_bias", "bias_mps2", 0.008, "an accelerometer's bias from one start to the next"),
-)
-DRIFT = {f"{name}.{parameter}": sigma for name, parameter, sigma, _ in DRIFTS}
-# Effects that are of the day and not of the car: no calibration takes them in, however near it comes. By the grip a
-# model has the form of its tyres' curve right, too.
-DAILY = ("friction", "grade", "side_wind", "yaw_rate_bias", "accel_bias")
-ROAD_CAR_KG = 1800.0
-BY_WEIGHT = {"side_wind.force_n"}  # a tenth of the weight is pushed by a tenth
 # Constants of the plant: standard deviation of the logarithm, or an amount of pedal
 CONSTANTS: dict[str, float] = {
     "drive_force_n": 0.01,  # the throttle's gain, above, does nearly the same
@@ -77,21 +54,11 @@ CONSTANTS: dict[str, float] = {
     "front_axle_m": 0.04,  # geometry is the data sheet's, and no calibration moves it
     "wheelbase_m": 0.008,
 }
-# By which constant of the plant (card.json of `calibrate`) the doubt about an effect's parameter is known
-DOUBTED = {
-    "brake_gain.gain_frac": "brake_force_n_per_frac",
-    "steer_gain.gain_frac": "steer_ratio",
-    "front_stiffness.gain_frac": "front_stiffness_n_per_rad",
-    "rear_stiffness.gain_frac": "rear_stiffness_n_per_rad",
-    "rolling_resistance.extra_frac": "rolling_frac",
-    "aero_drag.drag_area_m2": "drag_area_m2",
-}
-AGAINST = {"steer_gain.gain_frac"}  # more of it is less of the constant
-OF_ITSELF = {"aero_drag.drag_area_m2", "plant.throttle_zero_frac"}  # in the constant's own unit; all others in shares
-# Of a model that comes as near to the logs it was made from as EXACT_MPS (of speed, after free runs of 8 s, or of 10)
-# recalibration may move no more than this share of what changes in a car from day to day. Its making took in what the
-# car has throughout; what has moved further since is looked for by name. A model that has not shown that may move all
-# of it, as what it misses there is missed here, too, and is no news: from EXACT_MPS / HELD on.
+OWN_UNIT = {"throttle_zero_frac"}  # of CONSTANTS: its doubt is an amount, that of all others a share
+# A model that comes as near to the logs it was made from as EXACT_MPS of speed (of `calibrate`: over its free runs of a
+# few seconds; of `learn`: after 10 s, on stretches held out) has taken in what its car is throughout: recalibration may
+# move no more than HELD of what changes from day to day, and what has moved further is looked for by name. One that has
+# not shown that may move all of it, from EXACT_MPS / HELD on: what it misses there is missed here, too, and is no news.
 HELD, EXACT_MPS, FREE_S = 0.25, 0.06, "10"
 WIDER = math.sqrt(2.0)  # than a calibration's own deviation: what these drives would make of it is no better known
 MOST_DOUBT = 0.15  # of a constant; what was never known is no licence to explain everything
@@ -118,23 +85,24 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float], held:
     """
     params = {**graph.plant.defaults, **model.plant.params}
     heavy = params.get("mass_kg", ROAD_CAR_KG) / ROAD_CAR_KG
-    some = [
-        (key, DOUBTED.get(key, ""), graph.can[name].neutral[parameter], least * (heavy if key in BY_WEIGHT else 1.0))
-        for name, parameter, least, _ in DRIFTS
-        if name in graph.can and (key := f"{name}.{parameter}")
+    some = [(one, graph.can[one.effect].neutral[one.parameter]) for one in ROWS if one.effect in graph.can]
+    some += [
+        (Drift("plant", name, least, "", name, own_unit=name in OWN_UNIT), 0.0)
+        for name, least in CONSTANTS.items()
+        if name in graph.plant.defaults
     ]
-    some += [(f"plant.{name}", name, 0.0, least) for name, least in CONSTANTS.items() if name in graph.plant.defaults]
     found = []
-    for key, constant, neutral, least in some:
-        least *= 1.0 if key.partition(".")[0] in DAILY else held
+    for one, neutral in some:
+        constant = one.constant
+        least = one.sigma * (heavy if one.by_weight else 1.0) * (1.0 if one.daily else held)
         told = min(WIDER * doubts.get(constant, 0.0), MOST_DOUBT)
-        told *= params.get(constant, 0.0) if key in OF_ITSELF else 1.0
+        told *= params.get(constant, 0.0) if one.own_unit else 1.0
         # A car that is asked for an acceleration has no drag that anybody sees, and none has less than nothing
         most = params.get(constant, math.inf) / MOST_DRAG if constant == "drag_area_m2" else math.inf
         sigma = min(math.hypot(least, told), most)
         if sigma > 0.0:
-            turned = -1.0 if key in AGAINST else 1.0
-            found.append(Nuisance(key, neutral, sigma, min(told, sigma), constant, turned, least))
+            turned = -1.0 if one.against else 1.0
+            found.append(Nuisance(one.key, neutral, sigma, min(told, sigma), constant, turned, least))
     found += [Nuisance(key, 0.0, sigma) for key, sigma in CLOCKS.items()]
     found.append(_linkage(doubts))
     for channel in CHANNELS:

@@ -16,7 +16,8 @@ from scipy.special import stdtrit
 from tunefree_hil.base.contracts import Port
 from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
 from tunefree_hil.gap.chain import Opened
-from tunefree_hil.gap.graph import effects
+from tunefree_hil.gap.drifts import BY_KEY
+from tunefree_hil.gap.graph import LINKAGE, effects
 from tunefree_hil.gap.repair import repaired
 from tunefree_hil.gap.segments import CHOICE
 from tunefree_hil.gap.shrink import floors_of
@@ -27,10 +28,8 @@ Array = np.ndarray
 ALONG, ACROSS, SENSORS = "along", "across", "sensors"
 GROUPS = (ALONG, ACROSS, SENSORS)
 STEERS = (Port.STEER_A, Port.STEER_OUT, Port.STEER_B)
-SIDEWAYS = {  # on the body: what shows in how the car turns and in what it feels sideways
-    "friction", "front_stiffness", "rear_stiffness", "side_wind", "road_bank",
-    "plant.yaw_inertia_kgm2", "plant.front_axle_m", "plant.wheelbase_m", "linkage",
-}  # fmt: skip
+# Beside the rows of gap/drifts.py that say so: what shows in how the car turns and in what it feels sideways
+SIDEWAYS = {"plant.yaw_inertia_kgm2", "plant.front_axle_m", "plant.wheelbase_m", LINKAGE}
 # By how much one block's gain differs from another's (logarithms of errors, summed over the signals), and how many
 # blocks that counts for beside those that there are: two blocks that happen to agree know no scatter.
 SCATTER, WORTH = 0.3, 4
@@ -83,7 +82,8 @@ def groups_of(values: Mapping[str, float], found: set[str]) -> dict[str, set[str
 def _group_of(key: str, port: Port | None) -> str:
     if port in (Port.REPORT, Port.INS):
         return SENSORS
-    if port in STEERS or key.startswith("actuator.steer.") or SIDEWAYS & {key, key.partition(".")[0]}:
+    turns = key in SIDEWAYS or (key in BY_KEY and BY_KEY[key].sideways)
+    if port in STEERS or key.startswith("actuator.steer.") or turns:
         return ACROSS
     return ALONG
 

@@ -22,7 +22,7 @@ Array = np.ndarray
 SLOPE = 0.02  # of a unit of a free parameter, for slopes
 SIGMA_SLOPE = 0.5  # of a standard deviation, of a nuisance
 TOUCHED = 1e-9  # of a target's size: what changes less is not touched by a parameter
-MOST_SIGMA = 2.0  # of a prior, which is twice what a calibration claims: what recalibration may do at most
+MOST_SIGMA = 2.0  # of a prior (gap/null.py): what recalibration may do at most
 HELD_TURNS = 6
 FLAT = 1e-6  # added to every curvature: what the data do not feel stays where it is
 

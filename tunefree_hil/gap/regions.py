@@ -88,7 +88,7 @@ def _quantities(opened: Opened, rows: Array, target: str) -> dict[str, Array]:
     }
     drop = {"throttle": ("brake", "steer", "lateral", "energy"), "brake": ("throttle", "steer", "lateral"),
             "steer": ("throttle", "brake", "energy")}.get(target, ())  # fmt: skip
-    return {name: one[rows] for name, one in all_of.items() if not name.startswith(drop or ("no such",))}
+    return {name: one[rows] for name, one in all_of.items() if not name.startswith(drop)}
 
 
 def _edges(name: str, what: Array) -> list[tuple[float, float]]:

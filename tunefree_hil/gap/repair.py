@@ -1,8 +1,9 @@
 """A model with what it lacked: effects that were found, and what recalibration moved, as an ordinary model folder.
 
 What was found goes into [[effects]] with interval and provenance. What recalibration moved goes into the model's own
-numbers where they mean the same, into [[effects]] where they do not. What is of one day only (slope, wind, a sensor's
-bias) and how well frames are stamped is written nowhere: the next drive has another.
+numbers where they mean the same, into [[effects]] where they do not. What is of one day only (slope, wind, grip, a
+sensor's bias or scale: drifts.UNWRITTEN) and how well frames are stamped is written nowhere: the next drive has its
+own.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from tunefree_hil.config.schema import (
     value_of,
 )
 from tunefree_hil.gap.channels import ACCEL, PEDALS, is_by_accel
+from tunefree_hil.gap.drifts import UNWRITTEN
 from tunefree_hil.gap.graph import BEND, LINKAGE, effects, scaled
 from tunefree_hil.gap.kept import Kept
 from tunefree_hil.gap.null import card_of
@@ -32,7 +34,6 @@ from tunefree_hil.learn.free_run import plant_of
 from tunefree_hil.learn.write_model import CARD_FILE, OWN_EFFECTS, data_of, write_beside
 from tunefree_hil.plant.asked_accel import FULL_MPS2
 
-OF_THE_DAY = ("grade", "side_wind", "friction", "speed_scale", "yaw_rate_bias", "yaw_rate_scale", "accel_bias")
 ADDED = ("dead_time_s", "offset")  # numbers of a channel that recalibration adds to; the others it multiplies
 LEAST_CHANGE = 1e-9  # of a number: less is none
 GAINS = {  # effects that are a factor on a constant of the single track
@@ -69,7 +70,7 @@ def repaired(
     """A model moved to `values` (keys as gap/graph.py takes them), with the effects `found` in it."""
     names = {one.name for one in found}
     moved = _by_effect(values, names)
-    day = tuple(EffectSpec(name=name, params=moved.pop(name)) for name in OF_THE_DAY if name in moved)
+    day = tuple(EffectSpec(name=name, params=moved.pop(name)) for name in UNWRITTEN if name in moved)
     plant = plant_of(model)
     base = {**plant.defaults, **model.plant.params}
     params = scaled(model.plant.params, plant.defaults, values)

@@ -25,7 +25,7 @@ def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
     return {
         "verdict": found.verdict or None,
         "forced": forced_name(found),
-        "absorbed": is_absorbed(found, kind),
+        "absorbed": is_absorbed(found.verdict, kind),
         "effects": [_effect(one) for one in found.effects],
         "set": list(found.set),
         "together": together(found),
@@ -97,9 +97,9 @@ def untold(found: Named) -> dict[str, str]:
     }
 
 
-def is_absorbed(found: Named, kind: str) -> bool:
+def is_absorbed(verdict: str, kind: str) -> bool:
     """Whether a learned plant may hide what is not found: its net may have been taught by logs that had it."""
-    return kind not in WITHOUT_NET and found.verdict in ("none_missing", "none_of_these")
+    return kind not in WITHOUT_NET and verdict in ("none_missing", "none_of_these")
 
 
 def _effect(one: Effect) -> dict[str, Any]:

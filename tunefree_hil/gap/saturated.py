@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.runs import runs
 
 Array = np.ndarray
 
@@ -64,12 +65,7 @@ def _ends(some: Array) -> list[tuple[float, float]]:
     found = []
     for end, beside in ((0, slice(1, 1 + NEXT)), (-1, slice(-1 - NEXT, -1))):
         value = float(levels[end])
-        if value != 0.0 and counts[end] > PILED * counts[beside].sum() and _runs(some == value) >= LEAST_RUNS:
+        piled = counts[end] > PILED * counts[beside].sum()
+        if value != 0.0 and piled and len(runs(some == value, LEAST_RUN)) >= LEAST_RUNS:
             found.append((value, float(counts[end]) / len(some)))
     return found
-
-
-def _runs(flags: Array) -> int:
-    """Stretches of at least LEAST_RUN."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return int(np.sum(edges[1::2] - edges[::2] >= LEAST_RUN))

@@ -3,8 +3,8 @@
 Blocks with a guard behind each, taken in turn over the whole drive (fit, choice, fit, proof): rows next to each other
 are nearly the same measurement, and what a drive shows changes over its time. A block is BLOCK_S long. Where all drives
 together do not hold FEWEST of these, as a recording of one minute does not, blocks are as long as give FEWEST, but
-never shorter than SHORTEST_S: a residual hangs together for up to 4 s (gap/noise.py), and what is tested block by block
-must be several pieces of news and not one.
+a drive is never cut shorter than SHORTEST_S: a residual hangs together for up to 4 s (gap/noise.py), and what is tested
+block by block must be several pieces of news and not one.
 """
 
 from __future__ import annotations

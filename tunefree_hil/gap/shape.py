@@ -1,4 +1,4 @@
-"""What a residual looks like, for people: how late the car is, how weak, how far off, and how quickly it changes."""
+"""What a residual looks like, for people: how late the car is, how weak, and how far off."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import coherence
 
 Array = np.ndarray
 
@@ -17,14 +16,12 @@ LEAST_ROWS = 256
 
 class Shape(NamedTuple):
     """The measured signal against the simulated one. late_s: by how much it comes later; gain: factor; bias: amount
-    more; at 0 Hz to `hz` lies half of the residual's power; coherent: how well the simulation foretells the residual.
+    more.
     """
 
     late_s: float
     gain: float
     bias: float
-    hz: float
-    coherent: float
 
     def words(self, size: float) -> str:
         """As a person would say it; '' where nothing of it is clear. size: the signal's deviation."""
@@ -50,11 +47,7 @@ def shape_of(residual: Sequence[Array], measured: Sequence[Array], valid: Sequen
     best = int(np.argmin(costs))
     late = best - most + _between(costs, best)
     gain, bias, _ = _fitted(np.roll(made, best - most), truth, good)
-    left = np.where(good, residual[i] - np.mean(residual[i][good]), 0.0)
-    power = np.abs(np.fft.rfft(left)) ** 2
-    hz = float(np.searchsorted(np.cumsum(power), 0.5 * power.sum()) / (len(left) * dt_s))
-    rate, share = coherence(np.where(good, made, 0.0), left, 1.0 / dt_s, nperseg=LEAST_ROWS)
-    return Shape(late * dt_s, gain, bias, hz, float(np.mean(share[rate <= 2.0])))
+    return Shape(late * dt_s, gain, bias)
 
 
 def _fitted(made: Array, truth: Array, good: Array) -> tuple[float, float, float]:

@@ -9,6 +9,8 @@ import numpy as np
 
 from tunefree_hil.gap.recent import ahead
 from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.fields import INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES
+from tunefree_hil.learn.runs import every_of
 from tunefree_hil.learn.smooth import between_fresh
 
 Array = np.ndarray
@@ -17,8 +19,6 @@ SILENCE_S = 0.25  # beyond which a signal has a gap
 SLOW_TICKS = 3  # from value to value, from which a signal lies on straight lines that are seen
 COVERS = 0.5  # of what the chassis says: an INS that says less is no second opinion of a drive
 INS = "ins."
-SPEEDS = ("ins.speed_mps", "report.speed_mps")
-YAWS = ("ins.yaw_rate_radps", "report.yaw_rate_radps")
 PAUSES = 3  # of a message, which is sent on demand then and not every so often
 
 
@@ -56,11 +56,12 @@ def well_covered(signals: Mapping[str, Signal], name: str) -> tuple[dict[str, Si
 
     Without a speed of its own an INS is left out whole, but for a yaw rate that nobody else tells.
     """
-    if outdone(signals, *SPEEDS):
-        out = {one for one in signals if one.startswith(INS) and (one != YAWS[0] or YAWS[1] in signals)}
-        what = ("a speed", SPEEDS[0], "it")
-    elif outdone(signals, *YAWS):
-        out, what = {YAWS[0]}, ("a yaw rate", YAWS[0], "that")
+    speed, (yaw, chassis_yaw) = INS_FIRST_SPEEDS[0], INS_FIRST_YAW_RATES
+    if outdone(signals, *INS_FIRST_SPEEDS):
+        out = {one for one in signals if one.startswith(INS) and (one != yaw or chassis_yaw in signals)}
+        what = ("a speed", speed, "it")
+    elif outdone(signals, *INS_FIRST_YAW_RATES):
+        out, what = {yaw}, ("a yaw rate", yaw, "that")
     else:
         return dict(signals), ()
     share = signals[what[1]].there.mean()
@@ -96,11 +97,6 @@ def as_told(values: Array, fresh: Array, dt_s: float) -> Signal:
     return Signal(between_fresh(values, told), told, there_of(told, dt_s), every=every_of(told))
 
 
-def every_of(fresh: Array) -> float:
-    """Ticks from one value to the next."""
-    return max(float(np.median(np.diff(np.flatnonzero(fresh)))), 1.0)
-
-
 def there_of(fresh: Array, dt_s: float) -> Array:
     """Rows between two values that are no gap apart."""
     rows = np.flatnonzero(fresh)
@@ -109,19 +105,6 @@ def there_of(fresh: Array, dt_s: float) -> Array:
     for i in np.flatnonzero(np.diff(rows) > 2.0 * every_of(fresh) + SILENCE_S / dt_s):
         there[rows[i] + 1 : rows[i + 1]] = False
     return there
-
-
-def all_there(there: Array, before: int, behind: int) -> Array:
-    """bool [n]: rows with no gap from `before` rows before them to `behind` rows behind them; a drive begins and ends
-    with one.
-    """
-    gaps = np.concatenate([[0], np.cumsum(~there)])
-    rows = np.arange(len(there))
-    begin, end = rows - before, rows + behind + 1
-    inside = (begin >= 0) & (end <= len(there))
-    found = np.zeros(len(there), dtype=bool)
-    found[inside] = gaps[end[inside]] == gaps[begin[inside]]
-    return found
 
 
 def carried(signals: Mapping[str, Signal], names: tuple[str, ...], ticks: int) -> Array:

@@ -10,15 +10,16 @@ from tunefree_hil import effects
 from tunefree_hil.base.contracts import Link, Prior, links_of, prior_of
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
-from tunefree_hil.gap.chain import YAW_RATES, Opened
+from tunefree_hil.gap.chain import Opened
+from tunefree_hil.gap.drifts import DRIFT
 from tunefree_hil.gap.graph import Graph
-from tunefree_hil.gap.null import DRIFT, Nuisance
+from tunefree_hil.gap.null import Nuisance
 from tunefree_hil.gap.problem import Free
 from tunefree_hil.gap.scan import NO_TWIN, TWINS
+from tunefree_hil.learn.fields import CHASSIS_FIRST_YAW_RATES
 
 BEYOND = 0.35  # of the prior's width, that a search may go past its ends
 LATERAL = "report.lateral_accel_mps2"
-GYRO = ("yaw_rate_bias", "yaw_rate_filter", "yaw_rate_scale")  # what ails a sensor that only some cars have
 NO_GYRO = "no gyro: the chassis's yaw rate is made from its wheels"
 # Parameters that mean so many times a constant of the model: as well as that is known
 COUNTS_BY = {"rolling_resistance.extra_frac": "rolling_frac", "head_wind.wind_mps": "drag_area_m2"}
@@ -37,7 +38,8 @@ def suspects_of(
 ) -> tuple[list[Suspect], dict[str, str]]:
     """(suspects, effects that cannot be suspected with the reason): the plant or these drives have none of it."""
     found, cannot = [], dict(graph.cannot)
-    cannot |= {name: NO_GYRO for name in GYRO if name in graph.can and _without_gyro(drives)}
+    if _without_gyro(drives):
+        cannot |= {name: NO_GYRO for name, effect in graph.can.items() if links_of(effect)[0] is Link.YAW_VS_INS}
     sizes = sizes_of(model, vehicle, graph)
     for name, effect in graph.can.items():
         if name in cannot:
@@ -54,7 +56,7 @@ def suspects_of(
 
 def _without_gyro(drives: Sequence[Opened]) -> bool:
     """Whether the chassis's yaw rate is its wheels' in every drive that has one."""
-    said = [one for one in drives if one.has(YAW_RATES[0])]
+    said = [one for one in drives if one.has(CHASSIS_FIRST_YAW_RATES[0])]
     return bool(said) and all(one.by_wheels for one in said)
 
 

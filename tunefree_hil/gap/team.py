@@ -21,7 +21,7 @@ SCREEN = 0.15  # who gains less than that gets one step: the truth, even midway 
 
 
 class Team:
-    """Two processes that have the same question open. dropped: who could not be asked at all, with the reason.
+    """Processes that have the same question open. dropped: who could not be asked at all, with the reason.
     thorough: whether all suspects are fitted, however little they gain.
     """
 

@@ -7,19 +7,19 @@ it was not that.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
 from tunefree_hil.gap.ask import Modelled
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.decide import MOST_LEFT, Weighed, outdone
+from tunefree_hil.gap.drifts import DRIFT
 from tunefree_hil.gap.evidence import LEAST_NATS
 from tunefree_hil.gap.excitation import Excited
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.interval import WAVERS, wavering
 from tunefree_hil.gap.locate import GROSS, LOUD, Looked
-from tunefree_hil.gap.null import DRIFT
 from tunefree_hil.gap.suspects import class_of
 from tunefree_hil.gap.usual import NOTHING, Usual
 
@@ -69,8 +69,11 @@ def verdict_of(
         return ("one" if len(steps) == 1 else "several"), (), tuple(lacking)
     names = dict.fromkeys(name for step in steps for name in (step.name, *step.others))
     if all(step.faint and step.evidence < SET_NATS for step in steps):
-        words = f"{', '.join(names)} would each explain a part of what a model may miss, and no link is broken"
-        return "none_missing", (), (words,)
+        words = f"{', '.join(names)} would each explain a part of what a model may miss"
+        missed = [one.missed for one in looked if one.broken and not usual.as_usual(one.signal, one.amount)]
+        if missed:
+            return "none_of_these", (), (f"{words}; {missed[0]}, and none of them explains that",)
+        return "none_missing", (), (f"{words}, and no link is broken",)
     return "set", tuple(names), tuple(_set_words(step, held[step.name]) for step in steps)
 
 
@@ -132,7 +135,7 @@ def daily_words(found: Mapping[str, float]) -> tuple[str, ...]:
 
 def small_words(found: Mapping[str, Mapping[str, float]]) -> tuple[str, ...]:
     """Of effects that were named, each with the values of its parameters, those that are no more than what changes from
-    one day to the next (null.DRIFTS, twice its deviation), in words.
+    one day to the next (drifts.py, twice its deviation), in words.
     """
     some = [
         (name, DRIFT.get(f"{name}.{parameter}", 0.0), value - effects()[name].neutral[parameter])
@@ -150,6 +153,13 @@ def _set_words(step: Weighed, held: Excited) -> str:
         return f"{step.name} beside them"
     why = f": {'; '.join(held.lacks)}" if held.lacks else ""
     return f"{step.name} explains these logs as well as {', '.join(step.others)}{why}"
+
+
+def alike_words(names: Iterable[str], drives: Sequence[Opened]) -> tuple[str, ...]:
+    """Of each effect that is named, in words: who else would look just the same on this car (interfaces 4)."""
+    has_lateral = all(one.has("report.lateral_accel_mps2") for one in drives)
+    same = {name: ", ".join(sorted(class_of(name, has_lateral) - {name})) for name in names}
+    return tuple(f"{name}: no log of this car tells it from {others}" for name, others in same.items() if others)
 
 
 def with_others(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.machine import FAULT, NOTE, OK, Finding, machine
+from tunefree_hil.jobs.pasted import pasted
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import BenchSpec, VehicleSpec
@@ -37,7 +38,7 @@ def doctor(*, vehicle: Path | None, schema: str | None, bus: str, bench: Path | 
     faults = sum(finding.kind == FAULT for finding in findings)
     sentence = f"{faults} fault{'' if faults == 1 else 's'} found" if faults else "no fault found"
     drivable = bench or (FIRST_BENCH if vehicle is None and FIRST_BENCH.is_file() else None)
-    following = [f"tunefree-hil drive {drivable}"] if drivable and not faults else []
+    following = [pasted("drive", drivable)] if drivable and not faults else []
     data = {"findings": findings, "sentence": sentence, "exit": 1 if faults else 0, "next": following}
     yield Event("result", "", data)
 

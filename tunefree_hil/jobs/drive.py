@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
@@ -22,86 +22,128 @@ from tunefree_hil.bench import (
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.control.parameters import NAMES
-from tunefree_hil.grade.score import combine
+from tunefree_hil.grade.score import FINISHED, combine
 from tunefree_hil.jobs.identity import identity_of, resolved_toml
 from tunefree_hil.jobs.learn.model_words import model_words
 from tunefree_hil.jobs.learn.outside import drive_warning, outside_data, outside_words
+from tunefree_hil.jobs.pasted import pasted
 from tunefree_hil.jobs.run_folder import RunFolder, write_text
-from tunefree_hil.jobs.running.foreign import command_of, with_command
+from tunefree_hil.jobs.running.foreign import program_of, with_command
 from tunefree_hil.jobs.running.harvest import Episode
 from tunefree_hil.jobs.running.heard import heard_of
 from tunefree_hil.jobs.running.lateness import judge_realtime
 from tunefree_hil.jobs.running.node_links import bus_for
 from tunefree_hil.jobs.running.session import Session
 from tunefree_hil.jobs.running.track import Track
+from tunefree_hil.jobs.words import early
 
 DEFAULT_ROOT = Path("runs")
 
 
-def drive(
-    bench: Path,
-    *,
-    scenario: Sequence[str],
-    model: str | None,
-    bus: str,
-    bench_bus: str,
-    seed: int | None,
-    realtime: bool,
-    join: bool,
-    session: str,
-    out: Path | None,
-    parameters: list[str],
-    controller: str = "",
-) -> Iterator[Event]:
+class Asked(NamedTuple):
+    """The command line of `drive`. scenario: none for all of the bench file; session: '' for one of its own."""
+
+    bench: Path
+    scenario: Sequence[str] = ()
+    model: str | None = None
+    bus: str = "auto"
+    bench_bus: str = ""
+    seed: int | None = None
+    realtime: bool = False
+    join: bool = False
+    session: str = ""
+    out: Path | None = None
+    parameters: Sequence[str] = ()
+    controller: str = ""
+
+
+class Wish(NamedTuple):
+    """What was asked for, resolved."""
+
+    asked: Asked
+    bench: Bench
+    model: str
+    scenarios: list[ScenarioSpec]
+    values: dict[str, float]
+    session: str
+
+
+def drive(asked: Asked) -> Iterator[Event]:
     """Drive the scenarios that are named, or all of the bench file. Real time: exit 4 when it was not."""
-    loaded = with_command(load(bench), controller)
-    chosen = chosen_parameters(parameters, own_parameters(loaded))
-    values = parameters_of(loaded, chosen)
-    model_name = model or loaded.spec.model
-    scenarios = [find_scenario(loaded, name) for name in dict.fromkeys(scenario or loaded.spec.scenarios)]
-    require_buildable(loaded, model_name, scenarios, values, realtime=realtime)
-    session = session or own_session()
-    bus_for(loaded, bus, session, bench_bus)
-    identity = identity_of(loaded, model_name, scenarios)
-    record = {"command": "drive", "bench": str(bench), "model": model_name, "realtime": realtime, **identity}
-    run = RunFolder.create(out or DEFAULT_ROOT, f"drive-{bench.stem}", {**record, "seed": seed, "parameters": values})
-    write_text(run.path / "bench.toml", resolved_toml(loaded, scenarios))
+    wish = _resolved(asked)
+    run = _folder_of(wish)
     yield Event("note", f"run folder {run.path}")
-    yield Event("note", model_words(model_of(loaded, model_name)))
+    yield Event("note", model_words(model_of(wish.bench, wish.model)))
+    episodes, pace = yield from _driven(wish, run)
+    figures = draw(run, episodes)
+    verdict = judge_realtime(run, range(len(wish.scenarios)), wish.bench.codec) if asked.realtime else None
+    score = combine([episode.grade for episode in episodes.values()])
+    run.finish(score=score, frame_hashes={name: episode.hash for name, episode in episodes.items()})
+    beyond = outside_data(wish.bench, wish.model, {name: episode.recording for name, episode in episodes.items()})
+    yield _result(run, episodes, score, figures, verdict, {**pace, "outside": beyond})
+
+
+def _resolved(asked: Asked) -> Wish:
+    """Read and check everything. Raises InputError that names what does not fit, before any process starts."""
+    bench = with_command(load(asked.bench), asked.controller)
+    values = parameters_of(bench, chosen_parameters(asked.parameters, own_parameters(bench)))
+    model = asked.model or bench.spec.model
+    scenarios = [find_scenario(bench, name) for name in dict.fromkeys(asked.scenario or bench.spec.scenarios)]
+    require_buildable(bench, model, scenarios, values, realtime=asked.realtime)
+    session = asked.session or own_session()
+    bus_for(bench, asked.bus, session, asked.bench_bus)
+    return Wish(asked, bench, model, scenarios, values, session)
+
+
+def _folder_of(wish: Wish) -> RunFolder:
+    """A new run folder, with the bench file as it was understood."""
+    asked, bench = wish.asked, wish.bench
+    identity = identity_of(bench, wish.model, wish.scenarios)
+    record = {"command": "drive", "bench": str(asked.bench), "model": wish.model, "realtime": asked.realtime}
+    record |= {**identity, "seed": asked.seed, "parameters": wish.values}
+    run = RunFolder.create(asked.out or DEFAULT_ROOT, f"drive-{asked.bench.stem}", record)
+    write_text(run.path / "bench.toml", resolved_toml(bench, wish.scenarios))
+    return run
+
+
+def _driven(wish: Wish, run: RunFolder) -> Generator[Event, None, tuple[dict[str, Episode], dict[str, float]]]:
+    """(episodes by scenario, the pace that was kept)."""
+    asked, bench = wish.asked, wish.bench
     with Session(
         run.path / "bench.toml",
         run.words(),
-        session=session,
-        model=model_name,
-        bus=bus,
-        bench_bus=bench_bus,
-        realtime=realtime,
-        join=join,
-        jitted_ecu=is_heavy(loaded, model_name),
-        controller_command=command_of(loaded),
-    ) as bench_session:
-        yield Event("note", f"bus: {bench_session.choice.why}")
-        track = Track(bench_session, loaded, run, seed=seed)
+        session=wish.session,
+        model=wish.model,
+        bus=asked.bus,
+        bench_bus=asked.bench_bus,
+        realtime=asked.realtime,
+        join=asked.join,
+        jitted_ecu=is_heavy(bench, wish.model),
+        controller_command=program_of(bench),
+    ) as session:
+        yield Event("note", f"bus: {session.choice.why}")
+        track = Track(session, bench, run, seed=asked.seed)
         episodes: dict[str, Episode] = {}
         try:
-            for i, one in enumerate(scenarios):
-                episodes |= track.drive_all(values, [one], i)
-                rest_s = sum(loaded.course(later).ticks for later in scenarios[i + 1 :]) * loaded.dt_s
-                eta_s = rest_s / track.pace.get("speed_x", 1.0)
-                data = {"label": "scenario", "done": i + 1, "total": len(scenarios), "eta_s": eta_s, **track.pace}
-                yield Event("progress", _line(one.name, episodes[one.name]), data)
-                yield from (Event("warning", f"{one.name}: {words}") for words in heard_of(run.episode(i)))
-                words = drive_warning(loaded, model_name, one.name, episodes[one.name].recording)
-                yield from [Event("warning", words)] * bool(words)
+            for i, one in enumerate(wish.scenarios):
+                episodes |= track.drive_all(wish.values, [one], i)
+                yield from _told(wish, run, i, episodes[one.name], track.pace)
         finally:
             track.close()
-        yield from (Event("warning", words) for words in bench_session.notes)
-    figures = draw(run, episodes)
-    verdict = judge_realtime(run, range(len(scenarios)), loaded.codec) if realtime else None
-    score = combine([episode.grade for episode in episodes.values()])
-    run.finish(score=score, frame_hashes={name: episode.hash for name, episode in episodes.items()})
-    beyond = outside_data(loaded, model_name, {name: episode.recording for name, episode in episodes.items()})
-    yield _result(run, episodes, score, figures, verdict, {**track.pace, "outside": beyond})
+        yield from (Event("warning", words) for words in session.notes)
+    return episodes, track.pace
+
+
+def _told(wish: Wish, run: RunFolder, i: int, episode: Episode, pace: Mapping[str, float]) -> Iterator[Event]:
+    """How scenario i went, and what is to be known of it."""
+    bench, name = wish.bench, wish.scenarios[i].name
+    rest_s = sum(bench.course(later).ticks for later in wish.scenarios[i + 1 :]) * bench.dt_s
+    eta_s = rest_s / pace.get("speed_x", 1.0)
+    data = {"label": "scenario", "done": i + 1, "total": len(wish.scenarios), "eta_s": eta_s, **pace}
+    yield Event("progress", _line(name, episode), data)
+    yield from (Event("warning", f"{name}: {words}") for words in heard_of(run.episode(i)))
+    words = drive_warning(bench, wish.model, name, episode.recording)
+    yield from [Event("warning", words)] * bool(words)
 
 
 def own_session() -> str:
@@ -109,7 +151,7 @@ def own_session() -> str:
     return f"run-{os.getpid()}"
 
 
-def chosen_parameters(texts: list[str], own: Iterable[str] = ()) -> dict[str, float]:
+def chosen_parameters(texts: Iterable[str], own: Iterable[str] = ()) -> dict[str, float]:
     """NAME=VALUE pairs; own: names of somebody else's controller. Raises InputError that names a wrong one."""
     known = [*NAMES, *own]
     chosen = {}
@@ -139,20 +181,12 @@ def draw(run: RunFolder, episodes: Mapping[str, Episode], label: str = "drive") 
     """One figure a scenario."""
     from tunefree_hil.figures.scenario import Drive, write_scenario
 
-    return [
-        str(
-            write_scenario(
-                run.figures() / f"{name}.png",
-                name,
-                [Drive(label, episode.recording.columns, episode.grade.score, _early(episode))],
-            )
-        )
-        for name, episode in episodes.items()
-    ]
-
-
-def _early(episode: Episode) -> str:
-    return "" if episode.grade.outcome == "finished" else episode.grade.outcome
+    written = []
+    for name, episode in episodes.items():
+        graded = episode.grade
+        one = Drive(label, episode.recording.columns, graded.score, early(graded.outcome))
+        written.append(str(write_scenario(run.figures() / f"{name}.png", name, [one])))
+    return written
 
 
 def _line(name: str, episode: Episode) -> str:
@@ -172,7 +206,7 @@ def _result(
     more: dict[str, Any],
 ) -> Event:
     """more: goes into the data as it is; "outside" is said too."""
-    failed = [name for name, episode in episodes.items() if episode.grade.outcome != "finished"]
+    failed = [name for name, episode in episodes.items() if episode.grade.outcome != FINISHED]
     many = "1 scenario" if len(episodes) == 1 else f"{len(episodes)} scenarios"
     sentence = f"{many} driven, score {score:.3f}"
     if failed:
@@ -186,8 +220,8 @@ def _result(
         "hashes": {name: episode.hash for name, episode in episodes.items()},
         "figures": figures,
         "next": [
-            f"tunefree-hil replay {run.path} --verify",
-            f"tunefree-hil log check {run.path}/episodes/0/vehicle.log",
+            pasted("replay", run.path, verify=True),
+            pasted("log check", run.path / "episodes" / "0" / "vehicle.log"),
         ],
         **more,
     }

@@ -13,7 +13,7 @@ from tunefree_hil.bench import Bench, calibration_path, model_of
 from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.find import find
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.jobs.running.foreign import command_of, program_hashes
+from tunefree_hil.jobs.running.foreign import program_hashes, program_of
 
 
 def identity_of(bench: Bench, model: str, scenarios: Iterable[ScenarioSpec]) -> dict[str, Any]:
@@ -49,7 +49,7 @@ def resolved_toml(bench: Bench, scenarios: Iterable[ScenarioSpec] | None = None)
         named = {scenario.hash: name for name, scenario in bench.scenarios.items()}
         data["scenarios"] = [_anywhere("scenario", named.get(one.hash, one.path), bench.file) for one in scenarios]
     if spec.controller.command:
-        data["controller"]["command"] = command_of(bench)
+        data["controller"]["command"] = program_of(bench)
     beside = Path(bench.file).parent / spec.controller.calibration
     if spec.controller.calibration and beside.is_file():
         data["controller"]["calibration"] = str(beside.resolve())

@@ -15,7 +15,7 @@ from tunefree_hil.episode.compare import compare_logs
 from tunefree_hil.episode.frame_hash import frame_hash
 from tunefree_hil.jobs.drive import find_scenario, own_session
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, read_json
-from tunefree_hil.jobs.running.foreign import command_of, program_hashes, require_one
+from tunefree_hil.jobs.running.foreign import program_hashes, program_of, require_one
 from tunefree_hil.jobs.running.session import Session
 
 DIFFERS = 1  # exit status
@@ -101,7 +101,7 @@ def _drive_again(folder: RunFolder, bench: Bench, numbers: list[int]) -> Iterato
             session=f"{own_session()}-replay",
             model=model,
             jitted_ecu=is_heavy(bench, model),
-            controller_command=command_of(bench),
+            controller_command=program_of(bench),
         ) as session,
     ):
         for k in numbers:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import sys
+import platform
+from collections.abc import Iterable
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
@@ -36,12 +36,13 @@ def write_json(path: Path, data: Any) -> None:
     write_text(path, json.dumps(data, indent=1, sort_keys=True) + "\n")
 
 
-def versions() -> dict[str, str]:
-    """What this run was made with."""
-    found = {"tunefree_hil": __version__, "python": sys.version.split()[0]}
-    for name in LIBRARIES:
-        found[name] = metadata.version(name)
-    return found
+def versions(libraries: Iterable[str] = LIBRARIES) -> dict[str, str]:
+    """What numbers were made with: this package, Python, and some libraries."""
+    return {
+        "tunefree_hil": __version__,
+        "python": platform.python_version(),
+        **{name: metadata.version(name) for name in libraries},
+    }
 
 
 class RunFolder:
@@ -166,10 +167,3 @@ def drop_bulk(episode: Path) -> None:
     """Keep an episode's summary, drop its logs and columns."""
     for name in ("vehicle.log", "bench.log", "columns.npz", "timing.npz"):
         (episode / name).unlink(missing_ok=True)
-
-
-def copy_episode(source: Path, target: Path) -> None:
-    """Copy an episode's files under another name."""
-    if target.exists():
-        shutil.rmtree(target)
-    shutil.copytree(source, target)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from tunefree_hil.grade.score import FINISHED
+
 PEAK_THRESHOLD_M = 0.5  # lateral_err_peak is a share of it (apollo_facts 6.1)
 
 Drives = Mapping[str, Mapping[str, Any]]  # scenario -> grade as plain data
@@ -22,9 +24,14 @@ def replans(drives: Drives) -> int:
     return sum(int(drive["replans"]) for drive in drives.values())
 
 
+def early(outcome: str) -> str:
+    """How a drive ended that did not come to its end; '' for one that did."""
+    return "" if outcome == FINISHED else outcome
+
+
 def failures(drives: Drives) -> list[str]:
     """Scenarios not driven to their end."""
-    return [name for name, drive in drives.items() if drive["outcome"] != "finished"]
+    return [name for name, drive in drives.items() if drive["outcome"] != FINISHED]
 
 
 def comparison(manual_name: str, manual: Drives, tuned: Drives, scores: tuple[float, float]) -> str:

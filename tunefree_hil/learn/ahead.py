@@ -15,6 +15,7 @@ from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.learn.drives import Array
 from tunefree_hil.learn.free_run import WARM_S, ridden, rig_of
 from tunefree_hil.learn.motion import Track, outputs_of, starts_of
+from tunefree_hil.learn.sheet import rear_behind_m
 
 SPEED, YAW = 3, 4  # of a row of `ridden`
 NAIVE = "keeps its speed"
@@ -25,7 +26,6 @@ class Trace(NamedTuple):
     """One free run as long as it goes: stamps from the start, s; speed and yaw rate measured, and by model, [n]."""
 
     name: str
-    row: int  # of the drive
     time_s: Array
     speed_mps: Array
     yaw_rate_radps: Array
@@ -61,7 +61,7 @@ def look_ahead(
     traces: list[Trace] = []
     errors: dict[str, list[Array]] = {name: [] for name in (*models, NAIVE)}
     rigs = {name: rig_of(model) for name, model in models.items()}
-    behind_m = (vehicle.nominal.wheelbase_m or 0.0) - (vehicle.nominal.front_axle_m or 0.0)
+    behind_m = rear_behind_m(vehicle.nominal)
     for track in tracks:
         warm, least = round(WARM_S / track.dt_s), round(min(horizons_s) / track.dt_s)
         rest = vehicle.nominal.rest_pedal_frac
@@ -107,7 +107,7 @@ def traced(track: Track, row: int, ahead: int, runs: Mapping[str, Any]) -> Trace
     speeds = {name: run[:, SPEED] for name, run in runs.items()} | {NAIVE: np.full(ahead + 1, speed[0])}
     yaws = {name: run[:, YAW] for name, run in runs.items()} | {NAIVE: np.full(ahead + 1, yaw[0])}
     time_s = track.dt_s * np.arange(ahead + 1)
-    return Trace(track.name, track.begin + row, time_s, speed, yaw, speeds, yaws)
+    return Trace(track.name, time_s, speed, yaw, speeds, yaws)
 
 
 def _missed(one: Trace, name: str, horizons_s: Sequence[float], dt_s: float) -> Array:

@@ -23,7 +23,9 @@ import numpy as np
 from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.learn.actuator_shapes import smooth_rate
 from tunefree_hil.learn.drives import Array, Drive, Part
-from tunefree_hil.learn.pairs import BENCH_TICKS, CHANNELS, RATE_WINDOW_S, WARM_S, Pair, Pairs, runs, shifted
+from tunefree_hil.learn.fields import INS_FIRST_YAW_RATES, first_told
+from tunefree_hil.learn.pairs import BENCH_TICKS, CHANNELS, RATE_WINDOW_S, WARM_S, Pair, Pairs, shifted
+from tunefree_hil.learn.runs import runs
 from tunefree_hil.learn.smooth import between_fresh, rate_of, speed_of, yaw_by_wheels
 
 OTHER_PEDAL = {"throttle": "brake", "brake": "throttle"}
@@ -149,11 +151,8 @@ def _at_rest(drive: Drive, pedal: str, rest: float) -> Array:
 
 
 def _yaw_rate(drive: Drive, vehicle: VehicleSpec) -> tuple[Array, Array] | None:
-    for name in ("ins.yaw_rate_radps", "report.yaw_rate_radps"):
-        values = drive.get(name)
-        if values is not None and np.isfinite(values).any():
-            return values, drive.fresh[name]
-    return yaw_by_wheels(drive, vehicle.nominal)
+    name = first_told(drive, INS_FIRST_YAW_RATES)
+    return yaw_by_wheels(drive, vehicle.nominal) if name is None else (drive.fields[name], drive.fresh[name])
 
 
 def _knots(commands: Array) -> Array:

@@ -12,8 +12,9 @@ from tunefree_hil.episode.plausible import HIGHEST, HIGHEST_OF, Finding, check_u
 from tunefree_hil.episode.plausible_pairs import Pair, pairs_of
 from tunefree_hil.learn.check_stuck import check_stuck
 from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.fields import CHASSIS_FIRST_SPEEDS
 from tunefree_hil.learn.problems import Problem
-from tunefree_hil.learn.series import BRAKES, SPEEDS, THROTTLES, TURNS, as_columns, backwards, first_of, moving, name_of
+from tunefree_hil.learn.series import BRAKES, THROTTLES, TURNS, as_columns, backwards, first_of, moving, name_of
 from tunefree_hil.learn.smooth import between_fresh
 
 if TYPE_CHECKING:
@@ -197,7 +198,7 @@ def _accel_command(drive: Drive) -> Iterator[Problem]:
 
 def _following_accel(drive: Drive) -> Array | None:
     """The speed's rate over WINDOW_S, from DELAY_S after each row; NaN at the end. None without a speed."""
-    speed = first_of(drive, SPEEDS)
+    speed = first_of(drive, CHASSIS_FIRST_SPEEDS)
     if speed is None:
         return None
     delay, window = round(DELAY_S / drive.dt_s), max(1, round(WINDOW_S / drive.dt_s))

@@ -7,8 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.fields import CHASSIS_FIRST_SPEEDS, CHASSIS_FIRST_YAW_RATES
 from tunefree_hil.learn.problems import Problem
-from tunefree_hil.learn.series import SPEEDS, TURNS, YAW_RATES, backwards, first_of, moving, name_of
+from tunefree_hil.learn.series import TURNS, backwards, first_of, moving, name_of
 
 Array = np.ndarray
 Band = tuple[int, int, int]  # of speed, of steering, its side
@@ -88,7 +89,7 @@ def _steering(drive: Drive, least_rad: float) -> dict[Band, float]:
 
     A servo is not linear, tyres are not, and a wheel is never quite straight: only what was steered alike is compared.
     """
-    speed, steer, yaw = (first_of(drive, names) for names in (SPEEDS, TURNS, YAW_RATES))
+    speed, steer, yaw = (first_of(drive, names) for names in (CHASSIS_FIRST_SPEEDS, TURNS, CHASSIS_FIRST_YAW_RATES))
     if speed is None or steer is None or yaw is None:
         return {}
     whole = moving(drive) & ~backwards(drive) & np.isfinite(steer) & np.isfinite(yaw)

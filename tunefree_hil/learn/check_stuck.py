@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.fields import CHASSIS_FIRST_SPEEDS
 from tunefree_hil.learn.problems import Problem
-from tunefree_hil.learn.series import SPEEDS, TURNS, first_of, name_of
+from tunefree_hil.learn.series import TURNS, first_of, name_of
 
 Array = np.ndarray
 
@@ -39,7 +40,7 @@ _FOLLOWS: dict[str, tuple[Mover, ...]] = {
     "ins.yaw_rate_radps": (Mover(("report.yaw_rate_radps",), 0.1), Mover(_YAW, 5.0)),
     "report.speed_mps": (Mover(("ins.speed_mps", "report.wheel_rl_radps"), 1.5),),
     "ins.speed_mps": (Mover(("report.speed_mps",), 1.5),),
-    **{f"report.wheel_{at}_radps": (Mover(SPEEDS, 1.5),) for at in ("fl", "fr", "rl", "rr")},
+    **{f"report.wheel_{at}_radps": (Mover(CHASSIS_FIRST_SPEEDS, 1.5),) for at in ("fl", "fr", "rl", "rr")},
 }
 
 
@@ -77,7 +78,7 @@ def _stuck(drive: Drive, name: str, mover: Mover) -> Problem | None:
 def _moves(drive: Drive, names: tuple[str, ...]) -> tuple[str, Array | None]:
     """(its name, its values) of the first mover that the drive has."""
     if names == _YAW:
-        steer, speed = first_of(drive, TURNS), first_of(drive, SPEEDS)
+        steer, speed = first_of(drive, TURNS), first_of(drive, CHASSIS_FIRST_SPEEDS)
         return TURNING, None if steer is None or speed is None else steer * speed
     name = name_of(drive, names)
     return name or "", None if name is None else drive.fields[name]

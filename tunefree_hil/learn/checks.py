@@ -14,8 +14,9 @@ import numpy as np
 from tunefree_hil.learn.check_motion import check_motion
 from tunefree_hil.learn.check_pair import check_same_vehicle
 from tunefree_hil.learn.drives import Drive, Reading
+from tunefree_hil.learn.fields import CHASSIS_FIRST_SPEEDS
 from tunefree_hil.learn.problems import Problem
-from tunefree_hil.learn.series import BRAKES, MOVING_MPS, SPEEDS, THROTTLES, TURNS, first_of, moving, name_of
+from tunefree_hil.learn.series import BRAKES, MOVING_MPS, THROTTLES, TURNS, first_of, moving, name_of
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import FieldSpec, VehicleSpec
@@ -24,6 +25,7 @@ __all__ = ["Problem", "check_drives"]
 
 Array = np.ndarray
 
+SPEED = CHASSIS_FIRST_SPEEDS[0]  # the field that is named where the speed is at fault
 LEAST_MOVING_S, FEW_MOVING_S = 20.0, 300.0
 LEAST_SPREAD = 0.15  # of the speeds driven: from the slowest 5 % to the fastest 5 %, by the latter
 LEAST_BRAKING_S = 1.0
@@ -137,7 +139,7 @@ def _clock(drive: Drive, reading: Reading) -> Iterator[Problem]:
 
 def _way_does_not_fit(drive: Drive) -> tuple[float, float] | None:
     """(way between the positions at the ends of the longest silence, way by speed), where they are not the same."""
-    x, y, speed = drive.get("ins.x_m"), drive.get("ins.y_m"), first_of(drive, SPEEDS)
+    x, y, speed = drive.get("ins.x_m"), drive.get("ins.y_m"), first_of(drive, CHASSIS_FIRST_SPEEDS)
     if x is None or y is None or speed is None:
         return None
     rows = np.flatnonzero(np.logical_or.reduce([drive.fresh["ins.x_m"], drive.fresh["ins.y_m"]]))
@@ -166,22 +168,22 @@ def _numbers(drive: Drive) -> Iterator[Problem]:
 
 def _enough(drives: Sequence[Drive], vehicle: VehicleSpec) -> Iterator[Problem]:
     """Time, speeds, braking and inputs of all drives together."""
-    told = [drive for drive in drives if name_of(drive, SPEEDS) is not None]
-    speeds = [drive.fields[name_of(drive, SPEEDS) or ""][moving(drive)] for drive in told]
+    told = [drive for drive in drives if name_of(drive, CHASSIS_FIRST_SPEEDS) is not None]
+    speeds = [drive.fields[name_of(drive, CHASSIS_FIRST_SPEEDS) or ""][moving(drive)] for drive in told]
     if not speeds:
-        words = f"none of {_all(drives)} holds a speed ({' or '.join(SPEEDS)}), without which nothing can be learned; "
-        yield Problem("refuse", "no_speed", "", SPEEDS[0], words + "record the message that carries it")
+        words = f"none of {_all(drives)} holds a speed ({' or '.join(CHASSIS_FIRST_SPEEDS)}), without which nothing "
+        yield Problem("refuse", "no_speed", "", SPEED, words + "can be learned; record the message that carries it")
         return
     speed = np.abs(np.concatenate(speeds))
     driven_s = sum(len(some) * drive.dt_s for some, drive in zip(speeds, told, strict=True))
     if driven_s < LEAST_MOVING_S:
         words = f"{_all(drives)} hold {driven_s:.1f} s of driving above {MOVING_MPS:g} m/s: too short, at least "
-        yield Problem("refuse", "too_short", "", SPEEDS[0], f"{words}{LEAST_MOVING_S:g} s are expected; record more")
+        yield Problem("refuse", "too_short", "", SPEED, f"{words}{LEAST_MOVING_S:g} s are expected; record more")
         return
     if driven_s < FEW_MOVING_S:
         verb = "holds" if len(drives) == 1 else "hold"
         words = f"{_all(drives)} {verb} only {driven_s:.0f} s of driving; what is learned will be rough"
-        yield Problem("warn", "short", "", SPEEDS[0], words)
+        yield Problem("warn", "short", "", SPEED, words)
     yield from _speeds(drives, speed)
     yield from _braking(drives, vehicle)
     yield from _inputs(drives)
@@ -192,7 +194,7 @@ def _speeds(drives: Sequence[Drive], speed: Array) -> Iterator[Problem]:
     if high - low < LEAST_SPREAD * high:
         words = f"{_all(drives)} are driven at one speed only (90 % of the time {low:.2f} to {high:.2f} m/s), where "
         words += "several are expected; drive slower and faster too"
-        yield Problem("refuse", "one_speed", "", SPEEDS[0], words)
+        yield Problem("refuse", "one_speed", "", SPEED, words)
 
 
 def _braking(drives: Sequence[Drive], vehicle: VehicleSpec) -> Iterator[Problem]:

@@ -21,6 +21,7 @@ from tunefree_hil.base.records import GEAR_DRIVE, Actuation, Disturbance, Motion
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.learn.drives import Array
 from tunefree_hil.learn.motion import Track, body_change, is_hill, outputs_of, starts_of, wrapped
+from tunefree_hil.learn.sheet import rear_behind_m
 from tunefree_hil.plant.body import ChassisInput, Plant
 
 WARM_S = 1.0
@@ -40,7 +41,6 @@ class Judged(NamedTuple):
     kind: str
     horizons_s: tuple[float, ...]
     drives: tuple[str, ...]
-    rows: tuple[int, ...]  # of the drive
     hill: Array
     position_m: Array
     heading_rad: Array
@@ -149,7 +149,7 @@ def judge(
     """
     rig = rig_of(model)
     rest = vehicle.nominal.rest_pedal_frac
-    behind_m = (vehicle.nominal.wheelbase_m or 0.0) - (vehicle.nominal.front_axle_m or 0.0)
+    behind_m = rear_behind_m(vehicle.nominal)
     some = _starts(tracks, every_s, needed_s, most)
     outputs = {i: outputs_of(tracks[i], model, rest, rig.identity) for i in {i for i, _ in some}}
     errors, one_step = [], []
@@ -163,8 +163,7 @@ def judge(
     missed = np.concatenate(one_step)
     hill = np.array([is_hill(tracks[i], row, round(HILL_AHEAD_S / tracks[i].dt_s)) for i, row in some])
     return Judged(
-        rig.kind, tuple(horizons_s), tuple(tracks[i].name for i, _ in some),
-        tuple(tracks[i].begin + row for i, row in some), hill,
+        rig.kind, tuple(horizons_s), tuple(tracks[i].name for i, _ in some), hill,
         found[:, 0], found[:, 1], found[:, 2], found[:, 3], *np.sqrt((missed**2).mean(axis=0)).tolist(),
     )  # fmt: skip
 
@@ -232,7 +231,7 @@ def headings_of(
 ) -> dict[str, Array]:
     """What each model says of the heading from a start on, rad, a value a tick (the paper's Fig. 3b)."""
     rest = vehicle.nominal.rest_pedal_frac
-    behind_m = (vehicle.nominal.wheelbase_m or 0.0) - (vehicle.nominal.front_axle_m or 0.0)
+    behind_m = rear_behind_m(vehicle.nominal)
     warm, ahead, found = round(WARM_S / track.dt_s), _room(track, row, seconds), {}
     for name, model in models.items():
         rig = rig_of(model)

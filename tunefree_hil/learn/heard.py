@@ -46,7 +46,6 @@ class Ear:
         self.message = message
         self.frames = self.short = self.broken = 0
         self.latest_s = -math.inf
-        self.earliest_s = math.inf
         self.enables = [state for state in message.states if state.condition == "enabled"]
         self.disables = [one for one in message.states if one.condition in DISABLING and one.effect != "warn"]
         self._times: list[Array] = []
@@ -59,7 +58,6 @@ class Ear:
         if not len(time_s):
             return
         self.frames += len(time_s)
-        self.earliest_s = min(self.earliest_s, float(time_s.min()))
         self.latest_s = max(self.latest_s, float(time_s.max()))
         payloads = fit(self.message, payloads)
         enough = are_long_enough(self.message, payloads)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from tunefree_hil.base import parts
+from tunefree_hil.base.contracts import Link, links_of
 from tunefree_hil.base.open_loop_map import MAP_FILE
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import ActuatorSpec, Interval, ModelSpec, Number, VehicleSpec
@@ -18,10 +20,23 @@ from tunefree_hil.learn.values import ActuatorFit, Value, exactly
 from tunefree_hil.learn.worker import Worker
 from tunefree_hil.learn.write_model import OWN_LOGS, write_model
 from tunefree_hil.plant.carriage import DEFAULTS as CARRIAGE
-from tunefree_hil.plant.learned_file import INPUTS
 
 Arrays = Mapping[str, Any]
-LATENCIES = ("report_latency", "ins_latency")
+
+
+class Learned(NamedTuple):
+    """What was learned of a vehicle, and the calibrated physics beside it.
+
+    arrays: of plant.npz, None for kinds without one; calibration: of calibration.npz, which is the file of rule_based.
+    sample_spacing_s: of kind paper.
+    """
+
+    kind: str
+    vehicle: VehicleSpec
+    physics: ModelSpec
+    arrays: Arrays | None = None
+    calibration: Arrays | None = None
+    sample_spacing_s: float = 0.01
 
 
 def calibration_of(model: ModelSpec) -> dict[str, Any] | None:
@@ -43,12 +58,6 @@ def _value(number: Number) -> Value:
     return Value(number.value, number.low, number.high) if isinstance(number, Interval) else exactly(float(number))
 
 
-def plant_file(kind: str, arrays: Arrays) -> dict[str, Any]:
-    """All of a plant.npz, in the order in which plant/learned_file.py writes it."""
-    entries = {name: np.asarray(arrays[name], dtype=np.float64) for name in sorted(arrays)}
-    return {"kind": np.array(kind), "inputs": np.array(INPUTS[kind]), **entries}
-
-
 def params_of(kind: str, physics: ModelSpec, sample_spacing_s: float = 0.01) -> dict[str, float]:
     """[plant.params] of a kind: all constants for hybrid, the geometry for the others."""
     if kind in ("physics", "hybrid"):
@@ -57,57 +66,42 @@ def params_of(kind: str, physics: ModelSpec, sample_spacing_s: float = 0.01) -> 
     return own | ({"sample_spacing_s": sample_spacing_s} if kind == "paper" else {})
 
 
-def write_learned(
-    folder: Path,
-    vehicle: VehicleSpec,
-    physics: ModelSpec,
-    kind: str,
-    arrays: Arrays | None,
-    calibration: Arrays | None,
-    card: Mapping[str, Any],
-    *,
-    sample_spacing_s: float = 0.01,
-) -> Path:
+def write_learned(folder: Path, learned: Learned, card: Mapping[str, Any]) -> Path:
     """Write the folder: actuators, noise, effects, timing and valid region are those of the physics' folder. A latency
     that its own logs told is not: a net that was taught by them has it in it.
-
-    arrays: of plant.npz, None for kind rule_based, whose file is `calibration`.
     """
+    kind, physics, arrays = learned.kind, learned.physics, learned.arrays
     valid = {name: getattr(physics.valid, name) for name in physics.valid.__struct_fields__}
     effects = [
         {"name": one.name, "params": one.params, "interval": one.interval, "provenance": one.provenance}
         for one in physics.effects
-        if arrays is None or not (one.name in LATENCIES and one.provenance.get("by") == OWN_LOGS)
+        if arrays is None or not (one.provenance.get("by") == OWN_LOGS and _is_latency(one.name))
     ]
     return write_model(
         folder,
-        vehicle,
+        learned.vehicle,
         kind=kind,
         actuators={name: fit_of(spec) for name, spec in physics.actuators.items()} if kind != "paper" else {},
-        params=params_of(kind, physics, sample_spacing_s),
-        plant_file=None if arrays is None else plant_file(kind, arrays),
+        params=params_of(kind, physics, learned.sample_spacing_s),
+        plant_arrays=arrays,
         valid={name: (ends[0], ends[1]) for name, ends in valid.items() if ends},
         noise=physics.noise,
         card=card,
-        calibration=calibration,
+        calibration=learned.calibration,
         effects=effects,
         timing={name: getattr(physics.timing, name) for name in physics.timing.__struct_fields__},
     )
 
 
-def judged_by_kernels(
-    kind: str,
-    vehicle: VehicleSpec,
-    physics: ModelSpec,
-    tracks: Sequence[Track],
-    arrays: Arrays | None,
-    calibration: Arrays | None,
-    most: int,
-    sample_spacing_s: float = 0.01,
-) -> dict[str, Judged]:
-    """Free run of the physics and of a kind on the same starts (at most `most`), by compiled kernels."""
+def _is_latency(name: str) -> bool:
+    """Whether what an effect breaks above all is the clock between what is measured."""
+    return links_of(parts.load("tunefree_hil.effects", name, "EFFECT"))[0] is Link.CLOCK
+
+
+def judged_by_kernels(learned: Learned, tracks: Sequence[Track], most: int) -> dict[str, Judged]:
+    """Free run of the physics and of what was learned on the same starts (at most `most`), by compiled kernels."""
     with tempfile.TemporaryDirectory() as place, Worker() as worker:
-        folder = Path(place) / kind
-        write_learned(folder, vehicle, physics, kind, arrays, calibration, {}, sample_spacing_s=sample_spacing_s)
-        models = {"physics": physics, kind: load_model(folder)}
-        return worker.result("tunefree_hil.learn.free_run", "judge_all", models, vehicle, list(tracks), {"most": most})
+        folder = write_learned(Path(place) / learned.kind, learned, {})
+        models = {"physics": learned.physics, learned.kind: load_model(folder)}
+        given = (models, learned.vehicle, list(tracks), {"most": most})
+        return worker.result("tunefree_hil.learn.free_run", "judge_all", *given)

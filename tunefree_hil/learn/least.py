@@ -28,7 +28,7 @@ class Least(NamedTuple):
     """x [p]; deviation [p]: standard deviations; quantile: how many of them the interval is to each side.
 
     jacobian [n, p] and residuals [n] at x, both with the robust weights in them; rms: root of the mean square of the
-    residuals without those weights. good: the search ended by itself.
+    residuals without those weights.
     """
 
     x: Array
@@ -37,7 +37,6 @@ class Least(NamedTuple):
     jacobian: Array
     residuals: Array
     rms: float
-    good: bool
 
     def interval(self, i: int) -> tuple[float, float]:
         """Ends of the 95 % interval of unknown i."""
@@ -80,7 +79,7 @@ def solve(
     deviation, quantile = deviations(jacobian, rows * weights, blocks, priors)
     data = rows[: len(rows) - priors]
     rms = float(np.sqrt(np.mean(data * data)))
-    return Least(found.x, deviation, quantile, jacobian, rows * weights, rms, found.status > 0)
+    return Least(found.x, deviation, quantile, jacobian, rows * weights, rms)
 
 
 def differences(residuals: Residuals, x: Array, low: Array, high: Array, both: bool = False) -> Array:

@@ -9,12 +9,13 @@ import numpy as np
 from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.learn.drives import Drive
-from tunefree_hil.learn.smooth import SPEEDS, between_fresh, rate_of
+from tunefree_hil.learn.fields import INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES
+from tunefree_hil.learn.sheet import rear_behind_m
+from tunefree_hil.learn.smooth import first_between_fresh, rate_of
 
 Array = np.ndarray
 
 FELT = ("report.accel_mps2",)
-YAW_RATES = ("ins.yaw_rate_radps", "report.yaw_rate_radps")
 MEAN_S = 2.0  # a slope is looked at in means over so long
 RATE_S = 0.5  # under the rate of speed
 SLOW_MPS = 1.0  # below it an accelerometer says little about the road: stick, pitch, brakes
@@ -36,13 +37,15 @@ def offset_of(drive: Drive, vehicle: VehicleSpec) -> float:
     sensor's or something pulls the car (grade) its motion says: learn/physics.py, road_share.
     """
     late = round(vehicle.ins_frame.latency_s / drive.dt_s)
-    felt, speed, yaw = _of(drive, FELT, 0), _of(drive, SPEEDS, late), _of(drive, YAW_RATES, late)
+    felt, speed, yaw = (
+        first_between_fresh(drive, names, late) for names in (FELT, INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES)
+    )
     if felt is None or speed is None or yaw is None:
         return 0.0
     heading = np.cumsum(np.nan_to_num(yaw)) * drive.dt_s
     rate = rate_of(speed, np.isfinite(speed), max(round(RATE_S / drive.dt_s) | 1, 5), drive.dt_s)
-    behind_m = (vehicle.nominal.wheelbase_m or 0.0) - (vehicle.nominal.front_axle_m or 0.0)
-    beyond = (felt - rate + behind_m * yaw * yaw) / G_MPS2  # the centre of mass slides outwards at b * yaw rate
+    outwards_mps2 = rear_behind_m(vehicle.nominal) * yaw * yaw  # the centre of mass slides outwards at b * yaw rate
+    beyond = (felt - rate + outwards_mps2) / G_MPS2
     known = np.isfinite(beyond) & (speed > SLOW_MPS)
     return standing(*_means(beyond, heading, known, round(MEAN_S / drive.dt_s)))
 
@@ -70,17 +73,6 @@ def standing(slopes: Array, headings_rad: Array) -> float:
     to_all_sides = np.bincount(sectors, minlength=SECTORS).min() >= LEAST_MEANS and one_way < ONE_WAY
     uneven = UNEVEN if to_all_sides else EVEN if one_way < STRAIGHT else 0.0
     return offset if left < uneven * abs(offset) and abs(offset) < MOST_OFFSET else 0.0
-
-
-def _of(drive: Drive, names: tuple[str, ...], late: int) -> Array | None:
-    """The first of these signals that a drive has, between its fresh values; the INS's as many ticks earlier."""
-    for name in names:
-        values = drive.get(name)
-        if values is not None and np.isfinite(values).any():
-            even = between_fresh(values, drive.fresh[name])
-            early = late if name.startswith("ins.") else 0
-            return np.concatenate([even[early:], np.full(early, np.nan)])
-    return None
 
 
 def _means(slope: Array, heading: Array, known: Array, rows: int) -> tuple[Array, Array]:

@@ -14,15 +14,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.learn.map_tracks import (
-    SMOOTH_S,
-    TOUCH_SHARE,
-    Array,
-    Track,
-    mean_over,
-    pedal_limits,
-    throughout,
-)
+from tunefree_hil.learn.map_tracks import SMOOTH_S, TOUCH_SHARE, Array, Track, mean_over, pedal_limits
+from tunefree_hil.learn.runs import throughout
+from tunefree_hil.learn.sheet import channel_sheet
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
@@ -42,7 +36,6 @@ RIDGE = 1e-6
 LEAST_DEPTH = 1.1  # residual without a delay / with the best one, below which the delay is not believed
 LEAST_USE_S = 3.0  # with a pedal pressed, straight and level
 SURE, ALIKE = 3.0, 10.0  # deviations from which a slope is believed; neighbouring samples that say one thing
-RISE_CONSTANTS = 2.2  # rise time in time constants of a first-order lag
 
 
 class Delay(NamedTuple):
@@ -116,8 +109,8 @@ def _vertex(before: float, lowest: float, after: float) -> float:
 
 def _of_data_sheet(vehicle: VehicleSpec, pedal: str, dt_s: float, why: str) -> Delay:
     """Dead time, time constant, and a tick of transport each way."""
-    sheet = vehicle.latency.get(pedal)
-    seconds = 2.0 * dt_s + (sheet.dead_time_s + sheet.rise_time_s / RISE_CONSTANTS if sheet else 0.0)
+    sheet = channel_sheet(vehicle, pedal)
+    seconds = 2.0 * dt_s + (sheet.dead_time_s + sheet.lag_s)
     return Delay(seconds, False, f"{pedal}: {1e3 * seconds:.0f} ms of delay as the data sheet says ({why})")
 
 

@@ -32,15 +32,13 @@ LEAST_STEP_MPS2 = 0.005  # points closer than this say the same
 class MapGrid(NamedTuple):
     """Rows of speed, columns of signed command (brake negative), ascending; both pedals at rest is one column.
 
-    rest: its place among the columns, where command_frac holds 0. raw_mps2 is before the projection. Accelerations and
-    support: [rows, columns].
+    rest: its place among the columns, where command_frac holds 0. Accelerations and support: [rows, columns].
     """
 
     speed_mps: Array
     command_frac: Array
     rest: int
     rest_frac: float
-    raw_mps2: Array
     accel_mps2: Array
     support: Array
 
@@ -74,7 +72,7 @@ def grid_of(
     commands = np.concatenate([-slow[:0:-1], [0.0], push[1:]])
     weights = np.vectorize(WEIGHTS.__getitem__)(backed)
     rising = np.stack([isotonic_regression(row, weights=own).x for row, own in zip(raw, weights, strict=True)])
-    return MapGrid(speeds, commands, len(slow) - 1, float(push[0]), raw, rising, backed)
+    return MapGrid(speeds, commands, len(slow) - 1, float(push[0]), rising, backed)
 
 
 def _side(law: Law, there: Array, edges: Edges, seen: Array, first: int, last: int) -> tuple[Array, Array, Array]:

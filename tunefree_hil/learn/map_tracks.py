@@ -10,6 +10,7 @@ import numpy as np
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.fields import CHASSIS_FIRST_SPEEDS
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
@@ -67,7 +68,7 @@ def tracks_of(drives: Sequence[Drive], vehicle: VehicleSpec) -> tuple[list[Track
 
 def track_of(drive: Drive, vehicle: VehicleSpec) -> Track:
     """One drive. Raises InputError where it lacks the speed or a pedal."""
-    speed = _first(drive, "report.speed_mps", "ins.speed_mps")
+    speed = _first(drive, *CHASSIS_FIRST_SPEEDS)
     if speed is None:
         raise InputError(
             "the log holds no speed", code="no_speed", file=drive.name, hint="the map needs report.speed_mps"
@@ -146,7 +147,7 @@ def _lateral(drive: Drive) -> Array | None:
     own = drive.get("report.lateral_accel_mps2")
     if own is not None:
         return own
-    speed = _first(drive, "report.speed_mps", "ins.speed_mps")
+    speed = _first(drive, *CHASSIS_FIRST_SPEEDS)
     yaw_rate = _first(drive, "report.yaw_rate_radps", "ins.yaw_rate_radps")
     return None if speed is None or yaw_rate is None else speed * yaw_rate
 
@@ -189,14 +190,3 @@ def mean_over(values: Array, window_s: float, dt_s: float) -> Array:
     at = np.arange(len(values))
     low, high = np.maximum(at - before, 0), np.minimum(at + rows - before, len(values))
     return (sums[high] - sums[low]) / (high - low)
-
-
-def throughout(holds: Array, before: int, after: int) -> Array:
-    """Rows k with `holds` in all of k - before .. k + after; rows too near an end are not among them."""
-    wrong = np.concatenate([[0], np.cumsum(~holds)])
-    at = np.arange(len(holds))
-    low, high = at - before, at + after + 1
-    inside = (low >= 0) & (high <= len(holds))
-    found = np.zeros(len(holds), dtype=bool)
-    found[inside] = wrong[high[inside]] == wrong[low[inside]]
-    return found

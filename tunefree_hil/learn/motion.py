@@ -21,8 +21,11 @@ from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec, VehicleSpec, value_of
 from tunefree_hil.learn.acted import accel_asked, asked_pedals, channel_of
 from tunefree_hil.learn.drives import Array, Drive, Part
+from tunefree_hil.learn.fields import INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES
 from tunefree_hil.learn.level import offset_of
-from tunefree_hil.learn.smooth import between_fresh, mean_noise, yaw_by_wheels
+from tunefree_hil.learn.runs import runs
+from tunefree_hil.learn.sheet import rear_behind_m
+from tunefree_hil.learn.smooth import between_fresh, earlier, first_between_fresh, mean_noise, yaw_by_wheels
 from tunefree_hil.plant.actuators import ActuatorParams, actuator
 from tunefree_hil.plant.asked_accel import pedals_of
 
@@ -83,9 +86,9 @@ def track_of(part: Part, vehicle: VehicleSpec, road_share: float = 0.0) -> Track
     """One stretch; see Track, and tracks_of."""
     drive, cut = part.drive, slice(part.begin, part.end)
     late = round(vehicle.ins_frame.latency_s / drive.dt_s)
-    speed = smooth(_first(drive, ("ins.speed_mps", "report.speed_mps"), late)[cut])
+    driven = _first(drive, INS_FIRST_SPEEDS, late)[cut]
+    speed, accel = smooth(driven), smooth(driven, drive.dt_s)
     yaw = smooth(_yaw_rate(drive, vehicle, late)[cut])
-    accel = smooth(_first(drive, ("ins.speed_mps", "report.speed_mps"), late)[cut], drive.dt_s)
     heading, x, y, placed = _pose(drive, cut, late, speed, yaw)
     rest = vehicle.nominal.rest_pedal_frac
     columns = [channel_of(drive, name, 0.0 if name == "steer" else rest) for name in CHANNELS]
@@ -111,26 +114,18 @@ def smooth(values: Array, dt_s: float = 0.0) -> Array:
     from scipy.signal import savgol_filter
 
     found = np.full(len(values), np.nan)
-    for begin, end in runs_of(np.isfinite(values)):
+    for begin, end in runs(np.isfinite(values)):
         if end - begin >= WINDOW:
             more = {"deriv": 1, "delta": dt_s} if dt_s else {}
             found[begin:end] = savgol_filter(values[begin:end], WINDOW, ORDER, **more)
     return found
 
 
-def runs_of(flags: Array) -> list[tuple[int, int]]:
-    """[begin, end) of every stretch in which `flags` holds."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], np.asarray(flags, dtype=bool), [False]]).astype(np.int8)))
-    return [(int(begin), int(end)) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
-
-
 def _first(drive: Drive, names: Sequence[str], late: int) -> Array:
-    """The first field that the drive has; what the INS says stands `late` rows too low and is moved up."""
-    for name in names:
-        values = drive.get(name)
-        if values is not None and not np.isnan(values).all():
-            even = between_fresh(values, drive.fresh[name])
-            return _earlier(even, late) if name.startswith("ins.") else even
+    """The first field that says anything; what the INS says stands `late` rows too low and is moved up."""
+    even = first_between_fresh(drive, names, late)
+    if even is not None:
+        return even
     raise InputError(
         f"the logs say nothing of {' or '.join(names)}",
         code="no_motion",
@@ -142,24 +137,17 @@ def _first(drive: Drive, names: Sequence[str], late: int) -> Array:
 
 def _yaw_rate(drive: Drive, vehicle: VehicleSpec, late: int) -> Array:
     """The INS's, the chassis's, or what the rear wheels make of it."""
-    names = ("ins.yaw_rate_radps", "report.yaw_rate_radps")
     wheels = yaw_by_wheels(drive, vehicle.nominal)
-    if wheels is not None and all(drive.get(name) is None for name in names):
+    if wheels is not None and all(drive.get(name) is None for name in INS_FIRST_YAW_RATES):
         return between_fresh(*wheels)
-    return _first(drive, names, late)
-
-
-def _earlier(values: Array, rows: int) -> Array:
-    if rows == 0:
-        return values
-    return np.concatenate([values[rows:], np.full(rows, np.nan)])
+    return _first(drive, INS_FIRST_YAW_RATES, late)
 
 
 def _pose(drive: Drive, cut: slice, late: int, speed: Array, yaw: Array) -> tuple[Array, Array, Array, bool]:
     """(heading, x, y, measured): the INS's, smoothed, or summed up from speed and yaw rate where it has none."""
     found = [drive.get(f"ins.{name}") for name in ("heading_rad", "x_m", "y_m")]
     if all(one is not None and not np.isnan(one).all() for one in found):
-        heading, x, y = (_earlier(one, late)[cut] for one in found if one is not None)
+        heading, x, y = (earlier(one, late)[cut] for one in found if one is not None)
         turned = heading.copy()
         finite = np.isfinite(heading)
         turned[finite] = np.unwrap(heading[finite])
@@ -180,9 +168,8 @@ def _grade(drive: Drive, cut: slice, speed: Array, yaw: Array, accel: Array, veh
     flat = np.zeros(len(speed))
     if said is None or len(speed) < GRADE_ROWS:
         return flat
-    nominal = vehicle.nominal
-    behind_m = (nominal.wheelbase_m or 0.0) - (nominal.front_axle_m or 0.0)
-    beyond = (said[cut] - accel + behind_m * yaw * yaw) / G_MPS2  # the centre of mass slides outwards at b * yaw rate
+    outwards_mps2 = rear_behind_m(vehicle.nominal) * yaw * yaw  # the centre of mass slides outwards at b * yaw rate
+    beyond = (said[cut] - accel + outwards_mps2) / G_MPS2
     beyond -= own
     usable = np.isfinite(beyond) & (speed > SLOW_MPS)
     if mean_noise(np.where(usable, beyond, np.nan), drive.fresh["report.accel_mps2"][cut], GRADE_ROWS) > MOST_DOUBT_RAD:
@@ -213,7 +200,7 @@ def outputs_of(track: Track, model: ModelSpec, rest: float, identity: bool = Fal
         if by_accel and name != "steer":
             continue
         idle = 0.0 if name == "steer" else rest
-        for begin, end in runs_of(track.obeyed[:, column]):
+        for begin, end in runs(track.obeyed[:, column]):
             commands = track.commands[begin:end, column]
             block = _channel_block(model, name, idle, float(commands[0]), identity)
             found[begin:end, column] = _driven(block, commands, track.dt_s)
@@ -225,7 +212,7 @@ def outputs_of(track: Track, model: ModelSpec, rest: float, identity: bool = Fal
 def _by_accel(track: Track, model: ModelSpec, rest: float, found: Array) -> None:
     """Fill in the pedals of a car that is asked for an acceleration: through its channel 'accel'."""
     assert track.asked_mps2 is not None
-    for begin, end in runs_of(track.obeyed[:, 0]):
+    for begin, end in runs(track.obeyed[:, 0]):
         asked = track.asked_mps2[begin:end]
         block = _channel_block(model, "accel", 0.0, float(asked[0]), False)
         made = _driven(block, asked, track.dt_s)
@@ -274,7 +261,7 @@ def _driven(block: Block, commands: Array, dt_s: float) -> list[float]:
 def starts_of(track: Track, warm_rows: int, ahead_rows: int, every_rows: int) -> list[int]:
     """Rows at which a free run can begin: good from warm_rows before to ahead_rows behind, and moving."""
     found = []
-    for begin, end in runs_of(track.good):
+    for begin, end in runs(track.good):
         for row in range(begin + warm_rows, end - ahead_rows, every_rows):
             if float(track.speed_mps[row : row + ahead_rows + 1].mean()) > 0.3:
                 found.append(row)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.learn.drives import Drive, Part
+from tunefree_hil.learn.runs import runs
 from tunefree_hil.learn.stops import commands_at, stop_words, stops_of, within
 
 Array = np.ndarray
@@ -196,13 +197,6 @@ def stretches(drive: Drive, part: Part, command: Array, output: Array, fresh: Ar
     age = np.where(last >= 0, np.arange(len(fresh)) - heard[np.maximum(last, 0)] if len(heard) else 0, silence + 1)
     good &= age <= silence
     return runs(good[part.begin : part.end], round(LEAST_S / drive.dt_s), part.begin)
-
-
-def runs(good: Array, least: int, first: int = 0) -> list[tuple[int, int]]:
-    """Runs of True of at least `least` rows as [begin, end), counted from `first`."""
-    edges = np.diff(np.concatenate(([0], good.astype(np.int8), [0])))
-    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return [(first + int(b), first + int(e)) for b, e in zip(begins, ends, strict=True) if e - b >= least]
 
 
 def has_channel(drives: Sequence[Drive], channel: str) -> bool:

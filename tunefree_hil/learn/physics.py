@@ -39,6 +39,7 @@ FIRST_SCALE = {
     "speed_mps": 0.2, "yaw_rate_radps": 0.01, "heading_rad": 0.02, "lateral_accel_mps2": 0.3, "x_m": 0.7, "y_m": 0.7,
 }  # fmt: skip
 LEAST_WINDOWS = 6
+STEPS = 8  # that are told of a fit, however many there are
 PIECES = 4.0  # independent numbers that a window has to say of each target
 ROBUST = 3.0
 KNOWN_SHARE = 0.5  # of the doubt before the fit that may be left after it
@@ -159,17 +160,36 @@ def fit(
     problem = Problem(windows, fixed, known, brake_way)
     names, x = list(problem.names), np.zeros(len(problem.names))
     before = rms_of(problem.misses(problem.values(names, x)))
-    total = 8
-    yield 0, total
+    yield 0, STEPS
     least = _solved(problem, names, x, 25)
-    yield 1, total
+    yield 1, STEPS
     problem.rescale(problem.values(names, least.x))
     least = _solved(problem, names, least.x, 15)
-    yield 2, total
-    lost: dict[str, float] = {}
+    yield 2, STEPS
     joint, jointly = problem.values(names, least.x), rms_of(problem.misses(problem.values(names, least.x)))
     doubts = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
     related = together(names, least, problem.stretches)
+    names, least, lost = yield from _told(problem, names, least)
+    values = problem.values(names, least.x if names else np.zeros(0))
+    after = rms_of(problem.misses(values))
+    yield STEPS, STEPS
+    if names and lost:  # held where they were known before, they would lend the others a certainty that nobody has
+        alone = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
+        doubts = {name: max(doubts[name], one) for name, one in alone.items()}
+    found = {name: _value(problem, names, least, name, doubts, lost) for name in problem.known}
+    if any(after[name] > WORSE * jointly[name] for name in after):  # what was known before is no car that drives so
+        values, after = joint, jointly
+        found = {name: together_with(one, joint[name], TOGETHER) for name, one in found.items()}
+    return PhysicsFit(found, problem.params(values), before, after, len(windows.some), windows.words, related)
+
+
+def _told(
+    problem: Problem, names: list[str], least: Least
+) -> Generator[Any, None, tuple[list[str], Least, dict[str, float]]]:
+    """(constants that the windows tell, their fit, what is left of the doubt about each of the others): what they do
+    not tell is held where it was known before, and the rest fitted again.
+    """
+    lost: dict[str, float] = {}
     while names:
         left = deviations_left(least)
         worst = np.flatnonzero((left > KNOWN_SHARE) & (left >= min(HOPELESS, float(left.max()))))
@@ -180,18 +200,8 @@ def fit(
         names = [names[i] for i in keep]
         if names:
             least = _solved(problem, names, least.x[keep], 10)
-        yield min(3 + len(lost), total - 1), total
-    values = problem.values(names, least.x if names else np.zeros(0))
-    after = rms_of(problem.misses(values))
-    yield total, total
-    if names and lost:  # held where they were known before, they would lend the others a certainty that nobody has
-        alone = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
-        doubts = {name: max(doubts[name], one) for name, one in alone.items()}
-    found = {name: _value(problem, names, least, name, doubts, lost) for name in problem.known}
-    if any(after[name] > WORSE * jointly[name] for name in after):  # what was known before is no car that drives so
-        values, after = joint, jointly
-        found = {name: together_with(one, joint[name], TOGETHER) for name, one in found.items()}
-    return PhysicsFit(found, problem.params(values), before, after, len(windows.some), windows.words, related)
+        yield min(3 + len(lost), STEPS - 1), STEPS
+    return names, least, lost
 
 
 def _unfitted(

@@ -11,15 +11,14 @@ from tunefree_hil.base.records import GEAR_REVERSE
 from tunefree_hil.config.import_schema import UNITS, ColumnSpec, Unit, si_unit
 from tunefree_hil.episode.csv_drive import Column, CsvDrive
 from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.fields import CHASSIS_FIRST_SPEEDS
 
 Array = np.ndarray
 
 # Best first: what the actuator did, what it was told as it says, what it was told.
-SPEEDS = ("report.speed_mps", "ins.speed_mps")
 THROTTLES = ("report.throttle_frac", "report.throttle_command_frac", "command.throttle_frac")
 BRAKES = ("report.brake_frac", "report.brake_command_frac", "command.brake_frac")
 TURNS = ("report.steer_rad", "report.steer_command_rad", "command.steer_rad")
-YAW_RATES = ("report.yaw_rate_radps", "ins.yaw_rate_radps")
 MOVING_MPS = 0.3  # slower than a scale model drives, faster than a speed sensor's noise
 
 
@@ -36,7 +35,7 @@ def name_of(drive: Drive, names: Sequence[str]) -> str | None:
 
 def moving(drive: Drive) -> Array:
     """bool [n]: the vehicle moves; all False where no speed is known."""
-    speed = first_of(drive, SPEEDS)
+    speed = first_of(drive, CHASSIS_FIRST_SPEEDS)
     return np.zeros(drive.ticks, dtype=bool) if speed is None else np.abs(speed) > MOVING_MPS
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from tunefree_hil.base.units import G_MPS2
-from tunefree_hil.config.schema import LatencySpec, VehicleSpec
+from tunefree_hil.config.schema import LatencySpec, NominalSpec, VehicleSpec
 from tunefree_hil.plant.asked_accel import linear
 from tunefree_hil.plant.data_sheet import DEFAULTS
 
@@ -37,6 +37,11 @@ def channel_sheet(vehicle: VehicleSpec, channel: str) -> ChannelSheet:
     rest = vehicle.nominal.rest_pedal_frac if channel in PEDALS else 0.0
     rate = vehicle.limits.steer_rate_radps if channel == "steer" else math.inf
     return ChannelSheet(rest, said.dead_time_s, said.rise_time_s / RISE_IN_LAGS, rate, channel in vehicle.latency)
+
+
+def rear_behind_m(nominal: NominalSpec) -> float:
+    """How far behind the centre of mass the rear axle lies, as far as the folder says."""
+    return (nominal.wheelbase_m or 0.0) - (nominal.front_axle_m or 0.0)
 
 
 class Constant(NamedTuple):

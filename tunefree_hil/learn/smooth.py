@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from tunefree_hil.config.schema import NominalSpec
 from tunefree_hil.learn.drives import Drive, Part
+from tunefree_hil.learn.fields import CHASSIS_FIRST_SPEEDS, INS_FIRST_SPEEDS, first_told
 from tunefree_hil.plant.sensors import NOISY
 
 Array = np.ndarray
 
 NOISE_WINDOW, NOISE_ORDER = 9, 3  # fresh values and degree of the polynomial that the noise is taken against
 LEAST_VALUES = 200
-SPEEDS = ("ins.speed_mps", "report.speed_mps")
 
 
 def between_fresh(values: Array, fresh: Array) -> Array:
@@ -24,6 +24,20 @@ def between_fresh(values: Array, fresh: Array) -> Array:
     if not len(ticks):
         return np.full(len(values), np.nan)
     return np.interp(np.arange(len(values)), ticks, values[ticks])
+
+
+def first_between_fresh(drive: Drive, names: Sequence[str], late: int) -> Array | None:
+    """The first of these fields that says anything, on every tick; the INS's `late` rows earlier. None: none does."""
+    name = first_told(drive, names)
+    if name is None:
+        return None
+    even = between_fresh(drive.fields[name], drive.fresh[name])
+    return earlier(even, late) if name.startswith("ins.") else even
+
+
+def earlier(values: Array, rows: int) -> Array:
+    """The same signal `rows` rows earlier; NaN at its end."""
+    return np.concatenate([values[rows:], np.full(rows, np.nan)]) if rows else values
 
 
 def smooth(values: Array, window: int, order: int = 2) -> Array:
@@ -43,12 +57,9 @@ def rate_of(values: Array, fresh: Array, window: int, dt_s: float) -> Array:
 
 
 def speed_of(drive: Drive) -> tuple[Array, Array] | None:
-    """(speed, where it is fresh): the INS's, else the chassis's, else the wheels' mean cannot be had: None."""
-    for name in SPEEDS:
-        values = drive.get(name)
-        if values is not None and np.isfinite(values).any():
-            return values, drive.fresh[name]
-    return None
+    """(speed, where it is fresh): the INS's, else the chassis's; None where neither says one."""
+    name = first_told(drive, INS_FIRST_SPEEDS)
+    return None if name is None else (drive.fields[name], drive.fresh[name])
 
 
 def mean_noise(misses: Array, fresh: Array, rows: int) -> float:
@@ -137,7 +148,7 @@ def valid_region(parts: Iterable[Part], rest_frac: float) -> dict[str, tuple[flo
     """
     parts = list(parts)
     names = {
-        "speed_mps": ("report.speed_mps", "ins.speed_mps"),
+        "speed_mps": CHASSIS_FIRST_SPEEDS,
         "accel_mps2": ("report.accel_mps2", "ins.accel_mps2"),
         "lateral_accel_mps2": ("report.lateral_accel_mps2",),
         "steer_rad": ("report.steer_rad",),

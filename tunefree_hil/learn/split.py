@@ -13,9 +13,9 @@ import numpy as np
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.learn.drives import Drive, Part, Split
+from tunefree_hil.learn.runs import every_of, runs
 
 Array = np.ndarray
-Span = tuple[int, int]  # rows [begin, end)
 
 FEWEST_DRIVES = 3
 BLOCK_S = 20.0
@@ -68,7 +68,7 @@ def parts_of(drive: Drive, needed: Sequence[str], least_s: float = LEAST_S) -> l
     good = np.ones(drive.ticks, dtype=bool)
     for name in needed:
         good &= _there(drive, name)
-    return [Part(drive, begin, end) for begin, end in _stretches(good) if (end - begin) * drive.dt_s >= least_s - 1e-9]
+    return [Part(drive, begin, end) for begin, end in runs(good) if (end - begin) * drive.dt_s >= least_s - 1e-9]
 
 
 def _there(drive: Drive, name: str) -> Array:
@@ -79,7 +79,7 @@ def _there(drive: Drive, name: str) -> Array:
     rows = np.flatnonzero(fresh)
     if not len(rows):
         return there
-    period = period_ticks(fresh)
+    period = round(every_of(fresh))
     allowed = period + SLACK_S / drive.dt_s
     following = np.append(rows[1:], drive.ticks)
     until = np.where(following - rows > allowed + 1e-6, np.minimum(rows + period, following), following)
@@ -88,18 +88,6 @@ def _there(drive: Drive, name: str) -> Array:
     np.add.at(edges, until, -1)
     there[:] = np.cumsum(edges[:-1]) > 0
     return there & np.isfinite(values)
-
-
-def period_ticks(fresh: Array) -> int:
-    """The usual distance between two ticks in which a field came; 1 where it came less than twice."""
-    rows = np.flatnonzero(fresh)
-    return max(1, round(float(np.median(np.diff(rows))))) if len(rows) > 1 else 1
-
-
-def _stretches(good: Array) -> list[Span]:
-    """[begin, end) of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
-    return [(int(begin), int(end)) for begin, end in edges.reshape(-1, 2)]
 
 
 def _by_drive(
@@ -138,8 +126,8 @@ def _by_block(
         judged = np.zeros(drive.ticks, dtype=bool)
         for block in chosen:
             judged[edges[block] : edges[block + 1]] = True
-        judging += [Part(drive, *span) for span in _stretches(judged)]
-        training += [Part(drive, *span) for span in _stretches(~_widened(judged, round(GUARD_S / drive.dt_s)))]
+        judging += [Part(drive, *span) for span in runs(judged)]
+        training += [Part(drive, *span) for span in runs(~_widened(judged, round(GUARD_S / drive.dt_s)))]
         block_s = float(edges[1] - edges[0]) * drive.dt_s
         said.append(f"{len(chosen)} of {count} blocks of {block_s:.0f} s of {drive.name}")
     guard = f"{GUARD_S:g} s on each side of them are not used"
@@ -166,7 +154,7 @@ def _block_edges(drive: Drive) -> list[int]:
 def _widened(rows: Array, by: int) -> Array:
     """True also within `by` rows of what is True."""
     wide = np.zeros(len(rows), dtype=bool)
-    for begin, end in _stretches(rows):
+    for begin, end in runs(rows):
         wide[max(0, begin - by) : end + by] = True
     return wide
 

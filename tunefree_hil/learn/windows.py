@@ -13,9 +13,10 @@ from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.learn.acted import accel_asked, channel_of
 from tunefree_hil.learn.actuator_shapes import Way, answered
 from tunefree_hil.learn.drives import Drive, Part
+from tunefree_hil.learn.fields import INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES
 from tunefree_hil.learn.level import TOLD, offset_of
-from tunefree_hil.learn.pairs import runs
-from tunefree_hil.learn.smooth import between_fresh, mean_noise, rate_of, smooth, yaw_by_wheels
+from tunefree_hil.learn.runs import runs
+from tunefree_hil.learn.smooth import between_fresh, earlier, mean_noise, rate_of, smooth, yaw_by_wheels
 from tunefree_hil.learn.values import ActuatorFit
 from tunefree_hil.plant.asked_accel import FULL_MPS2
 
@@ -31,11 +32,11 @@ SLOPE_S = 2.0  # over which an accelerometer must tell it
 LOOK_BACK_S = 0.5  # of specific force, for the slope
 MOST_BIAS = 0.01  # of an accelerometer, in g, where the drive does not tell it from a road (learn/level.py)
 
-# What is compared, in this order: where it is read from, and the error that counts as 1 before there is a better scale.
+# What is compared, in this order, and where it is read from; physics.FIRST_SCALE says what error counts as 1 at first.
 TARGETS = ("speed_mps", "yaw_rate_radps", "heading_rad", "lateral_accel_mps2", "x_m", "y_m")
 SOURCES = {
-    "speed_mps": ("ins.speed_mps", "report.speed_mps"),
-    "yaw_rate_radps": ("ins.yaw_rate_radps", "report.yaw_rate_radps"),
+    "speed_mps": INS_FIRST_SPEEDS,
+    "yaw_rate_radps": INS_FIRST_YAW_RATES,
     "heading_rad": ("ins.heading_rad",),
     "lateral_accel_mps2": ("report.lateral_accel_mps2",),
     "x_m": ("ins.x_m",),
@@ -185,8 +186,7 @@ class _Signals:
                 values[fresh] = np.unwrap(values[fresh])
             even = between_fresh(values, fresh)
             even[: int(np.argmax(fresh))] = np.nan
-            late = self.late if source.startswith("ins.") else 0
-            return even if late == 0 else np.concatenate([even[late:], np.full(late, np.nan)])
+            return earlier(even, self.late) if source.startswith("ins.") else even
         wheels = yaw_by_wheels(self.drive, self.vehicle.nominal) if name == "yaw_rate_radps" else None
         if wheels is not None:
             return between_fresh(*wheels)

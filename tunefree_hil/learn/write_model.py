@@ -21,6 +21,7 @@ from tunefree_hil.config.dump import to_toml
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import EffectSpec, ModelSpec, ValidSpec, VehicleSpec
 from tunefree_hil.learn.values import ActuatorFit, Value
+from tunefree_hil.plant.learned_file import save_plant
 
 Array = np.ndarray
 
@@ -48,7 +49,7 @@ def write_model(
     kind: str,
     actuators: Mapping[str, ActuatorFit],
     params: Mapping[str, Value | float],
-    plant_file: Mapping[str, Any] | None = None,
+    plant_arrays: Mapping[str, Any] | None = None,
     valid: Mapping[str, tuple[float, float]],
     noise: Mapping[str, float],
     card: Mapping[str, Any],
@@ -59,10 +60,11 @@ def write_model(
     """Write `folder` under a temporary name, read it back, rename it; the folder's path.
 
     actuators: by channel ('throttle', 'brake', 'steer', 'accel', 'steer_torque'). params: [plant.params]; intervals of
-    Values stand in the card only, as the schema has bare numbers there. plant_file, calibration: arrays of plant.npz
-    and calibration.npz, None for none. valid: [low, high] by key of [valid]; keys that the schema does not have are
-    left out. noise: standard deviation by record field. card: plain data of card.json. effects: [[effects]] entries.
-    Raises InputError for a folder that is there already.
+    Values stand in the card only, as the schema has bare numbers there. plant_arrays, calibration: arrays of plant.npz
+    (plant/learned_file.py) and calibration.npz, None for none. valid: [low, high] by key of [valid]; keys that the
+    schema does not have are left out. noise: standard deviation by record field. card: plain data of card.json.
+    effects: [[effects]] entries.
+    Raises InputError for a folder that is there already, and for arrays that make no plant of this kind.
     """
     folder = Path(folder)
     require_new(folder)  # before anything is worked out
@@ -71,7 +73,7 @@ def write_model(
         "vehicle": vehicle.name,
         "vehicle_hash": f"sha256:{vehicle.hash}",
         "actuators": {name: _actuator(fit) for name, fit in actuators.items()},
-        "plant": _plant(kind, params, plant_file is not None),
+        "plant": _plant(kind, params, plant_arrays is not None),
         "timing": dict(timing or TIMING),
         "noise": {name: float(deviation) for name, deviation in noise.items()},
         "valid": {name: [float(low), float(high)] for name, (low, high) in valid.items() if name in _valid_names()},
@@ -80,9 +82,10 @@ def write_model(
         data["effects"] = [dict(effect) for effect in effects]
     with whole_folder(folder) as part:
         (part / "model.toml").write_text(HEAD.format(card=CARD_FILE) + to_toml(data), encoding="utf-8")
-        for name, arrays in ((PLANT_FILE, plant_file), (MAP_FILE, calibration)):
-            if arrays is not None:
-                np.savez(part / name, **{key: np.asarray(one) for key, one in arrays.items()})  # type: ignore[arg-type]
+        if plant_arrays is not None:
+            save_plant(part / PLANT_FILE, kind, plant_arrays)
+        if calibration is not None:
+            np.savez(part / MAP_FILE, **{key: np.asarray(one) for key, one in calibration.items()})  # type: ignore[arg-type]
         write_card(part, card)
     return folder
 

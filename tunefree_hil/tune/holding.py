@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from tunefree_hil.grade.score import FINISHED
 from tunefree_hil.tune.journal import slot_key
 from tunefree_hil.tune.trial import Trial, lowest
 
@@ -33,7 +34,7 @@ Slower = Mapping[str, Came]  # in the slower car, by `slot_key` of a trial
 
 def came_of(score: float, scenarios: Mapping[str, Any]) -> Came:
     """A trial's or a baseline's own drives, from grades as plain data."""
-    failed = sum(drive.get("outcome", "finished") != "finished" for drive in scenarios.values())
+    failed = sum(drive.get("outcome", FINISHED) != FINISHED for drive in scenarios.values())
     return Came(score, sum(int(drive.get("replans", 0) or 0) for drive in scenarios.values()), failed)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 import signal
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 
 from tests import other_vehicle
+from tests.house import ROOT
 from tests.jobs.command import (
     Ended,
     eventually,
@@ -22,14 +24,15 @@ from tests.jobs.command import (
     start,
     tunefree,
 )
-from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus.bench_channel import ErrorCode
 from tunefree_hil.bus.codec import Codec
 from tunefree_hil.cli.entry import run
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.episode.candump import read_candump
-from tunefree_hil.jobs.collect.collect import collect
+from tunefree_hil.jobs.collect.collect import collect, require_stopped
 from tunefree_hil.jobs.collect.plan import Asked, require_room
 from tunefree_hil.jobs.collect.watch import Ears, Wish, coverage_for, from_logs
 from tunefree_hil.jobs.run_folder import versions, write_json
@@ -140,7 +143,7 @@ def test_a_watch_sees_what_is_driven_and_ctrl_c_says_how_to_go_on(tmp_path: Path
 
 def refused(out: Path, **more: Any) -> InputError:
     """The error of a collection that is refused."""
-    asked = Asked(None, "mkz_bywire", "mkz_nominal", "tfhub", "", "", False, out, 10.0, 400.0, None, 1)
+    asked = Asked(vehicle="mkz_bywire", model="mkz_nominal", bus="tfhub", out=out)
     with pytest.raises(InputError) as caught:
         list(collect(asked._replace(**more)))
     return caught.value
@@ -151,7 +154,7 @@ def test_an_area_that_is_too_small_is_told_how_large_it_must_be(tmp_path: Path) 
     assert error.code == "area_too_small" and "200 m are too small for 21 m/s" in error.message
     needed = int(error.hint.split()[1].rstrip(","))
     assert 200 < needed < 400 and f"a square of {needed} m" in error.message
-    require_room(load_vehicle("mkz_bywire"), Asked(None, None, None, "", "", "", False, None, 10.0, needed, None, 1))
+    require_room(load_vehicle("mkz_bywire"), Asked(area_m=needed))
     assert not (tmp_path / "run").exists()
 
 
@@ -173,6 +176,30 @@ def test_what_cannot_be_driven_is_refused(more: dict[str, Any], said: str, tmp_p
     error = refused(tmp_path / "run", **more)
     assert said in f"{error.key} {error}"
     assert not (tmp_path / "run").exists()
+
+
+def test_a_model_of_the_vehicle_as_it_was_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    old = shutil.copytree(ROOT / "bench_configs" / "models" / "mkz_nominal", tmp_path / "old")
+    (old / "model.toml").write_text('vehicle_hash = "sha256:00"\n' + (old / "model.toml").read_text())
+    error = refused(tmp_path / "run", model=str(old))
+    assert error.code == "vehicle_changed" and error.file == f"{old}/model.toml"
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("code", "word", "said"),
+    [
+        (ErrorCode.NONE, "not_stopped", "did not come to a stop in time"),
+        (ErrorCode.DIVERGED, "diverged", ErrorCode.DIVERGED.sentence),
+    ],
+)
+def test_a_drive_that_does_not_end_standing_is_none(code: ErrorCode, word: str, said: str) -> None:
+    require_stopped(ErrorCode.STOPPED, "drive-001", Path("episodes/1"))
+    with pytest.raises(BenchError) as caught:
+        require_stopped(code, "drive-001", Path("episodes/1"))
+    assert caught.value.code == word and caught.value.message.startswith("drive-001: ")
+    assert said in caught.value.message
+    assert caught.value.file == "episodes/1" and "vehicle.log" in caught.value.hint
 
 
 def test_a_folder_with_another_run_is_not_touched(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from tunefree_hil.jobs.collect.state import Collection
 
 @pytest.fixture
 def collection(tmp_path: Path) -> Collection:
-    asked = Asked(None, "mkz_bywire", "mkz_nominal", "tfhub", "", "", False, tmp_path / "run", 10.0, 400.0, None, 1)
+    asked = Asked(vehicle="mkz_bywire", model="mkz_nominal", bus="tfhub", out=tmp_path / "run")
     vehicle, model, effects = vehicle_and_model(asked)
     run = open_folder(vehicle, asked, record_of(vehicle, model, asked, effects))
     return Collection(run, prepare(run, vehicle, model, asked, effects), asked)

@@ -234,7 +234,6 @@ def test_nothing_found_where_nothing_could_have_been_seen_is_no_answer() -> None
         None,
         None,
         (),
-        (),
         {"steer_lag": lacking},
         (),
         QUESTION_OF,

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from tests.gap.made_answer import SECONDS, VEHICLE, answer, late_drive, made_kept, made_model
+from tests.jobs.ended import ended
 from tests.learn.made_drives import made_drive
 from tunefree_hil.gap.chain import open_chain
-from tunefree_hil.gap.verify import Proof
 from tunefree_hil.jobs.gap.folder import Folder
 from tunefree_hil.jobs.gap.gap import Material
 from tunefree_hil.jobs.gap.repair import is_borne_out, mend, proved, taken_back
@@ -21,19 +21,16 @@ WORDS = "steer_dead_time came nearest, and closed nothing of the gap in stretche
 CLOSES = {"value": -0.4, "low": -0.9, "high": 0.1}
 
 
-def proof_of(drive: Drive, out: Path) -> tuple[dict[str, Any], list[str]]:
-    """(keys of gap.json, warnings) of a search that named a later steering."""
+def proof_of(drive: Drive, out: Path, *, faint: bool = False, drives: bool = True) -> tuple[dict[str, Any], list[str]]:
+    """(keys of gap.json, warnings) of a search that named a later steering. drives: whether the car is in gear."""
     material, opened = Material(VEHICLE, made_model(), [drive], []), [open_chain(drive, VEHICLE)]
+    opened = [one._replace(moving=one.moving & drives) for one in opened]
     folder, kept = Folder(out), made_kept()
-    mended, warnings = mend(folder, material, opened, kept, "sha256:0"), list[str]()
-    steps = proved(folder, material, opened, kept, mended)
-    while True:
-        try:
-            event = next(steps)
-        except StopIteration as end:
-            found: tuple[dict[str, Any], Proof] = end.value
-            return found[0], warnings
-        warnings += [event.message] if event.kind == "warning" else []
+    named = [{**one, "faint": faint} for one in kept.answer["effects"]]
+    kept = kept._replace(answer={**kept.answer, "effects": named})
+    mended = mend(folder, material, opened, kept, "sha256:0")
+    (data, _), events = ended(proved(folder, material, opened, kept, mended))
+    return data, [event.message for event in events if event.kind == "warning"]
 
 
 def test_a_name_that_closes_the_gap_stays(tmp_path: Path) -> None:
@@ -48,6 +45,14 @@ def test_a_name_that_closes_nothing_is_taken_back_with_its_model(tmp_path: Path)
     assert data["effects"] == [] and data["words"] == [WORDS] and warnings == [f"taken back: {WORDS}"]
     assert data["model"] is None and not (tmp_path / "model").exists()
     assert data["taken_back"]["names"] == ["steer_dead_time"] and data["taken_back"]["explained_frac"]["value"] < 0.0
+
+
+@pytest.mark.parametrize("faint", [False, True])
+def test_where_nothing_can_be_proved_a_faint_name_is_none(tmp_path: Path, faint: bool) -> None:
+    data, warnings = proof_of(late_drive(), tmp_path, faint=faint, drives=False)
+    assert "no block that was kept for the proof is whole" in warnings[0] and data["explained_frac"] is None
+    assert ("taken_back" in data) == faint == (not (tmp_path / "model").exists())
+    assert not faint or (data["effects"], data["model"]) == ([], None)
 
 
 @pytest.mark.parametrize(
@@ -119,17 +124,17 @@ def test_a_model_that_closes_nothing_is_not_kept_and_that_is_said() -> None:
 
 
 def test_what_is_left_for_sure_is_told() -> None:
-    words = taken_back(answer(), {"value": 0.4, "low": 0.2, "high": 0.6})["words"][0]
+    words = taken_back(answer(), {"value": 0.4, "low": 0.2, "high": 0.6}, "physics")["words"][0]
     assert "closed 40 % (20 to 60), which leaves a third and more, of the gap" in words
 
 
 def test_nothing_to_be_seen_on_the_proof_is_said_of_a_faint_name() -> None:
-    found = taken_back(answer(), None)
+    found = taken_back(answer(), None, "physics")
     assert found["taken_back"]["explained_frac"] is None and "nothing could be seen of the gap" in found["words"][0]
 
 
 def test_what_was_closed_is_told_where_that_is_not_sure() -> None:
-    words = taken_back(answer(), {"value": 0.5, "low": -0.2, "high": 0.9})["words"][0]
+    words = taken_back(answer(), {"value": 0.5, "low": -0.2, "high": 0.9}, "physics")["words"][0]
     assert words.endswith(
         "closed 50 % (-20 to 90), which is not sure to be any, of the gap in stretches that no fit has seen"
     )
@@ -139,9 +144,10 @@ def test_what_was_closed_is_told_where_that_is_not_sure() -> None:
 def test_what_is_said_in_place_of_a_name_that_is_taken_back(broken: bool, verdict: str) -> None:
     one = answer()
     one["links"] = [{**link, "broken": broken} for link in one["links"]]
-    now = {**one, **taken_back(one, CLOSES)}
+    now = {**one, **taken_back(one, CLOSES, "physics")}
     assert now["verdict"] == verdict and now["explained_frac"] is None and now["forced"] == "steer_dead_time"
-    assert WORDS in sentence_of(now)
+    assert WORDS in sentence_of(now) and now["absorbed"] is False
+    assert taken_back(one, CLOSES, "hybrid")["absorbed"], "its net may hide what is not named any more"
 
 
 def test_the_free_run_of_a_model_that_misses_its_own_logs_tells_nothing() -> None:

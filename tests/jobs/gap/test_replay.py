@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from tests.gap.made_answer import VEHICLE, answer, made_kept
+from tests.jobs.ended import ended
 from tests.jobs.made_runs import made_drive
 from tunefree_hil.bench import load
 from tunefree_hil.config.load import load_model
@@ -40,12 +41,8 @@ def asked(logs: list[Path], delay_s: float, place: Path) -> tuple[dict[str, Any]
     made = repaired(model, VEHICLE, {}, found_effects(kept, "", ""))
     written = write_repaired(place, model, made.model, {})
     mended = Mended(repaired(model, VEHICLE, {}), made, written)
-    asking = replayed(logs, Material(VEHICLE, model, [], []), mended)
-    while True:
-        try:
-            next(asking)
-        except StopIteration as end:
-            return end.value
+    found, _ = ended(replayed(logs, Material(VEHICLE, model, [], []), mended))
+    return found
 
 
 @pytest.fixture(scope="module")

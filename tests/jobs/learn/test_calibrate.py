@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.jobs.ended import ended
 from tests.learn.made_drives import made_drive, whole
 from tests.learn.test_write_model import FIT
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.base.events import Event
 from tunefree_hil.bench.vehicle import VehicleFor
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.control.calibration_map import load, lookup
 from tunefree_hil.jobs.learn import calibrate as job
 from tunefree_hil.jobs.learn.calibrate_words import benches_of, channel_words
+from tunefree_hil.jobs.learn.calibrated import card_of, effect_of, fit_all, split_of, write
 from tunefree_hil.learn.drives import Drive, Split
 from tunefree_hil.learn.physics import BAND, EFFECTS, OFFSET, is_clear
 from tunefree_hil.learn.values import Value, unknown
@@ -34,17 +35,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
     drives = [off_centre(made_drive(110.0, seed=seed, name=f"made-{seed}")) for seed in (1, 2)]
     split = Split((whole(drives[0]),), (whole(drives[1]),), "one of two")
     out = tmp_path_factory.mktemp("models") / "made"
-    events: list[Event] = []
     with Worker() as worker:
-        calling = job.fit_all(worker, split, VEHICLE)
-        while True:
-            try:
-                events.append(next(calling))
-            except StopIteration as end:
-                fitted = end.value
-                break
-    card = job.card_of(drives, split, VEHICLE, fitted, 1, 12.0)
-    job.write(out, VEHICLE, fitted, split, card)
+        fitted, events = ended(fit_all(worker, split, VEHICLE))
+    write(out, VEHICLE, fitted, split, card_of(drives, split, VEHICLE, fitted, 1, 12.0))
     yield {"out": out, "events": events, "fitted": fitted, "split": split}
 
 
@@ -136,19 +129,12 @@ def still() -> Drive:
 def test_commands_that_never_move_are_one_clear_message() -> None:
     split = Split((whole(still()),), (), "")
     with Worker() as worker, pytest.raises(InputError, match="not one by-wire channel") as caught:
-        list(job.fit_all(worker, split, VEHICLE))
+        list(fit_all(worker, split, VEHICLE))
     assert "constant" in caught.value.message and caught.value.file == "still.log" and "collect" in caught.value.hint
 
 
 def test_a_short_drive_is_fitted_on_as_a_whole() -> None:
-    calling = job.split_of([made_drive(8.0)], 1)
-    events = []
-    while True:
-        try:
-            events.append(next(calling))
-        except StopIteration as end:
-            split = end.value
-            break
+    split, events = ended(split_of([made_drive(8.0)], 1))
     assert split.held_out == () and len(split.training) == 1
     assert events[0].kind == "warning" and "too short" in events[0].message
 
@@ -157,7 +143,7 @@ def test_an_effect_is_there_only_where_it_is_clear() -> None:
     assert is_clear(OFFSET, Value(0.03, 0.02, 0.04)) and not is_clear(OFFSET, Value(0.03, -0.01, 0.07))
     assert not is_clear(OFFSET, Value(0.002, 0.001, 0.003)), "a trifle"
     assert not is_clear(BAND, unknown(0.05, "not shown"))
-    assert job.effect_of(BAND, Value(0.05, 0.04, 0.06)) == {
+    assert effect_of(BAND, Value(0.05, 0.04, 0.06)) == {
         "name": "brake_dead_band",
         "params": {"half_width_frac": 0.05},
         "interval": {"half_width_frac": [0.04, 0.06]},

@@ -21,10 +21,10 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import EffectSpec
 from tunefree_hil.jobs.learn import learn as job
-from tunefree_hil.jobs.learn.learn import KINDS, Asked, command_of, finished, learn
+from tunefree_hil.jobs.learn.learn import KINDS, Asked, again, finished, learn
 from tunefree_hil.learn import learned_folder
 from tunefree_hil.learn.drives import Drive
-from tunefree_hil.learn.learned_folder import fit_of, params_of, write_learned
+from tunefree_hil.learn.learned_folder import Learned, fit_of, params_of, write_learned
 from tunefree_hil.learn.worker import answers_to
 from tunefree_hil.learn.write_model import OWN_EFFECTS, OWN_LOGS
 
@@ -125,8 +125,8 @@ def test_a_folder_comes_out_that_drives(kind: str, asked: Asked) -> None:
     assert events[-1].kind == "result" and str(asked.out) in events[-1].data["sentence"]
     assert not asked.out.with_name("model.part").exists()
     (asked.out / "figures" / "free_run.png").unlink()
-    (again,) = finished(asked._replace(kind=kind))
-    assert again == events[-1] and (asked.out / "figures" / "free_run.png").is_file()
+    (once_more,) = finished(asked._replace(kind=kind))
+    assert once_more == events[-1] and (asked.out / "figures" / "free_run.png").is_file()
 
 
 def test_a_folder_written_from_a_folder_keeps_what_is_known(repo: Path, tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_a_folder_written_from_a_folder_keeps_what_is_known(repo: Path, tmp_path
 
     vehicle = load_vehicle(repo / "dbc" / "mkz_bywire")
     physics = load_model(repo / "bench_configs" / "models" / "mkz_nominal")
-    write_learned(tmp_path / "copy", vehicle, physics, "physics", None, None, {})
+    write_learned(tmp_path / "copy", Learned("physics", vehicle, physics), {})
     copy = load_model(tmp_path / "copy")
     assert copy.noise == physics.noise and copy.valid == physics.valid and copy.timing == physics.timing
     assert {name: fit_of(spec) for name, spec in copy.actuators.items()} == {
@@ -158,11 +158,11 @@ def test_a_latency_that_the_own_logs_told_is_in_the_net_that_they_taught(repo: P
         )
     ]
     physics = msgspec.structs.replace(physics, effects=told)
-    write_learned(tmp_path / "physics", vehicle, physics, "physics", None, None, {})
+    write_learned(tmp_path / "physics", Learned("physics", vehicle, physics), {})
     assert [one.name for one in load_model(tmp_path / "physics").effects] == [one.name for one in told]
     with np.load(repo / "bench_configs" / "models" / "mkz_learned" / "plant.npz") as net:
         arrays = {name: net[name] for name in net.files if name not in ("kind", "inputs")}
-    write_learned(tmp_path / "net", vehicle, physics, "hybrid", arrays, None, {})
+    write_learned(tmp_path / "net", Learned("hybrid", vehicle, physics, arrays), {})
     kept = load_model(tmp_path / "net").effects
     assert [(one.name, one.provenance["by"]) for one in kept] == [
         ("report_latency", "a person"),
@@ -171,7 +171,7 @@ def test_a_latency_that_the_own_logs_told_is_in_the_net_that_they_taught(repo: P
 
 
 def test_the_command_that_goes_on(asked: Asked) -> None:
-    words = command_of(asked._replace(minutes=2.0, sample_spacing_s=0.05, kind="paper"))
+    words = again(asked._replace(minutes=2.0, sample_spacing_s=0.05, kind="paper"))
     assert "--kind paper" in words and "--minutes 2" in words and "--sample-spacing 0.05" in words
     assert set(KINDS) == {"hybrid", "lstm", "mlp", "rule_based", "paper"}
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from tests.jobs.ended import ended
 from tests.learn.made_logs import MKZ, car, good, rows_of, with_report, write_log
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
@@ -18,7 +19,7 @@ from tunefree_hil.jobs.learn.logs import read
 from tunefree_hil.learn.drives import Drive
 
 
-class Ended(NamedTuple):
+class Heard(NamedTuple):
     """What a reading said and gave."""
 
     events: list[Event]
@@ -29,34 +30,30 @@ class Ended(NamedTuple):
         return [event.message for event in self.events if event.kind == kind]
 
 
-def ended(logs: Sequence[Path], excused: Collection[str] = ()) -> Ended:
+def heard(logs: Sequence[Path], excused: Collection[str] = ()) -> Heard:
     """The reading of logs as the MKZ's, to its end."""
-    steps, events = read(logs, car(MKZ).spec, excused), []
-    while True:
-        try:
-            events.append(next(steps))
-        except StopIteration as end:
-            return Ended(events, end.value)
+    drives, events = ended(read(logs, car(MKZ).spec, excused))
+    return Heard(events, drives)
 
 
 @pytest.mark.slow
 def test_drives_in_the_order_given_and_how_much_they_are(tmp_path: Path) -> None:
     logs = [write_log(tmp_path / name, good(MKZ, seed)) for name, seed in (("b.log", 2), ("a.log", 1))]
-    found = ended(logs)
+    found = heard(logs)
     assert [drive.name for drive in found.drives] == ["b.log", "a.log"]
     assert found.said("note") == ["reading 2 logs of mkz_bywire", "1.0 minutes of driving"]
     (warning,) = found.said("warning")
     assert "what is learned will be rough" in warning
-    assert ended(logs[:1]).said("note") == ["reading 1 log of mkz_bywire", "0.5 minutes of driving"]
+    assert heard(logs[:1]).said("note") == ["reading 1 log of mkz_bywire", "0.5 minutes of driving"]
 
 
 def test_a_refusal_is_excused_by_its_code_only(tmp_path: Path) -> None:
     log = write_log(tmp_path / "short.log", rows_of(MKZ, 6.0))
     for excused in ((), ("one_speed",)):
         with pytest.raises(InputError, match="too short") as caught:
-            ended([log], excused)
+            heard([log], excused)
         assert caught.value.code == "too_short"
-    found = ended([log], ["too_short"])
+    found = heard([log], ["too_short"])
     assert len(found.drives) == 1 and any("too short" in words for words in found.said("warning"))
 
 
@@ -64,26 +61,26 @@ def test_what_is_not_excused_is_refused_without_what_is(tmp_path: Path) -> None:
     rows = [row._replace(time_s=row.time_s - (0.5 if row.time_s > 4.0 else 0.0)) for row in rows_of(MKZ, 6.0)]
     log = write_log(tmp_path / "back.log", rows)
     with pytest.raises(InputError, match="2 things are wrong"):
-        ended([log])
+        heard([log])
     with pytest.raises(InputError, match="1 thing is wrong") as caught:
-        ended([log], ["too_short"])
+        heard([log], ["too_short"])
     assert caught.value.code == "clock_jump" and "too short" not in caught.value.message
 
 
 def test_a_frame_that_says_what_no_car_can_is_left_out_with_a_word(tmp_path: Path) -> None:
     broken = with_report(lambda k, report: report._replace(speed_mps=40.0) if k == 300 else report)
     log = write_log(tmp_path / "flipped.log", rows_of(MKZ, 6.0, change=broken))
-    found = ended([log], ["too_short"])
+    found = heard([log], ["too_short"])
     assert any("1 of report.speed_mps" in words for words in found.said("warning"))
     assert np.nanmax(found.drives[0].fields["report.speed_mps"]) < 20.0
 
 
 def test_no_log_and_one_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no log is named") as caught:
-        ended([])
+        heard([])
     assert (caught.value.code, caught.value.key) == ("no_log", "LOG")
     with pytest.raises(InputError, match="no such log"):
-        ended([tmp_path / "none.log"])
+        heard([tmp_path / "none.log"])
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from tests.jobs.foreign_node import AT
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load, own_parameters, parameters_of
 from tunefree_hil.jobs.identity import identity_of, resolved_toml
-from tunefree_hil.jobs.running.foreign import command_of, program_hashes, require_announced, require_one, with_command
+from tunefree_hil.jobs.running.foreign import program_hashes, program_of, require_announced, require_one, with_command
 from tunefree_hil.jobs.running.parts import Places, paths_for
 
 NODE = Path(__file__).with_name("foreign_node.py")
@@ -53,11 +53,11 @@ def test_its_parameters_are_the_bench_files_values_or_the_middle_of_their_boxes(
 
 def test_a_program_beside_the_bench_file_is_found_from_anywhere(tmp_path: Path) -> None:
     bench = load(bench_file(tmp_path))
-    assert command_of(bench) == ["./mine", "{bus}", "{paths}"], "it is not there yet: as written"
+    assert program_of(bench) == ["./mine", "{bus}", "{paths}"], "it is not there yet: as written"
     (tmp_path / "mine").write_text("first")
-    assert command_of(bench) == [str(tmp_path / "mine"), "{bus}", "{paths}"]
+    assert program_of(bench) == [str(tmp_path / "mine"), "{bus}", "{paths}"]
     assert str(tmp_path / "mine") in resolved_toml(bench), "the run folder's copy finds it too"
-    assert command_of(load(write_bench(tmp_path / "ours"))) is None
+    assert program_of(load(write_bench(tmp_path / "ours"))) is None
 
 
 def test_a_program_that_was_built_anew_makes_another_run(tmp_path: Path) -> None:
@@ -75,7 +75,7 @@ def test_an_environments_python_keeps_its_name(tmp_path: Path) -> None:
     """Its link followed, it would be the machine's, without the environment's packages."""
     (tmp_path / "python").symlink_to(sys.executable)
     bench = load(bench_file(tmp_path, OWN.replace("./mine", "./python")))
-    assert (command_of(bench) or [""])[0] == str(tmp_path / "python")
+    assert (program_of(bench) or [""])[0] == str(tmp_path / "python")
 
 
 def test_the_words_of_the_option_are_the_shells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,8 +84,8 @@ def test_the_words_of_the_option_are_the_shells(tmp_path: Path, monkeypatch: pyt
     monkeypatch.chdir(tmp_path / "elsewhere")
     bench = load(bench_file(tmp_path))
     asked = with_command(bench, "./mine {bus} 'two words'")
-    assert command_of(asked) == [str(tmp_path / "elsewhere" / "mine"), "{bus}", "two words"]
-    assert command_of(with_command(bench, "")) == command_of(bench)
+    assert program_of(asked) == [str(tmp_path / "elsewhere" / "mine"), "{bus}", "two words"]
+    assert program_of(with_command(bench, "")) == program_of(bench)
     with pytest.raises(InputError, match="No closing quotation"):
         with_command(bench, "./mine 'open")
 

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from msgspec.structs import replace as with_fields
 
 from tests.bench.tiny import write_bench
+from tests.jobs.ended import ended
 from tunefree_hil.base.errors import PeerGone
-from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Driven, Job
 from tunefree_hil.config.schema import ControllerSpec
@@ -81,15 +80,6 @@ def journal(bench: Bench, tmp_path: Path) -> Journal:
     edges = [trial.parameters["mrac.p"] > EDGE for trial in made.trials()]
     assert any(edges) and not all(edges), "the search must have gone beyond the edge, and not only"
     return made
-
-
-def ended(job: Generator[Event, None, Any]) -> tuple[Any, list[Event]]:
-    events = []
-    while True:
-        try:
-            events.append(next(job))
-        except StopIteration as stop:
-            return stop.value, events
 
 
 def held_by(bench: Bench, journal: Journal, plant: Plant, folder: Path) -> tuple[Held, list[str]]:

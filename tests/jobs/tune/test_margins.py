@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import pytest
 from msgspec.structs import replace as with_fields
 
 from tests.bench.tiny import write_bench
+from tests.jobs.ended import ended
 from tunefree_hil.base.errors import InputError, PeerGone
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, load, parameters_of
@@ -80,15 +81,6 @@ def searched(bench: Bench, rule: Rule, **p: float) -> tuple[Found, MadeUp, list[
     job = drive_margins(batch, bench, "mkz_nominal", vectors_of(bench, **p), list(bench.scenarios.values()))
     found, events = ended(job)
     return found, batch, events
-
-
-def ended(job: Generator[Event, None, Any]) -> tuple[Any, list[Event]]:
-    events = []
-    while True:
-        try:
-            events.append(next(job))
-        except StopIteration as stop:
-            return stop.value, events
 
 
 def report(found: Found | str, scores: Mapping[str, float], **more: Any) -> dict[str, Any]:

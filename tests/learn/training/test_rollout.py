@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch")
 from tests.learn.training.made import REST, physics, track, vehicle  # noqa: E402
 from tunefree_hil.config.load import load_model  # noqa: E402
 from tunefree_hil.learn.free_run import ridden, rig_of  # noqa: E402
-from tunefree_hil.learn.learned_folder import write_learned  # noqa: E402
+from tunefree_hil.learn.learned_folder import Learned, write_learned  # noqa: E402
 from tunefree_hil.learn.motion import outputs_of  # noqa: E402
 from tunefree_hil.learn.training.fit import learner_of  # noqa: E402
 from tunefree_hil.learn.training.learners import FreeRunLearner, Wish  # noqa: E402
@@ -41,7 +41,7 @@ def by_kernel(kind: str, arrays: dict[str, np.ndarray] | None, folder: Path) -> 
     """Rows (x, y, heading, speed, yaw rate) from the start on."""
     model = physics()
     if arrays is not None:
-        write_learned(folder / kind, vehicle(), model, kind, arrays, None, {})
+        write_learned(folder / kind, Learned(kind, vehicle(), model, arrays), {})
         model = load_model(folder / kind)
     rig, own = rig_of(model), track(1)
     behind_m = vehicle().nominal.wheelbase_m - vehicle().nominal.front_axle_m
@@ -89,7 +89,7 @@ def test_the_papers_net_says_what_its_kernel_says(pool: Pool, tmp_path: Path) ->
     """One step after a measured second: acceleration and yaw rate."""
     learner = OneStepLearner(Wish("paper", 1, 10), pool, pool)
     arrays = learner.arrays()
-    write_learned(tmp_path / "paper", vehicle(), physics(), "paper", arrays, None, {})
+    write_learned(tmp_path / "paper", Learned("paper", vehicle(), physics(), arrays), {})
     rig, own = rig_of(load_model(tmp_path / "paper")), track(1)
     outputs = outputs_of(own, physics(), REST, identity=True)
     behind_m = vehicle().nominal.wheelbase_m - vehicle().nominal.front_axle_m

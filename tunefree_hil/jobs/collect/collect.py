@@ -7,6 +7,7 @@ was cut off anywhere goes on with the drive that it lost.
 from __future__ import annotations
 
 import os
+import shlex
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,7 +22,6 @@ from tunefree_hil.collect.seen import lacking
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.jobs.collect.picture import draw_map
 from tunefree_hil.jobs.collect.plan import (
-    DRIVE_S,
     Asked,
     Start,
     drive_name,
@@ -33,7 +33,8 @@ from tunefree_hil.jobs.collect.plan import (
     write_plan,
 )
 from tunefree_hil.jobs.collect.state import IDLE_DRIVES, Collection
-from tunefree_hil.jobs.run_folder import RunFolder, remove_parts
+from tunefree_hil.jobs.pasted import PROGRAM, given, pasted
+from tunefree_hil.jobs.run_folder import remove_parts
 from tunefree_hil.jobs.running.node_links import bus_for
 from tunefree_hil.jobs.running.session import Session
 
@@ -51,8 +52,7 @@ def collect(asked: Asked) -> Iterator[Event]:
     remove_parts(run.path)
     bench = prepare(run, vehicle, model, asked, effects)
     collection = Collection(run, bench, asked)
-    resume = {"resume": f"tunefree-hil collect {_words(asked, run)}"}
-    yield Event("note", f"run folder {run.path}", resume)
+    yield Event("note", f"run folder {run.path}", {"resume": again(asked._replace(out=run.path))})
     yield from (Event("warning", words) for words in lacking(vehicle))
     collection.take_up()
     if collection.driven:
@@ -117,7 +117,7 @@ def _one(collection: Collection, session: Session) -> Iterator[Event]:
             first = error.message.splitlines()[0]
             yield Event("warning", f"{drive_name(number)}: {first} The bench is started anew, the drive repeated.")
             session.reopen()
-    _require_driven(outcome.error_code, number, folder)
+    require_stopped(outcome.error_code, drive_name(number), folder)
     os.replace(folder / "vehicle.log", collection.logs / f"{drive_name(number)}.log")
     taken = collection.take(number)
     if taken.beyond.total_s > 0.0:
@@ -126,13 +126,13 @@ def _one(collection: Collection, session: Session) -> Iterator[Event]:
         )
 
 
-def _require_driven(code: int, number: int, folder: Path) -> None:
-    """A drive ends by the planner's own word, standing; anything else is no drive."""
+def require_stopped(code: int, name: str, folder: Path) -> None:
+    """A drive ends by the planner's own word, standing; anything else is no drive, and raises BenchError."""
     if code == ErrorCode.STOPPED:
         return
     why = ErrorCode(code).sentence if code else "the vehicle did not come to a stop in time"
     raise BenchError(
-        f"{drive_name(number)}: {why}",
+        f"{name}: {why}",
         code=ErrorCode(code).name.lower() if code else "not_stopped",
         file=str(folder),
         hint="the same command drives it again; the frames of this one: vehicle.log there",
@@ -168,22 +168,21 @@ def _finish(collection: Collection) -> Iterator[Event]:
             "beyond_envelope_s": out_s,
             "figures": [str(figure)],
             "exit": NOT_FULL if missing else 0,
-            "next": [f"tunefree-hil calibrate {logs}/*.log --vehicle {coverage.vehicle.folder} --out MODEL"],
+            "next": [_next(collection)],
         },
     )
+
+
+def _next(collection: Collection) -> str:
+    """What to do with the logs, which the shell finds: there are many."""
+    logs = f"{shlex.quote(str(collection.logs))}/*.log"
+    return f"{PROGRAM} calibrate {logs} --vehicle {shlex.quote(collection.coverage.vehicle.folder)} --out MODEL"
 
 
 def _where(out: Beyond) -> str:
     return ", ".join(f"{name.removesuffix('_s')} {value:.2f} s" for name, value in out._asdict().items() if value > 0.0)
 
 
-def _words(asked: Asked, run: RunFolder) -> str:
-    """The command that goes on with this run."""
-    words = [str(asked.bench)] if asked.bench else [f"--vehicle {asked.vehicle}"]
-    words += [f"--model {asked.model}"] if asked.model else []
-    words += [f"--out {run.path}", f"--quota-s {asked.quota_s:g}", f"--area-m {asked.area_m:g}"]
-    words += [f"--drive-s {asked.drive_s:g}"] if asked.drive_s != DRIVE_S else []
-    words += [f"--top-mps {asked.top_mps:g}"] if asked.top_mps is not None else []
-    words += [f"--seed {asked.seed}"] if asked.seed != 1 else []
-    words += [f"--bus {asked.bus}"] if asked.bus != "auto" else []
-    return " ".join([*words, "--realtime"] if asked.realtime else words)
+def again(asked: Asked) -> str:
+    """The command once more; with the run folder as `out` it goes on there."""
+    return pasted("collect", asked.bench, **given(asked, leave=["bench"]))

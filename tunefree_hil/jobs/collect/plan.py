@@ -17,6 +17,7 @@ from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.find import available, find
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import VehicleSpec
+from tunefree_hil.jobs.require import VEHICLE, require_model_of
 from tunefree_hil.jobs.run_folder import SCHEMA, RunFolder, open_run, unfinished, versions, write_json, write_text
 
 DRIVE_S = 110.0  # after so long a drive begins to stop, unless told otherwise
@@ -29,18 +30,18 @@ DEFAULT_ROOT = Path("runs")
 class Asked(NamedTuple):
     """The command line of `collect`. out: this collection's own folder, None for a new one under runs/."""
 
-    bench: Path | None
-    vehicle: str | None
-    model: str | None
-    bus: str
-    bench_bus: str
-    session: str
-    realtime: bool
-    out: Path | None
-    quota_s: float
-    area_m: float
-    top_mps: float | None
-    seed: int
+    bench: Path | None = None
+    vehicle: str | None = None
+    model: str | None = None
+    bus: str = "auto"
+    bench_bus: str = ""
+    session: str = ""
+    realtime: bool = False
+    out: Path | None = None
+    quota_s: float = 10.0
+    area_m: float = 400.0
+    top_mps: float | None = None
+    seed: int = 1
     drive_s: float = DRIVE_S
 
 
@@ -112,14 +113,7 @@ def require_room(vehicle: VehicleSpec, asked: Asked) -> None:
 def record_of(vehicle: VehicleSpec, model: str, asked: Asked, effects: list[Any]) -> dict[str, Any]:
     """What run.json says, and what must agree for a collection to go on."""
     found = load_model(model)
-    if found.vehicle != vehicle.name:
-        raise InputError(
-            f"is a model of {found.vehicle!r}, the vehicle is {vehicle.name!r}",
-            code="model_of_other_vehicle",
-            file=f"{found.folder}/model.toml",
-            key="vehicle",
-            hint="name a model of this vehicle",
-        )
+    require_model_of(found, vehicle, hint="name a model of this vehicle", needed=VEHICLE)
     return {
         "command": "collect",
         "vehicle": vehicle.name,

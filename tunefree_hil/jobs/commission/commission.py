@@ -56,7 +56,7 @@ def commission(asked: Asked) -> Iterator[Event]:
     """
     plan = make_plan(asked)
     with held_record(plan) as record:
-        resume = {"resume": f"tunefree-hil commission {plan.words}"}
+        resume = {"resume": plan.command}
         yield Event("note", f"commission of {plan.vehicle.name} in {plan.folder}", resume)
         for number, stage in enumerate(STAGES, 1):
             if asked.only and stage.name != asked.only:
@@ -130,6 +130,6 @@ def _ended(plan: Plan, record: Record) -> Event:
         "stages": {name: one["seconds"] for name, one in done.items()},
         "report": str(write_report(plan, record)),
         "exit": 0 if verified.get("holds", True) else NOT_GOOD_ENOUGH,
-        "next": ([offered] if offered else []) if whole else [f"tunefree-hil commission {plan.words}"],
+        "next": ([offered] if offered else []) if whole else [plan.command],
     }
     return Event("result", sentence, data)

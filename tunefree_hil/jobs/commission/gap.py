@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from tunefree_hil.jobs.commission.plan import Plan
 from tunefree_hil.jobs.commission.stages import finished_tune
+from tunefree_hil.jobs.pasted import pasted
 
 OUT = "gap"  # in the commission's folder
 
@@ -37,8 +37,8 @@ def gap_command(plan: Plan) -> str:
     logs = verify_logs(plan)
     if not logs:
         return ""
-    words = ["tunefree-hil", "gap", *map(str, logs), "--vehicle", plan.vehicle.folder, "--model", str(plan.model)]
-    return shlex.join([*words, "--out", str(plan.folder / OUT), "--drive", "--bench", str(plan.bench)])
+    out = plan.folder / OUT
+    return pasted("gap", *logs, vehicle=plan.vehicle.folder, model=plan.model, out=out, drive=True, bench=plan.bench)
 
 
 def verify_logs(plan: Plan) -> list[Path]:

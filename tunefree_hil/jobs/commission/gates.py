@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from tunefree_hil.jobs.commission.plan import Plan
+from tunefree_hil.jobs.pasted import pasted
 
 HORIZON = "10"  # s of free run
 
@@ -112,7 +113,7 @@ def rows(plan: Plan, done: Mapping[str, Any]) -> list[tuple[str, str, str]]:
 
 def advice(stage: str, plan: Plan) -> list[str]:
     """What to type after a stage that was not good enough."""
-    again = f"tunefree-hil commission {plan.words}"
     if stage == "collect":
-        return [f"tunefree-hil collect --from {plan.collected}/logs/*.log --vehicle {plan.vehicle.folder}", again]
-    return [f"{again} --from {stage}"]
+        counted = pasted("collect", **{"from": plan.logs}, vehicle=plan.vehicle.folder)  # --from takes one log each
+        return [counted, plan.command]
+    return [f"{plan.command} --from {stage}"]

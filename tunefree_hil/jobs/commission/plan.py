@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 import shutil
 import tomllib
 from collections.abc import Sequence
@@ -23,6 +22,7 @@ from tunefree_hil.jobs.collect.plan import require_room
 from tunefree_hil.jobs.commission.vehicle import VEHICLE, write_vehicle
 from tunefree_hil.jobs.identity import resolved_toml
 from tunefree_hil.jobs.learn.calibrate_words import benches_of
+from tunefree_hil.jobs.pasted import given, pasted
 from tunefree_hil.jobs.run_folder import write_text
 
 ROOT = Path("runs")
@@ -67,14 +67,14 @@ class Asked(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """asked, resolved. identity: what makes this commission this one; words: the same command again."""
+    """asked, resolved. identity: what makes this commission this one; command: the same again, to be pasted."""
 
     asked: Asked
     vehicle: VehicleSpec
     template: BenchSpec
     folder: Path
     identity: dict[str, Any]
-    words: str
+    command: str
 
     @property
     def again(self) -> str:
@@ -171,7 +171,7 @@ def make_plan(asked: Asked) -> Plan:
         "seed": asked.seed,
         "backend": asked.backend,
     }
-    return Plan(asked, vehicle, template, folder, identity, _words(asked))
+    return Plan(asked, vehicle, template, folder, identity, again(asked))
 
 
 def require_options(asked: Asked) -> None:
@@ -221,8 +221,8 @@ def _require_stages(asked: Asked, vehicle: VehicleSpec, template: BenchSpec) -> 
 def collect_wish(asked: Asked, bench: Path, out: Path | None) -> CollectAsked:
     """What `collect` is asked for."""
     return CollectAsked(
-        bench=bench, vehicle=None, model=None, bus=asked.bus, bench_bus=asked.bench_bus, session="", realtime=False,
-        out=out, quota_s=asked.quota_s, area_m=asked.area_m, top_mps=asked.top_mps, seed=asked.seed,
+        bench=bench, bus=asked.bus, bench_bus=asked.bench_bus, out=out, quota_s=asked.quota_s, area_m=asked.area_m,
+        top_mps=asked.top_mps, seed=asked.seed,
     )  # fmt: skip
 
 
@@ -244,12 +244,7 @@ def _template(asked: Asked, vehicle: VehicleSpec) -> BenchSpec:
     return spec
 
 
-def _words(asked: Asked) -> str:
-    """The options again, to be pasted."""
-    words = [asked.vehicle]
-    for name, value in asked._asdict().items():
-        if name in ("vehicle", "only", "start_at") or value == Asked._field_defaults.get(name):
-            continue
-        option = "--set" if name == "set_name" else "--" + name.replace("_", "-")
-        words += [option, f"{value:g}" if isinstance(value, float) else str(value)]
-    return shlex.join(words)
+def again(asked: Asked) -> str:
+    """The command once more, without the stage that it was to do again."""
+    options = given(asked, leave=["vehicle", "only", "start_at"], called={"set_name": "set"})
+    return pasted("commission", asked.vehicle, **options)

@@ -34,7 +34,7 @@ def write_report(plan: Plan, record: Record) -> Path:
     lines += _times(record) + _limits(plan, record)
     for name in done:
         lines += _section(plan.folder, name, done[name]["result"], record.warnings(name))
-    lines += ["## Reproduce", "", "```", f"tunefree-hil commission {plan.words}", "```", ""]
+    lines += ["## Reproduce", "", "```", plan.command, "```", ""]
     write_text(path, "\n".join(lines))
     return path
 

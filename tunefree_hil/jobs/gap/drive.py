@@ -28,7 +28,8 @@ from tunefree_hil.jobs.gap.drive_bench import Job, Wish, drive_all, jobs_of, ope
 from tunefree_hil.jobs.gap.folder import ANSWER, LOCK, PAGE, Folder
 from tunefree_hil.jobs.gap.gap import Asked, gap, model_for
 from tunefree_hil.jobs.gap.page import write_page
-from tunefree_hil.jobs.gap.words import COMMAND, command_of, next_of
+from tunefree_hil.jobs.gap.words import COMMAND, again, next_of
+from tunefree_hil.jobs.pasted import given, option_words
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
@@ -70,24 +71,23 @@ def gap_drive(asked: Asked, wish: Wish) -> Iterator[Event]:
     _require_names(asked)
     vehicle = load_vehicle(asked.vehicle)
     require_same_vehicle(wish, vehicle)
-    again = with_drive(command_of(asked), wish)
-    answer = yield from _ask(asked, again)
+    resume = with_drive(again(asked), wish)
+    answer = yield from _ask(asked, resume)
     if DRIVES in answer or not to_drive(answer, (), catalogue()):
         yield Event("result", "", {**answer, "next": following(asked, wish, answer, vehicle)})
         return
     with alone(asked.out / LOCK):
         driven = Driven([], [], set())
-        last = yield from _rounds(asked, wish, answer, driven, again, vehicle)
+        last = yield from _rounds(asked, wish, answer, driven, resume, vehicle)
         whole = {**last, DRIVES: _listed(driven)}
         whole["next"] = following(asked, wish, whole, vehicle)
-        _keep(asked, whole, again)
+        _keep(asked, whole, resume)
     yield Event("result", "", whole)
 
 
 def with_drive(command: str, wish: Wish) -> str:
     """A `gap` command that drives as this one does."""
-    more = ["--drive", "--bench", str(wish.bench)] + (["--bus", wish.bus] if wish.bus != "auto" else [])
-    return f"{command} {shlex.join(more)}"
+    return f"{command} {shlex.join(option_words(drive=True, **given(wish, leave=['session'])))}"
 
 
 def following(asked: Asked, wish: Wish, answer: Mapping[str, Any], vehicle: VehicleSpec) -> list[str]:
@@ -105,19 +105,19 @@ def _require_names(asked: Asked) -> None:
         )  # fmt: skip
 
 
-def _ask(asked: Asked, again: str) -> Generator[Event, None, dict[str, Any]]:
+def _ask(asked: Asked, resume: str) -> Generator[Event, None, dict[str, Any]]:
     """The answer of `gap` with its exit status and what to do next; its events, which name the whole command."""
     answer = dict[str, Any]()
     for event in gap(asked):
         if event.kind == "result":
             answer = dict(event.data)
         else:
-            yield event._replace(data={**event.data, "resume": again})
+            yield event._replace(data={**event.data, "resume": resume})
     return answer
 
 
 def _rounds(
-    asked: Asked, wish: Wish, answer: dict[str, Any], driven: Driven, again: str, vehicle: VehicleSpec
+    asked: Asked, wish: Wish, answer: dict[str, Any], driven: Driven, resume: str, vehicle: VehicleSpec
 ) -> Generator[Event, None, dict[str, Any]]:
     """The last answer; `driven` is filled on the way."""
     effects = catalogue()
@@ -135,14 +135,14 @@ def _rounds(
             if answer["verdict"] in UNDECIDED:
                 yield Event("note", f"nothing more is to be driven that would tell: {answer['sentence']}")
             return answer
-        yield Event("note", _round_words(number, answer, [one.manoeuvre for one in jobs]), {"resume": again})
+        yield Event("note", _round_words(number, answer, [one.manoeuvre for one in jobs]), {"resume": resume})
         for event in drive_all(run, bench, jobs, wish):
-            yield event._replace(data={**event.data, "resume": again})
+            yield event._replace(data={**event.data, "resume": resume})
         driven.jobs.extend(jobs)
         driven.rounds.extend([number] * len(jobs))
         before = answer
         more = asked._replace(logs=[*asked.logs, *driven.logs], out=asked.out / f"round-{number}")
-        answer = yield from _ask(more, again)
+        answer = yield from _ask(more, resume)
         beside = beside_words(before, answer)
         if beside:
             driven.apart.add(number)
@@ -187,7 +187,7 @@ def _listed(driven: Driven) -> list[dict[str, Any]]:
     ]
 
 
-def _keep(asked: Asked, answer: dict[str, Any], again: str) -> None:
+def _keep(asked: Asked, answer: dict[str, Any], resume: str) -> None:
     """The last answer in the folder itself, the first one beside it; gap.json is written last."""
     folder = Folder(asked.out)
     for now, first in ((ANSWER, FIRST_ANSWER), (PAGE, FIRST_PAGE)):
@@ -195,5 +195,5 @@ def _keep(asked: Asked, answer: dict[str, Any], again: str) -> None:
             part = asked.out / f"{first}.part"
             shutil.copyfile(asked.out / now, part)
             part.replace(asked.out / first)
-    write_page(folder.page, answer, answer["next"], again)
+    write_page(folder.page, answer, answer["next"], resume)
     folder.write_answer({key: value for key, value in answer.items() if key not in OF_A_RUN})

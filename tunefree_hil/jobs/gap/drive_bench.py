@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-from tunefree_hil.base.errors import BenchError, InputError
+from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bench import Bench, VehicleFor, is_heavy, needed_messages
@@ -25,7 +25,7 @@ from tunefree_hil.config.schema import ScenarioSpec, VehicleSpec
 from tunefree_hil.episode.candump import write_candump
 from tunefree_hil.gap.drive_menu import AREA_M, Manoeuvre, plan_for
 from tunefree_hil.jobs.collect import plan as collect_plan
-from tunefree_hil.jobs.collect.collect import ANY_PARAMETER
+from tunefree_hil.jobs.collect.collect import ANY_PARAMETER, require_stopped
 from tunefree_hil.jobs.collect.plan import Start, drive_name, open_folder, prepare, record_of, vehicle_and_model
 from tunefree_hil.jobs.collector import PlannerFor
 from tunefree_hil.jobs.run_folder import RunFolder, write_json
@@ -82,9 +82,8 @@ def open_bench(wish: Wish, folder: Path) -> tuple[RunFolder, Bench]:
 
 def _collection(wish: Wish, folder: Path) -> collect_plan.Asked:
     return collect_plan.Asked(
-        bench=wish.bench, vehicle=None, model=None, bus=wish.bus, bench_bus="", session=wish.session, realtime=False,
-        out=folder, quota_s=QUOTA_S, area_m=AREA_M, top_mps=None, seed=SEED,
-    )  # fmt: skip
+        bench=wish.bench, bus=wish.bus, session=wish.session, out=folder, quota_s=QUOTA_S, area_m=AREA_M, seed=SEED
+    )
 
 
 def jobs_of(
@@ -132,12 +131,7 @@ def _told(job: Job, drive: Callable[[ScenarioSpec, Path], int], run: RunFolder) 
     yield Event("note", f"driving {job.manoeuvre.words}")
     folder = run.episode(job.number)
     code = drive(_write(run, job), folder)
-    if code != bc.ErrorCode.STOPPED:  # the planner's own word, standing
-        why = bc.ErrorCode(code).sentence if code else "the vehicle did not come to a stop in time"
-        raise BenchError(
-            f"{job.manoeuvre.name}: {why}", code=bc.ErrorCode(code).name.lower() if code else "not_stopped",
-            file=str(folder), hint="the same command drives it again; the frames of this one: vehicle.log there",
-        )  # fmt: skip
+    require_stopped(code, job.manoeuvre.name, folder)
     os.replace(folder / "vehicle.log", job.log)
 
 

@@ -56,9 +56,10 @@ class Folder(NamedTuple):
         names has also located.
         """
         path = self.path / SEARCH
-        if not path.is_file():
-            return None
-        found = kept.from_json(read_json(path))
+        data = read_json(path) if path.is_file() else {}
+        if data.get("schema") != kept.SCHEMA:
+            return None  # there is none, or one that another version left
+        found = kept.from_json(data)
         return found if found.named or not named else None
 
     def keep(self, found: Kept) -> Kept:

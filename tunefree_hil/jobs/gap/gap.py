@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench.load import require_current
 from tunefree_hil.gap.kept import Kept, keep
 from tunefree_hil.jobs.gap.folder import Folder, held_folder, question_of, require_ours
 from tunefree_hil.jobs.gap.page import write_page
-from tunefree_hil.jobs.gap.words import command_of, next_of, remarks, sentence_of
+from tunefree_hil.jobs.gap.words import again, next_of, remarks, sentence_of
 from tunefree_hil.jobs.learn.logs import read
+from tunefree_hil.jobs.progress import eta_of, told
+from tunefree_hil.jobs.require import require_model_of
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import ModelSpec, VehicleSpec
     from tunefree_hil.gap.chain import Opened
-    from tunefree_hil.gap.name import Named
     from tunefree_hil.learn.drives import Drive
 
 SCHEMA = "tunefree.gap/1"
@@ -34,13 +34,6 @@ SCHEMA = "tunefree.gap/1"
 EXCUSED = ("too_short", "one_speed", "no_braking", "short_of_command")
 UNSAID = ("short",)  # the search says it by its own measure
 CANNOT = ("too_short", "standing", "nothing_to_compare", "no_motion")
-STAGES = {  # of a search: the share of its time that has gone when it begins, as measured
-    "recalibration alone": 0.0,
-    "suspects": 0.24,
-    "beside": 0.86,
-    "each without the others": 0.94,
-    "what is left": 0.97,
-}
 
 
 class Asked(NamedTuple):
@@ -90,15 +83,7 @@ def model_for(name: str, vehicle: VehicleSpec) -> ModelSpec:
     from tunefree_hil.config.load import load_model
 
     model = load_model(name)
-    if model.vehicle != vehicle.name:
-        raise InputError(
-            f"is a model of {model.vehicle!r}, the logs are of {vehicle.name!r}",
-            code="model_of_other_vehicle",
-            file=f"{model.folder}/model.toml",
-            key="vehicle",
-            hint="name a model of the logs' vehicle",
-        )
-    require_current(model, vehicle)
+    require_model_of(model, vehicle, hint="name a model of the logs' vehicle")
     return model
 
 
@@ -131,7 +116,7 @@ def _answered(asked: Asked, folder: Folder, material: Material) -> Generator[Eve
         answer = _whole(asked, material, _untold(error), time.monotonic() - began)
     else:
         answer = yield from _proved(asked, folder, material, opened, found, began)
-    write_page(folder.page, answer, next_of(asked, answer, material.vehicle), command_of(asked))
+    write_page(folder.page, answer, next_of(asked, answer, material.vehicle), again(asked))
     folder.write_answer(answer)
     return answer
 
@@ -149,29 +134,12 @@ def _searched(asked: Asked, material: Material, opened: list[Opened]) -> Generat
     from tunefree_hil.gap.look_first import look_first
     from tunefree_hil.gap.name import name
 
-    began, resume = time.monotonic(), command_of(asked)
-    looks = asked.until == "locate"
+    began, looks = time.monotonic(), asked.until == "locate"
     question = (material.model, material.vehicle, opened)
     search = look_first(*question) if looks else name(*question, asked.workers)
-    try:
-        while True:
-            try:
-                stage = next(search)
-            except StopIteration as end:
-                found: Named = end.value
-                seconds = time.monotonic() - began
-                return keep(found, material.model.plant.kind, seconds, asked.until != "locate")
-            yield Event("progress", stage, {"label": "search", "resume": resume, **eta_of(stage, began)})
-    finally:
-        search.close()
-
-
-def eta_of(stage: str, began: float) -> dict[str, float]:
-    """What is left of a search, by the share of it that has gone."""
-    share = next((one for name, one in STAGES.items() if name in stage), 0.0)
-    if share == 0.0:
-        return {}
-    return {"done": round(100.0 * share), "total": 100, "eta_s": (time.monotonic() - began) * (1.0 / share - 1.0)}
+    more = {"label": "search", "resume": again(asked)}
+    found = yield from told(search, lambda stage: Event("progress", stage, {**more, **eta_of(stage, began)}))
+    return keep(found, material.model.plant.kind, time.monotonic() - began, not looks)
 
 
 def _untold(error: InputError) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from tunefree_hil.base.errors import InputError, TunefreeError
 from tunefree_hil.base.events import Event
-from tunefree_hil.jobs.gap.gap import eta_of
+from tunefree_hil.jobs.progress import eta_of, told
 from tunefree_hil.learn.write_model import CARD_FILE, write_card, write_effects
 
 if TYPE_CHECKING:
@@ -149,15 +149,7 @@ def _words(one: EffectSpec) -> str:
 def _with_progress(search: Generator[str, None, T]) -> Generator[Event, None, T]:
     """A search with its stages as progress."""
     began = time.monotonic()
-    try:
-        while True:
-            try:
-                stage = next(search)
-            except StopIteration as end:
-                return end.value
-            yield Event("progress", stage, {"label": LABEL, **eta_of(stage, began)})
-    finally:
-        search.close()
+    return told(search, lambda stage: Event("progress", stage, {"label": LABEL, **eta_of(stage, began)}))
 
 
 def _kept(folder: Path, usual: Usual) -> None:

@@ -24,6 +24,8 @@ FIELDS = {  # by target (gap/targets.py): the signals that show it, the first th
     "accel_vs_dvdt": ("report.accel_mps2",),
 }
 ALWAYS = ("ins.speed_mps", "report.speed_mps", "ins.yaw_rate_radps", "report.yaw_rate_radps")
+VARIANTS = ("before", "recalibrated", "after", "floor")
+REPAIR = ("recalibrated", "after")
 MOST_PANELS = 3
 
 
@@ -90,10 +92,6 @@ def telling(blocks: Sequence[Traces], names: Sequence[str]) -> Traces:
         return sum(float(np.mean((one.simulated["recalibrated"][name] - one.measured[name]) ** 2)) for name in some)
 
     return max(blocks, key=missed)
-
-
-VARIANTS = ("before", "recalibrated", "after", "floor")
-REPAIR = ("recalibrated", "after")
 
 
 def _title(answer: Mapping[str, Any]) -> str:

@@ -11,6 +11,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.gap.decide import PLAIN_NATS
 from tunefree_hil.gap.pays import Paid, chosen_runs, gained, groups_of, that_pays
 from tunefree_hil.gap.repair import Repaired, found_effects, repaired, write_repaired
+from tunefree_hil.gap.result import is_absorbed
 from tunefree_hil.gap.segments import block_s_of
 from tunefree_hil.gap.shrink import (
     LEAST_OPEN,
@@ -113,7 +114,7 @@ def proved(
     proof = prove(variants, material.vehicle, opened)
     if not proof.blocks:
         yield Event("warning", "no block that was kept for the proof is whole: the car stood, or signals are missing")
-        return {"signals": {}, "explained_frac": None}, proof
+        return (yield from _unproved(folder, material, found, mended)), proof
     floors, left = floors_of(proof, material.model), unforetold(found.foretold)
     gaps = gaps_of(proof, floors, left)
     data: dict[str, Any] = {
@@ -135,7 +136,7 @@ def proved(
         "worse": _worse_words(worse),
     }
     if not is_borne_out(found.answer, data["explained_frac"]):
-        data |= taken_back(found.answer, data["explained_frac"])
+        data |= taken_back(found.answer, data["explained_frac"], material.model.plant.kind)
         yield Event("warning", f"taken back: {data['words'][0]}")
     elif not _closes_it(found.answer, data["explained_frac"]):  # its own signal's word is none for all the others
         worse |= {signal: by for signal, by in grown(proof, floors).items() if signal not in worse}
@@ -145,6 +146,18 @@ def proved(
         shutil.rmtree(folder.model)
         data["model"] = None
     return data, proof
+
+
+def _unproved(
+    folder: Folder, material: Material, found: Kept, mended: Mended
+) -> Generator[Event, None, dict[str, Any]]:
+    """Keys of gap.json where nothing could be proved: a name that only a proof can bear out is none."""
+    data: dict[str, Any] = {"signals": {}, "explained_frac": None}
+    if mended.model is not None and not is_borne_out(found.answer, None):
+        data |= taken_back(found.answer, None, material.model.plant.kind) | {"model": None}
+        yield Event("warning", f"taken back: {data['words'][0]}")
+        shutil.rmtree(folder.model)
+    return data
 
 
 def _worse_words(worse: Mapping[str, float]) -> list[str]:
@@ -197,15 +210,17 @@ def _is_there_too(answer: Mapping[str, Any], closes: Mapping[str, float]) -> boo
     )
 
 
-def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float] | None) -> dict[str, Any]:
+def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float] | None, kind: str) -> dict[str, Any]:
     """Keys of gap.json where the proof does not bear out what was found: it was chance, or stood in for something else,
-    and is not named.
+    and is not named. kind: of the model's plant.
     """
     names = [one["name"] for one in answer["effects"]]
     shrinks = [[one.get("shrink"), one.get("unseen_shrink")] for one in answer["effects"]]
     words = f"{listed(names)} came nearest, and {_share_of(closes)} of the gap in stretches that no fit has seen"
+    verdict = "none_of_these" if any(one["broken"] for one in answer["links"]) else "none_missing"
     return {
-        "verdict": "none_of_these" if any(one["broken"] for one in answer["links"]) else "none_missing",
+        "verdict": verdict,
+        "absorbed": is_absorbed(verdict, kind),
         "effects": [],
         "words": [words],
         "taken_back": {"names": names, "explained_frac": closes and dict(closes), "shrinks": shrinks},

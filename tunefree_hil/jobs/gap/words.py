@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from tunefree_hil.jobs.learn.calibrate_words import benches_of
+from tunefree_hil.jobs.pasted import given, pasted
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
     from tunefree_hil.jobs.gap.gap import Asked
 
-COMMAND = "tunefree-hil gap"
+COMMAND = pasted("gap")
 SHARE = ("value", "low", "high")
 CLOSES_NOTHING = 0.01  # of the gap: no model is written for less
 MOST_MOVED = 3  # numbers that are told of
@@ -142,30 +142,25 @@ def _place(answer: Mapping[str, Any]) -> str:
     return f" (where: {card})" if card else ""
 
 
-def command_of(asked: Asked, until: str = "", more: Sequence[str] = (), out: str = "") -> str:
+def again(asked: Asked, until: str = "", more: Sequence[str] = (), out: str = "") -> str:
     """The command that asks this again; with more logs and another folder where they are given."""
-    words = [*COMMAND.split(), *(str(log) for log in asked.logs), *more]
-    words += ["--vehicle", asked.vehicle, "--model", asked.model, "--out", out or str(asked.out)]
-    for log in asked.older:
-        words += ["--older", str(log)]
-    until = until or asked.until
-    return " ".join(shlex.quote(word) for word in words) + (f" --until {until}" if until != "verify" else "")
+    wish = asked._replace(until=until or asked.until, out=out or asked.out)
+    return pasted("gap", *asked.logs, *more, **given(wish, leave=["logs"]))
 
 
 def next_of(asked: Asked, answer: Mapping[str, Any], vehicle: VehicleSpec, bench: str = "") -> list[str]:
     """Commands to go on with. bench: a bench file that is known to be the vehicle's."""
-    verdict, logs = answer["verdict"], " ".join(shlex.quote(str(log)) for log in asked.logs)
-    folder = shlex.quote(asked.vehicle)
+    verdict, logs, folder = answer["verdict"], asked.logs, asked.vehicle
     if verdict is None:
-        return [command_of(asked, "verify")]
+        return [again(asked, "verify")]
     if verdict in ("set", "cannot_test") or is_unproved(answer):
-        return [command_of(asked, more=["NEXT.log"], out=f"{asked.out}-2")]
+        return [again(asked, more=["NEXT.log"], out=f"{asked.out}-2")]
     if verdict == "none_of_these":
-        return [f"tunefree-hil learn {logs} --vehicle {folder} --out {shlex.quote(str(asked.out))}-hybrid"]
+        return [pasted("learn", *logs, vehicle=folder, out=f"{asked.out}-hybrid")]
     if verdict == "none_missing" and answer.get("recalibration"):
-        return [f"tunefree-hil calibrate {logs} --vehicle {folder} --out {shlex.quote(asked.model)}-recalibrated"]
+        return [pasted("calibrate", *logs, vehicle=folder, out=f"{asked.model}-recalibrated")]
     if verdict in ("one", "several") and not answer["model"] and asked.until in ("locate", "name"):
-        return [command_of(asked, "verify")]
+        return [again(asked, "verify")]
     model = answer["model"] or asked.model
     bench = bench or next(iter(benches_of(vehicle)), "BENCH")
-    return [f"tunefree-hil drive {shlex.quote(bench)} --model {shlex.quote(model)}"]
+    return [pasted("drive", bench, model=model)]

@@ -11,10 +11,12 @@ from typing import Any
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.grade.checks import FAILED, REPLANS, SCORE, Condition, judge_condition, parse_condition
+from tunefree_hil.grade.score import FINISHED
 from tunefree_hil.grade.table import by_aspect
 from tunefree_hil.jobs.drive import DEFAULT_ROOT
-from tunefree_hil.jobs.grade.run_drives import FINISHED, RunDrives, read_run
+from tunefree_hil.jobs.grade.run_drives import RunDrives, read_run
 from tunefree_hil.jobs.run_folder import RunFolder, write_json
+from tunefree_hil.jobs.words import early
 
 SCHEMA = "tunefree.compare/1"
 COMBINED = "combined"
@@ -196,8 +198,7 @@ def _figures(folder: RunFolder, read: Sequence[RunDrives], tables: Mapping[str, 
         drives = []
         for run in read:
             drive = run.drives[name]
-            early = "" if drive.outcome == FINISHED else drive.outcome
-            drives.append(Drive(run.label, drive.recording.columns, drive.score, early))
+            drives.append(Drive(run.label, drive.recording.columns, drive.score, early(drive.outcome)))
         written.append(write_scenario(figures / f"{name}.png", name, drives))
         written.append(write_highlights(figures / f"{name}_highlights.png", by_run(tables[name]), name))
     return [str(path) for path in written]

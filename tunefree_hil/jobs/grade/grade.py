@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load
+from tunefree_hil.bus.codec import Codec
 from tunefree_hil.config.load import load_vehicle, load_weights
 from tunefree_hil.config.schema import WeightsSpec
 from tunefree_hil.episode.recording import Recording, save_recording
@@ -21,6 +22,7 @@ from tunefree_hil.jobs.drive import DEFAULT_ROOT, find_scenario
 from tunefree_hil.jobs.log.drive import LogDrive, beside_of, manual_s, read_drive
 from tunefree_hil.jobs.log.files import codec_for, load_log
 from tunefree_hil.jobs.run_folder import RunFolder, read_json, write_json
+from tunefree_hil.jobs.words import early
 
 SCHEMA = "tunefree.grade/1"
 LEAST_MANUAL_S = 0.5  # the handshake at the start of a drive takes less
@@ -44,29 +46,17 @@ def grade_log(
     path = path or own_scenario(log)
     codec, where = codec_for(log, vehicle)
     yield Event("note", f"{log}, read as {where}")
-    spec, weighing = load_vehicle(where), load_weights(weights)
-    car = vehicle_of(spec)
-    read = load_log(log)
-    if read.cut:
-        yield Event("warning", read.cut)
+    weighing, car = load_weights(weights), vehicle_of(load_vehicle(where))
     reference = read_reference(path, codec.tick_ms * 1e-3, car.rear_axle_m)
-    drive = read_drive(read.frames, codec, car, reference, align=align, start_s=start_s, folder=log.parent)
-    notes = [*drive.notes, *_more_notes(drive.recording, manual_s(read.frames, codec, drive.span_s))]
-    yield from (Event("note", note) for note in notes)
+    drive = yield from _read(log, codec, car, reference, align, start_s)
     beside = beside_of(log.parent)
-    values = profile(
-        drive.recording,
-        drive.course,
-        car,
-        against=weighing.against,
-        as_published=weighing.as_published,
-        beside=beside,
-    )
+    shown = {"against": weighing.against, "as_published": weighing.as_published, "beside": beside}
+    values = profile(drive.recording, drive.course, car, **shown)
     yield from (Event("line", line) for line in lines_of(values))
     graded, words = _score(drive, weighing, car, reference.name, beside)
     record = {"command": "grade", "log": str(log), "vehicle": where, "path": path, "weights": weighing.name}
     run = RunFolder.create(out or DEFAULT_ROOT, f"grade-{log.stem}", record)
-    data = _data(values, graded, reference, drive._replace(notes=notes), weighing)
+    data = _data(values, graded, reference, drive, weighing)
     save_recording(drive.recording, run.episode(0) / "columns.npz")
     write_json(run.path / "grade.json", {"schema": SCHEMA, **data})
     figures = _figures(run, reference.name, drive, graded, values)
@@ -74,6 +64,19 @@ def grade_log(
     had = sum(values[name].value is not None for name in PUBLISHED)
     sentence = f"{had} of {len(PUBLISHED)} metrics could be had; {words}"
     yield Event("result", sentence, {"sentence": sentence, "run": str(run.path), "figures": figures, **data})
+
+
+def _read(
+    log: Path, codec: Codec, car: GradeVehicle, reference: Reference, align: Align, start_s: float | None
+) -> Generator[Event, None, LogDrive]:
+    """The drive in a log; all that is to be known of it said, and in its notes."""
+    read = load_log(log)
+    if read.cut:
+        yield Event("warning", read.cut)
+    drive = read_drive(read.frames, codec, car, reference, align=align, start_s=start_s, folder=log.parent)
+    notes = [*drive.notes, *_more_notes(drive.recording, manual_s(read.frames, codec, drive.span_s))]
+    yield from (Event("note", note) for note in notes)
+    return drive._replace(notes=notes)
 
 
 def _more_notes(recording: Recording, by_hand_s: float) -> Iterator[str]:
@@ -167,8 +170,8 @@ def _figures(
     from tunefree_hil.figures.profile import write_profile
     from tunefree_hil.figures.scenario import Drive, write_scenario
 
-    ended = graded.outcome if graded is not None and graded.outcome != "finished" else ""
-    one = Drive("log", drive.recording.columns, None if graded is None else graded.score, ended)
+    score, ended = (None, "") if graded is None else (graded.score, early(graded.outcome))
+    one = Drive("log", drive.recording.columns, score, ended)
     plain = {"log": {key: value.value for key, value in values.items()}}
     folder = run.figures()
     written = [write_scenario(folder / "drive.png", name, [one])]

@@ -10,9 +10,10 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_weights
 from tunefree_hil.grade.align import Align
+from tunefree_hil.grade.score import FINISHED
 from tunefree_hil.grade.table import PUBLISHED
 from tunefree_hil.jobs.grade.grade import grade_log, lines_of
-from tunefree_hil.jobs.grade.run_drives import FINISHED, RunDrives, read_run, split_run
+from tunefree_hil.jobs.grade.run_drives import RunDrives, read_run, split_run
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, write_json
 
 SCHEMA = "tunefree.grade_run/1"

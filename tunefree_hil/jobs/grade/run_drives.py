@@ -6,25 +6,22 @@ A run is named by its folder; a tune or verify may be followed by `:NAME` for on
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bench import Bench, load, parameters_of
+from tunefree_hil.bench import Bench, load
 from tunefree_hil.config.load import load_weights
 from tunefree_hil.config.schema import WeightsSpec
 from tunefree_hil.episode.recording import Recording, load_recording
 from tunefree_hil.grade.profile import Value, combine_profiles, profile
-from tunefree_hil.grade.score import grade, vehicle_of
+from tunefree_hil.grade.score import FINISHED, grade, vehicle_of
 from tunefree_hil.grade.table import TABLE
 from tunefree_hil.jobs.drive import find_scenario
 from tunefree_hil.jobs.log.drive import beside_of
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, read_json
-from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors
-
-FINISHED = "finished"
+from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors, winner_of
 
 
 class OneDrive(NamedTuple):
@@ -138,21 +135,12 @@ def _episodes(source: RunFolder) -> list[tuple[int, dict[str, float]]]:
 def _parameters_of(run: RunFolder, bench: Bench, candidate: str) -> dict[str, float]:
     """The complete vector of the winner or of a baseline."""
     if candidate == TUNED:
-        return parameters_of(bench, best_of(run)["parameters"])
+        return winner_of(bench, run)
     vectors = baseline_vectors(bench)
     if candidate not in vectors:
         hint = f"one of {', '.join([TUNED, *vectors])}"
         raise InputError(f"has no candidate {candidate!r}", code="no_candidate", file=str(run.path), hint=hint)
     return vectors[candidate]
-
-
-def best_of(run: RunFolder) -> dict[str, Any]:
-    """best.toml of a tune. Raises InputError where the study is not finished."""
-    path = run.path / "best.toml"
-    if not path.is_file():
-        hint = "run the same tune command again"
-        raise InputError("has no best.toml: the study is not finished", file=str(run.path), hint=hint)
-    return tomllib.loads(path.read_text())
 
 
 def _read(run: RunFolder, bench: Bench, number: int, weights: WeightsSpec) -> OneDrive:

@@ -8,49 +8,20 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
 
-from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.gap.own_logs import ask_own_logs
-from tunefree_hil.jobs.learn.calibrate_words import channel_words, closing, constant_words
+from tunefree_hil.jobs.learn.calibrate_words import channel_words, closing
+from tunefree_hil.jobs.learn.calibrated import STOPPED, Fitted, card_of, fit_all, split_of, write
 from tunefree_hil.jobs.learn.logs import read
-from tunefree_hil.learn.by_motion import Law
-from tunefree_hil.learn.channel_doubts import in_motion
-from tunefree_hil.learn.drives import Drive, Split
-from tunefree_hil.learn.law_constants import suggested
+from tunefree_hil.learn.drives import Split
 from tunefree_hil.learn.level import offset_words
-from tunefree_hil.learn.pairs import ECHOES, Pairs, has_channel
-from tunefree_hil.learn.physics import EFFECTS, PhysicsFit, is_clear
-from tunefree_hil.learn.sheet import asks_accel, channel_sheet, constants, fixed_params
-from tunefree_hil.learn.shown import Judged
-from tunefree_hil.learn.smooth import noise_table_of, valid_region
-from tunefree_hil.learn.sources import channels_of, sources
-from tunefree_hil.learn.values import ActuatorFit, Value, as_data
-from tunefree_hil.learn.window_runs import Off
-from tunefree_hil.learn.windows import Windows, windows_of
 from tunefree_hil.learn.worker import Worker
-from tunefree_hil.learn.write_model import require_new, write_model
+from tunefree_hil.learn.write_model import require_new
 
-if TYPE_CHECKING:
-    from tunefree_hil.config.schema import VehicleSpec
-
-CARD_SCHEMA = "tunefree.card/1"
 FIGURES = "figures"
-WINDOWS_S, ENOUGH_WINDOWS = (8.0, 5.0, 3.0), 12  # lengths of free runs; several logs may be 5 s long each
-# A channel that stops before its command does is identified up to its stop (learn/stops.py)
-STOPPED = ("short_of_command",)
 # What is too little to learn from may be enough to calibrate a channel: the fit itself says what it lacks.
 LACKING = ("too_short", "one_speed", "no_braking", *STOPPED)
-
-
-class Fitted(NamedTuple):
-    """What the process beside this one found. traces: by channel, for the figure."""
-
-    actuators: dict[str, ActuatorFit]
-    traces: dict[str, list[Any]]
-    physics: PhysicsFit
-    judged: Judged | None
 
 
 def calibrate(logs: Sequence[Path], vehicle: str, out: Path, seed: int = 1) -> Iterator[Event]:
@@ -77,203 +48,6 @@ def calibrate(logs: Sequence[Path], vehicle: str, out: Path, seed: int = 1) -> I
     yield from ask_own_logs(out, spec, drives)
     data = {**card, "model": str(out), "figures": [str(path) for path in figures]}
     yield Event("result", "", {**data, **closing(out, spec, logs, fitted.actuators, fitted.physics, fitted.judged)})
-
-
-def split_of(drives: Sequence[Drive], seed: int) -> Iterator[Event]:
-    """What is fitted on and what judges it; where a drive is too short for both, all of it is fitted on."""
-    from tunefree_hil.learn.split import split_drives
-
-    try:
-        split = split_drives(drives, seed=seed)
-    except InputError as error:
-        if error.code != "too_short":
-            raise
-        from tunefree_hil.learn.drives import Part
-
-        parts = tuple(Part(drive, 0, drive.ticks) for drive in drives)
-        split = Split(parts, (), "nothing held out: the logs are too short; errors are those of the fit itself")
-        yield Event("warning", split.words)
-    yield Event("note", split.words)
-    return split
-
-
-def fit_all(worker: Worker, split: Split, vehicle: VehicleSpec) -> Iterator[Event]:
-    """All channels, then the physical constants."""
-    actuators: dict[str, ActuatorFit] = {}
-    traces: dict[str, list[Any]] = {}
-    laws: dict[str, Law] = {}
-    for channel in channels_of(vehicle):
-        training, held_out, law = sources(split, channel, vehicle)
-        laws |= {} if law is None else {channel: law}
-        sheet = channel_sheet(vehicle, channel)
-        echo = any(part.drive.get(f"report.{ECHOES[channel]}") is not None for part in split.training)
-        asked = worker.call("tunefree_hil.learn.actuators", "fit", training, held_out, sheet, echo)
-        found = yield from _with_progress(asked, f"actuator {channel}")
-        found = in_motion(found, sheet) if law is not None else found
-        actuators[channel] = found
-        traces[channel] = _traced(worker, held_out if held_out.some else training, found, sheet.rest)
-        yield from _said(channel, found, has_channel([part.drive for part in split.training], channel))
-    if not laws:
-        _refuse_blind(actuators, split.training)
-    windows, unseen = windows_in(split, vehicle, actuators)
-    seen = suggested(laws, fixed_params(vehicle)["mass_kg"])
-    known, fixed = constants(vehicle, seen), fixed_params(vehicle, seen)
-    brake_way = max(vehicle.limits.brake_frac - vehicle.nominal.rest_pedal_frac, 0.05)
-    asked = worker.call("tunefree_hil.learn.physics", "fit", windows, fixed, known, brake_way)
-    physics = yield from _with_progress(asked, "physical constants")
-    for words in (*physics.words, *constant_words(physics)):
-        yield Event("note", words)
-    for name, value in physics.values.items():
-        if not value.known and name not in EFFECTS:
-            yield Event("warning", f"{name}: {value.why}")
-    judged = _judged(worker, unseen, physics, fixed | {name: one.value for name, one in known.items()})
-    return Fitted(actuators, traces, physics, judged)
-
-
-def windows_in(split: Split, vehicle: VehicleSpec, channels: dict[str, ActuatorFit]) -> tuple[Windows, Windows]:
-    """Windows of the training and the held-out parts: as long as there are enough of them, else shorter."""
-    for window_s in WINDOWS_S:
-        windows = windows_of(split.training, vehicle, window_s, channels)
-        if len(windows.some) >= ENOUGH_WINDOWS:
-            break
-    return windows, windows_of(split.held_out, vehicle, window_s, channels)
-
-
-def _with_progress(asked: Any, label: str) -> Iterator[Event]:
-    """Steps of a fit as progress; what it returns."""
-    began = time.monotonic()
-    while True:
-        try:
-            done, total = next(asked)
-        except StopIteration as end:
-            return end.value
-        left_s = (time.monotonic() - began) * (total / done - 1.0) if done else None
-        yield Event("progress", "", {"label": label, "done": done, "total": total, "eta_s": left_s})
-
-
-def _traced(worker: Worker, pairs: Pairs, found: ActuatorFit, rest: float) -> list[Any]:
-    return worker.result("tunefree_hil.learn.shown", "traces", pairs, found.params(rest)) if pairs.some else []
-
-
-def _said(channel: str, found: ActuatorFit, commanded: bool) -> Iterator[Event]:
-    """One line of what was found, and a warning for what was not."""
-    yield Event("note", channel_words(channel, found))
-    if not commanded:
-        yield Event("warning", f"{channel}: no log holds a command of it; {found.words}")
-        return
-    for name, value in found.numbers().items():
-        if not value.known:
-            yield Event("warning", f"{channel} {name}: {value.why}")
-
-
-def _refuse_blind(actuators: dict[str, ActuatorFit], training: Sequence[Any]) -> None:
-    """Nothing at all was identified: these are no logs of a by-wire vehicle that somebody drove."""
-    if any(found.dead_time_s.known for found in actuators.values()):
-        return
-    reasons = "; ".join(f"{channel}: {found.words}" for channel, found in actuators.items())
-    raise InputError(
-        f"not one by-wire channel can be identified: {reasons}",
-        code="no_excitation",
-        file=training[0].drive.name if training else "",
-        key="LOG",
-        hint="drive with changing pedals and steering while the by-wire channels are on: `tunefree-hil collect` does",
-    )
-
-
-def _judged(worker: Worker, unseen: Windows, physics: PhysicsFit, before: dict[str, float]) -> Judged | None:
-    if not unseen.some:
-        return None
-    after = physics.params, physics.off()
-    return worker.result("tunefree_hil.learn.shown", "judged", unseen.some, (before, Off()), after)
-
-
-def card_of(
-    drives: Sequence[Drive], split: Split, vehicle: VehicleSpec, fitted: Fitted, seed: int, seconds: float
-) -> dict[str, Any]:
-    """card.json: what the model is made of and how good it is."""
-    judged = fitted.judged
-    return {
-        "schema": CARD_SCHEMA,
-        "kind": "physics",
-        "vehicle": vehicle.name,
-        "vehicle_hash": f"sha256:{vehicle.hash}",
-        "logs": [{"name": one.name, "hash": one.log_hash, "seconds": one.ticks * one.dt_s} for one in drives],
-        "seed": seed,
-        "split": split.words,
-        "versions": versions(),
-        "seconds": round(seconds, 1),
-        "actuators": {name: _channel_card(found) for name, found in fitted.actuators.items()},
-        "constants": as_data(fitted.physics.values),
-        "constants_together": fitted.physics.together,
-        "left_out": list(fitted.physics.words),
-        "windows": {"training": fitted.physics.windows, "held_out": judged.windows if judged else 0},
-        "free_run_rms": {
-            "training": {"data_sheet": fitted.physics.before, "fitted": fitted.physics.after},
-            "held_out": {"data_sheet": judged.before, "fitted": judged.after} if judged else None,
-        },
-    }
-
-
-def _channel_card(found: ActuatorFit) -> dict[str, Any]:
-    more = {"order": found.order, "held_out_rms": found.error, "reports": found.rows, "words": found.words}
-    return {**as_data(found.numbers()), **more, "noise": found.noise, "quantum": found.quantum}
-
-
-def versions() -> dict[str, str]:
-    """Of what made the numbers."""
-    import platform
-    from importlib.metadata import version
-
-    from tunefree_hil import __version__
-
-    return {
-        "tunefree_hil": __version__,
-        "python": platform.python_version(),
-        **{name: version(name) for name in ("numpy", "scipy", "numba")},
-    }
-
-
-def write(out: Path, vehicle: VehicleSpec, fitted: Fitted, split: Split, card: dict[str, Any]) -> None:
-    """The model folder, with the map that a controller drives it by."""
-    rest = vehicle.nominal.rest_pedal_frac
-    params = fitted.physics.params
-    write_model(
-        out,
-        vehicle,
-        kind="physics",
-        actuators=fitted.actuators,
-        params=params,
-        valid=valid_region(split.training, rest),
-        noise=noise_table_of(split.training),
-        card=card,
-        calibration=calibration_of(vehicle, fitted),
-        effects=[
-            effect_of(name, value)
-            for name, value in fitted.physics.values.items()
-            if name in EFFECTS and is_clear(name, value)
-        ],
-    )
-
-
-def calibration_of(vehicle: VehicleSpec, fitted: Fitted) -> dict[str, Any] | None:
-    """The arrays of calibration.npz; None for a car that shows no pedals, which there is no map of."""
-    from tunefree_hil.learn.open_loop import as_arrays, open_loop_map
-    from tunefree_hil.plant.single_track import PLANT
-
-    if asks_accel(vehicle):
-        return None
-    rest = vehicle.nominal.rest_pedal_frac
-    pedals = {name: fitted.actuators[name].params(rest) for name in ("throttle", "brake")}
-    brake = pedals["brake"]
-    idle = brake.dead_band + fitted.physics.off().brake_frac / max(brake.gain, 0.1)  # before the report and behind it
-    pedals["brake"] = brake._replace(dead_band=idle)
-    return as_arrays(open_loop_map(PLANT, fitted.physics.params, vehicle, pedals))
-
-
-def effect_of(name: str, value: Value) -> dict[str, Any]:
-    """The entry of [[effects]] for what lies between a reported output and the car."""
-    effect, parameter, _ = EFFECTS[name]
-    return {"name": effect, "params": {parameter: value.value}, "interval": {parameter: [value.low, value.high]}}
 
 
 def draw(folder: Path, fitted: Fitted, split: Split) -> list[Path]:

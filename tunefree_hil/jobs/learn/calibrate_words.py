@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tunefree_hil.jobs.pasted import pasted
 from tunefree_hil.learn.physics import BAND, OFFSET, ROAD, PhysicsFit
 from tunefree_hil.learn.shown import Judged
 from tunefree_hil.learn.values import ActuatorFit, Value
@@ -89,9 +90,8 @@ def closing(
         if "x_m" in judged.after and "y_m" in judged.after:
             was, now = (math.hypot(one["x_m"], one["y_m"]) for one in (judged.before, judged.after))
             sentence += f", the place by {now:.1f} m (before {was:.1f})"
-    following = [f"tunefree-hil drive {bench} --model {out}" for bench in benches_of(vehicle)[:1]]
-    named = " ".join(str(log) for log in logs)
-    following += [f"tunefree-hil learn {named} --vehicle {vehicle.folder} --out {out}_hybrid"]
+    following = [pasted("drive", bench, model=out) for bench in benches_of(vehicle)[:1]]
+    following += [pasted("learn", *logs, vehicle=vehicle.folder, out=f"{out}_hybrid")]
     return {"sentence": sentence, "next": following}
 
 

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench.load import require_current
 from tunefree_hil.jobs.gap.own_logs import ask_own_logs, were_asked
-from tunefree_hil.jobs.learn import calibrate
+from tunefree_hil.jobs.learn import calibrated
 from tunefree_hil.jobs.learn.logs import read
+from tunefree_hil.jobs.pasted import given, pasted
+from tunefree_hil.jobs.progress import told
+from tunefree_hil.jobs.require import require_model_of
 from tunefree_hil.learn.card import Training, card_of
 from tunefree_hil.learn.drives import Drive, Split
 from tunefree_hil.learn.free_run import Judged
-from tunefree_hil.learn.learned_folder import calibration_of, write_learned
+from tunefree_hil.learn.learned_folder import Learned, calibration_of, write_learned
 from tunefree_hil.learn.level import offset_words
 from tunefree_hil.learn.motion import Track, tracks_of
 from tunefree_hil.learn.physics import ROAD
@@ -26,7 +28,8 @@ from tunefree_hil.learn.write_model import CARD_FILE, OWN_EFFECTS, require_new
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import ModelSpec, VehicleSpec
-    from tunefree_hil.learn.training.loop import Trained
+    from tunefree_hil.learn.training.learners import Wish
+    from tunefree_hil.learn.training.loop import Step, Trained
 
 KINDS = ("hybrid", "lstm", "mlp", "rule_based", "paper")
 JUDGED_STARTS = 200
@@ -69,8 +72,8 @@ def learn(asked: Asked) -> Iterator[Event]:
     if asked.physics is not None:
         physics_in(asked.physics, vehicle)
     began = time.monotonic()
-    drives = yield from read(asked.logs, vehicle, excused=calibrate.STOPPED)
-    split = yield from calibrate.split_of(drives, asked.seed)
+    drives = yield from read(asked.logs, vehicle, excused=calibrated.STOPPED)
+    split = yield from calibrated.split_of(drives, asked.seed)
     for words in offset_words(drives, vehicle):
         yield Event("warning", words)
     physics = yield from physics_of(asked, vehicle, drives, split)
@@ -85,13 +88,12 @@ def learn(asked: Asked) -> Iterator[Event]:
         arrays, training = trained.arrays, _said(trained, wish)
         if trained.stopped:
             yield Event("warning", f"the training stopped after {trained.steps} steps: {trained.stopped}")
-    judged = yield from _judged(asked, vehicle, physics, data, arrays, calibration)
+    learned = Learned(asked.kind, vehicle, physics, arrays, calibration, asked.sample_spacing_s)
+    judged = yield from _judged(learned, data)
     seconds = time.monotonic() - began
     card = card_of(asked.kind, vehicle, physics, drives, split.words, asked.seed, seconds, training, judged)
     card |= own_effects_of(Path(physics.folder), drives)
-    write_learned(
-        asked.out, vehicle, physics, asked.kind, arrays, calibration, card, sample_spacing_s=asked.sample_spacing_s
-    )
+    write_learned(asked.out, learned, card)
     yield from finished(asked)
 
 
@@ -112,16 +114,18 @@ def _require(asked: Asked) -> None:
     require_torch(f"learn --kind {asked.kind}")
 
 
-def physics_of(asked: Asked, vehicle: VehicleSpec, drives: list[Drive], split: Split) -> Iterator[Event]:
+def physics_of(
+    asked: Asked, vehicle: VehicleSpec, drives: list[Drive], split: Split
+) -> Generator[Event, None, ModelSpec]:
     """The calibrated model: the one that was named, or one made now, kept beside `out` for the next time."""
     folder = asked.physics or asked.out.with_name(asked.out.name + "-physics")
     if asked.physics is None and not _is_of(folder, drives, asked.seed):
         require_new(folder)
         began = time.monotonic()
         with Worker() as worker:
-            fitted = yield from calibrate.fit_all(worker, split, vehicle)
-        card = calibrate.card_of(drives, split, vehicle, fitted, asked.seed, time.monotonic() - began)
-        calibrate.write(folder, vehicle, fitted, split, card)
+            fitted = yield from calibrated.fit_all(worker, split, vehicle)
+        card = calibrated.card_of(drives, split, vehicle, fitted, asked.seed, time.monotonic() - began)
+        calibrated.write(folder, vehicle, fitted, split, card)
     if asked.physics is None and not were_asked(folder):
         yield from ask_own_logs(folder, vehicle, drives)
     yield Event("note", f"physics: {folder}")
@@ -133,15 +137,16 @@ def physics_in(folder: Path, vehicle: VehicleSpec) -> ModelSpec:
     from tunefree_hil.config.load import load_model
 
     model = load_model(folder)
-    if model.vehicle != vehicle.name or model.plant.kind != "physics":
+    hint = "name what `tunefree-hil calibrate` wrote for this vehicle, or leave --physics out"
+    if model.plant.kind != "physics":
         raise InputError(
             f"is a model of {model.vehicle!r}, kind {model.plant.kind!r}; needed is one of {vehicle.name!r}, 'physics'",
             code="model_of_other_vehicle",
             file=f"{model.folder}/model.toml",
             key="--physics",
-            hint="name what `tunefree-hil calibrate` wrote for this vehicle, or leave --physics out",
+            hint=hint,
         )
-    require_current(model, vehicle)
+    require_model_of(model, vehicle, "--physics", hint=hint)
     return model
 
 
@@ -179,29 +184,30 @@ def _tracks(parts: Sequence[Any], vehicle: VehicleSpec, road_share: float) -> li
     return tracks_of(parts, vehicle, round(LEAST_TRACK_S * 1000.0 / vehicle.tick_ms), road_share)
 
 
-def _trained(asked: Asked, vehicle: VehicleSpec, physics: ModelSpec, data: Data, part: Path) -> Iterator[Event]:
-    """The training with its progress; (Trained, Wish)."""
+def _trained(
+    asked: Asked, vehicle: VehicleSpec, physics: ModelSpec, data: Data, part: Path
+) -> Generator[Event, None, tuple[Trained, Wish]]:
+    """The training, with its progress."""
     from tunefree_hil.learn.training.fit import fit
     from tunefree_hil.learn.training.learners import Wish
 
     minutes = asked.minutes or 0.0
     wish = Wish(asked.kind, asked.seed, sample_spacing_s=asked.sample_spacing_s, minutes=minutes)
     steps = fit(wish, data.training, data.held_out, physics, vehicle.nominal.rest_pedal_frac, part)
-    resume = command_of(asked)
-    while True:
-        try:
-            step = next(steps)
-        except StopIteration as end:
-            trained: Trained = end.value
-            if trained.resumed:
-                yield Event("note", f"went on from {part}")
-            return trained, wish
+    resume = again(asked)
+
+    def event_of(step: Step) -> Event:
         words = f"loss {step.loss:.3g}, held out {step.score:.3g} (untrained {step.first:.3g})"
         count = {"label": "step", "done": step.done, "total": step.total, "eta_s": step.eta_s, "resume": resume}
-        yield Event("progress", words, count)
+        return Event("progress", words, count)
+
+    trained = yield from told(steps, event_of)
+    if trained.resumed:
+        yield Event("note", f"went on from {part}")
+    return trained, wish
 
 
-def _said(trained: Trained, wish: Any) -> Training:
+def _said(trained: Trained, wish: Wish) -> Training:
     words = "position error at the end of the longest free run on held-out stretches, m"
     if wish.kind in ("mlp", "paper"):
         words = "one-step error on held-out stretches, of the labels' spread"
@@ -211,43 +217,27 @@ def _said(trained: Trained, wish: Any) -> Training:
     )  # fmt: skip
 
 
-def _map(drives: list[Drive], vehicle: VehicleSpec, seed: int) -> Iterator[Event]:
+def _map(drives: list[Drive], vehicle: VehicleSpec, seed: int) -> Generator[Event, None, dict[str, Any]]:
     """The open-loop map of the logs, as arrays of calibration.npz."""
-    from tunefree_hil.learn.map import gather, learn_map
+    from tunefree_hil.jobs.learn.map import learned_map
+    from tunefree_hil.learn.map import gather
 
-    gathered = gather(drives, vehicle)
-    steps = learn_map(gathered.samples, vehicle, seed)
-    while True:
-        try:
-            step = next(steps)
-        except StopIteration as end:
-            table = end.value.table
-            return {name: getattr(table, name) for name in ("speed_mps", "accel_mps2", "command_frac")}
-        yield Event("progress", step.words, {"label": "net", "done": step.done, "total": step.total})
+    learned = yield from learned_map(gather(drives, vehicle), vehicle, seed)
+    return {name: getattr(learned.table, name) for name in ("speed_mps", "accel_mps2", "command_frac")}
 
 
-def _judged(
-    asked: Asked,
-    vehicle: VehicleSpec,
-    physics: ModelSpec,
-    data: Data,
-    arrays: Mapping[str, Any] | None,
-    calibration: Mapping[str, Any] | None,
-) -> Iterator[Event]:
+def _judged(learned: Learned, data: Data) -> Generator[Event, None, dict[str, Judged]]:
     """Free run of the physics and of what was learned, on held-out stretches, by the kernels: by kind."""
     from tunefree_hil.learn.learned_folder import judged_by_kernels
 
     yield Event("note", "free run of what was learned, on what was held out")
     try:
-        judged: dict[str, Judged] = judged_by_kernels(
-            asked.kind, vehicle, physics, data.held_out, arrays, calibration, JUDGED_STARTS, asked.sample_spacing_s
-        )
+        return judged_by_kernels(learned, data.held_out, JUDGED_STARTS)
     except InputError as error:
         if error.code != "too_short":
             raise
         yield Event("warning", f"not judged in free run: {error.message}")
-        judged = {}
-    return judged
+        return {}
 
 
 def _drawn(asked: Asked, card: Mapping[str, Any]) -> list[str]:
@@ -268,17 +258,9 @@ def _ending(asked: Asked, card: Mapping[str, Any]) -> dict[str, Any]:
         if reduced:
             less = reduced["value"]
             sentence += f", {abs(less):.0f} % {'less' if less >= 0.0 else 'more'} than the fitted physics"
-    return {"status": "ok", "sentence": sentence, "next": [f"tunefree-hil drive BENCH --model {asked.out}"]}
+    return {"status": "ok", "sentence": sentence, "next": [pasted("drive", "BENCH", model=asked.out)]}
 
 
-def command_of(asked: Asked) -> str:
+def again(asked: Asked) -> str:
     """The command that goes on."""
-    words = ["tunefree-hil learn", *(str(path) for path in asked.logs), "--vehicle", asked.vehicle]
-    words += ["--out", str(asked.out), "--kind", asked.kind, "--seed", str(asked.seed)]
-    if asked.minutes is not None:
-        words += ["--minutes", f"{asked.minutes:g}"]
-    if asked.physics is not None:
-        words += ["--physics", str(asked.physics)]
-    if asked.sample_spacing_s != 0.01:
-        words += ["--sample-spacing", f"{asked.sample_spacing_s:g}"]
-    return " ".join(words)
+    return pasted("learn", *asked.logs, **given(asked, ["logs"], {"sample_spacing_s": "sample_spacing"}))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +12,11 @@ from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.base.open_loop_map import MAP_FILE
-from tunefree_hil.bench.load import require_current
 from tunefree_hil.jobs.learn.logs import read
+from tunefree_hil.jobs.progress import left_s, told
+from tunefree_hil.jobs.require import require_model_of
 from tunefree_hil.learn.drives import Drive
-from tunefree_hil.learn.map import Gathered, LearnedMap, gather, learn_map
+from tunefree_hil.learn.map import Gathered, LearnedMap, Step, gather, learn_map
 from tunefree_hil.learn.map_cells import cell_errors, rms
 from tunefree_hil.learn.map_samples import PEDALS
 from tunefree_hil.learn.map_table import BACKED, BEYOND, GAP, is_monotone, law_of, write_table
@@ -43,7 +44,7 @@ def map_logs(logs: Sequence[Path], vehicle: str, out: Path, seed: int = 1) -> It
         if not delay.found:
             yield Event("warning", delay.words)
     started = time.monotonic()
-    learned = yield from _learned(learn_map(gathered.samples, spec, seed), started)
+    learned = yield from learned_map(gathered, spec, seed)
     for pedal, choice in learned.choices.items():
         if not choice.whole:
             yield Event(
@@ -70,27 +71,20 @@ def target_of(out: Path, vehicle: VehicleSpec) -> Path:
         from tunefree_hil.config.load import load_model
 
         model = load_model(out)
-        if model.vehicle != vehicle.name:
-            raise InputError(
-                f"is a model of {model.vehicle!r}, the logs are of {vehicle.name!r}",
-                code="model_of_other_vehicle",
-                file=str(out),
-                key="--out",
-                hint="name a model folder of the same vehicle, or another folder",
-            )
-        require_current(model, vehicle)
+        hint = "name a model folder of the same vehicle, or another folder"
+        require_model_of(model, vehicle, "--out", hint=hint, file=str(out))
     return out / MAP_FILE
 
 
-def _learned(steps: Any, started: float) -> Iterator[Event]:
-    """Steps as progress; what they return."""
-    while True:
-        try:
-            step = next(steps)
-        except StopIteration as end:
-            return end.value
-        left_s = (time.monotonic() - started) * (step.total / step.done - 1.0)
-        yield Event("progress", step.words, {"label": "net", "done": step.done, "total": step.total, "eta_s": left_s})
+def learned_map(gathered: Gathered, vehicle: VehicleSpec, seed: int) -> Generator[Event, None, LearnedMap]:
+    """The map of what was gathered, its nets as progress."""
+    began = time.monotonic()
+
+    def event_of(step: Step) -> Event:
+        eta_s = left_s(began, step.done / step.total)
+        return Event("progress", step.words, {"label": "net", "done": step.done, "total": step.total, "eta_s": eta_s})
+
+    return told(learn_map(gathered.samples, vehicle, seed), event_of)
 
 
 def report(

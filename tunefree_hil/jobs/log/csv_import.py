@@ -25,6 +25,7 @@ from tunefree_hil.episode.candump import write_candump
 from tunefree_hil.episode.csv_drive import CsvDrive, read_csv_drive
 from tunefree_hil.episode.plausible import Finding, check_units
 from tunefree_hil.jobs.log.vehicle import vehicle_table
+from tunefree_hil.jobs.pasted import pasted
 
 if TYPE_CHECKING:
     from tunefree_hil.bus.codec import Codec
@@ -64,7 +65,7 @@ def import_csv(path: Path, mapping: Path, out: Path) -> Iterator[Event]:
     record = _record(path, mapping, spec, drive, findings)
     frames, error = _write(out, path, spec, drive, record)
     sentence = f"{frames} frames of {duration_s:.2f} s in {out / LOG}, read with the invented DBC beside it"
-    following = [f"tunefree-hil log check {out / LOG}", f"tunefree-hil doctor --vehicle {out}"]
+    following = [pasted("log check", out / LOG), pasted("doctor", vehicle=out)]
     data = {**record, "frames": frames, "largest_error": error, "log": str(out / LOG), "vehicle": str(out)}
     yield Event("result", "", {**data, "sentence": sentence, "next": following})
 

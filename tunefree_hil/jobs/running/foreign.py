@@ -30,7 +30,7 @@ def with_command(bench: Bench, text: str) -> Bench:
     return replace(bench, spec=with_controller(bench.spec, _found(words, Path())))
 
 
-def command_of(bench: Bench) -> list[str] | None:
+def program_of(bench: Bench) -> list[str] | None:
     """The program to start instead of our controller, None for ours.
 
     A word that names a file beside the bench file ('../build/controller') is that file.
@@ -40,7 +40,7 @@ def command_of(bench: Bench) -> list[str] | None:
 
 def program_hashes(bench: Bench) -> dict[str, str]:
     """SHA-256 by name of the files of the controller's command: a program that was built anew is another one."""
-    files = [Path(word) for word in command_of(bench) or [] if os.path.isabs(word) and os.path.isfile(word)]
+    files = [Path(word) for word in program_of(bench) or [] if os.path.isabs(word) and os.path.isfile(word)]
     return {path.name: f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}" for path in files}
 
 

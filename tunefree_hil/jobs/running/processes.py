@@ -64,7 +64,7 @@ class Processes:
 
         Raises InputError for a command that is not there.
         """
-        own = {STARTER_VARIABLE: str(os.getpid())}
+        own = {**ONE_THREAD, STARTER_VARIABLE: str(os.getpid())}
         words = self.folder / f"{name}.txt"
         said_before = words.stat().st_size if words.exists() else 0
         try:
@@ -74,13 +74,7 @@ class Processes:
                     stdin=subprocess.DEVNULL,
                     stdout=file,
                     stderr=subprocess.STDOUT,
-                    env={
-                        **os.environ,
-                        "OMP_NUM_THREADS": "1",
-                        "OPENBLAS_NUM_THREADS": "1",
-                        **own,
-                        **(environment or {}),
-                    },
+                    env={**os.environ, **own, **(environment or {})},
                     start_new_session=True,
                     pass_fds=pass_fds,
                 )

@@ -1,17 +1,35 @@
-"""The parameter vectors that a tuned one is held against (interfaces 7), complete and in binary32."""
+"""The tuned parameter vector, and those that it is held against (interfaces 7), complete and in binary32."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
+from typing import Any
 
+from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, model_of, own_parameters, parameters_of
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec, VehicleSpec, value_of
 from tunefree_hil.config.vehicle_schema import LatencySpec
 from tunefree_hil.control.inner.mrac import RISE_PER_TAU
+from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.tune.baselines import RuleInputs, lag_of_order_2_s, manual_vectors, opening, rule_based
 
 TUNED = "tuned"
 GIVEN = "given"  # the bench file's own values for somebody else's controller: nobody knows manual gains for that
+
+
+def best_of(run: RunFolder) -> dict[str, Any]:
+    """best.toml of a tune. Raises InputError where the study is not finished."""
+    path = run.path / "best.toml"
+    if not path.is_file():
+        hint = "run the same tune command again"
+        raise InputError("has no best.toml: the study is not finished", file=str(run.path), hint=hint)
+    return tomllib.loads(path.read_text())
+
+
+def winner_of(bench: Bench, run: RunFolder) -> dict[str, float]:
+    """The vector that a tune found."""
+    return parameters_of(bench, best_of(run)["parameters"])
 
 
 def baseline_vectors(bench: Bench) -> dict[str, dict[str, float]]:

@@ -12,8 +12,8 @@ from tunefree_hil.bench.batch import Batch, Job
 from tunefree_hil.control.parameters import BY_NAME
 from tunefree_hil.grade.difference import Difference, difference
 from tunefree_hil.grade.score import combine
-from tunefree_hil.jobs.grade.run_drives import best_of
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, write_json
+from tunefree_hil.jobs.tune.candidates import best_of
 from tunefree_hil.tune.compare import best_baseline
 from tunefree_hil.tune.insight import Importance, edge_of, edges, importance, slice_points
 from tunefree_hil.tune.space import Space

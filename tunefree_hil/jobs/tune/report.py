@@ -17,8 +17,8 @@ from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors
 from tunefree_hil.jobs.tune.confirm import Confirmed
 from tunefree_hil.jobs.tune.hold import Held
 from tunefree_hil.jobs.tune.hold_words import held_data, held_table, held_words
-from tunefree_hil.jobs.words import Drives, comparison, table
-from tunefree_hil.tune.compare import best_baseline
+from tunefree_hil.jobs.words import Drives, comparison, early, table
+from tunefree_hil.tune.compare import Standing, best_baseline
 from tunefree_hil.tune.insight import edge_of
 from tunefree_hil.tune.journal import slot_key
 from tunefree_hil.tune.trial import Scored, Trial
@@ -45,37 +45,38 @@ def finish_report(
     trials = study.trials() if confirmed is None else confirmed.known()
     if not trials:
         raise TunefreeError("the study has no trial", hint="--trials 1 or more")
-    best = held.ranked(trials)[0]
-    standing = best_baseline(study.baselines())
-    manual = study.baselines()[standing.name]
-    values = parameters_of(bench, best.parameters)
-    sentence = comparison(standing.name, manual.scenarios, best.scenarios, (manual.score, best.score))
-    write_text(run.path / "best.toml", _best_toml(bench, best, values, standing.name, manual.score))
-    rows: dict[str, Drives] = {name: one.scenarios for name, one in study.baselines().items()}
-    scores = {name: one.score for name, one in study.baselines().items()}
-    lines = table({TUNED: best.scenarios, **rows}, {TUNED: best.score, **scores})
-    slower = held_data(held, study, trials)
-    lines += held_table(slower)
-    edges = on_edge(study, best)
-    if edges:
-        lines.append(f"the winner lies on an edge of its box: {', '.join(edges)}")
-    figures = _figures(bench, run, study, best, standing.name)
-    beyond = outside_data(bench, bench.spec.model, _winning_drives(bench, run, best.slot))
-    sentence = "; ".join(one for one in (sentence, held_words(slower), outside_words(beyond)) if one)
+    best, standing = held.ranked(trials)[0], best_baseline(study.baselines())
+    write_text(run.path / "best.toml", _best_toml(bench, best, standing))
     data = {
         "over": "bus",
         "best": {"slot": best.slot, "score": best.score, "parameters": best.parameters},
-        "manual": {"name": standing.name, "score": manual.score, "replans": standing.replans},
-        "baselines": scores,
-        "held": slower,
-        "ratio": best.score / manual.score,
-        "on_edge": edges,
-        "outside": beyond,
-        "figures": figures,
+        "manual": standing._asdict(),
+        "baselines": {name: one.score for name, one in study.baselines().items()},
+        "held": held_data(held, study, trials),
+        "ratio": best.score / standing.score,
+        "on_edge": on_edge(study, best),
+        "outside": outside_data(bench, bench.spec.model, _winning_drives(bench, run, best.slot)),
+        "figures": _figures(bench, run, study, best, standing.name),
     }
-    shown = ", ".join(f"{name} = {value:.4g}" for name, value in best.parameters.items())
-    report = Report(lines, f"{shown}: {sentence}", data)
+    report = Report(_lines(study, best, data), _sentence(study, best, standing, data), data)
     return report if confirmed is None else _with_batch(report, confirmed, best)
+
+
+def _lines(study: Scored, best: Trial, data: Mapping[str, Any]) -> list[str]:
+    """The winner among the baselines, what the slower car said, and the edges that it lies on."""
+    rows: dict[str, Drives] = {name: one.scenarios for name, one in study.baselines().items()}
+    lines = table({TUNED: best.scenarios, **rows}, {TUNED: best.score, **data["baselines"]})
+    lines += held_table(data["held"])
+    edges = data["on_edge"]
+    return lines + ([f"the winner lies on an edge of its box: {', '.join(edges)}"] if edges else [])
+
+
+def _sentence(study: Scored, best: Trial, standing: Standing, data: Mapping[str, Any]) -> str:
+    shown = ", ".join(f"{name} = {value:.4g}" for name, value in best.parameters.items())
+    manual = study.baselines()[standing.name].scenarios
+    compared = comparison(standing.name, manual, best.scenarios, (standing.score, best.score))
+    more = (held_words(data["held"]), outside_words(data["outside"]))
+    return f"{shown}: {'; '.join(one for one in (compared, *more) if one)}"
 
 
 def _with_batch(report: Report, confirmed: Confirmed, best: Trial) -> Report:
@@ -106,17 +107,17 @@ def _with_batch(report: Report, confirmed: Confirmed, best: Trial) -> Report:
     return Report([*report.lines, *lines], sentence, data)
 
 
-def _best_toml(bench: Bench, best: Trial, values: Mapping[str, float], manual: str, manual_score: float) -> str:
+def _best_toml(bench: Bench, best: Trial, standing: Standing) -> str:
     data = {
         "schema": "tunefree.best/1",
         "bench": bench.file,
         "model": bench.spec.model,
         "slot": best.slot,
         "score": best.score,
-        "manual": manual,
-        "manual_score": manual_score,
+        "manual": standing.name,
+        "manual_score": standing.score,
         "tuned": best.parameters,
-        "parameters": dict(values),
+        "parameters": parameters_of(bench, best.parameters),
     }
     return (
         "# The winner of a study. [parameters] is complete: paste it into [controller.parameters] of a bench file.\n"
@@ -175,9 +176,8 @@ def scenario_figures(
         for label, (group, grades) in groups.items():
             path = _columns(bench, run, group, place)
             if path.is_file():
-                outcome = grades[name]["outcome"]
-                early = "" if outcome == "finished" else outcome
-                drives.append(Drive(label, load_recording(path).columns, grades[name]["score"], early))
+                graded = grades[name]
+                drives.append(Drive(label, load_recording(path).columns, graded["score"], early(graded["outcome"])))
         if len(drives) == len(groups):
             written.append(write_scenario(run.figures() / f"{name}.png", name, drives))
     return written

@@ -16,8 +16,9 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bench import is_heavy, model_of, parameters_of
 from tunefree_hil.bench.batch import Batch
 from tunefree_hil.jobs.learn.model_words import model_words
+from tunefree_hil.jobs.pasted import pasted
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.foreign import command_of, require_announced
+from tunefree_hil.jobs.running.foreign import program_of, require_announced
 from tunefree_hil.jobs.running.session import open_lanes
 from tunefree_hil.jobs.running.track import Track
 from tunefree_hil.jobs.tune.confirm import Confirmed, confirm, to_confirm
@@ -82,8 +83,8 @@ def tune(asked: Asked) -> Iterator[Event]:
 
 def _next(wish: Wish, run: RunFolder) -> list[str]:
     """What to type next: commands that installation brought, so each works as it is pasted."""
-    again = [] if wish.asked.realtime else [f"tunefree-hil replay {run.path} --verify"]
-    return [f"tunefree-hil verify {run.path}", *again, f"tunefree-hil explain {run.path}"]
+    replayed = [] if wish.asked.realtime else [pasted("replay", run.path, verify=True)]
+    return [pasted("verify", run.path), *replayed, pasted("explain", run.path)]
 
 
 def _over_bus(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, None, Finished]:
@@ -189,7 +190,7 @@ def _on_lanes(wish: Wish, run: RunFolder) -> Iterator[BusEvaluator]:
         realtime=asked.realtime,
         join=asked.join,
         jitted_ecu=is_heavy(bench, model),
-        controller_command=command_of(bench),
+        controller_command=program_of(bench),
     ) as lanes:
         require_announced(bench, lanes, wish.settings.space.names)
         track = Track(lanes, bench, run)

@@ -6,26 +6,27 @@ Over the bus first, which alone says who is better; then their margins, in the b
 from __future__ import annotations
 
 import time
-import tomllib
 from collections.abc import Generator, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import Bench, is_heavy, load, parameters_of
+from tunefree_hil.bench import Bench, is_heavy, load
 from tunefree_hil.jobs.drive import own_session
 from tunefree_hil.jobs.learn.outside import outside_data, outside_words
+from tunefree_hil.jobs.pasted import pasted
+from tunefree_hil.jobs.progress import left_s
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, write_json
-from tunefree_hil.jobs.running.foreign import command_of
+from tunefree_hil.jobs.running.foreign import program_of
 from tunefree_hil.jobs.running.harvest import Episode, evaluation_of
 from tunefree_hil.jobs.running.session import lanes_of, open_lanes
 from tunefree_hil.jobs.running.track import Track
-from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors
+from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors, winner_of
 from tunefree_hil.jobs.tune.margins import find_margins
 from tunefree_hil.jobs.tune.margins_report import margin_data, steering_data
 from tunefree_hil.jobs.tune.margins_words import margin_table, margin_words
-from tunefree_hil.jobs.words import comparison, failures, table
+from tunefree_hil.jobs.words import comparison, early, failures, table
 from tunefree_hil.tune.trial import Evaluation
 
 NOT_HOLDING = 1  # exit status
@@ -45,7 +46,7 @@ def verify(run: Path, *, bus: str, bench_bus: str, join: bool, session: str) -> 
         loaded, folder, bus=bus, bench_bus=bench_bus, session=session or own_session(), join=join
     )
     data = {"exit": 0 if found["holds"] else NOT_HOLDING, "run": str(run), **found}
-    data["next"] = [f"tunefree-hil replay {run} --verify"]
+    data["next"] = [pasted("replay", run, verify=True)]
     yield Event("result", found["sentence"], data)
 
 
@@ -56,10 +57,7 @@ def verify_winner(
     model = bench.spec.verify_model
     if not model or not bench.spec.verify_scenarios:
         raise InputError("names no verify_model with verify_scenarios", file=bench.file, key="verify_model")
-    vectors = {TUNED: parameters_of(bench, winner_of(run)), **baseline_vectors(bench)}
-    results: dict[str, Evaluation] = {}
-    columns: dict[str, Mapping[str, Episode]] = {}
-    own = RunFolder(run.path / "verify", run.record)
+    vectors = {TUNED: winner_of(bench, run), **baseline_vectors(bench)}
     with open_lanes(
         lanes_of(join, bus),
         Path(bench.file),
@@ -70,34 +68,42 @@ def verify_winner(
         bench_bus=bench_bus,
         join=join,
         jitted_ecu=is_heavy(bench, model),
-        controller_command=command_of(bench),
+        controller_command=program_of(bench),
     ) as lanes:
-        track = Track(lanes, bench, own)
-        scenarios = [bench.scenarios[name] for name in bench.spec.verify_scenarios]
-        started = time.monotonic()
-        try:
-            for i, (name, values) in enumerate(vectors.items()):
-                episodes = track.drive_all(values, scenarios, i * len(scenarios))
-                columns[name], results[name] = episodes, evaluation_of(episodes)
-                eta_s = (time.monotonic() - started) / (i + 1) * (len(vectors) - i - 1)
-                data = {"label": "verify", "done": i + 1, "total": len(vectors), "eta_s": eta_s, **track.pace}
-                yield Event("progress", f"{name} scores {results[name].score:.3f} on {model}", data)
-        finally:
-            track.close()
+        track = Track(lanes, bench, RunFolder(run.path / "verify", run.record))
+        columns = yield from _driven(track, bench, vectors)
+    results = {name: evaluation_of(episodes) for name, episodes in columns.items()}
     found = _compare(results)
     for line in table({n: e.scenarios for n, e in results.items()}, found["scores"]):
         yield Event("note", line)
     found["margins"] = yield from _margins(bench, model, vectors, columns, results)
-    words = margin_words(found["margins"], TUNED)
-    found["sentence"] += f"; {words}" if words else ""
     # The model that was tuned on must know what the winner does on the vehicle.
     winning = {name: episode.recording for name, episode in columns[TUNED].items()}
     found["outside"] = outside_data(bench, bench.spec.model, winning)
-    beyond = outside_words(found["outside"])
-    found["sentence"] += f"; {beyond}" if beyond else ""
+    more = (margin_words(found["margins"], TUNED), outside_words(found["outside"]))
+    found["sentence"] = "; ".join(words for words in (found["sentence"], *more) if words)
     found["figures"] = _figures(run, columns, found)
     write_json(run.path / "verify.json", {"schema": "tunefree.verify/1", **found})
     return found
+
+
+def _driven(
+    track: Track, bench: Bench, vectors: Mapping[str, Mapping[str, float]]
+) -> Generator[Event, None, dict[str, Mapping[str, Episode]]]:
+    """The episodes of every vector, by scenario. Closes the track."""
+    scenarios = [bench.scenarios[name] for name in bench.spec.verify_scenarios]
+    columns: dict[str, Mapping[str, Episode]] = {}
+    started = time.monotonic()
+    try:
+        for i, (name, values) in enumerate(vectors.items()):
+            columns[name] = track.drive_all(values, scenarios, i * len(scenarios))
+            eta_s = left_s(started, (i + 1) / len(vectors))
+            data = {"label": "verify", "done": i + 1, "total": len(vectors), "eta_s": eta_s, **track.pace}
+            score = evaluation_of(columns[name]).score
+            yield Event("progress", f"{name} scores {score:.3f} on {bench.spec.verify_model}", data)
+    finally:
+        track.close()
+    return columns
 
 
 def _margins(
@@ -119,16 +125,6 @@ def _margins(
     if same and same["equal"] < same["of"]:
         yield Event("warning", f"batch and bus agree in {same['equal']} of {same['of']} scores of the car as it is")
     return data
-
-
-def winner_of(run: RunFolder) -> dict[str, float]:
-    """The complete winning vector of best.toml."""
-    path = run.path / "best.toml"
-    if not path.is_file():
-        raise InputError(
-            "has no best.toml: the study is not finished", file=str(run.path), hint="run the same tune command again"
-        )
-    return {name: float(value) for name, value in tomllib.loads(path.read_text())["parameters"].items()}
 
 
 def _compare(results: Mapping[str, Evaluation]) -> dict[str, Any]:
@@ -157,7 +153,7 @@ def _figures(run: RunFolder, columns: Mapping[str, Mapping[str, Episode]], found
         drives = []
         for label, candidate in ((f"manual ({manual})", manual), (TUNED, TUNED)):
             episode = columns[candidate][name]
-            early = "" if episode.grade.outcome == "finished" else episode.grade.outcome
-            drives.append(Drive(label, episode.recording.columns, episode.grade.score, early))
+            graded = episode.grade
+            drives.append(Drive(label, episode.recording.columns, graded.score, early(graded.outcome)))
         written.append(str(write_scenario(run.figures() / f"verify_{name}.png", f"{name} (verify)", drives)))
     return written

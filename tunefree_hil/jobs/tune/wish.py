@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shlex
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,6 +9,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, load, parameters_of, require_buildable
 from tunefree_hil.jobs.drive import own_session
 from tunefree_hil.jobs.identity import identity_of
+from tunefree_hil.jobs.pasted import given, pasted
 from tunefree_hil.jobs.run_folder import open_run
 from tunefree_hil.jobs.running.foreign import require_one, with_command
 from tunefree_hil.jobs.running.node_links import bus_for
@@ -104,9 +103,8 @@ def resolve_wish(asked: Asked) -> Wish:
         in_flight=_in_flight(bench, asked, benches),
     )
     shown = f"{address.shown}#{address.name}" if address else ""
-    command = command_again(asked, shown)
     trials = asked.trials or bench.spec.tune.trials
-    return Wish(asked, bench, settings, identity, vectors, trials, benches, session, shown, command)
+    return Wish(asked, bench, settings, identity, vectors, trials, benches, session, shown, again(asked, shown))
 
 
 def _as_before(asked: Asked) -> Asked:
@@ -190,23 +188,7 @@ def _require_buildable(bench: Bench, asked: Asked) -> None:
         require_buildable(bench, spec.verify_model, unseen, values)
 
 
-def command_again(asked: Asked, shown: str) -> str:
-    """The command, to be pasted; a password is left out of it."""
-    words = ["tunefree-hil", "tune", str(asked.bench)]
-    plain = Asked(asked.bench)
-    options = {
-        "--trials": asked.trials,
-        "--set": asked.set_name,
-        "--sampler": asked.sampler,
-        "--seed": asked.seed,
-        "--out": asked.out,
-        "--study": shown or None,
-    }
-    for name in ("scale", "bus", "bench_bus", "backend", "benches", "in_flight", "controller", "confirm"):
-        value = getattr(asked, name)
-        options[f"--{name.replace('_', '-')}"] = value if value != getattr(plain, name) else None
-    for option, value in options.items():
-        if value is not None:
-            words += [option, os.fspath(value) if isinstance(value, Path) else str(value)]
-    flags = {"--join": asked.join, "--realtime": asked.realtime, "--no-verify": not asked.verify}
-    return shlex.join([*words, *(flag for flag, given in flags.items() if given)])
+def again(asked: Asked, shown: str) -> str:
+    """The command once more; a password is left out of it."""
+    options = given(asked._replace(study=shown or None), leave=["bench", "verify"], called={"set_name": "set"})
+    return pasted("tune", asked.bench, **options, no_verify=not asked.verify)

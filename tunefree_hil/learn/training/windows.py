@@ -11,7 +11,8 @@ from torch import Tensor
 
 from tunefree_hil.config.schema import ModelSpec
 from tunefree_hil.learn.drives import Array
-from tunefree_hil.learn.motion import Track, outputs_of, runs_of
+from tunefree_hil.learn.motion import Track, outputs_of
+from tunefree_hil.learn.runs import runs
 
 EVERY_ROWS = 10  # a window can begin at each of these
 LEAST_MEAN_MPS = 0.3  # a car that stands teaches nothing
@@ -59,7 +60,7 @@ def pool_of(tracks: Sequence[Track], model: ModelSpec, rest: float) -> Pool:
     """The pool of tracks (at least one, all of one tick), with the outputs of the model's own actuators."""
     spans, at = [], 0
     for track in tracks:
-        spans += [(at + begin, at + end) for begin, end in runs_of(track.good)]
+        spans += [(at + begin, at + end) for begin, end in runs(track.good)]
         at += track.rows
     motion = [np.stack([t.speed_mps, t.yaw_rate_radps, t.accel_mps2, t.heading_rad, t.x_m, t.y_m], 1) for t in tracks]
     outputs = [outputs_of(track, model, rest) for track in tracks]

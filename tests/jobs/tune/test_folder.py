@@ -1,0 +1,94 @@
+"""Which run folder a tune works in: the unfinished one of the very same wish, one of its own, or the one it is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.bench.tiny import write_bench
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.bench import load
+from tunefree_hil.config.dump import to_toml
+from tunefree_hil.jobs.run_folder import RunFolder, open_run
+from tunefree_hil.jobs.tune.candidates import winner_of
+from tunefree_hil.jobs.tune.folder import run_folder_of
+from tunefree_hil.jobs.tune.wish import Asked, Wish, resolve_wish
+
+SHARED = "postgresql://me@host/studies#mine"
+
+
+@pytest.fixture
+def wish(tmp_path: Path) -> Wish:
+    return resolve_wish(Asked(write_bench(tmp_path), out=tmp_path / "runs"))
+
+
+def entered(wish: Wish) -> tuple[RunFolder, bool]:
+    with run_folder_of(wish) as found:
+        return found
+
+
+def again(wish: Wish, **more: Any) -> Wish:
+    """The same bench file, with other options."""
+    return resolve_wish(wish.asked._replace(**more))
+
+
+def test_a_new_run_says_what_it_is_and_can_be_read_by_itself(wish: Wish) -> None:
+    run, old = entered(wish)
+    assert not old and run.path.name.endswith("-tune-b")
+    record = open_run(run.path).record
+    assert record["seed"] == wish.settings.seed and record["bench"] == str(wish.asked.bench)
+    assert record["hashes"] == wish.identity["hashes"] and record["complete"] is False
+    (scenario,) = load(run.bench_file()).scenarios.values()
+    assert scenario.hash == wish.bench.scenarios["tiny"].hash
+
+
+def test_a_run_that_was_cut_off_is_gone_on_with_and_what_was_half_written_is_gone(wish: Wish) -> None:
+    first, _ = entered(wish)
+    (first.path / "trials.jsonl.part").write_text("half")
+    run, old = entered(wish)
+    assert old and run.path == first.path and not (first.path / "trials.jsonl.part").exists()
+    first.finish()
+    after, old = entered(wish)
+    assert not old and after.path != first.path, "that one is done"
+
+
+@pytest.mark.parametrize("more", [{"seed": 7}, {"sampler": "tpe_relative"}, {"backend": "batch"}, {"realtime": True}])
+def test_a_run_of_another_wish_is_left_alone(wish: Wish, more: dict[str, Any]) -> None:
+    first, _ = entered(wish)
+    other, old = entered(again(wish, **more))
+    assert not old and other.path != first.path
+
+
+def test_a_run_to_resume_must_be_of_the_same_files_and_study(wish: Wish) -> None:
+    first, _ = entered(wish)
+    told = again(wish, resume=first.path)
+    run, old = entered(told)
+    assert old and run.path == first.path
+    with pytest.raises(InputError, match="its study is in its study") as caught:
+        entered(told._replace(shown=SHARED))
+    assert caught.value.key == "--study"
+    scenario = wish.asked.bench.parent / "scenarios" / "tiny.toml"
+    scenario.write_text(scenario.read_text().replace("noise_seed = 3", "noise_seed = 4"))
+    with pytest.raises(InputError, match="files it was made with have changed") as caught:
+        entered(again(wish, resume=first.path))
+    assert caught.value.file == str(first.path)
+
+
+def test_workers_of_one_study_have_a_folder_each_and_take_up_one_that_nobody_holds(wish: Wish) -> None:
+    worker = wish._replace(shown=SHARED)
+    with run_folder_of(worker) as (first, old_first), run_folder_of(worker) as (second, old_second):
+        assert not old_first and not old_second and first.path != second.path
+    with run_folder_of(worker) as (run, old):
+        assert old and run.path in (first.path, second.path)
+
+
+def test_the_winner_is_a_complete_vector_once_the_study_is_finished(wish: Wish) -> None:
+    run, _ = entered(wish)
+    with pytest.raises(InputError, match="study is not finished") as caught:
+        winner_of(wish.bench, run)
+    assert caught.value.file == str(run.path) and "same tune command" in caught.value.hint
+    values = {**wish.vectors["mrac_on"], "mrac.p": 0.5}
+    (run.path / "best.toml").write_text(to_toml({"parameters": values}))
+    assert winner_of(wish.bench, run) == values
