@@ -182,7 +182,8 @@ def test_the_list_of_commands_cuts_no_sentence(capsys: pytest.CaptureFixture[str
 
 
 def test_starting_imports_little() -> None:
-    code = "import tunefree_hil.cli, sys; print(*[n for n in ('rich', 'numpy', 'can', 'msgspec') if n in sys.modules])"
+    heavy = "('rich', 'numpy', 'can', 'msgspec')"
+    code = f"import tunefree_hil.cli.entry, sys; print(*[n for n in {heavy} if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout.strip()) == (0, "")
 
@@ -217,6 +218,39 @@ def test_a_signal_ends_in_order(number: signal.Signals) -> None:
     assert process.returncode == 130
     assert err.splitlines() == ["cleared up", "next:", "  candump any", "interrupted, state saved"]
     assert json.loads(out)["status"] == "interrupted"
+
+
+STARTING = """
+import os, signal, sys
+class Cut:  # Ctrl-C comes while the command line's own modules are read
+    def find_spec(self, name, *_):
+        if name == "typer":
+            os.kill(os.getpid(), signal.{})
+            signal.sigtimedwait([], 5.0)
+sys.meta_path.insert(0, Cut())
+from tunefree_hil.cli import main
+main(["--version"])
+"""
+
+
+def test_ctrl_c_before_a_job_is_said_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def cut(*_: Any, **__: Any) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tunefree_hil.cli.data_commands.present", cut)
+    assert run(["scenarios"]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+    monkeypatch.undo()
+    monkeypatch.setattr("tunefree_hil.jobs.scenarios.scenarios", cut)
+    assert run(["scenarios"]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_signal_while_it_starts_ends_in_order(name: str) -> None:
+    words = [sys.executable, "-c", STARTING.format(name)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
 
 
 def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:

@@ -135,6 +135,21 @@ def test_interrupted_clears_up_and_says_how_to_go_on(capsys: pytest.CaptureFixtu
     assert found["data"] == {"resume": "candump tune --resume runs/x"}
 
 
+def test_what_only_begins_anew_is_not_said_to_be_saved(capsys: pytest.CaptureFixture[str]) -> None:
+    def job(saved: bool) -> Iterator[Event]:
+        yield Event("progress", "suspects", {"resume": "candump gap", "saved": False})
+        if saved:
+            yield Event("note", "proof", {"resume": "candump gap", "saved": True})
+        raise KeyboardInterrupt
+
+    ends = []
+    for saved in (False, True):
+        assert show(job(saved)) == 130
+        ends.append(capsys.readouterr().err.splitlines()[-3:])
+    assert ends[0] == ["next:", "  candump gap", "interrupted, nothing is kept yet: that command begins anew"]
+    assert ends[1] == ["next:", "  candump gap", "interrupted, state saved"]
+
+
 def test_interrupted_between_events_clears_up_too(monkeypatch: pytest.MonkeyPatch) -> None:
     cleared = []
 

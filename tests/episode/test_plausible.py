@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
 
 import pytest
@@ -81,6 +82,17 @@ def test_a_sign_that_is_turned_round(tmp_path: Path) -> None:
 def test_a_car_that_stands_is_not_judged(tmp_path: Path) -> None:
     rows = [row | {"v": 0.0, "a": 0.0, "r": 0.0, "x": 1.0, "y": 2.0, "psi": 0.1} for row in motion()]
     assert all(one.holds is None and "not judged" in one.words for one in findings(tmp_path, rows))
+
+
+def test_noise_of_a_car_that_stands_is_no_way(tmp_path: Path) -> None:
+    """Positions that shake by 5 cm make 3 m of way within 20 s, and a way is never negative."""
+    chance = random.Random(1)
+    rows = [
+        row | {"v": chance.gauss(0.0, 0.01), "x": chance.gauss(0.0, 0.05), "y": chance.gauss(0.0, 0.05)}
+        for row in motion()
+    ]
+    (found,) = findings(tmp_path, rows, None, columns=["v", "x", "y"])
+    assert found.holds is None and "hardly move" in found.words
 
 
 def test_a_constant_bias_of_the_accelerometer_is_no_fault(tmp_path: Path) -> None:

@@ -36,7 +36,10 @@ from tunefree_hil.gap.problem import Free, Problem
 def test_a_card_that_is_none_is_an_input_error_whoever_reads_it(tmp_path: Path, text: str) -> None:
     model = load_model("mkz_nominal")
     model = replace(model, folder=str(tmp_path), plant=replace(model.plant, card="card.json"))
-    assert card_of(model) == {} and doubts_of(model) == {}, "none there"
+    assert card_of(replace(model, plant=replace(model.plant, card=""))) == {}, "none is named"
+    with pytest.raises(InputError, match="is not there") as missing:
+        card_of(model)
+    assert missing.value.key == "plant.card" and missing.value.file == f"{tmp_path}/model.toml"
     (tmp_path / "card.json").write_text(text)
     with pytest.raises(InputError) as refused:
         doubts_of(model)
@@ -86,8 +89,8 @@ def test_a_model_is_held_to_as_much_as_it_has_shown(
     tmp_path: Path, card: dict[str, Any], pace: float, held: float
 ) -> None:
     model = load_model("mkz_nominal")
-    model = replace(model, folder=str(tmp_path), plant=replace(model.plant, card="card.json"))
     assert held_of(model) == 1.0, "no card"
+    model = replace(model, folder=str(tmp_path), plant=replace(model.plant, card="card.json"))
     (tmp_path / "card.json").write_text(json.dumps(card))
     assert held_of(model, pace) == pytest.approx(held)
 
@@ -170,9 +173,9 @@ def test_the_linkage_is_recalibrated_as_far_as_a_calibration_leaves_it_open(
     tmp_path: Path, said: tuple[float, float], least: float, most: float
 ) -> None:
     model, vehicle = load_model("mkz_nominal"), load_vehicle("mkz_bywire")
+    alone = {one.key: one.sigma for one in nuisances(Graph(model, vehicle, 0.01), model, doubts_of(model))}
     model = replace(model, folder=str(tmp_path), plant=replace(model.plant, card="card.json"))
     graph = Graph(model, vehicle, 0.01)
-    alone = {one.key: one.sigma for one in nuisances(graph, model, doubts_of(model))}
     (tmp_path / "card.json").write_text(
         json.dumps({"constants": {BEND: dict(zip(("low", "high"), said, strict=True))}})
     )

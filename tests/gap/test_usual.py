@@ -95,8 +95,8 @@ def test_words_are_of_what_is_missed_most() -> None:
 
 def test_a_card_keeps_it_and_one_that_is_none_is_named(tmp_path: Path) -> None:
     nominal = load_model("mkz_nominal")
+    assert usual_of(nominal) == NOTHING
     model = replace(nominal, folder=str(tmp_path), plant=replace(nominal.plant, card="card.json"))
-    assert usual_of(model) == NOTHING
     kept = usual(0.25)
     endless = {**kept.effects, "steer_rate_limit": {"rate_radps": (np.inf, 0.1)}}
     (tmp_path / "card.json").write_text(json.dumps(plain(as_data(kept._replace(effects=endless)))))

@@ -107,7 +107,7 @@ def test_what_is_planted_is_refused(fault: str, tmp_path: Path) -> None:
     one = next(one for one in named if one.field == field)
     assert one.drive == "log0.log" and "log0.log" in one.words and field in one.words and "expect" in one.words
     assert "\n" not in one.words
-    with pytest.raises(InputError, match="nothing is learned from these logs"):
+    with pytest.raises(InputError, match="nothing is done with these logs"):
         require_good(found)
 
 

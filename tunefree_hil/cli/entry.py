@@ -3,42 +3,31 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
-import threading
 from collections.abc import Sequence
-from types import FrameType
 
 import typer
 
+from tunefree_hil.cli import INTERRUPTED, end_as_ctrl_c
 from tunefree_hil.cli.app import app
-from tunefree_hil.cli.output import error_text, result_object
+from tunefree_hil.cli.output import Said, error_text, result_object
 
 USAGE = 2
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point of `tunefree-hil`; leaves with the exit status of interfaces 1."""
-    sys.exit(run(sys.argv[1:] if arguments is None else list(arguments)))
-
-
 def run(arguments: Sequence[str]) -> int:
     """Run one command line. Returns its exit status; never a traceback for what the user gave."""
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, _end)
+    end_as_ctrl_c()
     try:
         status = app(args=list(arguments), prog_name="tunefree-hil", standalone_mode=False)
     except typer.TyperException as error:
         return _usage(error, arguments)
     except (typer.Abort, KeyboardInterrupt):
         print("interrupted", file=sys.stderr)
-        return 130
-    return status if isinstance(status, int) else 0
-
-
-def _end(number: int, frame: FrameType | None) -> None:
-    """A kill ends like Ctrl-C: processes stopped, state saved."""
-    raise KeyboardInterrupt
+        return INTERRUPTED
+    if status == INTERRUPTED and not isinstance(status, Said):  # Ctrl-C while typer was at work
+        print("interrupted", file=sys.stderr)
+    return int(status) if isinstance(status, int) else 0
 
 
 def _usage(error: typer.TyperException, arguments: Sequence[str]) -> int:

@@ -17,12 +17,16 @@ from typing import Any, Protocol, TextIO
 
 from tunefree_hil.base.errors import BenchError, InputError, TunefreeError
 from tunefree_hil.base.events import Event
+from tunefree_hil.cli import INTERRUPTED
 from tunefree_hil.cli.words import pasteable, progress_line
 
 SCHEMA = "tunefree.result/1"
-INTERRUPTED = 130
 STATUSES = ("ok", "failed", "interrupted")
 WRONG_PATH = (FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError, PermissionError)
+
+
+class Said(int):
+    """The exit status of a command that has said how it ended; typer's own 130 is one that has not."""
 
 
 class Sink(Protocol):
@@ -56,10 +60,11 @@ class _Heard:
 
     def __init__(self) -> None:
         self.result: Event | None = None
-        self.resume = ""
+        self.resume, self.saved = "", True
 
     def note(self, event: Event) -> None:
-        self.resume = str(event.data.get("resume", "") or self.resume)
+        if event.data.get("resume"):
+            self.resume, self.saved = str(event.data["resume"]), bool(event.data.get("saved", True))
         if event.kind == "result":
             self.result = event
 
@@ -97,7 +102,7 @@ def present(command: str, job: Callable[[], Iterable[Event]], *, plain: bool, as
         if status == INTERRUPTED and heard.resume:
             data["resume"] = heard.resume
         print(json.dumps(result_object(command, status, data, errors), allow_nan=False), flush=True)
-    return status
+    return Said(status)
 
 
 def _watch(events: Iterable[Event], sink: Sink, heard: _Heard, as_json: bool) -> None:
@@ -144,7 +149,8 @@ def _say_end(status: int, heard: _Heard, errors: list[dict[str, str]]) -> None:
     lines = [error_text(error) for error in errors]
     if status == INTERRUPTED:
         lines += _next([heard.resume] if heard.resume else [])
-        lines.append("interrupted, state saved" if heard.resume else "interrupted")
+        kept = ", state saved" if heard.saved else ", nothing is kept yet: that command begins anew"
+        lines.append(f"interrupted{kept}" if heard.resume else "interrupted")
     elif not errors and heard.result is not None:
         data = heard.result.data
         lines += _next(data.get("next", []))

@@ -18,6 +18,7 @@ from tunefree_hil.episode.csv_drive import Column, CsvDrive
 from tunefree_hil.episode.plausible_pairs import WINDOW_S, Array, Pair, Sample, pairs_of
 
 LEAST_WINDOWS = 4
+COUNTS = 0.1  # of the least movement, from which on one window's way counts: noise of a car that stands adds up
 LEAST_FIT = 0.6  # correlation from which two columns are taken to follow each other
 LIKELY = (0.8, 1.25)  # a factor in here makes another unit the likely one
 # Greatest absolute SI values that a car (or a model of one) shows, by the end of the field's name.
@@ -121,7 +122,7 @@ def _fits(pair: Pair, judged: tuple[float, float, float]) -> bool:
 
 
 def _judge(pair: Pair, drive: CsvDrive, by_first: float, by_second: float) -> tuple[float, float, float]:
-    """(factor, size of the correlation, greatest movement), the SI values being multiplied by these."""
+    """(factor, size of the correlation, greatest movement beyond noise), the SI values being multiplied by these."""
     unit = _unit(pair.first[0])  # of the four wheels all, of steering and speed the steering
     first = [_sample(drive, name, by_first if _unit(name) == unit else 1.0) for name in pair.first]
     second = [_sample(drive, name, by_second) for name in pair.second]
@@ -131,12 +132,19 @@ def _judge(pair: Pair, drive: CsvDrive, by_first: float, by_second: float) -> tu
     a, b = pair.windows(first, second, edges)
     if pair.centred:
         a, b = a - a.mean(), b - b.mean()
+    moved = max(_moved(a, pair.least), _moved(b, pair.least))
     squares = float(a @ a) * float(b @ b)
     if squares <= 0.0:
-        return 0.0, 0.0, max(float(np.abs(a).sum()), float(np.abs(b).sum()))
+        return 0.0, 0.0, moved
     fit = float(a @ b) / squares**0.5
     factor = float(a @ b) / float(a @ a)
-    return factor, abs(fit), max(float(np.abs(a).sum()), float(np.abs(b).sum()))
+    return factor, abs(fit), moved
+
+
+def _moved(windows: Array, least: float) -> float:
+    """All movement; of what has no sign beyond noise: that of a way looks like a way, where a sign would cancel it."""
+    size = np.abs(windows)
+    return float(size[size > COUNTS * least].sum() if (windows >= 0.0).all() else size.sum())
 
 
 def _unit(name: str) -> str:

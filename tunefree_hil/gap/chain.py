@@ -19,6 +19,7 @@ from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.gap.by_pose import HEADING, jumps_of, rates_by_pose, window_of
 from tunefree_hil.gap.graph import CHANNELS, Inputs
+from tunefree_hil.gap.lost import OUTPUTS, idle_channels, lost_of, unknown_channels
 from tunefree_hil.gap.signals import Signal, as_told, carried, outdone, signals_of, well_covered
 from tunefree_hil.learn.acted import accel_asked, asked_pedals, channel_of
 from tunefree_hil.learn.drives import Drive
@@ -30,7 +31,6 @@ from tunefree_hil.learn.smooth import rate_of, smooth, yaw_by_wheels
 
 Array = np.ndarray
 
-OUTPUTS = {"throttle": "throttle_frac", "brake": "brake_frac", "steer": "steer_rad"}
 PIN_WINDOW_S = 0.21  # of the polynomial through the measured speed that the car is told
 ROAD_CAR_M = 2.7  # wheelbase
 STANDING_MPS = 0.5  # no bend is told by slower wheels
@@ -45,7 +45,7 @@ class Opened(NamedTuple):
     lost: what of the chain this log cannot show, by link, in words. pace: of a model car its wheelbase as a share of a
     road car's, else 1: what counts as driving is so many wheelbases a second. derived: fields of `signals` that nobody
     measured and others tell, with the ticks that are under a slope there (1: none is). unsure: in words, what was left
-    out of that. most_steer_rad: the vehicle's greatest steering angle.
+    out of that. most_steer_rad: the vehicle's greatest steering angle. idle, unknown: channels (gap/lost.py).
     """
 
     name: str
@@ -61,6 +61,8 @@ class Opened(NamedTuple):
     most_steer_rad: float = 8.0
     unsure: tuple[str, ...] = ()
     wheelbase_m: float = ROAD_CAR_M
+    idle: frozenset[str] = frozenset()
+    unknown: frozenset[str] = frozenset()
 
     @property
     def ticks(self) -> int:
@@ -104,11 +106,12 @@ def open_chain(drive: Drive, vehicle: VehicleSpec) -> Opened:
     inputs, follows, known = _inputs(drive, vehicle, signals, source)
     speed = signals[source]
     moving = known & speed.there & (inputs.gear >= GEAR_DRIVE)
+    idle, unknown = idle_channels(follows, drive.dt_s), unknown_channels(drive, vehicle)
     return Opened(
-        drive.name, drive.log_hash, drive.dt_s, inputs, signals, follows, moving, _lost(signals, drive, by_ins),
+        drive.name, drive.log_hash, drive.dt_s, inputs, signals, follows, moving, lost_of(signals, idle, by_ins),
         pace_of(vehicle), derived, vehicle.limits.steer_rad,
         left_out + _unsure(drive, said),
-        vehicle.nominal.wheelbase_m or ROAD_CAR_M,
+        vehicle.nominal.wheelbase_m or ROAD_CAR_M, idle, unknown,
     )  # fmt: skip
 
 
@@ -197,23 +200,3 @@ def _settled(obeyed: Array, dt_s: float) -> Array:
     for begin, end in runs(obeyed, wait + 1):
         found[begin + wait : end] = 1.0
     return found
-
-
-def _lost(signals: Mapping[str, Signal], drive: Drive, by_ins: bool) -> dict[Link, str]:
-    """Links that this log cannot show."""
-    lost: dict[Link, str] = {}
-    blind = [name for name in CHANNELS if f"report.{OUTPUTS[name]}" not in signals]
-    mute = [name for name in CHANNELS if f"report.{ECHOES[name]}" not in signals]
-    if len(blind) == len(CHANNELS):
-        lost[Link.COMMAND_TO_REPORT] = "no actuator output is reported: the chain goes from commands to motion"
-    if len(mute) == len(CHANNELS):
-        lost[Link.COMMAND_ECHO] = "no command is echoed"
-    if not by_ins or "report.speed_mps" not in signals:
-        lost[Link.WHEEL_VS_INS] = "speed is said by one side only, chassis or INS"
-    if "ins.yaw_rate_radps" not in signals or "report.yaw_rate_radps" not in signals:
-        lost[Link.YAW_VS_INS] = "the yaw rate is said by one side only, chassis or INS"
-    if "report.accel_mps2" not in signals:
-        lost[Link.ACCEL_VS_DVDT] = "no longitudinal acceleration is reported"
-    if not by_ins and len(mute) == len(CHANNELS):
-        lost[Link.CLOCK] = "there is no second clock: neither an INS nor echoes of commands"
-    return lost

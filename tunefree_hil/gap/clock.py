@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tunefree_hil.gap.chain import OUTPUTS, Opened
+from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.graph import CHANNELS
+from tunefree_hil.gap.lost import OUTPUTS
 from tunefree_hil.learn.pairs import ECHOES, tolerance
 from tunefree_hil.learn.runs import every_of, throughout
 

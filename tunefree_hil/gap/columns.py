@@ -12,8 +12,9 @@ import numpy as np
 from scipy.ndimage import convolve1d
 from scipy.signal import savgol_coeffs
 
-from tunefree_hil.gap.chain import OUTPUTS, Opened
+from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.graph import CHANNELS
+from tunefree_hil.gap.lost import OUTPUTS
 from tunefree_hil.gap.noise import sensor_noise
 from tunefree_hil.gap.ride import SHOWN
 from tunefree_hil.gap.signals import Signal

@@ -68,14 +68,19 @@ def as_json(kept: Kept) -> dict[str, Any]:
 
 
 def from_json(data: Mapping[str, Any]) -> Kept:
-    """The same again."""
-    fields = {name: data[name] for name in Kept._fields}
-    shape = fields["shape"]
-    return Kept(**fields)._replace(
-        free=tuple(fields["free"]),
-        regions=tuple(Region(**one) for one in fields["regions"]),
-        shape=None if shape is None else Shape(**shape),
-    )
+    """The same again. Raises ValueError for what no `as_json` wrote, by this version."""
+    if data.get("schema") != SCHEMA:
+        raise ValueError(f"schema is {data.get('schema')!r}, expected {SCHEMA!r}")
+    try:
+        fields = {name: data[name] for name in Kept._fields}
+        shape = fields["shape"]
+        return Kept(**fields)._replace(
+            free=tuple(fields["free"]),
+            regions=tuple(Region(**one) for one in fields["regions"]),
+            shape=None if shape is None else Shape(**shape),
+        )
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"no whole search: {error}") from error
 
 
 def _values(model: Modelled) -> dict[str, float]:

@@ -12,7 +12,8 @@ from tunefree_hil.gap.clock import echoes
 from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.excitation import excitation, held_by
 from tunefree_hil.gap.locate import Card, Looked, card, echo_words
-from tunefree_hil.gap.name import Named, looked_at, lost_links, refuse_untold
+from tunefree_hil.gap.lost import lost_links, silent_ports
+from tunefree_hil.gap.name import Named, looked_at, refuse_untold
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.work import Setting
 
@@ -41,7 +42,7 @@ def look_first(model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened])
     words = tuple(strange) or (() if shown else ("nothing beyond noise and recalibration",))
     return Named(
         _verdict(looked, strange), (), (), "", link, shown, tuple(looked), held, (), question, question.null,
-        left, left, lost_links(drives), words,
+        left, left, lost_links(drives), words, silent=silent_ports(drives),
     )  # fmt: skip
 
 

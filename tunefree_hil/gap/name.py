@@ -9,12 +9,12 @@ behind it come with it.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from tunefree_hil.base.contracts import Link, links_of
+from tunefree_hil.base.contracts import Link, Port, links_of
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.gap.ask import Modelled, Question
@@ -28,6 +28,7 @@ from tunefree_hil.gap.hill import with_hill
 from tunefree_hil.gap.interval import Value, apart, unsteady, values_of
 from tunefree_hil.gap.leftover import Left
 from tunefree_hil.gap.locate import Card, Looked, card, echo_words, look
+from tunefree_hil.gap.lost import lost_links, silent_ports
 from tunefree_hil.gap.search import backward, forward, settled, weighed
 from tunefree_hil.gap.segments import BLOCK_S, FEWEST, FEWEST_DRIVEN, GUARD_S, SHORTEST_S, Blocks, block_s_of, blocks_of
 from tunefree_hil.gap.targets import LEAST_MPS
@@ -37,6 +38,7 @@ from tunefree_hil.gap.usual import NOTHING, Usual, parted, usual_of, usual_words
 from tunefree_hil.gap.verdict import alike_words, daily_words, not_it, small_words, verdict_of, wavers, with_others
 from tunefree_hil.gap.work import Setting
 
+NO_PORT: Mapping[Port, str] = {}
 VERDICTS = ("one", "several", "set", "none_missing", "none_of_these", "cannot_test")
 
 
@@ -69,7 +71,7 @@ class Named(NamedTuple):
 
     looked, still: every target with recalibration done, and with all that was found besides; card: of the one that
     shows it best (None: nothing is broken and nobody was found), with the link that is to blame. set: names where it is
-    one of them, and not known which. lost: links that the logs cannot show, in words.
+    one of them, and not known which. lost, silent: links and ports that the logs cannot show, in words.
     usual: what the model misses of its own logs.
     """
 
@@ -90,6 +92,7 @@ class Named(NamedTuple):
     words: tuple[str, ...]
     still: tuple[Looked, ...] = ()
     usual: Usual = NOTHING
+    silent: Mapping[Port, str] = NO_PORT
 
 
 def name(
@@ -176,7 +179,7 @@ def _named(
     words = (*words, *no_news, *usual_words(usual), *daily_words(apart(repaired.fitted, blocks, days)))
     return Named(
         verdict, known, others, _manoeuvre(others), link, shown, tuple(before.looked), held, tuple(first), question,
-        repaired, before.left, after.left, lost_links(drives), words, tuple(still), usual,
+        repaired, before.left, after.left, lost_links(drives), words, tuple(still), usual, silent_ports(drives),
     )  # fmt: skip
 
 
@@ -253,11 +256,3 @@ def _manoeuvre(names: Iterable[str]) -> str:
     catalogue = effects()
     some = [catalogue[one].manoeuvre for one in names if one in catalogue and catalogue[one].manoeuvre]
     return some[0] if some else ""
-
-
-def lost_links(drives: Sequence[Opened]) -> dict[Link, str]:
-    """Links that none of the drives shows."""
-    shared = set(drives[0].lost)
-    for one in drives[1:]:
-        shared &= set(one.lost)
-    return {link: drives[0].lost[link] for link in shared}

@@ -117,10 +117,17 @@ def _linkage(doubts: Mapping[str, float]) -> Nuisance:
 
 
 def card_of(model: ModelSpec) -> dict[str, Any]:
-    """What the card in a model's folder says; empty where there is none. Raises InputError for one that is none."""
-    path = Path(model.folder) / model.plant.card if model.plant.card and model.folder else None
-    if path is None or not path.is_file():
+    """What the card in a model's folder says; empty where the model names none. Raises InputError for one that is not
+    there, or is none.
+    """
+    if not model.plant.card or not model.folder:
         return {}
+    path = Path(model.folder) / model.plant.card
+    if not path.is_file():
+        raise InputError(
+            f"the model's card, {path.name}, is not there", code="no_card", file=f"{model.folder}/model.toml",
+            key="plant.card", hint="put it back, calibrate the model again, or take the key out",
+        )  # fmt: skip
     try:
         found = json.loads(path.read_text())
     except ValueError as error:

@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tunefree_hil.base.contracts import links_of
 from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.held import held_back
+from tunefree_hil.gap.lost import untold
 from tunefree_hil.gap.name import Effect, Named
 
 FEW_BLOCKS = 9  # judged, of a drive of a minute and three quarters; shorter ones have fewer
@@ -22,6 +22,7 @@ WITHOUT_NET = ("physics", "reference")  # kinds of plants that were not taught b
 
 def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
     """Plain dicts, lists, numbers and words; what is no finite number is None. kind: of the model's plant."""
+    blind = untold(catalogue(), found.lost, found.silent)
     return {
         "verdict": found.verdict or None,
         "forced": forced_name(found),
@@ -32,7 +33,10 @@ def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
         "separate_by": found.separate_by,
         "where": _where(found),
         "excitation": {
-            name: {"score": _number(one.score), "enough": one.enough, "lacks": list(one.lacks)}
+            name: {
+                "score": _number(one.score), "enough": one.enough and name not in blind,
+                "lacks": [*one.lacks, *([blind[name]] if name in blind else [])],
+            }
             for name, one in found.excitation.items()
         },
         "links": [
@@ -43,7 +47,7 @@ def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
             for one in found.looked
         ],
         "as_usual": [one.signal for one in found.looked if one.broken and found.usual.as_usual(one.signal, one.amount)],
-        "untold": untold(found),
+        "untold": blind,
         "lost": {link.value: words for link, words in found.lost.items()},
         "not_suspected": dict(found.question.cannot),
         "candidates": [
@@ -54,7 +58,7 @@ def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
             }
             for one in found.candidates
         ],
-        "words": [*found.words, *_short_words(found)],
+        "words": [*found.words, *_short_words(found), *dict.fromkeys(found.silent.values())],
         "moved": list(moved_words(found)),
     }  # fmt: skip
 
@@ -86,15 +90,6 @@ def forced_name(found: Named) -> str | None:
     if found.effects:
         return found.effects[0].name
     return max(found.candidates, key=lambda one: one.evidence).name if found.candidates else None
-
-
-def untold(found: Named) -> dict[str, str]:
-    """Effects that these logs cannot tell because a signal is missing: their own link cannot be seen."""
-    return {
-        name: found.lost[links_of(effect)[0]]
-        for name, effect in catalogue().items()
-        if links_of(effect)[0] in found.lost
-    }
 
 
 def is_absorbed(verdict: str, kind: str) -> bool:

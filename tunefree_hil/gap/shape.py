@@ -11,6 +11,7 @@ Array = np.ndarray
 
 LONGEST_S = 0.8
 CLEAR_LATE_S, CLEAR_GAIN, CLEAR_BIAS = 0.01, 0.02, 0.02  # from here on it is worth a word; bias: of the signal
+MOST_GAIN = 5.0  # beyond that a factor is no news of an actuator any more
 LEAST_ROWS = 256
 
 
@@ -29,7 +30,8 @@ class Shape(NamedTuple):
         if abs(self.late_s) >= CLEAR_LATE_S:
             said.append(f"{abs(self.late_s):.2f} s {'late' if self.late_s > 0.0 else 'early'}")
         if abs(self.gain - 1.0) >= CLEAR_GAIN:
-            said.append(f"{abs(self.gain - 1.0):.0%} {'strong' if self.gain > 1.0 else 'weak'}")
+            much = f"{abs(self.gain - 1.0):.0%}" if abs(self.gain - 1.0) < MOST_GAIN else "much too"
+            said.append(f"{much} {'strong' if self.gain > 1.0 else 'weak'}")
         if abs(self.bias) >= CLEAR_BIAS * size:
             said.append(f"{self.bias:+.3g} off")
         return ", ".join(said)

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.base.contracts import Link
-from tunefree_hil.gap.chain import OUTPUTS, Opened
+from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.columns import Columns, measured_columns, noisier, simulated_columns
 from tunefree_hil.gap.graph import CHANNELS, Inputs
+from tunefree_hil.gap.lost import OUTPUTS
 from tunefree_hil.learn.smooth import quantum_of
 
 Array = np.ndarray
@@ -90,11 +91,13 @@ def _felt(c: Columns) -> Array:
 
 
 MOTION = Link.REPORT_TO_MOTION
+PEDALS, STEERING = frozenset({"throttle", "brake"}), frozenset({"steer"})
 
 
 class Planned(NamedTuple):
     """A target to be had. needed: fields that must be measured; better: fields in whose presence another one is better;
-    gentle: not asked for in tight turns, as long as most of a drive is none.
+    by: channels of which it must be known what they did; gentle: not asked for in tight turns, as long as most of a
+    drive is none.
     """
 
     name: str
@@ -103,17 +106,18 @@ class Planned(NamedTuple):
     functional: Functional
     needed: tuple[str, ...] = ()
     better: tuple[str, ...] = ()
+    by: frozenset[str] = frozenset()
     gentle: bool = False
 
 
 PLANNED = (
-    Planned("rate_of_speed", MOTION, "m/s2", _rate, gentle=True),
-    Planned("yaw_rate", MOTION, "rad/s", _yaw, ("ins.yaw_rate_radps",)),
-    Planned("yaw_rate", MOTION, "rad/s", _own_yaw, ("report.yaw_rate_radps",), ("ins.yaw_rate_radps",)),
+    Planned("rate_of_speed", MOTION, "m/s2", _rate, by=PEDALS, gentle=True),
+    Planned("yaw_rate", MOTION, "rad/s", _yaw, ("ins.yaw_rate_radps",), by=STEERING),
+    Planned("yaw_rate", MOTION, "rad/s", _own_yaw, ("report.yaw_rate_radps",), ("ins.yaw_rate_radps",), STEERING),
     Planned("lateral_beyond_turning", MOTION, "m/s2", _beyond_turning,
-            ("report.lateral_accel_mps2", "ins.speed_mps", "ins.yaw_rate_radps")),
+            ("report.lateral_accel_mps2", "ins.speed_mps", "ins.yaw_rate_radps"), by=STEERING),
     Planned("lateral_accel", MOTION, "m/s2", _lateral, ("report.lateral_accel_mps2",),
-            ("ins.speed_mps", "ins.yaw_rate_radps")),
+            ("ins.speed_mps", "ins.yaw_rate_radps"), STEERING),
     Planned("wheel_vs_ins", Link.WHEEL_VS_INS, "m/s", _wheels, ("report.speed_mps", "ins.speed_mps")),
     Planned("yaw_vs_ins", Link.YAW_VS_INS, "rad/s", _turns, ("report.yaw_rate_radps", "ins.yaw_rate_radps")),
     Planned("accel_vs_dvdt", Link.ACCEL_VS_DVDT, "m/s2", _felt, ("report.accel_mps2",)),
@@ -140,7 +144,8 @@ class Compared:
         for i, channel in enumerate(CHANNELS):
             self._add_channel(i, channel, columns)
         for plan in PLANNED:
-            if opened.has(*plan.needed) and not (plan.better and opened.has(*plan.better)):
+            worse = plan.better and opened.has(*plan.better)
+            if opened.has(*plan.needed) and not worse and not plan.by & opened.unknown:
                 self._add(plan, columns)
 
     def of(self, shown: Array) -> list[Array]:

@@ -15,9 +15,11 @@ import numpy as np
 
 from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
 from tunefree_hil.gap.chain import Opened
+from tunefree_hil.gap.lost import OUTPUTS
 from tunefree_hil.gap.noise import sensor_noise
 from tunefree_hil.gap.replay import car_of, commanded, pose_of, run_over
 from tunefree_hil.gap.segments import PROOF, blocks_of
+from tunefree_hil.gap.targets import STEERING
 from tunefree_hil.learn.motion import wrapped
 from tunefree_hil.learn.smooth import quantum_of
 
@@ -31,6 +33,7 @@ UNITS = {
     "report.yaw_rate_radps": "rad/s", "report.accel_mps2": "m/s2", "report.lateral_accel_mps2": "m/s2",
     "ins.speed_mps": "m/s", "ins.yaw_rate_radps": "rad/s", HEADING: "rad", POSITION: "m",
 }  # fmt: skip
+ALONG = ("report.speed_mps", "report.accel_mps2", "ins.speed_mps")  # they hardly ask how the car was steered
 
 
 class Variant(NamedTuple):
@@ -132,6 +135,10 @@ def _square(missed: Array) -> float:
 
 
 def _has(opened: Opened, signal: str) -> bool:
+    """Whether a signal was measured, and a free run can come to it by what is known of pedals and steering."""
+    hidden = opened.unknown - STEERING if signal in ALONG else opened.unknown
+    if hidden and not signal.endswith(tuple(OUTPUTS.values())):
+        return False
     return opened.has("ins.x_m", "ins.y_m") if signal == POSITION else opened.has(signal)
 
 

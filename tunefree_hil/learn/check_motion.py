@@ -55,7 +55,7 @@ def _ranges(drive: Drive) -> Iterator[Problem]:
         some = np.abs(values[drive.fresh[name] & np.isfinite(values)])
         if highest is not None and some.size and some.max() > highest:
             words = (
-                f"{drive.name}: {name} reaches {some.max():.4g}, where at most {highest:g} is expected; is its unit or "
+                f"{drive.path}: {name} reaches {some.max():.4g}, where at most {highest:g} is expected; is its unit or "
             )
             yield Problem("refuse", "units", drive.name, name, words + "scale in vehicle.toml wrong?")
 
@@ -97,14 +97,14 @@ def _pairs(drive: Drive, nominal: NominalSpec, most_rad: float) -> Iterator[Prob
         field = instead.get(pair.first[0], pair.first[0])
         if factor < 0.0:
             words = (
-                f"{drive.name}: {second} goes the other way than {first} (factor {factor:.2f}), where the same way is "
+                f"{drive.path}: {second} goes the other way than {first} (factor {factor:.2f}), where the same way is "
             )
             words += "expected (ISO 8855: left and forward positive); turn the sign of one of them in vehicle.toml"
             code = "steer_sign" if "steer" in first else "wrong_sign"
             yield Problem(severity, code, drive.name, field, words)
         else:
             low, high = pair.allowed
-            words = f"{drive.name}: {second} is {factor:.3g} times what {first} makes one expect (allowed {low:.2g} to "
+            words = f"{drive.path}: {second} is {factor:.3g} times what {first} makes one expect (allowed {low:.2g} to "
             words += f"{high:.2g}); is a unit or scale in vehicle.toml wrong, or this the log of another vehicle?"
             # a unit is wrong by as much everywhere; a wheel that stops before its command does may be the car itself
             short = not instead and pair.second == (STEER,) and factor < low and _obeys_somewhere(drive, pair.first[0])
@@ -159,7 +159,7 @@ def _pedals(drive: Drive, rest_frac: float) -> Iterator[Problem]:
         by_throttle, by_brake = float(accel[driven].mean()), float(accel[braked].mean())
         if by_throttle < by_brake - LEAST_APART_MPS2:
             words = (
-                f"{drive.name}: with {throttle_name} pressed the speed changes by {by_throttle:+.2f} m/s^2 and with "
+                f"{drive.path}: with {throttle_name} pressed the speed changes by {by_throttle:+.2f} m/s^2 and with "
             )
             words += (
                 f"{brake_name} by {by_brake:+.2f} m/s^2, where the throttle is expected to speed up: swapped pedals; "
@@ -173,7 +173,7 @@ def _one_pedal(drive: Drive, name: str, throttle: Array, accel: Array, rows: Arr
         return
     if np.std(accel[rows]) > LEAST_ACCEL_MPS2 and (fit := _correlation(throttle[rows], accel[rows])) < TURNED_FIT:
         words = (
-            f"{drive.name}: the speed falls when {name} rises (correlation {fit:.2f}), where it is expected to rise; "
+            f"{drive.path}: the speed falls when {name} rises (correlation {fit:.2f}), where it is expected to rise; "
         )
         yield Problem(
             "refuse", "swapped_pedals", drive.name, name, words + "is it the brake, or its sign turned round?"
@@ -191,7 +191,7 @@ def _accel_command(drive: Drive) -> Iterator[Problem]:
         return
     if (fit := _correlation(asked[rows], accel[rows])) < TURNED_FIT:
         words = (
-            f"{drive.name}: the speed falls when {name} rises (correlation {fit:.2f}), where it is expected to rise; "
+            f"{drive.path}: the speed falls when {name} rises (correlation {fit:.2f}), where it is expected to rise; "
         )
         yield Problem("refuse", "swapped_pedals", drive.name, name, words + "turn its sign in vehicle.toml")
 

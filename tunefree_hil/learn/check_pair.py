@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -38,11 +39,17 @@ def check_same_vehicle(drives: Sequence[Drive]) -> Iterator[Problem]:
 
 
 def _twice(drives: Sequence[Drive]) -> Iterator[Problem]:
-    first: dict[str, str] = {}
+    """One file named twice would be fitted on and prove what was fitted; a copy is only told, as splits know it."""
+    first: dict[str, Drive] = {}
     for drive in drives:
-        before = first.setdefault(drive.log_hash, drive.name) if drive.log_hash else drive.name
-        if before != drive.name:
-            words = f"{drive.name} is the same recording as {before}, where each is expected once; leave one out"
+        before = first.setdefault(drive.log_hash, drive) if drive.log_hash else drive
+        if before is drive:
+            continue
+        if drive.reading is not None and Path(drive.path).resolve() == Path(before.path).resolve():
+            words = f"{drive.path} is named twice, where each log is expected once; leave one out"
+            yield Problem("refuse", "twice", drive.name, "", words)
+        elif before.name != drive.name:
+            words = f"{drive.path} is the same recording as {before.path}, where each is expected once; leave one out"
             yield Problem("warn", "twice", drive.name, "", words)
 
 
@@ -53,8 +60,8 @@ def _foreign(drives: Sequence[Drive]) -> Iterator[Problem]:
     for i in many[1:]:
         both, any_of = ids[many[0]] & ids[i], ids[many[0]] | ids[i]
         if len(both) < LEAST_SHARED * len(any_of):
-            words = f"{drives[i].name} shares {len(both)} of {len(any_of)} ids that the folder does not know with "
-            words += f"{drives[many[0]].name}, where nearly all are expected: two vehicles? give the logs of one"
+            words = f"{drives[i].path} shares {len(both)} of {len(any_of)} ids that the folder does not know with "
+            words += f"{drives[many[0]].path}, where nearly all are expected: two vehicles? give the logs of one"
             yield Problem("refuse", "two_vehicles", drives[i].name, "", words)
 
 
@@ -76,9 +83,9 @@ def _apart(
             apart = max(ratio, 1.0 / ratio)
             if apart > limits[0]:
                 severity = "refuse" if apart > limits[1] else "warn"
-                words = f"{drives[i].name} {does} {ratio:.2f} times as much for the same {what} as "
+                words = f"{drives[i].path} {does} {ratio:.2f} times as much for the same {what} as "
                 words += (
-                    f"{drives[before].name} ({field}), where 1 is expected: logs of two vehicles; give those of one"
+                    f"{drives[before].path} ({field}), where 1 is expected: logs of two vehicles; give those of one"
                 )
                 yield Problem(severity, "two_vehicles", drives[i].name, field, words)
             break

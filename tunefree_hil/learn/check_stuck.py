@@ -8,26 +8,35 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.learn.drives import Drive
-from tunefree_hil.learn.fields import CHASSIS_FIRST_SPEEDS
+from tunefree_hil.learn.fields import CHASSIS_FIRST_SPEEDS, CHASSIS_FIRST_YAW_RATES
 from tunefree_hil.learn.problems import Problem
-from tunefree_hil.learn.series import TURNS, first_of, name_of
+from tunefree_hil.learn.series import TURNS, first_of, moving, name_of
+from tunefree_hil.learn.smooth import quantum_of, rate_of
 
 Array = np.ndarray
 
 STUCK_S, FEWEST_FRAMES = 2.0, 10
 SETTLED_S = 0.5  # at each end of a stretch, in which what moves the signal does not count: its answer comes late
 MOVED = 0.3  # of the mover's own range in the drive
-TURNING = "steering times speed"
+# Movers that no field is: made of several, or of the rate or the sum of one.
+TURNING, CORNERING, SPEEDING = "steering times speed", "yaw rate times speed", "the rate of the speed"
+WAY, TURNED = "the way by the speed", "the angle by the yaw rate"
+RATE_S = 0.5  # the rate of a speed is taken over so long
 
 
 class Mover(NamedTuple):
-    """What makes a signal move, best first, and how far it must have moved for the signal to follow."""
+    """What makes a signal move, best first, and how far it must have moved for the signal to follow.
+
+    share: so much of its own range in the drive it must have moved, too.
+    """
 
     names: tuple[str, ...]
     least: float
+    share: float = MOVED
 
 
 _YAW = (TURNING,)
+_LONGITUDINAL = (Mover((SPEEDING,), 1.0),)
 _FOLLOWS: dict[str, tuple[Mover, ...]] = {
     "report.steer_rad": (Mover(("report.steer_command_rad", "command.steer_rad"), 0.1),),
     "report.steer_command_rad": (Mover(("command.steer_rad",), 0.1),),
@@ -41,6 +50,12 @@ _FOLLOWS: dict[str, tuple[Mover, ...]] = {
     "report.speed_mps": (Mover(("ins.speed_mps", "report.wheel_rl_radps"), 1.5),),
     "ins.speed_mps": (Mover(("report.speed_mps",), 1.5),),
     **{f"report.wheel_{at}_radps": (Mover(CHASSIS_FIRST_SPEEDS, 1.5),) for at in ("fl", "fr", "rl", "rr")},
+    "report.accel_mps2": _LONGITUDINAL,
+    "ins.accel_mps2": _LONGITUDINAL,
+    "report.lateral_accel_mps2": (Mover((CORNERING,), 1.0),),
+    # sums grow as long as it drives: no share of theirs. What a gyro drifts on a straight road is far less than this.
+    "ins.heading_rad": (Mover((TURNED,), 0.5, 0.0),),
+    "ins.x_m": (Mover((WAY,), 5.0, 0.0),),  # and y: along one axis the other stands still
 }
 
 
@@ -60,28 +75,58 @@ def _stuck(drive: Drive, name: str, mover: Mover) -> Problem | None:
     usable = np.isfinite(moves) & (drive.enabled if by.startswith("command.") else True)
     if not usable.any():
         return None
-    least = max(mover.least, MOVED * float(np.ptp(moves[usable])))
+    least = max(mover.least, mover.share * float(np.ptp(moves[usable])))
     values, settled = drive.fields[name], round(SETTLED_S / drive.dt_s)
-    for begin, end in _still(values, drive.fresh[name], round(STUCK_S / drive.dt_s)):
+    if by in (CORNERING, SPEEDING):  # the same quantity: on a coarse wire it moves within a step of it or two
+        least = max(least, 2.0 * quantum_of(values[drive.fresh[name]]))
+    for begin, end in _still(*_told(drive, name), round(STUCK_S / drive.dt_s)):
         inner = slice(begin + settled, end - settled)
         some = moves[inner][usable[inner]]
         if some.size and np.ptp(some) > 0.0 and np.ptp(some) >= least:
             begin_s, end_s = begin * drive.dt_s, end * drive.dt_s
             words = (
-                f"{drive.name}: {name} is stuck at {values[begin]:.4g} from {begin_s:.2f} to {end_s:.2f} s while {by} "
+                f"{drive.path}: {name} is stuck at {values[begin]:.4g} from {begin_s:.2f} to {end_s:.2f} s while {by} "
             )
             words += f"moves by {np.ptp(some):.3g}, where it is expected to follow; mend the sensor, or cut that out"
             return Problem("refuse", "stuck", drive.name, name, words)
     return None
 
 
+def _told(drive: Drive, name: str) -> tuple[Array, Array]:
+    """What the field says and where it is fresh; of a position both axes, as one complex number."""
+    if name == "ins.x_m" and "ins.y_m" in drive.fields:
+        fresh = drive.fresh["ins.x_m"] | drive.fresh["ins.y_m"]
+        return drive.fields["ins.x_m"] + 1j * drive.fields["ins.y_m"], fresh
+    return drive.fields[name], drive.fresh[name]
+
+
 def _moves(drive: Drive, names: tuple[str, ...]) -> tuple[str, Array | None]:
     """(its name, its values) of the first mover that the drive has."""
-    if names == _YAW:
-        steer, speed = first_of(drive, TURNS), first_of(drive, CHASSIS_FIRST_SPEEDS)
-        return TURNING, None if steer is None or speed is None else steer * speed
+    if names[0] in (TURNING, CORNERING, SPEEDING, WAY, TURNED):
+        return names[0], _made(drive, names[0])
     name = name_of(drive, names)
     return name or "", None if name is None else drive.fields[name]
+
+
+def _made(drive: Drive, mover: str) -> Array | None:
+    """A mover of several fields; None where the drive lacks one of them."""
+    speed, steer = first_of(drive, CHASSIS_FIRST_SPEEDS), first_of(drive, TURNS)
+    yaw = first_of(drive, CHASSIS_FIRST_YAW_RATES)
+    if speed is None:
+        return None
+    if mover == SPEEDING:
+        name = name_of(drive, CHASSIS_FIRST_SPEEDS) or ""
+        return rate_of(speed, drive.fresh[name], 2 * round(RATE_S / drive.dt_s / 2.0) + 1, drive.dt_s)
+    if mover == WAY:
+        return np.cumsum(np.where(moving(drive), np.abs(speed), 0.0)) * drive.dt_s
+    if mover == TURNING:
+        return None if steer is None else steer * speed
+    if yaw is None:
+        return None
+    # of a car that stands a gyro drifts, and a heading is held
+    return (
+        yaw * speed if mover == CORNERING else np.cumsum(np.where(moving(drive), np.nan_to_num(yaw), 0.0)) * drive.dt_s
+    )
 
 
 def _still(values: Array, fresh: Array, least_ticks: int) -> list[tuple[int, int]]:

@@ -35,6 +35,8 @@ MOST_BAD = 0.2  # of a message's frames: short ones, or with a CRC that does not
 BACK_S = 0.05  # receivers put frames of a few ms out of order; a clock that goes back further was set
 SILENT_S, STOPPED_S = 0.2, 10.0
 LEAST_SHARE, LOW_SHARE, HIGH_SHARE = 0.7, 0.5, 1.7  # of the frames that a period makes one expect
+FAR = 5.0  # times that: no second vehicle makes it so
+FEW_FRAMES = 9  # of a message: so many are too few to tell its rate
 
 
 def check_drives(drives: Sequence[Drive], vehicle: VehicleSpec) -> list[Problem]:
@@ -45,16 +47,32 @@ def check_drives(drives: Sequence[Drive], vehicle: VehicleSpec) -> list[Problem]
     """
     if not drives:
         return [Problem("refuse", "no_log", "", "", "no log was given: name at least one")]
-    found: list[Problem] = []
-    for drive in drives:
+    found = [_scrap(drive, drive.reading) for drive in drives if drive.reading is not None and _is_scrap(drive.reading)]
+    whole = [drive for drive in drives if drive.reading is None or not _is_scrap(drive.reading)]
+    for drive in whole:
         if drive.reading is not None:
             found += _frames(drive, drive.reading, vehicle)
             found += _clock(drive, drive.reading)
         found += _numbers(drive)
         found += check_motion(drive, vehicle)
-    found += check_same_vehicle(drives)
-    found += _enough(drives, vehicle)
+    found += check_same_vehicle(whole)
+    found += _enough(whole, vehicle) if whole else ()
+    paths = {drive.name: drive.path for drive in drives}
+    found = [one._replace(file=paths.get(one.drive, "")) for one in found]
     return sorted(found, key=lambda one: one.severity != "refuse")
+
+
+def _is_scrap(reading: Reading) -> bool:
+    """So few frames say nothing, not even whose they are; nor do those of an instant, a few of each message."""
+    instant = reading.span_s <= 0.0 and max(reading.heard.values(), default=0) <= FEW_FRAMES
+    return instant or reading.frames <= FEW_FRAMES
+
+
+def _scrap(drive: Drive, reading: Reading) -> Problem:
+    frames = f"{reading.frames} frame{'s' if reading.frames > 1 else ''}"
+    words = f"{drive.path} is too short: it holds {frames} in {reading.span_s:g} s, where at least "
+    words += f"{LEAST_MOVING_S:g} s of driving are expected; record more, or leave it out"
+    return Problem("refuse", "scrap", drive.name, "", words)
 
 
 # --- of this vehicle? ------------------------------------------------------------------------------------------------
@@ -63,16 +81,17 @@ def check_drives(drives: Sequence[Drive], vehicle: VehicleSpec) -> list[Problem]
 def _frames(drive: Drive, reading: Reading, vehicle: VehicleSpec) -> Iterator[Problem]:
     """Ids, lengths, CRCs and rates against the folder."""
     chassis, others = _fields_by_message(vehicle.report), _fields_by_message(vehicle.ins)
-    missing = [name for name in chassis if not reading.heard.get(name)]
+    silent = [name for name in _due(vehicle, reading.span_s) if not reading.heard.get(name)]
+    missing = [name for name in chassis if name in silent]
     if len(missing) > MOST_MISSING * len(chassis):
         ids = ", ".join(f"0x{number & 0x1FFFFFFF:X}" for number in list(reading.foreign)[:6]) or "no foreign ones"
-        words = f"{drive.name}: {len(missing)} of the {len(chassis)} chassis messages of {vehicle.name} never come "
+        words = f"{drive.path}: {len(missing)} of the {len(chassis)} chassis messages of {vehicle.name} never come "
         words += f"({', '.join(missing[:4])} ...; ids in their place: {ids}): the log of another vehicle is expected "
         yield Problem("refuse", "other_vehicle", drive.name, "", words + "to be read with that one's folder")
     else:
-        for name in [*missing, *(one for one in others if not reading.heard.get(one))]:
+        for name in [*missing, *(one for one in others if one in silent)]:
             fields = (chassis | others)[name]
-            words = f"{drive.name}: {name} never comes, so {', '.join(fields)} cannot be used; record with that device"
+            words = f"{drive.path}: {name} never comes, so {', '.join(fields)} cannot be used; record with that device"
             yield Problem("warn", "missing", drive.name, fields[0], words)
     for counts, what, why in (
         (reading.short, "are shorter than the DBC says", "is it the DBC of this vehicle?"),
@@ -80,11 +99,17 @@ def _frames(drive: Drive, reading: Reading, vehicle: VehicleSpec) -> Iterator[Pr
     ):
         for name, count in counts.items():
             bad = count > MOST_BAD * reading.heard[name]
-            words = f"{drive.name}: {count} of {reading.heard[name]} frames of {name} {what} and are left out"
+            words = f"{drive.path}: {count} of {reading.heard[name]} frames of {name} {what} and are left out"
             code = "other_vehicle" if bad else "bad_frames"
             field = (chassis | others | _fields_by_message(vehicle.command)).get(name, [""])[0]
             yield Problem("refuse" if bad else "warn", code, drive.name, field, f"{words}; {why}")
     yield from _rates(drive, reading, vehicle)
+
+
+def _due(vehicle: VehicleSpec, span_s: float) -> set[str]:
+    """Messages of which a frame is expected in so long: a log of an instant is no other vehicle's."""
+    fields = (*vehicle.report.values(), *vehicle.ins.values())
+    return {one.message for one in fields if one.period_ms * 1e-3 <= span_s}
 
 
 def _fields_by_message(fields: dict[str, FieldSpec]) -> dict[str, list[str]]:
@@ -96,45 +121,61 @@ def _fields_by_message(fields: dict[str, FieldSpec]) -> dict[str, list[str]]:
 
 def _rates(drive: Drive, reading: Reading, vehicle: VehicleSpec) -> Iterator[Problem]:
     """How many frames came of those that the periods make one expect."""
-    periods_s = {one.message: one.period_ms * 1e-3 for one in (*vehicle.report.values(), *vehicle.ins.values())}
-    heard = {name: reading.heard.get(name, 0) for name, period_s in periods_s.items() if period_s > 0.0}
-    shares = {name: count * periods_s[name] / reading.span_s for name, count in heard.items() if count > 9}
-    if not shares or reading.span_s < 1.0:
+    if reading.span_s <= 0.0:
         return
-    usual = float(np.median(list(shares.values())))
+    periods_s = {one.message: one.period_ms * 1e-3 for one in (*vehicle.report.values(), *vehicle.ins.values())}
+    heard = {name: reading.heard[name] for name in periods_s if reading.heard.get(name) and periods_s[name] > 0.0}
+    expected = {name: reading.span_s / periods_s[name] for name in heard}
+    # few frames tell a rate where many are expected, or where many came though few are
+    judged = [name for name in heard if max(heard[name], expected[name]) > FEW_FRAMES]
+    shares = {name: heard[name] / expected[name] for name in judged}
+    many = [share for name, share in shares.items() if heard[name] > FEW_FRAMES]
+    if not shares:
+        return
+    usual = float(np.median(many or list(shares.values())))
     if not LOW_SHARE <= usual <= HIGH_SHARE:
-        words = f"{drive.name}: messages come at {usual:.3g} times the rate that the periods of vehicle.toml make one "
-        words += "expect: two vehicles in it (keep one channel), a clock in other units, or another vehicle?"
+        words = f"{drive.path}: messages come at {usual:.4g} times the rate that the periods of vehicle.toml make one "
+        far = not 1.0 / FAR <= usual <= FAR
+        why = "two vehicles in it (keep one channel), a clock in other units, or another vehicle?"
+        words += (
+            f"expect: {'a clock in other units (stamps are expected in seconds), or another vehicle?' if far else why}"
+        )
         yield Problem("refuse", "wrong_rate", drive.name, "", words)
         return
     for name, share in shares.items():
         if share < LEAST_SHARE:
-            words = f"{drive.name}: only {100.0 * share:.0f} % of the frames of {name} came that its period of "
-            words += f"{1000.0 * periods_s[name]:g} ms makes one expect; see `tunefree-hil log check`"
-            yield Problem("warn", "missing_frames", drive.name, "", words)
+            some = f"{heard[name]} frame{'s' if heard[name] > 1 else ''}" if heard[name] <= FEW_FRAMES else ""
+            words = f"{drive.path}: only {some or f'{100.0 * share:.0f} % of the frames'} of {name} came "
+            words += f"where its period of {1000.0 * periods_s[name]:g} ms makes one expect {expected[name]:.0f}; "
+            yield Problem("warn", "missing_frames", drive.name, "", words + "see `tunefree-hil log check`")
 
 
 # --- is the clock one clock? -----------------------------------------------------------------------------------------
 
 
 def _clock(drive: Drive, reading: Reading) -> Iterator[Problem]:
-    name, cut = drive.name, "cut the log in two there"
+    name, path, cut = drive.name, drive.path, "cut the log in two there"
     if reading.cut:
-        yield Problem("warn", "cut", name, "", f"{name}: the last line of the log is cut off and was left out")
+        yield Problem("warn", "cut", name, "", f"{path}: the last line of the log is cut off and was left out")
+    if reading.span_s <= 0.0 and max(reading.heard.values(), default=0) > FEW_FRAMES:
+        words = (
+            f"{path}: the clock stands still: all {reading.frames} frames have one stamp, where each is expected to "
+        )
+        yield Problem("refuse", "clock_stands", name, "", words + "have the time it was heard; record with time stamps")
     if reading.back_s > BACK_S:
-        words = f"{name}: the clock goes back by {reading.back_s:.3f} s at stamp {reading.back_at_s:.6f}, where it is "
+        words = f"{path}: the clock goes back by {reading.back_s:.3f} s at stamp {reading.back_at_s:.6f}, where it is "
         yield Problem("refuse", "clock_jump", name, "", f"{words}expected to run on; {cut}")
     if reading.ahead_s < SILENT_S:
         return
     there = f"{reading.ahead_s:.2f} s before stamp {reading.ahead_at_s:.6f}"
     if reading.ahead_s > STOPPED_S:
-        words = f"{name}: no frame comes for {there}: the clock jumped ahead, or the recording was stopped; {cut}"
+        words = f"{path}: no frame comes for {there}: the clock jumped ahead, or the recording was stopped; {cut}"
         yield Problem("refuse", "clock_jump", name, "", words)
     elif (apart := _way_does_not_fit(drive)) is not None:
-        words = f"{name}: no frame comes for {there}, in which {apart[0]:.1f} m were driven where {apart[1]:.1f} m are "
+        words = f"{path}: no frame comes for {there}, in which {apart[0]:.1f} m were driven where {apart[1]:.1f} m are "
         yield Problem("refuse", "clock_jump", name, "ins.x_m", f"{words}expected by the speed: a clock jump; {cut}")
     else:
-        yield Problem("warn", "gap", name, "", f"{name}: no frame comes for {there}: a gap, which is not learned from")
+        yield Problem("warn", "gap", name, "", f"{path}: no frame comes for {there}: a gap, which is not learned from")
 
 
 def _way_does_not_fit(drive: Drive) -> tuple[float, float] | None:
@@ -158,7 +199,7 @@ def _numbers(drive: Drive) -> Iterator[Problem]:
         bad = drive.fresh[name] & ~np.isfinite(values)
         if bad.any():
             first_s = float(np.flatnonzero(bad)[0]) * drive.dt_s
-            words = f"{drive.name}: {name} is no finite number in {int(bad.sum())} frames, the first {first_s:.2f} s "
+            words = f"{drive.path}: {name} is no finite number in {int(bad.sum())} frames, the first {first_s:.2f} s "
             words += "after the log's beginning, where measured values are expected; mend the sensor, or cut that out"
             yield Problem("refuse", "not_a_number", drive.name, name, words)
 
@@ -227,9 +268,9 @@ def _inputs(drives: Sequence[Drive]) -> Iterator[Problem]:
             yield Problem("warn", "no_input", "", fields[0], words + "that part of it cannot be learned")
     for drive in drives:
         if not drive.enabled.any():
-            words = f"{drive.name}: by-wire control is never enabled, so commands say nothing of what followed; enable "
+            words = f"{drive.path}: by-wire control is never enabled, so commands say nothing of what followed; enable "
             yield Problem("warn", "never_enabled", drive.name, "", words + "it, or let the reports alone be used")
 
 
 def _all(drives: Sequence[Drive]) -> str:
-    return drives[0].name if len(drives) == 1 else f"the {len(drives)} logs together"
+    return drives[0].path if len(drives) == 1 else f"the {len(drives)} logs together"

@@ -58,6 +58,11 @@ class Drive(NamedTuple):
         """Rows."""
         return len(self.enabled)
 
+    @property
+    def path(self) -> str:
+        """The log as it was given, which people look for; the name where it came out of none."""
+        return self.reading.file if self.reading is not None else self.name
+
     def get(self, name: str) -> Array | None:
         """A field, or None where it could not be had."""
         return self.fields.get(name)

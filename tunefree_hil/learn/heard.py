@@ -21,6 +21,7 @@ from tunefree_hil.bus.message_map import TELEMETRY, MessageMap, StateMap
 from tunefree_hil.episode.log_columns import Piece
 
 Array = np.ndarray
+SLOW_S = 0.5  # from one frame of the vehicle to the next; more is a silence, and where most are, no clock in seconds
 DISABLING = ("override", "fault", "timeout", "watchdog")  # conditions that take a channel, where their effect does
 
 
@@ -108,7 +109,7 @@ class Seen:
     """The log as a whole: counts, and what its stamps are like. Infinite where there was no frame."""
 
     def __init__(self) -> None:
-        self.frames = self.known = 0
+        self.frames = self.known = self.slow = 0
         self.foreign: dict[int, int] = {}
         self.first_s = self.earliest_s = math.inf
         self.latest_s = -math.inf
@@ -144,6 +145,7 @@ class Seen:
             self.back_s, self.back_at_s = float(-steps[low]), float(time_s[low])
         if steps[high] > self.ahead_s:
             self.ahead_s, self.ahead_at_s = float(steps[high]), float(time_s[high])
+        self.slow += int((steps > SLOW_S).sum())
         self._last_s = float(time_s[-1])
 
 

@@ -13,7 +13,7 @@ Severity = Literal["refuse", "warn"]
 class Problem(NamedTuple):
     """One thing that is wrong. code: a constant word for machines; drive, field: where ('' where it is all of them).
 
-    words: one sentence with the log, the field, what was expected and what to do.
+    words: one sentence with the log, the field, what was expected and what to do. file: that log as it was given.
     """
 
     severity: Severity
@@ -21,6 +21,7 @@ class Problem(NamedTuple):
     drive: str
     field: str
     words: str
+    file: str = ""
 
 
 def require_good(problems: Iterable[Problem]) -> list[Problem]:
@@ -33,9 +34,9 @@ def require_good(problems: Iterable[Problem]) -> list[Problem]:
     listed = "\n".join(f"  {one.words}" for one in refusals)
     count = "1 thing is" if len(refusals) == 1 else f"{len(refusals)} things are"
     raise InputError(
-        f"nothing is learned from these logs, {count} wrong:\n{listed}",
+        f"nothing is done with these logs, {count} wrong:\n{listed}",
         code=first.code,
-        file=first.drive,
+        file=first.file or first.drive,
         key=first.field,
         hint="mend what is named, or leave the log out",
     )

@@ -18,10 +18,12 @@ from tunefree_hil.episode.candump import ERROR, RTR, cut_line
 from tunefree_hil.episode.log_columns import Name, Piece, read_pieces
 from tunefree_hil.episode.real_time import times_of
 from tunefree_hil.learn.drives import Drive, Reading
-from tunefree_hil.learn.heard import Ear, Seen, place
+from tunefree_hil.learn.heard import SLOW_S, Ear, Seen, place
 
 Progress = Callable[[float, str], None]  # share of all logs read, 0 to 1; the log at hand
 MOST_STEP_S = 600.0  # between one frame of the vehicle and the next; a tick grid over more is no recording
+MOST_SLOW, SLOW_SHARE = 9, 0.01  # so many and such a share of frames this late: other units, and no jump of the clock
+PACKED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd", b"\xfd7zXZ": "xz", b"BZh": "bzip2", b"PK\x03\x04": "zip"}
 
 
 def read_drives(logs: Sequence[Path], codec: Codec, *, progress: Progress | None = None) -> list[Drive]:
@@ -61,6 +63,7 @@ def _called(logs: Sequence[Path]) -> list[str]:
 
 
 def _read(path: Path, name: str, codec: Codec, tell: Callable[[float], None]) -> Drive:
+    _refuse_packed(path)
     ears = {message: Ear(message) for message in (*codec.telemetry, *codec.commands)}
     apart = codec.has_channels(channel for piece in read_pieces(path) for channel, _ in piece.names)
     seen = Seen()
@@ -78,6 +81,18 @@ def _read(path: Path, name: str, codec: Codec, tell: Callable[[float], None]) ->
     grid = place(ears.values(), dt_s, times.zero_s, times.late_ticks)
     reading = _reading(path, ears.values(), seen, times.words)
     return Drive(name, _hash(path), dt_s, grid.fields, grid.fresh, grid.enabled, reading)
+
+
+def _refuse_packed(path: Path) -> None:
+    """By how it begins; what is not there or empty its reader says."""
+    if not path.is_file():
+        return
+    with path.open("rb") as file:
+        begin = file.read(8)
+    kind = next((name for start, name in PACKED.items() if begin.startswith(start)), "")
+    if kind:
+        hint = "unpack it, and name what comes out"
+        raise InputError(f"it is compressed ({kind})", code="packed_log", file=str(path), hint=hint)
 
 
 def _find(codec: Codec, name: Name, apart: bool) -> MessageMap | None:
@@ -118,11 +133,15 @@ def _refuse(path: Path, codec: Codec, seen: Seen) -> None:
     step_s, at_s = max((seen.back_s, seen.back_at_s), (seen.ahead_s, seen.ahead_at_s))
     if step_s > MOST_STEP_S:
         way = "back" if seen.back_s >= seen.ahead_s else "ahead"
+        hint = "cut the log in two there: each piece is a recording of its own"
+        if seen.slow > max(MOST_SLOW, SLOW_SHARE * seen.known):
+            hint = f"is the clock in seconds? {seen.slow} of {seen.known} frames come more than {SLOW_S:g} s after the "
+            hint += "one before; write the stamps in seconds"
         raise InputError(
             f"the clock jumps {way} by {step_s:.6g} s at stamp {at_s:.6f}",
             code="clock_jump",
             file=str(path),
-            hint="cut the log in two there: each piece is a recording of its own",
+            hint=hint,
         )
 
 

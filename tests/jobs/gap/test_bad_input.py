@@ -108,7 +108,7 @@ def test_ctrl_c_leaves_a_folder_that_the_same_command_goes_on_with(tmp_path: Pat
             break
     ended = finish(process)
     assert ended.status == 130, "".join(said) + ended.words
-    assert "interrupted, state saved" in ended.words and f"--out {tmp_path / 'out'}" in ended.words
+    assert "interrupted, nothing is kept yet" in ended.words and f"--out {tmp_path / 'out'}" in ended.words
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"gap.lock", "question.json"}
 
 

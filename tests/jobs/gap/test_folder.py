@@ -2,24 +2,46 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
-from tests.gap.made_answer import made_kept
+from tests.gap.made_answer import VEHICLE, made_kept, made_model
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.jobs.gap.folder import QUESTION, UNTIL, Folder, held_folder
+from tunefree_hil.gap.kept import as_json
+from tunefree_hil.jobs.gap.folder import (
+    ANSWER,
+    ANSWER_SCHEMA,
+    QUESTION,
+    SEARCH,
+    UNTIL,
+    Folder,
+    held_folder,
+    question_of,
+)
 from tunefree_hil.jobs.run_folder import read_json, write_json
 from tunefree_hil.tune import store
+
+
+def said(folder: Path, **more: Any) -> dict[str, Any]:
+    """An answer as a run in that folder writes it."""
+    figures = [str(folder / "figures" / "where.png")]
+    return {
+        "schema": ANSWER_SCHEMA, "until": "verify", "verdict": "one", "sentence": "", "model": None, "figures": figures,
+        **more,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("done", UNTIL)
 def test_an_answer_that_goes_as_far_is_given_again(done: str, tmp_path: Path) -> None:
     folder = Folder(tmp_path)
     assert folder.answer("locate") is None
-    folder.write_answer({"until": done})
+    folder.write_answer(said(tmp_path, until=done))
     far = UNTIL.index(done)
     assert [folder.answer(until) is not None for until in UNTIL] == [k <= far for k in range(len(UNTIL))]
 
@@ -38,6 +60,7 @@ def test_whose_question_it_is_is_read_under_the_lock(tmp_path: Path, monkeypatch
     @contextmanager
     def later(path: Path) -> Iterator[None]:
         write_json(tmp_path / QUESTION, {"logs": ["another's"]})  # by a process that held it just before
+        write_json(tmp_path / SEARCH, {})
         with lock(path):
             yield
 
@@ -45,3 +68,57 @@ def test_whose_question_it_is_is_read_under_the_lock(tmp_path: Path, monkeypatch
     with pytest.raises(InputError, match="another question: logs"), held_folder(tmp_path, {"logs": ["mine"]}):
         pass
     assert read_json(tmp_path / QUESTION) == {"logs": ["another's"]}
+
+
+def test_a_question_that_came_to_nothing_leaves_room_for_another(tmp_path: Path) -> None:
+    with held_folder(tmp_path, {"model": "with a mistake"}):
+        pass
+    with held_folder(tmp_path, {"model": "mended"}) as folder:
+        folder.keep(made_kept())
+    assert read_json(tmp_path / QUESTION) == {"model": "mended"}
+    with pytest.raises(InputError, match="another question: model"), held_folder(tmp_path, {"model": "a third"}):
+        pass
+
+
+def test_another_card_is_another_question(tmp_path: Path) -> None:
+    model = replace(made_model(), folder=str(tmp_path))
+    with_card = replace(model, plant=replace(model.plant, card="card.json"))
+    asked = []
+    for text in ("{}", '{"own_logs_asked": true}'):
+        (tmp_path / "card.json").write_text(text)
+        asked.append(question_of([], [], VEHICLE, with_card))
+    none = question_of([], [], VEHICLE, model)
+    assert asked[0]["card"] != asked[1]["card"] and "card" not in none
+    out = tmp_path / "out"
+    with held_folder(out, asked[0]) as folder:
+        folder.keep(made_kept())
+    for other in (asked[1], none):
+        with pytest.raises(InputError, match="another question: card is"), held_folder(out, other):
+            pass
+
+
+def test_an_answer_says_where_its_files_are_now(tmp_path: Path) -> None:
+    before, now = tmp_path / "k3", tmp_path / "k4"
+    for place in ("round-2/model", "figures", "round-2/figures", "drives/logs"):
+        (before / place).mkdir(parents=True)
+    (before / "round-2" / "figures" / "shrink.png").touch()
+    figures = [str(before / one) for one in ("figures/where.png", "round-2/figures/shrink.png")]
+    drives = [{"log": str(before / "drives" / "logs" / "drive-001.log")}]
+    Folder(before).write_answer(said(before, model=str(before / "round-2/model"), figures=figures, drives=drives))
+    assert Folder(before).answer("verify") == read_json(before / ANSWER)
+    before.rename(now)
+    found = Folder(now).answer("verify")
+    assert found is not None and found["model"] == str(now / "round-2" / "model")
+    assert found["figures"] == [str(now / "figures" / "where.png"), str(now / "round-2" / "figures" / "shrink.png")]
+    assert found["drives"] == [{"log": str(now / "drives" / "logs" / "drive-001.log")}]
+
+
+@pytest.mark.parametrize("text", ["", "{}", "no json", "[1]", "half"])
+def test_what_is_no_answer_and_no_search_is_not_there(text: str, tmp_path: Path) -> None:
+    folder = Folder(tmp_path)
+    folder.keep(made_kept())
+    search = {key: one for key, one in as_json(made_kept()).items() if key != "shape"}
+    (tmp_path / SEARCH).write_text(json.dumps(search) if text == "half" else text)
+    half = json.dumps({"schema": ANSWER_SCHEMA, "until": "verify"})
+    (tmp_path / ANSWER).write_text(half if text == "half" else text)
+    assert folder.answer("locate") is None and folder.search(named=False) is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
@@ -153,6 +154,34 @@ def test_a_folder_of_another_question_is_refused(search: Search, tmp_path: Path)
     search.drives["late.log"] = late_drive()._replace(log_hash="sha256:other")
     with pytest.raises(InputError, match="another question: logs"):
         result(asked(tmp_path))
+
+
+def test_a_model_that_is_gone_is_made_and_proved_again(search: Search, tmp_path: Path) -> None:
+    first = result(asked(tmp_path))
+    shutil.rmtree(tmp_path / "out" / "model")
+    (tmp_path / "out").rename(tmp_path / "moved")
+    events = list(gap(asked(tmp_path, out=tmp_path / "moved")))
+    assert any("names a model that is gone" in one.message for one in events if one.kind == "warning")
+    assert search.asked == 1 and events[-1].data["model"] == str(tmp_path / "moved" / "model")
+    assert load_model(tmp_path / "moved" / "model").effects and events[-1].data["signals"] == first["signals"]
+
+
+def test_what_is_cut_off_says_by_which_command_it_goes_on_and_whether_anything_is_kept(
+    search: Search, tmp_path: Path
+) -> None:
+    for stage, saved in (("suspects", False), ("proof", True)):  # the second run finds the search
+        search.asked = 0
+        said = next(one for one in gap(asked(tmp_path, workers=1)) if stage in one.message)
+        assert said.data["saved"] is saved and said.data["resume"].endswith("--workers 1")
+        if not saved:
+            result(asked(tmp_path, until="name"))
+    assert search.asked == 0
+
+
+def test_an_older_log_that_is_asked_about_is_refused(search: Search, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="asked about already") as caught:
+        result(asked(tmp_path, older=[Path("before.log"), Path("late.log")]))
+    assert (caught.value.file, caught.value.key) == ("late.log", "--older") and not (tmp_path / "out").exists()
 
 
 def test_a_folder_that_holds_something_else_is_refused_before_anything_is_read(search: Search, tmp_path: Path) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -14,9 +14,11 @@ from tests.jobs.ended import ended
 from tests.learn.made_drives import made_drive, whole
 from tests.learn.test_write_model import FIT
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.events import Event
 from tunefree_hil.bench.vehicle import VehicleFor
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.control.calibration_map import load, lookup
+from tunefree_hil.jobs.gap.own_logs import ASKED
 from tunefree_hil.jobs.learn import calibrate as job
 from tunefree_hil.jobs.learn.calibrate_words import benches_of, channel_words
 from tunefree_hil.jobs.learn.calibrated import card_of, effect_of, fit_all, split_of, write
@@ -24,6 +26,7 @@ from tunefree_hil.learn.drives import Drive, Split
 from tunefree_hil.learn.physics import BAND, EFFECTS, OFFSET, is_clear
 from tunefree_hil.learn.values import Value, unknown
 from tunefree_hil.learn.worker import Worker
+from tunefree_hil.learn.write_model import CARD_FILE, write_card
 
 VEHICLE = load_vehicle("mkz_bywire")
 OFF_CENTRE = 0.04
@@ -101,6 +104,67 @@ def test_a_folder_that_is_there_is_refused_before_anything_is_read(tmp_path: Pat
     (tmp_path / "mine").write_text("kept")
     with pytest.raises(InputError, match="there already"):
         list(job.calibrate([tmp_path / "no.log"], "mkz_bywire", tmp_path))
+
+
+class Cut(NamedTuple):
+    """A calibration whose own logs are asked until `dies`; what was read, fitted and asked."""
+
+    made: list[str]
+    asked: list[Path]
+    dies: list[bool]
+
+
+@pytest.fixture
+def cut(monkeypatch: pytest.MonkeyPatch) -> Cut:
+    """In the place of reading, fitting and asking, which take minutes."""
+    found = Cut([], [], [True])
+    drive = made_drive(4.0, name="a.log")._replace(log_hash="sha256:a")
+    value = {"value": 1.0, "known": True}
+
+    def read(*_: Any, **__: Any) -> Generator[Event, None, list[Drive]]:
+        yield Event("note", "reading")
+        return [drive]
+
+    def fit(out: Path, spec: Any, drives: list[Drive], seed: int) -> Generator[Event, None, Any]:
+        yield Event("note", "fitting")
+        found.made.append(out.name)
+        card = {
+            "kind": "physics", "vehicle_hash": f"sha256:{VEHICLE.hash}", "seed": seed,
+            "logs": [{"hash": one.log_hash} for one in drives], "actuators": {"steer": {"dead_time_s": value}},
+            "constants": {"mass_kg": value}, "windows": {"held_out": 0}, "free_run_rms": {"held_out": None},
+        }  # fmt: skip
+        out.mkdir()
+        write_card(out, card)
+        return None, None
+
+    def ask(folder: Path, *_: Any) -> Iterator[Event]:
+        yield Event("progress", "suspects", {"label": "own logs"})
+        found.asked.append(folder)
+        if found.dies:
+            raise KeyboardInterrupt
+        write_card(folder, {**json.loads((folder / CARD_FILE).read_text()), ASKED: True})
+
+    for name, stand_in in (("read", read), ("_made", fit), ("ask_own_logs", ask), ("draw", lambda *_: [])):
+        monkeypatch.setattr(job, name, stand_in)
+    return found
+
+
+def test_cut_off_while_it_asks_its_own_logs_the_same_command_finishes_it(cut: Cut, tmp_path: Path) -> None:
+    out, events = tmp_path / "new", list[Event]()
+    asked = ([Path("a.log")], VEHICLE.folder, out, 3)
+    with pytest.raises(KeyboardInterrupt):
+        for event in job.calibrate(*asked):
+            events.append(event)
+    (resume,) = {one.data["resume"] for one in events if "resume" in one.data}
+    assert resume == f"tunefree-hil calibrate a.log --vehicle {VEHICLE.folder} --out {out} --seed 3"
+    with pytest.raises(InputError, match="there already"):
+        list(job.calibrate(*asked[:3], 4))  # another split's
+    cut.dies.clear()
+    data = list(job.calibrate(*asked))[-1].data
+    assert cut.made == ["new"] and cut.asked == [out, out] and data[ASKED] is True
+    assert data["sentence"] == f"{out}: 1 of 1 channels and 1 of 1 constants from the logs"
+    with pytest.raises(InputError, match="there already"):
+        next(iter(job.calibrate(*asked)))  # it is whole
 
 
 def test_no_log_and_another_vehicles_log(tmp_path: Path) -> None:

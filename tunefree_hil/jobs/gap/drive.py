@@ -72,7 +72,7 @@ def gap_drive(asked: Asked, wish: Wish) -> Iterator[Event]:
     vehicle = load_vehicle(asked.vehicle)
     require_same_vehicle(wish, vehicle)
     resume = with_drive(again(asked), wish)
-    answer = yield from _ask(asked, resume)
+    answer = yield from _ask(asked, resume, saved=False)
     if DRIVES in answer or not to_drive(answer, (), catalogue()):
         yield Event("result", "", {**answer, "next": following(asked, wish, answer, vehicle)})
         return
@@ -105,14 +105,17 @@ def _require_names(asked: Asked) -> None:
         )  # fmt: skip
 
 
-def _ask(asked: Asked, resume: str) -> Generator[Event, None, dict[str, Any]]:
-    """The answer of `gap` with its exit status and what to do next; its events, which name the whole command."""
+def _ask(asked: Asked, resume: str, *, saved: bool) -> Generator[Event, None, dict[str, Any]]:
+    """The answer of `gap` with its exit status and what to do next; its events, which name the whole command. saved:
+    whether there is something to go on with whatever this one keeps.
+    """
     answer = dict[str, Any]()
     for event in gap(asked):
         if event.kind == "result":
             answer = dict(event.data)
         else:
-            yield event._replace(data={**event.data, "resume": resume})
+            goes_on = {"resume": resume, "saved": saved or event.data.get("saved", True)}
+            yield event._replace(data={**event.data, **goes_on}) if saved or "resume" in event.data else event
     return answer
 
 
@@ -135,14 +138,15 @@ def _rounds(
             if answer["verdict"] in UNDECIDED:
                 yield Event("note", f"nothing more is to be driven that would tell: {answer['sentence']}")
             return answer
-        yield Event("note", _round_words(number, answer, [one.manoeuvre for one in jobs]), {"resume": resume})
+        going_on = {"resume": resume, "saved": True}
+        yield Event("note", _round_words(number, answer, [one.manoeuvre for one in jobs]), going_on)
         for event in drive_all(run, bench, jobs, wish):
-            yield event._replace(data={**event.data, "resume": resume})
+            yield event._replace(data={**event.data, **going_on})
         driven.jobs.extend(jobs)
         driven.rounds.extend([number] * len(jobs))
         before = answer
         more = asked._replace(logs=[*asked.logs, *driven.logs], out=asked.out / f"round-{number}")
-        answer = yield from _ask(more, resume)
+        answer = yield from _ask(more, resume, saved=True)
         beside = beside_words(before, answer)
         if beside:
             driven.apart.add(number)

@@ -10,14 +10,16 @@ import hashlib
 import time
 from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.gap.kept import Kept, keep
-from tunefree_hil.jobs.gap.folder import Folder, held_folder, question_of, require_ours
+from tunefree_hil.jobs.gap.folder import ANSWER, ANSWER_SCHEMA, Folder, held_folder, question_of, require_ours
+from tunefree_hil.jobs.gap.own_logs import half_made
 from tunefree_hil.jobs.gap.page import write_page
+from tunefree_hil.jobs.gap.sound import require_sound
 from tunefree_hil.jobs.gap.words import again, next_of, remarks, sentence_of
 from tunefree_hil.jobs.learn.logs import read
 from tunefree_hil.jobs.progress import eta_of, told
@@ -28,12 +30,12 @@ if TYPE_CHECKING:
     from tunefree_hil.gap.chain import Opened
     from tunefree_hil.learn.drives import Drive
 
-SCHEMA = "tunefree.gap/1"
 # What is too little to learn from may be enough to judge by; where it is not, the answer is that it cannot be told. A
 # steering that stays short of its command is what somebody may ask about.
 EXCUSED = ("too_short", "one_speed", "no_braking", "short_of_command")
 UNSAID = ("short",)  # the search says it by its own measure
 CANNOT = ("too_short", "standing", "nothing_to_compare", "no_motion")
+T = TypeVar("T")
 
 
 class Asked(NamedTuple):
@@ -60,18 +62,24 @@ class Material(NamedTuple):
 def gap(asked: Asked) -> Iterator[Event]:
     """Answer, and write `asked.out`. A question that was answered is not asked again.
 
-    Raises InputError for logs that cannot be used, a model of another vehicle, a folder that holds something else.
+    Raises InputError for logs that cannot be used, a model of another vehicle or one that makes no car, a folder that
+    holds something else.
     """
     from tunefree_hil.config.load import load_vehicle
 
     vehicle = load_vehicle(asked.vehicle)
     model = model_for(asked.model, vehicle)
+    yield from (Event("warning", words) for words in half_made(model))
     require_ours(asked.out)
     drives = yield from _read(asked.logs, vehicle)
     older = (yield from _read(asked.older, vehicle)) if asked.older else []
+    _require_others(drives, older)
     material = Material(vehicle, model, drives, older)
     with held_folder(asked.out, question_of(drives, older, vehicle, model)) as folder:
         answer = folder.answer(asked.until)
+        if answer is not None and answer["model"] and not Path(answer["model"]).is_dir():
+            yield Event("warning", f"{folder.path / ANSWER} names a model that is gone: it is made and proved again")
+            answer = None
         if answer is None:
             answer = yield from _answered(asked, folder, material)
     status = 1 if answer.get("worse") else 0
@@ -79,12 +87,26 @@ def gap(asked: Asked) -> Iterator[Event]:
 
 
 def model_for(name: str, vehicle: VehicleSpec) -> ModelSpec:
-    """The model folder to be judged. Raises InputError for another vehicle's, and for one of the vehicle as it was."""
+    """The model folder to be judged. Raises InputError for another vehicle's, for one of the vehicle as it was, and for
+    one that makes no car.
+    """
     from tunefree_hil.config.load import load_model
 
     model = load_model(name)
     require_model_of(model, vehicle, hint="name a model of the logs' vehicle")
+    require_sound(model, vehicle)
     return model
+
+
+def _require_others(drives: Sequence[Drive], older: Sequence[Drive]) -> None:
+    """Raises InputError for an older log that is asked about: it would be held against its own repair."""
+    asked_about = {one.log_hash for one in drives}
+    for one in older:
+        if one.log_hash in asked_about:
+            raise InputError(
+                "it is asked about already", code="same_log", file=one.name, key="--older",
+                hint="name a log that the model fitted before, or leave --older out",
+            )  # fmt: skip
 
 
 def _read(logs: Sequence[Path], vehicle: VehicleSpec) -> Generator[Event, None, list[Drive]]:
@@ -107,7 +129,7 @@ def _answered(asked: Asked, folder: Folder, material: Material) -> Generator[Eve
         opened = yield from _opened(material)
         found = folder.search(named=asked.until != "locate")
         if found is None:
-            found = folder.keep((yield from _searched(asked, material, opened)))
+            found = folder.keep((yield from _going_on(_searched(asked, material, opened), asked, saved=False)))
         else:
             began -= found.seconds  # what it took when it was made
     except InputError as error:
@@ -115,10 +137,16 @@ def _answered(asked: Asked, folder: Folder, material: Material) -> Generator[Eve
             raise
         answer = _whole(asked, material, _untold(error), time.monotonic() - began)
     else:
-        answer = yield from _proved(asked, folder, material, opened, found, began)
+        answer = yield from _going_on(_proved(asked, folder, material, opened, found, began), asked, saved=True)
     write_page(folder.page, answer, next_of(asked, answer, material.vehicle), again(asked))
     folder.write_answer(answer)
     return answer
+
+
+def _going_on(events: Generator[Event, None, T], asked: Asked, *, saved: bool) -> Generator[Event, None, T]:
+    """Events with the command that goes on where they are cut off, and whether anything is kept for it by then."""
+    more = {"resume": again(asked), "saved": saved}
+    return told(events, lambda event: event._replace(data={**event.data, **more}))
 
 
 def _opened(material: Material) -> Generator[Event, None, list[Opened]]:
@@ -137,8 +165,7 @@ def _searched(asked: Asked, material: Material, opened: list[Opened]) -> Generat
     began, looks = time.monotonic(), asked.until == "locate"
     question = (material.model, material.vehicle, opened)
     search = look_first(*question) if looks else name(*question, asked.workers)
-    more = {"label": "search", "resume": again(asked)}
-    found = yield from told(search, lambda stage: Event("progress", stage, {**more, **eta_of(stage, began)}))
+    found = yield from told(search, lambda stage: Event("progress", stage, {"label": "search", **eta_of(stage, began)}))
     return keep(found, material.model.plant.kind, time.monotonic() - began, not looks)
 
 
@@ -189,7 +216,7 @@ def log_hash_of(material: Material) -> str:
 def _whole(asked: Asked, material: Material, answer: dict[str, Any], seconds: float) -> dict[str, Any]:
     """gap.json (interfaces 9)."""
     whole = {
-        "schema": SCHEMA,
+        "schema": ANSWER_SCHEMA,
         "signals": {},
         "explained_frac": None,
         "closed_loop": None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from tunefree_hil.learn.drives import Drive
 
 LABEL = "what the model misses of its own logs"
-ASKED = "own_logs_asked"  # of card.json
+ASKED, BY_CALIBRATE = "own_logs_asked", "free_run_rms"  # of card.json
 MOST_S = 900.0  # of driving that is asked: what a model misses of its own logs shows in a quarter of an hour
 T = TypeVar("T")
 
@@ -64,6 +64,18 @@ def _forget(folder: Path) -> None:
 def were_asked(folder: Path) -> bool:
     """Whether a model's own logs were asked to the end."""
     return bool(json.loads((folder / CARD_FILE).read_text(encoding="utf-8")).get(ASKED))
+
+
+def half_made(model: ModelSpec) -> Iterator[str]:
+    """A warning for a model of `calibrate` that was cut off while it asked its logs; nothing for every other."""
+    from tunefree_hil.gap.null import card_of
+
+    card = card_of(model)
+    if BY_CALIBRATE in card and not card.get(ASKED):
+        yield (
+            f"{model.folder} was cut off while its own logs were asked, and what it misses of them is not known: "
+            "`calibrate` as before goes on with it"
+        )
 
 
 def _opened(drives: Sequence[Drive], vehicle: VehicleSpec) -> list[Opened]:

@@ -6,26 +6,32 @@ No torch. What the logs cannot show keeps the data sheet's value, widened, and i
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tunefree_hil.base.events import Event
-from tunefree_hil.jobs.gap.own_logs import ask_own_logs
-from tunefree_hil.jobs.learn.calibrate_words import channel_words, closing
-from tunefree_hil.jobs.learn.calibrated import STOPPED, Fitted, card_of, fit_all, split_of, write
+from tunefree_hil.jobs.gap.own_logs import ask_own_logs, were_asked
+from tunefree_hil.jobs.learn.calibrate_words import SEED, again, channel_words, closing
+from tunefree_hil.jobs.learn.calibrated import STOPPED, Fitted, card_of, fit_all, said_of, split_of, write
 from tunefree_hil.jobs.learn.logs import read
-from tunefree_hil.learn.drives import Split
+from tunefree_hil.learn.drives import Drive, Split
 from tunefree_hil.learn.level import offset_words
 from tunefree_hil.learn.worker import Worker
 from tunefree_hil.learn.write_model import require_new
 
+if TYPE_CHECKING:
+    from tunefree_hil.config.schema import VehicleSpec
+
+Made = tuple[Fitted, Split]
 FIGURES = "figures"
 # What is too little to learn from may be enough to calibrate a channel: the fit itself says what it lacks.
 LACKING = ("too_short", "one_speed", "no_braking", *STOPPED)
 
 
-def calibrate(logs: Sequence[Path], vehicle: str, out: Path, seed: int = 1) -> Iterator[Event]:
-    """Fit and write `out`. seed: of the choice of what is held out.
+def calibrate(logs: Sequence[Path], vehicle: str, out: Path, seed: int = SEED) -> Iterator[Event]:
+    """Fit and write `out`. seed: of the choice of what is held out. A model of these very logs that was cut off while
+    it asked them is gone on with.
 
     Raises InputError for logs that cannot be used (another vehicle's, too short, no pairs of command and output,
     commands that never move), and for a folder that is there already.
@@ -33,21 +39,43 @@ def calibrate(logs: Sequence[Path], vehicle: str, out: Path, seed: int = 1) -> I
     from tunefree_hil.config.load import load_vehicle
 
     spec = load_vehicle(vehicle)
-    require_new(out)
-    began = time.monotonic()
+    if not said_of(out) or were_asked(out):
+        require_new(out)
     drives = yield from read(logs, spec, excused=LACKING)
+    made = None
+    if not _is_left(out, spec, drives, seed):
+        require_new(out)
+        made = yield from _made(out, spec, drives, seed)
+    goes_on = f"{out} is written; its own logs are asked now, and a later `gap` needs what they say"
+    yield Event("note", goes_on, {"resume": again(logs, vehicle, out, seed)})
+    if made is not None:
+        draw(out / FIGURES, *made)
+    yield from ask_own_logs(out, spec, drives)
+    figures = [str(path) for path in sorted((out / FIGURES).glob("*.png"))]
+    card = said_of(out)
+    yield Event("result", "", {**card, "model": str(out), "figures": figures, **closing(out, spec, logs, card)})
+
+
+def _is_left(out: Path, vehicle: VehicleSpec, drives: Sequence[Drive], seed: int) -> bool:
+    """Whether a folder is what a calibration of these very logs was cut off at."""
+    card = said_of(out)
+    if not card or were_asked(out):
+        return False
+    same = [one["hash"] for one in card["logs"]] == [one.log_hash for one in drives]
+    return same and (card["vehicle_hash"], card["seed"]) == (f"sha256:{vehicle.hash}", seed)
+
+
+def _made(out: Path, spec: VehicleSpec, drives: Sequence[Drive], seed: int) -> Generator[Event, None, Made]:
+    """Write the model folder, its own logs not asked yet; what its pictures are drawn of."""
+    began = time.monotonic()
     split = yield from split_of(drives, seed)
     for words in offset_words(drives, spec):
         yield Event("warning", words)
     with Worker() as worker:
         fitted = yield from fit_all(worker, split, spec)
     seconds = time.monotonic() - began
-    card = card_of(drives, split, spec, fitted, seed, seconds)
-    write(out, spec, fitted, split, card)
-    figures = draw(out / FIGURES, fitted, split)
-    yield from ask_own_logs(out, spec, drives)
-    data = {**card, "model": str(out), "figures": [str(path) for path in figures]}
-    yield Event("result", "", {**data, **closing(out, spec, logs, fitted.actuators, fitted.physics, fitted.judged)})
+    write(out, spec, fitted, split, card_of(drives, split, spec, fitted, seed, seconds))
+    return fitted, split
 
 
 def draw(folder: Path, fitted: Fitted, split: Split) -> list[Path]:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from tunefree_hil.jobs.pasted import pasted
 from tunefree_hil.learn.physics import BAND, OFFSET, ROAD, PhysicsFit
-from tunefree_hil.learn.shown import Judged
 from tunefree_hil.learn.values import ActuatorFit, Value
 
 if TYPE_CHECKING:
@@ -35,6 +34,7 @@ UNITS = {
     BAND: ("duty", 1.0),
     ROAD: ("of what the accelerometer says throughout is a slope, the rest its own", 1.0),
 }
+SEED = 1  # of --seed
 KNOWN, TAKEN = "", " (not from these logs)"
 
 
@@ -69,26 +69,25 @@ def constant_words(physics: PhysicsFit) -> Iterator[str]:
             yield f"{name}: {_span(value, factor)} {unit}".rstrip()
 
 
-def closing(
-    out: Path,
-    vehicle: VehicleSpec,
-    logs: Sequence[Path],
-    actuators: Mapping[str, ActuatorFit],
-    physics: PhysicsFit,
-    judged: Judged | None,
-) -> dict[str, Any]:
-    """Sentence and next commands of the result."""
-    seen = sum(found.dead_time_s.known for found in actuators.values())
-    known = sum(value.known for value in physics.values.values())
-    sentence = (
-        f"{out}: {seen} of {len(actuators)} channels and {known} of {len(physics.values)} constants from the logs"
-    )
-    if known and judged is not None and "speed_mps" in judged.after:
-        before, after = judged.before["speed_mps"], judged.after["speed_mps"]
-        runs = f"{judged.windows} unseen free runs of {judged.time_s[-1]:.0f} s"
-        sentence += f"; on {runs} the speed is off by {after:.2f} m/s (before {before:.2f})"
-        if "x_m" in judged.after and "y_m" in judged.after:
-            was, now = (math.hypot(one["x_m"], one["y_m"]) for one in (judged.before, judged.after))
+def again(logs: Sequence[Path], vehicle: str, out: Path, seed: int) -> str:
+    """The command that goes on."""
+    return pasted("calibrate", *logs, vehicle=vehicle, out=out, seed=None if seed == SEED else seed)
+
+
+def closing(out: Path, vehicle: VehicleSpec, logs: Sequence[Path], card: Mapping[str, Any]) -> dict[str, Any]:
+    """Sentence and next commands of the result, by the model's card."""
+    actuators, constants, judged = card["actuators"], card["constants"], card["free_run_rms"]["held_out"]
+    seen = sum(found["dead_time_s"]["known"] for found in actuators.values())
+    known = sum(value["known"] for value in constants.values())
+    sentence = f"{out}: {seen} of {len(actuators)} channels and {known} of {len(constants)} constants from the logs"
+    if known and judged is not None and "speed_mps" in judged["fitted"]:
+        before, after = judged["data_sheet"], judged["fitted"]
+        long_s = card["windows"].get("seconds")  # cards of before do not say it
+        runs = f"{card['windows']['held_out']} unseen free runs{f' of {long_s:.0f} s' if long_s else ''}"
+        off = f"the speed is off by {after['speed_mps']:.2f} m/s (before {before['speed_mps']:.2f})"
+        sentence += f"; on {runs} {off}"
+        if "x_m" in after and "y_m" in after:
+            was, now = (math.hypot(one["x_m"], one["y_m"]) for one in (before, after))
             sentence += f", the place by {now:.1f} m (before {was:.1f})"
     following = [pasted("drive", bench, model=out) for bench in benches_of(vehicle)[:1]]
     following += [pasted("learn", *logs, vehicle=vehicle.folder, out=f"{out}_hybrid")]

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
@@ -30,12 +31,13 @@ from tunefree_hil.learn.values import ActuatorFit, Value, as_data
 from tunefree_hil.learn.window_runs import Off
 from tunefree_hil.learn.windows import Windows, windows_of
 from tunefree_hil.learn.worker import Worker
-from tunefree_hil.learn.write_model import write_model
+from tunefree_hil.learn.write_model import CARD_FILE, write_model
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
 
 CARD_SCHEMA = "tunefree.card/1"
+OWN_KEYS = {"kind", "logs", "vehicle_hash", "seed", "actuators", "constants", "windows", "free_run_rms"}  # of a card
 # A channel that stops before its command does is identified up to its stop (learn/stops.py)
 STOPPED = ("short_of_command",)
 LIBRARIES = ("numpy", "scipy", "numba")  # that the numbers come from
@@ -174,12 +176,27 @@ def card_of(
         "constants": as_data(fitted.physics.values),
         "constants_together": fitted.physics.together,
         "left_out": list(fitted.physics.words),
-        "windows": {"training": fitted.physics.windows, "held_out": judged.windows if judged else 0},
+        "windows": {
+            "training": fitted.physics.windows,
+            "held_out": judged.windows if judged else 0,
+            "seconds": float(judged.time_s[-1]) if judged else None,
+        },
         "free_run_rms": {
             "training": {"data_sheet": fitted.physics.before, "fitted": fitted.physics.after},
             "held_out": {"data_sheet": judged.before, "fitted": judged.after} if judged else None,
         },
     }
+
+
+def said_of(folder: Path) -> dict[str, Any]:
+    """The card of a model as `calibrate` made it; empty for every other folder."""
+    path = folder / CARD_FILE
+    try:
+        said = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    except ValueError:
+        return {}
+    is_own = isinstance(said, dict) and said.keys() >= OWN_KEYS and "repair" not in said
+    return said if is_own and said["kind"] == "physics" else {}
 
 
 def _channel_card(found: ActuatorFit) -> dict[str, Any]:

@@ -1,0 +1,66 @@
+"""Accelerometers, headings and positions that stand still while the car moves; and those that may stand still."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tunefree_hil.learn.check_stuck import check_stuck
+from tunefree_hil.learn.drives import Drive
+
+DT_S, TICKS = 0.01, 6000
+ACCEL, LATERAL, HEADING, PLACE = "report.accel_mps2", "report.lateral_accel_mps2", "ins.heading_rad", "ins.x_m"
+
+
+def driven(turn: float = 0.2, push: float = 1.5, noise: float = 0.0, mps: float = 8.0) -> dict[str, np.ndarray]:
+    """A minute of weaving (rad/s) while the speed goes up and down (m/s^2), or of standing still (all 0)."""
+    time_s, chance = np.arange(TICKS) * DT_S, np.random.default_rng(6)
+    accel, yaw = push * np.sin(0.8 * time_s), turn * np.sin(0.5 * time_s)
+    speed = mps + push / 0.8 * (1.0 - np.cos(0.8 * time_s))
+    heading = np.cumsum(yaw) * DT_S
+    exact = {
+        "report.speed_mps": speed, "report.yaw_rate_radps": yaw, ACCEL: accel, "ins.accel_mps2": accel,
+        LATERAL: yaw * speed, HEADING: heading,
+        PLACE: np.cumsum(speed * np.cos(heading)) * DT_S, "ins.y_m": np.cumsum(speed * np.sin(heading)) * DT_S,
+    }  # fmt: skip
+    return {name: values + noise * chance.normal(size=TICKS) for name, values in exact.items()}
+
+
+def drive_of(fields: dict[str, np.ndarray], every: int = 1) -> Drive:
+    """every: a frame each so many ticks; its value is held until the next."""
+    fresh: np.ndarray = np.equal(np.arange(TICKS) % every, 0)
+    held = {name: values[np.arange(TICKS) // every * every] for name, values in fields.items()}
+    return Drive("made", "", DT_S, held, dict.fromkeys(held, fresh), np.ones(TICKS, dtype=bool))
+
+
+@pytest.mark.parametrize("name", [ACCEL, "ins.accel_mps2", LATERAL, HEADING, PLACE])
+@pytest.mark.parametrize("dead", [False, True])
+@pytest.mark.parametrize("every", [1, 10])
+def test_what_stands_still_is_refused(name: str, dead: bool, every: int) -> None:
+    fields = driven(noise=0.01)
+    assert list(check_stuck(drive_of(fields, every))) == []
+    for axis in ("ins.x_m", "ins.y_m") if name == PLACE else (name,):
+        if dead:
+            fields[axis][:] = 0.0
+        else:
+            fields[axis][2000:4000] = fields[axis][2000]
+    (found,) = check_stuck(drive_of(fields, every))
+    assert (found.severity, found.code, found.field) == ("refuse", "stuck", name)
+    assert name in found.words and "expected to follow" in found.words
+
+
+def test_what_may_stand_still_is_not() -> None:
+    """Straight along an axis; a stand with a gyro that drifts; a smooth road and a coarse wire."""
+    along = driven(turn=0.0)
+    assert np.ptp(along["ins.y_m"]) == 0.0
+    assert list(check_stuck(drive_of(along))) == []
+
+    stands = driven(turn=0.0, push=0.0, mps=0.0)
+    stands["report.yaw_rate_radps"] += 0.02
+    stands["report.speed_mps"] += 0.02 * np.random.default_rng(7).normal(size=TICKS)
+    assert list(check_stuck(drive_of(stands))) == []
+
+    coarse = driven(turn=0.06, push=0.7, noise=0.001)
+    for name, step in ((ACCEL, 1.0), ("ins.accel_mps2", 1.0), (LATERAL, 1.0), (HEADING, 0.02), (PLACE, 0.5)):
+        coarse[name] = np.floor(coarse[name] / step + 0.7) * step
+    assert list(check_stuck(drive_of(coarse, 5))) == []
