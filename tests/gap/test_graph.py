@@ -20,7 +20,7 @@ from tunefree_hil.base.contracts import Effect, Link, Port, Prior
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.effects import catalogue
 from tunefree_hil.effects._reports import on_steer
-from tunefree_hil.effects._signals import gain, shape
+from tunefree_hil.effects._signals import gain, shape, soft
 from tunefree_hil.gap import graph as graphs
 from tunefree_hil.gap.chain import open_chain
 from tunefree_hil.gap.graph import BEND, LINKAGE, Graph, scaled
@@ -109,8 +109,13 @@ def test_an_effect_file_that_scales_a_reported_output_is_undone_as_one_that_shif
         assert np.abs(shown[:, 2] - true[:, 2]).max() > 1e-3, "the report itself says it"
 
 
-def test_an_effect_file_whose_report_hides_the_output_is_not_suspected(monkeypatch: pytest.MonkeyPatch) -> None:
-    dead = made_effect(lambda p, rest: on_steer(shape(0.0, half_width=p["half_rad"])), "half_rad", 0.0, 1.5)
+@pytest.mark.parametrize(
+    "make", [lambda half: shape(0.0, half_width=half), lambda tau_s: soft(tau_s, 0.0)], ids=["dead band", "lag"]
+)
+def test_an_effect_file_whose_report_hides_the_output_is_not_suspected(
+    make: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dead = made_effect(lambda p, rest: on_steer(make(p["half_rad"])), "half_rad", 0.0, 1.5)
     monkeypatch.setattr(graphs, "effects", lambda: {**catalogue(), "steer_report_dead": dead})
     found = Graph(load_model("mkz_nominal"), load_vehicle("mkz_bywire"), 0.01)
     assert found.cannot["steer_report_dead"] == NO_LINE and "steer_report_dead" not in found.can

@@ -13,7 +13,7 @@ from tunefree_hil.base.contracts import Link, Port
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.gap.chain import Opened, open_chain
 from tunefree_hil.gap.graph import effects
-from tunefree_hil.gap.lost import NOTHING_ACTED, lost_links, silent_ports, untold
+from tunefree_hil.gap.lost import LEAST_ACTED_S, NOTHING_ACTED, idle_channels, lost_links, silent_ports, untold
 from tunefree_hil.gap.targets import Compared
 from tunefree_hil.gap.verify import HEADING, POSITION, _has
 from tunefree_hil.learn.drives import Drive
@@ -42,13 +42,13 @@ def names(one: Opened) -> set[str]:
 
 
 def test_a_whole_log_tells_every_channel() -> None:
-    assert not opened().idle and not opened().unknown and silent_ports([opened()]) == {}
+    assert not idle_channels([opened()]) and not opened().unknown and silent_ports([opened()]) == {}
 
 
 def test_commands_that_never_acted_show_no_actuator_and_the_motion_is_judged_all_the_same() -> None:
     one = opened(enabled=False)
-    assert one.idle == {"throttle", "brake", "steer"} and not one.unknown
-    assert one.lost[Link.COMMAND_TO_REPORT] == NOTHING_ACTED
+    assert idle_channels([one]) == {"throttle", "brake", "steer"} and not one.unknown
+    assert lost_links([one])[Link.COMMAND_TO_REPORT] == NOTHING_ACTED and Link.COMMAND_TO_REPORT not in one.lost
     told = blind(one)
     assert {"steer_dead_time", "throttle_lag", "brake_gain", "steer_report_offset"} - set(told) <= {"brake_gain"}
     assert not {"payload", "grade", "front_stiffness"} & set(told)
@@ -81,3 +81,17 @@ def test_a_vehicle_that_has_no_such_channel_misses_nothing() -> None:
     )
     one = open_chain(drive()._replace(fields=fields), replace(VEHICLE, command=command, report=report))
     assert not one.unknown and np.isfinite(one.inputs.commands).all() and "rate_of_speed" in names(one)
+
+
+def test_what_short_logs_show_together_is_shown() -> None:
+    brief = opened()._replace(acted_s=dict.fromkeys(("throttle", "brake", "steer"), 0.6 * LEAST_ACTED_S))
+    assert blind(brief, brief) == {} and "steer_dead_time" in blind(brief)
+
+
+def test_a_brake_that_is_only_commanded_and_on_demand_is_at_rest_where_nobody_brakes() -> None:
+    fields = {key: one for key, one in drive().fields.items() if "brake" not in key}
+    report = {key: one for key, one in VEHICLE.report.items() if "brake" not in key}
+    on_demand = replace(VEHICLE, report=report)
+    assert not open_chain(drive()._replace(fields=fields), on_demand).unknown
+    mute = {key: one for key, one in fields.items() if not key.startswith("command.")}
+    assert open_chain(drive()._replace(fields=mute), on_demand).unknown == {"brake"}

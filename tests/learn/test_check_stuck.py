@@ -43,7 +43,7 @@ def test_what_stands_still_is_refused(name: str, dead: bool, every: int) -> None
         if dead:
             fields[axis][:] = 0.0
         else:
-            fields[axis][2000:4000] = fields[axis][2000]
+            fields[axis][2000 : 5500 if name in (HEADING, PLACE) else 4000] = fields[axis][2000]
     (found,) = check_stuck(drive_of(fields, every))
     assert (found.severity, found.code, found.field) == ("refuse", "stuck", name)
     assert name in found.words and "expected to follow" in found.words
@@ -64,3 +64,24 @@ def test_what_may_stand_still_is_not() -> None:
     for name, step in ((ACCEL, 1.0), ("ins.accel_mps2", 1.0), (LATERAL, 1.0), (HEADING, 0.02), (PLACE, 0.5)):
         coarse[name] = np.floor(coarse[name] / step + 0.7) * step
     assert list(check_stuck(drive_of(coarse, 5))) == []
+
+
+def test_an_accelerometer_at_its_end_and_a_pose_held_for_a_while_are_not_stuck() -> None:
+    """The one is left out where it matters (gap/saturated.py); the other is a tunnel."""
+    fields = driven(push=3.0, noise=0.01)
+    for name in (ACCEL, "ins.accel_mps2", LATERAL):
+        fields[name] = np.clip(fields[name], -0.5, 0.5)
+    for name in (HEADING, PLACE, "ins.y_m"):
+        fields[name][2000:4000] = fields[name][2000]
+    assert list(check_stuck(drive_of(fields))) == []
+    fields[ACCEL][1500:2500] = 0.123
+    assert [one.field for one in check_stuck(drive_of(fields))] == [ACCEL]
+
+
+def test_the_rate_of_a_speed_in_whole_steps_moves_nothing() -> None:
+    """In km/h, cruising, with an accelerometer that says 0 for seconds."""
+    fields = driven(push=0.1, mps=20.0, turn=0.0)
+    fields["report.speed_mps"] = np.round(fields["report.speed_mps"] * 3.6) / 3.6
+    fields["report.speed_mps"][::40] += 1.0 / 3.6
+    fields[ACCEL] = np.round(fields[ACCEL])
+    assert list(check_stuck(drive_of(fields))) == []

@@ -19,7 +19,7 @@ from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.gap.by_pose import HEADING, jumps_of, rates_by_pose, window_of
 from tunefree_hil.gap.graph import CHANNELS, Inputs
-from tunefree_hil.gap.lost import OUTPUTS, idle_channels, lost_of, unknown_channels
+from tunefree_hil.gap.lost import OUTPUTS, lost_of, unknown_channels
 from tunefree_hil.gap.signals import Signal, as_told, carried, outdone, signals_of, well_covered
 from tunefree_hil.learn.acted import accel_asked, asked_pedals, channel_of
 from tunefree_hil.learn.drives import Drive
@@ -36,6 +36,7 @@ ROAD_CAR_M = 2.7  # wheelbase
 STANDING_MPS = 0.5  # no bend is told by slower wheels
 SMALL = 0.5  # of it: no road car is shorter
 NOTHING: Mapping[str, int] = {}
+NO_TIME: Mapping[str, float] = {}
 AFTER_S = 1.0  # after a stretch in which a channel did not obey its commands, its output is still another's
 
 
@@ -45,7 +46,8 @@ class Opened(NamedTuple):
     lost: what of the chain this log cannot show, by link, in words. pace: of a model car its wheelbase as a share of a
     road car's, else 1: what counts as driving is so many wheelbases a second. derived: fields of `signals` that nobody
     measured and others tell, with the ticks that are under a slope there (1: none is). unsure: in words, what was left
-    out of that. most_steer_rad: the vehicle's greatest steering angle. idle, unknown: channels (gap/lost.py).
+    out of that. most_steer_rad: the vehicle's greatest steering angle. acted_s: by channel, how long its commands
+    acted; unknown: channels of which nothing is said (gap/lost.py).
     """
 
     name: str
@@ -61,7 +63,7 @@ class Opened(NamedTuple):
     most_steer_rad: float = 8.0
     unsure: tuple[str, ...] = ()
     wheelbase_m: float = ROAD_CAR_M
-    idle: frozenset[str] = frozenset()
+    acted_s: Mapping[str, float] = NO_TIME
     unknown: frozenset[str] = frozenset()
 
     @property
@@ -106,12 +108,12 @@ def open_chain(drive: Drive, vehicle: VehicleSpec) -> Opened:
     inputs, follows, known = _inputs(drive, vehicle, signals, source)
     speed = signals[source]
     moving = known & speed.there & (inputs.gear >= GEAR_DRIVE)
-    idle, unknown = idle_channels(follows, drive.dt_s), unknown_channels(drive, vehicle)
+    acted_s = {name: float(drive.dt_s * follows[:, i].sum()) for i, name in enumerate(CHANNELS)}
     return Opened(
-        drive.name, drive.log_hash, drive.dt_s, inputs, signals, follows, moving, lost_of(signals, idle, by_ins),
+        drive.name, drive.log_hash, drive.dt_s, inputs, signals, follows, moving, lost_of(signals, by_ins),
         pace_of(vehicle), derived, vehicle.limits.steer_rad,
         left_out + _unsure(drive, said),
-        vehicle.nominal.wheelbase_m or ROAD_CAR_M, idle, unknown,
+        vehicle.nominal.wheelbase_m or ROAD_CAR_M, acted_s, unknown_channels(drive, vehicle),
     )  # fmt: skip
 
 

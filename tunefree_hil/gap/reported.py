@@ -15,6 +15,7 @@ from tunefree_hil.base.records import Report
 Array = np.ndarray
 
 NO_LINE = "what it makes of a reported output is neither a factor nor an amount, so that the output is not known"
+TICKS = 3  # that the same report is said
 EXACT = 1e-9  # of an output of 1: what a sum in binary leaves of a factor
 
 
@@ -40,10 +41,17 @@ def said_of(block: Block, dt_s: float) -> Said:
 
 
 def _outputs_of(block: Block, value: float, dt_s: float) -> Array:
-    """Throttle, brake, steer [3] of the first report that an effect is given, in which every field is `value`."""
-    step = getattr(block.step, "py_func", block.step)  # one step is not worth compiling
-    _, said = step(block.params, block.init(block.params, dt_s), Report(*(value,) * len(Report._fields)), dt_s)
-    return np.array([said.throttle_frac, said.brake_frac, said.steer_rad])
+    """Throttle, brake, steer [3] that an effect makes of a report in which every field is `value`. Raises InputError
+    for one that makes something else of it a tick later: it has a memory of the outputs.
+    """
+    step = getattr(block.step, "py_func", block.step)  # a few steps are not worth compiling
+    state, same, found = block.init(block.params, dt_s), Report(*(value,) * len(Report._fields)), list[Array]()
+    for _ in range(TICKS):
+        state, said = step(block.params, state, same, dt_s)
+        found.append(np.array([said.throttle_frac, said.brake_frac, said.steer_rad]))
+    if np.ptp(found, axis=0).max() > EXACT:
+        raise InputError(NO_LINE, code="no_line", hint="an effect on a report may scale an output and add to it")
+    return found[0]
 
 
 def undone(outputs: Array, series: Sequence[Said]) -> Array:

@@ -22,6 +22,8 @@ MOVED = 0.3  # of the mover's own range in the drive
 TURNING, CORNERING, SPEEDING = "steering times speed", "yaw rate times speed", "the rate of the speed"
 WAY, TURNED = "the way by the speed", "the angle by the yaw rate"
 RATE_S = 0.5  # the rate of a speed is taken over so long
+LEVELS = 20  # different values: a sensor that says fewer is dead and not at its end
+POSE, HELD = ("ins.heading_rad", "ins.x_m"), 0.5
 
 
 class Mover(NamedTuple):
@@ -77,9 +79,13 @@ def _stuck(drive: Drive, name: str, mover: Mover) -> Problem | None:
         return None
     least = max(mover.least, mover.share * float(np.ptp(moves[usable])))
     values, settled = drive.fields[name], round(SETTLED_S / drive.dt_s)
-    if by in (CORNERING, SPEEDING):  # the same quantity: on a coarse wire it moves within a step of it or two
+    felt = by in (CORNERING, SPEEDING)
+    if felt:  # the same quantity: on a coarse wire it moves within a step of it or two
         least = max(least, 2.0 * quantum_of(values[drive.fresh[name]]))
-    for begin, end in _still(*_told(drive, name), round(STUCK_S / drive.dt_s)):
+    if by == SPEEDING:  # and the rate of a coarse speed flickers by a step of that
+        speed = name_of(drive, CHASSIS_FIRST_SPEEDS) or ""
+        least = max(least, 4.0 * quantum_of(drive.fields[speed][drive.fresh[speed]]) / RATE_S)
+    for begin, end in _stands(drive, name, felt):
         inner = slice(begin + settled, end - settled)
         some = moves[inner][usable[inner]]
         if some.size and np.ptp(some) > 0.0 and np.ptp(some) >= least:
@@ -90,6 +96,25 @@ def _stuck(drive: Drive, name: str, mover: Mover) -> Problem | None:
             words += f"moves by {np.ptp(some):.3g}, where it is expected to follow; mend the sensor, or cut that out"
             return Problem("refuse", "stuck", drive.name, name, words)
     return None
+
+
+def _stands(drive: Drive, name: str, felt: bool) -> list[tuple[int, int]]:
+    """Stretches in which a field stands that it should not.
+
+    felt: an accelerometer, which at the end of its range stands for as long as the car asks for more (gap/saturated.py
+    leaves that out). A pose is held where satellites are hidden, and the INS goes on by itself: it is stuck where it
+    stands for most of what was driven.
+    """
+    values, fresh = _told(drive, name)
+    found = _still(values, fresh, round(STUCK_S / drive.dt_s))
+    if felt:
+        some = values[fresh & np.isfinite(values)]
+        ends = (some.min(), some.max()) if len(np.unique(some)) > LEVELS else ()
+        return [one for one in found if values[one[0]] not in ends]
+    if name in POSE:
+        moves = moving(drive)
+        return found if sum(moves[begin:end].sum() for begin, end in found) > HELD * moves.sum() else []
+    return found
 
 
 def _told(drive: Drive, name: str) -> tuple[Array, Array]:

@@ -64,6 +64,15 @@ def test_a_constant_that_no_car_has_is_refused(params: dict[str, float], key: st
     refused(folder, tmp_path / "out", f"plant.params.{key}", said)
 
 
+def test_what_calibrate_and_gap_write_of_a_car_without_a_brake_or_a_pedal_that_begins_early_is_sound(
+    tmp_path: Path,
+) -> None:
+    folder = folder_of(tmp_path / "model")
+    with (folder / "model.toml").open("a") as file:
+        file.write("[plant.params]\nbrake_force_n_per_frac = 0.0\nthrottle_zero_frac = -0.01\n")
+    model_for(str(folder), VEHICLE)
+
+
 def refused(folder: Path, out: Path, key: str, said: str) -> None:
     with pytest.raises(InputError) as caught:
         next(iter(gap(Asked([Path("no.log")], VEHICLE.folder, str(folder), out))))
@@ -98,6 +107,6 @@ def test_a_model_whose_calibration_was_cut_off_is_said_to_be_one(tmp_path: Path)
     card = {"constants": {}, "free_run_rms": rms}
     (folder / CARD_FILE).write_text(json.dumps(card))
     (said,) = half_made(model_for(str(folder), VEHICLE))
-    assert "cut off while its own logs were asked" in said and str(folder) in said
+    assert "without its own logs being asked" in said and str(folder) in said
     (folder / CARD_FILE).write_text(json.dumps({**card, ASKED: True}))
     assert not list(half_made(model_for(str(folder), VEHICLE)))

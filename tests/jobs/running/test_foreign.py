@@ -22,7 +22,7 @@ from tunefree_hil.jobs.identity import identity_of, resolved_toml
 from tunefree_hil.jobs.running.foreign import program_hashes, program_of, require_announced, require_one, with_command
 from tunefree_hil.jobs.running.parts import Places, paths_for
 
-NODE = Path(__file__).with_name("foreign_node.py")
+NODE = Path(__file__).parents[1] / "foreign_node.py"
 OWN = """[controller]
 command = ["./mine", "{bus}", "{paths}"]
 [controller.parameters]

@@ -71,10 +71,10 @@ def half_made(model: ModelSpec) -> Iterator[str]:
     from tunefree_hil.gap.null import card_of
 
     card = card_of(model)
-    if BY_CALIBRATE in card and not card.get(ASKED):
+    if BY_CALIBRATE in card and not card.get(ASKED) and "repair" not in card:
         yield (
-            f"{model.folder} was cut off while its own logs were asked, and what it misses of them is not known: "
-            "`calibrate` as before goes on with it"
+            f"{model.folder} was made without its own logs being asked (cut off, or by an older version), and what it "
+            "misses of them is not known: the same `calibrate` goes on with it"
         )
 
 

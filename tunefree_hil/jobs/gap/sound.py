@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 POSITIVE = (
     "mass_kg", "wheelbase_m", "front_axle_m", "yaw_inertia_kgm2", "front_stiffness_n_per_rad",
     "rear_stiffness_n_per_rad", "friction", "steer_ratio", "wheel_radius_m", "track_m", "throttle_full_frac",
-    "drive_force_n", "drive_knee_frac", "drive_power_w", "creep_speed_mps", "brake_force_n_per_frac",
+    "drive_force_n", "drive_knee_frac", "drive_power_w", "creep_speed_mps",
 )  # fmt: skip
-NOT_BELOW_0 = ("rest_pedal_frac", "throttle_zero_frac", "creep_force_n", "rolling_frac", "drag_area_m2")
+NOT_BELOW_0 = ("rest_pedal_frac", "creep_force_n", "rolling_frac", "drag_area_m2", "brake_force_n_per_frac")
 FARTHER = {"wheelbase_m": "front_axle_m", "throttle_full_frac": "throttle_zero_frac"}  # than this one, always
 EFFECTS = "tunefree_hil.effects"
 NO_SUCH_EFFECT = "unknown_part"  # base/parts.py
