@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -121,6 +122,19 @@ def test_no_file_names_a_machine() -> None:
     for path in text_files():
         found += machine_words(path.read_text(encoding="utf-8"), str(path.relative_to(ROOT)))
     assert not found, "\n".join(found)
+
+
+def test_nothing_is_tracked_that_is_ignored_and_no_link_is() -> None:
+    """A link to one machine's folder is another folder, or none, in every other clone."""
+
+    def said(*words: str) -> list[str]:
+        call = subprocess.run(["git", "ls-files", *words], cwd=ROOT, capture_output=True, text=True, check=True)
+        return call.stdout.splitlines()
+
+    if not (ROOT / ".git").exists():
+        pytest.skip("not a clone")
+    assert said("--cached", "--ignored", "--exclude-standard") == []
+    assert [line for line in said("--stage") if line.startswith("120000")] == []
 
 
 def test_nothing_is_left_to_do() -> None:

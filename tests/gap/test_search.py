@@ -9,7 +9,8 @@ import pytest
 
 from tests.gap.test_decide import ALL, NULL, ROWS, SIZES, model, spread
 from tunefree_hil.gap.ask import Modelled, Question
-from tunefree_hil.gap.decide import Weighed
+from tunefree_hil.gap.decide import PLAIN_NATS, Weighed
+from tunefree_hil.gap.evidence import LEAST_NATS, stretched
 from tunefree_hil.gap.search import CONTENDERS, backward, forward, settled, weighed
 from tunefree_hil.gap.suspects import Suspect
 
@@ -136,6 +137,21 @@ def test_whoever_is_near_the_best_is_fitted_on_before_it_is_judged() -> None:
     team.alone["far"] = model("far", spread(6.0))
     weighed(cast(Any, team), QUESTION, [*names, "far"], None, ALL)
     assert sorted(asked) == sorted(names)
+
+
+def test_the_best_is_fitted_on_however_little_it_has_after_one_step() -> None:
+    """A bias that one step leaves passes for noise: fitted to its end it has all the evidence there is."""
+    near, there = model("delay", spread(4.0)), model("delay", spread(1.0))
+    near = near._replace(fitted=stretched(near.fitted, {"a": 4000.0}))
+
+    class Finishing(Made):
+        def fit_on(self, models: list[Modelled]) -> list[Modelled]:
+            return [there if one is near else one for one in models]
+
+    (alone,) = weighed(cast(Any, Made({"delay": near}, {}, {})), QUESTION, ["delay"], None, ALL)
+    assert not alone.counts and alone.evidence < LEAST_NATS
+    (found,) = weighed(cast(Any, Finishing({"delay": near}, {}, {})), QUESTION, ["delay"], None, ALL)
+    assert found.counts and found.evidence > PLAIN_NATS
 
 
 @pytest.mark.parametrize("gain", [0.0, 0.3])

@@ -13,6 +13,7 @@ from tests.gap.made_answer import LATE_S, VEHICLE, late_drive, made_kept, made_m
 from tests.learn.made_drives import NOISE
 from tunefree_hil.config.schema import EffectSpec
 from tunefree_hil.gap.chain import Opened, open_chain
+from tunefree_hil.gap.dealt import dealt
 from tunefree_hil.gap.repair import found_effects, repaired
 from tunefree_hil.gap.replay import car_of, pose_of, run_over
 from tunefree_hil.gap.segments import PROOF, blocks_of
@@ -23,10 +24,11 @@ from tunefree_hil.gap.shrink import (
     explained_frac,
     floors_of,
     gaps_of,
+    gross,
     unforetold,
     worse_signals,
 )
-from tunefree_hil.gap.verify import HUGE, POSITION, Proof, Variant, prove
+from tunefree_hil.gap.verify import HUGE, POSITION, Proof, Traces, Variant, prove
 
 STEER, YAW = "report.steer_rad", "ins.yaw_rate_radps"
 
@@ -47,13 +49,12 @@ def proof(delay_s: float = LATE_S) -> Proof:
 
 
 def test_the_true_repair_leaves_noise_on_every_block_of_the_proof() -> None:
-    roles = blocks_of([opened().ticks], 0.01).roles
     found = proof()
     floors = floors_of(found, made_model())
     gaps = gaps_of(found, floors, {})
-    assert found.blocks == int(np.sum(roles == PROOF)) == 2
-    assert gaps[STEER].before > 0.1 and gaps[STEER].after == pytest.approx(NOISE["steer_rad"], rel=0.3)
-    assert gaps[YAW].before > 0.01 and gaps[YAW].after == pytest.approx(NOISE["yaw_rate_radps"], rel=0.2)
+    assert found.blocks == int(np.sum(dealt([opened()]).roles == PROOF)) == 2
+    assert gaps[STEER].before > 0.05 and gaps[STEER].after == pytest.approx(NOISE["steer_rad"], rel=0.3)
+    assert gaps[YAW].before > 0.005 and gaps[YAW].after == pytest.approx(NOISE["yaw_rate_radps"], rel=0.2)
     assert gaps[POSITION].before > 4.0 * (gaps[POSITION].after or 1.0)
     assert all(one.floor <= min(one.before, one.after or 0.0) for one in gaps.values())
     closed = explained_frac(found, floors)
@@ -122,6 +123,20 @@ def test_a_block_in_which_chance_misses_more_is_no_gap_of_the_effect() -> None:
     worse = Proof({**squares, "after": {"report.speed_mps": 4.0 * speed, STEER: steer["after"]}}, *found[1:])
     spoilt = explained_frac(worse, {"report.speed_mps": 1.0, STEER: 1.0})
     assert spoilt is not None and spoilt["value"] < 0.8
+
+
+@pytest.mark.parametrize(("missed", "floor", "is_gross"), [(0.5, 0.001, True), (0.5, 0.4, False), (0.1, 0.001, False)])
+def test_gross_is_what_is_missed_of_the_signal_and_far_above_the_floor(
+    missed: float, floor: float, is_gross: bool
+) -> None:
+    """Of a signal with a deviation of one; what is summed up over time is never gross."""
+    measured = {name: np.tile([1.0, -1.0], 50) for name in (STEER, POSITION)}
+    squares = {"before": {name: np.full(3, 100.0 * missed**2) for name in measured}}
+    found = Proof(
+        squares, {name: np.full(3, 100.0) for name in measured}, {}, (Traces(np.arange(100.0), measured, {}),)
+    )
+    told = gross(found, gaps_of(found, dict.fromkeys(measured, floor), {}))
+    assert told == ({STEER: pytest.approx(missed)} if is_gross else {})
 
 
 def test_the_noise_of_reports_that_come_every_other_tick_is_known() -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 LAST_WORDS = 2000
+NOT_STARTED = 127  # what setpriv and shells end with where there is no such program
 _running: set[subprocess.Popen[str]] = set()
 _guard = threading.Lock()
 
@@ -30,7 +31,8 @@ class Done(NamedTuple):
 def call(command: str, limit_s: float, **places: str | list[str]) -> Done:
     """Run a command line with its places filled in; all that it started ends with it.
 
-    Programs of the interpreter that runs the exam are found before those of the path.
+    Programs of the interpreter that runs the exam are found before those of the path. Raises FileNotFoundError where
+    there is no such program: nobody was asked then, and nothing was answered.
     """
     words: list[str] = []
     for word in shlex.split(command):
@@ -55,6 +57,8 @@ def call(command: str, limit_s: float, **places: str | list[str]) -> Done:
     finally:
         with _guard:
             _running.discard(process)
+    if status == NOT_STARTED:
+        raise FileNotFoundError(f"{command.split()[0]} does not start: {stderr[-LAST_WORDS:].strip()}")
     return Done(status, time.monotonic() - started, stdout, stderr[-LAST_WORDS:])
 
 

@@ -48,11 +48,16 @@ def _weigh(question: Question, models: Mapping[str, Modelled], start: Modelled, 
 
 
 def _near(some: Sequence[Weighed], share: float, done: set[str]) -> list[str]:
-    """The next ones that are to be fitted on: who matters and has so much of the best one's evidence."""
-    worth = [one for one in some if one.matters]
-    best = max((one.evidence for one in worth), default=0.0)
-    left = [one for one in worth if one.evidence > max(share * best, LEAST_NATS) and one.name not in done]
-    return [one.name for one in sorted(left, key=lambda one: -one.evidence)[:CONTENDERS]]
+    """The next ones that are to be fitted on: who matters and has so much of the best one's evidence; the best one in
+    any case: whose search took one step only (team.py) is a little off still, and what that leaves in every row alike
+    passes for noise, in which nothing has evidence.
+    """
+    worth = sorted((one for one in some if one.matters), key=lambda one: -one.evidence)
+    if not worth:
+        return []
+    least = max(share * worth[0].evidence, LEAST_NATS)
+    left = [one.name for one in worth if (one is worth[0] or one.evidence > least) and one.name not in done]
+    return left[:CONTENDERS]
 
 
 def forward(team: Team, question: Question, first: list[Weighed], blocks: Array) -> Generator[str, None, list[Weighed]]:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.config.schema import ModelSpec
+from tunefree_hil.gap.locate import FAR, GROSS
 from tunefree_hil.gap.null import card_of
 from tunefree_hil.gap.verify import HEADING, HUGE, POSITION, UNITS, Proof
 
@@ -170,6 +171,23 @@ def grown(proof: Proof, floors: Mapping[str, float]) -> dict[str, float]:
         for one, (was, now) in rms.items()
         if now > (1.0 + MOST_WORSE) * was and now > floors[one]
     }
+
+
+def gross(proof: Proof, gaps: Mapping[str, Gap]) -> dict[str, float]:
+    """Signals of which so much is missed, even with recalibration, that no car that anybody has calibrated does it
+    (gap/locate.py), far above their floors: by how much of the signal. What is summed up over time is not looked at.
+    """
+    found = {}
+    for name, one in gaps.items():
+        if name in (HEADING, POSITION):
+            continue
+        size = float(
+            np.std(np.concatenate([traces.measured[name] for traces in proof.traces if name in traces.measured]))
+        )
+        least = min(one.before, one.before if one.recalibrated is None else one.recalibrated)
+        if least > GROSS * size and least**2 > FAR * one.floor**2:
+            found[name] = least / max(size, 1e-12)
+    return found
 
 
 def better_by_recalibration(gaps: Mapping[str, Gap]) -> dict[str, tuple[float, float]]:

@@ -15,10 +15,11 @@ import numpy as np
 
 from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
 from tunefree_hil.gap.chain import Opened
+from tunefree_hil.gap.dealt import dealt
 from tunefree_hil.gap.lost import OUTPUTS
 from tunefree_hil.gap.noise import sensor_noise
 from tunefree_hil.gap.replay import car_of, commanded, pose_of, run_over
-from tunefree_hil.gap.segments import PROOF, blocks_of
+from tunefree_hil.gap.segments import PROOF
 from tunefree_hil.gap.targets import STEERING
 from tunefree_hil.learn.motion import wrapped
 from tunefree_hil.learn.smooth import quantum_of
@@ -79,7 +80,7 @@ def prove(
     """Run all variants over the blocks of a role (gap/segments.py; whole: over all, of a recording that nothing was
     fitted on). brief: what lies far from these is not driven, by cars that forget it (gap/memory.py).
     """
-    blocks = blocks_of([one.ticks for one in drives], drives[0].dt_s)
+    blocks = dealt(drives)
     squares: dict[str, dict[str, list[float]]] = {name: {} for name in variants}
     counts: dict[str, list[float]] = {}
     noise: dict[str, list[float]] = {}

@@ -14,10 +14,11 @@ import numpy as np
 from tunefree_hil.base.contracts import Link
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.gap.chain import Opened
+from tunefree_hil.gap.dealt import dealt
 from tunefree_hil.gap.graph import CHANNELS, Graph, Values
 from tunefree_hil.gap.noise import Colour, Piece, colour_of, sensor_noise, whitened
 from tunefree_hil.gap.null import card_of
-from tunefree_hil.gap.segments import GUARD, PROOF, Blocks, block_at, blocks_of
+from tunefree_hil.gap.segments import GUARD, PROOF, Blocks, block_at
 from tunefree_hil.gap.targets import Compared, Target, too_few
 
 Array = np.ndarray
@@ -68,7 +69,7 @@ class Work:
         thin = too_few(self.compared)
         for one in self.compared:
             one.leave_out(thin)
-        self.blocks: Blocks = blocks_of([one.ticks for one in setting.drives], self.dt_s)
+        self.blocks: Blocks = dealt(setting.drives)
         self._where: dict[str, list[tuple[int, int]]] = {}
         for drive, compared in enumerate(self.compared):
             for place, target in enumerate(compared.targets):

@@ -9,12 +9,12 @@ import pytest
 
 from tests.gap.made_answer import SECONDS, VEHICLE, answer, late_drive, made_kept, made_model
 from tests.jobs.ended import ended
-from tests.learn.made_drives import made_drive
+from tests.learn.made_drives import CHANNELS, made_drive
 from tunefree_hil.gap.chain import open_chain
 from tunefree_hil.jobs.gap.folder import Folder
 from tunefree_hil.jobs.gap.gap import Material
 from tunefree_hil.jobs.gap.repair import is_borne_out, mend, proved, taken_back
-from tunefree_hil.jobs.gap.words import is_unproved, sentence_of
+from tunefree_hil.jobs.gap.words import is_unproved, is_unshown, sentence_of
 from tunefree_hil.learn.drives import Drive
 
 WORDS = "steer_dead_time came nearest, and closed nothing of the gap in stretches that no fit has seen"
@@ -121,6 +121,27 @@ def test_a_model_that_closes_nothing_is_not_kept_and_that_is_said() -> None:
     told = sentence_of(one)
     assert "is missing; no model is written" in told and "closes nothing" in told
     assert is_unproved(one) and not is_unproved({**one, "explained_frac": None})
+
+
+def test_a_model_of_what_the_proof_does_not_show_is_kept_and_that_is_said() -> None:
+    one = {**answer(), "explained_frac": {"value": 0.0, "low": 0.0, "high": 0.0}, "worse": [], "model": "out/model"}
+    one["effects"] = [{**one["effects"][0], "unseen_stirs": 0.0}]
+    assert is_unshown(one) and not is_unshown(answer()) and not is_unshown({"effects": []})
+    assert "do not show it, and another drive has to prove the model" in sentence_of(one) and is_unproved(one)
+
+
+@pytest.mark.parametrize(("later_s", "verdict"), [(0.0, None), (1.5, "none_of_these")])
+def test_what_only_the_blocks_that_prove_miss_grossly_is_not_nothing(
+    tmp_path: Path, later_s: float, verdict: str | None
+) -> None:
+    late = CHANNELS["steer"]._replace(dead_time_s=CHANNELS["steer"].dead_time_s + later_s)
+    drive = made_drive(SECONDS, seed=5, channels={**CHANNELS, "steer": late}, name="late.log")
+    material, kept = Material(VEHICLE, made_model(), [drive], []), made_kept("none_missing")
+    opened = [open_chain(drive, VEHICLE)]
+    mended = mend(Folder(tmp_path), material, opened, kept, "sha256:0")
+    (data, _), _ = ended(proved(Folder(tmp_path), material, opened, kept, mended))
+    assert data.get("verdict") == verdict
+    assert verdict is None or "report.steer_rad (by " in data["words"][0]
 
 
 def test_what_is_left_for_sure_is_told() -> None:

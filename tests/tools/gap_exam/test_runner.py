@@ -64,3 +64,11 @@ def test_a_model_that_failed_once_and_is_made_then_has_its_answers(
     done = asked(tmp_path, f"{sys.executable} {tmp_path / 'makes.py'} {{out}}", monkeypatch)
     assert done.unasked == 0 and len(done.seconds) == 2
     assert all((Run(tmp_path / "run").answer(case.number) / "gap.json").is_file() for case in CASES)
+
+
+@pytest.mark.slow
+def test_a_program_that_is_not_there_has_answered_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(FileNotFoundError, match="no-such-program"):
+        asked(tmp_path, "no-such-program {out}", monkeypatch)
+    run = Run(tmp_path / "run")
+    assert not any(run.is_answered(case.number) for case in CASES) and not list((tmp_path / "run").rglob("*refused*"))

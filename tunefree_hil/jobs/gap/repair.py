@@ -15,16 +15,18 @@ from tunefree_hil.gap.result import is_absorbed
 from tunefree_hil.gap.segments import block_s_of
 from tunefree_hil.gap.shrink import (
     LEAST_OPEN,
+    Gap,
     better_by_recalibration,
     explained_frac,
     floors_of,
     gaps_of,
+    gross,
     grown,
     unforetold,
     worse_signals,
 )
 from tunefree_hil.gap.verify import Proof, Variant, prove
-from tunefree_hil.jobs.gap.words import CLOSES_NOTHING, listed, percent
+from tunefree_hil.jobs.gap.words import CLOSES_NOTHING, STIRS, is_unshown, listed, percent
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import EffectSpec, ModelSpec
@@ -37,7 +39,8 @@ if TYPE_CHECKING:
 LEAST_CLOSED = 2.0 / 3.0  # of the gap: who surely leaves a third of it stands in for something else
 SPEAKS_FOR = 0.3  # of the gap, surely closed: what a name needs that nothing else speaks for
 AGAIN = 0.5  # of what an effect takes off its own signal's error, on the blocks that prove: it is there as well
-SILENT, STIRS = 0.02, 0.05  # of that error, of its squares: blocks that the effect changes by less do not show it
+MOST_TOLD = 3  # signals
+SILENT = 0.02  # of that error: what is no more says nothing
 
 
 class Mended(NamedTuple):
@@ -124,7 +127,7 @@ def proved(
         "recalibration": _gained(gaps),
     }
     if mended.model is None:
-        return data, proof
+        return data | _missed_there(found.answer, proof, gaps, material.model.plant.kind), proof
     worse = worse_signals(proof, floors)
     older = yield from _older(material, mended.model)
     for one in older:
@@ -142,10 +145,24 @@ def proved(
         worse |= {signal: by for signal, by in grown(proof, floors).items() if signal not in worse}
         data["worse"] = _worse_words(worse)
     closes = data["explained_frac"]
-    if worse or "taken_back" in data or (closes is not None and closes["value"] < CLOSES_NOTHING):
+    closes_nothing = closes is not None and closes["value"] < CLOSES_NOTHING and not is_unshown(found.answer)
+    if worse or closes_nothing or "taken_back" in data:
         shutil.rmtree(folder.model)
         data["model"] = None
     return data, proof
+
+
+def _missed_there(answer: Mapping[str, Any], proof: Proof, gaps: Mapping[str, Gap], kind: str) -> dict[str, Any]:
+    """Keys of gap.json where nothing seemed to be missing and the blocks that prove miss more than any calibrated model
+    does: what they hold alone nobody could look for. kind: of the model's plant.
+    """
+    missed = gross(proof, gaps)
+    if answer["verdict"] != "none_missing" or not missed:
+        return {}
+    most = sorted(missed, key=lambda one: -missed[one])[:MOST_TOLD]
+    told = listed([f"{name} (by {missed[name]:.0%} of the signal)" for name in most])
+    words = f"the stretches that are kept for the proof miss {told}, and the others no more than a model may"
+    return {"verdict": "none_of_these", "absorbed": is_absorbed("none_of_these", kind), "words": [words]}
 
 
 def _unproved(

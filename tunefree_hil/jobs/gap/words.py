@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 COMMAND = pasted("gap")
 SHARE = ("value", "low", "high")
 CLOSES_NOTHING = 0.01  # of the gap: no model is written for less
+STIRS = 0.05  # of an error's squares: blocks that an effect changes by less do not show it
 MOST_MOVED = 3  # numbers that are told of
 
 
@@ -66,6 +67,8 @@ def _missing(answer: Mapping[str, Any]) -> str:
     named = [f"{one['name']} ({value_words(one)})" for one in answer["effects"]]
     told = f"{listed(named)} {'is' if len(named) == 1 else 'are'} missing"
     worse, closed = answer.get("worse") or [], answer.get("explained_frac")
+    if is_unproved(answer) and answer.get("model"):
+        return f"{told}; the stretches that no fit has seen do not show it, and another drive has to prove the model"
     if is_unproved(answer) and not worse:
         return f"{told}; no model is written, as it closes nothing of the gap in the stretches that no fit has seen"
     if closed:
@@ -79,6 +82,12 @@ def is_unproved(answer: Mapping[str, Any]) -> bool:
     """Whether a name stands, and its repair closes nothing where no fit has looked: another drive has to prove it."""
     closed = answer.get("explained_frac")
     return answer["verdict"] in ("one", "several") and bool(closed) and closed["value"] < CLOSES_NOTHING
+
+
+def is_unshown(answer: Mapping[str, Any]) -> bool:
+    """Whether the blocks that prove do not show any of the effects that were named: they say nothing about them."""
+    stirs = [one.get("unseen_stirs") for one in answer["effects"]]
+    return bool(stirs) and all(one is not None and one < STIRS for one in stirs)
 
 
 def _one_of(answer: Mapping[str, Any]) -> str:

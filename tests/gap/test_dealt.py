@@ -1,0 +1,92 @@
+"""Which blocks prove: as many as ever, and never the only ones in which a drive goes to its ends."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from tests.gap.made_answer import SECONDS, VEHICLE
+from tests.learn.made_drives import made_drive
+from tunefree_hil.gap.chain import Opened, open_chain
+from tunefree_hil.gap.dealt import AS_FAR, dealt, seen_at_their_ends
+from tunefree_hil.gap.segments import PROOF, Blocks, blocks_of
+
+Array = np.ndarray
+
+
+def geometry(counts: list[int]) -> Blocks:
+    """Blocks of drives of so many blocks each."""
+    return blocks_of([900 * count for count in counts], 0.01)
+
+
+def is_seen(roles: Array, farthest: Array) -> Array:
+    return (farthest[roles != PROOF] >= AS_FAR).any(axis=0)
+
+
+@given(st.data())
+def test_as_many_blocks_prove_as_before_in_each_drive_and_no_end_is_lost(data: Any) -> None:
+    blocks = geometry(data.draw(st.lists(st.integers(8, 20), min_size=1, max_size=3)))
+    shape = (blocks.count, data.draw(st.integers(1, 6)))
+    farthest = data.draw(arrays(float, shape, elements=st.sampled_from([0.0, 0.5, 0.91, 1.0])))
+    roles = seen_at_their_ends(blocks, farthest, np.ones(blocks.count, dtype=bool))
+    for drive in set(blocks.drives.tolist()):
+        own = blocks.drives == drive
+        assert sorted(roles[own]) == sorted(blocks.roles[own])
+    assert (is_seen(roles, farthest) >= is_seen(blocks.roles, farthest)).all()
+    if is_seen(blocks.roles, farthest).all():
+        assert (roles == blocks.roles).all(), "where nothing is hidden nothing is changed"
+
+
+@pytest.mark.parametrize("block", range(16))
+def test_the_one_block_that_goes_farthest_is_never_kept_for_the_proof(block: int) -> None:
+    blocks, whole = geometry([16]), np.ones(16, dtype=bool)
+    farthest = np.full((16, 2), [0.5, 1.0])
+    farthest[block, 0] = 1.0
+    roles = seen_at_their_ends(blocks, farthest, whole)
+    assert roles[block] != PROOF
+    assert np.abs(np.flatnonzero(roles != blocks.roles) - block).max(initial=0) <= 1, "a neighbour took its place"
+
+
+def test_where_two_go_as_far_one_stays_for_the_proof() -> None:
+    blocks, farthest = geometry([16]), np.zeros((16, 1))
+    farthest[[3, 8], 0] = 1.0, 0.95  # the fourth proves, the ninth is fitted on
+    assert (seen_at_their_ends(blocks, farthest, np.ones(16, dtype=bool)) == blocks.roles).all()
+
+
+def test_a_block_in_which_the_car_stands_takes_the_place_last() -> None:
+    blocks, farthest, whole = geometry([16]), np.zeros((16, 1)), np.ones(16, dtype=bool)
+    farthest[7, 0], whole[[6, 8]] = 1.0, False
+    roles = seen_at_their_ends(blocks, farthest, whole)
+    assert roles[7] != PROOF and roles[5] == PROOF, "the nearest whole one"
+
+
+def test_blocks_of_which_nothing_is_known_change_nothing() -> None:
+    blocks = geometry([16])
+    assert (seen_at_their_ends(blocks, np.full((16, 3), np.nan), np.zeros(16, dtype=bool)) == blocks.roles).all()
+
+
+def with_a_turn(opened: Opened, block: int, steer_rad: float) -> Opened:
+    """The drive with one turn of the wheel in the middle of a block."""
+    blocks = blocks_of([opened.ticks], opened.dt_s)
+    commands = opened.inputs.commands.copy()
+    middle = int(blocks.begins[block] + blocks.ends[block]) // 2
+    commands[middle : middle + 50, 2] = steer_rad
+    return opened._replace(inputs=opened.inputs._replace(commands=commands))
+
+
+@pytest.mark.parametrize("steer_rad", [6.0, -6.0])
+def test_the_one_turn_of_a_drive_to_its_stop_is_searched(steer_rad: float) -> None:
+    opened = open_chain(made_drive(SECONDS, seed=5, name="turn.log"), VEHICLE)
+    kept = int(np.flatnonzero(dealt([opened]).roles == PROOF)[0])
+    assert dealt([with_a_turn(opened, kept, steer_rad)]).roles[kept] != PROOF
+
+
+def test_a_car_that_stands_has_its_blocks_all_the_same() -> None:
+    opened = open_chain(made_drive(SECONDS, seed=5, name="still.log"), VEHICLE)
+    stands = opened._replace(moving=np.zeros(opened.ticks, dtype=bool))
+    assert (dealt([stands]).roles == blocks_of([opened.ticks], opened.dt_s).roles).all()
