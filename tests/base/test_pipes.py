@@ -97,6 +97,21 @@ def test_one_that_ends_is_named_with_its_last_words(helper: Helper) -> None:
 
 
 @pytest.mark.slow
+class Unreadable:
+    """A message that its reader cannot make: as that of another version of the program is."""
+
+    def __reduce__(self) -> tuple[type[int], tuple[str]]:
+        return int, ("no number",)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(30)
+def test_a_request_that_cannot_be_read_ends_it_with_the_reason(helper: Helper) -> None:
+    helper.say(("echo", Unreadable()))
+    with pytest.raises(PeerGone, match="invalid literal for int"):
+        helper.hear()
+
+
 def test_one_that_is_killed_is_named_by_the_signal(helper: Helper) -> None:
     helper.process.kill()
     helper.process.wait(SOON_S)

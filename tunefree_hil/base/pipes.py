@@ -14,10 +14,12 @@ import subprocess
 import sys
 import tempfile
 import threading
+import traceback
 from collections.abc import Iterator, Mapping
 from typing import Any, BinaryIO, NamedTuple, cast
 
 from tunefree_hil.base.errors import PeerGone
+from tunefree_hil.base.own_python import own_python
 
 LENGTH_BYTES = 8
 LAST_LINES = 12  # of what a helper printed, where it dies
@@ -44,7 +46,7 @@ class Helper:
         self._loss = loss
         self._words = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
         self.process = subprocess.Popen(
-            [sys.executable, "-m", module],
+            own_python(module),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._words,
@@ -124,12 +126,18 @@ def serve() -> tuple[queue.SimpleQueue[Any], BinaryIO]:
 
 
 def _listen(pipe: BinaryIO, todo: queue.SimpleQueue[Any]) -> None:
-    """Hand on requests; the parent's end is ours, whatever is being worked on."""
+    """Hand on requests; the parent's end is ours, whatever is being worked on. So is a request that cannot be read:
+    nobody would answer it, and the parent would wait for ever.
+    """
     while True:
         try:
             todo.put(receive(pipe))
         except EOFError:
             os._exit(0)
+        except BaseException:
+            traceback.print_exc()
+            sys.stderr.flush()
+            os._exit(1)
 
 
 def _exactly(pipe: BinaryIO, size: int) -> bytes:

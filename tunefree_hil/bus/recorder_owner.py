@@ -15,7 +15,7 @@ from tunefree_hil.bus.recorder import Setup
 
 REPLY_S = 60.0  # a disk may be slow
 STATS_S = 5.0
-COMMAND = ("-m", "tunefree_hil.bus.recorder_process")  # of the interpreter; then the number of its socket
+MODULE = "tunefree_hil.bus.recorder_process"  # then the number of its socket
 
 
 class BusTrouble(BenchError):

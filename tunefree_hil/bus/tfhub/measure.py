@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from tunefree_hil.base.own_python import own_python
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.tfhub.address import DEFAULT_TRANSPORT, Transport
 from tunefree_hil.bus.tfhub.pair import HubPair
@@ -60,7 +61,7 @@ def _quantile(values: list[float], share: float) -> float:
 @contextmanager
 def _peer(kind: str, hub: HubProcess, number: int = 0) -> Iterator[subprocess.Popen[bytes]]:
     """A process of this module that plays one part, and ends when it is told STOP_ID."""
-    command = [sys.executable, "-m", "tunefree_hil.bus.tfhub.measure", kind, hub.vehicle, hub.bench, str(number)]
+    command = own_python("tunefree_hil.bus.tfhub.measure", kind, hub.vehicle, hub.bench, str(number))
     process = subprocess.Popen(command)
     try:
         yield process

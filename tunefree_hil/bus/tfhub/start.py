@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import tempfile
 from typing import BinaryIO, NamedTuple
 
 from tunefree_hil.base.errors import BenchError, InputError
+from tunefree_hil.base.own_python import own_python
 from tunefree_hil.bus.tfhub import address
 from tunefree_hil.bus.tfhub.address import DEFAULT_TRANSPORT, Transport
 from tunefree_hil.bus.tfhub.owner import Owner
@@ -68,7 +68,7 @@ def start_hub(
     vehicle_log_name: str = LOG_NAMES["vehicle"],
 ) -> HubProcess:
     """A hub in its own process with us as owner. InputError when one runs in that session, BenchError when it fails."""
-    command = [sys.executable, "-m", "tunefree_hil.bus.tfhub", "--session", session, "--clock", clock, "--say-ready"]
+    command = own_python("tunefree_hil.bus.tfhub", "--session", session, "--clock", clock, "--say-ready")
     command += ["--vehicle-log-name", vehicle_log_name] + (["--tcp"] if transport == "tcp" else [])
     words = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process; a pipe could fill and block it
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=words)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import socket
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from tunefree_hil.base.own_python import own_python
 from tunefree_hil.bench import Bench
 from tunefree_hil.bus.open import BusChoice
 from tunefree_hil.bus.recorder import Setup
-from tunefree_hil.bus.recorder_owner import COMMAND, RecorderOwner
+from tunefree_hil.bus.recorder_owner import MODULE, RecorderOwner
 from tunefree_hil.bus.tfhub.address import read_hub
 from tunefree_hil.jobs.running.node_links import ids_of, sends_fd
 from tunefree_hil.jobs.running.processes import Processes
@@ -95,7 +95,7 @@ def start_recorder(
     )
     ours, theirs = socket.socketpair()
     with theirs:
-        command = [sys.executable, *COMMAND, str(theirs.fileno()), session]
+        command = own_python(MODULE, str(theirs.fileno()), session)
         processes.run("recorder", command, pass_fds=(theirs.fileno(),))
     try:
         return RecorderOwner(ours, setup, patience_s)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from tunefree_hil.base.errors import BenchError, InputError, PeerGone
+from tunefree_hil.base.own_python import own_python
 
 TAIL_LINES = 12
 END_S = 3.0
@@ -51,7 +51,7 @@ class Processes:
 
     def start(self, name: str, arguments: Sequence[str], environment: dict[str, str] | None = None) -> int:
         """Start `tunefree-hil ARGUMENTS`; its process id."""
-        return self.run(name, [sys.executable, "-m", "tunefree_hil", *arguments], environment)
+        return self.run(name, own_python("tunefree_hil", *arguments), environment)
 
     def run(
         self,
