@@ -96,6 +96,13 @@ def test_an_unknown_constant_of_the_plant(bench: Bench, tmp_path: Path) -> None:
     assert caught.value.file.endswith("models/own/model.toml")
 
 
+def test_a_constant_that_no_car_has(bench: Bench, tmp_path: Path) -> None:
+    name = own_model(tmp_path, "mass_kg = 2080.0", "mass_kg = -5.0")
+    with pytest.raises(InputError, match="expected more than 0, got -5") as caught:
+        VehicleFor(bench, name)
+    assert caught.value.key == "plant.params.mass_kg" and caught.value.file.endswith("models/own/model.toml")
+
+
 def test_heavy_plants_run_compiled(bench: Bench) -> None:
     assert is_heavy(bench, "mkz_reference") and not is_heavy(bench, "mkz_nominal")
 

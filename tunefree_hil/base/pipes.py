@@ -129,15 +129,15 @@ def _listen(pipe: BinaryIO, todo: queue.SimpleQueue[Any]) -> None:
     """Hand on requests; the parent's end is ours, whatever is being worked on. So is a request that cannot be read:
     nobody would answer it, and the parent would wait for ever.
     """
-    while True:
-        try:
+    try:
+        while True:
             todo.put(receive(pipe))
-        except EOFError:
-            os._exit(0)
-        except BaseException:
-            traceback.print_exc()
-            sys.stderr.flush()
-            os._exit(1)
+    except EOFError:
+        os._exit(0)
+    finally:
+        traceback.print_exc()
+        sys.stderr.flush()
+        os._exit(1)
 
 
 def _exactly(pipe: BinaryIO, size: int) -> bytes:

@@ -19,6 +19,7 @@ from tunefree_hil.nodes.ecu import Vehicle
 from tunefree_hil.plant.actuators import ActuatorParams
 from tunefree_hil.plant.body import Plant
 from tunefree_hil.plant.bywire import ByWireParams, ChannelRules, bywire
+from tunefree_hil.plant.constants import require_constants
 from tunefree_hil.plant.sensors import noise_table
 from tunefree_hil.plant.unit import make_unit
 from tunefree_hil.plant.vehicle import assemble, for_episode
@@ -95,8 +96,10 @@ def _body_of(bench: Bench, model: ModelSpec) -> Any:
     }
     ins_accel = vehicle.ins.get("accel_mps2")
     try:
+        plant = plant_of(model)
+        require_constants(plant.defaults, model.plant.params)
         return assemble(
-            plant_of(model),
+            plant,
             model.plant.params,
             channels,
             effects=effects_of(model.effects, rest, file) + effects_of(bench.spec.effects, rest, bench.file),

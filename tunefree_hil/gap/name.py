@@ -3,7 +3,7 @@
     opened = list of drives (chain.py)
     found = yield from name(model, vehicle, opened)
 
-Two processes share the suspects (team.py, search.py). The verdict is one of VERDICTS; whatever it is, the numbers
+Processes share the suspects (team.py, search.py). The verdict is one of VERDICTS; whatever it is, the numbers
 behind it come with it.
 """
 
@@ -175,7 +175,8 @@ def _named(
     if verdict in ("one", "several"):
         known = _effects(team, question, steps, repaired)
         sizes = {one.name: {key: value.value for key, value in one.params.items()} for one in known}
-        words = (*words, *small_words(sizes), *alike_words(sizes, drives))
+        words = (*words, *small_words(sizes))
+    words = (*words, *alike_words([one.name for one in known] or others, drives))
     words = (*words, *no_news, *usual_words(usual), *daily_words(apart(repaired.fitted, blocks, days)))
     return Named(
         verdict, known, others, _manoeuvre(others), link, shown, tuple(before.looked), held, tuple(first), question,

@@ -156,9 +156,11 @@ def _set_words(step: Weighed, held: Excited) -> str:
 
 
 def alike_words(names: Iterable[str], drives: Sequence[Opened]) -> tuple[str, ...]:
-    """Of each effect that is named, in words: who else would look just the same on this car (interfaces 4)."""
-    has_lateral = all(one.has("report.lateral_accel_mps2") for one in drives)
-    same = {name: ", ".join(sorted(class_of(name, has_lateral) - {name})) for name in names}
+    """Of each effect that is named, alone or in a set, in words: who else would look just the same on this car
+    (interfaces 4), and is not named beside it.
+    """
+    has_lateral, named = all(one.has("report.lateral_accel_mps2") for one in drives), list(names)
+    same = {name: ", ".join(sorted(class_of(name, has_lateral) - set(named))) for name in named}
     return tuple(f"{name}: no log of this car tells it from {others}" for name, others in same.items() if others)
 
 

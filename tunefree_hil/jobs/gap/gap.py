@@ -1,6 +1,6 @@
 """Finds what a model lacks that logs show: where they part, what it is, the model with it, and the proof.
 
-Reads logs, searches (gap/name.py, two processes), repairs and proves; writes a folder of which `gap.json` comes last.
+Reads logs, searches (gap/name.py), repairs and proves; writes a folder of which `gap.json` comes last.
 What the search came to is kept, so that a run that was cut off after it goes on from there.
 """
 

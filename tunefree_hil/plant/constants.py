@@ -1,0 +1,37 @@
+"""What constants no car has: one list for all plants that take [plant.params], whoever makes them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from tunefree_hil.base.errors import InputError
+
+# What a car has some of, and what it may have none of
+POSITIVE = (
+    "mass_kg", "wheelbase_m", "front_axle_m", "yaw_inertia_kgm2", "front_stiffness_n_per_rad",
+    "rear_stiffness_n_per_rad", "friction", "steer_ratio", "wheel_radius_m", "track_m", "throttle_full_frac",
+    "drive_force_n", "drive_knee_frac", "drive_power_w", "creep_speed_mps",
+)  # fmt: skip
+NOT_BELOW_0 = ("rest_pedal_frac", "creep_force_n", "rolling_frac", "drag_area_m2", "brake_force_n_per_frac")
+FARTHER = {"wheelbase_m": "front_axle_m", "throttle_full_frac": "throttle_zero_frac"}  # than this one, always
+
+
+def require_constants(defaults: Mapping[str, float], given: Mapping[str, float]) -> None:
+    """Raises InputError with the key of a constant that no car has. defaults: the plant's; given: [plant.params]."""
+    values = {**defaults, **given}
+    for name, value in given.items():
+        if not math.isfinite(value):  # files may say inf (config/convert.py): of a force times 0 it makes no number
+            raise _wrong(name, f"{value:g} is no number of a car", "give a finite number")
+        if name in POSITIVE and value <= 0.0:
+            raise _wrong(name, f"expected more than 0, got {value:g}", "give the car's own, or leave it out")
+        if name in NOT_BELOW_0 and value < 0.0:
+            raise _wrong(name, f"expected 0 or more, got {value:g}", "give the car's own, or leave it out")
+    for name, least in FARTHER.items():
+        if name in values and least in values and values[name] <= values[least]:
+            said = f"{values[name]:g} is not more than {least}, which is {values[least]:g}"
+            raise _wrong(name if name in given else least, said, f"{name} must be more than {least}")
+
+
+def _wrong(name: str, message: str, hint: str) -> InputError:
+    return InputError(message, code="bad_plant_parameter", key=f"plant.params.{name}", hint=hint)
