@@ -133,7 +133,7 @@ def test_nothing_is_tracked_that_is_ignored_and_no_link_is() -> None:
 
     if not (ROOT / ".git").exists():
         pytest.skip("not a clone")
-    assert said("--cached", "--ignored", "--exclude-standard") == []
+    assert said("--cached", "--ignored", "--exclude-per-directory=.gitignore") == []
     assert [line for line in said("--stage") if line.startswith("120000")] == []
 
 

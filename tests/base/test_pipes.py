@@ -96,7 +96,6 @@ def test_one_that_ends_is_named_with_its_last_words(helper: Helper) -> None:
         helper.ask(("print", "once more"))
 
 
-@pytest.mark.slow
 class Unreadable:
     """A message that its reader cannot make: as that of another version of the program is."""
 
@@ -112,6 +111,7 @@ def test_a_request_that_cannot_be_read_ends_it_with_the_reason(helper: Helper) -
         helper.hear()
 
 
+@pytest.mark.slow
 def test_one_that_is_killed_is_named_by_the_signal(helper: Helper) -> None:
     helper.process.kill()
     helper.process.wait(SOON_S)

@@ -20,15 +20,17 @@ from tunefree_hil.gap.segments import PROOF, blocks_of
 from tunefree_hil.gap.shrink import (
     MANY,
     WORST,
+    Gap,
     better_by_recalibration,
     explained_frac,
     floors_of,
     gaps_of,
     gross,
+    sizes_of,
     unforetold,
     worse_signals,
 )
-from tunefree_hil.gap.verify import HUGE, POSITION, Proof, Traces, Variant, prove
+from tunefree_hil.gap.verify import HUGE, POSITION, Proof, Variant, prove
 
 STEER, YAW = "report.steer_rad", "ins.yaw_rate_radps"
 
@@ -125,18 +127,28 @@ def test_a_block_in_which_chance_misses_more_is_no_gap_of_the_effect() -> None:
     assert spoilt is not None and spoilt["value"] < 0.8
 
 
-@pytest.mark.parametrize(("missed", "floor", "is_gross"), [(0.5, 0.001, True), (0.5, 0.4, False), (0.1, 0.001, False)])
+@pytest.mark.parametrize(
+    ("missed", "floor", "found"),
+    [(0.5, 0.001, 0.5), (0.5, 0.4, None), (0.1, 0.001, None), (HUGE, 0.001, MANY)],
+)
 def test_gross_is_what_is_missed_of_the_signal_and_far_above_the_floor(
-    missed: float, floor: float, is_gross: bool
+    missed: float, floor: float, found: float | None
 ) -> None:
-    """Of a signal with a deviation of one; what is summed up over time is never gross."""
-    measured = {name: np.tile([1.0, -1.0], 50) for name in (STEER, POSITION)}
-    squares = {"before": {name: np.full(3, 100.0 * missed**2) for name in measured}}
-    found = Proof(
-        squares, {name: np.full(3, 100.0) for name in measured}, {}, (Traces(np.arange(100.0), measured, {}),)
-    )
-    told = gross(found, gaps_of(found, dict.fromkeys(measured, floor), {}))
-    assert told == ({STEER: pytest.approx(missed)} if is_gross else {})
+    """Of a signal with a deviation of one; what has no deviation over the drives, or no gap, is not looked at."""
+    gaps = {name: Gap(missed, None, None, floor, "rad") for name in (STEER, POSITION)}
+    sizes = {STEER: 1.0, YAW: 1.0, "report.brake_frac": 0.0}
+    assert gross(gaps, sizes) == ({} if found is None else {STEER: found})
+    assert gross({STEER: Gap(missed, 0.01, None, floor, "rad")}, sizes) == {}, "recalibration takes it away"
+
+
+def test_sizes_are_of_whole_drives_and_of_nothing_that_is_summed_up() -> None:
+    sizes = sizes_of([opened(), opened()])
+    one = opened().signals[STEER]
+    assert sizes[STEER] == pytest.approx(float(np.std(one.values[one.fresh & one.there & opened().moving])))
+    assert YAW in sizes and not [name for name in sizes if "speed" in name or "accel" in name or name == POSITION]
+    without = opened()._replace(signals={name: one for name, one in opened().signals.items() if name != STEER})
+    assert STEER not in sizes_of([without]) and sizes_of([without, opened()])[STEER] == pytest.approx(sizes[STEER])
+    assert YAW not in sizes_of([opened()._replace(derived={YAW: 1})]), "that wheels tell it is no sensor's word"
 
 
 def test_the_noise_of_reports_that_come_every_other_tick_is_known() -> None:

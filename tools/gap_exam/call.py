@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 LAST_WORDS = 2000
-NOT_STARTED = 127  # what setpriv and shells end with where there is no such program
+NOT_STARTED = "setpriv: failed to execute"  # a program whose interpreter is gone is found, and does not run
 _running: set[subprocess.Popen[str]] = set()
 _guard = threading.Lock()
 
@@ -38,13 +38,16 @@ def call(command: str, limit_s: float, **places: str | list[str]) -> Done:
     for word in shlex.split(command):
         value = places.get(word[1:-1]) if word.startswith("{") else None
         words += [word] if value is None else [value] if isinstance(value, str) else value
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}"
+    if shutil.which(words[0], path=path) is None:
+        raise FileNotFoundError(f"there is no program {words[0]}: install it beside {sys.executable}, or name another")
     if shutil.which("setpriv"):
         words = ["setpriv", "--pdeathsig", "KILL", *words]
     started = time.monotonic()
     with _guard:
         process = subprocess.Popen(
             words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, errors="replace",
-            env={**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}"},
+            env={**os.environ, "PATH": path},
         )  # fmt: skip
         _running.add(process)
     try:
@@ -57,8 +60,8 @@ def call(command: str, limit_s: float, **places: str | list[str]) -> Done:
     finally:
         with _guard:
             _running.discard(process)
-    if status == NOT_STARTED:
-        raise FileNotFoundError(f"{command.split()[0]} does not start: {stderr[-LAST_WORDS:].strip()}")
+    if stderr.startswith(NOT_STARTED):
+        raise FileNotFoundError(f"{command.split()[0]} does not start: {stderr.strip()}")
     return Done(status, time.monotonic() - started, stdout, stderr[-LAST_WORDS:])
 
 

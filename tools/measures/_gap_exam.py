@@ -103,5 +103,9 @@ def code_hash() -> str:
 
 def there_is_gap() -> None:
     """Raises InputError where the command that is examined is not there: an exam of nothing is no figure."""
-    if call("tunefree-hil gap --help", 60.0).status != 0:
+    try:
+        starts = call("tunefree-hil gap --help", 60.0).status == 0
+    except FileNotFoundError:
+        starts = False
+    if not starts:
         raise InputError("there is no command `tunefree-hil gap`", code="exam", hint="install the package: make venv")

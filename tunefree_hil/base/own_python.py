@@ -1,4 +1,4 @@
-"""The interpreter's command of a process of ours: it runs the code of whoever starts it, wherever it is started."""
+"""The interpreter's command of a process of ours: what lies in a person's folder is not what it runs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,13 @@ def own_python(module: str, *words: str) -> list[str]:
     """`python -m module words`, without the working folder among the places of modules.
 
     `-m` alone would take a `can.py` or a `signal.py` of a person's folder for the library's, and a second checkout's
-    package for ours. In a checkout's own folder it stays: there the package need not be installed.
+    package for the installed one. In our checkout's own folder it stays: there the package need not be installed.
     """
-    apart = [] if Path.cwd() == ROOT else ["-P"]
-    return [sys.executable, *apart, "-m", module, *words]
+    return [sys.executable, *([] if _in_checkout() else ["-P"]), "-m", module, *words]
+
+
+def _in_checkout() -> bool:
+    try:
+        return Path.cwd() == ROOT
+    except FileNotFoundError:  # a folder that was removed under whoever works in it
+        return False

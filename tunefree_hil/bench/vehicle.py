@@ -97,7 +97,8 @@ def _body_of(bench: Bench, model: ModelSpec) -> Any:
     ins_accel = vehicle.ins.get("accel_mps2")
     try:
         plant = plant_of(model)
-        require_constants(plant.defaults, model.plant.params)
+        if ":" not in model.plant.kind:  # what the names of a user's own plant mean, only that knows
+            require_constants(plant.defaults, model.plant.params)
         return assemble(
             plant,
             model.plant.params,

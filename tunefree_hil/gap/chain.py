@@ -117,6 +117,17 @@ def open_chain(drive: Drive, vehicle: VehicleSpec) -> Opened:
     )  # fmt: skip
 
 
+def commanded(opened: Opened) -> tuple[bool, bool, bool]:
+    """Of throttle, brake, steer: whether commands acted anywhere in a recording."""
+    throttle, brake, steer = (bool((opened.follows[:, i] > 0.5).any()) for i in range(3))
+    return throttle, brake, steer
+
+
+def is_driven(opened: Opened, rows: slice) -> bool:
+    """Whether a stretch can be run: in gear, inputs known, and nobody takes over from a channel's commands."""
+    return bool(opened.moving[rows].all() and (opened.follows[rows] > 0.5)[:, list(commanded(opened))].all())
+
+
 def pace_of(vehicle: VehicleSpec) -> float:
     """Of a car smaller than any road car its wheelbase as a share of one's; else 1."""
     share = (vehicle.nominal.wheelbase_m or ROAD_CAR_M) / ROAD_CAR_M

@@ -16,7 +16,7 @@ from tunefree_hil.gap.result import as_data
 from tunefree_hil.gap.shape import Shape
 from tunefree_hil.learn.write_model import plain
 
-SCHEMA = "tunefree.gap_search/2"
+SCHEMA = "tunefree.gap_search/3"
 
 
 class Kept(NamedTuple):

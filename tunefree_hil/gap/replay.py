@@ -17,7 +17,7 @@ from tunefree_hil.base.contracts import Latency, Port, make_effect
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import Command, Disturbance, Ins, Motion, Report
 from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
-from tunefree_hil.gap.chain import Opened
+from tunefree_hil.gap.chain import Opened, commanded
 from tunefree_hil.gap.channels import channel_spec, is_unheard
 from tunefree_hil.gap.graph import CHANNELS
 from tunefree_hil.gap.memory import chassis_forgets, is_forgotten, needed
@@ -74,12 +74,6 @@ def car_of(model: ModelSpec, vehicle: VehicleSpec, opened: Opened, more: Sequenc
         for port, one in parts_of_it
     )
     return Car(biased, plant.observe, rest, (late[0], late[1]), forgets)
-
-
-def commanded(opened: Opened) -> tuple[bool, bool, bool]:
-    """Of throttle, brake, steer: whether commands acted anywhere in a recording."""
-    throttle, brake, steer = (bool((opened.follows[:, i] > 0.5).any()) for i in range(3))
-    return throttle, brake, steer
 
 
 _ENDS = (Port.REPORT, Port.INS)

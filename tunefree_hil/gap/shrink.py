@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.config.schema import ModelSpec
+from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.locate import FAR, GROSS
 from tunefree_hil.gap.null import card_of
 from tunefree_hil.gap.verify import HEADING, HUGE, POSITION, UNITS, Proof
@@ -27,6 +28,9 @@ LEAST_OPEN = 0.02  # of the floor: less left by recalibration is no gap
 MANY = 1000.0  # times worse, as far as it is told
 WORST = -10.0  # share: a repair that makes ten times worse what was open, or that comes to no number, is told as that
 CLEARLY = 0.8  # of a signal's error: recalibration that leaves no more is worth a calibration
+NOT_SUMMED = (
+    "report.throttle_frac", "report.brake_frac", "report.steer_rad", "report.yaw_rate_radps", "ins.yaw_rate_radps"
+)  # fmt: skip
 BY_CARD = {  # what a calibration's card says of free runs on held-out windows, by signal
     "report.speed_mps": ("speed_mps",), "ins.speed_mps": ("speed_mps",), "report.yaw_rate_radps": ("yaw_rate_radps",),
     "ins.yaw_rate_radps": ("yaw_rate_radps",), "report.lateral_accel_mps2": ("lateral_accel_mps2",),
@@ -173,21 +177,33 @@ def grown(proof: Proof, floors: Mapping[str, float]) -> dict[str, float]:
     }
 
 
-def gross(proof: Proof, gaps: Mapping[str, Gap]) -> dict[str, float]:
+def gross(gaps: Mapping[str, Gap], sizes: Mapping[str, float]) -> dict[str, float]:
     """Signals of which so much is missed, even with recalibration, that no car that anybody has calibrated does it
-    (gap/locate.py), far above their floors: by how much of the signal. What is summed up over time is not looked at.
+    (gap/locate.py), far above their floors: by how much of the signal, at most MANY. sizes: deviation of each signal
+    over whole drives; what has none there is not looked at.
     """
     found = {}
-    for name, one in gaps.items():
-        if name in (HEADING, POSITION):
+    for name, size in sizes.items():
+        one = gaps.get(name)
+        if one is None or size <= 0.0:
             continue
-        size = float(
-            np.std(np.concatenate([traces.measured[name] for traces in proof.traces if name in traces.measured]))
-        )
-        least = min(one.before, one.before if one.recalibrated is None else one.recalibrated)
+        least = one.before if one.recalibrated is None else min(one.before, one.recalibrated)
         if least > GROSS * size and least**2 > FAR * one.floor**2:
-            found[name] = least / max(size, 1e-12)
+            found[name] = min(least / size, MANY)
     return found
+
+
+def sizes_of(drives: Sequence[Opened]) -> dict[str, float]:
+    """Deviation over all drives of what a free run does not sum up over time, and was measured: what actuators report,
+    and yaw rates.
+    """
+    said: dict[str, list[Array]] = {}
+    for opened in drives:
+        for name in NOT_SUMMED:
+            if opened.has(name) and name not in opened.derived:
+                one = opened.signals[name]
+                said.setdefault(name, []).append(one.values[one.fresh & one.there & opened.moving])
+    return {name: float(np.std(whole)) for name, some in said.items() if len(whole := np.concatenate(some))}
 
 
 def better_by_recalibration(gaps: Mapping[str, Gap]) -> dict[str, tuple[float, float]]:

@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
-from tunefree_hil.gap.chain import Opened
+from tunefree_hil.gap.chain import Opened, is_driven
 from tunefree_hil.gap.dealt import dealt
 from tunefree_hil.gap.lost import OUTPUTS
 from tunefree_hil.gap.noise import sensor_noise
-from tunefree_hil.gap.replay import car_of, commanded, pose_of, run_over
+from tunefree_hil.gap.replay import car_of, pose_of, run_over
 from tunefree_hil.gap.segments import PROOF
 from tunefree_hil.gap.targets import STEERING
 from tunefree_hil.learn.motion import wrapped
@@ -90,7 +90,7 @@ def prove(
         mine = [
             (int(blocks.begins[b]), int(blocks.ends[b]))
             for b in np.flatnonzero((blocks.drives == number) & (whole | (blocks.roles == role)))
-            if _is_whole(opened, slice(blocks.begins[b], blocks.ends[b]))
+            if is_driven(opened, slice(blocks.begins[b], blocks.ends[b]))
         ]
         if not mine:
             continue
@@ -111,11 +111,6 @@ def prove(
         {signal: max(one) for signal, one in noise.items()},
         tuple(sorted(traces, key=_liveliness, reverse=True)),
     )
-
-
-def _is_whole(opened: Opened, rows: slice) -> bool:
-    """Whether a block can be run: in gear, inputs known, and nobody takes over from a channel's commands."""
-    return bool(opened.moving[rows].all() and (opened.follows[rows] > 0.5)[:, list(commanded(opened))].all())
 
 
 def _run(

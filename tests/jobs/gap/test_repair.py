@@ -12,12 +12,13 @@ from tests.jobs.ended import ended
 from tests.learn.made_drives import CHANNELS, made_drive
 from tunefree_hil.gap.chain import open_chain
 from tunefree_hil.jobs.gap.folder import Folder
-from tunefree_hil.jobs.gap.gap import Material
+from tunefree_hil.jobs.gap.gap import Asked, Material
 from tunefree_hil.jobs.gap.repair import is_borne_out, mend, proved, taken_back
-from tunefree_hil.jobs.gap.words import is_unproved, is_unshown, sentence_of
+from tunefree_hil.jobs.gap.words import is_unproved, is_unshown, next_of, sentence_of, waits_for_proof
 from tunefree_hil.learn.drives import Drive
 
 WORDS = "steer_dead_time came nearest, and closed nothing of the gap in stretches that no fit has seen"
+STEER = "report.steer_rad"
 CLOSES = {"value": -0.4, "low": -0.9, "high": 0.1}
 
 
@@ -123,25 +124,71 @@ def test_a_model_that_closes_nothing_is_not_kept_and_that_is_said() -> None:
     assert is_unproved(one) and not is_unproved({**one, "explained_frac": None})
 
 
-def test_a_model_of_what_the_proof_does_not_show_is_kept_and_that_is_said() -> None:
-    one = {**answer(), "explained_frac": {"value": 0.0, "low": 0.0, "high": 0.0}, "worse": [], "model": "out/model"}
-    one["effects"] = [{**one["effects"][0], "unseen_stirs": 0.0}]
-    assert is_unshown(one) and not is_unshown(answer()) and not is_unshown({"effects": []})
-    assert "do not show it, and another drive has to prove the model" in sentence_of(one) and is_unproved(one)
+def test_a_model_of_what_the_proof_does_not_show_waits_for_another_drive() -> None:
+    shown = {**answer(), "explained_frac": None, "worse": [], "model": "out/model"}
+    unseen = {**shown, "effects": [{**shown["effects"][0], "unseen_stirs": 0.0}]}
+    assert is_unshown(unseen) and not is_unshown(shown) and not is_unshown({"effects": []})
+    for closes, waits in ((None, True), (0.0, True), (0.015, True), (0.4, False)):
+        one = {**unseen, "explained_frac": closes and {"value": closes, "low": closes, "high": closes}}
+        assert waits_for_proof(one) == waits == ("another drive has to prove the model" in sentence_of(one))
+    assert not waits_for_proof({**unseen, "model": None}) and not waits_for_proof(shown)
+
+
+@pytest.mark.parametrize(("stirs", "stays"), [(0.0, True), (0.99, False)])
+def test_a_repair_that_closes_nothing_is_kept_where_those_blocks_do_not_show_it(
+    stirs: float, stays: bool, tmp_path: Path
+) -> None:
+    """It leaves the car as it was, whose own steering is late there: by no delay no gap is closed."""
+    kept = made_kept()
+    none = {"delay_s": {"value": 0.0, "low": 0.0, "high": 0.0, "unit": "s"}}
+    seen = {"unseen_stirs": stirs, "unseen_shrink": 0.0, "params": none}
+    named = [{**one, **seen} for one in kept.answer["effects"]]
+    kept = kept._replace(answer={**kept.answer, "effects": named}, null={}, repaired={"steer_dead_time.delay_s": 0.0})
+    material, opened = Material(VEHICLE, made_model(), [late_drive()], []), [open_chain(late_drive(), VEHICLE)]
+    mended = mend(Folder(tmp_path), material, opened, kept, "sha256:0")
+    (data, _), _ = ended(proved(Folder(tmp_path), material, opened, kept, mended))
+    assert data["explained_frac"]["value"] == pytest.approx(0.0, abs=1e-6) and "taken_back" not in data
+    assert ("model" not in data) == stays == (tmp_path / "model" / "model.toml").is_file()
+
+
+def very_late(later_s: float) -> Drive:
+    late = CHANNELS["steer"]._replace(dead_time_s=CHANNELS["steer"].dead_time_s + later_s)
+    return made_drive(SECONDS, seed=5, channels={**CHANNELS, "steer": late}, name="late.log")
 
 
 @pytest.mark.parametrize(("later_s", "verdict"), [(0.0, None), (1.5, "none_of_these")])
 def test_what_only_the_blocks_that_prove_miss_grossly_is_not_nothing(
     tmp_path: Path, later_s: float, verdict: str | None
 ) -> None:
-    late = CHANNELS["steer"]._replace(dead_time_s=CHANNELS["steer"].dead_time_s + later_s)
-    drive = made_drive(SECONDS, seed=5, channels={**CHANNELS, "steer": late}, name="late.log")
-    material, kept = Material(VEHICLE, made_model(), [drive], []), made_kept("none_missing")
+    drive, model = very_late(later_s), made_model()
+    material, kept = Material(VEHICLE, model, [drive], []), made_kept("none_missing", words=["nothing", "short"])
     opened = [open_chain(drive, VEHICLE)]
     mended = mend(Folder(tmp_path), material, opened, kept, "sha256:0")
     (data, _), _ = ended(proved(Folder(tmp_path), material, opened, kept, mended))
-    assert data.get("verdict") == verdict
-    assert verdict is None or "report.steer_rad (by " in data["words"][0]
+    assert data.get("verdict") == verdict and list(data.get("missed_in_proof", ()))[:1] == ([STEER] if verdict else [])
+    if verdict:
+        whole = {**kept.answer, **data}
+        assert whole["words"][1:] == ["short"] and f"{STEER} by " in whole["words"][0]
+        assert "that the search could not see: the stretches" in sentence_of(whole)
+        asked = Asked([Path("a.log")], "car", "model", Path("out"))
+        (command,) = next_of(asked, whole, VEHICLE)
+        assert "NEXT.log" in command
+
+
+def test_so_is_a_name_that_was_taken_back(tmp_path: Path) -> None:
+    """No link was broken, and of the delay that was named the proof knows nothing."""
+    drive = very_late(1.5)
+    kept = made_kept()
+    unbroken = [{**one, "broken": False} for one in kept.answer["links"]]
+    faint = [{**one, "faint": True, "evidence": 20.0} for one in kept.answer["effects"]]
+    kept = kept._replace(
+        answer={**kept.answer, "links": unbroken, "effects": faint}, repaired={"steer_dead_time.delay_s": 0.0}
+    )
+    material, opened = Material(VEHICLE, made_model(), [drive], []), [open_chain(drive, VEHICLE)]
+    mended = mend(Folder(tmp_path), material, opened, kept, "sha256:0")
+    (data, _), _ = ended(proved(Folder(tmp_path), material, opened, kept, mended))
+    assert data["taken_back"]["names"] == ["steer_dead_time"] and data["effects"] == [] and data["model"] is None
+    assert data["verdict"] == "none_of_these" and next(iter(data["missed_in_proof"])) == STEER
 
 
 def test_what_is_left_for_sure_is_told() -> None:

@@ -69,8 +69,9 @@ def _proved(folder: Path, answer: Mapping[str, Any], found: Kept, proof: Proof) 
         for name, one in answer["signals"].items()
     ]
     yield write_shrink(folder / "shrink.png", bars, _title(answer))
-    block = telling(proof.traces, FIELDS.get(found.signal, ()))
-    own = [name for name in FIELDS.get(found.signal, ()) if name in block.measured][:1]
+    fields = FIELDS.get(found.signal, ()) or tuple(answer.get("missed_in_proof") or ())
+    block = telling(proof.traces, fields)
+    own = [name for name in fields if name in block.measured][:1]
     others = [name for name in ALWAYS if name in block.measured and name not in own]
     shown = [*own, *others[:1], *(name for name in others if "yaw" in name)][:MOST_PANELS]
     runs = [_run([block], name, answer) for name in shown]

@@ -22,11 +22,12 @@ from tunefree_hil.gap.shrink import (
     gaps_of,
     gross,
     grown,
+    sizes_of,
     unforetold,
     worse_signals,
 )
 from tunefree_hil.gap.verify import Proof, Variant, prove
-from tunefree_hil.jobs.gap.words import CLOSES_NOTHING, STIRS, is_unshown, listed, percent
+from tunefree_hil.jobs.gap.words import CLOSES_NOTHING, STIRS, is_unshown, listed, missed_words, percent
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import EffectSpec, ModelSpec
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 LEAST_CLOSED = 2.0 / 3.0  # of the gap: who surely leaves a third of it stands in for something else
 SPEAKS_FOR = 0.3  # of the gap, surely closed: what a name needs that nothing else speaks for
 AGAIN = 0.5  # of what an effect takes off its own signal's error, on the blocks that prove: it is there as well
-MOST_TOLD = 3  # signals
 SILENT = 0.02  # of that error: what is no more says nothing
 
 
@@ -127,7 +127,7 @@ def proved(
         "recalibration": _gained(gaps),
     }
     if mended.model is None:
-        return data | _missed_there(found.answer, proof, gaps, material.model.plant.kind), proof
+        return data | _missed_there({**found.answer, **data}, gaps, opened, material.model.plant.kind), proof
     worse = worse_signals(proof, floors)
     older = yield from _older(material, mended.model)
     for one in older:
@@ -141,6 +141,7 @@ def proved(
     if not is_borne_out(found.answer, data["explained_frac"]):
         data |= taken_back(found.answer, data["explained_frac"], material.model.plant.kind)
         yield Event("warning", f"taken back: {data['words'][0]}")
+        data |= _missed_there({**found.answer, **data}, gaps, opened, material.model.plant.kind)
     elif not _closes_it(found.answer, data["explained_frac"]):  # its own signal's word is none for all the others
         worse |= {signal: by for signal, by in grown(proof, floors).items() if signal not in worse}
         data["worse"] = _worse_words(worse)
@@ -152,17 +153,19 @@ def proved(
     return data, proof
 
 
-def _missed_there(answer: Mapping[str, Any], proof: Proof, gaps: Mapping[str, Gap], kind: str) -> dict[str, Any]:
-    """Keys of gap.json where nothing seemed to be missing and the blocks that prove miss more than any calibrated model
+def _missed_there(
+    answer: Mapping[str, Any], gaps: Mapping[str, Gap], opened: list[Opened], kind: str
+) -> dict[str, Any]:
+    """Keys of gap.json where nothing seems to be missing and the blocks that prove miss more than any calibrated model
     does: what they hold alone nobody could look for. kind: of the model's plant.
     """
-    missed = gross(proof, gaps)
-    if answer["verdict"] != "none_missing" or not missed:
+    missed = gross(gaps, sizes_of(opened)) if answer["verdict"] == "none_missing" else {}
+    if not missed:
         return {}
-    most = sorted(missed, key=lambda one: -missed[one])[:MOST_TOLD]
-    told = listed([f"{name} (by {missed[name]:.0%} of the signal)" for name in most])
-    words = f"the stretches that are kept for the proof miss {told}, and the others no more than a model may"
-    return {"verdict": "none_of_these", "absorbed": is_absorbed("none_of_these", kind), "words": [words]}
+    worst = dict(sorted(missed.items(), key=lambda one: -one[1]))
+    verdict, (_, *others) = "none_of_these", answer["words"] or [""]
+    words = [missed_words(worst), *others]
+    return {"verdict": verdict, "absorbed": is_absorbed(verdict, kind), "missed_in_proof": worst, "words": words}
 
 
 def _unproved(

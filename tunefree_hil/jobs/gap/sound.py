@@ -26,7 +26,8 @@ def require_sound(model: ModelSpec, vehicle: VehicleSpec) -> None:
     file = f"{model.folder}/model.toml"
     try:
         plant = _plant_of(model)
-        require_constants(plant.defaults, model.plant.params)
+        if ":" not in model.plant.kind:
+            require_constants(plant.defaults, model.plant.params)
         plant.make(model.plant.params, BodyChange())
         _require_effects(plant, model, vehicle, file)
     except InputError as error:

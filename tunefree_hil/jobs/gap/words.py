@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 COMMAND = pasted("gap")
 SHARE = ("value", "low", "high")
 CLOSES_NOTHING = 0.01  # of the gap: no model is written for less
+SHOWS = 0.02  # of the gap: what an effect that those blocks do not show may close by chance
 STIRS = 0.05  # of an error's squares: blocks that an effect changes by less do not show it
+MOST_SHARE = 10.0  # of a signal, that is told
 MOST_MOVED = 3  # numbers that are told of
 
 
@@ -34,6 +36,8 @@ def sentence_of(answer: Mapping[str, Any]) -> str:
         told = "nothing is missing beyond noise and recalibration" + _moved(answer) + _recalibrated(answer)
         told += f"; {answer['words'][0]}" if answer.get("taken_back") else ""
         return f"{told}; these logs could not have shown {_few(unseen)}" if unseen else told
+    if verdict == "none_of_these" and answer.get("missed_in_proof"):
+        return f"something is missing that the search could not see: {answer['words'][0]}"
     if verdict == "none_of_these":
         return f"something is missing that is none of the catalogue: {'; '.join(answer['words'])}{_place(answer)}"
     if verdict == "cannot_test":
@@ -67,7 +71,7 @@ def _missing(answer: Mapping[str, Any]) -> str:
     named = [f"{one['name']} ({value_words(one)})" for one in answer["effects"]]
     told = f"{listed(named)} {'is' if len(named) == 1 else 'are'} missing"
     worse, closed = answer.get("worse") or [], answer.get("explained_frac")
-    if is_unproved(answer) and answer.get("model"):
+    if waits_for_proof(answer):
         return f"{told}; the stretches that no fit has seen do not show it, and another drive has to prove the model"
     if is_unproved(answer) and not worse:
         return f"{told}; no model is written, as it closes nothing of the gap in the stretches that no fit has seen"
@@ -88,6 +92,20 @@ def is_unshown(answer: Mapping[str, Any]) -> bool:
     """Whether the blocks that prove do not show any of the effects that were named: they say nothing about them."""
     stirs = [one.get("unseen_stirs") for one in answer["effects"]]
     return bool(stirs) and all(one is not None and one < STIRS for one in stirs)
+
+
+def waits_for_proof(answer: Mapping[str, Any]) -> bool:
+    """Whether there is a repaired model of which no block that proves has anything to say."""
+    closed = answer.get("explained_frac")
+    return bool(answer.get("model")) and is_unshown(answer) and not (closed and closed["value"] > SHOWS)
+
+
+def missed_words(missed: Mapping[str, float]) -> str:
+    """What the blocks that prove miss and no other, the worst first. missed: by signal, as a share of it."""
+    told = listed(
+        [f"{name} by {min(by, MOST_SHARE):.0%} of the signal" for name, by in list(missed.items())[:MOST_MOVED]]
+    )
+    return f"the stretches that are kept for the proof miss {told}, and the others no more than a model may"
 
 
 def _one_of(answer: Mapping[str, Any]) -> str:
@@ -162,7 +180,9 @@ def next_of(asked: Asked, answer: Mapping[str, Any], vehicle: VehicleSpec, bench
     verdict, logs, folder = answer["verdict"], asked.logs, asked.vehicle
     if verdict is None:
         return [again(asked, "verify")]
-    if verdict in ("set", "cannot_test") or is_unproved(answer):
+    if verdict in ("set", "cannot_test") or is_unproved(answer) or waits_for_proof(answer):
+        return [again(asked, more=["NEXT.log"], out=f"{asked.out}-2")]
+    if answer.get("missed_in_proof"):
         return [again(asked, more=["NEXT.log"], out=f"{asked.out}-2")]
     if verdict == "none_of_these":
         return [pasted("learn", *logs, vehicle=folder, out=f"{asked.out}-hybrid")]
