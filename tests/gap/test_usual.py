@@ -60,6 +60,12 @@ def test_news_is_what_is_further_off_than_both_are_doubted(off: float, deviation
     assert bool(news) == far and bool(words) != far
 
 
+def test_what_explains_all_that_is_missed_is_named_be_it_news_or_not() -> None:
+    for known in (usual(VALUE), usual(VALUE)._replace(effects={})):
+        named, words = parted([STEP], FOUND, known, ALL, explained=True)
+        assert named == [STEP] and words == parted([STEP], FOUND, known, ALL)[1] != ()
+
+
 def test_whom_the_own_logs_could_not_show_is_no_news() -> None:
     news, words = parted([STEP], FOUND, usual(VALUE)._replace(effects={}), ALL)
     assert not news and "do not hold what would show it" in words[0]

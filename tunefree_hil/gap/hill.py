@@ -37,7 +37,8 @@ def with_hill(steps: Sequence[Weighed], found: Fitted, usual: Usual, model: Mode
 
 def _was_there(found: Fitted, usual: Usual) -> bool:
     """Whether the own logs had the same offset."""
-    was, by = usual.own.get(OFFSET, {}).get(BIAS, (math.nan, 0.0))
+    known = usual.own.get(OFFSET) or usual.effects.get(OFFSET) or {}
+    was, by = known.get(BIAS, (math.nan, 0.0))
     bias = found.values[f"{OFFSET}.{BIAS}"]
     return abs(bias - was) <= max(NEWS * by, AS_MUCH * abs(bias))
 

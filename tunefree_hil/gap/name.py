@@ -158,10 +158,11 @@ def _named(
     after = looked_at(team, question, repaired, blocks) if steps else before
     still = after.looked
     usual = usual_of(team.setting.model)
-    news, no_news = parted(steps, repaired.fitted, usual, blocks)
+    explained = not any(one.broken for one in still)
+    news, no_news = parted(steps, repaired.fitted, usual, blocks, explained=explained)
     news = with_hill(news, repaired.fitted, usual, team.setting.model)
     amiss = _amiss(team, question, repaired, news, before, after, usual) if news else ""
-    if no_news:
+    if len(news) < len(steps):
         repaired = _without(team, question, repaired, steps, news)
         after = looked_at(team, question, repaired, blocks)
     held = excitation(effects(), held_by(drives, vehicle))

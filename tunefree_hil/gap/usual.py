@@ -115,10 +115,13 @@ def _finite(number: Any) -> float:
 
 
 def parted(
-    steps: Sequence[Weighed], model: Fitted, usual: Usual, blocks: Array
+    steps: Sequence[Weighed], model: Fitted, usual: Usual, blocks: Array, *, explained: bool = False
 ) -> tuple[list[Weighed], tuple[str, ...]]:
-    """(steps that are news, why each of the others is none, in words). model: with all of them. A step that gains where
-    the model came near its own logs is news whatever it is: there they had none of it.
+    """(steps that are named, in words why others are not, or that they are no news). model: with all of them. A step
+    that gains where the model came near its own logs is news whatever it is: there they had none of it.
+
+    explained: whether nothing is broken with all of them in the model. Then they are what it lacks, news or not, as
+    they were if the own logs had shown them as clearly.
     """
     if not usual.broken:
         return list(steps), ()
@@ -127,7 +130,7 @@ def parted(
         why = _no_news(step.name, values, usual) if step.target in usual.broken else ""
         if why:
             words.append(f"{step.name} is no news: {why}")
-        else:
+        if explained or not why:
             news.append(step)
     return news, tuple(words)
 
