@@ -63,7 +63,8 @@ def _reach(farthest: Array) -> Array:
 
 def _is_covered(roles: Array, reach: Array) -> Array:
     """[k]: whether those that are fitted on or chosen by go nearly as far as any."""
-    return (reach[roles != PROOF] >= AS_FAR).any(axis=0)
+    most: Array = reach[roles != PROOF].max(axis=0, initial=0.0)
+    return most >= AS_FAR
 
 
 def _neighbours(roles: Array, blocks: Blocks, block: int, whole: Array) -> list[int]:
