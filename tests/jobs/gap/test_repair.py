@@ -13,6 +13,7 @@ from tests.learn.made_drives import CHANNELS, made_drive
 from tunefree_hil.gap.chain import open_chain
 from tunefree_hil.jobs.gap.folder import Folder
 from tunefree_hil.jobs.gap.gap import Asked, Material
+from tunefree_hil.jobs.gap.page import write_page
 from tunefree_hil.jobs.gap.repair import is_borne_out, mend, proved, taken_back
 from tunefree_hil.jobs.gap.words import is_unproved, is_unshown, next_of, sentence_of, waits_for_proof
 from tunefree_hil.learn.drives import Drive
@@ -149,6 +150,11 @@ def test_a_repair_that_closes_nothing_is_kept_where_those_blocks_do_not_show_it(
     (data, _), _ = ended(proved(Folder(tmp_path), material, opened, kept, mended))
     assert data["explained_frac"]["value"] == pytest.approx(0.0, abs=1e-6) and "taken_back" not in data
     assert ("model" not in data) == stays == (tmp_path / "model" / "model.toml").is_file()
+    whole = {**kept.answer, "model": str(tmp_path / "model"), **data, "log_hash": "", "logs": [], "figures": []}
+    whole |= {"until": "verify", "model_hash": "", "vehicle_hash": "", "version": ""}
+    write_page(tmp_path / "gap.md", {**whole, "sentence": sentence_of(whole)}, [], "again")
+    page = (tmp_path / "gap.md").read_text()
+    assert ("They do not show what is missing" in page) == stays == ("The repair closes" not in page)
 
 
 def very_late(later_s: float) -> Drive:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tunefree_hil.jobs.gap.words import listed, percent, remarks, value_words
+from tunefree_hil.jobs.gap.words import listed, percent, remarks, value_words, waits_for_proof
 from tunefree_hil.jobs.run_folder import write_text
 from tunefree_hil.jobs.words import markdown_table
 
@@ -107,7 +107,9 @@ def _signals(answer: Mapping[str, Any]) -> list[str]:
     told = f"Free runs of the whole car over {count} blocks{_long(answer)} that no fit and no choice has seen: "
     told += "recorded commands in, nothing put right within a block. Errors are root mean squares."
     lines = ["## Proof", "", told]
-    if closed:
+    if waits_for_proof(answer):
+        lines.append("They do not show what is missing: another drive has to prove the repair.")
+    elif closed:
         lines.append(f"The repair closes {percent(closed)} of what recalibration leaves above the floor.")
     if answer.get("explicable_frac"):
         lines.append(f"Of what anything in these logs could still have foretold: {percent(answer['explicable_frac'])}.")

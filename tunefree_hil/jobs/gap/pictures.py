@@ -96,9 +96,11 @@ def telling(blocks: Sequence[Traces], names: Sequence[str]) -> Traces:
 
 
 def _title(answer: Mapping[str, Any]) -> str:
-    from tunefree_hil.jobs.gap.words import percent
+    from tunefree_hil.jobs.gap.words import percent, waits_for_proof
 
     closed = answer.get("explained_frac")
+    if waits_for_proof(answer):
+        return "These blocks do not show what is missing: another drive has to prove the repair"
     if not closed:
         return "Free runs of the whole car on recorded commands, blocks that no fit has seen"
     return f"The repair closes {percent(closed)} of the gap that recalibration leaves"
