@@ -200,3 +200,47 @@ def test_a_latency_begins_where_recalibration_has_put_its_clock(key: str, clock_
     one.start = one.start._replace(values={"clock.ins_s": clock_s})
     late = WIND._replace(key=f"{key}.delay_s", low=0.0, high=0.1, least=-0.35, most=1.35)
     assert late.value(float(one._recalibrated([late])[0][0])) == pytest.approx(place)
+
+
+REACH, STOP = 8.0, 7.8  # what the signal comes to, and where it stops
+LIMIT = Free("stop.size", 0.0, 20.0, False, np.inf, -0.3, 1.3)
+
+
+class Stopped(Work):
+    """A signal that is stopped where it is farthest; a grid from 0 to 20 has a point at 7.3 and the next at 9.1."""
+
+    asked = 0
+
+    def residuals(self, values: dict[str, float]) -> dict[str, list[np.ndarray]]:
+        self.asked += 1
+        signal = REACH * np.sin(9.0 * T)
+        return {"x": [np.minimum(signal, 20.0 * values.get("stop.size", np.inf)) - np.minimum(signal, STOP)]}
+
+
+@pytest.mark.parametrize("reached", [True, False])
+def test_a_limit_that_is_hardly_touched_is_found_between_the_points(
+    reached: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = Stopped()
+    monkeypatch.setattr(Problem, "work", work)
+    if not reached:
+        monkeypatch.setattr("tests.gap.test_scan.STOP", 2.0 * REACH)
+    one = scan()
+    one = Scan(one.problem, one.start._replace(residuals=work.residuals({})), one._slopes)
+    found, asked = one.best([LIMIT]), work.asked
+    if reached:
+        assert 20.0 * found.z[-1] == pytest.approx(STOP, abs=0.1)
+        assert found.gain > 0.5 * float(np.sum(work.residuals({})["x"][0] ** 2)) > 0.0
+    else:
+        assert found.gain == pytest.approx(0.0, abs=1e-9) and 20.0 * found.z[-1] > REACH
+    assert asked < 3 * EVEN + 20
+
+
+def test_a_limit_that_cuts_much_off_is_left_to_its_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.gap.test_scan.STOP", 3.0)
+    work = Stopped()
+    monkeypatch.setattr(Problem, "work", work)
+    one = scan()
+    one = Scan(one.problem, one.start._replace(residuals=work.residuals({})), one._slopes)
+    asked = work.asked
+    assert 20.0 * one.best([LIMIT]).z[-1] == pytest.approx(3.0, abs=1.0) and work.asked - asked == EVEN + 1

@@ -7,6 +7,7 @@ recalibration could still do there is a small linear problem.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import product
 from typing import NamedTuple
@@ -29,6 +30,8 @@ SMALL = AMOUNTS[:2]  # those of a factor, beside its even grid, which has no poi
 # left of both is a signal smoothed by nothing that a car has, or a delay that is told from it by nothing but rounding.
 TWINS = {"ins_latency.delay_s": ("clock.ins_s", 1.0), "report_latency.delay_s": ("clock.ins_s", -1.0)}
 NO_TWIN = ("", 1.0)
+HALVINGS = 7  # of the way between two points of a grid, to where a limit begins to act
+TOUCHES = (0.0, 0.03, 0.07, 0.12, 0.2, 0.33, 0.5)  # of the way from there to the point that cuts off too much
 FINER = 9  # points between the best one's neighbours: a delay is rugged on the scale of a tick
 
 
@@ -68,6 +71,8 @@ class Scan:
         loss. Raises InputError where no value of it makes a car.
         """
         found = self._best(free, [*grid_of(free), *self._recalibrated(free)])
+        if len(free) == 1 and not math.isfinite(free[0].neutral) and not self._acts(free[0], float(found.z[-1])):
+            found = self._best(free, [found.z[-1:], *self._touched(free[0])])
         neutral = [one.place(one.neutral) for one in free[1:]]
         if np.array_equal(found.z[len(found.z) - len(neutral) :], neutral):
             return found
@@ -96,6 +101,36 @@ class Scan:
     def slopes(self, free: Sequence[Free]) -> Slopes:
         """Of those."""
         return without(self._slopes, self.kept(free))
+
+    def _touched(self, one: Free) -> list[Array]:
+        """Points at which a limit is hardly touched. Of a coarse grid one point may cut off far too much, and the next
+        nothing at all, while the limit lies between: just below what the drives reach.
+        """
+        places = sorted(_places(one))
+        acting = [u for u in places if self._acts(one, u)]
+        beyond = [u for u in places if u not in acting]
+        if not acting or not beyond or max(acting) > max(beyond):
+            return []
+        begin = acts = max(acting)
+        idle = min(u for u in beyond if u > acts)
+        for _ in range(HALVINGS):
+            middle = 0.5 * (acts + idle)
+            acts, idle = (middle, idle) if self._acts(one, middle) else (acts, middle)
+        return [np.array([acts - share * (acts - begin)]) for share in TOUCHES]
+
+    def _acts(self, one: Free, u: float) -> bool:
+        """Whether a value changes anything of what is compared, in judged blocks."""
+        start = self.start
+        keys, z = (*start.keys, one.key), np.append(start.z, u)
+        try:
+            residuals = self.problem.work.residuals(self.problem.values(keys, z, (*start.free, one)))
+        except InputError:
+            return True  # a limit so low makes no such effect
+        for name, some in residuals.items():
+            was = start.residuals[name]
+            if not unchanged(some, was) and self._white(name, [a - b for a, b in zip(some, was, strict=True)]).any():
+                return True
+        return False
 
     def _recalibrated(self, free: Sequence[Free]) -> list[Array]:
         """The point at which the model has these parameters by recalibration; none where it has not."""
