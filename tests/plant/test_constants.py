@@ -16,8 +16,8 @@ KINDS = sorted(PLANTS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_plants_own_constants_are_a_cars(kind: str) -> None:
     defaults = PLANTS[kind].defaults
-    require_constants(defaults, {})
-    require_constants(defaults, defaults)
+    require_constants(kind, defaults, {})
+    require_constants(kind, defaults, defaults)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -30,7 +30,7 @@ def test_a_plants_own_constants_are_a_cars(kind: str) -> None:
 )
 def test_what_no_car_has_is_refused(kind: str, name: str, value: float) -> None:
     with pytest.raises(InputError) as caught:
-        require_constants(PLANTS[kind].defaults, {name: value})
+        require_constants(kind, PLANTS[kind].defaults, {name: value})
     assert caught.value.key == f"plant.params.{name}" and caught.value.hint
 
 
@@ -39,5 +39,9 @@ def test_what_must_lie_farther_is_named_whichever_was_given(far: str, near: str)
     defaults = {far: 2.0, near: 1.0}
     for given, key in (({far: 1.0}, far), ({near: 2.5}, near)):
         with pytest.raises(InputError) as caught:
-            require_constants(defaults, given)
+            require_constants("physics", defaults, given)
         assert caught.value.key == f"plant.params.{key}" and f"not more than {near}" in caught.value.message
+
+
+def test_of_a_users_own_plant_only_that_knows_what_its_names_mean() -> None:
+    require_constants("mine.py:PLANT", {"mass_kg": 1500.0}, {"mass_kg": -1.0})

@@ -97,8 +97,7 @@ def _body_of(bench: Bench, model: ModelSpec) -> Any:
     ins_accel = vehicle.ins.get("accel_mps2")
     try:
         plant = plant_of(model)
-        if ":" not in model.plant.kind:  # what the names of a user's own plant mean, only that knows
-            require_constants(plant.defaults, model.plant.params)
+        require_constants(model.plant.kind, plant.defaults, model.plant.params)
         return assemble(
             plant,
             model.plant.params,

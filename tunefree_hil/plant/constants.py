@@ -17,8 +17,12 @@ NOT_BELOW_0 = ("rest_pedal_frac", "creep_force_n", "rolling_frac", "drag_area_m2
 FARTHER = {"wheelbase_m": "front_axle_m", "throttle_full_frac": "throttle_zero_frac"}  # than this one, always
 
 
-def require_constants(defaults: Mapping[str, float], given: Mapping[str, float]) -> None:
-    """Raises InputError with the key of a constant that no car has. defaults: the plant's; given: [plant.params]."""
+def require_constants(kind: str, defaults: Mapping[str, float], given: Mapping[str, float]) -> None:
+    """Raises InputError with the key of a constant that no car has. kind: of the plant; of a user's own only that knows
+    what its names mean, and nothing is refused. defaults: the plant's; given: [plant.params].
+    """
+    if ":" in kind:
+        return
     values = {**defaults, **given}
     for name, value in given.items():
         if not math.isfinite(value):  # files may say inf (config/convert.py): of a force times 0 it makes no number

@@ -27,7 +27,7 @@ from tunefree_hil.gap.shrink import (
     worse_signals,
 )
 from tunefree_hil.gap.verify import Proof, Variant, prove
-from tunefree_hil.jobs.gap.words import CLOSES_NOTHING, STIRS, is_unshown, listed, missed_words, percent
+from tunefree_hil.jobs.gap.words import CLOSES_NOTHING, SHOWS, STIRS, is_unshown, listed, missed_words, percent
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import EffectSpec, ModelSpec
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 LEAST_CLOSED = 2.0 / 3.0  # of the gap: who surely leaves a third of it stands in for something else
 SPEAKS_FOR = 0.3  # of the gap, surely closed: what a name needs that nothing else speaks for
 AGAIN = 0.5  # of what an effect takes off its own signal's error, on the blocks that prove: it is there as well
-SILENT = 0.02  # of that error: what is no more says nothing
 
 
 class Mended(NamedTuple):
@@ -219,14 +218,14 @@ def _is_there_too(answer: Mapping[str, Any], closes: Mapping[str, float]) -> boo
     plain = all((one.get("evidence") or 0.0) > PLAIN_NATS for one in answer["effects"])
     if not plain or any(one is None for some in told for one in some):
         return False
-    if any(there < -SILENT for _, there, _ in told):
+    if any(there < -SHOWS for _, there, _ in told):
         return False
     if answer.get("as_usual"):
-        return all(there > max(AGAIN * here, SILENT) for here, there, _ in told)
-    if all(stirs < STIRS for _, _, stirs in told) or max(abs(one) for one in closes.values()) < SILENT:
-        return abs(closes["value"]) < SILENT and closes["low"] > -SPEAKS_FOR
+        return all(there > max(AGAIN * here, SHOWS) for here, there, _ in told)
+    if is_unshown(answer) or max(abs(one) for one in closes.values()) < SHOWS:
+        return abs(closes["value"]) < SHOWS and closes["low"] > -SPEAKS_FOR
     return closes["high"] > LEAST_OPEN and all(
-        there > max(AGAIN * here, SILENT) or stirs < STIRS for here, there, stirs in told
+        there > max(AGAIN * here, SHOWS) or stirs < STIRS for here, there, stirs in told
     )
 
 

@@ -26,8 +26,7 @@ def require_sound(model: ModelSpec, vehicle: VehicleSpec) -> None:
     file = f"{model.folder}/model.toml"
     try:
         plant = _plant_of(model)
-        if ":" not in model.plant.kind:
-            require_constants(plant.defaults, model.plant.params)
+        require_constants(model.plant.kind, plant.defaults, model.plant.params)
         plant.make(model.plant.params, BodyChange())
         _require_effects(plant, model, vehicle, file)
     except InputError as error:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 COMMAND = pasted("gap")
 SHARE = ("value", "low", "high")
 CLOSES_NOTHING = 0.01  # of the gap: no model is written for less
-SHOWS = 0.02  # of the gap: what an effect that those blocks do not show may close by chance
+SHOWS = 0.02  # of an error or the gap: what is no more may be chance
 STIRS = 0.05  # of an error's squares: blocks that an effect changes by less do not show it
 MOST_SHARE = 10.0  # of a signal, that is told
 MOST_MOVED = 3  # numbers that are told of
@@ -180,9 +180,8 @@ def next_of(asked: Asked, answer: Mapping[str, Any], vehicle: VehicleSpec, bench
     verdict, logs, folder = answer["verdict"], asked.logs, asked.vehicle
     if verdict is None:
         return [again(asked, "verify")]
-    if verdict in ("set", "cannot_test") or is_unproved(answer) or waits_for_proof(answer):
-        return [again(asked, more=["NEXT.log"], out=f"{asked.out}-2")]
-    if answer.get("missed_in_proof"):
+    waits = is_unproved(answer) or waits_for_proof(answer) or bool(answer.get("missed_in_proof"))
+    if verdict in ("set", "cannot_test") or waits:
         return [again(asked, more=["NEXT.log"], out=f"{asked.out}-2")]
     if verdict == "none_of_these":
         return [pasted("learn", *logs, vehicle=folder, out=f"{asked.out}-hybrid")]
