@@ -150,3 +150,15 @@ def test_a_pose_that_jumps_tells_no_speed_and_that_is_said() -> None:
     assert not whole.unsure and len(one.unsure) == 1 and "ins.x_m jumps" in one.unsure[0]
     assert set(one.derived) == {"ins.yaw_rate_radps"} and not one.inputs.by_ins
     assert not one.by_wheels and one._replace(derived={"report.yaw_rate_radps": 1}).by_wheels
+
+
+def test_a_speed_by_places_is_not_there_where_places_are_missing() -> None:
+    """The heading goes on, and a straight line through the gap is no motion that anybody measured."""
+    gone = ("ins.speed", "ins.yaw_rate", "ins.accel")
+    fields = {key: one for key, one in drive().fields.items() if not key.startswith(gone)}
+    gap = np.zeros(drive().ticks, dtype=bool)
+    gap[2000:2300] = True
+    fresh = {key: one & ~gap if key in ("ins.x_m", "ins.y_m") else one for key, one in drive().fresh.items()}
+    signals = open_chain(drive()._replace(fields=fields, fresh=fresh), load_vehicle("mkz_bywire")).signals
+    assert not signals["ins.speed_mps"].there[2010:2290].any() and signals["ins.speed_mps"].there[500:1900].all()
+    assert signals["ins.yaw_rate_radps"].there[500:2500].all()

@@ -13,10 +13,11 @@ from hypothesis.extra.numpy import arrays
 from tests.gap.made_answer import SECONDS, VEHICLE
 from tests.learn.made_drives import made_drive
 from tunefree_hil.gap.chain import Opened, open_chain
-from tunefree_hil.gap.dealt import AS_FAR, dealt, seen_at_their_ends
+from tunefree_hil.gap.dealt import AS_FAR, asked_at_most, dealt, seen_at_their_ends
 from tunefree_hil.gap.segments import FIT, PROOF, Blocks, blocks_of
 
 Array = np.ndarray
+STEER_CHANGE = 6  # of `asked_at_most`: behind the throttle's two and one, the brake's two, the angle itself
 
 
 def geometry(counts: list[int]) -> Blocks:
@@ -117,3 +118,15 @@ def test_a_car_that_stands_has_its_blocks_all_the_same() -> None:
     opened = open_chain(made_drive(SECONDS, seed=5, name="still.log"), VEHICLE)
     stands = opened._replace(moving=np.zeros(opened.ticks, dtype=bool))
     assert (dealt([stands]).roles == blocks_of([opened.ticks], opened.dt_s).roles).all()
+
+
+def test_a_step_through_straight_ahead_is_a_change() -> None:
+    drive = open_chain(made_drive(SECONDS, seed=5), VEHICLE)
+    t = np.arange(drive.ticks)
+    found = {}
+    for name, angle in {"step": np.where(t < 2400, 0.3, -0.3), "slow": 0.3 * np.cos(2.0 * np.pi * t / 4000.0)}.items():
+        commands = drive.inputs.commands.copy()
+        commands[:, 2] = angle
+        inputs = drive.inputs._replace(commands=commands)
+        found[name] = asked_at_most(drive._replace(inputs=inputs), slice(2000, 2800))[STEER_CHANGE]
+    assert found["step"] == pytest.approx(0.6) and found["slow"] < 0.02

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tunefree_hil.gap.ask import Modelled
 from tunefree_hil.gap.decide import (
@@ -273,3 +275,21 @@ def test_one_block_is_enough_for_who_explains_all_that_is_missed_of_a_broken_lin
     (found,) = weigh({"limit": model("limit", after)}, null, null, SIZES, ALL, broken)
     sure = found.gain._replace(low=1.0)  # a search takes the noise that the limit leaves
     assert found.shrink[1] < 0.05 and found.rest < 0.05 and found._replace(gain=sure).counts == counts, found.shrink
+
+
+@given(
+    rest=st.floats(0.0, 1.0), low=st.floats(-0.5, 0.5), shrinks=st.floats(0.0, 1.0), worst=st.floats(0.0, 0.3),
+    nats=st.floats(0.0, 200.0), further=st.booleans(), unbroken=st.booleans(),
+)  # fmt: skip
+def test_a_name_is_never_further_off_than_a_hair(
+    rest: float, low: float, shrinks: float, worst: float, nats: float, further: bool, unbroken: bool
+) -> None:
+    (one,) = weighed(a=np.full(BLOCKS, ROWS))
+    gain = one.gain._replace(total=nats, low=nats - 1.0)
+    one = one._replace(
+        evidence=nats, gain=gain, shrink=(shrinks, low, 1.0), rest=rest, worst=worst, further=further, unbroken=unbroken
+    )
+    assert one.nearly or not one.counts
+    held = one._replace(evidence=200.0, gain=one.gain._replace(total=200.0, low=150.0), worst=0.0, further=False)
+    rare = held._replace(shrink=(0.5, 0.0, 1.0), rest=1.05 * RARE, unbroken=True)
+    assert rare.counts and rare.nearly, "what two blocks hold"

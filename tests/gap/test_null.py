@@ -13,6 +13,7 @@ from msgspec.structs import replace
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_model, load_vehicle
+from tunefree_hil.gap.card import card_of
 from tunefree_hil.gap.drifts import DAILY, DRIFT
 from tunefree_hil.gap.graph import BEND, LINKAGE, Graph
 from tunefree_hil.gap.null import (
@@ -22,7 +23,6 @@ from tunefree_hil.gap.null import (
     MOST_BEND,
     MOST_DOUBT,
     Nuisance,
-    card_of,
     correlation,
     doubts_of,
     held_of,
@@ -188,3 +188,12 @@ def test_days_are_each_ones_own() -> None:
     related = {"a": {"a": 1.0, "b": 0.8}, "b": {"a": 0.8, "b": 1.0}}
     assert abs(correlation((one, other), related)[0, 1] - 0.8 * 0.36) < 1e-12
     assert correlation((one, other._replace(constant="")), related)[0, 1] == 0.0
+
+
+def test_the_linkage_is_recalibrated_where_a_model_can_be_written_with_it() -> None:
+    model = load_model("mkz_nominal")
+    graph = Graph(model, load_vehicle("mkz_bywire"), 0.01)
+    assert LINKAGE in {one.key for one in nuisances(graph, model, {})}
+    others = {key: value for key, value in graph.plant.defaults.items() if key != BEND}
+    graph.plant = graph.plant._replace(defaults=others)
+    assert LINKAGE not in {one.key for one in nuisances(graph, model, {})}

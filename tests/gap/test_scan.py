@@ -33,6 +33,12 @@ class Work:
             raise InputError("no such car", code="no_car")
         return {"x": [BENT * (values.get("wind.size", 0.0) - TRUTH) + 3.0 * T * values.get("a", 0.0)]}
 
+    def size(self, name: str) -> float:
+        return 2.0
+
+    def seen(self, name: str) -> list[np.ndarray]:
+        return [np.ones(ROWS, dtype=bool)]
+
     def white(self, name: str, residual: list[np.ndarray], colour: Colour) -> tuple[np.ndarray, np.ndarray]:
         return residual[0], np.zeros(ROWS, dtype=np.int64)
 
@@ -129,7 +135,7 @@ def factor(name: str, parameter: str) -> Free:
     return free_of("g.size", effect.priors[parameter], effect.neutral[parameter])
 
 
-class Factor:
+class Factor(Work):
     """A car whose only trouble is a factor; recalibration may move the very same one, 3 deviations far."""
 
     prior = staticmethod(prior)
@@ -244,3 +250,10 @@ def test_a_limit_that_cuts_much_off_is_left_to_its_grid(monkeypatch: pytest.Monk
     one = Scan(one.problem, one.start._replace(residuals=work.residuals({})), one._slopes)
     asked = work.asked
     assert 20.0 * one.best([LIMIT]).z[-1] == pytest.approx(3.0, abs=1.0) and work.asked - asked == EVEN + 1
+
+
+def test_how_far_a_grid_moves_what_is_compared_is_told_as_a_share_of_the_signal() -> None:
+    still = Free("still.size", 0.0, 1.0, False, 0.0, 0.0, 1.3)
+    bent = float(np.sqrt(np.mean(BENT**2)))
+    assert scan().best([WIND]).moves == pytest.approx(0.5 * bent), "the farthest point"
+    assert scan().best([still]).moves == 0.0

@@ -66,6 +66,8 @@ def verdict(
         ),
         ((step("brake_drag", "rolling_resistance"),), "one", ()),  # a class is one name
         ((step("brake_gain", "steer_lag"), step("steer_lag")), "several", ()),  # it is there already
+        # nor do two of a class stand in a set: the better one does for both
+        ((step("brake_gain", "rolling_resistance", "brake_drag"),), "set", ("brake_gain", "brake_drag")),
     ],
 )
 def test_rivals_make_a_set_of_one_effect_and_of_several(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tunefree_hil.base.contracts import Link
+from tunefree_hil.gap.card import HeldOut
 from tunefree_hil.gap.targets import Target
 from tunefree_hil.gap.work import EXACT, FLOOR_SHARE, LEAST_OF_LEVEL, kind_of, missed_of, size_of
 
@@ -42,14 +43,14 @@ def test_wheels_are_off_by_a_share_of_the_speed_however_even_the_drive_is() -> N
     assert size_of([target(0.01, size=0.1)], [even]) == pytest.approx(0.1), "a rate has no level"
 
 
-CARD = {
-    "actuators": {"brake": {"held_out_rms": 0.005, "noise": 0.003}, "steer": {}},
-    "free_run_rms": {"held_out": {"fitted": {"yaw_rate_radps": 0.01, "speed_mps": 0.05}}},
-}
-
-
-def test_what_a_calibration_missed_of_other_drives_is_read_from_its_card_less_the_noise() -> None:
-    assert missed_of("brake", CARD, 0.0) == pytest.approx(0.004)
-    assert missed_of("yaw_rate", CARD, 0.008) == pytest.approx(0.006) and missed_of("yaw_rate", CARD, 0.02) == 0.0
-    assert missed_of("rate_of_speed", CARD, 0.0) == 0.0, "of a rate the card says nothing"
-    assert missed_of("steer", CARD, 0.0) == missed_of("lateral_accel", CARD, 0.0) == missed_of("brake", {}, 0.0) == 0.0
+def test_what_a_calibration_missed_of_other_drives_counts_less_the_noise_that_is_in_it() -> None:
+    said = HeldOut({"yaw_rate_radps": 0.01, "speed_mps": 0.05}, {"brake": (0.005, 0.003)})
+    assert missed_of("brake", said, 0.0) == pytest.approx(0.004)
+    assert missed_of("yaw_rate", said, 0.008) == pytest.approx(0.006) and missed_of("yaw_rate", said, 0.02) == 0.0
+    assert missed_of("rate_of_speed", said, 0.0) == 0.0, "of a rate the card says nothing"
+    assert (
+        missed_of("steer", said, 0.0)
+        == missed_of("lateral_accel", said, 0.0)
+        == missed_of("brake", HeldOut({}, {}), 0.0)
+        == 0.0
+    )

@@ -22,7 +22,7 @@ from tunefree_hil.gap.scan import Scan, Start
 from tunefree_hil.gap.segments import Blocks
 from tunefree_hil.gap.shape import Shape, shape_of
 from tunefree_hil.gap.suspects import Suspect, doubted, suspects_of
-from tunefree_hil.gap.work import Kind, Setting, Work
+from tunefree_hil.gap.work import Kind, Setting, Work, apart
 
 Array = np.ndarray
 
@@ -182,14 +182,8 @@ def moved_by(token: str, model: Fitted, key: str, by: float) -> dict[str, float]
             now = work.residuals({**model.values, key: free.value(float(np.clip(u, free.least, free.most)))})
         except InputError:
             continue
-        found.append({name: _apart(some, now[name], work.seen(name)) for name, some in was.items()})
+        found.append({name: apart(some, now[name], work.seen(name)) for name, some in was.items()})
     return {name: float(np.mean([one[name] for one in found])) for name in was} if found else {}
-
-
-def _apart(some: Sequence[Array], others: Sequence[Array], seen: Sequence[Array]) -> float:
-    """Root mean square of the difference, over all drives."""
-    apart = np.concatenate([(a - b)[rows] for a, b, rows in zip(some, others, seen, strict=True)])
-    return float(np.sqrt(np.mean(apart * apart))) if len(apart) else 0.0
 
 
 def bursts_of(token: str, models: Sequence[Fitted], blocks: Array) -> list[dict[str, Burst]]:

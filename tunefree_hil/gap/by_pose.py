@@ -18,6 +18,7 @@ Array = np.ndarray
 X, Y, HEADING, SPEED, YAW_RATE = (
     "ins.x_m", "ins.y_m", "ins.heading_rad", "ins.speed_mps", "ins.yaw_rate_radps"
 )  # fmt: skip
+MADE_FROM = {YAW_RATE: (HEADING,), SPEED: (HEADING, X, Y)}
 VALUES = 5  # under a slope: over more, what a quick car does would be taken off
 SLOWEST_S = 0.06  # between two values: a slope over more than a quarter of a second is no rate
 LEAST_VALUES = 20

@@ -17,7 +17,7 @@ from tunefree_hil.base.contracts import Link
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.config.schema import VehicleSpec
-from tunefree_hil.gap.by_pose import HEADING, jumps_of, rates_by_pose, window_of
+from tunefree_hil.gap.by_pose import HEADING, MADE_FROM, jumps_of, rates_by_pose, window_of
 from tunefree_hil.gap.graph import CHANNELS, Inputs
 from tunefree_hil.gap.lost import OUTPUTS, lost_of, unknown_channels
 from tunefree_hil.gap.signals import Signal, as_told, carried, outdone, signals_of, well_covered
@@ -138,7 +138,10 @@ def _unsaid(drive: Drive, vehicle: VehicleSpec, signals: Mapping[str, Signal]) -
     """What nobody says and others tell: an INS's rates by its pose; a yaw rate, where there is none, by the wheels."""
     values = {name: one.values for name, one in signals.items()}
     rates = rates_by_pose(values, {name: one.fresh for name, one in signals.items()}, drive.dt_s)
-    found = {name: signals[HEADING]._replace(values=np.nan_to_num(one)) for name, one in rates.items()}
+    there = {name: np.all([signals[one].there for one in MADE_FROM[name]], axis=0) for name in rates}
+    found = {
+        name: signals[HEADING]._replace(values=np.nan_to_num(one), there=there[name]) for name, one in rates.items()
+    }
     wheels = yaw_by_wheels(drive, vehicle.nominal)
     by_chassis, by_ins = CHASSIS_FIRST_YAW_RATES
     if by_chassis in signals or wheels is None or (wheels[1] & np.isfinite(wheels[0])).sum() < 2:

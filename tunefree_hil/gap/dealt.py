@@ -29,7 +29,7 @@ def dealt(drives: Sequence[Opened]) -> Blocks:
         for drive, begin, end in zip(blocks.drives, blocks.begins, blocks.ends, strict=True)
     ]
     whole = np.array([is_driven(*one) for one in parts])
-    farthest = np.stack([_farthest(*one) for one in parts])
+    farthest = np.stack([asked_at_most(*one) for one in parts])
     return blocks._replace(roles=seen_at_their_ends(blocks, farthest, whole))
 
 
@@ -74,7 +74,7 @@ def _neighbours(roles: Array, blocks: Blocks, block: int, whole: Array) -> list[
     return sorted(searched, key=lambda one: (not whole[one], blocks.drives[one] != here, abs(one - block)))
 
 
-def _farthest(opened: Opened, rows: slice) -> Array:
+def asked_at_most(opened: Opened, rows: slice) -> Array:
     """[k]: what a block is asked for at the most, where a limit may lie in it: commands and how fast they change, as
     far as they act; speed; what the engine has to give (throttle times speed); what the tyres have to (the square of
     the speed times the steering angle).
@@ -85,9 +85,9 @@ def _farthest(opened: Opened, rows: slice) -> Array:
     found = []
     for i in range(3):
         follows = moving & (opened.follows[rows, i] > 0.5)
-        command = np.abs(x.commands[rows, i])
+        signed = x.commands[rows, i]
+        command, change = np.abs(signed), np.abs(signed[back:] - signed[:-back])
         beyond = command - np.abs(x.commands[:, i]).min()  # a pedal at rest gives nothing
-        change = np.abs(command[back:] - command[:-back])
         found += [_most(command, follows), _most(change, follows[back:] & follows[:-back])]
         found += [_most(one, follows) for one in ((beyond * speed,), (), (speed**2 * command,))[i]]
     return np.array([*found, _most(speed, moving)])

@@ -111,7 +111,7 @@ class Weighed(NamedTuple):
             sure
             and self.matters
             and self.shrink[0] > bar * shrink
-            and (self.shrink[1] > bar * SURE * shrink or self.rest > RARE / bar or self._all_of_it)
+            and (self.shrink[1] > bar * SURE * shrink or self.rest > bar * RARE or self._all_of_it)
             and self.worst < (SPARED if self.shrink[1] > NEARLY_ALL else MOST_WORSE) / bar
             and self.worst_missed < MOST_WORSE / bar
         )

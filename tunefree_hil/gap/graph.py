@@ -36,7 +36,7 @@ from tunefree_hil.plant.actuators import ActuatorParams, init_actuator
 Array = np.ndarray
 # 'steer_lag.tau_s'; 'plant.drive_force_n' (log of a factor); 'actuator.steer.lag_s' (the same); 'clock.steer_s', by
 # which the car feels an output later than its report says, 'clock.ins_s', by which the INS is later than it says;
-# 'linkage.bend', which is extra to the plant's linkage_bend, and on any plant
+# 'linkage.bend', which is extra to the plant's linkage_bend
 Values = Mapping[str, float]
 
 LINKAGE, BEND = "linkage.bend", "linkage_bend"

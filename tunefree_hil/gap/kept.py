@@ -52,8 +52,8 @@ class Kept(NamedTuple):
 def keep(found: Named, kind: str, seconds: float, named: bool = True) -> Kept:
     """Of a search's result. kind: of the model's plant; named: whether names were looked for."""
     card, answer = found.card, as_data(found, kind)
-    if answer["verdict"] == "none_missing" and not any(one.enough for one in found.excitation.values()):
-        answer |= {"verdict": "cannot_test", "absorbed": False, "words": [_lacking(found)]}  # nothing could be seen
+    if answer["verdict"] == "none_missing" and not any(one["enough"] for one in answer["excitation"].values()):
+        answer |= {"verdict": "cannot_test", "absorbed": False, "words": [_lacking(answer)]}  # nothing could be seen
     return Kept(
         answer, _values(found.question.null), _values(found.repaired),
         tuple(one.key for one in found.repaired.fitted.free), "" if card is None else card.looked.signal,
@@ -87,7 +87,7 @@ def _values(model: Modelled) -> dict[str, float]:
     return {key: float(value) for key, value in model.fitted.values.items()}
 
 
-def _lacking(found: Named) -> str:
+def _lacking(answer: Mapping[str, Any]) -> str:
     """What to record, where no effect could have been seen."""
-    lacks = sorted({words for one in found.excitation.values() for words in one.lacks})
+    lacks = sorted({words for one in answer["excitation"].values() for words in one["lacks"]})
     return f"no effect of the catalogue could have shown itself; record a drive with more: {'; '.join(lacks)}"

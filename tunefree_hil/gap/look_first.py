@@ -6,11 +6,11 @@ from collections.abc import Generator, Sequence
 
 from tunefree_hil.base.contracts import Link
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
-from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.clock import echoes
 from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.excitation import excitation, held_by
+from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.locate import Card, Looked, card, echo_words
 from tunefree_hil.gap.lost import lost_links, silent_ports
 from tunefree_hil.gap.name import Named, looked_at, refuse_untold
@@ -38,7 +38,7 @@ def look_first(model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened])
     finally:
         team.close()
     link = Link.COMMAND_ECHO if strange else looked[0].link if shown else None
-    held = excitation(catalogue(), held_by(drives, vehicle))
+    held = excitation(effects(), held_by(drives, vehicle))
     words = tuple(strange) or (() if shown else ("nothing beyond noise and recalibration",))
     return Named(
         _verdict(looked, strange), (), (), "", link, shown, tuple(looked), held, (), question, question.null,

@@ -1,9 +1,9 @@
 """What logs cannot show, in words: by link of the chain, and by channel of the by-wire car.
 
 A channel is idle where hardly any of its commands acted in any of the logs: by-wire was not enabled, or a person drove
-over it. What it
-reported is known, so the motion can be judged; what its actuator makes of a command cannot. A channel is unknown where
-the vehicle has it and a log says neither what was commanded nor what it did: what follows from it cannot be judged.
+over it. What it reported is known, so the motion can be judged; what its actuator makes of a command cannot. A channel
+is unknown where the vehicle has it and a log says neither what was commanded nor what it did: what follows from it
+cannot be judged.
 """
 
 from __future__ import annotations

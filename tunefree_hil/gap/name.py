@@ -20,7 +20,7 @@ from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.gap.ask import Modelled, Question
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.clock import Echo, echoes
-from tunefree_hil.gap.decide import Weighed, left_share, worked_on
+from tunefree_hil.gap.decide import MATTERS, Weighed, left_share, worked_on
 from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.excitation import Excited, excitation, held_by
 from tunefree_hil.gap.graph import effects
@@ -38,11 +38,12 @@ from tunefree_hil.gap.usual import NOTHING, Usual, parted, usual_of, usual_words
 from tunefree_hil.gap.verdict import alike_words, daily_words, not_it, small_words, verdict_of, wavers, with_others
 from tunefree_hil.gap.work import Setting
 
-NO_PORT: Mapping[Port, str] = {}
-VERDICTS = ("one", "several", "set", "none_missing", "none_of_these", "cannot_test")
-
-
 Array = np.ndarray
+
+NO_PORT: Mapping[Port, str] = {}
+NOBODY: Mapping[str, str] = {}
+UNMOVED = f"no value of it that a car has moves anything that is compared here by {MATTERS:.1%} of its signal"
+VERDICTS = ("one", "several", "set", "none_missing", "none_of_these", "cannot_test")
 LEAST_S = FEWEST * SHORTEST_S * (1.0 + GUARD_S / BLOCK_S)  # that a question's logs have to hold
 
 
@@ -71,8 +72,8 @@ class Named(NamedTuple):
 
     looked, still: every target with recalibration done, and with all that was found besides; card: of the one that
     shows it best (None: nothing is broken and nobody was found), with the link that is to blame. set: names where it is
-    one of them, and not known which. lost, silent: links and ports that the logs cannot show, in words.
-    usual: what the model misses of its own logs.
+    one of them, and not known which. lost, silent: links and ports that the logs cannot show, in words; unmoved: the
+    same of effects of which no value moves anything that is compared. usual: what the model misses of its own logs.
     """
 
     verdict: str
@@ -93,6 +94,7 @@ class Named(NamedTuple):
     still: tuple[Looked, ...] = ()
     usual: Usual = NOTHING
     silent: Mapping[Port, str] = NO_PORT
+    unmoved: Mapping[str, str] = NOBODY
 
 
 def name(
@@ -178,10 +180,12 @@ def _named(
         sizes = {one.name: {key: value.value for key, value in one.params.items()} for one in known}
         words = (*words, *small_words(sizes))
     words = (*words, *alike_words([one.name for one in known] or others, drives))
+    said_of = {*(one.name for one in known), *others}
     words = (*words, *no_news, *usual_words(usual), *daily_words(apart(repaired.fitted, blocks, days)))
     return Named(
         verdict, known, others, _manoeuvre(others), link, shown, tuple(before.looked), held, tuple(first), question,
         repaired, before.left, after.left, lost_links(drives), words, tuple(still), usual, silent_ports(drives),
+        {name: UNMOVED for name, by in team.moves.items() if by < MATTERS and name not in said_of},
     )  # fmt: skip
 
 

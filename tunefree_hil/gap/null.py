@@ -8,16 +8,15 @@ has its prior let go.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ActuatorSpec, Interval, ModelSpec, Number, value_of
+from tunefree_hil.gap.card import card_of, no_card
 from tunefree_hil.gap.channels import channel_spec, is_known
 from tunefree_hil.gap.drifts import ROAD_CAR_KG, ROWS, Drift
 from tunefree_hil.gap.graph import BEND, CHANNELS, LINKAGE, Graph
@@ -66,11 +65,7 @@ MOST_DRAG = 3.1  # deviations that the drag area must hold: less than nothing is
 # A calibration's doubt of each of these is that of the others: it knows what they come to together much better. Where
 # its card does not say how they hang together, their doubt is no licence to move one of them alone.
 SHARED = {"drive_force_n", "drive_knee_frac", "rolling_frac", "drag_area_m2", "throttle_zero_frac"}
-LEAST_DEAD_TIME_S, LEAST_LAG, LEAST_GAIN = (
-    0.001,
-    0.01,
-    0.0005,
-)  # a channel is not known better than that for another day
+LEAST_DEAD_TIME_S, LEAST_LAG, LEAST_GAIN = 0.001, 0.01, 0.0005  # no channel is known better than that another day
 LEAST_OFFSET = 5e-5  # of a duty, or rad
 # How well it is known when a frame's numbers were taken, s: parts of a tick, of a bus's queue
 CLOCKS = {"clock.throttle_s": 0.004, "clock.brake_s": 0.004, "clock.steer_s": 0.004, "clock.ins_s": 0.004}
@@ -104,7 +99,8 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float], held:
             turned = -1.0 if one.against else 1.0
             found.append(Nuisance(one.key, neutral, sigma, min(told, sigma), constant, turned, least))
     found += [Nuisance(key, 0.0, sigma) for key, sigma in CLOCKS.items()]
-    found.append(_linkage(doubts))
+    if BEND in graph.plant.defaults:  # of another plant no model could be written with it
+        found.append(_linkage(doubts))
     for channel in CHANNELS:
         found += _of_channel(channel, channel_spec(model, channel) if is_known(model, channel) else None)
     return found
@@ -114,33 +110,6 @@ def _linkage(doubts: Mapping[str, float]) -> Nuisance:
     told = WIDER * doubts.get(BEND, MOST_BEND)
     sigma = min(math.hypot(LEAST_BEND, told), MOST_BEND)
     return Nuisance(LINKAGE, 0.0, sigma, min(told, sigma), BEND)
-
-
-def card_of(model: ModelSpec) -> dict[str, Any]:
-    """What the card in a model's folder says; empty where the model names none. Raises InputError for one that is not
-    there, or is none.
-    """
-    if not model.plant.card or not model.folder:
-        return {}
-    path = Path(model.folder) / model.plant.card
-    if not path.is_file():
-        raise InputError(
-            f"the model's card, {path.name}, is not there", code="no_card", file=f"{model.folder}/model.toml",
-            key="plant.card", hint="put it back, calibrate the model again, or take the key out",
-        )  # fmt: skip
-    try:
-        found = json.loads(path.read_text())
-    except ValueError as error:
-        raise _no_card(path, error) from error
-    if not isinstance(found, dict):
-        raise _no_card(path, "no table")
-    return found
-
-
-def _no_card(path: Path, why: object) -> InputError:
-    return InputError(
-        f"this is no card of a model: {why}", code="bad_card", file=str(path), hint="calibrate the model again"
-    )
 
 
 def doubts_of(model: ModelSpec) -> dict[str, float]:
@@ -157,7 +126,7 @@ def doubts_of(model: ModelSpec) -> dict[str, float]:
             if name in together or name not in SHARED
         }
     except (AttributeError, TypeError, KeyError) as error:
-        raise _no_card(Path(model.folder) / model.plant.card, error) from error
+        raise no_card(Path(model.folder) / model.plant.card, error) from error
 
 
 def related_of(model: ModelSpec) -> dict[str, dict[str, float]]:
@@ -169,7 +138,7 @@ def related_of(model: ModelSpec) -> dict[str, dict[str, float]]:
         rows = zip(said["names"], said["correlation"], strict=True)
         return {name: {other: float(r) for other, r in zip(said["names"], row, strict=True)} for name, row in rows}
     except (AttributeError, TypeError, KeyError, ValueError) as error:
-        raise _no_card(Path(model.folder) / model.plant.card, error) from error
+        raise no_card(Path(model.folder) / model.plant.card, error) from error
 
 
 def held_of(model: ModelSpec, pace: float = 1.0) -> float:
@@ -189,7 +158,7 @@ def held_of(model: ModelSpec, pace: float = 1.0) -> float:
             )
         share = math.inf if missed is None else float(missed) / (pace * EXACT_MPS / HELD)
     except (AttributeError, TypeError, KeyError, ValueError) as error:
-        raise _no_card(Path(model.folder) / model.plant.card, error) from error
+        raise no_card(Path(model.folder) / model.plant.card, error) from error
     return min(max(share, HELD), 1.0)
 
 

@@ -24,11 +24,11 @@ from tunefree_hil.config.schema import (
     VehicleSpec,
     value_of,
 )
+from tunefree_hil.gap.card import card_of
 from tunefree_hil.gap.channels import ACCEL, PEDALS, is_by_accel
 from tunefree_hil.gap.drifts import UNWRITTEN
 from tunefree_hil.gap.graph import BEND, LINKAGE, effects, scaled
 from tunefree_hil.gap.kept import Kept
-from tunefree_hil.gap.null import card_of
 from tunefree_hil.gap.usual import KEY
 from tunefree_hil.learn.free_run import plant_of
 from tunefree_hil.learn.write_model import CARD_FILE, OWN_EFFECTS, data_of, write_beside

@@ -8,21 +8,22 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.evidence import judged
+from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.held import held_back
 from tunefree_hil.gap.lost import untold
 from tunefree_hil.gap.name import Effect, Named
 
 FEW_BLOCKS = 9  # judged, of a drive of a minute and three quarters; shorter ones have fewer
 BY_TEST = ("one", "several", "set", "none_missing")  # verdicts that hold as far as nothing else was seen
+NOWHERE: dict[str, Any] = {"link": None, "signal": "", "regime": [], "card": ""}  # where nothing is missed
 REGIONS = 3  # that are told, of those that stand out
 WITHOUT_NET = ("physics", "reference")  # kinds of plants that were not taught by logs, and so hide nothing
 
 
 def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
     """Plain dicts, lists, numbers and words; what is no finite number is None. kind: of the model's plant."""
-    blind = untold(catalogue(), found.lost, found.silent)
+    blind = {**found.unmoved, **untold(effects(), found.lost, found.silent)}
     return {
         "verdict": found.verdict or None,
         "forced": forced_name(found),

@@ -16,7 +16,7 @@ import numpy as np
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.gap.problem import Fitted, Free, Problem, Slopes, bounded, ends_of
-from tunefree_hil.gap.work import Residuals
+from tunefree_hil.gap.work import Residuals, apart
 
 Array = np.ndarray
 
@@ -38,13 +38,15 @@ FINER = 9  # points between the best one's neighbours: a delay is rugged on the 
 class Start(NamedTuple):
     """The best point of a grid: keys that move and z of them (all but `free`: recalibration done there), and what it
     gains over the model that the candidate is added to, in squares. plain: of several parameters the best point with
-    all but the first neutral, where that is another one.
+    all but the first neutral, where that is another one. moves: what the grid's points move of any target at the most,
+    root mean square where it may be looked at, as a share of its signal.
     """
 
     keys: tuple[str, ...]
     z: Array
     gain: float
     plain: Start | None = None
+    moves: float = 0.0
 
 
 class _Felt(NamedTuple):
@@ -65,6 +67,7 @@ class Scan:
         self._colours = {name: one.colour for name, one in start.sums.items()}
         self._curve = np.zeros((len(start.keys), len(start.keys)))
         self._felt = {name: self._feel(name, residual) for name, residual in start.residuals.items()}
+        self._sizes = {name: problem.work.size(name) for name in start.residuals}
 
     def best(self, free: Sequence[Free]) -> Start:
         """Over the whole grid, and where recalibration has put the very same parameter: taking its place must be no
@@ -152,19 +155,31 @@ class Scan:
         gone = float(start.z @ start.prior @ start.z - base @ prior @ base)
         before = self._left(start.residuals, kept, base, prior)[0] + gone
         best: Start | None = None
+        moves = 0.0
         for u in points:
             z = np.concatenate([base, u])
             try:
                 residuals = self.problem.work.residuals(self.problem.values(keys, z, loose))
             except InputError:  # a value that makes no such effect
                 continue
+            moves = max(moves, self._moved(residuals))
             left, step = self._left(residuals, kept, base, prior)
             if best is None or before - left > best.gain:
                 low, high = ends_of(keys, loose)
                 best = Start(keys, np.clip(np.concatenate([base + step, u]), low, high), before - left)
         if best is None:
             raise InputError("no value of it makes a car", code="no_such_effect", key=",".join(one.key for one in free))
-        return best
+        return best._replace(moves=moves)
+
+    def _moved(self, residuals: Residuals) -> float:
+        """What residuals differ by from the start's, of the target that differs most, as a share of its signal."""
+        work = self.problem.work
+        shares = [
+            apart(some, self.start.residuals[name], work.seen(name)) / max(self._sizes[name], 1e-12)
+            for name, some in residuals.items()
+            if not unchanged(some, self.start.residuals[name])
+        ]
+        return max(shares, default=0.0)
 
     def _left(self, residuals: Residuals, kept: Sequence[int], z: Array, prior: Array) -> tuple[float, Array]:
         """(cost, step) of the best that recalibration can do from z with these residuals, by the normal equations.

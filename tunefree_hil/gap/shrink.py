@@ -15,9 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.config.schema import ModelSpec
+from tunefree_hil.gap.card import held_out_of
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.locate import FAR, GROSS
-from tunefree_hil.gap.null import card_of
+from tunefree_hil.gap.lost import OUTPUTS
 from tunefree_hil.gap.verify import HEADING, HUGE, POSITION, UNITS, Proof
 
 Array = np.ndarray
@@ -63,15 +64,12 @@ class Gap(NamedTuple):
 
 def floors_of(proof: Proof, model: ModelSpec) -> dict[str, float]:
     """By signal: the sensor's noise, and what the model's own calibration missed of drives that it did not see."""
-    card = card_of(model) if model.plant.card else {}
-    runs = ((card.get("free_run_rms") or {}).get("held_out") or {}).get("fitted") or {}
-    found = {}
+    held_out, found = held_out_of(model), {}
+    by_report = {f"report.{OUTPUTS[name]}": rms for name, (rms, _) in held_out.actuators.items() if name in OUTPUTS}
     for signal in proof.counts:
-        missed = [float(runs[key]) for key in BY_CARD.get(signal, ()) if key in runs]
-        channel = signal.removeprefix("report.").partition("_")[0]
-        own = (card.get("actuators") or {}).get(channel) or {}
-        if signal in (f"report.{channel}_frac", f"report.{channel}_rad") and own.get("held_out_rms"):
-            missed = [float(own["held_out_rms"])]
+        missed = [held_out.motion[key] for key in BY_CARD.get(signal, ()) if key in held_out.motion]
+        if signal in by_report:
+            missed = [by_report[signal]]
         found[signal] = math.sqrt(proof.noise[signal] ** 2 + sum(one * one for one in missed))
     return found
 

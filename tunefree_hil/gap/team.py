@@ -21,8 +21,9 @@ SCREEN = 0.15  # who gains less than that gets one step: the truth, even midway 
 
 
 class Team:
-    """Processes that have the same question open. dropped: who could not be asked at all, with the reason.
-    thorough: whether all suspects are fitted, however little they gain.
+    """Processes that have the same question open. dropped: who could not be asked at all, with the reason; moves: what
+    each suspect alone moves of any target at the most (scan.Start). thorough: whether all suspects are fitted, however
+    little they gain.
     """
 
     def __init__(self, setting: Setting, workers: int = 2, *, thorough: bool = False) -> None:
@@ -31,6 +32,7 @@ class Team:
         self.workers = [Worker() for _ in range(workers)]
         self.token = "gap"
         self.dropped: dict[str, str] = {}
+        self.moves: dict[str, float] = {}
 
     def open(self) -> Question:
         """Open it in all of them."""
@@ -45,6 +47,8 @@ class Team:
         for some, lost in self._all([("scan_suspects", self.token, share, model) for share in self._shares(names)]):
             begins |= some
             self._drop(lost, model is None)
+        if start is None:
+            self.moves |= {name: one.moves for name, one in begins.items()}
         best = max((one.gain for one in begins.values()), default=0.0)
         order = sorted(begins, key=lambda name: -begins[name].gain)
         least, bar = (

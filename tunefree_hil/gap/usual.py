@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.gap.card import card_of
 from tunefree_hil.gap.decide import Weighed
 from tunefree_hil.gap.interval import across
-from tunefree_hil.gap.null import card_of
 from tunefree_hil.gap.problem import Fitted
 from tunefree_hil.learn.write_model import OWN_EFFECTS
 

@@ -167,14 +167,19 @@ def alike_words(names: Iterable[str], drives: Sequence[Opened]) -> tuple[str, ..
 def with_others(
     step: Weighed, steps: Sequence[Weighed], held: Mapping[str, Excited], drives: Sequence[Opened]
 ) -> Weighed:
-    """A step with the rivals that no class has together with it; where the drive hardly holds what shows it, whoever it
-    is easily taken for is one, too, as far as that comes near to it in its place, beside the other steps.
+    """A step with the rivals that no class has together with it, of each class the best one. Where the drive hardly
+    holds what shows it, what it is easily taken for is a rival, too, as far as that comes near to it in its place,
+    beside the other steps.
     """
-    same = class_of(step.name, all(one.has("report.lateral_accel_mps2") for one in drives))
-    apart = same | {one.name for one in steps}
+    has_lateral = all(one.has("report.lateral_accel_mps2") for one in drives)
     others = step.others
     if held[step.name].score < HARDLY:
         least = NEARLY * step.placed.get(step.name, step.evidence)
         near = [name for name in effects()[step.name].impostors if step.placed.get(name, 0.0) > max(least, LEAST_NATS)]
         others += tuple(name for name in near if name not in others)
-    return step._replace(others=tuple(name for name in others if name not in apart))
+    apart, stay = class_of(step.name, has_lateral) | {one.name for one in steps}, set[str]()
+    for name in sorted(others, key=lambda one: -step.placed.get(one, 0.0)):
+        if name not in apart:
+            stay.add(name)
+            apart |= class_of(name, has_lateral)
+    return step._replace(others=tuple(name for name in others if name in stay))

@@ -175,7 +175,7 @@ def _missed(signal: str, said: Mapping[str, Array], opened: Opened, rows: Array,
 
 def _trace(opened: Opened, said: Mapping[str, Mapping[str, Array]], block: tuple[int, int]) -> Traces:
     cut = slice(*block)
-    names = [name for name in UNITS if name in opened.signals]
+    names = [name for name in UNITS if name in opened.signals and _has(opened, name)]
     return Traces(
         np.arange(block[1] - block[0]) * opened.dt_s,
         {name: opened.signals[name].values[cut] for name in names},

@@ -6,18 +6,18 @@ behind the other; `Piece`s keep the drives apart where rows are filtered over ti
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from tunefree_hil.base.contracts import Link
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
+from tunefree_hil.gap.card import HeldOut, held_out_of
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.dealt import dealt
 from tunefree_hil.gap.graph import CHANNELS, Graph, Values
 from tunefree_hil.gap.noise import Colour, Piece, colour_of, sensor_noise, whitened
-from tunefree_hil.gap.null import card_of
 from tunefree_hil.gap.segments import GUARD, PROOF, Blocks, block_at
 from tunefree_hil.gap.targets import Compared, Target, too_few
 
@@ -74,8 +74,8 @@ class Work:
         for drive, compared in enumerate(self.compared):
             for place, target in enumerate(compared.targets):
                 self._where.setdefault(target.name, []).append((drive, place))
-        card = card_of(setting.model)
-        self.kinds = {name: self._kind(name, card) for name in self._where}
+        held_out = held_out_of(setting.model)
+        self.kinds = {name: self._kind(name, held_out) for name in self._where}
         self.block = {name: [self._block(*one) for one in where] for name, where in self._where.items()}
         self.judged = {name: [self._judged(b) for b in some] for name, some in self.block.items()}
 
@@ -132,8 +132,8 @@ class Work:
         """Of all drives that have it."""
         return [self.compared[drive].targets[place] for drive, place in self._where[name]]
 
-    def _kind(self, name: str, card: Mapping[str, Any]) -> Kind:
-        kind = kind_of(self._targets(name), missed_of(name, card, self._noise_of(BY_FREE_RUN.get(name, ""))))
+    def _kind(self, name: str, held_out: HeldOut) -> Kind:
+        kind = kind_of(self._targets(name), missed_of(name, held_out, self._noise_of(BY_FREE_RUN.get(name, ""))))
         return kind._replace(by_wheels=name == "yaw_rate" and self._bumpy(self.drives_of(name)))
 
     def _bumpy(self, drives: Sequence[int]) -> bool:
@@ -157,6 +157,12 @@ class Work:
         return (roles != PROOF) & (roles != GUARD)
 
 
+def apart(some: Sequence[Array], others: Sequence[Array], seen: Sequence[Array]) -> float:
+    """Root mean square of what two models' residuals of a target differ by, over all drives; seen: rows that count."""
+    by = np.concatenate([(a - b)[rows] for a, b, rows in zip(some, others, seen, strict=True)])
+    return float(np.sqrt(np.mean(by * by))) if len(by) else 0.0
+
+
 def kind_of(targets: Sequence[Target], missed: float) -> Kind:
     """Of a target, over all drives: each has its own noise, and reports that come as often as they came."""
     rough = [max(sensor_noise(one.measured, one.valid), one.quantum / 12.0**0.5) for one in targets]
@@ -177,17 +183,13 @@ def size_of(targets: Sequence[Target], speeds: Sequence[Array]) -> float:
     return max(deviation, LEAST_OF_LEVEL * _root_mean(level))
 
 
-def missed_of(name: str, card: Mapping[str, Any], noise: float) -> float:
-    """What `calibrate` wrote of held-out drives in the same signal as a target's, less the noise that is in it; 0 where
-    its card says nothing. noise: of the sensor; of an actuator's report the card has it.
+def missed_of(name: str, held_out: HeldOut, noise: float) -> float:
+    """What a calibration missed of other drives in the same signal as a target's, less the noise that is in it; 0 where
+    it says nothing. noise: of the sensor; of an actuator's report the card has it.
     """
-    missed = 0.0
+    missed = held_out.motion.get(BY_FREE_RUN.get(name, ""), 0.0)
     if name in CHANNELS:
-        own = (card.get("actuators") or {}).get(name) or {}
-        missed, noise = own.get("held_out_rms") or 0.0, own.get("noise") or 0.0
-    elif name in BY_FREE_RUN:
-        runs = ((card.get("free_run_rms") or {}).get("held_out") or {}).get("fitted") or {}
-        missed = runs.get(BY_FREE_RUN[name]) or 0.0
+        missed, noise = held_out.actuators.get(name, (0.0, 0.0))
     return float(max(missed * missed - noise * noise, 0.0)) ** 0.5
 
 

@@ -287,3 +287,13 @@ def test_the_names_of_drives_follow_the_menu(wish: Wish, tmp_path: Path) -> None
     run, loaded = open_bench(wish, tmp_path / "d")
     jobs = jobs_of(run, loaded, [MENU["circles"], MENU["gentle"]], 4)
     assert [one.log.name for one in jobs] == ["drive-005-circles.log", "drive-006-gentle.log"]
+
+
+def test_the_first_answer_that_is_kept_is_this_ones(bench: Bench, asked: Asked, wish: Wish) -> None:
+    """Asked up to a name before, and to the end now."""
+    bench.says = {1: verdict("set"), 2: verdict("one")}
+    events(asked._replace(until="name"), wish)
+    assert json.loads((asked.out / "gap-1.json").read_text())["until"] == "name"
+    (asked.out / "gap.json").unlink()  # as one that goes less far is made again by `gap`
+    events(asked, wish)
+    assert json.loads((asked.out / "gap-1.json").read_text())["until"] == "verify"

@@ -277,3 +277,36 @@ def test_nothing_found_where_nothing_could_have_been_seen_is_no_answer() -> None
     seen = found._replace(excitation={"steer_lag": Excited(2.0, True, ())})
     assert keep(seen, "physics", 1.0).verdict == "none_missing"
     assert keep(seen, "hybrid", 1.0).answer["absorbed"] and not keep(seen, "physics", 1.0).answer["absorbed"]
+
+
+def test_what_moves_nothing_that_is_compared_could_not_have_been_seen() -> None:
+    held = {"steer_lag": Excited(2.0, True, ()), "side_wind": Excited(2.0, True, ())}
+    found = Named("none_missing", (), (), "", None, None, (), held, (), QUESTION_OF, MODELLED, {}, {}, {}, ())
+    one = keep(found._replace(unmoved={"side_wind": "no value"}), "physics", 1.0)
+    assert one.verdict == "none_missing" and one.answer["untold"] == {"side_wind": "no value"}
+    assert not one.answer["excitation"]["side_wind"]["enough"] and one.answer["excitation"]["steer_lag"]["enough"]
+    none = keep(found._replace(unmoved=dict.fromkeys(held, "no value")), "physics", 1.0)
+    assert none.verdict == "cannot_test" and "no value" in none.answer["words"][0]
+
+
+@pytest.mark.parametrize("until", ["name", "repair"])
+def test_before_the_proof_nothing_is_said_of_its_blocks(until: str, search: Search, tmp_path: Path) -> None:
+    """And what goes on is the proof, even where the search knows that those blocks do not show it."""
+    search.kept = made_kept(effects=[{**one, "unseen_stirs": 0.0} for one in made_kept().answer["effects"]])
+    data = result(asked(tmp_path, until=until))
+    (one,) = data["effects"]
+    assert one["unseen_shrink"] is None and one["unseen_stirs"] is None and one["shrink"] == 0.97
+    assert "another drive" not in data["sentence"] and "NEXT.log" not in data["next"][-1]
+    assert data["next"][-1].startswith("tunefree-hil gap late.log")
+    (one,) = result(asked(tmp_path))["effects"]
+    assert one["unseen_shrink"] == 0.95
+
+
+def test_one_log_of_several_that_says_no_speed_is_named(search: Search, tmp_path: Path) -> None:
+    drive = late_drive()
+    fields = {name: values for name, values in drive.fields.items() if "speed" not in name and "ins." not in name}
+    search.drives["mute.log"] = drive._replace(name="mute.log", fields=fields, log_hash="sha256:mute")
+    with pytest.raises(InputError, match="nothing of the speed") as caught:
+        result(asked(tmp_path, logs=[Path("late.log"), Path("mute.log")]))
+    assert caught.value.file == "mute.log" and "leave this log out" in caught.value.hint
+    assert result(asked(tmp_path, logs=[Path("mute.log")], out=tmp_path / "alone"))["verdict"] == "cannot_test"

@@ -233,3 +233,22 @@ def test_the_free_run_of_a_model_that_misses_its_own_logs_tells_nothing() -> Non
     silent = {**sure, "unseen_shrink": 0.0, "unseen_stirs": 0.0}  # blocks that do not show it bear nobody out
     for other in ({**sure, "unseen_shrink": 0.4}, {**sure, "evidence": 30.0}, silent):
         assert not is_borne_out({"effects": [sure, other], "links": links, "as_usual": usual}, lost)
+
+
+def test_where_nothing_is_broken_a_name_that_is_taken_back_leaves_no_place_and_no_change() -> None:
+    one = {**answer(), "changes": [{"key": "effects.steer_dead_time.delay_s", "before": None, "after": 0.07}]}
+    broken = taken_back(one, CLOSES, "physics")
+    assert broken["changes"] == [] and "where" not in broken, "what is missed is missed there all the same"
+    one["links"] = [{**link, "broken": False} for link in one["links"]]
+    assert taken_back(one, CLOSES, "physics")["where"] == {"link": None, "signal": "", "regime": [], "card": ""}
+
+
+@pytest.mark.parametrize(("late", "stays"), [(True, True), (False, False)])
+def test_older_logs_are_asked_where_nothing_else_can_prove(late: bool, stays: bool, tmp_path: Path) -> None:
+    older = late_drive(SECONDS, 9) if late else made_drive(SECONDS, seed=9, name="before.log")
+    material, whole = Material(VEHICLE, made_model(), [late_drive()], [older]), open_chain(late_drive(), VEHICLE)
+    opened = [whole._replace(moving=whole.moving & False)]
+    mended = mend(Folder(tmp_path), material, opened, made_kept(), "sha256:0")
+    (data, _), _ = ended(proved(Folder(tmp_path), material, opened, made_kept(), mended))
+    assert len(data["older"]) == 1 and bool(data["worse"]) is not stays
+    assert (tmp_path / "model").exists() is stays is ("model" not in data)

@@ -30,6 +30,7 @@ from tunefree_hil.jobs.gap.gap import Asked, gap, model_for
 from tunefree_hil.jobs.gap.page import write_page
 from tunefree_hil.jobs.gap.words import COMMAND, again, next_of
 from tunefree_hil.jobs.pasted import given, option_words
+from tunefree_hil.jobs.run_folder import read_json
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
@@ -194,8 +195,8 @@ def _listed(driven: Driven) -> list[dict[str, Any]]:
 def _keep(asked: Asked, answer: dict[str, Any], resume: str) -> None:
     """The last answer in the folder itself, the first one beside it; gap.json is written last."""
     folder = Folder(asked.out)
-    for now, first in ((ANSWER, FIRST_ANSWER), (PAGE, FIRST_PAGE)):
-        if not (asked.out / first).exists():
+    if not read_json(asked.out / ANSWER).get(DRIVES):  # it is the first one; gap.json is replaced last of all
+        for now, first in ((ANSWER, FIRST_ANSWER), (PAGE, FIRST_PAGE)):
             part = asked.out / f"{first}.part"
             shutil.copyfile(asked.out / now, part)
             part.replace(asked.out / first)

@@ -16,6 +16,7 @@ from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.gap.kept import Kept, keep
+from tunefree_hil.gap.result import NOWHERE
 from tunefree_hil.jobs.gap.folder import ANSWER, ANSWER_SCHEMA, Folder, held_folder, question_of, require_ours
 from tunefree_hil.jobs.gap.own_logs import half_made
 from tunefree_hil.jobs.gap.page import write_page
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 EXCUSED = ("too_short", "one_speed", "no_braking", "short_of_command")
 UNSAID = ("short",)  # the search says it by its own measure
 CANNOT = ("too_short", "standing", "nothing_to_compare", "no_motion")
+UNPROVED = {"unseen_shrink": None, "unseen_stirs": None}  # of an effect: before the proof nobody has seen its blocks
 T = TypeVar("T")
 
 
@@ -152,7 +154,17 @@ def _going_on(events: Generator[Event, None, T], asked: Asked, *, saved: bool) -
 def _opened(material: Material) -> Generator[Event, None, list[Opened]]:
     from tunefree_hil.gap.chain import open_chain
 
-    opened = [open_chain(drive, material.vehicle) for drive in material.drives]
+    opened: list[Opened] = []
+    for drive in material.drives:
+        try:
+            opened.append(open_chain(drive, material.vehicle))
+        except InputError as error:
+            if len(material.drives) > 1:  # the others may well tell
+                raise InputError(
+                    error.message, code="one_without_motion", file=drive.name, key=error.key,
+                    hint="leave this log out, or record it again with a speed, from the chassis or from an INS",
+                ) from error  # fmt: skip
+            raise
     yield from (Event("warning", words) for one in opened for words in one.unsure)
     return opened
 
@@ -172,11 +184,10 @@ def _searched(asked: Asked, material: Material, opened: list[Opened]) -> Generat
 def _untold(error: InputError) -> dict[str, Any]:
     """The answer of logs that cannot tell."""
     words = error.message + (f": {error.hint}" if error.hint else "")
-    where = {"link": None, "signal": "", "regime": [], "card": ""}
     return {
         "verdict": "cannot_test", "forced": None, "absorbed": False, "effects": [], "set": [], "separate_by": "",
-        "where": where, "excitation": {}, "links": [], "lost": {}, "untold": {}, "not_suspected": {}, "candidates": [],
-        "words": [words],
+        "where": NOWHERE, "excitation": {}, "links": [], "lost": {}, "untold": {}, "not_suspected": {},
+        "candidates": [], "words": [words],
     }  # fmt: skip
 
 
@@ -188,7 +199,7 @@ def _proved(
     from tunefree_hil.jobs.gap.pictures import draw
     from tunefree_hil.jobs.gap.replay import replayed
 
-    answer = dict(found.answer)
+    answer = {**found.answer, "effects": [{**one, **UNPROVED} for one in found.answer["effects"]]}
     yield from (Event("note", words) for words in (sentence_of(answer), *remarks(answer)))
     proof = None
     if asked.until in ("repair", "verify"):
@@ -197,7 +208,7 @@ def _proved(
         if asked.until == "verify":
             yield Event("note", "proof: free runs of the whole car over blocks that no fit has seen")
             more, proof = yield from gap_repair.proved(folder, material, opened, found, mended)
-            answer |= more
+            answer |= {"effects": found.answer["effects"], **more}
             if answer["model"]:
                 loop, why = yield from replayed(asked.logs, material, mended)
                 answer |= {"closed_loop": loop, "closed_loop_words": why}

@@ -68,7 +68,7 @@ def were_asked(folder: Path) -> bool:
 
 def half_made(model: ModelSpec) -> Iterator[str]:
     """A warning for a model of `calibrate` that was cut off while it asked its logs; nothing for every other."""
-    from tunefree_hil.gap.null import card_of
+    from tunefree_hil.gap.card import card_of
 
     card = card_of(model)
     if BY_CALIBRATE in card and not card.get(ASKED) and "repair" not in card:

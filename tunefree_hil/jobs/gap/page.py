@@ -86,7 +86,8 @@ def _own(effect: Mapping[str, Any], proved: bool) -> str:
     seen, unseen = effect.get("shrink"), effect.get("unseen_shrink")
     if seen is None:
         return ""
-    return f"{100.0 * seen:.0f} %" + (f"; {100.0 * unseen:.0f} % on the blocks that prove" if proved and unseen else "")
+    told = f"{100.0 * seen:.0f} %"
+    return told if unseen is None or not proved else f"{told}; {100.0 * unseen:.0f} % on the blocks that prove"
 
 
 def _long(answer: Mapping[str, Any]) -> str:
@@ -196,7 +197,7 @@ def _changes(answer: Mapping[str, Any]) -> list[str]:
 def _unseen(answer: Mapping[str, Any]) -> list[str]:
     lines = [
         f"- {name}: {', '.join(one['lacks'])}" for name, one in answer["excitation"].items() if not one["enough"]
-    ] + [f"- {name}: {words}" for name, words in [*answer["not_suspected"].items(), *answer["untold"].items()]]
+    ] + [f"- {name}: {words}" for name, words in answer["not_suspected"].items()]
     return ["## What these logs cannot show", "", *lines, ""] if lines else []
 
 

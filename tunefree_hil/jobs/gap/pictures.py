@@ -74,7 +74,7 @@ def _proved(folder: Path, answer: Mapping[str, Any], found: Kept, proof: Proof) 
     own = [name for name in fields if name in block.measured][:1]
     others = [name for name in ALWAYS if name in block.measured and name not in own]
     shown = [*own, *others[:1], *(name for name in others if "yaw" in name)][:MOST_PANELS]
-    runs = [_run([block], name, answer) for name in shown]
+    runs = [_run([block], name, answer) for name in shown or list(block.measured)[:1]]
     yield write_runs(folder / "traces.png", runs, "A block of the proof: recorded commands in, no correction")
     if own and "after" in block.simulated:
         names = " and ".join(found.names)

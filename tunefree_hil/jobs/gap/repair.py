@@ -11,7 +11,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.gap.decide import PLAIN_NATS
 from tunefree_hil.gap.pays import Paid, chosen_runs, gained, groups_of, that_pays
 from tunefree_hil.gap.repair import Repaired, found_effects, repaired, write_repaired
-from tunefree_hil.gap.result import is_absorbed
+from tunefree_hil.gap.result import NOWHERE, is_absorbed
 from tunefree_hil.gap.segments import block_s_of
 from tunefree_hil.gap.shrink import (
     LEAST_OPEN,
@@ -119,6 +119,7 @@ def proved(
         return (yield from _unproved(folder, material, found, mended)), proof
     floors, left = floors_of(proof, material.model), unforetold(found.foretold)
     gaps = gaps_of(proof, floors, left)
+    kind = material.model.plant.kind
     data: dict[str, Any] = {
         "signals": {name: one._asdict() for name, one in gaps.items()},
         "proof_blocks": proof.blocks,
@@ -126,30 +127,31 @@ def proved(
         "recalibration": _gained(gaps),
     }
     if mended.model is None:
-        return data | _missed_there({**found.answer, **data}, gaps, opened, material.model.plant.kind), proof
-    worse = worse_signals(proof, floors)
+        return data | _missed_there({**found.answer, **data}, gaps, opened, kind), proof
     older = yield from _older(material, mended.model)
-    for one in older:
-        worse |= {f"{signal} of {one['name']}": by for signal, by in one["worse"].items()}
+    closes = explained_frac(proof, floors)
     data |= {
-        "explained_frac": explained_frac(proof, floors),
+        "explained_frac": closes,
         "explicable_frac": explained_frac(proof, floors, left) if found.foretold else None,
         "older": older,
-        "worse": _worse_words(worse),
     }
-    if not is_borne_out(found.answer, data["explained_frac"]):
-        data |= taken_back(found.answer, data["explained_frac"], material.model.plant.kind)
+    worse = worse_signals(proof, floors) | _worse_of(older)
+    stays = is_borne_out(found.answer, closes)
+    if not stays:
+        data |= taken_back(found.answer, closes, kind)
         yield Event("warning", f"taken back: {data['words'][0]}")
-        data |= _missed_there({**found.answer, **data}, gaps, opened, material.model.plant.kind)
-    elif not _closes_it(found.answer, data["explained_frac"]):  # its own signal's word is none for all the others
+        return _gone(folder, data | _missed_there({**found.answer, **data}, gaps, opened, kind)), proof
+    if not _closes_it(found.answer, closes):  # its own signal's word is none for all the others
         worse |= {signal: by for signal, by in grown(proof, floors).items() if signal not in worse}
-        data["worse"] = _worse_words(worse)
-    closes = data["explained_frac"]
+    data["worse"] = _worse_words(worse)
     closes_nothing = closes is not None and closes["value"] < CLOSES_NOTHING and not is_unshown(found.answer)
-    if worse or closes_nothing or "taken_back" in data:
-        shutil.rmtree(folder.model)
-        data["model"] = None
-    return data, proof
+    return (_gone(folder, data) if worse or closes_nothing else data), proof
+
+
+def _gone(folder: Folder, data: dict[str, Any]) -> dict[str, Any]:
+    """Keys of gap.json, the repaired model taken away."""
+    shutil.rmtree(folder.model)
+    return data | {"model": None}
 
 
 def _missed_there(
@@ -172,11 +174,20 @@ def _unproved(
 ) -> Generator[Event, None, dict[str, Any]]:
     """Keys of gap.json where nothing could be proved: a name that only a proof can bear out is none."""
     data: dict[str, Any] = {"signals": {}, "explained_frac": None}
-    if mended.model is not None and not is_borne_out(found.answer, None):
-        data |= taken_back(found.answer, None, material.model.plant.kind) | {"model": None}
+    if mended.model is None:
+        return data
+    if not is_borne_out(found.answer, None):
+        data |= taken_back(found.answer, None, material.model.plant.kind)
         yield Event("warning", f"taken back: {data['words'][0]}")
-        shutil.rmtree(folder.model)
-    return data
+        return _gone(folder, data)
+    older = yield from _older(material, mended.model)
+    data |= {"older": older, "worse": _worse_words(_worse_of(older))}
+    return _gone(folder, data) if data["worse"] else data
+
+
+def _worse_of(older: list[dict[str, Any]]) -> dict[str, float]:
+    """Signals of older logs that a repair makes worse, and by how much."""
+    return {f"{signal} of {one['name']}": by for one in older for signal, by in one["worse"].items()}
 
 
 def _worse_words(worse: Mapping[str, float]) -> list[str]:
@@ -236,12 +247,15 @@ def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float] | None, ki
     names = [one["name"] for one in answer["effects"]]
     shrinks = [[one.get("shrink"), one.get("unseen_shrink")] for one in answer["effects"]]
     words = f"{listed(names)} came nearest, and {_share_of(closes)} of the gap in stretches that no fit has seen"
-    verdict = "none_of_these" if any(one["broken"] for one in answer["links"]) else "none_missing"
+    broken = any(one["broken"] for one in answer["links"])
+    verdict = "none_of_these" if broken else "none_missing"
     return {
+        **({} if broken else {"where": NOWHERE}),
         "verdict": verdict,
         "absorbed": is_absorbed(verdict, kind),
         "effects": [],
         "words": [words],
+        "changes": [],
         "taken_back": {"names": names, "explained_frac": closes and dict(closes), "shrinks": shrinks},
         "explained_frac": None,
         "explicable_frac": None,

@@ -84,8 +84,9 @@ def _made(spec: EffectSpec, i: int, vehicle: VehicleSpec, file: str) -> tuple[Po
 
 def _require_card(model: ModelSpec) -> None:
     """All that is read of a card later."""
+    from tunefree_hil.gap.card import held_out_of
     from tunefree_hil.gap.null import doubts_of, held_of, related_of
     from tunefree_hil.gap.usual import usual_of
 
-    for read in (doubts_of, related_of, held_of, usual_of):
+    for read in (doubts_of, related_of, held_of, held_out_of, usual_of):
         read(model)

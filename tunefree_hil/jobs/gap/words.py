@@ -187,7 +187,7 @@ def next_of(asked: Asked, answer: Mapping[str, Any], vehicle: VehicleSpec, bench
         return [pasted("learn", *logs, vehicle=folder, out=f"{asked.out}-hybrid")]
     if verdict == "none_missing" and answer.get("recalibration"):
         return [pasted("calibrate", *logs, vehicle=folder, out=f"{asked.model}-recalibrated")]
-    if verdict in ("one", "several") and not answer["model"] and asked.until in ("locate", "name"):
+    if verdict in ("one", "several") and answer["until"] != "verify":
         return [again(asked, "verify")]
     model = answer["model"] or asked.model
     bench = bench or next(iter(benches_of(vehicle)), "BENCH")
