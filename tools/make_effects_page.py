@@ -54,7 +54,7 @@ def _group(some: dict[str, Effect]) -> Iterator[str]:
             first = (f"`{name}`", place, links) if i == 0 else ("", "", "")
             yield (
                 f"| {first[0]} | {first[1]} | {key}{_unit(one.units[key])} | {_number(one.neutral[key])} | "
-                f"{_range(one.priors[key])} | {_number(one.priors[key].typical)} | {first[2]} |"
+                f"{_range(one.priors[key])} | {_typical(one.priors[key])} | {first[2]} |"
             )
     yield from ("", "| effect | looks like | taken for | told apart by | needs |", "|---|---|---|---|---|")
     for name, one in some.items():
@@ -71,8 +71,16 @@ def _number(value: float) -> str:
 
 
 def _range(prior: Prior) -> str:
-    times = f" x {TIMES[prior.times]}" if prior.times else ""
-    return f"{prior.low:g} to {prior.high:g}{times}{', log' if prior.scale == 'log' else ''}"
+    return f"{prior.low:g} to {prior.high:g}{_times(prior)}{', log' if prior.scale == 'log' else ''}"
+
+
+def _typical(prior: Prior) -> str:
+    return f"{_number(prior.typical)}{_times(prior)}"
+
+
+def _times(prior: Prior) -> str:
+    """The vehicle's own size by which a prior is multiplied."""
+    return f" x {TIMES[prior.times]}" if prior.times else ""
 
 
 def page(text: str) -> str:

@@ -117,6 +117,17 @@ def open_chain(drive: Drive, vehicle: VehicleSpec) -> Opened:
     )  # fmt: skip
 
 
+def says_speed(drive: Drive, vehicle: VehicleSpec) -> bool:
+    """Whether anything of the motion can be told."""
+    try:
+        open_chain(drive, vehicle)
+    except InputError as error:
+        if error.code != "no_motion":
+            raise
+        return False
+    return True
+
+
 def commanded(opened: Opened) -> tuple[bool, bool, bool]:
     """Of throttle, brake, steer: whether commands acted anywhere in a recording."""
     throttle, brake, steer = (bool((opened.follows[:, i] > 0.5).any()) for i in range(3))

@@ -1,4 +1,4 @@
-"""Which stretches of a drive are fitted on, which choose between names, and which are touched once to prove the repair.
+"""Which stretches of a drive are searched, which of these choose what a repair moves, and which prove it, touched once.
 
 Blocks with a guard behind each, taken in turn over the whole drive (fit, choice, fit, proof): rows next to each other
 are nearly the same measurement, and what a drive shows changes over its time. A block is BLOCK_S long. Where all drives

@@ -49,7 +49,7 @@ def verdict_of(
         beyond = [one for one in looked if one.broken and not usual.as_usual(one.signal, one.amount)]
         worst, doubtful = (beyond or looked)[0], first and first[0].counts and outdone(first)
         if doubtful:
-            words = f"{first[0].name} would explain it, {doubtful} would explain more, and spoils other signals"
+            words = f"{first[0].name} would explain it, {doubtful} would explain more, and fails a rule for names (docs/gap.md)"
             return "none_of_these", (), (words,)
         if worst.broken and not beyond:
             return "none_of_these", (), (f"{worst.missed}, as usual with this model",)

@@ -18,12 +18,7 @@ from tests.learn.made_drives import made_drive
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_model
-from tunefree_hil.gap.ask import Modelled, Question
-from tunefree_hil.gap.excitation import Excited
-from tunefree_hil.gap.kept import Kept, keep
-from tunefree_hil.gap.name import Named
-from tunefree_hil.gap.problem import Fitted
-from tunefree_hil.gap.segments import blocks_of
+from tunefree_hil.gap.kept import Kept
 from tunefree_hil.jobs.gap import gap as module
 from tunefree_hil.jobs.gap import pictures as gap_pictures
 from tunefree_hil.jobs.gap.folder import ANSWER, PAGE, QUESTION
@@ -37,9 +32,6 @@ FIELDS = {
 
 
 DRAW = gap_pictures.draw
-FITTED = Fitted("", (), np.zeros(0), (), {}, np.zeros((0, 0)), {}, {})
-MODELLED = Modelled(FITTED, {})
-QUESTION_OF = Question(MODELLED, blocks_of([9000], 0.01), {}, {}, (), {})
 pytestmark = pytest.mark.slow  # free runs of a car, un-jitted
 
 
@@ -253,42 +245,6 @@ def test_a_sensor_at_its_stop_is_left_out_with_a_warning(search: Search, tmp_pat
     assert name not in events[-1].data["signals"] and "ins.yaw_rate_radps" in events[-1].data["signals"]
 
 
-def test_nothing_found_where_nothing_could_have_been_seen_is_no_answer() -> None:
-    lacking = Excited(0.1, False, ("3 s above 2 m/s, 20 are needed",))
-    found = Named(
-        "none_missing",
-        (),
-        (),
-        "",
-        None,
-        None,
-        (),
-        {"steer_lag": lacking},
-        (),
-        QUESTION_OF,
-        MODELLED,
-        {},
-        {},
-        {},
-        (),
-    )
-    kept = keep(found, "physics", 1.0)
-    assert kept.verdict == "cannot_test" and "record a drive with more: 3 s above" in kept.answer["words"][0]
-    seen = found._replace(excitation={"steer_lag": Excited(2.0, True, ())})
-    assert keep(seen, "physics", 1.0).verdict == "none_missing"
-    assert keep(seen, "hybrid", 1.0).answer["absorbed"] and not keep(seen, "physics", 1.0).answer["absorbed"]
-
-
-def test_what_moves_nothing_that_is_compared_could_not_have_been_seen() -> None:
-    held = {"steer_lag": Excited(2.0, True, ()), "side_wind": Excited(2.0, True, ())}
-    found = Named("none_missing", (), (), "", None, None, (), held, (), QUESTION_OF, MODELLED, {}, {}, {}, ())
-    one = keep(found._replace(unmoved={"side_wind": "no value"}), "physics", 1.0)
-    assert one.verdict == "none_missing" and one.answer["untold"] == {"side_wind": "no value"}
-    assert not one.answer["excitation"]["side_wind"]["enough"] and one.answer["excitation"]["steer_lag"]["enough"]
-    none = keep(found._replace(unmoved=dict.fromkeys(held, "no value")), "physics", 1.0)
-    assert none.verdict == "cannot_test" and "no value" in none.answer["words"][0]
-
-
 @pytest.mark.parametrize("until", ["name", "repair"])
 def test_before_the_proof_nothing_is_said_of_its_blocks(until: str, search: Search, tmp_path: Path) -> None:
     """And what goes on is the proof, even where the search knows that those blocks do not show it."""
@@ -302,11 +258,15 @@ def test_before_the_proof_nothing_is_said_of_its_blocks(until: str, search: Sear
     assert one["unseen_shrink"] == 0.95
 
 
-def test_one_log_of_several_that_says_no_speed_is_named(search: Search, tmp_path: Path) -> None:
+def test_one_log_of_several_that_says_no_speed_is_left_out(search: Search, tmp_path: Path) -> None:
     drive = late_drive()
     fields = {name: values for name, values in drive.fields.items() if "speed" not in name and "ins." not in name}
     search.drives["mute.log"] = drive._replace(name="mute.log", fields=fields, log_hash="sha256:mute")
-    with pytest.raises(InputError, match="nothing of the speed") as caught:
-        result(asked(tmp_path, logs=[Path("late.log"), Path("mute.log")]))
-    assert caught.value.file == "mute.log" and "leave this log out" in caught.value.hint
-    assert result(asked(tmp_path, logs=[Path("mute.log")], out=tmp_path / "alone"))["verdict"] == "cannot_test"
+    search.older = search.drives["mute.log"]._replace(name="before.log", log_hash="sha256:before")
+    logs = [Path("late.log"), Path("mute.log")]
+    events = list(gap(asked(tmp_path, logs=logs, older=[Path("before.log")])))
+    data, said = events[-1].data, "mute.log says nothing of the speed, and is left out"
+    assert any(one.kind == "warning" and one.message == said for one in events) and said in data["words"]
+    assert [one["name"] for one in data["logs"]] == ["late.log"] and data["model"] and data["older"] == []
+    alone = result(asked(tmp_path, logs=[Path("mute.log")], out=tmp_path / "alone"))
+    assert alone["verdict"] == "cannot_test"

@@ -53,12 +53,13 @@ class Asked(NamedTuple):
 
 
 class Material(NamedTuple):
-    """What an answer is made of."""
+    """What an answer is made of. left_out: logs of which nothing can be told, in words."""
 
     vehicle: VehicleSpec
     model: ModelSpec
     drives: list[Drive]
     older: list[Drive]
+    left_out: tuple[str, ...] = ()
 
 
 def gap(asked: Asked) -> Iterator[Event]:
@@ -76,7 +77,11 @@ def gap(asked: Asked) -> Iterator[Event]:
     drives = yield from _read(asked.logs, vehicle)
     older = (yield from _read(asked.older, vehicle)) if asked.older else []
     _require_others(drives, older)
-    material = Material(vehicle, model, drives, older)
+    mute = _mute(drives, older, vehicle)
+    drives, older = ([one for one in some if one.name not in mute] for some in (drives, older))
+    left_out = tuple(f"{name} says nothing of the speed, and is left out" for name in mute)
+    yield from (Event("warning", words) for words in left_out)
+    material = Material(vehicle, model, drives, older, left_out)
     with held_folder(asked.out, question_of(drives, older, vehicle, model)) as folder:
         answer = folder.answer(asked.until)
         if answer is not None and answer["model"] and not Path(answer["model"]).is_dir():
@@ -111,6 +116,16 @@ def _require_others(drives: Sequence[Drive], older: Sequence[Drive]) -> None:
             )  # fmt: skip
 
 
+def _mute(drives: Sequence[Drive], older: Sequence[Drive], vehicle: VehicleSpec) -> list[str]:
+    """Logs that say nothing of the speed, by name; of those that are asked about none where all of them are: that they
+    cannot tell is the answer then.
+    """
+    from tunefree_hil.gap.chain import says_speed
+
+    asked, more = ([one.name for one in some if not says_speed(one, vehicle)] for some in (drives, older))
+    return [*(asked if len(asked) < len(drives) else ()), *more]
+
+
 def _read(logs: Sequence[Path], vehicle: VehicleSpec) -> Generator[Event, None, list[Drive]]:
     """The drives of logs, without signals that stand at a sensor's stop."""
     from tunefree_hil.gap.saturated import stops_of, without
@@ -140,6 +155,7 @@ def _answered(asked: Asked, folder: Folder, material: Material) -> Generator[Eve
         answer = _whole(asked, material, _untold(error), time.monotonic() - began)
     else:
         answer = yield from _going_on(_proved(asked, folder, material, opened, found, began), asked, saved=True)
+    answer["words"] = [*answer["words"], *material.left_out]
     write_page(folder.page, answer, next_of(asked, answer, material.vehicle), again(asked))
     folder.write_answer(answer)
     return answer
@@ -154,17 +170,7 @@ def _going_on(events: Generator[Event, None, T], asked: Asked, *, saved: bool) -
 def _opened(material: Material) -> Generator[Event, None, list[Opened]]:
     from tunefree_hil.gap.chain import open_chain
 
-    opened: list[Opened] = []
-    for drive in material.drives:
-        try:
-            opened.append(open_chain(drive, material.vehicle))
-        except InputError as error:
-            if len(material.drives) > 1:  # the others may well tell
-                raise InputError(
-                    error.message, code="one_without_motion", file=drive.name, key=error.key,
-                    hint="leave this log out, or record it again with a speed, from the chassis or from an INS",
-                ) from error  # fmt: skip
-            raise
+    opened = [open_chain(drive, material.vehicle) for drive in material.drives]
     yield from (Event("warning", words) for one in opened for words in one.unsure)
     return opened
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from tunefree_hil.base.errors import InputError, TunefreeError
+from tunefree_hil.base.errors import TunefreeError
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.progress import eta_of, told
 from tunefree_hil.learn.write_model import CARD_FILE, write_card, write_effects
@@ -80,18 +80,10 @@ def half_made(model: ModelSpec) -> Iterator[str]:
 
 def _opened(drives: Sequence[Drive], vehicle: VehicleSpec) -> list[Opened]:
     """Those of the logs that say how the car moves; of many some, from all over them."""
-    from tunefree_hil.gap.chain import open_chain
+    from tunefree_hil.gap.chain import open_chain, says_speed
     from tunefree_hil.gap.saturated import stops_of, without
 
-    found = []
-    for one in drives:
-        try:
-            open_chain(one, vehicle)
-        except InputError as error:
-            if error.code != "no_motion":
-                raise
-        else:
-            found.append(one)
+    found = [one for one in drives if says_speed(one, vehicle)]
     return [open_chain(without(one, stops_of(one)), vehicle) for one in some_of(found)]
 
 
