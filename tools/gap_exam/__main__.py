@@ -33,9 +33,9 @@ from tools.gap_exam.files import Run, read_json, write, write_json
 from tools.gap_exam.oracle import detect
 from tools.gap_exam.outcomes import outcome
 from tools.gap_exam.prepare import Frozen
+from tools.gap_exam.program import Program
 from tools.gap_exam.recordings import NoRecording
 from tools.gap_exam.rows import ROWS, exam_of, sample_of
-from tools.gap_exam.runner import Program
 from tools.gap_exam.score import marked
 from tools.gap_exam.seal import Broken, StillSealed, seal, unseal
 from tools.gap_exam.seeds import Domain, domain_of

@@ -28,6 +28,16 @@ class Done(NamedTuple):
     stderr: str
 
 
+def _path() -> str:
+    """Where programs are looked for: beside the interpreter that runs the exam first."""
+    return f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}"
+
+
+def found(name: str) -> str | None:
+    """The executable that a call of this name runs; None where there is none."""
+    return shutil.which(name, path=_path())
+
+
 def call(command: str, limit_s: float, **places: str | list[str]) -> Done:
     """Run a command line with its places filled in; all that it started ends with it.
 
@@ -38,8 +48,7 @@ def call(command: str, limit_s: float, **places: str | list[str]) -> Done:
     for word in shlex.split(command):
         value = places.get(word[1:-1]) if word.startswith("{") else None
         words += [word] if value is None else [value] if isinstance(value, str) else value
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}"
-    if shutil.which(words[0], path=path) is None:
+    if found(words[0]) is None:
         raise FileNotFoundError(f"there is no program {words[0]}: install it beside {sys.executable}, or name another")
     if shutil.which("setpriv"):
         words = ["setpriv", "--pdeathsig", "KILL", *words]
@@ -47,7 +56,7 @@ def call(command: str, limit_s: float, **places: str | list[str]) -> Done:
     with _guard:
         process = subprocess.Popen(
             words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, errors="replace",
-            env={**os.environ, "PATH": path},
+            env={**os.environ, "PATH": _path()},
         )  # fmt: skip
         _running.add(process)
     try:

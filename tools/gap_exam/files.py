@@ -1,8 +1,9 @@
 """Where an exam keeps what, and how it writes: under a temporary name first, so that a kill leaves whole files only.
 
-RUN/exam.json             domain, numbers of cases and models, the hash over all truths (no truth itself)
+RUN/exam.json             domain, numbers of cases and models, the hash over all truths (no truth itself), the program
 RUN/vehicles/NN/          vehicle.dbc, vehicle.toml
 RUN/models/NAME/          model folders, made by the examined program from the logs that lay in RUN/models/NAME.logs
+RUN/models/NAME.part      one that is being made; NAME.lock: by whom
 RUN/models/NAME.json      seconds that it took
 RUN/models/NAME.refused.json  in how many calls it could not be made, and why
 RUN/cases/NNNN/drive.log  the question; removed once it is answered
@@ -12,10 +13,16 @@ RUN/answers/NNNN/         gap.json, run.json (exit, seconds, made_s: of the ques
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+WAIT_S = 0.2  # between two looks at a lock that another holds
 
 
 def write(path: Path, text: str) -> None:
@@ -29,6 +36,24 @@ def write(path: Path, text: str) -> None:
 def write_json(path: Path, data: Any) -> None:
     """As JSON, sorted, one line a key."""
     write(path, json.dumps(data, indent=1, sort_keys=True, allow_nan=False) + "\n")
+
+
+@contextmanager
+def held(path: Path, given_up: Callable[[], bool]) -> Iterator[bool]:
+    """Hold a file's lock against other processes and threads; False where it is given up before it is had.
+
+    The lock is the system's: it ends with whoever holds it, kill -9 included. The file stays.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w") as file:
+        mine = False
+        while not (mine or given_up()):
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                mine = True
+            except BlockingIOError:
+                time.sleep(WAIT_S)
+        yield mine
 
 
 def read_json(path: Path) -> Any:

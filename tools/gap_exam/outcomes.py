@@ -1,6 +1,8 @@
 """What one answer is worth against one truth. Outcomes exclude each other; every log has exactly one.
 
-right: the effects, and only they ('none_missing' where nothing is hidden, 'none_of_these' outside the catalogue).
+right: the effects, and only they ('none_missing' where nothing is hidden, 'none_of_these' outside the catalogue; of a
+recording as it is either: what a real car lacks nobody knows, and no name is what is asked for). A model that was
+learned from logs with the effect and took it in: 'none_missing', with `absorbed`.
 in_set: a set with the truth in it (of two effects: with a true one in it). partial: of two effects one, and nothing
 false. silent: 'none_missing' or 'none_of_these' on a log with an effect ('none_of_these' where nothing is hidden,
 'none_missing' outside the catalogue). wrong: any false name. cannot_test: it says so. failed: no answer at all.
@@ -23,6 +25,7 @@ class Mark(NamedTuple):
 
     at_least_one: of two effects. value_errors: of effects that were named, in their distance from neutral; covered: by
     their intervals. link: whether it is right. closed: of the explainable gap. forced: had it to name one effect.
+    absorbed: of answers that say so, whether it is true.
     """
 
     outcome: str
@@ -36,6 +39,17 @@ class Mark(NamedTuple):
     replay_worst: float | None = None
     seconds: float | None = None
     forced: str | None = None
+    absorbed: bool | None = None
+
+
+def detectable(truth: Mapping[str, Any]) -> bool:
+    """What the oracle said before the answer; recordings have no oracle, and all of theirs count."""
+    return truth.get("oracle") is None or bool(truth["oracle"]["detectable"])
+
+
+def taken_in(truth: Mapping[str, Any]) -> bool:
+    """Whether a log's model was learned from logs with the effect, and by the oracle holds it."""
+    return truth["row"] == "start_d" and not detectable(truth)
 
 
 def names_of(answer: Mapping[str, Any]) -> list[str]:
@@ -50,15 +64,19 @@ def _matched(names: Sequence[str], truths: Sequence[str]) -> tuple[list[str], li
     return hit, false
 
 
-def outcome(truths: Sequence[str], answer: Answer, *, absorbed: bool = False) -> str:
-    """The outcome of an answer. absorbed: the model was learned from logs with the effect, so saying so is right."""
+def outcome(truths: Sequence[str], answer: Answer, *, absorbed: bool = False, original: bool = False) -> str:
+    """The outcome of an answer. absorbed: the model has taken the effect in (`taken_in`), so saying so is right.
+
+    original: a recording as it is, of which nothing is known: no name is right, whichever way it is said.
+    """
     if answer is None or answer.get("verdict") not in VERDICTS:
         return "failed"
     verdict = answer["verdict"]
     if verdict == "cannot_test":
         return "cannot_test"
     if verdict in ("none_missing", "none_of_these"):
-        return _of_silence(verdict, truths, absorbed and bool(answer.get("absorbed")))
+        said = absorbed and verdict == "none_missing" and bool(answer.get("absorbed"))
+        return "right" if said or original else _of_silence(verdict, truths)
     if verdict == "set":
         names = list(answer.get("set", []))
         hit, false = _matched(names, truths)
@@ -74,8 +92,8 @@ def outcome(truths: Sequence[str], answer: Answer, *, absorbed: bool = False) ->
     return "right" if len(hit) == len(truths) else "partial"
 
 
-def _of_silence(verdict: str, truths: Sequence[str], absorbed: bool) -> str:
-    if absorbed or (not truths and verdict == "none_missing"):
+def _of_silence(verdict: str, truths: Sequence[str]) -> str:
+    if not truths and verdict == "none_missing":
         return "right"
     outside = bool(truths) and all(name in OUTSIDE for name in truths)
     return "right" if outside and verdict == "none_of_these" else "silent"
@@ -93,7 +111,7 @@ def mark(truth: Mapping[str, Any], answer: Answer, seconds: float | None = None)
     """All that is counted of one log."""
     effects: dict[str, dict[str, float]] = truth["effects"]
     truths = list(effects)
-    result = outcome(truths, answer, absorbed=truth["row"] == "start_d")
+    result = outcome(truths, answer, absorbed=taken_in(truth), original=truth["row"] == "semi_free")
     if answer is None:
         return Mark(result, seconds=seconds, at_least_one=False if len(truths) > 1 else None)
     named = names_of(answer) + (list(answer.get("set", [])) if answer.get("verdict") == "set" else [])
@@ -114,6 +132,7 @@ def mark(truth: Mapping[str, Any], answer: Answer, seconds: float | None = None)
         forced=("right" if forced and _matched([forced], truths)[0] else "wrong" if forced else "silent")
         if truths
         else None,
+        absorbed=taken_in(truth) and answer.get("verdict") == "none_missing" if answer.get("absorbed") else None,
     )
 
 

@@ -16,12 +16,14 @@ from tools.gap_exam.fast import source_hash
 from tools.gap_exam.files import Run, read_json, write, write_json
 from tools.gap_exam.hidden import hidden_of
 from tools.gap_exam.oracle import detect
+from tools.gap_exam.program import PACKAGE, Program, differences, said_of
 from tools.gap_exam.recordings import log_name
 from tools.gap_exam.rows import Exam, Model
 from tools.gap_exam.seal import put_away
 from tools.gap_exam.seeds import EXAM
 
 SCHEMA = "gap-exam/1"
+COMPILED = "__pycache__"  # what the interpreter and the kernels' compiler leave beside every file
 
 
 class Frozen(Exception):
@@ -35,21 +37,32 @@ def truths_hash(exam: Exam) -> str:
 
 
 def is_frozen(exam: Exam, root: Path) -> bool:
-    """Whether `root` is a clean checkout of the commit that an exam's domain names; development's domains never are."""
+    """Whether `root` is a clean checkout of the commit that an exam's domain names; development's domains never are.
+
+    In the package a file that git does not know, or is told to ignore, counts as a change as well: every file of its
+    folder of effects is in the catalogue.
+    """
     if exam.domain.kind != EXAM:
         return False
-    head, changed = (
+    head, changed, others = (
         subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True, check=False).stdout.strip()
-        for words in (("rev-parse", "HEAD"), ("status", "--porcelain", "--untracked-files=no"))
+        for words in (
+            ("rev-parse", "HEAD"),
+            ("status", "--porcelain", "--untracked-files=no"),
+            ("ls-files", "--others", "--", PACKAGE),
+        )
     )
-    return head == exam.domain.name and not changed
+    new = [path for path in others.splitlines() if COMPILED not in path]
+    return head == exam.domain.name and not changed and not new
 
 
-def begin(run: Run, exam: Exam, *, frozen: bool = False, sample: bool = False) -> None:
+def begin(run: Run, exam: Exam, *, frozen: bool = False, sample: bool = False, program: Program | None = None) -> None:
     """Write exam.json, or see that the run goes on as it was begun; raises Frozen where it does not.
 
-    frozen: whether what is examined is what the domain's commit holds. sample: whether it is the small one.
+    frozen: whether what is examined is what the domain's commit holds. sample: whether it is the small one. program:
+    what is examined; an exam that was begun without a word of it goes on with any.
     """
+    of = None if program is None else said_of(program)
     said = {
         "sample": sample,
         "frozen": frozen,
@@ -61,12 +74,18 @@ def begin(run: Run, exam: Exam, *, frozen: bool = False, sample: bool = False) -
         "source": source_hash(),
     }
     if not run.exam.is_file():
-        write_json(run.exam, said)
+        write_json(run.exam, said if of is None else {**said, "program": of})
         return
     was = read_json(run.exam)
     changed = [key for key in said if was.get(key) != said[key]]
     if changed:
         raise Frozen(f"{run.folder} was begun with another {', '.join(changed)}; another exam needs another folder")
+    other = [] if of is None or "program" not in was else differences(was["program"], of)
+    if other:
+        raise Frozen(
+            f"{run.folder} was begun with another program: {'; '.join(other)}. Go on with the same words and the same "
+            "installation, or begin another exam in another folder"
+        )
 
 
 def vehicle_folder(run: Run, exam: Exam, number: int) -> Path:

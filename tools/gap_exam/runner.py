@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
 import sys
 import threading
@@ -17,28 +16,20 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from tools.gap_exam.call import Done, call, end_all
 from tools.gap_exam.cases import Case
-from tools.gap_exam.files import Run, read_json, write_json
+from tools.gap_exam.files import Run, held, read_json, write_json
 from tools.gap_exam.ladder import Ladder
 from tools.gap_exam.prepare import clear, model_logs, question, vehicle_folder
+from tools.gap_exam.program import Program
 from tools.gap_exam.rows import Exam, Model
 from tools.gap_exam.semi_real import SOURCES
 
+__all__ = ["Examiner", "Program", "Turns"]
 # A model that cannot be made may be the machine's doing: its cases have no answer until a second call found the same
 LEAST_REFUSALS = 2
-
-
-class Program(NamedTuple):
-    """How the examined program is called. {log}, {vehicle}, {model}, {out}, {logs}, {physics} are put in."""
-
-    gap: str = "tunefree-hil gap {log} --vehicle {vehicle} --model {model} --out {out} --workers 1 --json"
-    calibrate: str = "tunefree-hil calibrate {logs} --vehicle {vehicle} --out {out} --json"
-    learn: str = "tunefree-hil learn {logs} --vehicle {vehicle} --physics {physics} --out {out} --minutes 4 --json"
-    limit_s: float = 900.0
-    learn_limit_s: float = 3600.0
 
 
 class Turns:
@@ -215,17 +206,25 @@ class Examiner:
         folder = vehicle.with_name(f"{vehicle.name}.model")
         return self._model_call(self.program.calibrate, self.program.limit_s, folder, logs, str(vehicle))
 
-    @staticmethod
-    def _model_call(command: str, limit_s: float, out: Path, logs: list[str], vehicle: str, **more: str) -> Done | None:
-        if (out / "model.toml").is_file():
+    def _model_call(
+        self, command: str, limit_s: float, out: Path, logs: list[str], vehicle: str, **more: str
+    ) -> Done | None:
+        """Have a model folder written, by one process at a time; what it came to where there is none then.
+
+        Its name until it is whole is always the same: `learn` finds its checkpoint (OUT.part) beside it, and goes on.
+        """
+        with held(out.with_name(f"{out.name}.lock"), lambda: self._turns.stopped) as mine:
+            if not mine:
+                return Done(None, 0.0, "", "stopped before its turn came")
+            if (out / "model.toml").is_file():
+                return None
+            part = out.with_name(f"{out.name}.part")
+            shutil.rmtree(part, ignore_errors=True)  # of a call that was killed: no command goes on in a folder
+            done = call(command, limit_s, logs=logs, vehicle=vehicle, out=str(part), **more)
+            if not (part / "model.toml").is_file():
+                return done
+            part.replace(out)
             return None
-        part = out.with_name(f"{out.name}.{os.getpid()}.part")
-        shutil.rmtree(part, ignore_errors=True)
-        done = call(command, limit_s, logs=logs, vehicle=vehicle, out=str(part), **more)
-        if not (part / "model.toml").is_file():
-            return done
-        part.replace(out)
-        return None
 
     @staticmethod
     def _say(text: str) -> None:

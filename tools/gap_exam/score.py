@@ -3,32 +3,45 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from tools.gap_exam import outcomes
 from tools.gap_exam.driver import PERSON
 from tools.gap_exam.files import Run, read_json
 from tools.gap_exam.outcomes import OUTCOMES, Mark, mark, names_of
 from tools.gap_exam.seal import open_truth
-from tools.gap_exam.statistics import Figure, mean, quantile, share
+from tools.gap_exam.statistics import Figure, by_models, mean, quantile, share, share_by_models
+
+# Rows in which logs of one model err together: it has their effect inside, or was learned. In the others logs of one
+# vehicle share a calibration that has no part in what is hidden, and count one by one
+SHARING = ("start_b", "start_c", "start_d")
 
 
 class Marked(NamedTuple):
-    """An answered case: its truth, its answer, its mark."""
+    """An answered case: its truth, its answer, its mark. run: whose folder it lies in, as models of two runs differ."""
 
     number: int
     truth: dict[str, Any]
     answer: dict[str, Any] | None
     mark: Mark
+    run: str = ""
 
 
 class Row(NamedTuple):
-    """A row of the table: how many of each outcome, and figures with intervals (shares from 0 to 1)."""
+    """A row of the table: how many of each outcome, and figures with intervals (shares from 0 to 1).
+
+    models: from how many models its logs start. whole: whether its intervals draw whole models.
+    """
 
     name: str
     n: int
     outcomes: dict[str, int]
     figures: dict[str, Figure]
+    models: int
+    whole: bool = False
 
 
 def marked(run: Run, numbers: Sequence[int]) -> list[Marked]:
@@ -40,13 +53,13 @@ def marked(run: Run, numbers: Sequence[int]) -> list[Marked]:
             path = run.answer(number) / "gap.json"
             answer = read_json(path) if path.is_file() else None
             seconds = read_json(run.answer(number) / "run.json")["seconds"]
-            found.append(Marked(number, truth, answer, mark(truth, answer, seconds)))
+            found.append(Marked(number, truth, answer, mark(truth, answer, seconds), str(run.folder)))
     return found
 
 
 def detectable(one: Marked) -> bool:
-    """What the oracle said before the answer; recordings have no oracle, and all of theirs count."""
-    return one.truth.get("oracle") is None or bool(one.truth["oracle"]["detectable"])
+    """What the oracle said before the answer."""
+    return outcomes.detectable(one.truth)
 
 
 def each_detectable(one: Marked) -> bool:
@@ -54,38 +67,74 @@ def each_detectable(one: Marked) -> bool:
     return all(found["detectable"] for found in one.truth["each"].values())
 
 
+def model_of(one: Marked) -> Hashable:
+    """Which model a case starts from: its own where none is said."""
+    name = one.truth.get("model") or one.truth.get("source")
+    return (one.run, name or one.number)
+
+
+class _Count:
+    """Makes figures of some cases: every value is a case's own, and knows its model."""
+
+    def __init__(self, cases: Sequence[Marked]) -> None:
+        self.cases = cases
+        self.models = [model_of(one) for one in cases]
+        shares = len(set(self.models)) < len(cases)
+        self.whole = shares and all(one.truth["row"] in SHARING for one in cases)
+
+    def yes(self, said: Callable[[Marked], bool | Sequence[bool] | None]) -> Figure:
+        """The share of yes among what is said."""
+        values, models = self._values(said)
+        hits = [bool(value) for value in values]
+        return share_by_models(hits, models) if self.whole else share(sum(hits), len(hits))
+
+    def mean(self, said: Callable[[Marked], float | None]) -> Figure:
+        values, models = self._values(said)
+        found = mean(values)
+        return by_models(found, values, models, lambda some: float(some.mean())) if self.whole else found
+
+    def quantile(self, said: Callable[[Marked], float | Sequence[float] | None], q: float) -> Figure:
+        values, models = self._values(said)
+        found = quantile(values, q)
+        return by_models(found, values, models, lambda some: float(np.quantile(some, q))) if self.whole else found
+
+    def _values(self, said: Callable[[Marked], Any]) -> tuple[list[float], list[Hashable]]:
+        """What the cases say, one value, several or none, each with its model."""
+        pairs = []
+        for one, model in zip(self.cases, self.models, strict=True):
+            values = said(one)
+            several = values if isinstance(values, tuple) else (values,)
+            pairs += [(float(value), model) for value in several if value is not None]
+        return [value for value, _ in pairs], [model for _, model in pairs]
+
+
 def row(name: str, cases: Sequence[Marked]) -> Row:
     """Outcomes and figures of some cases."""
-    count = Counter(one.mark.outcome for one in cases)
-    outcomes = {outcome: count.get(outcome, 0) for outcome in OUTCOMES}
-    n, marks = len(cases), [one.mark for one in cases]
+    found = Counter(one.mark.outcome for one in cases)
+    count = _Count(cases)
     figures = {
-        "right": share(outcomes["right"], n),
-        "right_or_in_set": share(outcomes["right"] + outcomes["in_set"], n),
-        "wrong": share(outcomes["wrong"], n),
-        "silent": share(outcomes["silent"], n),
-        "set_size": mean([float(one.set_size) for one in marks if one.set_size is not None]),
-        "at_least_one": _yes([one.at_least_one for one in marks]),
-        "value_error_median": quantile([error for one in marks for error in one.value_errors], 0.5),
-        "value_error_90th": quantile([error for one in marks for error in one.value_errors], 0.9),
-        "covered": _yes([yes for one in marks for yes in one.covered]),
-        "right_link": _yes([one.link for one in marks]),
-        "gap_closed_median": quantile([one.closed for one in marks if one.closed is not None], 0.5),
-        "gap_closed_10th": quantile([one.closed for one in marks if one.closed is not None], 0.1),
-        "replay_down": quantile([one.replay_down for one in marks if one.replay_down is not None], 0.5),
-        "replay_worst": quantile([one.replay_worst for one in marks if one.replay_worst is not None], 1.0),
-        "seconds": quantile([one.seconds for one in marks if one.seconds is not None], 0.5),
-        "forced_right": _yes([one.forced == "right" for one in marks if one.forced is not None]),
-        "forced_wrong": _yes([one.forced == "wrong" for one in marks if one.forced is not None]),
-        "absorbed": _yes([bool((one.answer or {}).get("absorbed")) for one in cases]),
-        "none_of_these": _yes([(one.answer or {}).get("verdict") == "none_of_these" for one in cases]),
+        **{outcome: count.yes(lambda one, outcome=outcome: one.mark.outcome == outcome) for outcome in OUTCOMES},
+        "right_or_in_set": count.yes(lambda one: one.mark.outcome in ("right", "in_set")),
+        "set_size": count.mean(lambda one: one.mark.set_size),
+        "at_least_one": count.yes(lambda one: one.mark.at_least_one),
+        "value_error_median": count.quantile(lambda one: one.mark.value_errors, 0.5),
+        "value_error_90th": count.quantile(lambda one: one.mark.value_errors, 0.9),
+        "covered": count.yes(lambda one: one.mark.covered),
+        "right_link": count.yes(lambda one: one.mark.link),
+        "gap_closed_median": count.quantile(lambda one: one.mark.closed, 0.5),
+        "gap_closed_10th": count.quantile(lambda one: one.mark.closed, 0.1),
+        "replay_down": count.quantile(lambda one: one.mark.replay_down, 0.5),
+        "replay_worst": count.quantile(lambda one: one.mark.replay_worst, 1.0),
+        "seconds": count.quantile(lambda one: one.mark.seconds, 0.5),
+        "forced_right": count.yes(lambda one: one.mark.forced == "right" if one.mark.forced else None),
+        "forced_wrong": count.yes(lambda one: one.mark.forced == "wrong" if one.mark.forced else None),
+        "absorbed": count.yes(lambda one: bool((one.answer or {}).get("absorbed"))),
+        "absorbed_true": count.yes(lambda one: one.mark.absorbed),
+        "none_of_these": count.yes(lambda one: (one.answer or {}).get("verdict") == "none_of_these"),
     }
-    return Row(name, n, outcomes, {key: value for key, value in figures.items() if value.n})
-
-
-def _yes(values: Sequence[bool | None]) -> Figure:
-    said = [value for value in values if value is not None]
-    return share(sum(said), len(said))
+    said = {key: value for key, value in figures.items() if value.n}
+    counts = {outcome: found.get(outcome, 0) for outcome in OUTCOMES}
+    return Row(name, len(cases), counts, said, len(set(count.models)), count.whole)
 
 
 Filter = Callable[[Marked], bool]

@@ -18,10 +18,11 @@ from tools.gap_exam.files import Run, read_json
 from tools.gap_exam.limits import Limit, limits
 from tools.gap_exam.order import in_order, part_of
 from tools.gap_exam.prepare import Frozen, begin, is_frozen
+from tools.gap_exam.program import Program
 from tools.gap_exam.recordings import make_ready
 from tools.gap_exam.report import write_report
 from tools.gap_exam.rows import ROWS, Exam, exam_of, sample_of
-from tools.gap_exam.runner import Examiner, Program
+from tools.gap_exam.runner import Examiner
 from tools.gap_exam.score import Marked, Row, false_names, marked, table
 from tools.gap_exam.seeds import EXAM, Domain, domain_of
 
@@ -64,7 +65,7 @@ def conduct(wish: Wish) -> Exam:
             f"this checkout is not {exam.domain.name} as committed, and some of it has no answer; score counts what "
             "is, --unfrozen asks all the same, said so"
         )
-    begin(run, exam, frozen=frozen, sample=wish.sample)
+    begin(run, exam, frozen=frozen, sample=wish.sample, program=wish.program)
     if wish.recordings is not None and any(case.source for case in cases):
         make_ready(run, wish.recordings)
     Examiner(run, exam, wish.program, keep=wish.keep).go(cases, wish.parallel, wish.hours)

@@ -34,5 +34,5 @@ def limit_of(detail: dict[str, Any], name: str) -> dict[str, Any]:
     if found is None or found["value"] is None:
         said = "no log of it is answered yet" if found is None else f"never named in 90 % of its {found['n']} logs"
         raise InputError(f"{name}: {said}", code="exam", hint="detail: table.md in the run's folder")
-    value, low, high = (1e3 * found[key] for key in ("value", "low", "high"))
+    value, low, high = (None if found[key] is None else 1e3 * found[key] for key in ("value", "low", "high"))
     return {"value": value, "unit": "ms", "n": found["n"], "low": low, "high": high, "detail": rounded(detail)}

@@ -49,8 +49,8 @@ def verdict_of(
         beyond = [one for one in looked if one.broken and not usual.as_usual(one.signal, one.amount)]
         worst, doubtful = (beyond or looked)[0], first and first[0].counts and outdone(first)
         if doubtful:
-            words = f"{first[0].name} would explain it, {doubtful} would explain more, and fails a rule for names (docs/gap.md)"
-            return "none_of_these", (), (words,)
+            words = f"{first[0].name} would explain it, {doubtful} would explain more"
+            return "none_of_these", (), (f"{words}, and fails a rule for names (docs/gap.md)",)
         if worst.broken and not beyond:
             return "none_of_these", (), (f"{worst.missed}, as usual with this model",)
         if worst.broken:

@@ -23,7 +23,7 @@ from tools.gap_exam.files import Run, read_json
 from tools.gap_exam.hidden import hidden_of
 from tools.gap_exam.oracle import detect
 from tools.gap_exam.outcomes import OUTCOMES
-from tools.gap_exam.prepare import Frozen, begin, is_frozen, truths_hash
+from tools.gap_exam.prepare import Frozen, begin, truths_hash
 from tools.gap_exam.rows import POOL, Counts, exam_of, sample_of
 from tools.gap_exam.seeds import Domain
 from tools.gap_exam.session import Wish, chosen, standing
@@ -262,24 +262,6 @@ def test_a_program_that_hangs_is_ended_with_all_that_it_started() -> None:
         out="o",
     )
     assert words.stdout == "['a b', 'c', '--out', 'o']\n" and words.status == 0
-
-
-@pytest.mark.slow
-def test_an_exam_is_of_a_commit_as_it_was_committed(tmp_path: Path) -> None:
-    def git(*words: str) -> str:
-        line = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@b", *words]
-        return subprocess.run(line, check=True, capture_output=True, text=True).stdout.strip()
-
-    git("init", "-q")
-    (tmp_path / "a").write_text("1")
-    git("add", "a")
-    git("commit", "-q", "-m", "one")
-    exam = exam_of(Domain("exam", git("rev-parse", "HEAD")), SMALL, ("free",))
-    assert is_frozen(exam, tmp_path)
-    assert not is_frozen(exam_of(Domain("exam", COMMIT), SMALL, ("free",)), tmp_path)
-    assert not is_frozen(exam_of(DOMAIN, SMALL, ("free",)), tmp_path), "development's never is"
-    (tmp_path / "a").write_text("2")
-    assert not is_frozen(exam, tmp_path)
 
 
 def test_a_run_belongs_to_one_exam(tmp_path: Path) -> None:

@@ -77,19 +77,31 @@ def test_a_set_is_a_good_answer_to_what_is_outside() -> None:
 
 
 @pytest.mark.parametrize(
-    ("row", "answer", "wanted"),
+    ("row", "found", "answer", "wanted", "true"),
     [
-        ("start_d", silence("none_missing", absorbed=True), "right"),
-        ("start_d", silence("none_of_these", absorbed=True), "right"),
-        ("start_d", silence("none_missing", absorbed=False), "silent"),
-        ("start_d", named("payload", absorbed=True), "wrong"),
-        ("start_d", named("steer_lag"), "right"),
-        ("start_c", silence("none_missing", absorbed=True), "silent"),
+        ("start_d", False, silence("none_missing", absorbed=True), "right", True),
+        ("start_d", False, silence("none_of_these", absorbed=True), "silent", False),  # something is there, it says
+        ("start_d", False, silence("none_missing", absorbed=False), "silent", None),
+        ("start_d", True, silence("none_missing", absorbed=True), "silent", False),  # the net has not taken it in
+        ("start_d", True, silence("none_of_these", absorbed=True), "silent", False),
+        ("start_d", False, named("payload", absorbed=True), "wrong", False),
+        ("start_d", True, named("steer_lag"), "right", None),
+        ("start_c", False, silence("none_missing", absorbed=True), "silent", False),
     ],
 )
-def test_absorbed_is_right_where_it_is_true(row: str, answer: dict[str, Any], wanted: str) -> None:
-    truth = {"row": row, "effects": {"steer_lag": {"tau_s": 0.1}}}
-    assert mark(truth, answer).outcome == wanted
+def test_absorbed_is_right_where_it_is_true(
+    row: str, found: bool, answer: dict[str, Any], wanted: str, true: bool | None
+) -> None:
+    truth = {"row": row, "effects": {"steer_lag": {"tau_s": 0.1}}, "oracle": {"detectable": found}}
+    one = mark(truth, answer)
+    assert (one.outcome, one.absorbed) == (wanted, true)
+
+
+def test_of_a_recording_as_it_is_no_name_is_right() -> None:
+    """What a real car lacks nobody knows: that something is, and none of these, is no mistake; a name is."""
+    truth = {"row": "semi_free", "effects": {}, "oracle": None}
+    answers = (silence("none_missing"), silence("none_of_these"), named("payload"), a_set("payload", "grade"))
+    assert [mark(truth, one).outcome for one in answers] == ["right", "right", "wrong", "wrong"]
 
 
 def test_values_intervals_and_links() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -10,7 +12,7 @@ import pytest
 from tests.tools.gap_exam.drives_for_tests import DOMAIN
 from tools.gap_exam import runner
 from tools.gap_exam.cases import Case
-from tools.gap_exam.files import Run, read_json, write
+from tools.gap_exam.files import Run, held, read_json, write
 from tools.gap_exam.rows import Exam, exam_of
 from tools.gap_exam.runner import Examiner, Program
 
@@ -64,6 +66,47 @@ def test_a_model_that_failed_once_and_is_made_then_has_its_answers(
     done = asked(tmp_path, f"{sys.executable} {tmp_path / 'makes.py'} {{out}}", monkeypatch)
     assert done.unasked == 0 and len(done.seconds) == 2
     assert all((Run(tmp_path / "run").answer(case.number) / "gap.json").is_file() for case in CASES)
+
+
+@pytest.mark.slow
+def test_what_a_killed_call_left_of_a_model_is_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder that is not whole is removed, as commands want a new one; the checkpoint beside it stays."""
+    model = Run(tmp_path / "run").model(CASES[0].model)
+    part = model.with_name(f"{model.name}.part")
+    write(part / "half.npz", "half")
+    write(part.with_name(f"{part.name}.part"), "checkpoint")
+    asked(tmp_path, f"{sys.executable} {tmp_path / 'makes.py'} {{out}}", monkeypatch)
+    assert (model / "model.toml").is_file() and not (model / "half.npz").exists() and not part.exists()
+    assert part.with_name(f"{part.name}.part").read_text() == "checkpoint"
+
+
+@pytest.mark.slow
+def test_one_process_at_a_time_makes_a_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another holds it: its folder is not touched, and what it made in the meantime is taken."""
+    model = Run(tmp_path / "run").model(CASES[0].model)
+    calls: list[str] = []
+
+    def other() -> None:
+        with held(model.with_name(f"{model.name}.lock"), lambda: False):
+            write(model.with_name(f"{model.name}.part") / "half.npz", "half")
+            begun.set()
+            time.sleep(1.0)
+            calls.append("whole" if (model.with_name(f"{model.name}.part") / "half.npz").is_file() else "taken away")
+            write(model / "model.toml", "of the other")
+
+    begun, thread = threading.Event(), threading.Thread(target=other)
+    thread.start()
+    assert begun.wait(10.0)
+    asked(tmp_path, f"{sys.executable} {tmp_path / 'makes.py'} {{out}}", monkeypatch)
+    thread.join()
+    assert calls == ["whole"] and (model / "model.toml").read_text() == "of the other"
+
+
+def test_who_gives_up_waiting_does_not_hold(tmp_path: Path) -> None:
+    with held(tmp_path / "a.lock", lambda: False) as mine, held(tmp_path / "a.lock", lambda: True) as other:
+        assert mine and not other
+    with held(tmp_path / "a.lock", lambda: False) as again:
+        assert again
 
 
 @pytest.mark.slow
