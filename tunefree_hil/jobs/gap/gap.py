@@ -202,8 +202,8 @@ def _proved(
 ) -> Generator[Event, None, dict[str, Any]]:
     """The answer with its repair and its proof, as far as they are asked for."""
     from tunefree_hil.jobs.gap import repair as gap_repair
+    from tunefree_hil.jobs.gap.closed_loop import replayed
     from tunefree_hil.jobs.gap.pictures import draw
-    from tunefree_hil.jobs.gap.replay import replayed
 
     answer = {**found.answer, "effects": [{**one, **UNPROVED} for one in found.answer["effects"]]}
     yield from (Event("note", words) for words in (sentence_of(answer), *remarks(answer)))

@@ -15,9 +15,9 @@ from tests.jobs.made_runs import made_drive
 from tunefree_hil.bench import load
 from tunefree_hil.config.load import load_model
 from tunefree_hil.gap.repair import found_effects, repaired, write_repaired
+from tunefree_hil.jobs.gap.closed_loop import MEASURED, SIGNALS, UNKNOWN, Sum, compared, replayed
 from tunefree_hil.jobs.gap.gap import Material
 from tunefree_hil.jobs.gap.repair import Mended
-from tunefree_hil.jobs.gap.replay import MEASURED, SIGNALS, UNKNOWN, Sum, compared, replayed
 
 DELAY_S = 0.12
 pytestmark = pytest.mark.slow
