@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tunefree_hil.jobs.gap.gap import EXCUSED
 from tunefree_hil.learn.check_stuck import check_stuck
 from tunefree_hil.learn.drives import Drive
 
@@ -85,3 +86,13 @@ def test_the_rate_of_a_speed_in_whole_steps_moves_nothing() -> None:
     fields["report.speed_mps"][::40] += 1.0 / 3.6
     fields[ACCEL] = np.round(fields[ACCEL])
     assert list(check_stuck(drive_of(fields))) == []
+
+
+def test_an_echo_that_stands_has_a_code_of_its_own() -> None:
+    """`gap` looks for commands that never arrive, and is not refused for them."""
+    command = 0.1 + 0.05 * np.sin(0.05 * np.arange(TICKS) * DT_S * 2.0 * np.pi)
+    fields = {"command.brake_frac": command, "report.brake_command_frac": command.copy()}
+    assert list(check_stuck(drive_of(fields))) == []
+    fields["report.brake_command_frac"][1000:4000] = command[1000]
+    (found,) = check_stuck(drive_of(fields))
+    assert (found.code, found.field) == ("echo_stuck", "report.brake_command_frac") and "echo_stuck" in EXCUSED

@@ -9,12 +9,16 @@ import numpy as np
 
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.fields import CHASSIS_FIRST_SPEEDS, CHASSIS_FIRST_YAW_RATES
+from tunefree_hil.learn.pairs import ECHOES
 from tunefree_hil.learn.problems import Problem
 from tunefree_hil.learn.series import TURNS, first_of, moving, name_of
 from tunefree_hil.learn.smooth import quantum_of, rate_of
 
 Array = np.ndarray
 
+# An echo that stands tells of commands that never arrived: whoever looks for such a fault is not to be refused
+STUCK, ECHO_STUCK = "stuck", "echo_stuck"
+_ECHOES = frozenset(f"report.{name}" for name in ECHOES.values())
 STUCK_S, FEWEST_FRAMES = 2.0, 10
 SETTLED_S = 0.5  # at each end of a stretch, in which what moves the signal does not count: its answer comes late
 MOVED = 0.3  # of the mover's own range in the drive
@@ -94,7 +98,7 @@ def _stuck(drive: Drive, name: str, mover: Mover) -> Problem | None:
                 f"{drive.path}: {name} is stuck at {values[begin]:.4g} from {begin_s:.2f} to {end_s:.2f} s while {by} "
             )
             words += f"moves by {np.ptp(some):.3g}, where it is expected to follow; mend the sensor, or cut that out"
-            return Problem("refuse", "stuck", drive.name, name, words)
+            return Problem("refuse", ECHO_STUCK if name in _ECHOES else STUCK, drive.name, name, words)
     return None
 
 
