@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 import struct
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.house import ROOT
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.control import parameters as par
+
+PAGE = ROOT / "docs" / "tuning.md"
 
 
 def test_table_is_that_of_interfaces_7():
@@ -26,6 +30,12 @@ def test_table_is_that_of_interfaces_7():
     ]  # fmt: skip
     assert all(row.tunable.scale == "log" for row in par.PARAMETERS[:11])
     assert {name: len(names) for name, names in par.SETS.items()} == {"mrac": 2, "lateral": 6, "complete": 11}
+
+
+def test_the_page_lists_the_table():
+    rows = re.findall(r"^\| `([\w.]+)` \| (\S+) \| (\S+) (?:to|or) (\S+) \| (\S+) \|", PAGE.read_text(), re.M)
+    table = [(*row.tunable[:2], *map(float, (row.tunable.low, row.tunable.high, row.manual))) for row in par.PARAMETERS]
+    assert [(name, unit, *map(float, more)) for name, unit, *more in rows] == table
 
 
 @given(st.floats(-1e30, 1e30))
