@@ -20,7 +20,7 @@ from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.gap.by_pose import HEADING, MADE_FROM, jumps_of, rates_by_pose, window_of
 from tunefree_hil.gap.graph import CHANNELS, Inputs
 from tunefree_hil.gap.lost import OUTPUTS, lost_of, unknown_channels
-from tunefree_hil.gap.signals import Signal, as_told, carried, outdone, signals_of, well_covered
+from tunefree_hil.gap.signals import Signal, as_told, carried, says_little, signals_of, well_covered
 from tunefree_hil.learn.acted import accel_asked, asked_pedals, channel_of
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.fields import CHASSIS_FIRST_YAW_RATES
@@ -158,7 +158,7 @@ def _unsaid(drive: Drive, vehicle: VehicleSpec, signals: Mapping[str, Signal]) -
     if by_chassis in signals or wheels is None or (wheels[1] & np.isfinite(wheels[0])).sum() < 2:
         return found
     told = {**signals, **found, by_chassis: as_told(*wheels, drive.dt_s)}
-    if by_ins not in told or outdone(told, by_ins, by_chassis):
+    if by_ins not in told or says_little(told, by_ins, by_chassis):
         found[by_chassis] = told[by_chassis]
     return found
 
