@@ -38,9 +38,7 @@ class Team:
         """Open it in all of them."""
         return self._all([("open_question", self.token, self.setting)] * len(self.workers))[0]
 
-    def fit(
-        self, names: Sequence[str], start: Modelled | None, noise: Modelled | None = None
-    ) -> dict[str, Modelled]:
+    def fit(self, names: Sequence[str], start: Modelled | None, noise: Modelled | None = None) -> dict[str, Modelled]:
         """Suspects beside `start`, shared out: all grids first; who is far behind the best there gets one step only, or
         none where there is nothing that it gains. noise: the model whose noise says what is gained (None: start's).
         """
