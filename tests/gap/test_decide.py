@@ -275,6 +275,8 @@ def test_one_block_is_enough_for_who_explains_all_that_is_missed_of_a_broken_lin
     (found,) = weigh({"limit": model("limit", after)}, null, null, SIZES, ALL, broken)
     sure = found.gain._replace(low=1.0)  # a search takes the noise that the limit leaves
     assert found.shrink[1] < 0.05 and found.rest < 0.05 and found._replace(gain=sure).counts == counts, found.shrink
+    beside = found._replace(gain=sure._replace(noise=0.5 * sure.total), further=True)  # all of its gain is one block's
+    assert beside.counts == counts
 
 
 @given(

@@ -177,6 +177,25 @@ def test_where_the_best_has_little_evidence_nobody_is_asked_again() -> None:
     assert found.evidence < PLAIN_NATS
 
 
+def test_two_that_hide_each_other_are_found_together() -> None:
+    """A late INS and a filtered gyro: whichever is repaired alone spoils what compares the two."""
+    late, worse = model("delay", spread(0.5), 5.0 * ROWS), model("lag", spread(7.9), 5.0 * ROWS)
+    both = beside(late, "lag", spread(0.5, 3), 0.5 * ROWS)
+    small = model("friction", spread(6.5))
+    team = Made({"delay": late, "lag": worse, "friction": small}, {"lag": both}, {"delay": worse, "lag": late})
+    assert searched(team) == ["delay", "lag"]
+    first = weighed(cast(Any, team), QUESTION, list(team.alone), None, ALL)
+    assert first[0].name == "friction" and [one.name for one in first if one.spoils] == ["delay"]
+
+
+def test_who_spoils_a_signal_is_nobody_alone() -> None:
+    late = model("delay", spread(0.5), 5.0 * ROWS)
+    team = Made({"delay": late, "friction": model("friction", spread(6.5))}, {}, {})
+    assert searched(team) == []
+    beside_it = Made(team.alone, {"lag": beside(late, "lag", spread(0.4, 3), 5.0 * ROWS)}, {"lag": late, "delay": late})
+    assert searched(beside_it) == [], "what comes beside it mends nothing of what it spoils"
+
+
 @pytest.mark.parametrize("gain", [0.0, 0.3])
 def test_nothing_is_named_where_nothing_counts(gain: float) -> None:
     assert searched(Made({"delay": model("delay", spread(8.0 - gain))}, {}, {})) == []

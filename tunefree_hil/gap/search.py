@@ -89,9 +89,10 @@ def _near(some: Sequence[Weighed], share: float, done: set[str]) -> list[str]:
 
 def forward(team: Team, question: Question, first: list[Weighed], blocks: Array) -> Generator[str, None, list[Weighed]]:
     """Effects one after the other, each beside those before it, refitted with them."""
-    if not first or not first[0].counts or outdone(first):
+    lead = _lead(first)
+    if lead is None:
         return []
-    steps = [first[0]]
+    steps = [lead]
     while len(steps) < MOST_EFFECTS:
         names = [one.name for one in question.suspects if one.name not in {step.name for step in steps}]
         yield f"beside {', '.join(step.name for step in steps)}"
@@ -102,7 +103,20 @@ def forward(team: Team, question: Question, first: list[Weighed], blocks: Array)
         if not again.counts:
             break
         steps.append(again._replace(others=tuple(rivals(more, blocks)), placed=_evidences(more)))
-    return steps
+    return steps if lead.counts or len(steps) > 1 else []
+
+
+def _lead(first: Sequence[Weighed]) -> Weighed | None:
+    """Who is asked for others beside it: the best that counts. Where somebody has more evidence, or nobody counts, the
+    one with the most, if nothing but what it spoils speaks against it: a late INS and a gyro that is filtered hide each
+    other, and are found together or not at all (backward: each has to count beside the other).
+    """
+    if not first:
+        return None
+    if first[0].counts and not outdone(first):
+        return first[0]
+    most = max(first, key=lambda one: one.evidence)
+    return most if most.spoils else None
 
 
 def _against_the_rest(team: Team, question: Question, step: Weighed, name: str, blocks: Array) -> Weighed:
