@@ -112,7 +112,8 @@ class Weighed(NamedTuple):
         least, shrink = bar * LEAST_NATS, FURTHER_SHRINK if self.further else LEAST_SHRINK
         if self.further and self.unbroken:
             shrink = PLAIN
-        sure = self.evidence > least and self.gain.total > least and self.gain.low > 0.0
+        plain = bar * PLAIN_NATS if self.further else least  # beside a first one any mismatch has somebody, as in faint
+        sure = self.evidence > plain and self.gain.total > least and self.gain.low > 0.0
         if self.further and not self._all_of_it:
             sure = sure and self.gain.total > bar * NOISY * self.gain.noise
         return (
