@@ -15,6 +15,7 @@ from tunefree_hil import __version__
 from tunefree_hil.base.errors import BenchError, InputError
 
 SCHEMA = "tunefree.run/1"
+JOINED = "joined"  # key of run.json: what the controller of a bench that was joined calls itself
 LIBRARIES = ("python-can", "cantools", "numpy", "optuna", "msgspec")
 
 

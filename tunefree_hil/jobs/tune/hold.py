@@ -20,7 +20,7 @@ from tunefree_hil.bench import Bench, parameters_of
 from tunefree_hil.bench.batch import Batch, Driven, Job
 from tunefree_hil.bench.scaling import DEAD_TIME, LAG
 from tunefree_hil.grade.score import combine
-from tunefree_hil.jobs.run_folder import RunFolder, read_json, write_json
+from tunefree_hil.jobs.run_folder import JOINED, RunFolder, read_json, write_json
 from tunefree_hil.jobs.tune.margins import ROUND, Drives, why_not
 from tunefree_hil.tune.holding import Came, ahead, came_of, holds, ranked
 from tunefree_hil.tune.journal import slot_key
@@ -56,10 +56,10 @@ def hold(
     if factor == 1.0 or len(study.trials()) < FEWEST:
         return Held()
     identity = _identity(study, factor)
-    known = _kept(run, identity)
+    reason = why_not(bench, run.record.get(JOINED))
+    known = None if reason else _kept(run, identity)
     if known is not None:
         return Held(factor, known)
-    reason = why_not(bench)
     if not reason:
         try:
             with ExitStack() as stack:

@@ -17,8 +17,8 @@ from tunefree_hil.bench import is_heavy, model_of, parameters_of
 from tunefree_hil.bench.batch import Batch
 from tunefree_hil.jobs.learn.model_words import model_words
 from tunefree_hil.jobs.pasted import pasted
-from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.foreign import program_of, require_announced
+from tunefree_hil.jobs.run_folder import JOINED, RunFolder
+from tunefree_hil.jobs.running.foreign import joined_name, program_of, require_announced
 from tunefree_hil.jobs.running.session import open_lanes
 from tunefree_hil.jobs.running.track import Track
 from tunefree_hil.jobs.tune.confirm import Confirmed, confirm, to_confirm
@@ -193,6 +193,8 @@ def _on_lanes(wish: Wish, run: RunFolder) -> Iterator[BusEvaluator]:
         controller_command=program_of(bench),
     ) as lanes:
         require_announced(bench, lanes, wish.settings.space.names)
+        if asked.join:
+            run.note(**{JOINED: joined_name(lanes)})
         track = Track(lanes, bench, run)
         scenarios = [bench.scenarios[name] for name in bench.spec.scenarios]
         at_once = 1 if asked.backend == BATCH else max(1, wish.settings.in_flight)
