@@ -76,6 +76,15 @@ def test_a_run_to_resume_must_be_of_the_same_files_and_study(wish: Wish) -> None
     assert caught.value.file == str(first.path)
 
 
+def test_a_run_of_another_command_is_not_gone_on_with(wish: Wish, tmp_path: Path) -> None:
+    """The drive's own episodes would be overwritten by the baselines'."""
+    same = {**wish.record, "command": "drive", "hashes": wish.identity["hashes"]}
+    drive = RunFolder.create(tmp_path / "runs", "drive-b", same)
+    with pytest.raises(InputError, match="is a run of 'drive'") as caught:
+        entered(again(wish, resume=drive.path))
+    assert caught.value.key == "--resume" and caught.value.file == str(drive.path)
+
+
 def test_workers_of_one_study_have_a_folder_each_and_take_up_one_that_nobody_holds(wish: Wish) -> None:
     worker = wish._replace(shown=SHARED)
     with run_folder_of(worker) as (first, old_first), run_folder_of(worker) as (second, old_second):

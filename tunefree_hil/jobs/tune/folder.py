@@ -27,7 +27,7 @@ def run_folder_of(wish: Wish) -> Iterator[tuple[RunFolder, bool]]:
     with ExitStack() as stack:
         if asked.resume is not None:
             run: RunFolder | None = open_run(asked.resume)
-            _refuse_changed(open_run(asked.resume), wish)
+            _refuse_changed(run, wish)
         else:
             run = _free(root, name, wish, stack) if wish.shown else unfinished(root, name, wish.record)
         if run is not None:

@@ -109,12 +109,25 @@ def resolve_wish(asked: Asked) -> Wish:
 
 def _as_before(asked: Asked) -> Asked:
     """A run that goes on does so in its own way, whatever the options' defaults are."""
-    record = open_run(asked.resume).record if asked.resume else {}
+    record = _tune_before(asked.resume) if asked.resume else {}
     return asked._replace(
         backend=record.get("backend", asked.backend),
         realtime=record.get("realtime", asked.realtime),
         in_flight=record.get("settings", {}).get("in_flight", asked.in_flight),
     )
+
+
+def _tune_before(path: Path) -> dict[str, Any]:
+    """run.json of the tune in `path`. Raises InputError for any other run: its episodes would be overwritten."""
+    record = open_run(path).record
+    command = record.get("command")
+    if command != "tune":
+        hint = "give the run folder of a tune, or leave --resume out for a new run"
+        raise InputError(
+            f"is a run of {command!r}: there is no search to go on with",
+            code="not_a_tune", file=str(path), key="--resume", hint=hint,
+        )  # fmt: skip
+    return record
 
 
 def _space(bench: Bench, asked: Asked) -> Space:
