@@ -46,9 +46,7 @@ def identity(path: Path) -> str:
 
 
 @pytest.mark.parametrize("made", [with_part, with_plant])
-def test_a_module_that_was_changed_makes_another_run(
-    made: Callable[[Path], tuple[Path, Path]], tmp_path: Path
-) -> None:
+def test_a_module_that_was_changed_makes_another_run(made: Callable[[Path], tuple[Path, Path]], tmp_path: Path) -> None:
     bench, module = made(tmp_path)
     first = identity(bench)
     assert identity(bench) == first

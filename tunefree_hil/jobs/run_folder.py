@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
@@ -147,15 +147,19 @@ def open_run(path: Path) -> RunFolder:
 
 
 def unfinished(root: Path, name: str, same: dict[str, Any]) -> RunFolder | None:
-    """The newest run `*-<name>` that is not complete and whose record agrees with `same`."""
+    """The newest of `all_unfinished`."""
+    return next(all_unfinished(root, name, same), None)
+
+
+def all_unfinished(root: Path, name: str, same: dict[str, Any]) -> Iterator[RunFolder]:
+    """The runs `*-<name>` that are not complete and whose record agrees with `same`, the newest first."""
     for path in sorted(root.glob(f"*-{name}*"), reverse=True):
         try:
             run = open_run(path)
         except InputError:
             continue
         if not run.record.get("complete") and all(run.record.get(key) == value for key, value in same.items()):
-            return run
-    return None
+            yield run
 
 
 def remove_parts(folder: Path) -> None:

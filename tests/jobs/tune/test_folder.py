@@ -85,6 +85,18 @@ def test_a_run_of_another_command_is_not_gone_on_with(wish: Wish, tmp_path: Path
     assert caught.value.key == "--resume" and caught.value.file == str(drive.path)
 
 
+def test_a_run_that_another_process_works_on_is_refused(wish: Wish) -> None:
+    """Baselines, confirmation and verification of both would be written into the same episodes."""
+    with run_folder_of(wish) as (run, _):
+        half = run.path / "trials.jsonl.part"
+        half.write_text("half")
+        for second in (wish, again(wish, resume=run.path)):
+            with pytest.raises(InputError, match="another process works on it"):
+                entered(second)
+        assert half.exists(), "what it is writing is left alone"
+    assert entered(wish)[0].path == run.path
+
+
 def test_workers_of_one_study_have_a_folder_each_and_take_up_one_that_nobody_holds(wish: Wish) -> None:
     worker = wish._replace(shown=SHARED)
     with run_folder_of(worker) as (first, old_first), run_folder_of(worker) as (second, old_second):
