@@ -1,4 +1,7 @@
-"""A worker of a shared study in a process of its own: drive_worker.py URL FOLDER TRIALS SLEEP_S GRACE_S PATIENCE_S END_S."""
+"""A worker of a shared study in a process of its own.
+
+drive_worker.py URL FOLDER TRIALS SLEEP_S GRACE_S PATIENCE_S END_S
+"""
 
 from __future__ import annotations
 
