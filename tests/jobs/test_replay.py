@@ -21,6 +21,14 @@ def refused(bench: Bench, run: RunFolder) -> str:
     return caught.value.message
 
 
+def test_a_copy_that_a_person_made_is_not_driven_again(tmp_path: Path) -> None:
+    run = RunFolder(tmp_path, {})
+    for name in ("0", "old"):
+        (tmp_path / "episodes" / name).mkdir(parents=True)
+        (tmp_path / "episodes" / name / "vehicle.log").write_text("")
+    assert replay._numbers(run, None) == [0]
+
+
 def test_another_map_or_module_than_the_run_s_is_said(tmp_path: Path) -> None:
     """Every frame would differ, and nobody would know why."""
     module = tmp_path / "mine.py"

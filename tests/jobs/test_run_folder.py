@@ -30,6 +30,14 @@ def test_unfinished_finds_only_what_agrees(tmp_path):
     assert [run.path for run in found if run is not None] == [mine.path, other.path]
 
 
+def test_a_copy_that_a_person_made_is_no_episode(tmp_path):
+    run = RunFolder.create(tmp_path, "drive-a", {})
+    for name in ("10", "2", "old", "2 (copy)", "007", "-1"):
+        (run.path / "episodes" / name).mkdir()
+        (run.path / "episodes" / name / "vehicle.log").write_text("")
+    assert run.numbered("vehicle.log") == [2, 10] and run.numbered("columns.npz") == []
+
+
 @pytest.mark.parametrize(
     ("record", "key"),
     [

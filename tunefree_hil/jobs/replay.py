@@ -59,7 +59,7 @@ def _numbers(folder: RunFolder, episode: int | None) -> list[int]:
         if not (folder.path / "episodes" / str(episode) / "episode.json").is_file():
             raise InputError(f"has no episode {episode}", file=str(folder.path), key="--episode")
         return [episode]
-    found = sorted(int(path.parent.name) for path in folder.path.glob("episodes/*/vehicle.log"))
+    found = folder.numbered("vehicle.log")
     if not found:
         raise InputError(
             "has no finished episode with its log", file=str(folder.path), hint="was it cut off before the first one?"

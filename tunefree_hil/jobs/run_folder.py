@@ -87,6 +87,11 @@ class RunFolder:
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 
+    def numbered(self, file: str) -> list[int]:
+        """Numbers of the episodes that hold `file`, in order; a folder with another name is a person's own."""
+        found = [path.parent.name for path in self.path.glob(f"episodes/*/{file}")]
+        return sorted(int(name) for name in found if name.isdecimal() and str(int(name)) == name)
+
     def bench_file(self) -> Path:
         """The resolved bench file. Raises InputError where the run was cut off before it was written."""
         path = self.path / "bench.toml"

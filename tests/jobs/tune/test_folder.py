@@ -113,3 +113,8 @@ def test_the_winner_is_a_complete_vector_once_the_study_is_finished(wish: Wish) 
     values = {**wish.vectors["mrac_on"], "mrac.p": 0.5}
     (run.path / "best.toml").write_text(to_toml({"parameters": values}))
     assert winner_of(wish.bench, run) == values
+    for text, key in (("parameters = [1,", ""), ("slot = 3", "parameters")):
+        (run.path / "best.toml").write_text(text)
+        with pytest.raises(InputError) as caught:
+            winner_of(wish.bench, run)
+        assert caught.value.file == str(run.path / "best.toml") and caught.value.key == key

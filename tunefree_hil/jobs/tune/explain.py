@@ -77,7 +77,7 @@ def explain(run: Any, *, points: int, slices: bool) -> Iterator[Event]:
 def find(folder: RunFolder, bench: Bench) -> Findings:
     """The study's winner against its best baseline. Raises InputError for a study that is not finished."""
     path = folder.path / "study.db"
-    slot = int(best_of(folder)["slot"])
+    slot = best_of(folder).get("slot")
     if not path.is_file():
         raise InputError(
             "has no study.db",
