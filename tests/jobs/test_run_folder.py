@@ -30,6 +30,13 @@ def test_unfinished_finds_only_what_agrees(tmp_path):
     assert [run.path for run in found if run is not None] == [mine.path, other.path]
 
 
+def test_a_name_with_brackets_is_found_again(tmp_path):
+    for name in ("tune-b[1]", "tune-b*", "tune-b?"):
+        made = RunFolder.create(tmp_path, name, {"name": name})
+        found = unfinished(tmp_path, name, {"name": name})
+        assert found is not None and found.path == made.path
+
+
 def test_a_copy_that_a_person_made_is_no_episode(tmp_path):
     run = RunFolder.create(tmp_path, "drive-a", {})
     for name in ("10", "2", "old", "2 (copy)", "007", "-1"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import os
 import platform
@@ -158,7 +159,7 @@ def unfinished(root: Path, name: str, same: dict[str, Any]) -> RunFolder | None:
 
 def all_unfinished(root: Path, name: str, same: dict[str, Any]) -> Iterator[RunFolder]:
     """The runs `*-<name>` that are not complete and whose record agrees with `same`, the newest first."""
-    for path in sorted(root.glob(f"*-{name}*"), reverse=True):
+    for path in sorted(root.glob(f"*-{glob.escape(name)}*"), reverse=True):
         try:
             run = open_run(path)
         except InputError:
