@@ -10,7 +10,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.jobs.drive import DEFAULT_ROOT
 from tunefree_hil.jobs.identity import resolved_toml
 from tunefree_hil.jobs.run_folder import RunFolder, all_unfinished, open_run, remove_parts, write_text
-from tunefree_hil.jobs.tune.wish import Wish
+from tunefree_hil.jobs.tune.wish import OPTIONS, Wish
 from tunefree_hil.tune.store import alone
 
 HELD = "worker"
@@ -34,9 +34,10 @@ def run_folder_of(wish: Wish) -> Iterator[tuple[RunFolder, bool]]:
             run = _free(root, name, wish, stack)
         if run is not None:
             remove_parts(run.path)
+            run.note(**{OPTIONS: wish.options})  # of this command, which may say others than the one before
             yield run, True
             return
-        record = {**wish.record, "bench": str(asked.bench), "hashes": wish.identity["hashes"]}
+        record = {**wish.record, OPTIONS: wish.options, "bench": str(asked.bench), "hashes": wish.identity["hashes"]}
         run = RunFolder.create(root, name, {**record, "seed": wish.settings.seed})
         stack.enter_context(alone(run.path / HELD))
         write_text(run.path / "bench.toml", resolved_toml(wish.bench))
