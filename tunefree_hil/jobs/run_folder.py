@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import glob
 import json
 import os
@@ -17,19 +19,25 @@ from tunefree_hil.base.errors import BenchError, InputError
 
 SCHEMA = "tunefree.run/1"
 JOINED = "joined"  # key of run.json: what the controller of a bench that was joined calls itself
+FULL = (errno.ENOSPC, errno.EDQUOT)
 LIBRARIES = ("python-can", "cantools", "numpy", "optuna", "msgspec")
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a whole file or nothing. Raises BenchError that says so when the disk is full."""
+    """Write a whole file or nothing. Raises BenchError that says why: the disk is full, the folder is not ours."""
     part = path.with_name(path.name + ".part")
     try:
         part.write_text(text)
         os.replace(part, path)
     except OSError as error:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # of what cannot be written there is often nothing
+            part.unlink(missing_ok=True)
+        hint = "make room" if error.errno in FULL else "see to the folder and its permissions"
         raise BenchError(
-            f"cannot write: {error.strerror}", code="disk", file=str(path), hint="make room, then run the same command"
+            f"cannot write: {error.strerror}",
+            code="disk",
+            file=str(path),
+            hint=f"{hint}, then run the same command",
         ) from error
 
 
