@@ -21,10 +21,9 @@ from tunefree_hil.config.schema import ControllerSpec, FaultSpec
 from tunefree_hil.episode.recording import make_recording
 from tunefree_hil.grade.margins import POINTS, SAME, WALKS
 from tunefree_hil.grade.score import ScenarioGrade
-from tunefree_hil.jobs.running.serving import OURS
 from tunefree_hil.jobs.tune import margins
 from tunefree_hil.jobs.tune.candidates import TUNED
-from tunefree_hil.jobs.tune.margins import EFFECTS, Found, drive_margins, find_margins, why_not
+from tunefree_hil.jobs.tune.margins import EFFECTS, Found, drive_margins, find_margins
 from tunefree_hil.jobs.tune.margins_report import margin_data, steering_data
 from tunefree_hil.jobs.tune.margins_words import margin_table, margin_words
 
@@ -242,23 +241,6 @@ def test_a_bench_that_no_batch_drives_has_no_margins_and_the_reason(
     assert data["vectors"]["tuned"]["delay"] is None and data["vectors"]["tuned"]["steering"] == STEERING
     assert margin_words(data, TUNED) == "" and margin_table(data, TUNED)[-1] == f"no margins: {reason}"
     json.dumps(data, allow_nan=False)
-
-
-@pytest.mark.parametrize(
-    ("more", "joined", "words"),
-    [
-        ("", "pursuit", "our controller only, not pursuit, which was joined"),
-        ("", "", "not a nameless one, which was joined"),
-        ('[controller.parameters]\n"mine.gain" = 0.5', None, "our controller only, which has no parameter mine.gain"),
-        ("", OURS, ""),
-        ('[controller]\nlateral = "mine.py:CONTROLLER"\n[controller.parameters]\n"mine.gain" = 0.5', None, ""),
-    ],
-)
-def test_a_joined_controller_and_its_parameters_are_not_taken_for_ours(
-    tmp_path: Path, more: str, joined: str | None, words: str
-) -> None:
-    reason = why_not(load(write_bench(tmp_path, more=more)), joined)
-    assert words in reason and bool(words) == bool(reason)
 
 
 def test_what_the_batch_refuses_costs_the_margins_and_not_the_verification(
