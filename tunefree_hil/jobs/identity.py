@@ -21,17 +21,29 @@ def identity_of(bench: Bench, model: str, scenarios: Iterable[ScenarioSpec]) -> 
     controller = {key: value for key, value in plain(bench.spec.controller).items() if key != "calibration"}
     disturbed = plain([bench.spec.effects, bench.spec.faults])
     hashes: dict[str, Any] = {
-        "bench": _sha(Path(bench.file).read_bytes()),
+        "bench": sha256_of(Path(bench.file)),
         "vehicle": bench.vehicle.hash,
         "model": model_of(bench, model).hash,
-        "calibration": _sha(calibration_path(bench).read_bytes()),
-        "weights": _sha(Path(bench.weights.path).read_bytes()),
+        "calibration": sha256_of(calibration_path(bench)),
+        "weights": sha256_of(Path(bench.weights.path)),
         "scenarios": {scenario.name: scenario.hash for scenario in scenarios},
     }
     if bench.spec.controller.command:
         hashes["controller"] = program_hashes(bench)
+    if own := own_parts(bench, model):
+        hashes["parts"] = own
     counted = [{key: value for key, value in hashes.items() if key != "bench"}, controller, disturbed]
     return {"hashes": hashes, "identity": _sha(json.dumps(counted, sort_keys=True).encode())}
+
+
+def own_parts(bench: Bench, model: str) -> dict[str, str]:
+    """SHA-256 of the user's own modules ('path/to/file.py:EXPORT') that control or simulate; one that is not there is
+    refused where it is built.
+    """
+    controller = bench.spec.controller
+    kinds = (controller.lateral, controller.longitudinal, controller.inner, model_of(bench, model).plant.kind)
+    paths = {kind.rpartition(":")[0] for kind in kinds if ":" in kind}
+    return {path: sha256_of(Path(path)) for path in sorted(paths) if Path(path).is_file()}
 
 
 def resolved_toml(bench: Bench, scenarios: Iterable[ScenarioSpec] | None = None) -> str:
@@ -63,6 +75,11 @@ def _anywhere(kind: str, name: str, near: str) -> str:
         return name if find(kind, name) == path else str(path)
     except InputError:
         return str(path)
+
+
+def sha256_of(path: Path) -> str:
+    """Of a file's bytes, as run.json has it."""
+    return _sha(path.read_bytes())
 
 
 def _sha(data: bytes) -> str:

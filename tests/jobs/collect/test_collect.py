@@ -219,3 +219,13 @@ def test_a_log_of_another_vehicle_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("(0.010000) can0 123#0011\n")
     with pytest.raises(InputError, match="not one frame of vehicle"):
         list(from_logs([tmp_path / "a.log"], Wish("mkz_bywire", "auto", "x", 1.0, None, None, None)))
+
+
+def test_a_collection_that_another_process_works_on_is_refused(tmp_path: Path) -> None:
+    asked = Asked(vehicle="mkz_bywire", model="mkz_nominal", bus="tfhub", out=tmp_path / "run")
+    first = collect(asked)
+    assert "run folder" in next(first).message
+    with pytest.raises(InputError, match="another process works on it"):
+        next(collect(asked))
+    del first  # what is not gone on with is closed
+    assert "run folder" in next(collect(asked)).message

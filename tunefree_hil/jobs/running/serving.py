@@ -12,6 +12,7 @@ from tunefree_hil.nodes.controller import Assignment, ControllerPart
 from tunefree_hil.nodes.node import Node
 from tunefree_hil.nodes.timing import CycleTimes
 
+OURS = "lqr_pid_mrac"  # what our controller calls itself on the bench channel
 Assign = Callable[[bytes, Mapping[int, float]], Assignment]  # (hash of the scenario, parameters by index)
 
 

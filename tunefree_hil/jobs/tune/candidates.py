@@ -19,12 +19,19 @@ GIVEN = "given"  # the bench file's own values for somebody else's controller: n
 
 
 def best_of(run: RunFolder) -> dict[str, Any]:
-    """best.toml of a tune. Raises InputError where the study is not finished."""
+    """best.toml of a tune. Raises InputError where the study is not finished, or the file was changed."""
     path = run.path / "best.toml"
     if not path.is_file():
         hint = "run the same tune command again"
         raise InputError("has no best.toml: the study is not finished", file=str(run.path), hint=hint)
-    return tomllib.loads(path.read_text())
+    hint = "the same tune command, with --resume RUN, writes it anew"
+    try:
+        best = tomllib.loads(path.read_text())
+    except ValueError as error:
+        raise InputError(f"not readable TOML ({error})", code="bad_toml", file=str(path), hint=hint) from error
+    if not isinstance(best.get("parameters"), dict):
+        raise InputError("is not there", code="bad_toml", file=str(path), key="parameters", hint=hint)
+    return best
 
 
 def winner_of(bench: Bench, run: RunFolder) -> dict[str, float]:
