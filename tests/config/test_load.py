@@ -24,6 +24,7 @@ from tunefree_hil.config.load import (
     load_weights,
 )
 from tunefree_hil.control.parameters import NAMES
+from tunefree_hil.grade.metrics import METRICS
 
 LOADERS: dict[str, Callable[..., Any]] = {
     "vehicle": load_vehicle,
@@ -140,6 +141,9 @@ MISTAKES = [
     ("scenario", 'name = "some"', 'name = "some"\nhash = "00"', "hash", "unknown key", ""),
     ("scenario", 'name = "some"', 'name = "some"\nnoise_seed = 70000', "noise_seed", "does not fit", "65535"),
     ("weights", "3.0", "-0.3", "metrics.lateral_err_std", "below 0", "weights"),
+    ("weights", "3.0", "inf", "metrics.lateral_err_std", "finite", ""),
+    ("weights", "= 3.0\nspeed_err_std = 1.0", "= 0.0", "metrics", "add up to 0", "a weight"),
+    ("weights", "lateral_err_std", "lateral_er_std", "metrics.lateral_er_std", "no such metric", "lateral_err_std"),
     ("weights", '"original"', '"other"', "against", "'current', 'original'", ""),
     ("bench", '"lqr.q1"', '"lqr.q9"', "controller.parameters.lqr.q9", "no such parameter", "lqr.q"),
     ("bench", '"station.kp"', '"station.kpp"', "tune.parameters[0].name", "no parameter", "station.kp"),
@@ -239,3 +243,7 @@ def test_an_unknown_schema_names_those_there_are() -> None:
 
 def test_the_names_of_parameters_are_those_of_the_controller() -> None:
     assert check.PARAMETERS == NAMES
+
+
+def test_the_metrics_that_weights_may_name_are_those_that_are_computed() -> None:
+    assert tuple(METRICS) == check.METRICS

@@ -25,6 +25,14 @@ PARAMETERS = (
     *("station.kp", "speed.kp_low", "speed.ki_low", "speed.kp_high", "speed.ki_high"),
     *("mrac.enable", "riccati", "mrac.clamp_s", "mrac.gamma", "look_ahead_m"),
 )
+# What weights may name; grade/metrics.py says how each is computed.
+METRICS = (
+    *("station_err_std", "station_err_std_harsh", "speed_err_std", "speed_err_std_harsh"),
+    *("lateral_err_std", "lateral_err_std_harsh", "heading_err_std", "heading_err_std_harsh"),
+    *("heading_err_rate_std", "heading_err_rate_std_harsh"),
+    *("station_err_peak", "speed_err_peak", "lateral_err_peak", "heading_err_peak", "heading_err_rate_peak"),
+    *("steer_rate_rms", "lateral_jerk_rms", "steering_control_usage"),
+)
 MOST_SEED = 65535  # EPISODE carries it in 16 bits
 
 Found = Iterator[tuple[str, str, str]]
@@ -64,8 +72,10 @@ def _profile(name: str, profile: ProfileSpec) -> Found:
 
 
 def check_weights(spec: WeightsSpec) -> Found:
-    """Weights are not negative and not all 0."""
+    """Weights are of metrics that there are, not negative and not all 0."""
     for name, weight in spec.metrics.items():
+        if name not in METRICS:
+            yield f"metrics.{name}", "no such metric", nearest(name, METRICS)
         if weight < 0.0:
             yield f"metrics.{name}", f"{weight:g} is below 0", "a lower score is better, so weights are not negative"
     if sum(spec.metrics.values()) <= 0.0:
