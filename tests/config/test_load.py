@@ -25,6 +25,7 @@ from tunefree_hil.config.load import (
 )
 from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.grade.metrics import METRICS
+from tunefree_hil.tune.space import resolve
 
 LOADERS: dict[str, Callable[..., Any]] = {
     "vehicle": load_vehicle,
@@ -170,6 +171,7 @@ MISTAKES = [
     ("bench", '"lqr.q1"', '"lqr.q9"', "controller.parameters.lqr.q9", "no such parameter", "lqr.q"),
     ("bench", '"station.kp"', '"station.kpp"', "tune.parameters[0].name", "no parameter", "station.kp"),
     ("bench", "low = 0.01", "low = 1.5", "tune.parameters[0].low", "not below high", "low < high"),
+    ("bench", "low = 0.01\nhigh = 1.0\n", "step = -1.0\n", "tune.parameters[0].step", "not above 0", "or none"),
     ("bench", "low = 0.01", "low = 0.0", "tune.parameters[0].low", "log scale", "linear"),
     ("bench", "trials = 10", "trials = 0", "tune.trials", "below 1", ""),
     ("bench", "trials = 10", 'set = "all"', "tune.set", "'complete'", ""),
@@ -221,6 +223,16 @@ def test_a_controller_of_ones_own_has_parameters_of_its_own(write: Callable[...,
     own = '[controller]\nlateral = "my/idea.py:CONTROLLER"\n[controller.parameters]\n"idea.gain" = 1.0\n'
     bench = load_bench(write("bench", '[controller.parameters]\n"lqr.q1" = 0.1\n', own))
     assert bench.controller.parameters == {"idea.gain": 1.0}
+
+
+def test_a_parameter_without_a_box_is_searched_in_the_one_it_has(write: Callable[..., Path]) -> None:
+    """With a box it is searched in that one; what is none of ours has none that could be meant."""
+    tune = load_bench(write("bench", "low = 0.01\nhigh = 1.0\n", "")).tune
+    assert resolve("", tune.parameters).axes == (resolve("complete", []).axes[NAMES.index("station.kp")],)
+    assert resolve("", load_bench(write("bench", "high = 1.0", "high = 0.5")).tune.parameters).axes[0].high == 0.5
+    own = 'name = "pursuit.gain"\n'
+    with pytest.raises(InputError, match="not below high"):
+        load_bench(write("bench", 'name = "station.kp"\nlow = 0.01\nhigh = 1.0\n', own))
 
 
 def test_limits_may_be_infinite(write: Callable[..., Path]) -> None:

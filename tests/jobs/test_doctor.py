@@ -90,6 +90,7 @@ FAULT_OF = '[[faults]]\nkind = "drop"\nmessage = "NO_MESSAGE"\nfrom_tick = 1\nto
         ("[tune]", FAULT_OF + "[tune]", "key faults[0].message", "NO_MESSAGE"),
         ("slower = 1.0", "slower = 99", "key tune.slower", "99 does not do"),
         ('set = "mrac"\n', "", "", ""),
+        ('set = "mrac"\n', 'parameters = [{ name = "lqr.q1" }]\n', "", ""),
         ('set = "mrac"\ntrials = 3\nsampler = "random"\nslower = 1.0', "slower = 99", "key tune.slower", "99"),
         ("", "", "", ""),
     ],

@@ -161,9 +161,11 @@ def _box(key: str, parameter: ParameterSpec) -> Found:
         if not parameter.choices:
             yield f"{key}.choices", "it is empty", "give the values there are"
         return
-    if parameter.low >= parameter.high:
+    # A parameter of interfaces 7 without a box is searched in the one it has there (tune/space.py).
+    boxed = parameter.low != 0.0 or parameter.high != 0.0 or parameter.name not in PARAMETERS
+    if boxed and parameter.low >= parameter.high:
         yield f"{key}.low", f"low {parameter.low:g} is not below high {parameter.high:g}", "give low < high, or choices"
-    elif parameter.scale == "log" and parameter.low <= 0.0:
+    elif boxed and parameter.scale == "log" and parameter.low <= 0.0:
         yield f"{key}.low", f"{parameter.low:g} on a log scale", 'give low > 0, or scale = "linear"'
     if parameter.step is not None and parameter.step <= 0.0:
         yield f"{key}.step", f"{parameter.step:g} is not above 0", "give a step above 0, or none"
