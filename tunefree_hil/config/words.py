@@ -182,7 +182,7 @@ _IMPORT: dict[type[Spec], dict[str, str]] = {
         "delimiter": "between two cells",
         "decimal": "the decimal point of the numbers",
         "accept": "plausibility check that may fail -> why this drive is right all the same",
-        "limits": "limits of the vehicle that is written",
+        "limits": "limits of the vehicle that is written; left out: what was driven",
         "nominal": "data-sheet constants of the vehicle that is written",
     },
     ClockSpec: {
