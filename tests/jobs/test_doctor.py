@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from tests import other_vehicle
 from tests.bench.tiny import write_bench, write_scenario
 from tests.house import ROOT
 from tunefree_hil.base.errors import InputError
@@ -81,8 +82,9 @@ FAULT_OF = '[[faults]]\nkind = "drop"\nmessage = "NO_MESSAGE"\nfrom_tick = 1\nto
 @pytest.mark.parametrize(
     ("old", "new", "where", "words"),
     [
-        ('model = "mkz_nominal"', 'model = "van_nominal"', "key vehicle", "is a model of 'van_e2e'"),
-        ('verify_model = "mkz_nominal"', 'verify_model = "van_nominal"', "key vehicle", "is a model of 'van_e2e'"),
+        ('model = "mkz_nominal"', f'model = "{other_vehicle.NOMINAL}"', "key vehicle", f"of {other_vehicle.NAME!r}"),
+        ('verify_model = "mkz_nominal"', f'verify_model = "{other_vehicle.NOMINAL}"', "key vehicle",
+         f"of {other_vehicle.NAME!r}"),
         ("[tune]", '[controller]\nlateral = "no_part"\n[tune]', "", "no 'no_part' in tunefree_hil.control.lateral"),
         ("[tune]", '[controller]\ncalibration = "missing.npz"\n[tune]', "missing.npz", "no such file"),
         ("[tune]", '[controller.parameters]\n"lqr.q1" = 55.0\n[tune]', "key controller.parameters.lqr.q1", "outside"),
