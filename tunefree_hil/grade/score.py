@@ -81,18 +81,6 @@ def vehicle_of(spec: VehicleSpec) -> GradeVehicle:
     )
 
 
-def check_weights(weights: WeightsSpec) -> None:
-    """Raise InputError that names the file and the key of an unknown metric or a weight that cannot be."""
-    for name, weight in weights.metrics.items():
-        if name not in METRICS:
-            known = ", ".join(METRICS)
-            raise InputError(f"no such metric; there are {known}", file=weights.path, key=f"metrics.{name}")
-        if not 0.0 <= weight < float("inf"):
-            raise InputError(f"{weight} is no weight; 0 or more", file=weights.path, key=f"metrics.{name}")
-    if sum(weights.metrics.values()) <= 0.0:
-        raise InputError("not one metric has a weight above 0", file=weights.path, key="metrics")
-
-
 def grade(
     recording: Recording,
     course: Course,

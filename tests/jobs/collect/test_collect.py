@@ -215,6 +215,26 @@ def test_a_watch_without_a_vehicle_asks_whose_frames_these_are(capsys: pytest.Ca
     assert "whose frames are these" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("mode", [("--watch",), ("--from", "some.log")])
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        *(("--quota-s", value, "--quota-s") for value in ("nan", "inf", "0", "-5", "1e308")),
+        *(("--top-mps", value, "--top-mps") for value in ("nan", "inf", "0", "-1")),
+        ("--top-mps", "0.01", "no cell is driven at 0.01 m/s"),
+        ("--seconds", "nan", "--seconds"),
+        ("--seconds", "-1", "--seconds"),
+    ],
+)
+def test_a_count_refuses_numbers_that_are_none(
+    mode: tuple[str, ...], option: str, value: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["collect", *mode, "--vehicle", "mkz_bywire", "--bus", "virtual", "--plain", option, value]
+    assert run(words) == 2
+    text = capsys.readouterr().err
+    assert said in text and "Traceback" not in text and "what to do: give" in text
+
+
 def test_a_log_of_another_vehicle_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("(0.010000) can0 123#0011\n")
     with pytest.raises(InputError, match="not one frame of vehicle"):

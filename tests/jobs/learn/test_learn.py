@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import subprocess
 import sys
@@ -91,6 +92,16 @@ def test_numbers_that_are_none_are_refused_before_training(
     monkeypatch.setattr("tunefree_hil.learn.read.read_drives", lambda *_, **__: [spoilt, *drives[1:]])
     with pytest.raises(InputError, match=r"ins\.speed_mps"):
         list(learn(asked))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 1e308])
+def test_times_that_are_no_numbers_are_refused(asked: Asked, value: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A range of the command line lets NaN through."""
+    monkeypatch.setattr("tunefree_hil.learn.training.needs.require_torch", lambda what: None)
+    for change in ({"minutes": value}, {"sample_spacing_s": value, "kind": "paper"}):
+        with pytest.raises(InputError, match="does not do") as caught:
+            list(learn(asked._replace(**change)))
+        assert caught.value.key in ("--minutes", "--sample-spacing")
 
 
 def test_other_refusals(asked: Asked, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from tunefree_hil.jobs.learn import calibrated
 from tunefree_hil.jobs.learn.logs import read
 from tunefree_hil.jobs.pasted import given, pasted
 from tunefree_hil.jobs.progress import told
-from tunefree_hil.jobs.require import require_model_of
+from tunefree_hil.jobs.require import require_model_of, require_number
 from tunefree_hil.learn.card import Training, card_of
 from tunefree_hil.learn.drives import Drive, Split
 from tunefree_hil.learn.free_run import Judged
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 KINDS = ("hybrid", "lstm", "mlp", "rule_based", "paper")
 JUDGED_STARTS = 200
 LEAST_TRACK_S = 2.5
+MOST_MINUTES, MOST_SPACING_S = 1e6, 0.5  # two years; half a second
 
 
 class Asked(NamedTuple):
@@ -109,6 +110,8 @@ def _require(asked: Asked) -> None:
     """What can be said before an hour of logs is read."""
     if asked.kind not in KINDS:
         raise InputError(f"no kind {asked.kind!r}", code="unknown_kind", key="--kind", hint=", ".join(KINDS))
+    require_number("--minutes", asked.minutes, most=MOST_MINUTES, zero=True)
+    require_number("--sample-spacing", asked.sample_spacing_s, most=MOST_SPACING_S)
     from tunefree_hil.learn.training.needs import require_torch
 
     require_torch(f"learn --kind {asked.kind}")
