@@ -9,6 +9,7 @@ import pytest
 
 from tests.nodes.memory import FakeLink
 from tests.nodes.test_hearing import ENABLED, enabled_frames, frame
+from tunefree_hil.base.clock import SimClock
 from tunefree_hil.base.course import Tracking
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import GEAR_DRIVE, CanFrame, Command
@@ -236,3 +237,16 @@ def test_lockstep_answers_each_tick_and_ends_when_told(codec: Codec) -> None:
     assert [(one.k, one.phase) for one in done] == [(0, 1), (1, 1), (2, 1)]
     assert sum(one.n_tx for one in done) == len(vehicle.frames())
     assert len(seat.part.times.control_s) == 3
+
+
+def test_in_real_time_the_next_episode_may_follow_the_end_in_one_batch(codec: Codec) -> None:
+    """A runner that only joined does not wait between drives: what follows ECU FINISHED is the next episode's."""
+    seat = Seat(codec)
+    bench = FakeLink()
+    exchange = Exchange(FakeLink(), bench, (frozenset(), frozenset()), 0.01)
+    finished = bc.Status(bc.Role.ECU, bc.State.FINISHED, 0, 0)
+    next_one = [bc.Episode(b"ghijkl", 2), bc.Param(0, 1, 0.5)]
+    bench.say(bc.Tick(0), finished, *next_one)
+    seat.part.realtime(exchange, SimClock(), 0.0, lambda message: message == finished)
+    assert len(seat.part.times.control_s) == 1, "it went on after the end"
+    assert [exchange.next_message(0.0) for _ in range(3)] == [*next_one, None]

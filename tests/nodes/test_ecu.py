@@ -10,6 +10,7 @@ import pytest
 
 from tests.bench.tiny import hash_of, write_bench
 from tests.nodes.memory import FakeLink
+from tunefree_hil.base.clock import SimClock
 from tunefree_hil.base.records import GEAR_DRIVE, CanFrame, Command
 from tunefree_hil.bench import VehicleFor, load
 from tunefree_hil.bus import bench_channel as bc
@@ -254,3 +255,13 @@ def test_a_failure_the_controller_says_ends_the_episode_at_its_tick(car: Car) ->
 def test_a_request_to_stop_ends_the_episode(car: Car) -> None:
     bench = run_lockstep(car, 5, last=STOP)
     assert bench.words()[-1] == bc.Status(bc.Role.ECU, bc.State.FAILED, bc.ErrorCode.STOPPED, 5)
+
+
+def test_in_real_time_what_follows_a_request_to_stop_is_kept(car: Car) -> None:
+    bench = FakeLink()
+    exchange = Exchange(FakeLink(), bench, car.exchange.ids_of_phase, 0.01)
+    end = bc.Status(bc.Role.RUNNER, bc.State.END, 0, 0)
+    bench.say(STOP, end)
+    car.part.realtime(exchange, SimClock(), 0.0, lambda message: message == STOP)
+    assert bench.words()[-1] == bc.Status(bc.Role.ECU, bc.State.FAILED, bc.ErrorCode.STOPPED, 1)
+    assert exchange.inbox == [end]

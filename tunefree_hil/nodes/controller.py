@@ -100,7 +100,7 @@ class ControllerPart:
             reply, words = self.cycle(k, exchange.take_before(0, deadline_s))
             self.times.note(late_s, time.perf_counter() - started)
             exchange.announce(k, 1, reply, *words)
-            if any(stopped(message) for message in exchange.listen(0.0)):
+            if exchange.interrupted(stopped):
                 break
         self._save()
 
