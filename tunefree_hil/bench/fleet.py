@@ -10,9 +10,7 @@ from typing import NamedTuple
 from tunefree_hil.bench.load import Bench
 from tunefree_hil.bench.simulator import Job, Simulator
 from tunefree_hil.episode.recording import Recording
-from tunefree_hil.grade.score import ScenarioGrade, grade, vehicle_of
-
-GRADED = ("", "diverged", "left_lane", "control_error")  # ends that the parameters answer for; the rest is the bench's
+from tunefree_hil.grade.score import GRADED, ScenarioGrade, grade, vehicle_of
 
 
 class Driven(NamedTuple):
