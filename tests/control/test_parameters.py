@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tunefree_hil.base.contracts import Tunable
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.control import parameters as par
 
@@ -99,3 +100,15 @@ def test_incomplete_and_unknown_are_named():
 def test_by_index():
     values = par.by_index({0: 0.09, 11: 1.0, 16: 3.0})
     assert values == {"mrac.t_ref_s": 0.09, "mrac.enable": 1.0}
+    assert par.by_index({0: 0.09, 16: 3.0, 17: 4.0}, ("mine.gain",)) == {"mrac.t_ref_s": 0.09, "mine.gain": 3.0}
+
+
+def test_every_parameter_has_an_index_of_its_own():
+    found = par.indices_of(("mine.gain", "mine.lag_s"))
+    assert found == {**{row.tunable.name: row.index for row in par.PARAMETERS}, "mine.gain": 16, "mine.lag_s": 17}
+
+
+def test_the_middle_of_a_box():
+    assert par.middle_of(Tunable("a", "1", 0.1, 10.0)) == pytest.approx(1.0)
+    assert par.middle_of(Tunable("a", "1", 0.0, 3.0, "linear")) == 1.5
+    assert par.middle_of(Tunable("a", "1", 0.0, 1.0, "linear", choices=(1.0, 0.0))) == 1.0

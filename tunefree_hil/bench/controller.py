@@ -13,13 +13,22 @@ from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.open_loop_map import MAP_FILE
 from tunefree_hil.bench.faults import CONTROLLER, faults_of
 from tunefree_hil.bench.load import Bench, model_of, scenario_of_hash
+from tunefree_hil.bench.own_parts import own_parameters, part_names, part_values
 from tunefree_hil.bus.codec import Codec
-from tunefree_hil.config.schema import ParameterSpec, ScenarioSpec, VehicleSpec
+from tunefree_hil.config.schema import ScenarioSpec, VehicleSpec
 from tunefree_hil.control import calibration_map
-from tunefree_hil.control.build import PartNames, build
+from tunefree_hil.control.build import build
 from tunefree_hil.control.contract import Settings, VehicleConstants
 from tunefree_hil.control.follower import make_follower
-from tunefree_hil.control.parameters import BY_NAME, RICCATI_CODES, by_index, check_complete, round32, study_values
+from tunefree_hil.control.parameters import (
+    BY_NAME,
+    RICCATI_CODES,
+    by_index,
+    check_complete,
+    indices_of,
+    round32,
+    study_values,
+)
 from tunefree_hil.nodes.controller import Assignment
 from tunefree_hil.nodes.hearing import CHASSIS, INS
 
@@ -100,19 +109,6 @@ def parameters_of(bench: Bench, chosen: Mapping[str, float] | None = None) -> di
     return {name: round32(value) for name, value in check_complete(values, tuple(own)).items()}
 
 
-def own_parameters(bench: Bench) -> dict[str, float]:
-    """Parameters of the user's own controller that the bench file names: its value, else the middle of the box."""
-    given = {name: value for name, value in bench.spec.controller.parameters.items() if name not in BY_NAME}
-    searched = [one for one in bench.spec.tune.parameters if one.name not in BY_NAME and one.name not in given]
-    return given | {one.name: _middle(one) for one in searched}
-
-
-def _middle(spec: ParameterSpec) -> float:
-    if spec.choices:
-        return spec.choices[0]
-    return math.sqrt(spec.low * spec.high) if spec.scale == "log" else 0.5 * (spec.low + spec.high)
-
-
 def settings_of(bench: Bench) -> Settings:
     """What is neither tuned nor a constant of the vehicle."""
     return Settings(
@@ -142,19 +138,29 @@ def follower_of(bench: Bench, scenario: ScenarioSpec, values: Mapping[str, float
 
 
 class ControllerFor:
-    """(scenario, parameters by index) -> Assignment. Gain tables of the last parameters and path tables are kept."""
+    """(scenario, parameters by index) -> Assignment. Gain tables of the last parameters and path tables are kept.
+
+    own: what the parts bring beyond interfaces 7, to be announced in this order.
+    """
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
         self.constants = constants_of(bench.vehicle)
         self.calibration = calibration_of(bench)
         self.faults = faults_of(bench, CONTROLLER)
+        self.parts = part_names(bench)
+        self.own = part_values(bench)
         self._built: dict[tuple[float, ...], Block] = {}
         self._followers: dict[str, Block] = {}
 
+    def indexed(self, values: Mapping[str, float]) -> dict[int, float]:
+        """A complete vector by PARAM index, as `__call__` wants it; what is not the controller's is left out."""
+        complete = self.own | dict(values)
+        return {index: complete[name] for name, index in indices_of(tuple(self.own)).items()}
+
     def __call__(self, scenario: bytes, parameters: Mapping[int, float]) -> Assignment:
         spec = scenario_of_hash(self.bench, scenario)
-        values = by_index(parameters)
+        values = by_index(parameters, tuple(self.own))
         course = self.bench.course(spec)
         key = tuple(values.values())
         if key not in self._built:
@@ -169,7 +175,6 @@ class ControllerFor:
         return Assignment(block._replace(params=params), course.ticks, self.bench.dt_s, self.faults)
 
     def _build(self, values: dict[str, float], course: Course) -> Block:
-        controller = self.bench.spec.controller
         return build(
             values,
             self.constants,
@@ -177,7 +182,7 @@ class ControllerFor:
             course,
             dt_s=self.bench.dt_s,
             settings=settings_of(self.bench),
-            names=PartNames(controller.lateral, controller.longitudinal, controller.inner),
+            names=self.parts,
             absent=self.bench.vehicle.absent,
         )
 

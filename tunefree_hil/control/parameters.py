@@ -4,11 +4,27 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Protocol
 
 from tunefree_hil.base.contracts import Tunable
 from tunefree_hil.base.errors import InputError
+
+
+class Box(Protocol):
+    """Where a parameter may lie: a Tunable, or what a bench file says in [tune]."""
+
+    @property
+    def low(self) -> float: ...
+
+    @property
+    def high(self) -> float: ...
+
+    @property
+    def scale(self) -> str: ...
+
+    @property
+    def choices(self) -> Sequence[float] | None: ...
 
 
 class Parameter(NamedTuple):
@@ -64,6 +80,13 @@ def study_values() -> dict[str, float]:
 def tunables_of(prefix: str) -> tuple[Tunable, ...]:
     """The tunables whose name starts with `prefix`."""
     return tuple(row.tunable for row in PARAMETERS if row.tunable.name.startswith(prefix))
+
+
+def middle_of(box: Box) -> float:
+    """The middle of a box on its scale; of choices the first."""
+    if box.choices:
+        return box.choices[0]
+    return math.sqrt(box.low * box.high) if box.scale == "log" else 0.5 * (box.low + box.high)
 
 
 def round32(value: float) -> float:
@@ -126,9 +149,14 @@ def check_complete(values: Mapping[str, float], own: tuple[str, ...] = ()) -> di
     return {name: float(values[name]) for name in known}
 
 
-def by_index(values: Mapping[int, float]) -> dict[str, float]:
-    """A vector by name from one by PARAM index; indices of a user's own parameters are left out."""
-    return {row.tunable.name: float(values[row.index]) for row in PARAMETERS if row.index in values}
+def indices_of(own: Sequence[str] = ()) -> dict[str, int]:
+    """The PARAM index of every parameter by name: interfaces 7, then `own` in the order in which it is announced."""
+    return {name: index for index, name in [*enumerate(NAMES), *enumerate(own, FIRST_OWN_INDEX)]}
+
+
+def by_index(values: Mapping[int, float], own: Sequence[str] = ()) -> dict[str, float]:
+    """A vector by name from one by PARAM index; indices that are neither in interfaces 7 nor of `own` are left out."""
+    return {name: float(values[index]) for name, index in indices_of(own).items() if index in values}
 
 
 def _row(name: str) -> Parameter:

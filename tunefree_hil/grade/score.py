@@ -107,10 +107,10 @@ def grade(
     """Grade one drive of `course`.
 
     error: name of the error that ended the drive, '' for none; any error scores failure_score, so errors of the bench
-    (a lost process, somebody's stop: none of GRADED) are not to be graded. Leaving the lane and diverging are also found in the columns
-    themselves. A metric of samples that the course does not plan (harsh ones) is None whatever a re-plan's blend made
-    of the reference: the same weights count in every drive of a scenario (interfaces 6). Raises InputError for a
-    recording that ends early without an error, or in which nothing can be graded.
+    (a lost process, somebody's stop: none of GRADED) are not to be graded. Leaving the lane and diverging are also
+    found in the columns themselves. A metric of samples that the course does not plan (harsh ones) is None whatever a
+    re-plan's blend made of the reference: the same weights count in every drive of a scenario (interfaces 6). Raises
+    InputError for a recording that ends early without an error, or in which nothing can be graded.
     """
     original = samples_against_original(recording, course, vehicle.rear_axle_m)
     samples = original if weights.against == "original" else samples_of(recording)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bench import Bench, calibration_path, model_of
+from tunefree_hil.bench import Bench, calibration_path, model_of, part_names
 from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.find import find
 from tunefree_hil.config.schema import ScenarioSpec
@@ -28,8 +28,9 @@ def identity_of(bench: Bench, model: str, scenarios: Iterable[ScenarioSpec]) -> 
         "weights": _sha(Path(bench.weights.path).read_bytes()),
         "scenarios": {scenario.name: scenario.hash for scenario in scenarios},
     }
-    if bench.spec.controller.command:
-        hashes["controller"] = program_hashes(bench)
+    own = program_hashes(bench)
+    if own or bench.spec.controller.command:
+        hashes["controller"] = own
     counted = [{key: value for key, value in hashes.items() if key != "bench"}, controller, disturbed]
     return {"hashes": hashes, "identity": _sha(json.dumps(counted, sort_keys=True).encode())}
 
@@ -48,6 +49,7 @@ def resolved_toml(bench: Bench, scenarios: Iterable[ScenarioSpec] | None = None)
     if scenarios is not None:
         named = {scenario.hash: name for name, scenario in bench.scenarios.items()}
         data["scenarios"] = [_anywhere("scenario", named.get(one.hash, one.path), bench.file) for one in scenarios]
+    data["controller"] |= part_names(bench)._asdict()
     if spec.controller.command:
         data["controller"]["command"] = program_of(bench)
     beside = Path(bench.file).parent / spec.controller.calibration

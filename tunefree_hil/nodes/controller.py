@@ -54,13 +54,14 @@ class ControllerPart:
         assign: Callable[[bytes, Mapping[int, float]], Assignment],
         times: CycleTimes,
         say: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),  # noqa: T201
+        names: Sequence[str] = (),
     ) -> None:
         self.codec = codec
         self.needed = needed
         self.assign = assign
         self.times = times
         self.say = say
-        self.names: list[str] = []
+        self.names = list(names)
         self._writer = FrameWriter(codec)
         self._failed = 0
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bench import Bench
+from tunefree_hil.bench import Bench, part_names, part_values
 from tunefree_hil.bus.bench_channel import HELLO_WORDS
 from tunefree_hil.config.schema import with_controller
 from tunefree_hil.control.parameters import NAMES
@@ -39,8 +39,9 @@ def program_of(bench: Bench) -> list[str] | None:
 
 
 def program_hashes(bench: Bench) -> dict[str, str]:
-    """SHA-256 by name of the files of the controller's command: a program that was built anew is another one."""
-    files = [Path(word) for word in program_of(bench) or [] if os.path.isabs(word) and os.path.isfile(word)]
+    """SHA-256 by name of the files of the controller's command, or of its own parts: built anew it is another one."""
+    words = program_of(bench) or [name.rpartition(":")[0] for name in part_names(bench)]
+    files = [Path(word) for word in words if os.path.isabs(word) and os.path.isfile(word)]
     return {path.name: f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}" for path in files}
 
 
@@ -59,10 +60,11 @@ def own_names(names: Iterable[str]) -> list[str]:
 
 def require_one(bench: Bench, names: Iterable[str], *, join: bool) -> None:
     """Raise InputError where foreign parameters are searched and no foreign controller is to be had."""
-    own = own_names(names)
-    controller = bench.spec.controller
-    parts = any(":" in part for part in (controller.lateral, controller.longitudinal, controller.inner))
-    if own and not (controller.command or join or parts):
+    if bench.spec.controller.command or join:
+        return
+    parts = part_values(bench)
+    own = [name for name in own_names(names) if name not in parts]
+    if own:
         raise InputError(
             f"our controller has no parameter {', '.join(own)}",
             code="unknown_parameter",
