@@ -189,6 +189,17 @@ def test_a_message_that_is_missing_for_0_2_s_is_named(seat: Seat, silent: str, c
     assert seat.cycle(22) == ({}, [])
 
 
+def test_one_frame_that_is_too_short_does_not_end_the_drive(seat: Seat) -> None:
+    seat.cycle(0)
+    frames = [one._replace(data=one.data[:1]) for one in seat.all_frames()]
+    sent, words = seat.cycle(1, frames)
+    assert sent and words == []
+    assert sorted(seat.said) == sorted(
+        f"controller: tick 1: {message.name}: shorter than the DBC says" for message in seat.codec.telemetry
+    )
+    assert seat.cycle(2)[1] == [] and len(seat.said) == len(seat.codec.telemetry)
+
+
 def test_reports_that_nobody_needs_may_be_missing(seat: Seat) -> None:
     seat.cycle(0)
     needed = {name for names in needed_messages(seat.codec).values() for name in names} | set(ENABLED)
