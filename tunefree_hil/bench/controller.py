@@ -22,6 +22,7 @@ from tunefree_hil.control.contract import Settings, VehicleConstants
 from tunefree_hil.control.follower import make_follower
 from tunefree_hil.control.parameters import (
     BY_NAME,
+    LARGEST32,
     RICCATI_CODES,
     by_index,
     check_complete,
@@ -32,7 +33,6 @@ from tunefree_hil.control.parameters import (
 from tunefree_hil.nodes.controller import Assignment
 from tunefree_hil.nodes.hearing import CHASSIS, INS
 
-LARGEST32 = 3.4028234e38
 KEPT = 32  # gain tables, and path tables
 
 
@@ -69,13 +69,22 @@ def constants_of(vehicle: VehicleSpec) -> VehicleConstants:
 def require_in_box(name: str, value: float, *, file: str = "", key: str = "") -> None:
     """Raise InputError for a value that a person gave outside its published box; the shipped manual values may.
 
-    Compared as binary32, which is what the controller gets. Names that are not of interfaces 7 are let through.
+    Compared as binary32, which is what the controller gets. Names that are not of interfaces 7 have no box; their
+    values need only be sendable.
     """
-    row = BY_NAME.get(name)
+    row, sendable = BY_NAME.get(name), math.isfinite(value) and abs(value) < LARGEST32
     if row is None:
-        return
+        if sendable:
+            return
+        raise InputError(
+            f"{name} = {value:g} cannot be sent to the controller",
+            code="outside_box",
+            file=file,
+            key=key,
+            hint=f"parameters are binary32: give a number between -{LARGEST32:.2g} and {LARGEST32:.2g}",
+        )
     low, high, choices = row.tunable.low, row.tunable.high, row.tunable.choices
-    if math.isfinite(value) and abs(value) < LARGEST32:
+    if sendable:
         sent = round32(value)
         inside = sent in choices if choices else round32(low) <= sent <= round32(high)
         if inside or sent in (round32(row.manual), round32(row.manual if row.fixed is None else row.fixed)):
@@ -104,6 +113,8 @@ def parameters_of(bench: Bench, chosen: Mapping[str, float] | None = None) -> di
     values = study_values()
     values |= {"riccati": RICCATI_CODES[controller.riccati], "look_ahead_m": controller.look_ahead_m}
     own = own_parameters(bench)
+    for name in (name for name in own if name not in controller.parameters):
+        require_in_box(name, own[name], file=bench.file, key="tune.parameters")
     values |= own | controller.parameters
     values |= dict(chosen or {})
     return {name: round32(value) for name, value in check_complete(values, tuple(own)).items()}

@@ -54,6 +54,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(14, Tunable("mrac.gamma", "1", 1e-4, 1.0), 1.0),
     Parameter(15, Tunable("look_ahead_m", "m", 0.0, 5.0, "linear"), 0.0),
 )
+LARGEST32 = 3.4028234e38  # of PARAM's binary32 (interfaces 8), rounded down
 FIRST_OWN_INDEX = 16  # a user's own controller announces its parameters from here on
 BY_NAME: dict[str, Parameter] = {row.tunable.name: row for row in PARAMETERS}
 NAMES: tuple[str, ...] = tuple(BY_NAME)
