@@ -50,7 +50,7 @@ from tunefree_hil.episode.columns import assemble_columns
 from tunefree_hil.episode.recording import Recording
 from tunefree_hil.nodes.controller import MISSING_CODES, STAGE_CODES, Assignment
 from tunefree_hil.nodes.ecu import Vehicle
-from tunefree_hil.nodes.handshake import ANSWER_LIMIT_TICKS, STAGES, Stage
+from tunefree_hil.nodes.handshake import STAGES, Stage, limits_of
 from tunefree_hil.nodes.hearing import Hearing
 
 KEPT_VEHICLES = 64  # one is a scenario's noise: 0.4 MB a minute's drive
@@ -272,7 +272,7 @@ def _link_params(bench: Bench, phases: Mapping[str, int]) -> LinkParams:
         missing_tick,
         missing_code,
         table(codes),
-        ANSWER_LIMIT_TICKS,
+        limits_of(bench.dt_s),
     )
 
 

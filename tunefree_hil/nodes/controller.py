@@ -20,7 +20,7 @@ from tunefree_hil.bus.frame_writer import FrameWriter
 from tunefree_hil.control.cascade import Sight
 from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.faults import FaultFilter, ScriptedFault
-from tunefree_hil.nodes.handshake import Handshake, Stage
+from tunefree_hil.nodes.handshake import Handshake, Stage, limits_of
 from tunefree_hil.nodes.hearing import CHASSIS, INS, Hearing
 from tunefree_hil.nodes.timing import CycleTimes
 
@@ -71,7 +71,7 @@ class ControllerPart:
         block = self.task.block
         self._state = block.init(block.params, self.task.dt_s)
         self.hearing = Hearing(self.codec, self.task.dt_s)
-        self.handshake = Handshake()
+        self.handshake = Handshake(limits_of(self.task.dt_s))
         self._failed = 0
         self._writer.restart()
         self._faults = FaultFilter(self.task.faults)
