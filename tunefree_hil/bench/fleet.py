@@ -39,7 +39,9 @@ class Fleet:
         self._pool = ThreadPoolExecutor(threads or len(os.sched_getaffinity(0)))
 
     def drive(self, jobs: Sequence[Job], *, columns: bool = False) -> list[Driven]:
-        """The drives, in the order of `jobs`. What one of them raises is raised when the others are done."""
+        """The drives, in the order of `jobs`. What one raises is raised when those before it are done: those under way
+        then go on to their end, those not begun are dropped.
+        """
         first = [self._one(job, columns) for job in jobs[:1]]  # it may compile: the others wait for that anyhow
         return first + list(self._pool.map(lambda job: self._one(job, columns), jobs[1:]))
 

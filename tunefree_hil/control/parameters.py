@@ -121,16 +121,6 @@ def _step32(value: float, *, upward: bool) -> float:
     return float(struct.unpack("<f", struct.pack("<I", bits + (1 if away_from_zero else -1)))[0])
 
 
-def clip_into_box(values: Mapping[str, float], names: tuple[str, ...] = SETS["complete"]) -> dict[str, float]:
-    """The same vector with `names` clipped into their published boxes (binary32), the rest as it is."""
-    clipped = dict(values)
-    for name in names:
-        tunable = _row(name).tunable
-        low, high = box32(tunable.low, tunable.high)
-        clipped[name] = min(max(round32(clipped[name]), low), high)
-    return clipped
-
-
 def check_complete(values: Mapping[str, float], own: tuple[str, ...] = ()) -> dict[str, float]:
     """`values` as floats. Raises InputError unless it names every parameter (and `own`, a user's), and nothing else."""
     known = NAMES + own
@@ -158,9 +148,3 @@ def indices_of(own: Sequence[str] = ()) -> dict[str, int]:
 def by_index(values: Mapping[int, float], own: Sequence[str] = ()) -> dict[str, float]:
     """A vector by name from one by PARAM index; indices that are neither in interfaces 7 nor of `own` are left out."""
     return {name: float(values[index]) for name, index in indices_of(own).items() if index in values}
-
-
-def _row(name: str) -> Parameter:
-    if name not in BY_NAME:
-        raise InputError(f"no parameter {name!r}", code="unknown_parameter", hint=f"there are {', '.join(NAMES)}")
-    return BY_NAME[name]
