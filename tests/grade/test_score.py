@@ -137,7 +137,7 @@ def test_each_replan_costs_1() -> None:
     assert (found.replans, found.score) == (2, pytest.approx(2.4))
 
 
-@pytest.mark.parametrize("error", ["control_error", "diverged", "left_lane", "ins_missing"])
+@pytest.mark.parametrize("error", ["control_error", "controller_own", "diverged", "left_lane", "ins_missing"])
 def test_a_failed_drive_scores_10(error: str) -> None:
     found = score(weights(), error)
     assert (found.outcome, found.score) == (error, 10.0)

@@ -69,6 +69,12 @@ def test_a_study_can_open_with_rule_based() -> None:
     assert first == space.fit({name: rule[name] for name in space.names}) != first_trial(space)
 
 
+def test_of_a_baseline_only_what_lies_outside_the_box_is_moved() -> None:
+    manual = BASELINES["as_shipped"]
+    inside = resolve("complete", []).fit(manual)
+    assert [name for name, value in inside.items() if value != pytest.approx(manual[name])] == ["lqr.q2", "lqr.q4"]
+
+
 def test_rules_give_a_complete_vector_that_scales_as_it_should() -> None:
     values = rule_based(MKZ)
     assert tuple(check_complete(values)) == NAMES

@@ -9,7 +9,6 @@ from tunefree_hil.bench.controller import ControllerFor
 from tunefree_hil.bench.load import Bench
 from tunefree_hil.bench.vehicle import VehicleFor
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.control.parameters import NAMES
 
 
 def require_buildable(
@@ -22,4 +21,5 @@ def require_buildable(
     if scenarios:
         one = replace(bench, scenarios={scenario.name: scenario for scenario in scenarios})
         start = bytes.fromhex(scenarios[0].hash)[:6]
-        ControllerFor(one)(start, {index: values[name] for index, name in enumerate(NAMES)})
+        controller = ControllerFor(one)
+        controller(start, controller.indexed(values))

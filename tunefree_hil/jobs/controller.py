@@ -10,7 +10,7 @@ from tunefree_hil.base.events import Event
 
 def controller(bench: Path, *, bus: str, bench_bus: str, session: str, realtime: bool) -> Iterator[Event]:
     """Serve episodes on the bus until the runner says end or the bus is gone."""
-    from tunefree_hil.bench import ControllerFor
+    from tunefree_hil.bench import ControllerFor, part_values
     from tunefree_hil.jobs.running.serving import OURS, serve_controller
 
     yield from serve_controller(
@@ -22,4 +22,5 @@ def controller(bench: Path, *, bus: str, bench_bus: str, session: str, realtime:
         bench_bus=bench_bus,
         session=session,
         realtime=realtime,
+        own=part_values,
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bench import Bench, calibration_path, model_of
+from tunefree_hil.bench import Bench, calibration_path, model_of, part_names
 from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.find import find
 from tunefree_hil.config.schema import ScenarioSpec
@@ -37,13 +37,12 @@ def identity_of(bench: Bench, model: str, scenarios: Iterable[ScenarioSpec]) -> 
 
 
 def own_parts(bench: Bench, model: str) -> dict[str, str]:
-    """SHA-256 of the user's own modules ('path/to/file.py:EXPORT') that control or simulate; one that is not there is
-    refused where it is built.
+    """SHA-256 by name of the user's own modules ('path/to/file.py:EXPORT') that control or simulate; one that is not
+    there is refused where it is built.
     """
-    controller = bench.spec.controller
-    kinds = (controller.lateral, controller.longitudinal, controller.inner, model_of(bench, model).plant.kind)
-    paths = {kind.rpartition(":")[0] for kind in kinds if ":" in kind}
-    return {path: sha256_of(Path(path)) for path in sorted(paths) if Path(path).is_file()}
+    kinds = (*part_names(bench), model_of(bench, model).plant.kind)
+    paths = {Path(kind.rpartition(":")[0]) for kind in kinds if ":" in kind}
+    return {path.name: sha256_of(path) for path in sorted(paths) if path.is_file()}
 
 
 def resolved_toml(bench: Bench, scenarios: Iterable[ScenarioSpec] | None = None) -> str:
@@ -60,6 +59,7 @@ def resolved_toml(bench: Bench, scenarios: Iterable[ScenarioSpec] | None = None)
     if scenarios is not None:
         named = {scenario.hash: name for name, scenario in bench.scenarios.items()}
         data["scenarios"] = [_anywhere("scenario", named.get(one.hash, one.path), bench.file) for one in scenarios]
+    data["controller"] |= part_names(bench)._asdict()
     if spec.controller.command:
         data["controller"]["command"] = program_of(bench)
     beside = Path(bench.file).parent / spec.controller.calibration

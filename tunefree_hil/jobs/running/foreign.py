@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bench import Bench
+from tunefree_hil.bench import Bench, part_values
 from tunefree_hil.bus.bench_channel import HELLO_WORDS, Role
 from tunefree_hil.config.schema import with_controller
 from tunefree_hil.control.parameters import NAMES
@@ -63,16 +63,16 @@ def own_names(names: Iterable[str]) -> list[str]:
 
 
 def not_ours(bench: Bench, names: Iterable[str]) -> list[str]:
-    """Those that our controller does not have. One with a part of the user's own says itself what it lacks."""
-    controller = bench.spec.controller
-    parts = any(":" in part for part in (controller.lateral, controller.longitudinal, controller.inner))
-    return [] if parts else own_names(names)
+    """Those that our controller does not have, its parts of the user's own included."""
+    parts = part_values(bench)
+    return [name for name in own_names(names) if name not in parts]
 
 
 def require_one(bench: Bench, names: Iterable[str], *, join: bool) -> None:
     """Raise InputError where foreign parameters are searched and no foreign controller is to be had."""
-    own = not_ours(bench, names)
-    if own and not (bench.spec.controller.command or join):
+    if bench.spec.controller.command or join:
+        return
+    if own := not_ours(bench, names):
         raise InputError(
             f"our controller has no parameter {', '.join(own)}",
             code="unknown_parameter",
