@@ -12,7 +12,7 @@ from tests.jobs.command import Ended, tunefree, tunefree_alone
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load, part_names
 from tunefree_hil.jobs.identity import identity_of, resolved_toml
-from tunefree_hil.jobs.running.foreign import program_hashes, require_one
+from tunefree_hil.jobs.running.foreign import require_one
 
 TUNED = 'parameters = [{ name = "mine.gain", low = 0.5, high = 4.0 }]'
 
@@ -20,10 +20,9 @@ TUNED = 'parameters = [{ name = "mine.gain", low = 0.5, high = 4.0 }]'
 def test_a_part_that_was_changed_makes_another_run(tmp_path: Path) -> None:
     bench = load(write_own(tmp_path))
     first = identity_of(bench, "mkz_nominal", bench.scenarios.values())
-    assert list(first["hashes"]["controller"]) == ["mine.py"]
+    assert list(first["hashes"]["parts"]) == ["mine.py"]
     (tmp_path / "mine.py").write_text(PART.replace("2.0 * tracking", "1.0 * tracking"))
     assert identity_of(bench, "mkz_nominal", bench.scenarios.values())["identity"] != first["identity"]
-    assert program_hashes(bench) != first["hashes"]["controller"]
 
 
 def test_the_run_folders_copy_names_its_file(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.bench.own_part import PART
 from tests.bench.tiny import write_bench
 from tunefree_hil.bench import load
 from tunefree_hil.jobs.running.serving import OURS
@@ -25,5 +26,6 @@ from tunefree_hil.jobs.tune.margins import why_not
 def test_a_joined_controller_and_its_parameters_are_not_taken_for_ours(
     tmp_path: Path, more: str, joined: str | None, words: str
 ) -> None:
+    (tmp_path / "mine.py").write_text(PART)
     reason = why_not(load(write_bench(tmp_path, more=more)), joined)
     assert words in reason and bool(words) == bool(reason)
