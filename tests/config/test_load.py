@@ -213,6 +213,15 @@ def test_a_file_of_other_bytes_is_said(tmp_path: Path) -> None:
         load_scenario(path)
 
 
+def test_a_byte_order_mark_is_no_mistake(write: Callable[..., Path]) -> None:
+    """As editors of Windows write it."""
+    path = write("scenario")
+    plain = load_scenario(path)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    marked = load_scenario(path)
+    assert (marked.name, marked.speed, marked.curvature) == (plain.name, plain.speed, plain.curvature)
+
+
 def test_several_mistakes_are_listed_together(write: Callable[..., Path]) -> None:
     with pytest.raises(InputError) as caught:
         load_scenario(write("scenario", "[5.0, 6.0]", "[-5.0, 6.0, 7.0]"))

@@ -200,6 +200,15 @@ def test_a_share_of_the_road_is_taken_from_a_calibration_on_the_same_logs_only(
     assert job.road_share_of(tmp_path / "none", drives) == 0.0
 
 
+def test_a_card_that_is_no_text_is_one_message(tmp_path: Path) -> None:
+    """Of a folder that a person named by --physics."""
+    (tmp_path / "card.json").write_bytes(b'{"by": "Stra\xdfe"}')
+    for asks in (job.road_share_of, job.own_effects_of):
+        with pytest.raises(InputError, match="no card of a model") as caught:
+            asks(tmp_path, [])
+        assert caught.value.file == str(tmp_path / "card.json")
+
+
 def test_what_explains_the_logs_beside_the_physics_is_that_of_the_very_same_logs_only(
     tmp_path: Path, drives: list[Drive]
 ) -> None:

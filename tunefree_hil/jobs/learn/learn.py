@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
+from tunefree_hil.gap.card import read_card
 from tunefree_hil.jobs.gap.own_logs import ask_own_logs, were_asked
 from tunefree_hil.jobs.learn import calibrated
 from tunefree_hil.jobs.learn.logs import read
@@ -100,7 +100,7 @@ def learn(asked: Asked) -> Iterator[Event]:
 
 def finished(asked: Asked) -> Iterator[Event]:
     """The result, out of the card of the folder that is there: also for who was cut off when it had been written."""
-    card = json.loads((asked.out / CARD_FILE).read_text(encoding="utf-8"))
+    card = read_card(asked.out / CARD_FILE)
     asked.out.with_name(asked.out.name + ".part").unlink(missing_ok=True)
     figures = _drawn(asked, card)
     yield Event("result", "", {**card, "model": str(asked.out), "figures": figures, **_ending(asked, card)})
@@ -155,10 +155,9 @@ def physics_in(folder: Path, vehicle: VehicleSpec) -> ModelSpec:
 
 def _is_of(folder: Path, drives: list[Drive], seed: int | None) -> bool:
     """Whether a folder was calibrated on these very logs, and this split (None: whatever the split)."""
-    card = folder / CARD_FILE
-    if not card.is_file():
+    if not (folder / CARD_FILE).is_file():
         return False
-    said = json.loads(card.read_text(encoding="utf-8"))
+    said = read_card(folder / CARD_FILE)
     same = [one["hash"] for one in said.get("logs", [])] == [one.log_hash for one in drives]
     return same and seed in (None, said.get("seed"))
 
@@ -169,7 +168,7 @@ def road_share_of(folder: Path, drives: list[Drive]) -> float:
     """
     if not _is_of(folder, drives, None):
         return 0.0
-    said = json.loads((folder / CARD_FILE).read_text(encoding="utf-8")).get("constants", {}).get(ROAD, {})
+    said = read_card(folder / CARD_FILE).get("constants", {}).get(ROAD, {})
     return min(max(float(said["value"]), 0.0), 1.0) if said.get("known") else 0.0
 
 
@@ -179,7 +178,7 @@ def own_effects_of(folder: Path, drives: list[Drive]) -> dict[str, Any]:
     """
     if not _is_of(folder, drives, None):
         return {}
-    said = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
+    said = read_card(folder / CARD_FILE)
     return {OWN_EFFECTS: said[OWN_EFFECTS]} if OWN_EFFECTS in said else {}
 
 

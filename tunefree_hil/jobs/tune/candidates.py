@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from typing import Any
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, model_of, own_parameters, parameters_of
+from tunefree_hil.config.convert import read_toml
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec, VehicleSpec, value_of
 from tunefree_hil.config.vehicle_schema import LatencySpec
 from tunefree_hil.control.inner.mrac import RISE_PER_TAU
@@ -24,12 +24,9 @@ def best_of(run: RunFolder) -> dict[str, Any]:
     if not path.is_file():
         hint = "run the same tune command again"
         raise InputError("has no best.toml: the study is not finished", file=str(run.path), hint=hint)
-    hint = "the same tune command, with --resume RUN, writes it anew"
-    try:
-        best = tomllib.loads(path.read_text())
-    except ValueError as error:
-        raise InputError(f"not readable TOML ({error})", code="bad_toml", file=str(path), hint=hint) from error
+    best = read_toml(path)
     if not isinstance(best.get("parameters"), dict):
+        hint = "the same tune command, with --resume RUN, writes it anew"
         raise InputError("is not there", code="bad_toml", file=str(path), key="parameters", hint=hint)
     return best
 

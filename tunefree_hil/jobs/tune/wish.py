@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bench import Bench, load, parameters_of, require_buildable
+from tunefree_hil.bench import Bench, load, own_parameters, parameters_of, require_buildable
 from tunefree_hil.jobs.drive import own_session
 from tunefree_hil.jobs.identity import identity_of
 from tunefree_hil.jobs.pasted import given, pasted
@@ -101,11 +101,11 @@ def resolve_wish(asked: Asked) -> Wish:
     address = address_of(asked.study) if asked.study else None
     bench = with_command(load(asked.bench), asked.controller)
     _require_slower(bench)
-    _require_buildable(bench, asked)
+    space = _space(bench, asked)
+    _require_buildable(bench, asked, space)
     session = asked.session or own_session()
     bus_for(bench, asked.bus, session, asked.bench_bus)
     vectors = baseline_vectors(bench)
-    space = _space(bench, asked)
     require_one(bench, space.names, join=asked.join)
     identity = identity_of(bench, bench.spec.model, [bench.scenarios[name] for name in bench.spec.scenarios])
     benches = _benches(asked)
@@ -207,9 +207,15 @@ def _require_slower(bench: Bench) -> None:
         )  # fmt: skip
 
 
-def _require_buildable(bench: Bench, asked: Asked) -> None:
-    """Raise InputError for what a node could not build, now rather than after hours."""
+def _require_buildable(bench: Bench, asked: Asked, space: Space) -> None:
+    """Raise InputError for what a node could not build, now rather than after hours.
+
+    With MRAC on, whatever the bench file says, where it is searched, and where the manual baselines are driven: some
+    have it on.
+    """
     values, spec = parameters_of(bench), bench.spec
+    if not own_parameters(bench) or any(name.startswith("mrac.") for name in space.names):
+        values["mrac.enable"] = 1.0
     scenarios = [bench.scenarios[name] for name in spec.scenarios]
     require_buildable(bench, spec.model, scenarios, values, realtime=asked.realtime)
     if asked.backend == BATCH and spec.controller.command:
