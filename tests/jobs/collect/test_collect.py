@@ -167,6 +167,7 @@ def test_an_area_that_is_too_small_is_told_how_large_it_must_be(tmp_path: Path) 
         ({"model": other_vehicle.NOMINAL.name}, f"is a model of '{other_vehicle.NAME}'"),
         ({"vehicle": "rav4_2017"}, "command.brake_frac"),
         ({"quota_s": 0.0}, "--quota-s"),
+        ({"quota_s": 1e308}, "--quota-s"),
         ({"area_m": float("nan")}, "--area-m"),
         ({"drive_s": -1.0}, "--drive-s"),
         ({"top_mps": 0.1}, "--top-mps"),
