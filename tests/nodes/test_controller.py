@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from tests.nodes.memory import FakeLink
+from tests.nodes.stopped_clock import StoppedClock
 from tests.nodes.test_hearing import ENABLED, enabled_frames, frame
-from tunefree_hil.base.clock import SimClock
 from tunefree_hil.base.course import Tracking
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import GEAR_DRIVE, CanFrame, Command
@@ -266,6 +266,6 @@ def test_in_real_time_the_next_episode_may_follow_the_end_in_one_batch(codec: Co
     finished = bc.Status(bc.Role.ECU, bc.State.FINISHED, 0, 0)
     next_one = [bc.Episode(b"ghijkl", 2), bc.Param(0, 1, 0.5)]
     bench.say(bc.Tick(0), finished, *next_one)
-    seat.part.realtime(exchange, SimClock(), 0.0, lambda message: message == finished)
+    seat.part.realtime(exchange, StoppedClock(), 0.0, lambda message: message == finished)
     assert len(seat.part.times.control_s) == 1, "it went on after the end"
     assert [exchange.next_message(0.0) for _ in range(3)] == [*next_one, None]

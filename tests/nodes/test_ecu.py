@@ -10,7 +10,7 @@ import pytest
 
 from tests.bench.tiny import hash_of, write_bench
 from tests.nodes.memory import FakeLink
-from tunefree_hil.base.clock import SimClock
+from tests.nodes.stopped_clock import StoppedClock
 from tunefree_hil.base.records import GEAR_DRIVE, GEAR_NONE, CanFrame, Command
 from tunefree_hil.bench import VehicleFor, load
 from tunefree_hil.bus import bench_channel as bc
@@ -269,6 +269,6 @@ def test_in_real_time_what_follows_a_request_to_stop_is_kept(car: Car) -> None:
     exchange = Exchange(FakeLink(), bench, car.exchange.ids_of_phase, 0.01)
     end = bc.Status(bc.Role.RUNNER, bc.State.END, 0, 0)
     bench.say(STOP, end)
-    car.part.realtime(exchange, SimClock(), 0.0, lambda message: message == STOP)
+    car.part.realtime(exchange, StoppedClock(), 0.0, lambda message: message == STOP)
     assert bench.words()[-1] == bc.Status(bc.Role.ECU, bc.State.FAILED, bc.ErrorCode.STOPPED, 1)
     assert exchange.inbox == [end]

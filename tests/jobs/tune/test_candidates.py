@@ -12,8 +12,15 @@ from tunefree_hil.jobs.tune.candidates import best_of
 
 
 def test_the_winner_is_read(tmp_path: Path) -> None:
+    (tmp_path / "best.toml").write_text("slot = 3\n\n[parameters]\nlat_kp = 0.5\n")
+    assert best_of(RunFolder(tmp_path, {})) == {"slot": 3, "parameters": {"lat_kp": 0.5}}
+
+
+def test_one_without_numbers_says_how_to_write_it_anew(tmp_path: Path) -> None:
     (tmp_path / "best.toml").write_text("slot = 3\n")
-    assert best_of(RunFolder(tmp_path, {})) == {"slot": 3}
+    with pytest.raises(InputError, match="is not there") as caught:
+        best_of(RunFolder(tmp_path, {}))
+    assert caught.value.key == "parameters" and "--resume" in caught.value.hint
 
 
 def test_a_study_without_one_is_not_finished(tmp_path: Path) -> None:
