@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from tests.bench.tiny import hash_of, write_bench
@@ -14,6 +16,7 @@ from tests.house import ROOT
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, ControllerFor, load, needed_messages, parameters_of, require_in_box
 from tunefree_hil.bench.controller import calibration_of, constants_of
+from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.control.parameters import BASELINES, NAMES, PARAMETERS, box32, round32
 
 
@@ -55,8 +58,33 @@ def test_the_shipped_zeros_are_named_in_the_hint() -> None:
     assert caught.value.hint == "give 0 or 1"
 
 
-def test_a_users_own_parameter_has_no_published_box() -> None:
-    require_in_box("own.gain", -7.0)
+@given(st.floats())
+def test_a_users_own_parameter_has_no_published_box_but_must_be_sendable(value: float) -> None:
+    """PARAM carries a binary32 number (interfaces 8)."""
+    if math.isfinite(value) and abs(value) < 3.4028234e38:
+        require_in_box("own.gain", value)
+        bc.encode(bc.Param(16, 17, value))
+    else:
+        with pytest.raises(InputError, match=r"own\.gain = .* cannot be sent"):
+            require_in_box("own.gain", value)
+
+
+@pytest.mark.parametrize(
+    ("value", "choices", "key"),
+    [(1e39, "[1.0, 2.0]", "controller.parameters.own.gain"), (None, "[1e39, 1.0]", "tune.parameters")],
+)
+def test_an_own_parameter_that_cannot_be_sent_is_named(
+    tmp_path: Path, value: float | None, choices: str, key: str
+) -> None:
+    bench = with_controller(tmp_path, f'parameters = {{ "own.gain" = {value} }}' if value else "")
+    Path(bench.file).write_text(
+        Path(bench.file)
+        .read_text()
+        .replace('set = "mrac"', f'parameters = [{{ name = "own.gain", choices = {choices} }}]')
+    )
+    with pytest.raises(InputError, match="cannot be sent") as caught:
+        parameters_of(load(bench.file))
+    assert (caught.value.file, caught.value.key) == (bench.file, key)
 
 
 def test_every_manual_baseline_may_be_given() -> None:

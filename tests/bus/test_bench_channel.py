@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
 
@@ -172,3 +172,17 @@ def test_every_code_has_a_sentence() -> None:
     for code in (*bc.Role, *bc.State, *bc.ErrorCode):
         assert code.sentence and code == int(code)
     assert bc.ErrorCode(2).name == "LEFT_LANE"
+
+
+@given(st.integers(1000, 65535))
+def test_every_number_from_1000_on_is_a_controllers_own_error(number: int) -> None:
+    """docs/controller.md lets a controller number its own errors; what it said stays in the words."""
+    assert bc.ErrorCode(number) is bc.ErrorCode.CONTROLLER_OWN
+    assert bc.error_text(number) == ("controller_own" if number == 1000 else f"controller_own {number}")
+
+
+def test_a_number_without_a_meaning_is_said_to_have_none() -> None:
+    assert bc.error_text(2) == "left_lane"
+    with pytest.raises(BenchError, match="ERROR 500, which has no meaning") as caught:
+        bc.ErrorCode(500)
+    assert caught.value.code == "unknown_error" and "1000" in caught.value.hint

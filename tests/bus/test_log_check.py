@@ -151,6 +151,23 @@ def test_a_wrong_crc_is_found_and_its_counter_not_believed(tmp_path: Path) -> No
     assert f"{message.name}: the CRC or data id of 1 frames does not fit" in health.problems
 
 
+@pytest.mark.parametrize("padding", [1, 4, 48])
+def test_what_pads_a_frame_to_a_length_of_can_fd_is_no_part_of_its_crc(tmp_path: Path, padding: int) -> None:
+    """CAN FD knows 8, 12, 16, 20, 24, 32, 48 and 64 bytes: what is longer than the DBC says is filled up."""
+    car = Codec(load_vehicle(write_car(tmp_path)))
+    frames: list[Frame] = []
+    protected = [one for one in (*car.telemetry, *car.commands) if one.e2e is not None]
+    for message, k in ((message, k) for message in protected for k in range(40)):
+        data = protect(message.e2e, car.encode(message, {}, {}), k % message.e2e.modulus)  # type: ignore[arg-type,union-attr]
+        frames.append((k * message.period_ticks * 0.01, "can0", message.key, data + bytes(padding), 1))
+    frames.sort(key=lambda frame: frame[0])
+    health = check_frames(frames, car)
+    assert [(of(car, health, one.name).frames, of(car, health, one.name).broken) for one in protected] == [
+        (40, 0) for _ in protected
+    ]
+    assert health.problems == []
+
+
 def test_without_a_profile_nothing_is_said_of_crcs(codec: Codec, clean: list[Frame]) -> None:
     assert all(one.broken is None for one in check_frames(clean, codec).messages)
 

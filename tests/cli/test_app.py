@@ -176,6 +176,14 @@ def test_every_command_has_help_in_80_columns(command: str, capsys: pytest.Captu
     assert all(len(line) <= 80 for line in capsys.readouterr().out.splitlines())
 
 
+def test_tune_says_what_goes_on_and_what_resume_is_for(capsys: pytest.CaptureFixture[str]) -> None:
+    """What tests/jobs/tune/test_kill.py shows."""
+    assert run(["tune", "--help"]) == 0
+    words = " ".join(capsys.readouterr().out.split())
+    assert "Stopped, the same command goes on where it was; finished, it starts anew" in words
+    assert "--resume goes on with the run that you name, a finished one too" in words
+
+
 def test_the_list_of_commands_cuts_no_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["--help"]) == 0
     assert "..." not in capsys.readouterr().out.split("Commands:")[1]

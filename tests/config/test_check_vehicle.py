@@ -45,7 +45,10 @@ def changed(repo: Path, tmp_path: Path, *changes: tuple[str, str], vehicle: str 
         ("steer_rad = 8.20305", "steer_rad = -8.2", "limits.steer_rad", "not above 0", ""),
         ("[-6.0, 2.0]", "[2.0, -6.0]", "limits.accel_mps2", "[low, high]", ""),
         ("[latency.steer]", "[latency.steering]", "latency.steering", "no such actuator", "steer"),
+        ("dead_time_s = 0.1", "dead_time_s = -0.1", "latency.steer.dead_time_s", "below 0", "seconds"),
         ("latency_s = 0.002", "latency_s = -0.002", "ins_frame.latency_s", "below 0", ""),
+        ('"PO"\nperiod_ms = 20', '"PO"\nperiod_ms = 3600020', "report.throttle_frac.period_ms", "above", "milli"),
+        ("timeout_ms = 100", "timeout_ms = 3600010", "command.throttle_frac.timeout_ms", "above", "milliseconds"),
         ("timeout = [", "timeouts = [", "state.timeouts", "no such condition", "timeout"),
     ],
 )  # fmt: skip

@@ -55,6 +55,20 @@ def test_a_miss_lists_what_there_is(kind: str) -> None:
         assert name in str(caught.value)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", ["/", "", ".", "..", "~nouser/x", "~nouser", "a\0b", "a" * 5000, "/a" * 3000])
+def test_a_name_that_no_file_can_have_is_a_miss(kind: str, name: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        find(kind, name, near=tmp_path)
+    assert caught.value.code == f"unknown_{kind}" and repr(name) in caught.value.message
+
+
+def test_the_home_folder_is_meant_by_a_tilde(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "mine.toml").write_text("")
+    assert find("scenario", "~/mine") == tmp_path / "mine.toml"
+
+
 def test_a_slip_is_guessed() -> None:
     with pytest.raises(InputError, match="there is no vehicle 'mkz_bywyre'") as caught:
         find("vehicle", "mkz_bywyre")

@@ -24,6 +24,8 @@ from tunefree_hil.config.load import (
     load_weights,
 )
 from tunefree_hil.control.parameters import NAMES
+from tunefree_hil.grade.metrics import METRICS
+from tunefree_hil.tune.space import resolve
 
 LOADERS: dict[str, Callable[..., Any]] = {
     "vehicle": load_vehicle,
@@ -139,11 +141,37 @@ MISTAKES = [
     ("scenario", "scenario/1", "scenario/2", "schema", "tunefree.scenario/1", ""),
     ("scenario", 'name = "some"', 'name = "some"\nhash = "00"', "hash", "unknown key", ""),
     ("scenario", 'name = "some"', 'name = "some"\nnoise_seed = 70000', "noise_seed", "does not fit", "65535"),
+    ("scenario", "[5.0, 6.0]", "[5.0, 1e308]", "speed.value", "1e+308 is beyond 1000", "unit"),
+    ("scenario", "[0.0, 0.01]", "[0.0, -1e308]", "curvature.value", "beyond 1000", "unit"),
+    ("scenario", "value = [0.8]", "value = [1e308]", "friction.value", "beyond 1000", "unit"),
+    (
+        "scenario",
+        "friction = { t_s = [0.0], value = [0.8]",
+        "grade = { t_s = [0.0], value = [2.0]",
+        "grade.value",
+        "beyond 1.5",
+        "unit",
+    ),
+    ("scenario", "speed_mps = 5.0", "lateral_m = -1e308", "start.lateral_m", "beyond", "unit"),
+    ("scenario", "speed_mps = 5.0", "speed_mps = 1e308", "start.speed_mps", "beyond 1000", "unit"),
+    ("scenario", "speed = { t_s = [0.0, 10.0]", "speed = { t_s = [0.0, 1e308]", "speed.t_s", "lasts 1e+308 s", "86400"),
+    (
+        "scenario",
+        "speed = { t_s = [0.0, 10.0], value = [5.0, 6.0]",
+        "speed = { t_s = [0.0, 86400.0], value = [5.0, 60.0]",
+        "speed",
+        "may be 5.184e+06 m",
+        "long at most",
+    ),
     ("weights", "3.0", "-0.3", "metrics.lateral_err_std", "below 0", "weights"),
+    ("weights", "3.0", "inf", "metrics.lateral_err_std", "finite", ""),
+    ("weights", "= 3.0\nspeed_err_std = 1.0", "= 0.0", "metrics", "add up to 0", "a weight"),
+    ("weights", "lateral_err_std", "lateral_er_std", "metrics.lateral_er_std", "no such metric", "lateral_err_std"),
     ("weights", '"original"', '"other"', "against", "'current', 'original'", ""),
     ("bench", '"lqr.q1"', '"lqr.q9"', "controller.parameters.lqr.q9", "no such parameter", "lqr.q"),
     ("bench", '"station.kp"', '"station.kpp"', "tune.parameters[0].name", "no parameter", "station.kp"),
     ("bench", "low = 0.01", "low = 1.5", "tune.parameters[0].low", "not below high", "low < high"),
+    ("bench", "low = 0.01\nhigh = 1.0\n", "step = -1.0\n", "tune.parameters[0].step", "not above 0", "or none"),
     ("bench", "low = 0.01", "low = 0.0", "tune.parameters[0].low", "log scale", "linear"),
     ("bench", "trials = 10", "trials = 0", "tune.trials", "below 1", ""),
     ("bench", "trials = 10", 'set = "all"', "tune.set", "'complete'", ""),
@@ -185,6 +213,15 @@ def test_a_file_of_other_bytes_is_said(tmp_path: Path) -> None:
         load_scenario(path)
 
 
+def test_a_byte_order_mark_is_no_mistake(write: Callable[..., Path]) -> None:
+    """As editors of Windows write it."""
+    path = write("scenario")
+    plain = load_scenario(path)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    marked = load_scenario(path)
+    assert (marked.name, marked.speed, marked.curvature) == (plain.name, plain.speed, plain.curvature)
+
+
 def test_several_mistakes_are_listed_together(write: Callable[..., Path]) -> None:
     with pytest.raises(InputError) as caught:
         load_scenario(write("scenario", "[5.0, 6.0]", "[-5.0, 6.0, 7.0]"))
@@ -195,6 +232,16 @@ def test_a_controller_of_ones_own_has_parameters_of_its_own(write: Callable[...,
     own = '[controller]\nlateral = "my/idea.py:CONTROLLER"\n[controller.parameters]\n"idea.gain" = 1.0\n'
     bench = load_bench(write("bench", '[controller.parameters]\n"lqr.q1" = 0.1\n', own))
     assert bench.controller.parameters == {"idea.gain": 1.0}
+
+
+def test_a_parameter_without_a_box_is_searched_in_the_one_it_has(write: Callable[..., Path]) -> None:
+    """With a box it is searched in that one; what is none of ours has none that could be meant."""
+    tune = load_bench(write("bench", "low = 0.01\nhigh = 1.0\n", "")).tune
+    assert resolve("", tune.parameters).axes == (resolve("complete", []).axes[NAMES.index("station.kp")],)
+    assert resolve("", load_bench(write("bench", "high = 1.0", "high = 0.5")).tune.parameters).axes[0].high == 0.5
+    own = 'name = "pursuit.gain"\n'
+    with pytest.raises(InputError, match="not below high"):
+        load_bench(write("bench", 'name = "station.kp"\nlow = 0.01\nhigh = 1.0\n', own))
 
 
 def test_limits_may_be_infinite(write: Callable[..., Path]) -> None:
@@ -239,3 +286,7 @@ def test_an_unknown_schema_names_those_there_are() -> None:
 
 def test_the_names_of_parameters_are_those_of_the_controller() -> None:
     assert check.PARAMETERS == NAMES
+
+
+def test_the_metrics_that_weights_may_name_are_those_that_are_computed() -> None:
+    assert tuple(METRICS) == check.METRICS

@@ -9,7 +9,7 @@ import pytest
 
 from tunefree_hil.base import parts
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.control.build import PartNames, build, own_names
+from tunefree_hil.control.build import PartNames, build, own_values
 from tunefree_hil.control.cascade import Sight
 from tunefree_hil.control.contract import VehicleConstants
 from tunefree_hil.control.parameters import BASELINES, study_values
@@ -106,7 +106,7 @@ def test_a_users_own_controller(kit, tmp_path):
     file = tmp_path / "mine.py"
     file.write_text(OWN)
     names = PartNames(lateral=f"{file}:CONTROLLER")
-    assert own_names(names) == ("mine.gain",)
+    assert own_values(names) == {"mine.gain": 1.0}, "what its params say"
     course = kit.course(8.0, lambda t: 4.0)
     block = build({**study_values(), "mine.gain": 6.0}, MKZ, kit.linear_map(), course, names=names)
     decisions, _ = drive(kit, block, 700, kit.car(0.0, 0.3, 0.0, 4.0))

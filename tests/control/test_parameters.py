@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.house import ROOT
+from tunefree_hil.base.contracts import Tunable
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.control import parameters as par
 
@@ -79,17 +80,6 @@ def test_baselines():
     assert par.BASELINES["mrac_on_look_ahead"]["look_ahead_m"] == 1.4224
 
 
-def test_clipped_baseline_lies_in_the_box():
-    clipped = par.clip_into_box(par.BASELINES["mrac_on"])
-    for row in par.PARAMETERS[:11]:
-        low, high = par.box32(row.tunable.low, row.tunable.high)
-        assert low <= clipped[row.tunable.name] <= high
-        assert par.round32(clipped[row.tunable.name]) == clipped[row.tunable.name]
-    assert clipped["lqr.q2"] == pytest.approx(0.001)
-    assert clipped["lqr.q1"] == pytest.approx(0.05)
-    assert clipped["mrac.clamp_s"] == 0.08  # not of the set
-
-
 def test_study_values():
     values = par.study_values()
     assert (values["mrac.enable"], values["mrac.clamp_s"], values["mrac.gamma"]) == (1.0, 0.01, 1.0)
@@ -102,10 +92,20 @@ def test_incomplete_and_unknown_are_named():
     with pytest.raises(InputError, match="not a number"):
         par.check_complete({**par.study_values(), "mrac.p": math.nan})
     assert par.check_complete({**par.study_values(), "mine.gain": 2.0}, ("mine.gain",))["mine.gain"] == 2.0
-    with pytest.raises(InputError, match="no parameter"):
-        par.clip_into_box(par.study_values(), ("nonsense",))
 
 
 def test_by_index():
     values = par.by_index({0: 0.09, 11: 1.0, 16: 3.0})
     assert values == {"mrac.t_ref_s": 0.09, "mrac.enable": 1.0}
+    assert par.by_index({0: 0.09, 16: 3.0, 17: 4.0}, ("mine.gain",)) == {"mrac.t_ref_s": 0.09, "mine.gain": 3.0}
+
+
+def test_every_parameter_has_an_index_of_its_own():
+    found = par.indices_of(("mine.gain", "mine.lag_s"))
+    assert found == {**{row.tunable.name: row.index for row in par.PARAMETERS}, "mine.gain": 16, "mine.lag_s": 17}
+
+
+def test_the_middle_of_a_box():
+    assert par.middle_of(Tunable("a", "1", 0.1, 10.0)) == pytest.approx(1.0)
+    assert par.middle_of(Tunable("a", "1", 0.0, 3.0, "linear")) == 1.5
+    assert par.middle_of(Tunable("a", "1", 0.0, 1.0, "linear", choices=(1.0, 0.0))) == 1.0

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests import other_vehicle
+from tests.episode.candump_text import read_text
 from tests.house import ROOT
 from tunefree_hil.base.course import Tracking
 from tunefree_hil.base.kernel import Block
@@ -16,7 +17,7 @@ from tunefree_hil.bus.codec import Codec
 from tunefree_hil.bus.frame_writer import FrameWriter
 from tunefree_hil.config.load import load_scenario, load_vehicle
 from tunefree_hil.control.follower import make_follower
-from tunefree_hil.episode.candump import EXTENDED_BIT, LogFrame, parse_candump
+from tunefree_hil.episode.candump import EXTENDED_BIT, LogFrame
 from tunefree_hil.episode.columns import columns_from_frames
 from tunefree_hil.episode.feasible import limits_of, require_feasible
 from tunefree_hil.episode.recording import COLUMNS
@@ -50,7 +51,7 @@ def log() -> str:
 
 
 def test_from_wire_to_columns() -> None:
-    frames = parse_candump(log(), "vehicle.log")
+    frames = read_text(log())
     recording = columns_from_frames(frames, Codec(VEHICLE), make_follower(COURSE, REAR_AXLE_M), DT_S)
     assert list(recording.columns) == list(COLUMNS)
     assert recording.ticks == TICKS

@@ -115,6 +115,15 @@ def test_empty_files(tmp_path: Path) -> None:
         assert caught.value.code == "empty_log"
 
 
+def test_a_cell_without_end(tmp_path: Path) -> None:
+    """What is no text has no commas either."""
+    spec = load_import(write_map(tmp_path / "m.toml"))
+    (tmp_path / "d.csv").write_bytes(b"\xff" * 200_000)
+    with pytest.raises(InputError, match="no CSV") as caught:
+        read_csv_drive(tmp_path / "d.csv", spec)
+    assert caught.value.file == str(tmp_path / "d.csv") and caught.value.hint
+
+
 def test_semicolons_decimal_commas_and_a_byte_order_mark(tmp_path: Path) -> None:
     write_map(tmp_path / "m.toml", None, ["v"], 'delimiter = ";"\ndecimal = ","\n')
     (tmp_path / "d.csv").write_text("\ufefft;v\n0,0;10,5\n0,1;11,5\n", encoding="utf-8")

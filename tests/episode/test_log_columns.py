@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.episode.candump_text import read_text
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.formats.find import load_format
 from tunefree_hil.bus.formats.rows import survey
-from tunefree_hil.episode.candump import LogFrame, parse_candump, read_candump, read_rows
+from tunefree_hil.episode.candump import LogFrame, read_candump, read_rows
 from tunefree_hil.episode.log_columns import Piece, parse_lines, read_pieces
 
 KEPT = 1 | 8 | 16  # FD, remote, error
@@ -55,7 +56,7 @@ def test_any_lines(some: list[str]) -> None:
     if piece is None:
         assert any(word in text for word in ("a#b", "(x)", "  T")) or any(len(one) > 150 for one in some)
     else:
-        assert frames_of(piece) == kept(parse_candump(text, "log"))
+        assert frames_of(piece) == kept(read_text(text))
 
 
 @given(st.lists(st.tuples(lines(), st.integers(0, 60), st.sampled_from("() #.RTx\t\0\r5")), min_size=1, max_size=3))
@@ -64,7 +65,7 @@ def test_what_the_careful_reader_refuses_is_not_taken(some: list[tuple[str, int,
     text = "\n".join(line[:at] + sign + line[at + 1 :] for line, at, sign in some) + "\n"
     piece = parse_lines(text.encode())
     if piece is not None:
-        assert frames_of(piece) == kept(parse_candump(text, "log"))
+        assert frames_of(piece) == kept(read_text(text))
 
 
 @pytest.mark.parametrize(

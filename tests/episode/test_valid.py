@@ -7,7 +7,7 @@ import pytest
 
 from tunefree_hil.config.schema import ValidSpec
 from tunefree_hil.episode.recording import Recording, make_recording
-from tunefree_hil.episode.valid import Outside, outside, share_outside, together
+from tunefree_hil.episode.valid import Outside, outside, together
 
 TICKS = 1000
 
@@ -15,6 +15,12 @@ TICKS = 1000
 def recording(**columns: object) -> Recording:
     full = {name: np.broadcast_to(np.asarray(value, dtype=float), TICKS) for name, value in columns.items()}
     return make_recording({name: value.copy() for name, value in full.items()}, 0.01)
+
+
+def share(drive: Recording, valid: ValidSpec) -> float:
+    found = outside(drive, valid)
+    assert found is not None
+    return found.share
 
 
 def ramp(low: float, high: float) -> np.ndarray:
@@ -34,33 +40,32 @@ def test_the_share_is_of_ticks_at_which_anything_is_outside() -> None:
     assert found.by["speed_mps"] == pytest.approx(0.49, abs=0.01)  # 2 % of the width are granted
     assert found.by["lateral_accel_mps2"] == pytest.approx(0.2, abs=0.01)
     assert found.share == pytest.approx(sum(found.by.values())), "they are not outside together"
-    assert share_outside(drive, ValidSpec(speed_mps=[0.0, 5.0])) == found.by["speed_mps"]
+    assert share(drive, ValidSpec(speed_mps=[0.0, 5.0])) == found.by["speed_mps"]
 
 
 def test_noise_is_no_drive() -> None:
     noise = 0.3 * np.random.default_rng(1).standard_normal(TICKS)
     drive = recording(accel_mps2=1.7 + noise)
-    assert share_outside(drive, ValidSpec(accel_mps2=[-2.0, 2.0])) == 0.0
-    assert share_outside(recording(accel_mps2=2.3 + noise), ValidSpec(accel_mps2=[-2.0, 2.0])) > 0.9
+    assert share(drive, ValidSpec(accel_mps2=[-2.0, 2.0])) == 0.0
+    assert share(recording(accel_mps2=2.3 + noise), ValidSpec(accel_mps2=[-2.0, 2.0])) > 0.9
 
 
 def test_pedals_are_one_quantity_with_two_ends() -> None:
     valid = ValidSpec(pedals=[-0.25, 0.45])
-    assert share_outside(recording(out_throttle_frac=0.44, out_brake_frac=0.15), valid) == 0.0
-    assert share_outside(recording(out_throttle_frac=0.50, out_brake_frac=0.15), valid) == 1.0
-    assert share_outside(recording(out_throttle_frac=0.15, out_brake_frac=0.24), valid) == 0.0
-    assert share_outside(recording(out_throttle_frac=0.15, out_brake_frac=0.30), valid) == 1.0
+    assert share(recording(out_throttle_frac=0.44, out_brake_frac=0.15), valid) == 0.0
+    assert share(recording(out_throttle_frac=0.50, out_brake_frac=0.15), valid) == 1.0
+    assert share(recording(out_throttle_frac=0.15, out_brake_frac=0.24), valid) == 0.0
+    assert share(recording(out_throttle_frac=0.15, out_brake_frac=0.30), valid) == 1.0
     never_braked = ValidSpec(pedals=[0.15, 0.45])
-    assert share_outside(recording(out_throttle_frac=0.3, out_brake_frac=0.15), never_braked) == 0.0
-    assert share_outside(recording(out_throttle_frac=0.3, out_brake_frac=0.22), never_braked) == 1.0
+    assert share(recording(out_throttle_frac=0.3, out_brake_frac=0.15), never_braked) == 0.0
+    assert share(recording(out_throttle_frac=0.3, out_brake_frac=0.22), never_braked) == 1.0
 
 
 def test_what_is_not_known_is_not_outside() -> None:
     speed = np.where(np.arange(TICKS) < 500, np.nan, 4.0)
-    assert share_outside(recording(speed_mps=speed), ValidSpec(speed_mps=[0.0, 5.0])) == 0.0
+    assert share(recording(speed_mps=speed), ValidSpec(speed_mps=[0.0, 5.0])) == 0.0
     drive = recording(speed_mps=4.0)
     assert outside(drive, ValidSpec()) is None and outside(drive, ValidSpec(pedals=[-0.3, 0.5])) is None
-    assert share_outside(drive, ValidSpec()) == 0.0
 
 
 def test_several_drives_count_by_their_ticks() -> None:

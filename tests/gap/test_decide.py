@@ -250,7 +250,7 @@ def test_a_further_effect_is_held_against_the_error_that_there_was_at_first() ->
         (found,) = weigh({"beside": beside}, first, NULL, SIZES, ALL)
         takes = (0.3 + left) ** 0.5 - 0.3**0.5
         assert found.further and found.shrink[0] == pytest.approx(takes / 8.0**0.5, abs=0.01)
-        assert found.counts == counts
+        assert found.counts == counts and not found._replace(evidence=PLAIN_NATS - 1.0).counts
         (unbroken,) = weigh({"beside": beside}, first, NULL, SIZES, ALL, frozenset({"b"}))
         assert not unbroken.counts, "it takes a third of what is missed where nothing is broken: a mismatch does that"
 
@@ -275,6 +275,8 @@ def test_one_block_is_enough_for_who_explains_all_that_is_missed_of_a_broken_lin
     (found,) = weigh({"limit": model("limit", after)}, null, null, SIZES, ALL, broken)
     sure = found.gain._replace(low=1.0)  # a search takes the noise that the limit leaves
     assert found.shrink[1] < 0.05 and found.rest < 0.05 and found._replace(gain=sure).counts == counts, found.shrink
+    beside = found._replace(gain=sure._replace(noise=0.5 * sure.total), further=True)  # all of its gain is one block's
+    assert beside.counts == counts
 
 
 @given(

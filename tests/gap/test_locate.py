@@ -7,7 +7,7 @@ import pytest
 from tunefree_hil.base.contracts import Link
 from tunefree_hil.gap.bursts import Burst
 from tunefree_hil.gap.leftover import Left
-from tunefree_hil.gap.locate import look
+from tunefree_hil.gap.locate import LOUD, look
 from tunefree_hil.gap.work import Kind
 
 NAMES = ("shaken", "pothole", "even", "slanted")
@@ -22,6 +22,13 @@ def test_a_link_is_broken_by_loud_moments_in_several_blocks() -> None:
     assert {one.signal for one in found if one.broken} == {"shaken", "slanted"}
     assert found[0].missed == "shaken is missed by 38% of the signal in moments, and hardly else"
     assert found[1].missed == "slanted is missed by 10.0%"
+
+
+def test_of_an_actuators_report_one_loud_moment_is_enough() -> None:
+    """No pothole is in it: a rate limit that one manoeuvre reaches."""
+    kinds = {"steer": Kind("steer", Link.COMMAND_TO_REPORT, "rad", 0.05, 0.0)}
+    (found,) = look({"steer": Left(0.01, 0.0)}, kinds, {"steer": 1.0}, {"steer": Burst(0.4, 0.05, 1)})
+    assert found.broken and found.loud > LOUD
 
 
 def test_loud_moments_are_held_against_the_signal() -> None:

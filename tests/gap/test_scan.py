@@ -11,7 +11,7 @@ import pytest
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.effects import catalogue
 from tunefree_hil.gap import drifts
-from tunefree_hil.gap.noise import Colour
+from tunefree_hil.gap.noise import Colour, Piece, colour_of, whitened
 from tunefree_hil.gap.problem import Fitted, Free, Slopes, Sums, is_free
 from tunefree_hil.gap.scan import AMOUNTS, DELAY_STEP_S, EVEN, FACTORS, SMALL, TWINS, Scan, grid_of, without
 from tunefree_hil.gap.suspects import free_of
@@ -257,3 +257,43 @@ def test_how_far_a_grid_moves_what_is_compared_is_told_as_a_share_of_the_signal(
     bent = float(np.sqrt(np.mean(BENT**2)))
     assert scan().best([WIND]).moves == pytest.approx(0.5 * bent), "the farthest point"
     assert scan().best([still]).moves == 0.0
+
+
+DRAGGED = 4000
+ROUGH = np.random.default_rng(3).normal(0.0, 0.05, DRAGGED)  # m/s^2
+PULL = 0.3  # m/s^2, what a constant force that the start lacks takes: six times the noise
+SEEN = np.ones(DRAGGED, dtype=bool)
+
+
+class Dragged(Work):
+    """A car that a constant force drags at all times; `wind.size` is how much of it a model has."""
+
+    def residuals(self, values: dict[str, float]) -> dict[str, list[np.ndarray]]:
+        return {"x": [ROUGH + PULL * (values.get("wind.size", 0.0) / TRUTH - 1.0)]}
+
+    def seen(self, name: str) -> list[np.ndarray]:
+        return [SEEN]
+
+    def white(self, name: str, residual: list[np.ndarray], colour: Colour) -> tuple[np.ndarray, np.ndarray]:
+        found = whitened(Piece(residual[0], SEEN), colour.filter)
+        return found.values[found.valid] / colour.sigma, np.zeros(int(found.valid.sum()), dtype=np.int64)
+
+    def fitted(self, values: dict[str, float]) -> Fitted:
+        """A model with these values, and the noise that it leaves."""
+        residuals = self.residuals(values)
+        colour = colour_of([Piece(residuals["x"][0], SEEN)], 1e-4, 0.02)
+        sums = {"x": Sums(np.array([0]), np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1)), np.ones(1), colour)}
+        return Fitted("", ("a",), np.zeros(1), (), values, np.eye(1), sums, residuals)
+
+
+class DraggedProblem(Problem):
+    work = Dragged()
+
+
+def test_what_a_constant_force_explains_is_seen_by_the_noise_of_a_model_that_has_it() -> None:
+    work, free = DraggedProblem.work, [WIND]
+    start, slopes = work.fitted({}), Slopes({"x": (np.array([0]), [np.zeros((DRAGGED, 1))])})
+    by_own = Scan(DraggedProblem(), start, slopes).best(free)  # pyright: ignore[reportArgumentType]
+    by_best = Scan(DraggedProblem(), start, slopes, work.fitted({"wind.size": TRUTH})).best(free)  # pyright: ignore[reportArgumentType]
+    assert by_own.gain < 20.0, "4000 rows that all say the same are worth a few"
+    assert by_best.gain > 1000.0 and abs(by_best.z[-1] - TRUTH) < 0.1

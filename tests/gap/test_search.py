@@ -32,8 +32,11 @@ class Made:
     def __init__(self, alone: dict[str, Modelled], further: dict[str, Modelled], rest: dict[str, Modelled]) -> None:
         self.alone, self.further, self.rest = alone, further, rest
         self.asked: list[tuple[str, ...]] = []
+        self.again: dict[str, Modelled] = {}  # by the noise of the best: what grids under the start's did not see
 
-    def fit(self, names: list[str], start: Modelled | None) -> dict[str, Modelled]:
+    def fit(self, names: list[str], start: Modelled | None, noise: Modelled | None = None) -> dict[str, Modelled]:
+        if noise is not None:
+            return {name: self.again[name] for name in names if name in self.again}
         self.asked.append(tuple(names))
         some = self.alone if start is None else self.further
         return {name: some[name] for name in names if name in some}
@@ -112,10 +115,10 @@ def test_of_two_effects_each_has_its_rivals_in_its_own_place() -> None:
     rest = {"friction": FIRST, "delay": model("friction", spread(6.0)), "limit": FIRST}
 
     class Placed(Made):
-        def fit(self, names: list[str], start: Modelled | None) -> dict[str, Modelled]:
+        def fit(self, names: list[str], start: Modelled | None, noise: Modelled | None = None) -> dict[str, Modelled]:
             if start is not None and start.fitted.name == "friction":
                 return {"lag": equal}
-            return super().fit(names, start)
+            return super().fit(names, start, noise)
 
     team = Placed({"delay": FIRST}, {"friction": both, "limit": worse}, rest)
     delay, friction = found_by(team)
@@ -152,6 +155,45 @@ def test_the_best_is_fitted_on_however_little_it_has_after_one_step() -> None:
     assert not alone.counts and alone.evidence < LEAST_NATS
     (found,) = weighed(cast(Any, Finishing({"delay": near}, {}, {})), QUESTION, ["delay"], None, ALL)
     assert found.counts and found.evidence > PLAIN_NATS
+
+
+def test_whom_the_grid_did_not_see_by_the_starts_noise_is_found_by_the_best_ones() -> None:
+    """A constant force: by the noise of a start that lacks it nobody gains anything from its truth (test_scan.py)."""
+    team = Made(
+        {"delay": FIRST, "friction": model("friction", spread(7.9)), "lag": model("lag", spread(2.5, 3))}, {}, {}
+    )
+    assert weighed(cast(Any, team), QUESTION, list(team.alone), None, ALL)[0].name == "delay"
+    team.again = {"friction": model("friction", spread(0.5, 4)), "lag": model("lag", spread(7.0))}
+    found = weighed(cast(Any, team), QUESTION, list(team.alone), None, ALL)
+    assert found[0].name == "friction" and found[0].counts
+    (lag,) = [one for one in found if one.name == "lag"]
+    assert lag.model.fitted.sums["a"].square.sum() == team.alone["lag"].fitted.sums["a"].square.sum()  # not the worse
+
+
+def test_where_the_best_has_little_evidence_nobody_is_asked_again() -> None:
+    team = Made({"delay": model("delay", spread(7.9))}, {}, {})
+    team.again = {"delay": FIRST}
+    (found,) = weighed(cast(Any, team), QUESTION, ["delay"], None, ALL)
+    assert found.evidence < PLAIN_NATS
+
+
+def test_two_that_hide_each_other_are_found_together() -> None:
+    """A late INS and a filtered gyro: whichever is repaired alone spoils what compares the two."""
+    late, worse = model("delay", spread(0.5), 5.0 * ROWS), model("lag", spread(7.9), 5.0 * ROWS)
+    both = beside(late, "lag", spread(0.5, 3), 0.5 * ROWS)
+    small = model("friction", spread(6.5))
+    team = Made({"delay": late, "lag": worse, "friction": small}, {"lag": both}, {"delay": worse, "lag": late})
+    assert searched(team) == ["delay", "lag"]
+    first = weighed(cast(Any, team), QUESTION, list(team.alone), None, ALL)
+    assert first[0].name == "friction" and [one.name for one in first if one.spoils] == ["delay"]
+
+
+def test_who_spoils_a_signal_is_nobody_alone() -> None:
+    late = model("delay", spread(0.5), 5.0 * ROWS)
+    team = Made({"delay": late, "friction": model("friction", spread(6.5))}, {}, {})
+    assert searched(team) == []
+    beside_it = Made(team.alone, {"lag": beside(late, "lag", spread(0.4, 3), 5.0 * ROWS)}, {"lag": late, "delay": late})
+    assert searched(beside_it) == [], "what comes beside it mends nothing of what it spoils"
 
 
 @pytest.mark.parametrize("gain", [0.0, 0.3])

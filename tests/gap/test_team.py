@@ -21,13 +21,19 @@ class Process:
     def __init__(self) -> None:
         self.fitted: list[str] = []
         self.bars: list[float] = []
+        self.noises: list[Any] = []
         self.closed = Event()
 
     def result(self, module: str, function: str, token: str, *args: Any) -> tuple[dict[str, Any], dict[str, str]]:
+        self.noises.append(args[-1])
         if function == "scan_suspects":
-            can = {name: Start((), np.zeros(0), GAINS[name]) for name in args[0] if name in GAINS}
+            can = {
+                name: Start((), np.zeros(0), GAINS[name], moves=0.1 if args[-1] is None else 0.7)
+                for name in args[0]
+                if name in GAINS
+            }
             return can, {name: "no value of it makes a car" for name in args[0] if name not in GAINS}
-        begins, _, bar = args
+        begins, _, bar, _ = args
         self.fitted += list(begins)
         self.bars.append(bar)
         return {name: f"{name} fitted" for name in begins}, {}
@@ -77,6 +83,16 @@ def test_who_makes_no_car_is_told_with_the_reason_and_only_where_it_was_asked_al
     assert one.dropped == {"wall": "no value of it makes a car"}
     one.fit(["best", "other wall"], cast(Any, type("Beside", (), {"fitted": object()})()))
     assert "other wall" not in one.dropped
+
+
+def test_asked_again_under_the_noise_of_another_the_grids_and_the_fits_have_it_and_what_effects_move_stays() -> None:
+    one, workers = team()
+    one.fit(list(GAINS), None)
+    assert {noise for worker in workers for noise in worker.noises} == {None}
+    workers[0].noises, workers[1].noises = [], []
+    one.fit(list(GAINS), None, cast(Any, type("Best", (), {"fitted": "the best one's"})()))
+    assert [worker.noises for worker in workers] == [["the best one's"] * 2] * 2
+    assert set(one.moves.values()) == {0.1}  # as it was by the null's noise: excitation is no matter of who is best
 
 
 def test_where_one_process_fails_the_others_are_ended_and_not_waited_for() -> None:

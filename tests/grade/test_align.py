@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -100,6 +101,25 @@ def test_a_log_that_ends_early_is_found_too() -> None:
     assert find_by_speed(speed, COURSE, DT_S)[0] == 100
     with pytest.raises(InputError, match=r"neither positions nor a speed"):
         find_by_speed(np.full(10, np.nan), COURSE, DT_S)
+
+
+@given(st.integers(1, 900), st.integers(500, 1000), st.integers(0, 2**32 - 1))
+def test_a_longer_log_that_ends_within_the_plan_is_found_too(lead: int, held: int, seed: int) -> None:
+    """Whatever comes before, and though the whole plan would fit into the log, too: with 0.1 m/s of noise."""
+    speed = np.concatenate([np.full(lead, 5.0), np.asarray(COURSE.speed_mps)[:held]])
+    row, words = find_by_speed(speed + np.random.default_rng(seed).normal(0.0, 0.1, len(speed)), COURSE, DT_S)
+    assert row == pytest.approx(lead, abs=5)
+    assert ("the log ends after" in words) == (len(speed) - row < COURSE.ticks)
+
+
+@pytest.mark.parametrize("seconds", [5, 6, 7])
+def test_a_short_piece_that_fits_by_chance_does_not_win(seconds: int) -> None:
+    """The plan's first part again at the log's end, exactly; the whole of it before, 0.3 m/s off, as a car is."""
+    plan = np.asarray(COURSE.speed_mps)[: COURSE.ticks]
+    off = 0.3 * math.sqrt(2.0) * np.sin(2.0 * math.pi * DT_S * np.arange(len(plan)))
+    speed = np.concatenate([np.full(200, 9.0), plan + off, plan[: 100 * seconds]])
+    row, words = find_by_speed(speed, COURSE, DT_S)
+    assert row == pytest.approx(200, abs=5) and "RMS 0.30 m/s)" in words
 
 
 def test_longitudinal_errors_from_speed_alone() -> None:

@@ -131,6 +131,48 @@ def test_mistakes_are_named(tmp_path: Path, text: str, key: str, part: str) -> N
     assert part in caught.value.message and caught.value.key == key and caught.value.file == str(path)
 
 
+PLAIN = "x_m,y_m,speed_mps\n0,0,5\n1,0,5\n2,0,5\n"
+
+
+def test_a_byte_order_mark_is_no_part_of_the_first_name(tmp_path: Path) -> None:
+    """As Excel's "CSV UTF-8" has it."""
+    path = tmp_path / "p.csv"
+    courses = []
+    for encoding in ("utf-8", "utf-8-sig"):
+        path.write_text(PLAIN, encoding=encoding)
+        courses.append(read_reference(str(path), DT_S).course)
+    assert courses[0] == courses[1]
+
+
+@pytest.mark.parametrize(
+    "content", ["# Stra\xdfe\n".encode("latin-1") + PLAIN.encode(), PLAIN.encode("utf-16"), b"x" * 200_000]
+)
+def test_what_is_no_text_in_utf_8_is_one_message(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "p.csv"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="not a CSV in UTF-8") as caught:
+        read_reference(str(path), DT_S)
+    assert caught.value.file == str(path) and "UTF-8" in caught.value.hint
+
+
+ASTRAY = {  # by the line on which it stands, two remarks and an empty line above it
+    "x_m,y_m,speed_mps\n# two\n0,0,1\n\n1,zero,1\n2,0,1\n": "row 6: 'zero'",
+    "t_s,x_m,y_m,speed_mps\n0,0,0,1\n# two\n2,1,0,1\n\n1,2,0,1\n": "row 7 does not",
+    "x_m,y_m,speed_mps\n0,0,1\n# two\n1,0,0\n\n2,0,0\n3,0,1\n": "row 7: the plan stands still",
+    # Rows nearer together than half a metre are one place, which begins with the first of them
+    "station_m,x_m,y_m,speed_mps\n0,0,0,1\n0,.1,0,1\n1,1,0,1\n1,1.1,0,1\n# two\n1,2,0,1\n2,3,0,1\n": "row 8 does not",
+}
+
+
+@pytest.mark.parametrize(("text", "part"), ASTRAY.items())
+def test_the_row_that_is_named_is_the_files_line(tmp_path: Path, text: str, part: str) -> None:
+    path = tmp_path / "p.csv"
+    path.write_text("# one\n" + text)
+    with pytest.raises(InputError) as caught:
+        read_reference(str(path), DT_S)
+    assert part in caught.value.message
+
+
 def test_a_file_that_is_not_there() -> None:
     with pytest.raises(InputError, match=r"no such file"):
         read_reference("nowhere.csv", DT_S)

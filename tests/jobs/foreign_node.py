@@ -1,7 +1,8 @@
 """A controller that is not ours, with faults: `foreign_node.py MODE`, started by a bench as its controller's command.
 
 nameless: says HELLO without parameters. late: falls silent at tick AT, for longer than anybody waits. crash, leaves:
-ends there with status 5, with status 0. Until then each tick is answered with no command at all.
+ends there with status 5, with status 0. A number: says FAILED with that error there, and goes on answering. Until then
+each tick is answered with no command at all.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ def main(mode: str) -> None:
             elif isinstance(message, bc.Done) and message.phase == 0:
                 if message.k == AT:
                     _fail(mode)
+                    if mode.isdigit():
+                        _say(bench, bc.Status(bc.Role.CONTROLLER, bc.State.FAILED, int(mode), AT))
                 _say(bench, bc.Done(message.k, 1, 0, digest([])))
 
 

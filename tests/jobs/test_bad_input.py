@@ -177,6 +177,42 @@ def test_a_vehicle_folder_that_does_not_fit(
         assert part in words, words
 
 
+LATENCY = "[latency.steer]\ndead_time_s = 0.1\nrise_time_s = 0.17\n"
+
+
+@pytest.mark.parametrize("command", ["drive", "tune"])
+def test_mrac_on_a_vehicle_that_states_no_steering_lag(command: str, tmp_path: Path, said: Callable[..., str]) -> None:
+    bench = own_vehicle(tmp_path, "vehicle.toml", LATENCY, "")
+    assert "[latency.steer]" in said(command, bench, "--plain", "--out", tmp_path / "runs")
+    assert not (tmp_path / "runs").exists()
+
+
+def test_without_mrac_such_a_vehicle_is_driven_and_not_tuned(tmp_path: Path, said: Callable[..., str]) -> None:
+    """A tune's baselines have MRAC on. What passes comes to the next mistake, the bus."""
+    bench = own_vehicle(tmp_path, "vehicle.toml", LATENCY, "")
+    off = '[controller.parameters]\n"mrac.enable" = 0.0\n'
+    bench.write_text(bench.read_text().replace("[tune]", off + "[tune]"))
+    assert "no bus 'nonsense'" in said(*drive(tmp_path, bench), "--bus", "nonsense")
+    assert "[latency.steer]" in said("tune", bench, "--bus", "nonsense")
+
+
+@pytest.mark.parametrize(("searched", "asks"), [("mine.gain", "no bus"), ("mrac.p", "[latency.steer]")])
+def test_a_controller_without_our_baselines_needs_it_where_mrac_is_searched(
+    searched: str, asks: str, tmp_path: Path, said: Callable[..., str]
+) -> None:
+    bench = own_vehicle(tmp_path, "vehicle.toml", LATENCY, "")
+    own = '[controller.parameters]\n"mrac.enable" = 0.0\n"mine.gain" = 0.5\n'
+    boxes = f'parameters = [{{ name = "{searched}", low = 0.01, high = 0.1 }}]'
+    bench.write_text(bench.read_text().replace("[tune]", own + "[tune]").replace('set = "mrac"', boxes))
+    assert asks in said("tune", bench, "--bus", "nonsense")
+
+
+def test_somebody_elses_controller_has_no_mrac_of_ours(tmp_path: Path, said: Callable[..., str]) -> None:
+    bench = own_vehicle(tmp_path, "vehicle.toml", LATENCY, "")
+    for command in ("drive", "tune"):
+        assert "no bus 'nonsense'" in said(command, bench, "--controller", "./mine", "--bus", "nonsense")
+
+
 def test_a_counter_of_no_bits(tmp_path: Path, said: Callable[..., str]) -> None:
     text = (ROOT / "dbc" / "mkz_bywire" / "vehicle.dbc").read_text()
     line = next(line for line in text.splitlines() if line.strip().startswith("SG_ COUNT "))

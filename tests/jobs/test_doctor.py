@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from tests import other_vehicle
+from tests.bench.tiny import write_bench, write_scenario
 from tests.house import ROOT
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
@@ -71,6 +73,50 @@ def test_a_bench_file_is_followed(tmp_path: Path) -> None:
     assert len(found) == 3
     assert all(finding.remedy for finding in found)
     assert any("left_turn" in finding.text + finding.remedy for finding in found)
+
+
+EFFECT = '[[effects]]\nname = "no_effect"\nparams = {}\n'
+FAULT_OF = '[[faults]]\nkind = "drop"\nmessage = "NO_MESSAGE"\nfrom_tick = 1\nto_tick = 3\n'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "where", "words"),
+    [
+        ('model = "mkz_nominal"', f'model = "{other_vehicle.NOMINAL}"', "key vehicle", f"of {other_vehicle.NAME!r}"),
+        ('verify_model = "mkz_nominal"', f'verify_model = "{other_vehicle.NOMINAL}"', "key vehicle",
+         f"of {other_vehicle.NAME!r}"),
+        ("[tune]", '[controller]\nlateral = "no_part"\n[tune]', "", "no 'no_part' in tunefree_hil.control.lateral"),
+        ("[tune]", '[controller]\ncalibration = "missing.npz"\n[tune]', "missing.npz", "no such file"),
+        ("[tune]", '[controller.parameters]\n"lqr.q1" = 55.0\n[tune]', "key controller.parameters.lqr.q1", "outside"),
+        ("[tune]", EFFECT + "[tune]", "key effects[0]", "no 'no_effect'"),
+        ("[tune]", FAULT_OF + "[tune]", "key faults[0].message", "NO_MESSAGE"),
+        ("slower = 1.0", "slower = 99", "key tune.slower", "99 does not do"),
+        ('set = "mrac"\n', "", "", ""),
+        ('set = "mrac"\n', 'parameters = [{ name = "lqr.q1" }]\n', "", ""),
+        ('set = "mrac"\ntrials = 3\nsampler = "random"\nslower = 1.0', "slower = 99", "key tune.slower", "99"),
+        ("", "", "", ""),
+    ],
+)  # fmt: skip
+def test_what_drive_or_tune_would_refuse_is_a_fault(tmp_path: Path, old: str, new: str, where: str, words: str) -> None:
+    file = write_bench(tmp_path)
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+    found = [finding for finding in bench_findings(file) if finding.kind == FAULT]
+    assert len(found) == bool(words), found
+    assert all(where in finding.text and words in finding.text and finding.remedy for finding in found)
+
+
+def test_faults_of_several_kinds_are_each_told_once(tmp_path: Path) -> None:
+    """What the file names, what drive builds and what tune asks: all in one list, nothing in two wordings."""
+    write_scenario(tmp_path, "mad_bend", curvature=0.9)
+    file = write_bench(tmp_path, more=EFFECT + FAULT_OF + '[controller]\ncalibration = "missing.npz"\n')
+    text = file.read_text().replace("slower = 1.0", "slower = 99").replace('["tiny"]', '["tiny", "mad_bend"]')
+    file.write_text(text)
+    found = [finding.text for finding in bench_findings(file) if finding.kind == FAULT]
+    marks = ("'mad_bend' cannot be driven", "no_effect", "missing.npz", "tune.slower")
+    assert [sum(mark in text for text in found) for mark in marks] == [1, 1, 1, 1]
+    assert len(found) == 4, found  # of the effects and the faults of the model's node the first that is met
 
 
 @pytest.mark.parametrize("name", ["vehicle", "model", "scenario", "weights", "bench"])

@@ -1,10 +1,11 @@
 """Run folders: found again, refused when foreign, whole or not there."""
 
+import errno
 import json
 
 import pytest
 
-from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, remove_parts, unfinished, write_json
 
 
@@ -28,6 +29,21 @@ def test_unfinished_finds_only_what_agrees(tmp_path):
     mine = RunFolder.create(tmp_path, "tune-a", {"hash": "1"})
     found = [unfinished(tmp_path, "tune-a", {"hash": word}) for word in ("1", "2")]
     assert [run.path for run in found if run is not None] == [mine.path, other.path]
+
+
+def test_a_name_with_brackets_is_found_again(tmp_path):
+    for name in ("tune-b[1]", "tune-b*", "tune-b?"):
+        made = RunFolder.create(tmp_path, name, {"name": name})
+        found = unfinished(tmp_path, name, {"name": name})
+        assert found is not None and found.path == made.path
+
+
+def test_a_copy_that_a_person_made_is_no_episode(tmp_path):
+    run = RunFolder.create(tmp_path, "drive-a", {})
+    for name in ("10", "2", "old", "2 (copy)", "007", "-1"):
+        (run.path / "episodes" / name).mkdir()
+        (run.path / "episodes" / name / "vehicle.log").write_text("")
+    assert run.numbered("vehicle.log") == [2, 10] and run.numbered("columns.npz") == []
 
 
 @pytest.mark.parametrize(
@@ -61,3 +77,19 @@ def test_half_written_files_are_removed(tmp_path):
     remove_parts(run.path)
     assert list(run.path.rglob("*.part")) == []
     assert json.loads((run.path / "run.json").read_text())["schema"] == "tunefree.run/1"
+
+
+def test_what_cannot_be_written_says_why_and_what_to_do(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "none" / "x.json", tmp_path / "file" / "x.json"):
+        with pytest.raises(BenchError, match=r"cannot write: (No such|Not a dir)") as caught:
+            write_json(path, {})
+        assert caught.value.hint.startswith("see to the folder and its permissions") and caught.value.code == "disk"
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(BenchError, match="cannot write: No space left") as caught:
+        write_json(tmp_path / "x.json", {})
+    assert caught.value.hint.startswith("make room") and not list(tmp_path.glob("*.part"))

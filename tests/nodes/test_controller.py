@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from tests.nodes.memory import FakeLink
+from tests.nodes.stopped_clock import StoppedClock
 from tests.nodes.test_hearing import ENABLED, enabled_frames, frame
 from tunefree_hil.base.course import Tracking
 from tunefree_hil.base.kernel import Block
@@ -18,7 +19,7 @@ from tunefree_hil.bus.codec import Codec
 from tunefree_hil.control.cascade import Decision, Sight
 from tunefree_hil.nodes.controller import Assignment, ControllerPart
 from tunefree_hil.nodes.exchange import Exchange
-from tunefree_hil.nodes.handshake import WHY_TICKS
+from tunefree_hil.nodes.handshake import limits_of
 from tunefree_hil.nodes.timing import CycleTimes
 
 WISH = Command(throttle_frac=0.25, brake_frac=0.15, steer_rad=0.5, gear=GEAR_DRIVE)
@@ -39,11 +40,11 @@ def stand_in(fail_at: int = -1, error: float = 0.0) -> Block:
 class Seat:
     """A controller part with a stand-in law, and what it said."""
 
-    def __init__(self, codec: Codec, block: Block | None = None, ticks: int = 100) -> None:
+    def __init__(self, codec: Codec, block: Block | None = None, ticks: int = 100, dt_s: float = 0.01) -> None:
         self.codec = codec
         self.said: list[str] = []
         self.asked: list[tuple[bytes, Mapping[int, float]]] = []
-        task = Assignment(block or stand_in(), ticks, 0.01)
+        task = Assignment(block or stand_in(), ticks, dt_s)
 
         def assign(scenario: bytes, parameters: Mapping[int, float]) -> Assignment:
             self.asked.append((scenario, parameters))
@@ -115,6 +116,13 @@ def test_it_asks_to_be_enabled_before_it_is(seat: Seat) -> None:
     assert "0.4 s" in seat.said[0]
 
 
+@pytest.mark.parametrize(("dt_s", "last"), [(0.005, 80), (0.02, 20)])
+def test_the_vehicle_has_0_4_s_to_enable_on_every_tick(codec: Codec, dt_s: float, last: int) -> None:
+    seat, off = Seat(codec, dt_s=dt_s), {name: {"ENABLED": 0.0} for name in ENABLED}
+    heard = [seat.cycle(k, seat.all_frames(**off))[1] for k in range(last + 1)]
+    assert [k for k, words in enumerate(heard) if words] == [last]
+
+
 def test_a_latched_override_is_cleared_by_frames_of_four_bytes(seat: Seat) -> None:
     """An 8-byte frame without a counter that counts would trip the watchdog (apollo_facts 7.3)."""
     latched = {name: {"ENABLED": 0.0} for name in ENABLED} | {"BRAKE_REPORT": {"ENABLED": 0.0, "OVERRIDE": 1.0}}
@@ -161,8 +169,9 @@ def test_lost_engagement_is_said_once_and_commands_stop(
 
 def test_a_channel_that_drops_by_itself_ends_it(seat: Seat) -> None:
     seat.cycle(0)
-    heard = [seat.cycle(k, seat.all_frames(THROTTLE_REPORT={"ENABLED": 0.0}))[1] for k in range(1, WHY_TICKS + 1)]
-    assert [len(words) for words in heard] == [0] * (WHY_TICKS - 1) + [1]
+    why = limits_of(0.01).why_ticks
+    heard = [seat.cycle(k, seat.all_frames(THROTTLE_REPORT={"ENABLED": 0.0}))[1] for k in range(1, why + 1)]
+    assert [len(words) for words in heard] == [0] * (why - 1) + [1]
     assert heard[-1][0].error_code == bc.ErrorCode.NOT_ENABLED
 
 
@@ -186,6 +195,17 @@ def test_a_message_that_is_missing_for_0_2_s_is_named(seat: Seat, silent: str, c
     assert "no new data" in seat.said[0] and silent in seat.said[0], "named at once"
     assert silent in seat.said[-1] and "0.2 s" in seat.said[-1]
     assert seat.cycle(22) == ({}, [])
+
+
+def test_one_frame_that_is_too_short_does_not_end_the_drive(seat: Seat) -> None:
+    seat.cycle(0)
+    frames = [one._replace(data=one.data[:1]) for one in seat.all_frames()]
+    sent, words = seat.cycle(1, frames)
+    assert sent and words == []
+    assert sorted(seat.said) == sorted(
+        f"controller: tick 1: {message.name}: shorter than the DBC says" for message in seat.codec.telemetry
+    )
+    assert seat.cycle(2)[1] == [] and len(seat.said) == len(seat.codec.telemetry)
 
 
 def test_reports_that_nobody_needs_may_be_missing(seat: Seat) -> None:
@@ -236,3 +256,16 @@ def test_lockstep_answers_each_tick_and_ends_when_told(codec: Codec) -> None:
     assert [(one.k, one.phase) for one in done] == [(0, 1), (1, 1), (2, 1)]
     assert sum(one.n_tx for one in done) == len(vehicle.frames())
     assert len(seat.part.times.control_s) == 3
+
+
+def test_in_real_time_the_next_episode_may_follow_the_end_in_one_batch(codec: Codec) -> None:
+    """A runner that only joined does not wait between drives: what follows ECU FINISHED is the next episode's."""
+    seat = Seat(codec)
+    bench = FakeLink()
+    exchange = Exchange(FakeLink(), bench, (frozenset(), frozenset()), 0.01)
+    finished = bc.Status(bc.Role.ECU, bc.State.FINISHED, 0, 0)
+    next_one = [bc.Episode(b"ghijkl", 2), bc.Param(0, 1, 0.5)]
+    bench.say(bc.Tick(0), finished, *next_one)
+    seat.part.realtime(exchange, StoppedClock(), 0.0, lambda message: message == finished)
+    assert len(seat.part.times.control_s) == 1, "it went on after the end"
+    assert [exchange.next_message(0.0) for _ in range(3)] == [*next_one, None]

@@ -10,7 +10,8 @@ import pytest
 
 from tests.bench.tiny import hash_of, write_bench
 from tests.nodes.memory import FakeLink
-from tunefree_hil.base.records import GEAR_DRIVE, CanFrame, Command
+from tests.nodes.stopped_clock import StoppedClock
+from tunefree_hil.base.records import GEAR_DRIVE, GEAR_NONE, CanFrame, Command
 from tunefree_hil.bench import VehicleFor, load
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.codec import Codec
@@ -105,6 +106,13 @@ def test_a_clear_frame_of_four_bytes_says_nothing_of_the_counter(car: Car) -> No
     clear = CanFrame(message.can_id, car.codec.encode(message, {}, {message.clear: 1.0}, 4))
     heard = ears.hear([clear]).brake
     assert (heard.clear, heard.counter_ok, heard.enable) == (1.0, 1.0, 0.0)
+
+
+def test_a_command_that_is_too_short_is_no_command(car: Car) -> None:
+    """GEAR_CMD may not be cut: a byte of it is noticed, and the gear stays unsaid."""
+    ears, message = Ears(car.codec), car.codec.by_name["GEAR_CMD"]
+    assert not message.allow_truncated and ears.hear([CanFrame(message.can_id, b"")]).gear == GEAR_NONE
+    assert ears.reception.too_short == {"GEAR_CMD": 1}
 
 
 def test_enabled_by_good_commands(car: Car) -> None:
@@ -254,3 +262,13 @@ def test_a_failure_the_controller_says_ends_the_episode_at_its_tick(car: Car) ->
 def test_a_request_to_stop_ends_the_episode(car: Car) -> None:
     bench = run_lockstep(car, 5, last=STOP)
     assert bench.words()[-1] == bc.Status(bc.Role.ECU, bc.State.FAILED, bc.ErrorCode.STOPPED, 5)
+
+
+def test_in_real_time_what_follows_a_request_to_stop_is_kept(car: Car) -> None:
+    bench = FakeLink()
+    exchange = Exchange(FakeLink(), bench, car.exchange.ids_of_phase, 0.01)
+    end = bc.Status(bc.Role.RUNNER, bc.State.END, 0, 0)
+    bench.say(STOP, end)
+    car.part.realtime(exchange, StoppedClock(), 0.0, lambda message: message == STOP)
+    assert bench.words()[-1] == bc.Status(bc.Role.ECU, bc.State.FAILED, bc.ErrorCode.STOPPED, 1)
+    assert exchange.inbox == [end]

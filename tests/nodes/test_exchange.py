@@ -153,7 +153,18 @@ def test_an_interrupt_ends_the_wait_and_keeps_what_came_after_it() -> None:
 
     assert exchange.await_phase(0, 1, interrupt) is None
     assert seen == [bc.Tick(1), stop]
-    assert exchange.listen(0.0) == [after]
+    assert exchange.inbox == [after]
+
+
+def test_in_real_time_too_what_came_after_an_interrupt_is_kept() -> None:
+    exchange, _, bench = exchange_of()
+    stop, after = bc.Status(bc.Role.ECU, bc.State.FINISHED, 0, 9), bc.Episode(b"abcdef", 3)
+    bench.say(bc.Tick(8), bc.Done(8, 0, 0, 0))
+    assert not exchange.interrupted(lambda message: message == stop)
+    assert exchange.inbox == [], "what ends nothing has been looked at"
+    bench.say(bc.Tick(9), stop, after)
+    assert exchange.interrupted(lambda message: message == stop)
+    assert exchange.inbox == [after]
 
 
 def test_what_follows_done_is_left_for_the_next_look() -> None:
@@ -161,7 +172,7 @@ def test_what_follows_done_is_left_for_the_next_look() -> None:
     ended = bc.Status(bc.Role.ECU, bc.State.FINISHED, 0, 1)
     bench.say(bc.Done(0, 1, 0, 0), ended)
     assert exchange.await_phase(0, 1, lambda message: message == ended) == []
-    assert exchange.listen(0.0) == [ended]
+    assert exchange.inbox == [ended]
 
 
 def test_a_node_that_leaves_is_named_at_once(clock: FakeTime) -> None:
@@ -184,7 +195,7 @@ def test_messages_one_by_one() -> None:
 def test_run_has_the_stamp_at_which_it_passed_the_bus() -> None:
     exchange, _, bench = exchange_of()
     bench.say(bc.Status(bc.Role.RUNNER, bc.State.RUN, 0, 200), time_s=12.5)
-    exchange.listen(0.0)
+    exchange.next_message(0.0)
     assert exchange.run_stamp_s == 12.5
 
 

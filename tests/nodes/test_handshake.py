@@ -4,34 +4,44 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tunefree_hil.nodes.handshake import ENDED, WHY_TICKS, Handshake, Stage, VehicleState
+from tunefree_hil.nodes.handshake import ENDED, Handshake, Limits, Stage, VehicleState, limits_of
 
 READY = VehicleState(known=True)
 ON = VehicleState(known=True, enabled=True)
+LIMITS = limits_of(0.01)
 states = st.builds(VehicleState, st.booleans(), st.booleans(), st.booleans(), st.booleans())
 
 
 def test_engages_when_every_channel_answers():
-    hand = Handshake()
+    hand = Handshake(LIMITS)
     assert hand.look(0, VehicleState()) is Stage.ENABLING and hand.enable
     assert hand.look(1, READY) is Stage.ENABLING
     assert hand.look(2, ON) is Stage.ENGAGED and hand.enable
 
 
 def test_enabled_bits_not_yet_heard_are_no_engagement():
-    hand = Handshake()
+    hand = Handshake(LIMITS)
     assert hand.look(0, VehicleState(known=False, enabled=True)) is Stage.ENABLING
 
 
 def test_gives_up_after_the_limit():
-    hand = Handshake(limit_ticks=40)
+    hand = Handshake(LIMITS)
     stages = [hand.look(k, READY) for k in range(41)]
     assert stages[39] is Stage.ENABLING
     assert stages[40] is Stage.NOT_ENABLED and not hand.enable
 
 
+@pytest.mark.parametrize(
+    ("tick_s", "limits"),
+    [(0.001, (400, 50, 60)), (0.005, (80, 10, 12)), (0.01, (40, 5, 6)), (0.02, (20, 2, 3)), (1.0, (1, 1, 1))],
+)
+def test_the_limits_are_times_whatever_the_tick(tick_s, limits):
+    """0.4 s to answer in, a clear frame every 50 ms, 60 ms for the report that says why."""
+    assert limits_of(tick_s) == Limits(*limits)
+
+
 def test_a_latched_override_is_cleared_at_20_hz_before_enabling():
-    hand = Handshake()
+    hand = Handshake(LIMITS)
     latched = VehicleState(known=True, override=True)
     clears = []
     for k in range(12):
@@ -44,7 +54,7 @@ def test_a_latched_override_is_cleared_at_20_hz_before_enabling():
 
 
 def test_an_override_that_stays_latched_ends_it():
-    hand = Handshake(limit_ticks=10)
+    hand = Handshake(LIMITS._replace(answer_ticks=10))
     stages = [hand.look(k, VehicleState(known=True, override=True)) for k in range(12)]
     assert stages[-1] is Stage.NOT_ENABLED
 
@@ -58,7 +68,7 @@ def test_an_override_that_stays_latched_ends_it():
     ],
 )
 def test_engaged_is_lost_at_once(state, stage):
-    hand = Handshake()
+    hand = Handshake(LIMITS)
     hand.look(0, ON)
     assert hand.look(1, state) is stage
     assert not hand.enable
@@ -67,18 +77,18 @@ def test_engaged_is_lost_at_once(state, stage):
 def test_a_channel_that_left_is_given_time_to_say_why():
     """The bit that says so is in a report of its own, up to 50 ms later; the drive ends by the right name."""
     for why, stage in ((READY, Stage.DROPPED), (READY._replace(override=True), Stage.OVERRIDE)):
-        hand = Handshake()
+        hand = Handshake(LIMITS)
         hand.look(0, ON)
         hand.look(1, ON)
-        assert all(hand.look(1 + k, READY) is Stage.ENGAGED for k in range(1, WHY_TICKS))
-        assert hand.look(1 + WHY_TICKS, why) is stage and not hand.enable
-    hand = Handshake()
+        assert all(hand.look(1 + k, READY) is Stage.ENGAGED for k in range(1, LIMITS.why_ticks))
+        assert hand.look(1 + LIMITS.why_ticks, why) is stage and not hand.enable
+    hand = Handshake(LIMITS)
     assert [hand.look(k, ON if k % 4 == 0 else READY) for k in range(40)] == [Stage.ENGAGED] * 40, "it came back"
 
 
 @given(st.lists(states, min_size=1, max_size=60))
 def test_an_ended_engagement_never_comes_back(sequence):
-    hand = Handshake(limit_ticks=8)
+    hand = Handshake(LIMITS._replace(answer_ticks=8))
     ended = None
     for k, state in enumerate(sequence):
         stage = hand.look(k, state)

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.bus.e2e_car import write_car
 from tunefree_hil.base.records import CanFrame, Ins, Report
@@ -104,6 +106,19 @@ def test_the_age_of_a_message(codec: Codec) -> None:
 
 def test_a_longer_tick_has_fewer_ticks_in_its_limit(codec: Codec) -> None:
     assert Hearing(codec, 0.02).limit_ticks == 10
+
+
+@given(st.data())
+def test_a_frame_of_any_length_ends_nothing(codec: Codec, data: st.DataObject) -> None:
+    """Another node's frame with one of the vehicle's ids, cut off anywhere: the values are those before it."""
+    message = data.draw(st.sampled_from(codec.telemetry))
+    hearing = Hearing(codec, 0.01)
+    hearing.hear(0, [CanFrame(one.can_id, bytes(one.length), one.extended, one.fd) for one in codec.telemetry])
+    before = hearing.measurement(), hearing.state()
+    short = data.draw(st.binary(max_size=message.length - 1))
+    hearing.hear(1, [CanFrame(message.can_id, short, message.extended, message.fd)])
+    assert (hearing.measurement(), hearing.state()) == before and hearing.heard_at[message.name] == 0
+    assert hearing.reception.too_short == {message.name: 1}
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ import pytest
 from tests.bench.tiny import hash_of, write_bench
 from tests.jobs.command import tunefree
 from tests.nodes.memory import MemoryBus
-from tunefree_hil.base.clock import SimClock
+from tunefree_hil.base.clock import RealClock
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, ControllerFor, VehicleFor, load, needed_messages, parameters_of
 from tunefree_hil.bus.link import HubStats
@@ -52,7 +52,7 @@ class InOneProcess:
 
         def serve() -> None:
             try:
-                Node(part, exchange, name, SimClock()).serve()
+                Node(part, exchange, name, RealClock()).serve()
             except Exception as error:
                 self.errors[name] = error
 

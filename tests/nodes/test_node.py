@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.nodes.memory import FakeLink
-from tunefree_hil.base.clock import Clock, SimClock
+from tunefree_hil.base.clock import Clock, RealClock
 from tunefree_hil.base.errors import InputError, PeerGone
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.nodes.exchange import Exchange
@@ -47,7 +47,7 @@ def serve(part: NotedPart, *messages: Any, realtime: bool = False, stamp_s: floa
     bench = FakeLink()
     bench.say(*messages, END, time_s=stamp_s)
     exchange = Exchange(FakeLink(), bench, (frozenset(), frozenset()), 0.01)
-    Node(part, exchange, "name", SimClock(), realtime).serve()
+    Node(part, exchange, "name", RealClock(), realtime).serve()
     return bench.words()
 
 
@@ -100,7 +100,7 @@ def test_an_episode_that_cannot_be_loaded_is_said_and_raised(code: str, said: bc
     part = NotedPart(InputError("no scenario file has it", code=code))
     bench = FakeLink()
     bench.say(EPISODE, bc.Param(0, 1, 0.25))
-    node = Node(part, Exchange(FakeLink(), bench, (frozenset(), frozenset()), 0.01), "name", SimClock())
+    node = Node(part, Exchange(FakeLink(), bench, (frozenset(), frozenset()), 0.01), "name", RealClock())
     with pytest.raises(InputError):
         node.serve()
     words = bench.words()[len(HELLO) :]
@@ -111,7 +111,7 @@ def test_an_episode_that_cannot_be_loaded_is_said_and_raised(code: str, said: bc
 def test_a_bus_that_is_gone_is_the_error_whatever_cannot_be_said_then() -> None:
     bench = FakeLink()
     bench.trouble = PeerGone("hub")
-    node = Node(NotedPart(), Exchange(FakeLink(), bench, (frozenset(), frozenset()), 0.01), "name", SimClock())
+    node = Node(NotedPart(), Exchange(FakeLink(), bench, (frozenset(), frozenset()), 0.01), "name", RealClock())
     with pytest.raises(PeerGone, match="hub is gone"):
         node.serve()
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 from pathlib import Path
 
 import pytest
 
-from tunefree_hil.nodes.priority import PRIORITY, lock_memory, punctual, unlock_memory
+from tunefree_hil.nodes.priority import PRIORITY, lock_memory, punctual
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="scheduling policies are Linux's")
 
@@ -31,7 +32,7 @@ def test_memory_is_locked_where_it_may_be():
     try:
         assert (locked_kb() > 0) == locked
     finally:
-        unlock_memory()
+        ctypes.CDLL(None).munlockall()
     assert locked_kb() == 0
 
 

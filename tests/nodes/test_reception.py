@@ -11,7 +11,7 @@ from tunefree_hil.bus.codec import Codec
 from tunefree_hil.bus.frame_writer import FrameWriter
 from tunefree_hil.bus.integrity import E2eStatus
 from tunefree_hil.config.load import load_vehicle
-from tunefree_hil.nodes.reception import TOO_MANY, Notice, Reception
+from tunefree_hil.nodes.reception import TOO_MANY, TOO_SHORT, Notice, Reception
 
 
 @pytest.fixture
@@ -94,9 +94,31 @@ def test_a_protected_message_is_named_by_its_status(little: Codec) -> None:
     words = [str(one) for one in reception.notices()]
     assert words == ["tick 4: STATE: repeated", "tick 6: STATE: wrong CRC"], "each kind once"
     assert reception.notices() == []
-    assert reception.troubles() == {"STATE": [3, 0, 2, 0, 1, 0, 1, 0]}
+    assert reception.troubles() == {"STATE": [3, 0, 2, 0, 1, 0, 1, 0, 0]}
     assert reception.summary() == "STATE 2 repeated, 1 wrong CRC"
     assert reception.status("STATE") is E2eStatus.REPEATED
+
+
+def test_a_frame_that_is_too_short_is_noticed_counted_and_not_believed(codec: Codec) -> None:
+    message = codec.by_name["GYRO"]
+    reception = Reception([message])
+    whole = bytes(message.length)
+    heard = []
+    for k, data in enumerate([whole, b"", whole[:-1], whole, whole + b"more"]):
+        heard.append(reception.hear(message, data, k))
+        reception.end_tick(k)
+    assert heard == [True, False, False, True, True]
+    assert of(reception, "GYRO") == [(1, TOO_SHORT)]
+    assert reception.troubles()["GYRO"] == [3, *[0] * 7, 2]
+    assert reception.summary() == "GYRO 2 shorter than the DBC says"
+
+
+def test_short_frames_alone_are_silence_too(codec: Codec) -> None:
+    message, reception = codec.by_name["GYRO"], Reception(codec.telemetry)
+    for k in range(10):
+        reception.hear(message, b"" if k > 3 else bytes(message.length), k)
+        reception.end_tick(k)
+    assert [what for _, what in of(reception, "GYRO")] == [TOO_SHORT, E2eStatus.NO_NEW_DATA.words]
 
 
 def test_a_notice_in_words() -> None:

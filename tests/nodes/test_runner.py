@@ -12,6 +12,7 @@ from tests.nodes.memory import FakeLink, FakeTime
 from tunefree_hil.base.errors import BenchError, InputError, NoAnswer, PeerGone
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.link import HubStats
+from tunefree_hil.grade.score import GRADED
 from tunefree_hil.nodes import runner as module
 from tunefree_hil.nodes.runner import LEAD_MS, SILENT_LIMIT_S, Outcome, Runner
 
@@ -125,6 +126,16 @@ def test_the_controllers_reason_comes_before_the_ecus(clock: FakeTime) -> None:
     desk = Desk(clock, READY, [failed], [ended(bc.State.FAILED, int(bc.ErrorCode.STOPPED), 10)])
     outcome = desk.drive()
     assert (outcome.ticks, outcome.error) == (10, "left_lane")
+
+
+@pytest.mark.parametrize("number", [1000, 1001, 4711])
+def test_a_controllers_own_error_has_one_name_and_keeps_its_number(clock: FakeTime, number: int) -> None:
+    failed = [bc.Status(CONTROLLER, bc.State.FAILED, number, 9), ended(bc.State.FAILED, number, 10)]
+    outcome = Desk(clock, READY, failed).drive()
+    assert (outcome.error, outcome.error_code) == ("controller_own", number) and outcome.error in GRADED
+    with pytest.raises(BenchError, match=f"cannot load this episode: {bc.error_text(number)}") as caught:
+        Desk(clock, failed[:1]).drive()
+    assert caught.value.code == "controller_own"
 
 
 @pytest.mark.parametrize("role", [ECU, CONTROLLER])

@@ -1,4 +1,7 @@
-"""A worker of a shared study in a process of its own: drive_worker.py URL FOLDER TRIALS SLEEP_S GRACE_S PATIENCE_S."""
+"""A worker of a shared study in a process of its own.
+
+drive_worker.py URL FOLDER TRIALS SLEEP_S GRACE_S PATIENCE_S END_S
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,12 @@ from pathlib import Path
 
 from tests.tune.drive_study import bowl, settings
 from tunefree_hil.base.errors import TunefreeError
+from tunefree_hil.tune.ending import Ending
 from tunefree_hil.tune.shared import join_study
 from tunefree_hil.tune.trial import Evaluation
 
 
-def main(url: str, folder: str, trials: str, sleep_s: str, grace_s: str, patience_s: str) -> None:
+def main(url: str, folder: str, trials: str, sleep_s: str, grace_s: str, patience_s: str, end_s: str) -> None:
     def evaluate(points: Mapping[int, dict[str, float]]) -> list[Evaluation]:
         print("evaluating", flush=True)
         time.sleep(float(sleep_s))
@@ -26,7 +30,14 @@ def main(url: str, folder: str, trials: str, sleep_s: str, grace_s: str, patienc
     with join_study(url, asked, where, grace_s=float(grace_s), patience_s=float(patience_s)) as study:
         for trial in study.run_all(int(trials), evaluate):
             print("said " + trial if isinstance(trial, str) else f"filled {trial.slot}", flush=True)
-        print("last" if study.filled_last else "over", flush=True)
+        with Ending(study, "these trials") as ending:
+            for words in ending.look(("winner",)):
+                print("said " + words, flush=True)
+            if ending.ours:
+                print("ours", flush=True)
+                time.sleep(float(end_s))
+                list(ending.keep(winner=where.name))
+        print(f"{'last' if ending.ours else 'over'} {ending.kept['winner']}", flush=True)
 
 
 if __name__ == "__main__":

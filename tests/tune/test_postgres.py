@@ -39,8 +39,10 @@ def server() -> Iterator[Server]:
 class Worker:
     """One worker of a fast fake objective, in a process of its own."""
 
-    def __init__(self, url: str, folder: Path, trials: int, sleep_s: float, patience_s: float = 30.0) -> None:
-        words = [url, str(folder), str(trials), str(sleep_s), str(GRACE_S), str(patience_s)]
+    def __init__(
+        self, url: str, folder: Path, trials: int, sleep_s: float, patience_s: float = 30.0, end_s: float = 0.0
+    ) -> None:
+        words = [url, str(folder), str(trials), str(sleep_s), str(GRACE_S), str(patience_s), str(end_s)]
         self.process = subprocess.Popen(
             [sys.executable, "-m", "tests.tune.drive_worker", *words],
             cwd=ROOT,
@@ -100,7 +102,7 @@ def test_two_workers_share_the_slots(server: Server, tmp_path: Path) -> None:
         worker.end()
     assert sorted(workers[0].filled() + workers[1].filled()) == list(range(16))
     assert min(len(worker.filled()) for worker in workers) >= 3
-    assert sum("last" in worker.said for worker in workers) == 1
+    assert sum("ours" in worker.said for worker in workers) == 1
     found = whole(url, tmp_path, 16)
     assert found[0].parameters == settings("random").first
     assert failures(url, tmp_path) == []

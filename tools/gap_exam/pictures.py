@@ -25,12 +25,16 @@ BESIDE = (0.0, 0.55)  # where: of the room there
 SHADES = (0.15, 0.9)  # of the dots: none, all were named
 DOT = {"markersize": 7, "markeredgecolor": "#888888", "markeredgewidth": 0.5}
 COMMIT = re.compile(r"exam:([0-9a-f]{12})[0-9a-f]{28}")
+SHORT = 7  # of a commit, where several are named
 
 
 def heading(domain: str, done: Sequence[str]) -> str:
-    """What a picture is of: 'Exam of commit 0123456789ab; logs: 504 of 1281 done'."""
+    """What a picture is of: 'Exam of commit 0123456789ab; logs: 504 of 1281 done'; of several in short."""
+    if len(done) > 1:
+        short = ", ".join(COMMIT.sub(lambda found: found[1][:SHORT], name) for name in domain.split(" and "))
+        return f"{len(done)} exams ({short}); logs: {sum(int(one.split()[0]) for one in done)}"
     name = COMMIT.sub("commit \\1", domain)
-    return f"Exam of {name}; logs: {', '.join(done)}" if done else f"Exam of {name}"
+    return f"Exam of {name}; logs: {done[0]}" if done else f"Exam of {name}"
 
 
 def draw_outcomes(path: Path, rows: Sequence[Row], title: str) -> None:

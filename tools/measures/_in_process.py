@@ -15,7 +15,6 @@ from tunefree_hil.bench import Bench, ControllerFor, VehicleFor, follower_of, ne
 from tunefree_hil.bench.faults import CONTROLLER, ECU, driver_script, faults_of
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.config.schema import FaultSpec, ScenarioSpec
-from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.episode.candump import FD, LogFrame
 from tunefree_hil.episode.columns import columns_from_frames
 from tunefree_hil.episode.frame_hash import frame_hash
@@ -72,7 +71,7 @@ class InProcess:
         """One drive with the scenario's own noise seed. keep=False: the frames are not kept. until: stopped there."""
         self._said = []
         start = bytes.fromhex(scenario.hash)[:6]
-        parameters = {index: values[name] for index, name in enumerate(NAMES)}
+        parameters = self._assign.indexed(values)
         self.ecu.load(start, scenario.noise_seed, parameters)
         self.controller.load(start, scenario.noise_seed, parameters)
         self.controller.hearing.reception.expect_every_period()  # as its own lockstep does

@@ -29,16 +29,3 @@ class RealClock:
             time.sleep(rest_s)
         while time.monotonic() < time_s:
             pass
-
-
-class SimClock:
-    """Virtual time: moves only when told to."""
-
-    def __init__(self, start_s: float = 0.0) -> None:
-        self._now_s = start_s
-
-    def now_s(self) -> float:
-        return self._now_s
-
-    def sleep_until(self, time_s: float) -> None:
-        self._now_s = max(self._now_s, time_s)

@@ -6,7 +6,9 @@ import importlib
 import importlib.util
 import pkgutil
 import sys
+from functools import lru_cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from tunefree_hil.base.errors import InputError
@@ -40,12 +42,22 @@ def _from_path(name: str) -> Any:
     path = Path(path_text)
     if not path.is_file():
         raise InputError(f"{path} does not exist", code="unknown_part", hint="'path/to/module.py:EXPORT'")
+    module = _module(path.resolve(), path.read_bytes())
+    if not hasattr(module, export):
+        raise InputError(f"{path} has no {export}", code="unknown_part", hint=f"export a constant named {export}")
+    return getattr(module, export)
+
+
+@lru_cache
+def _module(path: Path, text: bytes) -> ModuleType:
+    """A user's file as a module, loaded again when its text is another one.
+
+    The compiler tells types by their classes: loaded each time, its params would be of another type each time.
+    """
     spec = importlib.util.spec_from_file_location(f"tunefree_user_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise InputError(f"{path} is not a Python module", code="unknown_part")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
-    if not hasattr(module, export):
-        raise InputError(f"{path} has no {export}", code="unknown_part", hint=f"export a constant named {export}")
-    return getattr(module, export)
+    return module

@@ -22,7 +22,7 @@ from tunefree_hil.batch.commands import (
 )
 from tunefree_hil.bus.wire import WireParams, WireState, ins_heard, pass_on, report_heard
 from tunefree_hil.control.cascade import Sight
-from tunefree_hil.nodes.handshake import CLEARING, NOT_ENABLED, Progress, look
+from tunefree_hil.nodes.handshake import CLEARING, NOT_ENABLED, Limits, Progress, look
 from tunefree_hil.plant.body import Driver
 from tunefree_hil.plant.bywire import ByWireStatus
 from tunefree_hil.plant.unit import Said, UnitInput
@@ -47,7 +47,7 @@ class LinkParams(NamedTuple):
     missing_tick: int
     missing_code: float
     stage_codes: Any
-    limit_ticks: int
+    limits: Limits
 
 
 class LinkState(NamedTuple):
@@ -177,7 +177,7 @@ def make_episode(control: Callable[..., Any], unit: Callable[..., Any], follow: 
                 send_nothing(p.command, link.command)
                 follower_state, tracking = follow(rider.follower, follower_state, (k, fix), dt_s)
             else:
-                progress = look(progress, k, vehicle_state(p.bits, link.bits), p.limit_ticks)
+                progress = look(progress, k, vehicle_state(p.bits, link.bits), p.limits)
                 if progress.stage >= NOT_ENABLED or progress.stage == CLEARING:
                     code = float(p.stage_codes[progress.stage])
                     send_quiet(p.command, link.command)

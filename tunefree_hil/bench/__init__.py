@@ -6,11 +6,11 @@ from tunefree_hil.bench.controller import (
     calibration_path,
     follower_of,
     needed_messages,
-    own_parameters,
     parameters_of,
     require_in_box,
 )
 from tunefree_hil.bench.load import Bench, load, model_of, scenario_of_hash
+from tunefree_hil.bench.own_parts import own_parameters, part_names, part_values
 from tunefree_hil.bench.vehicle import VehicleFor, is_heavy
 
 __all__ = [
@@ -25,6 +25,8 @@ __all__ = [
     "needed_messages",
     "own_parameters",
     "parameters_of",
+    "part_names",
+    "part_values",
     "require_buildable",
     "require_in_box",
     "scenario_of_hash",

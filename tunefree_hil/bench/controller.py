@@ -13,17 +13,26 @@ from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.open_loop_map import MAP_FILE
 from tunefree_hil.bench.faults import CONTROLLER, faults_of
 from tunefree_hil.bench.load import Bench, model_of, scenario_of_hash
+from tunefree_hil.bench.own_parts import own_parameters, part_names, part_values
 from tunefree_hil.bus.codec import Codec
-from tunefree_hil.config.schema import ParameterSpec, ScenarioSpec, VehicleSpec
+from tunefree_hil.config.schema import ScenarioSpec, VehicleSpec
 from tunefree_hil.control import calibration_map
-from tunefree_hil.control.build import PartNames, build
+from tunefree_hil.control.build import build
 from tunefree_hil.control.contract import Settings, VehicleConstants
 from tunefree_hil.control.follower import make_follower
-from tunefree_hil.control.parameters import BY_NAME, RICCATI_CODES, by_index, check_complete, round32, study_values
+from tunefree_hil.control.parameters import (
+    BY_NAME,
+    LARGEST32,
+    RICCATI_CODES,
+    by_index,
+    check_complete,
+    indices_of,
+    round32,
+    study_values,
+)
 from tunefree_hil.nodes.controller import Assignment
 from tunefree_hil.nodes.hearing import CHASSIS, INS
 
-LARGEST32 = 3.4028234e38
 KEPT = 32  # gain tables, and path tables
 
 
@@ -60,13 +69,22 @@ def constants_of(vehicle: VehicleSpec) -> VehicleConstants:
 def require_in_box(name: str, value: float, *, file: str = "", key: str = "") -> None:
     """Raise InputError for a value that a person gave outside its published box; the shipped manual values may.
 
-    Compared as binary32, which is what the controller gets. Names that are not of interfaces 7 are let through.
+    Compared as binary32, which is what the controller gets. Names that are not of interfaces 7 have no box; their
+    values need only be sendable.
     """
-    row = BY_NAME.get(name)
+    row, sendable = BY_NAME.get(name), math.isfinite(value) and abs(value) < LARGEST32
     if row is None:
-        return
+        if sendable:
+            return
+        raise InputError(
+            f"{name} = {value:g} cannot be sent to the controller",
+            code="outside_box",
+            file=file,
+            key=key,
+            hint=f"parameters are binary32: give a number between -{LARGEST32:.2g} and {LARGEST32:.2g}",
+        )
     low, high, choices = row.tunable.low, row.tunable.high, row.tunable.choices
-    if math.isfinite(value) and abs(value) < LARGEST32:
+    if sendable:
         sent = round32(value)
         inside = sent in choices if choices else round32(low) <= sent <= round32(high)
         if inside or sent in (round32(row.manual), round32(row.manual if row.fixed is None else row.fixed)):
@@ -95,22 +113,11 @@ def parameters_of(bench: Bench, chosen: Mapping[str, float] | None = None) -> di
     values = study_values()
     values |= {"riccati": RICCATI_CODES[controller.riccati], "look_ahead_m": controller.look_ahead_m}
     own = own_parameters(bench)
+    for name in (name for name in own if name not in controller.parameters):
+        require_in_box(name, own[name], file=bench.file, key="tune.parameters")
     values |= own | controller.parameters
     values |= dict(chosen or {})
     return {name: round32(value) for name, value in check_complete(values, tuple(own)).items()}
-
-
-def own_parameters(bench: Bench) -> dict[str, float]:
-    """Parameters of the user's own controller that the bench file names: its value, else the middle of the box."""
-    given = {name: value for name, value in bench.spec.controller.parameters.items() if name not in BY_NAME}
-    searched = [one for one in bench.spec.tune.parameters if one.name not in BY_NAME and one.name not in given]
-    return given | {one.name: _middle(one) for one in searched}
-
-
-def _middle(spec: ParameterSpec) -> float:
-    if spec.choices:
-        return spec.choices[0]
-    return math.sqrt(spec.low * spec.high) if spec.scale == "log" else 0.5 * (spec.low + spec.high)
 
 
 def settings_of(bench: Bench) -> Settings:
@@ -142,19 +149,29 @@ def follower_of(bench: Bench, scenario: ScenarioSpec, values: Mapping[str, float
 
 
 class ControllerFor:
-    """(scenario, parameters by index) -> Assignment. Gain tables of the last parameters and path tables are kept."""
+    """(scenario, parameters by index) -> Assignment. Gain tables of the last parameters and path tables are kept.
+
+    own: what the parts bring beyond interfaces 7, to be announced in this order.
+    """
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
         self.constants = constants_of(bench.vehicle)
         self.calibration = calibration_of(bench)
         self.faults = faults_of(bench, CONTROLLER)
+        self.parts = part_names(bench)
+        self.own = part_values(bench)
         self._built: dict[tuple[float, ...], Block] = {}
         self._followers: dict[str, Block] = {}
 
+    def indexed(self, values: Mapping[str, float]) -> dict[int, float]:
+        """A complete vector by PARAM index, as `__call__` wants it; what is not the controller's is left out."""
+        complete = self.own | dict(values)
+        return {index: complete[name] for name, index in indices_of(tuple(self.own)).items()}
+
     def __call__(self, scenario: bytes, parameters: Mapping[int, float]) -> Assignment:
         spec = scenario_of_hash(self.bench, scenario)
-        values = by_index(parameters)
+        values = by_index(parameters, tuple(self.own))
         course = self.bench.course(spec)
         key = tuple(values.values())
         if key not in self._built:
@@ -169,7 +186,6 @@ class ControllerFor:
         return Assignment(block._replace(params=params), course.ticks, self.bench.dt_s, self.faults)
 
     def _build(self, values: dict[str, float], course: Course) -> Block:
-        controller = self.bench.spec.controller
         return build(
             values,
             self.constants,
@@ -177,7 +193,7 @@ class ControllerFor:
             course,
             dt_s=self.bench.dt_s,
             settings=settings_of(self.bench),
-            names=PartNames(controller.lateral, controller.longitudinal, controller.inner),
+            names=self.parts,
             absent=self.bench.vehicle.absent,
         )
 

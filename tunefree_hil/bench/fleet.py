@@ -10,9 +10,7 @@ from typing import NamedTuple
 from tunefree_hil.bench.load import Bench
 from tunefree_hil.bench.simulator import Job, Simulator
 from tunefree_hil.episode.recording import Recording
-from tunefree_hil.grade.score import ScenarioGrade, grade, vehicle_of
-
-GRADED = ("", "diverged", "left_lane", "control_error")  # ends that the parameters answer for; the rest is the bench's
+from tunefree_hil.grade.score import GRADED, ScenarioGrade, grade, vehicle_of
 
 
 class Driven(NamedTuple):
@@ -41,7 +39,9 @@ class Fleet:
         self._pool = ThreadPoolExecutor(threads or len(os.sched_getaffinity(0)))
 
     def drive(self, jobs: Sequence[Job], *, columns: bool = False) -> list[Driven]:
-        """The drives, in the order of `jobs`. What one of them raises is raised when the others are done."""
+        """The drives, in the order of `jobs`. What one raises is raised when those before it are done: those under way
+        then go on to their end, those not begun are dropped.
+        """
         first = [self._one(job, columns) for job in jobs[:1]]  # it may compile: the others wait for that anyhow
         return first + list(self._pool.map(lambda job: self._one(job, columns), jobs[1:]))
 

@@ -35,7 +35,7 @@ from tunefree_hil.batch.episode import (
     Setting,
     make_episode,
 )
-from tunefree_hil.bench.compiled_plant import answer_of
+from tunefree_hil.bench.compiled_own import answer_of, own_of
 from tunefree_hil.bench.controller import ControllerFor, needed_messages
 from tunefree_hil.bench.load import Bench, model_of
 from tunefree_hil.bench.scaling import scaled
@@ -46,12 +46,11 @@ from tunefree_hil.bus.wire import wire
 from tunefree_hil.config.fault_check import DRIVER
 from tunefree_hil.config.schema import EffectSpec, ScenarioSpec
 from tunefree_hil.control import follower
-from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.episode.columns import assemble_columns
 from tunefree_hil.episode.recording import Recording
 from tunefree_hil.nodes.controller import MISSING_CODES, STAGE_CODES, Assignment
 from tunefree_hil.nodes.ecu import Vehicle
-from tunefree_hil.nodes.handshake import ANSWER_LIMIT_TICKS, STAGES, Stage
+from tunefree_hil.nodes.handshake import STAGES, Stage, limits_of
 from tunefree_hil.nodes.hearing import Hearing
 
 KEPT_VEHICLES = 64  # one is a scenario's noise: 0.4 MB a minute's drive
@@ -102,6 +101,7 @@ class Simulator:
         self._driver = _driver_rows(self.bench, self._base)
         self._link = _link_params(self.bench, self._base.phases)
         self._wires = {group: wire(bench.codec, group, self._base.phases) for group in ("report", "ins", "command")}
+        self._not_ours = own_of(self.bench, self._base.model)
         self._kernel: Any = None
 
     def drive(self, job: Job) -> Drive:
@@ -121,7 +121,7 @@ class Simulator:
             vehicle = self._vehicle(job)
             kernel, setting, link, rider, car = self._episode(task, vehicle)
         out = self._rows(vehicle.course.ticks)
-        end = End._make(answer_of(kernel, (self._link, link, setting, rider, car, out), self._base.model))
+        end = End._make(answer_of(kernel, (self._link, link, setting, rider, car, out), self._not_ours))
         if end.code == NEEDS_THE_BUS:
             raise InputError(
                 "an override is latched before the take-over: the batch does not drive that",
@@ -169,9 +169,7 @@ class Simulator:
     def _assignment(self, job: Job) -> Assignment:
         """The controller for a job; of it only the params count, the steps are the first one's."""
         self._know(job.scenario)
-        parameters = {index: job.values[name] for index, name in enumerate(NAMES)}
-        start = bytes.fromhex(job.scenario.hash)[:6]
-        return self._controllers(start, parameters)
+        return self._controllers(bytes.fromhex(job.scenario.hash)[:6], self._controllers.indexed(job.values))
 
     def _vehicle(self, job: Job) -> Vehicle:
         """The vehicle at a job's start, with its noise; kept, as its noise is long to draw."""
@@ -274,7 +272,7 @@ def _link_params(bench: Bench, phases: Mapping[str, int]) -> LinkParams:
         missing_tick,
         missing_code,
         table(codes),
-        ANSWER_LIMIT_TICKS,
+        limits_of(bench.dt_s),
     )
 
 

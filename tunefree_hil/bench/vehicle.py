@@ -33,6 +33,8 @@ PLANTS = {  # [plant] kind -> file in plant/
     "rule_based": "rule_based",
     "paper": "paper",
 }
+TIMEOUT_S = 0.1  # of a channel whose command states none (apollo_facts 7.3)
+STEER_DRIVER_S = 0.02  # that a hand must be felt for; of the pedals vehicle.toml says it
 HEAVY = ("reference", "paper")  # kinds whose node runs compiled
 
 
@@ -57,7 +59,7 @@ class VehicleFor:
                 key="timing",
                 hint="report_ticks and command_ticks of at least 1",
             )
-        block = bywire(_bywire_params(bench))
+        block = bywire(bywire_params(bench))
         self.driver = driver_script(bench.spec.faults, bench.vehicle.nominal.rest_pedal_frac)
         self.faults = faults_of(bench, ECU)
         self.ahead = ahead and not realtime and timing.command_ticks > 0
@@ -177,7 +179,7 @@ def effects_of(specs: Sequence[EffectSpec], rest: float, file: str = "") -> list
     return made
 
 
-def _bywire_params(bench: Bench) -> ByWireParams:
+def bywire_params(bench: Bench) -> ByWireParams:
     """Rules of the by-wire unit from the vehicle folder; what it does not state keeps the unit's defaults."""
     vehicle = bench.vehicle
     limits, rest, rules, tick_s = (
@@ -187,15 +189,21 @@ def _bywire_params(bench: Bench) -> ByWireParams:
         vehicle.tick_ms * 1e-3,
     )
     default = ByWireParams()
-    timeouts = {name: spec.timeout_ms / vehicle.tick_ms for name, spec in vehicle.command.items() if spec.timeout_ms}
+
+    def ticks(time_s: float) -> int:
+        return max(1, round(time_s / tick_s))
+
+    def timeout(name: str) -> float:
+        spec = vehicle.command.get(name)
+        return spec.timeout_ms / vehicle.tick_ms if spec and spec.timeout_ms else float(ticks(TIMEOUT_S))
 
     def pedal(name: str, level: float, hold_s: float, high: float) -> ChannelRules:
         return ChannelRules(
-            timeout_ticks=timeouts.get(f"{name}_frac", default.brake.timeout_ticks),
+            timeout_ticks=timeout(f"{name}_frac"),
             driver_level=rules.driver_frac,
-            driver_ticks=round(rules.driver_s / tick_s),
+            driver_ticks=ticks(rules.driver_s),
             override_level=level,
-            override_ticks=round(hold_s / tick_s),
+            override_ticks=ticks(hold_s),
             low=rest,
             high=high,
         )
@@ -204,9 +212,10 @@ def _bywire_params(bench: Bench) -> ByWireParams:
         throttle=pedal("throttle", rules.throttle_frac, rules.throttle_s, limits.throttle_frac),
         brake=pedal("brake", rules.brake_frac, rules.brake_s, limits.brake_frac),
         steer=default.steer._replace(
-            timeout_ticks=timeouts.get("steer_rad", default.steer.timeout_ticks),
+            timeout_ticks=timeout("steer_rad"),
+            driver_ticks=float(ticks(STEER_DRIVER_S)),
             override_level=rules.steer_nm,
-            override_ticks=round(rules.steer_s / tick_s),
+            override_ticks=ticks(rules.steer_s),
             low=-limits.steer_rad,
             high=limits.steer_rad,
         ),

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.records import CanFrame
 
 TICK_ID, DONE_ID, STATUS_ID, EPISODE_ID, PARAM_ID, FAULT_ID, HELLO_ID = range(0x6E0, 0x6E7)
@@ -81,6 +81,23 @@ class ErrorCode(Told):
     FOREIGN_COMMAND = 12, "another node sends the vehicle's command ids"
     INTERNAL = 13, "a process failed; what it printed says why"
     CONTROLLER_OWN = 1000, "the controller's own error; what it printed says which"
+
+    @classmethod
+    def _missing_(cls, value: object) -> ErrorCode:
+        """A controller's own numbers are all CONTROLLER_OWN. Raises BenchError for one that means nothing."""
+        if isinstance(value, int) and value > cls.CONTROLLER_OWN:
+            return cls.CONTROLLER_OWN
+        raise BenchError(
+            f"a STATUS says ERROR {value}, which has no meaning",
+            code="unknown_error",
+            hint=f"a controller's own errors are numbered from {int(cls.CONTROLLER_OWN)} on (docs/controller.md)",
+        )
+
+
+def error_text(number: int) -> str:
+    """The name of an error, and its number where that is a controller's own."""
+    error = ErrorCode(number)
+    return error.name.lower() + (f" {number}" if number != error else "")
 
 
 class Tick(NamedTuple):

@@ -110,7 +110,7 @@ class Codec:
 
     def fits(self, message: MessageMap, data: bytes) -> bool:
         """Whether `decode` accepts a payload of this length."""
-        return len(data) >= message.length or message.allow_truncated
+        return message.fits(data)
 
     def decode(self, message: MessageMap, data: bytes) -> dict[str, float]:
         """Physical values by signal name; raw values of signals with a role or a state. Excess bytes are ignored.

@@ -99,7 +99,7 @@ class _Ear:
         self.last_s = time_s
         if not codec.fits(self.message, data):
             self.short += 1
-        elif self.message.e2e is not None and not is_intact(self.message.e2e, data):
+        elif self.message.e2e is not None and not is_intact(self.message.e2e, data[: self.message.length]):
             self.broken += 1  # what is in it says nothing, its counter neither
         else:
             self._look_into(codec.decode(self.message, data))

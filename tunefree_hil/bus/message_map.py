@@ -164,3 +164,7 @@ class MessageMap:
     def key(self) -> int:
         """SocketCAN's can_id: the id, with the EFF bit where it is a 29-bit one."""
         return self.can_id | EXTENDED_FLAG if self.extended else self.can_id
+
+    def fits(self, data: bytes) -> bool:
+        """Whether a payload is long enough to be decoded."""
+        return len(data) >= self.length or self.allow_truncated

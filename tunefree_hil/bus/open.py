@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from tunefree_hil.base.errors import BenchError, InputError
@@ -13,7 +13,7 @@ from tunefree_hil.bus.link import CanLink, HubLink, Link, Links, PairLink
 from tunefree_hil.bus.python_can import can
 from tunefree_hil.bus.socketcan import Options, open_socketcan
 from tunefree_hil.bus.tfhub import address
-from tunefree_hil.bus.tfhub.handshake import default_name
+from tunefree_hil.bus.tfhub.handshake import Welcome, default_name
 from tunefree_hil.bus.tfhub.pair import HubPair
 from tunefree_hil.bus.tfhub.plugin import HubBus
 from tunefree_hil.bus.tfhub.records import CHANNELS
@@ -21,6 +21,7 @@ from tunefree_hil.bus.tfhub.records import CHANNELS
 DEFAULT_LINK = "vcan0"
 KINDS = "auto, tfhub, tfhub:ADDRESS, socketcan:vcan0, virtual"
 NO_GATE = "transmitting on it needs the safety gate, which this version does not have"
+CLOCKS = {"real": "in real time", "sender": "in lockstep"}  # of a hub
 USE_VIRTUAL = "use --bus tfhub, --bus virtual, or a vcan link"
 
 
@@ -76,13 +77,15 @@ def open_link(
     stamps: bool = False,
     fd: bool = False,
     only: Sequence[int] = (),
+    clock: str = "",
     options: Options | None = None,
 ) -> Link:
     """Open one channel of a choice, or an address as it stands in one.
 
     `role` observer only listens. `stamps`: this member stamps its frames itself (lockstep). `fd`: CAN FD, sent with
-    bit-rate switch. `only`: on a hub and on SocketCAN, only frames with these ids are handed over. `options`: of a
-    SocketCAN link; the others win. InputError where transmitting is refused, BenchError where the bus does not open.
+    bit-rate switch. `only`: on a hub and on SocketCAN, only frames with these ids are handed over. `clock`: the one
+    that a hub must have, one of CLOCKS; '' for any. `options`: of a SocketCAN link; the others win. InputError where
+    transmitting or the hub's clock is refused, BenchError where the bus does not open.
     """
     if channel not in CHANNELS:
         raise InputError(f"no channel {channel!r}", key="channel", hint=f"one of {', '.join(CHANNELS)}")
@@ -92,7 +95,9 @@ def open_link(
         text = choice
     kind, _, rest = text.partition(":")
     if kind == "tfhub":
-        return HubLink(HubBus(_endpoint_of(rest, channel), role=role, name=name, stamps=stamps, only=only))
+        bus = HubBus(_endpoint_of(rest, channel), role=role, name=name, stamps=stamps, only=only)
+        _require_clock(bus.welcome, clock, bus.shutdown)
+        return HubLink(bus)
     may_send = role == "member"
     if kind == "socketcan" and rest:
         _require_socketcan(rest)
@@ -114,22 +119,24 @@ def open_links(
     stamps: bool = False,
     fd: bool = False,
     only: Sequence[int] = (),
+    clock: str = "",
     options: Options | None = None,
 ) -> Links:
     """Both channels of a member; over one connection where both are channels of one hub.
 
-    `only`, `options`: of the vehicle's link where that is SocketCAN, as open_link. On the bench channel nothing is
-    dropped, so of `options` only patience and `alive` count there.
+    `only`, `clock`, `options`: as open_link, the first of the vehicle's link where that is SocketCAN. On the bench
+    channel nothing is dropped, so of `options` only patience and `alive` count there.
     """
     vehicle, bench = (text.partition(":") for text in (choice.vehicle_address, choice.bench_address))
     if vehicle[0] == bench[0] == "tfhub" and _session_of(vehicle[2]) == _session_of(bench[2]):
         pair = HubPair(_endpoint_of(vehicle[2], "vehicle"), name=name, stamps=stamps)
+        _require_clock(pair.welcome, clock, pair.close)
         return Links(PairLink(pair, 0), PairLink(pair, 1), pair.send)
     kept = only if vehicle[0] == "socketcan" else ()
-    links = [open_link(choice, "vehicle", name=name, stamps=stamps, fd=fd, only=kept, options=options)]
+    links = [open_link(choice, "vehicle", name=name, stamps=stamps, fd=fd, only=kept, clock=clock, options=options)]
     patient = Options(alive=options.alive if options else None)
     try:
-        links.append(open_link(choice, "bench", name=name, stamps=stamps, options=patient))
+        links.append(open_link(choice, "bench", name=name, stamps=stamps, clock=clock, options=patient))
     except BaseException:
         links[0].close()
         raise
@@ -201,6 +208,21 @@ def _auto(session: str) -> BusChoice:
         reason = f"{DEFAULT_LINK} is down"
     return BusChoice(
         "tfhub", _hub(session, "vehicle"), _hub(session, "bench"), f"tfhub, session {session}, because {reason}"
+    )
+
+
+def _require_clock(welcome: Welcome, clock: str, close: Callable[[], None]) -> None:
+    """InputError, after `close`, where a hub's stamps are those of the other kind of bench."""
+    if clock in ("", welcome.clock):
+        return
+    close()
+    others = "with" if welcome.clock == "real" else "without"
+    raise InputError(
+        f"the hub of session {welcome.session} stamps frames {CLOCKS[welcome.clock]}, this would be {CLOCKS[clock]}",
+        code="hub_clock",
+        key="--realtime",
+        hint=f"start it anew as `tunefree-hil hub --session {welcome.session} --clock {clock}`, or all the others "
+        f"{others} --realtime",
     )
 
 

@@ -108,7 +108,7 @@ def tune(
     join: Join = False,
     session: Session = "",
     out: Out = None,
-    resume: Annotated[Path | None, typer.Option(help="go on with this run folder")] = None,
+    resume: Annotated[Path | None, typer.Option(help="go on with this run folder, a finished one too")] = None,
     verify: Annotated[bool, typer.Option(help="drive the winner on the verify model at the end")] = True,
     study: Annotated[
         str | None, typer.Option(metavar="URL", help="work on a shared study: postgresql://USER@HOST/DATABASE#STUDY")
@@ -124,7 +124,8 @@ def tune(
 ) -> int:
     """Find the controller's parameters.
 
-    Trial by trial over the bench; the run folder says why the winner wins. Stopped, it goes on with --resume.
+    Trial by trial over the bench; the run folder says why the winner wins. Stopped, the same command goes on where it
+    was; finished, it starts anew. --resume goes on with the run that you name, a finished one too (with more --trials).
     """
 
     def job() -> Iterable[Event]:

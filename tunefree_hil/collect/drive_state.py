@@ -14,7 +14,6 @@ from tunefree_hil.collect.pedals import Pedal
 from tunefree_hil.collect.seen import Eyes
 
 START, APPROACH, HOLD, TURN, STOP, STAND, GENTLE = range(7)
-MODES = ("start", "approach", "hold", "turn", "stop", "stand", "gentle")
 
 
 class Params(NamedTuple):

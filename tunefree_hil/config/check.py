@@ -25,6 +25,18 @@ PARAMETERS = (
     *("station.kp", "speed.kp_low", "speed.ki_low", "speed.kp_high", "speed.ki_high"),
     *("mrac.enable", "riccati", "mrac.clamp_s", "mrac.gamma", "look_ahead_m"),
 )
+# What weights may name; grade/metrics.py says how each is computed.
+METRICS = (
+    *("station_err_std", "station_err_std_harsh", "speed_err_std", "speed_err_std_harsh"),
+    *("lateral_err_std", "lateral_err_std_harsh", "heading_err_std", "heading_err_std_harsh"),
+    *("heading_err_rate_std", "heading_err_rate_std_harsh"),
+    *("station_err_peak", "speed_err_peak", "lateral_err_peak", "heading_err_peak", "heading_err_rate_peak"),
+    *("steer_rate_rms", "lateral_jerk_rms", "steering_control_usage"),
+)
+# Far beyond what anybody drives; a number above is a slip, and some would overflow where a course is built.
+MOST = {"speed": 1e3, "curvature": 1e3, "grade": 1.5, "friction": 1e3}  # m/s, 1/m, rad, 1
+MOST_START = {"along_m": 1e6, "lateral_m": 1e6, "heading_rad": 1e3, "speed_mps": 1e3}
+MOST_S, MOST_M = 86_400.0, 1e6
 MOST_SEED = 65535  # EPISODE carries it in 16 bits
 
 Found = Iterator[tuple[str, str, str]]
@@ -36,6 +48,9 @@ def check_scenario(spec: ScenarioSpec) -> Found:
         profile = getattr(spec, name)
         if profile is not None:
             yield from _profile(name, profile)
+            yield from _most(f"{name}.value", profile.value, MOST[name])
+    for name, most in MOST_START.items():
+        yield from _most(f"start.{name}", [getattr(spec.start, name)], most)
     if any(value < 0.0 for value in spec.speed.value):
         yield "speed.value", "a speed is below 0", "scenarios drive forwards"
     if spec.start.speed_mps < 0.0:
@@ -46,6 +61,23 @@ def check_scenario(spec: ScenarioSpec) -> Found:
         yield "noise_seed", f"{spec.noise_seed} does not fit", f"give 0 to {MOST_SEED}"
     if spec.speed.t_s and spec.speed.t_s[-1] <= 0.0:
         yield "speed.t_s", "the scenario lasts 0 s", "the last t_s is its duration"
+    yield from _length(spec.speed)
+
+
+def _length(speed: ProfileSpec) -> Found:
+    """A course holds every tick and every bit of its path."""
+    duration_s, fastest_mps = max(speed.t_s, default=0.0), max(speed.value, default=0.0)
+    if duration_s > MOST_S:
+        yield "speed.t_s", f"the scenario lasts {duration_s:g} s", f"a scenario lasts {MOST_S:g} s at most"
+    elif fastest_mps <= MOST["speed"] and fastest_mps * duration_s > MOST_M:
+        words = f"{duration_s:g} s at up to {fastest_mps:g} m/s may be {fastest_mps * duration_s:g} m"
+        yield "speed", words, f"a scenario is {MOST_M:g} m long at most"
+
+
+def _most(key: str, values: Sequence[float], most: float) -> Found:
+    beyond = [value for value in values if abs(value) > most]
+    if beyond:
+        yield key, f"{beyond[0]:g} is beyond {most:g}", "is the unit right?"
 
 
 def _profile(name: str, profile: ProfileSpec) -> Found:
@@ -64,8 +96,10 @@ def _profile(name: str, profile: ProfileSpec) -> Found:
 
 
 def check_weights(spec: WeightsSpec) -> Found:
-    """Weights are not negative and not all 0."""
+    """Weights are of metrics that there are, not negative and not all 0."""
     for name, weight in spec.metrics.items():
+        if name not in METRICS:
+            yield f"metrics.{name}", "no such metric", nearest(name, METRICS)
         if weight < 0.0:
             yield f"metrics.{name}", f"{weight:g} is below 0", "a lower score is better, so weights are not negative"
     if sum(spec.metrics.values()) <= 0.0:
@@ -127,9 +161,11 @@ def _box(key: str, parameter: ParameterSpec) -> Found:
         if not parameter.choices:
             yield f"{key}.choices", "it is empty", "give the values there are"
         return
-    if parameter.low >= parameter.high:
+    # A parameter of interfaces 7 without a box is searched in the one it has there (tune/space.py).
+    boxed = parameter.low != 0.0 or parameter.high != 0.0 or parameter.name not in PARAMETERS
+    if boxed and parameter.low >= parameter.high:
         yield f"{key}.low", f"low {parameter.low:g} is not below high {parameter.high:g}", "give low < high, or choices"
-    elif parameter.scale == "log" and parameter.low <= 0.0:
+    elif boxed and parameter.scale == "log" and parameter.low <= 0.0:
         yield f"{key}.low", f"{parameter.low:g} on a log scale", 'give low > 0, or scale = "linear"'
     if parameter.step is not None and parameter.step <= 0.0:
         yield f"{key}.step", f"{parameter.step:g} is not above 0", "give a step above 0, or none"

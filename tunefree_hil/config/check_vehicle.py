@@ -9,6 +9,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import GROUPS, WHEEL_FIELDS
 from tunefree_hil.config.find import nearest
 from tunefree_hil.config.schema import FieldSpec, VehicleSpec
+from tunefree_hil.config.vehicle_numbers import check_numbers
 
 WHEELS = "wheel_speed_radps"
 CONDITIONS = ("enabled", "override", "driver", "fault", "timeout", "watchdog", "e2e", "brake_light", "gear_command",
@@ -35,8 +36,7 @@ ECHOES = {
     "steer_torque_command_nm": "steer_torque_nm",
     "steer_torque_nm": "steer_torque_nm",
 }
-POSITIVE = ("mass_kg", "wheelbase_m", "front_axle_m", "yaw_inertia_kgm2", "steer_ratio", "wheel_radius_m")
-POSITIVE_LIMITS = ("steer_rad", "steer_rate_radps", "throttle_frac", "brake_frac", "lateral_accel_mps2", "speed_mps")
+MOST_MS = 3_600_000  # an hour: a period or time-out above it is a slip
 
 
 def field_names(group: str) -> list[str]:
@@ -50,7 +50,7 @@ def check_fields(spec: VehicleSpec) -> list[InputError]:
     file = str(Path(spec.folder) / "vehicle.toml")
     return [
         InputError(message, code="vehicle", file=file, key=key, hint=hint)
-        for check in (_numbers, _names, _periods, _presence, _states)
+        for check in (check_numbers, _names, _periods, _presence, _states)
         for key, message, hint in check(spec)
     ]
 
@@ -58,34 +58,12 @@ def check_fields(spec: VehicleSpec) -> list[InputError]:
 Found = Iterator[tuple[str, str, str]]
 
 
-def _numbers(spec: VehicleSpec) -> Found:
-    for key, value in (("tick_ms", spec.tick_ms), ("bitrate", spec.bitrate), ("data_bitrate", spec.data_bitrate)):
-        if value is not None and value <= 0:
-            yield key, f"{value} is not above 0", "give a whole number above 0"
+def _names(spec: VehicleSpec) -> Found:
     if not spec.dbc:
         yield "dbc", "it is empty", "name the DBC files of the folder"
-    for table, names in (("nominal", POSITIVE), ("limits", POSITIVE_LIMITS)):
-        for name in names:
-            value = getattr(getattr(spec, table), name)
-            if value is not None and value <= 0.0:
-                yield (
-                    f"{table}.{name}",
-                    f"{value:g} is not above 0",
-                    "give the data sheet's value, or no key",
-                )
-    accel = spec.limits.accel_mps2
-    if len(accel) != 2 or not accel[0] < 0.0 < accel[1]:
-        yield "limits.accel_mps2", f"expected [low, high] round 0, got {accel}", "for example [-6.0, 2.0]"
-    for name, latency in spec.latency.items():
+    for name in spec.latency:
         if name not in ACTUATORS:
             yield f"latency.{name}", "no such actuator", nearest(name, ACTUATORS)
-        if latency.dead_time_s < 0.0 or latency.rise_time_s < 0.0:
-            yield f"latency.{name}", "a time is below 0", "give seconds from 0 on"
-    if spec.ins_frame.latency_s < 0.0:
-        yield "ins_frame.latency_s", "it is below 0", "give seconds from 0 on"
-
-
-def _names(spec: VehicleSpec) -> Found:
     for group in GROUPS:
         for name, field in getattr(spec, group).items():
             key = f"{group}.{name}"
@@ -124,9 +102,13 @@ def _periods(spec: VehicleSpec) -> Found:
         if period <= 0 or period % tick:
             hint = f"give a whole multiple of tick_ms = {spec.tick_ms}, or a tick that divides it"
             yield f"{key}.period_ms", f"{period} is no multiple of the tick" if period > 0 else f"it is {period}", hint
+        elif period > MOST_MS:
+            yield f"{key}.period_ms", f"{period} is above {MOST_MS}", "give milliseconds"
     for key, field in entries:
         if field.timeout_ms < 0 or field.timeout_ms % tick:
             yield f"{key}.timeout_ms", f"{field.timeout_ms} is no multiple of the tick", f"tick_ms = {spec.tick_ms}"
+        elif field.timeout_ms > MOST_MS:
+            yield f"{key}.timeout_ms", f"{field.timeout_ms} is above {MOST_MS}", "give milliseconds"
 
 
 def _presence(spec: VehicleSpec) -> Found:

@@ -22,9 +22,9 @@ MAY_BE_INFINITE = ("rate_limit", "effects", "params")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file. Raises InputError with line and column."""
+    """The tables of a TOML file, with or without a byte order mark. Raises InputError with line and column."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except tomllib.TOMLDecodeError as error:
         hint = "mend that place; strings need quotes, tables [brackets]"
         raise InputError(f"not TOML: {error}", code="not_toml", file=str(path), hint=hint) from error

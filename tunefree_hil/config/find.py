@@ -37,8 +37,8 @@ def find(kind: str, name: str | Path, near: str | Path | None = None) -> Path:
     there is.
     """
     for place in places(kind, near):
-        for candidate in _candidates(KINDS[kind], place / Path(name).expanduser()):
-            if candidate.is_file():
+        for candidate in _candidates(KINDS[kind], place / _at_home(Path(name))):
+            if _is_file(candidate):
                 return candidate.resolve()
     raise _miss(kind, str(name), near)
 
@@ -60,7 +60,23 @@ def _folder(near: Path) -> Path:
 def _candidates(kind: Kind, path: Path) -> list[Path]:
     if kind.inside:
         return [path / kind.inside, path]
-    return [path, path.with_name(path.name + ".toml")]
+    return [path, path.parent / f"{path.name}.toml"]  # "/" has no name that with_name could change
+
+
+def _at_home(path: Path) -> Path:
+    """'~' as the home folder; that of a user whom there is not stays as it is written, and is not found."""
+    try:
+        return path.expanduser()
+    except RuntimeError:
+        return path
+
+
+def _is_file(path: Path) -> bool:
+    """Whether a file is there. One that no system could name (too long, a zero byte), or let us see, is not."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def available(kind: str, near: str | Path | None = None) -> list[str]:

@@ -18,6 +18,7 @@ from tunefree_hil.config.convert import SET_BY_LOADER, convert, read_toml
 from tunefree_hil.config.find import find, nearest
 from tunefree_hil.config.import_schema import ImportSpec, check_import
 from tunefree_hil.config.schema import BenchSpec, ModelSpec, ScenarioSpec, Spec, VehicleSpec, WeightsSpec
+from tunefree_hil.config.words import WORDS
 
 SPECS: dict[str, type[Spec]] = {
     "vehicle": VehicleSpec,
@@ -86,15 +87,16 @@ def load_import(name: Name) -> ImportSpec:
 
 
 def json_schema(name: str) -> dict[str, Any]:
-    """The JSON Schema of a kind of file: vehicle, model, scenario, weights, bench or import."""
+    """The JSON Schema of a kind of file: vehicle, model, scenario, weights, bench or import. Every key is described."""
     if name not in SPECS:
         raise InputError(f"no schema {name!r}", code="unknown_schema", key="schema", hint=nearest(name, SPECS))
     schema = msgspec.json.schema(SPECS[name])
     definitions = schema["$defs"]
     for key in SET_BY_LOADER:
         definitions[SPECS[name].__name__]["properties"].pop(key, None)
-    for definition in definitions.values():
-        for one in definition.get("properties", {}).values():
+    for kind, definition in definitions.items():
+        for key, one in definition.get("properties", {}).items():
+            one["description"] = WORDS[kind][key]
             if one.get("default") == math.inf:  # JSON has no infinity
                 del one["default"]
     return schema

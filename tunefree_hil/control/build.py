@@ -7,12 +7,13 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.base import parts
 from tunefree_hil.base.course import Course
+from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.control import cascade, limits
 from tunefree_hil.control.calibration_map import CalibrationMap
 from tunefree_hil.control.contract import Settings, Setup, VehicleConstants, bind
 from tunefree_hil.control.follower import Rules, make_follower
-from tunefree_hil.control.parameters import BY_NAME, check_complete
+from tunefree_hil.control.parameters import BY_NAME, check_complete, middle_of
 
 
 class PartNames(NamedTuple):
@@ -23,20 +24,31 @@ class PartNames(NamedTuple):
     inner: str = "mrac"
 
 
-def load_parts(names: PartNames) -> tuple[Any, Any, Any]:
-    """The CONTROLLER of each folder: lateral, longitudinal, inner."""
-    package = "tunefree_hil.control"
-    return (
-        parts.load(f"{package}.lateral", names.lateral, "CONTROLLER"),
-        parts.load(f"{package}.longitudinal", names.longitudinal, "CONTROLLER"),
-        parts.load(f"{package}.inner", names.inner, "CONTROLLER"),
-    )
+def load_parts(names: PartNames) -> list[Any]:
+    """The CONTROLLER of each folder: lateral, longitudinal, inner. InputError has the key of one that is not there."""
+    loaded = []
+    for folder, name in names._asdict().items():
+        try:
+            loaded.append(parts.load(f"tunefree_hil.control.{folder}", name, "CONTROLLER"))
+        except InputError as error:
+            error.key = f"controller.{folder}"
+            raise
+    return loaded
 
 
-def own_names(names: PartNames) -> tuple[str, ...]:
-    """Names of the tunables that the parts bring beyond interfaces 7, in order: PARAM indices from 16 on."""
-    announced = [tunable.name for part in load_parts(names) for tunable in part.tunables]
-    return tuple(dict.fromkeys(name for name in announced if name not in BY_NAME))
+def own_values(names: PartNames) -> dict[str, float]:
+    """The tunables that the parts bring beyond interfaces 7, in order (PARAM indices from 16 on): name -> value.
+
+    The value of a plain Block is that of its params; a Recipe has none yet, so it is the middle of the box.
+    """
+    found: dict[str, float] = {}
+    for part in load_parts(names):
+        params = getattr(part, "params", None)
+        for tunable in part.tunables:
+            if tunable.name not in BY_NAME:
+                field = tunable.name.rpartition(".")[2]
+                found.setdefault(tunable.name, float(getattr(params, field, middle_of(tunable))))
+    return found
 
 
 def build(
@@ -58,7 +70,7 @@ def build(
     """
     names = names or PartNames()
     settings = settings or Settings()
-    values = check_complete(parameters, own_names(names))
+    values = check_complete(parameters, tuple(own_values(names)))
     setup = Setup(values, vehicle, calibration, settings, dt_s, frozenset(absent))
     lateral, longitudinal, inner = (bind(part, setup) for part in load_parts(names))
     return cascade.assemble(

@@ -4,11 +4,27 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Protocol
 
 from tunefree_hil.base.contracts import Tunable
 from tunefree_hil.base.errors import InputError
+
+
+class Box(Protocol):
+    """Where a parameter may lie: a Tunable, or what a bench file says in [tune]."""
+
+    @property
+    def low(self) -> float: ...
+
+    @property
+    def high(self) -> float: ...
+
+    @property
+    def scale(self) -> str: ...
+
+    @property
+    def choices(self) -> Sequence[float] | None: ...
 
 
 class Parameter(NamedTuple):
@@ -38,6 +54,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(14, Tunable("mrac.gamma", "1", 1e-4, 1.0), 1.0),
     Parameter(15, Tunable("look_ahead_m", "m", 0.0, 5.0, "linear"), 0.0),
 )
+LARGEST32 = 3.4028234e38  # of PARAM's binary32 (interfaces 8), rounded down
 FIRST_OWN_INDEX = 16  # a user's own controller announces its parameters from here on
 BY_NAME: dict[str, Parameter] = {row.tunable.name: row for row in PARAMETERS}
 NAMES: tuple[str, ...] = tuple(BY_NAME)
@@ -64,6 +81,13 @@ def study_values() -> dict[str, float]:
 def tunables_of(prefix: str) -> tuple[Tunable, ...]:
     """The tunables whose name starts with `prefix`."""
     return tuple(row.tunable for row in PARAMETERS if row.tunable.name.startswith(prefix))
+
+
+def middle_of(box: Box) -> float:
+    """The middle of a box on its scale; of choices the first."""
+    if box.choices:
+        return box.choices[0]
+    return math.sqrt(box.low * box.high) if box.scale == "log" else 0.5 * (box.low + box.high)
 
 
 def round32(value: float) -> float:
@@ -97,16 +121,6 @@ def _step32(value: float, *, upward: bool) -> float:
     return float(struct.unpack("<f", struct.pack("<I", bits + (1 if away_from_zero else -1)))[0])
 
 
-def clip_into_box(values: Mapping[str, float], names: tuple[str, ...] = SETS["complete"]) -> dict[str, float]:
-    """The same vector with `names` clipped into their published boxes (binary32), the rest as it is."""
-    clipped = dict(values)
-    for name in names:
-        tunable = _row(name).tunable
-        low, high = box32(tunable.low, tunable.high)
-        clipped[name] = min(max(round32(clipped[name]), low), high)
-    return clipped
-
-
 def check_complete(values: Mapping[str, float], own: tuple[str, ...] = ()) -> dict[str, float]:
     """`values` as floats. Raises InputError unless it names every parameter (and `own`, a user's), and nothing else."""
     known = NAMES + own
@@ -126,12 +140,11 @@ def check_complete(values: Mapping[str, float], own: tuple[str, ...] = ()) -> di
     return {name: float(values[name]) for name in known}
 
 
-def by_index(values: Mapping[int, float]) -> dict[str, float]:
-    """A vector by name from one by PARAM index; indices of a user's own parameters are left out."""
-    return {row.tunable.name: float(values[row.index]) for row in PARAMETERS if row.index in values}
+def indices_of(own: Sequence[str] = ()) -> dict[str, int]:
+    """The PARAM index of every parameter by name: interfaces 7, then `own` in the order in which it is announced."""
+    return {name: index for index, name in [*enumerate(NAMES), *enumerate(own, FIRST_OWN_INDEX)]}
 
 
-def _row(name: str) -> Parameter:
-    if name not in BY_NAME:
-        raise InputError(f"no parameter {name!r}", code="unknown_parameter", hint=f"there are {', '.join(NAMES)}")
-    return BY_NAME[name]
+def by_index(values: Mapping[int, float], own: Sequence[str] = ()) -> dict[str, float]:
+    """A vector by name from one by PARAM index; indices that are neither in interfaces 7 nor of `own` are left out."""
+    return {name: float(values[index]) for name, index in indices_of(own).items() if index in values}

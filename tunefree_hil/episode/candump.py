@@ -91,11 +91,6 @@ def _asked(text: str) -> int:
     return int(text[1:] or "0", 16)
 
 
-def parse_candump(text: str, file: str, *, allow_cut: bool = False) -> list[LogFrame]:
-    """As read_candump, of a text; `file` is what errors name."""
-    return [frame for frame, _ in _parse([text], file, allow_cut)]
-
-
 def cut_line(path: Path) -> str:
     """What is left of a last line that was cut off, '' where the log ends as it should."""
     size = path.stat().st_size

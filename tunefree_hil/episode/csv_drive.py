@@ -56,9 +56,12 @@ class CsvDrive(NamedTuple):
 def read_csv_drive(path: Path, spec: ImportSpec) -> CsvDrive:
     """Read all rows. InputError with file and line for what is no number, no row, or not in the order of time."""
     lines, numbers = array("q"), array("d")
-    for line, row in _cells(path, spec):
-        lines.append(line)
-        numbers.extend(_number(text, name, line, path, spec) for name, text in row)
+    try:
+        for line, row in _cells(path, spec):
+            lines.append(line)
+            numbers.extend(_number(text, name, line, path, spec) for name, text in row)
+    except csv.Error as error:
+        raise InputError(f"no CSV: {error}", code="bad_line", file=str(path), hint="export it again") from error
     if not lines:
         raise InputError("there is no row below the head", code="empty_log", file=str(path), hint="export it again")
     table = np.array(numbers).reshape(len(lines), -1)

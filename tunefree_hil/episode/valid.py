@@ -43,12 +43,6 @@ def outside(recording: Recording, valid: ValidSpec) -> Outside | None:
     return Outside(float(np.mean(anywhere)), by, recording.ticks)
 
 
-def share_outside(recording: Recording, valid: ValidSpec) -> float:
-    """Share of the ticks outside; 0 where nothing can be said."""
-    found = outside(recording, valid)
-    return found.share if found is not None else 0.0
-
-
 def together(drives: Iterable[Outside | None]) -> Outside | None:
     """Several drives as one; None where none of them says anything."""
     known = [one for one in drives if one is not None]

@@ -78,12 +78,14 @@ class _Open:
         which = list(range(len(model.keys)))
         return self.problem.slopes(model.keys, model.z, model.free, which, model.residuals)
 
-    def scan_beside(self, model: Fitted | None) -> Scan:
-        """Of candidates beside a model (None: the null); the newest is kept: grids come first, fits after them."""
-        key = () if model is None else (model.keys, tuple(model.z))
+    def scan_beside(self, model: Fitted | None, noise: Fitted | None) -> Scan:
+        """Of candidates beside a model (None: the null), under the noise of another (None: its own); the newest is
+        kept: grids come first, fits after them.
+        """
+        key = tuple(() if one is None else (one.keys, tuple(one.z)) for one in (model, noise))
         if self._scan is None or self._scan[0] != key:
             start = self.null if model is None else self.again(model)
-            self._scan = (key, Scan(self.problem, start, self.slopes_at(start)))
+            self._scan = (key, Scan(self.problem, start, self.slopes_at(start), noise))
         return self._scan[1]
 
 
@@ -109,12 +111,14 @@ def open_question(token: str, setting: Setting) -> Question:
     return Question(_sent(work, one.null), work.blocks, work.kinds, sizes, found, one.cannot)
 
 
-def scan_suspects(token: str, names: Sequence[str], start: Fitted | None) -> tuple[dict[str, Start], dict[str, str]]:
-    """(where each suspect's search beside `start` (None: the null) begins, and what it gains there; those of which no
-    value makes a car, with the reason).
+def scan_suspects(
+    token: str, names: Sequence[str], start: Fitted | None, noise: Fitted | None
+) -> tuple[dict[str, Start], dict[str, str]]:
+    """(where each suspect's search beside `start` (None: the null) begins, and what it gains there under the noise of
+    another model (None: of `start`); those of which no value makes a car, with the reason).
     """
     one, found, lost = _questions[token], {}, {}
-    scan = one.scan_beside(start)
+    scan = one.scan_beside(start, noise)
     for name in names:
         try:
             found[name] = scan.best(one.suspects[name].free)
@@ -124,13 +128,13 @@ def scan_suspects(token: str, names: Sequence[str], start: Fitted | None) -> tup
 
 
 def fit_suspects(
-    token: str, begins: Mapping[str, Start], start: Fitted | None, hopeless: float
+    token: str, begins: Mapping[str, Start], start: Fitted | None, hopeless: float, noise: Fitted | None
 ) -> Generator[int, None, tuple[dict[str, Modelled], dict[str, str]]]:
     """(each suspect by itself beside `start`, from where its search begins; those that left what makes a car, with the
     reason); yields how many are done. hopeless: a gain below which one step is enough.
     """
     one = _questions[token]
-    scan = one.scan_beside(start)
+    scan = one.scan_beside(start, noise)
     found, lost = {}, {}
     for done, (name, begin) in enumerate(begins.items()):
         yield done

@@ -22,7 +22,7 @@ MOVES = 0.05  # of the signal's deviation, within a window: what moves less stan
 FEWEST_MOVING = 10  # windows that move, for one of them to be the ordinary one
 ORDINARY = 10.0  # times the ordinary window's square
 NOISY = 5.0  # times that: what noise alone comes to in the loudest, which is no moment's
-BLOCKS = 2  # in which there are such windows: once may be a pothole
+BLOCKS = 2  # in which there are such windows: once may be a pothole, for what a road shakes
 
 
 class Burst(NamedTuple):
@@ -35,13 +35,14 @@ class Burst(NamedTuple):
     blocks: int
     signal: float = 0.0
 
-    def share(self, size: float) -> float:
-        """Of the signal, what the loudest windows miss beyond noise; 0 where they are no louder than that may make.
+    def share(self, size: float, blocks: int = BLOCKS) -> float:
+        """Of the signal, what the loudest windows miss beyond noise; 0 where they are no louder than that may make, or
+        are in fewer than so many blocks.
 
         size: deviation of the signal over the drives. Where it stands for most of them that says little of the moments
         in which it does not, and they are held against what it was then.
         """
-        stands_out = self.blocks >= BLOCKS and self.loud**2 > ORDINARY * self.ordinary**2
+        stands_out = self.blocks >= blocks and self.loud**2 > ORDINARY * self.ordinary**2
         beyond = self.loud**2 - NOISY * self.ordinary**2
         return beyond**0.5 / max(size, self.signal, 1e-12) if stands_out else 0.0
 

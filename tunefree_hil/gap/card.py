@@ -32,8 +32,13 @@ def card_of(model: ModelSpec) -> dict[str, Any]:
             f"the model's card, {path.name}, is not there", code="no_card", file=f"{model.folder}/model.toml",
             key="plant.card", hint="put it back, calibrate the model again, or take the key out",
         )  # fmt: skip
+    return read_card(path)
+
+
+def read_card(path: Path) -> dict[str, Any]:
+    """The table in a card's file. Raises InputError for one that nobody's command wrote."""
     try:
-        found = json.loads(path.read_text())
+        found = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise no_card(path, error) from error
     if not isinstance(found, dict):

@@ -20,7 +20,7 @@ from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.gap.by_pose import HEADING, MADE_FROM, jumps_of, rates_by_pose, window_of
 from tunefree_hil.gap.graph import CHANNELS, Inputs
 from tunefree_hil.gap.lost import OUTPUTS, lost_of, unknown_channels
-from tunefree_hil.gap.signals import Signal, as_told, carried, outdone, signals_of, well_covered
+from tunefree_hil.gap.signals import INS, Signal, as_told, carried, says_little, signals_of, well_covered
 from tunefree_hil.learn.acted import accel_asked, asked_pedals, channel_of
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.fields import CHASSIS_FIRST_YAW_RATES
@@ -86,17 +86,18 @@ class Opened(NamedTuple):
         return all(name in self.signals for name in names)
 
 
+class _Told(NamedTuple):
+    """Signals as a question takes them; derived, left_out: as in `Opened`; source: the one that says the speed."""
+
+    signals: Mapping[str, Signal]
+    derived: Mapping[str, int]
+    left_out: tuple[str, ...]
+    source: str
+
+
 def open_chain(drive: Drive, vehicle: VehicleSpec) -> Opened:
     """Raises InputError where neither INS nor chassis says the speed: nothing of the motion can be told then."""
-    late = vehicle.ins_frame.latency_s / drive.dt_s
-    said = signals_of(drive, late)
-    unsaid = _unsaid(drive, vehicle, said)
-    signals, left_out = well_covered(said | unsaid, drive.name)
-    derived = {
-        name: 1 if name.startswith("report.") else window_of(said[HEADING].fresh) for name in unsaid if name in signals
-    }
-    by_ins = "ins.speed_mps" in signals
-    source = "ins.speed_mps" if by_ins else "report.speed_mps"
+    signals, derived, left_out, source = _told(drive, vehicle)
     if source not in signals:
         raise InputError(
             "the log says nothing of the speed",
@@ -110,22 +111,29 @@ def open_chain(drive: Drive, vehicle: VehicleSpec) -> Opened:
     moving = known & speed.there & (inputs.gear >= GEAR_DRIVE)
     acted_s = {name: float(drive.dt_s * follows[:, i].sum()) for i, name in enumerate(CHANNELS)}
     return Opened(
-        drive.name, drive.log_hash, drive.dt_s, inputs, signals, follows, moving, lost_of(signals, by_ins),
-        pace_of(vehicle), derived, vehicle.limits.steer_rad,
-        left_out + _unsure(drive, said),
+        drive.name, drive.log_hash, drive.dt_s, inputs, signals, follows, moving,
+        lost_of(signals, source.startswith(INS)),
+        pace_of(vehicle), derived, vehicle.limits.steer_rad, left_out,
         vehicle.nominal.wheelbase_m or ROAD_CAR_M, acted_s, unknown_channels(drive, vehicle),
     )  # fmt: skip
 
 
 def says_speed(drive: Drive, vehicle: VehicleSpec) -> bool:
     """Whether anything of the motion can be told."""
-    try:
-        open_chain(drive, vehicle)
-    except InputError as error:
-        if error.code != "no_motion":
-            raise
-        return False
-    return True
+    told = _told(drive, vehicle)
+    return told.source in told.signals
+
+
+def _told(drive: Drive, vehicle: VehicleSpec) -> _Told:
+    """What a drive says, with what is made of it where nobody says it."""
+    said = signals_of(drive, vehicle.ins_frame.latency_s / drive.dt_s)
+    unsaid = _unsaid(drive, vehicle, said)
+    signals, left_out = well_covered(said | unsaid, drive.name)
+    derived = {
+        name: 1 if name.startswith("report.") else window_of(said[HEADING].fresh) for name in unsaid if name in signals
+    }
+    source = "ins.speed_mps" if "ins.speed_mps" in signals else "report.speed_mps"
+    return _Told(signals, derived, left_out + _unsure(drive, said), source)
 
 
 def commanded(opened: Opened) -> tuple[bool, bool, bool]:
@@ -158,7 +166,7 @@ def _unsaid(drive: Drive, vehicle: VehicleSpec, signals: Mapping[str, Signal]) -
     if by_chassis in signals or wheels is None or (wheels[1] & np.isfinite(wheels[0])).sum() < 2:
         return found
     told = {**signals, **found, by_chassis: as_told(*wheels, drive.dt_s)}
-    if by_ins not in told or outdone(told, by_ins, by_chassis):
+    if by_ins not in told or says_little(told, by_ins, by_chassis):
         found[by_chassis] = told[by_chassis]
     return found
 

@@ -93,6 +93,14 @@ class Weighed(NamedTuple):
         return self.unbroken and self.shrink[0] < PLAIN and self.evidence < PLAIN_NATS
 
     @property
+    def spoils(self) -> bool:
+        """Whether it is plainly there and kept from being a name by what it makes worse alone: so are two that hide
+        each other, each beside the model without the other.
+        """
+        plain = self.evidence > PLAIN_NATS and self.shrink[0] > PLAIN
+        return plain and not self.counts and self._replace(worst=0.0, worst_missed=0.0).counts
+
+    @property
     def _all_of_it(self) -> bool:
         """Whether it explains all that is missed where a link is broken: of a stop that one manoeuvre reaches nobody
         else comes near to that.
@@ -104,8 +112,9 @@ class Weighed(NamedTuple):
         least, shrink = bar * LEAST_NATS, FURTHER_SHRINK if self.further else LEAST_SHRINK
         if self.further and self.unbroken:
             shrink = PLAIN
-        sure = self.evidence > least and self.gain.total > least and self.gain.low > 0.0
-        if self.further:
+        plain = bar * PLAIN_NATS if self.further else least  # beside a first one any mismatch has somebody, as in faint
+        sure = self.evidence > plain and self.gain.total > least and self.gain.low > 0.0
+        if self.further and not self._all_of_it:
             sure = sure and self.gain.total > bar * NOISY * self.gain.noise
         return (
             sure

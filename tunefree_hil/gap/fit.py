@@ -83,7 +83,7 @@ def fit_candidate(scan: Scan, name: str, free: Sequence[Free], begin: Start, hop
     less than `hopeless` there gets one step: enough to be sure that nobody is left out for the grid's sake. Raises
     InputError where no way leads on from any of them.
     """
-    problem, colours = scan.problem, {one: scan.start.sums[one].colour for one in scan.start.sums}
+    problem, colours = scan.problem, scan.colours
     turns = TURNS if begin.gain > hopeless else 1
     if begin.gain > hopeless:
         begin = scan.finer(free, begin)
@@ -104,7 +104,7 @@ def fit_candidate(scan: Scan, name: str, free: Sequence[Free], begin: Start, hop
 
 
 def _cost(scan: Scan, at: Point, colours: dict[str, Colour]) -> float:
-    """What a point leaves under the noise of the model that it is added to."""
+    """What a point leaves under the noise that the scan takes for everybody's."""
     problem, start = scan.problem, scan.start
     left = squares(problem, at.residuals, colours, start.residuals, start.sums, problem.judged())
     return left + float(at.z @ problem.prior(at.keys, at.free) @ at.z)

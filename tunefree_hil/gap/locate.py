@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from tunefree_hil.base.contracts import Link
-from tunefree_hil.gap.bursts import Burst
+from tunefree_hil.gap.bursts import BLOCKS, Burst
 from tunefree_hil.gap.clock import Echo
 from tunefree_hil.gap.leftover import Left
 from tunefree_hil.gap.regions import Region
@@ -87,7 +87,8 @@ def look(
         explicable = max(one.explained, 0.0)
         share = explicable**0.5 / max(sizes[name], 1e-12)
         kind = kinds[name]
-        loud = bursts[name].share(sizes[name]) if name in bursts and not kind.by_wheels else 0.0
+        blocks = 1 if kind.link is Link.COMMAND_TO_REPORT else BLOCKS
+        loud = bursts[name].share(sizes[name], blocks) if name in bursts and not kind.by_wheels else 0.0
         visible = min(max(VISIBLE, kind.missed / max(sizes[name], 1e-12)), MOST_VISIBLE)
         far = one.total > FAR * kind.noise**2 and not kind.by_wheels
         beyond = one.total - kind.noise**2 if far else 0.0

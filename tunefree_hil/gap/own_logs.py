@@ -36,7 +36,7 @@ UNTOLD = (4.0 * np.pi) ** -0.5  # deviation in u from which on logs say less of 
 NORMAL_95 = 1.96
 
 
-class Asked(NamedTuple):
+class OwnLogs(NamedTuple):
     """A question about a model's own logs."""
 
     model: ModelSpec
@@ -50,7 +50,7 @@ def explained(found: Named) -> Usual:
     return NOTHING._replace(own=by_name(across(found.repaired.fitted, judged(found.question.blocks))))
 
 
-def sensors(asked: Asked) -> Generator[str, None, list[EffectSpec]]:
+def sensors(asked: OwnLogs) -> Generator[str, None, list[EffectSpec]]:
     """What ails the sensors, whatever else is missed: one after the other, each beside those before it, as long as
     there is plain evidence; whether all blocks say so is not asked, as none of them is explained. Where there is no
     second sensor to hold one against, it would be held against the car's model, which is wrong: nobody is asked.
@@ -88,7 +88,7 @@ def _is_plain(one: Weighed) -> bool:
     return one.matters and min(one.evidence, one.gain.total) > PLAIN_NATS and one.worst_missed < MOST_WORSE
 
 
-def usual(asked: Asked) -> Generator[str, None, Usual]:
+def usual(asked: OwnLogs) -> Generator[str, None, Usual]:
     """What is missed, and what each effect would be, alone: all of them, however little they gain. NOTHING where the
     sensors explained what was missed.
     """

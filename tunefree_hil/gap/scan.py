@@ -60,11 +60,13 @@ class _Felt(NamedTuple):
 
 
 class Scan:
-    """Grids of candidates beside one model. slopes: of that model's keys, where it stands."""
+    """Grids of candidates beside one model. slopes: of that model's keys, where it stands; noise: the model whose noise
+    is taken for everybody's (None: that one's own).
+    """
 
-    def __init__(self, problem: Problem, start: Fitted, slopes: Slopes) -> None:
+    def __init__(self, problem: Problem, start: Fitted, slopes: Slopes, noise: Fitted | None = None) -> None:
         self.problem, self.start, self._slopes = problem, start, slopes
-        self._colours = {name: one.colour for name, one in start.sums.items()}
+        self.colours = {name: one.colour for name, one in (start if noise is None else noise).sums.items()}
         self._curve = np.zeros((len(start.keys), len(start.keys)))
         self._felt = {name: self._feel(name, residual) for name, residual in start.residuals.items()}
         self._sizes = {name: problem.work.size(name) for name in start.residuals}
@@ -207,7 +209,7 @@ class Scan:
 
     def _white(self, name: str, residual: Sequence[Array]) -> Array:
         """Whitened, in units of the noise, its rows in judged blocks."""
-        colour = self._colours[name]
+        colour = self.colours[name]
         rows, at = self.problem.work.white(name, residual, colour)
         return rows[np.isin(at, self.problem.judged())] / np.sqrt(colour.stretch)
 

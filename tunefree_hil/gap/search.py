@@ -13,8 +13,8 @@ from collections.abc import Generator, Mapping, Sequence
 import numpy as np
 
 from tunefree_hil.gap.ask import Modelled, Question
-from tunefree_hil.gap.decide import Weighed, outdone, rivals, weigh
-from tunefree_hil.gap.evidence import LEAST_NATS
+from tunefree_hil.gap.decide import PLAIN_NATS, Weighed, outdone, rivals, weigh
+from tunefree_hil.gap.evidence import LEAST_NATS, log_evidence, stretched, stretches
 from tunefree_hil.gap.team import Team
 
 Array = np.ndarray
@@ -33,14 +33,41 @@ def weighed(
     that are weighed with them, fitted on already.
     """
     begin, known = question.null if start is None else start, known or {}
-    found = {**team.fit(names, start), **known}
-    some = _weigh(question, found, begin, blocks)
-    share, done = NEAR, set(known)
+    found, done = {**team.fit(names, start), **known}, set(known)
+    some = _fitted_on(team, question, found, begin, blocks, done)
+    if some and some[0].evidence > PLAIN_NATS:
+        left = [name for name in names if name in found and name not in done]
+        found |= _fuller(found, team.fit(left, start, some[0].model), some[0].model, blocks)
+        some = _fitted_on(team, question, found, begin, blocks, done)
+    return some
+
+
+def _fitted_on(
+    team: Team, question: Question, found: dict[str, Modelled], begin: Modelled, blocks: Array, done: set[str]
+) -> list[Weighed]:
+    """All that were found, weighed, those that matter fitted on first: in `found`, and added to `done`."""
+    some, share = _weigh(question, found, begin, blocks), WITHIN if done else NEAR
     while near := _near(some, share, done):
         found |= dict(zip(near, team.fit_on([found[name] for name in near]), strict=True))
         some = _weigh(question, found, begin, blocks)
-        share, done = WITHIN, done | set(near)
+        share = WITHIN
+        done |= set(near)
     return some
+
+
+def _fuller(
+    found: Mapping[str, Modelled], again: Mapping[str, Modelled], best: Modelled, blocks: Array
+) -> dict[str, Modelled]:
+    """Of those asked again the ones that explain more than they did, by the noise that the best leaves. By that of a
+    start that lacks a constant force no grid tells who takes it away: its rows all say the same, as one, and a coarse
+    grid's first point is as good as any.
+    """
+    by = stretches(best.fitted)
+    worth = {
+        name: [log_evidence(stretched(one.fitted, by), blocks) for one in (found[name], other)]
+        for name, other in again.items()
+    }
+    return {name: again[name] for name, (was, now) in worth.items() if now > was}
 
 
 def _weigh(question: Question, models: Mapping[str, Modelled], start: Modelled, blocks: Array) -> list[Weighed]:
@@ -62,9 +89,10 @@ def _near(some: Sequence[Weighed], share: float, done: set[str]) -> list[str]:
 
 def forward(team: Team, question: Question, first: list[Weighed], blocks: Array) -> Generator[str, None, list[Weighed]]:
     """Effects one after the other, each beside those before it, refitted with them."""
-    if not first or not first[0].counts or outdone(first):
+    lead = _lead(first)
+    if lead is None:
         return []
-    steps = [first[0]]
+    steps = [lead]
     while len(steps) < MOST_EFFECTS:
         names = [one.name for one in question.suspects if one.name not in {step.name for step in steps}]
         yield f"beside {', '.join(step.name for step in steps)}"
@@ -75,7 +103,20 @@ def forward(team: Team, question: Question, first: list[Weighed], blocks: Array)
         if not again.counts:
             break
         steps.append(again._replace(others=tuple(rivals(more, blocks)), placed=_evidences(more)))
-    return steps
+    return steps if lead.counts or len(steps) > 1 else []
+
+
+def _lead(first: Sequence[Weighed]) -> Weighed | None:
+    """Who is asked for others beside it: the best that counts. Where somebody has more evidence, or nobody counts, the
+    one with the most, if nothing but what it spoils speaks against it: a late INS and a gyro that is filtered hide each
+    other, and are found together or not at all (backward: each has to count beside the other).
+    """
+    if not first:
+        return None
+    if first[0].counts and not outdone(first):
+        return first[0]
+    most = max(first, key=lambda one: one.evidence)
+    return most if most.spoils else None
 
 
 def _against_the_rest(team: Team, question: Question, step: Weighed, name: str, blocks: Array) -> Weighed:

@@ -57,10 +57,10 @@ def well_covered(signals: Mapping[str, Signal], name: str) -> tuple[dict[str, Si
     Without a speed of its own an INS is left out whole, but for a yaw rate that nobody else tells.
     """
     speed, (yaw, chassis_yaw) = INS_FIRST_SPEEDS[0], INS_FIRST_YAW_RATES
-    if outdone(signals, *INS_FIRST_SPEEDS):
+    if says_little(signals, *INS_FIRST_SPEEDS):
         out = {one for one in signals if one.startswith(INS) and (one != yaw or chassis_yaw in signals)}
         what = ("a speed", speed, "it")
-    elif outdone(signals, *INS_FIRST_YAW_RATES):
+    elif says_little(signals, *INS_FIRST_YAW_RATES):
         out, what = {yaw}, ("a yaw rate", yaw, "that")
     else:
         return dict(signals), ()
@@ -69,7 +69,7 @@ def well_covered(signals: Mapping[str, Signal], name: str) -> tuple[dict[str, Si
     return {key: one for key, one in signals.items() if key not in out}, (words,)
 
 
-def outdone(signals: Mapping[str, Signal], by_ins: str, by_chassis: str) -> bool:
+def says_little(signals: Mapping[str, Signal], by_ins: str, by_chassis: str) -> bool:
     """Whether an INS says something in less than COVERS of what the chassis says it in."""
     if by_ins not in signals or by_chassis not in signals:
         return False

@@ -38,16 +38,16 @@ class Team:
         """Open it in all of them."""
         return self._all([("open_question", self.token, self.setting)] * len(self.workers))[0]
 
-    def fit(self, names: Sequence[str], start: Modelled | None) -> dict[str, Modelled]:
+    def fit(self, names: Sequence[str], start: Modelled | None, noise: Modelled | None = None) -> dict[str, Modelled]:
         """Suspects beside `start`, shared out: all grids first; who is far behind the best there gets one step only, or
-        none where there is nothing that it gains.
+        none where there is nothing that it gains. noise: the model whose noise says what is gained (None: start's).
         """
-        model = None if start is None else start.fitted
+        model, by = (None if one is None else one.fitted for one in (start, noise))
         begins: dict[str, Start] = {}
-        for some, lost in self._all([("scan_suspects", self.token, share, model) for share in self._shares(names)]):
+        for some, lost in self._all([("scan_suspects", self.token, share, model, by) for share in self._shares(names)]):
             begins |= some
             self._drop(lost, model is None)
-        if start is None:
+        if start is None and noise is None:
             self.moves |= {name: one.moves for name, one in begins.items()}
         best = max((one.gain for one in begins.values()), default=0.0)
         order = sorted(begins, key=lambda name: -begins[name].gain)
@@ -57,7 +57,7 @@ class Team:
         asked = [name for name in order if begins[name].gain > least]
         shares = [{name: begins[name] for name in share} for share in self._shares(asked)]
         found: dict[str, Modelled] = {}
-        for some, lost in self._all([("fit_suspects", self.token, share, model, bar) for share in shares]):
+        for some, lost in self._all([("fit_suspects", self.token, share, model, bar, by) for share in shares]):
             found |= some
             self._drop(lost, model is None)
         return found

@@ -125,8 +125,10 @@ def move_course(course: Course, x_m: float, y_m: float, heading_rad: float) -> C
 def find_by_speed(speed_mps: Array, course: Course, dt_s: float) -> tuple[int, str]:
     """The row of a log without positions at which the plan's speed fits best, and words that say how well.
 
-    Least RMS difference over all starts at which at least half of the plan lies within the log. Raises InputError for a
-    log without speed.
+    Of all starts at which at least half of the plan lies within the log, those count at which the mean square
+    difference is less than a tick earlier and later. Among them, what the log does not hold of the plan counts as
+    missed by the plan's own scatter, which is what a guess of its mean would miss: so a short piece that happens to fit
+    does not win. Raises InputError for a log without speed.
     """
     plan = np.asarray(course.speed_mps)[: course.ticks]
     known = np.flatnonzero(np.isfinite(speed_mps))
@@ -134,19 +136,27 @@ def find_by_speed(speed_mps: Array, course: Course, dt_s: float) -> tuple[int, s
         raise InputError("the log has neither positions nor a speed", code="nothing_to_align", key="--path")
     filled = np.interp(np.arange(len(speed_mps)), known, speed_mps[known])
     least = max(1, math.ceil(min(LEAST_OVERLAP * len(plan), len(filled))))
-    whole = max(0, len(filled) - len(plan))
-    starts = range(whole + 1) if whole > 0 else range(max(1, len(filled) - least + 1))
-    differences = [_rms(filled[i : i + len(plan)] - plan[: len(filled) - i]) for i in starts]
-    row = int(np.argmin(differences))
+    scatter = float(np.var(plan))
+    squares, shares = _fit_from_each_row(filled, plan, len(filled) - least + 1)
+    around = np.concatenate([[math.inf], squares, [math.inf]])
+    least_here = (squares <= around[:-2]) & (squares <= around[2:])
+    row = int(np.argmin(np.where(least_here, shares * squares + (1.0 - shares) * scatter, math.inf)))
+    held = "" if shares[row] >= 1.0 else f", the log ends after {math.floor(100.0 * shares[row])} % of the plan"
     return (
         row,
         f"no positions: the start was found by the speed, {row * dt_s:.2f} s into the log"
-        f" (RMS {differences[row]:.2f} m/s)",
+        f" (RMS {math.sqrt(squares[row]):.2f} m/s{held})",
     )
 
 
-def _rms(values: Array) -> float:
-    return math.sqrt(float(np.mean(values * values)))
+def _fit_from_each_row(speed_mps: Array, plan_mps: Array, starts: int) -> tuple[Array, Array]:
+    """For the plan begun at each of the first `starts` rows: mean square difference, share of the plan in the log."""
+    squares, shares = np.empty(starts), np.empty(starts)
+    for row in range(starts):
+        heard = speed_mps[row : row + len(plan_mps)]
+        missed = heard - plan_mps[: len(heard)]
+        squares[row], shares[row] = np.mean(missed * missed), len(heard) / len(plan_mps)
+    return squares, shares
 
 
 def longitudinal_only(recording: Recording, course: Course) -> Recording:

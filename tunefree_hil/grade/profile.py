@@ -18,13 +18,12 @@ from tunefree_hil.episode.recording import Recording
 from tunefree_hil.grade.feet import stations_of
 from tunefree_hil.grade.metrics import AS_PUBLISHED, Row, Scales, Sharing, is_planned_row, samples_of, samples_of_plan
 from tunefree_hil.grade.original import samples_against_original
-from tunefree_hil.grade.score import GradeVehicle
+from tunefree_hil.grade.score import CONTROL_ERRORS, GradeVehicle
 from tunefree_hil.grade.signals import Context
 from tunefree_hil.grade.table import ROWS, TABLE, How, Metric
 
 Array = np.ndarray
 
-CONTROL_ERRORS = ("control_error", "controller_own")  # names of the errors that a controller answers for
 NO_BENCH = "no bench log: what the controller said is not known"
 NO_TIMES = "the controller's compute times were not recorded"
 

@@ -43,6 +43,14 @@ class Reference(NamedTuple):
     hash: str  # of the scenario file; '' for a CSV
 
 
+class Points(NamedTuple):
+    """The columns of a CSV by name; the line of the file that each row stands on, for whoever has to mend it."""
+
+    file: str
+    columns: dict[str, Array]
+    lines: list[int]
+
+
 def read_reference(name: str, dt_s: float, ahead_m: float = 0.0) -> Reference:
     """A reference by the path of a CSV, or by name or path of a scenario. Raises InputError that says what is wrong.
 
@@ -50,17 +58,16 @@ def read_reference(name: str, dt_s: float, ahead_m: float = 0.0) -> Reference:
     """
     path = Path(name)
     if path.suffix.lower() == ".csv":
-        return Reference(path.stem, course_of_points(read_points(path), dt_s, str(path), ahead_m), True, "")
+        return Reference(path.stem, course_of_points(read_points(path), dt_s, ahead_m), True, "")
     spec = load_scenario(name)
     return Reference(spec.name, build_course(spec, dt_s), False, spec.hash)
 
 
-def read_points(path: Path) -> dict[str, Array]:
-    """The columns of a CSV by name. Raises InputError that names file and column or line."""
+def read_points(path: Path) -> Points:
+    """What a CSV says. Raises InputError that names file and column or line."""
     if not path.is_file():
         raise InputError("there is no such file", code="no_path", file=str(path), hint="give a CSV or a scenario")
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
+    lines, rows = _rows(path)
     header = [word.strip() for word in rows[0]] if rows else []
     for wanted in NEEDED:
         if wanted not in header:
@@ -76,8 +83,24 @@ def read_points(path: Path) -> dict[str, Array]:
     columns = {name: np.empty(len(rows) - 1) for name in header if name in KNOWN}
     for i, row in enumerate(rows[1:]):
         for name, column in columns.items():
-            column[i] = _number(row, header.index(name), f"{path}", i + 2, name)
-    return columns
+            column[i] = _number(row, header.index(name), f"{path}", lines[i + 1], name)
+    return Points(str(path), columns, lines[1:])
+
+
+def _rows(path: Path) -> tuple[list[int], list[list[str]]]:
+    """Line and cells of each row, the header first, without empty lines, remarks and a byte order mark (Excel's)."""
+    lines, rows = [], []
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            for row in reader:
+                if row and not row[0].startswith("#"):
+                    lines.append(reader.line_num)
+                    rows.append(row)
+    except (UnicodeDecodeError, csv.Error) as error:
+        hint = "save it as comma-separated text in UTF-8"
+        raise InputError(f"not a CSV in UTF-8: {error}", code="bad_path", file=str(path), hint=hint) from error
+    return lines, rows
 
 
 def _number(row: list[str], at: int, file: str, line: int, name: str) -> float:
@@ -92,8 +115,9 @@ def _number(row: list[str], at: int, file: str, line: int, name: str) -> float:
     return value
 
 
-def course_of_points(points: dict[str, Array], dt_s: float, file: str, ahead_m: float = 0.0) -> Course:
-    """A Course through the points. `file` is what errors name; ahead_m as in read_reference."""
+def course_of_points(given: Points, dt_s: float, ahead_m: float = 0.0) -> Course:
+    """A Course through the points; ahead_m as in read_reference."""
+    points, file = given.columns, given.file
     if points["speed_mps"].min() < 0.0:
         raise InputError("speed is negative: reverse is not supported", code="bad_path", file=file, key="speed_mps")
     places = _places(points["x_m"], points["y_m"])
@@ -102,10 +126,10 @@ def course_of_points(points: dict[str, Array], dt_s: float, file: str, ahead_m: 
     if ahead_m != 0.0:
         points = _moved_ahead(points, places, ahead_m)
     speed, station = points["speed_mps"], _stations(points, places)
-    _require_ascending(station, "station_m", file, strictly=False)
-    _require_ascending(station[places], "station_m", file, strictly=True)
-    time = points["t_s"] - points["t_s"][0] if "t_s" in points else _times(station, speed, file)
-    _require_ascending(time, "t_s", file, strictly=True)
+    _require_ascending(station, "station_m", given, strictly=False)
+    _require_ascending(station, "station_m", given, strictly=True, rows=places)
+    time = points["t_s"] - points["t_s"][0] if "t_s" in points else _times(station, speed, given)
+    _require_ascending(time, "t_s", given, strictly=True)
     ticks = max(1, math.floor(time[-1] / dt_s + 1e-6))
     at = np.arange(ticks + 1) * dt_s
     by_station = _by_station(points, station[places] + ahead_m, places)
@@ -173,12 +197,16 @@ def _bends(points: dict[str, Array], station_m: Array, places: list[int]) -> tup
     return heading, np.gradient(heading, station_m) if given is None else given[places]
 
 
-def _require_ascending(values: Array, name: str, file: str, *, strictly: bool) -> None:
-    steps = np.diff(values)
+def _require_ascending(
+    values: Array, name: str, given: Points, *, strictly: bool, rows: list[int] | None = None
+) -> None:
+    """Raise InputError for the first row that does not; rows: only these are compared, each with the one before."""
+    rows = list(range(len(values))) if rows is None else rows
+    steps = np.diff(values[rows])
     wrong = steps <= 0.0 if strictly else steps < 0.0
     if wrong.any():
-        row = int(np.argmax(wrong)) + 3
-        raise InputError(f"must ascend; row {row} does not", code="bad_path", file=file, key=name)
+        line = given.lines[rows[int(np.argmax(wrong)) + 1]]
+        raise InputError(f"must ascend; row {line} does not", code="bad_path", file=given.file, key=name)
 
 
 def _accel(at: Array, time: Array, speed: Array) -> Array:
@@ -187,14 +215,15 @@ def _accel(at: Array, time: Array, speed: Array) -> Array:
     return (np.interp(high, time, speed) - np.interp(low, time, speed)) / (high - low)
 
 
-def _times(station_m: Array, speed_mps: Array, file: str) -> Array:
+def _times(station_m: Array, speed_mps: Array, given: Points) -> Array:
     """When each point is passed, from stations and the mean speed between points."""
     pace = 0.5 * (speed_mps[1:] + speed_mps[:-1])
     if pace.min() < LEAST_PACE_MPS:
         raise InputError(
-            f"row {int(pace.argmin()) + 3}: the plan stands still, and without times nobody knows for how long",
+            f"row {given.lines[int(pace.argmin()) + 1]}: the plan stands still, and without times nobody knows for how"
+            " long",
             code="bad_path",
-            file=file,
+            file=given.file,
             key="t_s",
             hint="add a column t_s",
         )

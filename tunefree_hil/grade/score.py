@@ -32,6 +32,8 @@ from tunefree_hil.grade.original import samples_against_original
 FINISHED = "finished"
 DIVERGED = "diverged"
 LEFT_LANE = "left_lane"
+CONTROL_ERRORS = ("control_error", "controller_own")  # names of the errors that a controller answers for
+GRADED = ("", DIVERGED, LEFT_LANE, *CONTROL_ERRORS)  # ends that the parameters answer for; the rest is the bench's
 MISSING_TICKS = 10  # a recording may lack so many of the planned rows and still count as driven to its end
 
 
@@ -81,18 +83,6 @@ def vehicle_of(spec: VehicleSpec) -> GradeVehicle:
     )
 
 
-def check_weights(weights: WeightsSpec) -> None:
-    """Raise InputError that names the file and the key of an unknown metric or a weight that cannot be."""
-    for name, weight in weights.metrics.items():
-        if name not in METRICS:
-            known = ", ".join(METRICS)
-            raise InputError(f"no such metric; there are {known}", file=weights.path, key=f"metrics.{name}")
-        if not 0.0 <= weight < float("inf"):
-            raise InputError(f"{weight} is no weight; 0 or more", file=weights.path, key=f"metrics.{name}")
-    if sum(weights.metrics.values()) <= 0.0:
-        raise InputError("not one metric has a weight above 0", file=weights.path, key="metrics")
-
-
 def grade(
     recording: Recording,
     course: Course,
@@ -105,10 +95,10 @@ def grade(
     """Grade one drive of `course`.
 
     error: name of the error that ended the drive, '' for none; any error scores failure_score, so errors of the bench
-    (a lost process, somebody's stop) are not to be graded. Leaving the lane and diverging are also found in the columns
-    themselves. A metric of samples that the course does not plan (harsh ones) is None whatever a re-plan's blend made
-    of the reference: the same weights count in every drive of a scenario (interfaces 6). Raises InputError for a
-    recording that ends early without an error, or in which nothing can be graded.
+    (a lost process, somebody's stop: none of GRADED) are not to be graded. Leaving the lane and diverging are also
+    found in the columns themselves. A metric of samples that the course does not plan (harsh ones) is None whatever a
+    re-plan's blend made of the reference: the same weights count in every drive of a scenario (interfaces 6). Raises
+    InputError for a recording that ends early without an error, or in which nothing can be graded.
     """
     original = samples_against_original(recording, course, vehicle.rear_axle_m)
     samples = original if weights.against == "original" else samples_of(recording)

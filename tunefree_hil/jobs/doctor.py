@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -15,6 +15,7 @@ from tunefree_hil.jobs.pasted import pasted
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import BenchSpec, VehicleSpec
 
+SOME_SET = "mrac"  # searched where a bench file leaves it to `tune --set`: its other keys are checked all the same
 FIRST_BENCH = Path("bench_configs/mkz_steer.toml")
 T = TypeVar("T")
 
@@ -98,7 +99,7 @@ def _assumed(spec: VehicleSpec) -> Iterator[str]:
 
 
 def bench_findings(file: Path) -> list[Finding]:
-    """A bench file and everything that it names: vehicle, models, weights, scenarios that the vehicle can drive."""
+    """A bench file and all it names: vehicle, models, weights, scenarios, and what `drive` and `tune` build of them."""
     from tunefree_hil.config.find import find
     from tunefree_hil.config.load import load_bench, load_model, load_weights
 
@@ -112,6 +113,7 @@ def bench_findings(file: Path) -> list[Finding]:
         _try(findings, lambda name=name: load_model(name, spec.path))
     _try(findings, lambda: load_weights(spec.weights, spec.path))
     findings += _scenario_findings(spec)
+    findings += _start_findings(file, findings)
     if not findings:
         count = len(spec.scenarios) + len(spec.verify_scenarios)
         findings.append(Finding(OK, f"{spec.path}: {spec.vehicle}, {spec.model}, {count} scenarios", ""))
@@ -134,18 +136,49 @@ def vehicle_findings_of(spec: BenchSpec) -> list[Finding]:
 
 def _scenario_findings(spec: BenchSpec) -> list[Finding]:
     from tunefree_hil.config.load import load_scenario, load_vehicle
-    from tunefree_hil.jobs.scenarios import describe
+    from tunefree_hil.episode.feasible import limits_of, require_feasible
+    from tunefree_hil.episode.scenario import build_course
 
     findings: list[Finding] = []
-    ignored: list[Finding] = []  # the vehicle's own faults are told elsewhere
-    vehicle = _try(ignored, lambda: load_vehicle(spec.vehicle, spec.path))
-    for name in [*spec.scenarios, *spec.verify_scenarios]:
-        scenario = _try(findings, lambda name=name: load_scenario(name, spec.path))
-        described = _try(findings, lambda scenario=scenario: describe(scenario, vehicle)) if scenario else None
-        for problem in described["problems"] if described else []:
-            text = f"{spec.vehicle} cannot drive {name}: {problem}"
-            findings.append(Finding(FAULT, text, "lower the speed or widen the curve, or take it out"))
+    vehicle = _try([], lambda: load_vehicle(spec.vehicle, spec.path))  # its own faults are told elsewhere
+
+    def drivable(name: str) -> None:
+        scenario = load_scenario(name, spec.path)
+        if vehicle is not None:
+            require_feasible(scenario, build_course(scenario, vehicle.tick_ms * 1e-3), limits_of(vehicle))
+
+    for name in dict.fromkeys([*spec.scenarios, *spec.verify_scenarios]):
+        _try(findings, lambda name=name: drivable(name))
     return findings
+
+
+def _start_findings(file: Path, told: Sequence[Finding]) -> list[Finding]:
+    """What `drive` and `tune` refuse before they start a process, beyond what is told; each fault once."""
+    from tunefree_hil.bench import ControllerFor, load, parameters_of, require_buildable
+    from tunefree_hil.control.parameters import NAMES
+    from tunefree_hil.jobs.tune.wish import Asked, resolve_wish
+
+    findings: list[Finding] = []
+    bench = _try(findings, lambda: load(file))
+    if bench is None:  # where something is told, it is told of the file that has the fault
+        return [] if told else findings
+    spec = bench.spec
+
+    def controller() -> None:
+        values = parameters_of(bench)
+        start = bytes.fromhex(bench.scenarios[spec.scenarios[0]].hash)[:6]
+        ControllerFor(bench)(start, {index: values[name] for index, name in enumerate(NAMES)})
+
+    def search() -> None:
+        named = spec.tune.set or spec.tune.parameters
+        resolve_wish(Asked(file, set_name=None if named else SOME_SET, bus="tfhub"))  # whatever links are up here
+
+    for model in filter(None, (spec.model, spec.verify_model)):
+        _try(findings, lambda model=model: require_buildable(bench, model, [], {}))
+    _try(findings, controller)
+    _try(findings, search)
+    known = {finding.text for finding in told}
+    return [one for text, one in {one.text: one for one in findings}.items() if text not in known]
 
 
 def _try(findings: list[Finding], load: Callable[[], T]) -> T | None:

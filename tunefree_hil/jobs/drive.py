@@ -19,6 +19,7 @@ from tunefree_hil.bench import (
     require_buildable,
     require_in_box,
 )
+from tunefree_hil.bus.bench_channel import error_text
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.control.parameters import NAMES
@@ -194,7 +195,8 @@ def _line(name: str, episode: Episode) -> str:
     peak = grade.metrics.get("lateral_err_peak")
     lateral = f", lateral peak {0.5 * peak:.2f} m" if peak is not None else ""
     replans = f", {grade.replans} re-plans" if grade.replans else ""
-    return f"{name}: score {grade.score:.3f}{lateral}{replans}, {grade.outcome}"
+    ended = error_text(episode.error_code) if episode.error_code else grade.outcome
+    return f"{name}: score {grade.score:.3f}{lateral}{replans}, {ended}"
 
 
 def _result(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bench import Bench, calibration_path, model_of
+from tunefree_hil.bench import Bench, calibration_path, model_of, part_names
 from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.find import find
 from tunefree_hil.config.schema import ScenarioSpec
@@ -21,17 +21,28 @@ def identity_of(bench: Bench, model: str, scenarios: Iterable[ScenarioSpec]) -> 
     controller = {key: value for key, value in plain(bench.spec.controller).items() if key != "calibration"}
     disturbed = plain([bench.spec.effects, bench.spec.faults])
     hashes: dict[str, Any] = {
-        "bench": _sha(Path(bench.file).read_bytes()),
+        "bench": sha256_of(Path(bench.file)),
         "vehicle": bench.vehicle.hash,
         "model": model_of(bench, model).hash,
-        "calibration": _sha(calibration_path(bench).read_bytes()),
-        "weights": _sha(Path(bench.weights.path).read_bytes()),
+        "calibration": sha256_of(calibration_path(bench)),
+        "weights": sha256_of(Path(bench.weights.path)),
         "scenarios": {scenario.name: scenario.hash for scenario in scenarios},
     }
     if bench.spec.controller.command:
         hashes["controller"] = program_hashes(bench)
+    if own := own_parts(bench, model):
+        hashes["parts"] = own
     counted = [{key: value for key, value in hashes.items() if key != "bench"}, controller, disturbed]
     return {"hashes": hashes, "identity": _sha(json.dumps(counted, sort_keys=True).encode())}
+
+
+def own_parts(bench: Bench, model: str) -> dict[str, str]:
+    """SHA-256 by name of the user's own modules ('path/to/file.py:EXPORT') that control or simulate; one that is not
+    there is refused where it is built.
+    """
+    kinds = (*part_names(bench), model_of(bench, model).plant.kind)
+    paths = {Path(kind.rpartition(":")[0]) for kind in kinds if ":" in kind}
+    return {path.name: sha256_of(path) for path in sorted(paths) if path.is_file()}
 
 
 def resolved_toml(bench: Bench, scenarios: Iterable[ScenarioSpec] | None = None) -> str:
@@ -48,6 +59,7 @@ def resolved_toml(bench: Bench, scenarios: Iterable[ScenarioSpec] | None = None)
     if scenarios is not None:
         named = {scenario.hash: name for name, scenario in bench.scenarios.items()}
         data["scenarios"] = [_anywhere("scenario", named.get(one.hash, one.path), bench.file) for one in scenarios]
+    data["controller"] |= part_names(bench)._asdict()
     if spec.controller.command:
         data["controller"]["command"] = program_of(bench)
     beside = Path(bench.file).parent / spec.controller.calibration
@@ -63,6 +75,11 @@ def _anywhere(kind: str, name: str, near: str) -> str:
         return name if find(kind, name) == path else str(path)
     except InputError:
         return str(path)
+
+
+def sha256_of(path: Path) -> str:
+    """Of a file's bytes, as run.json has it."""
+    return _sha(path.read_bytes())
 
 
 def _sha(data: bytes) -> str:

@@ -9,16 +9,18 @@ from typing import Any
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import Bench, is_heavy, load, model_of
+from tunefree_hil.bench import Bench, calibration_path, is_heavy, load, model_of
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.episode.compare import compare_logs
 from tunefree_hil.episode.frame_hash import frame_hash
 from tunefree_hil.jobs.drive import find_scenario, own_session
+from tunefree_hil.jobs.identity import own_parts, sha256_of
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, read_json
 from tunefree_hil.jobs.running.foreign import program_hashes, program_of, require_one
 from tunefree_hil.jobs.running.session import Session
 
 DIFFERS = 1  # exit status
+SAID = {"calibration": "open-loop map", "parts": "modules of your own"}  # of `hashes`, where the key says too little
 SUMMARY_KEYS = ("frame_hash", "parameters", "scenario", "seed")
 
 
@@ -57,7 +59,7 @@ def _numbers(folder: RunFolder, episode: int | None) -> list[int]:
         if not (folder.path / "episodes" / str(episode) / "episode.json").is_file():
             raise InputError(f"has no episode {episode}", file=str(folder.path), key="--episode")
         return [episode]
-    found = sorted(int(path.parent.name) for path in folder.path.glob("episodes/*/vehicle.log"))
+    found = folder.numbered("vehicle.log")
     if not found:
         raise InputError(
             "has no finished episode with its log", file=str(folder.path), hint="was it cut off before the first one?"
@@ -136,12 +138,14 @@ def _require_same_files(folder: RunFolder, bench: Bench, model: str) -> None:
         "vehicle": bench.vehicle.hash,
         "model": model_of(bench, model).hash,
         "scenarios": {name: find_scenario(bench, name).hash for name in stored.get("scenarios", {})},
+        "calibration": sha256_of(calibration_path(bench)),
         "controller": program_hashes(bench),
+        "parts": own_parts(bench, model),
     }
     changed = [key for key, value in now.items() if key in stored and stored[key] != value]
     if changed:
         raise InputError(
-            f"the {' and the '.join(changed)} changed since this run was made",
+            f"the {' and the '.join(SAID.get(key, key) for key in changed)} changed since this run was made",
             code="changed",
             file=str(folder.path / "run.json"),
             key=f"hashes.{changed[0]}",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from tunefree_hil.base.errors import InputError
@@ -29,3 +30,11 @@ def require_model_of(
             hint=hint,
         )
     require_current(model, vehicle)
+
+
+def require_number(key: str, value: float | None, *, most: float, zero: bool = False) -> None:
+    """Raise InputError for an option that is no number above 0 (with `zero`: from 0 on) to `most`; None: not given."""
+    if value is None or (math.isfinite(value) and 0.0 <= value <= most and (zero or value > 0.0)):
+        return
+    hint = f"give a number {'from' if zero else 'above'} 0, {most:g} at most"
+    raise InputError(f"{key} {value:g} does not do", code="usage", key=key, hint=hint)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import glob
 import json
 import os
 import platform
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
@@ -15,19 +18,26 @@ from tunefree_hil import __version__
 from tunefree_hil.base.errors import BenchError, InputError
 
 SCHEMA = "tunefree.run/1"
+JOINED = "joined"  # key of run.json: what the controller of a bench that was joined calls itself
+FULL = (errno.ENOSPC, errno.EDQUOT)
 LIBRARIES = ("python-can", "cantools", "numpy", "optuna", "msgspec")
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a whole file or nothing. Raises BenchError that says so when the disk is full."""
+    """Write a whole file or nothing. Raises BenchError that says why: the disk is full, the folder is not ours."""
     part = path.with_name(path.name + ".part")
     try:
         part.write_text(text)
         os.replace(part, path)
     except OSError as error:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # of what cannot be written there is often nothing
+            part.unlink(missing_ok=True)
+        hint = "make room" if error.errno in FULL else "see to the folder and its permissions"
         raise BenchError(
-            f"cannot write: {error.strerror}", code="disk", file=str(path), hint="make room, then run the same command"
+            f"cannot write: {error.strerror}",
+            code="disk",
+            file=str(path),
+            hint=f"{hint}, then run the same command",
         ) from error
 
 
@@ -85,6 +95,11 @@ class RunFolder:
         folder = self.path / "episodes" / str(k)
         folder.mkdir(parents=True, exist_ok=True)
         return folder
+
+    def numbered(self, file: str) -> list[int]:
+        """Numbers of the episodes that hold `file`, in order; a folder with another name is a person's own."""
+        found = [path.parent.name for path in self.path.glob(f"episodes/*/{file}")]
+        return sorted(int(name) for name in found if name.isdecimal() and str(int(name)) == name)
 
     def bench_file(self) -> Path:
         """The resolved bench file. Raises InputError where the run was cut off before it was written."""
@@ -146,15 +161,19 @@ def open_run(path: Path) -> RunFolder:
 
 
 def unfinished(root: Path, name: str, same: dict[str, Any]) -> RunFolder | None:
-    """The newest run `*-<name>` that is not complete and whose record agrees with `same`."""
-    for path in sorted(root.glob(f"*-{name}*"), reverse=True):
+    """The newest of `all_unfinished`."""
+    return next(all_unfinished(root, name, same), None)
+
+
+def all_unfinished(root: Path, name: str, same: dict[str, Any]) -> Iterator[RunFolder]:
+    """The runs `*-<name>` that are not complete and whose record agrees with `same`, the newest first."""
+    for path in sorted(root.glob(f"*-{glob.escape(name)}*"), reverse=True):
         try:
             run = open_run(path)
         except InputError:
             continue
         if not run.record.get("complete") and all(run.record.get(key) == value for key, value in same.items()):
-            return run
-    return None
+            yield run
 
 
 def remove_parts(folder: Path) -> None:

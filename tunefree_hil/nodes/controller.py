@@ -20,7 +20,7 @@ from tunefree_hil.bus.frame_writer import FrameWriter
 from tunefree_hil.control.cascade import Sight
 from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.faults import FaultFilter, ScriptedFault
-from tunefree_hil.nodes.handshake import Handshake, Stage
+from tunefree_hil.nodes.handshake import Handshake, Stage, limits_of
 from tunefree_hil.nodes.hearing import CHASSIS, INS, Hearing
 from tunefree_hil.nodes.timing import CycleTimes
 
@@ -54,13 +54,14 @@ class ControllerPart:
         assign: Callable[[bytes, Mapping[int, float]], Assignment],
         times: CycleTimes,
         say: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),  # noqa: T201
+        names: Sequence[str] = (),
     ) -> None:
         self.codec = codec
         self.needed = needed
         self.assign = assign
         self.times = times
         self.say = say
-        self.names: list[str] = []
+        self.names = list(names)
         self._writer = FrameWriter(codec)
         self._failed = 0
 
@@ -70,7 +71,7 @@ class ControllerPart:
         block = self.task.block
         self._state = block.init(block.params, self.task.dt_s)
         self.hearing = Hearing(self.codec, self.task.dt_s)
-        self.handshake = Handshake()
+        self.handshake = Handshake(limits_of(self.task.dt_s))
         self._failed = 0
         self._writer.restart()
         self._faults = FaultFilter(self.task.faults)
@@ -100,7 +101,7 @@ class ControllerPart:
             reply, words = self.cycle(k, exchange.take_before(0, deadline_s))
             self.times.note(late_s, time.perf_counter() - started)
             exchange.announce(k, 1, reply, *words)
-            if any(stopped(message) for message in exchange.listen(0.0)):
+            if exchange.interrupted(stopped):
                 break
         self._save()
 

@@ -83,12 +83,19 @@ class Exchange:
             self.vehicle.send(frames)
         self.bench.send(bench_frames)
 
-    def listen(self, timeout_s: float) -> list[Any]:
-        """The bench messages not yet looked at; waits up to timeout_s for the first."""
+    def interrupted(self, interrupt: Callable[[Any], bool]) -> bool:
+        """Real time: whether a bench message that is here ends the episode; what follows it stays.
+
+        A runner that does not wait has the next EPISODE and its PARAMs in the same batch.
+        """
         if not self.inbox:
-            self._fill_inbox(timeout_s)
-        messages, self.inbox = self.inbox, []
-        return messages
+            self._fill_inbox(0.0)
+        for i, message in enumerate(self.inbox):
+            if interrupt(message):
+                del self.inbox[: i + 1]
+                return True
+        self.inbox.clear()
+        return False
 
     def next_message(self, timeout_s: float) -> Any:
         """The next bench message, or None; what came with it stays, for it may belong to the episode it begins."""

@@ -3,7 +3,7 @@
     WAIT ── nothing latched ──> ENABLING ── every channel says enabled ──> ENGAGED ── override, fault, dropped ──> LOST
       └── override latched ──> CLEARING ──┘
 
-EN is set from the first command on; the vehicle must answer within `limit_ticks` (20 looks of 20 ms in the source).
+EN is set from the first command on; the vehicle must answer within ANSWER_LIMIT_S (20 looks of 20 ms in the source).
 A lost engagement is never taken back by itself: that needs a new request. The steps are a kernel, `look`, so that a
 compiled batch takes the same ones; `Handshake` is what a node holds.
 """
@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 from tunefree_hil.base.kernel import kernel
 
-ANSWER_LIMIT_TICKS = 40  # 20 x 20 ms
-CLEAR_EVERY_TICKS = 5  # 20 Hz
-WHY_TICKS = 6  # a channel that is not enabled any more: the report that says why may come this much later
+ANSWER_LIMIT_S = 0.4  # 20 x 20 ms
+CLEAR_EVERY_S = 0.05  # 20 Hz
+WHY_S = 0.06  # a channel that is not enabled any more: the report that says why may come this much later
 
 
 class Stage(Enum):
@@ -26,7 +26,7 @@ class Stage(Enum):
     ENABLING = "waiting for the vehicle to report every channel enabled"
     CLEARING = "an override is latched: sending clear frames"
     ENGAGED = "engaged"
-    NOT_ENABLED = "the vehicle did not report every channel enabled within 0.4 s"
+    NOT_ENABLED = f"the vehicle did not report every channel enabled within {ANSWER_LIMIT_S:g} s"
     OVERRIDE = "the driver took over"
     FAULT = "a by-wire channel reports a fault"
     DROPPED = "a by-wire channel left the enabled state by itself"
@@ -54,8 +54,21 @@ class Progress(NamedTuple):
     clear_now: bool = False
 
 
+class Limits(NamedTuple):
+    """The same times in ticks of a vehicle, each at least 1."""
+
+    answer_ticks: int
+    clear_ticks: int
+    why_ticks: int
+
+
+def limits_of(tick_s: float) -> Limits:
+    """For a vehicle whose tick is so long."""
+    return Limits(*(max(1, round(time_s / tick_s)) for time_s in (ANSWER_LIMIT_S, CLEAR_EVERY_S, WHY_S)))
+
+
 @kernel
-def watch(state: VehicleState, since: int, tick: int) -> Progress:
+def watch(state: VehicleState, since: int, tick: int, why_ticks: int) -> Progress:
     """The stage after an engaged tick; since: the last one at which every channel was enabled."""
     if state.fault:
         return Progress(FAULT, since, False)
@@ -63,38 +76,38 @@ def watch(state: VehicleState, since: int, tick: int) -> Progress:
         return Progress(OVERRIDE, since, False)
     if state.enabled:
         return Progress(ENGAGED, tick, False)
-    return Progress(DROPPED if tick - since >= WHY_TICKS else ENGAGED, since, False)
+    return Progress(DROPPED if tick - since >= why_ticks else ENGAGED, since, False)
 
 
 @kernel
-def look(progress: Progress, tick: int, state: VehicleState, limit_ticks: int) -> Progress:
+def look(progress: Progress, tick: int, state: VehicleState, limits: Limits) -> Progress:
     """Advance by one tick. An ended stage stays."""
     stage, since = progress.stage, progress.since
     if stage >= NOT_ENABLED:
         return Progress(stage, since, False)
     if stage == ENGAGED:
-        return watch(state, since, tick)
+        return watch(state, since, tick, limits.why_ticks)
     if state.fault:
         return Progress(FAULT, since, False)
     if state.override:
         if stage != CLEARING:
             since = tick
         waited = tick - since
-        if waited >= limit_ticks:
+        if waited >= limits.answer_ticks:
             return Progress(NOT_ENABLED, since, False)
-        return Progress(CLEARING, since, int(waited) % int(CLEAR_EVERY_TICKS) == 0)  # not 0: a constant
+        return Progress(CLEARING, since, int(waited) % int(limits.clear_ticks) == 0)  # not 0: limits_of
     if stage == CLEARING:
         since = tick
     if state.known and state.enabled:
         return Progress(ENGAGED, tick, False)
-    return Progress(NOT_ENABLED if tick - since >= limit_ticks else ENABLING, since, False)
+    return Progress(NOT_ENABLED if tick - since >= limits.answer_ticks else ENABLING, since, False)
 
 
 class Handshake:
     """One engagement. `look(tick, state)` once a tick gives the stage; `enable`, `clear_now` say what to send."""
 
-    def __init__(self, limit_ticks: int = ANSWER_LIMIT_TICKS) -> None:
-        self.limit_ticks = limit_ticks
+    def __init__(self, limits: Limits) -> None:
+        self.limits = limits
         self._progress = Progress()
 
     @property
@@ -114,5 +127,5 @@ class Handshake:
 
     def look(self, tick: int, state: VehicleState) -> Stage:
         """Advance by one tick. An ended stage stays."""
-        self._progress = look(self._progress, tick, state, self.limit_ticks)
+        self._progress = look(self._progress, tick, state, self.limits)
         return self.stage

@@ -54,8 +54,3 @@ def lock_memory() -> bool:
     if os.geteuid() != 0 and limit != resource.RLIM_INFINITY:
         return False
     return ctypes.CDLL(None).mlockall(MCL_CURRENT | MCL_FUTURE) == 0
-
-
-def unlock_memory() -> None:
-    """Undo `lock_memory`."""
-    ctypes.CDLL(None).munlockall()

@@ -1,7 +1,8 @@
 """What a node notices of the frames it hears: E2E status, arrival and rate of every message, in words and counts.
 
-Statuses are exact and never stop a drive by themselves; who needs a message decides what its status means. Each kind
-of trouble of a message is said once an episode, at its first tick, and counted to the end.
+Statuses are exact and never stop a drive by themselves; who needs a message decides what its status means. A frame
+that is too short to be decoded counts as none. Each kind of trouble of a message is said once an episode, at its first
+tick, and counted to the end.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from tunefree_hil.bus.integrity import E2eStatus, Receiver
 from tunefree_hil.bus.message_map import MessageMap
 
 TOO_MANY = "more frames than are due"
+TOO_SHORT = "shorter than the DBC says"
 MOST_EXTRA = 2.0  # extra frames before it is said
 MOST_FREE = 3.0  # of those that come after a gap
 FORGOTTEN = 0.25  # a frame that comes alone makes up for this much
@@ -64,6 +66,7 @@ class Reception:
         self._seen: set[tuple[str, str]] = set()
         self._new: list[Notice] = []
         self.too_many: dict[str, int] = {}
+        self.too_short: dict[str, int] = {}
 
     def expect_every_period(self) -> None:
         """Before the first tick of a drive in lockstep, where no frame is late: a single missing one is noticed."""
@@ -72,6 +75,10 @@ class Reception:
 
     def hear(self, message: MessageMap, data: bytes, tick: int) -> bool:
         """Take in a frame that has arrived by `tick`; whether its values may be taken."""
+        if message.e2e is None and not message.fits(data):  # of a protected one the CRC is wrong
+            self.too_short[message.name] = self.too_short.get(message.name, 0) + 1
+            self._notice(tick, message.name, TOO_SHORT)
+            return False
         receiver = self.receivers[message.name]
         status = receiver.hear(tick, data)
         if status not in UNREMARKABLE:
@@ -97,10 +104,10 @@ class Reception:
         return new
 
     def troubles(self) -> dict[str, list[int]]:
-        """Messages with which something was wrong: frames by E2eStatus in its order, then those beyond what was due."""
+        """Messages with which something was wrong: frames by E2eStatus in its order, too many ones, too short ones."""
         found = {}
         for name, receiver in self.receivers.items():
-            row = [*receiver.counts, self.too_many.get(name, 0)]
+            row = [*receiver.counts, self.too_many.get(name, 0), self.too_short.get(name, 0)]
             if sum(row) > sum(row[status] for status in UNREMARKABLE):
                 found[name] = row
         return found
@@ -117,5 +124,6 @@ class Reception:
 
 def in_words(row: Sequence[int]) -> str:
     """One message's counts (`Reception.troubles`): '2 repeated, 1 wrong CRC'."""
-    words = [f"{row[status]} {status.words}" for status in E2eStatus if row[status] and status not in UNREMARKABLE]
-    return ", ".join([*words, f"{row[-1]} {TOO_MANY}"] if row[-1] else words)
+    kinds = [(row[status], status.words) for status in E2eStatus if status not in UNREMARKABLE]
+    kinds += zip(row[len(E2eStatus) :], (TOO_MANY, TOO_SHORT), strict=False)  # older runs do not have the last
+    return ", ".join(f"{count} {what}" for count, what in kinds if count)

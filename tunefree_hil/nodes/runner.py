@@ -189,7 +189,7 @@ class Runner:
         self.check()
         role = bc.Role(message.role).name.lower()
         raise BenchError(
-            f"the {role} cannot load this episode: {bc.ErrorCode(message.error_code).name.lower()}",
+            f"the {role} cannot load this episode: {bc.error_text(message.error_code)}",
             code=bc.ErrorCode(message.error_code).name.lower(),
             hint=f"the {role} says why in its own words, where it runs; do both have the same files?",
         )

@@ -16,7 +16,6 @@ from tunefree_hil.base.course import Start
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import Actuation, Command, Disturbance, Measurement, Motion
-from tunefree_hil.base.units import G_MPS2
 
 REST_FRAC = 0.15  # pedal duty with nobody's foot on it (apollo_facts 7.4)
 
@@ -205,10 +204,10 @@ def filled(defaults: Mapping[str, float], given: Mapping[str, float], kind: str)
     return {**defaults, **{key: float(value) for key, value in given.items()}}
 
 
-def rolling_motion(start: Start, wheel_radius_m: float, grade_rad: float = 0.0) -> Motion:
-    """Motion of a car that rolls straight on at `start`, wheels turning; the first motion of every chassis."""
+def rolling_motion(start: Start, wheel_radius_m: float) -> Motion:
+    """Motion of a car that rolls straight on at `start` on level ground, wheels turning; the first of every chassis."""
     wheel_radps = start.speed_mps / wheel_radius_m
     wheels = (wheel_radps, wheel_radps, wheel_radps, wheel_radps)
     speeds = (start.speed_mps, 0.0, 0.0)
-    forces = (G_MPS2 * math.sin(grade_rad), 0.0, 0.0)
+    forces = (0.0, 0.0, 0.0)
     return Motion(start.x_m, start.y_m, start.heading_rad, *speeds, *forces, *wheels)

@@ -106,9 +106,10 @@ class ChannelRules(NamedTuple):
 
 
 class ByWireParams(NamedTuple):
-    """Rules of a unit, ticks of 10 ms. Defaults: apollo_facts 7.3; what no source states is marked assumed.
+    """Rules of a unit in ticks; the defaults are for ticks of 10 ms (bench/vehicle.py works them out for others).
 
-    The unit heeds counters when check_counter is 1. first_gear: the lever at power-up.
+    Source: apollo_facts 7.3; what it does not state is marked assumed. The unit heeds counters when check_counter is 1.
+    first_gear: the lever at power-up.
     """
 
     throttle: ChannelRules = ChannelRules(override_level=0.30, high=0.80)

@@ -69,7 +69,6 @@ def assemble(
     effects: Effects = (),
     rest_frac: tuple[float, float] = (0.15, 0.15),
     ins_latency_s: float = 0.0,
-    ins_ahead_m: float = 0.0,
     ins_specific_force: bool = False,
     dt_s: float = 0.01,
 ) -> Body:
@@ -79,7 +78,8 @@ def assemble(
     'throttle', 'brake', 'steer' of [actuators], or 'accel', 'steer' of a car that is asked for an acceleration (a
     'steer_torque' beside them says nothing to a chassis); not used by a plant with its own. effects: (port, what
     `contracts.make_effect` gave), in order; an effect behind another on the same port sees its output. rest_frac:
-    throttle and brake duty at rest. Raises InputError for parameters or ports that do not fit.
+    throttle and brake duty at rest. The INS stands on the rear axle. Raises InputError for parameters or ports that do
+    not fit.
     """
     change = BodyChange()
     for _, made in effects:
@@ -95,7 +95,7 @@ def assemble(
     behind = channels_of(effects, (Port.THROTTLE_B, Port.BRAKE_B, Port.STEER_B), Actuation)
     seen = seen_of(effects)
     ins_ticks = round(ins_latency_s / dt_s)
-    quiet = SensorParams(noise_table({}, {}, 0, 0), ins_ahead_m, 1.0 if ins_specific_force else 0.0)
+    quiet = SensorParams(noise_table({}, {}, 0, 0), ins_specific_force=1.0 if ins_specific_force else 0.0)
     eyes = sensors(quiet, ins_ticks)
     late, late_s = latency_of(effects)
     block = _body(front, behind, chassis, eyes, seen, plant.substeps, ins_ticks, late_s)

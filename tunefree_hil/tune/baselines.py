@@ -1,7 +1,7 @@
 """What a tuned result is held against: the manual gains, and gains that a textbook gives (interfaces 7).
 
 The shipped baselines stand in `control/parameters.py` as complete vectors. Here: which of them a vehicle has, which one
-opens a study, what clipping does to one, and the vector `rule_based`, worked out from a data sheet without any drive.
+opens a study, and the vector `rule_based`, worked out from a data sheet without any drive.
 
 A vehicle folder says with `manual_gains` whether the shipped gains are its own. Where they are not, its manual gains
 are `rule_based`; those of the other vehicle are still scored, look-ahead 0, and called what they are: borrowed.
@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.control.parameters import BASELINES, round32, study_values
+from tunefree_hil.control.parameters import BASELINES, study_values
 from tunefree_hil.tune.space import Axis, Space
 
 FIRST_TRIAL = "mrac_on"  # with look-ahead 0 (interfaces 7)
@@ -70,13 +70,6 @@ def first_trial(space: Space, opens: Mapping[str, float] | None = None) -> dict[
     """Slot 0 of a study: the manual gains with MRAC on (or `opens`), clipped; the middle of a box that has none."""
     manual = BASELINES[FIRST_TRIAL] if opens is None else opens
     return space.fit({axis.name: manual.get(axis.name, _middle(axis)) for axis in space.axes})
-
-
-def clipped(values: Mapping[str, float], space: Space) -> tuple[dict[str, float], tuple[str, ...]]:
-    """A complete vector clipped into the box parameter by parameter, and the names of those that this moved."""
-    inside = space.fit(values)
-    moved = tuple(name for name in space.names if not math.isclose(inside[name], round32(values[name]), rel_tol=2e-7))
-    return {**values, **inside}, moved
 
 
 def lag_of_order_2_s(natural_hz: float, damping: float) -> float:

@@ -45,7 +45,6 @@ class SharedStudy:
         self.claims = claims
         self.folder = folder
         self.patience_s = patience_s
-        self.filled_last = False  # after `run`: whether the trial that was finished last is ours
         self._known: list[Trial] = []
         self._baselines: dict[str, Baseline] = {}
         self._read()
@@ -94,8 +93,6 @@ class SharedStudy:
             filled = {trial.slot for trial in self._known}
             free = [slot for slot in range(trials) if slot not in filled]
             if not free:
-                last = yield from self._patiently(self.slots.last_worker)
-                self.filled_last = last == self.claims.worker
                 return
             slot = yield from self._patiently(lambda free=free: self._take(free))
             if slot is None:

@@ -19,6 +19,8 @@ from tunefree_hil.tune.sampling import Told, learned_value, suggest_some
 from tunefree_hil.tune.shelf import Shelf
 from tunefree_hil.tune.trial import Evaluation, Trial
 
+ENDING = "ending"
+
 
 class Begun(NamedTuple):
     """An attempt at a slot; `number` is Optuna's."""
@@ -72,11 +74,13 @@ class Slots(Shelf):
             trial_id = self._add(TrialState.COMPLETE, begun.parameters, {"slot": begun.slot, **scored}, value)
         return self._read(self._storage.get_trial(trial_id))
 
-    def last_worker(self) -> str:
-        """The worker of the trial that was finished last; '' before the first."""
-        done = self._optuna.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-        last = max(done, key=lambda one: (one.datetime_complete or datetime.min, one.number), default=None)
-        return str(last.user_attrs.get("worker", "")) if last else ""
+    def ending(self) -> dict[str, Any]:
+        """What was found when all slots were filled (ending.py); empty before."""
+        return dict(self._optuna.user_attrs.get(ENDING, {}))
+
+    def keep_ending(self, found: Mapping[str, Any]) -> None:
+        """Store that, in the place of what was found before."""
+        self._optuna.set_user_attr(ENDING, dict(found))
 
     def _running(self) -> list[FrozenTrial]:
         return self._optuna.get_trials(deepcopy=False, states=(TrialState.RUNNING,))

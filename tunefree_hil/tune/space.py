@@ -14,10 +14,9 @@ from optuna.distributions import BaseDistribution, CategoricalDistribution, Floa
 
 from tunefree_hil.base.contracts import Tunable
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.control.parameters import BY_NAME, SETS, box32, round32
+from tunefree_hil.control.parameters import BY_NAME, LARGEST32, SETS, box32, round32
 
 MOST_GRID_POINTS = 100_000
-LARGEST32 = 3.4028234e38
 
 
 class Searched(Protocol):

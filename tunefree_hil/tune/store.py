@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import optuna
 from optuna.samplers import RandomSampler
 from optuna.storages import RDBStorage
+from sqlalchemy import URL
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.tune.sampling import SAMPLERS
@@ -157,21 +158,35 @@ def differing(stored: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, 
 
 @contextlib.contextmanager
 def alone(path: Path) -> Iterator[None]:
-    """Hold the study for this process; InputError when another one holds it. The system lets go when a process dies.
+    """Hold the study for this process; InputError when another one holds it, or where none can be held. The system lets
+    go when a process dies.
 
     A locked SQLite file is the one lock that every system has in its standard library.
     """
     lock_path = path.with_suffix(".lock")
-    lock = sqlite3.connect(lock_path, timeout=0.0, check_same_thread=False, isolation_level=None)
     try:
-        try:
-            lock.execute("BEGIN EXCLUSIVE")
-        except sqlite3.OperationalError as problem:
+        lock = _locked(lock_path)
+    except sqlite3.Error as problem:
+        if getattr(problem, "sqlite_errorcode", None) == sqlite3.SQLITE_BUSY:
             hint = f"wait for it or end it, then resume (the lock is {lock_path.name})"
             raise InputError("another process works on it", code="study_busy", file=str(path), hint=hint) from problem
+        hint = "it needs a folder that may be written, on a file system with locks; an old lock file may be deleted"
+        message = f"cannot be locked: {problem}"
+        raise InputError(message, code="study_not_locked", file=str(lock_path), hint=hint) from problem
+    try:
         yield
     finally:
         lock.close()
+
+
+def _locked(path: Path) -> sqlite3.Connection:
+    lock = sqlite3.connect(path, timeout=0.0, check_same_thread=False, isolation_level=None)
+    try:
+        lock.execute("BEGIN EXCLUSIVE")
+    except BaseException:
+        lock.close()
+        raise
+    return lock
 
 
 def _create_file(path: Path, settings: Settings) -> None:
@@ -208,7 +223,8 @@ def _check_ours(path: Path) -> None:
 
 
 def _storage(path: Path) -> RDBStorage:
-    return RDBStorage(f"sqlite:///{path}", engine_kwargs={"connect_args": {"timeout": BUSY_S}})
+    url = URL.create("sqlite", database=str(path)).render_as_string()  # SQLAlchemy 2.1 quotes the ? and % of a path
+    return RDBStorage(url, engine_kwargs={"connect_args": {"timeout": BUSY_S}})
 
 
 def _short(value: Any) -> str:

@@ -53,6 +53,34 @@ def test_torn_bytes_are_no_crash(form: Format, tmp_path: Path, capfd: pytest.Cap
     assert capfd.readouterr().err == "", "one message, and that is ours"
 
 
+def test_a_byte_order_mark_changes_no_frame(tmp_path: Path) -> None:
+    form = load_format("csv")
+    rows, path, file = made(form, tmp_path)
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    assert list(form.read(path)) == rows
+
+
+def test_a_byte_order_mark_hides_no_date_of_an_asc_log(tmp_path: Path) -> None:
+    """Its stamps would begin at 0."""
+    path, read = tmp_path / "x.asc", load_format("asc").read
+    text = (
+        "date Sat Aug 24 01:00:00.000 pm 2024\nbase hex  timestamps absolute\nno internal events logged\n"
+        " 0.100000 1  123             Rx   d 1 AA\n"
+    )
+    found = []
+    for encoding in ("utf-8", "utf-8-sig"):
+        path.write_text(text, encoding=encoding)
+        found.append(list(read(path)))
+    assert found[0] == found[1] and found[0][0].time_s > 1e9
+
+
+def test_a_cell_without_end_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    path.write_bytes(b"x" * 200_000 + b"\n")
+    with pytest.raises(InputError, match="cannot be read as CSV"):
+        list(load_format("csv").read(path))
+
+
 def test_a_channel_outside_its_record_is_refused(tmp_path: Path) -> None:
     """asammdf reads foreign memory there, and crashes."""
     form = load_format("mf4")

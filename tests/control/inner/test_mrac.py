@@ -18,10 +18,10 @@ MKZ = VehicleConstants(lateral_accel_mps2=1e6)  # the wheel's own limit is then 
 LIMIT_RAD = MKZ.steer_limit_rad
 
 
-def make(settings=None, vehicle=MKZ, absent=(), **values):
+def make(settings=None, vehicle=MKZ, **values):
     full = {**BASELINES["mrac_on"], "mrac.clamp_s": 0.01}
     full.update({f"mrac.{key}": value for key, value in values.items()})
-    return mrac.make(Setup(full, vehicle, None, settings or Settings(), DT_S, frozenset(absent)))
+    return mrac.make(Setup(full, vehicle, None, settings or Settings(), DT_S))
 
 
 class Drive:
@@ -257,6 +257,3 @@ def test_lyapunov_check():
 def test_mistakes():
     with pytest.raises(InputError, match="order"):
         make(Settings(mrac_order=3))
-    with pytest.raises(InputError, match="measured steering angle"):
-        make(absent=["report.steer_rad"])
-    assert make(absent=["report.steer_rad"], enable=0.0).params.enable == 0.0

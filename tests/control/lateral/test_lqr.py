@@ -46,10 +46,14 @@ def steer(block, speed_mps=5.0, **errors):
     return block.step(block.params, block.init(block.params, 0.01), (tracking, measurement), 0.01)[1]
 
 
+def gains_at(speed_mps, *, shipped):
+    return lqr.gain_rows((speed_mps,), SHIPPED_Q, MKZ, 0.01, shipped=shipped)[0]
+
+
 @pytest.mark.parametrize(("speed", "shipped", "converged"), PUBLISHED)
 def test_published_gains_in_both_modes(speed, shipped, converged):
     for expected, mode in ((shipped, True), (converged, False)):
-        gains = lqr.gains_at(speed, SHIPPED_Q, MKZ, 0.01, shipped=mode)
+        gains = gains_at(speed, shipped=mode)
         for got, printed, digit in zip(gains, expected, DIGITS, strict=True):
             assert abs(got - printed) <= digit
 
@@ -58,10 +62,10 @@ def test_published_gains_in_both_modes(speed, shipped, converged):
 def test_table_is_exact_at_nodes_and_close_between(mode):
     params = make(riccati=mode).params
     for speed in (1.0, 2.0, 4.0, 8.0, 12.0, 20.0):
-        assert list(lqr.interpolate(params, speed)) == lqr.gains_at(speed, SHIPPED_Q, MKZ, 0.01, shipped=mode == 1.0)
+        assert list(lqr.interpolate(params, speed)) == gains_at(speed, shipped=mode == 1.0)
     for low, high in zip(lqr.NODES_MPS, lqr.NODES_MPS[1:], strict=False):
         middle = 0.5 * (low + high)
-        exact = lqr.gains_at(middle, SHIPPED_Q, MKZ, 0.01, shipped=mode == 1.0)
+        exact = gains_at(middle, shipped=mode == 1.0)
         between = lqr.interpolate(params, middle)
         assert abs(between.k1 - exact[0]) < 0.03 * exact[0]
         assert abs(between.k3 - exact[2]) < 0.03 * exact[2]

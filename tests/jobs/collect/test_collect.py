@@ -167,6 +167,7 @@ def test_an_area_that_is_too_small_is_told_how_large_it_must_be(tmp_path: Path) 
         ({"model": other_vehicle.NOMINAL.name}, f"is a model of '{other_vehicle.NAME}'"),
         ({"vehicle": "rav4_2017"}, "command.brake_frac"),
         ({"quota_s": 0.0}, "--quota-s"),
+        ({"quota_s": 1e308}, "--quota-s"),
         ({"area_m": float("nan")}, "--area-m"),
         ({"drive_s": -1.0}, "--drive-s"),
         ({"top_mps": 0.1}, "--top-mps"),
@@ -215,7 +216,37 @@ def test_a_watch_without_a_vehicle_asks_whose_frames_these_are(capsys: pytest.Ca
     assert "whose frames are these" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("mode", [("--watch",), ("--from", "some.log")])
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        *(("--quota-s", value, "--quota-s") for value in ("nan", "inf", "0", "-5", "1e308")),
+        *(("--top-mps", value, "--top-mps") for value in ("nan", "inf", "0", "-1")),
+        ("--top-mps", "0.01", "no cell is driven at 0.01 m/s"),
+        ("--seconds", "nan", "--seconds"),
+        ("--seconds", "-1", "--seconds"),
+    ],
+)
+def test_a_count_refuses_numbers_that_are_none(
+    mode: tuple[str, ...], option: str, value: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["collect", *mode, "--vehicle", "mkz_bywire", "--bus", "virtual", "--plain", option, value]
+    assert run(words) == 2
+    text = capsys.readouterr().err
+    assert said in text and "Traceback" not in text and "what to do: give" in text
+
+
 def test_a_log_of_another_vehicle_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("(0.010000) can0 123#0011\n")
     with pytest.raises(InputError, match="not one frame of vehicle"):
         list(from_logs([tmp_path / "a.log"], Wish("mkz_bywire", "auto", "x", 1.0, None, None, None)))
+
+
+def test_a_collection_that_another_process_works_on_is_refused(tmp_path: Path) -> None:
+    asked = Asked(vehicle="mkz_bywire", model="mkz_nominal", bus="tfhub", out=tmp_path / "run")
+    first = collect(asked)
+    assert "run folder" in next(first).message
+    with pytest.raises(InputError, match="another process works on it"):
+        next(collect(asked))
+    del first  # what is not gone on with is closed
+    assert "run folder" in next(collect(asked)).message

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Generator
+from pathlib import Path
 from typing import cast
 
 import pytest
 
+from tests.bench.tiny import write_bench
 from tests.jobs.made_chain import Chain, asked, chain, judged, record
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
@@ -87,6 +90,43 @@ def test_options_of_a_stage_that_was_not_reached_may_still_change(chain: Chain, 
     with pytest.raises(InputError, match="kind"):  # learn has begun
         chain.run(asked._replace(kind="lstm"))
     assert chain.run(asked._replace(trials=7))["exit"] == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "file", "key", "stage"),
+    [
+        ("slower = 1.0", "slower = 1.2", "b.toml", "tuning_hash", "tune"),
+        ("noise_seed = 3", "noise_seed = 4", "scenarios/tiny.toml", "tuning_hash", "tune"),
+        ("noise_seed = 3", "noise_seed = 4", "scenarios/other.toml", "verify_hash", "verify"),
+    ],
+)
+def test_a_bench_file_that_says_something_else_is_not_done_before(
+    old: str, new: str, file: str, key: str, stage: str, chain: Chain, asked: Asked, tmp_path: Path
+) -> None:
+    bench = write_bench(tmp_path, scenarios=("tiny", "other"))
+    bench.write_text(bench.read_text().replace('\nscenarios = ["tiny", "other"]', '\nscenarios = ["tiny"]')
+                     .replace('\nverify_scenarios = ["tiny", "other"]', '\nverify_scenarios = ["other"]'))  # fmt: skip
+    asked = asked._replace(bench=bench)
+    chain.run(asked)
+    changed = tmp_path / file
+    changed.write_text(changed.read_text().replace(old, new))
+    chain.called = []
+    with pytest.raises(InputError, match="they have changed since") as caught:
+        chain.run(asked)
+    assert caught.value.key == key and f"--from {stage}" in caught.value.hint and chain.called == []
+    assert chain.run(asked._replace(start_at=stage))["exit"] == 0 and chain.called[0] == stage
+
+
+def test_a_commission_of_an_earlier_version_goes_on_and_is_watched_from_then_on(chain: Chain, asked: Asked) -> None:
+    chain.run(asked)
+    assert asked.out is not None
+    data = record(asked)
+    for key in ("tuning_hash", "verify_hash"):
+        del data["identity"][key]
+    (asked.out / "commission.json").write_text(json.dumps(data))
+    chain.called = []
+    assert chain.run(asked)["exit"] == 0 and chain.called == []
+    assert record(asked)["identity"]["tuning_hash"]
 
 
 def test_a_vehicle_folder_that_has_changed_is_another_commission(chain: Chain, asked: Asked) -> None:

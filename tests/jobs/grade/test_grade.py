@@ -124,6 +124,13 @@ def test_a_start_that_is_not_in_the_log(episode: Path, tmp_path: Path) -> None:
         graded(episode / "vehicle.log", tiny(episode), tmp_path, start_s=60.0)
 
 
+@pytest.mark.parametrize("start_s", [math.nan, math.inf, -math.inf, -1.0, 1e308])
+def test_a_start_that_is_no_time_is_refused_before_anything_is_read(start_s: float, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--start-s") as caught:
+        graded(tmp_path / "no.log", "u_turn", tmp_path, start_s=start_s)
+    assert caught.value.key == "--start-s" and caught.value.hint
+
+
 def test_a_path_of_points(episode: Path, tmp_path: Path) -> None:
     """The driven path itself as the reference: no lateral error but what 0.1 s between points leaves."""
     driven = load_recording(episode / "columns.npz")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,8 @@ def test_a_drive_has_its_scenarios_and_no_candidates(tmp_path: Path) -> None:
     read = read_run(str(run))
     assert list(read.drives) == ["tiny", "other"] and read.label == run.name and read.vehicle == "mkz_bywire"
     assert list(read.only(["other"]).drives) == ["other"]
+    shutil.copytree(run / "episodes" / "0", run / "episodes" / "old")
+    assert read_run(str(run)).score() == read.score(), "a person's copy is no episode"
     with pytest.raises(InputError, match="has no candidate 'mrac_on'") as caught:
         read_run(f"{run}:mrac_on")
     assert caught.value.file == str(run)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import subprocess
 import sys
@@ -91,6 +92,16 @@ def test_numbers_that_are_none_are_refused_before_training(
     monkeypatch.setattr("tunefree_hil.learn.read.read_drives", lambda *_, **__: [spoilt, *drives[1:]])
     with pytest.raises(InputError, match=r"ins\.speed_mps"):
         list(learn(asked))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 1e308])
+def test_times_that_are_no_numbers_are_refused(asked: Asked, value: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A range of the command line lets NaN through."""
+    monkeypatch.setattr("tunefree_hil.learn.training.needs.require_torch", lambda what: None)
+    for change in ({"minutes": value}, {"sample_spacing_s": value, "kind": "paper"}):
+        with pytest.raises(InputError, match="does not do") as caught:
+            list(learn(asked._replace(**change)))
+        assert caught.value.key in ("--minutes", "--sample-spacing")
 
 
 def test_other_refusals(asked: Asked, tmp_path: Path) -> None:
@@ -187,6 +198,15 @@ def test_a_share_of_the_road_is_taken_from_a_calibration_on_the_same_logs_only(
         assert job.road_share_of(tmp_path, drives) == taken
         assert job.road_share_of(tmp_path, drives[:2]) == 0.0
     assert job.road_share_of(tmp_path / "none", drives) == 0.0
+
+
+def test_a_card_that_is_no_text_is_one_message(tmp_path: Path) -> None:
+    """Of a folder that a person named by --physics."""
+    (tmp_path / "card.json").write_bytes(b'{"by": "Stra\xdfe"}')
+    for asks in (job.road_share_of, job.own_effects_of):
+        with pytest.raises(InputError, match="no card of a model") as caught:
+            asks(tmp_path, [])
+        assert caught.value.file == str(tmp_path / "card.json")
 
 
 def test_what_explains_the_logs_beside_the_physics_is_that_of_the_very_same_logs_only(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 import sys
@@ -18,6 +19,7 @@ from tests.jobs.command import Ended, eventually, new_session, no_orphans, one_m
 from tests.jobs.foreign_node import AT
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load, own_parameters, parameters_of
+from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.jobs.identity import identity_of, resolved_toml
 from tunefree_hil.jobs.running.foreign import program_hashes, program_of, require_announced, require_one, with_command
 from tunefree_hil.jobs.running.parts import Places, paths_for
@@ -187,3 +189,13 @@ class TestRealProcesses:
         assert done.status == 3
         one_message(done, *words)
         assert done.errors[0]["hint"]
+
+    @pytest.mark.parametrize("number", [1000, 4711])
+    def test_one_that_fails_by_an_error_of_its_own_has_failed_the_drive(self, tmp_path: Path, number: int) -> None:
+        """Design D11: the parameters answer for it with the worst score, the bench does not."""
+        done = driven("drive", str(number), tmp_path, "mine.gain")
+        assert done.status == 0, done.words
+        assert done.data["score"] == 10.0 and bc.error_text(number) in done.words
+        (kept,) = tmp_path.glob("runs/*/episodes/0/episode.json")
+        episode = json.loads(kept.read_text())
+        assert (episode["error"], episode["error_code"], episode["ticks"]) == ("controller_own", number, AT + 1)

@@ -3,10 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.bench.tiny import write_bench
+from tests.bus.tfhub_help import thread_hub
+from tests.jobs.command import (
+    Ended,
+    eventually,
+    finish,
+    new_session,
+    no_orphans,
+    one_message,
+    processes_of,
+    start,
+    tunefree,
+)
 from tests.nodes.memory import FakeLink
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load
@@ -14,7 +28,14 @@ from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus import open as bus_open
 from tunefree_hil.bus.kernel_link import LinkState
 from tunefree_hil.jobs.running import node_links
-from tunefree_hil.jobs.running.node_links import bus_for, ids_of, require_only_one, send_patience_s, usable_bus
+from tunefree_hil.jobs.running.node_links import (
+    bus_for,
+    ids_of,
+    open_exchange,
+    require_only_one,
+    send_patience_s,
+    usable_bus,
+)
 
 
 def links(monkeypatch: pytest.MonkeyPatch, **states: LinkState) -> None:
@@ -72,6 +93,44 @@ def test_a_late_command_is_worse_than_none() -> None:
     assert send_patience_s("ecu", 0.01, realtime=True) == 0.005
     assert send_patience_s("controller", 0.01, realtime=True) == 0.0
     assert send_patience_s("controller", 0.01, realtime=False) == 5.0
+
+
+@pytest.mark.parametrize("realtime", [True, False])
+def test_a_hub_of_the_other_kind_of_bench_is_refused_by_name(tmp_path: Path, realtime: bool) -> None:
+    """Else its stamps are taken for times that they are not."""
+    right, wrong = ("real", "sender") if realtime else ("sender", "real")
+    bench, where = load("bench_configs/mkz_steer.toml"), ("ecu", "tfhub", "")
+    with thread_hub(tmp_path, clock=wrong) as hub:
+        with pytest.raises(InputError) as caught, open_exchange(bench, *where, hub.session, realtime=realtime):
+            pass
+        assert caught.value.code == "hub_clock"
+        assert f"hub --session {hub.session} --clock {right}" in caught.value.hint
+        with hub.member("ecu"):  # it has left: its name is free
+            pass
+        with open_exchange(bench, *where, hub.session, realtime=not realtime):
+            pass
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("hub_words", "drive_words"), [(("--clock", "real"), ()), ((), ("--realtime",))])
+def test_a_drive_that_joins_a_hub_of_the_other_kind_says_so_at_once(
+    tmp_path: Path, hub_words: tuple[str, ...], drive_words: tuple[str, ...]
+) -> None:
+    session, bench = new_session(), write_bench(tmp_path)
+    with no_orphans(session):
+        hub = start("hub", "--session", session, "--owned", *hub_words)
+        eventually(lambda: processes_of(session))
+        words = ("--join", "--session", session, "--bus", "tfhub", *drive_words)
+        done = eventually(
+            lambda: _unless_no_hub(tunefree("drive", bench, *words, "--out", tmp_path / "runs", "--json"))
+        )
+        finish(hub)
+    assert done.status == 2
+    one_message(done, "stamps frames", f"hub --session {session} --clock")
+
+
+def _unless_no_hub(done: Ended) -> Ended | None:
+    return None if [error["code"] for error in done.errors] == ["no_hub"] else done
 
 
 @pytest.mark.parametrize(("who", "refused"), [(bc.Role.CONTROLLER, True), (bc.Role.ECU, False)])

@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
+from tests.bench.own_part import write_own
 from tests.bench.tiny import hash_of, write_bench
 from tunefree_hil.base.clock import RealClock
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import load, parameters_of
+from tunefree_hil.bench import ControllerFor, load, parameters_of
 from tunefree_hil.bus.bench_channel import ErrorCode, HelloCollector, Role, State, Status
-from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.jobs.collector import PlannerFor, collector
 from tunefree_hil.jobs.controller import controller
 from tunefree_hil.jobs.running import serving
@@ -70,6 +70,14 @@ def test_it_says_who_it_is_and_ends_when_told(
     assert result.kind == "result" and result.data == {"sentence": f"{command}: told to end", "next": []}
 
 
+def test_the_controller_announces_what_its_parts_bring(opened: list[tuple[Any, ...]], tmp_path: Path) -> None:
+    list(controller(write_own(tmp_path), **LINKS))
+    heard = HelloCollector()
+    for message in opened[0][0].said:
+        heard.add(message)
+    assert heard.parameters(Role.CONTROLLER) == {16: "mine.gain"}
+
+
 def test_each_has_what_drives_it(
     opened: list[tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -86,8 +94,8 @@ def test_each_has_what_drives_it(
         list(job(bench, **LINKS))
     follows, collects = parts
     values = parameters_of(load(bench))
-    by_index = {index: values[name] for index, name in enumerate(NAMES)}
-    assert follows.assign(hash_of(tmp_path), by_index).ticks == 200
+    assert isinstance(follows.assign, ControllerFor)
+    assert follows.assign(hash_of(tmp_path), follows.assign.indexed(values)).ticks == 200
     assert isinstance(collects.assign, PlannerFor)
     with pytest.raises(InputError, match="no plan of a drive can be read"):
         collects.assign(hash_of(tmp_path), {})

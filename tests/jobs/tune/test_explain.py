@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ from tests.jobs.made_runs import made_drive, made_tune
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load
 from tunefree_hil.grade.score import FINISHED, ScenarioGrade
+from tunefree_hil.jobs.run_folder import open_run
 from tunefree_hil.jobs.tune import explain as job
 from tunefree_hil.tune.study import read_study
 
@@ -94,6 +96,37 @@ def test_slices_change_one_value_at_a_time(run: Path, fake: type[FakeBatch]) -> 
     assert flat == pytest.approx([abs(math.log(winner["mrac.t_ref_s"]))] * 5)
     assert any(event.kind == "warning" and "the batch scores the winner" in event.message for event in events)
     assert (run / "figures" / "slices.png").stat().st_size > 10_000
+
+
+FAULT = """[[faults]]
+kind = "drop"
+message = "STEERING_CMD"
+from_tick = 1
+to_tick = 2
+"""
+
+
+@pytest.mark.parametrize(
+    ("more", "joined", "words"),
+    [
+        ('[controller]\ncommand = ["./pursuit"]', None, "our controller only, not ./pursuit"),
+        ("", "pursuit", "not pursuit, which was joined"),
+        (FAULT, None, "faults on (drop)"),
+    ],
+)
+def test_what_no_batch_drives_has_no_slices_and_the_reason(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: str, joined: str | None, words: str
+) -> None:
+    monkeypatch.setattr(job, "Batch", lambda *_: pytest.fail("it would drive our controller on a whole bus"))
+    other = Path(shutil.copytree(run, tmp_path / "run"))
+    shutil.copytree(run.parents[1] / "scenarios", tmp_path / "run" / "scenarios")
+    (other / "bench.toml").write_text(write_bench(tmp_path / "b", scenarios=("tiny", "other"), more=more).read_text())
+    folder = open_run(other)
+    folder.note(joined=joined)
+    *events, last = job.explain(other, points=5, slices=True)
+    (warning,) = [event.message for event in events if event.kind == "warning"]
+    assert warning.startswith("no slices through the winner: ") and words in warning
+    assert last.data["slices"] == {} and "better place" not in last.message
 
 
 def test_a_drive_that_the_bench_failed_is_a_gap(run: Path, fake: type[FakeBatch], monkeypatch: Any) -> None:

@@ -76,6 +76,27 @@ def test_a_run_to_resume_must_be_of_the_same_files_and_study(wish: Wish) -> None
     assert caught.value.file == str(first.path)
 
 
+def test_a_run_of_another_command_is_not_gone_on_with(wish: Wish, tmp_path: Path) -> None:
+    """The drive's own episodes would be overwritten by the baselines'."""
+    same = {**wish.record, "command": "drive", "hashes": wish.identity["hashes"]}
+    drive = RunFolder.create(tmp_path / "runs", "drive-b", same)
+    with pytest.raises(InputError, match="is a run of 'drive'") as caught:
+        entered(again(wish, resume=drive.path))
+    assert caught.value.key == "--resume" and caught.value.file == str(drive.path)
+
+
+def test_a_run_that_another_process_works_on_is_refused(wish: Wish) -> None:
+    """Baselines, confirmation and verification of both would be written into the same episodes."""
+    with run_folder_of(wish) as (run, _):
+        half = run.path / "trials.jsonl.part"
+        half.write_text("half")
+        for second in (wish, again(wish, resume=run.path)):
+            with pytest.raises(InputError, match="another process works on it"):
+                entered(second)
+        assert half.exists(), "what it is writing is left alone"
+    assert entered(wish)[0].path == run.path
+
+
 def test_workers_of_one_study_have_a_folder_each_and_take_up_one_that_nobody_holds(wish: Wish) -> None:
     worker = wish._replace(shown=SHARED)
     with run_folder_of(worker) as (first, old_first), run_folder_of(worker) as (second, old_second):
@@ -92,3 +113,8 @@ def test_the_winner_is_a_complete_vector_once_the_study_is_finished(wish: Wish) 
     values = {**wish.vectors["mrac_on"], "mrac.p": 0.5}
     (run.path / "best.toml").write_text(to_toml({"parameters": values}))
     assert winner_of(wish.bench, run) == values
+    for text, key in (("parameters = [1,", ""), ("slot = 3", "parameters")):
+        (run.path / "best.toml").write_text(text)
+        with pytest.raises(InputError) as caught:
+            winner_of(wish.bench, run)
+        assert caught.value.file == str(run.path / "best.toml") and caught.value.key == key

@@ -166,6 +166,16 @@ def test_somebody_elses_controller_is_chosen_by_grade(
     assert "our controller only" in held.reason and held.ranked(journal.trials())[0] == journal.best()
 
 
+def test_a_joined_controller_is_chosen_by_grade_whatever_ours_would_have_borne(
+    bench: Bench, journal: Journal, tmp_path: Path
+) -> None:
+    held_by(bench, journal, Plant(), tmp_path)
+    assert (tmp_path / FILE).exists(), "an earlier version drove ours and kept that"
+    run, plant = RunFolder(tmp_path, {"joined": "pursuit"}), Plant()
+    held, _ = ended(hold(bench, run, journal, baseline_vectors(bench), plant))
+    assert "not pursuit" in held.reason and not plant.jobs and held.ranked(journal.trials())[0] == journal.best()
+
+
 def test_one_or_one_trial_leaves_nothing_to_choose(bench: Bench, journal: Journal, tmp_path: Path) -> None:
     plant = Plant()
     assert held_by(with_slower(bench, 1.0), journal, plant, tmp_path)[0] == Held() and not plant.jobs

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from tests.bench.tiny import write_bench
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import parameters_of
+from tunefree_hil.bus.bench_channel import HelloCollector, Role, hello_messages
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.tune import tune
 from tunefree_hil.jobs.tune.evaluators import Candidate
@@ -74,6 +76,26 @@ def test_a_winner_whose_drives_are_there_is_not_driven(tmp_path: Path, monkeypat
     assert driven_again(monkeypatch, wish, tmp_path, 0.5) == ([], [])
     joined = wish._replace(asked=wish.asked._replace(join=True))
     assert driven_again(monkeypatch, joined, tmp_path / "other", 0.5) == ([], []), "that bench has ended"
+
+
+@pytest.mark.parametrize("join", [True, False])
+def test_what_a_joined_controller_calls_itself_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, join: bool
+) -> None:
+    """What drives the same car once more without the bus asks for it (`why_not`)."""
+    heard = HelloCollector()
+    for message in hello_messages(Role.CONTROLLER, "pursuit"):
+        heard.add(message)
+
+    @contextmanager
+    def open_lanes(*_: Any, **__: Any) -> Iterator[list[Any]]:
+        yield [SimpleNamespace(runner=SimpleNamespace(collector=heard, stop=lambda: None))]
+
+    monkeypatch.setattr(tune, "open_lanes", open_lanes)
+    run = RunFolder(tmp_path, {})
+    with tune._on_lanes(wish_of(tmp_path, join=join), run):
+        pass
+    assert run.record.get("joined") == ("pursuit" if join else None)
 
 
 @pytest.mark.parametrize("slower", ["0.9", "11.0", "nan"])

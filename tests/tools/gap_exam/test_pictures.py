@@ -33,6 +33,8 @@ def words_of(axes: Any) -> list[str]:
 def test_a_picture_says_which_exam_and_how_many_logs() -> None:
     commit = "0123456789" * 4
     assert heading(f"exam:{commit}", ["5 of 9 done"]) == "Exam of commit 012345678901; logs: 5 of 9 done"
+    both = heading(f"exam:{commit} and dev:a", ["5 of 9 done", "12 of 1281 done"])
+    assert both == "2 exams (0123456, dev:a); logs: 17"
     assert heading("dev:a (not frozen)", []) == "Exam of dev:a (not frozen)"
 
 

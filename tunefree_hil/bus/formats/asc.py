@@ -1,8 +1,9 @@
 """Vector's text log, .asc, by python-can's reader and writer.
 
-Three things are set right here: the writer's header has milliseconds without leading zeros and takes the first frame's
-stamp for the earliest; the reader takes an empty CAN FD frame for a remote one (rows.row_of) and ignores that stamps
-may be relative to the line before, which is refused. The begin in the header is local time, as the format has it.
+Four things are set right here: the writer's header has milliseconds without leading zeros and takes the first frame's
+stamp for the earliest; the reader takes an empty CAN FD frame for a remote one (rows.row_of), does not know its header
+behind a byte order mark, and ignores that stamps may be relative to the line before, which is refused. The begin in the
+header is local time, as the format has it.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def read(path: Path) -> Iterator[Row]:
     """Frames in the file's order; error frames have no class here."""
     refuse_cut(path)
     try:
-        with path.open(encoding="utf-8") as file, can.ASCReader(file, relative_timestamp=False) as reader:
+        with path.open(encoding="utf-8-sig") as file, can.ASCReader(file, relative_timestamp=False) as reader:
             for message in reader:
                 if reader.timestamps_format == "relative":
                     raise _relative(path)

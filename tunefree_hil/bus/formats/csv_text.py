@@ -26,6 +26,7 @@ from tunefree_hil.bus.formats.rows import (
     Row,
     Survey,
     refuse_cut,
+    unreadable,
 )
 
 HEAD = ("time_s", "channel", "id", "extended", "fd", "brs", "esi", "remote", "error", "sent", "dlc", "data")
@@ -36,13 +37,16 @@ _BITS = {"fd": FD, "brs": BRS, "esi": ESI, "remote": RTR, "error": ERROR, "sent"
 def read(path: Path) -> Iterator[Row]:
     """Frames in the file's order. InputError with the line that is none."""
     refuse_cut(path)
-    with path.open(newline="", encoding="utf-8", errors="replace") as file:
-        lines = csv.reader(file)
-        head = tuple(next(lines, ()))
-        if head not in (HEAD, THEIR_HEAD):
-            hint = f"frames need the head {','.join(HEAD)}; for a test drive in columns use `log import`"
-            raise InputError("no CSV of frames", code="foreign_log", file=f"{path}:1", hint=hint)
-        yield from _rows(lines, head, path)
+    try:
+        with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
+            lines = csv.reader(file)
+            head = tuple(next(lines, ()))
+            if head not in (HEAD, THEIR_HEAD):
+                hint = f"frames need the head {','.join(HEAD)}; for a test drive in columns use `log import`"
+                raise InputError("no CSV of frames", code="foreign_log", file=f"{path}:1", hint=hint)
+            yield from _rows(lines, head, path)
+    except csv.Error as error:
+        raise unreadable(path, "CSV", error) from error
 
 
 def _rows(lines: Iterator[list[str]], head: tuple[str, ...], path: Path) -> Iterator[Row]:

@@ -35,6 +35,7 @@ class HubPair:
         self._connection = self._bus._connection
         self._frames: tuple[list[CanFrame], list[CanFrame]] = ([], [])
         self.name = self._bus.name
+        self.welcome = self._bus.welcome
         self.error_frames: list[Raw] = []
         self.remote_frames = [0, 0]
         self.closed = False

@@ -8,6 +8,7 @@ On a straight road nothing but noise and sensor offsets drives eq. 6, and the ga
 Settings.mrac_dead_zone takes an error that small for none (dead-zone modification: Peterson and Narendra 1982,
 Ioannou and Sun, Robust Adaptive Control, 8.4.3), continuously: a larger error counts for what is over it.
 Model order 1 has the reference time constant `mrac.t_ref_s`; order 2 its natural frequency and damping from Settings.
+Start gains and clamp come from the actuator's lag by the data sheet, so MRAC is refused where none is stated.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from tunefree_hil.base.kernel import kernel
 from tunefree_hil.base.maths import clamp
 from tunefree_hil.control.contract import InnerAnswer, Recipe, Settings, Setup, VehicleConstants
 from tunefree_hil.control.limits import SteerBound, steer_bound, steer_bound_of
+from tunefree_hil.control.mrac_needs import require_needs
 from tunefree_hil.control.parameters import tunables_of
 
 RISE_PER_TAU = 2.2  # 10 to 90 % rise time of a first-order lag
@@ -83,20 +85,18 @@ class MracState(NamedTuple):
 
 
 def make(setup: Setup) -> Block:
-    """x = (steer wish rad, measured steer rad, speed m/s) -> InnerAnswer; with mrac.enable = 0 the wish itself."""
+    """x = (steer wish rad, measured steer rad, speed m/s) -> InnerAnswer; with mrac.enable = 0 the wish itself.
+
+    Raises InputError for a vehicle that it cannot work on (control/mrac_needs.py), and for settings that do not fit.
+    """
     values, vehicle, settings = setup.values, setup.vehicle, setup.settings
     enable = 1.0 if values["mrac.enable"] >= 0.5 else 0.0
-    if enable and "report.steer_rad" in setup.absent:
-        raise InputError(
-            "MRAC needs the measured steering angle, which this vehicle does not report",
-            code="absent_signal",
-            key="mrac.enable",
-            hint="set mrac.enable = 0, or map report.steer_rad in vehicle.toml",
-        )
+    tau_s = actuator_tau_s(vehicle)
+    if enable:
+        require_needs(setup, tau_s)
     order2 = settings.mrac_order == 2
     if settings.mrac_order not in (1, 2) or settings.mrac_form not in ("apollo", "paper"):
         raise InputError("mrac_order is 1 or 2, mrac_form 'apollo' or 'paper'", code="bad_mrac", key="controller")
-    tau_s = actuator_tau_s(vehicle)
     clamp_s = values["mrac.clamp_s"]
     plain = settings.mrac_form == "paper"
     pb1, pb2 = second_order_pb(values["mrac.p"], settings) if order2 else first_order_pb(values["mrac.p"])

@@ -192,18 +192,6 @@ def gain_rows(
     return [[float(rows[4 * k + j]) for j in range(4)] for k in range(len(speeds_mps))]
 
 
-def gains_at(
-    speed_mps: float,
-    weights: tuple[float, float, float, float],
-    vehicle: VehicleConstants,
-    dt_s: float,
-    *,
-    shipped: bool,
-) -> list[float]:
-    """K1..K4 at one speed."""
-    return gain_rows((speed_mps,), weights, vehicle, dt_s, shipped=shipped)[0]
-
-
 def init(params: LqrParams, dt_s: float) -> LqrState:
     return LqrState(0.0)
 

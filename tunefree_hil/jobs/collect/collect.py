@@ -11,6 +11,7 @@ import shlex
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from tunefree_hil.base.errors import BenchError, NoAnswer, PeerGone
 from tunefree_hil.base.events import Event
@@ -20,6 +21,7 @@ from tunefree_hil.collect.coverage import map_lines
 from tunefree_hil.collect.envelope import Beyond
 from tunefree_hil.collect.seen import lacking
 from tunefree_hil.config.load import load_scenario
+from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.jobs.collect.picture import draw_map
 from tunefree_hil.jobs.collect.plan import (
     Asked,
@@ -34,21 +36,30 @@ from tunefree_hil.jobs.collect.plan import (
 )
 from tunefree_hil.jobs.collect.state import IDLE_DRIVES, Collection
 from tunefree_hil.jobs.pasted import PROGRAM, given, pasted
-from tunefree_hil.jobs.run_folder import remove_parts
+from tunefree_hil.jobs.run_folder import RunFolder, remove_parts
 from tunefree_hil.jobs.running.node_links import bus_for
 from tunefree_hil.jobs.running.session import Session
 
 ANY_PARAMETER = {"mrac.p": 0.01}  # the planner has none; a node begins to load with the first it is told
+HELD = "worker"  # its lock is held as long as a process collects
 REPEATS = 2  # of a drive that lost a node, before the collection gives up
 NOT_FULL = 1  # exit status: what was asked for does not hold
 
 
 def collect(asked: Asked) -> Iterator[Event]:
     """Drive until every cell is full. Exit 1 where drives bring nothing more; the logs stand in the run folder."""
+    from tunefree_hil.tune.store import alone  # brings Optuna
+
     vehicle, model, effects = vehicle_and_model(asked)
     require_room(vehicle, asked)
     record = record_of(vehicle, model, asked, effects)
     run = open_folder(vehicle, asked, record)
+    with alone(run.path / HELD):  # two processes would write the same drives
+        yield from _collected(run, vehicle, model, asked, effects)
+
+
+def _collected(run: RunFolder, vehicle: VehicleSpec, model: str, asked: Asked, effects: list[Any]) -> Iterator[Event]:
+    """In its run folder: what is there already, and what is still to be driven."""
     remove_parts(run.path)
     bench = prepare(run, vehicle, model, asked, effects)
     collection = Collection(run, bench, asked)

@@ -17,10 +17,11 @@ from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.find import available, find
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import VehicleSpec
-from tunefree_hil.jobs.require import VEHICLE, require_model_of
+from tunefree_hil.jobs.require import VEHICLE, require_model_of, require_number
 from tunefree_hil.jobs.run_folder import SCHEMA, RunFolder, open_run, unfinished, versions, write_json, write_text
 
 DRIVE_S = 110.0  # after so long a drive begins to stop, unless told otherwise
+MOST = {"quota_s": 1e6, "area_m": 1e6, "top_mps": 1e3, "drive_s": 1e6}  # eleven days; more is a slip
 SPARE_S = 60.0  # longest from there to standstill; the ECU's course ends then
 FIRST = "drive-001"
 HOLDS_A_DRIVE = 7  # the first hold of each drive is another one
@@ -87,10 +88,8 @@ def vehicle_and_model(asked: Asked) -> tuple[VehicleSpec, str, list[Any]]:
 
 def require_room(vehicle: VehicleSpec, asked: Asked) -> None:
     """Raise InputError where the area is too small for the speeds asked, or a number is none; it says how large."""
-    for name in ("quota_s", "area_m", "top_mps", "drive_s"):
-        value, key = getattr(asked, name), "--" + name.replace("_", "-")
-        if value is not None and not (math.isfinite(value) and value > 0.0):
-            raise InputError(f"{value:g} is not above 0", code="usage", key=key, hint="give a number above 0")
+    for name, most in MOST.items():
+        require_number("--" + name.replace("_", "-"), getattr(asked, name), most=most)
     envelope = envelope_of(vehicle)
     top = fastest_mps(envelope, asked.top_mps)
     bands = [one for one in driven_targets(vehicle, asked.top_mps) if not one.excluded]

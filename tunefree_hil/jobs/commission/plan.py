@@ -19,6 +19,7 @@ from tunefree_hil.config.load import load_bench, load_model
 from tunefree_hil.config.schema import BenchSpec, VehicleSpec
 from tunefree_hil.jobs.collect.plan import Asked as CollectAsked
 from tunefree_hil.jobs.collect.plan import require_room
+from tunefree_hil.jobs.commission.settings import tuning_hash, verify_hash
 from tunefree_hil.jobs.commission.vehicle import VEHICLE, write_vehicle
 from tunefree_hil.jobs.identity import resolved_toml
 from tunefree_hil.jobs.learn.calibrate_words import benches_of
@@ -143,7 +144,7 @@ def make_plan(asked: Asked) -> Plan:
     """Read and check everything that can be, before hours are spent."""
     vehicle = whole_vehicle(asked.vehicle)
     template = _template(asked, vehicle)
-    load(template.path)  # everything that it names
+    bench = load(template.path)  # everything that it names
     if not template.verify_model or not template.verify_scenarios:
         raise InputError(
             "names no verify_model with verify_scenarios: there is no vehicle to commission",
@@ -161,6 +162,8 @@ def make_plan(asked: Asked) -> Plan:
         "model_hash": load_model(template.verify_model, Path(template.path)).hash,
         "effects": plain(template.effects),  # of the vehicle, as its model is
         "bench": Path(template.path).name,
+        "tuning_hash": tuning_hash(bench),
+        "verify_hash": verify_hash(bench),
         "set": asked.set_name or template.tune.set or "own",
         "trials": asked.trials or template.tune.trials,
         "kind": asked.kind,

@@ -17,8 +17,16 @@ from tunefree_hil.jobs.run_folder import read_json, write_json
 
 SCHEMA = "tunefree.commission/1"
 RECORD, LOCK = "commission.json", "commission.lock"
-STAGE_OF = {"kind": "learn", "minutes": "learn", "set": "tune", "trials": "tune", "backend": "tune"}  # else: collect
-FILES = ("vehicle_hash", "model_hash")
+STAGE_OF = {
+    "kind": "learn", "minutes": "learn", "set": "tune", "trials": "tune", "backend": "tune", "tuning_hash": "tune",
+    "verify_hash": "verify",
+}  # else: collect  # fmt: skip
+FILES = {
+    "vehicle_hash": "files of the vehicle",
+    "model_hash": "files of the model",
+    "tuning_hash": "roads, weights, boxes or controller in the bench file",
+    "verify_hash": "roads to verify on",
+}
 MOST_WARNINGS = 40  # of a stage that are kept for the report
 
 
@@ -174,7 +182,7 @@ def _changed(plan: Plan, record: Record) -> list[str]:
         return changed
     was = f"{first} {before.get(first)!r}, now it is {plan.identity[first]!r}"
     if first in FILES:
-        was = f"other files of the {first.removesuffix('_hash')}: they have changed since"
+        was = f"other {FILES[first]}: they have changed since"
     raise InputError(
         f"was begun with {was}",
         code="other_commission",

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
     from tunefree_hil.gap.chain import Opened
     from tunefree_hil.gap.name import Named
-    from tunefree_hil.gap.own_logs import Asked
+    from tunefree_hil.gap.own_logs import OwnLogs
     from tunefree_hil.gap.usual import Usual
     from tunefree_hil.learn.drives import Drive
 
@@ -101,9 +101,9 @@ def _asked(folder: Path, vehicle: VehicleSpec, opened: Sequence[Opened]) -> Gene
     from tunefree_hil.config.load import load_model
     from tunefree_hil.gap.look_first import look_first
     from tunefree_hil.gap.name import name
-    from tunefree_hil.gap.own_logs import Asked, explained
+    from tunefree_hil.gap.own_logs import OwnLogs, explained
 
-    asked = Asked(load_model(folder), vehicle, opened)
+    asked = OwnLogs(load_model(folder), vehicle, opened)
     looked = (yield from _with_progress(look_first(*asked[:3]))).looked[0]
     if not looked.broken:
         return
@@ -131,7 +131,7 @@ def _named_words(found: Named, model: ModelSpec) -> str:
     return f"{', '.join(named)}; `gap` on them adds it"
 
 
-def _poor(folder: Path, asked: Asked) -> Generator[Event, None, None]:
+def _poor(folder: Path, asked: OwnLogs) -> Generator[Event, None, None]:
     """Of a model that misses its own logs for no reason in the catalogue: its sensors' numbers, then what is usual."""
     from tunefree_hil.config.load import load_model
     from tunefree_hil.gap.own_logs import sensors, usual

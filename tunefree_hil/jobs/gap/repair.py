@@ -130,8 +130,7 @@ def proved(
         "older": older,
     }
     worse = worse_signals(proof, floors) | _worse_of(older)
-    stays = is_borne_out(found.answer, closes)
-    if not stays:
+    if not is_borne_out(found.answer, closes):
         data |= taken_back(found.answer, closes, kind)
         yield Event("warning", f"taken back: {data['words'][0]}")
         return _gone(folder, data | _missed_there({**found.answer, **data}, gaps, opened, kind)), proof

@@ -21,10 +21,12 @@ from tunefree_hil.grade.table import PUBLISHED, TABLE, by_aspect
 from tunefree_hil.jobs.drive import DEFAULT_ROOT, find_scenario
 from tunefree_hil.jobs.log.drive import LogDrive, beside_of, manual_s, read_drive
 from tunefree_hil.jobs.log.files import codec_for, load_log
+from tunefree_hil.jobs.require import require_number
 from tunefree_hil.jobs.run_folder import RunFolder, read_json, write_json
 from tunefree_hil.jobs.words import early
 
 SCHEMA = "tunefree.grade/1"
+MOST_START_S = 1e9  # thirty years; beyond the end of a log anyway
 LEAST_MANUAL_S = 0.5  # the handshake at the start of a drive takes less
 SAID = {"std": "RMS of ", "peak": "peak of ", "mean": "mean of ", "share": ""}  # before a metric's words
 
@@ -43,6 +45,7 @@ def grade_log(
 
     path: None where the log is a run's own, which knows what was driven.
     """
+    require_number("--start-s", start_s, most=MOST_START_S, zero=True)
     path = path or own_scenario(log)
     codec, where = codec_for(log, vehicle)
     yield Event("note", f"{log}, read as {where}")

@@ -125,11 +125,9 @@ def _require_drives(run: RunFolder, candidate: str) -> None:
 
 def _episodes(source: RunFolder) -> list[tuple[int, dict[str, float]]]:
     """(number, parameters) of the episodes that are whole and have their columns."""
-    found = []
-    for path in source.path.glob("episodes/*/episode.json"):
-        if (path.parent / "columns.npz").is_file():
-            found.append((int(path.parent.name), read_json(path).get("parameters", {})))
-    return sorted(found, key=lambda one: one[0])
+    whole = set(source.numbered("columns.npz"))
+    numbers = [number for number in source.numbered("episode.json") if number in whole]
+    return [(number, read_json(source.episode(number) / "episode.json").get("parameters", {})) for number in numbers]
 
 
 def _parameters_of(run: RunFolder, bench: Bench, candidate: str) -> dict[str, float]:

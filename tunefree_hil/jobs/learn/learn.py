@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -10,12 +9,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
+from tunefree_hil.gap.card import read_card
 from tunefree_hil.jobs.gap.own_logs import ask_own_logs, were_asked
 from tunefree_hil.jobs.learn import calibrated
 from tunefree_hil.jobs.learn.logs import read
 from tunefree_hil.jobs.pasted import given, pasted
 from tunefree_hil.jobs.progress import told
-from tunefree_hil.jobs.require import require_model_of
+from tunefree_hil.jobs.require import require_model_of, require_number
 from tunefree_hil.learn.card import Training, card_of
 from tunefree_hil.learn.drives import Drive, Split
 from tunefree_hil.learn.free_run import Judged
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 KINDS = ("hybrid", "lstm", "mlp", "rule_based", "paper")
 JUDGED_STARTS = 200
 LEAST_TRACK_S = 2.5
+MOST_MINUTES, MOST_SPACING_S = 1e6, 0.5  # two years; half a second
 
 
 class Asked(NamedTuple):
@@ -99,7 +100,7 @@ def learn(asked: Asked) -> Iterator[Event]:
 
 def finished(asked: Asked) -> Iterator[Event]:
     """The result, out of the card of the folder that is there: also for who was cut off when it had been written."""
-    card = json.loads((asked.out / CARD_FILE).read_text(encoding="utf-8"))
+    card = read_card(asked.out / CARD_FILE)
     asked.out.with_name(asked.out.name + ".part").unlink(missing_ok=True)
     figures = _drawn(asked, card)
     yield Event("result", "", {**card, "model": str(asked.out), "figures": figures, **_ending(asked, card)})
@@ -109,6 +110,8 @@ def _require(asked: Asked) -> None:
     """What can be said before an hour of logs is read."""
     if asked.kind not in KINDS:
         raise InputError(f"no kind {asked.kind!r}", code="unknown_kind", key="--kind", hint=", ".join(KINDS))
+    require_number("--minutes", asked.minutes, most=MOST_MINUTES, zero=True)
+    require_number("--sample-spacing", asked.sample_spacing_s, most=MOST_SPACING_S)
     from tunefree_hil.learn.training.needs import require_torch
 
     require_torch(f"learn --kind {asked.kind}")
@@ -152,10 +155,9 @@ def physics_in(folder: Path, vehicle: VehicleSpec) -> ModelSpec:
 
 def _is_of(folder: Path, drives: list[Drive], seed: int | None) -> bool:
     """Whether a folder was calibrated on these very logs, and this split (None: whatever the split)."""
-    card = folder / CARD_FILE
-    if not card.is_file():
+    if not (folder / CARD_FILE).is_file():
         return False
-    said = json.loads(card.read_text(encoding="utf-8"))
+    said = read_card(folder / CARD_FILE)
     same = [one["hash"] for one in said.get("logs", [])] == [one.log_hash for one in drives]
     return same and seed in (None, said.get("seed"))
 
@@ -166,7 +168,7 @@ def road_share_of(folder: Path, drives: list[Drive]) -> float:
     """
     if not _is_of(folder, drives, None):
         return 0.0
-    said = json.loads((folder / CARD_FILE).read_text(encoding="utf-8")).get("constants", {}).get(ROAD, {})
+    said = read_card(folder / CARD_FILE).get("constants", {}).get(ROAD, {})
     return min(max(float(said["value"]), 0.0), 1.0) if said.get("known") else 0.0
 
 
@@ -176,7 +178,7 @@ def own_effects_of(folder: Path, drives: list[Drive]) -> dict[str, Any]:
     """
     if not _is_of(folder, drives, None):
         return {}
-    said = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
+    said = read_card(folder / CARD_FILE)
     return {OWN_EFFECTS: said[OWN_EFFECTS]} if OWN_EFFECTS in said else {}
 
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bench import Bench
-from tunefree_hil.bus.bench_channel import HELLO_WORDS
+from tunefree_hil.bench import Bench, part_values
+from tunefree_hil.bus.bench_channel import HELLO_WORDS, Role
 from tunefree_hil.config.schema import with_controller
 from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.jobs.running.session import Session
@@ -52,17 +52,27 @@ def _found(words: Sequence[str], folder: Path) -> list[str]:
     return [os.path.abspath(folder / word) if "/" in word and (folder / word).is_file() else word for word in words]
 
 
+def joined_name(lanes: Sequence[Session]) -> str:
+    """What the controller of a bench that was joined calls itself."""
+    return lanes[0].runner.collector.name(Role.CONTROLLER)
+
+
 def own_names(names: Iterable[str]) -> list[str]:
     """Those that are none of interfaces 7."""
     return [name for name in names if name not in NAMES]
 
 
+def not_ours(bench: Bench, names: Iterable[str]) -> list[str]:
+    """Those that our controller does not have, its parts of the user's own included."""
+    parts = part_values(bench)
+    return [name for name in own_names(names) if name not in parts]
+
+
 def require_one(bench: Bench, names: Iterable[str], *, join: bool) -> None:
     """Raise InputError where foreign parameters are searched and no foreign controller is to be had."""
-    own = own_names(names)
-    controller = bench.spec.controller
-    parts = any(":" in part for part in (controller.lateral, controller.longitudinal, controller.inner))
-    if own and not (controller.command or join or parts):
+    if bench.spec.controller.command or join:
+        return
+    if own := not_ours(bench, names):
         raise InputError(
             f"our controller has no parameter {', '.join(own)}",
             code="unknown_parameter",

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tunefree_hil.bench import Bench, follower_of
-from tunefree_hil.bus.bench_channel import ErrorCode
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.episode.columns import columns_from_placed, place_vehicle
@@ -19,17 +18,15 @@ from tunefree_hil.jobs.run_folder import write_json
 from tunefree_hil.nodes.runner import Outcome
 from tunefree_hil.tune.trial import Evaluation
 
-# Ends of a drive that the parameters answer for; any other error is the bench's.
-DRIVEN = (ErrorCode.DIVERGED, ErrorCode.LEFT_LANE, ErrorCode.CONTROL_ERROR)
-
 
 class Episode(NamedTuple):
-    """One drive, read and graded."""
+    """One drive, read and graded. error_code: the number that was said, a controller's own as it said it."""
 
     recording: Recording
     grade: ScenarioGrade
     hash: str
     foreign: dict[int, int]
+    error_code: int = 0
 
 
 def harvest(
@@ -66,7 +63,7 @@ def harvest(
         error=outcome.error,
     )
     write_json(folder / "episode.json", _summary(scenario, seed, values, outcome, graded, hashed.hex))
-    return Episode(recording, graded, hashed.hex, dict(hashed.foreign))
+    return Episode(recording, graded, hashed.hex, dict(hashed.foreign), outcome.error_code)
 
 
 def _summary(
@@ -85,6 +82,7 @@ def _summary(
         "parameters": dict(values),
         "ticks": outcome.ticks,
         "error": outcome.error,
+        "error_code": outcome.error_code,
         "score": graded.score,
         "metrics": graded.metrics,
         "replans": graded.replans,

@@ -83,6 +83,11 @@ def send_patience_s(name: str, tick_s: float, realtime: bool) -> float:
     return 0.0 if name == "controller" else 0.5 * tick_s
 
 
+def clock_of(realtime: bool) -> str:
+    """The clock that a hub must have: in lockstep who sends a frame stamps it with virtual time."""
+    return "real" if realtime else "sender"
+
+
 @contextmanager
 def open_exchange(
     bench: Bench, name: str, bus: str, bench_bus: str, session: str, *, realtime: bool, alone: bool = False
@@ -105,7 +110,8 @@ def open_exchange(
         both = sorted(ids[0] | ids[1])
         if silent:
             return alone_on(open_link(choice, name=name, fd=sends_fd(bench), only=both, options=options))
-        return open_links(choice, name=name, stamps=not realtime, fd=sends_fd(bench), only=both, options=options)
+        stamps, clock = not realtime, clock_of(realtime)
+        return open_links(choice, name=name, stamps=stamps, fd=sends_fd(bench), only=both, clock=clock, options=options)
 
     links = patiently(open_both, f"{name}: waiting for a hub")
     sys.setswitchinterval(SWITCH_S)

@@ -15,6 +15,8 @@ from tunefree_hil.base.own_python import own_python
 
 TAIL_LINES = 12
 END_S = 3.0
+LOOK_S = 0.01
+ONLY_ASK = 0  # a signal that nobody feels
 LOST = 3  # exit status of a node that ends because of the others (interfaces 1)
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 STARTER_VARIABLE = "TUNEFREE_STARTER"  # process id of whoever started a node and will end it
@@ -124,16 +126,34 @@ class Processes:
         return sizes
 
     def stop(self) -> None:
-        """End all: ask, wait, kill."""
+        """End all, and what they started themselves: ask, wait, kill."""
         for child in self.children:
-            if child.process.poll() is None:
-                child.process.terminate()
-                child.process.send_signal(signal.SIGCONT)  # one that is stopped would not hear it
+            _signal(child, signal.SIGTERM)
+            _signal(child, signal.SIGCONT)  # one that is stopped would not hear it
         limit = time.monotonic() + END_S
         for child in self.children:
-            try:
-                child.process.wait(max(0.0, limit - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                child.process.kill()
-                child.process.wait()
+            while _signal(child, ONLY_ASK) and time.monotonic() < limit:
+                time.sleep(LOOK_S)
+            _signal(child, signal.SIGKILL)
+            child.process.wait()
         self.children.clear()
+
+
+def _signal(child: _Child, number: int) -> bool:
+    """Whether the child, or what it started and left behind (a shell its program), was there to be signalled."""
+    pid = child.process.pid  # of the group too: each child has a session of its own
+    if child.process.poll() is not None and _exists(pid):
+        return False  # a group keeps its number from being given away: nobody is left, and this is a stranger
+    try:
+        os.killpg(pid, number)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def _exists(pid: int) -> bool:
+    try:
+        os.kill(pid, ONLY_ASK)
+    except OSError as error:
+        return isinstance(error, PermissionError)  # somebody else's
+    return True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 from tunefree_hil.base.events import Event
@@ -12,6 +12,7 @@ from tunefree_hil.nodes.controller import Assignment, ControllerPart
 from tunefree_hil.nodes.node import Node
 from tunefree_hil.nodes.timing import CycleTimes
 
+OURS = "lqr_pid_mrac"  # what our controller calls itself on the bench channel
 Assign = Callable[[bytes, Mapping[int, float]], Assignment]  # (hash of the scenario, parameters by index)
 
 
@@ -25,16 +26,18 @@ def serve_controller(
     bench_bus: str,
     session: str,
     realtime: bool,
+    own: Callable[[Bench], Iterable[str]] = lambda bench: (),
 ) -> Iterator[Event]:
     """Serve until the runner says end or the bus is gone.
 
     `assign_for`: what gives each episode its Block. `command`: which of ours this is, in words to a person; `name`:
-    what drives, in its hello on the bench channel.
+    what drives, in its hello on the bench channel; `own`: the parameters that it announces there.
     """
     parts = load(bench)
     with open_exchange(parts, "controller", bus, bench_bus, session, realtime=realtime) as (exchange, clock, where):
         yield Event("note", f"{command}: {parts.vehicle.name} on {where}")
         times = CycleTimes(timing_folder())
-        part = ControllerPart(parts.codec, needed_messages(parts.codec), assign_for(parts), times)
+        assign, names = assign_for(parts), list(own(parts))
+        part = ControllerPart(parts.codec, needed_messages(parts.codec), assign, times, names=names)
         Node(part, exchange, name, clock, realtime).serve()
     yield Event("result", "", {"sentence": f"{command}: told to end", "next": []})

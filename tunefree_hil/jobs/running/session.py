@@ -25,7 +25,7 @@ from tunefree_hil.bus.open import BusChoice, open_link
 from tunefree_hil.bus.recorder_owner import BusTrouble, RecorderOwner
 from tunefree_hil.bus.tfhub.records import EFF_MASK
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.jobs.running.node_links import TIMING_VARIABLE, usable_bus
+from tunefree_hil.jobs.running.node_links import TIMING_VARIABLE, clock_of, usable_bus
 from tunefree_hil.jobs.running.parts import links_of, paths_for, places_of, start_recorder, uses_hub
 from tunefree_hil.jobs.running.processes import Processes
 from tunefree_hil.nodes.runner import Outcome, Runner
@@ -113,7 +113,7 @@ class Session:
 
     def _start(self) -> None:
         if uses_hub(self.choice):
-            clock = "real" if self.realtime else "sender"
+            clock = clock_of(self.realtime)
             transport = ["--transport", "tcp"] if self.controller_command else []
             words = ["hub", "--session", self.session, "--clock", clock, "--owned", *transport]
             self.hub_pid = self.processes.start("hub", words)
@@ -144,7 +144,8 @@ class Session:
             self.recorder = self._start_recorder(limit_s)
         keeper = self.recorder or self.owner
         assert keeper is not None
-        bench = open_link(self.choice, "bench", name="runner", only=RUNNER_HEARS)
+        clock = clock_of(self.realtime)  # nodes and hub that run already may be those of the other kind of bench
+        bench = open_link(self.choice, "bench", name="runner", only=RUNNER_HEARS, clock=clock)
         self.links.append(bench)
         runner = Runner(bench, keeper, self._check)
         runner.meet(_start_limit_s(JOIN_LIMIT_S) if self.join else limit_s)

@@ -17,8 +17,9 @@ from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bench import Bench
 from tunefree_hil.bus.bench_channel import ErrorCode
 from tunefree_hil.config.schema import ScenarioSpec
+from tunefree_hil.grade.score import GRADED
 from tunefree_hil.jobs.run_folder import RunFolder, drop_bulk
-from tunefree_hil.jobs.running.harvest import DRIVEN, Episode, harvest
+from tunefree_hil.jobs.running.harvest import Episode, harvest
 from tunefree_hil.jobs.running.session import Session
 from tunefree_hil.jobs.running.strangers import watched
 from tunefree_hil.nodes.runner import Outcome
@@ -138,11 +139,10 @@ class Track:
             outcome = session.drive(scenario, self._seed_of(scenario), values, folder)
         self.simulated_s += outcome.ticks * self.bench.dt_s
         self.frames += sum(outcome.logged.values())
-        code = ErrorCode(outcome.error_code) if outcome.error_code else ErrorCode.NONE
-        if code is not ErrorCode.NONE and code not in DRIVEN:
+        if outcome.error not in GRADED:
             raise BenchError(
-                f"{scenario.name}: {code.sentence} (tick {outcome.ticks})",
-                code=code.name.lower(),
+                f"{scenario.name}: {ErrorCode(outcome.error_code).sentence} (tick {outcome.ticks})",
+                code=outcome.error,
                 file=str(folder),
                 hint=f"what the nodes said: {session.processes.folder}; the frames: {folder / 'vehicle.log'}",
             )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from typing import Any
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, model_of, own_parameters, parameters_of
+from tunefree_hil.config.convert import read_toml
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec, VehicleSpec, value_of
 from tunefree_hil.config.vehicle_schema import LatencySpec
 from tunefree_hil.control.inner.mrac import RISE_PER_TAU
@@ -19,12 +19,16 @@ GIVEN = "given"  # the bench file's own values for somebody else's controller: n
 
 
 def best_of(run: RunFolder) -> dict[str, Any]:
-    """best.toml of a tune. Raises InputError where the study is not finished."""
+    """best.toml of a tune. Raises InputError where the study is not finished, or the file was changed."""
     path = run.path / "best.toml"
     if not path.is_file():
         hint = "run the same tune command again"
         raise InputError("has no best.toml: the study is not finished", file=str(run.path), hint=hint)
-    return tomllib.loads(path.read_text())
+    best = read_toml(path)
+    if not isinstance(best.get("parameters"), dict):
+        hint = "the same tune command, with --resume RUN, writes it anew"
+        raise InputError("is not there", code="bad_toml", file=str(path), key="parameters", hint=hint)
+    return best
 
 
 def winner_of(bench: Bench, run: RunFolder) -> dict[str, float]:

@@ -12,15 +12,14 @@ from tunefree_hil.bench import Bench
 from tunefree_hil.bench.batch import Batch, Driven, Job
 from tunefree_hil.bus.bench_channel import ErrorCode
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.grade.score import ScenarioGrade, combine
+from tunefree_hil.grade.score import GRADED, ScenarioGrade, combine
 from tunefree_hil.jobs.run_folder import drop_bulk
-from tunefree_hil.jobs.running.harvest import DRIVEN, Episode, evaluation_of
+from tunefree_hil.jobs.running.harvest import Episode, evaluation_of
 from tunefree_hil.jobs.running.lateness import judge_realtime
 from tunefree_hil.jobs.running.track import DriveJob, Track
 from tunefree_hil.tune.trial import Evaluation
 
 MOST_REPEATS = 5  # of one drive, before the machine is said not to be up to it
-ANSWERED = ("", *(code.name.lower() for code in DRIVEN))  # ends of a drive that the parameters answer for
 
 
 class Candidate(NamedTuple):
@@ -161,7 +160,7 @@ class BatchEvaluator:
         kept: dict[str, Any] = {}
         grades: list[ScenarioGrade] = []
         for scenario, one in zip(self.scenarios, driven, strict=True):
-            if one.error not in ANSWERED or one.grade is None:
+            if one.error not in GRADED or one.grade is None:
                 code = ErrorCode[one.error.upper()]
                 raise BenchError(f"{scenario.name}: {code.sentence} (tick {one.ticks})", code=one.error)
             grades.append(one.grade)

@@ -12,8 +12,9 @@ from tunefree_hil.bench.batch import Batch, Job
 from tunefree_hil.control.parameters import BY_NAME
 from tunefree_hil.grade.difference import Difference, difference
 from tunefree_hil.grade.score import combine
-from tunefree_hil.jobs.run_folder import RunFolder, open_run, write_json
+from tunefree_hil.jobs.run_folder import JOINED, RunFolder, open_run, write_json
 from tunefree_hil.jobs.tune.candidates import best_of
+from tunefree_hil.jobs.tune.margins import why_not
 from tunefree_hil.tune.compare import best_baseline
 from tunefree_hil.tune.insight import Importance, edge_of, edges, importance, slice_points
 from tunefree_hil.tune.space import Space
@@ -55,7 +56,10 @@ def explain(run: Any, *, points: int, slices: bool) -> Iterator[Event]:
     found = find(folder, bench)
     yield from (Event("line", line) for line in lines_of(found))
     cuts: dict[str, Cut] = {}
-    if slices:
+    reason = why_not(bench, folder.record.get(JOINED)) if slices else ""
+    if reason:
+        yield Event("warning", f"no slices through the winner: {reason}")
+    elif slices:
         total = sum(len(slice_points(axis, points)) for axis in found.space.axes)
         drives = (total + 1) * len(bench.spec.scenarios)
         yield Event("note", f"slices through the winner: {total} sets of parameters, {drives} drives in the batch")
@@ -73,7 +77,7 @@ def explain(run: Any, *, points: int, slices: bool) -> Iterator[Event]:
 def find(folder: RunFolder, bench: Bench) -> Findings:
     """The study's winner against its best baseline. Raises InputError for a study that is not finished."""
     path = folder.path / "study.db"
-    slot = int(best_of(folder)["slot"])
+    slot = best_of(folder).get("slot")
     if not path.is_file():
         raise InputError(
             "has no study.db",

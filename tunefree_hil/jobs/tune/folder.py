@@ -9,8 +9,8 @@ from pathlib import Path
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.jobs.drive import DEFAULT_ROOT
 from tunefree_hil.jobs.identity import resolved_toml
-from tunefree_hil.jobs.run_folder import RunFolder, open_run, remove_parts, unfinished, write_text
-from tunefree_hil.jobs.tune.wish import Wish
+from tunefree_hil.jobs.run_folder import RunFolder, all_unfinished, open_run, remove_parts, write_text
+from tunefree_hil.jobs.tune.wish import OPTIONS, Wish
 from tunefree_hil.tune.store import alone
 
 HELD = "worker"
@@ -20,39 +20,41 @@ HELD = "worker"
 def run_folder_of(wish: Wish) -> Iterator[tuple[RunFolder, bool]]:
     """(folder, whether it is an old one): the one to resume, an unfinished one of the same settings, or a new one.
 
-    Workers of a shared study on one machine each hold a folder of their own.
+    It is held as long as the `with` lasts: two processes would write the same episodes. Workers of a shared study on
+    one machine each hold a folder of their own. Raises InputError where another process holds it.
     """
     asked = wish.asked
     name, root = f"tune-{asked.bench.stem}", asked.out or DEFAULT_ROOT
     with ExitStack() as stack:
         if asked.resume is not None:
             run: RunFolder | None = open_run(asked.resume)
-            _refuse_changed(open_run(asked.resume), wish)
+            _refuse_changed(run, wish)
+            stack.enter_context(alone(run.path / HELD))
         else:
-            run = _free(root, name, wish, stack) if wish.shown else unfinished(root, name, wish.record)
+            run = _free(root, name, wish, stack)
         if run is not None:
             remove_parts(run.path)
+            run.note(**{OPTIONS: wish.options})  # of this command, which may say others than the one before
             yield run, True
             return
-        record = {**wish.record, "bench": str(asked.bench), "hashes": wish.identity["hashes"]}
+        record = {**wish.record, OPTIONS: wish.options, "bench": str(asked.bench), "hashes": wish.identity["hashes"]}
         run = RunFolder.create(root, name, {**record, "seed": wish.settings.seed})
-        if wish.shown:
-            stack.enter_context(alone(run.path / HELD))
+        stack.enter_context(alone(run.path / HELD))
         write_text(run.path / "bench.toml", resolved_toml(wish.bench))
         yield run, False
 
 
 def _free(root: Path, name: str, wish: Wish, stack: ExitStack) -> RunFolder | None:
-    """An unfinished folder of the same settings that no living worker holds; `stack` holds it from now on."""
-    for path in sorted(root.glob(f"*-{name}*"), reverse=True):
+    """An unfinished folder of the same settings; `stack` holds it from now on. Of those of a shared study one that no
+    living worker holds.
+    """
+    for run in all_unfinished(root, name, wish.record):
         try:
-            run = open_run(path)
-            if run.record.get("complete") or any(run.record.get(key) != value for key, value in wish.record.items()):
-                continue
-            stack.enter_context(alone(path / HELD))
+            stack.enter_context(alone(run.path / HELD))
             return run
-        except InputError:  # no run of ours, or another worker's
-            continue
+        except InputError:
+            if not wish.shown:
+                raise
     return None
 
 

@@ -12,7 +12,7 @@ import json
 import time
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.events import Event
@@ -20,7 +20,7 @@ from tunefree_hil.bench import Bench, parameters_of
 from tunefree_hil.bench.batch import Batch, Driven, Job
 from tunefree_hil.bench.scaling import DEAD_TIME, LAG
 from tunefree_hil.grade.score import combine
-from tunefree_hil.jobs.run_folder import RunFolder, read_json, write_json
+from tunefree_hil.jobs.run_folder import JOINED, RunFolder, read_json, write_json
 from tunefree_hil.jobs.tune.margins import ROUND, Drives, why_not
 from tunefree_hil.tune.holding import Came, ahead, came_of, holds, ranked
 from tunefree_hil.tune.journal import slot_key
@@ -44,6 +44,15 @@ class Held(NamedTuple):
         """The trials, the winner first."""
         return ranked(trials, self.came)
 
+    def plain(self) -> dict[str, Any]:
+        """As data that JSON can hold."""
+        return {**self._asdict(), "came": {key: one._asdict() for key, one in self.came.items()}}
+
+
+def held_of(data: Mapping[str, Any]) -> Held:
+    """What `plain` made data of."""
+    return Held(**{**data, "came": _came_of_all(data)})
+
 
 def hold(
     bench: Bench, run: RunFolder, study: Scored, vectors: Mapping[str, Mapping[str, float]], batch: Drives | None = None
@@ -55,20 +64,21 @@ def hold(
     factor = bench.spec.tune.slower
     if factor == 1.0 or len(study.trials()) < FEWEST:
         return Held()
-    identity = _identity(study, factor)
-    known = _kept(run, identity)
+    identity = trials_hash(study, factor)
+    reason = why_not(bench, run.record.get(JOINED))
+    known = None if reason else _kept(run, identity)
     if known is not None:
         return Held(factor, known)
-    reason = why_not(bench)
     if not reason:
         try:
             with ExitStack() as stack:
                 came = yield from drive_slower(batch or stack.enter_context(Batch(bench)), bench, study, vectors)
             reason = _indifferent(bench, study, came)
             if not reason:
-                data = {key: one._asdict() for key, one in came.items()}
-                write_json(run.path / FILE, {"schema": SCHEMA, "of": identity, "slower": factor, "came": data})
-                return Held(factor, came)
+                held = Held(factor, came)
+                data = {"schema": SCHEMA, "of": identity, "slower": factor, "came": held.plain()["came"]}
+                write_json(run.path / FILE, data)
+                return held
         except (InputError, BenchError) as error:
             reason = f"{error.code}: {error.message.splitlines()[0]}"
     yield Event("warning", f"the winner is the best grade alone, no slower car was driven: {reason}")
@@ -132,8 +142,8 @@ def _indifferent(bench: Bench, study: Scored, came: Mapping[str, Came]) -> str:
     return ""
 
 
-def _identity(study: Scored, factor: float) -> str:
-    """What held.json belongs to: the trials with their scores, the baselines, the factor."""
+def trials_hash(study: Scored, factor: float) -> str:
+    """What an answer of the slower car belongs to: the trials with their scores, the baselines, the factor."""
     trials = [[one.slot, one.score] for one in study.trials()]
     words = json.dumps([study.settings.described(), trials, sorted(study.baselines()), factor], sort_keys=True)
     return hashlib.sha256(words.encode()).hexdigest()
@@ -144,4 +154,8 @@ def _kept(run: RunFolder, identity: str) -> dict[str, Came] | None:
     if not path.is_file():
         return None
     data = read_json(path)
-    return {key: Came(**one) for key, one in data["came"].items()} if data.get("of") == identity else None
+    return _came_of_all(data) if data.get("of") == identity else None
+
+
+def _came_of_all(data: Mapping[str, Any]) -> dict[str, Came]:
+    return {key: Came(**one) for key, one in data["came"].items()}

@@ -12,11 +12,13 @@ from typing import NamedTuple, Protocol
 
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import Bench, model_of
+from tunefree_hil.bench import Bench, model_of, own_parameters
 from tunefree_hil.bench.batch import Batch, Driven, Job
 from tunefree_hil.bench.scaling import DEAD_TIME, LAG, mass_of, scaled
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.grade.margins import POINTS, SAME, WALKS, Came, Car, Margin, Walk
+from tunefree_hil.jobs.running.foreign import not_ours
+from tunefree_hil.jobs.running.serving import OURS
 
 EFFECTS = ("steer_dead_time", "steer_gain", "payload", "friction")
 ROUND = 128  # drives that are asked for together, at least, as long as there are so many
@@ -44,19 +46,27 @@ class Found(NamedTuple):
     drives: int
 
 
-def why_not(bench: Bench) -> str:
-    """Why the batch cannot drive this bench, '' where it can. What it finds out itself is told as an error."""
+def why_not(bench: Bench, joined: str | None = None) -> str:
+    """Why the batch cannot drive this bench, '' where it can. What it finds out itself is told as an error.
+
+    joined: what the controller of a joined bench calls itself, None where the bench's own was started.
+    """
+    ours = "a batch knows our controller only"
     if bench.spec.controller.command:
-        return f"a batch knows our controller only, not {bench.spec.controller.command[0]}"
+        return f"{ours}, not {bench.spec.controller.command[0]}"
+    if joined not in (None, OURS):
+        return f"{ours}, not {joined or 'a nameless one'}, which was joined"
+    if lacking := not_ours(bench, own_parameters(bench)):
+        return f"{ours}, which has no parameter {', '.join(lacking)}"
     kinds = sorted({fault.kind for fault in bench.spec.faults if fault.kind != "driver_override"})
     return f"a batch has no bus to put the bench file's faults on ({', '.join(kinds)})" if kinds else ""
 
 
 def find_margins(
-    bench: Bench, model: str, vectors: Vectors, scenarios: Sequence[ScenarioSpec]
+    bench: Bench, model: str, vectors: Vectors, scenarios: Sequence[ScenarioSpec], joined: str | None = None
 ) -> Generator[Event, None, Found | str]:
     """All drives in a batch of their own. A bench or model that a batch cannot drive: the reason, as a warning too."""
-    reason = why_not(bench)
+    reason = why_not(bench, joined)
     if not reason:
         try:
             with Batch(bench, model, extra_effects=EFFECTS) as batch:

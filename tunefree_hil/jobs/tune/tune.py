@@ -11,41 +11,51 @@ from collections.abc import Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import is_heavy, model_of, parameters_of
 from tunefree_hil.bench.batch import Batch
 from tunefree_hil.jobs.learn.model_words import model_words
 from tunefree_hil.jobs.pasted import pasted
-from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.foreign import program_of, require_announced
+from tunefree_hil.jobs.run_folder import JOINED, RunFolder
+from tunefree_hil.jobs.running.foreign import joined_name, program_of, require_announced
 from tunefree_hil.jobs.running.session import open_lanes
 from tunefree_hil.jobs.running.track import Track
 from tunefree_hil.jobs.tune.confirm import Confirmed, confirm, to_confirm
 from tunefree_hil.jobs.tune.evaluators import BatchEvaluator, BusEvaluator, Candidate, RealtimeEvaluator
 from tunefree_hil.jobs.tune.folder import run_folder_of
-from tunefree_hil.jobs.tune.hold import Held, hold
+from tunefree_hil.jobs.tune.hold import Held, held_of, hold, trials_hash
 from tunefree_hil.jobs.tune.report import finish_report, is_kept
 from tunefree_hil.jobs.tune.search import Search
 from tunefree_hil.jobs.tune.verify import verify_winner
 from tunefree_hil.jobs.tune.wish import BATCH, Asked, Wish, resolve_wish
+from tunefree_hil.tune.ending import WORKER, Ending
 from tunefree_hil.tune.journal import open_journal, slot_key
 from tunefree_hil.tune.mirror import mirror
-from tunefree_hil.tune.shared import join_study
+from tunefree_hil.tune.shared import SharedStudy, join_study
 from tunefree_hil.tune.study import open_study
 from tunefree_hil.tune.trial import Scored, Trial
 
 JOURNAL = "trials.jsonl"
+HELD, VERIFIED = "held", "verified"  # what one worker of a shared study finds for all
 
 
 class Finished:
-    """What a way of tuning leaves for the end. verify: whether this process is the one to do it."""
+    """What a way of tuning leaves for the end. ending: of a study that workers share, what one of them does for all."""
 
-    def __init__(self, study: Scored, held: Held, verify: bool = True, confirmed: Confirmed | None = None) -> None:
+    def __init__(
+        self, study: Scored, held: Held, confirmed: Confirmed | None = None, ending: Ending | None = None
+    ) -> None:
         self.study = study
         self.held = held
-        self.verify = verify
         self.confirmed = confirmed
+        self.ending = ending
+
+    @property
+    def verify(self) -> bool:
+        """Whether this process is the one to do it."""
+        return self.ending is None or (self.ending.ours and VERIFIED not in self.ending.kept)
 
 
 def tune(asked: Asked) -> Iterator[Event]:
@@ -64,21 +74,38 @@ def tune(asked: Asked) -> Iterator[Event]:
         with ExitStack() as stack:
             way = _shared if asked.study else _batch if asked.backend == BATCH else _over_bus
             finished = yield from way(wish, run, stack)
-            report = finish_report(wish.bench, run, finished.study, finished.held, finished.confirmed)
-        yield from (Event("note", line) for line in report.lines)
-        data, sentence = dict(report.data), report.sentence
-        if asked.realtime:
-            data["discarded"] = run.record.get("discarded", 0)
-            sentence += f"; drives that were not real time, discarded and repeated: {data['discarded']}"
-        if asked.verify and finished.verify and wish.bench.spec.verify_model:
-            found = yield from verify_winner(
-                wish.bench, run, bus=asked.bus, bench_bus=asked.bench_bus, session=wish.session, join=asked.join
-            )
-            data["verify"] = found
-            sentence += f". On {wish.bench.spec.verify_model}, unseen: {found['sentence']}"
-        run.finish(result={"sentence": sentence})
-        data["next"] = _next(wish, run)
-        yield Event("result", sentence, {"sentence": sentence, "run": str(run.path), **data})
+            yield from _told(wish, run, finished)
+
+
+def _told(wish: Wish, run: RunFolder, finished: Finished) -> Iterator[Event]:
+    """The report, the verification, and the run is complete."""
+    report = finish_report(wish.bench, run, finished.study, finished.held, finished.confirmed)
+    yield from (Event("note", line) for line in report.lines)
+    data, sentence = dict(report.data), report.sentence
+    if wish.asked.realtime:
+        data["discarded"] = run.record.get("discarded", 0)
+        sentence += f"; drives that were not real time, discarded and repeated: {data['discarded']}"
+    if _verifies(wish) and finished.verify:
+        data["verify"] = yield from _verified(wish, run, finished.ending)
+        sentence += f". On {wish.bench.spec.verify_model}, unseen: {data['verify']['sentence']}"
+    run.finish(result={"sentence": sentence})
+    data["next"] = _next(wish, run)
+    yield Event("result", sentence, {"sentence": sentence, "run": str(run.path), **data})
+
+
+def _verifies(wish: Wish) -> bool:
+    return wish.asked.verify and bool(wish.bench.spec.verify_model)
+
+
+def _verified(wish: Wish, run: RunFolder, ending: Ending | None) -> Generator[Event, None, dict[str, Any]]:
+    """The winner on the verify model; other workers are told that it is done."""
+    asked = wish.asked
+    found = yield from verify_winner(
+        wish.bench, run, bus=asked.bus, bench_bus=asked.bench_bus, session=wish.session, join=asked.join
+    )
+    if ending is not None:
+        yield from _warnings(ending.keep(**{VERIFIED: found["sentence"]}))
+    return found
 
 
 def _next(wish: Wish, run: RunFolder) -> list[str]:
@@ -126,13 +153,31 @@ def _shared(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, No
         turn = zlib.crc32(study.claims.worker.encode()) % len(names)
         yield from search.baselines(names[turn:] + names[:turn])
         yield from search.trials()
-    yield from (Event("warning", words) for words in study.refresh())
+    yield from _warnings(study.refresh())
     mirror(run.path / "study.db", study, {})  # what reads a run's study (`explain`) needs no server
-    if not study.filled_last:  # the worker that did ends the study for all
-        return Finished(study, Held(), verify=False)
-    held = yield from hold(wish.bench, run, study, wish.vectors)
-    yield from _winner_again(wish, run, held.ranked(study.trials())[0])
-    return Finished(study, held)
+    ending = stack.enter_context(Ending(study, trials_hash(study, wish.bench.spec.tune.slower)))
+    held = yield from _held_for_all(wish, run, study, ending)
+    if ending.ours:
+        yield from _winner_again(wish, run, held.ranked(study.trials())[0])
+    return Finished(study, held, ending=ending)
+
+
+def _held_for_all(wish: Wish, run: RunFolder, study: SharedStudy, ending: Ending) -> Generator[Event, None, Held]:
+    """What the slower car said, found by one worker: by this one, or by another that is waited for."""
+    yield from _warnings(ending.look((HELD, VERIFIED) if _verifies(wish) else (HELD,)))
+    if HELD not in ending.kept:
+        found = yield from hold(wish.bench, run, study, wish.vectors)
+        yield from _warnings(ending.keep(**{HELD: found.plain()}))
+    elif ending.ours:
+        yield Event("note", f"who wins was found by worker {ending.kept[WORKER]}, which has not verified it")
+    else:
+        done = "verified the winner too" if VERIFIED in ending.kept else "verifies the winner, if it was asked to"
+        yield Event("note", f"who wins was found by worker {ending.kept[WORKER]}; it {done}")
+    return held_of(ending.kept[HELD])
+
+
+def _warnings(words: Iterator[str]) -> Iterator[Event]:
+    return (Event("warning", one) for one in words)
 
 
 def _batch(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, None, Finished]:
@@ -162,7 +207,7 @@ def _batch(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, Non
     mirror.result()
     journal.mirror(run.path / "study.db")
     confirmed = Confirmed(journal)
-    return Finished(confirmed, held, confirmed=confirmed)
+    return Finished(confirmed, held, confirmed)
 
 
 def _said_of(wish: Wish, evaluator: BusEvaluator) -> str:
@@ -193,6 +238,8 @@ def _on_lanes(wish: Wish, run: RunFolder) -> Iterator[BusEvaluator]:
         controller_command=program_of(bench),
     ) as lanes:
         require_announced(bench, lanes, wish.settings.space.names)
+        if asked.join:
+            run.note(**{JOINED: joined_name(lanes)})
         track = Track(lanes, bench, run)
         scenarios = [bench.scenarios[name] for name in bench.spec.scenarios]
         at_once = 1 if asked.backend == BATCH else max(1, wish.settings.in_flight)

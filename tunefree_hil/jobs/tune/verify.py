@@ -17,8 +17,8 @@ from tunefree_hil.jobs.drive import own_session
 from tunefree_hil.jobs.learn.outside import outside_data, outside_words
 from tunefree_hil.jobs.pasted import pasted
 from tunefree_hil.jobs.progress import left_s
-from tunefree_hil.jobs.run_folder import RunFolder, open_run, write_json
-from tunefree_hil.jobs.running.foreign import program_of
+from tunefree_hil.jobs.run_folder import JOINED, RunFolder, open_run, write_json
+from tunefree_hil.jobs.running.foreign import joined_name, program_of
 from tunefree_hil.jobs.running.harvest import Episode, evaluation_of
 from tunefree_hil.jobs.running.session import lanes_of, open_lanes
 from tunefree_hil.jobs.running.track import Track
@@ -72,11 +72,12 @@ def verify_winner(
     ) as lanes:
         track = Track(lanes, bench, RunFolder(run.path / "verify", run.record))
         columns = yield from _driven(track, bench, vectors)
+        joined = joined_name(lanes) if join else run.record.get(JOINED)
     results = {name: evaluation_of(episodes) for name, episodes in columns.items()}
     found = _compare(results)
     for line in table({n: e.scenarios for n, e in results.items()}, found["scores"]):
         yield Event("note", line)
-    found["margins"] = yield from _margins(bench, model, vectors, columns, results)
+    found["margins"] = yield from _margins(bench, model, vectors, columns, results, joined)
     # The model that was tuned on must know what the winner does on the vehicle.
     winning = {name: episode.recording for name, episode in columns[TUNED].items()}
     found["outside"] = outside_data(bench, bench.spec.model, winning)
@@ -112,10 +113,11 @@ def _margins(
     vectors: Mapping[str, Mapping[str, float]],
     columns: Mapping[str, Mapping[str, Episode]],
     results: Mapping[str, Evaluation],
+    joined: str | None,
 ) -> Generator[Event, None, dict[str, Any]]:
     """The value of "margins" in verify.json, its table as notes; a warning where batch and bus differ."""
     scenarios = [bench.scenarios[name] for name in bench.spec.verify_scenarios]
-    found = yield from find_margins(bench, model, vectors, scenarios)
+    found = yield from find_margins(bench, model, vectors, scenarios, joined)
     steering = {name: steering_data(one.recording for one in some.values()) for name, some in columns.items()}
     over_bus = {name: {key: one.grade.score for key, one in some.items()} for name, some in columns.items()}
     data = margin_data(found, steering, {name: one.score for name, one in results.items()}, over_bus)

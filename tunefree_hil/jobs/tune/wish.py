@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bench import Bench, load, parameters_of, require_buildable
+from tunefree_hil.bench import Bench, load, own_parameters, parameters_of, require_buildable
 from tunefree_hil.jobs.drive import own_session
 from tunefree_hil.jobs.identity import identity_of
 from tunefree_hil.jobs.pasted import given, pasted
@@ -18,8 +18,9 @@ from tunefree_hil.jobs.tune.candidates import baseline_vectors, opening_of
 from tunefree_hil.tune.baselines import first_trial
 from tunefree_hil.tune.server import address_of
 from tunefree_hil.tune.space import Space, resolve
-from tunefree_hil.tune.store import Settings
+from tunefree_hil.tune.store import Settings, check_settings
 
+OPTIONS = "options"  # key of run.json
 BATCH, BUS = "batch", "bus"
 BATCH_IN_FLIGHT = 8  # costs nothing in quality (opt_anchors B)
 SHARED_IN_FLIGHT = 0  # each worker asks when it is free
@@ -78,6 +79,20 @@ class Wish(NamedTuple):
             "study": self.shown,
         }
 
+    @property
+    def options(self) -> dict[str, Any]:
+        """What `--resume` goes on with where the command does not say otherwise: fields of Asked, in run.json too."""
+        asked, settings = self.asked, self.settings
+        return {
+            "trials": self.trials,
+            "set_name": asked.set_name,
+            "sampler": settings.sampler,
+            "seed": settings.seed,
+            "scale": asked.scale,
+            "verify": asked.verify,
+            "confirm": asked.confirm,
+        }
+
 
 def resolve_wish(asked: Asked) -> Wish:
     """Read, check and work out everything. Raises InputError that names what does not fit."""
@@ -86,11 +101,11 @@ def resolve_wish(asked: Asked) -> Wish:
     address = address_of(asked.study) if asked.study else None
     bench = with_command(load(asked.bench), asked.controller)
     _require_slower(bench)
-    _require_buildable(bench, asked)
+    space = _space(bench, asked)
+    _require_buildable(bench, asked, space)
     session = asked.session or own_session()
     bus_for(bench, asked.bus, session, asked.bench_bus)
     vectors = baseline_vectors(bench)
-    space = _space(bench, asked)
     require_one(bench, space.names, join=asked.join)
     identity = identity_of(bench, bench.spec.model, [bench.scenarios[name] for name in bench.spec.scenarios])
     benches = _benches(asked)
@@ -102,19 +117,38 @@ def resolve_wish(asked: Asked) -> Wish:
         first=first_trial(space, opening_of(vectors)),
         in_flight=_in_flight(bench, asked, benches),
     )
+    check_settings(settings)  # before there is a run folder that nobody could go on with
     shown = f"{address.shown}#{address.name}" if address else ""
     trials = asked.trials or bench.spec.tune.trials
     return Wish(asked, bench, settings, identity, vectors, trials, benches, session, shown, again(asked, shown))
 
 
 def _as_before(asked: Asked) -> Asked:
-    """A run that goes on does so in its own way, whatever the options' defaults are."""
-    record = open_run(asked.resume).record if asked.resume else {}
+    """A run that goes on does so in its own way, whatever the options' defaults are.
+
+    What the command says that is not the default counts; a run of an earlier version has no `options`.
+    """
+    record = _tune_before(asked.resume) if asked.resume else {}
+    usual, options = Asked._field_defaults, record.get(OPTIONS, {})
     return asked._replace(
+        **{name: value for name, value in options.items() if getattr(asked, name) == usual[name]},
         backend=record.get("backend", asked.backend),
         realtime=record.get("realtime", asked.realtime),
         in_flight=record.get("settings", {}).get("in_flight", asked.in_flight),
     )
+
+
+def _tune_before(path: Path) -> dict[str, Any]:
+    """run.json of the tune in `path`. Raises InputError for any other run: its episodes would be overwritten."""
+    record = open_run(path).record
+    command = record.get("command")
+    if command != "tune":
+        hint = "give the run folder of a tune, or leave --resume out for a new run"
+        raise InputError(
+            f"is a run of {command!r}: there is no search to go on with",
+            code="not_a_tune", file=str(path), key="--resume", hint=hint,
+        )  # fmt: skip
+    return record
 
 
 def _space(bench: Bench, asked: Asked) -> Space:
@@ -173,9 +207,15 @@ def _require_slower(bench: Bench) -> None:
         )  # fmt: skip
 
 
-def _require_buildable(bench: Bench, asked: Asked) -> None:
-    """Raise InputError for what a node could not build, now rather than after hours."""
+def _require_buildable(bench: Bench, asked: Asked, space: Space) -> None:
+    """Raise InputError for what a node could not build, now rather than after hours.
+
+    With MRAC on, whatever the bench file says, where it is searched, and where the manual baselines are driven: some
+    have it on.
+    """
     values, spec = parameters_of(bench), bench.spec
+    if not own_parameters(bench) or any(name.startswith("mrac.") for name in space.names):
+        values["mrac.enable"] = 1.0
     scenarios = [bench.scenarios[name] for name in spec.scenarios]
     require_buildable(bench, spec.model, scenarios, values, realtime=asked.realtime)
     if asked.backend == BATCH and spec.controller.command:

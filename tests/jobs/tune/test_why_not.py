@@ -1,0 +1,31 @@
+"""Which benches a batch cannot drive because their controller is not ours, whoever started it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.bench.own_part import PART
+from tests.bench.tiny import write_bench
+from tunefree_hil.bench import load
+from tunefree_hil.jobs.running.serving import OURS
+from tunefree_hil.jobs.tune.margins import why_not
+
+
+@pytest.mark.parametrize(
+    ("more", "joined", "words"),
+    [
+        ("", "pursuit", "our controller only, not pursuit, which was joined"),
+        ("", "", "not a nameless one, which was joined"),
+        ('[controller.parameters]\n"mine.gain" = 0.5', None, "our controller only, which has no parameter mine.gain"),
+        ("", OURS, ""),
+        ('[controller]\nlateral = "mine.py:CONTROLLER"\n[controller.parameters]\n"mine.gain" = 0.5', None, ""),
+    ],
+)
+def test_a_joined_controller_and_its_parameters_are_not_taken_for_ours(
+    tmp_path: Path, more: str, joined: str | None, words: str
+) -> None:
+    (tmp_path / "mine.py").write_text(PART)
+    reason = why_not(load(write_bench(tmp_path, more=more)), joined)
+    assert words in reason and bool(words) == bool(reason)

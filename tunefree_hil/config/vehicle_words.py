@@ -1,0 +1,150 @@
+"""What each key of a vehicle.toml means, one line each: `doctor --schema vehicle`. The other files: words.py.
+
+What may stand in a numeric key: vehicle_numbers.py.
+"""
+
+from __future__ import annotations
+
+from tunefree_hil.config.vehicle_schema import (
+    E2eSpec,
+    ExtraSpec,
+    FieldSpec,
+    InsFrameSpec,
+    LatencySpec,
+    LimitsSpec,
+    NominalSpec,
+    OverrideSpec,
+    SignalSpec,
+    Spec,
+    StateSpec,
+    VehicleSpec,
+)
+
+ASSUMED = "why the source does not say this and what was taken instead; '' where it does"
+ASSUMED_KEYS = "names of the keys of this table that no source states"
+CHANNEL = "name of the channel in logs, where the same id is on two buses; '' for any"
+TRUNCATED = "true: a frame shorter than the DBC says is decoded as far as it goes"
+CONSTANTS = "other signals of the message, each held at a value (physical)"
+
+VEHICLE_WORDS: dict[type[Spec], dict[str, str]] = {
+    VehicleSpec: {
+        "schema": "kind and version of this file",
+        "name": "what models and bench files call the vehicle",
+        "dbc": "DBC files in this folder, as the supplier gave them",
+        "bitrate": "bit/s of the vehicle's bus",
+        "data_bitrate": "bit/s of the data phase of CAN FD; left out: classic CAN",
+        "tick_ms": "ms of one tick, the step of controller and vehicle; every period is a whole multiple of it",
+        "absent": "record fields that this vehicle does not have, such as 'report.gear'",
+        "command": "tables [command.FIELD]: what the controller sends",
+        "report": "tables [report.FIELD]: what the chassis reports; outputs of the actuators",
+        "ins": "tables [ins.FIELD]: what the navigation system says of the point in [ins_frame]",
+        "extra": "tables [extra.MESSAGE]: messages without a record field that are sent all the same",
+        "ins_frame": "axes, origin and point of the [ins] fields, and how old they are",
+        "state": "condition -> list of bits and codes in reports that say it",
+        "latency": "tables [latency.ACTUATOR]: what a data sheet says of throttle, brake, steer ...",
+        "override": "when the by-wire unit takes a driver's pedal or hand for a take-over",
+        "limits": "what the vehicle can and may do",
+        "nominal": "data-sheet constants of the body",
+        "manual_gains": "as_shipped: the gains of interfaces 7 were shipped for this vehicle; else rule_based",
+    },
+    FieldSpec: {
+        "message": "name of the message in the DBC",
+        "signal": "name of the signal; for wheel_speed_radps a list of four: front left, front right, rear left, right",
+        "signals": "instead of `signal`: signals whose sum is the field",
+        "scale": "factor to SI: value = physical value of the DBC * scale + offset; not 0",
+        "offset": "what is added then, in SI",
+        "period_ms": "ms between two frames, a whole multiple of tick_ms",
+        "channel": CHANNEL,
+        "allow_truncated": TRUNCATED,
+        "enable": "signal of the command that is 1 while the controller wants to drive; '' for none",
+        "clear": "signal of the command that ends an override; '' for none",
+        "ignore": "signal of the command by which the unit ignores the driver; '' for none",
+        "counter": "signal that counts the frames; '' for none",
+        "checksum": "signal that holds the message's checksum; '' for none",
+        "constants": CONSTANTS,
+        "e2e": "end-to-end protection of the message; left out: none",
+        "timeout_ms": "ms without this command after which the unit gives up; 0: its usual time",
+        "specific_force": "true, of ins.accel_mps2 alone: gravity is in it, as an accelerometer has it",
+        "assumed": ASSUMED,
+    },
+    SignalSpec: {
+        "name": "name of the signal in the DBC",
+        "scale": "what its physical value is multiplied by in the sum; not 0",
+    },
+    E2eSpec: {
+        "profile": "'P01' or 'P02' of AUTOSAR; 'none'",
+        "data_ids": "data ids of the message: one in P01, sixteen in P02",
+        "id_mode": "P01: which bytes of the data id the CRC takes in: both, alternating, low or nibble",
+        "max_delta": "widest step between the counters of two frames that still passes",
+        "crc": "signal of the CRC",
+        "counter": "signal of the counter",
+        "nibble": "id mode nibble: signal that carries bits 8 to 11 of the data id",
+    },
+    ExtraSpec: {
+        "kind": "command: the controller sends it; telemetry: the vehicle does",
+        "period_ms": "ms between two frames, a whole multiple of tick_ms",
+        "channel": CHANNEL,
+        "allow_truncated": TRUNCATED,
+        "constants": CONSTANTS,
+        "e2e": "end-to-end protection of the message; left out: none",
+        "assumed": ASSUMED,
+    },
+    InsFrameSpec: {
+        "frame": "axes of the positions; ENU: x east, y north, heading 0 east and positive to the left",
+        "origin": "'local', or [latitude, longitude] of the origin in degrees",
+        "point": "the point whose position it is; only 'rear_axle' can be simulated",
+        "latency_s": "s by which the INS speaks of the past",
+        "assumed": ASSUMED,
+    },
+    StateSpec: {
+        "message": "name of the message in the DBC",
+        "signal": "name of the signal",
+        "active": "value of the signal at which the condition holds",
+        "effect": "what the unit then does: disable all channels, this channel, or only warn",
+        "bywire": "the by-wire channel that it speaks of: throttle, brake, steer, gear; '' for all",
+        "cause": "which of the condition's causes this code means, such as 'throttle_timeout'; '' for any",
+        "assumed": ASSUMED,
+    },
+    LatencySpec: {
+        "dead_time_s": "s from a command to the first sign of an answer",
+        "rise_time_s": "s that the answer then takes to rise, as the data sheet has it",
+        "assumed": ASSUMED,
+    },
+    LimitsSpec: {
+        "steer_rad": "largest angle of the steering wheel either way, rad",
+        "steer_rate_radps": "fastest turn of the steering wheel, rad/s",
+        "throttle_frac": "largest duty of the throttle as on the wire, a share of 1",
+        "brake_frac": "largest duty of the brake as on the wire, a share of 1",
+        "accel_mps2": "[low, high]: strongest braking (below 0) and acceleration, m/s2",
+        "lateral_accel_mps2": "largest acceleration to the side, m/s2",
+        "speed_mps": "highest speed, m/s",
+        "reverse_mps": "how fast it drives backwards, m/s; 0: it does not, or nobody says so",
+        "brake_rate_per_s": "fastest change of the brake demand that the unit makes, duty per s",
+        "watchdog_brake_frac": "duty with which the unit's watchdog brakes, a share of 1",
+        "assumed": ASSUMED_KEYS,
+    },
+    NominalSpec: {
+        "mass_kg": "mass, kg",
+        "wheelbase_m": "front axle to rear axle, m",
+        "front_axle_m": "centre of mass to front axle, m; below wheelbase_m",
+        "yaw_inertia_kgm2": "moment of inertia about the vertical axis, kg m2",
+        "steer_ratio": "angle of the steering wheel per angle of the road wheels",
+        "wheel_radius_m": "rolling radius of a wheel, m",
+        "track_m": "between the middles of the rear wheels, m",
+        "front_stiffness_n_per_rad": "cornering stiffness of the whole front axle, N/rad",
+        "rear_stiffness_n_per_rad": "cornering stiffness of the whole rear axle, N/rad",
+        "rest_pedal_frac": "duty of a pedal that nobody touches, a share of 1; below the pedals' limits",
+        "assumed": ASSUMED_KEYS,
+    },
+    OverrideSpec: {
+        "brake_frac": "duty of the driver's brake pedal that takes over, a share of 1",
+        "brake_s": "s that the brake pedal must be held so",
+        "throttle_frac": "duty of the driver's throttle pedal that takes over, a share of 1",
+        "throttle_s": "s that the throttle pedal must be held so",
+        "driver_frac": "duty above which a pedal counts as touched, a share of 1",
+        "driver_s": "s that a touch must last",
+        "steer_nm": "torque of the driver's hand either way that takes over, Nm",
+        "steer_s": "s that that torque must last",
+        "assumed": ASSUMED,
+    },
+}
