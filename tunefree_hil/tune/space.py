@@ -14,26 +14,18 @@ from optuna.distributions import BaseDistribution, CategoricalDistribution, Floa
 
 from tunefree_hil.base.contracts import Tunable
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.control.parameters import BY_NAME, LARGEST32, SETS, box32, round32
+from tunefree_hil.control.parameters import BY_NAME, LARGEST32, SETS, Box, box32, round32
 
 MOST_GRID_POINTS = 100_000
 
 
-class Searched(Protocol):
+class Searched(Box, Protocol):
     """What a search must know of a parameter: a Tunable of a controller, or a ParameterSpec of a bench file."""
 
     @property
     def name(self) -> str: ...
     @property
-    def low(self) -> float: ...
-    @property
-    def high(self) -> float: ...
-    @property
-    def scale(self) -> str: ...
-    @property
     def step(self) -> float | None: ...
-    @property
-    def choices(self) -> Sequence[float] | None: ...
 
 
 class Axis(NamedTuple):

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, load
 from tunefree_hil.bench.load import whole_vehicle
-from tunefree_hil.collect.cells import fastest_mps
+from tunefree_hil.collect.cells import Target, fastest_mps
 from tunefree_hil.collect.coverage import Coverage
-from tunefree_hil.collect.envelope import envelope_of, side_needed_m
+from tunefree_hil.collect.envelope import Envelope, envelope_of, side_needed_m
 from tunefree_hil.collect.plan import DrivePlan, as_dict, driven_targets
 from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.find import available, find
@@ -91,11 +92,7 @@ def require_room(vehicle: VehicleSpec, asked: Asked) -> None:
     for name, most in MOST.items():
         require_number("--" + name.replace("_", "-"), getattr(asked, name), most=most)
     envelope = envelope_of(vehicle)
-    top = fastest_mps(envelope, asked.top_mps)
-    bands = [one for one in driven_targets(vehicle, asked.top_mps) if not one.excluded]
-    if not bands:
-        hint = f"give at least {0.5 * fastest_mps(envelope):.3g}"
-        raise InputError(f"no cell is driven at {top:.3g} m/s at most", code="too_slow", key="--top-mps", hint=hint)
+    bands = some_driven(driven_targets(vehicle, asked.top_mps), envelope, asked.top_mps)
     speed = max(1.05 * one.low_mps for one in bands)
     needed = side_needed_m(envelope, speed)
     if asked.area_m < needed:
@@ -107,6 +104,15 @@ def require_room(vehicle: VehicleSpec, asked: Asked) -> None:
             hint=f"--area-m {math.ceil(needed)}, or leave out the fast cells: --top-mps {slower:.3g} needs "
             f"{math.ceil(side_needed_m(envelope, slower))} m",
         )
+
+
+def some_driven(targets: Sequence[Target], envelope: Envelope, top_mps: float | None) -> list[Target]:
+    """Those that are driven. Raises InputError where --top-mps leaves none."""
+    driven = [one for one in targets if not one.excluded]
+    if not driven:
+        top, hint = fastest_mps(envelope, top_mps), f"give at least {0.5 * fastest_mps(envelope):.3g}"
+        raise InputError(f"no cell is driven at {top:.3g} m/s at most", code="too_slow", key="--top-mps", hint=hint)
+    return driven
 
 
 def record_of(vehicle: VehicleSpec, model: str, asked: Asked, effects: list[Any]) -> dict[str, Any]:

@@ -13,13 +13,14 @@ from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.codec import Codec, Snapshot
 from tunefree_hil.bus.link import Link
 from tunefree_hil.bus.open import open_link, resolve_bus
-from tunefree_hil.collect.cells import NONE, cell_of, fastest_mps, targets_of
+from tunefree_hil.collect.cells import NONE, cell_of, targets_of
 from tunefree_hil.collect.coverage import Coverage, map_lines
 from tunefree_hil.collect.envelope import envelope_of
 from tunefree_hil.collect.seen import eyes_of, lacking, look
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.jobs.collect.picture import draw_map
+from tunefree_hil.jobs.collect.plan import MOST, some_driven
 from tunefree_hil.jobs.require import require_number
 from tunefree_hil.jobs.run_folder import write_json
 from tunefree_hil.learn.read import read_drives
@@ -29,7 +30,6 @@ from tunefree_hil.nodes.hearing import MISSING_S, Hearing
 LOOK_S = 0.2
 TELL_S = 1.0
 INTERRUPTED = 130
-MOST_S, MOST_MPS = 1e6, 1e3  # eleven days; more is a slip
 OVERFLOW = "rx_overflow"  # frames were lost: a run of frames ends there, the watch goes on
 
 
@@ -50,14 +50,12 @@ def coverage_for(vehicle: VehicleSpec, wish: Wish) -> Coverage:
 
     Raises InputError for a number of the command line that is none, and for a speed at which no cell is left.
     """
-    require_number("--quota-s", wish.quota_s, most=MOST_S)
-    require_number("--top-mps", wish.top_mps, most=MOST_MPS)
-    require_number("--seconds", wish.seconds, most=MOST_S)
+    require_number("--quota-s", wish.quota_s, most=MOST["quota_s"])
+    require_number("--top-mps", wish.top_mps, most=MOST["top_mps"])
+    require_number("--seconds", wish.seconds, most=MOST["drive_s"])
     envelope = envelope_of(vehicle)
     targets = targets_of(envelope, wish.top_mps, reverse_mps=vehicle.limits.reverse_mps)
-    if all(target.excluded for target in targets):
-        top_mps, hint = fastest_mps(envelope, wish.top_mps), f"give at least {0.5 * fastest_mps(envelope):.3g}"
-        raise InputError(f"no cell is driven at {top_mps:.3g} m/s at most", code="too_slow", key="--top-mps", hint=hint)
+    some_driven(targets, envelope, wish.top_mps)
     return Coverage(vehicle, targets, wish.quota_s, vehicle.tick_ms * 1e-3)
 
 
