@@ -16,6 +16,7 @@ from tests.gap.test_interval import ALL, DELAY, fitted
 from tunefree_hil.base.contracts import Link
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_model
+from tunefree_hil.gap.evidence import LEAST_NATS
 from tunefree_hil.gap.interval import across
 from tunefree_hil.gap.locate import Looked
 from tunefree_hil.gap.usual import (
@@ -26,6 +27,7 @@ from tunefree_hil.gap.usual import (
     Usual,
     as_data,
     parted,
+    seen_alone,
     usual_of,
     usual_words,
 )
@@ -58,6 +60,20 @@ def test_news_is_what_is_further_off_than_both_are_doubted(off: float, deviation
     news, words = parted([STEP], FOUND, usual(VALUE + off, deviation), ALL)
     far = abs(off) > NEWS * np.hypot(DEVIATION, deviation)
     assert bool(news) == far and bool(words) != far
+
+
+@given(alone=st.floats(-20.0, 60.0))
+def test_who_shows_only_beside_what_is_no_news_is_no_name(alone: float) -> None:
+    other = STEP._replace(name="yaw_rate_bias")
+    news, words = seen_alone([other], [STEP, other], [STEP, other._replace(evidence=alone)])
+    assert bool(news) == (alone > LEAST_NATS) and bool(words) != bool(news)
+    assert not words or words == ("yaw_rate_bias shows only beside steer_dead_time, which is not put in",)
+
+
+def test_two_that_hide_each_other_stay_where_both_are_news() -> None:
+    other, nothing = STEP._replace(name="yaw_rate_bias"), STEP._replace(evidence=-5.0)
+    both = [STEP, other]
+    assert seen_alone(both, both, [nothing, nothing._replace(name="yaw_rate_bias")]) == (both, ())
 
 
 def test_what_explains_all_that_is_missed_is_named_be_it_news_or_not() -> None:

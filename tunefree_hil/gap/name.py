@@ -34,7 +34,7 @@ from tunefree_hil.gap.segments import BLOCK_S, FEWEST, FEWEST_DRIVEN, GUARD_S, S
 from tunefree_hil.gap.targets import LEAST_MPS
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.unseen import NOT_LOOKED, Own, own
-from tunefree_hil.gap.usual import NOTHING, Usual, parted, usual_of, usual_words
+from tunefree_hil.gap.usual import NOTHING, Usual, parted, seen_alone, usual_of, usual_words
 from tunefree_hil.gap.verdict import alike_words, daily_words, not_it, small_words, verdict_of, wavers, with_others
 from tunefree_hil.gap.work import Setting
 
@@ -162,6 +162,7 @@ def _named(
     usual = usual_of(team.setting.model)
     explained = not any(one.broken for one in still)
     news, no_news = parted(steps, repaired.fitted, usual, blocks, explained=explained)
+    news, hidden = seen_alone(news, steps, first)
     news = with_hill(news, repaired.fitted, usual, team.setting.model)
     amiss = _amiss(team, question, repaired, news, before, after, usual) if news else ""
     if len(news) < len(steps):
@@ -181,7 +182,7 @@ def _named(
         words = (*words, *small_words(sizes))
     words = (*words, *alike_words([one.name for one in known] or others, drives))
     said_of = {*(one.name for one in known), *others}
-    words = (*words, *no_news, *usual_words(usual), *daily_words(apart(repaired.fitted, blocks, days)))
+    words = (*words, *no_news, *hidden, *usual_words(usual), *daily_words(apart(repaired.fitted, blocks, days)))
     return Named(
         verdict, known, others, _manoeuvre(others), link, shown, tuple(before.looked), held, tuple(first), question,
         repaired, before.left, after.left, lost_links(drives), words, tuple(still), usual, silent_ports(drives),

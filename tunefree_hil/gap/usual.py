@@ -18,6 +18,7 @@ import numpy as np
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.gap.card import card_of
 from tunefree_hil.gap.decide import Weighed
+from tunefree_hil.gap.evidence import LEAST_NATS
 from tunefree_hil.gap.interval import across
 from tunefree_hil.gap.problem import Fitted
 from tunefree_hil.learn.write_model import OWN_EFFECTS
@@ -133,6 +134,22 @@ def parted(
         if explained or not why:
             news.append(step)
     return news, tuple(words)
+
+
+def seen_alone(
+    news: Sequence[Weighed], steps: Sequence[Weighed], first: Sequence[Weighed]
+) -> tuple[list[Weighed], tuple[str, ...]]:
+    """(news, or none of them, in words why): where some steps are no news, and nobody of the others gains anything
+    without those. first: every suspect by itself. What is no news is not put into the model, and what shows only
+    beside it shows nothing of the model as it is.
+    """
+    stays = {one.name for one in news}
+    left_out = [one.name for one in steps if one.name not in stays]
+    alone = {one.name: one.evidence for one in first}
+    if not (news and left_out) or any(alone.get(one.name, math.inf) > LEAST_NATS for one in news):
+        return list(news), ()
+    names = " and ".join(left_out)
+    return [], tuple(f"{one.name} shows only beside {names}, which is not put in" for one in news)
 
 
 def _no_news(name: str, values: Mapping[str, Known], usual: Usual) -> str:
