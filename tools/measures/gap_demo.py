@@ -2,12 +2,14 @@
 
 The car is one of the exam's (tools/gap_exam), which shares no code with models and effects here; all that is done to it
 is done by the commands a user would paste, each in a process of its own. What was finished is not done again.
+Searched are the seven usual roads and an evasion: who never searched one comes to numbers that say nothing of one.
 """
 
 from __future__ import annotations
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -28,6 +30,8 @@ SEARCHED = ["left_turn", "right_turn", "u_turn", "side_pass", "serpentine", "spe
 UNSEEN = [
     "left_turn_fast", "right_turn_slow", "u_turn_wide", "lane_change_12mps", "double_lane_change", "stop_from_12mps",
 ]  # fmt: skip
+EVASION = "double_lane_change"  # of the unseen roads; the searched ones have its mirror image, slower
+SLOWER = 0.9  # times its speed
 OLD, REPAIRED = "old", "repaired"
 
 
@@ -104,7 +108,7 @@ def _verified(place: Path, name: str, model: Path, trials: int, seed: int) -> di
         "vehicle": str(place / "car" / "vehicle"),
         "model": str(model),
         "verify_model": str(place / "hidden"),
-        "scenarios": SEARCHED,
+        "scenarios": [*SEARCHED, str(mirrored(place))],
         "verify_scenarios": UNSEEN,
         "weights": "default",
         "seed": seed,
@@ -120,6 +124,21 @@ def _verified(place: Path, name: str, model: Path, trials: int, seed: int) -> di
     if not list(runs.glob("*/verify.json")):
         _run(place, [*TOOL, "tune", *goes_on, "--backend", "batch", "--out", str(runs), "--plain"], allowed=(0, 1))
     return read_json(next(runs.glob("*/verify.json")))
+
+
+def mirrored(place: Path) -> Path:
+    """The evasion to the other side, and slower, as a scenario file: what is searched on is not what is driven."""
+    path = place / "evasion.toml"
+    spec = tomllib.loads((ROOT / "bench_configs" / "scenarios" / f"{EVASION}.toml").read_text())
+    spec["name"], spec["description"] = "evasion", "Searched: evade to the right and come back faster"
+    spec["noise_seed"] += 100
+    spec["start"]["speed_mps"] *= SLOWER
+    spec["speed"]["value"] = [SLOWER * one for one in spec["speed"]["value"]]
+    spec["speed"]["t_s"] = [one / SLOWER for one in spec["speed"]["t_s"]]
+    spec["curvature"]["t_s"] = [one / SLOWER for one in spec["curvature"]["t_s"]]
+    spec["curvature"]["value"] = [-one for one in spec["curvature"]["value"]]
+    path.write_bytes(msgspec.toml.encode(spec))
+    return path
 
 
 def _driven(verified: dict[str, Any], which: str) -> Driven:
