@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 STAGES = ("before", "recalibrated", "after", "floor")
 LOOKS = {"before": style.MANUAL, "recalibrated": style.OTHERS[2], "after": style.TUNED, "floor": style.OTHERS[3]}
-BELOW: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.45, -0.08)}
+BELOW: dict[str, Any] = {"loc": "upper right", "bbox_to_anchor": (1.0, -0.08)}
 TUNED_LOOKS = (style.MANUAL, style.TUNED)
 
 
@@ -78,18 +78,19 @@ def _gap(axes: Axes, signals: Mapping[str, Mapping[str, float]]) -> None:
 
 
 def _drives(axes: Axes, tuned: Mapping[str, Sequence[Driven]], manual: Driven, roads: list[str]) -> None:
-    """Bars: medians of the searches; dots: each of them."""
+    """Discs: medians of the searches; dots on a line from best to worst: each of them. Logarithmic, so no bars."""
     width = 0.8 / max(len(tuned), 1)
     for row, ((name, some), look) in enumerate(zip(tuned.items(), TUNED_LOOKS, strict=False)):
         at = [i + (row - 0.5 * (len(tuned) - 1)) * width for i in range(len(roads))]
         scores = [[one.by_scenario[road] for one in some] for road in roads]
         label = f"tuned on the {name} model: {_words(some)}"
-        axes.barh(at, [median(each) for each in scores], height=0.9 * width, color=look.colour, label=label)
+        axes.plot([median(each) for each in scores], at, "o", ms=11, color=look.colour, label=label)
         if len(some) > 1:
+            axes.hlines(at, [min(each) for each in scores], [max(each) for each in scores], look.colour, lw=3.0)
             places = [place for place in at for _ in some]
             axes.plot([score for each in scores for score in each], places, "o", ms=4, mfc="white", mec=style.INK)
     ends = [manual.by_scenario[road] for road in roads]
-    line = {"color": style.INK, "marker": "|", "ms": 30, "mew": 2.5, "ls": "", "zorder": 3}
+    line = {"color": style.INK, "marker": "|", "ms": 40, "mew": 2.5, "ls": "", "zorder": 3}
     axes.plot(ends, range(len(roads)), label=f"best set that no search found: {_words([manual])}", **line)
     axes.set_yticks(range(len(roads)), roads)
     axes.set_ylim(len(roads) - 0.45, -0.55)
@@ -97,7 +98,7 @@ def _drives(axes: Axes, tuned: Mapping[str, Sequence[Driven]], manual: Driven, r
     style.plain_numbers(axes.xaxis)
     style.dress(axes, f"score on the vehicle (lower is better; {FAILURE_SCORE:g}: failed)", "", "roads no search saw")
     axes.grid(False, axis="y")
-    axes.legend(fontsize=style.FONT_PT - 1, frameon=False, markerscale=0.5, **BELOW)
+    axes.legend(fontsize=style.FONT_PT - 1, frameon=False, markerscale=0.7, **BELOW)
 
 
 def _words(some: Sequence[Driven]) -> str:
