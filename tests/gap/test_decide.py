@@ -18,8 +18,6 @@ from tunefree_hil.gap.decide import (
     Weighed,
     felt,
     left_share,
-    outdone,
-    rivals,
     shrink,
     weigh,
     worked_on,
@@ -72,7 +70,6 @@ def test_what_explains_all_blocks_is_a_name_and_what_explains_nothing_is_none() 
     assert [one.name for one in found] == ["right", "idle"]
     assert found[0].counts and found[0].target == "a" and found[0].shrink[0] == pytest.approx(1.0 - 8.0**-0.5, abs=0.01)
     assert not found[1].counts
-    assert rivals(found, ALL) == []
 
 
 def test_what_explains_one_block_only_is_no_name() -> None:
@@ -106,26 +103,10 @@ def test_what_a_signal_gains_that_does_not_feel_an_effect_is_not_its_merit() -> 
     assert found["right"].counts and not found["deaf"].matters and not found["deaf"].counts
 
 
-def test_what_explains_as_much_is_a_rival_whatever_the_order() -> None:
-    found = weighed(one=spread(1.0, 1), other=spread(1.0, 2), worse=spread(4.0))
-    assert {found[0].name, *rivals(found, ALL)} == {"one", "other"}
-
-
 def test_what_spoils_another_signal_is_no_name() -> None:
     some = {"wrong": model("wrong", spread(1.0), other=1.2 * ROWS)}
     (found,) = weigh(some, NULL, NULL, SIZES, ALL)
     assert found.evidence > 100.0 and not found.counts
-
-
-def test_nobody_is_named_beside_one_that_explains_more_and_may_not_be_named() -> None:
-    some = {"fair": model("fair", spread(4.0)), "foul": model("foul", spread(1.0), other=1.5 * ROWS)}
-    found = weigh(some, NULL, NULL, {"a": 3.0, "b": 3.0}, ALL)
-    assert found[0].name == "fair" and found[0].counts and outdone(found) == "foul"
-    assert outdone(weigh({"fair": some["fair"]}, NULL, NULL, SIZES, ALL)) == ""
-    unsure = found[1]._replace(gain=found[1].gain._replace(low=-1.0))
-    assert outdone([found[0], unsure]) == "foul", "it explains more of what was held out, too"
-    less = unsure._replace(gain=unsure.gain._replace(total=found[0].gain.total))
-    assert outdone([found[0], less]) == ""
 
 
 def test_what_is_a_trifle_of_the_signal_is_no_name() -> None:
@@ -158,14 +139,6 @@ def test_who_is_best_does_not_depend_on_the_unit_of_a_signal() -> None:
     assert orders[0] == orders[1] == orders[2] and orders[0][0][0] == "near"
 
 
-def test_a_rival_that_misses_a_bar_by_a_hair_is_still_one() -> None:
-    best, other = weighed(one=spread(1.0, 1), other=spread(1.0, 2))
-    for worst, rival in ((0.9 * MOST_WORSE, True), (1.2 * MOST_WORSE, True), (1.5 * MOST_WORSE, False)):
-        close = other._replace(worst=worst)
-        assert close.counts == (worst < MOST_WORSE)
-        assert (rivals([best, close], ALL) == [other.name]) == rival
-
-
 def test_who_surely_explains_nearly_all_may_leave_another_target_a_little_worse() -> None:
     (one,) = weighed(one=spread(1.0, 1))
     most, part = one._replace(shrink=(0.96, 0.95, 0.97)), one._replace(shrink=(0.6, 0.5, 0.7))
@@ -180,21 +153,6 @@ def test_a_target_that_is_missed_is_never_spared() -> None:
     for broken, counts in ((None, False), ({"a", "b"}, False), ({"a"}, True)):
         (found,) = weigh({"x": spoils}, null, null, SIZES, ALL, broken)
         assert found.worst > MOST_WORSE and found.counts == counts
-
-
-def test_where_no_link_is_broken_a_small_lead_over_who_explains_the_same_is_none() -> None:
-    best, other = weighed(one=spread(1.0, 1), other=spread(1.5, 2))
-    assert best.evidence - other.evidence > PLAIN_NATS and not rivals([best, other], ALL)
-    near = other._replace(shrink=best.shrink, evidence=best.evidence - 0.5 * PLAIN_NATS)
-    for first, second, told in (
-        (best._replace(unbroken=True), near, False),
-        (best._replace(unbroken=True), near._replace(shrink=(0.99, 0.98, 0.995)), False),
-        (best, near, True),
-        (best._replace(unbroken=True), near._replace(evidence=best.evidence - 2.0 * PLAIN_NATS), True),
-        (best._replace(unbroken=True), near._replace(shrink=(0.5, 0.4, 0.6)), True),
-        (best._replace(unbroken=True), near._replace(target="b"), True),
-    ):
-        assert bool(rivals([first, second], ALL)) != told
 
 
 def test_what_is_left_is_counted_target_by_target() -> None:

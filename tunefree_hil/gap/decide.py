@@ -1,7 +1,7 @@
 """When a name is given, when several, and when none: the rules, on models that are fitted already.
 
 A name needs evidence and the blocks' agreement, and must make a difference that matters: numbers alone make anything
-significant. Rivals that the blocks do not tell from it are named with it, as a set; nothing is decided by order.
+significant. Who else may be meant where one counts: gap/rivals.py.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from tunefree_hil.gap.ask import Modelled
 from tunefree_hil.gap.evidence import (
     LEAST_NATS,
     Paired,
-    holm,
     log_evidence,
     paired,
     predictive,
@@ -36,7 +35,6 @@ MATTERS = 0.004  # of the signal: what an effect explains there, root mean squar
 MOST_WORSE = 0.05  # of any target's: what explains one thing by spoiling another explains nothing
 NEARLY_ALL, SPARED = 0.9, 0.2  # of a target surely explained: then it may be so much, of another that hardly is missed
 SPOILT = 0.1  # of what is explained, each by its signal: recalibration trades so much between signals by itself
-CLOSE = 0.03  # of what the best gains: a rival as near as that is too near for a model that is not exact
 MOST_LEFT = 0.25  # of what could be explained of a target before: more, and the name was not it
 BY_A_HAIR = 0.8  # of every bar: who misses none by more is no name, but a name's rival
 RARE = 0.3  # of that, without the block that gains most: what two blocks hold clearly is no chance
@@ -207,18 +205,6 @@ def _mean_square(model: Modelled, target: str, blocks: Array) -> float:
     return float(sums[blocks].sum() / max(counts[blocks].sum(), 1.0))
 
 
-def outdone(weighed: Sequence[Weighed]) -> str:
-    """Who has more evidence than the best that counts, and does not count itself: then nobody is to be named. Whose
-    blocks are not at one about that must explain more of what was held out as well.
-    """
-    best = weighed[0]
-    beyond = [
-        one for one in weighed[1:] if not one.counts and one.matters and one.evidence > best.evidence + LEAST_NATS
-    ]
-    better = [one for one in beyond if one.gain.low > 0.0 or one.gain.total > best.gain.total + LEAST_NATS]
-    return max(better, key=lambda one: one.evidence).name if better else ""
-
-
 def shrink(
     before: Modelled, after: Modelled, target: str, blocks: Array, null: Modelled | None = None, seed: int = 1
 ) -> tuple[float, float, float]:
@@ -251,28 +237,6 @@ def shrunk(some: Sequence[tuple[Array, Array]], blocks: Array, seed: int = 1) ->
     shares = (before - after) / np.maximum(whole, 1e-150)
     low, high = np.quantile(shares[1:], [0.025, 0.975])
     return float(shares[0]), float(low), float(high)
-
-
-def rivals(weighed: Sequence[Weighed], blocks: Array) -> list[str]:
-    """Names that the best cannot be told from: those which its blocks do not beat, all of them asked at once. Where no
-    link is broken also those which explain as much of the same and are behind by no more than any mismatch is worth.
-    """
-    best, others = weighed[0], [one for one in weighed[1:] if one.nearly]
-    pairs = {one.name: paired(best.model.fitted, one.model.fitted, blocks) for one in others}
-    beaten = holm({name: pair.doubt for name, pair in pairs.items()})
-    near = CLOSE * max(best.gain.total, 0.0)
-    equal = {one.name for one in others if best.unbroken and _is_equal(one, best)}
-    return [
-        name
-        for name, pair in pairs.items()
-        if name not in beaten or pair.total < max(LEAST_NATS, near) or name in equal
-    ]
-
-
-def _is_equal(one: Weighed, best: Weighed) -> bool:
-    """Whether it explains as much of the same target, with hardly less evidence."""
-    as_much = one.target == best.target and one.shrink[0] > (1.0 - CLOSE) * best.shrink[0]
-    return as_much and best.evidence - one.evidence < PLAIN_NATS
 
 
 def worked_on(null: Modelled, repaired: Modelled, sizes: Mapping[str, float], blocks: Array) -> dict[str, float]:

@@ -13,8 +13,9 @@ from collections.abc import Generator, Mapping, Sequence
 import numpy as np
 
 from tunefree_hil.gap.ask import Modelled, Question
-from tunefree_hil.gap.decide import PLAIN_NATS, Weighed, outdone, rivals, weigh
+from tunefree_hil.gap.decide import PLAIN_NATS, Weighed, weigh
 from tunefree_hil.gap.evidence import LEAST_NATS, log_evidence, stretched, stretches
+from tunefree_hil.gap.rivals import outdone, rivals
 from tunefree_hil.gap.team import Team
 
 Array = np.ndarray

@@ -13,13 +13,14 @@ import numpy as np
 
 from tunefree_hil.gap.ask import Modelled
 from tunefree_hil.gap.chain import Opened
-from tunefree_hil.gap.decide import MOST_LEFT, Weighed, outdone
+from tunefree_hil.gap.decide import MOST_LEFT, Weighed
 from tunefree_hil.gap.drifts import DRIFT
 from tunefree_hil.gap.evidence import LEAST_NATS
 from tunefree_hil.gap.excitation import Excited
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.interval import WAVERS, wavering
 from tunefree_hil.gap.locate import GROSS, LOUD, Looked
+from tunefree_hil.gap.rivals import outdone
 from tunefree_hil.gap.suspects import class_of
 from tunefree_hil.gap.usual import NOTHING, Usual
 
