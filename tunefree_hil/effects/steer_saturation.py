@@ -30,6 +30,6 @@ EFFECT = Effect(
     "reported steering stops at an angle that the command passes",
     priors={"limit_rad": Prior(0.03, 1.0, 0.4, "log", "steer_rad")},
     impostors=("steer_rate_limit",),
-    manoeuvre="slow steering from stop to stop at walking pace: the report ends before the command does",
+    manoeuvre="slow steering from stop to stop, driven slowly: the report ends before the command does",
     needs=(Need("steer_span_frac", 0.5),),
 )

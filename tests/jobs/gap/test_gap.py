@@ -36,7 +36,7 @@ pytestmark = pytest.mark.slow  # free runs of a car, un-jitted
 
 
 class Search:
-    """In the place of the search: what it gives, and how often it was asked."""
+    """In the place of the search: what it gives, how often it was asked, and what the log files hold."""
 
     def __init__(self) -> None:
         self.kept, self.asked = made_kept(), 0
@@ -48,8 +48,7 @@ class Search:
         yield Event("progress", "suspects", {"label": "search", "done": 1, "total": 2})
         return self.kept
 
-    def read(self, logs: Sequence[Path], *_: Any, **__: Any) -> Generator[Event, None, list[Drive]]:
-        yield Event("note", "reading")
+    def read(self, logs: Sequence[Path], *_: Any) -> list[Drive]:
         return [self.older if path.name == "before.log" else self.drives[path.name] for path in logs]
 
 
@@ -59,7 +58,7 @@ def search(monkeypatch: pytest.MonkeyPatch) -> Search:
     found = Search()
     monkeypatch.setattr(gap_pictures, "draw", lambda *_: [])
     monkeypatch.setattr(module, "_searched", found.searched)
-    monkeypatch.setattr(module, "read", found.read)
+    monkeypatch.setattr("tunefree_hil.learn.read.read_drives", found.read)
     monkeypatch.setattr(module, "model_for", lambda *_: replace(made_model(), hash="a model"))
     return found
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 # What is too little to learn from may be enough to judge by; where it is not, the answer is that it cannot be told. A
 # steering that stays short of its command, or an echo that stands, is what somebody may ask about.
-EXCUSED = ("too_short", "one_speed", "no_braking", "short_of_command", "echo_stuck")
+EXCUSED = ("no_speed", "too_short", "one_speed", "no_braking", "short_of_command", "echo_stuck")
 UNSAID = ("short",)  # the search says it by its own measure
 CANNOT = ("too_short", "standing", "nothing_to_compare", "no_motion")
 UNPROVED = {"unseen_shrink": None, "unseen_stirs": None}  # of an effect: before the proof nobody has seen its blocks
