@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,8 @@ from hypothesis import settings
 
 os.environ["TUNEFREE_JIT"] = "0"  # before any kernel is imported; jitted paths are tested in processes of their own
 os.environ.setdefault("MPLBACKEND", "Agg")
+# `make test &` in a script has SIGINT ignored, and every process of the tests would ignore the Ctrl-C that it is sent.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).resolve().parents[1]
 
