@@ -69,6 +69,15 @@ def test_the_drive_holds_what_effects_need_and_says_what_it_lacks() -> None:
     assert all(one.enough for one in excitation(effects(), dict.fromkeys(held, 1e6)).values())
 
 
+def test_curves_to_either_side_may_be_in_another_log() -> None:
+    one, vehicle = opened(), load_vehicle("mkz_bywire")
+    left, right = (
+        one._replace(inputs=one.inputs._replace(yaw_rate_radps=np.full(one.ticks, by))) for by in (0.2, -0.2)
+    )
+    assert held_by([left], vehicle)["curve_s"] == held_by([right, right], vehicle)["curve_s"] == 0.0
+    assert held_by([left, right, right], vehicle)["curve_s"] > 10.0
+
+
 def test_what_was_measured_is_there_where_the_log_has_it() -> None:
     one = opened()
     assert np.isfinite(one.inputs.commands).all() and np.isfinite(one.inputs.outputs).all()

@@ -33,7 +33,8 @@ def test_a_sensor_is_as_loud_in_a_target_as_smoothing_leaves_it_however_seldom_i
     truth = 0.1 * np.sin(0.4 * T)
     seen = (truth + 0.5 * np.random.default_rng(3).standard_normal(TICKS))[fresh]
     drive = opened()
-    signal = Signal(np.interp(np.arange(TICKS), np.flatnonzero(fresh), seen), fresh, np.ones(TICKS, dtype=bool))
+    lines = np.interp(np.arange(TICKS), np.flatnonzero(fresh), seen)
+    signal = Signal(lines, fresh, np.ones(TICKS, dtype=bool), lines)
     yaw = targets(drive._replace(signals={**drive.signals, "report.yaw_rate_radps": signal}))["yaw_rate"]
     loud = float(np.std((yaw.measured - truth[yaw.rows])[yaw.valid]))
     assert yaw.noise == pytest.approx(loud, rel=0.25)
@@ -52,7 +53,8 @@ def test_a_signal_that_is_all_gaps_gets_no_noise() -> None:
 def test_a_wire_that_rounds_coarsely_is_noise_though_most_values_stand() -> None:
     drive = opened()
     slow = 10.0 + 0.03 * T
-    coarse = Signal(np.round(slow / 0.1) * 0.1, np.ones(TICKS, dtype=bool), np.ones(TICKS, dtype=bool))
+    steps = np.round(slow / 0.1) * 0.1
+    coarse = Signal(steps, np.ones(TICKS, dtype=bool), np.ones(TICKS, dtype=bool), steps)
     rounded = drive._replace(signals={**drive.signals, "report.speed_mps": coarse})
     columns = measured_columns(rounded)
     loud = float(np.std(noisier(columns, rounded)["speed_mps"] - columns["speed_mps"]))

@@ -98,7 +98,14 @@ def test_what_a_signal_gains_that_does_not_feel_an_effect_is_not_its_merit() -> 
     right, deaf = model("right", spread(1.0)), model("deaf", spread(1.0))
     sums = {target: one._replace(curve=1e-4 * one.curve / 1e4) for target, one in deaf.fitted.sums.items()}
     deaf = deaf._replace(fitted=deaf.fitted._replace(sums=sums))
-    assert felt(right) == felt(right, "right") == ["a", "b"] and felt(deaf) == felt(right, "deaf") == []
+    assert felt(right, ALL) == felt(right, ALL, "right") == ["a", "b"]
+    assert felt(deaf, ALL) == felt(right, ALL, "deaf") == []
+    judged = ALL[:-3]
+    late = {t: s._replace(curve=s.curve * ~np.isin(ALL, judged)[:, None, None]) for t, s in right.fitted.sums.items()}
+    proves = right._replace(fitted=right.fitted._replace(sums=late))
+    assert felt(proves, judged) == [] != felt(proves, ALL), (
+        "what acts where a repair is proved only, no choice has seen"
+    )
     found = {one.name: one for one in weigh({"right": right, "deaf": deaf}, NULL, NULL, SIZES, ALL)}
     assert found["right"].counts and not found["deaf"].matters and not found["deaf"].counts
 

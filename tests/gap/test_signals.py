@@ -68,3 +68,16 @@ def test_a_message_that_is_sent_on_demand_has_no_gap_between_two_demands() -> No
     assert not braking.there.all() and carried({"a": braking}, ("a",), TICKS).all()
     once = as_told(np.sin(T), T < 12.0, DT_S)
     assert not carried({"a": once}, ("a",), TICKS).all(), "it ends, and nobody knows what was asked then"
+
+
+@pytest.mark.parametrize(("late", "every"), [(0.0, 1), (0.2, 1), (0.5, 1), (5.0, 10), (2.5, 10)])
+def test_a_sensor_is_as_loud_as_what_it_told_however_late_it_is(late: float, every: int) -> None:
+    """Half a row earlier each value is a mean of two, which is quieter."""
+    made = drive(TICKS, every)
+    noise = 0.05 * np.random.default_rng(1).standard_normal(TICKS)
+    made = made._replace(fields={**made.fields, "ins.speed_mps": np.sin(0.2 * T) + noise})
+    signal = signals_of(made, late)["ins.speed_mps"]
+    assert signal.noise == pytest.approx(0.05, rel=0.15)
+    rows = np.flatnonzero(signal.fresh)[5:-5]
+    right = signal.as_told(np.sin(0.2 * (T + late * DT_S)), rows)  # the car is ahead of what the INS says of it
+    assert np.std(right - signal.told[rows]) == pytest.approx(0.05, rel=0.15)

@@ -79,6 +79,9 @@ def test_rivals_make_a_set_of_one_effect_and_of_several(
 
 def test_who_would_look_the_same_is_told_beside_a_name() -> None:
     assert alike_words(["brake_drag", "rolling_resistance"], DRIVES) == (), "both are named"
+    none = cast(Any, [type("Drive", (), {"has": lambda self, *names: False})()])
+    assert "road_bank" in alike_words(["side_wind"], none)[0]
+    assert alike_words(["side_wind"], [*none, *DRIVES]) == (), "one log tells them apart, and that is enough"
     (words,) = alike_words(["steer_lag", "brake_drag"], DRIVES)
     assert words == "brake_drag: no log of this car tells it from rolling_resistance"
 

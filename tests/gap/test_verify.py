@@ -30,7 +30,7 @@ from tunefree_hil.gap.shrink import (
     unforetold,
     worse_signals,
 )
-from tunefree_hil.gap.verify import HUGE, POSITION, Proof, Variant, prove
+from tunefree_hil.gap.verify import HEADING, HUGE, POSITION, Proof, Variant, prove
 
 STEER, YAW = "report.steer_rad", "ins.yaw_rate_radps"
 
@@ -56,7 +56,7 @@ def test_the_true_repair_leaves_noise_on_every_block_of_the_proof() -> None:
     gaps = gaps_of(found, floors, {})
     assert found.blocks == int(np.sum(dealt([opened()]).roles == PROOF)) == 2
     assert gaps[STEER].before > 0.05 and gaps[STEER].after == pytest.approx(NOISE["steer_rad"], rel=0.3)
-    assert gaps[YAW].before > 0.005 and gaps[YAW].after == pytest.approx(NOISE["yaw_rate_radps"], rel=0.2)
+    assert gaps[YAW].before > 0.005 and gaps[YAW].after == pytest.approx(NOISE["yaw_rate_radps"], rel=0.1)
     assert gaps[POSITION].before > 4.0 * (gaps[POSITION].after or 1.0)
     assert all(one.floor <= min(one.before, one.after or 0.0) for one in gaps.values())
     closed = explained_frac(found, floors)
@@ -87,8 +87,22 @@ def test_a_model_that_lacks_nothing_leaves_nothing_to_explain() -> None:
     right = Variant(repaired(model, VEHICLE, {}, [effect]).model)
     found = prove({"before": right, "recalibrated": right, "after": right}, VEHICLE, [opened()])
     floors = floors_of(found, model)
+    summed = (HEADING, POSITION)  # the INS is 0.2 ticks late: means of two of its values are quieter than these
+    assert all(found.rms("after", one) == pytest.approx(floors[one], rel=0.2) for one in floors if one not in summed)
     closed = explained_frac(found, floors)
-    assert closed is None or closed["value"] == pytest.approx(0.0, abs=1e-9)
+    assert closed is None or closed["value"] == 0.0
+
+
+def test_of_drives_with_unlike_sensors_the_floor_is_as_loud_as_the_errors_are() -> None:
+    one = opened()
+    loud = 0.02 * np.random.default_rng(2).standard_normal(one.ticks)
+    told = one.signals[STEER].told + loud
+    noisy = one._replace(signals={**one.signals, STEER: one.signals[STEER]._replace(told=told, values=told)})
+    model = made_model()
+    (effect,) = found_effects(made_kept(), "", "")
+    right = Variant(repaired(model, VEHICLE, {}, [effect]).model)
+    found = prove({"before": right, "after": right}, VEHICLE, [one, noisy])
+    assert floors_of(found, model)[STEER] == pytest.approx(found.rms("after", STEER), rel=0.15)
 
 
 def test_an_older_log_is_run_over_all_its_blocks() -> None:

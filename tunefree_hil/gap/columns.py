@@ -15,10 +15,8 @@ from scipy.signal import savgol_coeffs
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.graph import CHANNELS
 from tunefree_hil.gap.lost import OUTPUTS
-from tunefree_hil.gap.noise import sensor_noise
 from tunefree_hil.gap.ride import SHOWN
 from tunefree_hil.gap.signals import Signal
-from tunefree_hil.learn.smooth import quantum_of
 
 Array = np.ndarray
 
@@ -89,13 +87,11 @@ def noisier(columns: Columns, opened: Opened) -> Columns:
 
 
 def _noise_like(signal: Signal, rng: np.random.Generator) -> Array:
-    """[n]: white at fresh values, no quieter than what their wire rounds; nothing of a signal that is all gaps."""
+    """[n]: white in what was told, and moved as that was; nothing of a signal that is all gaps."""
     at = np.flatnonzero(signal.fresh & signal.there)
     if not len(at):
         return np.zeros(len(signal.values))
-    some = signal.values[at]
-    loud = max(sensor_noise(some, np.ones(len(at), dtype=bool)), quantum_of(some) / 12.0**0.5)
-    return np.interp(np.arange(len(signal.values)), at, loud * rng.standard_normal(len(at)))
+    return np.interp(np.arange(len(signal.values)), at - signal.late, signal.noise * rng.standard_normal(len(at)))
 
 
 def simulated_columns(shown: Array, opened: Opened) -> Columns:

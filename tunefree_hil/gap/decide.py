@@ -151,7 +151,7 @@ def weigh(
         model = stretched(one.fitted, by)
         gains = {t: float((predictive(model, blocks, [t]) - predictive(base, blocks, [t])).sum()) for t in model.sums}
         shrinks = {t: shrink(start, one, t, blocks, null) for t in model.sums}
-        own = felt(one, name)
+        own = felt(one, blocks, name)
         worth = [t for t in own if gains[t] > LEAST_NATS and _explained(start, one, t, sizes, blocks) > MATTERS]
         target = max(worth, key=lambda t: shrinks[t][1]) if worth else max(own or gains, key=lambda t: gains[t])
         least = max(MATTERS, SPOILT * _explained(start, one, target, sizes, blocks))
@@ -169,9 +169,9 @@ def weigh(
     return sorted(found, key=lambda one: (not one.counts, -one.evidence))
 
 
-def felt(model: Modelled, name: str = "") -> list[str]:
-    """Targets that feel a model's effects, or the one of that name. What recalibration, coming to rest elsewhere beside
-    an effect, takes from the others or gives them is no merit of the effect and no fault.
+def felt(model: Modelled, blocks: Array, name: str = "") -> list[str]:
+    """Targets that feel, in these blocks, a model's effects, or the one of that name. What recalibration, coming to
+    rest elsewhere beside an effect, takes from the others or gives them is no merit of the effect and no fault.
     """
     fitted = model.fitted
     behind = range(len(fitted.keys) - len(fitted.free), len(fitted.keys))  # own parameters are the last keys
@@ -181,7 +181,7 @@ def felt(model: Modelled, name: str = "") -> list[str]:
     way = {i: distance(one, float(fitted.z[i])) for i, one in own}
     found = []
     for target, one in fitted.sums.items():
-        curve = np.einsum("bii->i", one.curve) / one.colour.stretch
+        curve = np.einsum("bii->i", one.curve[blocks]) / one.colour.stretch
         moved = [curve[c] * way[int(i)] ** 2 for c, i in enumerate(one.columns) if int(i) in way]
         if max(moved, default=0.0) > FELT:
             found.append(target)
@@ -244,7 +244,9 @@ def worked_on(null: Modelled, repaired: Modelled, sizes: Mapping[str, float], bl
     what is left. They have to feel the effects, and to be missed by LEAST_SHRINK less: recalibration that comes to
     rest elsewhere beside an effect takes a little from any target or gives it.
     """
-    explained = {name: _explained(null, repaired, name, sizes, blocks) for name in felt(repaired) if name in sizes}
+    explained = {
+        name: _explained(null, repaired, name, sizes, blocks) for name in felt(repaired, blocks) if name in sizes
+    }
     return {
         name: share
         for name, share in explained.items()

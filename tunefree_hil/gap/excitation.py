@@ -20,6 +20,7 @@ PEDAL_STEP, STEER_STEP, STEER_TURN = 0.03, 0.02, 0.01  # duty; shares of the ste
 STRAIGHT_MPS2, CURVE_MPS2 = 0.3, 0.5
 BRAKED_MPS = 3.0
 OFF_REST = 0.005  # duty
+CURVE, LEFT, RIGHT = "curve_s", "left_s", "right_s"  # of several drives one may hold the one side, another the other
 
 
 class Excited(NamedTuple):
@@ -47,10 +48,13 @@ def excitation(effects: Mapping[str, Effect], held: Mapping[str, float]) -> dict
 
 
 def held_by(drives: Sequence[Opened], vehicle: VehicleSpec) -> dict[str, float]:
-    """Each of QUANTITIES, over all drives: times and counts summed up, spans and highest values the most of any."""
+    """Each of QUANTITIES, over all drives: times and counts summed up, of curves each side by
+    itself, spans and highest values the most of any.
+    """
     some = [_held_by(one, vehicle) for one in drives]
     summed = {name for name in QUANTITIES if name.endswith(("_s", "_moves", "_reversals")) or name == "brakings"}
-    return {name: (sum if name in summed else max)(one[name] for one in some) for name in QUANTITIES}
+    found = {name: (sum if name in summed else max)(one[name] for one in some) for name in QUANTITIES if name != CURVE}
+    return {**found, CURVE: min(sum(one[side] for one in some) for side in (LEFT, RIGHT))}
 
 
 def _held_by(opened: Opened, vehicle: VehicleSpec) -> dict[str, float]:
@@ -66,7 +70,8 @@ def _held_by(opened: Opened, vehicle: VehicleSpec) -> dict[str, float]:
         "top_speed_mps": lambda: float(speed[opened.moving].max(initial=0.0)),
         "speed_span_mps": lambda: _span(speed[moving]),
         "straight_s": lambda: dt_s * (moving & (abs(side) < STRAIGHT_MPS2)).sum(),
-        "curve_s": lambda: dt_s * min((moving & (side > CURVE_MPS2)).sum(), (moving & (side < -CURVE_MPS2)).sum()),
+        LEFT: lambda: dt_s * (moving & (side > CURVE_MPS2)).sum(),
+        RIGHT: lambda: dt_s * (moving & (side < -CURVE_MPS2)).sum(),
         "lateral_accel_mps2": lambda: float(opened.pace * abs(side[moving]).max(initial=0.0)),
         "steer_moves": lambda: _moves(steer, STEER_STEP, within),
         "steer_reversals": lambda: _turns(steer, STEER_TURN),
@@ -79,7 +84,7 @@ def _held_by(opened: Opened, vehicle: VehicleSpec) -> dict[str, float]:
         "brakings": lambda: _brakings(brake > rest + OFF_REST, speed),
         "coast_s": lambda: dt_s * (moving & idle).sum(),
     }
-    return {name: float(measure[name]()) for name in QUANTITIES}
+    return {name: float(told()) for name, told in measure.items()}
 
 
 def _span(values: Array) -> float:

@@ -70,18 +70,20 @@ def _change(signal: Array) -> Array:
 
 
 def left_of(columns: Array, residual: Array, valid: Array, block: Array, blocks: Array) -> Left:
-    """How much of a residual is foretold on blocks that were not fitted on. block [m]: of each row. Nothing is said
-    (0, 0) by too few rows, or where all are of blocks that are held out together.
+    """How much of a residual is foretold on blocks that were not fitted on. block [m]: of each row. Nothing is foretold
+    of too few rows, or where all are of blocks that are held out together; what is missed there is missed all the same.
     """
     rows = valid & np.isin(block, blocks)
-    if rows.sum() < 2 * columns.shape[1]:
+    if not rows.any():
         return Left(0.0, 0.0)
+    total = float(np.mean(residual[rows] ** 2))
+    if rows.sum() < 2 * columns.shape[1]:
+        return Left(total, 0.0)
     x = np.column_stack([np.ones(rows.sum()), columns[rows]])
     y, at = residual[rows], block[rows]
     fold = np.searchsorted(np.sort(blocks), at) % FOLDS
     if len(np.unique(fold)) < 2:
-        return Left(0.0, 0.0)
-    total = float(np.mean(y * y))
+        return Left(total, 0.0)
     best = 0.0
     for ridge in RIDGES:
         missed = 0.0

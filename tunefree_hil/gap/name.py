@@ -31,6 +31,7 @@ from tunefree_hil.gap.locate import Card, Looked, card, echo_words, look
 from tunefree_hil.gap.lost import lost_links, silent_ports
 from tunefree_hil.gap.search import backward, forward, settled, weighed
 from tunefree_hil.gap.segments import BLOCK_S, FEWEST, FEWEST_DRIVEN, GUARD_S, SHORTEST_S, Blocks, block_s_of, blocks_of
+from tunefree_hil.gap.taken_back import taken_back
 from tunefree_hil.gap.targets import LEAST_MPS
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.unseen import NOT_LOOKED, Own, own
@@ -168,6 +169,7 @@ def _named(
     if len(news) < len(steps):
         repaired = _without(team, question, repaired, steps, news)
         after = looked_at(team, question, repaired, blocks)
+    news, undone = taken_back(news, first, repaired.fitted, team.setting.model, blocks)
     held = excitation(effects(), held_by(drives, vehicle))
     steps = [with_others(step, news, held, drives) for step in news]
     said, days = tuple(one for opened in drives for one in echoes(opened)), question.blocks.drives[blocks]
@@ -182,7 +184,14 @@ def _named(
         words = (*words, *small_words(sizes))
     words = (*words, *alike_words([one.name for one in known] or others, drives))
     said_of = {*(one.name for one in known), *others}
-    words = (*words, *no_news, *hidden, *usual_words(usual), *daily_words(apart(repaired.fitted, blocks, days)))
+    words = (
+        *words,
+        *undone,
+        *no_news,
+        *hidden,
+        *usual_words(usual),
+        *daily_words(apart(repaired.fitted, blocks, days)),
+    )
     return Named(
         verdict, known, others, _manoeuvre(others), link, shown, tuple(before.looked), held, tuple(first), question,
         repaired, before.left, after.left, lost_links(drives), words, tuple(still), usual, silent_ports(drives),
@@ -234,7 +243,8 @@ def _effects(team: Team, question: Question, steps: Sequence[Weighed], repaired:
     """What was found, each effect held against the model without it."""
     blocks, null = judged(question.blocks), question.null
     proof = np.setdiff1d(np.arange(question.blocks.count), blocks)
-    without = {steps[0].name: null} if len(steps) == 1 else team.fit_without(repaired, [one.name for one in steps])
+    is_one = len({free.key.partition(".")[0] for free in repaired.fitted.free}) == 1  # some may not be said
+    without = {steps[0].name: null} if is_one else team.fit_without(repaired, [one.name for one in steps])
     return tuple(
         Effect(
             one.name, values_of(one.name, repaired.fitted, blocks), one.evidence, one.faint,

@@ -15,6 +15,8 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
+from tunefree_hil.learn.smooth import quantum_of
+
 Array = np.ndarray
 
 ORDER = 10
@@ -107,3 +109,15 @@ def sensor_noise(values: Array, valid: Array) -> float:
         return 0.0
     spread = 1.4826 * float(np.median(np.abs(some - np.median(some))))
     return spread / float(np.sqrt(np.sum(weights * weights)))
+
+
+def told_noise(values: Array, rows: Array) -> float:
+    """Of what a sensor told, in some rows of it: its white noise, or what its wire rounds where that is more. By the
+    values that came alone, however seldom they do: what lies on a line between two of them is quieter. No difference is
+    taken over a gap; 0 where there are too few.
+    """
+    if len(rows) < 2:
+        return 0.0
+    steps = np.diff(rows, prepend=rows[0])
+    even = steps <= 1.5 * max(float(np.median(steps[1:])), 1.0)
+    return max(sensor_noise(values[rows], even), quantum_of(values[rows]) / 12.0**0.5)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tunefree_hil.gap.noise import told_noise
 from tunefree_hil.gap.recent import ahead
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.fields import INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES
@@ -25,15 +26,26 @@ PAUSES = 3  # of a message, which is sent on demand then and not every so often
 class Signal(NamedTuple):
     """A measured signal on every tick, straight lines between fresh values; the INS's as much earlier as it is late.
 
-    there: bool [n], not within a gap. late: rows by which it was moved, parts of a row too. every: rows from one value
-    to the next.
+    there: bool [n], not within a gap. told: the values in the rows in which they came (moved by parts of a row, they
+    are means of two, and quieter). late: rows by which `values` were moved, parts of a row too. every: rows from one
+    value to the next.
     """
 
     values: Array
     fresh: Array
     there: Array
+    told: Array
     late: float = 0.0
     every: float = 1.0
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the sensor's white noise, or of the wire's rounding where that is more."""
+        return told_noise(self.told, np.flatnonzero(self.fresh & self.there))
+
+    def as_told(self, values: Array, rows: Array) -> Array:
+        """What another signal [n] was when this one's sensor looked that told something in these rows."""
+        return np.interp(rows - self.late, np.arange(len(values)), values)
 
     def as_seldom(self, values: Array) -> Array:
         """Another signal [n], on the straight lines that this one lies on: what is simulated on every tick and held
@@ -94,7 +106,8 @@ def signal_of(drive: Drive, name: str, late: float) -> Signal | None:
 def as_told(values: Array, fresh: Array, dt_s: float) -> Signal:
     """Of values [n] that are fresh now and then, twice at least."""
     told = fresh & np.isfinite(values)
-    return Signal(between_fresh(values, told), told, there_of(told, dt_s), every=every_of(told))
+    between = between_fresh(values, told)
+    return Signal(between, told, there_of(told, dt_s), between, every=every_of(told))
 
 
 def there_of(fresh: Array, dt_s: float) -> Array:

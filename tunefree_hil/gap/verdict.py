@@ -160,7 +160,7 @@ def alike_words(names: Iterable[str], drives: Sequence[Opened]) -> tuple[str, ..
     """Of each effect that is named, alone or in a set, in words: who else would look just the same on this car
     (interfaces 4), and is not named beside it.
     """
-    has_lateral, named = all(one.has("report.lateral_accel_mps2") for one in drives), list(names)
+    has_lateral, named = any(one.has("report.lateral_accel_mps2") for one in drives), list(names)
     same = {name: ", ".join(sorted(class_of(name, has_lateral) - set(named))) for name in named}
     return tuple(f"{name}: no log of this car tells it from {others}" for name, others in same.items() if others)
 
@@ -172,7 +172,7 @@ def with_others(
     holds what shows it, what it is easily taken for is a rival, too, as far as that comes near to it in its place,
     beside the other steps.
     """
-    has_lateral = all(one.has("report.lateral_accel_mps2") for one in drives)
+    has_lateral = any(one.has("report.lateral_accel_mps2") for one in drives)
     others = step.others
     if held[step.name].score < HARDLY:
         least = NEARLY * step.placed.get(step.name, step.evidence)

@@ -17,12 +17,10 @@ from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
 from tunefree_hil.gap.chain import Opened, is_driven
 from tunefree_hil.gap.dealt import dealt
 from tunefree_hil.gap.lost import OUTPUTS
-from tunefree_hil.gap.noise import sensor_noise
 from tunefree_hil.gap.replay import car_of, pose_of, run_over
 from tunefree_hil.gap.segments import PROOF
 from tunefree_hil.gap.targets import STEERING
 from tunefree_hil.learn.motion import wrapped
-from tunefree_hil.learn.smooth import quantum_of
 
 Array = np.ndarray
 
@@ -45,7 +43,8 @@ class Variant(NamedTuple):
 
 
 class Proof(NamedTuple):
-    """squares: by variant and signal, of errors summed over each block [b]; counts: by signal [b]; noise: of sensors.
+    """squares: by variant and signal, of errors summed over each block [b]; counts: by signal [b]; noise: of sensors,
+    root mean square over the rows that count, as the errors are.
 
     traces: of all blocks, that in which the variants differ most first, for pictures.
     """
@@ -83,7 +82,7 @@ def prove(
     blocks = dealt(drives)
     squares: dict[str, dict[str, list[float]]] = {name: {} for name in variants}
     counts: dict[str, list[float]] = {}
-    noise: dict[str, list[float]] = {}
+    noise: dict[str, float] = {}
     traces: list[Traces] = []
     signals = [name for name in UNITS if any(_has(one, name) for one in drives)]
     for number, opened in enumerate(drives):
@@ -96,11 +95,11 @@ def prove(
             continue
         said = {name: _run(one, vehicle, opened, mine, brief=brief) for name, one in variants.items()}
         for signal in signals:
-            values, good = _measured(opened, signal)
-            noise.setdefault(signal, []).append(_noise(signal, values, good))
+            good, loud = _measured(opened, signal), _noise(opened, signal)
             for begin, end in mine:
                 rows = begin + np.flatnonzero(good[begin:end])
                 counts.setdefault(signal, []).append(float(len(rows)))
+                noise[signal] = noise.get(signal, 0.0) + len(rows) * loud * loud
                 for name in variants:
                     missed = _missed(signal, said[name], opened, rows, begin)
                     squares[name].setdefault(signal, []).append(_square(missed))
@@ -108,7 +107,7 @@ def prove(
     return Proof(
         {name: {signal: np.array(one) for signal, one in some.items()} for name, some in squares.items()},
         {signal: np.array(one) for signal, one in counts.items()},
-        {signal: max(one) for signal, one in noise.items()},
+        {signal: math.sqrt(one / max(sum(counts[signal]), 1.0)) for signal, one in noise.items()},
         tuple(sorted(traces, key=_liveliness, reverse=True)),
     )
 
@@ -138,25 +137,20 @@ def _has(opened: Opened, signal: str) -> bool:
     return opened.has("ins.x_m", "ins.y_m") if signal == POSITION else opened.has(signal)
 
 
-def _measured(opened: Opened, signal: str) -> tuple[Array, Array]:
-    """(values, rows that were measured), no row of a signal that this recording does not have."""
+def _measured(opened: Opened, signal: str) -> Array:
+    """Rows in which a signal was measured, none of one that this recording does not have."""
     if not _has(opened, signal):
-        return np.zeros(opened.ticks), np.zeros(opened.ticks, dtype=bool)
+        return np.zeros(opened.ticks, dtype=bool)
     one = opened.signals["ins.x_m" if signal == POSITION else signal]
-    return one.values, one.fresh & one.there
+    return one.fresh & one.there
 
 
-def _noise(signal: str, values: Array, good: Array) -> float:
-    """Standard deviation of a sensor's noise, or of the wire's rounding where that is more; by fresh values alone,
-    however seldom they come. What counts from where a block begins has the noise of that place in it too.
-    """
-    rows = np.flatnonzero(good)
-    if len(rows) < 2:
+def _noise(opened: Opened, signal: str) -> float:
+    """Standard deviation of a sensor's noise; what counts from where a block begins has the noise of that place too."""
+    if not _has(opened, signal):
         return 0.0
-    steps = np.diff(rows, prepend=rows[0])
-    even = steps <= 1.5 * max(float(np.median(steps[1:])), 1.0)  # no difference is taken over a gap
-    noise = max(sensor_noise(values[rows], even), quantum_of(values[rows]) / math.sqrt(12.0))
-    return noise * {HEADING: math.sqrt(2.0), POSITION: 2.0}.get(signal, 1.0)
+    one = opened.signals["ins.x_m" if signal == POSITION else signal]
+    return one.noise * {HEADING: math.sqrt(2.0), POSITION: 2.0}.get(signal, 1.0)
 
 
 def _missed(signal: str, said: Mapping[str, Array], opened: Opened, rows: Array, begin: int) -> Array:
@@ -167,10 +161,9 @@ def _missed(signal: str, said: Mapping[str, Array], opened: Opened, rows: Array,
         x, y, _ = pose_of(opened)
         east, north = said["ins.x_m"][rows] - x[rows], said["ins.y_m"][rows] - y[rows]
         return np.hypot(east - (said["ins.x_m"][begin] - x[begin]), north - (said["ins.y_m"][begin] - y[begin]))
-    missed = said[signal][rows] - opened.signals[signal].values[rows]
-    if signal == HEADING:
-        return wrapped(missed - (said[signal][begin] - opened.signals[signal].values[begin]))
-    return missed
+    one = opened.signals[signal]
+    missed = one.as_told(said[signal], rows) - one.told[rows]
+    return wrapped(missed - (said[signal][begin] - one.values[begin])) if signal == HEADING else missed
 
 
 def _trace(opened: Opened, said: Mapping[str, Mapping[str, Array]], block: tuple[int, int]) -> Traces:

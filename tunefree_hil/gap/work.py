@@ -145,9 +145,8 @@ class Work:
         """Of a sensor, the chassis's or else the INS's, by its fresh values; 0 where there is none."""
         found = [[one.signals[f] for f in (f"report.{signal}", f"ins.{signal}") if f in one.signals][:1]
                  for one in self.setting.drives]  # fmt: skip
-        some = [one for drive in found for one in drive]
-        values = [one.values[one.fresh & one.there] for one in some]
-        return _root_mean([sensor_noise(one, np.ones(len(one), dtype=bool)) for one in values]) if values else 0.0
+        some = [one.noise for drive in found for one in drive]
+        return _root_mean(some) if some else 0.0
 
     def _block(self, drive: int, place: int) -> Array:
         return block_at(self.blocks, drive, self.compared[drive].targets[place].rows)

@@ -81,7 +81,7 @@ def test_what_is_missing_is_named_repaired_and_proved(
     out = tmp_path / "out"
     written = json.loads((out / ANSWER).read_text())
     assert written.keys() >= FIELDS and written["schema"] == "tunefree.gap/1" and data["exit"] == 0
-    assert data["sentence"].startswith("steer_dead_time (delay_s 0.070 s (0.069 to 0.071)) is missing; it closes 99 %")
+    assert data["sentence"].startswith("steer_dead_time (delay_s 0.070 s (0.069 to 0.071)) is missing; it closes 100 %")
     model = load_model(out / "model")
     assert [one.name for one in model.effects] == ["steer_dead_time"] and written["model"] == model.folder
     steer = written["signals"]["report.steer_rad"]
@@ -170,9 +170,16 @@ def test_what_is_cut_off_says_by_which_command_it_goes_on_and_whether_anything_i
 
 
 def test_an_older_log_that_is_asked_about_is_refused(search: Search, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="asked about already") as caught:
+    with pytest.raises(InputError, match=r"holds what late\.log holds") as caught:
         result(asked(tmp_path, older=[Path("before.log"), Path("late.log")]))
     assert (caught.value.file, caught.value.key) == ("late.log", "--older") and not (tmp_path / "out").exists()
+
+
+def test_a_copy_of_a_log_is_refused_as_it_would_prove_what_is_fitted_on_it(search: Search, tmp_path: Path) -> None:
+    search.drives["copy.log"] = late_drive()._replace(name="copy.log")
+    with pytest.raises(InputError, match=r"holds what late\.log holds") as caught:
+        result(asked(tmp_path, logs=[Path("late.log"), Path("copy.log")]))
+    assert (caught.value.file, caught.value.key) == ("copy.log", "LOG") and not (tmp_path / "out").exists()
 
 
 def test_a_folder_that_holds_something_else_is_refused_before_anything_is_read(search: Search, tmp_path: Path) -> None:
@@ -269,3 +276,12 @@ def test_one_log_of_several_that_says_no_speed_is_left_out(search: Search, tmp_p
     assert [one["name"] for one in data["logs"]] == ["late.log"] and data["model"] and data["older"] == []
     alone = result(asked(tmp_path, logs=[Path("mute.log")], out=tmp_path / "alone"))
     assert alone["verdict"] == "cannot_test"
+
+
+def test_an_older_log_that_says_no_speed_takes_no_log_of_the_same_name_with_it(search: Search, tmp_path: Path) -> None:
+    """Every log of a run folder has the same name."""
+    drive = late_drive()
+    fields = {name: values for name, values in drive.fields.items() if "speed" not in name and "ins." not in name}
+    search.older = drive._replace(fields=fields, log_hash="sha256:mute")
+    data = result(asked(tmp_path, older=[Path("before.log")]))
+    assert search.older.name == "late.log" and data["verdict"] == "one" and data["older"] == []

@@ -77,9 +77,9 @@ def gap(asked: Asked) -> Iterator[Event]:
     drives = yield from _read(asked.logs, vehicle)
     older = (yield from _read(asked.older, vehicle)) if asked.older else []
     _require_others(drives, older)
-    mute = _mute(drives, older, vehicle)
-    drives, older = ([one for one in some if one.name not in mute] for some in (drives, older))
-    left_out = tuple(f"{name} says nothing of the speed, and is left out" for name in mute)
+    drives, mute = _without_mute(drives, vehicle, all_may_go=False)
+    older, more = _without_mute(older, vehicle, all_may_go=True)
+    left_out = tuple(f"{name} says nothing of the speed, and is left out" for name in (*mute, *more))
     yield from (Event("warning", words) for words in left_out)
     material = Material(vehicle, model, drives, older, left_out)
     with held_folder(asked.out, question_of(drives, older, vehicle, model)) as folder:
@@ -106,24 +106,33 @@ def model_for(name: str, vehicle: VehicleSpec) -> ModelSpec:
 
 
 def _require_others(drives: Sequence[Drive], older: Sequence[Drive]) -> None:
-    """Raises InputError for an older log that is asked about: it would be held against its own repair."""
-    asked_about = {one.log_hash for one in drives}
-    for one in older:
-        if one.log_hash in asked_about:
-            raise InputError(
-                "it is asked about already", code="same_log", file=one.name, key="--older",
-                hint="name a log that the model fitted before, or leave --older out",
-            )  # fmt: skip
+    """Raises InputError for a log that is there twice: one part of it would be fitted, and judge the other, which is
+    the same; and for an older log that is asked about: it would be held against its own repair.
+    """
+    names: dict[str, str] = {}
+    for key, some in (("LOG", drives), ("--older", older)):
+        for one in some:
+            if one.log_hash in names:
+                raise InputError(
+                    f"it holds what {names[one.log_hash]} holds", code="same_log", file=one.name, key=key,
+                    hint="name every log once" if key == "LOG" else "name logs that are neither asked about nor named",
+                )  # fmt: skip
+            names[one.log_hash] = one.name
 
 
-def _mute(drives: Sequence[Drive], older: Sequence[Drive], vehicle: VehicleSpec) -> list[str]:
-    """Logs that say nothing of the speed, by name; of those that are asked about none where all of them are: that they
-    cannot tell is the answer then.
+def _without_mute(
+    drives: Sequence[Drive], vehicle: VehicleSpec, *, all_may_go: bool
+) -> tuple[list[Drive], tuple[str, ...]]:
+    """(drives that say something of the speed, names of the others). Where all of those that are asked about do not,
+    they stay: that they cannot tell is the answer then.
     """
     from tunefree_hil.gap.chain import says_speed
 
-    asked, more = ([one.name for one in some if not says_speed(one, vehicle)] for some in (drives, older))
-    return [*(asked if len(asked) < len(drives) else ()), *more]
+    says = [says_speed(one, vehicle) for one in drives]
+    if not (all_may_go or any(says)):
+        return list(drives), ()
+    stay = [one for one, it in zip(drives, says, strict=True) if it]
+    return stay, tuple(one.name for one, it in zip(drives, says, strict=True) if not it)
 
 
 def _read(logs: Sequence[Path], vehicle: VehicleSpec) -> Generator[Event, None, list[Drive]]:

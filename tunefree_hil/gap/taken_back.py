@@ -1,0 +1,74 @@
+"""What a calibration had put down to the wrong cause, and takes back once the right one is named.
+
+A model that is made of drives across a banked road has a steering offset for it. The bank, once it is named, does not
+show alone, as the model steers against it already; and the offset that goes is nothing that the model lacks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from tunefree_hil.config.schema import ModelSpec
+from tunefree_hil.gap.decide import Weighed
+from tunefree_hil.gap.graph import effects
+from tunefree_hil.gap.interval import across
+from tunefree_hil.gap.problem import Fitted
+
+Array = np.ndarray
+
+FROM_GAP = "log"  # in the provenance of an effect that `gap` named: that was evidence, and a calibration's guess is not
+NEARLY = 3.0  # deviations, from which on something else than nothing is left of it
+NEAR = 0.1  # of what goes: the first effect's form is not quite the car's, and so much it may leave or take too much
+
+
+def taken_back(
+    steps: Sequence[Weighed], first: Sequence[Weighed], found: Fitted, model: ModelSpec, blocks: Array
+) -> tuple[list[Weighed], tuple[str, ...]]:
+    """(steps that are missing, in words which are none): of several, whoever takes away what the model has of the very
+    same effect by its calibration, so that nothing is left of it, and would be no name alone. first: every suspect by
+    itself; found: the model with all steps.
+    """
+    has, alone = _by_calibration(model), {one.name: one.counts for one in first}
+    values = across(found, blocks)
+    gone = [
+        one
+        for one in steps
+        if one.name in has
+        and not one.others
+        and not alone.get(one.name)
+        and _is_undone(one.name, has[one.name], values)
+    ]
+    if not gone or len(gone) == len(steps):
+        return list(steps), ()
+    stay = [one for one in steps if one not in gone]
+    by = " and ".join(one.name for one in stay)
+    words = (f"{one.name} of the model goes: its calibration had it for {by}" for one in gone)
+    return stay, tuple(words)
+
+
+def _by_calibration(model: ModelSpec) -> dict[str, list[Mapping[str, float]]]:
+    """Parameters of the effects that a model has by its calibration, by effect."""
+    found: dict[str, list[Mapping[str, float]]] = {}
+    for one in model.effects:
+        if FROM_GAP not in one.provenance:
+            found.setdefault(one.name, []).append(one.params)
+    return found
+
+
+def _is_undone(
+    name: str, has: Sequence[Mapping[str, float]], values: Mapping[str, tuple[float, float]]
+) -> bool:  # fmt: skip
+    """Whether the model's effects and the one that was found are none together, and each by itself is one."""
+    for parameter, neutral in effects()[name].neutral.items():
+        if neutral not in (0.0, 1.0):  # of limits the lower one counts, and no other takes it back
+            return False
+        value, by = values[f"{name}.{parameter}"]
+        was = sum(one[parameter] for one in has) if neutral == 0.0 else math.prod(one[parameter] for one in has)
+        off = value + was if neutral == 0.0 else value * was - 1.0
+        size = abs(was - neutral)
+        if size <= NEARLY * by or abs(off) > max(NEARLY * by, NEAR * size):
+            return False
+    return True
