@@ -16,6 +16,7 @@ from tunefree_hil.learn.physics import (
     EFFECTS,
     OFFSET,
     ROAD,
+    TOGETHER,
     PhysicsFit,
     fit,
     is_clear,
@@ -120,6 +121,22 @@ def test_intervals_hold_the_truth(fitted: PhysicsFit) -> None:
     known = {name: value for name, value in fitted.values.items() if value.known}
     inside = [value.low <= truth[name] <= value.high for name, value in known.items()]
     assert len(known) >= 8 and np.mean(inside) >= 0.7, [name for name, ok in zip(known, inside, strict=True) if not ok]
+
+
+@pytest.mark.slow
+def test_one_constant_that_no_log_tells_takes_none_of_the_others_with_it() -> None:
+    """A car that does not creep: held at what a car creeps with, it would be none that drives so."""
+    some = windows_of([whole(made_drive(80.0, params={"creep_force_n": 0.0}))], VEHICLE)
+    with Worker() as worker:
+        found = worker.result(
+            "tunefree_hil.learn.physics", "fit", some, fixed_params(VEHICLE), constants(VEHICLE), 0.35
+        )
+    creep, known = found.values["creep_force_n"], [name for name, value in found.values.items() if value.known]
+    assert not creep.known and creep.why == TOGETHER and creep.value < 500.0
+    assert {"brake_force_n_per_frac", "drive_force_n", "steer_ratio", "front_stiffness_n_per_rad"} <= set(known)
+    brake = found.values["brake_force_n_per_frac"]
+    assert brake.value == pytest.approx(DEFAULTS["brake_force_n_per_frac"], rel=0.02)
+    assert brake.high - brake.low < 0.2 * brake.value and found.after["speed_mps"] < 0.02
 
 
 @pytest.mark.slow

@@ -14,11 +14,14 @@ ON_GRID = 1e-3  # of a tick: stamps nearer than this to whole ticks are virtual 
 
 
 class Times(NamedTuple):
-    """zero_s: stamp of tick 0; late_ticks: by how many ticks a report is used after its stamp; words: for people."""
+    """zero_s: stamp of tick 0; late_ticks: by how many ticks a report is used after its stamp; words: for people.
+    by_frame: nobody says where tick 0 is, and the first frame stands for it.
+    """
 
     zero_s: float
     late_ticks: int
     words: str
+    by_frame: bool = False
 
 
 def times_of(off_grid: float, first_s: float, earliest_s: float, dt_s: float, folder: Path) -> Times:
@@ -31,7 +34,7 @@ def times_of(off_grid: float, first_s: float, earliest_s: float, dt_s: float, fo
         return Times(0.0, 0, "virtual time")
     if (folder / "bench.log").is_file():
         return Times(run_zero_s(folder / "bench.log"), 1, "real time: tick 0 is where bench.log says")
-    return Times(earliest_s, 1, f"real time: second 0 is the log's first frame, at {earliest_s:.3f} s")
+    return Times(earliest_s, 1, f"real time: second 0 is the log's first frame, at {earliest_s:.3f} s", True)
 
 
 def run_zero_s(bench_log: Path) -> float:

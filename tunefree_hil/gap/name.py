@@ -173,8 +173,7 @@ def _named(
     held = excitation(effects(), held_by(drives, vehicle))
     steps = [with_others(step, news, held, drives) for step in news]
     said, days = tuple(one for opened in drives for one in echoes(opened)), question.blocks.drives[blocks]
-    sigmas = {free.key: free.doubt for one in question.suspects for free in one.free if free.doubt}
-    restless = unsteady(question.null.fitted, blocks, days, sigmas)
+    restless = usual.more_restless(restless_of(question))
     verdict, others, words = verdict_of(first, steps, before.looked, amiss, held, echo_words(said), restless, usual)
     link, shown = _where(team, question, steps, before.looked, said)
     known: tuple[Effect, ...] = ()
@@ -197,6 +196,13 @@ def _named(
         repaired, before.left, after.left, lost_links(drives), words, tuple(still), usual, silent_ports(drives),
         {name: UNMOVED for name, by in team.moves.items() if by < MATTERS and name not in said_of},
     )  # fmt: skip
+
+
+def restless_of(question: Question) -> dict[str, float]:
+    """What recalibration alone would have to move otherwise in each block (interval.unsteady)."""
+    blocks = judged(question.blocks)
+    sigmas = {free.key: free.doubt for one in question.suspects for free in one.free if free.doubt}
+    return unsteady(question.null.fitted, blocks, question.blocks.drives[blocks], sigmas)
 
 
 def _amiss(

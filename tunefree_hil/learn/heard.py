@@ -75,6 +75,11 @@ class Ear:
             if states:
                 self._obeys[which].append(_obeyed(self.message, states, time_s, payloads, which == "enables"))
 
+    @property
+    def times_s(self) -> Array:
+        """Stamps of the frames that are believed."""
+        return np.concatenate(self._times) if self._times else np.zeros(0)
+
     def columns(self) -> dict[str, Column]:
         """By field, 'report.speed_mps'; frames that end before a field are left out of it. Empty where none came."""
         if not self._times:

@@ -167,6 +167,7 @@ def fit(
     least = _solved(problem, names, least.x, 15)
     yield 2, STEPS
     joint, jointly = problem.values(names, least.x), rms_of(problem.misses(problem.values(names, least.x)))
+    first = names, least
     doubts = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
     related = together(names, least, problem.stretches)
     names, least, lost = yield from _told(problem, names, least)
@@ -180,7 +181,15 @@ def fit(
     if any(after[name] > WORSE * jointly[name] for name in after):  # what was known before is no car that drives so
         values, after = joint, jointly
         found = {name: together_with(one, joint[name], TOGETHER) for name, one in found.items()}
+        found |= _known_jointly(problem, *first)
     return PhysicsFit(found, problem.params(values), before, after, len(windows.some), windows.words, related)
+
+
+def _known_jointly(problem: Problem, names: list[str], least: Least) -> dict[str, Value]:
+    """Constants that the windows tell while all the others are free: they are no less known for one that is not."""
+    doubts = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
+    left = dict(zip(names, deviations_left(least), strict=True))
+    return {name: _value(problem, names, least, name, doubts, {}) for name in names if left[name] <= KNOWN_SHARE}
 
 
 def _told(

@@ -19,6 +19,7 @@ from tunefree_hil.episode.log_columns import Name, Piece, read_pieces
 from tunefree_hil.episode.real_time import times_of
 from tunefree_hil.learn.drives import Drive, Reading
 from tunefree_hil.learn.heard import SLOW_S, Ear, Seen, place
+from tunefree_hil.learn.tick_ends import even_zero
 
 Progress = Callable[[float, str], None]  # share of all logs read, 0 to 1; the log at hand
 MOST_STEP_S = 600.0  # between one frame of the vehicle and the next; a tick grid over more is no recording
@@ -30,10 +31,10 @@ def read_drives(logs: Sequence[Path], codec: Codec, *, progress: Progress | None
     """One Drive a log, in the order given; each with the clock, INS origin and heading of its own.
 
     Ticks as episode/columns.py gives them: a report field in row k is what was heard in tick k, a command field what
-    was sent in it. Stamps of virtual time are ticks; in real time tick 0 is where a bench.log beside the log says, else
-    at the log's first frame, and a report stamped in tick k is heard in k + 1. Frames that nobody believes (a CRC that
-    does not fit) or that are too short are left out. enabled: every report that says `enabled` says so; without one,
-    none that says what disables ([state] of vehicle.toml).
+    was sent in it. Stamps of virtual time are ticks; in real time tick 0 is where a bench.log beside the log says,
+    else at the log's first frame, or up to half a tick off it (learn/tick_ends.py), and a report stamped in tick k is
+    heard in k + 1. Frames that nobody believes (a CRC that does not fit) or that are too short are left out. enabled:
+    every report that says `enabled` says so; without one, none that says what disables ([state] of vehicle.toml).
 
     Raises InputError for a log that cannot be read, that holds no frame of the vehicle, or whose clock jumps by more
     than MOST_STEP_S.
@@ -78,7 +79,8 @@ def _read(path: Path, name: str, codec: Codec, tell: Callable[[float], None]) ->
     _refuse(path, codec, seen)
     dt_s = codec.tick_ms * 1e-3
     times = times_of(seen.off_grid, seen.first_s, seen.earliest_s, dt_s, path.parent)
-    grid = place(ears.values(), dt_s, times.zero_s, times.late_ticks)
+    zero_s = even_zero((ear.times_s for ear in ears.values()), dt_s, times.zero_s) if times.by_frame else times.zero_s
+    grid = place(ears.values(), dt_s, zero_s, times.late_ticks)
     reading = _reading(path, ears.values(), seen, times.words)
     return Drive(name, _hash(path), dt_s, grid.fields, grid.fresh, grid.enabled, reading)
 

@@ -1,4 +1,6 @@
-"""Closed loop again: the repaired model tracks as the measured car did, and who drove a foreign log is not known."""
+"""Closed loop again: the repaired model tracks as the measured car did, a drive that fails on a model is told, and who
+drove a foreign log is not known.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +14,17 @@ import pytest
 from tests.gap.made_answer import VEHICLE, answer, made_kept
 from tests.jobs.ended import ended
 from tests.jobs.made_runs import made_drive
+from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load
+from tunefree_hil.bench.simulator import Drive, Job, Simulator
 from tunefree_hil.config.load import load_model
 from tunefree_hil.gap.repair import found_effects, repaired, write_repaired
-from tunefree_hil.jobs.gap.closed_loop import MEASURED, SIGNALS, UNKNOWN, Sum, compared, replayed
+from tunefree_hil.jobs.gap.closed_loop import DRIVE, MEASURED, SIGNALS, UNKNOWN, End, Sum, compared, replayed
 from tunefree_hil.jobs.gap.gap import Material
 from tunefree_hil.jobs.gap.repair import Mended
 
 DELAY_S = 0.12
+IN_LANE, OFF_LANE = 1.35, 2.5  # times the true delay, on which the controller keeps its lane, and does not
 pytestmark = pytest.mark.slow
 BENCH = """
 schema = "tunefree.bench/1"
@@ -34,6 +39,11 @@ params = {{ delay_s = {delay_s} }}
 
 def asked(logs: list[Path], delay_s: float, place: Path) -> tuple[dict[str, Any] | None, str]:
     """With a model that was repaired by so much."""
+    return told(logs, delay_s, place)[0]
+
+
+def told(logs: list[Path], delay_s: float, place: Path) -> tuple[tuple[dict[str, Any] | None, str], list[Event]]:
+    """The same, and what was said."""
     model = load_model("mkz_nominal")
     value = {"value": delay_s, "low": delay_s, "high": delay_s, "unit": "s"}
     effects = [{"name": "steer_dead_time", "params": {"delay_s": value}, "evidence": 9.0}]
@@ -41,8 +51,7 @@ def asked(logs: list[Path], delay_s: float, place: Path) -> tuple[dict[str, Any]
     made = repaired(model, VEHICLE, {}, found_effects(kept, "", ""))
     written = write_repaired(place, model, made.model, {})
     mended = Mended(repaired(model, VEHICLE, {}), made, written)
-    found, _ = ended(replayed(logs, Material(VEHICLE, model, [], []), mended))
-    return found
+    return ended(replayed(logs, Material(VEHICLE, model, [], []), mended))
 
 
 @pytest.fixture(scope="module")
@@ -64,11 +73,76 @@ def test_the_true_repair_tracks_as_the_measured_car_did(log: Path, tmp_path: Pat
     assert found["down_frac"] == 1.0 and found["worst_frac"] == -1.0, "the batch drives what the bench did, bit by bit"
     lateral = found["signals"]["lateral_error_m"]
     assert lateral["before"] == lateral["recalibrated"] > 0.02 and lateral["after"] == 0.0
+    assert found["ended"] == {} and "early" not in found["words"]
 
 
 def test_a_wrong_one_does_not(log: Path, tmp_path: Path) -> None:
-    found, _ = asked([log], 2.5 * DELAY_S, tmp_path / "wrong")
-    assert found is None or found["down_frac"] < 0.0
+    found, why = asked([log], IN_LANE * DELAY_S, tmp_path / "wrong")
+    assert why == "" and found is not None and found["ended"] == {}
+    assert found["down_frac"] < 0.0 and found["worst_frac"] > 0.0 and found["worst"] in SIGNALS
+
+
+def test_one_that_leaves_the_lane_is_told_and_is_the_worst(log: Path, tmp_path: Path) -> None:
+    (found, why), events = told([log], OFF_LANE * DELAY_S, tmp_path / "off")
+    assert why == "" and found is not None and set(found["ended"]) == {"after"}
+    [one] = found["ended"]["after"]
+    assert one["log"] == str(log) and one["how"] == "left_lane" and 2.0 < one["t_s"] < 9.0
+    assert found["down_frac"] < 0.0 and found["worst"] == DRIVE and found["worst_frac"] > 999.0
+    assert "the repaired model fails where the measured car did not" in found["words"]
+    assert f"on the repaired model (left_lane after {one['t_s']:.4g} s); compared is what all have" in found["words"]
+    assert [event.message for event in events if event.kind == "warning"] == [f"closed loop: {found['words']}"]
+
+
+def test_all_are_compared_over_the_rows_that_all_have(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The model as it was, driven on to where it is far off, would make any repair that fails early look good."""
+    whole, _ = asked([log], IN_LANE * DELAY_S, tmp_path / "whole")
+    rows = 700
+    fails_on(monkeypatch, {"recalibrated": rows})
+    found, why = asked([log], IN_LANE * DELAY_S, tmp_path / "cut")
+    assert why == "" and found is not None and whole is not None
+    lateral, before = found["signals"]["lateral_error_m"], whole["signals"]["lateral_error_m"]
+    assert all(lateral[key] != before[key] for key in (MEASURED, "before", "after"))
+    assert lateral["before"] == lateral["recalibrated"], "the same model, the same rows"
+    assert found["ended"] == {"recalibrated": [{"log": str(log), "how": "left_lane", "t_s": rows / 100.0}]}
+    assert found["worst"] in SIGNALS, "only the repair is judged"
+
+
+def test_a_repair_that_fails_at_once_leaves_nothing_to_compare_and_is_told(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fails_on(monkeypatch, {"made": 1})
+    found, why = asked([log], DELAY_S, tmp_path / "made")
+    assert why == "" and found is not None
+    assert (found["down_frac"], found["worst"]) == (None, DRIVE) and found["worst_frac"] > 1900.0
+    assert found["words"].startswith("the tracking's difference from the measured drive was none in what all have")
+
+
+def test_what_no_model_is_driven_on_cannot_be_repeated(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fails_on(monkeypatch, {"": 3}, "not_enabled")
+    found, why = asked([log], DELAY_S, tmp_path / "model")
+    assert found is None and "cannot be driven again here: no model is driven for 1 s, it ends with not_enabled" in why
+    fails_on(monkeypatch, {"": 3}, "diverged")
+    found, why = asked([log], DELAY_S, tmp_path / "again")
+    assert why == "" and found is not None and set(found["ended"]) == {"before", "recalibrated", "after"}
+
+
+def fails_on(monkeypatch: pytest.MonkeyPatch, models: dict[str, int], error: str = "left_lane") -> None:
+    """Drives on models whose folder's name has this in it end after so many rows."""
+    drive = Simulator.drive
+
+    def cut(self: Simulator, job: Job) -> Drive:
+        made = drive(self, job)
+        rows = next((rows for name, rows in models.items() if name in Path(self.model).name), None)
+        if rows is None:
+            return made
+        columns = {name: values[:rows] for name, values in made.recording.columns.items()}
+        return Drive(made.recording._replace(columns=columns), rows, error)
+
+    monkeypatch.setattr(Simulator, "drive", cut)
 
 
 def test_who_drove_a_foreign_log_is_not_known(log: Path, tmp_path: Path) -> None:
@@ -118,3 +192,39 @@ def test_a_difference_that_was_none_and_is_one_now_counts_as_worse() -> None:
     assert found["worst"] == "speed_mps" and found["worst_frac"] > 10.0 and "speed_mps is up" in found["words"]
     nothing = compared(summed(**{name: (1.0, 0.0, 0.0) for name in SIGNALS}), 1)
     assert nothing["down_frac"] is None and nothing["words"] == "no difference"
+
+
+def ends(measured: End, **models: End) -> dict[str, End]:
+    return {MEASURED: measured, "recalibrated": WHOLE, "before": WHOLE, "after": WHOLE, **models}
+
+
+WHOLE, LEFT, LATER = End("a", 1000, 0.01), End("a", 400, 0.01, "left_lane"), End("a", 410, 0.01, "left_lane")
+BETTER = {"lateral_error_m": (0.2, 0.1, 0.01)}
+
+
+@pytest.mark.parametrize(
+    ("drives", "worst_frac"),
+    [
+        (ends(WHOLE, after=LEFT), 1599.0),
+        (ends(WHOLE, after=LEFT._replace(ticks=1000)), 999.0),  # in the last row
+        (ends(WHOLE, after=LEFT, before=LATER), 0.01 / 1.59),  # sooner
+        (ends(WHOLE, after=LATER, before=LEFT), -0.9),  # later
+        (ends(WHOLE, before=LEFT), -0.9),
+        (ends(LATER, after=LEFT), -0.9),  # as the car did
+        (ends(LEFT, after=LATER._replace(error="diverged")), -0.9),  # nobody knows how the car would have gone on
+        (ends(LEFT), -0.9),
+    ],
+)
+def test_what_fails_on_the_repaired_model_and_not_in_the_car_counts(drives: dict[str, End], worst_frac: float) -> None:
+    found = compared(summed(**BETTER), 1, [drives])
+    assert found["worst_frac"] == pytest.approx(worst_frac) and found["down_frac"] == pytest.approx(0.9)
+    assert ("fails where the measured car did not" in found["words"]) == (found["worst"] == DRIVE) == (worst_frac > 0.0)
+    assert set(found["ended"]) == {name for name, one in drives.items() if one.error}
+    assert "the drive ends early" in found["words"]
+
+
+def test_a_failure_in_one_log_is_not_made_good_by_another() -> None:
+    found = compared(summed(**BETTER), 2, [ends(WHOLE, before=LEFT), ends(WHOLE, after=LATER)])
+    assert found["worst"] == DRIVE and found["worst_frac"] > 999.0
+    assert "on the model as it was (1 of 2 drives, first left_lane after 4 s) and on the repaired" in found["words"]
+    assert "compared is what all have, 40 % of the measured rows" in found["words"]

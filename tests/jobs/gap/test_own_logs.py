@@ -16,7 +16,7 @@ from tunefree_hil.base.errors import PeerGone
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import EffectSpec
-from tunefree_hil.gap.usual import KEY, NOTHING, usual_of
+from tunefree_hil.gap.usual import KEY, NOTHING, RESTLESS, usual_of
 from tunefree_hil.jobs.gap.own_logs import ASKED, ask_own_logs, some_of, were_asked
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.write_model import (
@@ -62,6 +62,7 @@ def test_what_a_search_that_was_cut_off_had_written_is_forgotten_when_they_are_a
     mine = EffectSpec(name="grade", params={"grade_rad": 0.01}, provenance={"by": "a person"})
     write_effects(folder, load_model(folder), [mine, replace(mine, name="accel_bias", provenance={"by": OWN_LOGS})])
     card = {"seed": 1, KEY: {"missed": {"yaw_rate": 0.5}, "broken": [], "effects": {}}, OWN_EFFECTS: {}}
+    card[RESTLESS] = {"brake_gain.gain_frac": 3.0}
     write_card(folder, card)
     asked(folder, made_drive(20.0, seed=3))
     assert json.loads((folder / CARD_FILE).read_text()) == {"seed": 1, ASKED: True}

@@ -49,12 +49,13 @@ def ask_own_logs(folder: Path, vehicle: VehicleSpec, drives: Sequence[Drive]) ->
 def _forget(folder: Path) -> None:
     """What a search that was cut off had written already."""
     from tunefree_hil.config.load import load_model
-    from tunefree_hil.gap.usual import KEY
+    from tunefree_hil.gap.usual import KEY, RESTLESS
     from tunefree_hil.learn.write_model import OWN_EFFECTS, OWN_LOGS
 
     card = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
-    if {KEY, OWN_EFFECTS} & set(card):
-        write_card(folder, {key: said for key, said in card.items() if key not in (KEY, OWN_EFFECTS)})
+    told = {KEY, RESTLESS, OWN_EFFECTS}
+    if told & set(card):
+        write_card(folder, {key: said for key, said in card.items() if key not in told})
     model = load_model(folder)
     stay = [one for one in model.effects if one.provenance.get("by") != OWN_LOGS]
     if len(stay) < len(model.effects):
@@ -101,11 +102,13 @@ def _asked(folder: Path, vehicle: VehicleSpec, opened: Sequence[Opened]) -> Gene
     from tunefree_hil.config.load import load_model
     from tunefree_hil.gap.look_first import look_first
     from tunefree_hil.gap.name import name
-    from tunefree_hil.gap.own_logs import OwnLogs, explained
+    from tunefree_hil.gap.own_logs import OwnLogs, explained, restless
 
     asked = OwnLogs(load_model(folder), vehicle, opened)
-    looked = (yield from _with_progress(look_first(*asked[:3]))).looked[0]
+    first = yield from _with_progress(look_first(*asked[:3]))
+    looked = first.looked[0]
     if not looked.broken:
+        _kept(folder, restless(first))
         return
     yield Event("note", f"{looked.missed}: the model's own logs are asked for what it lacks")
     found = yield from _with_progress(name(*asked))
