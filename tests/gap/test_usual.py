@@ -116,18 +116,29 @@ def test_words_are_of_what_is_missed_most() -> None:
 
 
 def test_a_gain_that_the_own_logs_would_move_as_much_is_no_news() -> None:
+    """Whichever pedal shows it: it is one force along the car."""
     known = NOTHING._replace(restless={"throttle_gain.gain_frac": 2.0})
-    found = {"throttle_gain.gain_frac": 2.0 * TIMES, "brake_gain.gain_frac": 1.6}
-    assert known.more_restless(found) == {"brake_gain.gain_frac": 1.6} and NOTHING.more_restless(found) == found
+    found = {"throttle_gain.gain_frac": 2.0 * TIMES, "brake_gain.gain_frac": 1.6, "steer_gain.gain_frac": 1.6}
+    assert known.more_restless(found) == {"steer_gain.gain_frac": 1.6} and NOTHING.more_restless(found) == found
     more = {"throttle_gain.gain_frac": 2.1 * TIMES}
     assert known.more_restless(more) == more
+
+
+def test_what_was_missed_of_the_own_logs_too_speaks_against_no_name_elsewhere() -> None:
+    known = NOTHING._replace(own_missed={BROKEN.signal: BROKEN.amount / 1.5})
+    assert not_it([BROKEN], [BROKEN], {}, {"steer": 0.01}, NOTHING).startswith("explains less than what is left")
+    assert not_it([BROKEN], [BROKEN], {}, {"steer": 0.01}, known) == ""
+    less = NOTHING._replace(own_missed={BROKEN.signal: BROKEN.amount / (1.1 * TIMES)})
+    assert not_it([BROKEN], [BROKEN], {}, {"steer": 0.01}, less)
+    left = {BROKEN.signal: 1.0}
+    assert not_it([BROKEN], [BROKEN], left, {BROKEN.signal: 0.01}, known), "who works on it has to explain it"
 
 
 def test_a_card_keeps_it_and_one_that_is_none_is_named(tmp_path: Path) -> None:
     nominal = load_model("mkz_nominal")
     assert usual_of(nominal) == NOTHING
     model = replace(nominal, folder=str(tmp_path), plant=replace(nominal.plant, card="card.json"))
-    kept = usual(0.25)._replace(restless={"throttle_gain.gain_frac": 2.5})
+    kept = usual(0.25)._replace(restless={"throttle_gain.gain_frac": 2.5}, own_missed={"rate_of_speed": 0.2})
     endless = {**kept.effects, "steer_rate_limit": {"rate_radps": (np.inf, 0.1)}}
     (tmp_path / "card.json").write_text(json.dumps(plain(as_data(kept._replace(effects=endless)))))
     assert usual_of(model) == kept

@@ -21,7 +21,7 @@ from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.interval import across, deviations
 from tunefree_hil.gap.lost import lost_links
-from tunefree_hil.gap.name import Named, looked_at, restless_of
+from tunefree_hil.gap.name import Named, looked_at
 from tunefree_hil.gap.search import weighed
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.usual import NOTHING, Usual, by_name
@@ -46,13 +46,9 @@ class OwnLogs(NamedTuple):
 
 
 def explained(found: Named) -> Usual:
-    """Of a search that leaves nothing broken: what explains the own logs."""
-    return NOTHING._replace(own=by_name(across(found.repaired.fitted, judged(found.question.blocks))))
-
-
-def restless(looked: Named) -> Usual:
-    """Of own logs in which nothing is broken: what they would move otherwise in each block."""
-    return NOTHING._replace(restless=restless_of(looked.question))
+    """Of a search that leaves nothing broken: what explains the own logs, and what they are missed by without it."""
+    there = by_name(across(found.repaired.fitted, judged(found.question.blocks)))
+    return NOTHING._replace(own=there, own_missed={one.signal: one.amount for one in found.looked if one.broken})
 
 
 def sensors(asked: OwnLogs) -> Generator[str, None, list[EffectSpec]]:

@@ -29,7 +29,7 @@ from tunefree_hil.gap.channels import ACCEL, PEDALS, is_by_accel
 from tunefree_hil.gap.drifts import UNWRITTEN
 from tunefree_hil.gap.graph import BEND, LINKAGE, effects, scaled
 from tunefree_hil.gap.kept import Kept
-from tunefree_hil.gap.usual import KEY
+from tunefree_hil.gap.usual import KEY, OWN_MISSED
 from tunefree_hil.learn.free_run import plant_of
 from tunefree_hil.learn.write_model import CARD_FILE, OWN_EFFECTS, data_of, write_beside
 from tunefree_hil.plant.asked_accel import FULL_MPS2
@@ -110,7 +110,7 @@ def write_repaired(folder: Path, model: ModelSpec, made: ModelSpec, story: Mappi
     data = data_of(made)
     data["plant"]["card"] = CARD_FILE
     head = HEAD.format(model=Path(model.folder).name, card=CARD_FILE)
-    card = {key: said for key, said in card_of(model).items() if key not in (KEY, OWN_EFFECTS)}
+    card = {key: said for key, said in card_of(model).items() if key not in (KEY, OWN_EFFECTS, OWN_MISSED)}
     write_beside(folder, model, head, data, card | {"repair": story})
     return load_model(folder)
 

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 KEY = "usual"  # of card.json
-RESTLESS = "restless"  # of it as well: what its own logs would have moved otherwise in each block
+RESTLESS, OWN_MISSED = "restless", "own_missed"  # of it as well
+PEDALS = ("throttle_gain.gain_frac", "brake_gain.gain_frac")  # the same force along the car shows in either
 TIMES = 2.0  # as much missed as usual is as usual: another drive shakes more, or less
 NEWS = 3.0  # deviations, of both values together, from which on a value is another one
 
@@ -39,8 +40,9 @@ Known = tuple[float, float]  # (value, deviation), both in the parameter's unit
 class Usual(NamedTuple):
     """missed: by target, as a share of its signal. effects: what the own logs make of each, alone, as far as they feel
     it. broken: the targets that are missed by more than a calibrated model may. own: effects that explain the own logs,
-    where these leave nothing broken, with what they are there. restless: gains that these would move otherwise in each
-    block, by how many deviations, though nothing is broken: the car's form of it is not quite the model's.
+    where these leave nothing broken, with what they are there; own_missed: what is missed of the own logs without them.
+    restless: gains that the own logs would move otherwise in each block, by how many deviations: the car's form is not
+    quite the model's.
     """
 
     missed: Mapping[str, float]
@@ -48,10 +50,19 @@ class Usual(NamedTuple):
     broken: frozenset[str] = frozenset()
     own: Mapping[str, Mapping[str, Known]] = {}
     restless: Mapping[str, float] = {}
+    own_missed: Mapping[str, float] = {}
 
     def more_restless(self, found: Mapping[str, float]) -> dict[str, float]:
         """Those that differ from block to block by more than usual."""
-        return {key: by for key, by in found.items() if by > TIMES * self.restless.get(key, 0.0)}
+        usual = dict(self.restless)
+        usual |= dict.fromkeys(PEDALS, max(usual.get(key, 0.0) for key in PEDALS))
+        return {key: by for key, by in found.items() if by > TIMES * usual.get(key, 0.0)}
+
+    def was_there(self, target: str, amount: float) -> bool:
+        """Whether no more is missed of a target than of the own logs, whatever explained it there: it speaks against
+        nobody who is asked about something else.
+        """
+        return amount <= TIMES * max(self.missed.get(target, 0.0), self.own_missed.get(target, 0.0))
 
     def as_usual(self, target: str, amount: float) -> bool:
         """Whether no more is missed of a target, as a share of its signal, than usual."""
@@ -71,9 +82,11 @@ def usual_of(model: ModelSpec) -> Usual:
     try:
         found, there = _numbers(said.get("effects", {})), _numbers(own)
         missed = {name: _finite(one) for name, one in said.get("missed", {}).items()}
-        restless = {str(key): _finite(by) for key, by in (card.get(RESTLESS) or {}).items()}
+        restless, own_missed = (
+            {str(name): _finite(one) for name, one in (card.get(key) or {}).items()} for key in (RESTLESS, OWN_MISSED)
+        )
         broken = frozenset(str(name) for name in said["broken"]) if said else frozenset[str]()
-        return Usual(missed, found, broken, there, restless)
+        return Usual(missed, found, broken, there, restless, own_missed)
     except (AttributeError, TypeError, KeyError, ValueError) as error:
         raise InputError(
             f"{KEY}: {error}",
@@ -87,8 +100,8 @@ def usual_of(model: ModelSpec) -> Usual:
 def as_data(usual: Usual) -> dict[str, Any]:
     """Keys of the card; none where there is nothing to keep."""
     said: dict[str, Any] = {OWN_EFFECTS: _as_numbers(usual.own)} if usual.own else {}
-    if usual.restless:
-        said[RESTLESS] = dict(usual.restless)
+    some = {RESTLESS: usual.restless, OWN_MISSED: usual.own_missed}
+    said |= {key: dict(one) for key, one in some.items() if one}
     if usual.missed:
         broken = sorted(usual.broken)
         said[KEY] = {"missed": dict(usual.missed), "broken": broken, "effects": _as_numbers(usual.effects)}

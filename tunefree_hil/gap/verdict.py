@@ -94,7 +94,8 @@ def not_it(
         if usual.as_usual(one.signal, one.amount):
             continue
         if one.signal not in worked:
-            if one.broken and one.amount > max(worked.values(), default=0.0):
+            as_there = usual.was_there(one.signal, one.amount)
+            if one.broken and not as_there and one.amount > max(worked.values(), default=0.0):
                 return f"explains less than what is left elsewhere: {one.missed}"
         elif _stays(one.loud, was[one.signal].loud, LOUD) or _stays(one.gross, was[one.signal].gross, GROSS):
             return f"still {one.missed}"

@@ -49,11 +49,11 @@ def ask_own_logs(folder: Path, vehicle: VehicleSpec, drives: Sequence[Drive]) ->
 def _forget(folder: Path) -> None:
     """What a search that was cut off had written already."""
     from tunefree_hil.config.load import load_model
-    from tunefree_hil.gap.usual import KEY, RESTLESS
+    from tunefree_hil.gap.usual import KEY, OWN_MISSED, RESTLESS
     from tunefree_hil.learn.write_model import OWN_EFFECTS, OWN_LOGS
 
     card = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
-    told = {KEY, RESTLESS, OWN_EFFECTS}
+    told = {KEY, RESTLESS, OWN_MISSED, OWN_EFFECTS}
     if told & set(card):
         write_card(folder, {key: said for key, said in card.items() if key not in told})
     model = load_model(folder)
@@ -101,14 +101,15 @@ def some_of(drives: Sequence[Drive]) -> list[Drive]:
 def _asked(folder: Path, vehicle: VehicleSpec, opened: Sequence[Opened]) -> Generator[Event, None, None]:
     from tunefree_hil.config.load import load_model
     from tunefree_hil.gap.look_first import look_first
-    from tunefree_hil.gap.name import name
-    from tunefree_hil.gap.own_logs import OwnLogs, explained, restless
+    from tunefree_hil.gap.name import name, restless_of
+    from tunefree_hil.gap.own_logs import OwnLogs, explained
+    from tunefree_hil.gap.usual import NOTHING
 
     asked = OwnLogs(load_model(folder), vehicle, opened)
     first = yield from _with_progress(look_first(*asked[:3]))
     looked = first.looked[0]
+    _kept(folder, NOTHING._replace(restless=restless_of(first.question)))
     if not looked.broken:
-        _kept(folder, restless(first))
         return
     yield Event("note", f"{looked.missed}: the model's own logs are asked for what it lacks")
     found = yield from _with_progress(name(*asked))
