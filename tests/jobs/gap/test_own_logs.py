@@ -148,7 +148,7 @@ def test_what_explains_the_own_logs_is_kept_and_said(tmp_path: Path) -> None:
     usual = usual_of(load_model(folder))
     assert not usual.missed and usual.own["steer_dead_time"]["delay_s"][0] == pytest.approx(LATE_S, abs=0.01)
     assert load_model(folder).effects == []
-    assert events[-1].kind == "warning" and "steer_dead_time; `gap` on them adds it" in events[-1].message
+    assert events[-1].kind == "warning" and "steer_dead_time; `gap` on them adds it where in events[-1].message
     drive, accel = made_drive(110.0, seed=5), "report.accel_mps2"
     off = drive._replace(fields={**drive.fields, accel: drive.fields[accel] - 0.06})
     events = asked(folder_of(tmp_path / "tilted"), off)

@@ -132,7 +132,7 @@ def _named_words(found: Named, model: ModelSpec) -> str:
         return ""
     if OFFSET in named and may_be_hill(found.repaired.fitted, model):
         return f"{', '.join(named)}; {OFFSET} may as well be a {HILL} that all of them have"
-    return f"{', '.join(named)}; `gap` on them adds it"
+    return f"{', '.join(named)}; `gap` on them adds it where its proof bears it out"
 
 
 def _poor(folder: Path, asked: OwnLogs) -> Generator[Event, None, None]:
