@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Generator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +18,9 @@ from tests.learn.test_pairs import without
 from tunefree_hil.base.errors import PeerGone
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_model
-from tunefree_hil.config.schema import EffectSpec
+from tunefree_hil.config.schema import EffectSpec, ModelSpec
+from tunefree_hil.gap.interval import Value
+from tunefree_hil.gap.name import Effect
 from tunefree_hil.gap.usual import KEY, NOTHING, RESTLESS, usual_of
 from tunefree_hil.jobs.gap.own_logs import ASKED, ask_own_logs, some_of, were_asked
 from tunefree_hil.learn.drives import Drive
@@ -110,6 +115,45 @@ def test_of_many_logs_some_are_asked_from_all_over_them(lengths_s: tuple[float, 
     assert [one.name for one in some_of(drives)] == [str(i) for i in some]
 
 
+@pytest.mark.parametrize(
+    ("evidence", "faint", "there"), [(352.0, False, True), (50.0, False, False), (90.0, True, False)]
+)
+def test_a_limit_of_the_car_that_the_own_logs_plainly_name_is_the_models(
+    evidence: float, faint: bool, there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The search is made up: what it says of a car whose power is capped, and then beside the cap."""
+    folder, seen = folder_of(tmp_path / "model"), list[int]()
+
+    def looked(model: ModelSpec, *_: Any) -> Generator[str, None, Any]:
+        yield "every link by itself"
+        seen.append(len(model.effects))
+        one = SimpleNamespace(broken=not model.effects, missed="rate_of_speed is missed by 19 %", signal="", amount=0.2)
+        return SimpleNamespace(looked=[one], question=None)
+
+    def named(*_: Any) -> Generator[str, None, Any]:
+        yield "suspects"
+        limit = Effect("power_limit", {"power_w": Value(9e4, 8.8e4, 9.2e4, "W")}, evidence, faint)
+        other = Effect("accel_bias", {"bias_mps2": Value(0.1, 0.09, 0.11, "m/s2")}, 300.0)
+        return SimpleNamespace(
+            effects=(limit, other), still=(), verdict="several", repaired=SimpleNamespace(fitted=None)
+        )
+
+    monkeypatch.setattr("tunefree_hil.gap.look_first.look_first", looked)
+    monkeypatch.setattr("tunefree_hil.gap.name.name", named)
+    monkeypatch.setattr("tunefree_hil.gap.name.restless_of", lambda _: {"brake_gain.gain_frac": 2.0})
+    monkeypatch.setattr("tunefree_hil.gap.own_logs.explained", lambda _: NOTHING)
+    monkeypatch.setattr("tunefree_hil.gap.hill.may_be_hill", lambda *_: False)
+    events = asked(folder, made_drive(20.0, seed=3))
+    found = load_model(folder).effects
+    assert [one.name for one in found] == (["power_limit"] if there else []) and seen == ([0, 1] if there else [0])
+    assert any("power_limit (power_w 9e+04)" in one.message for one in events) is there
+    assert usual_of(load_model(folder)).restless == {"brake_gain.gain_frac": 2.0}
+    if there:
+        assert found[0].interval == {"power_w": [8.8e4, 9.2e4]} and found[0].provenance == {"by": OWN_LOGS}
+        asked(folder, made_drive(20.0, seed=3))
+        assert len(load_model(folder).effects) == 1, "asked again, it is found again and not added to itself"
+
+
 @pytest.mark.slow
 @pytest.mark.compiled
 @pytest.mark.timeout(900)
@@ -148,7 +192,7 @@ def test_what_explains_the_own_logs_is_kept_and_said(tmp_path: Path) -> None:
     usual = usual_of(load_model(folder))
     assert not usual.missed and usual.own["steer_dead_time"]["delay_s"][0] == pytest.approx(LATE_S, abs=0.01)
     assert load_model(folder).effects == []
-    assert events[-1].kind == "warning" and "steer_dead_time; `gap` on them adds it where in events[-1].message
+    assert events[-1].kind == "warning" and "steer_dead_time; `gap` on them adds it where" in events[-1].message
     drive, accel = made_drive(110.0, seed=5), "report.accel_mps2"
     off = drive._replace(fields={**drive.fields, accel: drive.fields[accel] - 0.06})
     events = asked(folder_of(tmp_path / "tilted"), off)
