@@ -15,12 +15,14 @@ from tunefree_hil.gap.decide import Weighed
 from tunefree_hil.gap.drifts import DRIFT
 from tunefree_hil.gap.excitation import Excited
 from tunefree_hil.gap.locate import Looked
+from tunefree_hil.gap.usual import NOTHING
 from tunefree_hil.gap.verdict import (
     SET_NATS,
     alike_words,
     daily_words,
     not_it,
     small_words,
+    still_words,
     verdict_of,
     wavers,
     with_others,
@@ -194,3 +196,11 @@ def test_of_a_name_no_larger_than_a_days_change_that_is_said() -> None:
         "brake_gain: so little of it may come and go from day to day",
     )
     assert small_words({"brake_gain": {"gain_frac": 1.0 + 2.1 * by}}) == ()
+
+
+def test_what_is_missed_beside_a_name_is_said() -> None:
+    yaw = Looked("yaw_rate", Link.REPORT_TO_MOTION, "rad/s", 0.2, 0.1, 0.2, 0.06, True)
+    (words,) = still_words([yaw, QUIET], ["rate_of_speed"])
+    assert words.startswith("yaw_rate is missed by 6.0%") and "nothing that is named here" in words
+    assert still_words([yaw], ["yaw_rate"]) == (), "who works on it is asked for it"
+    assert still_words([yaw], [], NOTHING._replace(own_missed={"yaw_rate": 0.05})) == ()

@@ -36,7 +36,16 @@ from tunefree_hil.gap.targets import LEAST_MPS
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.unseen import NOT_LOOKED, Own, own
 from tunefree_hil.gap.usual import NOTHING, Usual, parted, seen_alone, usual_of, usual_words
-from tunefree_hil.gap.verdict import alike_words, daily_words, not_it, small_words, verdict_of, wavers, with_others
+from tunefree_hil.gap.verdict import (
+    alike_words,
+    daily_words,
+    not_it,
+    small_words,
+    still_words,
+    verdict_of,
+    wavers,
+    with_others,
+)
 from tunefree_hil.gap.work import Setting
 
 Array = np.ndarray
@@ -180,7 +189,8 @@ def _named(
     if verdict in ("one", "several"):
         known = _effects(team, question, steps, repaired)
         sizes = {one.name: {key: value.value for key, value in one.params.items()} for one in known}
-        words = (*words, *small_words(sizes))
+        worked = worked_on(question.null, repaired, question.sizes, blocks)
+        words = (*words, *small_words(sizes), *still_words(after.looked, worked, usual))
     words = (*words, *alike_words([one.name for one in known] or others, drives))
     said_of = {*(one.name for one in known), *others}
     words = (

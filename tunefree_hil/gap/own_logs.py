@@ -7,7 +7,7 @@ does) are still told by these logs, and belong to the model; what is missed then
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +31,7 @@ from tunefree_hil.learn.write_model import OWN_LOGS
 Array = np.ndarray
 
 SENSING = (Link.WHEEL_VS_INS, Link.YAW_VS_INS, Link.ACCEL_VS_DVDT, Link.CLOCK)
+OF_THE_CAR = ("power_limit",)  # what a car just has, and none of the plant's constants stands for
 MOST_SENSORS = 6
 UNTOLD = (4.0 * np.pi) ** -0.5  # deviation in u from which on logs say less of a parameter than its flat prior does
 NORMAL_95 = 1.96
@@ -49,6 +50,37 @@ def explained(found: Named) -> Usual:
     """Of a search that leaves nothing broken: what explains the own logs, and what they are missed by without it."""
     there = by_name(across(found.repaired.fitted, judged(found.question.blocks)))
     return NOTHING._replace(own=there, own_missed={one.signal: one.amount for one in found.looked if one.broken})
+
+
+def limits_named(found: Named, model: ModelSpec) -> list[EffectSpec]:
+    """Those of OF_THE_CAR that a search of the own logs plainly names, and the model does not have: a later log is not
+    to be told that they are missing. A lower one that comes later shows all the same: of two limits the lower counts.
+    """
+    plain = {one.name for one in found.effects if one.evidence > PLAIN_NATS and not one.faint}
+    values = by_name(across(found.repaired.fitted, judged(found.question.blocks)))
+    return [_of_own_logs(name, values[name]) for name in _not_in(model) if name in plain]
+
+
+def limits(asked: OwnLogs) -> Generator[str, None, list[EffectSpec]]:
+    """The same of own logs in which nothing is broken, each limit by itself: a later log may be one at it from end to
+    end.
+    """
+    yield "limits of the car"
+    team = Team(Setting(asked.model, asked.vehicle, tuple(asked.drives)), workers=1)
+    try:
+        question = team.open()
+        names = [one.name for one in question.suspects if one.name in _not_in(asked.model)]
+        blocks = judged(question.blocks)
+        found = weighed(team, question, names, None, blocks) if names else []
+    finally:
+        team.close()
+    plain = [one for one in found if one.counts and one.evidence > PLAIN_NATS and not one.faint]
+    return [_of_own_logs(one.name, by_name(across(one.model.fitted, blocks))[one.name]) for one in plain]
+
+
+def _not_in(model: ModelSpec) -> list[str]:
+    has = {one.name for one in model.effects}
+    return [name for name in OF_THE_CAR if name not in has]
 
 
 def sensors(asked: OwnLogs) -> Generator[str, None, list[EffectSpec]]:
@@ -73,15 +105,17 @@ def sensors(asked: OwnLogs) -> Generator[str, None, list[EffectSpec]]:
     finally:
         team.close()
     values = by_name({} if model is None else across(model.fitted, blocks))
-    return [
-        EffectSpec(
-            name=name,
-            params={key: value for key, (value, _) in params.items()},
-            interval={key: [value - NORMAL_95 * by, value + NORMAL_95 * by] for key, (value, by) in params.items()},
-            provenance={"by": OWN_LOGS},
-        )
-        for name, params in sorted(values.items())  # as the graph has them in series
-    ]
+    return [_of_own_logs(name, by) for name, by in sorted(values.items())]  # as the graph has them in series
+
+
+def _of_own_logs(name: str, params: Mapping[str, tuple[float, float]]) -> EffectSpec:
+    """The entry of [[effects]]. params: value and deviation."""
+    return EffectSpec(
+        name=name,
+        params={key: value for key, (value, _) in params.items()},
+        interval={key: [value - NORMAL_95 * by, value + NORMAL_95 * by] for key, (value, by) in params.items()},
+        provenance={"by": OWN_LOGS},
+    )
 
 
 def _is_plain(one: Weighed) -> bool:

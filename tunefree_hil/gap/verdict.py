@@ -104,6 +104,18 @@ def not_it(
     return ""
 
 
+def still_words(still: Sequence[Looked], worked: Iterable[str], usual: Usual = NOTHING) -> tuple[str, ...]:
+    """What is missed beside the effects that are named, on signals that these do not work on, in words: it is less than
+    what they explain, and the user's to look at all the same.
+    """
+    some = [one for one in still if one.broken and one.signal not in worked]
+    return tuple(
+        f"{one.missed} all the same, and nothing that is named here explains that"
+        for one in some
+        if not usual.was_there(one.signal, one.amount)
+    )
+
+
 def _stays(now: float, was: float, bar: float) -> bool:
     """Whether much of what was missed (of a signal, by any road) is missed still."""
     return now > max(bar, MOST_LEFT * was)

@@ -6,21 +6,23 @@ import json
 from collections.abc import Generator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from tests.gap.made_answer import LATE_S, VEHICLE, late_drive, made_model
+from tests.gap.test_interval import ALL, fitted
 from tests.learn.made_drives import made_drive
 from tests.learn.test_pairs import without
 from tunefree_hil.base.errors import PeerGone
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import EffectSpec, ModelSpec
-from tunefree_hil.gap.interval import Value
 from tunefree_hil.gap.name import Effect
+from tunefree_hil.gap.own_logs import OwnLogs, limits_named
+from tunefree_hil.gap.problem import Free
 from tunefree_hil.gap.usual import KEY, NOTHING, RESTLESS, usual_of
 from tunefree_hil.jobs.gap.own_logs import ASKED, ask_own_logs, some_of, were_asked
 from tunefree_hil.learn.drives import Drive
@@ -115,43 +117,62 @@ def test_of_many_logs_some_are_asked_from_all_over_them(lengths_s: tuple[float, 
     assert [one.name for one in some_of(drives)] == [str(i) for i in some]
 
 
-@pytest.mark.parametrize(
-    ("evidence", "faint", "there"), [(352.0, False, True), (50.0, False, False), (90.0, True, False)]
+LIMIT = EffectSpec(
+    name="power_limit", params={"power_w": 9e4}, interval={"power_w": [8.8e4, 9.2e4]}, provenance={"by": OWN_LOGS}
 )
-def test_a_limit_of_the_car_that_the_own_logs_plainly_name_is_the_models(
-    evidence: float, faint: bool, there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+
+
+@pytest.mark.parametrize("broken", [True, False])
+def test_a_limit_of_the_car_is_its_models_and_what_is_missed_beside_it_is_asked(
+    broken: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The search is made up: what it says of a car whose power is capped, and then beside the cap."""
+    """The searches are made up: what they say of a car whose power is capped, and then beside the cap."""
     folder, seen = folder_of(tmp_path / "model"), list[int]()
 
     def looked(model: ModelSpec, *_: Any) -> Generator[str, None, Any]:
         yield "every link by itself"
         seen.append(len(model.effects))
-        one = SimpleNamespace(broken=not model.effects, missed="rate_of_speed is missed by 19 %", signal="", amount=0.2)
+        one = SimpleNamespace(broken=broken and not model.effects, missed="rate_of_speed is missed by 19 %")
         return SimpleNamespace(looked=[one], question=None)
+
+    def alone(one: OwnLogs) -> Generator[str, None, list[EffectSpec]]:
+        yield "limits of the car"
+        return [] if one.model.effects else [LIMIT]
 
     def named(*_: Any) -> Generator[str, None, Any]:
         yield "suspects"
-        limit = Effect("power_limit", {"power_w": Value(9e4, 8.8e4, 9.2e4, "W")}, evidence, faint)
-        other = Effect("accel_bias", {"bias_mps2": Value(0.1, 0.09, 0.11, "m/s2")}, 300.0)
-        return SimpleNamespace(
-            effects=(limit, other), still=(), verdict="several", repaired=SimpleNamespace(fitted=None)
-        )
+        return SimpleNamespace(still=())
 
     monkeypatch.setattr("tunefree_hil.gap.look_first.look_first", looked)
     monkeypatch.setattr("tunefree_hil.gap.name.name", named)
     monkeypatch.setattr("tunefree_hil.gap.name.restless_of", lambda _: {"brake_gain.gain_frac": 2.0})
-    monkeypatch.setattr("tunefree_hil.gap.own_logs.explained", lambda _: NOTHING)
-    monkeypatch.setattr("tunefree_hil.gap.hill.may_be_hill", lambda *_: False)
-    events = asked(folder, made_drive(20.0, seed=3))
-    found = load_model(folder).effects
-    assert [one.name for one in found] == (["power_limit"] if there else []) and seen == ([0, 1] if there else [0])
-    assert any("power_limit (power_w 9e+04)" in one.message for one in events) is there
-    assert usual_of(load_model(folder)).restless == {"brake_gain.gain_frac": 2.0}
-    if there:
-        assert found[0].interval == {"power_w": [8.8e4, 9.2e4]} and found[0].provenance == {"by": OWN_LOGS}
-        asked(folder, made_drive(20.0, seed=3))
-        assert len(load_model(folder).effects) == 1, "asked again, it is found again and not added to itself"
+    monkeypatch.setattr("tunefree_hil.gap.own_logs.limits", alone)
+    monkeypatch.setattr("tunefree_hil.gap.own_logs.limits_named", lambda *_: [LIMIT])
+    for _ in range(2):  # asked again, it is found again and not added to itself
+        events = asked(folder, made_drive(20.0, seed=3))
+        assert load_model(folder).effects == [LIMIT]
+        assert any("power_limit (power_w 9e+04)" in one.message for one in events)
+        assert usual_of(load_model(folder)).restless == {"brake_gain.gain_frac": 2.0}
+    assert seen == [0, 1, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("evidence", "faint", "has"),
+    [(352.0, False, False), (50.0, False, False), (352.0, False, True), (90.0, True, False)],
+)
+def test_only_a_limit_that_is_plain_and_new_is_taken(evidence: float, faint: bool, has: bool) -> None:
+    free = Free("power_limit.power_w", 1e4, 2e5, True, np.inf, -0.35, 1.35)
+    model = made_model()
+    found = SimpleNamespace(
+        effects=[Effect("power_limit", {}, evidence, faint), Effect("grade", {}, 500.0)],
+        repaired=SimpleNamespace(fitted=fitted(free, curve=1e4, z=free.place(9e4))),
+        question=SimpleNamespace(blocks=SimpleNamespace(roles=np.zeros(len(ALL), dtype=int))),
+    )
+    own = limits_named(cast(Any, found), replace(model, effects=[LIMIT]) if has else model)
+    assert [one.name for one in own] == (["power_limit"] if evidence > 60.0 and not faint and not has else [])
+    for one in own:
+        low, high = one.interval["power_w"]
+        assert low < one.params["power_w"] < high and one.params["power_w"] == pytest.approx(9e4)
 
 
 @pytest.mark.slow

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 LABEL = "what the model misses of its own logs"
 ASKED, BY_CALIBRATE = "own_logs_asked", "free_run_rms"  # of card.json
-OF_THE_CAR = ("power_limit",)  # what a car just has, and none of the plant's constants stands for
 MOST_S = 900.0  # of driving that is asked: what a model misses of its own logs shows in a quarter of an hour
 T = TypeVar("T")
 
@@ -103,7 +102,7 @@ def _asked(folder: Path, vehicle: VehicleSpec, opened: Sequence[Opened]) -> Gene
     from tunefree_hil.config.load import load_model
     from tunefree_hil.gap.look_first import look_first
     from tunefree_hil.gap.name import name, restless_of
-    from tunefree_hil.gap.own_logs import OwnLogs, explained
+    from tunefree_hil.gap.own_logs import OwnLogs, explained, limits, limits_named
     from tunefree_hil.gap.usual import NOTHING
 
     asked = OwnLogs(load_model(folder), vehicle, opened)
@@ -111,20 +110,27 @@ def _asked(folder: Path, vehicle: VehicleSpec, opened: Sequence[Opened]) -> Gene
     looked = first.looked[0]
     _kept(folder, NOTHING._replace(restless=restless_of(first.question)))
     if not looked.broken:
+        yield from _of_the_car(folder, asked, (yield from _with_progress(limits(asked))))
         return
     yield Event("note", f"{looked.missed}: the model's own logs are asked for what it lacks")
     found = yield from _with_progress(name(*asked))
     if any(one.broken for one in found.still):
         yield from _poor(folder, asked)
         return
-    if limits := _limits_of_the_car(found, asked.model):
-        write_effects(folder, asked.model, [*asked.model.effects, *limits])
-        yield Event("note", f"of the car, by its own logs: {', '.join(_words(one) for one in limits)}")
-        yield from _asked(folder, vehicle, opened)  # what is missed beside it
+    if own := limits_named(found, asked.model):
+        yield from _of_the_car(folder, asked, own)
         return
     _kept(folder, explained(found))
     if words := _named_words(found, asked.model):
         yield Event("warning", f"what no calibration takes in is in these logs: {words}")
+
+
+def _of_the_car(folder: Path, asked: OwnLogs, own: Sequence[EffectSpec]) -> Generator[Event, None, None]:
+    """Limits of the car go into its model; what is missed beside them is asked once more."""
+    if own:
+        write_effects(folder, asked.model, [*asked.model.effects, *own])
+        yield Event("note", f"of the car, by its own logs: {', '.join(_words(one) for one in own)}")
+        yield from _asked(folder, asked.vehicle, asked.drives)
 
 
 def _named_words(found: Named, model: ModelSpec) -> str:
@@ -139,27 +145,6 @@ def _named_words(found: Named, model: ModelSpec) -> str:
     if OFFSET in named and may_be_hill(found.repaired.fitted, model):
         return f"{', '.join(named)}; {OFFSET} may as well be a {HILL} that all of them have"
     return f"{', '.join(named)}; `gap` on them adds it where its proof bears it out"
-
-
-def _limits_of_the_car(found: Named, model: ModelSpec) -> list[EffectSpec]:
-    """Those of OF_THE_CAR that the own logs plainly name, and the model does not have: a later log is not to be told
-    that they are missing. A lower one that comes later shows all the same, as of two limits the lower one counts.
-    """
-    from tunefree_hil.config.schema import EffectSpec
-    from tunefree_hil.gap.decide import PLAIN_NATS
-    from tunefree_hil.learn.write_model import OWN_LOGS
-
-    has = {one.name for one in model.effects}
-    return [
-        EffectSpec(
-            name=one.name,
-            params={key: value.value for key, value in one.params.items()},
-            interval={key: [value.low, value.high] for key, value in one.params.items()},
-            provenance={"by": OWN_LOGS},
-        )
-        for one in found.effects
-        if one.name in OF_THE_CAR and one.name not in has and one.evidence > PLAIN_NATS and not one.faint
-    ]
 
 
 def _poor(folder: Path, asked: OwnLogs) -> Generator[Event, None, None]:
