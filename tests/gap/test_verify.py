@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from tests.gap.made_answer import LATE_S, VEHICLE, late_drive, made_kept, made_model
-from tests.learn.made_drives import NOISE
+from tests.learn.made_drives import NOISE, REST, made_drive
+from tunefree_hil.base.records import GEAR_DRIVE, NAN, Command
 from tunefree_hil.config.schema import EffectSpec
 from tunefree_hil.gap.chain import Opened, open_chain
 from tunefree_hil.gap.dealt import dealt
@@ -253,3 +254,18 @@ def test_mathematics_that_refuse_a_number_end_a_run_and_not_the_proof() -> None:
     body = car.body._replace(block=car.body.block._replace(step=failing))
     said = run_over(car._replace(body=body), drive, np.ones(drive.ticks, dtype=bool))
     assert np.isfinite(said[STEER][:51]).all() and np.isnan(said[STEER][51:]).all()
+
+
+def test_a_car_that_stands_on_its_brakes_is_not_stopped_anew_in_each_tick() -> None:
+    """Its wheels say a few centimetres a second; a late report would carry that braking into the block."""
+    made = made_drive(12.0, script=lambda _: Command(REST, REST + 0.2, 0.0, GEAR_DRIVE, NAN, NAN), speed_mps=0.0)
+    chance = np.random.default_rng(1)
+    fields = {
+        name: np.abs(0.02 * chance.standard_normal(made.ticks)) if name.endswith(".speed_mps") else values
+        for name, values in made.fields.items()
+    }
+    stands = open_chain(made._replace(fields=fields), VEHICLE)
+    late = EffectSpec(name="report_latency", params={"delay_s": 0.07})
+    held = np.arange(made.ticks) < 600
+    said = run_over(car_of(made_model(), VEHICLE, stands, [late]), stands, held)
+    assert np.abs(said["report.accel_mps2"][600:700]).max() < 0.1 and np.abs(said["ins.speed_mps"][600:]).max() < 0.01

@@ -33,6 +33,7 @@ Array = np.ndarray
 
 REPORTED = tuple(f"report.{name}" for name in Report._fields)
 PLACED = tuple(f"ins.{name}" for name in Ins._fields)
+STILL_MPS = 0.05  # of a measured speed, of a road car: less is a wheel that rattles, and brakes would stop it each tick
 COURSE_S, LEAST_WAY_M = 4.0, 2.0  # places tell a course over such a time, once they are so far apart
 
 
@@ -124,7 +125,8 @@ def _told(car: Car, opened: Opened) -> tuple[list[list[float]], list[Motion], li
     x = opened.inputs
     by_report, by_ins = (late / x.dt_s for late in car.late_s)
     columns = [ahead(x.commands[:, i], by_report) if x.echoed[i] else x.commands[:, i] for i in range(3)]
-    motion = np.column_stack([*pose_of(opened), x.speed_mps, x.side_speed_mps, x.yaw_rate_radps, x.rate_mps2])
+    speed = np.where(np.abs(x.speed_mps) < STILL_MPS * opened.pace, 0.0, x.speed_mps)
+    motion = np.column_stack([*pose_of(opened), speed, x.side_speed_mps, x.yaw_rate_radps, x.rate_mps2])
     motion = ahead(motion, by_ins if x.by_ins else by_report)
     motions = [Motion._make((*row[:6], 0.0, 0.0, row[6], 0.0, 0.0, 0.0, 0.0)) for row in motion.tolist()]
     return np.stack(columns, axis=1).tolist(), motions, x.gear.tolist()
