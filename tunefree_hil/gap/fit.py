@@ -33,7 +33,7 @@ from tunefree_hil.gap.work import Residuals
 
 Array = np.ndarray
 
-TURNS, ON_TURNS = 8, 20  # steps at most, of a candidate and of a model fitted on
+TURNS, ON_TURNS = 8, 40  # steps at most, of a candidate and of a model fitted on
 SETTLING = 3  # of them, after which the noise is taken as it is
 ENOUGH = 0.5  # in squares: a step that gains less is the last one
 DAMPINGS = (0.0, 1e-2, 1e-1, 1.0, 10.0)  # of the normal equations, tried in turn
@@ -111,19 +111,23 @@ def _cost(scan: Scan, at: Point, colours: dict[str, Colour]) -> float:
 
 
 def _fitted_on(problem: Problem, name: str, at: Point) -> tuple[Fitted, Slopes]:
-    """Steps with all slopes kept while they help, then anew, until fresh ones do not help either."""
+    """Steps with all slopes kept while they help, then anew, until fresh ones do not help either, nor under the noise
+    that is left there: what was loud on the way hides how much more there is to gain.
+    """
     every = list(range(len(at.keys)))
     slopes = problem.slopes(at.keys, at.z, at.free, every, at.residuals)
-    colours, blocks, fresh = problem.colours(at.residuals), problem.judged(), True
+    colours, blocks, fresh, heard = problem.colours(at.residuals), problem.judged(), True, False
     for turn in range(ON_TURNS):
         there, gain = _stepped(problem, at, problem.sums(at.residuals, slopes, colours), blocks)
         if gain >= ENOUGH:
-            at, fresh = there, False
+            at, fresh, heard = there, False, False
         elif not fresh:
             slopes, fresh = problem.slopes(at.keys, at.z, at.free, every, at.residuals), True
-        elif turn >= SETTLING:
+        elif heard and turn >= SETTLING:
             break
-        if turn < SETTLING:
+        else:
+            heard = True
+        if turn < SETTLING or heard:
             colours = problem.colours(at.residuals)
     if not fresh:
         slopes = problem.slopes(at.keys, at.z, at.free, every, at.residuals)
