@@ -22,6 +22,7 @@ from tunefree_hil.gap.decide import (
     weigh,
     worked_on,
 )
+from tunefree_hil.gap.evidence import stretched
 from tunefree_hil.gap.leftover import Left
 from tunefree_hil.gap.noise import Colour
 from tunefree_hil.gap.problem import Fitted, Free, Sums
@@ -260,3 +261,19 @@ def test_a_name_is_never_further_off_than_a_hair(
     held = one._replace(evidence=200.0, gain=one.gain._replace(total=200.0, low=150.0), worst=0.0, further=False)
     rare = held._replace(shrink=(0.5, 0.0, 1.0), rest=1.05 * RARE, unbroken=True)
     assert rare.counts and rare.nearly, "what two blocks hold"
+
+
+def test_a_target_is_weighed_by_the_noise_of_who_explains_it_not_of_who_is_best_elsewhere() -> None:
+    """A wheel that is a scale off says the same in every row: where that is not explained all of them count as one."""
+    as_one = {"a": 1.0, "b": 1000.0}
+    start, best = (
+        one._replace(fitted=stretched(one.fitted, as_one))
+        for one in (model("", np.full(BLOCKS, 8.0 * ROWS), 8.0 * ROWS), model("best", spread(0.5), 8.0 * ROWS))
+    )
+    other = model("other", np.full(BLOCKS, 8.0 * ROWS), ROWS)
+    by_name = {one.name: one for one in weigh({"best": best, "other": other}, start, start, SIZES, ALL)}
+    assert by_name["best"].counts and by_name["other"].counts and by_name["other"].evidence > PLAIN_NATS
+    assert by_name["other"].shrinks["b"] == by_name["other"].shrink[0] > by_name["other"].shrinks["a"]
+    little = model("other", np.full(BLOCKS, 8.0 * ROWS), 6.0 * ROWS)
+    idle = next(one for one in weigh({"best": best, "other": little}, start, start, SIZES, ALL) if one.name == "other")
+    assert idle.evidence < 0.1 * by_name["other"].evidence

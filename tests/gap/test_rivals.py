@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tests.gap.test_decide import ALL, NULL, ROWS, SIZES, model, spread, weighed
 from tunefree_hil.gap.decide import MOST_WORSE, PLAIN_NATS, weigh
-from tunefree_hil.gap.rivals import outdone, rivals
+from tunefree_hil.gap.rivals import SAME, outdone, rivals
 
 
 def test_who_explains_nothing_is_no_rival() -> None:
@@ -54,3 +54,14 @@ def test_who_explains_more_on_no_less_evidence_is_a_rival_though_a_rule_forbids_
     assert not more.nearly and rivals([best, more], ALL) == ["other"]
     less = (more._replace(evidence=0.0), more._replace(shrink=best.shrink), more._replace(target="b"))
     assert not any(rivals([best, one], ALL) for one in less) and not rivals([best._replace(further=True), more], ALL)
+
+
+def test_who_is_about_another_signal_is_nobodys_rival_and_outdoes_nobody() -> None:
+    best, other = weighed(one=spread(1.0, 1), other=spread(1.0, 2))
+    assert rivals([best, other], ALL) == [other.name]
+    elsewhere = other._replace(target="b", shrinks={"a": 0.5 * SAME * best.shrink[0], "b": 0.9})
+    assert rivals([best, elsewhere], ALL) == []
+    more = other._replace(worst=1.0, evidence=10.0 * best.evidence)
+    assert outdone([best, more]) == other.name and not outdone([best, more._replace(shrinks=elsewhere.shrinks)])
+    both = elsewhere._replace(shrinks={"a": 1.5 * SAME * best.shrink[0], "b": 0.9})
+    assert rivals([best, both], ALL) == [other.name], "what it does elsewhere may be the rest of what it did here"

@@ -35,6 +35,7 @@ MATTERS = 0.004  # of the signal: what an effect explains there, root mean squar
 MOST_WORSE = 0.05  # of any target's: what explains one thing by spoiling another explains nothing
 NEARLY_ALL, SPARED = 0.9, 0.2  # of a target surely explained: then it may be so much, of another that hardly is missed
 SPOILT = 0.1  # of what is explained, each by its signal: recalibration trades so much between signals by itself
+HALF = 0.5  # of a target's error: who misses less than that of what the best misses there knows its noise better
 MOST_LEFT = 0.25  # of what could be explained of a target before: more, and the name was not it
 BY_A_HAIR = 0.8  # of every bar: who misses none by more is no name, but a name's rival
 RARE = 0.3  # of that, without the block that gains most: what two blocks hold clearly is no chance
@@ -42,7 +43,7 @@ ALL_OF_IT = 0.95  # of a broken target's error: what one block alone holds, and 
 FELT = 1.0  # squares, all blocks together, that an effect moves by itself: less is nothing that a target feels
 NOISY = 3.0  # standard deviations between blocks: a further effect that gains less is the noise of the first one's fit
 
-NOBODY: Mapping[str, float] = {}
+NO_NUMBERS: Mapping[str, float] = {}
 
 
 class Weighed(NamedTuple):
@@ -53,7 +54,7 @@ class Weighed(NamedTuple):
     alone misses no more of the target than a model may.
 
     others: names that explain as much in its place; known once a search is done (search.py). placed: evidence of all
-    who were asked there, itself among them.
+    who were asked there, itself among them. shrinks: by target, what `shrink` is of its own; empty where nobody asked.
     """
 
     name: str
@@ -67,9 +68,10 @@ class Weighed(NamedTuple):
     further: bool = False
     rest: float = 0.0
     others: tuple[str, ...] = ()
-    placed: Mapping[str, float] = NOBODY
+    placed: Mapping[str, float] = NO_NUMBERS
     unbroken: bool = False
     worst_missed: float = 0.0
+    shrinks: Mapping[str, float] = NO_NUMBERS
 
     @property
     def counts(self) -> bool:
@@ -133,7 +135,8 @@ def weigh(
 
     Who is the best is asked by the noise of each, and of start by the same: the noise's own logarithm counts once for
     every row that stands for itself, and where that number differs the unit of a signal would decide. By the noise of
-    `start` alone a bias would hide who takes it away: its rows all say the same, as one.
+    `start` alone a bias would hide who takes it away: its rows all say the same, as one. So would that of the best in a
+    target which is another one's: there it is by the noise of whoever explains most of it.
     """
     if not candidates:
         return []
@@ -143,7 +146,7 @@ def weigh(
         base = stretched(start.fitted, stretches(one.fitted))
         return log_evidence(one.fitted, blocks) - log_evidence(base, blocks)
 
-    by = stretches(max(candidates.values(), key=over_start).fitted)
+    by = _noise_of(candidates, max(candidates, key=lambda name: over_start(candidates[name])), blocks)
     base = stretched(start.fitted, by)
     before = log_evidence(base, blocks)
     found = []
@@ -164,9 +167,20 @@ def weigh(
                 bool(own) and _explained(start, one, target, sizes, blocks) > MATTERS, bool(start.fitted.free),
                 shrink_of_the_rest(start, one, target, blocks, null),
                 unbroken=broken is not None and target not in broken, worst_missed=max(missed, default=0.0),
+                shrinks={t: value for t, (value, _, _) in shrinks.items()},
             )
         )  # fmt: skip
     return sorted(found, key=lambda one: (not one.counts, -one.evidence))
+
+
+def _noise_of(candidates: Mapping[str, Modelled], best: str, blocks: Array) -> dict[str, float]:
+    """How much residuals hang together, by target: of the best, or of who misses less than half of what that misses."""
+    by = stretches(candidates[best].fitted)
+    for target in by:
+        least = min(candidates, key=lambda name: _mean_square(candidates[name], target, blocks))
+        if _mean_square(candidates[least], target, blocks) < HALF**2 * _mean_square(candidates[best], target, blocks):
+            by[target] = min(by[target], stretches(candidates[least].fitted)[target])
+    return by
 
 
 def felt(model: Modelled, blocks: Array, name: str = "") -> list[str]:
