@@ -23,6 +23,7 @@ from tunefree_hil.gap.usual import (
     KEY,
     NEWS,
     NOTHING,
+    PLAINLY,
     TIMES,
     Usual,
     as_data,
@@ -87,9 +88,13 @@ def test_whom_the_own_logs_could_not_show_is_no_news() -> None:
     assert not news and "do not hold what would show it" in words[0]
 
 
-def test_where_the_model_came_near_its_own_logs_everything_is_news() -> None:
-    elsewhere = usual(VALUE)._replace(broken=frozenset({"another signal"}))
-    assert parted([STEP], FOUND, elsewhere, ALL) == ([STEP], ())
+def test_where_the_model_came_near_its_own_logs_all_is_news_that_they_did_not_plainly_have() -> None:
+    elsewhere = frozenset({"another signal"})
+    for known in (usual(VALUE, 1.1 * VALUE / PLAINLY), usual(VALUE)._replace(effects={})):
+        assert parted([STEP], FOUND, known._replace(broken=elsewhere), ALL) == ([STEP], ())
+    plainly = usual(VALUE, 0.9 * VALUE / PLAINLY)._replace(broken=elsewhere)
+    news, words = parted([STEP], FOUND, plainly, ALL)
+    assert news == [] and words[0].startswith("steer_dead_time is no news")
 
 
 def test_what_is_missed_as_usual_speaks_against_nobody() -> None:

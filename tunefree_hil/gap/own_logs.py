@@ -32,6 +32,7 @@ Array = np.ndarray
 
 SENSING = (Link.WHEEL_VS_INS, Link.YAW_VS_INS, Link.ACCEL_VS_DVDT, Link.CLOCK)
 OF_THE_CAR = ("power_limit",)  # what a car just has, and none of the plant's constants stands for
+OF_TYRES = ("tyre_relaxation",)  # what any tyre has, and no plant of ours by itself
 MOST_SENSORS = 6
 UNTOLD = (4.0 * np.pi) ** -0.5  # deviation in u from which on logs say less of a parameter than its flat prior does
 NORMAL_95 = 1.96
@@ -75,6 +76,26 @@ def limits(asked: OwnLogs) -> Generator[str, None, list[EffectSpec]]:
     finally:
         team.close()
     plain = [one for one in found if one.counts and one.evidence > PLAIN_NATS and not one.faint]
+    return [_of_own_logs(one.name, by_name(across(one.model.fitted, blocks))[one.name]) for one in plain]
+
+
+def tyres(asked: OwnLogs) -> Generator[str, None, list[EffectSpec]]:
+    """Of a model that misses its own logs: those of OF_TYRES that they plainly hold where it comes near them. Of each
+    later log they would explain as much, and stand before whatever came later.
+    """
+    yield "its tyres"
+    team = Team(Setting(asked.model, asked.vehicle, tuple(asked.drives)), workers=1)
+    has = {one.name for one in asked.model.effects}
+    try:
+        question = team.open()
+        blocks = judged(question.blocks)
+        _, looked = looked_at(team, question, question.null, blocks)
+        question = question._replace(broken=frozenset(one.signal for one in looked if one.broken))
+        names = [one.name for one in question.suspects if one.name in OF_TYRES and one.name not in has]
+        found = weighed(team, question, names, None, blocks) if names else []
+    finally:
+        team.close()
+    plain = [one for one in found if one.counts and one.unbroken and one.evidence > PLAIN_NATS]
     return [_of_own_logs(one.name, by_name(across(one.model.fitted, blocks))[one.name]) for one in plain]
 
 

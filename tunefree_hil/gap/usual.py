@@ -19,6 +19,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.gap.card import card_of
 from tunefree_hil.gap.decide import Weighed
 from tunefree_hil.gap.evidence import LEAST_NATS
+from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.interval import across
 from tunefree_hil.gap.problem import Fitted
 from tunefree_hil.learn.write_model import OWN_EFFECTS
@@ -32,6 +33,7 @@ KEY = "usual"  # of card.json
 RESTLESS, OWN_MISSED = "restless", "own_missed"  # of it as well
 PEDALS = ("throttle_gain.gain_frac", "brake_gain.gain_frac")  # the same force along the car shows in either
 TIMES = 2.0  # as much missed as usual is as usual: another drive shakes more, or less
+PLAINLY = 5.0  # deviations from neutral: of forty effects one is three off by chance
 NEWS = 3.0  # deviations, of both values together, from which on a value is another one
 
 Known = tuple[float, float]  # (value, deviation), both in the parameter's unit
@@ -143,7 +145,8 @@ def parted(
     steps: Sequence[Weighed], model: Fitted, usual: Usual, blocks: Array, *, explained: bool = False
 ) -> tuple[list[Weighed], tuple[str, ...]]:
     """(steps that are named, in words why others are not, or that they are no news). model: with all of them. A step
-    that gains where the model came near its own logs is news whatever it is: there they had none of it.
+    that gains where the model came near its own logs is news, unless they plainly had as much of it: the same tyres
+    that cornered less.
 
     explained: whether nothing is broken with all of them in the model. Then they are what it lacks, news or not, as
     they were if the own logs had shown them as clearly.
@@ -152,7 +155,8 @@ def parted(
         return list(steps), ()
     values, news, words = across(model, blocks), list[Weighed](), list[str]()
     for step in steps:
-        why = _no_news(step.name, values, usual) if step.target in usual.broken else ""
+        asked = step.target in usual.broken or _plainly_there(step.name, usual)
+        why = _no_news(step.name, values, usual) if asked else ""
         if why:
             words.append(f"{step.name} is no news: {why}")
         if explained or not why:
@@ -174,6 +178,12 @@ def seen_alone(
         return list(news), ()
     names = " and ".join(left_out)
     return [], tuple(f"{one.name} shows only beside {names}, which is not put in" for one in news)
+
+
+def _plainly_there(name: str, usual: Usual) -> bool:
+    """Whether the own logs plainly had an effect: a parameter of it is none that changes nothing."""
+    neutral = effects()[name].neutral
+    return any(abs(value - neutral[key]) > PLAINLY * by for key, (value, by) in usual.effects.get(name, {}).items())
 
 
 def _no_news(name: str, values: Mapping[str, Known], usual: Usual) -> str:

@@ -175,6 +175,38 @@ def test_only_a_limit_that_is_plain_and_new_is_taken(evidence: float, faint: boo
         assert low < one.params["power_w"] < high and one.params["power_w"] == pytest.approx(9e4)
 
 
+def test_of_a_model_that_stays_poor_its_tyres_are_told_beside_its_sensors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The searches are made up: each is asked of the model with what the one before it found."""
+    folder, seen = folder_of(tmp_path / "model"), list[list[str]]()
+    tyres = replace(LIMIT, name="tyre_relaxation", params={"length_m": 0.3}, interval={"length_m": [0.28, 0.32]})
+    bias = replace(LIMIT, name="accel_bias", params={"bias_mps2": 0.2}, interval={"bias_mps2": [0.19, 0.21]})
+
+    def poor(*_: Any) -> Generator[str, None, Any]:
+        yield "suspects"
+        one = SimpleNamespace(broken=True, missed="rate_of_speed is missed by 19 %")
+        return SimpleNamespace(looked=[one], still=[one], question=None)
+
+    def told(found: Any) -> Any:
+        def search(one: OwnLogs) -> Generator[str, None, Any]:
+            yield "asked"
+            seen.append([effect.name for effect in one.model.effects])
+            return found
+
+        return search
+
+    monkeypatch.setattr("tunefree_hil.gap.look_first.look_first", poor)
+    monkeypatch.setattr("tunefree_hil.gap.name.name", poor)
+    monkeypatch.setattr("tunefree_hil.gap.name.restless_of", lambda _: {})
+    for name, found in (("sensors", [bias]), ("tyres", [tyres]), ("usual", NOTHING)):
+        monkeypatch.setattr(f"tunefree_hil.gap.own_logs.{name}", told(found))
+    events = asked(folder, made_drive(20.0, seed=3))
+    assert load_model(folder).effects == [bias, tyres]
+    assert seen == [[], ["accel_bias"], ["accel_bias", "tyre_relaxation"]]
+    assert any("its tyres, by its own logs: tyre_relaxation (length_m 0.3)" in one.message for one in events)
+
+
 @pytest.mark.slow
 @pytest.mark.compiled
 @pytest.mark.timeout(900)

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from tests.gap.made_answer import answer
+from tunefree_hil.base.contracts import Link
+from tunefree_hil.gap.locate import Looked
+from tunefree_hil.gap.usual import Usual
+from tunefree_hil.gap.verdict import verdict_of
 from tunefree_hil.jobs.gap.words import percent, remarks, sentence_of, value_words
 
 CLOSED = {"value": 0.97, "low": 0.9, "high": 0.99}
@@ -68,3 +72,18 @@ def test_what_is_in_the_sentence_is_not_told_beside_it() -> None:
     assert remarks(answer("none_missing", words=["nothing beyond noise"], moved=[MOVED, "more"])) == [MOVED, "more"]
     many = remarks(answer("one", moved=[MOVED] * 7))
     assert many[:-1] == [MOVED] * 3 and many[-1] == "recalibration moves others about as far: 4 (`moved` in gap.json)"
+
+
+def test_what_is_missed_as_usual_is_not_said_as_an_alarm() -> None:
+    """The words are those of gap/verdict.py."""
+    lost = Looked("yaw_rate", Link.REPORT_TO_MOTION, "rad/s", 0.2, 0.1, 0.2, 0.3, True)
+    known = Usual({"yaw_rate": 0.2}, {})
+    verdict, _, words = verdict_of([], [], [lost], "", {}, (), {}, known)
+    links = [{"signal": "yaw_rate", "broken": True}, {"signal": "steer", "broken": False}]
+    same = answer(verdict, words=list(words), links=links, as_usual=["yaw_rate"], where={"card": ""})
+    told = sentence_of(same)
+    assert told.startswith("nothing came that this model did not miss before: yaw_rate is missed by 30.0%")
+    beyond = {**same, "links": [*links, {"signal": "steer", "broken": True}]}
+    other = {**same, "words": ["steer_lag comes nearest, and still yaw_rate is missed"]}
+    for one in (beyond, other, {**same, "as_usual": []}):
+        assert sentence_of(one).startswith("something is missing that is none of the catalogue")

@@ -148,15 +148,18 @@ def _named_words(found: Named, model: ModelSpec) -> str:
 
 
 def _poor(folder: Path, asked: OwnLogs) -> Generator[Event, None, None]:
-    """Of a model that misses its own logs for no reason in the catalogue: its sensors' numbers, then what is usual."""
+    """Of a model that misses its own logs for no reason in the catalogue: its sensors' and tyres' numbers, then what is
+    usual.
+    """
     from tunefree_hil.config.load import load_model
-    from tunefree_hil.gap.own_logs import sensors, usual
+    from tunefree_hil.gap.own_logs import sensors, tyres, usual
     from tunefree_hil.gap.usual import usual_words
 
-    found = yield from _with_progress(sensors(asked))
-    if found:
-        write_effects(folder, asked.model, [*asked.model.effects, *found])
-        yield Event("note", f"its sensors, by its own logs: {', '.join(_words(one) for one in found)}")
+    for what, search in (("its sensors", sensors), ("its tyres", tyres)):
+        asked = asked._replace(model=load_model(folder))
+        if found := (yield from _with_progress(search(asked))):
+            write_effects(folder, asked.model, [*asked.model.effects, *found])
+            yield Event("note", f"{what}, by its own logs: {', '.join(_words(one) for one in found)}")
     told = yield from _with_progress(usual(asked._replace(model=load_model(folder))))
     _kept(folder, told)
     yield from (Event("warning", f"{words}, for no reason in the catalogue") for words in usual_words(told))

@@ -38,11 +38,20 @@ def sentence_of(answer: Mapping[str, Any]) -> str:
         return f"{told}; these logs could not have shown {_few(unseen)}" if unseen else told
     if verdict == "none_of_these" and answer.get("missed_in_proof"):
         return f"something is missing that the search could not see: {answer['words'][0]}"
+    if verdict == "none_of_these" and _is_no_news(answer):
+        return f"nothing came that this model did not miss before: {'; '.join(answer['words'])}"
     if verdict == "none_of_these":
         return f"something is missing that is none of the catalogue: {'; '.join(answer['words'])}{_place(answer)}"
     if verdict == "cannot_test":
         return f"these logs cannot tell: {'; '.join(answer['words'])}"
     return f"simulation and measurement part here: {answer['where']['card']}"
+
+
+def _is_no_news(answer: Mapping[str, Any]) -> bool:
+    """Whether all that is missed is missed as usual, and nothing else speaks for something that came later."""
+    broken = {one["signal"] for one in answer["links"] if one["broken"]}
+    as_usual = answer["words"][0].endswith("as usual with this model")
+    return as_usual and bool(broken) and broken <= set(answer["as_usual"])
 
 
 def value_words(effect: Mapping[str, Any]) -> str:
