@@ -39,7 +39,8 @@ def sentence_of(answer: Mapping[str, Any]) -> str:
     if verdict == "none_of_these" and answer.get("missed_in_proof"):
         return f"something is missing that the search could not see: {answer['words'][0]}"
     if verdict == "none_of_these" and _is_no_news(answer):
-        return f"nothing came that this model did not miss before: {'; '.join(answer['words'])}"
+        told = "nothing shows above what this model misses of its own logs, and what is less does not show"
+        return f"{told}: {'; '.join(answer['words'])}"
     if verdict == "none_of_these":
         return f"something is missing that is none of the catalogue: {'; '.join(answer['words'])}{_place(answer)}"
     if verdict == "cannot_test":
