@@ -19,6 +19,7 @@ from tunefree_hil.config.load import load_model
 from tunefree_hil.gap.evidence import LEAST_NATS
 from tunefree_hil.gap.interval import across
 from tunefree_hil.gap.locate import Looked
+from tunefree_hil.gap.problem import Free
 from tunefree_hil.gap.usual import (
     KEY,
     NEWS,
@@ -92,6 +93,11 @@ def test_where_the_model_came_near_its_own_logs_all_is_news_that_they_did_not_pl
     elsewhere = frozenset({"another signal"})
     for known in (usual(VALUE, 1.1 * VALUE / PLAINLY), usual(VALUE)._replace(effects={})):
         assert parted([STEP], FOUND, known._replace(broken=elsewhere), ALL) == ([STEP], ())
+    limit = STEP._replace(name="steer_rate_limit")
+    rate = Free("steer_rate_limit.rate_radps", 0.1, 20.0, True, np.inf, -0.35, 1.35)
+    at_it = fitted(rate, z=rate.place(6.9))
+    endless = Usual({}, {"steer_rate_limit": {"rate_radps": (6.9, 0.0)}}, elsewhere)
+    assert parted([limit], at_it, endless, ALL) == ([limit], ()), "the own logs say nothing of it"
     plainly = usual(VALUE, 0.9 * VALUE / PLAINLY)._replace(broken=elsewhere)
     news, words = parted([STEP], FOUND, plainly, ALL)
     assert news == [] and words[0].startswith("steer_dead_time is no news")

@@ -34,7 +34,7 @@ from tunefree_hil.gap.work import Residuals
 Array = np.ndarray
 
 TURNS, ON_TURNS = 8, 40  # steps at most, of a candidate and of a model fitted on
-SETTLING = 3  # of them, after which the noise is taken as it is
+SETTLING = 3  # of them, after which the noise is taken as it is until nothing more is gained
 ENOUGH = 0.5  # in squares: a step that gains less is the last one
 DAMPINGS = (0.0, 1e-2, 1e-1, 1.0, 10.0)  # of the normal equations, tried in turn
 

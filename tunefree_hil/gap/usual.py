@@ -181,9 +181,12 @@ def seen_alone(
 
 
 def _plainly_there(name: str, usual: Usual) -> bool:
-    """Whether the own logs plainly had an effect: a parameter of it is none that changes nothing."""
-    neutral = effects()[name].neutral
-    return any(abs(value - neutral[key]) > PLAINLY * by for key, (value, by) in usual.effects.get(name, {}).items())
+    """Whether the own logs plainly had an effect: a parameter of it is none that changes nothing. Of a limit, which
+    changes nothing at infinity, no number of deviations says so.
+    """
+    neutral, known = effects()[name].neutral, usual.effects.get(name, {})
+    told = {key: one for key, one in known.items() if math.isfinite(neutral[key])}
+    return any(abs(value - neutral[key]) > PLAINLY * by for key, (value, by) in told.items())
 
 
 def _no_news(name: str, values: Mapping[str, Known], usual: Usual) -> str:
