@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from tunefree_hil.gap.ask import Modelled
 from tunefree_hil.gap.decide import (
+    MAY_GROW,
     MOST_WORSE,
     PLAIN_NATS,
     RARE,
@@ -161,6 +162,16 @@ def test_a_target_that_is_missed_is_never_spared() -> None:
     for broken, counts in ((None, False), ({"a", "b"}, False), ({"a"}, True)):
         (found,) = weigh({"x": spoils}, null, null, SIZES, ALL, broken)
         assert found.worst > MOST_WORSE and found.counts == counts
+
+
+def test_what_the_model_misses_as_usual_may_be_a_little_worse() -> None:
+    """`b` grows by a fifth, or half as much again and more; `a` is all but gone."""
+    null = model("", spread(8.0), other=1.0 * ROWS)
+    for grown, counts in ((1.2, True), (1.1 * (1.0 + MAY_GROW), False)):
+        some = {"x": model("x", spread(0.01), other=grown * ROWS)}
+        (strict,), (found,) = (weigh(some, null, null, SIZES, ALL, {"a", "b"}, usually) for usually in ((), {"b"}))
+        assert not strict.counts and strict.worst_missed == strict.worst == pytest.approx(grown - 1.0)
+        assert found.counts == counts and (found.worst == 0.0) == counts
 
 
 def test_what_is_left_is_counted_target_by_target() -> None:

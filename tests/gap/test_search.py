@@ -15,7 +15,8 @@ from tunefree_hil.gap.search import CONTENDERS, backward, forward, settled, weig
 from tunefree_hil.gap.suspects import Suspect
 
 SUSPECTS = tuple(Suspect(name, (), ()) for name in ("delay", "friction", "limit", "lag"))
-QUESTION = cast(Question, type("Asked", (), {"null": NULL, "sizes": SIZES, "suspects": SUSPECTS, "broken": None})())
+SOME = {"null": NULL, "sizes": SIZES, "suspects": SUSPECTS, "broken": None, "usually": ()}
+QUESTION = cast(Question, type("Asked", (), SOME)())
 
 
 def beside(first: Modelled, name: str, square: np.ndarray, other: float = ROWS) -> Modelled:

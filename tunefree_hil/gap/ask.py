@@ -43,7 +43,8 @@ class Modelled(NamedTuple):
 
 class Question(NamedTuple):
     """What a question is, once opened. sizes: by target the deviation of what was measured. broken: targets that
-    recalibration alone leaves broken (locate.look); None: nobody has looked.
+    recalibration alone leaves broken (locate.look); None: nobody has looked. usually: those of them that the model
+    misses as usual (usual.py).
     """
 
     null: Modelled
@@ -53,6 +54,7 @@ class Question(NamedTuple):
     suspects: tuple[Suspect, ...]
     cannot: dict[str, str]
     broken: frozenset[str] | None = None
+    usually: frozenset[str] = frozenset()
 
 
 class _Open:

@@ -34,6 +34,7 @@ SURE = 0.5  # with the doubt between blocks: at least half of that
 MATTERS = 0.004  # of the signal: what an effect explains there, root mean square; less is nobody's worry
 MOST_WORSE = 0.05  # of any target's: what explains one thing by spoiling another explains nothing
 NEARLY_ALL, SPARED = 0.9, 0.2  # of a target surely explained: then it may be so much, of another that hardly is missed
+MAY_GROW = 0.5  # of a target's mean square, where the model misses it as usual: its form is off, whoever is beside it
 SPOILT = 0.1  # of what is explained, each by its signal: recalibration trades so much between signals by itself
 HALF = 0.5  # of a target's error: who misses less than that of what the best misses there knows its noise better
 MOST_LEFT = 0.25  # of what could be explained of a target before: more, and the name was not it
@@ -128,10 +129,11 @@ class Weighed(NamedTuple):
 
 def weigh(
     candidates: Mapping[str, Modelled], start: Modelled, null: Modelled, sizes: Mapping[str, float], blocks: Array,
-    broken: Collection[str] | None = None,
+    broken: Collection[str] | None = None, usually: Collection[str] = (),
 ) -> list[Weighed]:  # fmt: skip
     """All candidates, the best first; by the noise that the best of them leaves. sizes: of each target's signal;
-    broken: targets that recalibration alone leaves broken (locate.look); None: nobody has looked.
+    broken: targets that recalibration alone leaves broken (locate.look); None: nobody has looked. usually: those of
+    them that the model misses of its own logs as well: they speak against nobody who makes them a little worse.
 
     Who is the best is asked by the noise of each, and of start by the same: the noise's own logarithm counts once for
     every row that stands for itself, and where that number differs the unit of a signal would decide. By the noise of
@@ -147,30 +149,47 @@ def weigh(
         return log_evidence(one.fitted, blocks) - log_evidence(base, blocks)
 
     by = _noise_of(candidates, max(candidates, key=lambda name: over_start(candidates[name])), blocks)
-    base = stretched(start.fitted, by)
-    before = log_evidence(base, blocks)
-    found = []
-    for name, one in candidates.items():
-        model = stretched(one.fitted, by)
-        gains = {t: float((predictive(model, blocks, [t]) - predictive(base, blocks, [t])).sum()) for t in model.sums}
-        shrinks = {t: shrink(start, one, t, blocks, null) for t in model.sums}
-        own = felt(one, blocks, name)
-        worth = [t for t in own if gains[t] > LEAST_NATS and _explained(start, one, t, sizes, blocks) > MATTERS]
-        target = max(worth, key=lambda t: shrinks[t][1]) if worth else max(own or gains, key=lambda t: gains[t])
-        least = max(MATTERS, SPOILT * _explained(start, one, target, sizes, blocks))
-        worse = {t: _grown(start, one, t, blocks) for t in own if _explained(one, start, t, sizes, blocks) > least}
-        missed = [by for t, by in worse.items() if broken is None or t in broken]
-        found.append(
-            Weighed(
-                name, one._replace(fitted=model), log_evidence(model, blocks) - before, paired(model, base, blocks),
-                target, shrinks[target], max(worse.values(), default=0.0),
-                bool(own) and _explained(start, one, target, sizes, blocks) > MATTERS, bool(start.fitted.free),
-                shrink_of_the_rest(start, one, target, blocks, null),
-                unbroken=broken is not None and target not in broken, worst_missed=max(missed, default=0.0),
-                shrinks={t: value for t, (value, _, _) in shrinks.items()},
-            )
-        )  # fmt: skip
+    base = start._replace(fitted=stretched(start.fitted, by))
+    found = [
+        _weighed(
+            name, felt(one, blocks, name), one._replace(fitted=stretched(one.fitted, by)), base, null, sizes, blocks,
+            broken, usually,
+        )
+        for name, one in candidates.items()
+    ]  # fmt: skip
     return sorted(found, key=lambda one: (not one.counts, -one.evidence))
+
+
+def _weighed(
+    name: str, own: Sequence[str], one: Modelled, start: Modelled, null: Modelled, sizes: Mapping[str, float],
+    blocks: Array, broken: Collection[str] | None, usually: Collection[str],
+) -> Weighed:  # fmt: skip
+    """A candidate and what it is added to, both by the same noise. own: targets that feel it (by its own)."""
+    model, base = one.fitted, start.fitted
+    gains = {t: float((predictive(model, blocks, [t]) - predictive(base, blocks, [t])).sum()) for t in model.sums}
+    shrinks = {t: shrink(start, one, t, blocks, null) for t in model.sums}
+    worth = [t for t in own if gains[t] > LEAST_NATS and _explained(start, one, t, sizes, blocks) > MATTERS]
+    target = max(worth, key=lambda t: shrinks[t][1]) if worth else max(own or gains, key=lambda t: gains[t])
+    explained = _explained(start, one, target, sizes, blocks)
+    worse = _worse(one, start, own, max(MATTERS, SPOILT * explained), sizes, blocks)
+    worse = {t: grown for t, grown in worse.items() if t not in usually or grown > MAY_GROW}
+    return Weighed(
+        name, one, log_evidence(model, blocks) - log_evidence(base, blocks), paired(model, base, blocks),
+        target, shrinks[target], max(worse.values(), default=0.0), bool(own) and explained > MATTERS,
+        bool(base.free), shrink_of_the_rest(start, one, target, blocks, null),
+        unbroken=broken is not None and target not in broken,
+        worst_missed=max((grown for t, grown in worse.items() if broken is None or t in broken), default=0.0),
+        shrinks={t: value for t, (value, _, _) in shrinks.items()},
+    )  # fmt: skip
+
+
+def _worse(
+    one: Modelled, start: Modelled, own: Sequence[str], least: float, sizes: Mapping[str, float], blocks: Array
+) -> dict[str, float]:
+    """Of the targets that it feels those of which it misses more than the start, by more than `least` of the signal:
+    by how much their mean square grows.
+    """
+    return {t: _grown(start, one, t, blocks) for t in own if _explained(one, start, t, sizes, blocks) > least}
 
 
 def _noise_of(candidates: Mapping[str, Modelled], best: str, blocks: Array) -> dict[str, float]:

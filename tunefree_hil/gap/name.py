@@ -158,7 +158,11 @@ def _named(
 ) -> Generator[str, None, Named]:
     blocks = judged(question.blocks)
     before = looked_at(team, question, question.null, blocks)
-    question = question._replace(broken=frozenset(one.signal for one in before.looked if one.broken))
+    usual, broken = usual_of(team.setting.model), [one for one in before.looked if one.broken]
+    question = question._replace(
+        broken=frozenset(one.signal for one in broken),
+        usually=frozenset(one.signal for one in broken if usual.as_usual(one.signal, one.amount)),
+    )
     yield f"{len(question.suspects)} suspects"
     first = weighed(team, question, [one.name for one in question.suspects], None, blocks)
     found = yield from forward(team, question, first, blocks)
@@ -169,7 +173,6 @@ def _named(
     yield "what is left"
     after = looked_at(team, question, repaired, blocks) if steps else before
     still = after.looked
-    usual = usual_of(team.setting.model)
     explained = not any(one.broken for one in still)
     news, no_news = parted(steps, repaired.fitted, usual, blocks, explained=explained)
     news, hidden = seen_alone(news, steps, first)

@@ -72,7 +72,7 @@ def _fuller(
 
 
 def _weigh(question: Question, models: Mapping[str, Modelled], start: Modelled, blocks: Array) -> list[Weighed]:
-    return weigh(models, start, question.null, question.sizes, blocks, question.broken)
+    return weigh(models, start, question.null, question.sizes, blocks, question.broken, question.usually)
 
 
 def _near(some: Sequence[Weighed], share: float, done: set[str]) -> list[str]:
