@@ -55,16 +55,6 @@ def test_a_steering_that_answers_later_is_named_with_its_value_and_link() -> Non
     assert found.candidates[0].name == "steer_dead_time" and found.excitation["steer_dead_time"].enough
 
 
-def test_a_log_that_is_too_short_is_refused_with_what_to_do() -> None:
+def test_who_is_not_asked_is_told_before_anybody_waits() -> None:
     with pytest.raises(InputError, match="5 blocks of 5 s"):
         asked(30.0)
-
-
-def test_a_car_that_stands_for_most_of_the_log_is_refused_with_what_to_do() -> None:
-    vehicle = load_vehicle("mkz_bywire")
-    opened = open_chain(made_drive(110.0, seed=5), vehicle)
-    halted = opened.moving.copy()
-    halted[3000:] = False
-    with pytest.raises(InputError, match="walking pace") as refused:
-        next(name(model(), vehicle, [opened._replace(moving=halted)]))
-    assert refused.value.code == "standing"

@@ -90,8 +90,7 @@ def test_a_model_that_lacks_nothing_leaves_nothing_to_explain() -> None:
     floors = floors_of(found, model)
     summed = (HEADING, POSITION)  # the INS is 0.2 ticks late: means of two of its values are quieter than these
     assert all(found.rms("after", one) == pytest.approx(floors[one], rel=0.2) for one in floors if one not in summed)
-    closed = explained_frac(found, floors)
-    assert closed is None or closed["value"] == 0.0
+    assert explained_frac(found, floors) == {"value": 0.0, "low": 0.0, "high": 0.0}
 
 
 def test_of_drives_with_unlike_sensors_the_floor_is_as_loud_as_the_errors_are() -> None:

@@ -8,12 +8,13 @@ from tunefree_hil.base.contracts import Link
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.clock import echoes
+from tunefree_hil.gap.enough import refuse_untold
 from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.excitation import excitation, held_by
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.locate import Card, Looked, card, echo_words
 from tunefree_hil.gap.lost import lost_links, silent_ports
-from tunefree_hil.gap.name import Named, looked_at, refuse_untold
+from tunefree_hil.gap.name import Named, looked_at
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.work import Setting
 

@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.base.contracts import Link, Port, links_of
-from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.gap.ask import Modelled, Question
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.clock import Echo, echoes
 from tunefree_hil.gap.decide import MATTERS, Weighed, left_share, worked_on
+from tunefree_hil.gap.enough import refuse_untold
 from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.excitation import Excited, excitation, held_by
 from tunefree_hil.gap.graph import effects
@@ -30,9 +30,7 @@ from tunefree_hil.gap.leftover import Left
 from tunefree_hil.gap.locate import Card, Looked, card, echo_words, look
 from tunefree_hil.gap.lost import lost_links, silent_ports
 from tunefree_hil.gap.search import backward, forward, settled, weighed
-from tunefree_hil.gap.segments import BLOCK_S, FEWEST, FEWEST_DRIVEN, GUARD_S, SHORTEST_S, Blocks, block_s_of, blocks_of
 from tunefree_hil.gap.taken_back import taken_back
-from tunefree_hil.gap.targets import LEAST_MPS
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.unseen import NOT_LOOKED, Own, own
 from tunefree_hil.gap.usual import NOTHING, Usual, parted, seen_alone, usual_of, usual_words
@@ -54,7 +52,6 @@ NO_PORT: Mapping[Port, str] = {}
 NOBODY: Mapping[str, str] = {}
 UNMOVED = f"no value of it that a car has moves anything that is compared here by {MATTERS:.1%} of its signal"
 VERDICTS = ("one", "several", "set", "none_missing", "none_of_these", "cannot_test")
-LEAST_S = FEWEST * SHORTEST_S * (1.0 + GUARD_S / BLOCK_S)  # that a question's logs have to hold
 
 
 class Effect(NamedTuple):
@@ -107,6 +104,19 @@ class Named(NamedTuple):
     unmoved: Mapping[str, str] = NOBODY
 
 
+class _Sifted(NamedTuple):
+    """A search's steps that are news, in the model `repaired`, which leaves `after`; still: every target with all the
+    steps in the model. amiss: why the news is not what is missing; words: why other steps are not named.
+    """
+
+    news: list[Weighed]
+    repaired: Modelled
+    after: Seen
+    still: list[Looked]
+    amiss: str
+    words: tuple[str, ...]
+
+
 def name(
     model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened], workers: int = 2
 ) -> Generator[str, None, Named]:
@@ -122,93 +132,81 @@ def name(
         team.close()
 
 
-def refuse_untold(drives: Sequence[Opened]) -> None:
-    """Raises InputError for logs that are too short, and for a car that stands: its few moving rows would be all that
-    is fitted to.
-    """
-    ticks, dt_s = [one.ticks for one in drives], drives[0].dt_s
-    blocks, block_s = blocks_of(ticks, dt_s), block_s_of(ticks, dt_s)
-    if blocks.count < FEWEST:
-        held = f"{blocks.count} blocks of {block_s:.3g} s"
-        raise InputError(
-            f"the logs hold {held}; {FEWEST} are needed to fit, to choose and to prove",
-            code="too_short",
-            key="LOG",
-            hint=f"record {LEAST_S:.0f} s or more; twice that tells more",
-        )
-    driven = sum(_driven(one, blocks, i) for i, one in enumerate(drives))
-    if driven < FEWEST_DRIVEN:
-        raise InputError(
-            f"the car moves above walking pace in {driven} stretches of {block_s:.3g} s; {FEWEST_DRIVEN} are needed",
-            code="standing",
-            key="LOG",
-            hint=f"drive for {LEAST_S:.0f} s or more, in gear, with the by-wire unit obeying",
-        )
-
-
-def _driven(one: Opened, blocks: Blocks, drive: int) -> int:
-    """Blocks of a drive in which the car drives most of the time."""
-    moves, mine = one.moving & (one.inputs.speed_mps > LEAST_MPS * one.pace), blocks.drives == drive
-    ends = zip(blocks.begins[mine], blocks.ends[mine], strict=True)
-    return sum(bool(moves[begin:end].mean() > 0.5) for begin, end in ends)
-
-
 def _named(
     team: Team, question: Question, vehicle: VehicleSpec, drives: Sequence[Opened]
 ) -> Generator[str, None, Named]:
-    blocks = judged(question.blocks)
+    blocks, usual = judged(question.blocks), usual_of(team.setting.model)
     before = looked_at(team, question, question.null, blocks)
-    usual, broken = usual_of(team.setting.model), [one for one in before.looked if one.broken]
-    question = question._replace(
-        broken=frozenset(one.signal for one in broken),
-        usually=frozenset(one.signal for one in broken if usual.as_usual(one.signal, one.amount)),
-    )
+    question = _marked(question, before.looked, usual)
+    steps, first = yield from _searched(team, question, blocks)
+    question = question._replace(cannot={**question.cannot, **team.dropped})
+    yield "what is left"
+    found = _sifted(team, question, steps, first, before, usual)
+    held = excitation(effects(), held_by(drives, vehicle))
+    steps = [with_others(step, found.news, held, drives) for step in found.news]
+    said, days = tuple(one for opened in drives for one in echoes(opened)), question.blocks.drives[blocks]
+    restless = usual.more_restless(restless_of(question))
+    verdict, others, words = verdict_of(
+        first, steps, before.looked, found.amiss, held, echo_words(said), restless, usual
+    )  # fmt: skip
+    link, shown = _where(team, question, steps, before.looked, said)
+    known: tuple[Effect, ...] = ()
+    if verdict in ("one", "several"):
+        known = _effects(team, question, steps, found.repaired)
+        words = (*words, *_beside_words(question, known, found, usual))
+    words = (*words, *alike_words([one.name for one in known] or others, drives), *found.words)
+    words = (*words, *usual_words(usual), *daily_words(apart(found.repaired.fitted, blocks, days)))
+    said_of = {*(one.name for one in known), *others}
+    return Named(
+        verdict, known, others, _manoeuvre(others), link, shown, tuple(before.looked), held, tuple(first), question,
+        found.repaired, before.left, found.after.left, lost_links(drives), words, tuple(found.still), usual,
+        silent_ports(drives),
+        {name: UNMOVED for name, by in team.moves.items() if by < MATTERS and name not in said_of},
+    )  # fmt: skip
+
+
+def _marked(question: Question, looked: Sequence[Looked], usual: Usual) -> Question:
+    """The question with what recalibration alone leaves broken, and which of that is missed as usual."""
+    broken = [one for one in looked if one.broken]
+    as_usual = frozenset(one.signal for one in broken if usual.as_usual(one.signal, one.amount))
+    return question._replace(broken=frozenset(one.signal for one in broken), usually=as_usual)
+
+
+def _searched(
+    team: Team, question: Question, blocks: Array
+) -> Generator[str, None, tuple[list[Weighed], list[Weighed]]]:
+    """(steps that stay, all suspects alone)."""
     yield f"{len(question.suspects)} suspects"
     first = weighed(team, question, [one.name for one in question.suspects], None, blocks)
     found = yield from forward(team, question, first, blocks)
     steps = yield from backward(team, question, found, blocks)
-    steps, first = yield from settled(team, question, first, steps, blocks, fresh=len(steps) < len(found))
-    question = question._replace(cannot={**question.cannot, **team.dropped})
+    return (yield from settled(team, question, first, steps, blocks, fresh=len(steps) < len(found)))
+
+
+def _sifted(
+    team: Team, question: Question, steps: Sequence[Weighed], first: Sequence[Weighed], before: Seen, usual: Usual
+) -> _Sifted:
+    """What of a search's steps is news, and whether that is it. before: of the null."""
+    model, blocks = team.setting.model, judged(question.blocks)
     repaired = steps[-1].model if steps else question.null
-    yield "what is left"
     after = looked_at(team, question, repaired, blocks) if steps else before
-    still = after.looked
-    explained = not any(one.broken for one in still)
+    still, explained = after.looked, not any(one.broken for one in after.looked)
     news, no_news = parted(steps, repaired.fitted, usual, blocks, explained=explained)
     news, hidden = seen_alone(news, steps, first)
-    news = with_hill(news, repaired.fitted, usual, team.setting.model)
+    news = with_hill(news, repaired.fitted, usual, model)
     amiss = _amiss(team, question, repaired, news, before, after, usual) if news else ""
     if len(news) < len(steps):
         repaired = _without(team, question, repaired, steps, news)
         after = looked_at(team, question, repaired, blocks)
-    news, undone = taken_back(news, first, repaired.fitted, team.setting.model, blocks)
-    held = excitation(effects(), held_by(drives, vehicle))
-    steps = [with_others(step, news, held, drives) for step in news]
-    said, days = tuple(one for opened in drives for one in echoes(opened)), question.blocks.drives[blocks]
-    restless = usual.more_restless(restless_of(question))
-    verdict, others, words = verdict_of(first, steps, before.looked, amiss, held, echo_words(said), restless, usual)
-    link, shown = _where(team, question, steps, before.looked, said)
-    known: tuple[Effect, ...] = ()
-    if verdict in ("one", "several"):
-        known = _effects(team, question, steps, repaired)
-        sizes = {one.name: {key: value.value for key, value in one.params.items()} for one in known}
-        worked = worked_on(question.null, repaired, question.sizes, blocks)
-        words = (*words, *small_words(sizes), *still_words(after.looked, worked, usual))
-    words = (*words, *alike_words([one.name for one in known] or others, drives))
-    said_of = {*(one.name for one in known), *others}
-    words = (
-        *words,
-        *undone,
-        *no_news,
-        *hidden,
-        *usual_words(usual),
-        *daily_words(apart(repaired.fitted, blocks, days)),
-    )
-    return Named(
-        verdict, known, others, _manoeuvre(others), link, shown, tuple(before.looked), held, tuple(first), question,
-        repaired, before.left, after.left, lost_links(drives), words, tuple(still), usual, silent_ports(drives),
-        {name: UNMOVED for name, by in team.moves.items() if by < MATTERS and name not in said_of},
-    )  # fmt: skip
+    news, undone = taken_back(news, first, repaired.fitted, model, blocks)
+    return _Sifted(news, repaired, after, still, amiss, (*undone, *no_news, *hidden))
+
+
+def _beside_words(question: Question, known: Sequence[Effect], found: _Sifted, usual: Usual) -> tuple[str, ...]:
+    """Of effects that are named: how small they are, and what is missed beside them."""
+    sizes = {one.name: {key: value.value for key, value in one.params.items()} for one in known}
+    worked = worked_on(question.null, found.repaired, question.sizes, judged(question.blocks))
+    return (*small_words(sizes), *still_words(found.after.looked, worked, usual))
 
 
 def restless_of(question: Question) -> dict[str, float]:

@@ -59,7 +59,7 @@ def limits_named(found: Named, model: ModelSpec) -> list[EffectSpec]:
     """
     plain = {one.name for one in found.effects if one.evidence > PLAIN_NATS and not one.faint}
     values = by_name(across(found.repaired.fitted, judged(found.question.blocks)))
-    return [_of_own_logs(name, values[name]) for name in _not_in(model) if name in plain]
+    return [_of_own_logs(name, values[name]) for name in _not_in(model, OF_THE_CAR) if name in plain]
 
 
 def limits(asked: OwnLogs) -> Generator[str, None, list[EffectSpec]]:
@@ -67,16 +67,7 @@ def limits(asked: OwnLogs) -> Generator[str, None, list[EffectSpec]]:
     end.
     """
     yield "limits of the car"
-    team = Team(Setting(asked.model, asked.vehicle, tuple(asked.drives)), workers=1)
-    try:
-        question = team.open()
-        names = [one.name for one in question.suspects if one.name in _not_in(asked.model)]
-        blocks = judged(question.blocks)
-        found = weighed(team, question, names, None, blocks) if names else []
-    finally:
-        team.close()
-    plain = [one for one in found if one.counts and one.evidence > PLAIN_NATS and not one.faint]
-    return [_of_own_logs(one.name, by_name(across(one.model.fitted, blocks))[one.name]) for one in plain]
+    return _plainly_held(asked, OF_THE_CAR)
 
 
 def tyres(asked: OwnLogs) -> Generator[str, None, list[EffectSpec]]:
@@ -84,24 +75,31 @@ def tyres(asked: OwnLogs) -> Generator[str, None, list[EffectSpec]]:
     later log they would explain as much, and stand before whatever came later.
     """
     yield "its tyres"
+    return _plainly_held(asked, OF_TYRES, unbroken=True)
+
+
+def _plainly_held(asked: OwnLogs, wanted: Sequence[str], *, unbroken: bool = False) -> list[EffectSpec]:
+    """Those of some effects that the own logs plainly hold, each by itself, and the model does not have. unbroken: only
+    those that show best where the model comes near its logs.
+    """
     team = Team(Setting(asked.model, asked.vehicle, tuple(asked.drives)), workers=1)
-    has = {one.name for one in asked.model.effects}
     try:
         question = team.open()
-        blocks = judged(question.blocks)
-        _, looked = looked_at(team, question, question.null, blocks)
-        question = question._replace(broken=frozenset(one.signal for one in looked if one.broken))
-        names = [one.name for one in question.suspects if one.name in OF_TYRES and one.name not in has]
+        blocks, missing = judged(question.blocks), _not_in(asked.model, wanted)
+        if unbroken:
+            _, looked = looked_at(team, question, question.null, blocks)
+            question = question._replace(broken=frozenset(one.signal for one in looked if one.broken))
+        names = [one.name for one in question.suspects if one.name in missing]
         found = weighed(team, question, names, None, blocks) if names else []
     finally:
         team.close()
-    plain = [one for one in found if one.counts and one.unbroken and one.evidence > PLAIN_NATS]
+    plain = [one for one in found if one.counts and one.evidence > PLAIN_NATS and (one.unbroken or not unbroken)]
     return [_of_own_logs(one.name, by_name(across(one.model.fitted, blocks))[one.name]) for one in plain]
 
 
-def _not_in(model: ModelSpec) -> list[str]:
+def _not_in(model: ModelSpec, wanted: Sequence[str]) -> list[str]:
     has = {one.name for one in model.effects}
-    return [name for name in OF_THE_CAR if name not in has]
+    return [name for name in wanted if name not in has]
 
 
 def sensors(asked: OwnLogs) -> Generator[str, None, list[EffectSpec]]:

@@ -140,6 +140,8 @@ def _add(sums: Sums, drives: Mapping[str, Drive]) -> None:
     """The signals of one log, over the rows that all its drives have: one that ends early is not flattered by it."""
     import numpy as np
 
+    from tunefree_hil.learn.motion import wrapped
+
     rows = min(one.recording.ticks for one in drives.values())
     for signal in SIGNALS:
         had = {key: one.recording.get(signal) for key, one in drives.items()}
@@ -150,13 +152,11 @@ def _add(sums: Sums, drives: Mapping[str, Drive]) -> None:
         if not told.any():
             continue
         measured = some.pop(MEASURED)
-        apart = {key: _apart(signal, values - measured) for key, values in some.items()}
+        apart = {key: values - measured for key, values in some.items()}
+        if signal == "heading_error_rad":
+            apart = {key: wrapped(values) for key, values in apart.items()}
         for key, values in {MEASURED: measured, **apart}.items():
             sums.setdefault(signal, {}).setdefault(key, []).append(_sum_of(values[told]))
-
-
-def _apart(signal: str, apart: Any) -> Any:
-    return (apart + math.pi) % (2.0 * math.pi) - math.pi if signal == "heading_error_rad" else apart
 
 
 def _sum_of(values: Any) -> Sum:
