@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tunefree_hil.base.contracts import Prior
-from tunefree_hil.gap.problem import bounded
+from tunefree_hil.gap.problem import FLAT, bounded
 from tunefree_hil.gap.suspects import free_of
 
 
@@ -28,6 +28,27 @@ def test_a_step_within_bounds_is_no_worse_than_any_other_there(seed: int) -> Non
     clipped = np.clip(-np.linalg.solve(curve, slope), low, high)
     assert cost(step) <= cost(clipped) + 1e-6 * abs(cost(clipped)) + 1e-9
     assert cost(step) <= 1e-9  # it is no worse than staying
+
+
+@settings(deadline=None)
+@given(st.integers(0, 10_000), st.floats(-2.0, 4.0))
+def test_of_parameters_that_do_nearly_the_same_none_is_held_that_need_not_be(seed: int, decades: float) -> None:
+    """Together they would go far beyond their ends, and not all of them belong there."""
+    chance = np.random.default_rng(seed)
+    root = chance.standard_normal((12, 8))
+    root[:, 1] = root[:, 0] + 0.01 * chance.standard_normal(12)
+    root[:, 3] = root[:, 2] - root[:, 4] + 0.01 * chance.standard_normal(12)
+    curve = 10.0**decades * root.T @ root + np.eye(8)
+    slope = chance.uniform(0.0, 5.0) * chance.standard_normal(8) * np.sqrt(np.diag(curve))
+    z = np.where(chance.uniform(size=8) < 0.3, 2.0, chance.uniform(-2.0, 2.0, 8))
+    low, high = np.full(8, -2.0), np.full(8, 2.0)
+
+    step = bounded(curve, slope, z, low, high)
+    assert (z + step >= low - 1e-12).all() and (z + step <= high + 1e-12).all()
+    pull = -(slope + (curve + FLAT * np.eye(8)) @ step)
+    pull = np.where(z + step <= low + 1e-12, np.maximum(pull, 0.0), pull)
+    pull = np.where(z + step >= high - 1e-12, np.minimum(pull, 0.0), pull)
+    assert np.abs(pull).max() <= 1e-7 * (1.0 + np.abs(slope).max())  # nothing pulls anything to where it may still go
 
 
 def test_a_parameter_that_nothing_feels_stays_where_it_is() -> None:

@@ -24,6 +24,8 @@ SIGMA_SLOPE = 0.5  # of a standard deviation, of a nuisance
 TOUCHED = 1e-9  # of a target's size: what changes less is not touched by a parameter
 MOST_SIGMA = 2.0  # of a prior (gap/null.py): what recalibration may do at most
 HELD_TURNS = 6
+RELEASES = 4  # turns of a bounded step, for each of its parameters
+RELEASED = 1e-9  # of the greatest slope: a pull that is less lets nothing go
 FLAT = 1e-6  # added to every curvature: what the data do not feel stays where it is
 
 
@@ -233,19 +235,48 @@ def ends_of(keys: Sequence[str], free: Sequence[Free]) -> tuple[Array, Array]:
 
 
 def bounded(curve: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
-    """The step from z to the least of a quadratic within bounds: what would go beyond one is held at it, in turn."""
-    step = np.zeros(len(z))
-    loose = np.ones(len(z), dtype=bool)
-    curve = curve + FLAT * np.eye(len(z))
+    """The step from z to the least of a convex quadratic within bounds, by an active set: what would go beyond an end
+    is held there, and let go again where the rest, once it has moved, pulls it back.
+    """
+    curve, lowest, highest = curve + FLAT * np.eye(len(z)), low - z, high - z
+    step, held = _held_in_turn(curve, slope, lowest, highest)
+    least = RELEASED * (1.0 + float(np.abs(slope).max(initial=0.0)))
+    for _ in range(RELEASES * len(z)):
+        loose = ~held
+        pull = -(slope + curve @ step)
+        move = np.zeros(len(z))
+        move[loose] = np.linalg.solve(curve[np.ix_(loose, loose)], pull[loose])
+        end, moving = np.where(move > 0.0, highest, lowest), move != 0.0
+        room = np.full(len(z), np.inf)
+        room[moving] = (end - step)[moving] / move[moving]
+        share = min(float(room.min(initial=np.inf)), 1.0)
+        step = np.where(room <= share, end, np.clip(step + share * move, lowest, highest))
+        if share < 1.0:
+            held |= room <= share
+            continue
+        pull = -(slope + curve @ step)
+        inward = np.where(step <= lowest, pull, 0.0) + np.where(step >= highest, -pull, 0.0)
+        inward[~held | (lowest >= highest)] = 0.0
+        if inward.max(initial=0.0) <= least:
+            break
+        held[int(np.argmax(inward))] = False
+    return step
+
+
+def _held_in_turn(curve: Array, slope: Array, lowest: Array, highest: Array) -> tuple[Array, Array]:
+    """(a step within bounds, what is held at one): what goes beyond is held there, in turn, and stays. Near the least,
+    but of parameters that do nearly the same all may be held that go beyond together, where one would do.
+    """
+    step, loose = np.zeros(len(slope)), np.ones(len(slope), dtype=bool)
     for _ in range(HELD_TURNS):
         pull = slope[loose] + curve[np.ix_(loose, ~loose)] @ step[~loose]
         step[loose] = -np.linalg.solve(curve[np.ix_(loose, loose)], pull)
-        there = np.clip(z + step, low, high)
-        beyond = loose & (there != z + step)
-        step = there - z
+        within = np.clip(step, lowest, highest)
+        beyond = loose & (within != step)
+        step = within
         if not beyond.any():
             break
         loose &= ~beyond
         if not loose.any():
             break
-    return step
+    return step, ~loose

@@ -8,9 +8,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from tunefree_hil.gap.decide import Weighed
 from tunefree_hil.gap.evidence import judged
+from tunefree_hil.gap.excitation import Excited
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.held import held_back
+from tunefree_hil.gap.locate import Looked
 from tunefree_hil.gap.lost import untold
 from tunefree_hil.gap.name import Effect, Named
 
@@ -33,34 +36,36 @@ def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
         "together": together(found),
         "separate_by": found.separate_by,
         "where": _where(found),
-        "excitation": {
-            name: {
-                "score": _number(one.score), "enough": one.enough and name not in blind,
-                "lacks": [*one.lacks, *([blind[name]] if name in blind else [])],
-            }
-            for name, one in found.excitation.items()
-        },
-        "links": [
-            {
-                "link": one.link.value, "signal": one.signal, "unit": one.unit, "rms": one.rms, "noise": one.noise,
-                "explicable": one.explicable, "share": one.share, "broken": one.broken,
-            }
-            for one in found.looked
-        ],
+        "excitation": {name: _excited(one, blind.get(name, "")) for name, one in found.excitation.items()},
+        "links": [_link(one) for one in found.looked],
         "as_usual": [one.signal for one in found.looked if one.broken and found.usual.as_usual(one.signal, one.amount)],
         "untold": blind,
         "lost": {link.value: words for link, words in found.lost.items()},
         "not_suspected": dict(found.question.cannot),
-        "candidates": [
-            {
-                "name": one.name, "evidence": _number(one.evidence),
-                "held_out": [_number(one.gain.total), _number(one.gain.low)],
-                "shrink": [_number(value) for value in one.shrink], "signal": one.target, "counts": one.counts,
-            }
-            for one in found.candidates
-        ],
+        "candidates": [_candidate(one) for one in found.candidates],
         "words": [*found.words, *_short_words(found), *dict.fromkeys(found.silent.values())],
         "moved": list(moved_words(found)),
+    }
+
+
+def _excited(one: Excited, blind: str) -> dict[str, Any]:
+    """Whether the logs hold what shows an effect. blind: why they cannot show it anyhow; '' where they can."""
+    lacks = [*one.lacks, blind] if blind else list(one.lacks)
+    return {"score": _number(one.score), "enough": one.enough and not blind, "lacks": lacks}
+
+
+def _link(one: Looked) -> dict[str, Any]:
+    return {
+        "link": one.link.value, "signal": one.signal, "unit": one.unit, "rms": one.rms, "noise": one.noise,
+        "explicable": one.explicable, "share": one.share, "broken": one.broken,
+    }  # fmt: skip
+
+
+def _candidate(one: Weighed) -> dict[str, Any]:
+    return {
+        "name": one.name, "evidence": _number(one.evidence),
+        "held_out": [_number(one.gain.total), _number(one.gain.low)],
+        "shrink": [_number(value) for value in one.shrink], "signal": one.target, "counts": one.counts,
     }  # fmt: skip
 
 
