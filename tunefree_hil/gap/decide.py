@@ -173,6 +173,7 @@ def _weighed(
     explained = _explained(start, one, target, sizes, blocks)
     worse = _worse(one, start, own, max(MATTERS, SPOILT * explained), sizes, blocks)
     worse = {t: grown for t, grown in worse.items() if t not in usually or grown > MAY_GROW}
+    worse = {t: grown for t, grown in worse.items() if broken is None or t in broken or gains[t] < 0.0}
     return Weighed(
         name, one, log_evidence(model, blocks) - log_evidence(base, blocks), paired(model, base, blocks),
         target, shrinks[target], max(worse.values(), default=0.0), bool(own) and explained > MATTERS,

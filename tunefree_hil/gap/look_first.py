@@ -14,7 +14,8 @@ from tunefree_hil.gap.excitation import excitation, held_by
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.locate import Card, Looked, card, echo_words
 from tunefree_hil.gap.lost import lost_links, silent_ports
-from tunefree_hil.gap.name import Named, looked_at
+from tunefree_hil.gap.name import Named
+from tunefree_hil.gap.sift import looked_at
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.work import Setting
 

@@ -19,29 +19,26 @@ from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 from tunefree_hil.gap.ask import Modelled, Question
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.clock import Echo, echoes
-from tunefree_hil.gap.decide import MATTERS, Weighed, left_share, worked_on
+from tunefree_hil.gap.decide import MATTERS, Weighed, worked_on
 from tunefree_hil.gap.enough import refuse_untold
 from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.excitation import Excited, excitation, held_by
 from tunefree_hil.gap.graph import effects
-from tunefree_hil.gap.hill import with_hill
 from tunefree_hil.gap.interval import Value, apart, unsteady, values_of
 from tunefree_hil.gap.leftover import Left
-from tunefree_hil.gap.locate import Card, Looked, card, echo_words, look
+from tunefree_hil.gap.locate import Card, Looked, card, echo_words
 from tunefree_hil.gap.lost import lost_links, silent_ports
-from tunefree_hil.gap.search import backward, forward, settled, weighed
-from tunefree_hil.gap.taken_back import taken_back
+from tunefree_hil.gap.search import weighed
+from tunefree_hil.gap.sift import Sifted, looked_at, marked, searched
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.unseen import NOT_LOOKED, Own, own
-from tunefree_hil.gap.usual import NOTHING, Usual, parted, seen_alone, usual_of, usual_words
+from tunefree_hil.gap.usual import NOTHING, Usual, usual_of, usual_words
 from tunefree_hil.gap.verdict import (
     alike_words,
     daily_words,
-    not_it,
     small_words,
     still_words,
     verdict_of,
-    wavers,
     with_others,
 )
 from tunefree_hil.gap.work import Setting
@@ -64,13 +61,6 @@ class Effect(NamedTuple):
     evidence: float
     faint: bool = False
     own: Own = NOT_LOOKED
-
-
-class Seen(NamedTuple):
-    """Of a model: what it leaves to be explained, by target; every target, the most broken first."""
-
-    left: dict[str, Left]
-    looked: list[Looked]
 
 
 class Named(NamedTuple):
@@ -104,19 +94,6 @@ class Named(NamedTuple):
     unmoved: Mapping[str, str] = NOBODY
 
 
-class _Sifted(NamedTuple):
-    """A search's steps that are news, in the model `repaired`, which leaves `after`; still: every target with all the
-    steps in the model. amiss: why the news is not what is missing; words: why other steps are not named.
-    """
-
-    news: list[Weighed]
-    repaired: Modelled
-    after: Seen
-    still: list[Looked]
-    amiss: str
-    words: tuple[str, ...]
-
-
 def name(
     model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened], workers: int = 2
 ) -> Generator[str, None, Named]:
@@ -137,11 +114,11 @@ def _named(
 ) -> Generator[str, None, Named]:
     blocks, usual = judged(question.blocks), usual_of(team.setting.model)
     before = looked_at(team, question, question.null, blocks)
-    question = _marked(question, before.looked, usual)
-    steps, first = yield from _searched(team, question, blocks)
+    question = marked(question, before.looked, usual)
+    yield f"{len(question.suspects)} suspects"
+    every = weighed(team, question, [one.name for one in question.suspects], None, blocks)
     question = question._replace(cannot={**question.cannot, **team.dropped})
-    yield "what is left"
-    found = _sifted(team, question, steps, first, before, usual)
+    first, found = yield from searched(team, question, every, before, usual)
     held = excitation(effects(), held_by(drives, vehicle))
     steps = [with_others(step, found.news, held, drives) for step in found.news]
     said, days = tuple(one for opened in drives for one in echoes(opened)), question.blocks.drives[blocks]
@@ -154,55 +131,18 @@ def _named(
     if verdict in ("one", "several"):
         known = _effects(team, question, steps, found.repaired)
         words = (*words, *_beside_words(question, known, found, usual))
-    words = (*words, *alike_words([one.name for one in known] or others, drives), *found.words)
+    words = (*words, *alike_words([one.name for one in known] or others, drives), *found.words, *found.no_news)
     words = (*words, *usual_words(usual), *daily_words(apart(found.repaired.fitted, blocks, days)))
     said_of = {*(one.name for one in known), *others}
     return Named(
-        verdict, known, others, _manoeuvre(others), link, shown, tuple(before.looked), held, tuple(first), question,
+        verdict, known, others, _manoeuvre(others), link, shown, tuple(before.looked), held, tuple(every), question,
         found.repaired, before.left, found.after.left, lost_links(drives), words, tuple(found.still), usual,
         silent_ports(drives),
         {name: UNMOVED for name, by in team.moves.items() if by < MATTERS and name not in said_of},
     )  # fmt: skip
 
 
-def _marked(question: Question, looked: Sequence[Looked], usual: Usual) -> Question:
-    """The question with what recalibration alone leaves broken, and which of that is missed as usual."""
-    broken = [one for one in looked if one.broken]
-    as_usual = frozenset(one.signal for one in broken if usual.as_usual(one.signal, one.amount))
-    return question._replace(broken=frozenset(one.signal for one in broken), usually=as_usual)
-
-
-def _searched(
-    team: Team, question: Question, blocks: Array
-) -> Generator[str, None, tuple[list[Weighed], list[Weighed]]]:
-    """(steps that stay, all suspects alone)."""
-    yield f"{len(question.suspects)} suspects"
-    first = weighed(team, question, [one.name for one in question.suspects], None, blocks)
-    found = yield from forward(team, question, first, blocks)
-    steps = yield from backward(team, question, found, blocks)
-    return (yield from settled(team, question, first, steps, blocks, fresh=len(steps) < len(found)))
-
-
-def _sifted(
-    team: Team, question: Question, steps: Sequence[Weighed], first: Sequence[Weighed], before: Seen, usual: Usual
-) -> _Sifted:
-    """What of a search's steps is news, and whether that is it. before: of the null."""
-    model, blocks = team.setting.model, judged(question.blocks)
-    repaired = steps[-1].model if steps else question.null
-    after = looked_at(team, question, repaired, blocks) if steps else before
-    still, explained = after.looked, not any(one.broken for one in after.looked)
-    news, no_news = parted(steps, repaired.fitted, usual, blocks, explained=explained)
-    news, hidden = seen_alone(news, steps, first)
-    news = with_hill(news, repaired.fitted, usual, model)
-    amiss = _amiss(team, question, repaired, news, before, after, usual) if news else ""
-    if len(news) < len(steps):
-        repaired = _without(team, question, repaired, steps, news)
-        after = looked_at(team, question, repaired, blocks)
-    news, undone = taken_back(news, first, repaired.fitted, model, blocks)
-    return _Sifted(news, repaired, after, still, amiss, (*undone, *no_news, *hidden))
-
-
-def _beside_words(question: Question, known: Sequence[Effect], found: _Sifted, usual: Usual) -> tuple[str, ...]:
+def _beside_words(question: Question, known: Sequence[Effect], found: Sifted, usual: Usual) -> tuple[str, ...]:
     """Of effects that are named: how small they are, and what is missed beside them."""
     sizes = {one.name: {key: value.value for key, value in one.params.items()} for one in known}
     worked = worked_on(question.null, found.repaired, question.sizes, judged(question.blocks))
@@ -214,46 +154,6 @@ def restless_of(question: Question) -> dict[str, float]:
     blocks = judged(question.blocks)
     sigmas = {free.key: free.doubt for one in question.suspects for free in one.free if free.doubt}
     return unsteady(question.null.fitted, blocks, question.blocks.drives[blocks], sigmas)
-
-
-def _amiss(
-    team: Team, question: Question, repaired: Modelled, steps: Sequence[Weighed], before: Seen, after: Seen,
-    usual: Usual,
-) -> str:  # fmt: skip
-    """Why what was found is not what is missing, in words; '' where nothing speaks against it. before: of the null;
-    after: of the model with all that was found, of which `steps` are to be named.
-    """
-    blocks = judged(question.blocks)
-    worked = worked_on(question.null, repaired, question.sizes, blocks)
-    left = {name: left_share(before.left[name], one) for name, one in after.left.items()}
-
-    def moved(key: str, by: float) -> dict[str, float]:
-        found = team.ask("moved_by", repaired.fitted, key, by)
-        return {target: rms / question.sizes[target] for target, rms in found.items()}
-
-    days = question.blocks.drives[blocks]
-    return not_it(before.looked, after.looked, left, worked, usual) or wavers(
-        steps, repaired, blocks, days, after.looked, worked, moved
-    )
-
-
-def _without(
-    team: Team, question: Question, model: Modelled, steps: Sequence[Weighed], stay: Sequence[Weighed]
-) -> Modelled:
-    """A model without those of its steps that do not stay, the rest fitted on."""
-    if not stay:
-        return question.null
-    stays = {step.name for step in stay}
-    for step in steps:
-        if step.name not in stays:
-            model = team.fit_without(model, [step.name])[step.name]
-    return model
-
-
-def looked_at(team: Team, question: Question, model: Modelled, blocks: Array) -> Seen:
-    """What a model leaves, and what is broken with it in place."""
-    (left,), (bursts,) = (team.ask(what, [model.fitted], blocks) for what in ("left_by", "bursts_of"))
-    return Seen(left, look(left, question.kinds, question.sizes, bursts))
 
 
 def _effects(team: Team, question: Question, steps: Sequence[Weighed], repaired: Modelled) -> tuple[Effect, ...]:

@@ -21,8 +21,9 @@ from tunefree_hil.gap.evidence import judged
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.interval import across, deviations
 from tunefree_hil.gap.lost import lost_links
-from tunefree_hil.gap.name import Named, looked_at
+from tunefree_hil.gap.name import Named
 from tunefree_hil.gap.search import weighed
+from tunefree_hil.gap.sift import looked_at
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.usual import NOTHING, Usual, by_name
 from tunefree_hil.gap.work import Setting

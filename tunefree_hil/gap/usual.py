@@ -33,7 +33,7 @@ KEY = "usual"  # of card.json
 RESTLESS, OWN_MISSED = "restless", "own_missed"  # of it as well
 PEDALS = ("throttle_gain.gain_frac", "brake_gain.gain_frac")  # the same force along the car shows in either
 TIMES = 2.0  # as much missed as usual is as usual: another drive shakes more, or less
-PLAINLY = 5.0  # deviations from neutral: of forty effects one is three off by chance
+PLAINLY = 2.0  # deviations from neutral, of a model that misses its own logs: what they leave open is no news either
 NEWS = 4.0  # deviations, of both values together, from which on a value is another one: they are those of a poor model
 
 Known = tuple[float, float]  # (value, deviation), both in the parameter's unit
