@@ -5,8 +5,11 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
+
 from tests.learn.made_logs import MKZ, car, good, refusals, write_log
 from tunefree_hil.learn.check_pair import check_same_vehicle
+from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.read import read_drives
 
 
@@ -20,3 +23,22 @@ def test_a_file_named_twice_is_refused_and_a_copy_told(tmp_path: Path) -> None:
     copy = Path(shutil.copy(log, tmp_path / "copy.log"))
     (told,) = check_same_vehicle(read_drives([log, copy], car(MKZ).codec))
     assert (told.severity, told.code) == ("warn", "twice") and f"{copy} is the same recording as {log}" in told.words
+
+
+def turned(name: str, seed: int, from_mps: float, to_mps: float, ratio: float = 15.0) -> Drive:
+    """A minute of a car that understeers, slower or faster within one band of speeds."""
+    chance, time_s = np.random.default_rng(seed), 0.01 * np.arange(6000)
+    speed = from_mps + (to_mps - from_mps) * (0.5 + 0.5 * np.sin(0.3 * time_s))
+    steer = 0.55 + 0.1 * np.sin(0.9 * time_s + seed)
+    yaw = steer * speed / (ratio * (2.8 + 0.006 * speed**2)) + 0.002 * chance.standard_normal(len(time_s))
+    fields = {"report.speed_mps": speed, "report.steer_rad": steer, "report.yaw_rate_radps": yaw}
+    always = np.ones(len(time_s), dtype=bool)
+    return Drive(name, "", 0.01, fields, dict.fromkeys(fields, always), always)
+
+
+def test_one_car_that_drives_faster_is_no_other_car() -> None:
+    """Within a band of speeds it turns less for the same angle; another steering ratio still shows."""
+    slow, fast = turned("slow", 1, 11.1, 12.0), turned("fast", 2, 15.5, 16.6)
+    assert list(check_same_vehicle([slow, fast])) == []
+    (told,) = check_same_vehicle([slow, turned("other", 2, 15.5, 16.6, ratio=30.0)])
+    assert told.severity == "refuse" and told.code == "two_vehicles" and "other turns 0.5" in told.words

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.fields import CHASSIS_FIRST_SPEEDS, CHASSIS_FIRST_YAW_RATES
-from tunefree_hil.learn.problems import Problem
+from tunefree_hil.learn.problems import Problem, Severity
 from tunefree_hil.learn.series import TURNS, backwards, first_of, moving, name_of
 
 Array = np.ndarray
@@ -19,6 +19,7 @@ WINDOW_S = 1.0
 LEAST_TURN_RAD = 0.05  # in a window, that it counts
 LEAST_STEER = 0.1  # of the most that was steered: less is as much trim as steering
 FEWEST_WINDOWS = 3  # in a band
+OF_MEDIAN, SURE = 1.25, 2.0  # a middle one is so much less sure than a mean; deviations that are taken off
 BAND = 1.6  # a band reaches from a value to this many times it
 # From which ratio on it is told, and refused.
 STEERING_APART, WHEELS_APART = (1.3, 1.7), (1.05, 1.1)
@@ -33,9 +34,11 @@ def check_same_vehicle(drives: Sequence[Drive]) -> Iterator[Problem]:
     most_rad = max((float(np.nanmax(steer, initial=0.0)) for steer in steers), default=0.0)
     steering = [_steering(drive, LEAST_STEER * most_rad) for drive in drives]
     field = next((name for drive in drives if (name := name_of(drive, TURNS))), TURNS[0])
-    yield from _apart(drives, steering, STEERING_APART, "turns", "steering angle", field)
-    wheels: list[dict[Band, float]] = [{(0, 0, 0): gain} if (gain := _wheels(drive)) else {} for drive in drives]
-    yield from _apart(drives, wheels, WHEELS_APART, "drives", "turn of its wheels", "report.wheel_rl_radps")
+    turns = _apart(drives, lambda i, j: _turning(steering[i], steering[j]), STEERING_APART)
+    yield from (_of_two(*pair, "turns", "steering angle", field) for pair in turns)
+    wheels = [_wheels(drive) for drive in drives]
+    rolls = _apart(drives, lambda i, j: _ratio(wheels[i], wheels[j]), WHEELS_APART)
+    yield from (_of_two(*pair, "drives", "turn of its wheels", "report.wheel_rl_radps") for pair in rolls)
 
 
 def _twice(drives: Sequence[Drive]) -> Iterator[Problem]:
@@ -66,33 +69,31 @@ def _foreign(drives: Sequence[Drive]) -> Iterator[Problem]:
 
 
 def _apart(
-    drives: Sequence[Drive],
-    gains: Sequence[dict[Band, float]],
-    limits: tuple[float, float],
-    does: str,
-    what: str,
-    field: str,
-) -> Iterator[Problem]:
-    """gains: of each drive by band. The first with a band in common is who it is compared with."""
-    for i, mine in enumerate(gains):
-        for before in range(i):
-            common = mine.keys() & gains[before].keys()
-            if not common:
-                continue
-            ratio = float(np.median([mine[band] / gains[before][band] for band in common]))
-            apart = max(ratio, 1.0 / ratio)
-            if apart > limits[0]:
-                severity = "refuse" if apart > limits[1] else "warn"
-                words = f"{drives[i].path} {does} {ratio:.2f} times as much for the same {what} as "
-                words += (
-                    f"{drives[before].path} ({field}), where 1 is expected: logs of two vehicles; give those of one"
-                )
-                yield Problem(severity, "two_vehicles", drives[i].name, field, words)
-            break
+    drives: Sequence[Drive], ratio_of: Callable[[int, int], float | None], limits: tuple[float, float]
+) -> Iterator[tuple[Severity, float, Drive, Drive]]:
+    """(severity, ratio, drive, the one that it is compared with: the first that can be) of those that are too unlike.
+    ratio_of: of two drives by number, None where they cannot be compared.
+    """
+    for i, drive in enumerate(drives):
+        ratios = ((before, ratio_of(i, before)) for before in range(i))
+        found = next(((before, ratio) for before, ratio in ratios if ratio is not None), None)
+        if found and (apart := max(found[1], 1.0 / found[1])) > limits[0]:
+            yield "refuse" if apart > limits[1] else "warn", found[1], drive, drives[found[0]]
 
 
-def _steering(drive: Drive, least_rad: float) -> dict[Band, float]:
-    """Yaw rate by steering times speed, of windows that turn enough, by band of speed and of steering to each side.
+def _of_two(severity: Severity, ratio: float, drive: Drive, other: Drive, does: str, what: str, field: str) -> Problem:
+    words = f"{drive.path} {does} {ratio:.2f} times as much for the same {what} as {other.path} ({field}), where 1 is "
+    words += "expected: logs of two vehicles; give those of one"
+    return Problem(severity, "two_vehicles", drive.name, field, words)
+
+
+def _ratio(mine: float | None, other: float | None) -> float | None:
+    return None if mine is None or other is None else mine / other
+
+
+def _steering(drive: Drive, least_rad: float) -> dict[Band, Array]:
+    """Windows that turn enough, by band of speed and of steering to each side, each [n, 3]: logarithm of the yaw rate
+    by steering times speed, speed squared, steering angle.
 
     A servo is not linear, tyres are not, and a wheel is never quite straight: only what was steered alike is compared.
     """
@@ -102,14 +103,41 @@ def _steering(drive: Drive, least_rad: float) -> dict[Band, float]:
     whole = moving(drive) & ~backwards(drive) & np.isfinite(steer) & np.isfinite(yaw)
     v, wheel, turned = (_windows(np.where(whole, one, np.nan), drive.dt_s) for one in (np.abs(speed), steer, yaw))
     good = np.isfinite(v) & (np.abs(turned) * WINDOW_S > LEAST_TURN_RAD) & (np.abs(wheel) > least_rad)
+    good &= turned * wheel > 0.0  # a turned sign is another fault
     v, wheel, turned = v[good], wheel[good], turned[good]
-    gains = turned / (wheel * v)
+    rows = np.column_stack([np.log(turned / (wheel * v)), v * v, np.abs(wheel)])
+    by_band: dict[Band, list[Array]] = {}
     keys = zip(_bands(v), _bands(np.abs(wheel)), np.sign(wheel).astype(int).tolist(), strict=True)
-    by_band: dict[Band, list[float]] = {}
-    for key, gain in zip(keys, gains.tolist(), strict=True):
-        by_band.setdefault(key, []).append(gain)
-    found = {key: float(np.median(some)) for key, some in by_band.items() if len(some) >= FEWEST_WINDOWS}
-    return {key: gain for key, gain in found.items() if gain > 0.0}  # a turned sign is another fault
+    for key, row in zip(keys, rows, strict=True):
+        by_band.setdefault(key, []).append(row)
+    return {key: np.array(some) for key, some in by_band.items() if len(some) >= FEWEST_WINDOWS}
+
+
+def _turning(mine: Mapping[Band, Array], other: Mapping[Band, Array]) -> float | None:
+    """By how much more one drive turns at the least, the middle one of the bands that both have; None without any.
+    Within a band a faster car turns less for the same angle, and more steering is worth less: what that comes to is
+    told by the windows of each drive and band among themselves, and taken off before two drives are compared. What is
+    left from window to window says how sure the middle one is.
+    """
+    common = sorted(mine.keys() & other.keys())
+    if not common:
+        return None
+    centred = np.concatenate([rows - rows.mean(axis=0) for some in (mine, other) for rows in some.values()])
+    slopes = np.linalg.lstsq(centred[:, 1:], centred[:, 0], rcond=None)[0]
+    apart = [np.median(_even(mine[band], slopes)) - np.median(_even(other[band], slopes)) for band in common]
+    doubts = [np.concatenate([_from_middle(_even(some[band], slopes)) for band in common]) for some in (mine, other)]
+    doubt = OF_MEDIAN * float(np.hypot(*(one.std() / np.sqrt(len(one)) for one in doubts)))
+    middle = float(np.median(apart))
+    return float(np.exp(np.sign(middle) * max(abs(middle) - SURE * doubt, 0.0)))
+
+
+def _even(rows: Array, slopes: Array) -> Array:
+    """Logarithms [n] of how much a drive turned, without what speed and steering do to that."""
+    return rows[:, 0] - rows[:, 1:] @ slopes
+
+
+def _from_middle(values: Array) -> Array:
+    return values - np.median(values)
 
 
 def _bands(values: Array) -> list[int]:
