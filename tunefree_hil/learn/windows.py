@@ -101,9 +101,13 @@ def windows_of(
                     hills += 1
                 else:
                     some.append(signals.window(span))
-    words = [f"{still} windows at a standstill left out"] if still else []
-    words += [f"{hills} windows on a slope left out: its grade was not recorded"] if hills else []
+    words = [f"{_windows(still)} at a standstill left out"] if still else []
+    words += [f"{_windows(hills)} on a slope left out: its grade was not recorded"] if hills else []
     return Windows(tuple(some), steered, pedals, tuple(words))
+
+
+def _windows(count: int) -> str:
+    return "1 window" if count == 1 else f"{count} windows"
 
 
 class _Signals:

@@ -106,14 +106,14 @@ def _asked(folder: Path, vehicle: VehicleSpec, opened: Sequence[Opened]) -> Gene
     from tunefree_hil.gap.usual import NOTHING
 
     asked = OwnLogs(load_model(folder), vehicle, opened)
-    first = yield from _with_progress(look_first(*asked[:3]))
+    first = yield from _with_progress("every link", look_first(*asked[:3]))
     looked = first.looked[0]
     _kept(folder, NOTHING._replace(restless=restless_of(first.question)))
     if not looked.broken:
-        yield from _of_the_car(folder, asked, (yield from _with_progress(limits(asked))))
+        yield from _of_the_car(folder, asked, (yield from _with_progress("limits of the car", limits(asked))))
         return
     yield Event("note", f"{looked.missed}: the model's own logs are asked for what it lacks")
-    found = yield from _with_progress(name(*asked))
+    found = yield from _with_progress("what it lacks", name(*asked))
     if any(one.broken for one in found.still):
         yield from _poor(folder, asked)
         return
@@ -157,10 +157,10 @@ def _poor(folder: Path, asked: OwnLogs) -> Generator[Event, None, None]:
 
     for what, search in (("its sensors", sensors), ("its tyres", tyres)):
         asked = asked._replace(model=load_model(folder))
-        if found := (yield from _with_progress(search(asked))):
+        if found := (yield from _with_progress(what, search(asked))):
             write_effects(folder, asked.model, [*asked.model.effects, *found])
             yield Event("note", f"{what}, by its own logs: {', '.join(_words(one) for one in found)}")
-    told = yield from _with_progress(usual(asked._replace(model=load_model(folder))))
+    told = yield from _with_progress("what is usual", usual(asked._replace(model=load_model(folder))))
     _kept(folder, told)
     yield from (Event("warning", f"{words}, for no reason in the catalogue") for words in usual_words(told))
 
@@ -169,10 +169,10 @@ def _words(one: EffectSpec) -> str:
     return f"{one.name} ({', '.join(f'{key} {value:.4g}' for key, value in one.params.items())})"
 
 
-def _with_progress(search: Generator[str, None, T]) -> Generator[Event, None, T]:
-    """A search with its stages as progress."""
-    began = time.monotonic()
-    return told(search, lambda stage: Event("progress", stage, {"label": LABEL, **eta_of(stage, began)}))
+def _with_progress(what: str, search: Generator[str, None, T]) -> Generator[Event, None, T]:
+    """A search with its stages as progress, which begins anew with each."""
+    began, label = time.monotonic(), f"{LABEL}: {what}"
+    return told(search, lambda stage: Event("progress", stage, {"label": label, **eta_of(stage, began)}))
 
 
 def _kept(folder: Path, usual: Usual) -> None:

@@ -35,7 +35,7 @@ UNITS = {
     ROAD: ("of what the accelerometer says throughout is a slope, the rest its own", 1.0),
 }
 SEED = 1  # of --seed
-KNOWN, TAKEN = "", " (not from these logs)"
+KNOWN, TAKEN = "", "; not from these logs"
 
 
 def channel_words(channel: str, found: ActuatorFit) -> str:
@@ -46,19 +46,19 @@ def channel_words(channel: str, found: ActuatorFit) -> str:
     else:
         lag = f"second-order lag, 63 % in {1e3 * found.lag_63_s():.0f} ms"
     rate = found.rate_limit
-    limit = f", rate limit {_span(rate)} per s" if math.isfinite(rate.value) else ""
+    limit = f", rate limit {_span(rate, unit=' per s')}" if math.isfinite(rate.value) else ""
     band = f", dead band {_span(found.dead_band)}" if found.dead_band.value > 0.0 else ""
     return f"{channel}: {dead}, {lag}{limit}{band}"
 
 
 def _ms(value: Value) -> str:
     low, high = 1e3 * value.low, 1e3 * value.high
-    return f"{1e3 * value.value:.1f} ms ({low:.1f} to {high:.1f}){KNOWN if value.known else TAKEN}"
+    return f"{1e3 * value.value:.1f} ms ({low:.1f} to {high:.1f}{KNOWN if value.known else TAKEN})"
 
 
-def _span(value: Value, factor: float = 1.0) -> str:
+def _span(value: Value, factor: float = 1.0, unit: str = "") -> str:
     ends = f"{factor * value.low:.4g} to {factor * value.high:.4g}"
-    return f"{factor * value.value:.4g} ({ends}){KNOWN if value.known else TAKEN}"
+    return f"{factor * value.value:.4g}{unit} ({ends}{KNOWN if value.known else TAKEN})"
 
 
 def constant_words(physics: PhysicsFit) -> Iterator[str]:
