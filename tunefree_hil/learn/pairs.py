@@ -106,13 +106,13 @@ def up_to_stops(training: Pairs, held_out: Pairs) -> tuple[Pairs, Pairs]:
 
 def _taken(drive: Drive, channel: str) -> tuple[Array, Array, Array, int, str] | None:
     """(command, output, where it is fresh, window, words) of a whole drive, or None."""
-    name = CHANNELS[channel]
-    output, wire = drive.get(f"report.{name}"), drive.get(f"command.{name}")
-    echo = drive.get(f"report.{ECHOES[channel]}")
+    name, said = CHANNELS[channel], f"report.{ECHOES[channel]}"
+    output, wire, echo = drive.get(f"report.{name}"), drive.get(f"command.{name}"), drive.get(said)
     if output is not None and channel != "accel":
         fresh = drive.fresh[f"report.{name}"]
         if echo is not None:
-            return by_echo(echo, fresh, wire, drive.dt_s), output, fresh, 0, _echo_words(wire)
+            command = as_held(by_echo(echo, fresh, wire, drive.dt_s), drive.command_ages.get(said), drive.dt_s)
+            return command, output, fresh, 0, _echo_words(wire)
         if wire is not None:
             moved = shifted(wire, BENCH_TICKS)
             return moved, output, fresh, 0, f"no echo: commands moved by {BENCH_TICKS} ticks, as the bench delays them"
@@ -156,6 +156,20 @@ def by_echo(echo: Array, fresh: Array, wire: Array | None, dt_s: float) -> Array
     use[ticks] = False
     command[use] = moved[use]
     return command
+
+
+def as_held(command: Array, age_s: float | None, dt_s: float) -> Array:
+    """What a channel was asked on average in each tick, by what the report at its end echoes [n]: until the newest
+    command came it still held the one before. age_s: of the command then (command_age.py); None: it came with the tick.
+    """
+    if age_s is None:
+        return command
+    late = 1.0 - age_s / dt_s
+    rows = np.arange(len(command)) - late
+    whole = np.floor(rows).astype(np.int64)
+    share, last = rows - whole, len(command) - 1
+    before, after = command[np.clip(whole, 0, last)], command[np.clip(whole + 1, 0, last)]
+    return np.where(share > 0.0, (1.0 - share) * before + share * after, before)
 
 
 def shift_of(echo: Array, wire: Array, ticks: Array, longest: int) -> int | None:
