@@ -21,10 +21,10 @@ from tunefree_hil.gap.interval import across
 from tunefree_hil.gap.locate import Looked
 from tunefree_hil.gap.problem import Free
 from tunefree_hil.gap.usual import (
+    HAD,
     KEY,
     NEWS,
     NOTHING,
-    PLAINLY,
     TIMES,
     Usual,
     as_data,
@@ -91,14 +91,14 @@ def test_whom_the_own_logs_could_not_show_is_no_news() -> None:
 
 def test_where_the_model_came_near_its_own_logs_all_is_news_that_they_did_not_plainly_have() -> None:
     elsewhere = frozenset({"another signal"})
-    for known in (usual(VALUE, 1.1 * VALUE / PLAINLY), usual(VALUE)._replace(effects={})):
+    for known in (usual(VALUE, 1.1 * VALUE / HAD), usual(VALUE)._replace(effects={})):
         assert parted([STEP], FOUND, known._replace(broken=elsewhere), ALL) == ([STEP], ())
     limit = STEP._replace(name="steer_rate_limit")
     rate = Free("steer_rate_limit.rate_radps", 0.1, 20.0, True, np.inf, -0.35, 1.35)
     at_it = fitted(rate, z=rate.place(6.9))
     endless = Usual({}, {"steer_rate_limit": {"rate_radps": (6.9, 0.0)}}, elsewhere)
     assert parted([limit], at_it, endless, ALL) == ([limit], ()), "the own logs say nothing of it"
-    plainly = usual(VALUE, 0.9 * VALUE / PLAINLY)._replace(broken=elsewhere)
+    plainly = usual(VALUE, 0.9 * VALUE / HAD)._replace(broken=elsewhere)
     news, words = parted([STEP], FOUND, plainly, ALL)
     assert news == [] and words[0].startswith("steer_dead_time is no news")
 

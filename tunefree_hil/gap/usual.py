@@ -33,7 +33,7 @@ KEY = "usual"  # of card.json
 RESTLESS, OWN_MISSED = "restless", "own_missed"  # of it as well
 PEDALS = ("throttle_gain.gain_frac", "brake_gain.gain_frac")  # the same force along the car shows in either
 TIMES = 2.0  # as much missed as usual is as usual: another drive shakes more, or less
-PLAINLY = 2.0  # deviations from neutral, of a model that misses its own logs: what they leave open is no news either
+HAD = 2.0  # deviations from neutral: what the own logs of a model that misses them leave open is no news either
 NEWS = 4.0  # deviations, of both values together, from which on a value is another one: they are those of a poor model
 
 Known = tuple[float, float]  # (value, deviation), both in the parameter's unit
@@ -155,7 +155,7 @@ def parted(
         return list(steps), ()
     values, news, words = across(model, blocks), list[Weighed](), list[str]()
     for step in steps:
-        asked = step.target in usual.broken or _plainly_there(step.name, usual)
+        asked = step.target in usual.broken or _had(step.name, usual)
         why = _no_news(step.name, values, usual) if asked else ""
         if why:
             words.append(f"{step.name} is no news: {why}")
@@ -180,13 +180,13 @@ def seen_alone(
     return [], tuple(f"{one.name} shows only beside {names}, which is not put in" for one in news)
 
 
-def _plainly_there(name: str, usual: Usual) -> bool:
-    """Whether the own logs plainly had an effect: a parameter of it is none that changes nothing. Of a limit, which
+def _had(name: str, usual: Usual) -> bool:
+    """Whether the own logs had an effect, as far as they tell: a parameter of it is off neutral. Of a limit, which
     changes nothing at infinity, no number of deviations says so.
     """
     neutral, known = effects()[name].neutral, usual.effects.get(name, {})
     told = {key: one for key, one in known.items() if math.isfinite(neutral[key])}
-    return any(abs(value - neutral[key]) > PLAINLY * by for key, (value, by) in told.items())
+    return any(abs(value - neutral[key]) > HAD * by for key, (value, by) in told.items())
 
 
 def _no_news(name: str, values: Mapping[str, Known], usual: Usual) -> str:
