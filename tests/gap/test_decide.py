@@ -174,6 +174,16 @@ def test_what_the_model_misses_as_usual_may_be_a_little_worse() -> None:
         assert found.counts == counts and (found.worst == 0.0) == counts
 
 
+def test_worse_tick_by_tick_and_no_less_likely_is_not_worse() -> None:
+    """What is left of `b` is larger, and as likely as it was: noise that hangs together over so long says nothing."""
+    null, found = model("", spread(8.0), other=1.0 * ROWS), model("x", spread(0.01), other=0.99 * ROWS)
+    sums, counts_of = found.squares["b"]
+    larger = found._replace(squares={**found.squares, "b": (1.2 * sums, counts_of)})
+    for broken, counts in ((None, False), ({"a", "b"}, False), ({"a"}, True)):
+        (one,) = weigh({"x": larger}, null, null, SIZES, ALL, broken)
+        assert one.counts == counts, "of a broken link it is the name's business all the same"
+
+
 def test_what_is_left_is_counted_target_by_target() -> None:
     assert left_share(Left(10.0, 9.0), Left(1.0, 0.0)) == 0.0
     assert left_share(Left(10.0, 9.0), Left(4.0, 3.0)) == pytest.approx(1.0 / 3.0)
