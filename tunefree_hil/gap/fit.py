@@ -8,12 +8,13 @@ estimated on each candidate's own residual (noise.py).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.gap.evidence import log_evidence, stretched
 from tunefree_hil.gap.noise import Colour
 from tunefree_hil.gap.problem import (
     FLAT,
@@ -83,24 +84,29 @@ def fit_candidate(scan: Scan, name: str, free: Sequence[Free], begin: Start, hop
     less than `hopeless` there gets one step: enough to be sure that nobody is left out for the grid's sake. Raises
     InputError where no way leads on from any of them.
     """
-    problem, colours = scan.problem, scan.colours
-    turns = TURNS if begin.gain > hopeless else 1
+    problem, closer = scan.problem, begin.closer
+    turns = TURNS if begin.worth > hopeless else 1
     if begin.gain > hopeless:
         begin = scan.finer(free, begin)
     own = list(range(len(begin.keys) - len(free), len(begin.keys)))
     loose = (*scan.start.free, *free)
-    found, lost = list[tuple[Point, Slopes]](), list[InputError]()
-    for one in [some for some in (begin, begin.plain) if some is not None]:
+    lost = list[InputError]()
+
+    def ended(one: Start, colours: dict[str, Colour] | None) -> Iterator[tuple[Point, Slopes]]:
+        """Where a search from there ends; nowhere where no way leads on. colours: None for those at its begin."""
         try:
             residuals = problem.work.residuals(problem.values(one.keys, one.z, loose))
             at = Point(one.keys, loose, one.z, residuals)
-            found.append(_descended(problem, at, scan.slopes(free), own, colours, turns))
+            yield _descended(problem, at, scan.slopes(free), own, colours or problem.colours(residuals), turns)
         except InputError as error:  # over the edge of what makes a car: the other start may stay within it
             lost.append(error)
-    if not found:
+
+    found = [end for one in (begin, begin.plain) if one is not None for end in ended(one, scan.colours)]
+    some = [min(found, key=lambda end: _cost(scan, end[0], scan.colours))] if found else []
+    some += [] if closer is None else ended(scan.nearer(free, closer), None)
+    if not some:
         raise lost[0]
-    at, slopes = min(found, key=lambda one: _cost(scan, one[0], colours)) if len(found) > 1 else found[0]
-    return _finished(problem, name, at, slopes)
+    return _likelier([_finished(problem, name, *end) for end in some], problem.judged())
 
 
 def _cost(scan: Scan, at: Point, colours: dict[str, Colour]) -> float:
@@ -108,6 +114,14 @@ def _cost(scan: Scan, at: Point, colours: dict[str, Colour]) -> float:
     problem, start = scan.problem, scan.start
     left = squares(problem, at.residuals, colours, start.residuals, start.sums, problem.judged())
     return left + float(at.z @ problem.prior(at.keys, at.free) @ at.z)
+
+
+def _likelier(found: Sequence[Fitted], blocks: Array) -> Fitted:
+    """The best of some ends of one search, all by the noise of the loudest."""
+    if len(found) == 1:
+        return found[0]
+    by = {name: max(one.sums[name].colour.stretch for one in found) for name in found[0].sums}
+    return max(found, key=lambda one: log_evidence(stretched(one, by), blocks))
 
 
 def _fitted_on(problem: Problem, name: str, at: Point) -> tuple[Fitted, Slopes]:

@@ -32,6 +32,7 @@ TWINS = {"ins_latency.delay_s": ("clock.ins_s", 1.0), "report_latency.delay_s": 
 NO_TWIN = ("", 1.0)
 HALVINGS = 7  # of the way between two points of a grid, to where a limit begins to act
 TOUCHES = (0.0, 0.03, 0.07, 0.12, 0.2, 0.33, 0.5)  # of the way from there to the point that cuts off too much
+CLOSER = 0.5  # of a target's mean square: who takes off more is on to something, whatever its noise says
 FINER = 9  # points between the best one's neighbours: a delay is rugged on the scale of a tick
 
 
@@ -39,7 +40,9 @@ class Start(NamedTuple):
     """The best point of a grid: keys that move and z of them (all but `free`: recalibration done there), and what it
     gains over the model that the candidate is added to, in squares. plain: of several parameters the best point with
     all but the first neutral, where that is another one. moves: what the grid's points move of any target at the most,
-    root mean square where it may be looked at, as a share of its signal.
+    root mean square where it may be looked at, as a share of its signal. closer: the point that takes most off any
+    target's mean square, where that is much and another one: a filter that fits what a limit leaves makes the corners
+    that are left beside it louder than all of that was.
     """
 
     keys: tuple[str, ...]
@@ -47,6 +50,12 @@ class Start(NamedTuple):
     gain: float
     plain: Start | None = None
     moves: float = 0.0
+    closer: Start | None = None
+
+    @property
+    def worth(self) -> float:
+        """What it gains, or more than any: it is to be fitted in any case."""
+        return self.gain if self.closer is None else math.inf
 
 
 class _Felt(NamedTuple):
@@ -75,9 +84,10 @@ class Scan:
         """Over the whole grid, and where recalibration has put the very same parameter: taking its place must be no
         loss. Raises InputError where no value of it makes a car.
         """
-        found = self._best(free, [*grid_of(free), *self._recalibrated(free)])
+        found = self._apart(free, self._best(free, [*grid_of(free), *self._recalibrated(free)]))
         if len(free) == 1 and not math.isfinite(free[0].neutral) and not self._acts(free[0], float(found.z[-1])):
-            found = self._best(free, [found.z[-1:], *self._touched(free[0])])
+            wide, found = found, self._best(free, [found.z[-1:], *self._touched(free[0])])
+            found = found._replace(moves=max(wide.moves, found.moves), closer=wide.closer or found.closer)
         neutral = [one.place(one.neutral) for one in free[1:]]
         if np.array_equal(found.z[len(found.z) - len(neutral) :], neutral):
             return found
@@ -87,16 +97,29 @@ class Scan:
         except InputError:
             return found
 
+    def _apart(self, free: Sequence[Free], found: Start) -> Start:
+        """With the closer point only where it is another one."""
+        own = -len(free)
+        same = found.closer is not None and np.array_equal(found.closer.z[own:], found.z[own:])
+        return found._replace(closer=None) if same else found
+
     def finer(self, free: Sequence[Free], found: Start) -> Start:
         """Around a point that was found, where there is one parameter and what it does is not nearly linear."""
+        points = self._around(free, found)
+        return max(found, self._best(free, points), key=lambda one: one.gain) if points else found
+
+    def nearer(self, free: Sequence[Free], found: Start) -> Start:
+        """The same of a `closer` point: the one around it that takes off most."""
+        return self._best(free, self._around(free, found) or [found.z[-len(free) :]]).closer or found
+
+    def _around(self, free: Sequence[Free], found: Start) -> list[Array]:
         if len(free) != 1 or free[0].low < 0.0:
-            return found
+            return []
         places = sorted(_places(free[0]))
         i = int(np.argmin(np.abs(np.array(places) - found.z[-1])))
         wide = max(places[min(i + 1, len(places) - 1)] - places[i], places[i] - places[max(i - 1, 0)])
         near = found.z[-1] + wide * np.linspace(-1.0, 1.0, FINER)
-        points = [np.array([u]) for u in np.clip(near, free[0].least, free[0].most)]
-        return max(found, self._best(free, points), key=lambda one: one.gain)
+        return [np.array([u]) for u in np.clip(near, free[0].least, free[0].most)]
 
     def kept(self, free: Sequence[Free]) -> list[int]:
         """The model's keys that are fitted beside a candidate: not what is the candidate's own."""
@@ -156,8 +179,8 @@ class Scan:
         prior = self.problem.prior([start.keys[i] for i in kept], start.free)
         gone = float(start.z @ start.prior @ start.z - base @ prior @ base)
         before = self._left(start.residuals, kept, base, prior)[0] + gone
-        best: Start | None = None
-        moves = 0.0
+        best, closest = None, None
+        moves, most = 0.0, CLOSER
         for u in points:
             z = np.concatenate([base, u])
             try:
@@ -166,12 +189,24 @@ class Scan:
                 continue
             moves = max(moves, self._moved(residuals))
             left, step = self._left(residuals, kept, base, prior)
+            low, high = ends_of(keys, loose)
             if best is None or before - left > best.gain:
-                low, high = ends_of(keys, loose)
                 best = Start(keys, np.clip(np.concatenate([base + step, u]), low, high), before - left)
+            if (share := self._taken_off(residuals)) > most:
+                most, closest = share, Start(keys, np.clip(z, low, high), before - left)
         if best is None:
             raise InputError("no value of it makes a car", code="no_such_effect", key=",".join(one.key for one in free))
-        return best._replace(moves=moves)
+        return best._replace(moves=moves, closer=closest)
+
+    def _taken_off(self, residuals: Residuals) -> float:
+        """Of the target of which most of the start's mean square is taken off, the share, where it may be looked at."""
+        work, shares = self.problem.work, list[float]()
+        for name, some in residuals.items():
+            was = self.start.residuals[name]
+            if not unchanged(some, was):
+                now, before = (_square(one, work.seen(name)) for one in (some, was))
+                shares.append(1.0 - now / max(before, 1e-300))
+        return max(shares, default=0.0)
 
     def _moved(self, residuals: Residuals) -> float:
         """What residuals differ by from the start's, of the target that differs most, as a share of its signal."""
@@ -212,6 +247,10 @@ class Scan:
         colour = self.colours[name]
         rows, at = self.problem.work.white(name, residual, colour)
         return rows[np.isin(at, self.problem.judged())] / np.sqrt(colour.stretch)
+
+
+def _square(residual: Sequence[Array], rows: Sequence[Array]) -> float:
+    return sum(float(np.sum(one[seen] ** 2)) for one, seen in zip(residual, rows, strict=True))
 
 
 def unchanged(some: Sequence[Array], others: Sequence[Array]) -> bool:

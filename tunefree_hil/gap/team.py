@@ -50,11 +50,11 @@ class Team:
         if start is None and noise is None:
             self.moves |= {name: one.moves for name, one in begins.items()}
         best = max((one.gain for one in begins.values()), default=0.0)
-        order = sorted(begins, key=lambda name: -begins[name].gain)
+        order = sorted(begins, key=lambda name: -begins[name].worth)
         least, bar = (
             (-math.inf, 0.0) if self.thorough else (max(HOPELESS, LEFT_OUT * best), max(HOPELESS, SCREEN * best))
         )
-        asked = [name for name in order if begins[name].gain > least]
+        asked = [name for name in order if begins[name].worth > least]
         shares = [{name: begins[name] for name in share} for share in self._shares(asked)]
         found: dict[str, Modelled] = {}
         for some, lost in self._all([("fit_suspects", self.token, share, model, bar, by) for share in shares]):
