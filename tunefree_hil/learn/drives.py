@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 Array = np.ndarray
-NO_AGES: Mapping[str, float] = {}
+NO_AGES: Mapping[str, Array] = {}
 
 
 class Reading(NamedTuple):
@@ -43,8 +43,8 @@ class Drive(NamedTuple):
     of the newest frame stamped before the end of the tick, NaN before the first. A field that the log or the vehicle
     does not have is absent. fresh: the same keys -> bool [n]: ticks in which a frame brought a value.
     enabled: bool [n], whether the by-wire channels obeyed as far as reports say (all True where none can say it).
-    command_ages: by the field of an echo, seconds from a command to the report that echoes it first (command_age.py);
-    absent where commands come with the ticks, or nothing tells it.
+    command_ages: by the field of an echo, seconds [n] from a command to the report that echoes it first
+    (command_age.py); absent where commands come with the ticks, or nothing tells it.
     reading: what the log said beside its values; None for a drive that came out of no log.
     """
 
@@ -55,7 +55,7 @@ class Drive(NamedTuple):
     fresh: Mapping[str, Array]
     enabled: Array
     reading: Reading | None = None
-    command_ages: Mapping[str, float] = NO_AGES
+    command_ages: Mapping[str, Array] = NO_AGES
 
     @property
     def ticks(self) -> int:

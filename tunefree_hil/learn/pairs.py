@@ -158,9 +158,10 @@ def by_echo(echo: Array, fresh: Array, wire: Array | None, dt_s: float) -> Array
     return command
 
 
-def as_held(command: Array, age_s: float | None, dt_s: float) -> Array:
+def as_held(command: Array, age_s: Array | None, dt_s: float) -> Array:
     """What a channel was asked on average in each tick, by what the report at its end echoes [n]: until the newest
-    command came it still held the one before. age_s: of the command then (command_age.py); None: it came with the tick.
+    command came it still held the one before. age_s [n]: of that command then (command_age.py); None: it came with the
+    tick.
     """
     if age_s is None:
         return command
