@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tunefree_hil.learn.drives import Array, Drive
-from tunefree_hil.learn.pairs import BENCH_TICKS, CHANNELS, ECHOES, as_held, by_echo, shifted
+from tunefree_hil.learn.pairs import BENCH_TICKS, CHANNELS, ECHOES, by_echo, shifted
 from tunefree_hil.learn.smooth import between_fresh
 from tunefree_hil.plant.asked_accel import FULL_MPS2
 
@@ -19,17 +19,12 @@ def channel_of(drive: Drive, name: str, rest: float) -> tuple[Array, Array, Arra
     if asked is None and said is None:  # a vehicle without this pedal
         return np.full(drive.ticks, rest), none, np.ones(drive.ticks, dtype=bool)
     if echo is not None:
-        command = _by_echo(drive, name, echo, asked)
+        command = by_echo(echo, drive.fresh[f"report.{ECHOES[name]}"], asked, drive.dt_s)
         return command, output, np.isfinite(command)
     if asked is None:
         return none, output, np.zeros(drive.ticks, dtype=bool)
     command = shifted(asked, BENCH_TICKS)
     return command, output, np.isfinite(command) & drive.enabled
-
-
-def _by_echo(drive: Drive, name: str, echo: Array, asked: Array | None) -> Array:
-    said = f"report.{ECHOES[name]}"
-    return as_held(by_echo(echo, drive.fresh[said], asked, drive.dt_s), drive.command_ages.get(said), drive.dt_s)
 
 
 def accel_asked(drive: Drive) -> Array | None:
@@ -38,7 +33,7 @@ def accel_asked(drive: Drive) -> Array | None:
     if any(drive.get(f"{group}.throttle_frac") is not None for group in ("command", "report")):
         return None
     if echo is not None:
-        return _by_echo(drive, "accel", echo, asked)
+        return by_echo(echo, drive.fresh[f"report.{ECHOES['accel']}"], asked, drive.dt_s)
     return None if asked is None else shifted(asked, BENCH_TICKS)
 
 

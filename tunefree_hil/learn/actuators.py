@@ -48,6 +48,7 @@ LEAST_SMALL_ROWS = 100  # about rest, for a dead band
 SMALL_SHARE = 0.1  # of the span: what counts as about rest
 # Of a tick: where between two ticks something happens only the bend of the output tells, and that is the form's word
 # as much as the car's. No drive however long makes an interval of a time narrower than this to each side.
+NORMAL_95 = 1.96
 BETWEEN_TICKS = 0.1
 MOST_UNKNOWN = 200.0  # an unknown that far off says nothing any more
 FOLLOWS = 0.5  # share of the output's variance that the command must explain
@@ -143,6 +144,7 @@ def _as_fit(case: Case, chosen: Found, rate: Value, band: Value, pairs: Pairs, w
             if name in TIMES:
                 value = at_least_0(wider(value, BETWEEN_TICKS * dt_s))
             found[name] = judged(name, value)
+    found["dead_time_s"] = at_least_0(wider(found["dead_time_s"], NORMAL_95 * pairs.apart_s))
     output = np.concatenate([pair.output[pair.counts] for pair in case.training])
     quantum = quantum_of(output)
     found["offset"] = wider(found["offset"], 0.5 * quantum)

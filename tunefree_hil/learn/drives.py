@@ -43,7 +43,7 @@ class Drive(NamedTuple):
     of the newest frame stamped before the end of the tick, NaN before the first. A field that the log or the vehicle
     does not have is absent. fresh: the same keys -> bool [n]: ticks in which a frame brought a value.
     enabled: bool [n], whether the by-wire channels obeyed as far as reports say (all True where none can say it).
-    command_ages: by the field of an echo, seconds [n] from a command to the report that echoes it first
+    command_ages: by the field of an echo, seconds [m] from a command to the report that echoes it first
     (command_age.py); absent where commands come with the ticks, or nothing tells it.
     reading: what the log said beside its values; None for a drive that came out of no log.
     """

@@ -40,6 +40,8 @@ AGREEING_SHARE = 0.9  # of the changes of the echo that the wire must explain
 LONGEST_SILENCE_S = 0.2
 WARM_S = 1.0  # of a segment that is not compared: what went before it is not known
 LEAST_S = 3.0
+NO_AGES = np.zeros(0)
+TOLD_S = 5e-4  # of a deviation of ages: less is how evenly frames come
 RATE_WINDOW_S = 0.5  # of the polynomial that gives the rate of the speed, where that is the output
 
 
@@ -58,11 +60,14 @@ class Pair(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """All stretches of a channel; words: where the commands come from."""
+    """All stretches of a channel; words: where the commands come from. apart_s: standard deviation of the time from a
+    command to the report that echoes it first (command_age.py); 0 where commands come with the ticks.
+    """
 
     channel: str
     some: tuple[Pair, ...]
     words: str
+    apart_s: float = 0.0
 
     @property
     def rows(self) -> int:
@@ -74,6 +79,7 @@ def pairs_of(parts: Iterable[Part], channel: str) -> Pairs:
     """Command and output of a channel in `parts`; without stretches where the logs do not have both."""
     found: list[Pair] = []
     words: list[str] = []
+    ages: list[Array] = []
     for part in parts:
         drive = part.drive
         taken = _taken(drive, channel)
@@ -81,12 +87,17 @@ def pairs_of(parts: Iterable[Part], channel: str) -> Pairs:
             continue
         command, output, fresh, window, said = taken
         words += [said] if said not in words else []
+        ages += [drive.command_ages.get(f"report.{ECHOES[channel]}", NO_AGES)]
         for begin, end in stretches(drive, part, command, output, fresh):
             counts = fresh[begin:end] & np.isfinite(output[begin:end])
             counts[: round(WARM_S / drive.dt_s)] = False
             if counts.any():
                 found.append(Pair(command[begin:end], output[begin:end], counts, drive.dt_s, window))
-    return Pairs(channel, tuple(found), "; ".join(words))
+    heard = np.concatenate([NO_AGES, *ages])
+    apart_s = float(heard.std()) if len(heard) else 0.0
+    if apart_s > TOLD_S:
+        words.append(f"commands come {1e3 * heard.mean():.1f} ms before that, deviation {1e3 * apart_s:.1f} ms")
+    return Pairs(channel, tuple(found), "; ".join(words), apart_s)
 
 
 def up_to_stops(training: Pairs, held_out: Pairs) -> tuple[Pairs, Pairs]:
@@ -106,13 +117,13 @@ def up_to_stops(training: Pairs, held_out: Pairs) -> tuple[Pairs, Pairs]:
 
 def _taken(drive: Drive, channel: str) -> tuple[Array, Array, Array, int, str] | None:
     """(command, output, where it is fresh, window, words) of a whole drive, or None."""
-    name, said = CHANNELS[channel], f"report.{ECHOES[channel]}"
-    output, wire, echo = drive.get(f"report.{name}"), drive.get(f"command.{name}"), drive.get(said)
+    name = CHANNELS[channel]
+    output, wire = drive.get(f"report.{name}"), drive.get(f"command.{name}")
+    echo = drive.get(f"report.{ECHOES[channel]}")
     if output is not None and channel != "accel":
         fresh = drive.fresh[f"report.{name}"]
         if echo is not None:
-            command = as_held(by_echo(echo, fresh, wire, drive.dt_s), drive.command_ages.get(said), drive.dt_s)
-            return command, output, fresh, 0, _echo_words(wire)
+            return by_echo(echo, fresh, wire, drive.dt_s), output, fresh, 0, _echo_words(wire)
         if wire is not None:
             moved = shifted(wire, BENCH_TICKS)
             return moved, output, fresh, 0, f"no echo: commands moved by {BENCH_TICKS} ticks, as the bench delays them"
@@ -156,21 +167,6 @@ def by_echo(echo: Array, fresh: Array, wire: Array | None, dt_s: float) -> Array
     use[ticks] = False
     command[use] = moved[use]
     return command
-
-
-def as_held(command: Array, age_s: Array | None, dt_s: float) -> Array:
-    """What a channel was asked on average in each tick, by what the report at its end echoes [n]: until the newest
-    command came it still held the one before. age_s [n]: of that command then (command_age.py); None: it came with the
-    tick.
-    """
-    if age_s is None:
-        return command
-    late = 1.0 - age_s / dt_s
-    rows = np.arange(len(command)) - late
-    whole = np.floor(rows).astype(np.int64)
-    share, last = rows - whole, len(command) - 1
-    before, after = command[np.clip(whole, 0, last)], command[np.clip(whole + 1, 0, last)]
-    return np.where(share > 0.0, (1.0 - share) * before + share * after, before)
 
 
 def shift_of(echo: Array, wire: Array, ticks: Array, longest: int) -> int | None:

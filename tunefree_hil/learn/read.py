@@ -17,7 +17,7 @@ from tunefree_hil.bus.message_map import EXTENDED_FLAG, MessageMap
 from tunefree_hil.episode.candump import ERROR, RTR, cut_line
 from tunefree_hil.episode.log_columns import Name, Piece, read_pieces
 from tunefree_hil.episode.real_time import times_of
-from tunefree_hil.learn.command_age import Rows, command_ages
+from tunefree_hil.learn.command_age import command_ages
 from tunefree_hil.learn.drives import Drive, Reading
 from tunefree_hil.learn.heard import SLOW_S, Ear, Seen, place
 from tunefree_hil.learn.tick_ends import even_zero
@@ -83,9 +83,8 @@ def _read(path: Path, name: str, codec: Codec, tell: Callable[[float], None]) ->
     zero_s = even_zero((ear.times_s for ear in ears.values()), dt_s, times.zero_s) if times.by_frame else times.zero_s
     grid = place(ears.values(), dt_s, zero_s, times.late_ticks)
     reading = _reading(path, ears.values(), seen, times.words)
-    rows = Rows(len(grid.enabled), dt_s, zero_s, times.late_ticks)
     heard = {field: column for ear in ears.values() for field, column in ear.columns().items()}
-    ages = command_ages(heard, rows) if times.by_frame else {}
+    ages = command_ages(heard) if times.by_frame else {}
     return Drive(name, _hash(path), dt_s, grid.fields, grid.fresh, grid.enabled, reading, ages)
 
 
