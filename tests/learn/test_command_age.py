@@ -49,6 +49,15 @@ def test_a_command_that_hardly_changes_or_is_another_tells_nothing() -> None:
         assert command_ages({"command.steer_rad": sent, ECHO: one}) == {}
 
 
+def test_an_echo_whose_command_is_long_gone_tells_nothing() -> None:
+    """Late by more than is looked back: what is found is any other command of that value."""
+    sent, _ = told(0.004)
+    said_s = np.arange(1.0, 29.0, PERIOD_S)
+    swings = Column(sent.time_s, np.round(np.random.default_rng(5).uniform(0.1, 0.9, len(sent.time_s)), 2))
+    late = Column(said_s, swings.values[np.searchsorted(sent.time_s, said_s - 0.3, side="right") - 1])
+    assert len(changed_ages(swings, late)) > FEWEST and command_ages({"command.steer_rad": swings, ECHO: late}) == {}
+
+
 def test_each_channel_has_its_own_where_both_sides_are_heard() -> None:
     (sent, said), (pedal, _) = told(0.003), told(0.006)
     columns = {"command.steer_rad": sent, ECHO: said, "command.brake_frac": pedal}

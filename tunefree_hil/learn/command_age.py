@@ -19,6 +19,7 @@ Array = np.ndarray
 
 EARLIER = 15  # commands before a report: what came before those is another one of the same value
 FEWEST = 20  # changed echoes that tell it
+NEAR, AGREEING = 1.5, 0.8  # periods of the commands from the middle age; the share of ages that are so near to it
 PLAIN = 2.0  # times what two roundings differ by: a change
 
 
@@ -29,11 +30,17 @@ def command_ages(columns: Mapping[str, Column]) -> dict[str, Array]:
     found = {}
     for channel, echo in ECHOES.items():
         sent, said = columns.get(f"command.{CHANNELS[channel]}"), columns.get(f"report.{echo}")
-        if sent is not None and said is not None:
+        if sent is not None and said is not None and len(sent.time_s) > 1:
             ages_s = changed_ages(sent, said)
-            if len(ages_s) >= FEWEST:
-                found[f"report.{echo}"] = ages_s
+            near = _of_one(ages_s, NEAR * float(np.median(np.diff(np.sort(sent.time_s)))))
+            if near.sum() >= max(FEWEST, AGREEING * len(ages_s)):
+                found[f"report.{echo}"] = ages_s[near]
     return found
+
+
+def _of_one(ages_s: Array, within_s: float) -> Array:
+    """Which of some ages [m] are about the middle one: an echo of which the command is long gone finds any other."""
+    return np.abs(ages_s - np.median(ages_s)) <= within_s if len(ages_s) else np.zeros(0, dtype=bool)
 
 
 def changed_ages(sent: Column, said: Column) -> Array:
