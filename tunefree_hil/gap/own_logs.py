@@ -27,6 +27,7 @@ from tunefree_hil.gap.sift import looked_at
 from tunefree_hil.gap.team import Team
 from tunefree_hil.gap.usual import NOTHING, Usual, by_name
 from tunefree_hil.gap.work import Setting
+from tunefree_hil.learn.values import NORMAL_95
 from tunefree_hil.learn.write_model import OWN_LOGS
 
 Array = np.ndarray
@@ -36,7 +37,6 @@ OF_THE_CAR = ("power_limit",)  # what a car just has, and none of the plant's co
 OF_TYRES = ("tyre_relaxation",)  # what any tyre has, and no plant of ours by itself
 MOST_SENSORS = 6
 UNTOLD = (4.0 * np.pi) ** -0.5  # deviation in u from which on logs say less of a parameter than its flat prior does
-NORMAL_95 = 1.96
 
 
 class OwnLogs(NamedTuple):

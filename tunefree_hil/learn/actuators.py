@@ -42,13 +42,12 @@ from tunefree_hil.learn.channel_doubts import (
 from tunefree_hil.learn.pairs import Pairs
 from tunefree_hil.learn.sheet import ChannelSheet
 from tunefree_hil.learn.smooth import noise_of, quantum_of
-from tunefree_hil.learn.values import ActuatorFit, Value, exactly
+from tunefree_hil.learn.values import NORMAL_95, ActuatorFit, Value, exactly
 
 LEAST_SMALL_ROWS = 100  # about rest, for a dead band
 SMALL_SHARE = 0.1  # of the span: what counts as about rest
 # Of a tick: where between two ticks something happens only the bend of the output tells, and that is the form's word
 # as much as the car's. No drive however long makes an interval of a time narrower than this to each side.
-NORMAL_95 = 1.96
 BETWEEN_TICKS = 0.1
 MOST_UNKNOWN = 200.0  # an unknown that far off says nothing any more
 FOLLOWS = 0.5  # share of the output's variance that the command must explain

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.plant.actuators import ActuatorParams
 
+NORMAL_95 = 1.96  # deviations to either end of a normal number's interval of 95 %
+
 
 class Value(NamedTuple):
     """A number with its 95 % interval.
