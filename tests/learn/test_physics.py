@@ -124,6 +124,21 @@ def test_intervals_hold_the_truth(fitted: PhysicsFit) -> None:
 
 
 @pytest.mark.slow
+def test_a_motor_that_holds_back_is_no_rolling_resistance() -> None:
+    """Coasting alone cannot tell them; the last metres before standstill can, where the one fades and the other not."""
+    truth = {"overrun_force_n": 900.0, "drive_corner": 12.0}
+    some = windows_of([whole(made_drive(110.0, seed=seed, params=truth)) for seed in (1, 2)], VEHICLE)
+    with Worker() as worker:
+        found = worker.result(
+            "tunefree_hil.learn.physics", "fit", some, fixed_params(VEHICLE), constants(VEHICLE), 0.35
+        )
+    overrun, rolling = found.values["overrun_force_n"], found.values["rolling_frac"]
+    assert overrun.known and overrun.low < 900.0 < overrun.high and overrun.high - overrun.low < 900.0
+    assert rolling.low < DEFAULTS["rolling_frac"] < rolling.high
+    assert found.after["speed_mps"] < 0.05
+
+
+@pytest.mark.slow
 def test_one_constant_that_no_log_tells_takes_none_of_the_others_with_it() -> None:
     """A car that does not creep: held at what a car creeps with, it would be none that drives so."""
     some = windows_of([whole(made_drive(80.0, params={"creep_force_n": 0.0}))], VEHICLE)

@@ -19,7 +19,8 @@ from tunefree_hil.plant.sensors import noise_table
 # Constants that make the published tables another vehicle's; the vehicle of the tables leaves them out
 OTHER_SHAPE = ("throttle_scale", "brake_scale", *MapShape._fields, "drive_front_frac", "brake_front_frac")
 FITTED = 0.1  # a calibrated steering ratio is the vehicle's own, which is near the data sheet's
-ALL_CARS = {"linkage_bend"}  # 0 where a model does not say it: one that was learned before there was such a constant
+# Neutral where a model does not say them: one that was learned before there were such constants
+ALL_CARS = {"linkage_bend": 0.0, "overrun_force_n": 0.0, "drive_corner": 2.0}
 MODELS = Path(__file__).resolve().parents[2] / "bench_configs" / "models"
 
 
@@ -48,7 +49,7 @@ def test_every_model_folder(path: Path) -> None:
     constants = car._replace(power_w=0.0) if hasattr(car, "power_w") else car  # infinite: no effect caps it
     assert all(math.isfinite(value) for value in constants if isinstance(value, float))
     assert set(plant.defaults) - set(params) <= {*OTHER_SHAPE, *ALL_CARS}
-    assert all(plant.defaults[name] == 0.0 for name in ALL_CARS & set(plant.defaults))
+    assert all(plant.defaults[name] == ALL_CARS[name] for name in set(ALL_CARS) & set(plant.defaults))
     noise_table(said["noise"], said.get("bias", {}), 1, 1)
     vehicle = load_vehicle(said["vehicle"]).nominal
     assert params["rest_pedal_frac"] == vehicle.rest_pedal_frac

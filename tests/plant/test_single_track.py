@@ -96,6 +96,28 @@ def test_drive_is_power_limited_and_grows_with_the_pedal() -> None:
     assert pedals == sorted(pedals)
 
 
+@pytest.mark.parametrize(("speed", "share"), [(1.5, 0.0), (2.0, 0.0), (3.0, 0.5), (4.0, 1.0), (20.0, 1.0)])
+def test_overrun_fades_in_above_creep_and_lets_go_with_the_pedal(speed: float, share: float) -> None:
+    """F_o min(v / v_creep - 1, 1) exp(-t / knee), t the throttle's share from zero to full."""
+    held = {"overrun_force_n": 500.0, "creep_speed_mps": 2.0}
+    for duty in (REST, 0.165, 0.22):
+        loss = steady_accel(PLANT, {}, speed, duty, REST) - steady_accel(PLANT, held, speed, duty, REST)
+        pressed = math.exp(-max(duty - 0.165, 0.0) / (0.80 - 0.165) / DEFAULTS["drive_knee_frac"])
+        assert loss * MASS == pytest.approx(500.0 * share * pressed, abs=1.5)
+
+
+@pytest.mark.parametrize("corner", [1.5, 4.0, 20.0, 128.0])
+def test_a_sharp_corner_is_force_below_it_and_power_above(corner: float) -> None:
+    free = {"rolling_frac": 0.0, "drag_area_m2": 0.0, "drive_corner": corner}
+    full, power = 6500.0 * (1.0 - math.exp(-1.0 / DEFAULTS["drive_knee_frac"])), DEFAULTS["drive_power_w"]
+    for speed in (3.0, 14.0, 15.0, 30.0):
+        asked = full * speed / power
+        expected = full / (1.0 + asked**corner) ** (1.0 / corner)
+        assert steady_accel(PLANT, free, speed, 0.8, REST) * MASS == pytest.approx(expected, rel=2e-3)
+    crawling = steady_accel(PLANT, {**free, "drive_power_w": 50.0}, 30.0, 0.8, REST)
+    assert crawling * MASS == pytest.approx(50.0 / 30.0, abs=2.0), "no power of a large number overflows"
+
+
 def test_unknown_parameter() -> None:
     with pytest.raises(InputError) as caught:
         car("physics", {"mass": 1.0})

@@ -47,8 +47,10 @@ CONSTANTS: dict[str, float] = {
     "drive_knee_frac": 0.04,
     "creep_speed_mps": 0.05,
     "drive_power_w": 0.02,
+    "drive_corner": 0.05,
     "throttle_zero_frac": 0.002,
     "creep_force_n": 0.05,
+    "overrun_force_n": 0.05,
     "yaw_inertia_kgm2": 0.03,
     "front_axle_m": 0.04,  # geometry is the data sheet's, and no calibration moves it
     "wheelbase_m": 0.008,
@@ -64,7 +66,10 @@ MOST_DOUBT = 0.15  # of a constant; what was never known is no licence to explai
 MOST_DRAG = 3.1  # deviations that the drag area must hold: less than nothing is no car
 # A calibration's doubt of each of these is that of the others: it knows what they come to together much better. Where
 # its card does not say how they hang together, their doubt is no licence to move one of them alone.
-SHARED = {"drive_force_n", "drive_knee_frac", "rolling_frac", "drag_area_m2", "throttle_zero_frac"}
+SHARED = {
+    "drive_force_n", "drive_knee_frac", "drive_corner", "overrun_force_n", "rolling_frac", "drag_area_m2",
+    "throttle_zero_frac",
+}  # fmt: skip
 LEAST_DEAD_TIME_S, LEAST_LAG, LEAST_GAIN = 0.001, 0.01, 0.0005  # no channel is known better than that another day
 LEAST_OFFSET = 5e-5  # of a duty, or rad
 # How well it is known when a frame's numbers were taken, s: parts of a tick, of a bus's queue
@@ -84,7 +89,7 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float], held:
     some += [
         (Drift("plant", name, least, "", name, own_unit=name in OWN_UNIT), 0.0)
         for name, least in CONSTANTS.items()
-        if name in graph.plant.defaults
+        if params.get(name, 0.0) > 0.0 or name in OWN_UNIT & params.keys()  # of nothing no share is more
     ]
     found = []
     for one, neutral in some:

@@ -35,6 +35,7 @@ ROAD, ROAD_DOUBT = "road_share", 2.0
 EFFECTS = {OFFSET: ("steer_offset", "offset_rad", 0.005), BAND: ("brake_dead_band", "half_width_frac", 0.002)}
 LATERAL = ("front_stiffness_n_per_rad", "rear_stiffness_n_per_rad", "yaw_inertia_kgm2", "steer_ratio",
            "linkage_bend", OFFSET)  # fmt: skip
+NOT_BELOW_0 = (BAND, "overrun_force_n")
 FIRST_SCALE = {
     "speed_mps": 0.2, "yaw_rate_radps": 0.01, "heading_rad": 0.02, "lateral_accel_mps2": 0.3, "x_m": 0.7, "y_m": 0.7,
 }  # fmt: skip
@@ -226,7 +227,7 @@ def _unfitted(
 
 def _solved(problem: Problem, names: Sequence[str], x: Array, most: int) -> Least:
     high = np.full(len(names), 6.0)
-    low = np.where([name == BAND for name in names], 0.0, -high)
+    low = np.where([name in NOT_BELOW_0 for name in names], 0.0, -high)
     robust = ROBUST * math.sqrt(PIECES / problem.rows)  # of a residual as it is scaled here
     inside = WARM if x.any() else INSIDE
     run = partial(problem.residuals, names)
@@ -239,14 +240,15 @@ def _value(
 ) -> Value:  # fmt: skip
     if name in names:
         x, half = float(least.x[names.index(name)]), float(doubts[name])
-        return Value(problem.value(name, x), problem.value(name, x - half), problem.value(name, x + half))
+        low = max(x - half, 0.0) if name in NOT_BELOW_0 else x - half
+        return Value(problem.value(name, x), problem.value(name, low), problem.value(name, x + half))
     return _taken(problem, name, lost)
 
 
 def _taken(problem: Problem, name: str, lost: Mapping[str, float]) -> Value:
     constant = problem.known[name]
     low, high = constant.ends()
-    low = max(low, 0.0) if name == BAND else low
+    low = max(low, 0.0) if name in NOT_BELOW_0 else low
     source = "data sheet" if constant.stated else "a plausible value"
     if name in lost:
         why = f"these logs leave {min(lost[name], 1.0):.0%} of the doubt there was"

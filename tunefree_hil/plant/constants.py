@@ -11,12 +11,12 @@ from tunefree_hil.base.errors import InputError
 POSITIVE = (
     "mass_kg", "wheelbase_m", "front_axle_m", "yaw_inertia_kgm2", "front_stiffness_n_per_rad",
     "rear_stiffness_n_per_rad", "friction", "steer_ratio", "wheel_radius_m", "track_m", "throttle_full_frac",
-    "drive_force_n", "drive_knee_frac", "drive_power_w", "creep_speed_mps",
+    "drive_force_n", "drive_knee_frac", "drive_power_w", "drive_corner", "creep_speed_mps",
     "steer_lag_s", "steer_motor_s", "steer_rate_radps", "throttle_press_s", "throttle_release_s", "brake_press_s",
     "brake_release_s", "relaxation_m", "slip_stiffness_n", "throttle_scale", "brake_scale", "drive_gain", "shift_gain",
 )  # fmt: skip
 NOT_BELOW_0 = (
-    "rest_pedal_frac", "creep_force_n", "rolling_frac", "drag_area_m2", "brake_force_n_per_frac",
+    "rest_pedal_frac", "creep_force_n", "overrun_force_n", "rolling_frac", "drag_area_m2", "brake_force_n_per_frac",
     "steer_dead_time_s", "throttle_dead_time_s", "brake_dead_time_s", "height_m", "hold_s", "compliance_rad_per_n",
     "body_lag_s", "drive_lag_s", "hysteresis_frac", "idle_gain", "brake_gain", "brake_servo",
 )  # fmt: skip

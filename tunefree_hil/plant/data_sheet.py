@@ -28,8 +28,10 @@ DEFAULTS: dict[str, float] = {
     "drive_force_n": 6500.0,  # at full throttle, standing
     "drive_knee_frac": 0.12,  # throttle share that gives 63 % of it
     "drive_power_w": 94.0e3,  # at full throttle
+    "drive_corner": 2.0,  # how sharply constant force turns into constant power: 2 softly, 20 at once
     "creep_force_n": 1000.0,
     "creep_speed_mps": 2.0,  # at which creep has faded out
+    "overrun_force_n": 0.0,  # held back by the engine or motor with the pedal at rest, above twice creep_speed_mps
     "brake_force_n_per_frac": 56.6e3,  # 3412 Nm over 0.18 duty at the wheel radius (apollo_facts 7.4, smoothed)
     "rolling_frac": 0.012,
     "drag_area_m2": 0.70,
@@ -61,8 +63,10 @@ class SingleTrack(NamedTuple):
     drive_force_n: float
     inverse_knee: float
     drive_power_w: float
+    drive_corner: float
     creep_force_n: float
     inverse_creep_speed: float
+    overrun_force_n: float
     brake_gain_n: float
     rolling_n: float
     drag_kgpm: float
@@ -104,8 +108,10 @@ def constants_of(params: Mapping[str, float], change: BodyChange) -> SingleTrack
         drive_force_n=v["drive_force_n"],
         inverse_knee=1.0 / v["drive_knee_frac"],
         drive_power_w=v["drive_power_w"],
+        drive_corner=v["drive_corner"],
         creep_force_n=v["creep_force_n"],
         inverse_creep_speed=1.0 / v["creep_speed_mps"],
+        overrun_force_n=v["overrun_force_n"],
         brake_gain_n=v["brake_force_n_per_frac"],
         rolling_n=v["rolling_frac"] * weight_n * rolling_share(change),
         drag_kgpm=0.5 * AIR_DENSITY_KGPM3 * more_drag_m2(v["drag_area_m2"], change),

@@ -24,6 +24,7 @@ class Push(NamedTuple):
     drive_n: float  # at standstill
     drive_power_w: float
     creep_n: float
+    overrun_n: float  # what an engine or motor holds back, as far as the pedal has let it go
     passive_n: float  # brake and rolling: never push, only oppose
     slope_n: float
     brake_n: float  # the brakes' part of passive_n
@@ -44,17 +45,33 @@ def push_of(p: SingleTrack, x: ChassisInput, braked_j: float) -> Push:
     slope_n = p.mass_kg * G_MPS2 * math.sin(road.grade_rad + p.grade_rad)
     if act.gear < GEAR_DRIVE:
         held_n = PARKED_N if act.gear == GEAR_PARK else 0.0
-        return Push(0.0, 0.0, 0.0, brake_n + p.rolling_n + p.brake_drag_n + held_n, slope_n, brake_n)
-    drive_n = p.drive_force_n * (1.0 - math.exp(-throttle * p.inverse_knee))
+        return Push(0.0, 0.0, 0.0, 0.0, brake_n + p.rolling_n + p.brake_drag_n + held_n, slope_n, brake_n)
+    released = math.exp(-throttle * p.inverse_knee)
+    drive_n = p.drive_force_n * (1.0 - released)
     if drive_n > 0.5 * grip_n:
         drive_n = 0.5 * grip_n
     passive_n = brake_n + p.rolling_n + p.brake_drag_n
-    return Push(drive_n, p.drive_power_w * throttle, p.creep_force_n, passive_n, slope_n, brake_n)
+    power_w, overrun_n = p.drive_power_w * throttle, p.overrun_force_n * released
+    return Push(drive_n, power_w, p.creep_force_n, overrun_n, passive_n, slope_n, brake_n)
+
+
+@kernel
+def yielded(share: float, corner: float) -> float:
+    """By how much a force yields to power that allows 1/share of it: (1 + share^corner)^(1/corner)."""
+    if corner == 2.0:
+        return math.sqrt(1.0 + share * share)
+    if share <= 1.0:  # either way no power overflows
+        return float((1.0 + share**corner) ** (1.0 / corner))  # not 0: a constant, POSITIVE of plant/constants.py
+    return float(share * (1.0 + share**-corner) ** (1.0 / corner))
 
 
 @kernel
 def forward_n(p: SingleTrack, push: Push, speed_mps: float) -> float:
-    """Force along the car at a speed, tyre forces of cornering aside. Drive: P F / sqrt(P^2 + (F v)^2)."""
+    """Force along the car at a speed, tyre forces of cornering aside.
+
+    Drive: F / (1 + (F v / P)^c)^(1/c), c the drive_corner.
+    Creep fades out up to creep_speed_mps; overrun fades in from there, to all of it at twice that speed.
+    """
     if p.head_wind_mps != 0.0:
         air_mps = speed_mps + p.head_wind_mps
         drag_n = p.drag_kgpm * air_mps * abs(air_mps)
@@ -64,14 +81,14 @@ def forward_n(p: SingleTrack, push: Push, speed_mps: float) -> float:
     if push.drive_n > 0.0:
         asked_w = push.drive_n * speed_mps
         share = asked_w / max(push.drive_power_w, 1.0)
-        drive_n = push.drive_n / math.sqrt(1.0 + share * share)
+        drive_n = push.drive_n / yielded(share, p.drive_corner)  # not 0: 1 or more
         if drive_n * speed_mps > p.power_w:
             drive_n = p.power_w / speed_mps  # not 0: the power above is not 0
         force_n = force_n + drive_n
     fade = 1.0 - speed_mps * p.inverse_creep_speed
     if fade > 0.0:
-        force_n = force_n + push.creep_n * fade
-    return force_n
+        return force_n + push.creep_n * fade
+    return force_n - push.overrun_n * (-fade if fade > -1.0 else 1.0)
 
 
 @kernel

@@ -36,17 +36,18 @@ class Physics:
         self.yielding = self.stiffness / np.maximum(grip, 1.0)  # share of the grip per rad of slip
 
     def push(self, outputs: Array, grade_rad: Array) -> Array:
-        """[n, 8] of what acts in a tick, from actuator outputs [n, 3] (duty, duty, wheel rad) and grade [n].
+        """[n, 9] of what acts in a tick, from actuator outputs [n, 3] (duty, duty, wheel rad) and grade [n].
 
         Resistance and slope in N, drive force at standstill in N, its inverse power in s/m, creep in N, and of the road
-        wheel angle, cosine, sine and the curvature (1/m) that rolling wheels give.
+        wheel angle, cosine, sine and the curvature (1/m) that rolling wheels give; last, overrun in N.
         """
         p = self.p
         throttle = np.clip((outputs[:, 0] - p.throttle_zero_frac) * p.inverse_throttle_span, 0.0, 1.0)
         grip_n = p.friction * p.mass_kg * G_MPS2
         brake_n = np.clip(p.brake_gain_n * (outputs[:, 1] - p.rest_frac), 0.0, grip_n)
         slope_n = p.mass_kg * G_MPS2 * np.sin(grade_rad + p.grade_rad)
-        drive_n = np.minimum(p.drive_force_n * (1.0 - np.exp(-throttle * p.inverse_knee)), 0.5 * grip_n)
+        released = np.exp(-throttle * p.inverse_knee)
+        drive_n = np.minimum(p.drive_force_n * (1.0 - released), 0.5 * grip_n)
         ratio = drive_n / np.maximum(p.drive_power_w * throttle, 1.0)
         angle = outputs[:, 2] * p.inverse_ratio
         angle *= 1.0 - p.linkage_bend * angle * angle
@@ -54,10 +55,11 @@ class Physics:
         curvature = sine / np.maximum(cosine, 0.1) * p.inverse_wheelbase
         creep_n = np.full_like(angle, p.creep_force_n)
         resist_n = brake_n + p.rolling_n + p.brake_drag_n + slope_n
-        return np.stack([resist_n, drive_n, ratio, creep_n, angle, cosine, sine, curvature], axis=1)
+        overrun_n = p.overrun_force_n * released
+        return np.stack([resist_n, drive_n, ratio, creep_n, angle, cosine, sine, curvature, overrun_n], axis=1)
 
     def after(self, state: Array, push: Array) -> Array:
-        """The state [3, B] after one tick; push: the eight of `push`, [8, B]."""
+        """The state [3, B] after one tick; push: the nine of `push`, [9, B]."""
         return self.tick(state[:, None], push)[:, 0]
 
     def tick(self, state: Array, push: Array) -> Array:
@@ -85,9 +87,10 @@ class Physics:
         """Force along the car, cornering aside."""
         p = self.p
         share = speed * push[2]
-        drive_n = push[1] / np.sqrt(1.0 + share * share)
-        creep_n = push[3] * np.maximum(1.0 - speed * p.inverse_creep_speed, 0.0)
-        return drive_n + creep_n - push[0] - p.drag_kgpm * speed * speed
+        drive_n = push[1] / _yielded(share, p.drive_corner)
+        fade = 1.0 - speed * p.inverse_creep_speed
+        idle_n = push[3] * np.maximum(fade, 0.0) + push[8] * np.clip(fade, -1.0, 0.0)
+        return drive_n + idle_n - push[0] - p.drag_kgpm * speed * speed
 
     def _planar(self, speed: Array, side: Array, yaw: Array, force: Array, push: Array) -> tuple[Array, Array, Array]:
         """Rates of forward speed, side speed, yaw rate."""
@@ -128,6 +131,13 @@ class Physics:
             side + dt * (1.5 * side_1 + 0.5 * side_2),
             yaw + dt * (1.5 * yaw_1 + 0.5 * yaw_2),
         )
+
+
+def _yielded(share: Array, corner: float) -> Array:
+    if corner == 2.0:
+        return np.sqrt(1.0 + share * share)  # type: ignore[no-any-return]
+    near, far = np.minimum(share, 1.0), np.maximum(share, 1.0)
+    return far * (1.0 + np.minimum(near, 1.0 / far) ** corner) ** (1.0 / corner)
 
 
 NUDGES = np.zeros((3, 4, 1))
