@@ -22,6 +22,7 @@ from tunefree_hil.gap.null import (
     HELD,
     MOST_BEND,
     MOST_DOUBT,
+    RISE,
     Nuisance,
     correlation,
     doubts_of,
@@ -181,6 +182,19 @@ def test_the_linkage_is_recalibrated_as_far_as_a_calibration_leaves_it_open(
     )
     found = {one.key: one.sigma for one in nuisances(graph, model, doubts_of(model))}
     assert alone[LINKAGE] == MOST_BEND and least <= found[LINKAGE] <= most
+
+
+@pytest.mark.parametrize(("said", "sigma"), [((-0.02, 0.02), 0.0144), ((-3.0, 3.0), 0.15), (None, 0.0)])
+def test_what_may_be_nothing_is_recalibrated_by_an_amount_and_only_as_far_as_a_calibration_leaves_it(
+    tmp_path: Path, said: tuple[float, float] | None, sigma: float
+) -> None:
+    model, vehicle = load_model("mkz_nominal"), load_vehicle("mkz_bywire")
+    model = replace(model, folder=str(tmp_path), plant=replace(model.plant, card="card.json"))
+    constants = {} if said is None else {RISE: dict(zip(("low", "high"), said, strict=True))}
+    (tmp_path / "card.json").write_text(json.dumps({"constants": constants}))
+    found = {one.key: one.sigma for one in nuisances(Graph(model, vehicle, 0.01), model, doubts_of(model))}
+    assert found.get(f"plant.{RISE}", 0.0) == pytest.approx(sigma, rel=0.01)
+    assert "plant.overrun_force_n" not in found, "this car has none: no share of it is any"
 
 
 def test_days_are_each_ones_own() -> None:

@@ -126,7 +126,7 @@ def test_intervals_hold_the_truth(fitted: PhysicsFit) -> None:
 @pytest.mark.slow
 def test_a_motor_that_holds_back_is_no_rolling_resistance() -> None:
     """Coasting alone cannot tell them; the last metres before standstill can, where the one fades and the other not."""
-    truth = {"overrun_force_n": 900.0, "drive_corner": 12.0}
+    truth = {"overrun_force_n": 900.0, "drive_corner": 12.0, "brake_rise_per_frac": 0.8}
     some = windows_of([whole(made_drive(110.0, seed=seed, params=truth)) for seed in (1, 2)], VEHICLE)
     with Worker() as worker:
         found = worker.result(
@@ -135,6 +135,9 @@ def test_a_motor_that_holds_back_is_no_rolling_resistance() -> None:
     overrun, rolling = found.values["overrun_force_n"], found.values["rolling_frac"]
     assert overrun.known and overrun.low < 900.0 < overrun.high and overrun.high - overrun.low < 900.0
     assert rolling.low < DEFAULTS["rolling_frac"] < rolling.high
+    rise, brake = found.values["brake_rise_per_frac"], found.values["brake_force_n_per_frac"]
+    assert rise.known and rise.low < 0.8 < rise.high and rise.low > 0.0
+    assert brake.low < DEFAULTS["brake_force_n_per_frac"] < brake.high
     assert found.after["speed_mps"] < 0.05
 
 

@@ -11,7 +11,7 @@ from tunefree_hil.base.course import Start
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench.vehicle import PLANTS as ALL_KINDS
 from tunefree_hil.bench.vehicle import load_plant
-from tunefree_hil.plant.constants import FARTHER, NOT_BELOW_0, POSITIVE, SHARES, require_constants
+from tunefree_hil.plant.constants import FARTHER, LEAST, NOT_BELOW_0, POSITIVE, SHARES, require_constants
 
 KINDS = sorted(PLANTS)
 # Of either sign, measured against another one (FARTHER), checked by the plant itself (plant/paper.py)
@@ -31,6 +31,7 @@ def test_a_plants_own_constants_are_a_cars(kind: str) -> None:
     [
         *((name, value) for name in POSITIVE for value in (0.0, -1.0, math.inf, math.nan)),
         *((name, value) for name in NOT_BELOW_0 for value in (-1.0, math.inf)),
+        *((name, value) for name, least in LEAST.items() for value in (least - 0.01, math.nan)),
         *((name, value) for name in SHARES for value in (-0.1, 1.1, 7.0, math.nan)),
     ],
 )
@@ -43,7 +44,7 @@ def test_what_no_car_has_is_refused(kind: str, name: str, value: float) -> None:
 @pytest.mark.parametrize("kind", ALL_KINDS)
 def test_no_key_of_a_plant_is_unchecked(kind: str) -> None:
     """A key that is added to a plant belongs into one of the lists."""
-    lists = (POSITIVE, NOT_BELOW_0, SHARES, tuple(FREE))
+    lists = (POSITIVE, NOT_BELOW_0, tuple(LEAST), SHARES, tuple(FREE))
     found = {name: sum(name in one for one in lists) for name in load_plant(kind).defaults}
     assert {name for name, count in found.items() if count != 1} == set()
 

@@ -20,7 +20,7 @@ from tunefree_hil.plant.sensors import noise_table
 OTHER_SHAPE = ("throttle_scale", "brake_scale", *MapShape._fields, "drive_front_frac", "brake_front_frac")
 FITTED = 0.1  # a calibrated steering ratio is the vehicle's own, which is near the data sheet's
 # Neutral where a model does not say them: one that was learned before there were such constants
-ALL_CARS = {"linkage_bend": 0.0, "overrun_force_n": 0.0, "drive_corner": 2.0}
+ALL_CARS = {"linkage_bend": 0.0, "overrun_force_n": 0.0, "drive_corner": 2.0, "brake_rise_per_frac": 0.0}
 MODELS = Path(__file__).resolve().parents[2] / "bench_configs" / "models"
 
 

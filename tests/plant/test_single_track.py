@@ -84,6 +84,15 @@ def test_brake_is_linear_and_capped_by_friction() -> None:
     assert steady_accel(PLANT, {}, 10.0, REST, 0.9) == pytest.approx(-0.9 * 9.80665 - 0.14, abs=0.01)
 
 
+def test_a_progressive_brake_grows_beyond_proportion() -> None:
+    """F = gain b (1 + rise b), b the duty from rest."""
+    for brake in (0.05, 0.1):
+        loss = steady_accel(PLANT, {}, 10.0, REST, REST + brake) - steady_accel(
+            PLANT, {"brake_rise_per_frac": 0.8}, 10.0, REST, REST + brake
+        )
+        assert loss * MASS == pytest.approx(DEFAULTS["brake_force_n_per_frac"] * 0.8 * brake**2, rel=2e-3)
+
+
 def test_drive_is_power_limited_and_grows_with_the_pedal() -> None:
     drag = DEFAULTS["drag_area_m2"] * 0.6
     rolling = DEFAULTS["rolling_frac"] * MASS * 9.80665

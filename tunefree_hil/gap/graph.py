@@ -32,6 +32,7 @@ from tunefree_hil.gap.ride import INS_COLUMNS, SAID, TAKEN, WIDE, Bodies, Heads,
 from tunefree_hil.learn.free_run import plant_of
 from tunefree_hil.learn.motion import actuator_params
 from tunefree_hil.plant.actuators import ActuatorParams, init_actuator
+from tunefree_hil.plant.constants import LEAST
 
 Array = np.ndarray
 # 'steer_lag.tau_s'; 'plant.drive_force_n' (log of a factor); 'actuator.steer.lag_s' (the same); 'clock.steer_s', by
@@ -282,11 +283,15 @@ def _tried(effect: Effect, parameter: str) -> float:
     return effect.neutral[parameter] if prior is None or prior.times else prior.typical
 
 
+ADDED = ("zero_frac", "rise_per_frac")
+
+
 def scaled(params: Mapping[str, float], defaults: Mapping[str, float], values: Values) -> dict[str, float]:
-    """[plant.params] with 'plant.<name>' applied: the log of a factor, an amount for what is a place on the pedal."""
+    """[plant.params] with 'plant.<name>' applied: the log of a factor, an amount for what may be nothing."""
     found = {**defaults, **params}
     for key, value in values.items():
         group, _, name = key.partition(".")
         if group == "plant" and name in found:
-            found[name] = found[name] + value if name.endswith("zero_frac") else found[name] * math.exp(value)
+            more = found[name] + value if name.endswith(ADDED) else found[name] * math.exp(value)
+            found[name] = max(more, LEAST.get(name, -math.inf))
     return found

@@ -41,7 +41,8 @@ class Nuisance(NamedTuple):
     drift: float = 0.0
 
 
-# Constants of the plant: standard deviation of the logarithm, or an amount of pedal
+RISE = "brake_rise_per_frac"
+# Constants of the plant: standard deviation of the logarithm, or an amount of their own unit (OWN_UNIT)
 CONSTANTS: dict[str, float] = {
     "drive_force_n": 0.01,  # the throttle's gain, above, does nearly the same
     "drive_knee_frac": 0.04,
@@ -51,11 +52,13 @@ CONSTANTS: dict[str, float] = {
     "throttle_zero_frac": 0.002,
     "creep_force_n": 0.05,
     "overrun_force_n": 0.05,
+    RISE: 0.0,  # a brake pulls as it is built: only what its calibration leaves open
     "yaw_inertia_kgm2": 0.03,
     "front_axle_m": 0.04,  # geometry is the data sheet's, and no calibration moves it
     "wheelbase_m": 0.008,
 }
-OWN_UNIT = {"throttle_zero_frac"}  # of CONSTANTS: its doubt is an amount, that of all others a share
+OWN_UNIT = {"throttle_zero_frac", RISE}  # of CONSTANTS: its doubt is an amount, that of all others a share
+AMOUNTS = {BEND, RISE}  # of them, what may be nothing: a calibration's deviation is in their own unit
 # A model that comes as near to the logs it was made from as EXACT_MPS of speed (of `calibrate`: over its free runs of a
 # few seconds; of `learn`: after 10 s, on stretches held out) has taken in what its car is throughout: recalibration may
 # move no more than HELD of what changes from day to day, and what has moved further is looked for by name. One that has
@@ -96,7 +99,7 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float], held:
         constant = one.constant
         least = one.sigma * (heavy if one.by_weight else 1.0) * (1.0 if one.daily else held)
         told = min(WIDER * doubts.get(constant, 0.0), MOST_DOUBT)
-        told *= params.get(constant, 0.0) if one.own_unit else 1.0
+        told *= params.get(constant, 0.0) if one.own_unit and constant not in AMOUNTS else 1.0
         # A car that is asked for an acceleration has no drag that anybody sees, and none has less than nothing
         most = params.get(constant, math.inf) / MOST_DRAG if constant == "drag_area_m2" else math.inf
         sigma = min(math.hypot(least, told), most)
@@ -118,16 +121,16 @@ def _linkage(doubts: Mapping[str, float]) -> Nuisance:
 
 
 def doubts_of(model: ModelSpec) -> dict[str, float]:
-    """Standard deviations of the logarithms of a model's constants (of the linkage's bend its own), from the card of
+    """Standard deviations of the logarithms of a model's constants (of AMOUNTS their own), from the card of
     `calibrate`; empty without one.
     """
     together = related_of(model)
     try:
         return {
-            name: (one["high"] - one["low"] if name == BEND else math.log(one["high"] / one["low"])) / 3.92
+            name: (one["high"] - one["low"] if name in AMOUNTS else math.log(one["high"] / one["low"])) / 3.92
             for name, one in card_of(model).get("constants", {}).items()
             if isinstance(one, dict) and one.get("high", 0.0) > one.get("low", 0.0)
-            if one.get("low", 0.0) > 0.0 or name == BEND
+            if one.get("low", 0.0) > 0.0 or name in AMOUNTS
             if name in together or name not in SHARED
         }
     except (AttributeError, TypeError, KeyError) as error:

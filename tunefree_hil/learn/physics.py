@@ -22,6 +22,7 @@ from tunefree_hil.learn.sheet import Constant
 from tunefree_hil.learn.values import Value, together_with
 from tunefree_hil.learn.window_runs import WIDTH, Off, errors, rms_of
 from tunefree_hil.learn.windows import TARGETS, Windows
+from tunefree_hil.plant.constants import LEAST
 
 Array = np.ndarray
 
@@ -35,7 +36,7 @@ ROAD, ROAD_DOUBT = "road_share", 2.0
 EFFECTS = {OFFSET: ("steer_offset", "offset_rad", 0.005), BAND: ("brake_dead_band", "half_width_frac", 0.002)}
 LATERAL = ("front_stiffness_n_per_rad", "rear_stiffness_n_per_rad", "yaw_inertia_kgm2", "steer_ratio",
            "linkage_bend", OFFSET)  # fmt: skip
-NOT_BELOW_0 = (BAND, "overrun_force_n")
+AT_LEAST = {BAND: 0.0, "overrun_force_n": 0.0, **LEAST}
 FIRST_SCALE = {
     "speed_mps": 0.2, "yaw_rate_radps": 0.01, "heading_rad": 0.02, "lateral_accel_mps2": 0.3, "x_m": 0.7, "y_m": 0.7,
 }  # fmt: skip
@@ -47,6 +48,7 @@ KNOWN_SHARE = 0.5  # of the doubt before the fit that may be left after it
 HOPELESS = 0.95  # of it: nothing at all was learned
 WORSE = 1.5  # than with all constants free, from which on what was known before is not gone back to
 TOGETHER = "these logs tell it only together with the others: the best of all together"
+MOST = 6.0  # halves of a constant's doubt that a fit may go
 FLOOR = 0.02  # of the first scale: no target is believed better than that
 
 
@@ -114,6 +116,11 @@ class Problem:
         if constant.logarithmic:
             return constant.value * math.exp(0.5 * unknown * math.log(constant.doubt))
         return constant.value + 0.5 * unknown * constant.doubt
+
+    def least(self, name: str) -> float:
+        """The least unknown of a constant."""
+        constant = self.known[name]
+        return max(2.0 * (AT_LEAST[name] - constant.value) / constant.doubt, -MOST) if name in AT_LEAST else -MOST
 
     def values(self, names: Sequence[str], x: Array) -> dict[str, float]:
         """All constants, those not in `names` as they were known before."""
@@ -226,8 +233,8 @@ def _unfitted(
 
 
 def _solved(problem: Problem, names: Sequence[str], x: Array, most: int) -> Least:
-    high = np.full(len(names), 6.0)
-    low = np.where([name in NOT_BELOW_0 for name in names], 0.0, -high)
+    high = np.full(len(names), MOST)
+    low = np.array([problem.least(name) for name in names])
     robust = ROBUST * math.sqrt(PIECES / problem.rows)  # of a residual as it is scaled here
     inside = WARM if x.any() else INSIDE
     run = partial(problem.residuals, names)
@@ -240,7 +247,7 @@ def _value(
 ) -> Value:  # fmt: skip
     if name in names:
         x, half = float(least.x[names.index(name)]), float(doubts[name])
-        low = max(x - half, 0.0) if name in NOT_BELOW_0 else x - half
+        low = max(x - half, problem.least(name))
         return Value(problem.value(name, x), problem.value(name, low), problem.value(name, x + half))
     return _taken(problem, name, lost)
 
@@ -248,7 +255,7 @@ def _value(
 def _taken(problem: Problem, name: str, lost: Mapping[str, float]) -> Value:
     constant = problem.known[name]
     low, high = constant.ends()
-    low = max(low, 0.0) if name in NOT_BELOW_0 else low
+    low = max(low, AT_LEAST.get(name, -math.inf))
     source = "data sheet" if constant.stated else "a plausible value"
     if name in lost:
         why = f"these logs leave {min(lost[name], 1.0):.0%} of the doubt there was"

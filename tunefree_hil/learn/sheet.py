@@ -17,6 +17,8 @@ SEEN_DOUBT, RATIO_DOUBT = 4.0, 1.5  # of what a plain law of the motion suggests
 # as a share less: t²/L² (1 + L/a) = 0.2 to 0.4 per rad², t half the track, a the front axle's distance; none where the
 # linkage turns each as its circle asks (Ackermann). No ratio is the same from straight ahead to the lock, either.
 BEND_DOUBT = 0.4
+# A brake may pull this much more, or less, at full duty than in proportion
+BRAKE_RISE_DOUBT = 0.5
 # With no foot on a pedal engines hold back some 0.2 m/s², electric motors from nothing to 2
 OVERRUN_DOUBT_MPS2 = 0.7
 PEDALS = ("throttle", "brake")
@@ -99,7 +101,7 @@ def fixed_params(vehicle: VehicleSpec, seen: Mapping[str, float] | None = None) 
         found |= {"creep_force_n": 0.0, "creep_speed_mps": 1.0, "overrun_force_n": 0.0}
     if asks_accel(vehicle):
         return found | linear(mass_kg, rest)
-    return found if has_brake(vehicle) else found | {"brake_force_n_per_frac": 0.0}
+    return found if has_brake(vehicle) else found | {"brake_force_n_per_frac": 0.0, "brake_rise_per_frac": 0.0}
 
 
 def constants(vehicle: VehicleSpec, seen: Mapping[str, float] | None = None) -> dict[str, Constant]:
@@ -134,6 +136,7 @@ def constants(vehicle: VehicleSpec, seen: Mapping[str, float] | None = None) -> 
         "creep_speed_mps": guess(DEFAULTS["creep_speed_mps"], 2.5),
         "overrun_force_n": Constant(0.0, OVERRUN_DOUBT_MPS2 * mass_kg, False, False),
         "brake_force_n_per_frac": guess(1.2 * max(-low, 1.0) * mass_kg / brake_span, 4.0),
+        "brake_rise_per_frac": Constant(0.0, BRAKE_RISE_DOUBT, False, False),
         "rolling_frac": guess(DEFAULTS["rolling_frac"], 2.0),
         "drag_area_m2": guess(DEFAULTS["drag_area_m2"] * math.sqrt(heavier), 2.0),
         "front_stiffness_n_per_rad": stated(said.front_stiffness_n_per_rad, axle_n * (wheelbase_m - front_m), 1.8),

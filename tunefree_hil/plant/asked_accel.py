@@ -32,6 +32,7 @@ def linear(mass_kg: float, rest_frac: float) -> dict[str, float]:
         "creep_speed_mps": 1.0,
         "overrun_force_n": 0.0,
         "brake_force_n_per_frac": full_n,
+        "brake_rise_per_frac": 0.0,
         "rolling_frac": 0.0,
         "drag_area_m2": 0.0,
     }

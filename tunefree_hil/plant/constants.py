@@ -20,6 +20,7 @@ NOT_BELOW_0 = (
     "steer_dead_time_s", "throttle_dead_time_s", "brake_dead_time_s", "height_m", "hold_s", "compliance_rad_per_n",
     "body_lag_s", "drive_lag_s", "hysteresis_frac", "idle_gain", "brake_gain", "brake_servo",
 )  # fmt: skip
+LEAST = {"brake_rise_per_frac": -0.5}  # a brake that pulls less the more it is pressed is none
 SHARES = ("roll_front_frac", "drive_front_frac", "brake_front_frac")
 FARTHER = {"wheelbase_m": "front_axle_m", "throttle_full_frac": "throttle_zero_frac"}  # than this one, always
 
@@ -40,6 +41,10 @@ def require_constants(kind: str, defaults: Mapping[str, float], given: Mapping[s
             raise _wrong(name, f"expected 0 or more, got {value:g}", "give the car's own, or leave it out")
         if name in SHARES and not 0.0 <= value <= 1.0:
             raise _wrong(name, f"expected a share from 0 to 1, got {value:g}", "give the front axle's share of it")
+        if name in LEAST and value < LEAST[name]:
+            raise _wrong(
+                name, f"expected {LEAST[name]:g} or more, got {value:g}", "give the car's own, or leave it out"
+            )
     for name, least in FARTHER.items():
         if name in values and least in values and values[name] <= values[least]:
             said = f"{values[name]:g} is not more than {least}, which is {values[least]:g}"

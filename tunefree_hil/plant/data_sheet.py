@@ -33,6 +33,7 @@ DEFAULTS: dict[str, float] = {
     "creep_speed_mps": 2.0,  # at which creep has faded out
     "overrun_force_n": 0.0,  # held back by the engine or motor with the pedal at rest, above twice creep_speed_mps
     "brake_force_n_per_frac": 56.6e3,  # 3412 Nm over 0.18 duty at the wheel radius (apollo_facts 7.4, smoothed)
+    "brake_rise_per_frac": 0.0,  # share by which the brake pulls more than in proportion, per duty from rest
     "rolling_frac": 0.012,
     "drag_area_m2": 0.70,
 }
@@ -68,6 +69,7 @@ class SingleTrack(NamedTuple):
     inverse_creep_speed: float
     overrun_force_n: float
     brake_gain_n: float
+    brake_rise_per_frac: float
     rolling_n: float
     drag_kgpm: float
     grade_rad: float
@@ -113,6 +115,7 @@ def constants_of(params: Mapping[str, float], change: BodyChange) -> SingleTrack
         inverse_creep_speed=1.0 / v["creep_speed_mps"],
         overrun_force_n=v["overrun_force_n"],
         brake_gain_n=v["brake_force_n_per_frac"],
+        brake_rise_per_frac=v["brake_rise_per_frac"],
         rolling_n=v["rolling_frac"] * weight_n * rolling_share(change),
         drag_kgpm=0.5 * AIR_DENSITY_KGPM3 * more_drag_m2(v["drag_area_m2"], change),
         grade_rad=change.grade_rad,

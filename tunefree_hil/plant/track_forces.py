@@ -38,7 +38,7 @@ def push_of(p: SingleTrack, x: ChassisInput, braked_j: float) -> Push:
     braked = act.brake_frac - p.rest_frac
     left = 1.0 - p.brake_loss_per_j * braked_j
     gain_n = p.brake_gain_n * (left if left > LEAST_BRAKE_GAIN else LEAST_BRAKE_GAIN)
-    brake_n = gain_n * braked if braked > 0.0 else 0.0
+    brake_n = gain_n * braked * (1.0 + p.brake_rise_per_frac * braked) if braked > 0.0 else 0.0
     grip_n = p.friction * road.friction_frac * p.mass_kg * G_MPS2
     if brake_n > grip_n:
         brake_n = grip_n

@@ -17,7 +17,7 @@ from tunefree_hil.plant.single_track import pushed  # noqa: E402
 
 DT_S = 0.01
 PARAMS = {"front_axle_m": 1.27, "front_stiffness_n_per_rad": 118000.0, "throttle_zero_frac": 0.17,
-          "overrun_force_n": 400.0, "drive_corner": 5.0}  # fmt: skip
+          "overrun_force_n": 400.0, "brake_rise_per_frac": 0.6, "drive_corner": 5.0}  # fmt: skip
 
 
 def drawn(count: int, top_mps: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

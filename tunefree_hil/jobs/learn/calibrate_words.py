@@ -25,6 +25,7 @@ UNITS = {
     "creep_speed_mps": ("m/s", 1.0),
     "overrun_force_n": ("N", 1.0),
     "brake_force_n_per_frac": ("kN per duty", 1e-3),
+    "brake_rise_per_frac": ("per duty", 1.0),
     "rolling_frac": ("", 1.0),
     "drag_area_m2": ("m²", 1.0),
     "front_stiffness_n_per_rad": ("kN/rad", 1e-3),

@@ -44,7 +44,8 @@ class Physics:
         p = self.p
         throttle = np.clip((outputs[:, 0] - p.throttle_zero_frac) * p.inverse_throttle_span, 0.0, 1.0)
         grip_n = p.friction * p.mass_kg * G_MPS2
-        brake_n = np.clip(p.brake_gain_n * (outputs[:, 1] - p.rest_frac), 0.0, grip_n)
+        braked = np.maximum(outputs[:, 1] - p.rest_frac, 0.0)
+        brake_n = np.minimum(p.brake_gain_n * braked * (1.0 + p.brake_rise_per_frac * braked), grip_n)
         slope_n = p.mass_kg * G_MPS2 * np.sin(grade_rad + p.grade_rad)
         released = np.exp(-throttle * p.inverse_knee)
         drive_n = np.minimum(p.drive_force_n * (1.0 - released), 0.5 * grip_n)
