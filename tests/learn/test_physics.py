@@ -11,16 +11,8 @@ from tests.learn.made_drives import REST, excitation, made_drive, whole
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import Command
 from tunefree_hil.config.load import load_vehicle
-from tunefree_hil.learn.physics import (
-    BAND,
-    EFFECTS,
-    OFFSET,
-    ROAD,
-    TOGETHER,
-    PhysicsFit,
-    fit,
-    is_clear,
-)
+from tunefree_hil.learn.physics import TOGETHER, PhysicsFit, fit, is_clear
+from tunefree_hil.learn.physics_problem import BAND, EFFECTS, OFFSET, ROAD
 from tunefree_hil.learn.sheet import constants, fixed_params
 from tunefree_hil.learn.window_runs import Off, errors
 from tunefree_hil.learn.windows import TARGETS, Windows, windows_of
@@ -121,24 +113,6 @@ def test_intervals_hold_the_truth(fitted: PhysicsFit) -> None:
     known = {name: value for name, value in fitted.values.items() if value.known}
     inside = [value.low <= truth[name] <= value.high for name, value in known.items()]
     assert len(known) >= 8 and np.mean(inside) >= 0.7, [name for name, ok in zip(known, inside, strict=True) if not ok]
-
-
-@pytest.mark.slow
-def test_a_motor_that_holds_back_is_no_rolling_resistance() -> None:
-    """Coasting alone cannot tell them; the last metres before standstill can, where the one fades and the other not."""
-    truth = {"overrun_force_n": 900.0, "drive_corner": 12.0, "brake_rise_per_frac": 0.8}
-    some = windows_of([whole(made_drive(110.0, seed=seed, params=truth)) for seed in (1, 2)], VEHICLE)
-    with Worker() as worker:
-        found = worker.result(
-            "tunefree_hil.learn.physics", "fit", some, fixed_params(VEHICLE), constants(VEHICLE), 0.35
-        )
-    overrun, rolling = found.values["overrun_force_n"], found.values["rolling_frac"]
-    assert overrun.known and overrun.low < 900.0 < overrun.high and overrun.high - overrun.low < 900.0
-    assert rolling.low < DEFAULTS["rolling_frac"] < rolling.high
-    rise, brake = found.values["brake_rise_per_frac"], found.values["brake_force_n_per_frac"]
-    assert rise.known and rise.low < 0.8 < rise.high and rise.low > 0.0
-    assert brake.low < DEFAULTS["brake_force_n_per_frac"] < brake.high
-    assert found.after["speed_mps"] < 0.05
 
 
 @pytest.mark.slow

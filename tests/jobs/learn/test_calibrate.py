@@ -23,7 +23,8 @@ from tunefree_hil.jobs.learn import calibrate as job
 from tunefree_hil.jobs.learn.calibrate_words import benches_of, channel_words
 from tunefree_hil.jobs.learn.calibrated import card_of, effect_of, fit_all, split_of, write
 from tunefree_hil.learn.drives import Drive, Split
-from tunefree_hil.learn.physics import BAND, EFFECTS, OFFSET, is_clear
+from tunefree_hil.learn.physics import is_clear
+from tunefree_hil.learn.physics_problem import BAND, EFFECTS, OFFSET
 from tunefree_hil.learn.values import Value, unknown
 from tunefree_hil.learn.worker import Worker
 from tunefree_hil.learn.write_model import CARD_FILE, write_card

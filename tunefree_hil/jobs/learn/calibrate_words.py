@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tunefree_hil.jobs.pasted import pasted
-from tunefree_hil.learn.physics import BAND, OFFSET, ROAD, PhysicsFit
+from tunefree_hil.learn.physics import PhysicsFit
+from tunefree_hil.learn.physics_problem import BAND, OFFSET, ROAD
 from tunefree_hil.learn.values import ActuatorFit, Value
 
 if TYPE_CHECKING:

@@ -21,7 +21,8 @@ from tunefree_hil.learn.channel_doubts import in_motion
 from tunefree_hil.learn.drives import Drive, Part, Split
 from tunefree_hil.learn.law_constants import suggested
 from tunefree_hil.learn.pairs import ECHOES, Pairs, has_channel
-from tunefree_hil.learn.physics import EFFECTS, PhysicsFit, is_clear
+from tunefree_hil.learn.physics import PhysicsFit, is_clear
+from tunefree_hil.learn.physics_problem import EFFECTS
 from tunefree_hil.learn.sheet import asks_accel, channel_sheet, constants, fixed_params
 from tunefree_hil.learn.shown import Judged
 from tunefree_hil.learn.smooth import noise_table_of, valid_region

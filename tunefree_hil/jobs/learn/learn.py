@@ -22,7 +22,7 @@ from tunefree_hil.learn.free_run import Judged
 from tunefree_hil.learn.learned_folder import Learned, calibration_of, write_learned
 from tunefree_hil.learn.level import offset_words
 from tunefree_hil.learn.motion import Track, tracks_of
-from tunefree_hil.learn.physics import ROAD
+from tunefree_hil.learn.physics_problem import ROAD
 from tunefree_hil.learn.worker import Worker
 from tunefree_hil.learn.write_model import CARD_FILE, OWN_EFFECTS, require_new
 
