@@ -15,7 +15,8 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.gap.bursts import Burst, burst_of, windows_of
 from tunefree_hil.gap.fit import fit_candidate, fit_null, fit_on, fit_without
 from tunefree_hil.gap.leftover import Left, leftovers
-from tunefree_hil.gap.null import correlation, doubts_of, held_of, nuisances, related_of
+from tunefree_hil.gap.null import Nuisance, correlation, doubts_of, held_of, nuisances, related_of
+from tunefree_hil.gap.own_numbers import after_own, own_numbers_of
 from tunefree_hil.gap.problem import Fitted, Problem, Slopes
 from tunefree_hil.gap.regions import Region, regions
 from tunefree_hil.gap.scan import Scan, Start
@@ -44,7 +45,7 @@ class Modelled(NamedTuple):
 class Question(NamedTuple):
     """What a question is, once opened. sizes: by target the deviation of what was measured. broken: targets that
     recalibration alone leaves broken (locate.look); None: nobody has looked. usually: those of them that the model
-    misses as usual (usual.py).
+    misses as usual (usual.py). drifting: what recalibration may move.
     """
 
     null: Modelled
@@ -55,6 +56,7 @@ class Question(NamedTuple):
     cannot: dict[str, str]
     broken: frozenset[str] | None = None
     usually: frozenset[str] = frozenset()
+    drifting: tuple[Nuisance, ...] = ()
 
 
 class _Open:
@@ -63,7 +65,10 @@ class _Open:
         doubts = doubts_of(setting.model)
         held = held_of(setting.model, setting.drives[0].pace)
         drifting = nuisances(self.work.graph, setting.model, doubts, held)
-        self.problem = Problem(self.work, drifting, correlation(drifting, related_of(setting.model)))
+        together = correlation(drifting, related_of(setting.model))
+        own = own_numbers_of(setting.model)
+        drifting, together = after_own(drifting, together, own)
+        self.problem = Problem(self.work, drifting, together, together=bool(own.keys))
         self.null, self.slopes = fit_null(self.problem)
         some, self.cannot = suspects_of(self.work.graph, setting.model, setting.vehicle, setting.drives)
         self.suspects = {one.name: doubted(one, drifting, doubts) for one in some}
@@ -110,7 +115,8 @@ def open_question(token: str, setting: Setting) -> Question:
         )
     sizes = {name: work.size(name) for name in work.kinds}
     found = tuple(one.suspects.values())
-    return Question(_sent(work, one.null), work.blocks, work.kinds, sizes, found, one.cannot)
+    drifting = tuple(one.problem.nuisances.values())
+    return Question(_sent(work, one.null), work.blocks, work.kinds, sizes, found, one.cannot, drifting=drifting)
 
 
 def scan_suspects(

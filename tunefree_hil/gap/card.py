@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec
 
+OWN_NUMBERS = "own_numbers"  # gap/own_numbers.py
+
 
 class HeldOut(NamedTuple):
     """What a calibration missed of drives that it was not fitted on, root mean square: by quantity of the motion, and

@@ -14,7 +14,8 @@ class Drift(NamedTuple):
 
     constant: the constant of the plant (card.json of `calibrate`) by which the doubt about it is known; own_unit: that
     doubt is in the constant's own unit, not a share of it; against: more of it is less of the constant.
-    daily: of the day and not of the car: no calibration takes it in, however near it comes. written: into a repaired
+    daily: of the day and not of the car: no calibration takes it in, however near it comes. formed: by it recalibration
+    makes up for a form that the model has not, too, and that is the same every day. written: into a repaired
     model; what is of the day is not, nor what the next day's sensors or tyres have otherwise. by_weight: sigma is of
     ROAD_CAR_KG, and a tenth of the weight is pushed by a tenth. sideways: it shows in how the car turns and in what it
     feels sideways.
@@ -28,6 +29,7 @@ class Drift(NamedTuple):
     own_unit: bool = False
     against: bool = False
     daily: bool = False
+    formed: bool = False
     written: bool = True
     by_weight: bool = False
     sideways: bool = False
@@ -52,7 +54,10 @@ ROWS = (
     Drift("rolling_resistance", "extra_frac", 0.06, TYRES, "rolling_frac"),
     Drift("aero_drag", "drag_area_m2", 0.03, "what a fit leaves of it at town speeds", "drag_area_m2", own_unit=True),
     # The grip is of the day: by it a model has the form of its tyres' curve right, too, which no calibration takes in
-    Drift("friction", "friction_frac", 0.15, "nobody measured it", daily=True, written=False, sideways=True),
+    Drift(
+        "friction", "friction_frac", 0.15, "nobody measured it",
+        daily=True, formed=True, written=False, sideways=True,
+    ),
     Drift("front_stiffness", "gain_frac", 0.02, TYRES, "front_stiffness_n_per_rad", sideways=True),
     Drift("rear_stiffness", "gain_frac", 0.02, TYRES, "rear_stiffness_n_per_rad", sideways=True),
     Drift("grade", "grade_rad", 0.0007, "no road is level", daily=True, written=False),

@@ -17,8 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tunefree_hil.gap.problem import Fitted, bounded, ends_of, gathered, is_free
+from tunefree_hil.gap.problem import Fitted, ends_of, gathered, is_free
 from tunefree_hil.gap.segments import PROOF, Blocks
+from tunefree_hil.gap.steps import bounded
 
 Array = np.ndarray
 

@@ -17,19 +17,18 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.gap.evidence import log_evidence, stretched
 from tunefree_hil.gap.noise import Colour
 from tunefree_hil.gap.problem import (
-    FLAT,
     Fitted,
     Free,
     Problem,
     Slopes,
     Sums,
-    bounded,
     cost_of,
     ends_of,
     gathered,
     squares,
 )
 from tunefree_hil.gap.scan import NO_TWIN, TWINS, Scan, Start
+from tunefree_hil.gap.steps import FLAT, walled
 from tunefree_hil.gap.work import Residuals
 
 Array = np.ndarray
@@ -176,12 +175,12 @@ def _stepped(problem: Problem, at: Point, sums: dict[str, Sums], blocks: Array) 
     prior = problem.prior(at.keys, at.free)
     before = cost_of(sums, at.z, prior, blocks)
     colours = {name: one.colour for name, one in sums.items()}
-    low, high = ends_of(at.keys, at.free)
+    ends = (*ends_of(at.keys, at.free), problem.walls(at.keys, at.free))
     curve, slope, _ = gathered(sums, len(at.keys), blocks)
     curve, slope = curve + prior, slope + prior @ at.z
     scale = np.maximum(np.diag(curve), FLAT)
     for damping in DAMPINGS:
-        there = at.z + bounded(curve + damping * np.diag(scale), slope, at.z, low, high)
+        there = at.z + walled(curve + damping * np.diag(scale), slope, at.z, *ends)
         try:
             found = problem.work.residuals(problem.values(at.keys, there, at.free))
         except InputError:  # a value that makes no such effect: not so far

@@ -84,6 +84,18 @@ def _ends(one: Free, u: float, by: float, reach: float) -> tuple[float, float]:
 
 def deviations(model: Fitted, blocks: Array) -> Array:
     """Of each key of a fitted model [p], in its own unit (nuisances in standard deviations, free ones in u)."""
+    inverse, sandwich = _doubts(model, blocks)
+    return np.sqrt(np.maximum(np.diag(inverse), np.diag(sandwich)))
+
+
+def covariance(model: Fitted, blocks: Array) -> Array:
+    """Of the keys of a fitted model [p, p], in their units: by the curvature and by the blocks, both."""
+    inverse, sandwich = _doubts(model, blocks)
+    return inverse + sandwich
+
+
+def _doubts(model: Fitted, blocks: Array) -> tuple[Array, Array]:
+    """(inverse curvature, sandwich) [p, p] of a fitted model."""
     curve, _, _ = gathered(model.sums, len(model.keys), blocks)
     flat = np.diag(2.0 * np.pi * is_free(model.keys, model.free))  # as `log_evidence` takes what is uniform
     inverse = np.linalg.inv(curve + model.prior + flat)
@@ -92,8 +104,7 @@ def deviations(model: Fitted, blocks: Array) -> Array:
         pulls[:, one.columns] += one.slope[blocks] / one.colour.stretch
     pulls = pulls - pulls.mean(axis=0)
     share = len(blocks) / max(len(blocks) - 1, 1)
-    sandwich = inverse @ (share * pulls.T @ pulls) @ inverse
-    return np.sqrt(np.maximum(np.diag(inverse), np.diag(sandwich)))
+    return inverse, inverse @ (share * pulls.T @ pulls) @ inverse
 
 
 def across(model: Fitted, blocks: Array) -> dict[str, tuple[float, float]]:

@@ -28,7 +28,8 @@ Array = np.ndarray
 class Nuisance(NamedTuple):
     """A number that may be off: key as `Graph.run` takes it, its neutral value, standard deviation in its unit.
 
-    told: of that, what the model's calibration says of `constant`; the rest, `drift`, is of the day. turned: 1.0, or
+    told: of that, what is the same every day (what the model's calibration says of `constant`); the rest, `drift`, is
+    of the day. turned: 1.0, or
     -1.0 where more of it is less of the constant.
     """
 
@@ -103,6 +104,8 @@ def nuisances(graph: Graph, model: ModelSpec, doubts: Mapping[str, float], held:
         # A car that is asked for an acceleration has no drag that anybody sees, and none has less than nothing
         most = params.get(constant, math.inf) / MOST_DRAG if constant == "drag_area_m2" else math.inf
         sigma = min(math.hypot(least, told), most)
+        if one.formed:
+            told = sigma * math.sqrt(1.0 - held**2)
         if sigma > 0.0:
             turned = -1.0 if one.against else 1.0
             found.append(Nuisance(one.key, neutral, sigma, min(told, sigma), constant, turned, least))

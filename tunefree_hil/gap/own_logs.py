@@ -14,7 +14,7 @@ import numpy as np
 
 from tunefree_hil.base.contracts import Link, links_of
 from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
-from tunefree_hil.gap.ask import Modelled
+from tunefree_hil.gap.ask import Modelled, Question
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.decide import MOST_WORSE, PLAIN_NATS, Weighed
 from tunefree_hil.gap.evidence import judged
@@ -22,6 +22,7 @@ from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.interval import across, deviations
 from tunefree_hil.gap.lost import lost_links
 from tunefree_hil.gap.name import Named
+from tunefree_hil.gap.own_numbers import OwnNumbers, own_numbers
 from tunefree_hil.gap.search import weighed
 from tunefree_hil.gap.sift import looked_at
 from tunefree_hil.gap.team import Team
@@ -143,9 +144,9 @@ def _is_plain(one: Weighed) -> bool:
     return one.matters and min(one.evidence, one.gain.total) > PLAIN_NATS and one.worst_missed < MOST_WORSE
 
 
-def usual(asked: OwnLogs) -> Generator[str, None, Usual]:
+def usual(asked: OwnLogs) -> Generator[str, None, tuple[Usual, OwnNumbers]]:
     """What is missed, and what each effect would be, alone: all of them, however little they gain. NOTHING where the
-    sensors explained what was missed.
+    sensors explained what was missed. With it where the logs put what recalibration may move.
     """
     yield "what is left"
     team = Team(Setting(asked.model, asked.vehicle, tuple(asked.drives)), asked.workers, thorough=True)
@@ -155,7 +156,7 @@ def usual(asked: OwnLogs) -> Generator[str, None, Usual]:
         _, looked = looked_at(team, question, question.null, blocks)
         broken = frozenset(one.signal for one in looked if one.broken)
         if not broken:
-            return NOTHING
+            return NOTHING, numbers_of(question)
         yield f"{len(question.suspects)} suspects, each alone"
         found = team.fit([one.name for one in question.suspects], None)
     finally:
@@ -163,7 +164,12 @@ def usual(asked: OwnLogs) -> Generator[str, None, Usual]:
     values: dict[str, dict[str, tuple[float, float]]] = {}
     for name, one in found.items():
         values |= by_name(known_of(name, one, blocks))
-    return Usual({one.signal: one.amount for one in looked}, values, broken)
+    return Usual({one.signal: one.amount for one in looked}, values, broken), numbers_of(question)
+
+
+def numbers_of(question: Question) -> OwnNumbers:
+    """Where own logs put what recalibration may move."""
+    return own_numbers(question.null.fitted, question.drifting, judged(question.blocks))
 
 
 def known_of(name: str, model: Modelled, blocks: Array) -> dict[str, tuple[float, float]]:

@@ -23,10 +23,7 @@ SLOPE = 0.02  # of a unit of a free parameter, for slopes
 SIGMA_SLOPE = 0.5  # of a standard deviation, of a nuisance
 TOUCHED = 1e-9  # of a target's size: what changes less is not touched by a parameter
 MOST_SIGMA = 2.0  # of a prior (gap/null.py): what recalibration may do at most
-HELD_TURNS = 6
-RELEASES = 4  # turns of a bounded step, for each of its parameters
-RELEASED = 1e-9  # of the greatest slope: a pull that is less lets nothing go
-FLAT = 1e-6  # added to every curvature: what the data do not feel stays where it is
+TIGHT = 0.9  # variance of a direction, of numbers that are each 1: what is not known better than that has no such end
 
 
 class Free(NamedTuple):
@@ -99,10 +96,15 @@ class Slopes(NamedTuple):
 
 
 class Problem:
-    """Fits of one question. nuisances: by key, in their order. correlation [n, n]: of their priors; None: of none."""
+    """Fits of one question. nuisances: by key, in their order. correlation [n, n]: of their priors; None: of none.
+    together: whether what numbers come to together may not go far beyond it (MOST_TOGETHER).
+    """
 
-    def __init__(self, work: Work, nuisances: Sequence[Nuisance], correlation: Array | None = None) -> None:
-        self.work = work
+    def __init__(
+        self, work: Work, nuisances: Sequence[Nuisance], correlation: Array | None = None, *, together: bool = False
+    ) -> None:
+        self.work, self._together = work, together
+        self._walls: dict[tuple[str, ...], Array] = {}
         self.nuisances = {one.key: one for one in nuisances}
         self._correlation = np.eye(len(nuisances)) if correlation is None else correlation
 
@@ -113,6 +115,22 @@ class Problem:
         some = [place[key] for key, one in zip(keys, loose, strict=True) if not one]
         found = np.zeros((len(keys), len(keys)))
         found[np.ix_(~loose, ~loose)] = np.linalg.inv(self._correlation[np.ix_(some, some)])
+        return found
+
+    def walls(self, keys: Sequence[str], free: Sequence[Free]) -> Array:
+        """Directions [w, p] of some keys' z that are known better than each number alone: z is within MOST_TOGETHER of
+        nought along each.
+        """
+        loose = is_free(keys, free)
+        some = tuple(key for key, one in zip(keys, loose, strict=True) if not one)
+        if some not in self._walls:
+            place = {key: i for i, key in enumerate(self.nuisances)}
+            at = [place[key] for key in some]
+            variance, along = np.linalg.eigh(self._correlation[np.ix_(at, at)])
+            tight = variance < (TIGHT if self._together else 0.0)
+            self._walls[some] = (along[:, tight] / np.sqrt(variance[tight])).T
+        found = np.zeros((len(self._walls[some]), len(keys)))
+        found[:, ~loose] = self._walls[some]
         return found
 
     def values(self, keys: Sequence[str], z: Array, free: Sequence[Free]) -> dict[str, float]:
@@ -232,51 +250,3 @@ def ends_of(keys: Sequence[str], free: Sequence[Free]) -> tuple[Array, Array]:
     low = np.array([by_key[key].least if key in by_key else -MOST_SIGMA for key in keys])
     high = np.array([by_key[key].most if key in by_key else MOST_SIGMA for key in keys])
     return low, high
-
-
-def bounded(curve: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
-    """The step from z to the least of a convex quadratic within bounds, by an active set: what would go beyond an end
-    is held there, and let go again where the rest, once it has moved, pulls it back.
-    """
-    curve, lowest, highest = curve + FLAT * np.eye(len(z)), low - z, high - z
-    step, held = _held_in_turn(curve, slope, lowest, highest)
-    least = RELEASED * (1.0 + float(np.abs(slope).max(initial=0.0)))
-    for _ in range(RELEASES * len(z)):
-        loose = ~held
-        pull = -(slope + curve @ step)
-        move = np.zeros(len(z))
-        move[loose] = np.linalg.solve(curve[np.ix_(loose, loose)], pull[loose])
-        end, moving = np.where(move > 0.0, highest, lowest), move != 0.0
-        room = np.full(len(z), np.inf)
-        room[moving] = (end - step)[moving] / move[moving]
-        share = min(float(room.min(initial=np.inf)), 1.0)
-        step = np.where(room <= share, end, np.clip(step + share * move, lowest, highest))
-        if share < 1.0:
-            held |= room <= share
-            continue
-        pull = -(slope + curve @ step)
-        inward = np.where(step <= lowest, pull, 0.0) + np.where(step >= highest, -pull, 0.0)
-        inward[~held | (lowest >= highest)] = 0.0
-        if inward.max(initial=0.0) <= least:
-            break
-        held[int(np.argmax(inward))] = False
-    return step
-
-
-def _held_in_turn(curve: Array, slope: Array, lowest: Array, highest: Array) -> tuple[Array, Array]:
-    """(a step within bounds, what is held at one): what goes beyond is held there, in turn, and stays. Near the least,
-    but of parameters that do nearly the same all may be held that go beyond together, where one would do.
-    """
-    step, loose = np.zeros(len(slope)), np.ones(len(slope), dtype=bool)
-    for _ in range(HELD_TURNS):
-        pull = slope[loose] + curve[np.ix_(loose, ~loose)] @ step[~loose]
-        step[loose] = -np.linalg.solve(curve[np.ix_(loose, loose)], pull)
-        within = np.clip(step, lowest, highest)
-        beyond = loose & (within != step)
-        step = within
-        if not beyond.any():
-            break
-        loose &= ~beyond
-        if not loose.any():
-            break
-    return step, ~loose

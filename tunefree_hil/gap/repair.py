@@ -24,14 +24,15 @@ from tunefree_hil.config.schema import (
     VehicleSpec,
     value_of,
 )
-from tunefree_hil.gap.card import card_of
+from tunefree_hil.gap.card import OWN_NUMBERS, card_of
 from tunefree_hil.gap.channels import ACCEL, PEDALS, is_by_accel
 from tunefree_hil.gap.drifts import UNWRITTEN
 from tunefree_hil.gap.graph import BEND, LINKAGE, effects, scaled
 from tunefree_hil.gap.kept import Kept
+from tunefree_hil.gap.own_numbers import own_numbers_of
 from tunefree_hil.gap.usual import KEY, OWN_MISSED
 from tunefree_hil.learn.free_run import plant_of
-from tunefree_hil.learn.write_model import CARD_FILE, OWN_EFFECTS, data_of, write_beside
+from tunefree_hil.learn.write_model import CARD_FILE, OWN_EFFECTS, OWN_LOGS, data_of, write_beside
 from tunefree_hil.plant.asked_accel import FULL_MPS2
 
 ADDED = ("dead_time_s", "offset")  # numbers of a channel that recalibration adds to; the others it multiplies
@@ -84,7 +85,21 @@ def repaired(
     more = [EffectSpec(name=name, params=one, provenance={"by": "recalibration"}) for name, one in moved.items()]
     behind = sorted([*found, *more], key=lambda one: one.name)  # as the graph has them in series
     made = _with(model, plant=_with(model.plant, params=own), actuators=channels, effects=[*model.effects, *behind])
-    return Repaired(made, day, tuple(_changes(model, made, base)))
+    return Repaired(made, day, changes_of(model, made))
+
+
+def moved(model: ModelSpec, vehicle: VehicleSpec) -> ModelSpec:
+    """A model with the numbers that its own logs say. Raises InputError for a card that is none."""
+    own, known = own_numbers_of(model), effects()
+    if not own.keys:
+        return model
+    values = {}
+    for key, off in zip(own.keys, own.off.tolist(), strict=True):
+        name, _, parameter = key.partition(".")
+        values[key] = off + (known[name].neutral[parameter] if name in known else 0.0)
+    made = repaired(model, vehicle, values)
+    throughout = [_with(one, provenance={"by": OWN_LOGS}) for one in made.day]
+    return _with(made.model, effects=[*made.model.effects, *throughout])
 
 
 def found_effects(kept: Kept, log_hash: str, version: str) -> list[EffectSpec]:
@@ -110,7 +125,7 @@ def write_repaired(folder: Path, model: ModelSpec, made: ModelSpec, story: Mappi
     data = data_of(made)
     data["plant"]["card"] = CARD_FILE
     head = HEAD.format(model=Path(model.folder).name, card=CARD_FILE)
-    card = {key: said for key, said in card_of(model).items() if key not in (KEY, OWN_EFFECTS, OWN_MISSED)}
+    card = {key: said for key, said in card_of(model).items() if key not in (KEY, OWN_EFFECTS, OWN_MISSED, OWN_NUMBERS)}
     write_beside(folder, model, head, data, card | {"repair": story})
     return load_model(folder)
 
@@ -187,9 +202,9 @@ def _moved(number: Number, by: float, field: str) -> Number:
     return move(number)
 
 
-def _changes(model: ModelSpec, made: ModelSpec, base: Mapping[str, float]) -> list[Change]:
-    """What is another number in the repaired model, effects last."""
-    found = []
+def changes_of(model: ModelSpec, made: ModelSpec) -> tuple[Change, ...]:
+    """What is another number in a model that was made of another, effects last."""
+    base, found = {**plant_of(model).defaults, **model.plant.params}, []
     for key, after in made.plant.params.items():
         if _differs(base[key], after):
             found.append(Change(f"plant.params.{key}", base[key], after))
@@ -200,7 +215,7 @@ def _changes(model: ModelSpec, made: ModelSpec, base: Mapping[str, float]) -> li
                 found.append(Change(f"actuators.{name}.{field}", before, after))
     for one in made.effects[len(model.effects) :]:
         found += [Change(f"effects.{one.name}.{key}", None, value) for key, value in one.params.items()]
-    return found
+    return tuple(found)
 
 
 def _differs(before: float, after: float) -> bool:

@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.gap.problem import Fitted, Free, Problem, Slopes, bounded, ends_of
+from tunefree_hil.gap.problem import Fitted, Free, Problem, Slopes, ends_of
+from tunefree_hil.gap.steps import walled
 from tunefree_hil.gap.work import Residuals, apart
 
 Array = np.ndarray
@@ -231,7 +232,8 @@ class Scan:
             slope, square = slope + felt.slope, square + felt.square
         low, high = ends_of(self.start.keys, self.start.free)
         curve, slope = self._curve[np.ix_(kept, kept)] + prior, slope[kept] + prior @ z
-        step = bounded(curve, slope, z, low[kept], high[kept])
+        walls = self.problem.walls([self.start.keys[i] for i in kept], self.start.free)
+        step = walled(curve, slope, z, low[kept], high[kept], walls)
         return square + float(z @ prior @ z) + float(2.0 * slope @ step + step @ curve @ step), step
 
     def _feel(self, name: str, residual: list[Array]) -> _Felt:

@@ -51,7 +51,7 @@ def told(logs: list[Path], delay_s: float, place: Path) -> tuple[tuple[dict[str,
     made = repaired(model, VEHICLE, {}, found_effects(kept, "", ""))
     written = write_repaired(place, model, made.model, {})
     mended = Mended(repaired(model, VEHICLE, {}), made, written)
-    return ended(replayed(logs, Material(VEHICLE, model, [], []), mended))
+    return ended(replayed(logs, Material(VEHICLE, model, model, [], []), mended))
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ STEER = "report.steer_rad"
 
 def proof_of(drive: Drive, out: Path, *, faint: bool = False, drives: bool = True) -> tuple[dict[str, Any], list[str]]:
     """(keys of gap.json, warnings) of a search that named a later steering. drives: whether the car is in gear."""
-    material, opened = Material(VEHICLE, made_model(), [drive], []), [open_chain(drive, VEHICLE)]
+    material, opened = Material(VEHICLE, made_model(), made_model(), [drive], []), [open_chain(drive, VEHICLE)]
     opened = [one._replace(moving=one.moving & drives) for one in opened]
     folder, kept = Folder(out), made_kept()
     named = [{**one, "faint": faint} for one in kept.answer["effects"]]
@@ -83,7 +83,10 @@ def test_a_repair_that_closes_nothing_is_kept_where_those_blocks_do_not_show_it(
     seen = {"unseen_stirs": stirs, "unseen_shrink": 0.0, "params": none}
     named = [{**one, **seen} for one in kept.answer["effects"]]
     kept = kept._replace(answer={**kept.answer, "effects": named}, null={}, repaired={"steer_dead_time.delay_s": 0.0})
-    material, opened = Material(VEHICLE, made_model(), [late_drive()], []), [open_chain(late_drive(), VEHICLE)]
+    material, opened = (
+        Material(VEHICLE, made_model(), made_model(), [late_drive()], []),
+        [open_chain(late_drive(), VEHICLE)],
+    )
     mended = mend(Folder(tmp_path), material, opened, kept, "sha256:0")
     (data, _), _ = ended(proved(Folder(tmp_path), material, opened, kept, mended))
     assert data["explained_frac"]["value"] == pytest.approx(0.0, abs=1e-6) and "taken_back" not in data
@@ -105,7 +108,7 @@ def test_what_only_the_blocks_that_prove_miss_grossly_is_not_nothing(
     tmp_path: Path, later_s: float, verdict: str | None
 ) -> None:
     drive, model = very_late(later_s), made_model()
-    material, kept = Material(VEHICLE, model, [drive], []), made_kept("none_missing", words=["nothing", "short"])
+    material, kept = Material(VEHICLE, model, model, [drive], []), made_kept("none_missing", words=["nothing", "short"])
     opened = [open_chain(drive, VEHICLE)]
     mended = mend(Folder(tmp_path), material, opened, kept, "sha256:0")
     (data, _), _ = ended(proved(Folder(tmp_path), material, opened, kept, mended))
@@ -128,7 +131,7 @@ def test_so_is_a_name_that_was_taken_back(tmp_path: Path) -> None:
     kept = kept._replace(
         answer={**kept.answer, "links": unbroken, "effects": faint}, repaired={"steer_dead_time.delay_s": 0.0}
     )
-    material, opened = Material(VEHICLE, made_model(), [drive], []), [open_chain(drive, VEHICLE)]
+    material, opened = Material(VEHICLE, made_model(), made_model(), [drive], []), [open_chain(drive, VEHICLE)]
     mended = mend(Folder(tmp_path), material, opened, kept, "sha256:0")
     (data, _), _ = ended(proved(Folder(tmp_path), material, opened, kept, mended))
     assert data["taken_back"]["names"] == ["steer_dead_time"] and data["effects"] == [] and data["model"] is None
@@ -138,7 +141,10 @@ def test_so_is_a_name_that_was_taken_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("late", "stays"), [(True, True), (False, False)])
 def test_older_logs_are_asked_where_nothing_else_can_prove(late: bool, stays: bool, tmp_path: Path) -> None:
     older = late_drive(SECONDS, 9) if late else made_drive(SECONDS, seed=9, name="before.log")
-    material, whole = Material(VEHICLE, made_model(), [late_drive()], [older]), open_chain(late_drive(), VEHICLE)
+    material, whole = (
+        Material(VEHICLE, made_model(), made_model(), [late_drive()], [older]),
+        open_chain(late_drive(), VEHICLE),
+    )
     opened = [whole._replace(moving=whole.moving & False)]
     mended = mend(Folder(tmp_path), material, opened, made_kept(), "sha256:0")
     (data, _), _ = ended(proved(Folder(tmp_path), material, opened, made_kept(), mended))

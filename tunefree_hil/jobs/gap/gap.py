@@ -53,9 +53,12 @@ class Asked(NamedTuple):
 
 
 class Material(NamedTuple):
-    """What an answer is made of. left_out: logs of which nothing can be told, in words."""
+    """What an answer is made of. given: the model as it is in its folder; model: the same with what its own logs say of
+    it (gap/repair.py, `moved`). left_out: logs of which nothing can be told, in words.
+    """
 
     vehicle: VehicleSpec
+    given: ModelSpec
     model: ModelSpec
     drives: list[Drive]
     older: list[Drive]
@@ -69,6 +72,7 @@ def gap(asked: Asked) -> Iterator[Event]:
     holds something else.
     """
     from tunefree_hil.config.load import load_vehicle
+    from tunefree_hil.gap.repair import moved
 
     vehicle = load_vehicle(asked.vehicle)
     model = model_for(asked.model, vehicle)
@@ -81,7 +85,7 @@ def gap(asked: Asked) -> Iterator[Event]:
     older, more = _without_mute(older, vehicle, all_may_go=True)
     left_out = tuple(f"{name} says nothing of the speed, and is left out" for name in (*mute, *more))
     yield from (Event("warning", words) for words in left_out)
-    material = Material(vehicle, model, drives, older, left_out)
+    material = Material(vehicle, model, moved(model, vehicle), drives, older, left_out)
     with held_folder(asked.out, question_of(drives, older, vehicle, model)) as folder:
         answer = folder.answer(asked.until)
         if answer is not None and answer["model"] and not Path(answer["model"]).is_dir():

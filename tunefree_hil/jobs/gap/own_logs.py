@@ -49,11 +49,12 @@ def ask_own_logs(folder: Path, vehicle: VehicleSpec, drives: Sequence[Drive]) ->
 def _forget(folder: Path) -> None:
     """What a search that was cut off had written already."""
     from tunefree_hil.config.load import load_model
+    from tunefree_hil.gap.card import OWN_NUMBERS
     from tunefree_hil.gap.usual import KEY, OWN_MISSED, RESTLESS
     from tunefree_hil.learn.write_model import OWN_EFFECTS, OWN_LOGS
 
     card = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
-    told = {KEY, RESTLESS, OWN_MISSED, OWN_EFFECTS}
+    told = {KEY, RESTLESS, OWN_MISSED, OWN_EFFECTS, OWN_NUMBERS}
     if told & set(card):
         write_card(folder, {key: said for key, said in card.items() if key not in told})
     model = load_model(folder)
@@ -102,7 +103,8 @@ def _asked(folder: Path, vehicle: VehicleSpec, opened: Sequence[Opened]) -> Gene
     from tunefree_hil.config.load import load_model
     from tunefree_hil.gap.look_first import look_first
     from tunefree_hil.gap.name import name, restless_of
-    from tunefree_hil.gap.own_logs import OwnLogs, explained, limits, limits_named
+    from tunefree_hil.gap.own_logs import OwnLogs, explained, limits, limits_named, numbers_of
+    from tunefree_hil.gap.own_numbers import as_data as numbers_as_data
     from tunefree_hil.gap.usual import NOTHING
 
     asked = OwnLogs(load_model(folder), vehicle, opened)
@@ -110,7 +112,10 @@ def _asked(folder: Path, vehicle: VehicleSpec, opened: Sequence[Opened]) -> Gene
     looked = first.looked[0]
     _kept(folder, NOTHING._replace(restless=restless_of(first.question)))
     if not looked.broken:
-        yield from _of_the_car(folder, asked, (yield from _with_progress("limits of the car", limits(asked))))
+        own = yield from _with_progress("limits of the car", limits(asked))
+        yield from _of_the_car(folder, asked, own)
+        if not own:
+            _added_to_card(folder, numbers_as_data(numbers_of(first.question)))
         return
     yield Event("note", f"{looked.missed}: the model's own logs are asked for what it lacks")
     found = yield from _with_progress("what it lacks", name(*asked))
@@ -153,6 +158,7 @@ def _poor(folder: Path, asked: OwnLogs) -> Generator[Event, None, None]:
     """
     from tunefree_hil.config.load import load_model
     from tunefree_hil.gap.own_logs import sensors, tyres, usual
+    from tunefree_hil.gap.own_numbers import as_data as numbers_as_data
     from tunefree_hil.gap.usual import usual_words
 
     for what, search in (("its sensors", sensors), ("its tyres", tyres)):
@@ -160,8 +166,9 @@ def _poor(folder: Path, asked: OwnLogs) -> Generator[Event, None, None]:
         if found := (yield from _with_progress(what, search(asked))):
             write_effects(folder, asked.model, [*asked.model.effects, *found])
             yield Event("note", f"{what}, by its own logs: {', '.join(_words(one) for one in found)}")
-    told = yield from _with_progress("what is usual", usual(asked._replace(model=load_model(folder))))
+    told, numbers = yield from _with_progress("what is usual", usual(asked._replace(model=load_model(folder))))
     _kept(folder, told)
+    _added_to_card(folder, numbers_as_data(numbers))
     yield from (Event("warning", f"{words}, for no reason in the catalogue") for words in usual_words(told))
 
 

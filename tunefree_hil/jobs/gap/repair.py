@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
 from tunefree_hil.gap.pays import Paid, chosen_runs, gained, groups_of, that_pays
-from tunefree_hil.gap.repair import Repaired, found_effects, repaired, write_repaired
+from tunefree_hil.gap.repair import Repaired, changes_of, found_effects, repaired, write_repaired
 from tunefree_hil.gap.result import is_absorbed
 from tunefree_hil.gap.segments import block_s_of
 from tunefree_hil.gap.shrink import (
@@ -59,6 +59,7 @@ def mend(folder: Folder, material: Material, opened: list[Opened], found: Kept, 
     effects = found_effects(found, log_hash, __version__)
     paid = _as_open(that_pays(model, vehicle, found.repaired, effects, opened), paid, material, found, effects, opened)
     made = repaired(model, vehicle, paid.values, effects)
+    made = made._replace(changes=changes_of(material.given, made.model))
     for place in (folder.model, *folder.path.glob(f"part-*-{folder.model.name}")):  # a killed run's, half written
         shutil.rmtree(place, ignore_errors=True)
     story = {
@@ -104,7 +105,7 @@ def proved(
     folder: Folder, material: Material, opened: list[Opened], found: Kept, mended: Mended
 ) -> Generator[Event, None, tuple[dict[str, Any], Proof]]:
     """(keys of gap.json, the proof); the model is taken away again where it makes a signal worse."""
-    variants = {"before": Variant(material.model), "recalibrated": Variant(mended.null.model, mended.null.day)}
+    variants = {"before": Variant(material.given), "recalibrated": Variant(mended.null.model, mended.null.day)}
     if mended.model is not None and mended.made is not None:
         variants["after"] = Variant(mended.model, mended.made.day)
     proof = prove(variants, material.vehicle, opened)
@@ -199,7 +200,7 @@ def _older(material: Material, model: ModelSpec) -> Generator[Event, None, list[
     found = []
     for drive in material.older:
         yield Event("note", f"older log {drive.name}")
-        variants = {"before": Variant(material.model), "after": Variant(model)}
+        variants = {"before": Variant(material.given), "after": Variant(model)}
         proof: Proof = prove(variants, material.vehicle, [open_chain(drive, material.vehicle)], whole=True)
         floors = floors_of(proof, material.model)
         signals = {

@@ -1,0 +1,173 @@
+"""What a model's own logs make of the numbers that recalibration may move."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from tests.gap.test_interval import ALL, BLOCKS, ROWS
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.config.load import load_model, load_vehicle
+from tunefree_hil.config.schema import ModelSpec
+from tunefree_hil.gap.noise import Colour
+from tunefree_hil.gap.null import Nuisance, correlation
+from tunefree_hil.gap.own_numbers import (
+    NOBODY_ASKED,
+    OwnNumbers,
+    after_own,
+    as_data,
+    own_numbers,
+    own_numbers_of,
+)
+from tunefree_hil.gap.problem import Fitted, Sums
+from tunefree_hil.gap.repair import moved
+from tunefree_hil.learn.write_model import OWN_LOGS, data_of
+from tunefree_hil.plant.data_sheet import DEFAULTS
+
+Array = np.ndarray
+FORCE, KNEE, WIND = "plant.drive_force_n", "plant.drive_knee_frac", "side_wind.force_n"
+
+
+def drifting(force: float, knee: float, drift: float) -> list[Nuisance]:
+    """Two numbers of the car, of which its calibration says so much, and one of the day."""
+    return [
+        Nuisance(FORCE, 0.0, float(np.hypot(force, drift)), force, "drive_force_n", 1.0, drift),
+        Nuisance(WIND, 0.0, 8.0, 0.0, "", 1.0, 8.0),
+        Nuisance(KNEE, 0.0, float(np.hypot(knee, drift)), knee, "drive_knee_frac", 1.0, drift),
+    ]
+
+
+def together(some: list[Nuisance], r: float) -> Array:
+    return correlation(some, {"drive_force_n": {"drive_knee_frac": r}, "drive_knee_frac": {"drive_force_n": r}})
+
+
+def at_once(some: list[Nuisance], r: float, left: float, z: Array) -> tuple[Array, Array]:
+    """(mean, covariance) of a later day's two numbers where the own day's posterior is at z with `left` of its prior:
+    by the joint normal of both days and a measurement that would leave just that.
+    """
+    told, drift = np.array([some[0].told, some[2].told]), some[0].drift
+    car = np.array([[1.0, r], [r, 1.0]]) * np.outer(told, told)
+    day = car + drift**2 * np.eye(2)
+    noise = day * left / (1.0 - left)
+    measured = z * np.sqrt(np.diag(day)) / (1.0 - left)
+    gain = np.linalg.solve(day + noise, car).T
+    return gain @ measured, day - gain @ car
+
+
+def null(some: list[Nuisance], r: float, curve: Array, z: Array, differ: float = 0.0) -> Fitted:
+    """Own logs that know two numbers by a curvature [2, 2]. differ: by how many deviations their blocks disagree."""
+    pulls = np.random.default_rng(2).standard_normal((BLOCKS, 2))
+    pulls = differ * np.sqrt(np.diag(curve) / BLOCKS) * (pulls - pulls.mean(axis=0)) / pulls.std(axis=0)
+    curves = np.tile(curve / BLOCKS, (BLOCKS, 1, 1))
+    sums = Sums(np.array([0, 2]), np.ones(BLOCKS), pulls, curves, np.full(BLOCKS, ROWS),
+                Colour(np.array([1.0]), 1.0, 1.0))  # fmt: skip
+    keys = tuple(one.key for one in some)
+    prior = np.linalg.inv(together(some, r))
+    return Fitted("", keys, np.array([z[0], 0.3, z[1]]), (), {}, prior, {"speed": sums}, {})
+
+
+def both(some: list[Nuisance], correlated: Array) -> Array:
+    """Covariance [2, 2] of the car's two numbers."""
+    sigma = np.array([one.sigma for one in some])[[0, 2]]
+    return correlated[np.ix_([0, 2], [0, 2])] * np.outer(sigma, sigma)
+
+
+@given(
+    st.floats(0.005, 0.1), st.floats(0.005, 0.1), st.floats(0.001, 0.02), st.floats(-0.95, 0.95), st.floats(0.05, 0.8),
+    st.floats(-2.0, 2.0), st.floats(-2.0, 2.0),
+)  # fmt: skip
+def test_a_later_day_is_known_as_the_joint_normal_of_both_days_says(
+    force: float, knee: float, drift: float, r: float, left: float, a: float, b: float
+) -> None:
+    some, z = drifting(force, knee, drift), np.array([a, b])
+    inner = np.linalg.inv(together(some, r)[np.ix_([0, 2], [0, 2])])
+    own = own_numbers(null(some, r, inner * (1.0 - left) / left, z), some, ALL)
+    mean, covariance = at_once(some, r, left, z)
+    assert list(own.off) == pytest.approx(list(mean), rel=1e-6, abs=1e-12)
+    found, correlated = after_own(some, together(some, r), own)
+    assert both(found, correlated) == pytest.approx(covariance, rel=1e-6, abs=1e-12)
+    assert found[1] == some[1] and correlated[1, 0] == 0.0, "what is of the day is as it was"
+    for one, was in zip(found, some, strict=True):
+        assert not was.told or drift * (1.0 - 1e-9) <= one.sigma <= was.sigma * (1.0 + 1e-9)
+        assert one.sigma == pytest.approx(np.hypot(one.told, one.drift)) and one.neutral == was.neutral
+
+
+def test_logs_that_say_nothing_leave_all_as_it_was() -> None:
+    some = drifting(0.03, 0.05, 0.004)
+    prior = together(some, 0.9)
+    silent = own_numbers(null(some, 0.9, np.zeros((2, 2)), np.zeros(2)), some, ALL)
+    for own in (NOBODY_ASKED, silent, OwnNumbers(("plant.what_it_had_once",), np.ones(1), np.ones((1, 1)))):
+        found, correlated = after_own(some, prior, own)
+        assert [one.sigma for one in found] == pytest.approx([one.sigma for one in some])
+        assert correlated == pytest.approx(prior)
+    assert silent.off == pytest.approx([0.0, 0.0])
+
+
+def test_what_two_numbers_come_to_together_is_known_though_neither_is() -> None:
+    """A tenth of the drive force is no recalibration where the own logs know force and knee along one line only."""
+    some = drifting(0.08, 0.08, 0.004)
+    across = np.array([1.0, -1.0]) / 2.0**0.5
+    own = own_numbers(null(some, 0.0, 0.08**2 / 0.002**2 * np.outer(across, across), np.zeros(2)), some, ALL)
+    found, correlated = after_own(some, np.eye(3), own)
+    assert min(found[0].sigma, found[2].sigma) > 0.05
+    assert across @ both(found, correlated) @ across == pytest.approx(3.6e-5, rel=0.02), "both days' drift, and 0.002"
+
+
+def test_own_logs_are_believed_as_far_as_their_blocks_agree() -> None:
+    some = drifting(0.03, 0.03, 0.004)
+    curve, z = np.diag([100.0, 0.0]), np.array([0.7, 0.0])
+    sure, unsure = (own_numbers(null(some, 0.0, curve, z, by), some, ALL) for by in (0.0, 5.0))
+    assert sure.keys == (FORCE, KNEE) and sure.off[0] == pytest.approx(0.7 * some[0].sigma, rel=0.02)
+    by = [np.sqrt(one.covariance[0, 0] - some[0].drift ** 2) / some[0].sigma for one in (sure, unsure)]
+    assert by == pytest.approx([101.0**-0.5, 5.3 * 101.0**-0.5], rel=0.05)
+
+
+def carded(folder: Path, card: dict[str, Any]) -> ModelSpec:
+    model = load_model("mkz_nominal")
+    (folder / "card.json").write_text(json.dumps(card))
+    return replace(model, folder=str(folder), plant=replace(model.plant, card="card.json"))
+
+
+def test_they_come_back_from_a_card_as_they_were(tmp_path: Path) -> None:
+    some = drifting(0.03, 0.03, 0.004)
+    own = own_numbers(null(some, 0.0, np.diag([100.0, 0.0]), np.array([0.7, 0.0])), some, ALL)
+    back = own_numbers_of(carded(tmp_path, {"seed": 1, **as_data(own)}))
+    assert back.keys == own.keys and (back.off == own.off).all() and (back.covariance == own.covariance).all()
+    assert own_numbers_of(carded(tmp_path, {"seed": 1})) is NOBODY_ASKED
+
+
+def test_a_model_is_moved_to_what_its_own_logs_say_of_it(tmp_path: Path) -> None:
+    keys = ("brake_gain.gain_frac", FORCE, "friction.friction_frac", "linkage.bend")
+    own = OwnNumbers(keys, np.array([-0.02, 0.08, 0.2, 0.01]), np.eye(4))
+    model, vehicle = carded(tmp_path, as_data(own)), load_vehicle("mkz_bywire")
+    there = moved(model, vehicle)
+    before, after = ({**DEFAULTS, **one.plant.params} for one in (model, there))
+    assert after["brake_force_n_per_frac"] == pytest.approx(0.98 * before["brake_force_n_per_frac"])
+    assert after["drive_force_n"] == pytest.approx(np.exp(0.08) * before["drive_force_n"])
+    assert after["linkage_bend"] == pytest.approx(before["linkage_bend"] + 0.01)
+    assert [(one.name, one.params, one.provenance) for one in there.effects[len(model.effects) :]] == [
+        ("friction", {"friction_frac": pytest.approx(1.2)}, {"by": OWN_LOGS})
+    ]
+    assert (there.hash, there.folder) == (model.hash, model.folder) and data_of(there)
+    plain = carded(tmp_path, {"seed": 1})
+    assert moved(plain, vehicle) is plain
+
+
+@pytest.mark.parametrize(
+    "said",
+    [3, {"keys": ["a"]}, {"keys": ["a"], "off": [0.1, 0.2], "covariance": [[1.0]]},
+     {"keys": ["a"], "off": [float("nan")], "covariance": [[1.0]]},
+     {"keys": ["a"], "off": [0.1], "covariance": [[-1.0]]},
+     {"keys": ["a"], "off": ["much"], "covariance": [[1.0]]}],
+)  # fmt: skip
+def test_a_card_that_says_nonsense_is_an_input_error(tmp_path: Path, said: object) -> None:
+    with pytest.raises(InputError) as refused:
+        own_numbers_of(carded(tmp_path, {"own_numbers": said}))
+    assert refused.value.code == "bad_card" and "own_numbers" in refused.value.message
