@@ -22,6 +22,7 @@ from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import EffectSpec, ModelSpec
 from tunefree_hil.gap.name import Effect
 from tunefree_hil.gap.own_logs import OwnLogs, limits_named
+from tunefree_hil.gap.own_numbers import OwnNumbers, own_numbers_of
 from tunefree_hil.gap.problem import Free
 from tunefree_hil.gap.usual import KEY, NOTHING, RESTLESS, usual_of
 from tunefree_hil.jobs.gap.own_logs import ASKED, ask_own_logs, some_of, were_asked
@@ -36,6 +37,7 @@ from tunefree_hil.learn.write_model import (
     write_effects,
 )
 
+NUMBERS = OwnNumbers(("plant.drive_force_n",), np.array([0.03]), np.array([[1e-4]]))
 YAW = "report.yaw_rate_radps"
 
 
@@ -147,12 +149,14 @@ def test_a_limit_of_the_car_is_its_models_and_what_is_missed_beside_it_is_asked(
     monkeypatch.setattr("tunefree_hil.gap.name.name", named)
     monkeypatch.setattr("tunefree_hil.gap.name.restless_of", lambda _: {"brake_gain.gain_frac": 2.0})
     monkeypatch.setattr("tunefree_hil.gap.own_logs.limits", alone)
+    monkeypatch.setattr("tunefree_hil.gap.own_logs.numbers_of", lambda _: NUMBERS)
     monkeypatch.setattr("tunefree_hil.gap.own_logs.limits_named", lambda *_: [LIMIT])
     for _ in range(2):  # asked again, it is found again and not added to itself
         events = asked(folder, made_drive(20.0, seed=3))
         assert load_model(folder).effects == [LIMIT]
         assert any("power_limit (power_w 9e+04)" in one.message for one in events)
         assert usual_of(load_model(folder)).restless == {"brake_gain.gain_frac": 2.0}
+        assert own_numbers_of(load_model(folder)).keys == NUMBERS.keys
     assert seen == [0, 1, 0, 1]
 
 
@@ -199,11 +203,12 @@ def test_of_a_model_that_stays_poor_its_tyres_are_told_beside_its_sensors(
     monkeypatch.setattr("tunefree_hil.gap.look_first.look_first", poor)
     monkeypatch.setattr("tunefree_hil.gap.name.name", poor)
     monkeypatch.setattr("tunefree_hil.gap.name.restless_of", lambda _: {})
-    for name, found in (("sensors", [bias]), ("tyres", [tyres]), ("usual", NOTHING)):
+    for name, found in (("sensors", [bias]), ("tyres", [tyres]), ("usual", (NOTHING, NUMBERS))):
         monkeypatch.setattr(f"tunefree_hil.gap.own_logs.{name}", told(found))
     events = asked(folder, made_drive(20.0, seed=3))
     assert load_model(folder).effects == [bias, tyres]
     assert seen == [[], ["accel_bias"], ["accel_bias", "tyre_relaxation"]]
+    assert own_numbers_of(load_model(folder)).keys == NUMBERS.keys
     assert any("its tyres, by its own logs: tyre_relaxation (length_m 0.3)" in one.message for one in events)
 
 
@@ -215,6 +220,8 @@ def test_a_model_that_comes_near_its_logs_keeps_nothing(tmp_path: Path) -> None:
     events = asked(folder, made_drive(110.0, seed=5))
     assert {one.kind for one in events} == {"progress"} and all(one.data["label"] for one in events)
     assert usual_of(load_model(folder)) == NOTHING
+    own = own_numbers_of(load_model(folder))
+    assert "linkage.bend" in own.keys and np.sqrt(own.covariance.max()) < 0.3
 
 
 @pytest.mark.slow
