@@ -144,9 +144,9 @@ def _is_plain(one: Weighed) -> bool:
     return one.matters and min(one.evidence, one.gain.total) > PLAIN_NATS and one.worst_missed < MOST_WORSE
 
 
-def usual(asked: OwnLogs) -> Generator[str, None, tuple[Usual, OwnNumbers]]:
+def usual(asked: OwnLogs) -> Generator[str, None, Usual]:
     """What is missed, and what each effect would be, alone: all of them, however little they gain. NOTHING where the
-    sensors explained what was missed. With it where the logs put what recalibration may move.
+    sensors explained what was missed.
     """
     yield "what is left"
     team = Team(Setting(asked.model, asked.vehicle, tuple(asked.drives)), asked.workers, thorough=True)
@@ -156,7 +156,7 @@ def usual(asked: OwnLogs) -> Generator[str, None, tuple[Usual, OwnNumbers]]:
         _, looked = looked_at(team, question, question.null, blocks)
         broken = frozenset(one.signal for one in looked if one.broken)
         if not broken:
-            return NOTHING, numbers_of(question)
+            return NOTHING
         yield f"{len(question.suspects)} suspects, each alone"
         found = team.fit([one.name for one in question.suspects], None)
     finally:
@@ -164,11 +164,21 @@ def usual(asked: OwnLogs) -> Generator[str, None, tuple[Usual, OwnNumbers]]:
     values: dict[str, dict[str, tuple[float, float]]] = {}
     for name, one in found.items():
         values |= by_name(known_of(name, one, blocks))
-    return Usual({one.signal: one.amount for one in looked}, values, broken), numbers_of(question)
+    return Usual({one.signal: one.amount for one in looked}, values, broken)
+
+
+def numbers(asked: OwnLogs) -> Generator[str, None, OwnNumbers]:
+    """Where the own logs put what recalibration may move."""
+    yield "its numbers"
+    team = Team(Setting(asked.model, asked.vehicle, tuple(asked.drives)), workers=1)
+    try:
+        return numbers_of(team.open())
+    finally:
+        team.close()
 
 
 def numbers_of(question: Question) -> OwnNumbers:
-    """Where own logs put what recalibration may move."""
+    """The same of a question about them that is open already."""
     return own_numbers(question.null.fitted, question.drifting, judged(question.blocks))
 
 

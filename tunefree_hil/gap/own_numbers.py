@@ -27,6 +27,8 @@ from tunefree_hil.gap.problem import Fitted
 
 Array = np.ndarray
 
+ROUNDED = 1e-6  # of a correlation: by what a covariance that was written down may seem none
+
 
 class OwnNumbers(NamedTuple):
     """What own logs say of the car: keys [k]; off [k]: where it is, from the model's own numbers; covariance [k, k] of
@@ -106,6 +108,7 @@ def _read(said: Mapping[str, Any]) -> OwnNumbers:
     size = len(keys)
     if off.shape != (size,) or known.shape != (size, size) or not (np.isfinite(off).all() and np.isfinite(known).all()):
         raise ValueError(f"numbers of {size} keys are not {off.shape} and {known.shape} finite ones")
-    if size and float(np.linalg.eigvalsh(known).min()) < 0.0:
-        raise ValueError("no covariance has directions that are known better than not at all")
+    scale = np.sqrt(np.maximum(np.diag(known), 0.0))
+    if not (scale > 0.0).all() or (size and float(np.linalg.eigvalsh(known / np.outer(scale, scale)).min()) < -ROUNDED):
+        raise ValueError("this is no covariance: it has a direction of negative variance")
     return OwnNumbers(keys, off, known)

@@ -36,6 +36,7 @@ from tunefree_hil.learn.write_model import (
     write_card,
     write_effects,
 )
+from tunefree_hil.plant.data_sheet import DEFAULTS
 
 NUMBERS = OwnNumbers(("plant.drive_force_n",), np.array([0.03]), np.array([[1e-4]]))
 YAW = "report.yaw_rate_radps"
@@ -183,7 +184,7 @@ def test_of_a_model_that_stays_poor_its_tyres_are_told_beside_its_sensors(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The searches are made up: each is asked of the model with what the one before it found."""
-    folder, seen = folder_of(tmp_path / "model"), list[list[str]]()
+    folder, seen, forces = folder_of(tmp_path / "model"), list[list[str]](), list[float]()
     tyres = replace(LIMIT, name="tyre_relaxation", params={"length_m": 0.3}, interval={"length_m": [0.28, 0.32]})
     bias = replace(LIMIT, name="accel_bias", params={"bias_mps2": 0.2}, interval={"bias_mps2": [0.19, 0.21]})
 
@@ -196,6 +197,7 @@ def test_of_a_model_that_stays_poor_its_tyres_are_told_beside_its_sensors(
         def search(one: OwnLogs) -> Generator[str, None, Any]:
             yield "asked"
             seen.append([effect.name for effect in one.model.effects])
+            forces.append({**DEFAULTS, **one.model.plant.params}["drive_force_n"])
             return found
 
         return search
@@ -203,11 +205,12 @@ def test_of_a_model_that_stays_poor_its_tyres_are_told_beside_its_sensors(
     monkeypatch.setattr("tunefree_hil.gap.look_first.look_first", poor)
     monkeypatch.setattr("tunefree_hil.gap.name.name", poor)
     monkeypatch.setattr("tunefree_hil.gap.name.restless_of", lambda _: {})
-    for name, found in (("sensors", [bias]), ("tyres", [tyres]), ("usual", (NOTHING, NUMBERS))):
+    for name, found in (("sensors", [bias]), ("tyres", [tyres]), ("numbers", NUMBERS), ("usual", NOTHING)):
         monkeypatch.setattr(f"tunefree_hil.gap.own_logs.{name}", told(found))
     events = asked(folder, made_drive(20.0, seed=3))
     assert load_model(folder).effects == [bias, tyres]
-    assert seen == [[], ["accel_bias"], ["accel_bias", "tyre_relaxation"]]
+    assert seen == [[], ["accel_bias"], *2 * [["accel_bias", "tyre_relaxation"]]]
+    assert forces[-1] == pytest.approx(np.exp(0.03) * forces[-2]), "what is usual is so of the model that `gap` has"
     assert own_numbers_of(load_model(folder)).keys == NUMBERS.keys
     assert any("its tyres, by its own logs: tyre_relaxation (length_m 0.3)" in one.message for one in events)
 

@@ -157,8 +157,9 @@ def _poor(folder: Path, asked: OwnLogs) -> Generator[Event, None, None]:
     usual.
     """
     from tunefree_hil.config.load import load_model
-    from tunefree_hil.gap.own_logs import sensors, tyres, usual
+    from tunefree_hil.gap.own_logs import numbers, sensors, tyres, usual
     from tunefree_hil.gap.own_numbers import as_data as numbers_as_data
+    from tunefree_hil.gap.repair import moved
     from tunefree_hil.gap.usual import usual_words
 
     for what, search in (("its sensors", sensors), ("its tyres", tyres)):
@@ -166,9 +167,11 @@ def _poor(folder: Path, asked: OwnLogs) -> Generator[Event, None, None]:
         if found := (yield from _with_progress(what, search(asked))):
             write_effects(folder, asked.model, [*asked.model.effects, *found])
             yield Event("note", f"{what}, by its own logs: {', '.join(_words(one) for one in found)}")
-    told, numbers = yield from _with_progress("what is usual", usual(asked._replace(model=load_model(folder))))
+    asked = asked._replace(model=load_model(folder))
+    _added_to_card(folder, numbers_as_data((yield from _with_progress("its numbers", numbers(asked)))))
+    asked = asked._replace(model=moved(load_model(folder), asked.vehicle))  # as a later `gap` has it
+    told = yield from _with_progress("what is usual", usual(asked))
     _kept(folder, told)
-    _added_to_card(folder, numbers_as_data(numbers))
     yield from (Event("warning", f"{words}, for no reason in the catalogue") for words in usual_words(told))
 
 
