@@ -24,7 +24,8 @@ def calibrate(
     """Identify actuators and physical constants from logs.
 
     Each with its interval. What the logs cannot show keeps the data sheet's value, widened, and is said. A model folder
-    comes out that drive and tune take as it is.
+    comes out that drive and tune take as it is. Last, the model's own logs are asked what it misses of them, which
+    `gap` needs: a minute or two, and many where a model comes nowhere near its logs. The model is whole after that.
     """
 
     def job() -> Iterable[Event]:

@@ -20,7 +20,7 @@ from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.control.calibration_map import load, lookup
 from tunefree_hil.jobs.gap.own_logs import ASKED
 from tunefree_hil.jobs.learn import calibrate as job
-from tunefree_hil.jobs.learn.calibrate_words import benches_of, channel_words
+from tunefree_hil.jobs.learn.calibrate_words import benches_of, channel_words, closing
 from tunefree_hil.jobs.learn.calibrated import card_of, effect_of, fit_all, split_of, write
 from tunefree_hil.learn.drives import Drive, Split
 from tunefree_hil.learn.physics import is_clear
@@ -166,6 +166,16 @@ def test_cut_off_while_it_asks_its_own_logs_the_same_command_finishes_it(cut: Cu
     assert data["sentence"] == f"{out}: 1 of 1 channels and 1 of 1 constants from the logs"
     with pytest.raises(InputError, match="there already"):
         next(iter(job.calibrate(*asked)))  # it is whole
+
+
+@pytest.mark.parametrize(("missed", "says"), [({}, False), ({"speed": 0.02, "rate_of_speed": 0.46}, True)])
+def test_the_closing_sentence_says_what_a_poor_model_misses_of_its_own_logs(
+    missed: dict[str, float], says: bool
+) -> None:
+    card = {"actuators": {}, "constants": {}, "free_run_rms": {"held_out": None}}
+    more = {"usual": {"missed": missed, "broken": [], "effects": {}}} if missed else {}
+    sentence = closing(Path("m"), VEHICLE, [Path("a.log")], card | more)["sentence"]
+    assert ("misses rate_of_speed by 46% of the signal in its own logs" in sentence) is says
 
 
 def test_no_log_and_another_vehicles_log(tmp_path: Path) -> None:

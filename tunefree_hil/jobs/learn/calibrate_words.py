@@ -93,6 +93,10 @@ def closing(out: Path, vehicle: VehicleSpec, logs: Sequence[Path], card: Mapping
         if "x_m" in after and "y_m" in after:
             was, now = (math.hypot(one["x_m"], one["y_m"]) for one in (before, after))
             sentence += f", the place by {now:.1f} m (before {was:.1f})"
+    missed = (card.get("usual") or {}).get("missed") or {}
+    if missed:
+        worst, by = max(missed.items(), key=lambda one: one[1])
+        sentence += f"; it misses {worst} by {by:.0%} of the signal in its own logs, and what is less `gap` cannot see"
     following = [pasted("drive", bench, model=out) for bench in benches_of(vehicle)[:1]]
     following += [pasted("learn", *logs, vehicle=vehicle.folder, out=f"{out}_hybrid")]
     return {"sentence": sentence, "next": following}
