@@ -60,9 +60,12 @@ def yielded(share: float, corner: float) -> float:
     """By how much a force yields to power that allows 1/share of it: (1 + share^corner)^(1/corner)."""
     if corner == 2.0:
         return math.sqrt(1.0 + share * share)
-    if share <= 1.0:  # either way no power overflows
-        return float((1.0 + share**corner) ** (1.0 / corner))  # not 0: a constant, POSITIVE of plant/constants.py
-    return float(share * (1.0 + share**-corner) ** (1.0 / corner))
+    if share <= 0.0:
+        return 1.0
+    # not 0: the corner, a constant, POSITIVE of plant/constants.py. Either way no power overflows
+    if share <= 1.0:
+        return math.exp(math.log(1.0 + math.exp(corner * math.log(share))) / corner)
+    return share * math.exp(math.log(1.0 + math.exp(-corner * math.log(share))) / corner)
 
 
 @kernel
