@@ -28,7 +28,7 @@ from tunefree_hil.gap.own_numbers import (
 )
 from tunefree_hil.gap.problem import Fitted, Sums
 from tunefree_hil.gap.repair import moved
-from tunefree_hil.learn.write_model import OWN_LOGS, data_of
+from tunefree_hil.learn.write_model import data_of
 from tunefree_hil.plant.data_sheet import DEFAULTS
 
 Array = np.ndarray
@@ -140,7 +140,7 @@ def test_they_come_back_from_a_card_as_they_were(tmp_path: Path) -> None:
     own = own_numbers(null(some, 0.0, np.diag([100.0, 0.0]), np.array([0.7, 0.0])), some, ALL)
     back = own_numbers_of(carded(tmp_path, {"seed": 1, **as_data(own)}))
     assert back.keys == own.keys and (back.off == own.off).all() and (back.covariance == own.covariance).all()
-    assert own_numbers_of(carded(tmp_path, {"seed": 1})) is NOBODY_ASKED
+    assert own_numbers_of(carded(tmp_path, {"seed": 1, **as_data(NOBODY_ASKED)})) is NOBODY_ASKED
 
 
 def test_a_model_is_moved_to_what_its_own_logs_say_of_it(tmp_path: Path) -> None:
@@ -153,7 +153,7 @@ def test_a_model_is_moved_to_what_its_own_logs_say_of_it(tmp_path: Path) -> None
     assert after["drive_force_n"] == pytest.approx(np.exp(0.08) * before["drive_force_n"])
     assert after["linkage_bend"] == pytest.approx(before["linkage_bend"] + 0.01)
     assert [(one.name, one.params, one.provenance) for one in there.effects[len(model.effects) :]] == [
-        ("friction", {"friction_frac": pytest.approx(1.2)}, {"by": OWN_LOGS})
+        ("friction", {"friction_frac": pytest.approx(1.2)}, {"by": "recalibration"})
     ]
     assert (there.hash, there.folder) == (model.hash, model.folder) and data_of(there)
     plain = carded(tmp_path, {"seed": 1})
@@ -162,7 +162,8 @@ def test_a_model_is_moved_to_what_its_own_logs_say_of_it(tmp_path: Path) -> None
 
 @pytest.mark.parametrize(
     "said",
-    [3, {"keys": ["a"]}, {"keys": ["a"], "off": [0.1, 0.2], "covariance": [[1.0]]},
+    [3, {"keys": [], "off": [], "covariance": []}, {"keys": ["a"]},
+     {"keys": ["a"], "off": [0.1, 0.2], "covariance": [[1.0]]},
      {"keys": ["a"], "off": [float("nan")], "covariance": [[1.0]]},
      {"keys": ["a"], "off": [0.1], "covariance": [[-1.0]]},
      {"keys": ["a"], "off": ["much"], "covariance": [[1.0]]}],

@@ -38,6 +38,10 @@ def test_what_pays_is_less_by_a_share_and_not_by_chance(after: list[float], expe
     assert pays(np.ones(4), np.array(after)) is expected
 
 
+def test_of_one_stretch_nobody_knows_what_chance_does() -> None:
+    assert not pays(np.ones(1), np.zeros(1))
+
+
 @pytest.mark.slow
 def test_a_motor_that_holds_back_is_no_rolling_resistance() -> None:
     """Coasting alone cannot tell them; the last metres before standstill can, where the one fades and the other not."""

@@ -65,10 +65,9 @@ class _Open:
         doubts = doubts_of(setting.model)
         held = held_of(setting.model, setting.drives[0].pace)
         drifting = nuisances(self.work.graph, setting.model, doubts, held)
-        together = correlation(drifting, related_of(setting.model))
-        own = own_numbers_of(setting.model)
-        drifting, together = after_own(drifting, together, own)
-        self.problem = Problem(self.work, drifting, together, together=bool(own.keys))
+        own, correlated = own_numbers_of(setting.model), correlation(drifting, related_of(setting.model))
+        drifting, correlated = after_own(drifting, correlated, own)
+        self.problem = Problem(self.work, drifting, correlated, known=bool(own.keys))
         self.null, self.slopes = fit_null(self.problem)
         some, self.cannot = suspects_of(self.work.graph, setting.model, setting.vehicle, setting.drives)
         self.suspects = {one.name: doubted(one, drifting, doubts) for one in some}

@@ -29,8 +29,7 @@ class Nuisance(NamedTuple):
     """A number that may be off: key as `Graph.run` takes it, its neutral value, standard deviation in its unit.
 
     told: of that, what is the same every day (what the model's calibration says of `constant`); the rest, `drift`, is
-    of the day. turned: 1.0, or
-    -1.0 where more of it is less of the constant.
+    of the day. turned: 1.0, or -1.0 where more of it is less of the constant.
     """
 
     key: str

@@ -167,18 +167,8 @@ def usual(asked: OwnLogs) -> Generator[str, None, Usual]:
     return Usual({one.signal: one.amount for one in looked}, values, broken)
 
 
-def numbers(asked: OwnLogs) -> Generator[str, None, OwnNumbers]:
-    """Where the own logs put what recalibration may move."""
-    yield "its numbers"
-    team = Team(Setting(asked.model, asked.vehicle, tuple(asked.drives)), workers=1)
-    try:
-        return numbers_of(team.open())
-    finally:
-        team.close()
-
-
 def numbers_of(question: Question) -> OwnNumbers:
-    """The same of a question about them that is open already."""
+    """Where own logs put what recalibration may move, by a question about them."""
     return own_numbers(question.null.fitted, question.drifting, judged(question.blocks))
 
 

@@ -84,7 +84,9 @@ def _no_more_than(prior: Array, known: Array) -> Array:
 
 
 def as_data(own: OwnNumbers) -> dict[str, Any]:
-    """Keys of the card."""
+    """Keys of the card; none where there is nothing to keep."""
+    if not own.keys:
+        return {}
     return {OWN_NUMBERS: {"keys": list(own.keys), "off": own.off.tolist(), "covariance": own.covariance.tolist()}}
 
 
@@ -96,10 +98,9 @@ def own_numbers_of(model: ModelSpec) -> OwnNumbers:
     if said is None:
         return NOBODY_ASKED
     try:
-        found = _read(said)
+        return _read(said)
     except (TypeError, KeyError, ValueError) as error:
         raise no_card(Path(model.folder) / model.plant.card, f"{OWN_NUMBERS}: {error}") from error
-    return found
 
 
 def _read(said: Mapping[str, Any]) -> OwnNumbers:
@@ -109,6 +110,8 @@ def _read(said: Mapping[str, Any]) -> OwnNumbers:
     if off.shape != (size,) or known.shape != (size, size) or not (np.isfinite(off).all() and np.isfinite(known).all()):
         raise ValueError(f"numbers of {size} keys are not {off.shape} and {known.shape} finite ones")
     scale = np.sqrt(np.maximum(np.diag(known), 0.0))
-    if not (scale > 0.0).all() or (size and float(np.linalg.eigvalsh(known / np.outer(scale, scale)).min()) < -ROUNDED):
+    if not (
+        size and (scale > 0.0).all() and float(np.linalg.eigvalsh(known / np.outer(scale, scale)).min()) > -ROUNDED
+    ):
         raise ValueError("this is no covariance: it has a direction of negative variance")
     return OwnNumbers(keys, off, known)

@@ -97,13 +97,13 @@ class Slopes(NamedTuple):
 
 class Problem:
     """Fits of one question. nuisances: by key, in their order. correlation [n, n]: of their priors; None: of none.
-    together: whether what numbers come to together may not go far beyond it (MOST_TOGETHER).
+    known: whether the model's own logs have told it: then what numbers come to together has ends (steps.MOST_TOGETHER).
     """
 
     def __init__(
-        self, work: Work, nuisances: Sequence[Nuisance], correlation: Array | None = None, *, together: bool = False
+        self, work: Work, nuisances: Sequence[Nuisance], correlation: Array | None = None, *, known: bool = False
     ) -> None:
-        self.work, self._together = work, together
+        self.work, self._known = work, known
         self._walls: dict[tuple[str, ...], Array] = {}
         self.nuisances = {one.key: one for one in nuisances}
         self._correlation = np.eye(len(nuisances)) if correlation is None else correlation
@@ -127,7 +127,7 @@ class Problem:
             place = {key: i for i, key in enumerate(self.nuisances)}
             at = [place[key] for key in some]
             variance, along = np.linalg.eigh(self._correlation[np.ix_(at, at)])
-            tight = variance < (TIGHT if self._together else 0.0)
+            tight = variance < (TIGHT if self._known else 0.0)
             self._walls[some] = (along[:, tight] / np.sqrt(variance[tight])).T
         found = np.zeros((len(self._walls[some]), len(keys)))
         found[:, ~loose] = self._walls[some]

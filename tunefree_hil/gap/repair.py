@@ -32,7 +32,7 @@ from tunefree_hil.gap.kept import Kept
 from tunefree_hil.gap.own_numbers import own_numbers_of
 from tunefree_hil.gap.usual import KEY, OWN_MISSED
 from tunefree_hil.learn.free_run import plant_of
-from tunefree_hil.learn.write_model import CARD_FILE, OWN_EFFECTS, OWN_LOGS, data_of, write_beside
+from tunefree_hil.learn.write_model import CARD_FILE, OWN_EFFECTS, data_of, write_beside
 from tunefree_hil.plant.asked_accel import FULL_MPS2
 
 ADDED = ("dead_time_s", "offset")  # numbers of a channel that recalibration adds to; the others it multiplies
@@ -42,6 +42,7 @@ GAINS = {  # effects that are a factor on a constant of the single track
     "front_stiffness": "front_stiffness_n_per_rad",
     "rear_stiffness": "rear_stiffness_n_per_rad",
 }
+RECALIBRATED = {"by": "recalibration"}  # provenance of what recalibration moved
 SEED = 1  # of the draws behind intervals (gap/evidence.py)
 HEAD = "# Written by tunefree_hil gap out of {model}; {card} says from which logs.\n"
 
@@ -82,7 +83,7 @@ def repaired(
     own = {key: value for key, value in params.items() if key in model.plant.params or _differs(base[key], value)}
     moves = by_channel(model, values)
     channels = {name: _channel(name, spec, moves) for name, spec in model.actuators.items()}
-    more = [EffectSpec(name=name, params=one, provenance={"by": "recalibration"}) for name, one in moved.items()]
+    more = [EffectSpec(name=name, params=one, provenance=RECALIBRATED) for name, one in moved.items()]
     behind = sorted([*found, *more], key=lambda one: one.name)  # as the graph has them in series
     made = _with(model, plant=_with(model.plant, params=own), actuators=channels, effects=[*model.effects, *behind])
     return Repaired(made, day, changes_of(model, made))
@@ -98,7 +99,7 @@ def moved(model: ModelSpec, vehicle: VehicleSpec) -> ModelSpec:
         name, _, parameter = key.partition(".")
         values[key] = off + (known[name].neutral[parameter] if name in known else 0.0)
     made = repaired(model, vehicle, values)
-    throughout = [_with(one, provenance={"by": OWN_LOGS}) for one in made.day]
+    throughout = [_with(one, provenance=RECALIBRATED) for one in made.day]
     return _with(made.model, effects=[*made.model.effects, *throughout])
 
 

@@ -6,8 +6,9 @@ import numpy as np
 
 Array = np.ndarray
 
-# What numbers come to together may go so far where the model's own logs have told it (gap/own_numbers.py): clean
-# logs of cars whose form the model has not quite need up to 3.3, a throttle that gives a tenth less needs 5 and more.
+# Standard deviations that what numbers come to together may go where the model's own logs have told it
+# (gap/own_numbers.py). Freely, five clean logs of development's cars went 1.6 to 3.3, a throttle that gave a tenth less
+# 4.8: there recalibration took the place of its name.
 MOST_TOGETHER = 3.0
 STIFF = 1e4  # times what the data know of a direction: how hard its end is
 HELD_TURNS = 6

@@ -79,16 +79,8 @@ def usual_of(model: ModelSpec) -> Usual:
 
     Raises InputError for a card that is none.
     """
-    card = card_of(model)
-    said, own = card.get(KEY) or {}, card.get(OWN_EFFECTS) or {}
     try:
-        found, there = _numbers(said.get("effects", {})), _numbers(own)
-        missed = {name: _finite(one) for name, one in said.get("missed", {}).items()}
-        restless, own_missed = (
-            {str(name): _finite(one) for name, one in (card.get(key) or {}).items()} for key in (RESTLESS, OWN_MISSED)
-        )
-        broken = frozenset(str(name) for name in said["broken"]) if said else frozenset[str]()
-        return Usual(missed, found, broken, there, restless, own_missed)
+        return usual_in(card_of(model))
     except (AttributeError, TypeError, KeyError, ValueError) as error:
         raise InputError(
             f"{KEY}: {error}",
@@ -97,6 +89,18 @@ def usual_of(model: ModelSpec) -> Usual:
             key=KEY,
             hint="calibrate the model again",
         ) from error
+
+
+def usual_in(card: Mapping[str, Any]) -> Usual:
+    """The same of what a card says. Raises what reading a table raises for one that is none."""
+    said, own = card.get(KEY) or {}, card.get(OWN_EFFECTS) or {}
+    found, there = _numbers(said.get("effects", {})), _numbers(own)
+    missed = {name: _finite(one) for name, one in said.get("missed", {}).items()}
+    restless, own_missed = (
+        {str(name): _finite(one) for name, one in (card.get(key) or {}).items()} for key in (RESTLESS, OWN_MISSED)
+    )
+    broken = frozenset(str(name) for name in said["broken"]) if said else frozenset[str]()
+    return Usual(missed, found, broken, there, restless, own_missed)
 
 
 def as_data(usual: Usual) -> dict[str, Any]:

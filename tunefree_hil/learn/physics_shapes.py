@@ -23,27 +23,30 @@ PLAIN = "without it the speed is missed by no more than chance"
 def shaped(problem: Problem, plain: list[str], least: Least) -> tuple[list[str], Least]:
     """With those of SHAPES that pay. All at once first: where no power was found, there is no corner to find."""
     names = [*plain, *(one for one in SHAPES if one in problem.names)]
-    shaped = solved(problem, names, np.zeros(len(names)), 25)
-    if not pays(_speed_squares(problem, plain, least.x), _speed_squares(problem, names, shaped.x)):
+    found = solved(problem, names, np.zeros(len(names)), 25)
+    if not pays(_speed_squares(problem, plain, least.x), _speed_squares(problem, names, found.x)):
         return plain, least
     for shape in [one for one in SHAPES if one in names]:
         fewer = [one for one in names if one != shape]
-        without = solved(problem, fewer, np.delete(shaped.x, names.index(shape)), 15)
-        if not pays(_speed_squares(problem, fewer, without.x), _speed_squares(problem, names, shaped.x)):
-            names, shaped = fewer, without
-    problem.rescale(problem.values(names, shaped.x))
-    return names, solved(problem, names, shaped.x, 15)
+        without = solved(problem, fewer, np.delete(found.x, names.index(shape)), 15)
+        if not pays(_speed_squares(problem, fewer, without.x), _speed_squares(problem, names, found.x)):
+            names, found = fewer, without
+    problem.rescale(problem.values(names, found.x))
+    return names, solved(problem, names, found.x, 15)
 
 
 def pays(before: Array, after: Array) -> bool:
-    """Whether squares by stretch [s] are less, and not by chance."""
+    """Whether squares by stretch [s] are less, and not by chance. Of one stretch nobody knows what chance does."""
     gain = before - after
+    if len(gain) < 2:
+        return False
     chance = float(np.std(gain, ddof=1)) / math.sqrt(len(gain))
     return float(gain.mean()) > max(PAYS * float(before.mean()), chance)
 
 
 def _speed_squares(problem: Problem, names: Sequence[str], x: Array) -> Array:
-    """Mean square by which the speed is missed, by stretch."""
+    """Mean square by which the speed is missed, by stretch that saw it."""
     misses = problem.misses(problem.values(names, x))[:, :, TARGETS.index("speed_mps")]
     at = stretches_of(problem.some)
-    return np.array([np.nanmean(misses[at == one] ** 2) for one in np.unique(at)])
+    by_stretch = (misses[at == one] ** 2 for one in np.unique(at))
+    return np.array([np.nanmean(one) for one in by_stretch if np.isfinite(one).any()])

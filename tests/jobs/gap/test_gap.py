@@ -115,7 +115,7 @@ def test_the_page_says_what_of_recalibration_was_left_and_what_could_have_been_f
     assert "| repaired | of that, foretold by nothing | floor |" in page
     assert "Of what anything in these logs could still have foretold: " in page and data["explicable_frac"]
     assert data["does_not_pay"] == ["along"]
-    assert "Recalibration leaves what acts along the car as it was: moved, it came no nearer" in page
+    assert "Recalibration on these logs leaves what acts along the car alone: moved, it came no nearer" in page
     assert "- recalibration moves brake_gain.gain_frac by -2.9" in page
 
 

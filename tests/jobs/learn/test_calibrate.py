@@ -175,7 +175,7 @@ def test_the_closing_sentence_says_what_a_poor_model_misses_of_its_own_logs(
     card = {"actuators": {}, "constants": {}, "free_run_rms": {"held_out": None}}
     more = {"usual": {"missed": missed, "broken": [], "effects": {}}} if missed else {}
     sentence = closing(Path("m"), VEHICLE, [Path("a.log")], card | more)["sentence"]
-    assert ("misses rate_of_speed by 46% of the signal in its own logs" in sentence) is says
+    assert ("the model misses rate_of_speed by 46% of the signal in the very logs" in sentence) is says
 
 
 def test_no_log_and_another_vehicles_log(tmp_path: Path) -> None:

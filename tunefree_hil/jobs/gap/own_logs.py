@@ -157,7 +157,8 @@ def _poor(folder: Path, asked: OwnLogs) -> Generator[Event, None, None]:
     usual.
     """
     from tunefree_hil.config.load import load_model
-    from tunefree_hil.gap.own_logs import numbers, sensors, tyres, usual
+    from tunefree_hil.gap.look_first import look_first
+    from tunefree_hil.gap.own_logs import numbers_of, sensors, tyres, usual
     from tunefree_hil.gap.own_numbers import as_data as numbers_as_data
     from tunefree_hil.gap.repair import moved
     from tunefree_hil.gap.usual import usual_words
@@ -168,7 +169,8 @@ def _poor(folder: Path, asked: OwnLogs) -> Generator[Event, None, None]:
             write_effects(folder, asked.model, [*asked.model.effects, *found])
             yield Event("note", f"{what}, by its own logs: {', '.join(_words(one) for one in found)}")
     asked = asked._replace(model=load_model(folder))
-    _added_to_card(folder, numbers_as_data((yield from _with_progress("its numbers", numbers(asked)))))
+    looked = yield from _with_progress("its numbers", look_first(*asked[:3]))
+    _added_to_card(folder, numbers_as_data(numbers_of(looked.question)))
     asked = asked._replace(model=moved(load_model(folder), asked.vehicle))  # as a later `gap` has it
     told = yield from _with_progress("what is usual", usual(asked))
     _kept(folder, told)

@@ -116,7 +116,9 @@ def _signals(answer: Mapping[str, Any]) -> list[str]:
         lines.append(f"Of what anything in these logs could still have foretold: {percent(answer['explicable_frac'])}.")
     if answer.get("does_not_pay"):
         what = listed([GROUPS[one] for one in answer["does_not_pay"]])
-        lines.append(f"Recalibration leaves {what} as it was: moved, it came no nearer on the blocks that choose.")
+        lines.append(
+            f"Recalibration on these logs leaves {what} alone: moved, it came no nearer on the blocks that choose."
+        )
     return [*lines, "", *markdown_table(("signal", *keys.values(), "unit"), rows), *_replay(answer)]
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tunefree_hil.gap.usual import usual_in, usual_words
 from tunefree_hil.jobs.pasted import pasted
 from tunefree_hil.learn.physics import PhysicsFit
 from tunefree_hil.learn.physics_problem import BAND, OFFSET, ROAD
@@ -93,10 +94,7 @@ def closing(out: Path, vehicle: VehicleSpec, logs: Sequence[Path], card: Mapping
         if "x_m" in after and "y_m" in after:
             was, now = (math.hypot(one["x_m"], one["y_m"]) for one in (before, after))
             sentence += f", the place by {now:.1f} m (before {was:.1f})"
-    missed = (card.get("usual") or {}).get("missed") or {}
-    if missed:
-        worst, by = max(missed.items(), key=lambda one: one[1])
-        sentence += f"; it misses {worst} by {by:.0%} of the signal in its own logs, and what is less `gap` cannot see"
+    sentence += "".join(f"; {words}, and what is less `gap` cannot see" for words in usual_words(usual_in(card)))
     following = [pasted("drive", bench, model=out) for bench in benches_of(vehicle)[:1]]
     following += [pasted("learn", *logs, vehicle=vehicle.folder, out=f"{out}_hybrid")]
     return {"sentence": sentence, "next": following}
