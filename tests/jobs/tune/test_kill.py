@@ -23,6 +23,7 @@ from tests.jobs.command import (
     tunefree,
     tunefree_alone,
 )
+from tunefree_hil.jobs.run_folder import read_json
 from tunefree_hil.tune.study import read_study
 
 pytestmark = pytest.mark.slow
@@ -48,8 +49,12 @@ class Tune:
 
     @property
     def study(self) -> Path:
-        (run,) = self.out.glob("*")
-        return run / "study.db"
+        """Of the last run. None may be left unfinished: there is a second one only where a signal came before the first
+        had begun, or in the moments after it was complete.
+        """
+        *_, last = runs = sorted(file.parent for file in self.out.glob("*/run.json"))
+        assert all(read_json(run / "run.json")["complete"] for run in runs)
+        return last / "study.db"
 
     def trials(self) -> list[tuple[int, dict[str, float], float]]:
         with read_study(self.study) as study:
