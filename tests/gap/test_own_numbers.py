@@ -127,6 +127,10 @@ def test_own_logs_are_believed_as_far_as_their_blocks_agree() -> None:
     assert sure.keys == (FORCE, KNEE) and sure.off[0] == pytest.approx(0.7 * some[0].sigma, rel=0.02)
     by = [np.sqrt(one.covariance[0, 0] - some[0].drift ** 2) / some[0].sigma for one in (sure, unsure)]
     assert by == pytest.approx([101.0**-0.5, 5.3 * 101.0**-0.5], rel=0.05)
+    left = 5.3**2 / 101.0  # of the prior, in variance: what they move the car by is less by just that
+    assert unsure.off[0] == pytest.approx((1.0 - left) / (1.0 - 1.0 / 101.0) * sure.off[0], rel=0.05)
+    nobody = own_numbers(null(some, 0.0, curve, z, 50.0), some, ALL)
+    assert abs(nobody.off[0]) < 0.02 * abs(sure.off[0]), "blocks that disagree as much as that say nothing"
 
 
 def carded(folder: Path, card: dict[str, Any]) -> ModelSpec:

@@ -60,6 +60,17 @@ def test_constants_that_were_moved_drive_as_the_effects_would(found: list[Effect
     assert names == (["steer_gain", "steer_offset"] if found else ["steer_offset"]), "the rest is in the constants"
 
 
+def test_a_brake_that_pulls_more_than_in_proportion_is_moved_as_its_effect_would() -> None:
+    drive, model = opened(), made_model()
+    model = replace(model, plant=replace(model.plant, params={**model.plant.params, "brake_rise_per_frac": 3.0}))
+    made = repaired(model, VEHICLE, {"brake_gain.gain_frac": 0.8})
+    gain = EffectSpec(name="brake_gain", params={"gain_frac": 0.8})
+    ours = run_over(car_of(made.model, VEHICLE, drive), drive, free(drive))
+    theirs = run_over(car_of(model, VEHICLE, drive, [gain]), drive, free(drive))
+    assert made.model.plant.params["brake_rise_per_frac"] == pytest.approx(2.4)
+    assert ours["report.speed_mps"] == pytest.approx(theirs["report.speed_mps"], abs=1e-7)
+
+
 def test_the_linkages_bend_is_a_constant_of_the_car() -> None:
     made = repaired(made_model(), VEHICLE, {LINKAGE: 0.2}, [])
     assert made.model.plant.params[BEND] == 0.2 and made.model.effects == [] and made.day == ()

@@ -9,9 +9,11 @@ from typing import Any, cast
 import pytest
 
 from tests.gap.test_decide import ALL, NULL, spread, weighed
+from tunefree_hil.base.contracts import Link
 from tunefree_hil.gap import sift
 from tunefree_hil.gap.ask import Question
 from tunefree_hil.gap.decide import Weighed
+from tunefree_hil.gap.locate import Looked
 from tunefree_hil.gap.sift import Seen, Sifted, marked, searched
 from tunefree_hil.gap.usual import NOTHING
 
@@ -78,6 +80,6 @@ def test_a_search_ends_where_nothing_is_news(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_question_knows_what_is_broken_and_what_of_that_is_as_usual() -> None:
-    looked: Any = [SimpleNamespace(signal=name, broken=name != "c", amount=0.2) for name in ("a", "b", "c")]
+    looked = [Looked(name, Link.REPORT_TO_MOTION, "1", 0.2, 0.1, 0.2, 0.2, name != "c") for name in ("a", "b", "c")]
     one = marked(question(), looked, NOTHING._replace(missed={"a": 0.15, "b": 0.05, "c": 0.2}))
     assert one.broken == {"a", "b"} and one.usually == {"a"}

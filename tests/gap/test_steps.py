@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from tunefree_hil.gap.steps import FLAT, MOST_TOGETHER, bounded, walled
+from tunefree_hil.gap.steps import FLAT, MOST_TOGETHER, SLACK, bounded, drawn_in, walled
 
 
 @settings(deadline=None)
@@ -87,3 +87,25 @@ def test_a_step_within_walls_is_the_least_there(seed: int, decades: float) -> No
         constraints=inside, method="SLSQP", options={"maxiter": 500, "ftol": 1e-12},
     )  # fmt: skip
     assert cost(step) <= float(best.fun) + 1e-3 * abs(float(best.fun))
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.integers(0, 10_000), st.floats(0.0, 4.0), st.booleans())
+def test_no_step_leads_beyond_walls_however_many_there_are(seed: int, decades: float, outside: bool) -> None:
+    """A dozen directions, of twenty numbers of which the data feel some a thousand times more than others."""
+    chance = np.random.default_rng(seed)
+    root = chance.standard_normal((30, 20)) * 10.0 ** chance.uniform(-1.0, decades, 20)
+    curve, slope = root.T @ root + np.eye(20), root.T @ (10.0 * chance.standard_normal(30))
+    along = np.linalg.qr(chance.standard_normal((20, 20)))[0].T[:12]
+    walls = along / chance.uniform(0.02, 0.9, (12, 1)) ** 0.5
+    z = chance.uniform(-2.0, 2.0, 20) if outside else np.zeros(20)
+    there = z + walled(curve, slope, z, np.full(20, -2.0), np.full(20, 2.0), walls)
+    assert np.abs(walls @ there).max() <= 1.001 * SLACK * MOST_TOGETHER
+    assert np.abs(there).max() <= 2.0 + 1e-9
+
+
+def test_what_is_beyond_a_wall_is_drawn_back_and_what_no_wall_knows_stays() -> None:
+    walls = np.array([[4.0, 3.0, 0.0]])
+    assert drawn_in(np.array([2.0, 0.0, 1.5]), walls) == pytest.approx([0.75, 0.0, 1.5])
+    inside = np.array([0.5, 0.3, 2.0])
+    assert drawn_in(inside, walls) is inside and drawn_in(inside, np.zeros((0, 3))) is inside

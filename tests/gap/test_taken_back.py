@@ -47,6 +47,7 @@ def test_a_model_without_it_an_offset_that_shows_alone_and_one_that_gap_named_ar
     both = ["road_bank", "steer_offset"]
     assert asked(load_model("mkz_nominal"), -0.01) == (both, ())
     assert asked(model(0.01, log="sha256:1"), -0.01) == (both, ()), "that was evidence"
+    assert asked(model(0.01, by="recalibration"), -0.01) == (["road_bank"], WORDS)
     seen = weighed(road_bank=spread(1.0), steer_offset=spread(1.2))
     assert asked(model(0.01), -0.01, first=seen) == (both, ()), "it went, whoever else came"
     assert asked(model(0.01), -0.01, steps=(BACK,)) == (["steer_offset"], ()), "beside nobody"
@@ -59,3 +60,16 @@ def test_what_is_hardly_there_is_not_called_gone() -> None:
     found = fitted(OFFSET, differ=3.0, curve=2.0, z=OFFSET.place(-0.001))
     stay, words = taken_back((BANK, BACK), ALONE, found, model(0.001), np.asarray(ALL))
     assert len(stay) == 2 and words == ()
+
+
+def test_the_grip_that_own_logs_put_beside_a_model_is_nothing_that_its_folder_has() -> None:
+    """repair.moved"""
+    grip = Free("friction.friction_frac", 0.3, 1.5, True, 1.0, -0.2, 1.2)
+    road = weighed(friction=spread(1.0))[0]
+    alone = weighed(road_bank=spread(1.0), friction=spread(8.0))
+    found = fitted(grip, curve=1e4, z=grip.place(1.0 / 1.2))
+    for by, stays in (({"by": "recalibration"}, True), ({"by": "own logs"}, False)):
+        one = EffectSpec(name="friction", params={"friction_frac": 1.2}, provenance=by)
+        has = replace(load_model("mkz_nominal"), effects=[one])
+        stay, words = taken_back((BANK, road), alone, found, has, ALL)
+        assert ("friction" in [one.name for one in stay]) is stays and (words == ()) is stays

@@ -158,3 +158,29 @@ def test_a_card_keeps_it_and_one_that_is_none_is_named(tmp_path: Path) -> None:
         with pytest.raises(InputError) as refused:
             usual_of(model)
         assert refused.value.key == KEY and "card.json" in refused.value.file
+
+
+LOUD_ONE = BROKEN._replace(share=0.04, loud=0.16, gross=0.0)
+
+
+@pytest.mark.parametrize(
+    ("own", "later", "as_usual"), [(0.0, 0.16, False), (0.12, 0.16, True), (0.12, 0.23, True), (0.12, 0.25, False)]
+)
+def test_moments_that_were_just_not_loud_in_the_own_logs_are_no_alarm_later(
+    own: float, later: float, as_usual: bool
+) -> None:
+    """What is loud is broken from a bar on; on which side of it own logs were says little."""
+    known = Usual({"yaw_rate": 0.05}, {}, frozenset(), loud={"yaw_rate": own})
+    one = LOUD_ONE._replace(loud=later)
+    assert known.as_usual(one) is as_usual and known.was_there(one) is as_usual
+    still = not_it([one], [one], {"yaw_rate": 0.0}, {"yaw_rate": 0.1}, known)
+    assert ("still" in still) is not as_usual
+    more = one._replace(share=0.3, loud=0.0)
+    assert not known.as_usual(more), "of what could be explained there is more"
+
+
+def test_what_is_missed_throughout_is_held_against_its_own_too() -> None:
+    known = Usual({"yaw_rate": 0.05}, {}, frozenset(), gross={"yaw_rate": 0.24})
+    one = BROKEN._replace(share=0.04, gross=0.26)
+    assert known.as_usual(one) and not known.as_usual(one._replace(gross=0.5))
+    assert not known._replace(gross={}).as_usual(one)

@@ -73,4 +73,5 @@ ROWS = (
 BY_KEY = {one.key: one for one in ROWS}
 DRIFT = {one.key: one.sigma for one in ROWS}
 DAILY = tuple(one.effect for one in ROWS if one.daily)
+RECALIBRATED = {"by": "recalibration"}  # provenance of what recalibration moved
 UNWRITTEN = tuple(one.effect for one in ROWS if not one.written)

@@ -28,7 +28,7 @@ from tunefree_hil.gap.problem import (
     squares,
 )
 from tunefree_hil.gap.scan import NO_TWIN, TWINS, Scan, Start
-from tunefree_hil.gap.steps import FLAT, walled
+from tunefree_hil.gap.steps import FLAT, drawn_in, walled
 from tunefree_hil.gap.work import Residuals
 
 Array = np.ndarray
@@ -127,7 +127,7 @@ def _fitted_on(problem: Problem, name: str, at: Point) -> tuple[Fitted, Slopes]:
     """Steps with all slopes kept while they help, then anew, until fresh ones do not help either, nor under the noise
     that is left there: what was loud on the way hides how much more there is to gain.
     """
-    every = list(range(len(at.keys)))
+    every, at = list(range(len(at.keys))), _drawn_in(problem, at)
     slopes = problem.slopes(at.keys, at.z, at.free, every, at.residuals)
     colours, blocks, fresh, heard = problem.colours(at.residuals), problem.judged(), True, False
     for turn in range(ON_TURNS):
@@ -151,7 +151,7 @@ def _descended(
     problem: Problem, at: Point, shared: Slopes, own: Sequence[int], colours: dict[str, Colour], most: int
 ) -> tuple[Point, Slopes]:
     """Steps with the slopes of `own` keys anew for each, until nothing is gained. The noise is what the first leave."""
-    blocks = problem.judged()
+    blocks, at = problem.judged(), _drawn_in(problem, at)
     slopes = _with(shared, problem.slopes(at.keys, at.z, at.free, own, at.residuals))
     for turn in range(most):
         at, gain = _stepped(problem, at, problem.sums(at.residuals, slopes, colours), blocks)
@@ -168,6 +168,16 @@ def _finished(problem: Problem, name: str, at: Point, slopes: Slopes) -> Fitted:
     values = problem.values(at.keys, at.z, at.free)
     prior = problem.prior(at.keys, at.free)
     return Fitted(name, at.keys, at.z, at.free, values, prior, sums, at.residuals)
+
+
+def _drawn_in(problem: Problem, at: Point) -> Point:
+    """A point within its walls. What is recalibrated again beside numbers that have moved may be beyond them; from
+    there each step back costs, and none would be taken.
+    """
+    z = drawn_in(at.z, problem.walls(at.keys, at.free))
+    if z is at.z:
+        return at
+    return at._replace(z=z, residuals=problem.work.residuals(problem.values(at.keys, z, at.free)))
 
 
 def _stepped(problem: Problem, at: Point, sums: dict[str, Sums], blocks: Array) -> tuple[Point, float]:

@@ -94,6 +94,11 @@ def covariance(model: Fitted, blocks: Array) -> Array:
     return inverse + sandwich
 
 
+def curvature(model: Fitted, blocks: Array) -> Array:
+    """The same [p, p] by the curvature alone, as a fit has it that trusts its noise."""
+    return _doubts(model, blocks)[0]
+
+
 def _doubts(model: Fitted, blocks: Array) -> tuple[Array, Array]:
     """(inverse curvature, sandwich) [p, p] of a fitted model."""
     curve, _, _ = gathered(model.sums, len(model.keys), blocks)

@@ -28,8 +28,9 @@ Array = np.ndarray
 class Nuisance(NamedTuple):
     """A number that may be off: key as `Graph.run` takes it, its neutral value, standard deviation in its unit.
 
-    told: of that, what is the same every day (what the model's calibration says of `constant`); the rest, `drift`, is
-    of the day. turned: 1.0, or -1.0 where more of it is less of the constant.
+    told: of that, what is the same every day (what the model's calibration says of `constant`). drift: what may be of
+    the day; the rest, but for the grip, of which that is partly the form that the model has its tyres in (`formed`).
+    turned: 1.0, or -1.0 where more of it is less of the constant.
     """
 
     key: str

@@ -164,7 +164,8 @@ def usual(asked: OwnLogs) -> Generator[str, None, Usual]:
     values: dict[str, dict[str, tuple[float, float]]] = {}
     for name, one in found.items():
         values |= by_name(known_of(name, one, blocks))
-    return Usual({one.signal: one.amount for one in looked}, values, broken)
+    loud, gross = ({one.signal: getattr(one, key) for one in looked} for key in ("loud", "gross"))
+    return Usual({one.signal: one.amount for one in looked}, values, broken, loud=loud, gross=gross)
 
 
 def numbers_of(question: Question) -> OwnNumbers:

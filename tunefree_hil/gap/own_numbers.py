@@ -7,7 +7,8 @@ Without that, recalibration could move all of them a little, and take a motor th
 
 A number of the own logs' day and the same number of a later day are theta + d and theta + d': theta the car's, d and
 d' drifts. Of both the prior covariance is [[S, T], [T, S]], S = T + D: T what the calibration leaves open, D the drift.
-Where the own logs put theirs at m, known by C, theta is at T S^-1 m, known by T - T S^-1 (S - C) S^-1 T. Later logs are
+Where the own logs put theirs at m, known by C, theta is at T S^-1 m, known by T - T S^-1 (S - C) S^-1 T. Of C, what the
+blocks of the logs disagree by is a part; m is then what logs that know no more would have left of it. Later logs are
 held against the model moved there (`repair.moved`), and its recalibration knows theta so well (`after_own`).
 """
 
@@ -21,12 +22,13 @@ import numpy as np
 
 from tunefree_hil.config.schema import ModelSpec
 from tunefree_hil.gap.card import OWN_NUMBERS, card_of, no_card
-from tunefree_hil.gap.interval import covariance
+from tunefree_hil.gap.interval import covariance, curvature
 from tunefree_hil.gap.null import Nuisance
 from tunefree_hil.gap.problem import Fitted
 
 Array = np.ndarray
 
+SILENT = 1e-4  # of a prior's variance: who takes away less says nothing
 ROUNDED = 1e-6  # of a correlation: by what a covariance that was written down may seem none
 
 
@@ -53,8 +55,9 @@ def own_numbers(null: Fitted, drifting: Sequence[Nuisance], blocks: Array) -> Ow
     prior = np.linalg.inv(null.prior)[np.ix_(at, at)] * units
     told = prior - np.diag(sigma**2 - [one.told**2 for one in mine])
     carried = np.linalg.solve(prior, told).T  # T S^-1
-    known = _no_more_than(prior, covariance(null, blocks)[np.ix_(at, at)] * units)
-    off = carried @ (sigma * null.z[at])
+    by_curve, known = (one[np.ix_(at, at)] * units for one in (curvature(null, blocks), covariance(null, blocks)))
+    known = _no_more_than(prior, known)
+    off = carried @ _weaker(prior, by_curve, known, sigma * null.z[at])
     return OwnNumbers(tuple(one.key for one in mine), off, told - carried @ (prior - known) @ carried.T)
 
 
@@ -73,6 +76,17 @@ def after_own(some: Sequence[Nuisance], correlation: Array, own: OwnNumbers) -> 
     for i, known in zip(at, np.diag(car), strict=True):
         found[i] = some[i]._replace(sigma=float(sigma[i]), told=float(known) ** 0.5)
     return found, whole / np.outer(sigma, sigma)
+
+
+def _weaker(prior: Array, known: Array, less: Array, mean: Array) -> Array:
+    """The mean [k] that logs would have left which know as little as `less`, of what those left that know `known`: it
+    is nearer to the model's own numbers.
+    """
+    root = np.linalg.cholesky(prior)
+    gained, gains = (np.eye(len(root)) - np.linalg.solve(root, np.linalg.solve(root, one).T) for one in (known, less))
+    by_logs = np.linalg.pinv(gained, rcond=SILENT, hermitian=True) @ np.linalg.solve(root, mean)
+    found: Array = root @ (gains @ by_logs)
+    return found
 
 
 def _no_more_than(prior: Array, known: Array) -> Array:

@@ -3,7 +3,8 @@
 What was found goes into [[effects]] with interval and provenance. What recalibration moved goes into the model's own
 numbers where they mean the same, into [[effects]] where they do not. What is of one day only (slope, wind, grip, a
 sensor's bias or scale: drifts.UNWRITTEN) and how well frames are stamped is written nowhere: the next drive has its
-own.
+own. The grip is an exception as far as the model's own logs had it (`moved`): so much stands for the form of its tyres,
+which is the car's.
 """
 
 from __future__ import annotations
@@ -26,14 +27,16 @@ from tunefree_hil.config.schema import (
 )
 from tunefree_hil.gap.card import OWN_NUMBERS, card_of
 from tunefree_hil.gap.channels import ACCEL, PEDALS, is_by_accel
-from tunefree_hil.gap.drifts import UNWRITTEN
+from tunefree_hil.gap.drifts import RECALIBRATED, UNWRITTEN
 from tunefree_hil.gap.graph import BEND, LINKAGE, effects, scaled
 from tunefree_hil.gap.kept import Kept
+from tunefree_hil.gap.null import RISE
 from tunefree_hil.gap.own_numbers import own_numbers_of
 from tunefree_hil.gap.usual import KEY, OWN_MISSED
 from tunefree_hil.learn.free_run import plant_of
 from tunefree_hil.learn.write_model import CARD_FILE, OWN_EFFECTS, data_of, write_beside
 from tunefree_hil.plant.asked_accel import FULL_MPS2
+from tunefree_hil.plant.constants import LEAST
 
 ADDED = ("dead_time_s", "offset")  # numbers of a channel that recalibration adds to; the others it multiplies
 LEAST_CHANGE = 1e-9  # of a number: less is none
@@ -42,7 +45,6 @@ GAINS = {  # effects that are a factor on a constant of the single track
     "front_stiffness": "front_stiffness_n_per_rad",
     "rear_stiffness": "rear_stiffness_n_per_rad",
 }
-RECALIBRATED = {"by": "recalibration"}  # provenance of what recalibration moved
 SEED = 1  # of the draws behind intervals (gap/evidence.py)
 HEAD = "# Written by tunefree_hil gap out of {model}; {card} says from which logs.\n"
 
@@ -151,6 +153,8 @@ def _fold(params: Params, moved: dict[str, Params], rest: float, found: set[str]
         gain = moved.pop("throttle_gain")["gain_frac"]
         for key in ("throttle_zero_frac", "throttle_full_frac"):
             params[key] = rest + (params[key] - rest) / gain
+    if "brake_gain" in moved and RISE in params:  # it is of the duty, which counts twice there
+        params[RISE] = max(params[RISE] * moved["brake_gain"]["gain_frac"], LEAST[RISE])
     for name, key in GAINS.items():
         if name in moved:
             params[key] *= moved.pop(name)["gain_frac"]

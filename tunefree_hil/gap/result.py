@@ -38,7 +38,7 @@ def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
         "where": _where(found),
         "excitation": {name: _excited(one, blind.get(name, "")) for name, one in found.excitation.items()},
         "links": [_link(one) for one in found.looked],
-        "as_usual": [one.signal for one in found.looked if one.broken and found.usual.as_usual(one.signal, one.amount)],
+        "as_usual": [one.signal for one in found.looked if one.broken and found.usual.as_usual(one)],
         "untold": blind,
         "lost": {link.value: words for link, words in found.lost.items()},
         "not_suspected": dict(found.question.cannot),

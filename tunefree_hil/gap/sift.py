@@ -54,7 +54,7 @@ def looked_at(team: Team, question: Question, model: Modelled, blocks: Array) ->
 def marked(question: Question, looked: Sequence[Looked], usual: Usual) -> Question:
     """The question with what recalibration alone leaves broken, and which of that is missed as usual."""
     broken = [one for one in looked if one.broken]
-    as_usual = frozenset(one.signal for one in broken if usual.as_usual(one.signal, one.amount))
+    as_usual = frozenset(one.signal for one in broken if usual.as_usual(one))
     return question._replace(broken=frozenset(one.signal for one in broken), usually=as_usual)
 
 

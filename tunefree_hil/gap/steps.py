@@ -11,6 +11,7 @@ Array = np.ndarray
 # 4.8: there recalibration took the place of its name.
 MOST_TOGETHER = 3.0
 STIFF = 1e4  # times what the data know of a direction: how hard its end is
+SLACK = 1.05  # of MOST_TOGETHER: so far a wall that is no harder than that gives way
 HELD_TURNS = 6
 RELEASES = 4  # turns of a bounded step, for each of its parameters
 RELEASED = 1e-9  # of the greatest slope: a pull that is less lets nothing go
@@ -19,7 +20,8 @@ FLAT = 1e-6  # added to every curvature: what the data do not feel stays where i
 
 def walled(curve: Array, slope: Array, z: Array, low: Array, high: Array, walls: Array) -> Array:
     """The same as `bounded`, within MOST_TOGETHER of nought along each of `walls` [w, p] besides: what goes farthest
-    beyond one is held there, one after the other, and let go where that pulls it back inside.
+    beyond one is held there, one after the other, and let go, one after the other, where that pulls it back inside.
+    Where they take turns for ever, what was found last is drawn back inside (`drawn_in`).
     """
     stiff = STIFF * (1.0 + np.einsum("wi,ij,wj->w", walls, curve, walls) / np.sum(walls**2, axis=1) ** 2)
     held = np.zeros(len(walls))
@@ -28,16 +30,24 @@ def walled(curve: Array, slope: Array, z: Array, low: Array, high: Array, walls:
         more = slope + walls.T @ (by * (walls @ z - MOST_TOGETHER * held))
         step = bounded(curve + (walls.T * by) @ walls, more, z, low, high)
         there = walls @ (z + step)
-        inward = (held != 0.0) & (there * held < MOST_TOGETHER)
+        inward = np.where(held != 0.0, MOST_TOGETHER - there * held, 0.0)
         beyond = np.where(held == 0.0, np.abs(there) - MOST_TOGETHER, 0.0)
-        if inward.any():
-            held[inward] = 0.0
+        if inward.max(initial=0.0) > 0.0:
+            held[int(np.argmax(inward))] = 0.0
         elif beyond.max(initial=0.0) > 0.0:
             worst = int(np.argmax(beyond))
             held[worst] = np.sign(there[worst])
         else:
             break
-    return step
+    return drawn_in(z + step, walls) - z
+
+
+def drawn_in(z: Array, walls: Array) -> Array:
+    """z, or where it is plainly beyond a wall, what walls know of it drawn back towards nought until it is beyond none:
+    there all that is within bounds stays within them.
+    """
+    far = float(np.abs(walls @ z).max(initial=0.0)) / MOST_TOGETHER
+    return np.where((walls != 0.0).any(axis=0), z / far, z) if far > SLACK else z
 
 
 def bounded(curve: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:

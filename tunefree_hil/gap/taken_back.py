@@ -13,6 +13,7 @@ import numpy as np
 
 from tunefree_hil.config.schema import ModelSpec
 from tunefree_hil.gap.decide import Weighed
+from tunefree_hil.gap.drifts import RECALIBRATED, UNWRITTEN
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.interval import across
 from tunefree_hil.gap.problem import Fitted
@@ -53,7 +54,8 @@ def _by_calibration(model: ModelSpec) -> dict[str, list[Mapping[str, float]]]:
     """Parameters of the effects that a model has by its calibration, by effect."""
     found: dict[str, list[Mapping[str, float]]] = {}
     for one in model.effects:
-        if FROM_GAP not in one.provenance:
+        of_own_logs = one.provenance == RECALIBRATED and one.name in UNWRITTEN  # repair.moved: it is in no folder
+        if FROM_GAP not in one.provenance and not of_own_logs:
             found.setdefault(one.name, []).append(one.params)
     return found
 

@@ -21,6 +21,7 @@ from tunefree_hil.gap.decide import Weighed
 from tunefree_hil.gap.evidence import LEAST_NATS
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.interval import across
+from tunefree_hil.gap.locate import GROSS, LOUD, Looked
 from tunefree_hil.gap.problem import Fitted
 from tunefree_hil.learn.write_model import OWN_EFFECTS
 
@@ -44,7 +45,7 @@ class Usual(NamedTuple):
     it. broken: the targets that are missed by more than a calibrated model may. own: effects that explain the own logs,
     where these leave nothing broken, with what they are there; own_missed: what is missed of the own logs without them.
     restless: gains that the own logs would move otherwise in each block, by how many deviations: the car's form is not
-    quite the model's.
+    quite the model's. loud, gross: as Looked has them, of the own logs, be they broken by that or just not.
     """
 
     missed: Mapping[str, float]
@@ -53,6 +54,8 @@ class Usual(NamedTuple):
     own: Mapping[str, Mapping[str, Known]] = {}
     restless: Mapping[str, float] = {}
     own_missed: Mapping[str, float] = {}
+    loud: Mapping[str, float] = {}
+    gross: Mapping[str, float] = {}
 
     def more_restless(self, found: Mapping[str, float]) -> dict[str, float]:
         """Those that differ from block to block by more than usual."""
@@ -60,15 +63,31 @@ class Usual(NamedTuple):
         usual |= dict.fromkeys(PEDALS, max(usual.get(key, 0.0) for key in PEDALS))
         return {key: by for key, by in found.items() if by > TIMES * usual.get(key, 0.0)}
 
-    def was_there(self, target: str, amount: float) -> bool:
+    def was_there(self, one: Looked) -> bool:
         """Whether no more is missed of a target than of the own logs, whatever explained it there: it speaks against
         nobody who is asked about something else.
         """
-        return amount <= TIMES * max(self.missed.get(target, 0.0), self.own_missed.get(target, 0.0))
+        most = max(self.missed.get(one.signal, 0.0), self.own_missed.get(one.signal, 0.0))
+        return self._beyond(one).amount <= TIMES * most
 
-    def as_usual(self, target: str, amount: float) -> bool:
+    def as_usual(self, one: Looked) -> bool:
         """Whether no more is missed of a target, as a share of its signal, than usual."""
-        return amount <= TIMES * self.missed.get(target, 0.0)
+        return self._beyond(one).amount <= TIMES * self.missed.get(one.signal, 0.0)
+
+    def loud_from(self, target: str) -> float:
+        """What moments of a target have to miss of its signal to be more than usual."""
+        return max(LOUD, TIMES * self.loud.get(target, 0.0))
+
+    def gross_from(self, target: str) -> float:
+        """The same of the whole, whatever of it could be foretold."""
+        return max(GROSS, TIMES * self.gross.get(target, 0.0))
+
+    def _beyond(self, one: Looked) -> Looked:
+        """A target whose moments and whole say nothing where they are missed as usual: each is held against its own,
+        and what could be explained against what could be there.
+        """
+        loud = one.loud if one.loud > self.loud_from(one.signal) else 0.0
+        return one._replace(loud=loud, gross=one.gross if one.gross > self.gross_from(one.signal) else 0.0)
 
 
 NOTHING = Usual({}, {})
@@ -100,7 +119,8 @@ def usual_in(card: Mapping[str, Any]) -> Usual:
         {str(name): _finite(one) for name, one in (card.get(key) or {}).items()} for key in (RESTLESS, OWN_MISSED)
     )
     broken = frozenset(str(name) for name in said["broken"]) if said else frozenset[str]()
-    return Usual(missed, found, broken, there, restless, own_missed)
+    loud, gross = ({name: _finite(one) for name, one in said.get(key, {}).items()} for key in ("loud", "gross"))
+    return Usual(missed, found, broken, there, restless, own_missed, loud, gross)
 
 
 def as_data(usual: Usual) -> dict[str, Any]:
@@ -111,6 +131,7 @@ def as_data(usual: Usual) -> dict[str, Any]:
     if usual.missed:
         broken = sorted(usual.broken)
         said[KEY] = {"missed": dict(usual.missed), "broken": broken, "effects": _as_numbers(usual.effects)}
+        said[KEY] |= {"loud": dict(usual.loud), "gross": dict(usual.gross)}
     return said
 
 

@@ -19,7 +19,7 @@ from tunefree_hil.gap.evidence import LEAST_NATS
 from tunefree_hil.gap.excitation import Excited
 from tunefree_hil.gap.graph import effects
 from tunefree_hil.gap.interval import WAVERS, wavering
-from tunefree_hil.gap.locate import GROSS, LOUD, Looked
+from tunefree_hil.gap.locate import Looked
 from tunefree_hil.gap.rivals import outdone
 from tunefree_hil.gap.suspects import class_of
 from tunefree_hil.gap.usual import NOTHING, Usual
@@ -47,7 +47,7 @@ def verdict_of(
     if lost:
         return "none_of_these", (), tuple(lost)
     if not steps:
-        beyond = [one for one in looked if one.broken and not usual.as_usual(one.signal, one.amount)]
+        beyond = [one for one in looked if one.broken and not usual.as_usual(one)]
         worst, doubtful = (beyond or looked)[0], first and first[0].counts and outdone(first)
         if doubtful:
             words = f"{first[0].name} would explain it, {doubtful} would explain more"
@@ -71,7 +71,7 @@ def verdict_of(
     names = dict.fromkeys(name for step in steps for name in (step.name, *step.others))
     if all(step.faint and step.evidence < SET_NATS for step in steps):
         words = f"{', '.join(names)} would each explain a part of what a model may miss"
-        missed = [one.missed for one in looked if one.broken and not usual.as_usual(one.signal, one.amount)]
+        missed = [one.missed for one in looked if one.broken and not usual.as_usual(one)]
         if missed:
             return "none_of_these", (), (f"{words}; {missed[0]}, and none of them explains that",)
         return "none_missing", (), (f"{words}, and no link is broken",)
@@ -91,13 +91,13 @@ def not_it(
     """
     was = {one.signal: one for one in looked}
     for one in still:
-        if usual.as_usual(one.signal, one.amount):
+        if usual.as_usual(one):
             continue
         if one.signal not in worked:
-            as_there = usual.was_there(one.signal, one.amount)
+            as_there = usual.was_there(one)
             if one.broken and not as_there and one.amount > max(worked.values(), default=0.0):
                 return f"explains less than what is left elsewhere: {one.missed}"
-        elif _stays(one.loud, was[one.signal].loud, LOUD) or _stays(one.gross, was[one.signal].gross, GROSS):
+        elif _is_as_wild(one, was[one.signal], usual):
             return f"still {one.missed}"
         elif one.broken and one.share > one.visible and left[one.signal] > MOST_LEFT:
             return f"leaves {left[one.signal]:.0%} of what could be explained of {one.signal}"
@@ -112,8 +112,14 @@ def still_words(still: Sequence[Looked], worked: Iterable[str], usual: Usual = N
     return tuple(
         f"{one.missed} all the same, and nothing that is named here explains that"
         for one in some
-        if not usual.was_there(one.signal, one.amount)
+        if not usual.was_there(one)
     )
+
+
+def _is_as_wild(now: Looked, was: Looked, usual: Usual) -> bool:
+    """Whether moments, or the whole whatever foretells it, are missed as before, and by more than usual."""
+    loud, gross = usual.loud_from(now.signal), usual.gross_from(now.signal)
+    return _stays(now.loud, was.loud, loud) or _stays(now.gross, was.gross, gross)
 
 
 def _stays(now: float, was: float, bar: float) -> bool:

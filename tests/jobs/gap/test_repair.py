@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from tests.gap.made_answer import SECONDS, VEHICLE, answer, late_drive, made_kept, made_model
 from tests.jobs.ended import ended
@@ -14,9 +15,10 @@ from tunefree_hil.gap.chain import open_chain
 from tunefree_hil.jobs.gap.folder import Folder
 from tunefree_hil.jobs.gap.gap import Asked, Material
 from tunefree_hil.jobs.gap.page import write_page
-from tunefree_hil.jobs.gap.repair import mend, proved
+from tunefree_hil.jobs.gap.repair import as_data, mend, proved
 from tunefree_hil.jobs.gap.words import is_unproved, is_unshown, next_of, sentence_of, waits_for_proof
 from tunefree_hil.learn.drives import Drive
+from tunefree_hil.plant.data_sheet import DEFAULTS
 
 WORDS = "steer_dead_time came nearest, and closed nothing of the gap in stretches that no fit has seen"
 STEER = "report.steer_rad"
@@ -96,6 +98,20 @@ def test_a_repair_that_closes_nothing_is_kept_where_those_blocks_do_not_show_it(
     write_page(tmp_path / "gap.md", {**whole, "sentence": sentence_of(whole)}, [], "again")
     page = (tmp_path / "gap.md").read_text()
     assert ("They do not show what is missing" in page) == stays == ("The repair closes" not in page)
+
+
+def test_what_is_before_and_what_is_changed_is_of_the_model_in_its_folder(tmp_path: Path) -> None:
+    """And not of what its own logs say of it, which the search is about: here a motor that gives half as much."""
+    given, drive = made_model(), late_drive()
+    weak = replace(given.plant, params={**given.plant.params, "drive_force_n": 0.5 * DEFAULTS["drive_force_n"]})
+    material, opened = Material(VEHICLE, given, replace(given, plant=weak), [drive], []), [open_chain(drive, VEHICLE)]
+    kept = made_kept()._replace(null={})
+    mended = mend(Folder(tmp_path), material, opened, kept, "sha256:0")
+    (data, _), _ = ended(proved(Folder(tmp_path), material, opened, kept, mended))
+    speed = data["signals"]["report.speed_mps"]
+    assert speed["before"] < 0.5 * speed["recalibrated"], "the folder's model has the motor right"
+    (force,) = (one for one in as_data(mended)["changes"] if one["key"].endswith("drive_force_n"))
+    assert force["after"] == pytest.approx(weak.params["drive_force_n"]) and force["before"] != force["after"]
 
 
 def very_late(later_s: float) -> Drive:

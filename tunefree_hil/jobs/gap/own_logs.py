@@ -18,6 +18,7 @@ from tunefree_hil.learn.write_model import CARD_FILE, write_card, write_effects
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
+    from tunefree_hil.gap.ask import Question
     from tunefree_hil.gap.chain import Opened
     from tunefree_hil.gap.name import Named
     from tunefree_hil.gap.own_logs import OwnLogs
@@ -103,8 +104,7 @@ def _asked(folder: Path, vehicle: VehicleSpec, opened: Sequence[Opened]) -> Gene
     from tunefree_hil.config.load import load_model
     from tunefree_hil.gap.look_first import look_first
     from tunefree_hil.gap.name import name, restless_of
-    from tunefree_hil.gap.own_logs import OwnLogs, explained, limits, limits_named, numbers_of
-    from tunefree_hil.gap.own_numbers import as_data as numbers_as_data
+    from tunefree_hil.gap.own_logs import OwnLogs, explained, limits, limits_named
     from tunefree_hil.gap.usual import NOTHING
 
     asked = OwnLogs(load_model(folder), vehicle, opened)
@@ -115,7 +115,7 @@ def _asked(folder: Path, vehicle: VehicleSpec, opened: Sequence[Opened]) -> Gene
         own = yield from _with_progress("limits of the car", limits(asked))
         yield from _of_the_car(folder, asked, own)
         if not own:
-            _added_to_card(folder, numbers_as_data(numbers_of(first.question)))
+            _numbers_kept(folder, first.question)
         return
     yield Event("note", f"{looked.missed}: the model's own logs are asked for what it lacks")
     found = yield from _with_progress("what it lacks", name(*asked))
@@ -158,8 +158,7 @@ def _poor(folder: Path, asked: OwnLogs) -> Generator[Event, None, None]:
     """
     from tunefree_hil.config.load import load_model
     from tunefree_hil.gap.look_first import look_first
-    from tunefree_hil.gap.own_logs import numbers_of, sensors, tyres, usual
-    from tunefree_hil.gap.own_numbers import as_data as numbers_as_data
+    from tunefree_hil.gap.own_logs import sensors, tyres, usual
     from tunefree_hil.gap.repair import moved
     from tunefree_hil.gap.usual import usual_words
 
@@ -170,7 +169,7 @@ def _poor(folder: Path, asked: OwnLogs) -> Generator[Event, None, None]:
             yield Event("note", f"{what}, by its own logs: {', '.join(_words(one) for one in found)}")
     asked = asked._replace(model=load_model(folder))
     looked = yield from _with_progress("its numbers", look_first(*asked[:3]))
-    _added_to_card(folder, numbers_as_data(numbers_of(looked.question)))
+    _numbers_kept(folder, looked.question)
     asked = asked._replace(model=moved(load_model(folder), asked.vehicle))  # as a later `gap` has it
     told = yield from _with_progress("what is usual", usual(asked))
     _kept(folder, told)
@@ -192,6 +191,13 @@ def _kept(folder: Path, usual: Usual) -> None:
     from tunefree_hil.gap.usual import as_data
 
     _added_to_card(folder, as_data(usual))
+
+
+def _numbers_kept(folder: Path, question: Question) -> None:
+    from tunefree_hil.gap.own_logs import numbers_of
+    from tunefree_hil.gap.own_numbers import as_data
+
+    _added_to_card(folder, as_data(numbers_of(question)))
 
 
 def _added_to_card(folder: Path, more: Mapping[str, Any]) -> None:
