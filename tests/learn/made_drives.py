@@ -14,6 +14,7 @@ from tunefree_hil.learn.drives import Drive, Part
 from tunefree_hil.learn.pairs import Pair, Pairs
 from tunefree_hil.plant.actuators import ActuatorParams, init_actuator, step_actuator
 from tunefree_hil.plant.body import BodyInput, Driver
+from tunefree_hil.plant.ports import Effects
 from tunefree_hil.plant.single_track import PLANT
 from tunefree_hil.plant.vehicle import assemble, first_output, for_episode
 
@@ -64,13 +65,14 @@ def made_drive(
     seed: int = 1,
     params: Mapping[str, float] | None = None,
     channels: Mapping[str, ActuatorParams] | None = None,
+    effects: Effects = (),
     script: Script | None = None,
     speed_mps: float = 3.0,
     grade_rad: float = 0.0,
     name: str = "made",
 ) -> Drive:
     """A drive as read_drives gives it: commands of the wire, echoes, outputs, motion; noise and rounding on reports."""
-    body = assemble(PLANT, params or {}, channels or CHANNELS, rest_frac=(REST, REST), dt_s=DT_S)
+    body = assemble(PLANT, params or {}, channels or CHANNELS, effects=effects, rest_frac=(REST, REST), dt_s=DT_S)
     body = for_episode(body, Start(speed_mps=speed_mps))
     ticks = round(seconds / DT_S)
     script = script or excitation(seed)

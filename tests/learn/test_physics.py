@@ -12,7 +12,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import Command
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.learn.physics import TOGETHER, PhysicsFit, fit, is_clear
-from tunefree_hil.learn.physics_problem import BAND, EFFECTS, OFFSET, ROAD
+from tunefree_hil.learn.physics_problem import BAND, EFFECTS, LAG, OFFSET, ROAD
 from tunefree_hil.learn.sheet import constants, fixed_params
 from tunefree_hil.learn.window_runs import Off, errors
 from tunefree_hil.learn.windows import TARGETS, Windows, windows_of
@@ -109,7 +109,7 @@ def test_the_free_run_gets_better_and_masses_stay(fitted: PhysicsFit) -> None:
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth(fitted: PhysicsFit) -> None:
-    truth = {**DEFAULTS, **TRUTH, OFFSET: 0.0, BAND: 0.0}
+    truth = {**DEFAULTS, **TRUTH, OFFSET: 0.0, BAND: 0.0, LAG: 0.0}
     known = {name: value for name, value in fitted.values.items() if value.known}
     inside = [value.low <= truth[name] <= value.high for name, value in known.items()]
     assert len(known) >= 8 and np.mean(inside) >= 0.7, [name for name, ok in zip(known, inside, strict=True) if not ok]

@@ -21,6 +21,7 @@ from tunefree_hil.learn.physics_problem import (
     AT_LEAST,
     BAND,
     EFFECTS,
+    LAG,
     OFFSET,
     ROAD,
     Problem,
@@ -60,7 +61,8 @@ class PhysicsFit(NamedTuple):
         """What lies between outputs and car; only what is clear (is_clear) goes into a model."""
         found = {name: self.values[name].value if is_clear(name, self.values[name]) else 0.0 for name in EFFECTS}
         road = self.values.get(ROAD)
-        return Off(float(found[OFFSET]), float(found[BAND]), road.value if road is not None and road.known else 0.0)
+        share = road.value if road is not None and road.known else 0.0
+        return Off(float(found[OFFSET]), float(found[BAND]), share, float(found[LAG]))
 
 
 def is_clear(name: str, value: Value) -> bool:
@@ -171,7 +173,7 @@ def _taken(problem: Problem, name: str, lost: Mapping[str, float]) -> Value:
     low, high = constant.ends()
     low = max(low, AT_LEAST.get(name, -math.inf))
     source = "data sheet" if constant.stated else "a plausible value"
-    if name in SHAPES and name not in lost:
+    if name in SHAPES and name in problem.names and name not in lost:  # tried, and left out again
         return Value(constant.value, low, high, False, PLAIN)
     if name in lost:
         why = f"these logs leave {min(lost[name], 1.0):.0%} of the doubt there was"

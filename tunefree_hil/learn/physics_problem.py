@@ -17,17 +17,23 @@ from tunefree_hil.plant.constants import LEAST
 
 Array = np.ndarray
 
-# No constants of the plant, but of effects (interfaces 4): the steering wheel's straight ahead, and the brake's first
-# stretch that does nothing, which no report shows.
-OFFSET, BAND = "steer_offset_rad", "brake_dead_band_frac"
+# No constants of the plant, but of effects (interfaces 4): the steering wheel's straight ahead, the brake's first
+# stretch that does nothing, and how much later and softer than its throttle says a car pushes, which no report shows.
+OFFSET, BAND, LAG = "steer_offset_rad", "brake_dead_band_frac", "powertrain_lag_s"
 OFFSET_DOUBT_RAD = 0.1
 BAND_DOUBT = 0.2  # of the brake's way
+LAG_DOUBT_S = 0.5  # engines and their gears: 0.1 to 0.5 s
 # The logs' and not the car's: of what their accelerometer says throughout, the part that is a slope.
 ROAD, ROAD_DOUBT = "road_share", 2.0
-EFFECTS = {OFFSET: ("steer_offset", "offset_rad", 0.005), BAND: ("brake_dead_band", "half_width_frac", 0.002)}
+# name -> (effect, its parameter, what is a trifle)
+EFFECTS = {
+    OFFSET: ("steer_offset", "offset_rad", 0.005),
+    BAND: ("brake_dead_band", "half_width_frac", 0.002),
+    LAG: ("powertrain_lag", "tau_s", 0.02),
+}
 LATERAL = ("front_stiffness_n_per_rad", "rear_stiffness_n_per_rad", "yaw_inertia_kgm2", "steer_ratio",
            "linkage_bend", OFFSET)  # fmt: skip
-AT_LEAST = {BAND: 0.0, "overrun_force_n": 0.0, **LEAST}
+AT_LEAST = {BAND: 0.0, LAG: 0.0, "overrun_force_n": 0.0, **LEAST}
 FIRST_SCALE = {
     "speed_mps": 0.2, "yaw_rate_radps": 0.01, "heading_rad": 0.02, "lateral_accel_mps2": 0.3, "x_m": 0.7, "y_m": 0.7,
 }  # fmt: skip
@@ -49,12 +55,15 @@ class Problem:
             **known,
             OFFSET: Constant(0.0, OFFSET_DOUBT_RAD, False, False),
             BAND: Constant(0.0, BAND_DOUBT * brake_way, False, False),
+            LAG: Constant(0.0, LAG_DOUBT_S, False, False),
         }
         if any(window.standing for window in self.some):
             self.known[ROAD] = Constant(0.0, ROAD_DOUBT, False, False)
         names = list(self.known)
         if "brake_force_n_per_frac" not in known:  # no brake, or none that anybody sees
             names.remove(BAND)
+        if "drive_force_n" not in known:  # asked for an acceleration: its channel has the lag of all that moves it
+            names.remove(LAG)
         if not windows.steered:
             names = [name for name in names if name not in LATERAL]
         if not windows.pedals:
@@ -92,7 +101,7 @@ class Problem:
 
     def misses(self, values: Mapping[str, float]) -> Array:
         """[windows, m, 6], not scaled."""
-        off = Off(float(values[OFFSET]), float(values[BAND]), float(values.get(ROAD, 0.0)))
+        off = Off(float(values[OFFSET]), float(values[BAND]), float(values.get(ROAD, 0.0)), float(values[LAG]))
         return errors(self.params(values), off, self.some)
 
     def residuals(self, names: Sequence[str], x: Array) -> Array:

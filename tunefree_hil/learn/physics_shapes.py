@@ -1,4 +1,4 @@
-"""Which constants of a car's shape a fit takes in: those that its free runs need."""
+"""Which constants of a car's shape a fit takes in: those that its free runs need. How late it pushes is one of them."""
 
 from __future__ import annotations
 
@@ -9,24 +9,27 @@ import numpy as np
 
 from tunefree_hil.learn.least import Least
 from tunefree_hil.learn.physics_doubts import stretches_of
-from tunefree_hil.learn.physics_problem import Problem, solved
+from tunefree_hil.learn.physics_problem import LAG, Problem, solved
 from tunefree_hil.learn.windows import TARGETS
 
 Array = np.ndarray
 
-# Fitted where the speed's squares are then less by a share of PAYS, and by more than chance has it from stretch to
-# stretch. Where they explain nothing they would only take from the others what the logs know of them.
-SHAPES, PAYS = ("drive_corner", "overrun_force_n", "brake_rise_per_frac"), 0.1
-PLAIN = "without it the speed is missed by no more than chance"
+# Fitted where the speed's squares are then less by a share of PAYS, and by more than chance (one standard error) has it
+# from stretch to stretch. Where they explain nothing they would only take from the others what the logs know of them.
+SHAPES, PAYS = ("drive_corner", "overrun_force_n", "brake_rise_per_frac", LAG), 0.1
+PLAIN = "with it the squares of the missed speed are less by under a tenth, or by no more than chance"
 
 
 def shaped(problem: Problem, plain: list[str], least: Least) -> tuple[list[str], Least]:
     """With those of SHAPES that pay. All at once first: where no power was found, there is no corner to find."""
-    names = [*plain, *(one for one in SHAPES if one in problem.names)]
+    tried = [one for one in SHAPES if one in problem.names]
+    if not tried:
+        return plain, least
+    names = [*plain, *tried]
     found = solved(problem, names, np.zeros(len(names)), 25)
     if not pays(_speed_squares(problem, plain, least.x), _speed_squares(problem, names, found.x)):
         return plain, least
-    for shape in [one for one in SHAPES if one in names]:
+    for shape in tried:
         fewer = [one for one in names if one != shape]
         without = solved(problem, fewer, np.delete(found.x, names.index(shape)), 15)
         if not pays(_speed_squares(problem, fewer, without.x), _speed_squares(problem, names, found.x)):
@@ -36,7 +39,9 @@ def shaped(problem: Problem, plain: list[str], least: Least) -> tuple[list[str],
 
 
 def pays(before: Array, after: Array) -> bool:
-    """Whether squares by stretch [s] are less, and not by chance. Of one stretch nobody knows what chance does."""
+    """Whether squares by stretch [s] are less by PAYS, and by more than one standard error. Of one stretch nobody knows
+    what chance does.
+    """
     gain = before - after
     if len(gain) < 2:
         return False

@@ -11,6 +11,7 @@ import numpy as np
 from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.kernel import kept, kernel
 from tunefree_hil.base.records import Actuation, Disturbance, Motion
+from tunefree_hil.effects._signals import SoftState, soft, step_soft
 from tunefree_hil.learn.windows import TARGETS, Window
 from tunefree_hil.plant.body import ChassisInput, ChassisParams
 from tunefree_hil.plant.data_sheet import constants_of
@@ -22,21 +23,35 @@ WIDTH = len(TARGETS)
 
 
 class Off(NamedTuple):
-    """What lies between a reported output and the car: added to the steering wheel, taken off the brake. road_share: of
-    what the accelerometer says throughout (Window.standing) the part that is a slope of the road.
+    """What lies between a reported output and the car: added to the steering wheel (rad), taken off the brake (duty),
+    lag of the throttle (s). road_share: of what the accelerometer says throughout (Window.standing) the part that is a
+    slope of the road.
     """
 
     steer_rad: float = 0.0
     brake_frac: float = 0.0
     road_share: float = 0.0
+    throttle_lag_s: float = 0.0
 
 
 @kernel
 def run_free(
-    params: ChassisParams, state: SingleTrackState, inputs: Any, off: Off, grade_rad: float, outputs: Any, dt_s: float
+    params: ChassisParams,
+    state: SingleTrackState,
+    push: SoftState,
+    before: Any,
+    inputs: Any,
+    off: Off,
+    grade_rad: float,
+    outputs: Any,
+    dt_s: float,
 ) -> int:
-    """Drive the car with rows of (throttle, brake, steer, gear) from row 1 on; rows of TARGETS go into `outputs`."""
+    """Drive the car with rows of (throttle, brake, steer, gear) from row 1 on; rows of TARGETS go into `outputs`. push:
+    the lag of the throttle as it was ahead of `before`, the throttle up to row 0.
+    """
     road = Disturbance(grade_rad, 1.0)
+    for i in range(len(before)):
+        push, _ = step_soft(0.0, push, float(before[i]), dt_s)
     rows = len(inputs) // 4
     idle = params.constants.rest_frac
     for i in range(1, rows):
@@ -44,7 +59,8 @@ def run_free(
         if brake < idle:
             brake = idle
         steer = float(inputs[4 * i + 2]) + off.steer_rad
-        act = Actuation(float(inputs[4 * i]), brake, steer, float(inputs[4 * i + 3]))
+        push, throttle = step_soft(0.0, push, float(inputs[4 * i]), dt_s)
+        act = Actuation(throttle, brake, steer, float(inputs[4 * i + 3]))
         state, motion = step_single_track(params, state, ChassisInput(act, road), dt_s)
         outputs[6 * i] = motion.speed_mps
         outputs[6 * i + 1] = motion.yaw_rate_radps
@@ -69,7 +85,9 @@ def simulated(params: ChassisParams, window: Window, off: Off) -> Array:
     outputs = np.zeros(len(window.inputs) * WIDTH)
     flat = np.ascontiguousarray(window.inputs).ravel()
     grade_rad = math.asin(max(-1.0, min(off.road_share * window.standing, 1.0)))
-    run_free(params, SingleTrackState(first, 0.0), flat, off, grade_rad, outputs, window.dt_s)
+    lag = soft(off.throttle_lag_s, float(window.before[0]))  # held for ever at the first throttle that is known
+    push, before = lag.init(lag.params, window.dt_s), np.ascontiguousarray(window.before)
+    run_free(params, SingleTrackState(first, 0.0), push, before, flat, off, grade_rad, outputs, window.dt_s)
     return outputs.reshape(-1, WIDTH)[window.at]
 
 

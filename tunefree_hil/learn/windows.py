@@ -24,6 +24,7 @@ Array = np.ndarray
 
 WINDOW_S = 8.0
 EVERY_S = 0.1  # spacing of the rows that are compared
+BEFORE_S = 2.0  # of throttle ahead of a window: by then the slowest lag of an engine has forgotten what was earlier
 START_S = 0.21  # of the polynomial that gives the start of a window
 LONGEST_SILENCE_S = 0.2
 SLOWEST_MPS = 0.5  # a window that never is faster is left out
@@ -48,6 +49,8 @@ INPUTS = ("throttle_frac", "brake_frac", "steer_rad")
 class Window(NamedTuple):
     """inputs [n, 4]: throttle, brake (duty), steer (rad), gear in the tick that ends at the row; row 0 is not used.
 
+    before [k]: throttle (duty) in the ticks up to row 0, the newest last, as far back as BEFORE_S or as it is known; at
+    least row 0's own. A lag behind it begins by it (learn/window_runs.py).
     start: x, y, heading, speed, yaw rate at row 0. targets [m, 6]: TARGETS at rows `at` [m], NaN where not measured;
     heading continuous. standing: what the drive's accelerometer says of a slope throughout (learn/level.py), sin; 0.0
     where that is no more than sensors are off by.
@@ -56,6 +59,7 @@ class Window(NamedTuple):
     name: str
     begin: int  # row of the drive
     inputs: Array
+    before: Array
     start: tuple[float, float, float, float, float]
     at: Array
     targets: Array
@@ -136,7 +140,9 @@ class _Signals:
         columns.append(gear if known and gear is not None else np.full(drive.ticks, GEAR_DRIVE))
         self.inputs = np.stack(columns, axis=1)
         self.good = np.isfinite(self.inputs).all(axis=1) & np.isfinite(self.speed) & (self.inputs[:, 3] >= GEAR_DRIVE)
-        self.good &= self._heard()
+        heard = self._heard()
+        self.good &= heard
+        self.throttle_known = np.isfinite(self.inputs[:, 0]) & heard
         if not self.pedals:
             self.good &= self.speed > SLOWEST_MPS
         self.standing = offset_of(drive, vehicle)
@@ -243,12 +249,20 @@ class _Signals:
             self.drive.name,
             span.start,
             self.inputs[span],
+            self._before(span.start),
             (x, y, heading, max(speed, 0.0), yaw),
             at,
             here[at],
             self.dt_s,
             self.standing if abs(self.standing) > TOLD else 0.0,
         )
+
+    def _before(self, row: int) -> Array:
+        """Throttle up to a row, from where it has been known without a break, BEFORE_S at most."""
+        assert self.inputs is not None
+        first = max(row - round(BEFORE_S / self.dt_s), 0)
+        unknown = np.flatnonzero(~self.throttle_known[first:row])
+        return self.inputs[first + (int(unknown[-1]) + 1 if len(unknown) else 0) : row + 1, 0]
 
     def _start(self, target: int, row: int) -> float:
         """A signal at a row, by a local polynomial about it."""

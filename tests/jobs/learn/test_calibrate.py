@@ -24,7 +24,7 @@ from tunefree_hil.jobs.learn.calibrate_words import benches_of, channel_words, c
 from tunefree_hil.jobs.learn.calibrated import card_of, effect_of, fit_all, split_of, write
 from tunefree_hil.learn.drives import Drive, Split
 from tunefree_hil.learn.physics import is_clear
-from tunefree_hil.learn.physics_problem import BAND, EFFECTS, OFFSET
+from tunefree_hil.learn.physics_problem import BAND, EFFECTS, LAG, OFFSET
 from tunefree_hil.learn.values import Value, unknown
 from tunefree_hil.learn.worker import Worker
 from tunefree_hil.learn.write_model import CARD_FILE, write_card
@@ -223,7 +223,11 @@ def test_an_effect_is_there_only_where_it_is_clear() -> None:
         "params": {"half_width_frac": 0.05},
         "interval": {"half_width_frac": [0.04, 0.06]},
     }
-    assert set(EFFECTS) == {OFFSET, BAND}
+    assert is_clear(LAG, Value(0.2, 0.1, 0.3)) and not is_clear(LAG, Value(0.2, 0.0, 0.4))
+    assert not is_clear(LAG, Value(0.015, 0.01, 0.02)), "a trifle"
+    made = effect_of(LAG, Value(0.2, 0.1, 0.3))
+    assert made == {"name": "powertrain_lag", "params": {"tau_s": 0.2}, "interval": {"tau_s": [0.1, 0.3]}}
+    assert set(EFFECTS) == {OFFSET, BAND, LAG}
 
 
 def test_a_channel_in_words() -> None:

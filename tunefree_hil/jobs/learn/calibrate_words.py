@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from tunefree_hil.gap.usual import usual_in, usual_words
 from tunefree_hil.jobs.pasted import pasted
 from tunefree_hil.learn.physics import PhysicsFit
-from tunefree_hil.learn.physics_problem import BAND, OFFSET, ROAD
+from tunefree_hil.learn.physics_problem import BAND, LAG, OFFSET, ROAD
 from tunefree_hil.learn.values import ActuatorFit, Value
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ UNITS = {
     "linkage_bend": ("per rad²", 1.0),
     OFFSET: ("rad", 1.0),
     BAND: ("duty", 1.0),
+    LAG: ("s", 1.0),
     ROAD: ("of what the accelerometer says throughout is a slope, the rest its own", 1.0),
 }
 SEED = 1  # of --seed
