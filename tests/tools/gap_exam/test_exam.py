@@ -121,6 +121,7 @@ def test_what_a_calibration_has_taken_in_is_no_effect_any_more() -> None:
     for name, value, stays in (
         ("throttle_rate_limit", 0.2, False),
         ("brake_gain", 1.3, False),
+        ("powertrain_lag", 0.4, False),
         ("steer_backlash", 0.2, True),
     ):
         made = cases.make(vehicle(), {name: {kind_of(name).parameter: value}}, "excited", CONTROLLER, 21, 80.0)
