@@ -94,6 +94,9 @@ def test_the_card_says_what_it_is_made_of(made: dict[str, Any]) -> None:
 def test_it_says_what_it_found_and_draws_it(made: dict[str, Any], tmp_path: Path) -> None:
     notes = [event.message for event in made["events"] if event.kind == "note"]
     assert any(text.startswith("steer: dead time 11") for text in notes)
+    (plain,) = (text for text in notes if text.startswith("these logs are driven as well without "))
+    warned = [event.message for event in made["events"] if event.kind == "warning"]
+    assert "overrun_force_n" in plain and not any(text.startswith("overrun_force_n") for text in warned)
     steps = [event.data for event in made["events"] if event.kind == "progress"]
     assert all(0 <= one["done"] <= one["total"] for one in steps) and len({one["label"] for one in steps}) == 4
     pictures = job.draw(tmp_path, made["fitted"], made["split"])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,6 +23,7 @@ from tunefree_hil.learn.law_constants import suggested
 from tunefree_hil.learn.pairs import ECHOES, Pairs, has_channel
 from tunefree_hil.learn.physics import PhysicsFit, is_clear
 from tunefree_hil.learn.physics_problem import EFFECTS
+from tunefree_hil.learn.physics_shapes import PLAIN
 from tunefree_hil.learn.sheet import asks_accel, channel_sheet, constants, fixed_params
 from tunefree_hil.learn.shown import Judged
 from tunefree_hil.learn.smooth import noise_table_of, valid_region
@@ -94,11 +95,19 @@ def fit_all(worker: Worker, split: Split, vehicle: VehicleSpec) -> Generator[Eve
     physics = yield from _with_progress(asked, "physical constants")
     for words in (*physics.words, *constant_words(physics)):
         yield Event("note", words)
-    for name, value in physics.values.items():
-        if not value.known and name not in EFFECTS:
-            yield Event("warning", f"{name}: {value.why}")
+    yield from _untold(physics.values)
     judged = _judged(worker, unseen, physics, fixed | {name: one.value for name, one in known.items()})
     return Fitted(actuators, traces, physics, judged)
+
+
+def _untold(values: Mapping[str, Value]) -> Iterator[Event]:
+    """Constants that these logs do not tell, each with why; in one sentence those that this car does not need."""
+    untold = {name: value.why for name, value in values.items() if not value.known}
+    if plain := [name for name, why in untold.items() if why == PLAIN]:
+        yield Event("note", f"these logs are driven as well without {', '.join(plain)}")
+    for name, why in untold.items():
+        if why != PLAIN and name not in EFFECTS:
+            yield Event("warning", f"{name}: {why}")
 
 
 def windows_in(split: Split, vehicle: VehicleSpec, channels: dict[str, ActuatorFit]) -> tuple[Windows, Windows]:
