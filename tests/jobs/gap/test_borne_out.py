@@ -73,6 +73,23 @@ def test_each_of_several_plain_names_needs_its_own_signals_word() -> None:
     assert is_borne_out({"effects": [sure, {**sure, "unseen_shrink": 0.0, "unseen_stirs": 0.0}], "links": links}, SOME)
 
 
+@pytest.mark.parametrize(
+    ("there", "low", "usual", "says"),
+    [
+        (0.95, 0.04, ["rate_of_speed"], True),
+        (0.95, 0.04, [], False),  # the model comes near its own logs: then the whole gap has to go
+        (0.75, 0.04, ["rate_of_speed"], False),  # a quarter of its own signal stays
+        (0.95, -0.02, ["rate_of_speed"], False),  # nothing is surely the better for it
+    ],
+)
+def test_with_a_poor_model_most_of_its_own_signal_speaks_for_a_name_of_little_evidence(
+    there: float, low: float, usual: list[str], says: bool
+) -> None:
+    scale = {"name": "speed_scale", "evidence": 27.0, "faint": False, "shrink": 0.95, "unseen_shrink": there}
+    told = {"effects": [{**scale, "unseen_stirs": 0.99}], "links": [{"broken": True}], "as_usual": usual}
+    assert is_borne_out(told, {"value": 0.2, "low": low, "high": 0.58}) is says
+
+
 def test_what_is_left_for_sure_is_told() -> None:
     words = taken_back(answer(), {"value": 0.4, "low": 0.2, "high": 0.6}, "physics")["words"][0]
     assert "closed 40 % (20 to 60), which leaves a third and more, of the gap" in words
