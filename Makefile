@@ -21,7 +21,7 @@ tune: venv
 	@.venv/bin/tunefree-hil tune $(BENCH) $(ARGS)
 
 test: test-venv
-	@.venv/bin/python -m pytest -n 2 --dist loadgroup -m "not compiled and not vcan and not postgres and not foreign and not learning" $(ARGS)
+	@.venv/bin/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "not compiled and not vcan and not postgres and not foreign and not learning" $(ARGS)
 
 check: test-venv
 	@tools/check

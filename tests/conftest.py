@@ -29,23 +29,44 @@ LEARNING = (
     "tools/test_actuators_measure.py",
 )
 
+OWN = ("compiled", "learning", "postgres", "foreign")  # marks of what is no part of `make test` when it is slow
+
+# Slow ones that need no clock, only one processor: they may run beside the tests with real processes. Begun first, the
+# longest before the others, so that neither worker waits long for the other one at the end.
+LONG = (
+    "jobs/commission/test_kill.py",
+    "jobs/gap/test_own_logs.py",
+    "jobs/gap/test_whole.py",
+    "tools/gap_exam/",
+    "bench/test_learned.py",
+    "learn/",
+    "control/test_jit.py",
+    "plant/test_jit.py",
+    "jobs/collect/",
+    "jobs/learn/",
+)
+
 settings.register_profile("house", derandomize=True, deadline=None, max_examples=50, database=None)
 settings.load_profile("house")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark LEARNING, before anything is chosen by its marks; and say what two workers may not do side by side.
+    """Mark LEARNING, before anything is chosen by its marks; order them, and say what two workers may not do at once.
 
     Tests with real processes are one group, so one after another: together they would wait for the two cores. Of the
     others each file is a group, for what its tests share. Without workers (-n) a group means nothing.
     """
+    ranks = {}
     for item in items:
         place = item.path.relative_to(ROOT / "tests").as_posix()
         if place.startswith(LEARNING):
             item.add_marker("learning")
-        group = "processes" if item.get_closest_marker("slow") else place
-        item.add_marker(pytest.mark.xdist_group(group))
+        rank = next((k for k, long in enumerate(LONG) if place.startswith(long)), len(LONG))
+        together = item.get_closest_marker("slow") and rank == len(LONG) and not any(map(item.get_closest_marker, OWN))
+        item.add_marker(pytest.mark.xdist_group("processes" if together else place))
+        ranks[item] = -1 if together else rank
+    items.sort(key=ranks.__getitem__)
 
 
 @pytest.fixture(scope="session")
