@@ -61,10 +61,17 @@ def at_once(some: list[Nuisance], r: float, left: float, z: Array) -> tuple[Arra
     return gain @ measured, day - gain @ car
 
 
-def null(some: list[Nuisance], r: float, curve: Array, z: Array, differ: float = 0.0) -> Fitted:
-    """Own logs that know two numbers by a curvature [2, 2]. differ: by how many deviations their blocks disagree."""
+def null(some: list[Nuisance], r: float, curve: Array, z: Array, differ: float | Array = 0.0) -> Fitted:
+    """Own logs that know two numbers by a curvature [2, 2]. differ: by how many deviations their blocks disagree; or
+    the covariance [2, 2] of the scores that they sum up to.
+    """
     pulls = np.random.default_rng(2).standard_normal((BLOCKS, 2))
-    pulls = differ * np.sqrt(np.diag(curve) / BLOCKS) * (pulls - pulls.mean(axis=0)) / pulls.std(axis=0)
+    pulls -= pulls.mean(axis=0)
+    if np.ndim(differ):
+        white = np.linalg.solve(np.linalg.cholesky(pulls.T @ pulls), pulls.T).T
+        pulls = white @ np.linalg.cholesky(differ).T * np.sqrt((BLOCKS - 1) / BLOCKS)
+    else:
+        pulls = differ * np.sqrt(np.diag(curve) / BLOCKS) * pulls / pulls.std(axis=0)
     curves = np.tile(curve / BLOCKS, (BLOCKS, 1, 1))
     sums = Sums(np.array([0, 2]), np.ones(BLOCKS), pulls, curves, np.full(BLOCKS, ROWS),
                 Colour(np.array([1.0]), 1.0, 1.0))  # fmt: skip
@@ -123,14 +130,46 @@ def test_what_two_numbers_come_to_together_is_known_though_neither_is() -> None:
 def test_own_logs_are_believed_as_far_as_their_blocks_agree() -> None:
     some = drifting(0.03, 0.03, 0.004)
     curve, z = np.diag([100.0, 0.0]), np.array([0.7, 0.0])
-    sure, unsure = (own_numbers(null(some, 0.0, curve, z, by), some, ALL) for by in (0.0, 5.0))
+    sure, unsure, nobody = (own_numbers(null(some, 0.0, curve, z, by), some, ALL) for by in (0.0, 5.0, 50.0))
     assert sure.keys == (FORCE, KNEE) and sure.off[0] == pytest.approx(0.7 * some[0].sigma, rel=0.02)
-    by = [np.sqrt(one.covariance[0, 0] - some[0].drift ** 2) / some[0].sigma for one in (sure, unsure)]
-    assert by == pytest.approx([101.0**-0.5, 5.3 * 101.0**-0.5], rel=0.05)
-    left = 5.3**2 / 101.0  # of the prior, in variance: what they move the car by is less by just that
-    assert unsure.off[0] == pytest.approx((1.0 - left) / (1.0 - 1.0 / 101.0) * sure.off[0], rel=0.05)
-    nobody = own_numbers(null(some, 0.0, curve, z, 50.0), some, ALL)
-    assert abs(nobody.off[0]) < 0.02 * abs(sure.off[0]), "blocks that disagree as much as that say nothing"
+    believed = 1.0 / (1.0 + 5.0**2 * BLOCKS / (BLOCKS - 1))  # of what they know
+    by = [(one.covariance[0, 0] - some[0].drift ** 2) / some[0].sigma ** 2 for one in (sure, unsure)]
+    assert by == pytest.approx([1.0 / 101.0, 1.0 / (1.0 + 100.0 * believed)], rel=0.1)
+    moved_by = 101.0 * believed / (1.0 + 100.0 * believed)  # by the same measurement, that much weaker
+    assert unsure.off[0] == pytest.approx(moved_by * sure.off[0], rel=0.01)
+    assert abs(nobody.off[0]) < 0.05 * abs(sure.off[0]), "blocks that disagree as much as that say next to nothing"
+
+
+@pytest.mark.parametrize("leans", [-0.07, 0.07])
+def test_a_number_that_they_know_is_not_moved_by_one_that_they_hardly_feel(leans: float) -> None:
+    """It does not turn round, and goes hardly farther: a third, as the noise of both leans the one way, that of the
+    second against it.
+    """
+    some = drifting(0.03, 0.03, 1e-6)
+    known, blurred, z = np.diag([1.0 / 1.9, 1.0 / 1.01]), np.array([[0.3, leans], [leans, 0.02]]), np.array([0.3, 0.1])
+    sharp = np.linalg.inv(known)
+    own = own_numbers(null(some, 0.0, sharp - np.eye(2), z, sharp @ blurred @ sharp), some, ALL)
+    assert 0.0 < own.off[0] / 0.03 < 1.5 * z[0] and abs(own.off[1]) / 0.03 < z[1]
+
+
+@given(*(st.floats(low, high) for low, high in ((0.0, 50.0), (0.0, 5.0), (-0.9, 0.9)) * 2))
+def test_no_other_weight_of_blocks_that_disagree_comes_nearer_to_the_car(
+    a: float, b: float, r: float, c: float, d: float, q: float
+) -> None:
+    """theta of the prior, a score J theta + e of covariance J + M: the mean square of what is left is what is stated,
+    and not more than the fit leaves that trusts its noise.
+    """
+    some = drifting(0.03, 0.03, 1e-6)
+    j, m = (np.array([[x, k * (x * y) ** 0.5], [k * (x * y) ** 0.5, y]]) for x, y, k in ((a, b, r), (c, d, q)))
+    j, m, trusts = j + 0.01 * np.eye(2), m + 0.01 * np.eye(2), np.linalg.inv(j + 1.01 * np.eye(2))
+
+    def left(by: Array) -> float:
+        return float(np.trace((by @ j - np.eye(2)) @ (by @ j - np.eye(2)).T + by @ (j + m) @ by.T))
+
+    each = [own_numbers(null(some, 0.0, j, trusts @ score, m), some, ALL) for score in np.eye(2)]
+    mine = np.stack([one.off for one in each], axis=1) / 0.03
+    assert left(mine) <= left(trusts) * (1.0 + 1e-6)
+    assert float(np.trace(each[0].covariance)) / 0.03**2 == pytest.approx(left(mine), rel=1e-4)
 
 
 def carded(folder: Path, card: dict[str, Any]) -> ModelSpec:

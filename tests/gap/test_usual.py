@@ -184,3 +184,25 @@ def test_what_is_missed_throughout_is_held_against_its_own_too() -> None:
     one = BROKEN._replace(share=0.04, gross=0.26)
     assert known.as_usual(one) and not known.as_usual(one._replace(gross=0.5))
     assert not known._replace(gross={}).as_usual(one)
+
+
+def test_loud_moments_of_the_own_logs_are_no_leave_for_what_could_be_explained() -> None:
+    """A model that misses the moments of a signal, and little else of it: a tenfold share is news."""
+    known = Usual({"yaw_rate": 0.71}, {}, frozenset(), loud={"yaw_rate": 0.71}, share={"yaw_rate": 0.04})
+    moments = BROKEN._replace(share=0.05, loud=0.8, gross=0.0)
+    assert known.as_usual(moments) and known.was_there(moments)
+    tenfold = moments._replace(share=0.4)
+    assert not known.as_usual(tenfold) and not known.was_there(tenfold)
+    assert known._replace(share={}).as_usual(tenfold), "a card of before does not tell the two apart"
+    little = known._replace(share={"yaw_rate": 0.0004})
+    assert little.as_usual(moments._replace(share=0.9 * moments.visible)), "of so little no link is broken"
+
+
+def test_what_is_left_elsewhere_is_what_is_more_than_usual() -> None:
+    """Moments that are missed as usual neither speak against a name nor are quoted."""
+    known = Usual({"yaw_rate": 0.14}, {}, frozenset(), loud={"yaw_rate": 0.14}, share={"yaw_rate": 0.02})
+    elsewhere = BROKEN._replace(share=0.05, loud=0.27, gross=0.0)
+    assert not known.as_usual(elsewhere)
+    assert not_it([elsewhere], [elsewhere], {"yaw_rate": 1.0}, {"speed": 0.1}, known) == ""
+    says = not_it([elsewhere], [elsewhere], {"yaw_rate": 1.0}, {"speed": 0.04}, known)
+    assert "yaw_rate is missed by 5.0%" in says

@@ -88,15 +88,14 @@ def deviations(model: Fitted, blocks: Array) -> Array:
     return np.sqrt(np.maximum(np.diag(inverse), np.diag(sandwich)))
 
 
-def covariance(model: Fitted, blocks: Array) -> Array:
-    """Of the keys of a fitted model [p, p], in their units: by the curvature and by the blocks, both."""
-    inverse, sandwich = _doubts(model, blocks)
-    return inverse + sandwich
-
-
 def curvature(model: Fitted, blocks: Array) -> Array:
-    """The same [p, p] by the curvature alone, as a fit has it that trusts its noise."""
+    """Covariance of the keys of a fitted model [p, p], in their units, as a fit has it that trusts its noise."""
     return _doubts(model, blocks)[0]
+
+
+def by_blocks(model: Fitted, blocks: Array) -> Array:
+    """The same [p, p] by what the blocks disagree by, alone: the sandwich."""
+    return _doubts(model, blocks)[1]
 
 
 def _doubts(model: Fitted, blocks: Array) -> tuple[Array, Array]:

@@ -26,7 +26,7 @@ from tunefree_hil.gap.own_numbers import OwnNumbers, own_numbers
 from tunefree_hil.gap.search import weighed
 from tunefree_hil.gap.sift import looked_at
 from tunefree_hil.gap.team import Team
-from tunefree_hil.gap.usual import NOTHING, Usual, by_name
+from tunefree_hil.gap.usual import KINDS, NOTHING, Usual, by_name
 from tunefree_hil.gap.work import Setting
 from tunefree_hil.learn.values import NORMAL_95
 from tunefree_hil.learn.write_model import OWN_LOGS
@@ -164,8 +164,8 @@ def usual(asked: OwnLogs) -> Generator[str, None, Usual]:
     values: dict[str, dict[str, tuple[float, float]]] = {}
     for name, one in found.items():
         values |= by_name(known_of(name, one, blocks))
-    loud, gross = ({one.signal: getattr(one, key) for one in looked} for key in ("loud", "gross"))
-    return Usual({one.signal: one.amount for one in looked}, values, broken, loud=loud, gross=gross)
+    kinds = {key: {one.signal: getattr(one, key) for one in looked} for key in KINDS}
+    return Usual({one.signal: one.amount for one in looked}, values, broken, **kinds)
 
 
 def numbers_of(question: Question) -> OwnNumbers:

@@ -7,9 +7,10 @@ Without that, recalibration could move all of them a little, and take a motor th
 
 A number of the own logs' day and the same number of a later day are theta + d and theta + d': theta the car's, d and
 d' drifts. Of both the prior covariance is [[S, T], [T, S]], S = T + D: T what the calibration leaves open, D the drift.
-Where the own logs put theirs at m, known by C, theta is at T S^-1 m, known by T - T S^-1 (S - C) S^-1 T. Of C, what the
-blocks of the logs disagree by is a part; m is then what logs that know no more would have left of it. Later logs are
-held against the model moved there (`repair.moved`), and its recalibration knows theta so well (`after_own`).
+Where the own logs put theirs at m, known by C, theta is at T S^-1 m, known by T - T S^-1 (S - C) S^-1 T. Blocks of the
+logs that disagree are believed the less: both m and C are then those of logs whose noise is the larger by just that
+(`_as_blocks_agree`). Later logs are held against the model moved there (`repair.moved`), and its recalibration knows
+theta so well (`after_own`).
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ import numpy as np
 
 from tunefree_hil.config.schema import ModelSpec
 from tunefree_hil.gap.card import OWN_NUMBERS, card_of, no_card
-from tunefree_hil.gap.interval import covariance, curvature
+from tunefree_hil.gap.interval import by_blocks, curvature
 from tunefree_hil.gap.null import Nuisance
 from tunefree_hil.gap.problem import Fitted
 
 Array = np.ndarray
 
-SILENT = 1e-4  # of a prior's variance: who takes away less says nothing
+SILENT = 1e-6  # of what a prior knows (1 / variance): logs that know less in a direction say nothing of it
 ROUNDED = 1e-6  # of a correlation: by what a covariance that was written down may seem none
 
 
@@ -55,9 +56,9 @@ def own_numbers(null: Fitted, drifting: Sequence[Nuisance], blocks: Array) -> Ow
     prior = np.linalg.inv(null.prior)[np.ix_(at, at)] * units
     told = prior - np.diag(sigma**2 - [one.told**2 for one in mine])
     carried = np.linalg.solve(prior, told).T  # T S^-1
-    by_curve, known = (one[np.ix_(at, at)] * units for one in (curvature(null, blocks), covariance(null, blocks)))
-    known = _no_more_than(prior, known)
-    off = carried @ _weaker(prior, by_curve, known, sigma * null.z[at])
+    sharp, blurred = (one(null, blocks)[np.ix_(at, at)] * units for one in (curvature, by_blocks))
+    mean, known = _as_blocks_agree(prior, sharp, blurred, sigma * null.z[at])
+    off = carried @ mean
     return OwnNumbers(tuple(one.key for one in mine), off, told - carried @ (prior - known) @ carried.T)
 
 
@@ -78,23 +79,24 @@ def after_own(some: Sequence[Nuisance], correlation: Array, own: OwnNumbers) -> 
     return found, whole / np.outer(sigma, sigma)
 
 
-def _weaker(prior: Array, known: Array, less: Array, mean: Array) -> Array:
-    """The mean [k] that logs would have left which know as little as `less`, of what those left that know `known`: it
-    is nearer to the model's own numbers.
+def _as_blocks_agree(prior: Array, sharp: Array, blurred: Array, mean: Array) -> tuple[Array, Array]:
+    """(mean [k], covariance [k, k]) by a prior and logs whose score b = J theta + e has noise of covariance J + M: J is
+    what they know by their curvature alone, M what the scores of their blocks disagree by.
+
+    The fit took M for 0: it is at `mean`, known by `sharp`; `blurred` is M through that. Where theta's prior is the
+    identity, K = (1 + J (J + M)^-1 J)^-1, and theta is at K J (J + M)^-1 b; in directions of which J is silent, it
+    stays. (A mean that is weakened along the axes of a covariance may turn round along those of another.)
     """
     root = np.linalg.cholesky(prior)
-    gained, gains = (np.eye(len(root)) - np.linalg.solve(root, np.linalg.solve(root, one).T) for one in (known, less))
-    by_logs = np.linalg.pinv(gained, rcond=SILENT, hermitian=True) @ np.linalg.solve(root, mean)
-    found: Array = root @ (gains @ by_logs)
-    return found
-
-
-def _no_more_than(prior: Array, known: Array) -> Array:
-    """`known`, in no direction less well than a prior says."""
-    root = np.linalg.cholesky(prior)
-    values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, known).T))
-    vectors = root @ vectors
-    return vectors @ np.diag(np.minimum(values, 1.0)) @ vectors.T
+    sharp, blurred = (np.linalg.solve(root, np.linalg.solve(root, one).T) for one in (sharp, blurred))
+    precise = np.linalg.inv(sharp)
+    values, vectors = np.linalg.eigh(precise - np.eye(len(root)))
+    values, vectors = values[values > SILENT], vectors[:, values > SILENT]
+    half, back = vectors * np.sqrt(values), precise @ vectors / np.sqrt(values)
+    weight = np.linalg.inv(np.eye(len(values)) + back.T @ blurred @ back)
+    known = np.linalg.inv(np.eye(len(root)) + half @ weight @ half.T)
+    found: Array = root @ known @ half @ weight @ back.T @ np.linalg.solve(root, mean)
+    return found, root @ known @ root.T
 
 
 def as_data(own: OwnNumbers) -> dict[str, Any]:

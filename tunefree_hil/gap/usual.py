@@ -32,6 +32,7 @@ Array = np.ndarray
 
 KEY = "usual"  # of card.json
 RESTLESS, OWN_MISSED = "restless", "own_missed"  # of it as well
+KINDS = ("loud", "gross", "share")  # of what is missed of a signal
 PEDALS = ("throttle_gain.gain_frac", "brake_gain.gain_frac")  # the same force along the car shows in either
 TIMES = 2.0  # as much missed as usual is as usual: another drive shakes more, or less
 HAD = 2.0  # deviations from neutral: what the own logs of a model that misses them leave open is no news either
@@ -45,7 +46,8 @@ class Usual(NamedTuple):
     it. broken: the targets that are missed by more than a calibrated model may. own: effects that explain the own logs,
     where these leave nothing broken, with what they are there; own_missed: what is missed of the own logs without them.
     restless: gains that the own logs would move otherwise in each block, by how many deviations: the car's form is not
-    quite the model's. loud, gross: as Looked has them, of the own logs, be they broken by that or just not.
+    quite the model's. loud, gross, share: as Looked has them, of the own logs, be they broken by that or just not; of a
+    card that does not have the share, what was missed stands for it.
     """
 
     missed: Mapping[str, float]
@@ -56,6 +58,7 @@ class Usual(NamedTuple):
     own_missed: Mapping[str, float] = {}
     loud: Mapping[str, float] = {}
     gross: Mapping[str, float] = {}
+    share: Mapping[str, float] = {}
 
     def more_restless(self, found: Mapping[str, float]) -> dict[str, float]:
         """Those that differ from block to block by more than usual."""
@@ -67,12 +70,15 @@ class Usual(NamedTuple):
         """Whether no more is missed of a target than of the own logs, whatever explained it there: it speaks against
         nobody who is asked about something else.
         """
-        most = max(self.missed.get(one.signal, 0.0), self.own_missed.get(one.signal, 0.0))
-        return self._beyond(one).amount <= TIMES * most
+        unexplained = self.own_missed.get(one.signal, 0.0)
+        return self.as_usual(one) or self.beyond(one).amount <= TIMES * unexplained
 
     def as_usual(self, one: Looked) -> bool:
-        """Whether no more is missed of a target, as a share of its signal, than usual."""
-        return self._beyond(one).amount <= TIMES * self.missed.get(one.signal, 0.0)
+        """Whether no more is missed of a target, as a share of its signal, than usual: of what could be explained, of
+        its moments and of the whole, each by itself.
+        """
+        usual = self.share.get(one.signal, self.missed.get(one.signal, 0.0))
+        return self.beyond(one).amount <= max(TIMES * usual, one.visible)
 
     def loud_from(self, target: str) -> float:
         """What moments of a target have to miss of its signal to be more than usual."""
@@ -82,7 +88,7 @@ class Usual(NamedTuple):
         """The same of the whole, whatever of it could be foretold."""
         return max(GROSS, TIMES * self.gross.get(target, 0.0))
 
-    def _beyond(self, one: Looked) -> Looked:
+    def beyond(self, one: Looked) -> Looked:
         """A target whose moments and whole say nothing where they are missed as usual: each is held against its own,
         and what could be explained against what could be there.
         """
@@ -119,8 +125,8 @@ def usual_in(card: Mapping[str, Any]) -> Usual:
         {str(name): _finite(one) for name, one in (card.get(key) or {}).items()} for key in (RESTLESS, OWN_MISSED)
     )
     broken = frozenset(str(name) for name in said["broken"]) if said else frozenset[str]()
-    loud, gross = ({name: _finite(one) for name, one in said.get(key, {}).items()} for key in ("loud", "gross"))
-    return Usual(missed, found, broken, there, restless, own_missed, loud, gross)
+    loud, gross, share = ({name: _finite(one) for name, one in said.get(key, {}).items()} for key in KINDS)
+    return Usual(missed, found, broken, there, restless, own_missed, loud, gross, share)
 
 
 def as_data(usual: Usual) -> dict[str, Any]:
@@ -131,7 +137,7 @@ def as_data(usual: Usual) -> dict[str, Any]:
     if usual.missed:
         broken = sorted(usual.broken)
         said[KEY] = {"missed": dict(usual.missed), "broken": broken, "effects": _as_numbers(usual.effects)}
-        said[KEY] |= {"loud": dict(usual.loud), "gross": dict(usual.gross)}
+        said[KEY] |= {key: dict(one) for key, one in zip(KINDS, (usual.loud, usual.gross, usual.share), strict=True)}
     return said
 
 

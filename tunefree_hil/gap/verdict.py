@@ -94,9 +94,9 @@ def not_it(
         if usual.as_usual(one):
             continue
         if one.signal not in worked:
-            as_there = usual.was_there(one)
-            if one.broken and not as_there and one.amount > max(worked.values(), default=0.0):
-                return f"explains less than what is left elsewhere: {one.missed}"
+            news = usual.beyond(one)
+            if one.broken and not usual.was_there(one) and news.amount > max(worked.values(), default=0.0):
+                return f"explains less than what is left elsewhere: {news.missed}"
         elif _is_as_wild(one, was[one.signal], usual):
             return f"still {one.missed}"
         elif one.broken and one.share > one.visible and left[one.signal] > MOST_LEFT:

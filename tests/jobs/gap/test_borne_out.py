@@ -74,18 +74,20 @@ def test_each_of_several_plain_names_needs_its_own_signals_word() -> None:
 
 
 @pytest.mark.parametrize(
-    ("there", "low", "usual", "says"),
+    ("there", "low", "usual", "faint", "says"),
     [
-        (0.95, 0.04, ["rate_of_speed"], True),
-        (0.95, 0.04, [], False),  # the model comes near its own logs: then the whole gap has to go
-        (0.75, 0.04, ["rate_of_speed"], False),  # a quarter of its own signal stays
-        (0.95, -0.02, ["rate_of_speed"], False),  # nothing is surely the better for it
+        (0.95, 0.04, ["rate_of_speed"], False, True),
+        (0.95, 0.04, [], False, False),  # the model comes near its own logs: then the whole gap has to go
+        (0.75, 0.04, ["rate_of_speed"], False, False),  # a quarter of its own signal stays
+        (0.95, -0.02, ["rate_of_speed"], False, False),  # nothing is surely the better for it
+        (0.95, 0.004, ["rate_of_speed"], False, False),  # nothing to speak of is
+        (0.95, 0.04, ["rate_of_speed"], True, False),  # a faint name needs the gap itself
     ],
 )
 def test_with_a_poor_model_most_of_its_own_signal_speaks_for_a_name_of_little_evidence(
-    there: float, low: float, usual: list[str], says: bool
+    there: float, low: float, usual: list[str], faint: bool, says: bool
 ) -> None:
-    scale = {"name": "speed_scale", "evidence": 27.0, "faint": False, "shrink": 0.95, "unseen_shrink": there}
+    scale = {"name": "speed_scale", "evidence": 27.0, "faint": faint, "shrink": 0.95, "unseen_shrink": there}
     told = {"effects": [{**scale, "unseen_stirs": 0.99}], "links": [{"broken": True}], "as_usual": usual}
     assert is_borne_out(told, {"value": 0.2, "low": low, "high": 0.58}) is says
 

@@ -54,9 +54,10 @@ def _is_there_too(answer: Mapping[str, Any], closes: Mapping[str, float]) -> boo
     effects have to show themselves on their own signals, and may do so by that alone.
     """
     told = [[one.get(key) for key in ("shrink", "unseen_shrink", "unseen_stirs")] for one in answer["effects"]]
-    poor = bool(answer.get("as_usual")) and closes["low"] > 0.0
+    poor = bool(answer.get("as_usual")) and closes["low"] > SHOWS
     plain = all(
-        (one.get("evidence") or 0.0) > PLAIN_NATS or (poor and (one.get("unseen_shrink") or 0.0) > MOSTLY)
+        (one.get("evidence") or 0.0) > PLAIN_NATS
+        or (poor and not one.get("faint") and (one.get("unseen_shrink") or 0.0) > MOSTLY)
         for one in answer["effects"]
     )
     if not plain or any(one is None for some in told for one in some):
