@@ -3,7 +3,7 @@
     tools/vcan_vm --cpus 2 -- .venv/bin/python -m pytest tests/vcan -m vcan
 
 Everything is skipped, with the reason, where the links are not there. A machine that `tools/vcan_vm` emulates is some
-20 times slower than its host: the scenarios last 5 s, nodes are not compiled, and what need not be imported is not.
+20 times slower than its host: the scenarios last 3 s, nodes are not compiled, and what need not be imported is not.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ pytestmark = [pytest.mark.vcan, pytest.mark.timeout(3000)]
 
 BENCH = load(HERE / "bench.toml")
 FAMILIES = BENCH.spec.scenarios
-FLOODED = "turn_5s"
+FLOODED = "turn_3s"
 NOT_OURS = 0x7A5
 UNDER_WAY = 10_000  # bytes of a vehicle.log that is being written
 

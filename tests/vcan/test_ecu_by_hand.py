@@ -21,7 +21,7 @@ from tunefree_hil.episode.candump import LogFrame
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(3000)]
 
-SCENARIO = "turn_5s"
+SCENARIO = "turn_3s"
 BY_LOG_RAD, BY_HAND_RAD = -1.0, 1.0
 PERIOD_S, CYCLES = 0.02, 60  # of the log: 1.2 s
 SENDS = 25  # cycles by hand, as fast as a shell starts programs

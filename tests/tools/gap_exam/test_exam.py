@@ -163,8 +163,8 @@ EXAM = exam_of(DOMAIN)
 
 
 def asked_for() -> list[int]:
-    """What `words` asks for: the first six of a part of the pairs."""
-    return [case.number for case in chosen(EXAM, Wish(Path("unused"), rows=("two",), part="1/4", logs=6))]
+    """What `words` asks for: the first four of a part of the pairs."""
+    return [case.number for case in chosen(EXAM, Wish(Path("unused"), rows=("two",), part="1/4", logs=4))]
 
 
 def words(folder: Path, pause: float = 0.0) -> list[str]:
@@ -186,7 +186,7 @@ def words(folder: Path, pause: float = 0.0) -> list[str]:
         "--part",
         "1/4",
         "--logs",
-        "6",
+        "4",
     ]
 
 
