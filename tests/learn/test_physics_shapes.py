@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,6 +12,7 @@ from tests.learn.made_drives import REST, made_drive, whole
 from tunefree_hil.base.contracts import make_effect
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.effects import powertrain_lag
+from tunefree_hil.learn import physics
 from tunefree_hil.learn.least import Least
 from tunefree_hil.learn.physics import PhysicsFit, fit, is_clear
 from tunefree_hil.learn.physics_problem import LAG, Problem
@@ -126,6 +130,25 @@ def test_a_car_that_pushes_late_is_no_rolling_resistance() -> None:
     assert abs(without["rolling_frac"] / truth - 1.0) > 0.1
     assert without["drive_force_n"] > 1.2 * DEFAULTS["drive_force_n"]
     assert found.values["drive_force_n"].value == pytest.approx(DEFAULTS["drive_force_n"], rel=0.03)
+
+
+@pytest.mark.slow
+def test_constants_are_not_fitted_beside_a_lag_that_stays_out_of_the_model() -> None:
+    """The error that a card states is that of the model as it is written."""
+    some = driven({}, lag_s=0.3)
+    with Worker() as worker:
+        words = some, fixed_params(VEHICLE), constants(VEHICLE), 0.35
+        found = worker.result("tests.learn.test_physics_shapes", "fit_where_no_lag_is_clear", *words)
+        written = worker.result("tunefree_hil.learn.window_runs", "errors", found.params, found.off(), some)
+    assert not found.values[LAG].known and found.off().throttle_lag_s == 0.0
+    assert found.after["speed_mps"] == pytest.approx(rms_of(written)["speed_mps"], rel=0.02) > 0.1
+    assert found.values["drive_force_n"].value > 1.1 * DEFAULTS["drive_force_n"]
+
+
+def fit_where_no_lag_is_clear(*asked: Any) -> Generator[Any, None, PhysicsFit]:
+    """For a process of its own."""
+    physics.is_clear = lambda name, value: name != LAG and is_clear(name, value)
+    return (yield from fit(*asked))
 
 
 def fitted_without_lag(some: Windows) -> tuple[dict[str, float], float]:

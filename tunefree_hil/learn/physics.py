@@ -97,7 +97,7 @@ def fit(
     problem.rescale(problem.values(names, least.x))
     least = solved(problem, names, least.x, 15)
     yield 2, STEPS
-    names, least = shaped(problem, names, least)
+    names, least = _clear(problem, *shaped(problem, names, least))
     yield 3, STEPS
     joint, jointly = problem.values(names, least.x), rms_of(problem.misses(problem.values(names, least.x)))
     first = names, least
@@ -113,7 +113,8 @@ def fit(
     found = {name: _value(problem, names, least, name, doubts, lost) for name in problem.known}
     if any(after[name] > WORSE * jointly[name] for name in after):  # what was known before is no car that drives so
         values, after = joint, jointly
-        found = {name: together_with(one, joint[name], TOGETHER) for name, one in found.items()}
+        some = {name: one for name, one in found.items() if one.why != PLAIN}
+        found |= {name: together_with(one, joint[name], TOGETHER) for name, one in some.items()}
         found |= _known_jointly(problem, *first)
     return PhysicsFit(found, problem.params(values), before, after, len(windows.some), windows.words, related)
 
@@ -144,6 +145,17 @@ def _told(
             least = solved(problem, names, least.x[keep], 10)
         yield min(4 + len(lost), STEPS - 1), STEPS
     return names, least, lost
+
+
+def _clear(problem: Problem, names: list[str], least: Least) -> tuple[list[str], Least]:
+    """The same without a lag that is not clear: it stays out of the model, and fitted beside it the others would be
+    those of another car.
+    """
+    doubts = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
+    if LAG not in names or is_clear(LAG, _value(problem, names, least, LAG, doubts, {})):
+        return names, least
+    others = [one for one in names if one != LAG]
+    return others, solved(problem, others, np.delete(least.x, names.index(LAG)), 15)
 
 
 def _unfitted(
