@@ -149,6 +149,29 @@ def test_effects_of_a_channel_count(track: Track, truth: ModelSpec) -> None:
     assert body_change(other).grade_rad == 0.1 and body_change(truth).grade_rad == 0.0
 
 
+def test_what_a_person_drives_has_the_effects_behind_the_actuators_as_well(track: Track, truth: ModelSpec) -> None:
+    """Else a network would learn them from the motion, and the model that has them would have them twice."""
+    effects = [
+        EffectSpec(name="steer_offset", params={"offset_rad": 0.05}),
+        EffectSpec(name="powertrain_lag", params={"tau_s": 0.3}),
+        EffectSpec(name="steer_rate_limit", params={"rate_radps": 0.01}),  # before the report
+    ]
+    fields = {name: getattr(truth, name) for name in truth.__struct_fields__}
+    recorded = track.recorded.copy()
+    recorded[:150, 2] = np.nan
+    recorded[:50, 0] = 0.5
+    person = track._replace(recorded=recorded, obeyed=np.zeros_like(track.obeyed))
+    found = outputs_of(person, type(truth)(**{**fields, "effects": effects}), REST)
+    assert np.isnan(found[:150, 2]).all() and np.allclose(found[150:, 2], recorded[150:, 2] + 0.05)
+    assert np.array_equal(found[:, 1], recorded[:, 1])
+    assert np.allclose(found[:50, 0], 0.5, atol=1e-3), "the lag begins where the throttle was"
+    y, expected = 0.5, []
+    for x in recorded[:, 0]:
+        y += (1.0 - np.exp(-track.dt_s / 0.3)) * (x - y)
+        expected.append(y)
+    assert np.abs(found[:, 0] - expected).max() < 0.03 and np.abs(found[:, 0] - recorded[:, 0]).max() > 0.1
+
+
 def test_short_parts_are_left_out(drive: Drive, vehicle: VehicleSpec) -> None:
     parts = [Part(drive, 0, WINDOW - 1), Part(drive, 500, 1500)]
     assert [one.begin for one in tracks_of(parts, vehicle)] == [500]

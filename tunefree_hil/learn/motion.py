@@ -35,6 +35,7 @@ HILL_RAD = 0.015  # from here on a stretch counts as a hill; what a bias leaves 
 MOST_DOUBT_RAD = 0.5 * HILL_RAD  # of a slope: an accelerometer that shakes more than that says nothing about the road
 SLOW_MPS = 1.0  # below it an accelerometer says little about the road: stick, pitch, brakes
 CHANNELS = ("throttle", "brake", "steer")
+SETTLED_S = 3.0  # for which an effect behind an actuator has had its first value, so that it begins as if for ever
 
 
 class Track(NamedTuple):
@@ -191,10 +192,12 @@ def actuator_params(spec: ActuatorSpec, rest: float, initial: float) -> Actuator
 def outputs_of(track: Track, model: ModelSpec, rest: float, identity: bool = False) -> Array:
     """[n, 3]: what the model's own actuators, and its effects before and behind them, make of the commands.
 
-    Where the vehicle did not obey its commands (or had none) the recorded output stands. identity: a plant that takes
-    commands (kind paper) has no actuators.
+    Where the vehicle did not obey its commands (or had none) the recorded output stands for that of the actuator, and
+    has the effects behind it all the same. identity: a plant that takes commands (kind paper) has no actuators.
     """
-    found = np.array(track.recorded, dtype=np.float64)
+    found = np.stack(
+        [_as_felt(track, model, i, 0.0 if name == "steer" else rest) for i, name in enumerate(CHANNELS)], axis=1
+    )
     by_accel = track.asked_mps2 is not None and not identity
     for column, name in enumerate(CHANNELS):
         if by_accel and name != "steer":
@@ -206,6 +209,19 @@ def outputs_of(track: Track, model: ModelSpec, rest: float, identity: bool = Fal
             found[begin:end, column] = _driven(block, commands, track.dt_s)
     if by_accel:
         _by_accel(track, model, rest, found)
+    return found
+
+
+def _as_felt(track: Track, model: ModelSpec, column: int, idle: float) -> Array:
+    """[n]: the recorded outputs of a channel with the effects that lie between them and the car, where it did not obey.
+    These have had the first value for long.
+    """
+    found = np.array(track.recorded[:, column], dtype=np.float64)
+    if behind := _effects_at(model, f"{CHANNELS[column]} B", idle):
+        before = math.ceil(SETTLED_S / track.dt_s)
+        for begin, end in runs(~track.obeyed[:, column] & np.isfinite(found)):
+            held = np.concatenate([np.full(before, found[begin]), found[begin:end]])
+            found[begin:end] = _driven(_in_series(behind), held, track.dt_s)[before:]
     return found
 
 
@@ -231,18 +247,24 @@ def body_change(model: ModelSpec) -> BodyChange:
 
 def _channel_block(model: ModelSpec, name: str, rest: float, initial: float, identity: bool) -> Block:
     """Effects A, actuator, effects on its output, effects B of one channel, in series."""
-    before, ends, behind = [], [], []
-    places = {f"{name} A": before, f"{name} out A": ends, f"{name} B": behind}
+    before, ends, behind = (_effects_at(model, f"{name} {place}", rest) for place in ("A", "out A", "B"))
+    spec = model.actuators.get(name, ActuatorSpec())
+    own = ActuatorParams(rest=rest, initial=initial) if identity else actuator_params(spec, rest, initial)
+    return _in_series([*before, actuator(own), *ends, *behind])
+
+
+def _effects_at(model: ModelSpec, port: str, rest: float) -> list[Block]:
+    """The model's own effects at a port, in its order."""
+    found = []
     for spec in model.effects:
         effect = parts.load("tunefree_hil.effects", spec.name, "EFFECT")
-        if effect.port.value in places:
-            made = make_effect(effect, spec.params, rest=rest, name=spec.name)
-            if isinstance(made, Block):
-                places[effect.port.value].append(made)
-    own = ActuatorParams(rest=rest, initial=initial)
-    if not identity:
-        own = actuator_params(model.actuators.get(name, ActuatorSpec()), rest, initial)
-    chain = [*before, actuator(own), *ends, *behind]
+        made = make_effect(effect, spec.params, rest=rest, name=spec.name) if effect.port.value == port else None
+        if isinstance(made, Block):
+            found.append(made)
+    return found
+
+
+def _in_series(chain: Sequence[Block]) -> Block:
     block = chain[0]
     for one in chain[1:]:
         block = series(block, one)
