@@ -139,10 +139,12 @@ def test_constants_are_not_fitted_beside_a_lag_that_stays_out_of_the_model() -> 
     with Worker() as worker:
         words = some, fixed_params(VEHICLE), constants(VEHICLE), 0.35
         found = worker.result("tests.learn.test_physics_shapes", "fit_where_no_lag_is_clear", *words)
-        written = worker.result("tunefree_hil.learn.window_runs", "errors", found.params, found.off(), some)
+        written = worker.result(
+            "tunefree_hil.learn.window_runs", "errors", found.params, found.off(), problem_of(some).some
+        )
     assert not found.values[LAG].known and found.off().throttle_lag_s == 0.0
-    assert found.after["speed_mps"] == pytest.approx(rms_of(written)["speed_mps"], rel=0.02) > 0.1
-    assert found.values["drive_force_n"].value > 1.1 * DEFAULTS["drive_force_n"]
+    assert found.after["speed_mps"] == pytest.approx(rms_of(written)["speed_mps"], rel=0.02)
+    assert found.after["speed_mps"] > 0.05, "it is the worse for it, and says so"
 
 
 def fit_where_no_lag_is_clear(*asked: Any) -> Generator[Any, None, PhysicsFit]:
