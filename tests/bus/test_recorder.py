@@ -190,6 +190,22 @@ def test_what_came_before_an_episode_belongs_to_none(bus: Bus) -> None:
     assert len(bus.log()) == len(frames)
 
 
+def test_a_flood_does_not_keep_an_episode_from_its_start(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody sends faster than we read: what waits in a queue is from before, and no more than that is read."""
+    read = bus.recorder.read
+    heard: list[int] = []
+
+    def flooded() -> int:
+        bus.sock.arrive(*[CanFrame(0x7FF, b"flood")] * 50)
+        heard.append(read())
+        return heard[-1]
+
+    monkeypatch.setattr(module, "MOST_OLD", 120)
+    monkeypatch.setattr(bus.recorder, "read", flooded)
+    bus.start()
+    assert heard == [50, 50, 50]
+
+
 def test_a_log_that_cannot_be_made_leaves_nothing(bus: Bus, tmp_path: Path) -> None:
     bus.paths["bench"] = tmp_path / "none" / "bench.log"
     with pytest.raises(BenchError, match="cannot be written"):

@@ -21,6 +21,7 @@ from tunefree_hil.gap.null import Nuisance, correlation
 from tunefree_hil.gap.own_numbers import (
     NOBODY_ASKED,
     OwnNumbers,
+    _as_blocks_agree,
     after_own,
     as_data,
     own_numbers,
@@ -132,7 +133,8 @@ def test_own_logs_are_believed_as_far_as_their_blocks_agree() -> None:
     curve, z = np.diag([100.0, 0.0]), np.array([0.7, 0.0])
     sure, unsure, nobody = (own_numbers(null(some, 0.0, curve, z, by), some, ALL) for by in (0.0, 5.0, 50.0))
     assert sure.keys == (FORCE, KNEE) and sure.off[0] == pytest.approx(0.7 * some[0].sigma, rel=0.02)
-    believed = 1.0 / (1.0 + 5.0**2 * BLOCKS / (BLOCKS - 1))  # of what they know
+    # of what they know; the other direction, of which they are silent, is no average
+    believed = 1.0 / (1.0 + 5.0**2 * BLOCKS / (BLOCKS - 1))
     by = [(one.covariance[0, 0] - some[0].drift ** 2) / some[0].sigma ** 2 for one in (sure, unsure)]
     assert by == pytest.approx([1.0 / 101.0, 1.0 / (1.0 + 100.0 * believed)], rel=0.1)
     moved_by = 101.0 * believed / (1.0 + 100.0 * believed)  # by the same measurement, that much weaker
@@ -167,9 +169,31 @@ def test_no_other_weight_of_blocks_that_disagree_comes_nearer_to_the_car(
         return float(np.trace((by @ j - np.eye(2)) @ (by @ j - np.eye(2)).T + by @ (j + m) @ by.T))
 
     each = [own_numbers(null(some, 0.0, j, trusts @ score, m), some, ALL) for score in np.eye(2)]
+    share = 2.0 / (BLOCKS + 1.0)  # what is drawn to the average of both
+    m = (1.0 - share) * m + share * float(np.trace(np.linalg.solve(j, m))) / 2.0 * j
     mine = np.stack([one.off for one in each], axis=1) / 0.03
     assert left(mine) <= left(trusts) * (1.0 + 1e-6)
     assert float(np.trace(each[0].covariance)) / 0.03**2 == pytest.approx(left(mine), rel=1e-4)
+
+
+@pytest.mark.parametrize(("judged", "drifts"), [(6, 0.0), (6, 1.0), (9, 1.0), (30, 1.0)])
+def test_with_fewer_blocks_than_numbers_no_more_is_believed_than_is_known(judged: int, drifts: float) -> None:
+    """Sixteen numbers; of a minute there are six blocks, each of which tells five directions, each otherwise."""
+    chance, size, squares, turned = np.random.default_rng(1), 16, list[Array](), list[Array]()
+    for _ in range(100):
+        roots = [chance.standard_normal((size, 5)) * 10.0 ** chance.uniform(0.0, 0.5) for _ in range(judged)]
+        theta = chance.standard_normal(size)
+        each = [theta + drifts * chance.standard_normal(size) for _ in roots]
+        scores = np.array(
+            [root @ (root.T @ one + chance.standard_normal(5)) for root, one in zip(roots, each, strict=True)]
+        )
+        pulls = scores - scores.mean(axis=0)
+        sharp = np.linalg.inv(sum(root @ root.T for root in roots) + np.eye(size))
+        mean, blurred = sharp @ scores.sum(axis=0), sharp @ (judged / (judged - 1.0) * pulls.T @ pulls) @ sharp
+        found, known = _as_blocks_agree(np.eye(size), sharp, blurred, mean, judged)
+        squares.append((found - theta) ** 2 / np.diag(known))
+        turned.append((found * mean < 0.0) & (np.minimum(np.abs(mean), np.abs(found)) > 0.3))
+    assert np.mean(squares) < 1.3 and np.mean(turned) < 0.015
 
 
 def carded(folder: Path, card: dict[str, Any]) -> ModelSpec:

@@ -15,7 +15,7 @@ from tunefree_hil.gap.decide import Weighed
 from tunefree_hil.gap.drifts import DRIFT
 from tunefree_hil.gap.excitation import Excited
 from tunefree_hil.gap.locate import Looked
-from tunefree_hil.gap.usual import NOTHING
+from tunefree_hil.gap.usual import NOTHING, Usual
 from tunefree_hil.gap.verdict import (
     SET_NATS,
     alike_words,
@@ -196,6 +196,18 @@ def test_of_a_name_no_larger_than_a_days_change_that_is_said() -> None:
         "brake_gain: so little of it may come and go from day to day",
     )
     assert small_words({"brake_gain": {"gain_frac": 1.0 + 2.1 * by}}) == ()
+
+
+def test_only_what_is_missed_beyond_usual_is_quoted_and_the_worst_of_that_first() -> None:
+    yaw = Looked("yaw_rate", Link.REPORT_TO_MOTION, "rad/s", 0.2, 0.1, 0.2, 0.35, True, loud=0.25)
+    speed = yaw._replace(signal="rate_of_speed", share=0.2, loud=0.39)
+    usual = Usual({}, {}, loud={"yaw_rate": 0.2, "rate_of_speed": 0.39}, share={"yaw_rate": 0.02})
+    _, _, (words,) = verdict_of([], [], [speed, yaw], "", {}, (), {}, usual)
+    assert words == "yaw_rate is missed by 35.0%, and no effect explains it"
+    assert still_words([yaw], [], usual)[0].startswith("yaw_rate is missed by 35.0% all the same")
+    gross = yaw._replace(gross=0.5)
+    said = not_it([gross], [gross], {"yaw_rate": 0.1}, {"yaw_rate": 0.3}, usual)
+    assert said.startswith("still yaw_rate is missed by 50% of the signal, and little")
 
 
 def test_what_is_missed_beside_a_name_is_said() -> None:

@@ -14,7 +14,7 @@ from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.effects import powertrain_lag
 from tunefree_hil.learn import physics
 from tunefree_hil.learn.least import Least
-from tunefree_hil.learn.physics import PhysicsFit, fit, is_clear
+from tunefree_hil.learn.physics import UNCLEAR, PhysicsFit, fit, is_clear
 from tunefree_hil.learn.physics_problem import LAG, Problem
 from tunefree_hil.learn.physics_shapes import PAYS, PLAIN, SHAPES, pays, shaped
 from tunefree_hil.learn.sheet import Constant, constants, fixed_params
@@ -143,6 +143,7 @@ def test_constants_are_not_fitted_beside_a_lag_that_stays_out_of_the_model() -> 
             "tunefree_hil.learn.window_runs", "errors", found.params, found.off(), problem_of(some).some
         )
     assert not found.values[LAG].known and found.off().throttle_lag_s == 0.0
+    assert found.values[LAG].why == UNCLEAR, "it would have paid"
     assert found.after["speed_mps"] == pytest.approx(rms_of(written)["speed_mps"], rel=0.02)
     assert found.after["speed_mps"] > 0.05, "it is the worse for it, and says so"
 

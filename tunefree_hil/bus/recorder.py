@@ -28,7 +28,7 @@ from tunefree_hil.bus.tfhub.records import EFF_FLAG, EFF_MASK, ERR_FLAG, Raw, pa
 
 SETTLE_S = 1.0  # how long the end of a log waits for frames that were announced; SocketCAN delivers at once
 LOOK_S = 0.01
-MOST_OLD = 100  # reads of what came before an episode; a flood has no end
+MOST_OLD = 30_000  # frames that came before an episode, as many as wait in a queue of 16 MiB; a flood has no end
 LOG_SLICE = 256  # frames made into text at a time
 NOT_WHOLE = ("rx_overflow", "link_down", "bus_error", "frames_missing")  # trouble after which a log lacks frames
 
@@ -85,9 +85,9 @@ class Recorder:
         """Begin an episode; what came before belongs to none. BenchError when a file cannot be made."""
         if self._logs:
             raise BenchError("a log is being written already", code="log_runs", hint="stop it first")
-        looks = MOST_OLD
-        while looks and self.read():
-            looks -= 1
+        left = MOST_OLD
+        while left > 0 and (heard := self.read()):
+            left -= heard
         self.trouble = None  # what was told of frames that belong to no episode
         self._forgive()
         names = {"vehicle": self.vehicle.interface, "bench": self._bench_name}

@@ -9,8 +9,8 @@ A number of the own logs' day and the same number of a later day are theta + d a
 d' drifts. Of both the prior covariance is [[S, T], [T, S]], S = T + D: T what the calibration leaves open, D the drift.
 Where the own logs put theirs at m, known by C, theta is at T S^-1 m, known by T - T S^-1 (S - C) S^-1 T. Blocks of the
 logs that disagree are believed the less: both m and C are then those of logs whose noise is the larger by just that
-(`_as_blocks_agree`). Later logs are held against the model moved there (`repair.moved`), and its recalibration knows
-theta so well (`after_own`).
+(`_as_blocks_agree`), and what a few blocks do not say of many numbers is taken from the average (`_shrunk`). Later
+logs are held against the model moved there (`repair.moved`), and its recalibration knows theta so well (`after_own`).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def own_numbers(null: Fitted, drifting: Sequence[Nuisance], blocks: Array) -> Ow
     told = prior - np.diag(sigma**2 - [one.told**2 for one in mine])
     carried = np.linalg.solve(prior, told).T  # T S^-1
     sharp, blurred = (one(null, blocks)[np.ix_(at, at)] * units for one in (curvature, by_blocks))
-    mean, known = _as_blocks_agree(prior, sharp, blurred, sigma * null.z[at])
+    mean, known = _as_blocks_agree(prior, sharp, blurred, sigma * null.z[at], len(blocks))
     off = carried @ mean
     return OwnNumbers(tuple(one.key for one in mine), off, told - carried @ (prior - known) @ carried.T)
 
@@ -79,9 +79,10 @@ def after_own(some: Sequence[Nuisance], correlation: Array, own: OwnNumbers) -> 
     return found, whole / np.outer(sigma, sigma)
 
 
-def _as_blocks_agree(prior: Array, sharp: Array, blurred: Array, mean: Array) -> tuple[Array, Array]:
+def _as_blocks_agree(prior: Array, sharp: Array, blurred: Array, mean: Array, blocks: int) -> tuple[Array, Array]:
     """(mean [k], covariance [k, k]) by a prior and logs whose score b = J theta + e has noise of covariance J + M: J is
-    what they know by their curvature alone, M what the scores of their blocks disagree by.
+    what they know by their curvature alone, M what the scores of their blocks disagree by. Of blocks that agree M is
+    their noise, and as large as J: such logs are believed by half.
 
     The fit took M for 0: it is at `mean`, known by `sharp`; `blurred` is M through that. Where theta's prior is the
     identity, K = (1 + J (J + M)^-1 J)^-1, and theta is at K J (J + M)^-1 b; in directions of which J is silent, it
@@ -93,10 +94,22 @@ def _as_blocks_agree(prior: Array, sharp: Array, blurred: Array, mean: Array) ->
     values, vectors = np.linalg.eigh(precise - np.eye(len(root)))
     values, vectors = values[values > SILENT], vectors[:, values > SILENT]
     half, back = vectors * np.sqrt(values), precise @ vectors / np.sqrt(values)
-    weight = np.linalg.inv(np.eye(len(values)) + back.T @ blurred @ back)
+    weight = np.linalg.inv(np.eye(len(values)) + _shrunk(back.T @ blurred @ back, blocks))
     known = np.linalg.inv(np.eye(len(root)) + half @ weight @ half.T)
     found: Array = root @ known @ half @ weight @ back.T @ np.linalg.solve(root, mean)
     return found, root @ known @ root.T
+
+
+def _shrunk(disagree: Array, blocks: int) -> Array:
+    """What the scores of so many blocks disagree by in each direction [k, k], where their noise is 1: drawn to the
+    average by as much as it is not known. With fewer blocks than numbers nothing is seen to disagree in some
+    directions, and they are no surer for that.
+    """
+    size = len(disagree)
+    if not size:
+        return disagree
+    share = size / (size + blocks - 1)
+    return (1.0 - share) * disagree + share * np.trace(disagree) / size * np.eye(size)
 
 
 def as_data(own: OwnNumbers) -> dict[str, Any]:

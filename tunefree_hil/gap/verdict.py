@@ -47,7 +47,7 @@ def verdict_of(
     if lost:
         return "none_of_these", (), tuple(lost)
     if not steps:
-        beyond = [one for one in looked if one.broken and not usual.as_usual(one)]
+        beyond = _news(looked, usual)
         worst, doubtful = (beyond or looked)[0], first and first[0].counts and outdone(first)
         if doubtful:
             words = f"{first[0].name} would explain it, {doubtful} would explain more"
@@ -71,11 +71,16 @@ def verdict_of(
     names = dict.fromkeys(name for step in steps for name in (step.name, *step.others))
     if all(step.faint and step.evidence < SET_NATS for step in steps):
         words = f"{', '.join(names)} would each explain a part of what a model may miss"
-        missed = [one.missed for one in looked if one.broken and not usual.as_usual(one)]
-        if missed:
-            return "none_of_these", (), (f"{words}; {missed[0]}, and none of them explains that",)
+        if missed := _news(looked, usual):
+            return "none_of_these", (), (f"{words}; {missed[0].missed}, and none of them explains that",)
         return "none_missing", (), (f"{words}, and no link is broken",)
     return "set", tuple(names), tuple(_set_words(step, held[step.name]) for step in steps)
+
+
+def _news(looked: Sequence[Looked], usual: Usual) -> list[Looked]:
+    """The broken targets that are missed by more than usual, without what is usual in them, the worst first."""
+    some = [usual.beyond(one) for one in looked if one.broken and not usual.as_usual(one)]
+    return sorted(some, key=lambda one: -one.amount)
 
 
 def not_it(
@@ -98,7 +103,7 @@ def not_it(
             if one.broken and not usual.was_there(one) and news.amount > max(worked.values(), default=0.0):
                 return f"explains less than what is left elsewhere: {news.missed}"
         elif _is_as_wild(one, was[one.signal], usual):
-            return f"still {one.missed}"
+            return f"still {usual.beyond(one).missed}"
         elif one.broken and one.share > one.visible and left[one.signal] > MOST_LEFT:
             return f"leaves {left[one.signal]:.0%} of what could be explained of {one.signal}"
     return ""
@@ -110,7 +115,7 @@ def still_words(still: Sequence[Looked], worked: Iterable[str], usual: Usual = N
     """
     some = [one for one in still if one.broken and one.signal not in worked]
     return tuple(
-        f"{one.missed} all the same, and nothing that is named here explains that"
+        f"{usual.beyond(one).missed} all the same, and nothing that is named here explains that"
         for one in some
         if not usual.was_there(one)
     )

@@ -35,7 +35,7 @@ HILL_RAD = 0.015  # from here on a stretch counts as a hill; what a bias leaves 
 MOST_DOUBT_RAD = 0.5 * HILL_RAD  # of a slope: an accelerometer that shakes more than that says nothing about the road
 SLOW_MPS = 1.0  # below it an accelerometer says little about the road: stick, pitch, brakes
 CHANNELS = ("throttle", "brake", "steer")
-SETTLED_S = 3.0  # for which an effect behind an actuator has had its first value, so that it begins as if for ever
+SETTLED_S = 10.0  # for which an effect behind an actuator has had its first value, so that it begins as if for ever
 
 
 class Track(NamedTuple):

@@ -40,6 +40,7 @@ STEPS = 8  # that are told of a fit, however many there are
 KNOWN_SHARE = 0.5  # of the doubt before the fit that may be left after it
 HOPELESS = 0.95  # of it: nothing at all was learned
 WORSE = 1.5  # than with all constants free, from which on what was known before is not gone back to
+UNCLEAR = "the speed is missed by less with it, and these logs do not tell it from none"
 TOGETHER = "these logs tell it only together with the others: the best of all together"
 
 
@@ -97,8 +98,23 @@ def fit(
     problem.rescale(problem.values(names, least.x))
     least = solved(problem, names, least.x, 15)
     yield 2, STEPS
-    names, least = _clear(problem, *shaped(problem, names, least))
+    names, least = shaped(problem, names, least)
     yield 3, STEPS
+    found = yield from _known(problem, names, least, before, windows)
+    if LAG in names and not is_clear(LAG, found.values[LAG]):
+        # It stays out of the model, and fitted beside it the others would be those of another car.
+        others = [one for one in names if one != LAG]
+        least = solved(problem, others, np.delete(least.x, names.index(LAG)), 15)
+        found = yield from _known(problem, others, least, before, windows)
+        found.values[LAG] = _taken(problem, LAG, {})._replace(why=UNCLEAR)
+    yield STEPS, STEPS
+    return found
+
+
+def _known(
+    problem: Problem, names: list[str], least: Least, before: dict[str, float], windows: Windows
+) -> Generator[tuple[int, int], None, PhysicsFit]:
+    """What a fit of all these constants makes known, and the car that follows from that."""
     joint, jointly = problem.values(names, least.x), rms_of(problem.misses(problem.values(names, least.x)))
     first = names, least
     doubts = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
@@ -106,7 +122,6 @@ def fit(
     names, least, lost = yield from _told(problem, names, least)
     values = problem.values(names, least.x if names else np.zeros(0))
     after = rms_of(problem.misses(values))
-    yield STEPS, STEPS
     if names and lost:  # held where they were known before, they would lend the others a certainty that nobody has
         alone = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
         doubts = {name: max(doubts[name], one) for name, one in alone.items()}
@@ -128,7 +143,7 @@ def _known_jointly(problem: Problem, names: list[str], least: Least) -> dict[str
 
 def _told(
     problem: Problem, names: list[str], least: Least
-) -> Generator[Any, None, tuple[list[str], Least, dict[str, float]]]:
+) -> Generator[tuple[int, int], None, tuple[list[str], Least, dict[str, float]]]:
     """(constants that the windows tell, their fit, what is left of the doubt about each of the others): what they do
     not tell is held where it was known before, and the rest fitted again.
     """
@@ -145,17 +160,6 @@ def _told(
             least = solved(problem, names, least.x[keep], 10)
         yield min(4 + len(lost), STEPS - 1), STEPS
     return names, least, lost
-
-
-def _clear(problem: Problem, names: list[str], least: Least) -> tuple[list[str], Least]:
-    """The same without a lag that is not clear: it stays out of the model, and fitted beside it the others would be
-    those of another car.
-    """
-    doubts = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
-    if LAG not in names or is_clear(LAG, _value(problem, names, least, LAG, doubts, {})):
-        return names, least
-    others = [one for one in names if one != LAG]
-    return others, solved(problem, others, np.delete(least.x, names.index(LAG)), 15)
 
 
 def _unfitted(

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 torch = pytest.importorskip("torch")
 
 from tests.learn.training.made import REST, physics, track  # noqa: E402
+from tunefree_hil.config.schema import EffectSpec  # noqa: E402
 from tunefree_hil.learn.training.windows import (  # noqa: E402
     FEW,
     SPEED,
@@ -35,6 +37,15 @@ def held(speeds: list[float], rows: int = 3000) -> Pool:
     motion[:, SPEED] = torch.tensor(speeds, dtype=torch.float64).repeat_interleave(rows)
     inputs = torch.zeros((n, 3), dtype=torch.float64) + torch.tensor([REST, REST, 0.0])
     return Pool(0.01, REST, inputs, inputs, motion, torch.zeros(n), ((0, n),))
+
+
+def test_what_takes_commands_learns_from_what_its_effects_make_of_them(pool: Pool) -> None:
+    """A bench runs them before it: learned as well, they would be there twice. The actuators are its own."""
+    offset = EffectSpec(name="steer_offset", params={"offset_rad": 0.05})
+    other = pool_of([track(1), track(2)], replace(physics(), effects=[offset]), REST)
+    moved, asked = other.commands - pool.commands, pool.commands
+    assert moved[:, 2].numpy() == pytest.approx(0.05) and not moved[:, :2].any()
+    assert asked.numpy() == pytest.approx(np.concatenate([one.commands for one in (track(1), track(2))]))
 
 
 def test_a_kind_counts_by_the_root_of_its_share() -> None:

@@ -64,7 +64,8 @@ def pool_of(tracks: Sequence[Track], model: ModelSpec, rest: float) -> Pool:
         at += track.rows
     motion = [np.stack([t.speed_mps, t.yaw_rate_radps, t.accel_mps2, t.heading_rad, t.x_m, t.y_m], 1) for t in tracks]
     outputs = [outputs_of(track, model, rest) for track in tracks]
-    asked = [np.where(track.obeyed, track.commands, track.recorded) for track in tracks]
+    # kind paper learns from what its effects make of the commands: they are run before it in the bench as well
+    asked = [outputs_of(track, model, rest, identity=True) for track in tracks]
     return Pool(
         tracks[0].dt_s, rest, _tensor(outputs), _tensor(asked), _tensor(motion),
         _tensor([track.grade_rad for track in tracks]), tuple(spans),
