@@ -14,6 +14,7 @@ from collections.abc import Iterator
 import pytest
 
 from tests.vcan.peers import HERE, Links, ip
+from tests.vcan.reference import Reference, reference_of
 from tunefree_hil.bus.kernel_link import kernel_has_can, link_state
 
 IN_A_VM = "tools/vcan_vm -- COMMAND runs it in a kernel that has them"
@@ -45,6 +46,12 @@ def _patient_and_lean() -> Iterator[None]:
             del os.environ[name]
         else:
             os.environ[name] = value
+
+
+@pytest.fixture(scope="package")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Reference:
+    """What the drives come to over our hub; where the host has not driven them, minutes in an emulated machine."""
+    return reference_of(tmp_path_factory.mktemp("reference"))
 
 
 @pytest.fixture

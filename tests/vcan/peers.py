@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+from tests.house import ROOT
 from tunefree_hil.episode.candump import LogFrame, read_candump
 
 HERE = Path(__file__).resolve().parent
@@ -17,6 +20,11 @@ PATIENCE_S = 1200.0
 QUEUE_BYTES = 16 << 20  # candump's own queue of 208 kB loses frames at the speed of lockstep
 SETTLE_S = 1.0
 LISTENERS = Path("/proc/net/can/rcvlist_all")  # a line for each socket without filters
+
+
+# The C controller of tools/: what it drives, and how it is started.
+SCENARIO = "turn_3s"
+PROGRAM = "{program} {{bus}} {{bench}} {{paths}} {{token_file}}"
 
 
 class Links(NamedTuple):
@@ -79,6 +87,18 @@ def eventually(true: Callable[[], object], what: str, patience_s: float = PATIEN
     while not true():
         assert time.monotonic() < deadline_s, f"{what} never came true"
         time.sleep(0.05)
+
+
+def controller_of() -> Path | None:
+    """The C controller's program in the checkout's build folder; made where it is not there yet, which takes long in a
+    machine that is emulated. None where nobody compiles.
+    """
+    if shutil.which("cc") is None or shutil.which("make") is None:
+        return None
+    words = ["make", "-C", str(ROOT / "tools" / "foreign_controller"), f"PYTHON={sys.executable}"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return ROOT / "build" / "foreign_controller" / "controller"
 
 
 def _listeners(link: str) -> int:
