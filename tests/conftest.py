@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -13,6 +14,7 @@ os.environ["TUNEFREE_JIT"] = "0"  # before any kernel is imported; jitted paths 
 os.environ.setdefault("MPLBACKEND", "Agg")
 # `make test &` in a script has SIGINT ignored, and every process of the tests would ignore the Ctrl-C that it is sent.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+gc.disable()  # until all tests are collected: thousands of them stay, and need not be looked at again and again
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -67,6 +69,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         item.add_marker(pytest.mark.xdist_group("processes" if together else place))
         ranks[item] = -1 if together else rank
     items.sort(key=ranks.__getitem__)
+
+
+def pytest_collection_finish() -> None:
+    """What is there now stays to the end."""
+    gc.enable()
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
