@@ -133,8 +133,7 @@ def test_own_logs_are_believed_as_far_as_their_blocks_agree() -> None:
     curve, z = np.diag([100.0, 0.0]), np.array([0.7, 0.0])
     sure, unsure, nobody = (own_numbers(null(some, 0.0, curve, z, by), some, ALL) for by in (0.0, 5.0, 50.0))
     assert sure.keys == (FORCE, KNEE) and sure.off[0] == pytest.approx(0.7 * some[0].sigma, rel=0.02)
-    # of what they know; the other direction, of which they are silent, is no average
-    believed = 1.0 / (1.0 + 5.0**2 * BLOCKS / (BLOCKS - 1))
+    believed = 1.0 / (1.0 + 5.0**2 * BLOCKS / (BLOCKS - 1))  # of what they know, in the only direction that they know
     by = [(one.covariance[0, 0] - some[0].drift ** 2) / some[0].sigma ** 2 for one in (sure, unsure)]
     assert by == pytest.approx([1.0 / 101.0, 1.0 / (1.0 + 100.0 * believed)], rel=0.1)
     moved_by = 101.0 * believed / (1.0 + 100.0 * believed)  # by the same measurement, that much weaker
