@@ -14,12 +14,15 @@ from tests.vcan.peers import PATIENCE_S, Links, eventually
 from tests.vcan.reference import EXACT, ORPHANS_S, Reference, Tuned, tune_words, tuned
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(3000)]
-FIRST_TRIAL, TRIALS = 5, 3  # episodes 0 ... 4 are the baselines
+FIRST_TRIAL, TRIALS = 5, 2  # episodes 0 ... 4 are the baselines
 
 
 @pytest.fixture(scope="module")
 def killed(links: Links, _patient_and_lean: None, tmp_path_factory: pytest.TempPathFactory) -> Tuned:
-    """Killed while the second trial is driven, and gone on with."""
+    """Killed while the second trial is driven, and gone on with until its winner is written.
+
+    The figures, which it would draw then, know no bus, and take an emulated machine longer than the trials.
+    """
     out, session = tmp_path_factory.mktemp("killed"), new_session()
     with no_orphans(session, ORPHANS_S):  # nodes look once a second for their starter, on an emulated machine
         process = start(*tune_words(out, session, *links.addresses()))
@@ -32,8 +35,10 @@ def killed(links: Links, _patient_and_lean: None, tmp_path_factory: pytest.TempP
         process = start(*tune_words(out, again, *links.addresses()))
         eventually(lambda: process.poll() is not None or len(processes_of(again)) > 2, "the second start")
         assert "hub" not in [one.command for one in processes_of(again)], "both channels are on the kernel's links"
-        ended = finish(process, PATIENCE_S)
-        assert ended.status == 0, ended.words
+        eventually(lambda: process.poll() is not None or list(out.glob("*/best.toml")), "the winner", PATIENCE_S)
+        process.terminate()
+        words = finish(process, PATIENCE_S).words
+        assert list(out.glob("*/best.toml")), words
     return tuned(out)
 
 

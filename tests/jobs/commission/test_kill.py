@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.learning, pytest.mark.timeout(3600)]
 PATIENCE_S = 900.0  # of a whole commission: its kernels may have to be compiled
 ORPHANS_S = 15.0  # a hub that nobody came to own ends after 10 s, and its nodes with it
 # A short and slow collection, somewhat faster than the drive, one step of training, two trials over the bus.
-SMALL = ("--quota-s", 4, "--top-mps", 6, "--area-m", 150, "--minutes", 0.001, "--trials", 2, "--backend", "bus")
+SMALL = ("--quota-s", 3, "--top-mps", 5, "--area-m", 120, "--minutes", 0.001, "--trials", 2, "--backend", "bus")
 DIES_IN_REPORT = """
 import os, signal, sys
 from tunefree_hil.cli.entry import run

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from tests.gap.made_answer import LATE_S, VEHICLE, late_drive, made_model
+from tests.gap.made_answer import LATE_S, SECONDS, VEHICLE, late_drive, made_model
 from tests.gap.test_interval import ALL, fitted
 from tests.learn.made_drives import made_drive
 from tests.learn.test_pairs import without
@@ -99,7 +99,7 @@ def test_whatever_is_lost_while_they_are_asked_the_model_is_made(
 
     monkeypatch.setattr("tunefree_hil.gap.look_first.look_first", lost)
     folder = folder_of(tmp_path / "model")
-    (event,) = asked(folder, made_drive(110.0, seed=5))
+    (event,) = asked(folder, made_drive(SECONDS, seed=5))
     assert "was killed" in event.message and were_asked(folder)
 
 
@@ -222,7 +222,7 @@ def test_of_a_model_that_stays_poor_its_tyres_are_told_beside_its_sensors(
 @pytest.mark.timeout(900)
 def test_a_model_that_comes_near_its_logs_keeps_nothing(tmp_path: Path) -> None:
     folder = folder_of(tmp_path / "model")
-    events = asked(folder, made_drive(110.0, seed=5))
+    events = asked(folder, made_drive(SECONDS, seed=5))
     assert {one.kind for one in events} == {"progress"} and all(one.data["label"] for one in events)
     assert usual_of(load_model(folder)) == NOTHING
     own = own_numbers_of(load_model(folder))
@@ -235,7 +235,7 @@ def test_a_model_that_comes_near_its_logs_keeps_nothing(tmp_path: Path) -> None:
 @pytest.mark.timeout(900)
 def test_of_a_model_that_misses_its_logs_what_it_misses_is_kept_and_its_sensors_are_told(tmp_path: Path) -> None:
     folder = folder_of(tmp_path / "model")
-    drive = swinging(made_drive(110.0, seed=5))
+    drive = swinging(made_drive(SECONDS, seed=5))
     accel = "report.accel_mps2"
     events = asked(folder, drive._replace(fields={**drive.fields, accel: drive.fields[accel] + 0.4}))
     (bias,) = (one for one in load_model(folder).effects if one.name == "accel_bias")
@@ -259,7 +259,7 @@ def test_what_explains_the_own_logs_is_kept_and_said(tmp_path: Path) -> None:
     assert not usual.missed and usual.own["steer_dead_time"]["delay_s"][0] == pytest.approx(LATE_S, abs=0.01)
     assert load_model(folder).effects == []
     assert events[-1].kind == "warning" and "steer_dead_time; `gap` on them adds it where" in events[-1].message
-    drive, accel = made_drive(110.0, seed=5), "report.accel_mps2"
+    drive, accel = made_drive(SECONDS, seed=5), "report.accel_mps2"
     off = drive._replace(fields={**drive.fields, accel: drive.fields[accel] - 0.06})
     events = asked(folder_of(tmp_path / "tilted"), off)
     assert "accel_bias may as well be a grade that all of them have" in events[-1].message

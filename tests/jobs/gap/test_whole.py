@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.compiled, pytest.mark.timeout(900)]
 
 def read(*_: Any, **__: Any) -> Generator[Event, None, list[Drive]]:
     yield Event("note", "reading")
-    return [late_drive(110.0)]
+    return [late_drive()]
 
 
 def result(

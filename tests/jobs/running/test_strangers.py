@@ -42,7 +42,7 @@ def test_who_only_reports_is_no_commander() -> None:
     assert error is not None and error.code == "foreign_reporter"
 
 
-LONG_S = 60.0
+LONG_S = 25.0
 PLAYER = """
 import contextlib, pathlib, sys, time
 import can.player, tunefree_hil.bus
