@@ -40,17 +40,12 @@ LONG = (
     "jobs/gap/test_own_logs.py",
     "jobs/gap/test_whole.py",
     "tools/gap_exam/",
-    "tools/test_gap_exam_measure.py",
-    "jobs/gap/",
-    "tune/",
     "bench/test_learned.py",
     "learn/",
     "control/test_jit.py",
     "plant/test_jit.py",
     "jobs/collect/",
     "jobs/learn/",
-    "jobs/log/",
-    "figures/",
 )
 
 settings.register_profile("house", derandomize=True, deadline=None, max_examples=50, database=None)
