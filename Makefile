@@ -1,6 +1,6 @@
 # make tune   install what is needed into .venv, then tune the steering on a learned car (ARGS= passes more)
 # make test   install the extras too (torch among them), then run every test but those that need a kernel with CAN,
-#             a PostgreSQL server, a C compiler, or minutes of compiling or training (.ci/run runs these too)
+#             a PostgreSQL server, a C compiler, or long compiling, training or calibrating (.ci/run runs them)
 # make check  format, lint, types, fast tests
 # make venv   install only, and compile the simulated cars of BENCH
 

@@ -29,6 +29,8 @@ LEARNING = (
     "jobs/learn/test_map.py",
     "jobs/learn/test_outside.py",
     "tools/test_actuators_measure.py",
+    "tools/gap_exam/test_exam.py",
+    "tools/test_gap_exam_measure.py",
 )
 
 OWN = ("compiled", "learning", "postgres", "foreign")  # marks of what is no part of `make test` when it is slow
@@ -40,6 +42,7 @@ LONG = (
     "jobs/gap/test_own_logs.py",
     "jobs/gap/test_whole.py",
     "tools/gap_exam/",
+    "tools/test_gap_exam_measure.py",
     "bench/test_learned.py",
     "learn/",
     "control/test_jit.py",
@@ -76,6 +79,17 @@ def pytest_collection_finish() -> None:
     gc.enable()
     gc.collect()
     gc.freeze()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_node_collection_finished(node, ids: list[str]) -> None:
+    """The scheduler knows a test's group by its name alone, and runs all on any worker where the names have none."""
+    if node.config.getoption("dist") == "loadgroup" and not all("@" in name for name in ids):
+        pytest.exit(
+            f"pytest {pytest.__version__} and this pytest-xdist do not keep grouped tests on one worker; "
+            "install requirements-test.lock",
+            returncode=pytest.ExitCode.USAGE_ERROR,
+        )
 
 
 @pytest.fixture(scope="session")
