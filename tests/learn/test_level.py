@@ -28,7 +28,7 @@ def shaking(n: int = 90, size: float = 0.001) -> np.ndarray:
 
 
 @pytest.mark.parametrize("headings", [ROUND, HALF], ids=["to all sides", "half way round"])
-@pytest.mark.parametrize("offset", [0.02, -0.04])
+@pytest.mark.parametrize("offset", [0.02, -0.04, 0.06])
 def test_what_stands_while_the_car_turns_is_the_sensors(headings: np.ndarray, offset: float) -> None:
     assert standing(offset + shaking(), headings) == pytest.approx(offset, abs=0.001)
 
@@ -44,11 +44,12 @@ def test_a_place_that_slopes_evenly_has_no_part_in_it() -> None:
         (0.02 + shaking(), 0.1 * shaking()),  # straight on: it may climb all the way
         (0.02 + shaking(size=0.006), HALF),  # turns and climbs, not evenly: a road
         (0.02 + shaking(size=0.015), ROUND),  # hills
-        (0.08 + shaking(), ROUND),  # more than any mounting is off
+        (0.08 + shaking(size=0.006), ROUND),  # steep, and not as even as a slope that follows the car
+        (0.3 + shaking(), ROUND),  # no road, and no mounting
         (0.02 + shaking(30), ROUND[:30]),  # a minute only
         (np.zeros(0), np.zeros(0)),
     ],
-    ids=["straight", "uneven", "hills", "steep", "short", "nothing"],
+    ids=["straight", "uneven", "hills", "steep", "broken", "short", "nothing"],
 )
 def test_where_a_drive_does_not_tell_it_nothing_is_said(slopes: np.ndarray, headings: np.ndarray) -> None:
     assert standing(slopes, headings) == 0.0

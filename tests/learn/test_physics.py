@@ -10,6 +10,7 @@ import pytest
 from tests.learn.made_drives import REST, excitation, made_drive, whole
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import Command
+from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.learn.physics import TOGETHER, PhysicsFit, fit, is_clear
 from tunefree_hil.learn.physics_problem import BAND, EFFECTS, LAG, OFFSET, ROAD
@@ -151,14 +152,19 @@ def test_what_was_not_excited_stays_the_data_sheets() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("grade_rad", "bias_mps2", "share"), [(-0.03, 0.0, 1.0), (0.0, -0.3, 0.0)])
+@pytest.mark.parametrize(
+    ("grade_rad", "bias_mps2", "share", "seed", "seconds"),
+    [(-0.03, 0.0, 1.0, 1, 110.0), (0.0, -0.3, 0.0, 1, 110.0), (0.055, 0.0, 1.0, 4, 160.0)],
+    ids=["slope", "fault", "steep slope"],
+)
 def test_motion_tells_a_slope_that_follows_the_car_from_a_fault_of_the_accelerometer(
-    grade_rad: float, bias_mps2: float, share: float
+    grade_rad: float, bias_mps2: float, share: float, seed: int, seconds: float
 ) -> None:
-    drive = made_drive(110.0, params=TRUTH, grade_rad=grade_rad)
+    drive = made_drive(seconds, seed=seed, params=TRUTH, grade_rad=grade_rad)
     fields = {**drive.fields, "report.accel_mps2": drive.fields["report.accel_mps2"] + bias_mps2}
     some = windows_of([whole(drive._replace(fields=fields))], VEHICLE)
-    assert all(window.standing == pytest.approx(-0.03, abs=0.003) for window in some.some)
+    said = np.sin(grade_rad) + bias_mps2 / G_MPS2
+    assert some.some and all(window.standing == pytest.approx(said, abs=0.003) for window in some.some)
     with Worker() as worker:
         found = worker.result(
             "tunefree_hil.learn.physics", "fit", some, fixed_params(VEHICLE), constants(VEHICLE), 0.35

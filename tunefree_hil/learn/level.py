@@ -25,7 +25,8 @@ UNEVEN = 0.5  # of what stands: a slope that changes by more is a road's
 STRAIGHT, EVEN = 0.9, 0.15  # the same of a drive that turns, but not to all sides: no road is as even for so long
 LONG_S = 90.0
 TOLD = 0.01  # g, from which on it is said
-MOST_OFFSET = 0.05  # g: an accelerometer that is off by more is mounted wrongly, and a road may be as steep
+STEEP, STEEP_EVEN = 0.05, 0.05  # g: from here on a road may be as steep, and nothing less even than that is believed
+MOST_OFFSET = 0.2  # g: no car that drives on it is said to do so by a sensor that works
 
 
 def offset_of(drive: Drive, vehicle: VehicleSpec) -> float:
@@ -72,6 +73,8 @@ def standing(slopes: Array, headings_rad: Array) -> float:
     offset, left = float(found[0]), float(np.sqrt(np.mean((slopes - plane @ found) ** 2)))
     to_all_sides = np.bincount(sectors, minlength=SECTORS).min() >= LEAST_MEANS and one_way < ONE_WAY
     uneven = UNEVEN if to_all_sides else EVEN if one_way < STRAIGHT else 0.0
+    if abs(offset) >= STEEP:
+        uneven = min(uneven, STEEP_EVEN)
     return offset if left < uneven * abs(offset) and abs(offset) < MOST_OFFSET else 0.0
 
 

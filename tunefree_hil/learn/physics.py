@@ -86,7 +86,7 @@ def fit(
             + "".join(f"; {words}" for words in windows.words),
             code="too_short",
             key="LOG",
-            hint="drive longer, in drive gear, with reports of the actuators and of the speed",
+            hint="drive longer, on a level road and in drive gear, with reports of the actuators and of the speed",
         )
     problem = Problem(windows, fixed, known, brake_way)
     names = [name for name in problem.names if name not in SHAPES]
