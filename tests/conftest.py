@@ -49,13 +49,6 @@ LONG = (
     "plant/test_jit.py",
     "jobs/collect/",
     "jobs/learn/",
-    "jobs/gap/test_gap.py",
-    "jobs/gap/test_closed_loop.py",
-    "jobs/log/",
-    "tune/test_sampling.py",
-    "figures/",
-    "effects/",
-    "gap/",
 )
 
 settings.register_profile("house", derandomize=True, deadline=None, max_examples=50, database=None)
