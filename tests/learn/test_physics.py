@@ -155,7 +155,7 @@ def test_what_was_not_excited_stays_the_data_sheets() -> None:
 @pytest.mark.parametrize(
     ("grade_rad", "bias_mps2", "share", "seed", "seconds"),
     [(-0.03, 0.0, 1.0, 1, 110.0), (0.0, -0.3, 0.0, 1, 110.0), (0.055, 0.0, 1.0, 4, 160.0)],
-    ids=["slope", "fault", "steep slope"],
+    ids=["slope", "fault", "steep slope"],  # the steep one by a seed that turns: most hardly do, uphill
 )
 def test_motion_tells_a_slope_that_follows_the_car_from_a_fault_of_the_accelerometer(
     grade_rad: float, bias_mps2: float, share: float, seed: int, seconds: float

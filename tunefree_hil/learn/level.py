@@ -25,8 +25,9 @@ UNEVEN = 0.5  # of what stands: a slope that changes by more is a road's
 STRAIGHT, EVEN = 0.9, 0.15  # the same of a drive that turns, but not to all sides: no road is as even for so long
 LONG_S = 90.0
 TOLD = 0.01  # g, from which on it is said
-STEEP, STEEP_EVEN = 0.05, 0.05  # g: from here on a road may be as steep, and nothing less even than that is believed
-MOST_OFFSET = 0.2  # g: no car that drives on it is said to do so by a sensor that works
+STEEP = 0.05  # g, from which on few sensors are mounted so wrongly, and a hill is the likelier
+STEEP_EVEN = 0.05  # so it must be as even as this, of what stands
+MOST_OFFSET = 0.2  # g: steeper than roads are
 
 
 def offset_of(drive: Drive, vehicle: VehicleSpec) -> float:
