@@ -29,3 +29,15 @@ def test_what_is_not_there_is_said_with_what_there_is(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("")
     with pytest.raises(InputError, match="has no CONTROLLER"):
         parts.load(LATERAL, f"{tmp_path}/mine.py:CONTROLLER", "CONTROLLER")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("x = 1\nimport no_such_thing\n", "line 2: ModuleNotFoundError"), ("x = 1\n\ndef (:\n", "line 3: SyntaxError")],
+)
+def test_a_users_file_that_does_not_load_is_said_with_its_line(tmp_path: Path, text: str, said: str) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(text)
+    with pytest.raises(InputError, match=said) as caught:
+        parts.load(LATERAL, f"{file}:CONTROLLER", "CONTROLLER")
+    assert caught.value.file == str(file) and caught.value.hint

@@ -261,12 +261,21 @@ def test_a_signal_while_it_starts_ends_in_order(name: str) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
 
 
-def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
-    code = WAITING_JOB.replace("time.sleep(60)", "yield from (Event('line', 'x' * 100) for _ in range(9999))")
+@pytest.mark.parametrize(
+    ("lines", "status"),
+    [
+        (9999, 141),  # cut off: what it was to check may not hold
+        (3, 1),  # all was said and judged, and only then was it seen that nobody reads
+    ],
+)
+def test_a_reader_that_leaves_is_no_error_and_no_success(tmp_path: Path, lines: int, status: int) -> None:
+    said = f"yield from (Event('line', 'x' * 100) for _ in range({lines})); time.sleep(0.5)"
+    code = WAITING_JOB.replace("time.sleep(60)", f"{said}; yield Event('result', 'done', {{'exit': 1}})")
     code = code.replace('"--json"', '"--plain"')
     script = tmp_path / "many_lines.py"
     script.write_text(code)
-    line = f"{sys.executable} {script} | head -n 1; exit ${{PIPESTATUS[0]}}"
-    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0
+    line = f"{sys.executable} {script} | head -n 0; exit ${{PIPESTATUS[0]}}"
+    buffered = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=60, env=buffered)
+    assert done.returncode == status
     assert "Traceback" not in done.stderr and "BrokenPipe" not in done.stderr

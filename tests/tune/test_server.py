@@ -86,6 +86,37 @@ def test_only_a_lost_server_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> No
     assert not is_gone(ProgrammingError("SELECT 1", {}, Exception("no such table")))
 
 
+def said(words: str, state: str | None) -> ProgrammingError:
+    cause = Exception(words)
+    cause.sqlstate = state  # type: ignore[attr-defined]
+    return ProgrammingError("SELECT 1", {}, cause)
+
+
+@pytest.mark.parametrize(
+    ("words", "state"),
+    [
+        ("permission denied for schema public", "42501"),
+        ('invalid connection option "sslmod"', None),
+        ('connection failed: FATAL:  no pg_hba.conf entry for host "::1"', None),
+    ],
+)
+def test_a_refusal_is_no_mistake_of_ours_and_not_waited_for(words: str, state: str | None) -> None:
+    def work() -> None:
+        raise said(words, state)
+
+    with pytest.raises(InputError, match="refuses: ") as caught:
+        list(patiently(work, address_of("postgresql://host/db"), 60.0))
+    assert caught.value.code == "study_refused" and "may the user make tables" in caught.value.hint
+
+
+def test_what_the_server_finds_wrong_in_a_question_is_a_mistake_of_ours() -> None:
+    def work() -> None:
+        raise said('relation "trials" does not exist', "42P01")
+
+    with pytest.raises(ProgrammingError):
+        list(patiently(work, address_of("postgresql://host/db"), 60.0))
+
+
 def test_patience_ends() -> None:
     def work() -> None:
         raise GONE

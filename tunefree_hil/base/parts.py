@@ -6,12 +6,13 @@ import importlib
 import importlib.util
 import pkgutil
 import sys
+import traceback
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.errors import InputError, TunefreeError
 
 
 def names(package: str) -> list[str]:
@@ -23,7 +24,7 @@ def names(package: str) -> list[str]:
 def load(package: str, name: str, export: str) -> Any:
     """The constant `export` of the part `name` of `package`, or of the user's own 'path/to/file.py:EXPORT'.
 
-    Raises InputError that names the parts there are.
+    Raises InputError that names the parts there are, or the line at which the user's file does not load.
     """
     if ":" in name:
         return _from_path(name)
@@ -59,5 +60,24 @@ def _module(path: Path, text: bytes) -> ModuleType:
         raise InputError(f"{path} is not a Python module", code="unknown_part")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except TunefreeError:
+        raise
+    except Exception as error:
+        del sys.modules[spec.name]
+        raise InputError(
+            f"line {_line_in(path, error)}: {type(error).__name__}: {error}",
+            code="broken_part",
+            file=str(path),
+            hint=f"mend it there; `python {path}` shows all of it",
+        ) from error
     return module
+
+
+def _line_in(path: Path, error: Exception) -> int:
+    """The last line of the user's file that an error came through."""
+    if isinstance(error, SyntaxError) and error.filename == str(path):
+        return error.lineno or 1
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+    return (lines[-1] if lines else None) or 1

@@ -22,6 +22,7 @@ from tunefree_hil.cli.words import pasteable, progress_line
 
 SCHEMA = "tunefree.result/1"
 STATUSES = ("ok", "failed", "interrupted")
+NOBODY_READS = 141  # as of a program that SIGPIPE ends: it did not come to its end, and what it checks may not hold
 WRONG_PATH = (FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError, PermissionError)
 
 
@@ -73,10 +74,22 @@ def present(command: str, job: Callable[[], Iterable[Event]], *, plain: bool, as
     """Run `job`, show its events, print how it ended. Returns the exit status.
 
     `first` is said at once, before the job's own modules are imported. Errors of base/errors.py become one message;
-    any other exception is a mistake of ours and keeps its traceback.
+    any other exception is a mistake of ours and keeps its traceback. When the reader (head, less) leaves, the status
+    is the result's where there is one by then.
     """
-    sink = _sink(plain)
     heard = _Heard()
+    try:
+        return Said(_shown(command, job, heard, _sink(plain), as_json, first))
+    except BrokenPipeError:
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        return Said(_status_of(heard) if heard.result else NOBODY_READS)
+
+
+def _shown(
+    command: str, job: Callable[[], Iterable[Event]], heard: _Heard, sink: Sink, as_json: bool, first: str
+) -> int:
+    """The job run and its end printed; the exit status. Raises BrokenPipeError when nobody reads any more."""
     status, errors = 1, []
     try:
         if first:
@@ -86,8 +99,7 @@ def present(command: str, job: Callable[[], Iterable[Event]], *, plain: bool, as
     except KeyboardInterrupt:
         status = INTERRUPTED
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader (head, less) has left
-        return 0
+        raise
     except (TunefreeError, OSError) as error:
         said = error if isinstance(error, TunefreeError) else _of_the_system(error)
         status, errors = said.exit_status, [said.as_dict()]
@@ -101,8 +113,9 @@ def present(command: str, job: Callable[[], Iterable[Event]], *, plain: bool, as
         data = dict(heard.result.data) if heard.result else {}
         if status == INTERRUPTED and heard.resume:
             data["resume"] = heard.resume
-        print(json.dumps(result_object(command, status, data, errors), allow_nan=False), flush=True)
-    return Said(status)
+        print(json.dumps(result_object(command, status, data, errors), allow_nan=False))
+    sys.stdout.flush()
+    return status
 
 
 def _watch(events: Iterable[Event], sink: Sink, heard: _Heard, as_json: bool) -> None:

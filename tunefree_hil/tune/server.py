@@ -21,8 +21,22 @@ from tunefree_hil.base.errors import BenchError, InputError
 STUDY_NAME = "tunefree"
 SCHEMES = ("postgresql", "postgres")
 CONNECT_LIMIT_S = 5
-_CONNECT = {"connect_timeout": CONNECT_LIMIT_S, "client_encoding": "utf8"}  # a database in SQL_ASCII gives bytes
+_CONNECT = {
+    "connect_timeout": CONNECT_LIMIT_S,
+    "client_encoding": "utf8",  # a database in SQL_ASCII gives bytes
+    # a way that is cut in the middle of a question: libpq itself would wait for a quarter of an hour
+    "tcp_user_timeout": 20_000,  # ms; the others in s
+    "keepalives_idle": 10,
+    "keepalives_interval": 5,
+    "keepalives_count": 2,
+}
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.5, 8.0
+# SQLSTATE: who you are, which database, what you may do; where the driver has none (it does not connect), in words
+REFUSING_STATES = ("28", "3D", "42501")
+REFUSING_WORDS = (
+    *("authentication failed", "does not exist", "no password", "permission denied", "pg_hba.conf"),
+    *("invalid connection option", "invalid sslmode value"),
+)
 LOCK = 0x7F5E  # key of the advisory lock under which tables are made and slots are told
 
 R = TypeVar("R")
@@ -107,9 +121,17 @@ def is_gone(error: BaseException) -> bool:
 
 
 def refused(error: BaseException) -> bool:
-    """Whether the server is there and refuses us: waiting would not help."""
-    text = str(error)
-    return any(word in text for word in ("authentication failed", "does not exist", "no password", "permission denied"))
+    """Whether the server, or its driver, is there and refuses us: waiting would not help."""
+    state = getattr(_driver_error(error), "sqlstate", None)
+    if state:
+        return str(state).startswith(REFUSING_STATES)
+    return any(word in str(error) for word in REFUSING_WORDS)
+
+
+def _driver_error(error: BaseException) -> Any:
+    """What the driver said, under what SQLAlchemy and Optuna put around it."""
+    cause: Any = getattr(error, "orig", None) or error.__cause__ or error
+    return getattr(cause, "orig", None) or cause
 
 
 def patiently(work: Callable[[], R], address: Address, patience_s: float, kept: str = "") -> Generator[str, None, R]:
@@ -123,13 +145,13 @@ def patiently(work: Callable[[], R], address: Address, patience_s: float, kept: 
             found = work()
             break
         except (StorageInternalError, SQLAlchemyError) as error:
-            if not is_gone(error):
-                raise
             if refused(error):
-                hint = "check user, database and password (PGPASSWORD or ~/.pgpass)"
+                hint = "check user, database, options and password (PGPASSWORD or ~/.pgpass); may the user make tables?"
                 raise InputError(
                     f"{address.shown} refuses: {_reason(error)}", code="study_refused", key="--study", hint=hint
                 ) from None
+            if not is_gone(error):
+                raise
             if time.monotonic() + wait_s > limit:
                 raise BenchError(
                     f"{address.shown} does not answer"
@@ -153,7 +175,6 @@ def patiently(work: Callable[[], R], address: Address, patience_s: float, kept: 
 
 
 def _reason(error: BaseException) -> str:
-    cause: Any = getattr(error, "orig", None) or error.__cause__ or error
-    cause = getattr(cause, "orig", None) or cause
+    cause = _driver_error(error)
     first = (str(cause).strip().splitlines() or [type(cause).__name__])[0]
     return first.rpartition("failed: ")[2].strip()  # 'connection to server at ... failed: Connection refused'

@@ -128,9 +128,9 @@ class Track:
 
     def _mend(self) -> None:
         """Start anew the benches that failed in the last drives: a lost node fails a trial, not the study."""
-        broken, self._broken = self._broken, []
-        for session in broken:
-            session.reopen()
+        while self._broken:
+            self._broken[0].reopen()  # where that fails it stays to be mended, and so do the others
+            self._broken.pop(0)
 
     def _drive(self, session: Session, scenario: ScenarioSpec, values: Mapping[str, float], folder: Path) -> Outcome:
         for role in ROLES:
