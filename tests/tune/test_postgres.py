@@ -147,6 +147,19 @@ def test_a_worker_taken_for_dead_is_still_heard(server: Server, tmp_path: Path) 
     whole(url, tmp_path, 1)
 
 
+def test_what_is_kept_for_a_study_that_was_lost_is_told_nobody_elses_trial(server: Server, tmp_path: Path) -> None:
+    with joined(server.url("lost"), tmp_path) as lost:
+        kept = [lost.slots.begin(slot, "us") for slot in (0, 1)]
+    url = server.url("made-anew")
+    with joined(url, tmp_path) as study:
+        theirs = study.slots.begin(1, "another")  # number 0, as ours of slot 0 was in the study that is gone
+        assert theirs.number == kept[0].number
+        told = [study.slots.settle(one, bowl(one.parameters)) for one in kept]
+        assert [one and one.slot for one in told] == [0, 1]
+        assert study.slots.settle(theirs, bowl(theirs.parameters)) is None, "it was filled meanwhile"
+    whole(url, tmp_path, 2)
+
+
 def test_a_server_that_restarts_in_the_middle_costs_nothing(server: Server, tmp_path: Path) -> None:
     url = server.url("restarted")
     workers = [Worker(url, tmp_path / str(i), 8, 0.5) for i in range(2)]

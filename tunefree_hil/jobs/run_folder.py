@@ -8,7 +8,7 @@ import glob
 import json
 import os
 import platform
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
@@ -63,19 +63,19 @@ class RunFolder:
         self.record = record
 
     @classmethod
-    def create(cls, root: Path, name: str, record: dict[str, Any]) -> RunFolder:
-        """A new folder `<root>/<date>-<name>`; `record` is what run.json holds beside schema and versions."""
+    def create(
+        cls, root: Path, name: str, record: dict[str, Any], prepare: Callable[[Path], None] = lambda path: None
+    ) -> RunFolder:
+        """A new folder `<root>/<date>-<name>`; `record` is what run.json holds beside schema and versions.
+
+        `prepare(path)` comes before run.json, by which others find it: what must be there, and held, by then.
+        """
         date = datetime.now().strftime("%Y%m%d-%H%M%S")
         path, i = root / f"{date}-{name}", 1
-        while path.exists():
+        while not _made(path):
             i += 1
             path = root / f"{date}-{name}-{i}"
-        try:
-            (path / "episodes").mkdir(parents=True)
-        except OSError as error:
-            raise InputError(
-                f"cannot make the run folder: {error.strerror}", file=str(path), hint="--out DIR"
-            ) from error
+        prepare(path)
         run = cls(path, {"schema": SCHEMA, "versions": versions(), "complete": False, **record})
         write_json(path / "run.json", run.record)
         return run
@@ -119,6 +119,19 @@ class RunFolder:
         folder = self.path / "figures"
         folder.mkdir(exist_ok=True)
         return folder
+
+
+def _made(path: Path) -> bool:
+    """Make a run's folder; False where it is there already, perhaps since a moment ago."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.mkdir()
+        (path / "episodes").mkdir()
+    except OSError as error:
+        if path.exists():
+            return False
+        raise InputError(f"cannot make the run folder: {error.strerror}", file=str(path), hint="--out DIR") from error
+    return True
 
 
 def read_json(file: Path) -> dict[str, Any]:

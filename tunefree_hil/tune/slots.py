@@ -61,16 +61,17 @@ class Slots(Shelf):
 
     def settle(self, begun: Begun, evaluation: Evaluation) -> Trial | None:
         """Tell an evaluation, whatever became of its attempt meanwhile; None where another worker filled the slot."""
+        trial_id = self._attempt(begun)
         done = {trial.slot: trial for trial in self.trials()}.get(begun.slot)
         if done is not None:  # also by ourselves, just before the server went away
-            if done.number == begun.number:
+            if trial_id is not None and done.number == begun.number:
                 return done
-            self._finish(self._id_of(begun.number), TrialState.FAIL, {"error": "filled by another worker"})
+            if trial_id is not None:
+                self._finish(trial_id, TrialState.FAIL, {"error": "filled by another worker"})
             return None
         scored = {"score": float(evaluation.score), "scenarios": evaluation.scenarios}
         value = learned_value(evaluation.score)
-        trial_id = self._id_of(begun.number)
-        if not self._finish(trial_id, TrialState.COMPLETE, scored, value):  # it was taken for dead
+        if trial_id is None or not self._finish(trial_id, TrialState.COMPLETE, scored, value):  # it was taken for dead
             trial_id = self._add(TrialState.COMPLETE, begun.parameters, {"slot": begun.slot, **scored}, value)
         return self._read(self._storage.get_trial(trial_id))
 
@@ -84,6 +85,14 @@ class Slots(Shelf):
 
     def _running(self) -> list[FrozenTrial]:
         return self._optuna.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
+
+    def _attempt(self, begun: Begun) -> int | None:
+        """The id of that attempt; None where this study has none: the server came back without what it had."""
+        for frozen in self._optuna.get_trials(deepcopy=False):
+            if frozen.number == begun.number and frozen.user_attrs.get("slot") == begun.slot:
+                same = {name: frozen.params.get(name) for name in begun.parameters} == begun.parameters
+                return frozen._trial_id if same else None
+        return None
 
     def _id_of(self, number: int) -> int:
         return self._storage.get_trial_id_from_study_id_trial_number(self._study_id, number)

@@ -10,6 +10,7 @@ import pytest
 from tests import other_vehicle
 from tests.jobs.made_chain import asked, chain, judged
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.config.load import load_bench
 from tunefree_hil.jobs.commission import stages as jobs_of
 from tunefree_hil.jobs.commission.gates import covered_enough, free_run_good_enough, free_run_of, inside_enough
 from tunefree_hil.jobs.commission.plan import Asked, make_plan
@@ -60,6 +61,19 @@ def test_a_tune_that_came_to_its_end_is_not_searched_again(asked: Asked, monkeyp
     finished = plan.folder / "tune" / "1-tune-bench"
     assert [wish.resume for wish in wishes] == [None, finished, finished]
     assert jobs_of.tune_run(plan) == finished
+
+
+def test_what_is_verified_is_what_the_bench_file_names_by_then(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = make_plan(asked)
+    run = plan.folder / "tune" / "1-tune-bench"
+    run.mkdir(parents=True)
+    (run / "run.json").write_text(json.dumps({"complete": True}))
+    (run / "bench.toml").write_text("of the day of the search")
+    monkeypatch.setattr(jobs_of, "load", load_bench)  # the learned plant is not there
+    monkeypatch.setattr("tunefree_hil.jobs.tune.folder.resolved_toml", lambda bench: f"{bench.verify_scenarios}")
+    monkeypatch.setattr("tunefree_hil.jobs.tune.verify.verify", lambda run, **_: iter(()))
+    jobs_of.run_verify(plan)
+    assert (run / "bench.toml").read_text() == f"{plan.template.verify_scenarios}"
 
 
 def test_a_plant_that_was_written_is_not_trained_again(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:

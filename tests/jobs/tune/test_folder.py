@@ -11,10 +11,11 @@ from tests.bench.tiny import write_bench
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load
 from tunefree_hil.config.dump import to_toml
-from tunefree_hil.jobs.run_folder import RunFolder, open_run
+from tunefree_hil.jobs.run_folder import RunFolder, open_run, write_text
 from tunefree_hil.jobs.tune.candidates import winner_of
-from tunefree_hil.jobs.tune.folder import run_folder_of
+from tunefree_hil.jobs.tune.folder import HELD, run_folder_of
 from tunefree_hil.jobs.tune.wish import Asked, Wish, resolve_wish
+from tunefree_hil.tune.store import alone
 
 SHARED = "postgresql://me@host/studies#mine"
 
@@ -52,6 +53,30 @@ def test_a_run_that_was_cut_off_is_gone_on_with_and_what_was_half_written_is_gon
     first.finish()
     after, old = entered(wish)
     assert not old and after.path != first.path, "that one is done"
+
+
+def test_a_run_that_goes_on_verifies_on_what_the_bench_file_names_now(wish: Wish) -> None:
+    first, _ = entered(wish)
+    (first.path / "bench.toml").unlink()  # cut off before it was written, by an earlier version
+    bench = wish.asked.bench
+    bench.write_text(bench.read_text().replace('\nverify_scenarios = ["tiny"]', "\nverify_scenarios = []"))
+    run, old = entered(again(wish))
+    assert old and run.path == first.path
+    assert load(run.bench_file()).spec.verify_scenarios == []
+
+
+def test_a_new_run_is_held_before_anybody_can_find_it(wish: Wish, monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[bool] = []
+
+    def looked(path: Path, text: str) -> None:
+        found.append((path.parent / "run.json").exists())
+        with pytest.raises(InputError, match="another process works on it"), alone(path.parent / HELD):
+            pass
+        write_text(path, text)
+
+    monkeypatch.setattr("tunefree_hil.jobs.tune.folder.write_text", looked)
+    run, _ = entered(wish)
+    assert found == [False] and (run.path / "bench.toml").is_file()
 
 
 @pytest.mark.parametrize("more", [{"seed": 7}, {"sampler": "tpe_relative"}, {"backend": "batch"}, {"realtime": True}])

@@ -9,6 +9,7 @@ from typing import Any
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
+from tunefree_hil.bench import load
 from tunefree_hil.jobs.commission.plan import Plan, collect_wish
 from tunefree_hil.jobs.run_folder import read_json
 
@@ -83,11 +84,14 @@ def run_tune(plan: Plan) -> Iterator[Event]:
 
 
 def run_verify(plan: Plan) -> Iterator[Event]:
-    """Winner and baselines on the vehicle."""
+    """Winner and baselines on the vehicle, over the roads that the bench file names by now."""
     from tunefree_hil.jobs.drive import own_session
+    from tunefree_hil.jobs.tune.folder import keep_bench
     from tunefree_hil.jobs.tune.verify import verify
 
-    return verify(tune_run(plan), bus=plan.asked.bus, bench_bus=plan.asked.bench_bus, join=False, session=own_session())
+    run = tune_run(plan)
+    keep_bench(run, load(plan.write_bench()))
+    return verify(run, bus=plan.asked.bus, bench_bus=plan.asked.bench_bus, join=False, session=own_session())
 
 
 def tune_run(plan: Plan) -> Path:

@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.bench import Bench
 from tunefree_hil.jobs.drive import DEFAULT_ROOT
 from tunefree_hil.jobs.identity import resolved_toml
 from tunefree_hil.jobs.run_folder import RunFolder, all_unfinished, open_run, remove_parts, write_text
@@ -34,14 +35,24 @@ def run_folder_of(wish: Wish) -> Iterator[tuple[RunFolder, bool]]:
             run = _free(root, name, wish, stack)
         if run is not None:
             remove_parts(run.path)
+            keep_bench(run.path, wish.bench)
             run.note(**{OPTIONS: wish.options})  # of this command, which may say others than the one before
             yield run, True
             return
         record = {**wish.record, OPTIONS: wish.options, "bench": str(asked.bench), "hashes": wish.identity["hashes"]}
-        run = RunFolder.create(root, name, {**record, "seed": wish.settings.seed})
-        stack.enter_context(alone(run.path / HELD))
-        write_text(run.path / "bench.toml", resolved_toml(wish.bench))
-        yield run, False
+
+        def prepare(path: Path) -> None:
+            stack.enter_context(alone(path / HELD))  # before another worker can find it
+            keep_bench(path, wish.bench)
+
+        yield RunFolder.create(root, name, {**record, "seed": wish.settings.seed}, prepare), False
+
+
+def keep_bench(path: Path, bench: Bench) -> None:
+    """The bench file, resolved, into a run's folder: what `verify`, `replay` and `explain` of it go by. What scores
+    depend on is in the run's identity; what the winner is verified on is not, and may be another than before.
+    """
+    write_text(path / "bench.toml", resolved_toml(bench))
 
 
 def _free(root: Path, name: str, wish: Wish, stack: ExitStack) -> RunFolder | None:
