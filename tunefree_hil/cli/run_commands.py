@@ -102,14 +102,18 @@ def tune(
     set_name: Annotated[ParameterSet | None, typer.Option("--set", help="which parameters")] = None,
     sampler: Annotated[str | None, typer.Option(help="tpe_independent, tpe_relative or random")] = None,
     seed: Seed = None,
-    scale: Annotated[Scale, typer.Option(help="how the box is searched; linear is the paper's")] = Scale.log,
+    scale: Annotated[
+        Scale | None, typer.Option(help="how the box is searched (log if not said); linear is the paper's")
+    ] = None,
     bus: Bus = "auto",
     bench_bus: BenchBus = "",
     join: Join = False,
     session: Session = "",
     out: Out = None,
     resume: Annotated[Path | None, typer.Option(help="go on with this run folder, a finished one too")] = None,
-    verify: Annotated[bool, typer.Option(help="drive the winner on the verify model at the end")] = True,
+    verify: Annotated[
+        bool | None, typer.Option(help="drive the winner on the verify model at the end (yes if not said)")
+    ] = None,
     study: Annotated[
         str | None, typer.Option(metavar="URL", help="work on a shared study: postgresql://USER@HOST/DATABASE#STUDY")
     ] = None,
@@ -118,7 +122,9 @@ def tune(
     in_flight: Annotated[int, typer.Option(min=0, help="trials asked together; 0: the bench file's")] = 0,
     realtime: Realtime = False,
     controller: Controller = "",
-    confirm: Annotated[int, typer.Option(min=1, metavar="K", help="of a batch, how many the bus drives again")] = 3,
+    confirm: Annotated[
+        int | None, typer.Option(min=1, metavar="K", help="of a batch, how many the bus drives again (3 if not said)")
+    ] = None,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
@@ -140,7 +146,7 @@ def tune(
                 set_name=set_name.value if set_name else None,
                 sampler=sampler,
                 seed=seed,
-                scale=scale.value,
+                scale=scale.value if scale else None,
                 bus=bus,
                 bench_bus=bench_bus,
                 join=join,

@@ -45,6 +45,15 @@ def test_what_the_command_says_counts_and_is_kept_for_the_next(tmp_path: Path) -
     assert resumed(run).trials == 9 and resumed(run, seed=8).settings.seed == 8
 
 
+def test_what_is_said_counts_where_it_is_what_is_usual_too(tmp_path: Path) -> None:
+    run = begun(tmp_path, **BEGUN)
+    said: dict[str, Any] = {"verify": True, "confirm": 3}
+    wish = resumed(run, **said)
+    assert {name: getattr(wish.asked, name) for name in said} == said
+    assert "confirm" not in wish.command and "no-verify" not in wish.command
+    assert "--no-verify" in resumed(run).command and "--confirm 2" in resumed(run).command
+
+
 def test_a_run_of_an_earlier_version_goes_on_as_it_did(tmp_path: Path) -> None:
     run = begun(tmp_path, trials=5)
     record = json.loads((run / "run.json").read_text())

@@ -94,7 +94,7 @@ def _told(wish: Wish, run: RunFolder, finished: Finished) -> Iterator[Event]:
 
 
 def _verifies(wish: Wish) -> bool:
-    return wish.asked.verify and bool(wish.bench.spec.verify_model)
+    return bool(wish.asked.verify and wish.bench.spec.verify_model)
 
 
 def _verified(wish: Wish, run: RunFolder, ending: Ending | None) -> Generator[Event, None, dict[str, Any]]:
@@ -187,7 +187,7 @@ def _batch(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, Non
     if len(journal.baselines()) < len(wish.vectors) or len(journal.trials()) < wish.trials:
         with Batch(wish.bench) as batch:
             words = f"batch: {wish.settings.in_flight} trials in flight; a bench new to this machine is compiled first"
-            best = min(wish.asked.confirm, wish.trials)
+            best = min(wish.confirm, wish.trials)
             yield Event("note", f"{words}. In the end the bus confirms the winner ({best} trials) and the baselines")
             evaluator = BatchEvaluator(batch, wish.bench, scenarios, at_once=max(len(wish.vectors), 1))
             search = Search(wish.bench, run, evaluator, journal, wish.vectors, wish.trials)
@@ -197,7 +197,7 @@ def _batch(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, Non
     else:
         held = yield from hold(wish.bench, run, journal, wish.vectors)
     mirror = stack.enter_context(ThreadPoolExecutor(1)).submit(journal.mirror, run.path / "study.db")
-    missing = to_confirm(journal, wish.asked.confirm, held)
+    missing = to_confirm(journal, wish.confirm, held)
     if missing:
         with _on_lanes(wish, run) as evaluator:
             trials = sum(trial is not None for trial in missing.values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,32 +25,35 @@ OPTIONS = "options"  # key of run.json
 BATCH, BUS = "batch", "bus"
 BATCH_IN_FLIGHT = 8  # costs nothing in quality (opt_anchors B)
 SHARED_IN_FLIGHT = 0  # each worker asks when it is free
+USUAL: Mapping[str, Any] = {"scale": "log", "verify": True, "confirm": 3}
 MOST_SLOWER = 10.0  # what is written by mistake lies far beyond
 
 
 class Asked(NamedTuple):
-    """The options of the command, as given. benches, in_flight 0: as the bench file and the machine suggest."""
+    """The options of the command, as given. benches, in_flight 0: as the bench file and the machine suggest; None: not
+    said, so as the run that goes on has it, or else as the bench file or USUAL has it.
+    """
 
     bench: Path
     trials: int | None = None
     set_name: str | None = None
     sampler: str | None = None
     seed: int | None = None
-    scale: str = "log"
+    scale: str | None = None
     bus: str = "auto"
     bench_bus: str = ""
     join: bool = False
     session: str = ""
     out: Path | None = None
     resume: Path | None = None
-    verify: bool = True
+    verify: bool | None = None
     study: str | None = None
     backend: str = BUS
     benches: int = 0
     in_flight: int = 0
     realtime: bool = False
     controller: str = ""
-    confirm: int = 3
+    confirm: int | None = None
 
 
 class Wish(NamedTuple):
@@ -80,6 +84,11 @@ class Wish(NamedTuple):
         }
 
     @property
+    def confirm(self) -> int:
+        """Of a batch, how many trials the bus drives again."""
+        return int(self.asked.confirm or USUAL["confirm"])
+
+    @property
     def options(self) -> dict[str, Any]:
         """What `--resume` goes on with where the command does not say otherwise: fields of Asked, in run.json too."""
         asked, settings = self.asked, self.settings
@@ -96,7 +105,7 @@ class Wish(NamedTuple):
 
 def resolve_wish(asked: Asked) -> Wish:
     """Read, check and work out everything. Raises InputError that names what does not fit."""
-    asked = _as_before(asked) if asked.resume else asked
+    asked = _settled(_as_before(asked) if asked.resume else asked)
     _refuse_contradictions(asked)
     address = address_of(asked.study) if asked.study else None
     bench = with_command(load(asked.bench), asked.controller)
@@ -126,7 +135,7 @@ def resolve_wish(asked: Asked) -> Wish:
 def _as_before(asked: Asked) -> Asked:
     """A run that goes on does so in its own way, whatever the options' defaults are.
 
-    What the command says that is not the default counts; a run of an earlier version has no `options`.
+    What the command says counts; a run of an earlier version has no `options`.
     """
     record = _tune_before(asked.resume) if asked.resume else {}
     usual, options = Asked._field_defaults, record.get(OPTIONS, {})
@@ -136,6 +145,11 @@ def _as_before(asked: Asked) -> Asked:
         realtime=record.get("realtime", asked.realtime),
         in_flight=record.get("settings", {}).get("in_flight", asked.in_flight),
     )
+
+
+def _settled(asked: Asked) -> Asked:
+    """What nobody said is as usual."""
+    return asked._replace(**{name: value for name, value in USUAL.items() if getattr(asked, name) is None})
 
 
 def _tune_before(path: Path) -> dict[str, Any]:
@@ -155,7 +169,7 @@ def _space(bench: Bench, asked: Asked) -> Space:
     tune = bench.spec.tune
     specs = [] if asked.set_name else tune.parameters
     name = asked.set_name or ("" if specs else tune.set)
-    return resolve(name, specs, scale="" if asked.scale == "log" else asked.scale, file=bench.file)
+    return resolve(name, specs, scale="" if asked.scale == "log" else asked.scale or "", file=bench.file)
 
 
 def _refuse_contradictions(asked: Asked) -> None:
@@ -230,5 +244,7 @@ def _require_buildable(bench: Bench, asked: Asked, space: Space) -> None:
 
 def again(asked: Asked, shown: str) -> str:
     """The command once more; a password is left out of it."""
-    options = given(asked._replace(study=shown or None), leave=["bench", "verify"], called={"set_name": "set"})
-    return pasted("tune", asked.bench, **options, no_verify=not asked.verify)
+    said = {name: value for name, value in asked._asdict().items() if value != USUAL.get(name)}
+    asked = Asked(**{**said, "study": shown or None})
+    options = given(asked, leave=["bench", "verify"], called={"set_name": "set"})
+    return pasted("tune", asked.bench, **options, no_verify=asked.verify is False)
