@@ -128,6 +128,17 @@ def test_the_controllers_reason_comes_before_the_ecus(clock: FakeTime) -> None:
     assert (outcome.ticks, outcome.error) == (10, "left_lane")
 
 
+@pytest.mark.parametrize("apart", [False, True])
+def test_a_failure_in_the_last_tick_counts_where_it_is_heard_after_the_end(clock: FakeTime, apart: bool) -> None:
+    failed = bc.Status(CONTROLLER, bc.State.FAILED, int(bc.ErrorCode.LEFT_LANE), 10)
+    end = ended(bc.State.FINISHED, 0, 10)
+    desk = Desk(
+        clock, READY, *([[end], [failed]] if apart else [[end, failed]]), READY, [ended(bc.State.FINISHED, 0, 3)]
+    )
+    assert desk.drive().error == "left_lane"
+    assert desk.drive().ticks == 3, "and the next episode is not refused"
+
+
 @pytest.mark.parametrize("number", [1000, 1001, 4711])
 def test_a_controllers_own_error_has_one_name_and_keeps_its_number(clock: FakeTime, number: int) -> None:
     failed = [bc.Status(CONTROLLER, bc.State.FAILED, number, 9), ended(bc.State.FAILED, number, 10)]

@@ -197,8 +197,8 @@ class Runner:
     def _await_end(self) -> tuple[int, int]:
         """(ticks, error code) that the ECU ends with; a failure that the controller said first counts."""
         watch = Silence(self.owner)
-        code = 0
-        while True:
+        code, ended = 0, None
+        while ended is None:
             for message in self._listen():
                 self._refuse_leaving(message)
                 if not isinstance(message, bc.Status):
@@ -206,8 +206,18 @@ class Runner:
                 if message.role == bc.Role.CONTROLLER:
                     code = code or message.error_code
                 elif message.role == bc.Role.ECU and message.state in (bc.State.FINISHED, bc.State.FAILED):
-                    return message.tick, code or message.error_code
+                    ended = message
             watch.look()
+        return ended.tick, code or ended.error_code or self._late_failure()
+
+    def _late_failure(self) -> int:
+        """The controller's failure in the last tick, which in real time may be heard after the ECU's end; 0: none.
+        Left on the bus it would be taken for a failure to load the next episode.
+        """
+        time.sleep(LOOK_S)
+        words = [bc.decode(frame) for frame in self.bench.receive(0.0)]
+        said = [one for one in words if isinstance(one, bc.Status) and one.role == bc.Role.CONTROLLER]
+        return next((one.error_code for one in said if one.state == bc.State.FAILED), 0)
 
 
 class HubSilent(NoAnswer):
