@@ -10,6 +10,8 @@ from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.bench_channel import Role, State, Status, decode
 from tunefree_hil.episode.candump import read_rows
 
+MOST_STEP_S = 600.0  # between one frame and the next; a tick grid over more is no recording
+CUT_THERE = "cut the log in two there: each piece is a recording of its own"
 ON_GRID = 1e-3  # of a tick: stamps nearer than this to whole ticks are virtual time
 
 
@@ -35,6 +37,12 @@ def times_of(off_grid: float, first_s: float, earliest_s: float, dt_s: float, fo
     if (folder / "bench.log").is_file():
         return Times(run_zero_s(folder / "bench.log"), 1, "real time: tick 0 is where bench.log says")
     return Times(earliest_s, 1, f"real time: second 0 is the log's first frame, at {earliest_s:.3f} s", True)
+
+
+def clock_jump(step_s: float, at_s: float, way: str, file: Path, hint: str = CUT_THERE) -> InputError:
+    """What to raise for a log whose clock goes `way` ("back" or "ahead") by more than MOST_STEP_S at one frame."""
+    message = f"the clock jumps {way} by {step_s:.6g} s at stamp {at_s:.6f}"
+    return InputError(message, code="clock_jump", file=str(file), hint=hint)
 
 
 def run_zero_s(bench_log: Path) -> float:

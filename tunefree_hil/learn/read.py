@@ -16,14 +16,13 @@ from tunefree_hil.bus.formats.find import CANDUMP, format_of
 from tunefree_hil.bus.message_map import EXTENDED_FLAG, MessageMap
 from tunefree_hil.episode.candump import ERROR, RTR, cut_line
 from tunefree_hil.episode.log_columns import Name, Piece, read_pieces
-from tunefree_hil.episode.real_time import times_of
+from tunefree_hil.episode.real_time import CUT_THERE, MOST_STEP_S, clock_jump, times_of
 from tunefree_hil.learn.command_age import command_ages
 from tunefree_hil.learn.drives import Drive, Reading
 from tunefree_hil.learn.heard import SLOW_S, Ear, Seen, place
 from tunefree_hil.learn.tick_ends import even_zero
 
 Progress = Callable[[float, str], None]  # share of all logs read, 0 to 1; the log at hand
-MOST_STEP_S = 600.0  # between one frame of the vehicle and the next; a tick grid over more is no recording
 MOST_SLOW, SLOW_SHARE = 9, 0.01  # so many and such a share of frames this late: other units, and no jump of the clock
 PACKED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd", b"\xfd7zXZ": "xz", b"BZh": "bzip2", b"PK\x03\x04": "zip"}
 
@@ -138,16 +137,11 @@ def _refuse(path: Path, codec: Codec, seen: Seen) -> None:
     step_s, at_s = max((seen.back_s, seen.back_at_s), (seen.ahead_s, seen.ahead_at_s))
     if step_s > MOST_STEP_S:
         way = "back" if seen.back_s >= seen.ahead_s else "ahead"
-        hint = "cut the log in two there: each piece is a recording of its own"
+        hint = CUT_THERE
         if seen.slow > max(MOST_SLOW, SLOW_SHARE * seen.known):
             hint = f"is the clock in seconds? {seen.slow} of {seen.known} frames come more than {SLOW_S:g} s after the "
             hint += "one before; write the stamps in seconds"
-        raise InputError(
-            f"the clock jumps {way} by {step_s:.6g} s at stamp {at_s:.6f}",
-            code="clock_jump",
-            file=str(path),
-            hint=hint,
-        )
+        raise clock_jump(step_s, at_s, way, path, hint)
 
 
 def _hash(path: Path) -> str:

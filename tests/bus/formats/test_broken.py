@@ -116,3 +116,15 @@ def test_relative_asc_stamps_are_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match="relative to the line before"):
         list(load_format("asc").read(path))
+
+
+@pytest.mark.parametrize("word", ["nan", "inf", "-inf", ""])
+def test_a_stamp_that_is_no_time_is_refused_with_its_line(word: str, tmp_path: Path) -> None:
+    form = load_format("csv")
+    _, path, file = made(form, tmp_path)
+    lines = file.read_text().splitlines()
+    lines[2] = word + "," + lines[2].partition(",")[2]
+    file.write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match="not a frame") as caught:
+        list(form.read(path))
+    assert caught.value.file == f"{path}:3"

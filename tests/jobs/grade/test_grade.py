@@ -124,6 +124,19 @@ def test_a_start_that_is_not_in_the_log(episode: Path, tmp_path: Path) -> None:
         graded(episode / "vehicle.log", tiny(episode), tmp_path, start_s=60.0)
 
 
+@pytest.mark.parametrize("way", ["ahead", "back"])
+def test_a_clock_that_jumps_is_refused_before_its_ticks_are_counted(way: str, episode: Path, tmp_path: Path) -> None:
+    lines = (episode / "vehicle.log").read_text().splitlines()
+    half = len(lines) // 2
+    later = [f"({float(line[1:].split(')')[0]) + 1.7e9:.6f}){line.partition(')')[2]}" for line in lines]
+    halves = [lines[:half], later[half:]] if way == "ahead" else [later[:half], lines[half:]]
+    log = tmp_path / "stepped.log"
+    log.write_text("\n".join(line for part in halves for line in part) + "\n")
+    with pytest.raises(InputError, match=f"the clock jumps {way} by 1.7e") as caught:
+        graded(log, tiny(episode), tmp_path, vehicle="mkz_bywire")
+    assert caught.value.code == "clock_jump" and caught.value.file == str(log) and "cut the log" in caught.value.hint
+
+
 @pytest.mark.parametrize("start_s", [math.nan, math.inf, -math.inf, -1.0, 1e308])
 def test_a_start_that_is_no_time_is_refused_before_anything_is_read(start_s: float, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--start-s") as caught:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import binascii
 import csv
+import math
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -68,7 +69,7 @@ def _ours(values: dict[str, str]) -> Row:
     data = bytes.fromhex(values["data"])
     if len(data) > (64 if flags & FD else 8):
         raise ValueError(f"{len(data)} bytes of data")
-    return Row(float(values["time_s"]), values["channel"], can_id, data, flags, int(values["dlc"]))
+    return Row(_stamp(values["time_s"]), values["channel"], can_id, data, flags, int(values["dlc"]))
 
 
 def _theirs(values: dict[str, str]) -> Row:
@@ -76,8 +77,15 @@ def _theirs(values: dict[str, str]) -> Row:
     flags = (RTR if remote else 0) | (ERROR if _yes(values["error"]) else 0)
     data = b"" if remote else base64.b64decode(values["data"], validate=True)
     return Row(
-        float(values["timestamp"]), "can0", _identifier(values), data, flags, int(values["dlc"]) if remote else 0
+        _stamp(values["timestamp"]), "can0", _identifier(values), data, flags, int(values["dlc"]) if remote else 0
     )
+
+
+def _stamp(word: str) -> float:
+    time_s = float(word)
+    if not math.isfinite(time_s):
+        raise ValueError(f"{word!r} is no time")
+    return time_s
 
 
 def _identifier(values: dict[str, str]) -> int:

@@ -19,7 +19,7 @@ from tunefree_hil.grade.reference import Reference, read_reference
 from tunefree_hil.grade.score import MISSING_TICKS, GradeVehicle, ScenarioGrade, grade, vehicle_of
 from tunefree_hil.grade.table import PUBLISHED, TABLE, by_aspect
 from tunefree_hil.jobs.drive import DEFAULT_ROOT, find_scenario
-from tunefree_hil.jobs.log.drive import LogDrive, beside_of, manual_s, read_drive
+from tunefree_hil.jobs.log.drive import LogDrive, beside_of, manual_s, read_drive, refuse_jump
 from tunefree_hil.jobs.log.files import codec_for, load_log
 from tunefree_hil.jobs.require import require_number
 from tunefree_hil.jobs.run_folder import RunFolder, read_json, write_json
@@ -76,6 +76,7 @@ def _read(
     read = load_log(log)
     if read.cut:
         yield Event("warning", read.cut)
+    refuse_jump(read.frames, log)
     drive = read_drive(read.frames, codec, car, reference, align=align, start_s=start_s, folder=log.parent)
     notes = [*drive.notes, *_more_notes(drive.recording, manual_s(read.frames, codec, drive.span_s))]
     yield from (Event("note", note) for note in notes)

@@ -16,7 +16,7 @@ from tunefree_hil.bus.codec import Codec
 from tunefree_hil.control.follower import make_follower
 from tunefree_hil.episode.candump import EXTENDED_BIT, LogFrame
 from tunefree_hil.episode.columns import columns_from_frames
-from tunefree_hil.episode.real_time import times_of
+from tunefree_hil.episode.real_time import MOST_STEP_S, clock_jump, times_of
 from tunefree_hil.episode.recording import Recording
 from tunefree_hil.grade.align import Align, find_by_speed, longitudinal_only, place_course
 from tunefree_hil.grade.profile import Beside
@@ -83,6 +83,15 @@ def read_drive(
     found = columns(nobody(), row, ticks)
     notes += [words, "no INS frames with position and speed: nothing lateral can be had", ODOMETRY]
     return LogDrive(longitudinal_only(found, reference.course), reference.course, notes, span(row, ticks))
+
+
+def refuse_jump(frames: Sequence[LogFrame], log: Path) -> None:
+    """Raise InputError for a clock that jumps: the ticks between would be rows of the drive."""
+    steps = np.diff([frame.time_s for frame in frames])
+    if len(steps) and float(np.abs(steps).max()) > MOST_STEP_S:
+        k = int(np.abs(steps).argmax())
+        way = "back" if steps[k] < 0.0 else "ahead"
+        raise clock_jump(abs(float(steps[k])), frames[k + 1].time_s, way, log)
 
 
 def nobody() -> Block:
