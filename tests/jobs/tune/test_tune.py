@@ -98,6 +98,18 @@ def test_what_a_joined_controller_calls_itself_is_kept(
     assert run.record.get("joined") == ("pursuit" if join else None)
 
 
+@pytest.mark.parametrize(("join", "other"), [(True, True), (True, False), (False, True)])
+def test_nothing_is_verified_on_a_joined_ecu_that_drives_another_car(tmp_path: Path, join: bool, other: bool) -> None:
+    bench = write_bench(tmp_path)
+    if other:
+        bench.write_text(bench.read_text().replace('verify_model = "mkz_nominal"', 'verify_model = "mkz_reference"'))
+    wish = resolve_wish(Asked(bench, join=join, session="s", verify=True))
+    assert tune._verifies(wish) == (not (join and other))
+    words = tune._not_verified(wish, RunFolder(tmp_path / "run", {}))
+    assert f"ecu {tmp_path}/run/bench.toml --model {wish.bench.spec.verify_model} --session s" in words
+    assert f"verify {tmp_path}/run --join --session s" in words
+
+
 @pytest.mark.parametrize("slower", ["0.9", "11.0", "nan"])
 def test_a_factor_that_does_not_do_is_refused(tmp_path: Path, slower: str) -> None:
     bench = write_bench(tmp_path)

@@ -17,7 +17,7 @@ from typing import Any
 
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bench import load
-from tunefree_hil.bus.bench_channel import FAULT_ID, HELLO_ID, STATUS_ID
+from tunefree_hil.bus.bench_channel import FAULT_ID, HELLO_ID, STATUS_ID, Role
 from tunefree_hil.bus.error_frames import error_words
 from tunefree_hil.bus.kernel_link import Claim
 from tunefree_hil.bus.link import Link, Owner
@@ -149,7 +149,22 @@ class Session:
         self.links.append(bench)
         runner = Runner(bench, keeper, self._check)
         runner.meet(_start_limit_s(JOIN_LIMIT_S) if self.join else limit_s)
+        if self.join:
+            self._refuse_another_model(runner.collector.name(Role.ECU))
         return runner
+
+    def _refuse_another_model(self, said: str) -> None:
+        """Raise InputError where the ECU that was joined drives another model than is wanted: all that follows would
+        be said of the wrong car.
+        """
+        wanted = self.model or load(self.bench_file).spec.model
+        if Path(said).name != Path(wanted).name:
+            raise InputError(
+                f"the ecu of session {self.session} drives {said}, and {wanted} is to be driven",
+                code="other_model",
+                key="--join",
+                hint=f"start it with --model {wanted}, or leave --join out for a bench of your own",
+            )
 
     def _start_recorder(self, limit_s: float) -> RecorderOwner:
         bench, choice = load(self.bench_file), self.choice

@@ -88,13 +88,30 @@ def _told(wish: Wish, run: RunFolder, finished: Finished) -> Iterator[Event]:
     if _verifies(wish) and finished.verify:
         data["verify"] = yield from _verified(wish, run, finished.ending)
         sentence += f". On {wish.bench.spec.verify_model}, unseen: {data['verify']['sentence']}"
+    elif wish.asked.verify and _other_car(wish):
+        yield Event("warning", _not_verified(wish, run))
     run.finish(result={"sentence": sentence})
     data["next"] = _next(wish, run)
     yield Event("result", sentence, {"sentence": sentence, "run": str(run.path), **data})
 
 
 def _verifies(wish: Wish) -> bool:
-    return bool(wish.asked.verify and wish.bench.spec.verify_model)
+    return bool(wish.asked.verify and wish.bench.spec.verify_model and not _other_car(wish))
+
+
+def _other_car(wish: Wish) -> bool:
+    """Whether the nodes that were joined go on as another car than the one to verify on."""
+    spec = wish.bench.spec
+    return wish.asked.join and bool(spec.verify_model) and spec.model != spec.verify_model
+
+
+def _not_verified(wish: Wish, run: RunFolder) -> str:
+    """Why not, and how it is done."""
+    spec, session = wish.bench.spec, wish.session
+    ecu = pasted("ecu", run.path / "bench.toml", model=spec.verify_model, session=session)
+    verify = pasted("verify", run.path, join=True, session=session)
+    words = f"not verified: the ecu that was joined drives {spec.model}, and {spec.verify_model} is to be driven"
+    return f"{words}. End it, start `{ecu}`, then `{verify}`"
 
 
 def _verified(wish: Wish, run: RunFolder, ending: Ending | None) -> Generator[Event, None, dict[str, Any]]:

@@ -62,7 +62,7 @@ def verify_winner(
         lanes_of(join, bus),
         Path(bench.file),
         run.words(),
-        session=f"{session}-verify",
+        session=session if join else f"{session}-verify",
         model=model,
         bus=bus,
         bench_bus=bench_bus,
