@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tunefree_hil.base import parts
+from tunefree_hil.base.contracts import Effect
 from tunefree_hil.base.errors import InputError
 
 LATERAL = "tunefree_hil.control.lateral"
@@ -40,4 +41,11 @@ def test_a_users_file_that_does_not_load_is_said_with_its_line(tmp_path: Path, t
     file.write_text(text)
     with pytest.raises(InputError, match=said) as caught:
         parts.load(LATERAL, f"{file}:CONTROLLER", "CONTROLLER")
-    assert caught.value.file == str(file) and caught.value.hint
+    assert str(file) in caught.value.message and caught.value.hint
+
+
+def test_a_users_export_of_another_kind_is_said(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("EFFECT = 7\n")
+    with pytest.raises(InputError, match="is of type int, where Effect is expected"):
+        parts.load("tunefree_hil.effects", f"{file}:EFFECT", "EFFECT", Effect)

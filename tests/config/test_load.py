@@ -183,6 +183,7 @@ MISTAKES = [
     ("model", "rate_limit = inf", "lag_s = inf", "actuators.steer.lag_s", "finite", ""),
     ("model", "rate_limit = inf", "lag_s = -0.1", "actuators.steer.lag_s", "below 0", ""),
     ("model", "rate_limit = inf", "order = 2", "actuators.steer.natural_hz", "order 2", ""),
+    ("model", "[actuators.steer]", "[actuators.steering]", "actuators.steering", "no channel", "did you mean steer?"),
     ("model", "rate_limit = inf", "rate_limits = 3.0", "actuators.steer.rate_limits", "unknown key", "rate_limit"),
     ("model", "report.speed_mps", "report.sped_mps", "noise.report.sped_mps", "no such record field", "speed_mps"),
     ("model", "[0.0, 10.0]", "[10.0, 0.0]", "valid.speed_mps", "[low, high]", ""),

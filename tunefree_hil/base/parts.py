@@ -21,13 +21,18 @@ def names(package: str) -> list[str]:
     return sorted(info.name for info in pkgutil.iter_modules(found.__path__) if not info.name.startswith("_"))
 
 
-def load(package: str, name: str, export: str) -> Any:
+def load(package: str, name: str, export: str, kind: type | None = None) -> Any:
     """The constant `export` of the part `name` of `package`, or of the user's own 'path/to/file.py:EXPORT'.
 
-    Raises InputError that names the parts there are, or the line at which the user's file does not load.
+    Raises InputError that names the parts there are, or the line at which the user's file does not load, or what its
+    export is instead of a `kind`.
     """
     if ":" in name:
-        return _from_path(name)
+        found = _from_path(name)
+        if kind is not None and not isinstance(found, kind):
+            what = f"{name} is of type {type(found).__name__}, where {kind.__name__} is expected"
+            raise InputError(what, code="unknown_part", hint=f"{export} = {kind.__name__}(...) in that file")
+        return found
     if name not in names(package):
         known = ", ".join(names(package))
         raise InputError(
@@ -67,9 +72,8 @@ def _module(path: Path, text: bytes) -> ModuleType:
     except Exception as error:
         del sys.modules[spec.name]
         raise InputError(
-            f"line {_line_in(path, error)}: {type(error).__name__}: {error}",
-            code="broken_part",
-            file=str(path),
+            f"{path} does not load, line {_line_in(path, error)}: {type(error).__name__}: {error}",
+            code="unknown_part",
             hint=f"mend it there; `python {path}` shows all of it",
         ) from error
     return module

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tunefree_hil.base import parts
-from tunefree_hil.base.contracts import Port, make_effect
+from tunefree_hil.base.contracts import Effect, Port, make_effect
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import kept
 from tunefree_hil.bench.faults import ECU, driver_script, faults_of
@@ -170,7 +170,7 @@ def effects_of(specs: Sequence[EffectSpec], rest: float, file: str = "") -> list
     made = []
     for i, spec in enumerate(specs):
         try:
-            effect = parts.load("tunefree_hil.effects", spec.name, "EFFECT")
+            effect = parts.load("tunefree_hil.effects", spec.name, "EFFECT", Effect)
             pedal = effect.port.value.split()[0] in ("throttle", "brake")
             made.append((effect.port, make_effect(effect, spec.params, rest=rest if pedal else 0.0, name=spec.name)))
         except InputError as error:

@@ -25,6 +25,7 @@ PARAMETERS = (
     *("station.kp", "speed.kp_low", "speed.ki_low", "speed.kp_high", "speed.ki_high"),
     *("mrac.enable", "riccati", "mrac.clamp_s", "mrac.gamma", "look_ahead_m"),
 )
+CHANNELS = ("throttle", "brake", "steer", "accel", "steer_torque")  # that a model's [actuators] may have
 # What weights may name; grade/metrics.py says how each is computed.
 METRICS = (
     *("station_err_std", "station_err_std_harsh", "speed_err_std", "speed_err_std_harsh"),
@@ -174,6 +175,8 @@ def _box(key: str, parameter: ParameterSpec) -> Found:
 def check_model(spec: ModelSpec) -> Found:
     """Intervals hold their value, times are not negative, names are record fields."""
     for channel, actuator in spec.actuators.items():
+        if channel not in CHANNELS:
+            yield f"actuators.{channel}", "no channel of an actuator", nearest(channel, CHANNELS)
         for name in ("dead_time_s", "lag_s", "natural_hz", "damping", "rate_limit", "dead_band", "gain", "offset"):
             number, key = getattr(actuator, name), f"actuators.{channel}.{name}"
             value = value_of(number)

@@ -33,6 +33,7 @@ def changed(folder: Path, more: str = "", kind: str = "physics") -> Path:
     [
         ({"more": EFFECT.format("steer_dead_tim", "delay_s = 0.1")}, "effects[0].name", "mean steer_dead_time"),
         ({"more": EFFECT.format("no.py:EFFECT", "a = 1.0")}, "effects[0].name", "no.py does not exist"),
+        ({"more": EFFECT.format(f"{__file__}:DELAY", "a = 1.0")}, "effects[0].name", "type str, where Effect is"),
         ({"more": DELAY + EFFECT.format("steer_dead_time", "dely_s = 0.1")}, "effects[1].params.dely_s", "delay_s [s]"),
         ({"more": EFFECT.format("steer_dead_time", "delay_s = -0.1")}, "effects[0].params.delay_s", "delay_s = -0.1"),
         ({"more": EFFECT.format("steer_dead_time", "delay_s = inf")}, "effects[0].params.delay_s", "must be finite"),
