@@ -28,8 +28,8 @@ from tunefree_hil.jobs.identity import identity_of, resolved_toml
 from tunefree_hil.jobs.learn.model_words import model_words
 from tunefree_hil.jobs.learn.outside import drive_warning, outside_data, outside_words
 from tunefree_hil.jobs.pasted import pasted
-from tunefree_hil.jobs.run_folder import RunFolder, write_text
-from tunefree_hil.jobs.running.foreign import program_of, with_command
+from tunefree_hil.jobs.run_folder import JOINED, RunFolder, write_text
+from tunefree_hil.jobs.running.foreign import joined_name, program_of, with_command
 from tunefree_hil.jobs.running.harvest import Episode
 from tunefree_hil.jobs.running.heard import heard_of
 from tunefree_hil.jobs.running.lateness import judge_realtime
@@ -123,6 +123,8 @@ def _driven(wish: Wish, run: RunFolder) -> Generator[Event, None, tuple[dict[str
         controller_command=program_of(bench),
     ) as session:
         yield Event("note", f"bus: {session.choice.why}")
+        if asked.join:
+            run.note(**{JOINED: joined_name([session])})
         track = Track(session, bench, run, seed=asked.seed)
         episodes: dict[str, Episode] = {}
         try:

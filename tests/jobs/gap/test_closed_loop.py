@@ -151,6 +151,23 @@ def test_who_drove_a_foreign_log_is_not_known(log: Path, tmp_path: Path) -> None
     assert asked([other], DELAY_S, tmp_path / "model") == (None, UNKNOWN)
 
 
+@pytest.mark.parametrize("joined", [True, False])
+def test_what_a_controller_that_is_not_ours_drove_is_not_done_again(log: Path, tmp_path: Path, joined: bool) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(log.parents[2], run)
+    if joined:
+        record = json.loads((run / "run.json").read_text())
+        (run / "run.json").write_text(json.dumps({**record, "joined": "pursuit"}))
+    else:
+        bench = run / "bench.toml"
+        lines = [
+            "command = ['./mine']" if line.startswith("command = ") else line for line in bench.read_text().split("\n")
+        ]
+        bench.write_text("\n".join(lines))
+    found, why = asked([run / "episodes" / "0" / "vehicle.log"], DELAY_S, tmp_path / "model")
+    assert found is None and "a batch knows our controller only, not" in why
+
+
 def test_a_drive_on_the_vehicle_is_the_tunes_own(log: Path, tmp_path: Path) -> None:
     run = log.parent.parent.parent
     place = tmp_path / "tune"

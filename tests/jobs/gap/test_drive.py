@@ -228,10 +228,17 @@ def test_cut_off_in_a_drive_it_goes_on_with_that_drive(bench: Bench, asked: Aske
     assert bench.driven == ["steer_steps", "throttle_steps", "brake_levels"] and len(bench.asked) == 2
 
 
-def test_drives_of_another_bench_are_not_mixed_in(bench: Bench, asked: Asked, wish: Wish, tmp_path: Path) -> None:
-    bench.says, bench.dies = {1: verdict("set")}, "steer_steps"
-    with pytest.raises(KeyboardInterrupt):
-        events(asked, wish)
+@pytest.mark.parametrize("whole", [False, True])
+def test_drives_of_another_bench_are_not_mixed_in(
+    bench: Bench, asked: Asked, wish: Wish, tmp_path: Path, whole: bool
+) -> None:
+    bench.says, bench.dies = {1: verdict("set"), 2: verdict("one")}, "" if whole else "steer_steps"
+    if whole:
+        assert events(asked, wish)[-1].data["verdict"] == "one"
+        assert events(asked, wish)[-1].data["verdict"] == "one", "the same is said again"
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            events(asked, wish)
     (tmp_path / "other").mkdir()
     other = write_bench(tmp_path / "other")
     text = other.read_text()

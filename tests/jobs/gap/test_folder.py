@@ -11,8 +11,10 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+import tunefree_hil.effects
 from tests.gap.made_answer import VEHICLE, made_kept, made_model
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.config.schema import EffectSpec
 from tunefree_hil.gap.kept import as_json
 from tunefree_hil.jobs.gap.folder import (
     ANSWER,
@@ -95,6 +97,24 @@ def test_another_card_is_another_question(tmp_path: Path) -> None:
     for other in (asked[1], none):
         with pytest.raises(InputError, match="another question: card is"), held_folder(out, other):
             pass
+
+
+def test_an_effect_more_is_another_question(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text("EFFECT = 1")
+    model = replace(made_model(), effects=[EffectSpec(name=f"{mine}:EFFECT", params={})])
+    first = question_of([], [], VEHICLE, model)
+    assert question_of([], [], VEHICLE, model) == first
+    mine.write_text("EFFECT = 2")
+    second = question_of([], [], VEHICLE, model)
+    assert {key for key in first if first[key] != second[key]} == {"effects"}
+    (tmp_path / "effects").mkdir()
+    for name in ("__init__.py", "one.py"):
+        (tmp_path / "effects" / name).write_text("")
+    monkeypatch.setattr(tunefree_hil.effects, "__file__", str(tmp_path / "effects" / "__init__.py"))
+    before = question_of([], [], VEHICLE, model)
+    (tmp_path / "effects" / "mine.py").write_text("")
+    assert question_of([], [], VEHICLE, model)["effects"] != before["effects"]
 
 
 def test_an_answer_says_where_its_files_are_now(tmp_path: Path) -> None:

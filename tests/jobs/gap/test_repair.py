@@ -166,3 +166,20 @@ def test_older_logs_are_asked_where_nothing_else_can_prove(late: bool, stays: bo
     (data, _), _ = ended(proved(Folder(tmp_path), material, opened, made_kept(), mended))
     assert len(data["older"]) == 1 and bool(data["worse"]) is not stays
     assert (tmp_path / "model").exists() is stays is ("model" not in data)
+
+
+def test_an_older_log_that_cannot_judge_says_so(tmp_path: Path) -> None:
+    older = late_drive(SECONDS, 9)
+    steer = older.fields["report.steer_rad"]
+    fields = {**older.fields, "report.gear": 0.0 * steer}
+    older = older._replace(name="neutral.log", fields=fields, fresh={**older.fresh, "report.gear": older.enabled})
+    material = Material(VEHICLE, made_model(), made_model(), [late_drive()], [older])
+    opened = [open_chain(late_drive(), VEHICLE)]
+    mended = mend(Folder(tmp_path), material, opened, made_kept(), "sha256:0")
+    (data, _), events = ended(proved(Folder(tmp_path), material, opened, made_kept(), mended))
+    assert any(one.kind == "warning" and "neutral.log: No block of it" in one.message for one in events)
+    assert data["older"][0]["blocks"] == 0 and (tmp_path / "model").exists()
+    whole = {**answer(), **as_data(mended), **data, "log_hash": "", "logs": [], "figures": []}
+    whole |= {"until": "verify", "model_hash": "", "vehicle_hash": "", "version": ""}
+    write_page(tmp_path / "gap.md", {**whole, "sentence": sentence_of(whole)}, [], "again")
+    assert "## Older log neutral.log\n\nNo block of it can be driven" in (tmp_path / "gap.md").read_text()

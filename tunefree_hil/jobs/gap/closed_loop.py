@@ -117,11 +117,15 @@ def _driven_again(log: Path, models: Mapping[str, str]) -> dict[str, Drive]:
     from tunefree_hil.episode.recording import load_recording
     from tunefree_hil.grade.score import DIVERGED, LEFT_LANE
     from tunefree_hil.jobs.drive import find_scenario
-    from tunefree_hil.jobs.run_folder import open_run, read_json
+    from tunefree_hil.jobs.run_folder import JOINED, open_run, read_json
+    from tunefree_hil.jobs.tune.margins import why_not
 
-    run = _run_of(log)
-    assert run is not None
-    bench = load(open_run(run).bench_file())
+    folder = _run_of(log)
+    assert folder is not None
+    run = open_run(folder)
+    bench = load(run.bench_file())
+    if reason := why_not(bench, run.record.get(JOINED)):
+        raise InputError(reason, code="not_in_batch")
     spec = bench.spec
     bare = type(spec)(**{name: getattr(spec, name) for name in spec.__struct_fields__ if name != "effects"})
     said = read_json(log.parent / "episode.json")

@@ -24,7 +24,15 @@ from tunefree_hil.collect.bounds import bounds_of
 from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.drive_menu import MENU, Manoeuvre, plan_for, to_drive
 from tunefree_hil.gap.suspects import class_of
-from tunefree_hil.jobs.gap.drive_bench import Job, Wish, drive_all, jobs_of, open_bench, require_same_vehicle
+from tunefree_hil.jobs.gap.drive_bench import (
+    Job,
+    Wish,
+    drive_all,
+    jobs_of,
+    open_bench,
+    require_same_bench,
+    require_same_vehicle,
+)
 from tunefree_hil.jobs.gap.folder import ANSWER, LOCK, PAGE, Folder
 from tunefree_hil.jobs.gap.gap import Asked, gap, model_for
 from tunefree_hil.jobs.gap.page import write_page
@@ -74,6 +82,8 @@ def gap_drive(asked: Asked, wish: Wish) -> Iterator[Event]:
     require_same_vehicle(wish, vehicle)
     resume = with_drive(again(asked), wish)
     answer = yield from _ask(asked, resume, saved=False)
+    if DRIVES in answer:
+        require_same_bench(wish, asked.out / DRIVES)
     if DRIVES in answer or not to_drive(answer, (), catalogue()):
         yield Event("result", "", {**answer, "next": following(asked, wish, answer, vehicle)})
         return

@@ -80,6 +80,14 @@ def open_bench(wish: Wish, folder: Path) -> tuple[RunFolder, Bench]:
     return run, prepare(run, vehicle, model, asked, effects)
 
 
+def require_same_bench(wish: Wish, folder: Path) -> None:
+    """Raises InputError where the drives in a folder are another bench's: what was answered with them is not of it."""
+    asked = _collection(wish, folder)
+    vehicle, model, effects = vehicle_and_model(asked)
+    if (folder / "run.json").is_file():
+        open_folder(vehicle, asked, {**record_of(vehicle, model, asked, effects), "command": "gap"})
+
+
 def _collection(wish: Wish, folder: Path) -> collect_plan.Asked:
     return collect_plan.Asked(
         bench=wish.bench, bus=wish.bus, session=wish.session, out=folder, quota_s=QUOTA_S, area_m=AREA_M, seed=SEED

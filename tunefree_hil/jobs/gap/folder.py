@@ -1,7 +1,7 @@
 """The folder of a `gap`: which question it is about, what its search came to, and the answer, each written whole.
 
-question.json   what was asked: hashes of logs, vehicle, model and its card, the version; a folder that holds more than
-                this is gone on with for no other
+question.json   what was asked: hashes of logs, vehicle, model and its card, effects, the version; a folder that holds
+                more than this is gone on with for no other
 search.json     what the search came to (gap/kept.py): what costs time
 gap.json        the answer (interfaces 9), last; gap.md, figures/, model/ are there before it
 """
@@ -107,9 +107,7 @@ def _said_in(path: Path) -> dict[str, Any]:
 
 def require_ours(out: Path) -> None:
     """Raises InputError, before anything is read, for a folder that holds something else."""
-    if not (out / QUESTION).is_file() and not (
-        out.is_dir() and all(one.name.startswith(LOCK) for one in out.iterdir())
-    ):
+    if not (out / QUESTION).is_file() and not (out.is_dir() and _is_bare(out)):
         require_new(out)
 
 
@@ -125,8 +123,24 @@ def question_of(
         "older": [one.log_hash for one in older],
         "vehicle": f"sha256:{vehicle.hash}",
         "model": f"sha256:{model.hash}",
+        "effects": f"sha256:{_sources_hash(model)}",
         "version": __version__,
     }
+
+
+def _sources_hash(model: ModelSpec) -> str:
+    """Of the catalogue's files and of those of the user's own that the model names: who is suspected is part of what
+    is asked, and a file more is one more.
+    """
+    import tunefree_hil.effects
+
+    named = (model.plant.kind, *(one.name for one in model.effects))
+    own = {Path(name.rpartition(":")[0]) for name in named if ":" in name}
+    catalogue = Path(tunefree_hil.effects.__file__).parent.glob("*.py")
+    digest = hashlib.sha256()
+    for file in (*sorted(catalogue), *sorted(own)):
+        digest.update(file.name.encode() + hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()
 
 
 @contextmanager

@@ -118,10 +118,10 @@ def _require_others(drives: Sequence[Drive], older: Sequence[Drive]) -> None:
         for one in some:
             if one.log_hash in names:
                 raise InputError(
-                    f"it holds what {names[one.log_hash]} holds", code="same_log", file=one.name, key=key,
+                    f"it holds what {names[one.log_hash]} holds", code="same_log", file=one.path, key=key,
                     hint="name every log once" if key == "LOG" else "name logs that are neither asked about nor named",
                 )  # fmt: skip
-            names[one.log_hash] = one.name
+            names[one.log_hash] = one.path
 
 
 def _without_mute(

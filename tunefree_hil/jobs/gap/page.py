@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tunefree_hil.jobs.gap.words import listed, percent, remarks, value_words, waits_for_proof
+from tunefree_hil.jobs.gap.words import UNJUDGED, listed, percent, remarks, value_words, waits_for_proof
 from tunefree_hil.jobs.run_folder import write_text
 from tunefree_hil.jobs.words import markdown_table
 
@@ -142,11 +142,8 @@ def _older(answer: Mapping[str, Any]) -> list[str]:
             (name, _number(s["before"]), _number(s["after"]), s["unit"], "worse" if name in one["worse"] else "")
             for name, s in one["signals"].items()
         ]
-        lines += [
-            f"## Older log {one['name']}",
-            "",
-            *markdown_table(("signal", "as it was", "repaired", "unit", ""), rows),
-        ]
+        table = markdown_table(("signal", "as it was", "repaired", "unit", ""), rows)
+        lines += [f"## Older log {one['name']}", "", *(table if one.get("blocks", 1) else [UNJUDGED, ""])]
     return lines
 
 

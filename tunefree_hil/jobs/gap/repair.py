@@ -26,7 +26,7 @@ from tunefree_hil.gap.shrink import (
 )
 from tunefree_hil.gap.verify import Proof, Variant, prove
 from tunefree_hil.jobs.gap.borne_out import closes_it, is_borne_out, taken_back
-from tunefree_hil.jobs.gap.words import CLOSES_NOTHING, is_unshown, missed_words
+from tunefree_hil.jobs.gap.words import CLOSES_NOTHING, UNJUDGED, is_unshown, missed_words
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import EffectSpec, ModelSpec
@@ -202,6 +202,8 @@ def _older(material: Material, model: ModelSpec) -> Generator[Event, None, list[
         yield Event("note", f"older log {drive.name}")
         variants = {"before": Variant(material.given), "after": Variant(model)}
         proof: Proof = prove(variants, material.vehicle, [open_chain(drive, material.vehicle)], whole=True)
+        if not proof.blocks:
+            yield Event("warning", f"older log {drive.name}: {UNJUDGED}")
         floors = floors_of(proof, material.model)
         signals = {
             name: {"before": one.before, "after": one.after, "unit": one.unit}

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 COMMAND = pasted("gap")
 SHARE = ("value", "low", "high")
+UNJUDGED = "No block of it can be driven, by commands that are obeyed: what the repair does to it is not known."
 CLOSES_NOTHING = 0.01  # of the gap: no model is written for less
 SHOWS = 0.02  # of an error or the gap: what is no more may be chance
 STIRS = 0.05  # of an error's squares: blocks that an effect changes by less do not show it
