@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import pytest
 
 from tests.learn.made_drives import made_drive
@@ -12,9 +13,11 @@ from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.gap.chain import Opened, open_chain
 from tunefree_hil.gap.enough import LEAST_S, refuse_untold
 
+VEHICLE = load_vehicle("mkz_bywire")
+
 
 def opened(seconds: float) -> Opened:
-    return open_chain(made_drive(seconds, seed=5), load_vehicle("mkz_bywire"))
+    return open_chain(made_drive(seconds, seed=5), VEHICLE)
 
 
 def refusal(drives: Sequence[Opened]) -> InputError:
@@ -39,3 +42,14 @@ def test_a_car_that_stands_for_most_of_the_log_is_refused_with_what_to_do() -> N
     refuse_untold([one])
     found = refusal([one._replace(moving=halted)])
     assert found.code == "standing" and "walking pace" in found.message and "in gear" in found.hint
+
+
+@pytest.mark.parametrize("field", ["report.steer_rad", "report.brake_frac"])
+def test_a_report_that_falls_silent_is_named_and_not_the_car(field: str) -> None:
+    drive = made_drive(110.0, seed=5)
+    late = np.arange(drive.ticks) > 4500
+    fields = {**drive.fields, field: np.where(late, np.nan, drive.fields[field])}
+    one = open_chain(drive._replace(fields=fields, fresh={**drive.fresh, field: drive.fresh[field] & ~late}), VEHICLE)
+    found = refusal([one])
+    assert f"{field} is silent for 6" in found.message and "stands for" not in found.message
+    assert "falls silent" in found.hint

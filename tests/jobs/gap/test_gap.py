@@ -242,12 +242,13 @@ def test_another_model_is_refused_with_what_to_do(tmp_path: Path) -> None:
         next(gap(asked(tmp_path, vehicle=other_vehicle.NAME)))
 
 
-def test_a_sensor_at_its_stop_is_left_out_with_a_warning(search: Search, tmp_path: Path) -> None:
+@pytest.mark.parametrize("stop", [0.15, 0.08])
+def test_a_sensor_at_its_stop_is_left_out_with_a_warning(stop: float, search: Search, tmp_path: Path) -> None:
+    """However much of it is cut off: held against the INS it would be a wrong unit."""
     drive, name = late_drive(), "report.yaw_rate_radps"
-    clipped = np.clip(drive.fields[name], -0.15, 0.15)
-    search.drives["late.log"] = drive._replace(fields={**drive.fields, name: clipped})
+    search.drives["late.log"] = drive._replace(fields={**drive.fields, name: np.clip(drive.fields[name], -stop, stop)})
     events = list(gap(asked(tmp_path)))
-    assert any(one.kind == "warning" and f"{name} stands at its stop of 0.15" in one.message for one in events)
+    assert any(one.kind == "warning" and f"{name} stands at its stop of {stop:.4g}" in one.message for one in events)
     assert name not in events[-1].data["signals"] and "ins.yaw_rate_radps" in events[-1].data["signals"]
 
 

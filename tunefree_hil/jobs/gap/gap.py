@@ -140,16 +140,16 @@ def _without_mute(
 
 
 def _read(logs: Sequence[Path], vehicle: VehicleSpec) -> Generator[Event, None, list[Drive]]:
-    """The drives of logs, without signals that stand at a sensor's stop."""
+    """The drives of logs, without signals that stand at a sensor's stop: these would be judged a wrong unit."""
+    return (yield from read(logs, vehicle, excused=EXCUSED, unsaid=UNSAID, mend=_without_stops))
+
+
+def _without_stops(drive: Drive) -> tuple[Drive, list[str]]:
     from tunefree_hil.gap.saturated import stops_of, without
 
-    found = []
-    for drive in (yield from read(logs, vehicle, excused=EXCUSED, unsaid=UNSAID)):
-        stops = stops_of(drive)
-        for stop in stops:
-            yield Event("warning", f"{drive.name}: {stop.words} and is left out: what shows in it alone is not told")
-        found.append(without(drive, stops) if stops else drive)
-    return found
+    stops = stops_of(drive)
+    words = [f"{stop.words} and is left out: what shows in it alone is not told" for stop in stops]
+    return without(drive, stops) if stops else drive, words
 
 
 def _answered(asked: Asked, folder: Folder, material: Material) -> Generator[Event, None, dict[str, Any]]:

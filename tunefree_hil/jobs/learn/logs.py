@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Generator, Sequence
+from collections.abc import Callable, Collection, Generator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,13 +15,18 @@ if TYPE_CHECKING:
 
 
 def read(
-    logs: Sequence[Path], vehicle: VehicleSpec, excused: Collection[str] = (), unsaid: Collection[str] = ()
+    logs: Sequence[Path],
+    vehicle: VehicleSpec,
+    excused: Collection[str] = (),
+    unsaid: Collection[str] = (),
+    mend: Callable[[Drive], tuple[Drive, Sequence[str]]] = lambda drive: (drive, ()),
 ) -> Generator[Event, None, list[Drive]]:
     """The drives of logs, in their order; what is to be said of them on the way.
 
     excused: codes of refusals (learn/checks.py) that are no more than warnings to whoever asks; unsaid: codes that do
-    not matter to them at all. Raises InputError where no log is named, one cannot be read, or one is refused: before
-    anything is learned, with all that is wrong.
+    not matter to them at all; mend: what they leave out of a drive before it is judged, with words for it. Raises
+    InputError where no log is named, one cannot be read, or one is refused: before anything is learned, with all that
+    is wrong.
     """
     from tunefree_hil.bus.codec import Codec
     from tunefree_hil.learn.checks import check_drives
@@ -38,6 +43,8 @@ def read(
         if left_out:
             said = ", ".join(f"{count} of {name}" for name, count in left_out.items())
             yield Event("warning", f"{drive.name}: single values that no car can have come to are left out: {said}")
+        drives[i], words = mend(drives[i])
+        yield from (Event("warning", f"{drive.name}: {one}") for one in words)
     problems = [one for one in check_drives(drives, vehicle) if one.code not in unsaid]
     for problem in require_good(one._replace(severity="warn") if one.code in excused else one for one in problems):
         yield Event("warning", problem.words)
