@@ -42,3 +42,19 @@ def test_one_car_that_drives_faster_is_no_other_car() -> None:
     assert list(check_same_vehicle([slow, fast])) == []
     (told,) = check_same_vehicle([slow, turned("other", 2, 15.5, 16.6, ratio=30.0)])
     assert told.severity == "refuse" and told.code == "two_vehicles" and "other turns 0.5" in told.words
+
+
+def rolled(name: str, seed: int, silent_from: int = 6000) -> Drive:
+    """The same with its rear wheels, whose message is heard until then and stands still from there on."""
+    drive = turned(name, seed, 5.0, 15.0)
+    wheel = drive.fields["report.speed_mps"] / 0.33
+    wheel[silent_from:] = wheel[silent_from - 1]
+    heard = np.arange(drive.ticks) < silent_from
+    wheels = ("report.wheel_rl_radps", "report.wheel_rr_radps")
+    fields, fresh = drive.fields | dict.fromkeys(wheels, wheel), {**drive.fresh} | dict.fromkeys(wheels, heard)
+    return drive._replace(fields=fields, fresh=fresh)
+
+
+def test_wheels_that_fall_silent_make_no_other_car() -> None:
+    slowest = int(np.argmin(rolled("a", 1).fields["report.speed_mps"]))
+    assert list(check_same_vehicle([rolled("a", 1), rolled("b", 2, silent_from=slowest)])) == []

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tunefree_hil.learn.runs import every_of, runs, throughout
+from tunefree_hil.learn.runs import every_of, runs, there_of, throughout
 
 
 def test_runs() -> None:
@@ -43,3 +43,11 @@ def test_the_usual_distance_is_not_that_of_the_gaps() -> None:
     assert every_of(fresh) == 4.0
     assert every_of(np.array([1, 0, 1, 0, 0, 1], dtype=bool)) == 2.5
     assert every_of(fresh[:5]) == 1.0 == every_of(np.zeros(3, dtype=bool)), "one value or none is no distance"
+
+
+def test_a_signal_is_there_between_values_that_are_no_gap_apart() -> None:
+    fresh = np.zeros(200, dtype=bool)
+    fresh[[10, 20, 30, 90, 100]] = True
+    there = there_of(fresh, 0.01)
+    assert np.flatnonzero(there).tolist() == [*range(10, 31), *range(90, 101)]
+    assert not there_of(fresh & False, 0.01).any()

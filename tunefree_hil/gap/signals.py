@@ -11,12 +11,11 @@ from tunefree_hil.gap.noise import told_noise
 from tunefree_hil.gap.recent import ahead
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.fields import INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES
-from tunefree_hil.learn.runs import every_of
+from tunefree_hil.learn.runs import every_of, there_of
 from tunefree_hil.learn.smooth import between_fresh
 
 Array = np.ndarray
 
-SILENCE_S = 0.25  # beyond which a signal has a gap
 SLOW_TICKS = 3  # from value to value, from which a signal lies on straight lines that are seen
 COVERS = 0.5  # of what the chassis says: an INS that says less is no second opinion of a drive
 INS = "ins."
@@ -108,16 +107,6 @@ def as_told(values: Array, fresh: Array, dt_s: float) -> Signal:
     told = fresh & np.isfinite(values)
     between = between_fresh(values, told)
     return Signal(between, told, there_of(told, dt_s), between, every=every_of(told))
-
-
-def there_of(fresh: Array, dt_s: float) -> Array:
-    """Rows between two values that are no gap apart."""
-    rows = np.flatnonzero(fresh)
-    there = np.zeros(len(fresh), dtype=bool)
-    there[rows[0] : rows[-1] + 1] = True
-    for i in np.flatnonzero(np.diff(rows) > 2.0 * every_of(fresh) + SILENCE_S / dt_s):
-        there[rows[i] + 1 : rows[i + 1]] = False
-    return there
 
 
 def carried(signals: Mapping[str, Signal], names: tuple[str, ...], ticks: int) -> Array:

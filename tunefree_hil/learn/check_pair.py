@@ -10,6 +10,7 @@ import numpy as np
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.fields import CHASSIS_FIRST_SPEEDS, CHASSIS_FIRST_YAW_RATES
 from tunefree_hil.learn.problems import Problem, Severity
+from tunefree_hil.learn.runs import there_of
 from tunefree_hil.learn.series import TURNS, backwards, first_of, moving, name_of
 
 Array = np.ndarray
@@ -101,6 +102,7 @@ def _steering(drive: Drive, least_rad: float) -> dict[Band, Array]:
     if speed is None or steer is None or yaw is None:
         return {}
     whole = moving(drive) & ~backwards(drive) & np.isfinite(steer) & np.isfinite(yaw)
+    whole &= _said(drive, *(name_of(drive, names) for names in (CHASSIS_FIRST_SPEEDS, TURNS, CHASSIS_FIRST_YAW_RATES)))
     v, wheel, turned = (_windows(np.where(whole, one, np.nan), drive.dt_s) for one in (np.abs(speed), steer, yaw))
     good = np.isfinite(v) & (np.abs(turned) * WINDOW_S > LEAST_TURN_RAD) & (np.abs(wheel) > least_rad)
     good &= turned * wheel > 0.0  # a turned sign is another fault
@@ -146,15 +148,21 @@ def _bands(values: Array) -> list[int]:
 
 def _wheels(drive: Drive) -> float | None:
     """Speed by the rear wheels' turn, while it moves."""
-    speed, left, right = (drive.get(f"report.{one}") for one in ("speed_mps", "wheel_rl_radps", "wheel_rr_radps"))
+    names = [f"report.{one}" for one in ("speed_mps", "wheel_rl_radps", "wheel_rr_radps")]
+    speed, left, right = (drive.get(name) for name in names)
     if speed is None or left is None or right is None:
         return None
     turn = 0.5 * (left + right)
-    rows = moving(drive) & ~backwards(drive) & np.isfinite(turn) & (np.abs(turn) > 1.0)
+    rows = moving(drive) & ~backwards(drive) & np.isfinite(turn) & (np.abs(turn) > 1.0) & _said(drive, *names)
     if rows.sum() * drive.dt_s < FEWEST_WINDOWS * WINDOW_S:
         return None
     gain = float(np.abs(speed[rows]).sum() / np.abs(turn[rows]).sum())
     return gain if gain > 0.0 else None
+
+
+def _said(drive: Drive, *names: str | None) -> Array:
+    """bool [n]: rows in which no field's last value stands for one that has fallen silent."""
+    return np.all([there_of(drive.fresh[name], drive.dt_s) for name in names if name], axis=0)
 
 
 def _windows(values: Array, dt_s: float) -> Array:

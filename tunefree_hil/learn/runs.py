@@ -6,6 +6,8 @@ import numpy as np
 
 Array = np.ndarray
 
+SILENCE_S = 0.25  # beyond which a signal has a gap
+
 
 def runs(flags: Array, least: int = 1, first: int = 0) -> list[tuple[int, int]]:
     """Runs of True (flags: bool [n]) of at least `least` rows as [begin, end), counted from `first`."""
@@ -31,3 +33,14 @@ def every_of(fresh: Array) -> float:
     """The usual number of ticks from one True to the next, which may be half a tick more; 1 where there are not two."""
     rows = np.flatnonzero(fresh)
     return max(float(np.median(np.diff(rows))), 1.0) if len(rows) > 1 else 1.0
+
+
+def there_of(fresh: Array, dt_s: float) -> Array:
+    """bool [n]: rows between two True that are no gap apart."""
+    rows = np.flatnonzero(fresh)
+    there = np.zeros(len(fresh), dtype=bool)
+    if len(rows):
+        there[rows[0] : rows[-1] + 1] = True
+    for i in np.flatnonzero(np.diff(rows) > 2.0 * every_of(fresh) + SILENCE_S / dt_s):
+        there[rows[i] + 1 : rows[i + 1]] = False
+    return there

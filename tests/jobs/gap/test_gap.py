@@ -22,7 +22,7 @@ from tunefree_hil.gap.kept import Kept
 from tunefree_hil.jobs.gap import gap as module
 from tunefree_hil.jobs.gap import pictures as gap_pictures
 from tunefree_hil.jobs.gap.folder import ANSWER, PAGE, QUESTION
-from tunefree_hil.jobs.gap.gap import Asked, gap
+from tunefree_hil.jobs.gap.gap import Asked, _other_car, gap
 from tunefree_hil.learn.drives import Drive
 
 FIELDS = {
@@ -214,6 +214,15 @@ def test_an_older_log_with_the_effect_is_no_obstacle(search: Search, tmp_path: P
     search.older = late_drive(SECONDS, 9)
     data = result(asked(tmp_path, older=[Path("before.log")]))
     assert data["exit"] == 0 and data["worse"] == [] and data["model"]
+
+
+def test_an_older_log_of_another_car_is_told_and_may_be_the_effect(search: Search, tmp_path: Path) -> None:
+    yaws = {name: 0.4 * search.older.fields[name] for name in ("report.yaw_rate_radps", "ins.yaw_rate_radps")}
+    turns = {**yaws, "ins.heading_rad": 0.4 * search.older.fields["ins.heading_rad"]}
+    other = search.older._replace(fields={**search.older.fields, **turns})
+    said = list(_other_car([search.drives["late.log"]], [other]))
+    assert len(said) == 1 and said[0].startswith("--older: before.log turns 0.") and "in between" in said[0]
+    assert list(_other_car([search.drives["late.log"]], [search.older])) == []
 
 
 def test_a_set_writes_no_model_and_says_what_to_drive(search: Search, tmp_path: Path) -> None:

@@ -81,6 +81,7 @@ def gap(asked: Asked) -> Iterator[Event]:
     drives = yield from _read(asked.logs, vehicle)
     older = (yield from _read(asked.older, vehicle)) if asked.older else []
     _require_others(drives, older)
+    yield from (Event("warning", words) for words in _other_car(drives, older))
     drives, mute = _without_mute(drives, vehicle, all_may_go=False)
     older, more = _without_mute(older, vehicle, all_may_go=True)
     left_out = tuple(f"{name} says nothing of the speed, and is left out" for name in (*mute, *more))
@@ -122,6 +123,17 @@ def _require_others(drives: Sequence[Drive], older: Sequence[Drive]) -> None:
                     hint="name every log once" if key == "LOG" else "name logs that are neither asked about nor named",
                 )  # fmt: skip
             names[one.log_hash] = one.path
+
+
+def _other_car(drives: Sequence[Drive], older: Sequence[Drive]) -> Iterator[str]:
+    """What older logs do not share with those that are asked about: another car, or what came to it in between."""
+    from tunefree_hil.learn.check_pair import check_same_vehicle
+
+    marked = [one._replace(name=f"--older {one.path}") for one in older]  # names are short, and those of their group
+    names = {one.name for one in marked}
+    for one in check_same_vehicle([*drives, *marked]):
+        if one.drive in names:
+            yield f"--older: {one.words}, or the effect has come to this one in between"
 
 
 def _without_mute(
