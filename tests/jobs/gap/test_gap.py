@@ -221,7 +221,7 @@ def test_an_older_log_of_another_car_is_told_and_may_be_the_effect(search: Searc
     turns = {**yaws, "ins.heading_rad": 0.4 * search.older.fields["ins.heading_rad"]}
     other = search.older._replace(fields={**search.older.fields, **turns})
     said = list(_other_car([search.drives["late.log"]], [other]))
-    assert len(said) == 1 and said[0].startswith("--older: before.log turns 0.") and "in between" in said[0]
+    assert len(said) == 1 and said[0].startswith("before.log (--older) turns 0.") and "in between" in said[0]
     assert list(_other_car([search.drives["late.log"]], [search.older])) == []
 
 

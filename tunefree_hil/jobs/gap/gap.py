@@ -129,11 +129,11 @@ def _other_car(drives: Sequence[Drive], older: Sequence[Drive]) -> Iterator[str]
     """What older logs do not share with those that are asked about: another car, or what came to it in between."""
     from tunefree_hil.learn.check_pair import check_same_vehicle
 
-    marked = [one._replace(name=f"--older {one.path}") for one in older]  # names are short, and those of their group
+    marked = [one._replace(name=f"{one.path} (--older)") for one in older]  # short names are those of a group
     names = {one.name for one in marked}
     for one in check_same_vehicle([*drives, *marked]):
         if one.drive in names:
-            yield f"--older: {one.words}, or the effect has come to this one in between"
+            yield f"{one.words}, or the effect has come to this one in between"
 
 
 def _without_mute(
