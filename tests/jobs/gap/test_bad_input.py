@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.jobs.command import finish, start
+from tests.jobs.command import eventually, finish, start
 from tests.learn.made_logs import MKZ, good, rows_of, write_log
 from tunefree_hil.bus.formats.rows import Row
 from tunefree_hil.cli.entry import run
@@ -95,21 +97,43 @@ def test_no_such_log_and_no_log(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert run(["gap", "--vehicle", MKZ, "--model", "mkz_nominal", "--out", str(tmp_path / "out"), "--json"]) == 2
 
 
-@pytest.mark.slow
-def test_ctrl_c_leaves_a_folder_that_the_same_command_goes_on_with(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "a.log", rows_of(MKZ, 100.0))
-    process = start(*asked(log, tmp_path / "out", "--plain"))
+def searching(log: Path, out: Path) -> subprocess.Popen[str]:
+    """A `gap` in the middle of its search."""
+    process = start(*asked(log, out, "--plain"))
     assert process.stderr is not None
     said: list[str] = []
     for line in iter(process.stderr.readline, ""):
         said.append(line)
         if "recalibration alone" in line:
-            os.killpg(process.pid, signal.SIGINT)
-            break
-    ended = finish(process)
-    assert ended.status == 130, "".join(said) + ended.words
-    assert "interrupted, nothing is kept yet" in ended.words and f"--out {tmp_path / 'out'}" in ended.words
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"gap.lock", "question.json"}
+            return process
+    raise AssertionError("".join(said))
+
+
+def of_session(leader: int) -> list[int]:
+    """Living processes of a session."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it ended while we looked
+            state, _, _, session = stat.read_text().rpartition(") ")[2].split()[:4]
+            found += [int(stat.parent.name)] if int(session) == leader and state != "Z" else []
+    return found
+
+
+@pytest.mark.slow
+def test_cut_off_it_leaves_no_process_and_a_folder_that_the_same_command_goes_on_with(tmp_path: Path) -> None:
+    log, out = write_log(tmp_path / "a.log", rows_of(MKZ, 100.0)), tmp_path / "out"
+    process = searching(log, out)
+    eventually(lambda: len(of_session(process.pid)) > 1, what="a process beside it that shares the search")
+    process.kill()
+    process.communicate()
+    eventually(lambda: not of_session(process.pid), what="the end of what it had started")
+    again = searching(log, out)
+    os.killpg(again.pid, signal.SIGINT)
+    ended = finish(again)
+    assert ended.status == 130, ended.words
+    assert "interrupted, nothing is kept yet" in ended.words and f"--out {out}" in ended.words
+    assert {path.name for path in out.iterdir()} == {"gap.lock", "question.json"}
+    assert of_session(again.pid) == []
 
 
 @pytest.mark.slow
