@@ -8,9 +8,11 @@ import math
 import pytest
 
 from tests.plant.drives import REST, car, command, drive
+from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.course import Start
-from tunefree_hil.base.records import Disturbance
+from tunefree_hil.base.records import GEAR_DRIVE, Actuation, Disturbance
 from tunefree_hil.base.units import G_MPS2
+from tunefree_hil.plant.body import ChassisInput
 from tunefree_hil.plant.reference import PLANT
 from tunefree_hil.plant.reference_car import DEFAULTS
 from tunefree_hil.plant.reference_maps import (
@@ -233,3 +235,16 @@ def test_rear_drive_leaves_the_front_wheels_their_grip() -> None:
 def test_an_accelerometer_feels_the_slope() -> None:
     still = drive(BODY, lambda t: command(REST, 0.3), 0.3, road=Disturbance(0.08, 1.0))[-1].motion
     assert still.speed_mps == 0.0 and still.accel_mps2 == pytest.approx(G_MPS2 * math.sin(0.08))
+
+
+@pytest.mark.parametrize("friction", [1.0, 0.3])
+def test_brakes_take_up_no_more_than_the_car_had(friction: float) -> None:
+    """What a slipping tyre does not hand on heats no brake."""
+    block = PLANT.make({}, BodyChange())
+    params = block.params._replace(start=Start(speed_mps=15.0))
+    state, motion = block.init(params, 0.001), None
+    x = ChassisInput(Actuation(REST, 0.30, 0.0, GEAR_DRIVE), Disturbance(friction_frac=friction))
+    while motion is None or motion.speed_mps > 0.0:
+        state, motion = block.step(params, state, x, 0.001)
+    had_j = 0.5 * DEFAULTS["mass_kg"] * 15.0**2
+    assert 0.7 * had_j < state.braked_j < had_j

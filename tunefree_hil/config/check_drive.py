@@ -12,7 +12,7 @@ from tunefree_hil.config.schema import VehicleSpec
 # the path by the INS.
 FIELDS = {
     "command": (("throttle_frac", "brake_frac", "steer_rad"), "the controller commands it"),
-    "ins": (("x_m", "y_m", "heading_rad", "speed_mps"), "the controller follows the path by it"),
+    "ins": (("x_m", "y_m", "heading_rad", "speed_mps", "yaw_rate_radps"), "the controller follows the path by it"),
 }
 NOMINAL = (
     "mass_kg",

@@ -47,7 +47,7 @@ class Carriage(NamedTuple):
     rest_frac: float
     grip_mps2: float
     grade_rad: float
-    drag_mps2: float  # a dragging brake's, and of rolling resistance what is more than the car's own
+    drag_mps2: float  # a dragging brake's, and of rolling resistance what is more than the plant's own part
     mass_frac: float  # the car's own mass over its laden one
     own_air_per_m: float  # air drag over mass and speed squared, as the plant knows it
     air_per_m: float  # and as it is
@@ -61,6 +61,7 @@ def carriage_of(kind: str, defaults: Mapping[str, float], params: Mapping[str, f
     mass_kg = v["mass_kg"] + change.payload_kg
     if not mass_kg > 0.0:
         raise InputError(f"{change.payload_kg} kg of payload leave no mass", code="bad_payload", key="payload")
+    rolling_mps2 = v["rolling_frac"] * G_MPS2  # what rolls is laden; the plant's own part of it is scaled by the mass
     dynamic = 0.5 * AIR_DENSITY_KGPM3 / mass_kg
     return Carriage(
         wheel_radius_m=v["wheel_radius_m"],
@@ -73,7 +74,7 @@ def carriage_of(kind: str, defaults: Mapping[str, float], params: Mapping[str, f
         rest_frac=v["rest_pedal_frac"],
         grip_mps2=v["friction"] * change.friction_frac * G_MPS2,
         grade_rad=change.grade_rad,
-        drag_mps2=change.brake_drag_n / mass_kg + (rolling_share(change) - 1.0) * v["rolling_frac"] * G_MPS2,
+        drag_mps2=change.brake_drag_n / mass_kg + rolling_mps2 * (rolling_share(change) - v["mass_kg"] / mass_kg),
         mass_frac=v["mass_kg"] / mass_kg,
         own_air_per_m=dynamic * v["drag_area_m2"],
         air_per_m=dynamic * more_drag_m2(v["drag_area_m2"], change),
@@ -92,10 +93,13 @@ def over_rest(p: Carriage, act: Actuation) -> tuple[float, float]:
 def driven(p: Carriage, was: Motion, accel_mps2: float, yaw_rate_radps: float, x: ChassisInput, dt_s: float) -> Motion:
     """The motion a tick later, for an acceleration along level ground and a yaw rate at the tick's end.
 
-    Standing, the car stays until at least PULL_AWAY_MPS2 is asked for; it never rolls back.
+    Standing, the car stays until at least PULL_AWAY_MPS2 is asked for; it never rolls back. Out of drive nothing drives
+    it, so that it then stays.
     """
     grip = p.grip_mps2 * x.road.friction_frac
     own = clamp(accel_mps2 * p.mass_frac, -grip, grip)
+    if x.actuation.gear < GEAR_DRIVE and own > 0.0:
+        own = 0.0  # the plant knows its creep only in drive
     slope = G_MPS2 * math.sin(x.road.grade_rad + p.grade_rad)
     air = was.speed_mps + p.head_wind_mps
     against = p.drag_mps2 + (p.air_per_m * air * abs(air) - p.own_air_per_m * was.speed_mps * abs(was.speed_mps))

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from tunefree_hil.base.contracts import LEAST_BRAKE_GAIN, BodyChange
 from tunefree_hil.base.kernel import Block, kernel
+from tunefree_hil.base.maths import clamp
 from tunefree_hil.base.records import GEAR_DRIVE, GEAR_PARK, Motion
 from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.plant import reference_actuators
@@ -178,7 +179,6 @@ def step_reference(
         brake_frac = brake + p.hysteresis_frac
     left = 1.0 - p.brake_loss_per_j * state.braked_j
     brake_n = brake_force_n(p.maps, brake_frac) * (left if left > LEAST_BRAKE_GAIN else LEAST_BRAKE_GAIN)
-    braked_j = state.braked_j + dt_s * was.speed_mps * brake_n
     rolling_n = p.rolling_n + p.brake_drag_n
     box = step_gearbox(p.maps, state.box, throttle, was.speed_mps, dt_s)
     engine_n, drive_n = 0.0, 0.0
@@ -200,6 +200,8 @@ def step_reference(
     front_asked_n = 0.5 * (p.drive_front_frac * engine_n - p.brake_front_frac * brake_n)
     rear_asked_n = 0.5 * (1.0 - p.drive_front_frac) * engine_n - 0.5 * (1.0 - p.brake_front_frac) * brake_n
     fl, fr, rl, rr = four_tyres(p, state.loads, x.road.friction_frac, front_asked_n, rear_asked_n, angle)
+    held_n = engine_n - (fl.along_n + fr.along_n + rl.along_n + rr.along_n)  # a tyre that slips heats no brake
+    braked_j = state.braked_j + dt_s * was.speed_mps * clamp(held_n, 0.0, brake_n)
     calm = 1.0 + was.speed_mps * was.speed_mps * 0.1
     now = Step(fl, fr, rl, rr, slope_n + rolling_n, p.hold_s / calm)
     middle, slips = runge_kutta(p, now, state.slips, dt_s)
