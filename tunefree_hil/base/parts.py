@@ -12,7 +12,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from tunefree_hil.base.errors import InputError, TunefreeError
+from tunefree_hil.base.errors import InputError
+
+FAILURES = (  # of a file that is run: its grammar, what it imports, what it does
+    *(SyntaxError, ImportError, NameError, AttributeError, TypeError, ValueError, LookupError),
+    *(ArithmeticError, AssertionError, RuntimeError, OSError),
+)
 
 
 def names(package: str) -> list[str]:
@@ -67,9 +72,7 @@ def _module(path: Path, text: bytes) -> ModuleType:
     sys.modules[spec.name] = module
     try:
         spec.loader.exec_module(module)
-    except TunefreeError:
-        raise
-    except Exception as error:
+    except FAILURES as error:
         del sys.modules[spec.name]
         raise InputError(
             f"{path} does not load, line {_line_in(path, error)}: {type(error).__name__}: {error}",

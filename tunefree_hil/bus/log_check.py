@@ -112,6 +112,16 @@ class _Ear:
             if name in decoded and not low <= decoded[name] <= high:
                 self.beyond[name] = self.beyond.get(name, 0) + 1
 
+    def end(self, earliest_s: float, latest_s: float) -> None:
+        """The log is over: a report that fell silent, or came late, has a gap up to the log's end. Commands may begin
+        and end whenever somebody commands.
+        """
+        if not self.frames or self.message.kind == COMMAND:
+            return
+        for gap_s, at_s in ((self.first_s - earliest_s, earliest_s), (latest_s - self.last_s, self.last_s)):
+            if gap_s > self.longest_gap_s:
+                self.longest_gap_s, self.longest_at_s = gap_s, at_s
+
     def health(self) -> MessageHealth:
         """The counts."""
         span_s = self.last_s - self.first_s
@@ -179,6 +189,8 @@ def check_frames(frames: Iterable[Frame], codec: Codec, by_channel: bool = False
             ear.hear(codec, time_s, data)
         else:
             foreign[can_id] = foreign.get(can_id, 0) + 1
+    for ear in ears.values():
+        ear.end(earliest_s, latest_s)
     problems = [problem for ear in ears.values() for problem in ear.problems()]
     problems += [f"{errors} error frames: the wiring or the bit rate"] if errors else []
     problems += [f"{remote} remote frames, which no vehicle here asks for"] if remote else []

@@ -81,7 +81,8 @@ def _bars(axes: Axes, rows: Mapping[str, Mapping[str, Any]]) -> None:
             at = place + (i - 0.5 * (len(rows) - 1)) * width
             label = kind if place == 0 else "_"
             axes.bar(at, one["mean"], width=0.9 * width, color=look.colour, label=label, edgecolor="white")
-            axes.vlines(at, one["low"], one["high"], color=style.INK, linewidth=1.2)
+            if one["low"] is not None:  # of one drive there is no interval
+                axes.vlines(at, one["low"], one["high"], color=style.INK, linewidth=1.2)
             axes.plot([at - 0.4 * width, at + 0.4 * width], [one["p95"]] * 2, color=look.colour, linewidth=2.0)
     axes.set_xticks(range(len(shown)), shown)
     axes.set_yscale("log")

@@ -20,7 +20,8 @@ def channel_of(drive: Drive, name: str, rest: float) -> tuple[Array, Array, Arra
         return np.full(drive.ticks, rest), none, np.ones(drive.ticks, dtype=bool)
     if echo is not None:
         command = by_echo(echo, drive.fresh[f"report.{ECHOES[name]}"], asked, drive.dt_s)
-        return command, output, np.isfinite(command)
+        # a person at the wheel moves the output, and the echo of what is commanded may stay at rest
+        return command, output, np.isfinite(command) & (drive.enabled | ~np.isfinite(output))
     if asked is None:
         return none, output, np.zeros(drive.ticks, dtype=bool)
     command = shifted(asked, BENCH_TICKS)

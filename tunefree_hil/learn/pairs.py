@@ -123,12 +123,16 @@ def _taken(drive: Drive, channel: str) -> tuple[Array, Array, Array, int, str] |
     if output is not None and channel != "accel":
         fresh = drive.fresh[f"report.{name}"]
         if echo is not None:
-            return by_echo(echo, fresh, wire, drive.dt_s), output, fresh, 0, _echo_words(wire)
+            told = drive.fresh[f"report.{ECHOES[channel]}"]
+            return by_echo(echo, told, wire, drive.dt_s), output, fresh, 0, _echo_words(wire)
         if wire is not None:
             moved = shifted(wire, BENCH_TICKS)
             return moved, output, fresh, 0, f"no echo: commands moved by {BENCH_TICKS} ticks, as the bench delays them"
         return None
-    command = echo if echo is not None else (None if wire is None else shifted(wire, BENCH_TICKS))
+    if echo is not None:
+        command = by_echo(echo, drive.fresh[f"report.{ECHOES[channel]}"], wire, drive.dt_s)
+    else:
+        command = None if wire is None else shifted(wire, BENCH_TICKS)
     return None if command is None or channel != "accel" else _by_motion(drive, command)
 
 

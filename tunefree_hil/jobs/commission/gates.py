@@ -115,5 +115,5 @@ def advice(stage: str, plan: Plan) -> list[str]:
     """What to type after a stage that was not good enough."""
     if stage == "collect":
         counted = pasted("collect", **{"from": plan.logs}, vehicle=plan.vehicle.folder)  # --from takes one log each
-        return [counted, plan.command]
+        return [counted, f"{plan.command} --from collect --area-m {2.0 * plan.asked.area_m:g}"]
     return [f"{plan.command} --from {stage}"]
