@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from tests.jobs.ended import ended
 from tests.learn.made_logs import MKZ, car, good, rows_of, with_report, write_log
@@ -45,6 +46,14 @@ def test_drives_in_the_order_given_and_how_much_they_are(tmp_path: Path) -> None
     (warning,) = found.said("warning")
     assert "what is learned will be rough" in warning
     assert heard(logs[:1]).said("note") == ["reading 1 log of mkz_bywire", "0.5 minutes of driving"]
+
+
+def test_an_ins_that_says_where_another_point_is_says_no_place(tmp_path: Path) -> None:
+    log, vehicle = write_log(tmp_path / "a.log", good(MKZ)), car(MKZ).spec
+    other = replace(vehicle, ins_frame=replace(vehicle.ins_frame, point="imu"))
+    (drive,), events = ended(read([log], other))
+    assert not {"ins.x_m", "ins.y_m"} & drive.fields.keys() and "ins.heading_rad" in drive.fields
+    assert any(one.kind == "warning" and "are of 'imu'" in one.message for one in events)
 
 
 def test_a_refusal_is_excused_by_its_code_only(tmp_path: Path) -> None:

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
     from tunefree_hil.learn.drives import Drive
 
+REAR_AXLE = "rear_axle"
+PLACE = ("ins.x_m", "ins.y_m")
+
 
 def read(
     logs: Sequence[Path],
@@ -38,6 +41,10 @@ def read(
         raise InputError("no log is named", code="no_log", key="LOG", hint="name one log or more")
     yield Event("note", f"reading {len(logs)} log{'s' if len(logs) > 1 else ''} of {vehicle.name}")
     drives = read_drives(list(logs), Codec(vehicle))
+    if vehicle.ins_frame.point != REAR_AXLE and any(name in drive.fields for drive in drives for name in PLACE):
+        words = f"{', '.join(PLACE)} are of {vehicle.ins_frame.point!r} (ins_frame.point), and not of the rear axle"
+        yield Event("warning", f"{words}: they are left out, and where it was is summed up from speed and yaw rate")
+        drives = [_without_place(drive) for drive in drives]
     for i, drive in enumerate(drives):
         drives[i], left_out = without_spikes(drive)
         if left_out:
@@ -50,3 +57,8 @@ def read(
         yield Event("warning", problem.words)
     yield Event("note", f"{sum(drive.ticks * drive.dt_s for drive in drives) / 60.0:.1f} minutes of driving")
     return drives
+
+
+def _without_place(drive: Drive) -> Drive:
+    fields = {name: values for name, values in drive.fields.items() if name not in PLACE}
+    return drive._replace(fields=fields, fresh={name: drive.fresh[name] for name in fields})
