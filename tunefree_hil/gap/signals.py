@@ -13,13 +13,13 @@ from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.fields import INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES
 from tunefree_hil.learn.runs import every_of, there_of
 from tunefree_hil.learn.smooth import between_fresh
+from tunefree_hil.learn.told import is_on_demand
 
 Array = np.ndarray
 
 SLOW_TICKS = 3  # from value to value, from which a signal lies on straight lines that are seen
 COVERS = 0.5  # of what the chassis says: an INS that says less is no second opinion of a drive
 INS = "ins."
-PAUSES = 3  # of a message, which is sent on demand then and not every so often
 
 
 class Signal(NamedTuple):
@@ -116,6 +116,5 @@ def carried(signals: Mapping[str, Signal], names: tuple[str, ...], ticks: int) -
     for name in names:
         if name in signals:
             there = signals[name].there
-            pauses = int((np.diff(there.astype(int)) < 0).sum())
-            return np.ones(ticks, dtype=bool) if pauses >= PAUSES and there.mean() < COVERS else there
+            return np.ones(ticks, dtype=bool) if is_on_demand(there) else there
     return np.ones(ticks, dtype=bool)

@@ -11,6 +11,8 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.fields import CHASSIS_FIRST_SPEEDS
+from tunefree_hil.learn.series import name_of
+from tunefree_hil.learn.told import told
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
@@ -83,6 +85,7 @@ def track_of(drive: Drive, vehicle: VehicleSpec) -> Track:
     moving = known & (np.nan_to_num(speed) >= LEAST_MPS)
     straight = moving & is_straight(drive, vehicle)
     good = straight & obeyed & is_level(drive, accel) & _forward(drive)
+    good &= told(drive, *(name for name in (name_of(drive, CHASSIS_FIRST_SPEEDS),) if name))
     filled = {name: _filled(values) for name, values in pedals.items()}
     return Track(drive.name, drive.dt_s, _filled(speed), _filled(accel), filled, good, moving, straight)
 
@@ -98,12 +101,12 @@ def _pedal(drive: Drive, pedal: str) -> tuple[Array, Array]:
 
     A person drives on the pedals themselves: what is commanded meanwhile moves nothing.
     """
-    command = _first(drive, f"command.{pedal}_frac", f"report.{pedal}_command_frac")
-    output = drive.get(f"report.{pedal}_frac")
-    if command is not None and (output is None or float(np.mean(drive.enabled)) >= 0.5):
-        return command, drive.enabled
+    asked, said = name_of(drive, (f"command.{pedal}_frac", f"report.{pedal}_command_frac")), f"report.{pedal}_frac"
+    output = drive.get(said)
+    if asked is not None and (output is None or float(np.mean(drive.enabled)) >= 0.5):
+        return drive.fields[asked], drive.enabled & told(drive, asked)
     if output is not None:
-        return output, np.ones(drive.ticks, dtype=bool)
+        return output, told(drive, said)
     takes = "command.accel_mps2" in drive.fields
     raise InputError(
         f"the log holds neither command nor report of the {pedal}",

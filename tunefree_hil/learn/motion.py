@@ -26,6 +26,7 @@ from tunefree_hil.learn.level import offset_of
 from tunefree_hil.learn.runs import runs
 from tunefree_hil.learn.sheet import rear_behind_m
 from tunefree_hil.learn.smooth import between_fresh, earlier, first_between_fresh, mean_noise, yaw_by_wheels
+from tunefree_hil.learn.told import POSE, acted_told, between_poses, motion_told
 from tunefree_hil.plant.actuators import ActuatorParams, actuator
 from tunefree_hil.plant.asked_accel import pedals_of
 
@@ -100,6 +101,7 @@ def track_of(part: Part, vehicle: VehicleSpec, road_share: float = 0.0) -> Track
     usable = np.where(obeyed, commands, recorded)
     good = np.isfinite(np.stack([speed, yaw, accel, heading, x, y], axis=1)).all(axis=1)
     good &= np.isfinite(usable).all(axis=1) & (speed > -0.1)
+    good &= (motion_told(drive, late, placed) & acted_told(drive, [one[2] for one in columns]))[cut]
     gear = drive.get("report.gear")
     if gear is not None and not np.isnan(gear).all():
         good &= gear[cut] == GEAR_DRIVE
@@ -146,13 +148,10 @@ def _yaw_rate(drive: Drive, vehicle: VehicleSpec, late: int) -> Array:
 
 def _pose(drive: Drive, cut: slice, late: int, speed: Array, yaw: Array) -> tuple[Array, Array, Array, bool]:
     """(heading, x, y, measured): the INS's, smoothed, or summed up from speed and yaw rate where it has none."""
-    found = [drive.get(f"ins.{name}") for name in ("heading_rad", "x_m", "y_m")]
+    found = [drive.get(name) for name in POSE]
     if all(one is not None and not np.isnan(one).all() for one in found):
-        heading, x, y = (earlier(one, late)[cut] for one in found if one is not None)
-        turned = heading.copy()
-        finite = np.isfinite(heading)
-        turned[finite] = np.unwrap(heading[finite])
-        return smooth(turned), smooth(x), smooth(y), True
+        heading, x, y = (earlier(one, late)[cut] for one in between_poses(drive))
+        return smooth(heading), smooth(x), smooth(y), True
     mean_yaw = 0.5 * (yaw[1:] + yaw[:-1])
     heading = np.concatenate([[0.0], np.cumsum(np.nan_to_num(mean_yaw) * drive.dt_s)])
     middle, along = 0.5 * (heading[1:] + heading[:-1]), np.nan_to_num(0.5 * (speed[1:] + speed[:-1])) * drive.dt_s

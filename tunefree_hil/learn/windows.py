@@ -15,7 +15,7 @@ from tunefree_hil.learn.actuator_shapes import Way, answered
 from tunefree_hil.learn.drives import Drive, Part
 from tunefree_hil.learn.fields import INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES
 from tunefree_hil.learn.level import TOLD, offset_of
-from tunefree_hil.learn.runs import runs
+from tunefree_hil.learn.runs import every_of, runs
 from tunefree_hil.learn.smooth import between_fresh, earlier, mean_noise, rate_of, smooth, yaw_by_wheels
 from tunefree_hil.learn.values import ActuatorFit
 from tunefree_hil.plant.asked_accel import FULL_MPS2
@@ -186,10 +186,8 @@ class _Signals:
 
     def _target(self, name: str) -> Array:
         """A measured signal between its fresh values; the INS's as many rows earlier as it is late."""
-        for source in SOURCES[name]:
-            values = self.drive.get(source)
-            if values is None or not np.isfinite(values).any():
-                continue
+        for source in self._sources(name):
+            values = self.drive.fields[source]
             fresh = self.drive.fresh[source] & np.isfinite(values)
             if name == "heading_rad":
                 values = values.copy()
@@ -205,16 +203,22 @@ class _Signals:
     def _heard(self) -> Array:
         """Rows at which neither an output nor the speed has been silent for long."""
         good = np.ones(self.drive.ticks, dtype=bool)
-        names = [f"report.{name}" for name in INPUTS] + list(SOURCES["speed_mps"])
+        names = [*(f"report.{name}" for name in INPUTS), *self._sources("speed_mps")[:1]]
         for name in names:
             fresh = self.drive.fresh.get(name)
             if fresh is None or not fresh.any():
                 continue
-            rows = np.flatnonzero(fresh)
+            rows = np.append(np.flatnonzero(fresh), self.drive.ticks)  # one that falls silent is silent to the end
             gaps = np.flatnonzero(np.diff(rows) * self.dt_s > LONGEST_SILENCE_S)
             for i in gaps:
                 good[rows[i] + 1 : rows[i + 1]] = False
         return good
+
+    def _sources(self, target: str) -> list[str]:
+        """Fields that say it, the best first: of several one that speaks often enough to be followed."""
+        said = [name for name in SOURCES[target] if np.isfinite(self.drive.fields.get(name, np.nan)).any()]
+        seldom = [name for name in said if every_of(self.drive.fresh[name]) * self.dt_s > 0.5 * LONGEST_SILENCE_S]
+        return [name for name in said if name not in seldom] + seldom
 
     def _slope(self) -> Array | None:
         """sin(slope) by the accelerometer: specific force less rate of speed, as far as one is reported."""
