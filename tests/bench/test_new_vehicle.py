@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -15,6 +16,8 @@ from tunefree_hil.bench import Bench, load, parameters_of, require_buildable
 from tunefree_hil.jobs.doctor import bench_findings, vehicle_findings
 from tunefree_hil.jobs.machine import FAULT
 from tunefree_hil.jobs.tune.candidates import baseline_vectors
+from tunefree_hil.nodes.controller import ControllerPart
+from tunefree_hil.nodes.timing import CycleTimes
 
 
 @pytest.fixture(scope="module")
@@ -48,3 +51,14 @@ def test_none_of_its_bus_faults_is_silent(bench: Bench) -> None:
     assert len(rows) > 10 and [row for row in rows if row.answer == SILENT] == []
     unseen = {row.where for row in rows if row.answer == NOT_DETECTABLE}
     assert unseen <= {"Status", "Pose", "Motion", "Drive"}, "the steering command alone has a CRC"
+
+
+def test_its_clear_bit_that_lies_behind_four_bytes_is_sent(bench: Bench) -> None:
+    """A short clear frame is what one vehicle takes; this one says nowhere that it does."""
+    codec = bench.codec
+    own = [one for one in codec.commands if one.clear]
+    assert any(one.signals[one.clear].end_bit > 32 and not one.allow_truncated for one in own)
+    part = ControllerPart(codec, {}, lambda *_: None, CycleTimes())  # type: ignore[arg-type, return-value]
+    part.task = SimpleNamespace(dt_s=bench.dt_s)  # type: ignore[assignment]
+    for message, frame in zip(own, part._clear_frames(0), strict=True):
+        assert len(frame.data) == message.length and codec.decode(message, frame.data)[message.clear] == 1.0

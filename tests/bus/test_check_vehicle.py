@@ -140,3 +140,18 @@ def test_a_state_alone_makes_a_message(folder: Folder) -> None:
     moved = folder(toml=((gear, ""), ("absent = []", 'absent = ["report.gear"]')))
     message = Codec(load_vehicle(moved)).by_name["GEAR_REPORT"]
     assert (message.kind, message.period_ticks, message.fields, message.bywire) == ("telemetry", 5, (), ("gear",))
+
+
+def test_the_period_of_a_state_alone_must_be_ticks(folder: Folder) -> None:
+    gear = '[report.gear]\nmessage = "GEAR_REPORT"\nsignal = "STATE"\nperiod_ms = 50\nassumed = "period not published"'
+    cycle = ('BA_ "GenMsgCycleTime" BO_ 103 50;', 'BA_ "GenMsgCycleTime" BO_ 103 25;')
+    moved = folder(toml=((gear, ""), ("absent = []", 'absent = ["report.gear"]')), dbc=(cycle,))
+    said = [str(one) for one in problems_of(moved).values() if "GEAR_REPORT" in one.message]
+    assert said and all("every 25 ms, no multiple of the tick" in one and "[extra.GEAR_REPORT]" in one for one in said)
+
+
+@pytest.mark.parametrize(("declared", "modulus"), [("[0|14]", 15), ("[0|255]", 256), ("[0|0]", 256), ("[0|1]", 256)])
+def test_a_counter_rolls_over_where_the_dbc_says(folder: Folder, declared: str, modulus: int) -> None:
+    count = " SG_ COUNT : 56|8@1+ (1,0) "
+    codec = Codec(load_vehicle(folder(dbc=((f"{count}[0|255]", f"{count}{declared}"),))))
+    assert codec.by_name["BRAKE_CMD"].counter_modulus == modulus

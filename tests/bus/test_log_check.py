@@ -199,3 +199,14 @@ def test_a_report_that_falls_silent_or_comes_late_is_a_fault_and_a_command_is_no
     (problem,) = check_frames(kept, codec).problems
     assert problem.startswith((f"{report.name} is silent for 1.0", f"{report.name} is silent for 0.9"))
     assert problem.endswith("from 0.00 s on") == late
+
+
+def test_a_counter_that_its_profile_never_shows_is_a_fault(tmp_path: Path) -> None:
+    """Profile 1 counts to 14: receivers believe no 15."""
+    car = Codec(load_vehicle(write_car(tmp_path)))
+    message = next(one for one in (*car.telemetry, *car.commands) if one.e2e is not None and one.e2e.profile == "P01")
+    frames: list[Frame] = []
+    for k in range(45):
+        data = protect(message.e2e, car.encode(message, {}, {}), k % 15 + 1)  # type: ignore[arg-type]
+        frames.append((k * message.period_ticks * 0.01, "can0", message.key, data, 1))
+    assert any("3 frames are counted beyond 14" in one for one in check_frames(frames, car).problems)

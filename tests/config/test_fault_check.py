@@ -43,7 +43,7 @@ def test_every_kind_can_be_scripted() -> None:
         ("crc_value", {"value": 256.0}, "value", "CRC"),
         ("crc_offset", {"value": 0.0}, "value", "CRC"),
         ("counter_offset", {"value": 0.0}, "value", "counter"),
-        ("burst", {"value": 5000.0}, "value", "copies"),
+        ("burst", {"value": 201.0}, "value", "copies"),
         ("peer_stop", {"channel": "brake"}, "channel", "no peer"),
         ("peer_stop", {"message": "M"}, "message", "no message"),
         ("driver_override", {"channel": "clutch"}, "channel", "a driver has no"),
@@ -54,6 +54,11 @@ def test_a_mistake_is_said_by_its_key(kind: str, changes: dict[str, Any], key: s
     found = list(check_faults([spec("drop"), spec(kind, **changes)]))
     assert [one[0] for one in found] == ["faults[1]" + (f".{key}" if key else "")]
     assert words in found[0][1] and found[0][2]
+
+
+def test_no_more_faults_than_the_bus_can_number() -> None:
+    assert list(check_faults([spec("drop")] * 255)) == []
+    assert [key for key, _, _ in check_faults([spec("drop")] * 256)] == ["faults"]
 
 
 def test_all_mistakes_at_once() -> None:

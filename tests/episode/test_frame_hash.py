@@ -7,7 +7,7 @@ import hashlib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tunefree_hil.episode.candump import BRS, ERROR, EXTENDED_BIT, FD, LogFrame
+from tunefree_hil.episode.candump import BRS, ERROR, EXTENDED_BIT, FD, RTR, LogFrame
 from tunefree_hil.episode.frame_hash import frame_hash, place_frames
 
 TICK_S = 0.01
@@ -58,9 +58,10 @@ def test_tick_and_data_matter() -> None:
 
 
 def test_other_frames_are_counted_and_named() -> None:
-    frames = [frame(0, 0x10, "01"), frame(0, 0x700), frame(1, 0x700), frame(2, 4, "00", ERROR)]
+    asked = frame(1, 0x63, "", RTR)  # a node of this vehicle asks for nothing
+    frames = [frame(0, 0x10, "01"), frame(0, 0x700), frame(1, 0x700), frame(2, 4, "00", ERROR), asked]
     found = frame_hash(frames, TICK_S, COMMANDS, VEHICLE)
-    assert found == (digest(frames[0]), 1, {0x700: 2}, 1)
+    assert found == (digest(frames[0]), 1, {0x700: 2, 0x63: 1}, 1)
 
 
 def test_time_zero_may_be_anywhere() -> None:

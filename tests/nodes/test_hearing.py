@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from copy import copy
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -105,7 +107,20 @@ def test_the_age_of_a_message(codec: Codec) -> None:
 
 
 def test_a_longer_tick_has_fewer_ticks_in_its_limit(codec: Codec) -> None:
-    assert Hearing(codec, 0.02).limit_ticks == 10
+    needed = {CHASSIS: ["GYRO"]}
+    assert Hearing(codec, 0.02).missing(10, needed) is None
+    assert Hearing(codec, 0.02).missing(11, needed) == (CHASSIS, ["GYRO"])
+
+
+@pytest.mark.parametrize(("period", "timeout", "limit"), [(50, 0, 125), (50, 300, 300), (2, 0, 20)])
+def test_a_slow_message_has_longer(codec: Codec, period: int, timeout: int, limit: int) -> None:
+    """Its first frame may not be believed, if it is protected, and then it is heard after two periods."""
+    slow = copy(codec)
+    changed = {"period_ticks": period, "timeout_ticks": timeout}
+    slow.telemetry = tuple(replace(one, **changed) if one.name == "GYRO" else one for one in codec.telemetry)
+    hearing = Hearing(slow, 0.01)
+    assert hearing.missing(limit, {CHASSIS: ["GYRO"]}) is None
+    assert hearing.missing(limit + 1, {CHASSIS: ["GYRO"]}) == (CHASSIS, ["GYRO"])
 
 
 @given(st.data())

@@ -143,7 +143,8 @@ static void begin(Node *node, const Frame *frame)
 static void take_parameter(Node *node, const Frame *frame)
 {
     struct bench_param_t said;
-    bench_param_unpack(&said, frame->data, frame->length);
+    if (bench_param_unpack(&said, frame->data, frame->length) < 0)
+        return;
     if (node->parameters_left < 0)
         return;
     if (node->parameters_left == 256)
@@ -204,17 +205,20 @@ static void answer(Node *node, const Frame *frame)
         take_parameter(node, frame);
     } else if (frame->id == BENCH_HELLO_FRAME_ID) {
         struct bench_hello_t said;
-        bench_hello_unpack(&said, frame->data, frame->length);
+        if (bench_hello_unpack(&said, frame->data, frame->length) < 0)
+            return;
         if (said.role == RUNNER && said.part == 0)
             say_hello(node);
     } else if (frame->id == BENCH_DONE_FRAME_ID) {
         struct bench_done_t said;
-        bench_done_unpack(&said, frame->data, frame->length);
+        if (bench_done_unpack(&said, frame->data, frame->length) < 0)
+            return;
         if (said.phase == 0 && node->running)
             done(node, said.k, said.n_tx);
     } else if (frame->id == BENCH_STATUS_FRAME_ID) {
         struct bench_status_t said;
-        bench_status_unpack(&said, frame->data, frame->length);
+        if (bench_status_unpack(&said, frame->data, frame->length) < 0)
+            return;
         if (said.role == RUNNER && said.state == END)
             exit(0);
         if (said.role == RUNNER && said.state == RUN)

@@ -12,18 +12,21 @@ void hear(Seen *seen, int *heard, const Frame *frame)
 {
     if (frame->id == VEHICLE_INS_POS_LOCAL_FRAME_ID) {
         struct vehicle_ins_pos_local_t said;
-        vehicle_ins_pos_local_unpack(&said, frame->data, frame->length);
+        if (vehicle_ins_pos_local_unpack(&said, frame->data, frame->length) < 0)
+            return; /* shorter than the DBC says */
         seen->x_m = vehicle_ins_pos_local_pos_x_decode(said.pos_x);
         seen->y_m = vehicle_ins_pos_local_pos_y_decode(said.pos_y);
         *heard |= 1;
     } else if (frame->id == VEHICLE_INS_VEL_YAW_LOCAL_FRAME_ID) {
         struct vehicle_ins_vel_yaw_local_t said;
-        vehicle_ins_vel_yaw_local_unpack(&said, frame->data, frame->length);
+        if (vehicle_ins_vel_yaw_local_unpack(&said, frame->data, frame->length) < 0)
+            return; /* shorter than the DBC says */
         seen->heading_rad = vehicle_ins_vel_yaw_local_yaw_decode(said.yaw) * RAD_PER_DEG;
         *heard |= 2;
     } else if (frame->id == VEHICLE_INS_VELOCITY_FRAME_ID) {
         struct vehicle_ins_velocity_t said;
-        vehicle_ins_velocity_unpack(&said, frame->data, frame->length);
+        if (vehicle_ins_velocity_unpack(&said, frame->data, frame->length) < 0)
+            return; /* shorter than the DBC says */
         seen->speed_mps = vehicle_ins_velocity_forward_decode(said.forward);
         *heard |= 4;
     }

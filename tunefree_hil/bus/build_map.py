@@ -40,6 +40,9 @@ class Entry(NamedTuple):
     parts: tuple[tuple[str, float], ...]  # signal, scale
 
 
+LEAST_COUNTER = 3  # that a DBC declares as a counter's highest value: what counts less far is a default range
+
+
 def entries(spec: VehicleSpec) -> list[Entry]:
     """Every mapped record field, `wheel_speed_radps` as its four."""
     found = []
@@ -154,7 +157,11 @@ def _modulus(protection: Protection | None, signals: Mapping[str, SignalMap], co
     """At which value the counter rolls over; 0 where there is none."""
     if protection is not None:
         return protection.modulus
-    return 1 << signals[counter].bits if counter else 0
+    if not counter:
+        return 0
+    signal = signals[counter]
+    declared = signal.raw_low == 0 and signal.raw_high >= LEAST_COUNTER
+    return signal.raw_high + 1 if declared else 1 << signal.bits
 
 
 def _first(names: Iterable[str]) -> str:

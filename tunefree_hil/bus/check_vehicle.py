@@ -148,6 +148,11 @@ class _Check:
             if not (yield from self._signal(where, message, name)):
                 continue
             signal = self.network[message].get_signal_by_name(name)
+            if signal.conversion.is_float:
+                yield self.problem(
+                    where, f"{name} is a floating-point signal", "leave it out: constants are whole numbers"
+                )
+                continue
             low, high = raw_range(signal)
             raw = (value - signal.offset) / signal.scale if signal.scale else math.nan
             if not low - 0.5 <= raw <= high + 0.5:
@@ -166,11 +171,20 @@ class _Check:
                     continue
                 if not (yield from self._signal(f"{key}.signal", state.message, state.signal)):
                     continue
+                yield from self._cycle(key, state.message)
                 low, high = bit_range(self.network[state.message].get_signal_by_name(state.signal))
                 if not low <= state.active <= high or state.active != int(state.active):
                     yield self.problem(
                         f"{key}.active", f"{state.signal} never reads {state.active:g}", f"it reads {low} to {high}"
                     )
+
+    def _cycle(self, key: str, name: str) -> Iterator[InputError]:
+        """The period of a message that nothing but a state reads, which the DBC alone says."""
+        mapped = {entry.spec.message for entry in self.entries} | set(self.spec.extra)
+        cycle_ms = self.network[name].cycle_time or 0
+        if name not in mapped and cycle_ms % max(self.spec.tick_ms, 1):
+            hint = f"[extra.{name}] with a period_ms, or a tick_ms that divides it"
+            yield self.problem(key, f"the DBC sends {name} every {cycle_ms} ms, no multiple of the tick", hint)
 
     def _together(self, name: str, found: list[Entry]) -> Iterator[InputError]:
         """What the fields of one message must agree on."""

@@ -80,7 +80,7 @@ class _Ear:
         self.period_s = message.period_ticks * tick_s
         self.limit_s = max(LONG * self.period_s, message.timeout_ticks * tick_s)
         self.counter = _Counter(message.counter_modulus or 1)
-        self.frames = self.late = self.short = self.broken = 0
+        self.frames = self.late = self.short = self.broken = self.never = 0
         self.beyond: dict[str, int] = {}
         self.ranges = declared_ranges(message)
         self.first_s = self.last_s = self.longest_gap_s = 0.0
@@ -107,7 +107,9 @@ class _Ear:
     def _look_into(self, decoded: Mapping[str, float]) -> None:
         """Count on, and notice values that the DBC says there are not."""
         if self.message.counter in decoded:  # a truncated frame may end before it
-            self.counter.hear(int(decoded[self.message.counter]))
+            counted = int(decoded[self.message.counter])
+            self.never += self.message.e2e is not None and counted >= self.message.counter_modulus
+            self.counter.hear(counted)
         for name, (low, high) in self.ranges.items():
             if name in decoded and not low <= decoded[name] <= high:
                 self.beyond[name] = self.beyond.get(name, 0) + 1
@@ -143,6 +145,9 @@ class _Ear:
             found.append(f"{name}: {self.short} frames are shorter than the DBC says")
         if self.broken:
             found.append(f"{name}: the CRC or data id of {self.broken} frames does not fit")
+        if self.never:
+            most = self.message.counter_modulus - 1
+            found.append(f"{name}: {self.never} frames are counted beyond {most}, which its E2E profile never does")
         for signal, count in self.beyond.items():
             low, high = self.ranges[signal]
             found.append(f"{name}: {signal} is outside its [{low:g}, {high:g}] in {count} frames")

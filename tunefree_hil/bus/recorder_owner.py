@@ -29,7 +29,8 @@ class RecorderStats(NamedTuple):
 
 
 class RecorderOwner:
-    """The owner's end of the socket pair. `foreign`, `errors`: what stood out in the last episode, by id and by name.
+    """The owner's end of the socket pair. `foreign`, `errors`, `remote`: what stood out in the last episode, by id,
+    by name, and how many remote frames.
 
     Every method raises BenchError where the recorder is gone, and the trouble that it tells of the bus, once.
     """
@@ -37,6 +38,7 @@ class RecorderOwner:
     def __init__(self, control: socket.socket, setup: Setup, patience_s: float) -> None:
         self.foreign: dict[int, int] = {}
         self.errors: dict[str, int] = {}
+        self.remote = 0
         self._control = control
         self._rest = b""
         self._troubles: list[dict[str, str]] = []
@@ -54,7 +56,7 @@ class RecorderOwner:
         """Finish the logs; frames by channel. BenchError for a file, or for trouble that `check` has not raised yet."""
         found = self._ask({"op": "stop"}, REPLY_S)
         self.foreign = {int(key, 16): count for key, count in found["foreign"].items()}
-        self.errors = found["errors"]
+        self.errors, self.remote = found["errors"], found["remote"]
         if found["trouble"] is not None and found["trouble"] not in self._told:
             self._tell(found["trouble"])
         return found["frames"]

@@ -17,7 +17,7 @@ FRAME_KINDS = ("drop", "delay", "duplicate", "corrupt", *CRC_KINDS, *COUNTER_KIN
 FAULT_KINDS = (DRIVER, PEER, *FRAME_KINDS)  # a FAULT frame's code is the place here, from 0 on
 HANDS = ("throttle", "brake", "steer", "gear")  # channels of a driver
 PEERS = ("ecu", "controller")
-MOST_FRAMES, MOST_SEED = 1000, 65535
+MOST_FRAMES, MOST_FAULTS, MOST_SEED = 200, 255, 65535  # DONE says the frames of a phase in one byte, FAULT its place
 # What `value` means, lowest and highest; a kind that is not here has none.
 VALUES = {
     "delay": ("ticks", 1, 10_000),
@@ -34,6 +34,8 @@ Found = Iterator[tuple[str, str, str]]
 
 def check_faults(faults: Sequence[FaultSpec]) -> Found:
     """Every problem, by key."""
+    if len(faults) > MOST_FAULTS:
+        yield "faults", f"there are {len(faults)}", f"give {MOST_FAULTS} at most"
     for i, fault in enumerate(faults):
         key = f"faults[{i}]"
         if not 0 <= fault.from_tick < fault.to_tick:

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
-from tunefree_hil.episode.candump import ERROR, LogFrame
+from tunefree_hil.episode.candump import ERROR, RTR, LogFrame
 
 ECU_PHASE, CONTROLLER_PHASE = 0, 1
 _HEAD = struct.Struct("<IBBIBB")  # k, phase, channel, id, flags, len
@@ -63,7 +63,7 @@ def place_frames(
         can_id = frame.can_id
         if frame.flags & ERROR:
             errors += 1
-        elif can_id not in known:
+        elif can_id not in known or frame.flags & RTR:  # a node of this vehicle asks for nothing
             foreign[can_id] = foreign.get(can_id, 0) + 1
         else:
             k = round((frame.time_s - zero_s) / tick_s)

@@ -77,7 +77,8 @@ def drive(asked: Asked) -> Iterator[Event]:
     yield Event("note", model_words(model_of(wish.bench, wish.model)))
     episodes, pace = yield from _driven(wish, run)
     figures = draw(run, episodes)
-    verdict = judge_realtime(run, range(len(wish.scenarios)), wish.bench.codec) if asked.realtime else None
+    numbers, faults = range(len(wish.scenarios)), wish.bench.spec.faults
+    verdict = judge_realtime(run, numbers, wish.bench.codec, faults=faults) if asked.realtime else None
     score = combine([episode.grade for episode in episodes.values()])
     run.finish(score=score, frame_hashes={name: episode.hash for name, episode in episodes.items()})
     beyond = outside_data(wish.bench, wish.model, {name: episode.recording for name, episode in episodes.items()})

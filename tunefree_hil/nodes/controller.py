@@ -32,6 +32,8 @@ STAGE_CODES = {
 }
 MISSING_CODES = {INS: bc.ErrorCode.INS_MISSING, CHASSIS: bc.ErrorCode.CHASSIS_MISSING}
 
+SHORT = 4  # bytes of a clear frame
+
 
 class Assignment(NamedTuple):
     """What one episode asks of the controller."""
@@ -154,9 +156,13 @@ class ControllerPart:
         ] + (self._clear_frames(k) if self.handshake.clear_now else [])
 
     def _clear_frames(self, k: int) -> list[CanFrame]:
-        """DLC 4: an 8-byte frame without a proper counter would trip the watchdog (apollo_facts 7.3)."""
+        """Where the vehicle takes short frames DLC 4: an 8-byte frame without a proper counter would trip its watchdog
+        (apollo_facts 7.3). Of others, and where the clear bit lies further behind, whole frames.
+        """
         return [
-            self._writer.write_short(message, {message.clear: 1.0}, min(4, message.length), k * self.task.dt_s)
+            self._writer.write_short(message, {message.clear: 1.0}, min(SHORT, message.length), k * self.task.dt_s)
+            if message.allow_truncated and message.signals[message.clear].end_bit <= 8 * SHORT
+            else self._frame(k, message, {}, 0.0, 1.0)
             for message in self.codec.commands
             if message.clear
         ]

@@ -15,6 +15,7 @@ from tunefree_hil.nodes.handshake import VehicleState
 from tunefree_hil.nodes.reception import Reception
 
 MISSING_S = 0.2  # 20 missed periods of localization in the source (apollo_facts 1.2)
+SLOW = 2.5  # periods of a slow message, of which the first frame may not be believed
 INS, CHASSIS = "ins", "chassis"
 
 
@@ -26,7 +27,11 @@ class Hearing:
         self.snapshot = Snapshot(codec)
         self.reception = Reception(codec.telemetry)
         self._protected = {message.name: _group(message) for message in codec.telemetry if message.e2e is not None}
-        self.limit_ticks = round(MISSING_S / tick_s)
+        usual = round(MISSING_S / tick_s)
+        self._limits = {
+            one.name: max(usual, one.timeout_ticks, round(SLOW * one.period_ticks)) for one in codec.telemetry
+        }
+        self.limit_ticks = max([usual, *self._limits.values()])
         self.heard_at: dict[str, int] = {}
         self._enable_messages = {
             message.name for message in codec.telemetry if any(state.condition == "enabled" for state in message.states)
@@ -80,12 +85,15 @@ class Hearing:
     def missing(self, tick: int, needed: Mapping[str, Iterable[str]]) -> tuple[str, list[str]] | None:
         """(group, messages) of the first group of which a message is not there, or None.
 
-        That is: not heard, or not believed, for 0.2 s. `needed` names messages by group; protected ones all count.
+        That is: not heard, or not believed, for 0.2 s, or as long as a slower message takes. `needed` names messages by
+        group; protected ones all count.
         """
         for group, messages in needed.items():
             protected = [name for name, own in self._protected.items() if own == group]
             names = dict.fromkeys([*messages, *protected])
-            late = [name for name in names if tick - self.heard_at.get(name, 0) > self.limit_ticks]
+            late = [
+                name for name in names if tick - self.heard_at.get(name, 0) > self._limits.get(name, self.limit_ticks)
+            ]
             if late:
                 return group, late
         return None

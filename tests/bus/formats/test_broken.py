@@ -128,3 +128,14 @@ def test_a_stamp_that_is_no_time_is_refused_with_its_line(word: str, tmp_path: P
     with pytest.raises(InputError, match="not a frame") as caught:
         list(form.read(path))
     assert caught.value.file == f"{path}:3"
+
+
+def test_a_csv_with_lengths_beside_its_data_is_converted(tmp_path: Path) -> None:
+    form = load_format("csv")
+    rows, path, file = made(form, tmp_path)
+    lines = [line.split(",") for line in file.read_text().splitlines()]
+    dlc, data = lines[0].index("dlc"), lines[0].index("data")
+    for line in lines[1:]:
+        line[dlc] = line[dlc] if not line[data] else str(len(line[data]) // 2)
+    file.write_text("\n".join(",".join(line) for line in lines) + "\n")
+    assert list(form.read(path)) == rows

@@ -69,7 +69,8 @@ def _ours(values: dict[str, str]) -> Row:
     data = bytes.fromhex(values["data"])
     if len(data) > (64 if flags & FD else 8):
         raise ValueError(f"{len(data)} bytes of data")
-    return Row(_stamp(values["time_s"]), values["channel"], can_id, data, flags, int(values["dlc"]))
+    dlc = int(values["dlc"]) if flags & RTR else 0  # of a frame with data its length says it
+    return Row(_stamp(values["time_s"]), values["channel"], can_id, data, flags, dlc)
 
 
 def _theirs(values: dict[str, str]) -> Row:

@@ -247,6 +247,8 @@ class Session:
         errors, foreign = error_words(Counter(self.recorder.errors)), self.recorder.foreign
         if errors:
             self.notes.append(f"{scenario}: error frames on {link}: {errors}")
+        if self.recorder.remote:
+            self.notes.append(f"{scenario}: {self.recorder.remote} remote frames on {link}")
         if foreign:
             ids = ", ".join(f"0x{key & EFF_MASK:03X} {count}" for key, count in sorted(foreign.items())[:MOST_NAMED])
             self.notes.append(f"{scenario}: {sum(foreign.values())} frames of other nodes on {link} ({ids} ...)")

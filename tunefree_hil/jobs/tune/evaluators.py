@@ -119,7 +119,8 @@ class RealtimeEvaluator(BusEvaluator):
         )
 
     def _verdict(self, k: int) -> dict[str, Any]:
-        return judge_realtime(self.track.run, [k], self.track.bench.codec, draw=False)
+        bench = self.track.bench
+        return judge_realtime(self.track.run, [k], bench.codec, draw=False, faults=bench.spec.faults)
 
 
 def _worst_ms(verdict: Mapping[str, Any]) -> float:
