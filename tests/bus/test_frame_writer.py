@@ -60,7 +60,7 @@ def test_a_protected_message_is_never_cut_short(tmp_path: Path) -> None:
     drive, brake = little.by_name["DRIVE"], mkz.by_name["BRAKE_CMD"]
     receiver, writer = Receiver(drive), FrameWriter(little)
     receiver.hear(0, writer.write(drive, {}, {}, 0.0).data)
-    assert receiver.hear(1, writer.write_short(drive, {"EN": 0.0}, 4, 0.0).data) is E2eStatus.OK
+    assert receiver.hear(1, writer.write_short(drive, {}, {"EN": 0.0}, 4, 0.0).data) is E2eStatus.OK
     plain = FrameWriter(mkz)
-    assert len(plain.write_short(brake, {"CLEAR": 1.0}, 4, 0.0).data) == 4
+    assert len(plain.write_short(brake, {}, {"CLEAR": 1.0}, 4, 0.0).data) == 4
     assert mkz.decode(brake, plain.write(brake, {}, {}, 0.0).data)["COUNT"] == 0

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,6 +18,7 @@ from tunefree_hil.base.records import GEAR_DRIVE, CanFrame, Command
 from tunefree_hil.bench import needed_messages
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.codec import Codec
+from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.control.cascade import Decision, Sight
 from tunefree_hil.nodes.controller import Assignment, ControllerPart
 from tunefree_hil.nodes.exchange import Exchange
@@ -269,3 +272,19 @@ def test_in_real_time_the_next_episode_may_follow_the_end_in_one_batch(codec: Co
     seat.part.realtime(exchange, StoppedClock(), 0.0, lambda message: message == finished)
     assert len(seat.part.times.control_s) == 1, "it went on after the end"
     assert [exchange.next_message(0.0) for _ in range(3)] == [*next_one, None]
+
+
+def test_a_command_that_is_not_enabled_asks_for_nothing_where_raw_0_would(repo: Path, tmp_path: Path) -> None:
+    """An angle coded as (0.1,-470) says -470 degrees by raw 0."""
+    car = shutil.copytree(repo / "dbc" / "mkz_bywire", tmp_path / "car")
+    dbc, signed = car / "vehicle.dbc", " SG_ SCMD : 0|16@1- (0.1,0) [-470|470]"
+    text = dbc.read_text()
+    assert signed in text
+    dbc.write_text(text.replace(signed, " SG_ SCMD : 0|16@1+ (0.1,-470) [-470|470]"))
+    seat = Seat(Codec(load_vehicle(car)))
+    latched = {name: {"ENABLED": 0.0} for name in ENABLED} | {"BRAKE_REPORT": {"ENABLED": 0.0, "OVERRIDE": 1.0}}
+    cleared, _ = seat.cycle(0, seat.all_frames(**latched))
+    waits, _ = seat.cycle(1, seat.all_frames(**latched))
+    for sent in (cleared, waits):
+        assert seat.decoded(sent, "STEERING_CMD")["SCMD"] == pytest.approx(0.0)
+        assert seat.decoded(sent, "STEERING_CMD").get("EN", 0.0) == 0.0

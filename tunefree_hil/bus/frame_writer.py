@@ -37,11 +37,18 @@ class FrameWriter:
         data = protect(message.e2e, self.codec.encode(message, records, signals), counter)
         return self._frame(message, data, stamp_s)
 
-    def write_short(self, message: MessageMap, signals: Mapping[str, float], length: int, stamp_s: float) -> CanFrame:
+    def write_short(
+        self,
+        message: MessageMap,
+        records: Mapping[str, Any],
+        signals: Mapping[str, float],
+        length: int,
+        stamp_s: float,
+    ) -> CanFrame:
         """A frame that ends before its counter, which therefore stays. A protected message is never cut short."""
         if message.e2e is not None:
-            return self.write(message, {}, signals, stamp_s)
-        return self._frame(message, self.codec.encode(message, {}, signals, length), stamp_s)
+            return self.write(message, records, signals, stamp_s)
+        return self._frame(message, self.codec.encode(message, records, signals, length), stamp_s)
 
     @staticmethod
     def _frame(message: MessageMap, data: bytes, stamp_s: float) -> CanFrame:

@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.base.clock import Clock
 from tunefree_hil.base.kernel import Block
-from tunefree_hil.base.records import CanFrame
+from tunefree_hil.base.records import CanFrame, Command
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.codec import Codec
 from tunefree_hil.bus.frame_writer import FrameWriter
+from tunefree_hil.bus.message_map import MessageMap
 from tunefree_hil.control.cascade import Sight
 from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.faults import FaultFilter, ScriptedFault
@@ -33,6 +34,7 @@ STAGE_CODES = {
 MISSING_CODES = {INS: bc.ErrorCode.INS_MISSING, CHASSIS: bc.ErrorCode.CHASSIS_MISSING}
 
 SHORT = 4  # bytes of a clear frame
+ASKS_NOTHING = {"command": Command(*[0.0] * len(Command._fields))}  # a signal with an offset is not at 0 by raw 0
 
 
 class Assignment(NamedTuple):
@@ -150,7 +152,7 @@ class ControllerPart:
     def _frames(self, k: int, command: Any) -> list[CanFrame]:
         enable = 1.0 if self.handshake.enable else 0.0
         return [
-            self._frame(k, message, {"command": command} if enable else {}, enable, 0.0)
+            self._frame(k, message, {"command": command} if enable else ASKS_NOTHING, enable, 0.0)
             for message in self.codec.commands
             if k % message.period_ticks == 0 and not (self.handshake.clear_now and message.clear)
         ] + (self._clear_frames(k) if self.handshake.clear_now else [])
@@ -160,16 +162,20 @@ class ControllerPart:
         (apollo_facts 7.3). Of others, and where the clear bit lies further behind, whole frames.
         """
         return [
-            self._writer.write_short(message, {message.clear: 1.0}, min(SHORT, message.length), k * self.task.dt_s)
+            self._short_clear(k, message)
             if message.allow_truncated and message.signals[message.clear].end_bit <= 8 * SHORT
-            else self._frame(k, message, {}, 0.0, 1.0)
+            else self._frame(k, message, ASKS_NOTHING, 0.0, 1.0)
             for message in self.codec.commands
             if message.clear
         ]
 
+    def _short_clear(self, k: int, message: MessageMap) -> CanFrame:
+        length = min(SHORT, message.length)
+        return self._writer.write_short(message, ASKS_NOTHING, {message.clear: 1.0}, length, k * self.task.dt_s)
+
     def _quiet_frames(self, k: int) -> list[CanFrame]:
         """Commands without their enable bit: said once when the drive is lost, then silence."""
-        return [self._frame(k, message, {}, 0.0, 0.0) for message in self.codec.commands if message.enable]
+        return [self._frame(k, message, ASKS_NOTHING, 0.0, 0.0) for message in self.codec.commands if message.enable]
 
     def _frame(self, k: int, message: Any, records: dict[str, Any], enable: float, clear: float) -> CanFrame:
         signals = {}
