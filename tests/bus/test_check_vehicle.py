@@ -59,6 +59,7 @@ def test_our_vehicles_have_no_problem(name: str) -> None:
         ("{ CMD_TYPE = 1 }", "{ PCMD = 0.5 }", "command.throttle_frac.constants.PCMD", "remove"),
         ('signal = "WDCSRC", active = 4', 'signal = "WDCSRC", active = 16', "state.watchdog[4].active", "0 to 15"),
         ('signal = "FLTCAL"', 'signal = "FLTCALL"', "state.fault[12].signal", "FLTCAL"),
+        ('signal = "DRIVER"', 'signal = "PI"', "state.driver[0]", "one meaning"),
         ("[extra.MISC_CMD]", "[extra.MISC_CMDS]", "extra.MISC_CMDS.message", "MISC_CMD"),
         ('counter = "COUNT"', 'e2e = { profile = "P9" }', "command.throttle_frac.e2e.profile", "none"),
         ('"PC"\nperiod_ms = 20', '"PC"\nperiod_ms = 10', "report.throttle_input_frac.period_ms", "one"),

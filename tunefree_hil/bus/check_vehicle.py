@@ -224,6 +224,32 @@ class _Check:
                     yield self.problem(
                         f"{entry.key}.constants.{constant}", f"it is {users[constant]} too", "remove the constant"
                     )
+        yield from self._two_meanings(name, found, users)
+
+    def _two_meanings(self, name: str, found: list[Entry], users: Mapping[str, str]) -> Iterator[InputError]:
+        """A signal that is a field's value is read as one; a counter or a state is read as bare bits."""
+        roles = {
+            signal: f"{entry.key}.{role}"
+            for entry in found
+            for role in ROLES
+            if (signal := getattr(entry.spec, role)) and users.get(signal) != f"{entry.group}.{entry.name}"
+        }  # its own value as a role is said already
+        states = {
+            state.signal: f"state.{condition}[{i}]"
+            for condition, some in self.spec.state.items()
+            for i, state in enumerate(some)
+            if state.message == name
+        }
+        for signal, key in {**states, **roles}.items():
+            if signal in users:
+                yield self.problem(key, f"{signal} of {name} is also {users[signal]}", "a signal has one meaning")
+        said: dict[str, tuple[float, str]] = {}
+        for entry in found:
+            for constant, value in entry.spec.constants.items():
+                before, key = said.setdefault(constant, (value, entry.key))
+                if before != value:
+                    what = f"{constant} is {value:g} here and {before:g} in [{key}]"
+                    yield self.problem(f"{entry.key}.constants.{constant}", what, "a message has one")
 
     def _layout(self, message: Message) -> Iterator[InputError]:
         where = f"message {message.name}"
