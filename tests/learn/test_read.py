@@ -212,3 +212,14 @@ def test_equal_ids_on_two_channels(shared_data: Path) -> None:
     assert 0.78 < drive.enabled.mean() < 0.88, "engaged 83 % of the time"
     zero_s = min(frame.time_s for frame in read_candump(path))
     assert agree(drive, path, codec, zero_s=zero_s, late_ticks=1, by_channel=True) >= 2
+
+
+def test_equal_ids_on_channels_of_other_names_are_not_mixed(shared_data: Path, tmp_path: Path) -> None:
+    path = shared_data / "comma2k19_rav4" / "drive.candump.log"
+    if not path.is_file():
+        pytest.skip("no comma2k19_rav4 in the shared data")
+    renamed = tmp_path / "renamed.log"
+    renamed.write_text(path.read_text().replace(" can", " bus"))
+    with pytest.raises(InputError, match=r"comes on bus.* and the vehicle has it on can") as caught:
+        read_drives([renamed], Codec(load_vehicle(ROOT / "dbc" / "rav4_2017")))
+    assert caught.value.file == str(renamed) and "as vehicle.toml does" in caught.value.hint

@@ -77,6 +77,8 @@ def _read(path: Path, name: str, codec: Codec, tell: Callable[[float], None]) ->
         seen.take(piece, known, codec.tick_ms * 1e-3)
         tell(piece.done)
     _refuse(path, codec, seen)
+    if not apart:
+        _refuse_mixed(path, messages)
     dt_s = codec.tick_ms * 1e-3
     times = times_of(seen.off_grid, seen.first_s, seen.earliest_s, dt_s, path.parent)
     zero_s = even_zero((ear.times_s for ear in ears.values()), dt_s, times.zero_s) if times.by_frame else times.zero_s
@@ -142,6 +144,26 @@ def _refuse(path: Path, codec: Codec, seen: Seen) -> None:
             hint = f"is the clock in seconds? {seen.slow} of {seen.known} frames come more than {SLOW_S:g} s after the "
             hint += "one before; write the stamps in seconds"
         raise clock_jump(step_s, at_s, way, path, hint)
+
+
+def _refuse_mixed(path: Path, messages: Mapping[Name, MessageMap | None]) -> None:
+    """Of a folder whose messages have channels a log with other names of them: one alone may be that bus, several that
+    carry the same id cannot be told apart.
+    """
+    heard: dict[MessageMap, list[str]] = {}
+    for (channel, _), message in messages.items():
+        if message is not None and message.channel:
+            heard.setdefault(message, []).append(channel)
+    for message, channels in heard.items():
+        if len(channels) > 1:
+            where = " and ".join(sorted(channels))
+            raise InputError(
+                f"{message.name} comes on {where}, and the vehicle has it on {message.channel}",
+                code="other_channels",
+                file=str(path),
+                key="channel",
+                hint="name the channels as vehicle.toml does, in the log (`log convert` to candump) or in vehicle.toml",
+            )
 
 
 def _hash(path: Path) -> str:
