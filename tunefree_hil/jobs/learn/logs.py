@@ -33,6 +33,7 @@ def read(
     """
     from tunefree_hil.bus.codec import Codec
     from tunefree_hil.learn.checks import check_drives
+    from tunefree_hil.learn.held_pose import without_held_pose
     from tunefree_hil.learn.problems import require_good
     from tunefree_hil.learn.read import read_drives
     from tunefree_hil.learn.spikes import without_spikes
@@ -55,6 +56,11 @@ def read(
     problems = [one for one in check_drives(drives, vehicle) if one.code not in unsaid]
     for problem in require_good(one._replace(severity="warn") if one.code in excused else one for one in problems):
         yield Event("warning", problem.words)
+    for i, drive in enumerate(drives):
+        drives[i], held_s = without_held_pose(drive)
+        if held_s:
+            words = f"the INS says one place for {held_s:.0f} s of driving, which is left out"
+            yield Event("warning", f"{drive.name}: {words}")
     yield Event("note", f"{sum(drive.ticks * drive.dt_s for drive in drives) / 60.0:.1f} minutes of driving")
     return drives
 
