@@ -9,7 +9,7 @@ from tests.learn.made_drives import made_drive
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.learn import map_tracks, motion
 from tunefree_hil.learn.drives import Drive, Part
-from tunefree_hil.learn.told import between_poses, is_on_demand, told
+from tunefree_hil.learn.told import between_poses, is_on_demand, those_that_say_all, told
 from tunefree_hil.learn.windows import windows_of
 
 VEHICLE = load_vehicle("mkz_bywire")
@@ -68,3 +68,13 @@ def test_a_pose_between_two_frames_is_on_the_way(drive: Drive) -> None:
         good = np.isfinite(exact) & np.isfinite(found)
         good[-10:] = False  # behind the last frame
         assert good.sum() > 5000 and np.abs(exact - found)[good].max() < 0.05
+
+
+def test_a_drive_that_says_nothing_of_the_steering_is_left_out_where_others_do(drive: Drive) -> None:
+    steering = {name for name in drive.fields if "steer" in name}
+    mute = drive._replace(name="mute", fields={key: one for key, one in drive.fields.items() if key not in steering})
+    kept, (words,) = those_that_say_all([drive, mute])
+    assert kept == [drive] and words.startswith("mute says nothing of steer") and "is left out" in words
+    assert those_that_say_all([mute, mute]) == ([mute, mute], [])
+    throttle = {key: one for key, one in drive.fields.items() if "throttle" not in key}
+    assert len(those_that_say_all([mute, drive._replace(fields=throttle)])[0]) == 2, "none says all"

@@ -18,6 +18,7 @@ from tunefree_hil.learn.smooth import between_fresh, earlier
 
 PAUSES = 3  # of a message, which is sent on demand then and not every so often
 COVERS = 0.5  # of a drive: what says less, with pauses, is sent on demand
+DRIVEN_BY = ("throttle", "brake", "steer")
 POSE = ("ins.heading_rad", "ins.x_m", "ins.y_m")
 
 
@@ -61,7 +62,7 @@ def between_poses(drive: Drive) -> list[Array]:
 def acted_told(drive: Drive, obeyed: Sequence[Array]) -> Array:
     """bool [n]: where it is said what acted. obeyed: for throttle, brake and steering where the command did."""
     rows = np.ones(drive.ticks, dtype=bool)
-    for channel, by_command in zip(("throttle", "brake", "steer"), obeyed, strict=True):
+    for channel, by_command in zip(DRIVEN_BY, obeyed, strict=True):
         said = f"report.{CHANNELS[channel]}"
         recorded = told(drive, said) if said in drive.fields else np.ones(drive.ticks, dtype=bool)
         rows &= np.where(by_command, _asked_told(drive, channel), recorded)
@@ -75,3 +76,22 @@ def _asked_told(drive: Drive, channel: str) -> Array:
         names += [f"report.{ECHOES['accel']}", f"command.{CHANNELS['accel']}"]
     name = next((one for one in names if one in drive.fields), None)
     return np.ones(drive.ticks, dtype=bool) if name is None else told(drive, name)
+
+
+def those_that_say_all(drives: Sequence[Drive]) -> tuple[list[Drive], list[str]]:
+    """(drives that say something of every channel of which any of them does, the others in words)."""
+    said = [{one for one in DRIVEN_BY if _says(drive, one)} for drive in drives]
+    most = set[str]().union(*said)
+    if most not in said:  # none says all of them
+        return list(drives), []
+    words = [
+        f"{drive.path} says nothing of {' and '.join(sorted(most - mine))}, of which others do, and is left out"
+        for drive, mine in zip(drives, said, strict=True)
+        if mine != most
+    ]
+    return [drive for drive, mine in zip(drives, said, strict=True) if mine == most], words
+
+
+def _says(drive: Drive, channel: str) -> bool:
+    names = (f"command.{CHANNELS[channel]}", f"report.{CHANNELS[channel]}", f"report.{ECHOES[channel]}")
+    return any(name in drive.fields and np.isfinite(drive.fields[name]).any() for name in names)

@@ -29,6 +29,7 @@ from tunefree_hil.learn.shown import Judged
 from tunefree_hil.learn.smooth import noise_table_of, valid_region
 from tunefree_hil.learn.sources import channels_of, sources
 from tunefree_hil.learn.split import split_drives
+from tunefree_hil.learn.told import those_that_say_all
 from tunefree_hil.learn.values import ActuatorFit, Value, as_data
 from tunefree_hil.learn.window_runs import Off
 from tunefree_hil.learn.windows import Windows, windows_of
@@ -56,7 +57,11 @@ class Fitted(NamedTuple):
 
 
 def split_of(drives: Sequence[Drive], seed: int) -> Generator[Event, None, Split]:
-    """What is fitted on and what judges it; where a drive is too short for both, all of it is fitted on."""
+    """What is fitted on and what judges it; where a drive is too short for both, all of it is fitted on. A drive that
+    says nothing of a channel of which others do is left out: it would be one at rest.
+    """
+    drives, lacking = those_that_say_all(drives)
+    yield from (Event("warning", words) for words in lacking)
     try:
         split = split_drives(drives, seed=seed)
     except InputError as error:
