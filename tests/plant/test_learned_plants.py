@@ -266,3 +266,19 @@ def test_an_lstm_that_says_nothing_rolls_on() -> None:
     net = cell_of(PlantFile("lstm", INPUTS["lstm"], without_way_out(arrays_of("lstm"))))
     last = drive(body_of(lstm.plant_of(net)), weave(), 2.0, start=Start(speed_mps=5.0))[-1].motion
     assert (last.x_m, last.y_m, last.speed_mps) == pytest.approx((10.0, 0.0, 5.0))
+
+
+@pytest.mark.parametrize("way", [1.0, 0.9])
+def test_what_comes_on_top_is_not_gone_on_with_by_a_net_that_knows_its_last_acceleration(
+    way: float, tmp_path: Path
+) -> None:
+    """A net that says again what it took in (or most of it): gravity adds up once a tick, not once more each tick."""
+    arrays = {name: np.zeros_like(value) for name, value in arrays_of("mlp").items()}
+    arrays |= {"scale": np.ones(6), "bound": np.array([600.0, 1.0])}  # so wide that tanh is a line
+    arrays["w1"][0, 4], arrays["w2"][0, 0] = 1e-3, way * 1e3 / 600.0
+    save_plant(tmp_path / "plant.npz", "mlp", arrays)
+    opener = MODULES["mlp"].PLANT.open
+    assert opener is not None
+    uphill = drive(body_of(opener(tmp_path / "plant.npz")), lambda t: command(), 2.0, start=Start(speed_mps=10.0),
+                   road=Disturbance(0.02))[-1].motion  # fmt: skip
+    assert 10.0 - uphill.speed_mps == pytest.approx(2.0 * G_MPS2 * math.sin(0.02), rel=0.02)

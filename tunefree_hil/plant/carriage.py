@@ -111,3 +111,18 @@ def driven(p: Carriage, was: Motion, accel_mps2: float, yaw_rate_radps: float, x
     angle = x.actuation.steer_rad * p.inverse_ratio
     now = Velocity(speed, p.rear_axle_m * yaw, yaw)
     return moved(p, was, now, (slope, 0.0), (math.cos(angle), math.sin(angle)), dt_s)
+
+
+@kernel
+def said_of(p: Carriage, accel_mps2: float, now: Motion, x: ChassisInput) -> float:
+    """The plant's own acceleration, as it takes it in again a tick later. Gravity, drag and payload are no part of it:
+    a network that has always seen its own acceleration go on would go on with them, and they come on top once more.
+    """
+    grip = p.grip_mps2 * x.road.friction_frac
+    return clamp(accel_mps2, -grip, grip) if now.speed_mps > 0.0 else 0.0
+
+
+@kernel
+def seen_of(own_mps2: float, was: Motion, seen: Motion) -> float:
+    """The same of a measured motion: what came on top in the tick before is taken off."""
+    return seen.speed_rate_mps2 + (own_mps2 - was.speed_rate_mps2)

@@ -1,7 +1,8 @@
 """Plant kind `lstm`: a state-carrying LSTM says acceleration and yaw rate, kinematics do the rest (plant/carriage.py).
 
 Inputs at a tick's beginning: speed, throttle and brake duty over rest, steering-wheel angle (the actuators' outputs of
-this tick), and rate of speed and yaw rate of the tick before. Outputs: bound * tanh(linear), for this tick.
+this tick), its own acceleration (the rate of speed on level ground) and the yaw rate of the tick before. Outputs:
+bound * tanh(linear), for this tick.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.records import Motion
 from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
-from tunefree_hil.plant.carriage import DEFAULTS, Carriage, carriage_of, driven, over_rest
+from tunefree_hil.plant.carriage import DEFAULTS, Carriage, carriage_of, driven, over_rest, said_of, seen_of
 from tunefree_hil.plant.cell import Cell, CellState, bounded, cell_out, init_cell, step_cell, take_in
 from tunefree_hil.plant.learned_file import cell_of, load_plant_file
 
@@ -31,21 +32,22 @@ class CarAndNet(NamedTuple):
 
 
 class LstmState(NamedTuple):
-    """The motion and the cell."""
+    """The motion, the acceleration on level ground behind it, and the cell."""
 
     motion: Motion
+    own_mps2: float
     cell: CellState
 
 
 @kernel
-def take_in_car(net: Any, seen: Any, p: Carriage, was: Motion, x: ChassisInput) -> None:
+def take_in_car(net: Any, seen: Any, p: Carriage, was: Motion, own_mps2: float, x: ChassisInput) -> None:
     """The inputs of kinds lstm and mlp."""
     throttle, brake = over_rest(p, x.actuation)
     take_in(net, seen, 0, was.speed_mps)
     take_in(net, seen, 1, throttle)
     take_in(net, seen, 2, brake)
     take_in(net, seen, 3, x.actuation.steer_rad)
-    take_in(net, seen, 4, was.speed_rate_mps2)
+    take_in(net, seen, 4, own_mps2)
     take_in(net, seen, 5, was.yaw_rate_radps)
 
 
@@ -53,23 +55,23 @@ def take_in_car(net: Any, seen: Any, p: Carriage, was: Motion, x: ChassisInput) 
 def step_lstm(params: ChassisParams, state: LstmState, x: ChassisInput, dt_s: float) -> tuple[LstmState, Motion]:
     """One tick."""
     p, net, cell = params.constants.car, params.constants.net, state.cell
-    take_in_car(net, cell.seen, p, state.motion, x)
+    take_in_car(net, cell.seen, p, state.motion, state.own_mps2, x)
     step_cell(net, cell, False)
     accel, yaw = bounded(net, 0, cell_out(net, cell, 0)), bounded(net, 1, cell_out(net, cell, 1))
     new = driven(p, state.motion, accel, yaw, x, dt_s)
-    return LstmState(new, cell), new
+    return LstmState(new, said_of(p, accel, new, x), cell), new
 
 
 def init_lstm(params: ChassisParams, dt_s: float) -> LstmState:
     """Rolling straight at the start, the cell at 0."""
     constants = params.constants
-    return LstmState(rolling_motion(params.start, constants.wheel_radius_m), init_cell(constants.net))
+    return LstmState(rolling_motion(params.start, constants.wheel_radius_m), 0.0, init_cell(constants.net))
 
 
 @kernel
 def observe_lstm(state: LstmState, seen: Motion) -> LstmState:
     """The state with a measured motion in it."""
-    return LstmState(seen, state.cell)
+    return LstmState(seen, seen_of(state.own_mps2, state.motion, seen), state.cell)
 
 
 def maker(kind: str, init: Callable[..., Any], step: Callable[..., Any], net: Any) -> Maker:

@@ -8,16 +8,17 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.kernel import kernel
 from tunefree_hil.base.records import Motion
 from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
-from tunefree_hil.plant.carriage import DEFAULTS, driven
+from tunefree_hil.plant.carriage import DEFAULTS, driven, said_of, seen_of
 from tunefree_hil.plant.cell import Layer, LayerState, bounded, init_layer, layer_out, step_layer
 from tunefree_hil.plant.learned_file import layer_of, load_plant_file
 from tunefree_hil.plant.lstm import maker, take_in_car
 
 
 class MlpState(NamedTuple):
-    """The motion, and room for a step."""
+    """The motion, the acceleration on level ground behind it, and room for a step."""
 
     motion: Motion
+    own_mps2: float
     layer: LayerState
 
 
@@ -25,23 +26,23 @@ class MlpState(NamedTuple):
 def step_mlp(params: ChassisParams, state: MlpState, x: ChassisInput, dt_s: float) -> tuple[MlpState, Motion]:
     """One tick."""
     p, net, layer = params.constants.car, params.constants.net, state.layer
-    take_in_car(net, layer.seen, p, state.motion, x)
+    take_in_car(net, layer.seen, p, state.motion, state.own_mps2, x)
     step_layer(net, layer)
     accel, yaw = bounded(net, 0, layer_out(net, layer, 0)), bounded(net, 1, layer_out(net, layer, 1))
     new = driven(p, state.motion, accel, yaw, x, dt_s)
-    return MlpState(new, layer), new
+    return MlpState(new, said_of(p, accel, new, x), layer), new
 
 
 def init_mlp(params: ChassisParams, dt_s: float) -> MlpState:
     """Rolling straight at the start."""
     constants = params.constants
-    return MlpState(rolling_motion(params.start, constants.wheel_radius_m), init_layer(constants.net))
+    return MlpState(rolling_motion(params.start, constants.wheel_radius_m), 0.0, init_layer(constants.net))
 
 
 @kernel
 def observe_mlp(state: MlpState, seen: Motion) -> MlpState:
     """The state with a measured motion in it."""
-    return MlpState(seen, state.layer)
+    return MlpState(seen, seen_of(state.own_mps2, state.motion, seen), state.layer)
 
 
 def plant_of(net: Layer) -> Plant:

@@ -23,7 +23,7 @@ from tunefree_hil.base.maths import clamp
 from tunefree_hil.base.records import Actuation, Command, Motion
 from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, filled, rolling_motion, unopened
 from tunefree_hil.plant.carriage import DEFAULTS as CAR
-from tunefree_hil.plant.carriage import Carriage, carriage_of, driven, over_rest
+from tunefree_hil.plant.carriage import Carriage, carriage_of, driven, over_rest, said_of, seen_of
 from tunefree_hil.plant.cell import Cell, CellState, cell_out, clear_cell, init_cell, step_cell
 from tunefree_hil.plant.learned_file import cell_of, load_plant_file
 
@@ -92,15 +92,14 @@ def step_paper(params: ChassisParams, state: PaperState, x: ChassisInput, dt_s: 
     place = state.place + 1
     if place * TAKEN >= len(state.past):
         place = 0
-    sample = (throttle, brake, x.actuation.steer_rad, was.speed_mps, was.speed_rate_mps2)
+    sample = (throttle, brake, x.actuation.steer_rad, was.speed_mps, state.own_mps2)
     keep_sample(net, state.past, place * TAKEN, sample)
     see_window(net, state, place)
     share = 1.0 / max(float(state.gap), 1.0)
     accel = toward(net, state.cell, 0, state.own_mps2, share)
     yaw = toward(net, state.cell, 1, was.yaw_rate_radps, share)
     new = driven(p, was, accel, yaw, x, dt_s)
-    own = accel if new.speed_mps > 0.0 else 0.0
-    return PaperState(new, own, state.cell, state.past, place, state.gap), new
+    return PaperState(new, said_of(p, accel, new, x), state.cell, state.past, place, state.gap), new
 
 
 def init_paper(params: ChassisParams, dt_s: float) -> PaperState:
@@ -118,7 +117,8 @@ def init_paper(params: ChassisParams, dt_s: float) -> PaperState:
 @kernel
 def observe_paper(state: PaperState, seen: Motion) -> PaperState:
     """The state with a measured motion in it; the next step's sample is of it."""
-    return PaperState(seen, seen.speed_rate_mps2, state.cell, state.past, state.place, state.gap)
+    own_mps2 = seen_of(state.own_mps2, state.motion, seen)
+    return PaperState(seen, own_mps2, state.cell, state.past, state.place, state.gap)
 
 
 @kernel

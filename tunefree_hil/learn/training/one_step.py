@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.learn.drives import Array
 from tunefree_hil.learn.training.learners import LEAST_SPREAD, Wish, cosine, require_some
 from tunefree_hil.learn.training.nets import CellNet, LayerNet
@@ -18,7 +19,7 @@ BOUND_TIMES = 1.5  # of the largest label
 
 
 class OneStepLearner:
-    """Labels are the rate of speed and the yaw rate of the next tick (mlp) or sample (paper).
+    """Labels are the rate of speed (on level ground) and the yaw rate of the next tick (mlp) or sample (paper).
 
     Errors count in units of the labels' spread.
     """
@@ -80,20 +81,23 @@ class OneStepLearner:
         """[2, M]: what the net is to say at the ticks that end in `rows`."""
         after = torch.from_numpy(rows) - 1 + self.gap
         if self.gap > 1 or self.wish.kind == "paper":
-            return pool.motion[after][:, [ACCEL, YAW]].T
+            return torch.stack([_level(pool, after), pool.motion[after, YAW]])
         rate = (pool.motion[after, SPEED] - pool.motion[after - 1, SPEED]) / pool.dt_s
-        return torch.stack([rate, pool.motion[after, YAW]])
+        return torch.stack([rate + _slope(pool, after), pool.motion[after, YAW]])
 
     def _features(self, pool: Pool, rows: Array) -> Tensor:
         """[T, I, M]: the inputs of the ticks that end in `rows`; of kind paper the SAMPLES before, oldest first."""
         over = torch.tensor([pool.rest, pool.rest, 0.0], dtype=torch.float64)
         ends = torch.from_numpy(rows)
         if self.wish.kind == "mlp":
-            own = pool.motion[ends - 1]
-            parts = [own[:, SPEED : SPEED + 1], pool.inputs[ends] - over, own[:, [ACCEL, YAW]]]
+            was = pool.motion[ends - 1]
+            own = _level(pool, ends - 1).unsqueeze(1)
+            parts = [was[:, SPEED : SPEED + 1], pool.inputs[ends] - over, own, was[:, YAW : YAW + 1]]
             return torch.cat(parts, dim=1).T.unsqueeze(0)
         times = ends.unsqueeze(0) - self.gap * torch.arange(SAMPLES - 1, -1, -1).unsqueeze(1)
-        return torch.cat([pool.commands[times] - over, pool.motion[times - 1][..., [SPEED, ACCEL]]], 2).transpose(1, 2)
+        speed = pool.motion[times - 1][..., SPEED : SPEED + 1]
+        own = _level(pool, times - 1).unsqueeze(-1)
+        return torch.cat([pool.commands[times] - over, speed, own], 2).transpose(1, 2)
 
     def _made(self) -> CellNet | LayerNet:
         features = self._features(self.training, spread(self.rows, HELD_OUT_ROWS))
@@ -102,6 +106,16 @@ class OneStepLearner:
         if self.wish.kind == "mlp":
             return LayerNet(mean, scale, self.bound.tolist(), self.wish.seed)
         return CellNet(mean, scale, self.bound.tolist(), self.wish.seed, relu=True, still=False)
+
+
+def _slope(pool: Pool, rows: Tensor) -> Tensor:
+    """What the road takes off the acceleration, m/s2: plant/carriage.py takes it off again."""
+    return G_MPS2 * torch.sin(pool.grade_rad[rows])
+
+
+def _level(pool: Pool, rows: Tensor) -> Tensor:
+    """The rate of speed as it were on level ground."""
+    return pool.motion[rows][..., ACCEL] + _slope(pool, rows)
 
 
 def rows_with(pool: Pool, back: int, ahead: int) -> Array:

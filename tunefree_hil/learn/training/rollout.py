@@ -137,37 +137,42 @@ class CarriageRunner:
     def features(self, pool: Pool, window: Window, end: int) -> Tensor:
         """[end - 1, 6, B]: the inputs of ticks 1 to end - 1 on what was measured."""
         motion, inputs = _cut(pool, window)
-        before = motion[: end - 1]
-        return torch.cat([before[:, SPEED : SPEED + 1], inputs[1:end], before[:, [ACCEL, YAW]]], dim=1)
+        before, own = motion[: end - 1], self._own(pool, window, motion)[: end - 1]
+        return torch.cat(
+            [before[:, SPEED : SPEED + 1], inputs[1:end], own.unsqueeze(1), before[:, YAW : YAW + 1]], dim=1
+        )
+
+    def _own(self, pool: Pool, window: Window, motion: Tensor) -> Tensor:
+        """[T, B]: the rate of speed as it were on level ground."""
+        return motion[:, ACCEL] + G_MPS2 * torch.sin(pool.grade_rad[window.rows])
 
     def run(self, pool: Pool, window: Window) -> Ran:
         """Free run; gradients reach the net."""
         net, dt = self.net, pool.dt_s
         motion, inputs = _cut(pool, window)
         slope = G_MPS2 * torch.sin(pool.grade_rad[window.rows])
-        speed, rate, yaw = (motion[window.warm, i] for i in (SPEED, ACCEL, YAW))
+        speed, yaw = motion[window.warm, SPEED], motion[window.warm, YAW]
+        own = self._own(pool, window, motion)[window.warm]
         speeds, yaws = [speed], [yaw]
         ready = hidden = memory = None
         if isinstance(net, CellNet):
             ready = net.ready()
             hidden, memory = net.over(ready, self.features(pool, window, window.warm + 1))
         for t in range(window.warm + 1, len(window.rows)):
-            seen = torch.cat([speed.unsqueeze(0), inputs[t], torch.stack([rate, yaw])])
+            seen = torch.cat([speed.unsqueeze(0), inputs[t], torch.stack([own, yaw])])
             if isinstance(net, CellNet) and ready is not None and hidden is not None and memory is not None:
                 hidden, memory = net.turn(torch.addmm(ready.bias, ready.both, torch.cat([seen, hidden])), memory)
                 said = put_out(ready, hidden)
             else:
                 said = net(seen)
-            before = speed
-            speed, yaw = self._moved(before, said, slope[t], dt)
-            rate = (speed - before) / dt
+            speed, yaw, own = self._moved(speed, said, slope[t], dt)
             speeds.append(speed)
             yaws.append(yaw)
         shown = torch.stack(speeds)
         return Ran(shown, torch.stack(yaws), torch.zeros_like(shown))
 
-    def _moved(self, before: Tensor, said: Tensor, slope: Tensor, dt: float) -> tuple[Tensor, Tensor]:
-        """Speed and yaw rate after a tick, as `driven` of plant/carriage.py."""
+    def _moved(self, before: Tensor, said: Tensor, slope: Tensor, dt: float) -> tuple[Tensor, Tensor, Tensor]:
+        """Speed, yaw rate and own acceleration after a tick, as `driven` and `said_of` of plant/carriage.py."""
         own = said[0].clamp(-self.grip, self.grip)
         speed = before + dt * (own - slope)
         yaw = said[1]
@@ -177,7 +182,7 @@ class CarriageRunner:
         most = self.grip / speed.detach().clamp(min=LEAST_MPS)
         if bool((yaw.detach().abs() > most).any()):
             yaw = torch.minimum(torch.maximum(yaw, -most), most)
-        return speed, yaw * (speed / FADE_MPS).clamp(0.0, 1.0)
+        return speed, yaw * (speed / FADE_MPS).clamp(0.0, 1.0), own * (speed > 0.0)
 
 
 def _cut(pool: Pool, window: Window) -> tuple[Tensor, Tensor]:
