@@ -11,6 +11,7 @@ import pytest
 
 from tests.gap.made_answer import VEHICLE, made_model
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.gap.chain import Opened
 from tunefree_hil.gap.look_first import look_first
 from tunefree_hil.gap.name import name
@@ -22,8 +23,9 @@ def drive(seconds: float, moving_s: float) -> Opened:
     """What is looked at before anything is searched: a car that stands, but for its first seconds."""
     ticks = round(seconds / DT_S)
     speed = np.where(np.arange(ticks) * DT_S < moving_s, 8.0, 0.0)
-    inputs = SimpleNamespace(speed_mps=speed)
-    return cast(Opened, SimpleNamespace(ticks=ticks, dt_s=DT_S, inputs=inputs, moving=speed > 0.1, pace=1.0))
+    inputs = SimpleNamespace(speed_mps=speed, gear=np.full(ticks, GEAR_DRIVE), by_ins=False)
+    opened = SimpleNamespace(ticks=ticks, dt_s=DT_S, inputs=inputs, moving=speed > 0.1, pace=1.0, signals={})
+    return cast(Opened, opened)
 
 
 def refusal(search: Callable[..., Any], one: Opened) -> InputError:

@@ -46,7 +46,7 @@ def test_rows_are_of_all_blocks_with_the_spread_between_them() -> None:
     ten = found["free_run"]["physics"]["10"]
     assert (ten["starts"], ten["blocks"]) == (3, 2) and found["without_a_start"] == ["split 3"]
     assert ten["speed_mps"]["mean"] == pytest.approx(5.0 / 3.0)
-    assert (ten["speed_mps"]["low"], ten["speed_mps"]["high"]) == (1.0, 3.0)
+    assert ten["speed_mps"]["low"] == 0.0 and ten["speed_mps"]["high"] > 3.0, "two blocks say little"
     assert found["free_run"][NAIVE]["10"]["speed_mps"]["mean"] == pytest.approx(10.0 / 3.0)
     assert errors_at(folds, "hybrid", 10.0)[0].size == 0
 

@@ -76,7 +76,8 @@ def few_drives(parts: Array, wholes: Array) -> tuple[float, float]:
     left = parts - ratio * wholes
     doubt = math.sqrt(n / (n - 1.0) * float(left @ left)) / abs(float(wholes.sum()))
     reach = float(student.ppf(0.975, n - 1)) * doubt
-    return ratio - reach, ratio + reach
+    least = 0.0 if (parts >= 0.0).all() else -math.inf  # of errors, which are not below 0
+    return max(ratio - reach, least), ratio + reach
 
 
 def _by_drive(values: Array, drives: Array) -> tuple[Array, Array]:

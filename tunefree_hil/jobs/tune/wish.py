@@ -105,7 +105,7 @@ class Wish(NamedTuple):
 
 def resolve_wish(asked: Asked) -> Wish:
     """Read, check and work out everything. Raises InputError that names what does not fit."""
-    asked = _settled(_as_before(asked) if asked.resume else asked)
+    asked = settled(_as_before(asked) if asked.resume else asked)
     _refuse_contradictions(asked)
     address = address_of(asked.study) if asked.study else None
     bench = with_command(load(asked.bench), asked.controller)
@@ -147,7 +147,7 @@ def _as_before(asked: Asked) -> Asked:
     )
 
 
-def _settled(asked: Asked) -> Asked:
+def settled(asked: Asked) -> Asked:
     """What nobody said is as usual."""
     return asked._replace(**{name: value for name, value in USUAL.items() if getattr(asked, name) is None})
 
