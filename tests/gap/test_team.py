@@ -38,7 +38,7 @@ class Process:
         self.bars.append(bar)
         return {name: f"{name} fitted" for name in begins}, {}
 
-    def close(self) -> None:
+    def end(self) -> None:
         self.closed.set()
 
 

@@ -96,3 +96,12 @@ def test_a_call_that_nobody_hears_out_does_not_disturb_the_next() -> None:
         assert next(calling) == 0
         calling.close()
         assert worker.result(HERE, "printing") == "said"
+
+
+def test_one_that_was_ended_starts_no_process_any_more() -> None:
+    """A thread that was about to ask would have one of its own, which nobody ends."""
+    worker = Worker()
+    worker.end()
+    with pytest.raises(PeerGone, match="was ended"):
+        worker.result(HERE, "mode")
+    assert worker._helper is None

@@ -93,12 +93,12 @@ class Team:
     def close(self) -> None:
         """End the processes."""
         for worker in self.workers:
-            worker.close()
+            worker.end()
 
     def _all(self, calls: Sequence[tuple[Any, ...]]) -> list[Any]:
         pool = ThreadPoolExecutor(len(self.workers))
-        todo = [pool.submit(one.result, MODULE, *call) for one, call in zip(self.workers, calls, strict=True)]
         try:
+            todo = [pool.submit(one.result, MODULE, *call) for one, call in zip(self.workers, calls, strict=True)]
             for one in wait(todo, return_when=FIRST_EXCEPTION).done:
                 one.result()  # raises where it failed, whoever else is still at work
             return [one.result() for one in todo]

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import threading
 from collections.abc import Generator
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
-from tunefree_hil.base.errors import TunefreeError
+from tunefree_hil.base.errors import PeerGone, TunefreeError
 from tunefree_hil.base.pipes import Helper, Loss, send, serve
 
 COMPILED = {"TUNEFREE_JIT": "1"}  # the environment of the process beside ours
@@ -42,6 +43,8 @@ class Worker:
 
     def __init__(self) -> None:
         self._helper: Helper | None = None
+        self._ended = False
+        self._starting = threading.Lock()
 
     def call(self, module: str, function: str, *args: Any) -> Generator[Any, None, Any]:
         """Run a module-level function there; its arguments and all that it gives must be picklable.
@@ -71,10 +74,18 @@ class Worker:
                 return end.value
 
     def close(self) -> None:
-        """End the process."""
+        """End the process; the next call starts another."""
         helper, self._helper = self._helper, None
         if helper is not None:
             helper.close()
+
+    def end(self) -> None:
+        """End the process for good: a call that another thread is about to make starts none any more, which nobody
+        would end.
+        """
+        with self._starting:
+            self._ended = True
+        self.close()
 
     def __enter__(self) -> Self:
         return self
@@ -82,12 +93,15 @@ class Worker:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        self.end()
 
     def _started(self) -> Helper:
-        if self._helper is None:
-            self._helper = Helper("tunefree_hil.learn.worker", {**ONE_THREAD, **COMPILED}, LOSS)
-        return self._helper
+        with self._starting:
+            if self._ended:
+                raise PeerGone(LOSS.peer, f"{LOSS.subject} was ended", code=LOSS.code, hint=LOSS.hint)
+            if self._helper is None:
+                self._helper = Helper("tunefree_hil.learn.worker", {**ONE_THREAD, **COMPILED}, LOSS)
+            return self._helper
 
 
 def answers_to(asked: Asked) -> Generator[Answer, None, None]:
