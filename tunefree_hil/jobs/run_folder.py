@@ -125,13 +125,13 @@ def _made(path: Path) -> bool:
     """Make a run's folder; False where it is there already, perhaps since a moment ago."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.mkdir()
-        (path / "episodes").mkdir()
+        with contextlib.suppress(FileExistsError):
+            path.mkdir()
+            (path / "episodes").mkdir()
+            return True
     except OSError as error:
-        if path.exists():
-            return False
         raise InputError(f"cannot make the run folder: {error.strerror}", file=str(path), hint="--out DIR") from error
-    return True
+    return False
 
 
 def read_json(file: Path) -> dict[str, Any]:

@@ -10,8 +10,8 @@ import numpy as np
 from tunefree_hil.learn.drives import Drive
 from tunefree_hil.learn.fields import CHASSIS_FIRST_SPEEDS, CHASSIS_FIRST_YAW_RATES
 from tunefree_hil.learn.problems import Problem, Severity
-from tunefree_hil.learn.runs import there_of
 from tunefree_hil.learn.series import TURNS, backwards, first_of, moving, name_of
+from tunefree_hil.learn.told import told
 
 Array = np.ndarray
 Band = tuple[int, int, int]  # of speed, of steering, its side
@@ -102,7 +102,8 @@ def _steering(drive: Drive, least_rad: float) -> dict[Band, Array]:
     if speed is None or steer is None or yaw is None:
         return {}
     whole = moving(drive) & ~backwards(drive) & np.isfinite(steer) & np.isfinite(yaw)
-    whole &= _said(drive, *(name_of(drive, names) for names in (CHASSIS_FIRST_SPEEDS, TURNS, CHASSIS_FIRST_YAW_RATES)))
+    used = (name_of(drive, names) for names in (CHASSIS_FIRST_SPEEDS, TURNS, CHASSIS_FIRST_YAW_RATES))
+    whole &= told(drive, *(name for name in used if name))
     v, wheel, turned = (_windows(np.where(whole, one, np.nan), drive.dt_s) for one in (np.abs(speed), steer, yaw))
     good = np.isfinite(v) & (np.abs(turned) * WINDOW_S > LEAST_TURN_RAD) & (np.abs(wheel) > least_rad)
     good &= turned * wheel > 0.0  # a turned sign is another fault
@@ -153,16 +154,11 @@ def _wheels(drive: Drive) -> float | None:
     if speed is None or left is None or right is None:
         return None
     turn = 0.5 * (left + right)
-    rows = moving(drive) & ~backwards(drive) & np.isfinite(turn) & (np.abs(turn) > 1.0) & _said(drive, *names)
+    rows = moving(drive) & ~backwards(drive) & np.isfinite(turn) & (np.abs(turn) > 1.0) & told(drive, *names)
     if rows.sum() * drive.dt_s < FEWEST_WINDOWS * WINDOW_S:
         return None
     gain = float(np.abs(speed[rows]).sum() / np.abs(turn[rows]).sum())
     return gain if gain > 0.0 else None
-
-
-def _said(drive: Drive, *names: str | None) -> Array:
-    """bool [n]: rows in which no field's last value stands for one that has fallen silent."""
-    return np.all([there_of(drive.fresh[name], drive.dt_s) for name in names if name], axis=0)
 
 
 def _windows(values: Array, dt_s: float) -> Array:

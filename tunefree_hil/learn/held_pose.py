@@ -18,6 +18,12 @@ LEAST_M = 1.0  # by its speed, that it is somewhere else by then
 FRAMES = 4  # of a slow INS, that say the same
 
 
+def without_place(drive: Drive) -> Drive:
+    """The drive as if nobody had said where it was."""
+    fields = {name: values for name, values in drive.fields.items() if name not in PLACE}
+    return drive._replace(fields=fields, fresh={name: drive.fresh[name] for name in fields})
+
+
 def without_held_pose(drive: Drive) -> tuple[Drive, float]:
     """(the drive without its place in such stretches, how many seconds they are)."""
     speed = first_of(drive, CHASSIS_FIRST_SPEEDS)

@@ -26,7 +26,7 @@ from tunefree_hil.learn.level import offset_of
 from tunefree_hil.learn.runs import runs
 from tunefree_hil.learn.sheet import rear_behind_m
 from tunefree_hil.learn.smooth import between_fresh, earlier, first_between_fresh, mean_noise, yaw_by_wheels
-from tunefree_hil.learn.told import POSE, acted_told, between_poses, motion_told
+from tunefree_hil.learn.told import DRIVEN_BY, POSE, acted_told, between_poses, motion_told
 from tunefree_hil.plant.actuators import ActuatorParams, actuator
 from tunefree_hil.plant.asked_accel import pedals_of
 
@@ -35,7 +35,6 @@ GRADE_ROWS = 201  # the accelerometer's view of the road is smoothed over these
 HILL_RAD = 0.015  # from here on a stretch counts as a hill; what a bias leaves (learn/level.py) is below it
 MOST_DOUBT_RAD = 0.5 * HILL_RAD  # of a slope: an accelerometer that shakes more than that says nothing about the road
 SLOW_MPS = 1.0  # below it an accelerometer says little about the road: stick, pitch, brakes
-CHANNELS = ("throttle", "brake", "steer")
 SETTLED_S = 10.0  # for which an effect behind an actuator has had its first value, so that it begins as if for ever
 
 
@@ -93,7 +92,7 @@ def track_of(part: Part, vehicle: VehicleSpec, road_share: float = 0.0) -> Track
     yaw = smooth(_yaw_rate(drive, vehicle, late)[cut])
     heading, x, y, placed = _pose(drive, cut, late, speed, yaw)
     rest = vehicle.nominal.rest_pedal_frac
-    columns = [channel_of(drive, name, 0.0 if name == "steer" else rest) for name in CHANNELS]
+    columns = [channel_of(drive, name, 0.0 if name == "steer" else rest) for name in DRIVEN_BY]
     asked = accel_asked(drive)
     if asked is not None:
         columns[:2] = asked_pedals(asked, drive.enabled, rest)
@@ -195,10 +194,10 @@ def outputs_of(track: Track, model: ModelSpec, rest: float, identity: bool = Fal
     has the effects behind it all the same. identity: a plant that takes commands (kind paper) has no actuators.
     """
     found = np.stack(
-        [_as_felt(track, model, i, 0.0 if name == "steer" else rest) for i, name in enumerate(CHANNELS)], axis=1
+        [_as_felt(track, model, i, 0.0 if name == "steer" else rest) for i, name in enumerate(DRIVEN_BY)], axis=1
     )
     by_accel = track.asked_mps2 is not None and not identity
-    for column, name in enumerate(CHANNELS):
+    for column, name in enumerate(DRIVEN_BY):
         if by_accel and name != "steer":
             continue
         idle = 0.0 if name == "steer" else rest
@@ -216,7 +215,7 @@ def _as_felt(track: Track, model: ModelSpec, column: int, idle: float) -> Array:
     These have had the first value for long.
     """
     found = np.array(track.recorded[:, column], dtype=np.float64)
-    if behind := _effects_at(model, f"{CHANNELS[column]} B", idle):
+    if behind := _effects_at(model, f"{DRIVEN_BY[column]} B", idle):
         before = math.ceil(SETTLED_S / track.dt_s)
         for begin, end in runs(~track.obeyed[:, column] & np.isfinite(found)):
             held = np.concatenate([np.full(before, found[begin]), found[begin:end]])

@@ -143,3 +143,19 @@ def test_the_winner_is_a_complete_vector_once_the_study_is_finished(wish: Wish) 
         with pytest.raises(InputError) as caught:
             winner_of(wish.bench, run)
         assert caught.value.file == str(run.path / "best.toml") and caught.value.key == key
+
+
+def test_a_folder_that_cannot_be_made_whole_is_said_and_not_tried_again_and_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk that is full in the middle of it."""
+    made = Path.mkdir
+
+    def full(self: Path, *words: Any, **more: Any) -> None:
+        if self.name == "episodes":
+            raise OSError(28, "No space left on device")
+        made(self, *words, **more)
+
+    monkeypatch.setattr(Path, "mkdir", full)
+    with pytest.raises(InputError, match="cannot make the run folder: No space left"):
+        RunFolder.create(tmp_path, "a", {})

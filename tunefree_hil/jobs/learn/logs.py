@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from tunefree_hil.learn.drives import Drive
 
 REAR_AXLE = "rear_axle"
-PLACE = ("ins.x_m", "ins.y_m")
 
 
 def read(
@@ -33,7 +32,7 @@ def read(
     """
     from tunefree_hil.bus.codec import Codec
     from tunefree_hil.learn.checks import check_drives
-    from tunefree_hil.learn.held_pose import without_held_pose
+    from tunefree_hil.learn.held_pose import PLACE, without_held_pose, without_place
     from tunefree_hil.learn.problems import require_good
     from tunefree_hil.learn.read import read_drives
     from tunefree_hil.learn.spikes import without_spikes
@@ -45,7 +44,7 @@ def read(
     if vehicle.ins_frame.point != REAR_AXLE and any(name in drive.fields for drive in drives for name in PLACE):
         words = f"{', '.join(PLACE)} are of {vehicle.ins_frame.point!r} (ins_frame.point), and not of the rear axle"
         yield Event("warning", f"{words}: they are left out, and where it was is summed up from speed and yaw rate")
-        drives = [_without_place(drive) for drive in drives]
+        drives = [without_place(drive) for drive in drives]
     for i, drive in enumerate(drives):
         drives[i], left_out = without_spikes(drive)
         if left_out:
@@ -63,8 +62,3 @@ def read(
             yield Event("warning", f"{drive.name}: {words}")
     yield Event("note", f"{sum(drive.ticks * drive.dt_s for drive in drives) / 60.0:.1f} minutes of driving")
     return drives
-
-
-def _without_place(drive: Drive) -> Drive:
-    fields = {name: values for name, values in drive.fields.items() if name not in PLACE}
-    return drive._replace(fields=fields, fresh={name: drive.fresh[name] for name in fields})
