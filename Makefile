@@ -1,6 +1,7 @@
 # make tune   install what is needed into .venv, then tune the steering on a learned car (ARGS= passes more)
 # make test   install the extras too (torch among them), then run every test but those that need a kernel with CAN,
-#             a PostgreSQL server, a C compiler, or long compiling, training or calibrating (.ci/run runs them)
+#             a PostgreSQL server, a C compiler, or long compiling, training or calibrating, and the slow ones of
+#             tools/ (.ci/run runs them)
 # make check  format, lint, types, fast tests
 # make venv   install only, and compile the simulated cars of BENCH
 
@@ -21,7 +22,7 @@ tune: venv
 	@.venv/bin/tunefree-hil tune $(BENCH) $(ARGS)
 
 test: test-venv
-	@.venv/bin/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "not compiled and not vcan and not postgres and not foreign and not learning" $(ARGS)
+	@.venv/bin/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "not compiled and not vcan and not postgres and not foreign and not learning and not tooling" $(ARGS)
 
 check: test-venv
 	@tools/check

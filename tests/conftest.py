@@ -33,7 +33,8 @@ LEARNING = (
     "tools/test_gap_exam_measure.py",
 )
 
-OWN = ("compiled", "learning", "postgres", "foreign")  # marks of what is no part of `make test` when it is slow
+# Slow ones so marked are no part of `make test`; "tooling" neither, but it keeps its place among real processes.
+OWN = ("compiled", "learning", "postgres", "foreign")
 
 # Slow ones that need no clock, only one processor: they may run beside the tests with real processes. Begun first, the
 # longest before the others, so that neither worker waits long for the other one at the end.
@@ -57,7 +58,7 @@ settings.load_profile("house")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark LEARNING, before anything is chosen by its marks; order them, and say what two workers may not do at once.
+    """Mark LEARNING and tooling before anything is chosen by its marks; order all; say what two workers may not share.
 
     Tests with real processes are one group, so one after another: together they would wait for the two cores. Of the
     others each file is a group, for what its tests share. Without workers (-n) a group means nothing.
@@ -67,6 +68,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         place = item.path.relative_to(ROOT / "tests").as_posix()
         if place.startswith(LEARNING):
             item.add_marker("learning")
+        if place.startswith("tools/") and item.get_closest_marker("slow"):
+            item.add_marker("tooling")
         rank = next((k for k, long in enumerate(LONG) if place.startswith(long)), len(LONG))
         together = item.get_closest_marker("slow") and rank == len(LONG) and not any(map(item.get_closest_marker, OWN))
         item.add_marker(pytest.mark.xdist_group("processes" if together else place))
