@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,22 @@ def test_where_nothing_can_be_proved_a_faint_name_is_none(tmp_path: Path, faint:
     assert not faint or (data["effects"], data["model"]) == ([], None)
 
 
+def page_of(folder: Path, told: Mapping[str, Any]) -> str:
+    whole = {**told, "log_hash": "", "logs": [], "figures": []}
+    whole |= {"until": "verify", "model_hash": "", "vehicle_hash": "", "version": ""}
+    write_page(folder / "gap.md", {**whole, "sentence": sentence_of(whole)}, [], "again")
+    return (folder / "gap.md").read_text()
+
+
+@pytest.mark.parametrize(("after", "said"), [(0.8, False), (1.01, False), (1.2, True)])
+def test_what_grew_by_chance_is_said_where_the_model_is_kept(after: float, said: bool, tmp_path: Path) -> None:
+    one = {"before": 1.0, "recalibrated": 1.0, "after": after, "floor": 0.5, "unforetold": None, "unit": "m/s"}
+    whole = {**answer(), "signals": {"report.speed_mps": one}, "proof_blocks": 5, "explained_frac": None, "older": []}
+    whole |= {"model": "out/model", "changes": [], "worse": []}
+    assert ("by chance: report.speed_mps by 20 %" in page_of(tmp_path, whole)) is said
+    assert "by chance" not in page_of(tmp_path, {**whole, "model": None})
+
+
 def test_a_model_that_closes_nothing_is_not_kept_and_that_is_said() -> None:
     one = {**answer(), "explained_frac": {"value": 0.0, "low": 0.0, "high": 0.0}, "worse": []}
     told = sentence_of(one)
@@ -93,10 +110,7 @@ def test_a_repair_that_closes_nothing_is_kept_where_those_blocks_do_not_show_it(
     (data, _), _ = ended(proved(Folder(tmp_path), material, opened, kept, mended))
     assert data["explained_frac"]["value"] == pytest.approx(0.0, abs=1e-6) and "taken_back" not in data
     assert ("model" not in data) == stays == (tmp_path / "model" / "model.toml").is_file()
-    whole = {**kept.answer, "model": str(tmp_path / "model"), **data, "log_hash": "", "logs": [], "figures": []}
-    whole |= {"until": "verify", "model_hash": "", "vehicle_hash": "", "version": ""}
-    write_page(tmp_path / "gap.md", {**whole, "sentence": sentence_of(whole)}, [], "again")
-    page = (tmp_path / "gap.md").read_text()
+    page = page_of(tmp_path, {**kept.answer, "model": str(tmp_path / "model"), **data})
     assert ("They do not show what is missing" in page) == stays == ("The repair closes" not in page)
 
 
@@ -109,6 +123,8 @@ def test_what_is_before_and_what_is_changed_is_of_the_model_in_its_folder(tmp_pa
     mended = mend(Folder(tmp_path), material, opened, kept, "sha256:0")
     (data, _), _ = ended(proved(Folder(tmp_path), material, opened, kept, mended))
     speed = data["signals"]["report.speed_mps"]
+    told = page_of(tmp_path, {**kept.answer, **as_data(mended), **data})
+    assert data["from_own_logs"] and "from the numbers that the model's own logs gave it" in told
     assert speed["before"] < 0.5 * speed["recalibrated"], "the folder's model has the motor right"
     (force,) = (one for one in as_data(mended)["changes"] if one["key"].endswith("drive_force_n"))
     assert force["after"] == pytest.approx(weak.params["drive_force_n"]) and force["before"] != force["after"]
@@ -179,7 +195,5 @@ def test_an_older_log_that_cannot_judge_says_so(tmp_path: Path) -> None:
     (data, _), events = ended(proved(Folder(tmp_path), material, opened, made_kept(), mended))
     assert any(one.kind == "warning" and "neutral.log: No block of it" in one.message for one in events)
     assert data["older"][0]["blocks"] == 0 and (tmp_path / "model").exists()
-    whole = {**answer(), **as_data(mended), **data, "log_hash": "", "logs": [], "figures": []}
-    whole |= {"until": "verify", "model_hash": "", "vehicle_hash": "", "version": ""}
-    write_page(tmp_path / "gap.md", {**whole, "sentence": sentence_of(whole)}, [], "again")
-    assert "## Older log neutral.log\n\nNo block of it can be driven" in (tmp_path / "gap.md").read_text()
+    told = page_of(tmp_path, {**answer(), **as_data(mended), **data})
+    assert "## Older log neutral.log\n\nNo block of it can be driven" in told

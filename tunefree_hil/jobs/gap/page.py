@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from tunefree_hil.gap.shrink import MOST_WORSE
 from tunefree_hil.jobs.gap.words import UNJUDGED, listed, percent, remarks, value_words, waits_for_proof
 from tunefree_hil.jobs.run_folder import write_text
 from tunefree_hil.jobs.words import markdown_table
@@ -114,12 +115,39 @@ def _signals(answer: Mapping[str, Any]) -> list[str]:
         lines.append(f"The repair closes {percent(closed)} of what recalibration leaves above the floor.")
     if answer.get("explicable_frac"):
         lines.append(f"Of what anything in these logs could still have foretold: {percent(answer['explicable_frac'])}.")
+    lines += _starts(answer) + _by_chance(answer)
+    return [*lines, "", *markdown_table(("signal", *keys.values(), "unit"), rows), *_replay(answer)]
+
+
+def _starts(answer: Mapping[str, Any]) -> list[str]:
+    """Which numbers recalibration and repair have, where that is not said by the logs that were asked."""
+    lines = []
+    if answer.get("from_own_logs"):
+        lines.append(
+            "Both go out from the numbers that the model's own logs gave it (`own_numbers` in its card.json); "
+            "as it was is the model as it lies in its folder."
+        )
     if answer.get("does_not_pay"):
         what = listed([GROUPS[one] for one in answer["does_not_pay"]])
         lines.append(
             f"Recalibration on these logs leaves {what} alone: moved, it came no nearer on the blocks that choose."
         )
-    return [*lines, "", *markdown_table(("signal", *keys.values(), "unit"), rows), *_replay(answer)]
+    return lines
+
+
+def _by_chance(answer: Mapping[str, Any]) -> list[str]:
+    """What a model that is kept misses by more than the one before, as far as so few blocks can tell."""
+    if answer.get("model") is None or not answer["signals"]:
+        return []
+    grown = [
+        f"{name} by {100.0 * (one['after'] / one['before'] - 1.0):.0f} %"
+        for name, one in answer["signals"].items()
+        if one.get("after") is not None and one["after"] > (1.0 + MOST_WORSE) * one["before"] > 0.0
+        if one["after"] > one["floor"]
+    ]
+    if not grown:
+        return []
+    return [f"Missed by more than as it was, but by no more than these blocks differ by chance: {', '.join(grown)}."]
 
 
 def _replay(answer: Mapping[str, Any]) -> list[str]:

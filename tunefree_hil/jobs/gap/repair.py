@@ -120,6 +120,7 @@ def proved(
         "proof_blocks": proof.blocks,
         "block_s": round(block_s_of([one.ticks for one in opened], opened[0].dt_s), 2),
         "recalibration": _gained(gaps),
+        "from_own_logs": material.model != material.given,
     }
     if mended.model is None:
         return data | _missed_there({**found.answer, **data}, gaps, opened, kind), proof
