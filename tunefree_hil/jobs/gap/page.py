@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tunefree_hil.gap.shrink import MOST_WORSE
 from tunefree_hil.jobs.gap.words import UNJUDGED, listed, percent, remarks, value_words, waits_for_proof
 from tunefree_hil.jobs.run_folder import write_text
 from tunefree_hil.jobs.words import markdown_table
@@ -137,17 +136,11 @@ def _starts(answer: Mapping[str, Any]) -> list[str]:
 
 def _by_chance(answer: Mapping[str, Any]) -> list[str]:
     """What a model that is kept misses by more than the one before, as far as so few blocks can tell."""
-    if answer.get("model") is None or not answer["signals"]:
-        return []
-    grown = [
-        f"{name} by {100.0 * (one['after'] / one['before'] - 1.0):.0f} %"
-        for name, one in answer["signals"].items()
-        if one.get("after") is not None and one["after"] > (1.0 + MOST_WORSE) * one["before"] > 0.0
-        if one["after"] > one["floor"]
-    ]
+    grown = answer.get("grown") if answer.get("model") else None
     if not grown:
         return []
-    return [f"Missed by more than as it was, but by no more than these blocks differ by chance: {', '.join(grown)}."]
+    told = ", ".join(f"{name} by {100.0 * by:.0f} %" for name, by in grown.items())
+    return [f"Missed by more than as it was, but by no more than these blocks differ by chance: {told}."]
 
 
 def _replay(answer: Mapping[str, Any]) -> list[str]:

@@ -136,9 +136,10 @@ def proved(
         data |= taken_back(found.answer, closes, kind)
         yield Event("warning", f"taken back: {data['words'][0]}")
         return _gone(folder, data | _missed_there({**found.answer, **data}, gaps, opened, kind)), proof
+    by_chance = {signal: by for signal, by in grown(proof, floors).items() if signal not in worse}
     if not closes_it(found.answer, closes):  # its own signal's word is none for all the others
-        worse |= {signal: by for signal, by in grown(proof, floors).items() if signal not in worse}
-    data["worse"] = _worse_words(worse)
+        worse, by_chance = worse | by_chance, {}
+    data |= {"worse": _worse_words(worse), "grown": by_chance}
     closes_nothing = closes is not None and closes["value"] < CLOSES_NOTHING and not is_unshown(found.answer)
     return (_gone(folder, data) if worse or closes_nothing else data), proof
 
