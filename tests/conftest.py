@@ -27,7 +27,7 @@ LEARNING = (
     "jobs/collect/test_collect.py",
     "jobs/learn/test_learn.py",
     "jobs/learn/test_map.py",
-    "jobs/learn/test_outside.py",
+    "jobs/learn/test_report_text_outside.py",
     "tools/test_actuators_measure.py",
     "tools/gap_exam/test_exam.py",
     "tools/test_gap_exam_measure.py",
@@ -40,7 +40,7 @@ OWN = ("compiled", "learning", "postgres", "foreign")
 # longest before the others, so that neither worker waits long for the other one at the end.
 LONG = (
     "jobs/commission/test_kill.py",
-    "jobs/gap/test_own_logs.py",
+    "jobs/gap/test_calibration_logs.py",
     "jobs/gap/test_whole.py",
     "tools/gap_exam/",
     "tools/test_gap_exam_measure.py",

@@ -65,7 +65,7 @@ def test_a_planted_violation_is_found(inside: str, source: str) -> None:
 @pytest.mark.parametrize(
     ("inside", "source"),
     [
-        ("nodes/good.py", "from tunefree_hil.bus.codec import Codec\nfrom tunefree_hil.nodes import node"),
+        ("nodes/good.py", "from tunefree_hil.bus.dbc.codec import Codec\nfrom tunefree_hil.nodes import node"),
         ("plant/good.py", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from tunefree_hil import bench"),
         ("control/lateral/good.py", "from .. import cascade"),
         ("jobs/good.py", "from tunefree_hil import __version__, bench"),

@@ -11,7 +11,7 @@ import pytest
 
 from tests.house import PACKAGE, ROOT, imports, package_files, place, text_files
 
-LONGEST = 300
+LONGEST = 500
 MAY_CATCH_ALL = ("jobs/", "nodes/", "cli/")  # there an exception becomes an event or an exit status
 MAY_READ_TIME = ("base/clock.py",)
 PYTHON_FOLDERS = (PACKAGE, "tests", "tools")

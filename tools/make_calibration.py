@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """`tools/make_calibration.py [MODEL]`: drives a model with held pedals and writes its open-loop map, calibration.npz.
 
-The drive and the points are those of tunefree_hil/learn/open_loop.py, which `calibrate` uses too.
+The drive and the points are those of tunefree_hil/learn/open_loop_map/build.py, which `calibrate` uses too.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import numpy as np  # noqa: E402
 
 from tunefree_hil.base.errors import InputError, TunefreeError  # noqa: E402
 from tunefree_hil.config.load import load_model, load_vehicle  # noqa: E402
-from tunefree_hil.learn.open_loop import Triple, as_arrays, open_loop_map  # noqa: E402
-from tunefree_hil.plant.body import Plant  # noqa: E402
+from tunefree_hil.learn.open_loop_map.build import Triple, as_arrays, open_loop_map  # noqa: E402
 from tunefree_hil.plant.single_track import PLANT as PHYSICS  # noqa: E402
+from tunefree_hil.plant.types import Plant  # noqa: E402
 
 PLANTS: dict[str, Plant] = {"physics": PHYSICS}
 

@@ -28,7 +28,7 @@ from tunefree_hil.cli.output import present  # noqa: E402
 from tunefree_hil.config.find import available  # noqa: E402
 from tunefree_hil.config.load import load_model, load_vehicle  # noqa: E402
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec  # noqa: E402
-from tunefree_hil.jobs.learn.model_words import off_after  # noqa: E402
+from tunefree_hil.jobs.learn.report_text import off_after  # noqa: E402
 from tunefree_hil.jobs.run_folder import read_json, write_json  # noqa: E402
 
 MODELS = ROOT / "bench_configs" / "models"
@@ -70,7 +70,7 @@ class Plan(NamedTuple):
 
 def make_models(asked: Asked) -> Iterator[Event]:
     """All vehicles, one after the other. Raises InputError: torch missing, no such model, a result that will not do."""
-    from tunefree_hil.learn.training.needs import require_torch
+    from tunefree_hil.learn.training.torch_extra import require_torch
 
     require_torch("tools/make_models.py")
     made: dict[str, str] = {}

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from tests.house import ROOT
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.batch.bits import bit_params, hear_bits, init_bits, say_bits, vehicle_state
-from tunefree_hil.bus.codec import Codec
-from tunefree_hil.bus.frame_writer import FrameWriter
+from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.recording.frame_writer import FrameWriter
 from tunefree_hil.config.load import load_vehicle
-from tunefree_hil.nodes.bits import StatusSignals
-from tunefree_hil.nodes.hearing import Hearing
-from tunefree_hil.plant.bywire import CAUSES, ByWireStatus, ChannelStatus
+from tunefree_hil.nodes.measurement_decoder import Hearing
+from tunefree_hil.nodes.status_bits import StatusSignals
+from tunefree_hil.plant.actuation.bywire import CAUSES, ByWireStatus, ChannelStatus
 
 CODECS = {path.parent.name: Codec(load_vehicle(path.parent)) for path in (ROOT / "dbc").glob("*/vehicle.toml")}
 BIT = st.sampled_from([0.0, 1.0])

@@ -14,7 +14,7 @@ from tools.measures.parity import compared, differing, parameter_sets
 from tunefree_hil.base.errors import InputError, PeerGone
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Batch, Job
-from tunefree_hil.jobs.running.harvest import harvest
+from tunefree_hil.jobs.running.episode_results import harvest
 from tunefree_hil.jobs.running.session import Session
 
 

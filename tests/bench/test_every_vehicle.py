@@ -18,8 +18,8 @@ from tests.house import ROOT
 from tests.jobs.command import new_session, no_orphans, tunefree
 from tools.measures._in_process import InProcess
 from tunefree_hil.bench import Bench, load, model_of, parameters_of, require_buildable
-from tunefree_hil.bus.codec import Codec
-from tunefree_hil.bus.log_check import check_frames
+from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.recording.log_check import check_frames
 from tunefree_hil.config.load import load_bench, load_model, load_vehicle
 from tunefree_hil.config.schema import FaultSpec
 from tunefree_hil.episode.candump import read_candump

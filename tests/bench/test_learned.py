@@ -10,7 +10,7 @@ import pytest
 
 from tests.bench.test_every_vehicle import first_benches
 from tests.bench.test_simulator import STARTS, bench_of
-from tests.plant.learned import KINDS, NOMINAL, arrays_of, write_model
+from tests.plant.model_files import KINDS, NOMINAL, arrays_of, write_model
 from tools.measures._in_process import InProcess
 from tools.measures.parity import differing
 from tunefree_hil.base.errors import InputError
@@ -19,7 +19,7 @@ from tunefree_hil.bench.batch import Batch
 from tunefree_hil.bench.simulator import Job, Simulator
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.episode.columns import columns_from_frames
-from tunefree_hil.plant.learned_file import INPUTS
+from tunefree_hil.plant.learned.weights_file import INPUTS
 
 MKZ = next(path for path in first_benches() if path.stem.startswith("mkz"))
 

@@ -17,7 +17,7 @@ from tools.measures._in_process import InProcess
 from tools.measures.parity import compared, differing, parameter_sets
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, follower_of, load, parameters_of
-from tunefree_hil.bench.fleet import Fleet
+from tunefree_hil.bench.parallel import Fleet
 from tunefree_hil.bench.simulator import Job, Simulator, with_effects
 from tunefree_hil.config.schema import EffectSpec, FaultSpec, ProfileSpec, ScenarioSpec, StartSpec
 from tunefree_hil.episode.columns import columns_from_frames

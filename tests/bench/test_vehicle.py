@@ -17,9 +17,9 @@ from tunefree_hil.bench import Bench, VehicleFor, is_heavy, load
 from tunefree_hil.bench.vehicle import driver_script, effects_of
 from tunefree_hil.config.schema import EffectSpec, FaultSpec
 from tunefree_hil.nodes.ecu import Vehicle
-from tunefree_hil.plant.body import NOBODY
-from tunefree_hil.plant.bywire import Heard
-from tunefree_hil.plant.unit import UnitInput
+from tunefree_hil.plant.actuation.bywire import Heard
+from tunefree_hil.plant.ecu import UnitInput
+from tunefree_hil.plant.types import NOBODY
 
 
 @pytest.fixture

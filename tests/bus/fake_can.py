@@ -9,8 +9,8 @@ import struct
 from collections import deque
 
 from tunefree_hil.base.records import CanFrame
-from tunefree_hil.bus.kernel_frames import CLASSIC_FRAME, pack
-from tunefree_hil.bus.socketcan import SO_MEMINFO, SO_RXQ_OVFL, SO_TIMESTAMPNS
+from tunefree_hil.bus.socketcan.kernel_frames import CLASSIC_FRAME, pack
+from tunefree_hil.bus.socketcan.link import SO_MEMINFO, SO_RXQ_OVFL, SO_TIMESTAMPNS
 from tunefree_hil.bus.tfhub.records import ERR_FLAG
 
 STEP_NS = 1_000_000

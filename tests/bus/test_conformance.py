@@ -16,7 +16,7 @@ import can
 import pytest
 
 from tests.bus.tfhub_help import PATIENCE_S, Backend, number_of, receive_all, start_kind
-from tunefree_hil.bus.kernel_link import kernel_has_can, link_state
+from tunefree_hil.bus.socketcan.kernel_link import kernel_has_can, link_state
 from tunefree_hil.bus.tfhub.start import HubProcess
 
 BURST = 20_000

@@ -17,10 +17,11 @@ import pytest
 from tests.bus.tfhub_help import PATIENCE_S, ROOT, ThreadHub, frame, number_of, thread_hub
 from tunefree_hil.base.errors import BenchError, InputError, NoAnswer, PeerGone
 from tunefree_hil.base.records import CanFrame
-from tunefree_hil.bus import kernel_link, link
+from tunefree_hil.bus import link
 from tunefree_hil.bus import open as bus_open
-from tunefree_hil.bus.kernel_link import LinkState, kernel_has_can, link_state
 from tunefree_hil.bus.open import BusChoice, open_link, require_virtual_link, resolve_bus
+from tunefree_hil.bus.socketcan import kernel_link
+from tunefree_hil.bus.socketcan.kernel_link import LinkState, kernel_has_can, link_state
 
 DATA = [
     CanFrame(0x123, b"\x01\x02", time_s=0.01),

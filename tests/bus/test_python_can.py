@@ -10,7 +10,7 @@ import pytest
 
 from tunefree_hil.bus.python_can import absent
 
-MODULES = tuple(f"tunefree_hil.bus.{name}" for name in ("codec", "open", "formats.blf", "tfhub.plugin"))
+MODULES = tuple(f"tunefree_hil.bus.{name}" for name in ("dbc.codec", "open", "formats.blf", "tfhub.plugin"))
 
 
 @pytest.mark.parametrize("first", MODULES)

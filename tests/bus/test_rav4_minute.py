@@ -13,8 +13,8 @@ from typing import NamedTuple
 import pytest
 
 from tunefree_hil.base.records import CanFrame, Command, Report
-from tunefree_hil.bus.codec import Codec, Snapshot
-from tunefree_hil.bus.integrity import CounterCheck, Order
+from tunefree_hil.bus.dbc.codec import Codec, Snapshot
+from tunefree_hil.bus.dbc.integrity import CounterCheck, Order
 from tunefree_hil.config.load import load_vehicle
 
 LINE = re.compile(r"\((\d+\.\d+)\) (\w+) ([0-9A-F]+)#([0-9A-F]*)")

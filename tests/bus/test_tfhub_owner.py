@@ -12,10 +12,10 @@ import pytest
 from tests.bus.tfhub_help import PATIENCE_S, ThreadHub, eventually, frame, number_of, thread_hub
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bus.tfhub import reception
-from tunefree_hil.bus.tfhub.hub import Hub
 from tunefree_hil.bus.tfhub.owner import Owner
 from tunefree_hil.bus.tfhub.plugin import HubBus, HubGone
-from tunefree_hil.bus.tfhub.serve import serve
+from tunefree_hil.bus.tfhub.server.hub import Hub
+from tunefree_hil.bus.tfhub.server.serve import serve
 from tunefree_hil.bus.tfhub.session import Session
 
 

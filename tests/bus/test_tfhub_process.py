@@ -139,7 +139,7 @@ def _runs(pid: int) -> bool:
 
 def test_a_hub_imports_neither_python_can_nor_cantools() -> None:
     names = ("can", "cantools", "numpy")
-    code = f"import sys, tunefree_hil.bus.tfhub.serve; print([name for name in {names} if name in sys.modules])"
+    code = f"import sys, tunefree_hil.bus.tfhub.server.serve; print([name for name in {names} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert done.stdout.strip() == "[]", done.stderr
 

@@ -13,7 +13,7 @@ from tests.bus.tfhub_help import frame, thread_hub
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bus.tfhub import address
 from tunefree_hil.bus.tfhub.owner import Owner
-from tunefree_hil.bus.tfhub.serve import serve
+from tunefree_hil.bus.tfhub.server.serve import serve
 from tunefree_hil.bus.tfhub.session import LONGEST_PATH, Session
 
 

@@ -20,7 +20,7 @@ from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.tfhub import address, records
 from tunefree_hil.bus.tfhub.owner import Owner
 from tunefree_hil.bus.tfhub.plugin import HubBus
-from tunefree_hil.bus.tfhub.serve import serve
+from tunefree_hil.bus.tfhub.server.serve import serve
 from tunefree_hil.bus.tfhub.start import HubProcess, start_hub
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -18,7 +18,7 @@ from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
 from tunefree_hil.cli.entry import run
 from tunefree_hil.jobs.drive import Asked as Drive
-from tunefree_hil.jobs.tune.wish import Asked
+from tunefree_hil.jobs.tune.options import Asked
 
 Fake = Callable[..., list[tuple[tuple[Any, ...], dict[str, Any]]]]
 
@@ -245,7 +245,7 @@ def test_ctrl_c_before_a_job_is_said_once(monkeypatch: pytest.MonkeyPatch, capsy
     def cut(*_: Any, **__: Any) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tunefree_hil.cli.data_commands.present", cut)
+    monkeypatch.setattr("tunefree_hil.cli.commands.data.present", cut)
     assert run(["scenarios"]) == 130
     assert capsys.readouterr().err == "interrupted\n"
     monkeypatch.undo()

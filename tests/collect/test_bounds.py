@@ -10,8 +10,8 @@ import pytest
 from tests.collect.cars import DT_S, Car, Row, drive
 from tunefree_hil.collect.bounds import CREEPS_MPS, bounds_of, within
 from tunefree_hil.collect.cells import COUNT, FIRST_THROTTLE
-from tunefree_hil.collect.drive_state import APPROACH, GENTLE, HOLD, TURN
 from tunefree_hil.collect.envelope import LATERAL_SHARE, envelope_of
+from tunefree_hil.collect.features import APPROACH, GENTLE, HOLD, TURN
 from tunefree_hil.collect.pedals import Pedal, push_for
 from tunefree_hil.collect.plan import TOO_STRONG, DrivePlan, driven_stretches, driven_targets, params_of
 from tunefree_hil.config.load import load_vehicle

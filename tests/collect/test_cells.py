@@ -28,7 +28,7 @@ from tunefree_hil.collect.cells import (
     targets_of,
 )
 from tunefree_hil.collect.envelope import Envelope, envelope_of, side_needed_m
-from tunefree_hil.collect.seen import count
+from tunefree_hil.collect.features import count
 from tunefree_hil.config.load import load_vehicle
 
 MKZ = envelope_of(load_vehicle("mkz_bywire"))

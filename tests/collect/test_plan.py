@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.collect.area import Ground
 from tunefree_hil.collect.bounds import bounds_of
 from tunefree_hil.collect.cells import COUNT
 from tunefree_hil.collect.coverage import Coverage, map_lines
-from tunefree_hil.collect.ground import Ground
+from tunefree_hil.collect.features import lacking
 from tunefree_hil.collect.plan import (
     FORWARDS_ONLY,
     DrivePlan,
@@ -22,7 +23,6 @@ from tunefree_hil.collect.plan import (
     params_of,
     plan_of,
 )
-from tunefree_hil.collect.seen import lacking
 from tunefree_hil.config.load import load_scenario, load_vehicle
 from tunefree_hil.config.schema import ValidSpec
 from tunefree_hil.episode.scenario import build_course, start_of

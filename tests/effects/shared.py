@@ -12,7 +12,7 @@ from tunefree_hil.base.course import Start
 from tunefree_hil.base.kernel import run
 from tunefree_hil.base.records import Command, Disturbance, Ins, Motion, Report
 from tunefree_hil.effects import catalogue
-from tunefree_hil.plant.body import BodyOutput
+from tunefree_hil.plant.types import BodyOutput
 
 EFFECTS: dict[str, Effect] = catalogue()
 KINDS = sorted(PLANTS)

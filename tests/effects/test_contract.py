@@ -39,7 +39,7 @@ from tunefree_hil.base.contracts import (
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import run
 from tunefree_hil.base.records import Command
-from tunefree_hil.plant.sensors import noise_table
+from tunefree_hil.plant.measurement.sensors import noise_table
 
 NAMES = list(EFFECTS)
 UNITS = {"_s": "s", "_frac": "1", "_kg": "kg", "_m": "m", "_m2": "m2", "_rad": "rad", "_radps": "rad/s",

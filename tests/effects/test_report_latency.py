@@ -1,4 +1,4 @@
-"""Chassis reports that come late, all fields by the same time (bits: tests/plant/test_late.py)."""
+"""Chassis reports that come late, all fields by the same time (bits: tests/plant/test_report_latency.py)."""
 
 from __future__ import annotations
 

@@ -17,8 +17,8 @@ from tunefree_hil.bench import Bench, load
 from tunefree_hil.bench.simulator import with_effects
 from tunefree_hil.bench.vehicle import VehicleFor
 from tunefree_hil.config.schema import EffectSpec
-from tunefree_hil.plant.bywire import Heard, HeardChannel
-from tunefree_hil.plant.unit import Said, UnitInput
+from tunefree_hil.plant.actuation.bywire import Heard, HeardChannel
+from tunefree_hil.plant.ecu import Said, UnitInput
 
 BENCHES = {"first": ROOT / "bench_configs" / "mkz_complete.toml", "other": BENCH}
 TICKS = 160

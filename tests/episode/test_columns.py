@@ -33,7 +33,7 @@ class FakeMessage(NamedTuple):
 
 
 class FakeCodec:
-    """As bus/codec.py is used here, for messages of one byte a field."""
+    """As bus/dbc/codec.py is used here, for messages of one byte a field."""
 
     name = "fake"
 

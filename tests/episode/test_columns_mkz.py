@@ -13,8 +13,8 @@ from tests.house import ROOT
 from tunefree_hil.base.course import Tracking
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import Command, Ins, Report
-from tunefree_hil.bus.codec import Codec
-from tunefree_hil.bus.frame_writer import FrameWriter
+from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.recording.frame_writer import FrameWriter
 from tunefree_hil.config.load import load_scenario, load_vehicle
 from tunefree_hil.control.follower import make_follower
 from tunefree_hil.episode.candump import EXTENDED_BIT, LogFrame

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tunefree_hil.figures import heat, importance, profile, slices, style
+from tunefree_hil.figures import heat, profile, style
+from tunefree_hil.figures.tuning import importance, slices
 from tunefree_hil.grade.table import HIGHLIGHTED, TABLE
 from tunefree_hil.tune.insight import Importance
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tunefree_hil.figures import bars, history, jitter, scatter, scenario, style
+from tunefree_hil.figures import bars, jitter, scenario, style
+from tunefree_hil.figures.tuning import history, scatter
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

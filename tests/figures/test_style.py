@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tunefree_hil.figures import style
 
-MODULES = ("style", "scenario", "history", "scatter", "jitter", "bars")
+MODULES = ("style", "scenario", "tuning.history", "tuning.scatter", "jitter", "bars")
 
 
 def test_importing_the_figures_imports_no_matplotlib() -> None:

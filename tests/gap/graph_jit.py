@@ -10,9 +10,9 @@ import numpy as np
 from tests.learn.made_drives import CHANNELS, made_drive
 from tunefree_hil.base.contracts import prior_of
 from tunefree_hil.config.load import load_model, load_vehicle
-from tunefree_hil.gap.chain import open_chain
-from tunefree_hil.gap.graph import Graph
-from tunefree_hil.gap.suspects import sizes_of
+from tunefree_hil.gap.estimation.candidates import sizes_of
+from tunefree_hil.gap.measured.chain import open_chain
+from tunefree_hil.gap.model.graph import Graph
 
 
 def main() -> None:

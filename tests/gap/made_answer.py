@@ -10,10 +10,9 @@ from msgspec.structs import replace
 from tests.learn.made_drives import CHANNELS, made_drive
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec
-from tunefree_hil.gap.kept import Kept
-from tunefree_hil.gap.regions import Region
-from tunefree_hil.gap.shape import Shape
-from tunefree_hil.learn.drives import Drive
+from tunefree_hil.gap.diagnostics.residual_tests import Region, Shape
+from tunefree_hil.gap.result import Kept
+from tunefree_hil.learn.drives.drive import Drive
 
 VEHICLE = load_vehicle("mkz_bywire")
 LATE_S = 0.07

@@ -11,8 +11,8 @@ from msgspec.structs import replace
 from tests.learn.made_drives import made_drive
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import EffectSpec
-from tunefree_hil.gap.chain import Opened, open_chain
-from tunefree_hil.gap.graph import Graph
+from tunefree_hil.gap.measured.chain import Opened, open_chain
+from tunefree_hil.gap.model.graph import Graph
 
 pytestmark = pytest.mark.slow  # the plant step by step
 

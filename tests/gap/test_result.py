@@ -7,9 +7,9 @@ from typing import Any, cast
 
 import pytest
 
-from tunefree_hil.gap.name import Named
+from tunefree_hil.gap.measured.blocks import PROOF, blocks_of
+from tunefree_hil.gap.pipeline import Named
 from tunefree_hil.gap.result import FEW_BLOCKS, _short_words
-from tunefree_hil.gap.segments import PROOF, blocks_of
 
 
 def found(seconds: float, verdict: str) -> Named:

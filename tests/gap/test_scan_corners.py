@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.gap.test_scan import BENT, ROWS, WIND, Problem, T, Work, scan
-from tunefree_hil.gap.noise import Colour
-from tunefree_hil.gap.problem import Slopes
-from tunefree_hil.gap.scan import EVEN, Scan
+from tests.gap.estimation.test_grid import BENT, ROWS, WIND, Problem, T, Work, scan
+from tunefree_hil.gap.estimation.grid import EVEN, Scan
+from tunefree_hil.gap.estimation.least_squares import Slopes
+from tunefree_hil.gap.estimation.noise import Colour
 
 
 class Corners(Work):

@@ -12,7 +12,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.episode.feasible import curvature_by_time
 from tunefree_hil.episode.scenario import build_course
-from tunefree_hil.grade.feet import find_feet, tables_of
+from tunefree_hil.grade.path_projection import find_feet, tables_of
 from tunefree_hil.grade.reference import read_reference
 
 DT_S = 0.01

@@ -13,9 +13,9 @@ import time
 from typing import Any
 
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.ledger import digest
 from tunefree_hil.bus.link import Link
 from tunefree_hil.bus.open import open_link, resolve_bus
+from tunefree_hil.bus.recording.frame_attribution import digest
 
 AT = 20
 FAR_S = 60.0

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tunefree_hil.grade.margins import GAIN_DOWN, GAIN_UP, POINTS, SAME, WALKS, Came, Car, Margin
-from tunefree_hil.jobs.tune.margins import Found
-from tunefree_hil.jobs.tune.margins_report import margin_data
+from tunefree_hil.jobs.tune.margins import Found, margin_data
 
 CALM, LEFT = Came("finished", 0), Came("left_lane", 1)
 SCENARIOS = ("left_turn", "u_turn")

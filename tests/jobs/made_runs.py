@@ -16,7 +16,7 @@ from tunefree_hil.config.dump import to_toml
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.jobs.identity import resolved_toml
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.harvest import Episode, evaluation_of, harvest
+from tunefree_hil.jobs.running.episode_results import Episode, evaluation_of, harvest
 from tunefree_hil.jobs.tune.candidates import baseline_vectors
 from tunefree_hil.nodes.runner import Outcome
 from tunefree_hil.tune.space import resolve

@@ -239,7 +239,7 @@ def test_a_bus_that_may_not_be_used(bus: str, parts: list[str], tmp_path: Path, 
 
 
 def test_socketcan_on_this_kernel(tmp_path: Path, said: Callable[..., str]) -> None:
-    from tunefree_hil.bus.kernel_link import kernel_has_can, link_state
+    from tunefree_hil.bus.socketcan.kernel_link import kernel_has_can, link_state
 
     if kernel_has_can() and link_state("vcan0").exists:
         pytest.skip("this kernel has vcan0")
@@ -251,8 +251,8 @@ def test_transmit_is_refused_on_a_link_that_is_not_vcan(
     tmp_path: Path, said: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A real adapter that is up: the kernel says 'can', or nothing; its name does not count."""
-    from tunefree_hil.bus import kernel_link
     from tunefree_hil.bus import open as module
+    from tunefree_hil.bus.socketcan import kernel_link
 
     for kind in ("can", "", "slcan"):
         monkeypatch.setattr(module, "kernel_has_can", lambda: True)

@@ -15,8 +15,8 @@ from tests.bench.tiny import write_bench, write_scenario
 from tests.house import ROOT
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bus import kernel_link
-from tunefree_hil.bus.kernel_link import LinkState
+from tunefree_hil.bus.socketcan import kernel_link
+from tunefree_hil.bus.socketcan.kernel_link import LinkState
 from tunefree_hil.jobs import machine
 from tunefree_hil.jobs.doctor import bench_findings, doctor, vehicle_findings
 from tunefree_hil.jobs.machine import FAULT, NOTE, OK

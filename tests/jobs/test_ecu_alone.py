@@ -11,7 +11,7 @@ from tests.bench.tiny import write_bench
 from tests.bus.tfhub_help import thread_hub
 from tunefree_hil.base.records import CanFrame, Command
 from tunefree_hil.bench import load
-from tunefree_hil.bus.codec import Codec, Snapshot
+from tunefree_hil.bus.dbc.codec import Codec, Snapshot
 from tunefree_hil.jobs.ecu import ecu
 
 STEER_RAD = 0.4

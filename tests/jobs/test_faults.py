@@ -11,9 +11,9 @@ from tests.bench.tiny import write_bench
 from tests.jobs.command import tunefree, tunefree_alone
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.integrity import E2eStatus
+from tunefree_hil.bus.dbc.integrity import E2eStatus
 from tunefree_hil.episode.candump import read_candump
-from tunefree_hil.jobs.running.heard import heard_of
+from tunefree_hil.jobs.running.episode_results import heard_of
 
 pytestmark = pytest.mark.slow
 

@@ -10,7 +10,7 @@ import pytest
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.load import load_scenario, load_vehicle
 from tunefree_hil.jobs.log import check as log_check
 from tunefree_hil.jobs.log import show as log_show

@@ -9,11 +9,11 @@ import numpy as np
 from tests.learn.made_drives import DT_S, LATE, NOISE, made_drive
 from tunefree_hil.base.course import Start
 from tunefree_hil.base.records import GEAR_DRIVE, NAN, Command, Disturbance
-from tunefree_hil.learn.drives import Drive
-from tunefree_hil.plant.actuators import ActuatorParams
-from tunefree_hil.plant.asked_accel import linear
-from tunefree_hil.plant.body import BodyInput, Driver
+from tunefree_hil.learn.drives.drive import Drive
+from tunefree_hil.plant.actuation.acceleration_interface import linear
+from tunefree_hil.plant.actuation.actuators import ActuatorParams
 from tunefree_hil.plant.single_track import PLANT
+from tunefree_hil.plant.types import BodyInput, Driver
 from tunefree_hil.plant.vehicle import assemble, first_output, for_episode
 
 BARE = ("command.", "report.speed_mps", "report.yaw_rate_radps")

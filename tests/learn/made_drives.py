@@ -10,12 +10,12 @@ import numpy as np
 
 from tunefree_hil.base.course import Start
 from tunefree_hil.base.records import GEAR_DRIVE, NAN, WHEEL_FIELDS, Command, Disturbance
-from tunefree_hil.learn.drives import Drive, Part
-from tunefree_hil.learn.pairs import Pair, Pairs
-from tunefree_hil.plant.actuators import ActuatorParams, init_actuator, step_actuator
-from tunefree_hil.plant.body import BodyInput, Driver
+from tunefree_hil.learn.actuators.samples import Pair, Pairs
+from tunefree_hil.learn.drives.drive import Drive, Part
+from tunefree_hil.plant.actuation.actuators import ActuatorParams, init_actuator, step_actuator
 from tunefree_hil.plant.ports import Effects
 from tunefree_hil.plant.single_track import PLANT
+from tunefree_hil.plant.types import BodyInput, Driver
 from tunefree_hil.plant.vehicle import assemble, first_output, for_episode
 
 DT_S, REST = 0.01, 0.15

@@ -16,16 +16,16 @@ import numpy as np
 
 from tests import other_vehicle
 from tunefree_hil.base.records import GEAR_DRIVE, WHEEL_FIELDS, Command, Ins, Report
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.dbc.message_map import COMMAND, MessageMap
 from tunefree_hil.bus.formats.rows import FD, Row
-from tunefree_hil.bus.frame_writer import FrameWriter
-from tunefree_hil.bus.message_map import COMMAND, MessageMap
+from tunefree_hil.bus.recording.frame_writer import FrameWriter
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.episode.candump import write_candump
-from tunefree_hil.learn.checks import Problem, check_drives
-from tunefree_hil.learn.drives import Drive
-from tunefree_hil.learn.read import read_drives
+from tunefree_hil.learn.checks.drive_checks import Problem, check_drives
+from tunefree_hil.learn.drives.drive import Drive
+from tunefree_hil.learn.drives.read import read_drives
 
 DT_S, SECONDS = 0.01, 30.0
 MKZ, VAN = "mkz_bywire", other_vehicle.NAME

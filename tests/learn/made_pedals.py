@@ -10,7 +10,7 @@ import numpy as np
 from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.config.schema import VehicleSpec
-from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.drives.drive import Drive
 
 DT_S = 0.01
 REST = 0.15

@@ -10,7 +10,7 @@ import pytest
 
 from tests.learn.made_logs import MKZ, car, checked, good, refusals, rows_of, write_log
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.learn.read import read_drives
+from tunefree_hil.learn.drives.read import read_drives
 
 
 def test_a_clock_that_stands_still(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from tests.bench.tiny import write_bench
 from tunefree_hil.bench import Bench, load
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.dbc.codec import Codec
 
 
 @pytest.fixture(scope="session")

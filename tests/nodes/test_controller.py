@@ -11,13 +11,13 @@ import pytest
 
 from tests.nodes.memory import FakeLink
 from tests.nodes.stopped_clock import StoppedClock
-from tests.nodes.test_hearing import ENABLED, enabled_frames, frame
+from tests.nodes.test_measurement_decoder import ENABLED, enabled_frames, frame
 from tunefree_hil.base.course import Tracking
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import GEAR_DRIVE, CanFrame, Command
 from tunefree_hil.bench import needed_messages
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.control.cascade import Decision, Sight
 from tunefree_hil.nodes.controller import Assignment, ControllerPart

@@ -14,12 +14,12 @@ from tests.nodes.stopped_clock import StoppedClock
 from tunefree_hil.base.records import GEAR_DRIVE, GEAR_NONE, CanFrame, Command
 from tunefree_hil.bench import VehicleFor, load
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.codec import Codec
-from tunefree_hil.nodes.ears import Ears
+from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.nodes.command_decoder import Ears
 from tunefree_hil.nodes.ecu import EcuPart
 from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.timing import CycleTimes
-from tunefree_hil.plant.bywire import CAUSES
+from tunefree_hil.plant.actuation.bywire import CAUSES
 
 CHANNELS = ("BRAKE_CMD", "THROTTLE_CMD", "STEERING_CMD")
 WISH = Command(throttle_frac=0.2, brake_frac=0.15, steer_rad=0.0, gear=GEAR_DRIVE)

@@ -11,7 +11,7 @@ from tests.nodes.memory import FakeLink, FakeTime
 from tunefree_hil.base.errors import BenchError, NoAnswer, PeerGone
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.message_map import EXTENDED_FLAG
+from tunefree_hil.bus.dbc.message_map import EXTENDED_FLAG
 from tunefree_hil.nodes import exchange as module
 from tunefree_hil.nodes.exchange import HARD_LIMIT_S, Exchange, can_key, digest
 

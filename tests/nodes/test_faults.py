@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 
 from tests.bus.e2e_car import write_car
 from tunefree_hil.base.records import CanFrame, Command
-from tunefree_hil.bus.codec import Codec
-from tunefree_hil.bus.e2e import is_intact
-from tunefree_hil.bus.frame_writer import FrameWriter
-from tunefree_hil.bus.integrity import E2eStatus, Receiver
+from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.dbc.e2e import is_intact
+from tunefree_hil.bus.dbc.integrity import E2eStatus, Receiver
+from tunefree_hil.bus.recording.frame_writer import FrameWriter
 from tunefree_hil.config.fault_check import CRC_KINDS, FRAME_KINDS
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.nodes.faults import FaultFilter, ScriptedFault, put_counter, read_counter

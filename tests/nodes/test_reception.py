@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from tests.bus.e2e_car import write_car
-from tunefree_hil.bus.codec import Codec
-from tunefree_hil.bus.frame_writer import FrameWriter
-from tunefree_hil.bus.integrity import E2eStatus
+from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.dbc.integrity import E2eStatus
+from tunefree_hil.bus.recording.frame_writer import FrameWriter
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.nodes.reception import TOO_MANY, TOO_SHORT, Notice, Reception
 

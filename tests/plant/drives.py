@@ -9,8 +9,8 @@ from tunefree_hil.base.contracts import Effect, Port, make_effect
 from tunefree_hil.base.course import Start
 from tunefree_hil.base.records import GEAR_DRIVE, NAN, Command, Disturbance
 from tunefree_hil.plant import reference, single_track
-from tunefree_hil.plant.actuators import ActuatorParams
-from tunefree_hil.plant.body import BodyInput, BodyOutput, Driver
+from tunefree_hil.plant.actuation.actuators import ActuatorParams
+from tunefree_hil.plant.types import BodyInput, BodyOutput, Driver
 from tunefree_hil.plant.vehicle import Body, assemble, first_output, for_episode
 
 DT_S = 0.01

@@ -31,7 +31,7 @@ def body_lines(kind: str, chosen: str) -> list[str]:
     from tests.plant.drives import REST, car, command, drive
     from tunefree_hil.base.course import Start
     from tunefree_hil.base.records import Disturbance
-    from tunefree_hil.plant.sensors import noise_table
+    from tunefree_hil.plant.measurement.sensors import noise_table
 
     names = sorted(EFFECTS) if chosen != "none" else ()
     effects = tuple((EFFECTS[name], strong(name) if chosen == "all" else {}) for name in names)
@@ -47,8 +47,8 @@ def body_lines(kind: str, chosen: str) -> list[str]:
 
 
 def bywire_lines() -> list[str]:
-    from tests.plant.test_bywire import NOTHING, Bench, said
-    from tunefree_hil.plant.body import Driver
+    from tests.plant.actuation.test_bywire import NOTHING, Bench, said
+    from tunefree_hil.plant.types import Driver
 
     bench = Bench()
     driver, foot = Driver(), Driver(brake_frac=0.25)
@@ -65,11 +65,11 @@ def learned_lines() -> list[str]:
     """The chassis of every learned kind, weights drawn: speeding up, turning, stopping."""
     from tempfile import TemporaryDirectory
 
-    from tests.plant.learned import KINDS, plant_of
+    from tests.plant.model_files import KINDS, plant_of
     from tunefree_hil.base.contracts import BodyChange
     from tunefree_hil.base.course import Start
     from tunefree_hil.base.records import GEAR_DRIVE, Actuation, Disturbance
-    from tunefree_hil.plant.body import ChassisInput
+    from tunefree_hil.plant.types import ChassisInput
 
     lines = []
     for kind in KINDS:

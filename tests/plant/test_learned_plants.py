@@ -12,16 +12,16 @@ import pytest
 
 from tests.effects.shared import EFFECTS, same
 from tests.plant.drives import CHANNELS, DT_S, PLANTS, REST, command, drive, rest_of
-from tests.plant.learned import KINDS, MODULES, NETS, arrays_of, plant_of, without_way_out
+from tests.plant.model_files import KINDS, MODULES, NETS, arrays_of, plant_of, without_way_out
 from tunefree_hil.base.contracts import BodyChange, make_effect
 from tunefree_hil.base.course import Start
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import GEAR_DRIVE, GEAR_NEUTRAL, GEAR_PARK, Command, Disturbance
 from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.plant import hybrid, lstm
-from tunefree_hil.plant.body import BodyOutput, Plant
-from tunefree_hil.plant.carriage import DEFAULTS
-from tunefree_hil.plant.learned_file import INPUTS, PlantFile, cell_of, save_plant
+from tunefree_hil.plant.learned.kinematics import DEFAULTS
+from tunefree_hil.plant.learned.weights_file import INPUTS, PlantFile, cell_of, save_plant
+from tunefree_hil.plant.types import BodyOutput, Plant
 from tunefree_hil.plant.vehicle import Body, assemble
 
 Weave = Callable[[float], Command]

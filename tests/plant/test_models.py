@@ -13,8 +13,8 @@ from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.bench.vehicle import plant_of
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.plant.data_sheet import DEFAULTS
-from tunefree_hil.plant.reference_maps import MapShape
-from tunefree_hil.plant.sensors import noise_table
+from tunefree_hil.plant.measurement.sensors import noise_table
+from tunefree_hil.plant.reference_vehicle.maps import MapShape
 
 # Constants that make the published tables another vehicle's; the vehicle of the tables leaves them out
 OTHER_SHAPE = ("throttle_scale", "brake_scale", *MapShape._fields, "drive_front_frac", "brake_front_frac")

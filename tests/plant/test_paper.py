@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from tests.plant.drives import CHANNELS, DT_S, REST, command, drive
-from tests.plant.learned import arrays_of, plant_of
-from tests.plant.test_cell import by_numpy
+from tests.plant.learned.test_lstm_cell import by_numpy
+from tests.plant.model_files import arrays_of, plant_of
 from tunefree_hil.base.course import Start
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import Command
-from tunefree_hil.plant.body import BodyOutput
 from tunefree_hil.plant.paper import SAMPLES
+from tunefree_hil.plant.types import BodyOutput
 from tunefree_hil.plant.vehicle import assemble
 
 SIZE = 0.25  # of the weights: a rectifier has no bound

@@ -13,7 +13,7 @@ from tests.plant.drives import DT_S, PLANTS, REST, car, command, drive
 from tunefree_hil.base.course import Start
 from tunefree_hil.base.records import GEAR_NEUTRAL, Disturbance
 from tunefree_hil.base.units import G_MPS2
-from tunefree_hil.plant.body import BodyOutput
+from tunefree_hil.plant.types import BodyOutput
 
 KINDS = sorted(PLANTS)
 BODIES = {kind: car(kind) for kind in KINDS}

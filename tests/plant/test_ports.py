@@ -7,8 +7,8 @@ import pytest
 
 from tests.plant.drives import CHANNELS, DT_S, REST, command, drive, rest_of
 from tunefree_hil.base.contracts import Effect, make_effect
-from tunefree_hil.gap.graph import effects
-from tunefree_hil.plant.actuators import ActuatorParams
+from tunefree_hil.gap.model.graph import effects
+from tunefree_hil.plant.actuation.actuators import ActuatorParams
 from tunefree_hil.plant.single_track import PLANT
 from tunefree_hil.plant.vehicle import Body, assemble
 

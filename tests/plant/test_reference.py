@@ -12,10 +12,9 @@ from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.course import Start
 from tunefree_hil.base.records import GEAR_DRIVE, Actuation, Disturbance
 from tunefree_hil.base.units import G_MPS2
-from tunefree_hil.plant.body import ChassisInput
 from tunefree_hil.plant.reference import PLANT
-from tunefree_hil.plant.reference_car import DEFAULTS
-from tunefree_hil.plant.reference_maps import (
+from tunefree_hil.plant.reference_vehicle.car import DEFAULTS
+from tunefree_hil.plant.reference_vehicle.maps import (
     AS_PUBLISHED,
     BRAKE_NM,
     SPEEDS_MPS,
@@ -30,6 +29,7 @@ from tunefree_hil.plant.reference_maps import (
     step_gearbox,
     table_duty,
 )
+from tunefree_hil.plant.types import ChassisInput
 from tunefree_hil.plant.vehicle import steady_accel
 
 AT_ONCE = {"drive_lag_s": 0.0}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.plant.drives import CHANNELS, PLANTS, REST, command, drive
-from tests.plant.learned import NOMINAL
+from tests.plant.model_files import NOMINAL
 from tunefree_hil.base.course import Start
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.open_loop_map import value_at

@@ -12,7 +12,7 @@ from tunefree_hil.base.course import Start
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import GEAR_PARK, Disturbance
 from tunefree_hil.plant import single_track
-from tunefree_hil.plant.body import BodyInput, Driver, laden
+from tunefree_hil.plant.types import BodyInput, Driver, laden
 from tunefree_hil.plant.vehicle import assemble, first_output, for_episode, steady_accel
 
 KINDS = sorted(PLANTS)

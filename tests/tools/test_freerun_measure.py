@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from tests.figures.test_learning import judged
+from tests.figures.learning.test_training import judged
 from tools.measures._unseen import GAINS, SCALED, _bench, ended, scaled
 from tools.measures.freerun import card_words, reductions
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.bench.controller import require_in_box
 from tunefree_hil.config.load import load_model
-from tunefree_hil.learn.learned_folder import Learned, write_learned
+from tunefree_hil.learn.model_folder import Learned, write_learned
 
 
 def test_an_unseen_bench_can_be_driven_and_stands_on_a_slope(repo: Path, tmp_path: Path) -> None:

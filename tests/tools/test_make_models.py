@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tests.house import ROOT
-from tests.plant.learned import write_model
+from tests.plant.model_files import write_model
 from tools import make_models as tool
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event

@@ -16,9 +16,9 @@ from tools.measures import map as measure
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load
 from tunefree_hil.bench.controller import calibration_of
-from tunefree_hil.learn.map import balanced, gather
-from tunefree_hil.learn.map_cells import Points, edges_of, hold_out
-from tunefree_hil.learn.map_samples import PEDALS, THROTTLE
+from tunefree_hil.learn.open_loop_map.build import balanced, gather
+from tunefree_hil.learn.open_loop_map.cells import Points, edges_of, hold_out
+from tunefree_hil.learn.open_loop_map.samples import PEDALS, THROTTLE
 
 
 def test_without_logs_it_says_who_makes_them(tmp_path: Path) -> None:

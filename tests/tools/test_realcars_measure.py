@@ -12,7 +12,7 @@ from tests.learn.made_bare import accel_drive
 from tools.measures import realcars
 from tools.measures.realcars import Fold, dart, errors_at, rav4, rows, shown, splits_of
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.learn.ahead import NAIVE, Ahead, Trace
+from tunefree_hil.learn.evaluation.velocity_free_run import NAIVE, Ahead, Trace
 
 HEAD = "elapsed time sensors,current,voltage,acc x (IMU),acc y (IMU),W (IMU),vel encoder,safety_value,throttle,steering"
 

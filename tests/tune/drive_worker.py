@@ -13,8 +13,8 @@ from pathlib import Path
 
 from tests.tune.drive_study import bowl, settings
 from tunefree_hil.base.errors import TunefreeError
-from tunefree_hil.tune.ending import Ending
-from tunefree_hil.tune.shared import join_study
+from tunefree_hil.tune.shared.finalisation import Ending
+from tunefree_hil.tune.shared.shared_study import join_study
 from tunefree_hil.tune.trial import Evaluation
 
 

@@ -20,8 +20,8 @@ from tests.jobs.command import start as start_command
 from tests.tune.drive_study import bowl, settings
 from tests.tune.postgres import PASSWORD, USER, Server, needs_server, running
 from tunefree_hil.base.errors import BenchError, InputError
-from tunefree_hil.tune.server import address_of, open_storage
-from tunefree_hil.tune.shared import SharedStudy, join_study
+from tunefree_hil.tune.shared.server import address_of, open_storage
+from tunefree_hil.tune.shared.shared_study import SharedStudy, join_study
 from tunefree_hil.tune.study import read_study
 from tunefree_hil.tune.trial import Evaluation, Trial
 

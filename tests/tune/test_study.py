@@ -16,10 +16,10 @@ import pytest
 
 from tests.tune.drive_study import FIRST, SPACE, Parameter, bowl, settings
 from tunefree_hil.base.errors import BenchError, InputError, PeerGone, TunefreeError
-from tunefree_hil.tune.filling import points_of
 from tunefree_hil.tune.sampling import SAMPLERS, Told, suggest
 from tunefree_hil.tune.space import make_space
 from tunefree_hil.tune.study import Evaluation, Study, Trial, open_study, read_study
+from tunefree_hil.tune.trial_loop import points_of
 
 Open = Callable[..., Study]
 

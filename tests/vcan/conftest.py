@@ -15,7 +15,7 @@ import pytest
 
 from tests.vcan.peers import HERE, Links, ip
 from tests.vcan.reference import Reference, reference_of
-from tunefree_hil.bus.kernel_link import kernel_has_can, link_state
+from tunefree_hil.bus.socketcan.kernel_link import kernel_has_can, link_state
 
 IN_A_VM = "tools/vcan_vm -- COMMAND runs it in a kernel that has them"
 START_LIMIT_S = "600"  # of a bench on an emulated machine

@@ -21,10 +21,10 @@ from tests.jobs.command import finish, new_session, no_orphans, start
 from tests.vcan.peers import HERE, PATIENCE_S, PROGRAM, SCENARIO, controller_of
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.jobs.run_folder import RunFolder
+from tunefree_hil.jobs.running.episode_results import Episode
 from tunefree_hil.jobs.running.foreign import program_of, with_command
-from tunefree_hil.jobs.running.harvest import Episode
 from tunefree_hil.jobs.running.session import Session
-from tunefree_hil.jobs.running.track import Track
+from tunefree_hil.jobs.running.trial_driver import Track
 from tunefree_hil.tune.study import read_study
 
 GIVEN = "TUNEFREE_VCAN_REFERENCE"

@@ -20,9 +20,9 @@ from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.episode.candump import LogFrame, read_candump
 from tunefree_hil.episode.same_frames import same_frames
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.harvest import Episode
+from tunefree_hil.jobs.running.episode_results import Episode
 from tunefree_hil.jobs.running.session import Session
-from tunefree_hil.jobs.running.track import Track
+from tunefree_hil.jobs.running.trial_driver import Track
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(3000)]
 

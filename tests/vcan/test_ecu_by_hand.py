@@ -16,7 +16,7 @@ from tests.jobs.command import Ended, finish, new_session, no_orphans, start
 from tests.vcan.peers import HERE, PATIENCE_S, Candump, Links, eventually
 from tunefree_hil.base.records import Command
 from tunefree_hil.bench import Bench, load
-from tunefree_hil.bus.codec import Codec, Snapshot
+from tunefree_hil.bus.dbc.codec import Codec, Snapshot
 from tunefree_hil.episode.candump import LogFrame
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(3000)]

@@ -14,10 +14,10 @@ from tests.vcan.peers import HERE, PATIENCE_S, PROGRAM, SCENARIO, Links, control
 from tests.vcan.reference import EXACT, Reference, compared
 from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.jobs.run_folder import RunFolder
+from tunefree_hil.jobs.running.episode_results import Episode
 from tunefree_hil.jobs.running.foreign import program_of, with_command
-from tunefree_hil.jobs.running.harvest import Episode
 from tunefree_hil.jobs.running.session import Session
-from tunefree_hil.jobs.running.track import Track
+from tunefree_hil.jobs.running.trial_driver import Track
 
 pytestmark = [
     pytest.mark.vcan,

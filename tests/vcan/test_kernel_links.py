@@ -16,9 +16,9 @@ from tools.measures.faults import one_of_each_vehicle
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bench import load
-from tunefree_hil.bus.kernel_link import Claim, link_state
 from tunefree_hil.bus.open import open_link, resolve_bus
-from tunefree_hil.bus.socketcan import SocketCanLink
+from tunefree_hil.bus.socketcan.kernel_link import Claim, link_state
+from tunefree_hil.bus.socketcan.link import SocketCanLink
 from tunefree_hil.jobs.machine import NOTE, OK, can_links, which_bus
 from tunefree_hil.jobs.running.node_links import bus_for, sends_fd, usable_bus
 
@@ -123,7 +123,7 @@ def test_a_link_that_goes_down_is_named_at_once(
 
 def test_auto_takes_vcan0_and_only_for_one_bench(links: Links) -> None:
     assert usable_bus("auto", "s", "").vehicle_address == f"socketcan:{links.vehicle}"
-    code = f"from tunefree_hil.bus.kernel_link import Claim; c = Claim({links.vehicle!r}); input('held')"
+    code = f"from tunefree_hil.bus.socketcan.kernel_link import Claim; c = Claim({links.vehicle!r}); input('held')"
     words = [sys.executable, "-c", code]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None and other.stdout.read(4) == "held"

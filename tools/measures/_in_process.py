@@ -82,7 +82,7 @@ class InProcess:
         return Drive(between.frames, between.end.tick, error, between.words, self._said)
 
     def grade(self, scenario: ScenarioSpec, values: Mapping[str, float]) -> tuple[ScenarioGrade, str]:
-        """(grade, frame hash) of a drive, made as jobs/running/harvest.py makes them."""
+        """(grade, frame hash) of a drive, made as jobs/running/episode_results.py makes them."""
         bench, drive = self.bench, self.drive(scenario, values)
         commands = {message.key for message in bench.codec.commands}
         hashed = frame_hash(drive.frames, bench.dt_s, commands, bench.codec.by_id.keys())

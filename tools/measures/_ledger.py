@@ -21,7 +21,7 @@ FIGURES = "docs/figures"
 # What a score depends on. The hub and the processes carry the frames, but cannot change what is in them.
 COUNTED = (
     "base", "bus", "config", "control", "effects", "plant", "episode", "grade", "nodes", "bench", "tune",
-    "jobs/running/harvest.py",
+    "jobs/running/episode_results.py",
 )  # fmt: skip
 CARRIERS = "bus/tfhub/"
 

@@ -27,7 +27,7 @@ from tunefree_hil.bus.open import open_link
 from tunefree_hil.bus.tfhub.start import start_hub
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.running.session import SLOW_VARIABLE, Session
-from tunefree_hil.jobs.running.track import Track
+from tunefree_hil.jobs.running.trial_driver import Track
 
 ASK_ID, STOP_ID, READY_ID = 0x100, 0x7FF, 0x7FE
 PATIENCE_S = float(os.environ.get(SLOW_VARIABLE, "60"))

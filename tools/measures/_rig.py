@@ -18,9 +18,9 @@ from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.grade.score import FINISHED
 from tunefree_hil.jobs.identity import identity_of
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.harvest import evaluation_of
+from tunefree_hil.jobs.running.episode_results import evaluation_of
 from tunefree_hil.jobs.running.session import Session
-from tunefree_hil.jobs.running.track import Track
+from tunefree_hil.jobs.running.trial_driver import Track
 from tunefree_hil.jobs.tune.evaluators import BatchEvaluator, Candidate
 from tunefree_hil.tune.trial import Evaluation
 

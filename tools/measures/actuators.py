@@ -26,26 +26,26 @@ from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import GEAR_DRIVE, NAN, Command
 from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.bench.load import Bench, model_of
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.formats.rows import Row
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.episode.candump import write_candump
-from tunefree_hil.learn.pairs import pairs_of, up_to_stops
-from tunefree_hil.learn.read import read_drives
-from tunefree_hil.learn.sheet import channel_sheet
-from tunefree_hil.learn.split import split_drives
-from tunefree_hil.learn.values import ActuatorFit
-from tunefree_hil.learn.worker import Worker
-from tunefree_hil.plant.reference_actuators import own_actuators
+from tunefree_hil.learn.actuators.samples import pairs_of, up_to_stops
+from tunefree_hil.learn.compiled_process import Worker
+from tunefree_hil.learn.data_sheet import channel_sheet
+from tunefree_hil.learn.drives.read import read_drives
+from tunefree_hil.learn.drives.split import split_drives
+from tunefree_hil.learn.estimate import ActuatorFit
+from tunefree_hil.plant.reference_vehicle.actuators import own_actuators
 
 VALUE = "largest relative error of dead time and lag, percent: 10 drawn vehicles, channels whose true value is >= 20 ms"
 LEAST_TRUTH_S = 0.02
 SMALL_S, FINE_S = 1.0, 1e-3  # length of a step response, and the reference vehicle's own step
 CHANNELS = ("throttle", "brake", "steer")
 SMALL = {"throttle": 0.02, "brake": 0.02, "steer": 0.02}
-COUNTED = ("learn/actuators.py", "learn/actuator_shapes.py", "learn/actuator_search.py", "learn/channel_doubts.py",
-           "learn/least.py", "learn/pairs.py", "learn/read.py",
-           "learn/heard.py", "learn/smooth.py", "learn/split.py", "learn/sheet.py", "learn/values.py")  # fmt: skip
+COUNTED = ("learn/actuators/identify.py", "learn/actuators/model.py", "learn/actuators/search.py", "learn/actuators/identify.py",
+           "learn/robust_least_squares.py", "learn/actuators/samples.py", "learn/drives/read.py",
+           "learn/drives/decode.py", "learn/drives/smoothing.py", "learn/drives/split.py", "learn/data_sheet.py", "learn/estimate.py")  # fmt: skip
 # [low, high] of what is drawn; shares of the published or chosen values of bench_configs/models/mkz_reference
 BOXES = {
     "steer_dead_time_s": (0.04, 0.18),
@@ -140,7 +140,7 @@ def _one(bench: Bench, values: dict[str, float], seconds: float, number: int, wo
     for channel in CHANNELS:
         parts = up_to_stops(pairs_of(split.training, channel), pairs_of(split.held_out, channel))
         sheet = channel_sheet(bench.vehicle, channel)
-        one = worker.result("tunefree_hil.learn.actuators", "fit", *parts, sheet, True)
+        one = worker.result("tunefree_hil.learn.actuators.identify", "fit", *parts, sheet, True)
         found += _rows(channel, truths[channel], one)
     return found
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from tools.measures._summary import machine, rounded, summary
 from tools.measures.parity import parameter_sets
-from tunefree_hil.base.kernel_cache import PLACE_VARIABLE
+from tunefree_hil.base.kernel_cache import FOLDER_VARIABLE
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Batch, Job
 from tunefree_hil.config.schema import ScenarioSpec
@@ -64,16 +64,16 @@ def measure(
 @contextmanager
 def _empty_cache() -> Iterator[None]:
     """Compiled kernels go to a folder of their own meanwhile."""
-    kept = os.environ.get(PLACE_VARIABLE)
+    kept = os.environ.get(FOLDER_VARIABLE)
     with tempfile.TemporaryDirectory() as folder:
-        os.environ[PLACE_VARIABLE] = folder
+        os.environ[FOLDER_VARIABLE] = folder
         try:
             yield
         finally:
             if kept is None:
-                del os.environ[PLACE_VARIABLE]
+                del os.environ[FOLDER_VARIABLE]
             else:
-                os.environ[PLACE_VARIABLE] = kept
+                os.environ[FOLDER_VARIABLE] = kept
 
 
 def _first_drive_s(bench: Bench, scenario: ScenarioSpec) -> float:

@@ -22,8 +22,8 @@ from tools.measures._ledger import FOLDER, code_hash
 from tools.measures._summary import RESAMPLES, machine, rounded
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.jobs.run_folder import RunFolder, open_run
+from tunefree_hil.jobs.tune.options import Asked
 from tunefree_hil.jobs.tune.tune import tune
-from tunefree_hil.jobs.tune.wish import Asked
 from tunefree_hil.tune.sampling import Told, suggest
 from tunefree_hil.tune.space import Space
 from tunefree_hil.tune.store import STUDY_NAME

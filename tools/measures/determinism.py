@@ -20,7 +20,7 @@ from tools.measures._summary import rounded
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.jobs.running.harvest import harvest
+from tunefree_hil.jobs.running.episode_results import harvest
 from tunefree_hil.jobs.running.processes import Processes
 from tunefree_hil.jobs.running.session import Session
 

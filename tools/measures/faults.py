@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from tools.measures._in_process import Drive, InProcess
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.message_map import MessageMap
+from tunefree_hil.bus.dbc.message_map import MessageMap
 from tunefree_hil.config.fault_check import COUNTER_KINDS, CRC_KINDS, FAULT_KINDS, FRAME_KINDS, PEERS
 from tunefree_hil.config.load import load_bench
 from tunefree_hil.config.schema import FaultSpec, ScenarioSpec

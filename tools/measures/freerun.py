@@ -22,15 +22,14 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, load
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import ModelSpec
-from tunefree_hil.figures.learning import Heading, write_free_run, write_headings
+from tunefree_hil.figures.learning.training import Heading, write_free_run, write_headings
 from tunefree_hil.jobs.learn.calibrate import calibrate
 from tunefree_hil.jobs.learn.learn import Asked, learn
-from tunefree_hil.learn.free_run import Judged
-from tunefree_hil.learn.free_run_table import reduction, table_of
-from tunefree_hil.learn.motion import Track, is_hill, starts_of, tracks_of
-from tunefree_hil.learn.read import read_drives
-from tunefree_hil.learn.split import parts_of
-from tunefree_hil.learn.worker import Worker
+from tunefree_hil.learn.compiled_process import Worker
+from tunefree_hil.learn.drives.read import read_drives
+from tunefree_hil.learn.drives.split import parts_of
+from tunefree_hil.learn.evaluation.free_run import Judged, reduction, table_of
+from tunefree_hil.learn.evaluation.motion import Track, is_hill, starts_of, tracks_of
 
 VALUE = "percent that the 10 s position error of hybrid is below the fitted physics', level, unseen drives, mkz_bywire"
 NAME = "freerun"
@@ -132,7 +131,9 @@ def judged_on(
 ) -> dict[str, Judged]:
     """Free run of all models from the same starts; says which one is done."""
     options = {"every_s": every_s}
-    asked = worker.call("tunefree_hil.learn.free_run", "judge_all", models, bench.vehicle, list(tracks), options)
+    asked = worker.call(
+        "tunefree_hil.learn.evaluation.free_run", "judge_all", models, bench.vehicle, list(tracks), options
+    )
     while True:
         try:
             print(f"free run of {next(asked)} done", file=sys.stderr, flush=True)
@@ -153,7 +154,7 @@ def heading_on(worker: Worker, models: Mapping[str, ModelSpec], bench: Bench, tr
         raise InputError(f"no unseen drive has {PICTURE_S:g} s to show", code="too_short", key="bench")
     _, track, row = best
     kinds = worker.result(
-        "tunefree_hil.learn.free_run", "headings_of", dict(models), bench.vehicle, track, row, PICTURE_S
+        "tunefree_hil.learn.evaluation.free_run", "headings_of", dict(models), bench.vehicle, track, row, PICTURE_S
     )
     rows = len(next(iter(kinds.values())))
     time_s = track.dt_s * np.arange(rows, dtype=np.float64)

@@ -19,7 +19,7 @@ import msgspec
 
 from tools.measures._ledger import FIGURES, FOLDER, ROOT
 from tools.measures._summary import machine, rounded, summary
-from tunefree_hil.figures.demonstration import Driven, write_demonstration
+from tunefree_hil.figures.gap.demonstration import Driven, write_demonstration
 from tunefree_hil.jobs.run_folder import read_json
 
 VALUE = "score on the vehicle after tuning on the repaired model, as a share of that on the old one (by search)"

@@ -23,13 +23,13 @@ from tunefree_hil.bench import Bench, calibration_path, follower_of, load, param
 from tunefree_hil.config.load import load_bench
 from tunefree_hil.control import calibration_map
 from tunefree_hil.episode.columns import columns_from_frames
-from tunefree_hil.figures.map import write_map, write_map_data
+from tunefree_hil.figures.learning.map import write_map, write_map_data
 from tunefree_hil.jobs.learn.map import picture_of, report
-from tunefree_hil.learn.map import balanced, finished, gather, learn_map, learn_nets, map_of
-from tunefree_hil.learn.map_cells import Edges, Law, Points, cell_errors, edges_of, hold_out, means_of, rms
-from tunefree_hil.learn.map_samples import PEDALS
-from tunefree_hil.learn.map_table import MapTable, is_monotone, law_of, write_table
-from tunefree_hil.learn.read import read_drives
+from tunefree_hil.learn.drives.read import read_drives
+from tunefree_hil.learn.open_loop_map.build import balanced, finished, gather, learn_map, learn_nets, map_of
+from tunefree_hil.learn.open_loop_map.cells import Edges, Law, Points, cell_errors, edges_of, hold_out, means_of, rms
+from tunefree_hil.learn.open_loop_map.samples import PEDALS
+from tunefree_hil.learn.open_loop_map.table import MapTable, is_monotone, law_of, write_table
 from tunefree_hil.learn.training import map_nets
 
 VALUE = (

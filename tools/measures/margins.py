@@ -18,11 +18,9 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, load
 from tunefree_hil.jobs.run_folder import open_run, read_json
 from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors, winner_of
-from tunefree_hil.jobs.tune.margins import Found, find_margins
-from tunefree_hil.jobs.tune.margins_report import margin_data
-from tunefree_hil.jobs.tune.margins_words import margin_table, margin_words
+from tunefree_hil.jobs.tune.margins import Found, find_margins, margin_data, margin_table, margin_words
+from tunefree_hil.jobs.tune.options import BATCH, Asked
 from tunefree_hil.jobs.tune.tune import tune
-from tunefree_hil.jobs.tune.wish import BATCH, Asked
 
 VALUE = "winner's / best manual's delay margin, smallest over the verify scenarios (manual must not re-plan as it is)"
 OWN = "runs/measure-margins"
@@ -117,6 +115,6 @@ def _detail(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _draw(data: Mapping[str, Any], folder: Path) -> str:
-    from tunefree_hil.figures.margins import write_margins
+    from tunefree_hil.figures.tuning.margins import write_margins
 
     return str(write_margins(folder / "margins.png", data, TUNED))

@@ -228,7 +228,7 @@ def _words(cell: Mapping[str, Any]) -> str:
 
 
 def _figure(cells: list[dict[str, Any]], ratios: list[float], figures: str) -> str:
-    from tunefree_hil.figures.cells import Side, write_cells
+    from tunefree_hil.figures.learning.cells import Side, write_cells
 
     panels = {}
     for label, title in ((FIXED, "reference model only (p = 0)"), (TUNED, "tuned T_ref and p")):

@@ -26,7 +26,7 @@ from tunefree_hil.episode.recording import Recording
 from tunefree_hil.grade.score import ScenarioGrade
 from tunefree_hil.jobs.run_folder import RunFolder, drop_bulk
 from tunefree_hil.jobs.running.session import Session
-from tunefree_hil.jobs.running.track import DriveJob, Track
+from tunefree_hil.jobs.running.trial_driver import DriveJob, Track
 from tunefree_hil.jobs.tune.candidates import baseline_vectors
 
 VALUE = "values that differ in a bit between bus and batch: all columns, ticks, scenarios, vehicles (0 is right)"

@@ -22,20 +22,20 @@ from tools.measures._ledger import FIGURES, FOLDER, ROOT
 from tools.measures._summary import rounded
 from tools.measures._unseen import ended
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import ModelSpec
-from tunefree_hil.figures.ahead import Run, write_runs
+from tunefree_hil.figures.learning.velocity_free_run import Run, write_runs
 from tunefree_hil.jobs.learn.calibrate import calibrate
 from tunefree_hil.jobs.learn.learn import Asked, learn
 from tunefree_hil.jobs.log.csv_import import import_csv
-from tunefree_hil.learn.ahead import Ahead
-from tunefree_hil.learn.drives import Drive, Split
-from tunefree_hil.learn.free_run_table import interval_of
-from tunefree_hil.learn.motion import tracks_of
-from tunefree_hil.learn.read import read_drives
-from tunefree_hil.learn.split import split_drives
-from tunefree_hil.learn.worker import Worker
+from tunefree_hil.learn.compiled_process import Worker
+from tunefree_hil.learn.drives.drive import Drive, Split
+from tunefree_hil.learn.drives.read import read_drives
+from tunefree_hil.learn.drives.split import split_drives
+from tunefree_hil.learn.evaluation.free_run import interval_of
+from tunefree_hil.learn.evaluation.motion import tracks_of
+from tunefree_hil.learn.evaluation.velocity_free_run import Ahead
 
 VALUE = "m/s that fitted physics misses the RAV4's speed by after 10 s of free run, mean, guarded held-out blocks"
 NAME = "realcars"
@@ -161,7 +161,9 @@ def folds_of(car: Car, place: Path, seed: int, minutes: float, every_s: float) -
         tracks = tracks_of(split.held_out, vehicle)
         try:
             with Worker() as worker:
-                ahead = worker.result("tunefree_hil.learn.ahead", "look_ahead", models, vehicle, tracks, every_s)
+                ahead = worker.result(
+                    "tunefree_hil.learn.evaluation.velocity_free_run", "look_ahead", models, vehicle, tracks, every_s
+                )
         except InputError as error:
             print(f"{car.name}, {split.words}: {error.message}", file=sys.stderr)
             ahead = None

@@ -19,7 +19,7 @@ from tunefree_hil.grade.score import ScenarioGrade
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.running.lateness import LATE_S, NEVER_LATER_S, judge_realtime
 from tunefree_hil.jobs.running.session import Session
-from tunefree_hil.jobs.running.track import ROLES, Track
+from tunefree_hil.jobs.running.trial_driver import ROLES, Track
 
 VALUE = "ms late, p99 over the ticks of the later node at 100 Hz, idle machine"
 BLOCK_S = 1.0  # ticks near one another are late together: whole seconds are drawn for the interval

@@ -28,12 +28,12 @@ from tools.measures.map import logs_in
 from tools.measures.parity import parameter_sets
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Batch
-from tunefree_hil.figures.transfer import Ranked, write_transfer
+from tunefree_hil.figures.tuning.transfer import Ranked, write_transfer
 from tunefree_hil.jobs.learn.map import map_logs
 from tunefree_hil.jobs.tune.candidates import baseline_vectors
-from tunefree_hil.jobs.tune.hold import drive_slower
+from tunefree_hil.jobs.tune.robustness import drive_slower
 from tunefree_hil.tune.baselines import first_trial
-from tunefree_hil.tune.holding import ranked
+from tunefree_hil.tune.robust_winner import ranked
 from tunefree_hil.tune.space import resolve
 from tunefree_hil.tune.store import Settings
 from tunefree_hil.tune.study import Evaluation, open_study
@@ -217,7 +217,7 @@ def _tuned(bench: Bench, model: str, trials: int, seed: int, ledger: Ledger) -> 
 
 
 def _held(bench: Bench, model: str, study: Scored) -> Trial:
-    """The winner as `tune` chooses it: the best that holds in a slower car (jobs/tune/hold.py)."""
+    """The winner as `tune` chooses it: the best that holds in a slower car (jobs/tune/robustness.py)."""
     searched = replace(bench, spec=with_values(bench.spec, model=model))
     with Batch(searched) as batch:
         driving = drive_slower(batch, searched, study, {})

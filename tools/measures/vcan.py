@@ -24,7 +24,7 @@ from tools.measures._rig import standing
 from tools.measures._summary import machine, rounded, summary
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bench import load
-from tunefree_hil.bus.kernel_link import kernel_has_can
+from tunefree_hil.bus.socketcan.kernel_link import kernel_has_can
 from tunefree_hil.jobs.running.session import SLOW_VARIABLE
 
 VALUE = "frame hashes that differ between tfhub and vcan0 in one kernel (of the scenarios of the bench file)"
@@ -32,7 +32,7 @@ LEAN = ROOT / "tests" / "vcan" / "lean"
 PART = "tools.measures._over_vcan"
 BUSES = ("tfhub", "vcan")
 # Besides what a score depends on: the carriers, for it is they who are compared.
-CARRYING = (CARRIERS, "jobs/running/session.py", "jobs/running/parts.py")
+CARRYING = (CARRIERS, "jobs/running/session.py", "jobs/running/session_parts.py")
 EMULATED = {"PYTHONPATH": str(LEAN), SLOW_VARIABLE: "600"}
 
 

@@ -73,7 +73,7 @@ def compiled(function: F) -> F:
             callee.__dict__["registered"] = True
             register_jitable(**options, no_cpython_wrapper=True)(callee)
     dispatcher = njit(**options)(function)
-    setattr(dispatcher, "_cache", KernelCache(function, called, cache_folder()))  # noqa: B010 - numba names no such
+    setattr(dispatcher, "_cache", KernelCache(dispatcher, cache_folder()))  # noqa: B010 - numba names no such
     return cast(F, dispatcher)
 
 
@@ -91,8 +91,8 @@ def kept(function: F) -> F:
     it, so that this one never has the compiler's memory.
     """
     if JITTED:
-        plain, dispatcher = cast(Any, function).py_func, cast(Any, function)
-        dispatcher._cache = KernelCache(plain, callees(plain), cache_folder(), dispatcher.compile)
+        dispatcher = cast(Any, function)
+        dispatcher._cache = KernelCache(dispatcher, cache_folder(), dispatcher.compile)
     return function
 
 

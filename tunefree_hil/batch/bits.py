@@ -1,6 +1,6 @@
 """State bits from the by-wire unit's status to what the controller makes of them, as a kernel: no frames in between.
 
-The rules are those of nodes/bits.py (what a report says) and nodes/hearing.py (what that means), as tables of numbers;
+The rules are those of nodes/status_bits.py (what a report says) and nodes/measurement_decoder.py (what that means), as tables of numbers;
 tests/batch/test_bits.py holds them against each other over random statuses.
 """
 
@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.kernel import buffer, kernel, table
-from tunefree_hil.bus.message_map import MessageMap, StateMap
-from tunefree_hil.nodes.bits import COUNTER_CAUSE
+from tunefree_hil.bus.dbc.message_map import MessageMap, StateMap
 from tunefree_hil.nodes.handshake import VehicleState
-from tunefree_hil.plant.bywire import CAUSES, ByWireStatus, ChannelStatus
+from tunefree_hil.nodes.status_bits import COUNTER_CAUSE
+from tunefree_hil.plant.actuation.bywire import CAUSES, ByWireStatus, ChannelStatus
 
 NEVER, CAUSE, BRAKING, GEAR, CHANNEL = 0.0, 1.0, 2.0, 3.0, 4.0  # what a row looks at
 DISABLED, OVERRIDE, FAULT = 0, 1, 2  # what a message may say, three numbers a message

@@ -1,6 +1,6 @@
 """From the controller's command to what the by-wire unit hears of it, as kernels: no frames in between.
 
-The rules are those of nodes/controller.py (which frames go out) and nodes/ears.py (what the vehicle makes of them).
+The rules are those of nodes/controller.py (which frames go out) and nodes/command_decoder.py (what the vehicle makes of them).
 Clear frames are left out: a drive that needs one is not the batch's (`episode.NEEDS_THE_BUS`).
 """
 
@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block, buffer, kernel, table
 from tunefree_hil.base.records import GEAR_NONE, Command
-from tunefree_hil.bus.codec import Codec, MessageMap
-from tunefree_hil.bus.integrity import E2eStatus
-from tunefree_hil.bus.message_map import FieldMap
-from tunefree_hil.bus.wire import WireParams, WireState, fields_of, transmit, wire
-from tunefree_hil.plant.bywire import Heard, HeardChannel
+from tunefree_hil.bus.dbc.codec import Codec, MessageMap
+from tunefree_hil.bus.dbc.integrity import E2eStatus
+from tunefree_hil.bus.dbc.message_map import FieldMap
+from tunefree_hil.bus.dbc.wire_block import WireParams, WireState, fields_of, transmit, wire
+from tunefree_hil.plant.actuation.bywire import Heard, HeardChannel
 
 CHANNELS = ("throttle", "brake", "steer", "gear")
 PLACES = {"throttle": "throttle_frac", "brake": "brake_frac", "steer": "steer_rad", "gear": "gear"}

@@ -20,12 +20,12 @@ from tunefree_hil.batch.commands import (
     send_nothing,
     send_quiet,
 )
-from tunefree_hil.bus.wire import WireParams, WireState, ins_heard, pass_on, report_heard
+from tunefree_hil.bus.dbc.wire_block import WireParams, WireState, ins_heard, pass_on, report_heard
 from tunefree_hil.control.cascade import Sight
 from tunefree_hil.nodes.handshake import CLEARING, NOT_ENABLED, Limits, Progress, look
-from tunefree_hil.plant.body import Driver
-from tunefree_hil.plant.bywire import ByWireStatus
-from tunefree_hil.plant.unit import Said, UnitInput
+from tunefree_hil.plant.actuation.bywire import ByWireStatus
+from tunefree_hil.plant.ecu import Said, UnitInput
+from tunefree_hil.plant.types import Driver
 
 NEEDS_THE_BUS = -1.0  # an override latched before the take-over: clear frames are not modelled here
 REPORT, INS, COMMAND, TRACKING = 0, 20, 26, 32  # first column of each record
@@ -148,7 +148,7 @@ def write_row(out: Any, rows: int, tick: int, link: LinkState, tracking: Any) ->
 def make_episode(control: Callable[..., Any], unit: Callable[..., Any], follow: Callable[..., Any]) -> Any:
     """The kernel of a structure: drive(p, link, setting, rider, car, out) -> End.
 
-    control, unit, follow: steps of the controller, the vehicle (plant/unit.py) and the reference follower. out: a
+    control, unit, follow: steps of the controller, the vehicle (plant/ecu.py) and the reference follower. out: a
     buffer of WIDTH * ticks numbers. The states in `link`, `rider` and `car` are used up.
 
     The follower of the columns is the controller's own as long as that has seen what the log has; from the first tick

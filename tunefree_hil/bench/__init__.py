@@ -10,7 +10,7 @@ from tunefree_hil.bench.controller import (
     require_in_box,
 )
 from tunefree_hil.bench.load import Bench, load, model_of, scenario_of_hash
-from tunefree_hil.bench.own_parts import own_parameters, part_names, part_values
+from tunefree_hil.bench.user_parts import own_parameters, part_names, part_values
 from tunefree_hil.bench.vehicle import VehicleFor, is_heavy
 
 __all__ = [

@@ -16,8 +16,8 @@ from typing import Any, Self
 
 from tunefree_hil.base.pipes import Helper, Loss
 from tunefree_hil.bench.batch_worker import packed
-from tunefree_hil.bench.fleet import Driven
 from tunefree_hil.bench.load import Bench
+from tunefree_hil.bench.parallel import Driven
 from tunefree_hil.bench.simulator import Job
 
 __all__ = ["Batch", "Driven", "Job"]

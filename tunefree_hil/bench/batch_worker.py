@@ -10,9 +10,9 @@ from typing import Any
 
 from tunefree_hil.base.errors import TunefreeError
 from tunefree_hil.base.pipes import send, serve
-from tunefree_hil.bench.fleet import Fleet
 from tunefree_hil.bench.load import Bench
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bench.parallel import Fleet
+from tunefree_hil.bus.dbc.codec import Codec
 
 
 def packed(bench: Bench) -> tuple[Any, ...]:

@@ -13,8 +13,8 @@ from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.open_loop_map import MAP_FILE
 from tunefree_hil.bench.faults import CONTROLLER, faults_of
 from tunefree_hil.bench.load import Bench, model_of, scenario_of_hash
-from tunefree_hil.bench.own_parts import own_parameters, part_names, part_values
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bench.user_parts import own_parameters, part_names, part_values
+from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.schema import ScenarioSpec, VehicleSpec
 from tunefree_hil.control import calibration_map
 from tunefree_hil.control.build import build
@@ -31,7 +31,7 @@ from tunefree_hil.control.parameters import (
     study_values,
 )
 from tunefree_hil.nodes.controller import Assignment
-from tunefree_hil.nodes.hearing import CHASSIS, INS
+from tunefree_hil.nodes.measurement_decoder import CHASSIS, INS
 
 KEPT = 32  # gain tables, and path tables
 

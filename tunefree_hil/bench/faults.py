@@ -7,13 +7,13 @@ from functools import lru_cache
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench.load import Bench
-from tunefree_hil.bus.check_vehicle import nearest, one_error
-from tunefree_hil.bus.codec import Codec
-from tunefree_hil.bus.message_map import COMMAND
+from tunefree_hil.bus.dbc.check_vehicle import nearest, one_error
+from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.dbc.message_map import COMMAND
 from tunefree_hil.config.fault_check import COUNTER_KINDS, CRC_KINDS, DRIVER, FAULT_KINDS, FRAME_KINDS
 from tunefree_hil.config.schema import FaultSpec
 from tunefree_hil.nodes.faults import ScriptedFault
-from tunefree_hil.plant.body import REST_FRAC, Driver
+from tunefree_hil.plant.types import REST_FRAC, Driver
 
 ECU, CONTROLLER = "ecu", "controller"
 HANDS = {  # a fault's channel -> what the driver does there; whatever the value, a moved lever is moved

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from tunefree_hil.base.course import Course
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bus.check_vehicle import check_vehicle, one_error
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.dbc.check_vehicle import check_vehicle, one_error
+from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.check_drive import check_drive
 from tunefree_hil.config.check_vehicle import check_fields
 from tunefree_hil.config.find import available

@@ -35,14 +35,14 @@ from tunefree_hil.batch.episode import (
     Setting,
     make_episode,
 )
-from tunefree_hil.bench.compiled_own import answer_of, own_of
 from tunefree_hil.bench.controller import ControllerFor, needed_messages
 from tunefree_hil.bench.load import Bench, model_of
 from tunefree_hil.bench.scaling import scaled
+from tunefree_hil.bench.user_kernels import answer_of, own_of
 from tunefree_hil.bench.vehicle import VehicleFor
 from tunefree_hil.bus.bench_channel import ErrorCode
-from tunefree_hil.bus.codec import Codec
-from tunefree_hil.bus.wire import wire
+from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.dbc.wire_block import wire
 from tunefree_hil.config.fault_check import DRIVER
 from tunefree_hil.config.schema import EffectSpec, ScenarioSpec
 from tunefree_hil.control import follower
@@ -51,7 +51,7 @@ from tunefree_hil.episode.recording import Recording
 from tunefree_hil.nodes.controller import MISSING_CODES, STAGE_CODES, Assignment
 from tunefree_hil.nodes.ecu import Vehicle
 from tunefree_hil.nodes.handshake import STAGES, Stage, limits_of
-from tunefree_hil.nodes.hearing import Hearing
+from tunefree_hil.nodes.measurement_decoder import Hearing
 
 KEPT_VEHICLES = 64  # one is a scenario's noise: 0.4 MB a minute's drive
 

@@ -12,16 +12,16 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import kept
 from tunefree_hil.bench.faults import ECU, driver_script, faults_of
 from tunefree_hil.bench.load import Bench, model_of, scenario_of_hash
-from tunefree_hil.bus.wire import phases
+from tunefree_hil.bus.dbc.wire_block import phases
 from tunefree_hil.config.schema import ActuatorSpec, EffectSpec, ModelSpec, value_of
 from tunefree_hil.episode.scenario import start_of
 from tunefree_hil.nodes.ecu import Vehicle
-from tunefree_hil.plant.actuators import ActuatorParams
-from tunefree_hil.plant.body import Plant
-from tunefree_hil.plant.bywire import ByWireParams, ChannelRules, bywire
+from tunefree_hil.plant.actuation.actuators import ActuatorParams
+from tunefree_hil.plant.actuation.bywire import ByWireParams, ChannelRules, bywire
 from tunefree_hil.plant.constants import require_constants
-from tunefree_hil.plant.sensors import noise_table
-from tunefree_hil.plant.unit import make_unit
+from tunefree_hil.plant.ecu import make_unit
+from tunefree_hil.plant.measurement.sensors import noise_table
+from tunefree_hil.plant.types import Plant
 from tunefree_hil.plant.vehicle import assemble, for_episode
 
 PLANTS = {  # [plant] kind -> file in plant/

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.records import CanFrame
-from tunefree_hil.bus.kernel_link import FD_MTU, MAKE_FD, MAKE_VCAN, holder, kernel_has_can, link_state
 from tunefree_hil.bus.link import CanLink, HubLink, Link, Links, PairLink
 from tunefree_hil.bus.python_can import can
-from tunefree_hil.bus.socketcan import Options, open_socketcan
+from tunefree_hil.bus.socketcan.kernel_link import FD_MTU, MAKE_FD, MAKE_VCAN, holder, kernel_has_can, link_state
+from tunefree_hil.bus.socketcan.link import Options, open_socketcan
 from tunefree_hil.bus.tfhub import address
 from tunefree_hil.bus.tfhub.handshake import Welcome, default_name
 from tunefree_hil.bus.tfhub.pair import HubPair

@@ -7,18 +7,7 @@ from typing import Annotated
 import typer
 
 from tunefree_hil import __version__
-from tunefree_hil.cli import (
-    bench_commands,
-    calibrate_commands,
-    collect_commands,
-    commission_commands,
-    data_commands,
-    gap_commands,
-    grade_commands,
-    learn_commands,
-    map_commands,
-    run_commands,
-)
+from tunefree_hil.cli.commands import bench, calibrate, collect, commission, data, gap, grade, learn, map, run
 from tunefree_hil.cli.overview import overview
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -37,18 +26,18 @@ def start(
         print(overview())
 
 
-for _command in (run_commands.drive, run_commands.tune, run_commands.verify, run_commands.replay):
+for _command in (run.drive, run.tune, run.verify, run.replay):
     app.command()(_command)
-for _command in (grade_commands.grade, grade_commands.compare, grade_commands.explain):
+for _command in (grade.grade, grade.compare, grade.explain):
     app.command()(_command)
-app.command()(collect_commands.collect)
-app.command()(calibrate_commands.calibrate)
-app.command()(learn_commands.learn)
-app.command("map")(map_commands.map_logs)
-app.command()(commission_commands.commission)
-app.command()(gap_commands.gap)
-for _command in (bench_commands.hub, bench_commands.ecu, bench_commands.controller, collect_commands.collector):
+app.command()(collect.collect)
+app.command()(calibrate.calibrate)
+app.command()(learn.learn)
+app.command("map")(map.map_logs)
+app.command()(commission.commission)
+app.command()(gap.gap)
+for _command in (bench.hub, bench.ecu, bench.controller, collect.collector):
     app.command()(_command)
-for _command in (data_commands.scenarios, data_commands.doctor):
+for _command in (data.scenarios, data.doctor):
     app.command()(_command)
-app.add_typer(data_commands.log, name="log", help="Logs of CAN frames: check, show, plot, convert, import.")
+app.add_typer(data.log, name="log", help="Logs of CAN frames: check, show, plot, convert, import.")

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tunefree_hil.base.events import Event
-from tunefree_hil.cli.words import counted, number, pace, scores, time_left
+from tunefree_hil.cli.text import counted, number, pace, scores, time_left
 
 REDRAW_S = 0.2
 BAR_COLUMNS = 30

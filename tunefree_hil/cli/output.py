@@ -18,7 +18,7 @@ from typing import Any, Protocol, TextIO
 from tunefree_hil.base.errors import BenchError, InputError, TunefreeError
 from tunefree_hil.base.events import Event
 from tunefree_hil.cli import INTERRUPTED
-from tunefree_hil.cli.words import pasteable, progress_line
+from tunefree_hil.cli.text import pasteable, progress_line
 
 SCHEMA = "tunefree.result/1"
 STATUSES = ("ok", "failed", "interrupted")

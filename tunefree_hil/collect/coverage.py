@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tunefree_hil.collect import seen
+from tunefree_hil.collect import features
 from tunefree_hil.collect.cells import (
     LEAST_RUN,
     PEDALS,
@@ -41,7 +41,7 @@ class Coverage:
 
     def add(self, get: Callable[[str], np.ndarray | None]) -> None:
         """Count a recording whose fields `get` gives by name."""
-        seen.count(get, self.bands, self.counter)
+        features.count(get, self.bands, self.counter)
 
     @property
     def wanted(self) -> int:

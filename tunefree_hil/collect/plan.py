@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.collect.area import Ground
 from tunefree_hil.collect.bounds import Bounds, within
 from tunefree_hil.collect.cells import COUNT, FIRST_THROTTLE, LEAST_WINDOW, Target, bands_of, needs_of, targets_of
-from tunefree_hil.collect.drive_state import Params
 from tunefree_hil.collect.envelope import Envelope, envelope_of
-from tunefree_hil.collect.gentle import COAST_S, Stretch, stretches_of
-from tunefree_hil.collect.ground import Ground
+from tunefree_hil.collect.features import Params, eyes_of
+from tunefree_hil.collect.gentle_driving import COAST_S, Stretch, stretches_of
 from tunefree_hil.collect.pedals import least_push
-from tunefree_hil.collect.seen import eyes_of
 from tunefree_hil.config.schema import VehicleSpec
 
 SCHEMA = "tunefree.collect_drive/3"

@@ -15,9 +15,12 @@ from __future__ import annotations
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.maths import clamp
 from tunefree_hil.base.records import GEAR_DRIVE, NAN, Command, Ins
-from tunefree_hil.collect import gentle, steering
+from tunefree_hil.collect import gentle_driving, steering
+from tunefree_hil.collect.area import Ground, Pose, circle_fits, far_corner, room_m
 from tunefree_hil.collect.cells import FIRST_THROTTLE, NONE, STRAIGHT, Counter, Place, Seen, cell_of, number_of
-from tunefree_hil.collect.drive_state import (
+from tunefree_hil.collect.envelope import HARD_SHARE, curvature_1pm, room_to_turn_m, turn_room_m, turn_speed_mps
+from tunefree_hil.collect.excitation_signals import KINDS, wave
+from tunefree_hil.collect.features import (
     APPROACH,
     GENTLE,
     HOLD,
@@ -29,13 +32,10 @@ from tunefree_hil.collect.drive_state import (
     Now,
     Params,
     State,
+    look,
 )
-from tunefree_hil.collect.envelope import HARD_SHARE, curvature_1pm, room_to_turn_m, turn_room_m, turn_speed_mps
-from tunefree_hil.collect.ground import Ground, Pose, circle_fits, far_corner, room_m
+from tunefree_hil.collect.next_cell import entry_mps, pick
 from tunefree_hil.collect.pedals import BRAKE_HARD, HOLD_PUSH, Pedal, duties, ends, felt, learned_cap, level, push_for
-from tunefree_hil.collect.pick import entry_mps, pick
-from tunefree_hil.collect.seen import look
-from tunefree_hil.collect.waves import KINDS, wave
 from tunefree_hil.control.cascade import Sight
 
 ENDED = 11.0  # bench_channel.ErrorCode.STOPPED: standing, nothing more to drive
@@ -116,9 +116,9 @@ def _gentle(p: Params, s: State, now: Now) -> State:
     """A tick of gentle driving; on to the cells after the last stretch."""
     assert s.ground is not None
     speed = now.seen.speed_mps
-    gait = gentle.gone_on(s.gait, p.stretches[s.gait.number], p.envelope, speed, now.dt_s)
-    gait = gentle.bent_back(gait, p.envelope, s.ground, now.pose, speed, now.room_m)
-    s = s._replace(gait=gentle.pushed(gait, s.pedal, p.envelope, now.dt_s))
+    gait = gentle_driving.gone_on(s.gait, p.stretches[s.gait.number], p.envelope, speed, now.dt_s)
+    gait = gentle_driving.bent_back(gait, p.envelope, s.ground, now.pose, speed, now.room_m)
+    s = s._replace(gait=gentle_driving.pushed(gait, s.pedal, p.envelope, now.dt_s))
     return s if _is_gentle_left(p, s) else _next(p, s, now)
 
 
@@ -149,7 +149,7 @@ def _next(p: Params, s: State, now: Now) -> State:
     if _is_over(p, s, now):
         return _into(s, STOP, now)
     if _is_gentle_left(p, s):
-        return _into(s, GENTLE, now)._replace(cell=NONE, gait=gentle.taken_up(s.gait, speed))
+        return _into(s, GENTLE, now)._replace(cell=NONE, gait=gentle_driving.taken_up(s.gait, speed))
     cell = pick(p.targets, s.counter, p.envelope, speed, steering.band_of(p.bands, now.seen), now.room_m, s.tired)
     if cell == NONE:
         return _into(s, STOP, now)
@@ -191,8 +191,10 @@ def _wish_rad(p: Params, s: State, now: Now) -> float:
             return steering.in_band(p.envelope, p.bands, p.targets[braked], now.seen.speed_mps, 0.0)
         return steering.turn_back(p.envelope, now.pose, s.aim, now.seen.speed_mps, s.wheel.side)
     if s.mode == GENTLE:
-        angle = gentle.angle_rad(s.gait, p.stretches[s.gait.number], p.envelope, now.seen.speed_mps, now.since_s(0))
-        return gentle.calm_rad(angle, s.wheel.steer_rad, p.envelope, now.dt_s)
+        angle = gentle_driving.angle_rad(
+            s.gait, p.stretches[s.gait.number], p.envelope, now.seen.speed_mps, now.since_s(0)
+        )
+        return gentle_driving.calm_rad(angle, s.wheel.steer_rad, p.envelope, now.dt_s)
     target = p.targets[s.cell]
     if s.mode == HOLD:
         sway = wave((s.hold // 2) % KINDS, now.since_s(s.since))

@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 from tunefree_hil.base.maths import clamp, wrap_rad
+from tunefree_hil.collect.area import Ground, Pose, bearing_rad, circle_fits, room_m
 from tunefree_hil.collect.cells import STRAIGHT, Bands, Seen, Target
 from tunefree_hil.collect.envelope import (
     LATERAL_SHARE,
@@ -16,7 +17,6 @@ from tunefree_hil.collect.envelope import (
     sharpest_1pm,
     steer_rad,
 )
-from tunefree_hil.collect.ground import Ground, Pose, bearing_rad, circle_fits, room_m
 
 TIGHT_M = 60.0  # circles up to this radius are driven whole
 WHILE_S = 4.0  # of driving a tight cell that turning back will cut short

@@ -1,4 +1,4 @@
-"""What a vehicle.toml says wrongly by itself, all at once; what it says wrongly of its DBC: bus/check_vehicle.py."""
+"""What a vehicle.toml says wrongly by itself, all at once; what it says wrongly of its DBC: bus/dbc/check_vehicle.py."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tunefree_hil.config.vehicle_numbers import check_numbers
 WHEELS = "wheel_speed_radps"
 CONDITIONS = ("enabled", "override", "driver", "fault", "timeout", "watchdog", "e2e", "brake_light", "gear_command",
               "gear_reject")  # fmt: skip
-# The causes that a condition knows; the others': plant/bywire_words.py, and names of the folder's own.
+# The causes that a condition knows; the others': plant/actuation/bywire_types.py, and names of the folder's own.
 STATE_CAUSES = {
     "e2e": ("", "some_lost", "repeated", "wrong_sequence", "wrong_crc", "no_new_data", "initial"),
     "brake_light": ("input", "command", "output"),

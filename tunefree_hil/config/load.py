@@ -17,8 +17,8 @@ from tunefree_hil.config.check_vehicle import check_fields
 from tunefree_hil.config.convert import SET_BY_LOADER, convert, read_toml
 from tunefree_hil.config.find import find, nearest
 from tunefree_hil.config.import_schema import ImportSpec, check_import
+from tunefree_hil.config.key_meanings import WORDS
 from tunefree_hil.config.schema import BenchSpec, ModelSpec, ScenarioSpec, Spec, VehicleSpec, WeightsSpec
-from tunefree_hil.config.words import WORDS
 
 SPECS: dict[str, type[Spec]] = {
     "vehicle": VehicleSpec,

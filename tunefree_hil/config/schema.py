@@ -102,7 +102,7 @@ class TimingSpec(Spec, frozen=True, kw_only=True):
 
 
 class ValidSpec(Spec, frozen=True, kw_only=True):
-    """The region that the data covered: [low, high] each; what is left out is not checked (episode/valid.py).
+    """The region that the data covered: [low, high] each; what is left out is not checked (episode/validity_region.py).
 
     pedals: duty at the actuators' outputs, rest included, the brake's negative: [-most brake, most throttle].
     steer_rad: the steering wheel, the actuator's output.

@@ -2,7 +2,7 @@
 
 The upper ends are far above any vehicle: they catch slips of the unit (percent for a share, milliseconds for seconds)
 and numbers that would overflow where seconds are turned into ticks. What a field says of its signal (scale, period) is
-checked in check_vehicle.py, and against the DBC in bus/check_vehicle.py.
+checked in check_vehicle.py, and against the DBC in bus/dbc/check_vehicle.py.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ class SignalSpec(Spec, frozen=True, kw_only=True):
 
 
 class E2eSpec(Spec, frozen=True, kw_only=True):
-    """End-to-end protection of a message (functions in bus/e2e.py and bus/integrity.py).
+    """End-to-end protection of a message (functions in bus/dbc/e2e.py and bus/dbc/integrity.py).
 
     crc, counter, nibble name signals; max_delta is the widest step between two frames' counters that still passes.
     """
@@ -64,7 +64,9 @@ class StateSpec(Spec, frozen=True, kw_only=True):
     active: float = 1
     effect: Literal["disable_all", "disable_channel", "warn"] = "disable_all"
     bywire: Literal["", "throttle", "brake", "steer", "gear"] = ""
-    cause: str = ""  # watchdog codes: 'throttle_timeout', 'throttle_counter', ... (plant/bywire.py lists them)
+    cause: str = (
+        ""  # watchdog codes: 'throttle_timeout', 'throttle_counter', ... (plant/actuation/bywire.py lists them)
+    )
     assumed: str = ""
 
 

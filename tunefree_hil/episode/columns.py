@@ -14,8 +14,8 @@ from tunefree_hil.base.course import Tracking
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import GROUPS, NAN, CanFrame, Command, Ins, Report
-from tunefree_hil.bus.codec import Codec, MessageMap
-from tunefree_hil.bus.e2e import is_intact
+from tunefree_hil.bus.dbc.codec import Codec, MessageMap
+from tunefree_hil.bus.dbc.e2e import is_intact
 from tunefree_hil.episode.candump import EXTENDED_BIT, RTR, LogFrame
 from tunefree_hil.episode.frame_hash import CONTROLLER_PHASE, Placed, place_frames
 from tunefree_hil.episode.recording import COMMAND_COLUMNS, REFERENCE_COLUMNS, Recording, make_recording

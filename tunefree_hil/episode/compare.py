@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.episode.frame_hash import PlacedFrame, place_frames
 

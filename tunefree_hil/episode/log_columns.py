@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bus.decode_columns import PAD, Payloads, payloads_of
+from tunefree_hil.bus.dbc.decode_columns import PAD, Payloads, payloads_of
 from tunefree_hil.bus.formats.find import CANDUMP, format_of, load_format
 from tunefree_hil.bus.formats.rows import LONGEST_LINE, Row
 from tunefree_hil.episode.candump import BLOCK_BYTES, ERROR, EXTENDED_BIT, FD, RTR, read_rows

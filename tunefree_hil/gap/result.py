@@ -1,21 +1,29 @@
 """An answer as data, in the words of `gap.json` (interfaces 9): what a name, a place and a doubt are called there.
 
 `signals`, `explained_frac`, `model`, `figures` belong to whoever repairs and verifies; they are not here.
+
+What a search came to, as it is kept between sessions: the answer, both models' values, and how it looked.
+
+Repair, proof, page and pictures are made of this and the logs alone, so that a run that was cut off after the search
+goes on without it, and comes to the same numbers: floats survive JSON bit for bit.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
-from tunefree_hil.gap.decide import Weighed
-from tunefree_hil.gap.evidence import judged
-from tunefree_hil.gap.excitation import Excited
-from tunefree_hil.gap.graph import effects
-from tunefree_hil.gap.held import held_back
-from tunefree_hil.gap.locate import Looked
-from tunefree_hil.gap.lost import untold
-from tunefree_hil.gap.name import Effect, Named
+from tunefree_hil.gap.diagnostics.residual_tests import Looked, Region, Shape
+from tunefree_hil.gap.estimation.evidence import judged
+from tunefree_hil.gap.estimation.intervals import held_back
+from tunefree_hil.gap.measured.excitation import Excited
+from tunefree_hil.gap.measured.observability import untold
+from tunefree_hil.gap.model.graph import effects
+from tunefree_hil.gap.pipeline import Effect, Named
+from tunefree_hil.gap.selection.criteria import Weighed
+from tunefree_hil.gap.workers.worker import Modelled
+from tunefree_hil.learn.model_folder import plain
 
 FEW_BLOCKS = 9  # judged, of a drive of a minute and three quarters; shorter ones have fewer
 BY_TEST = ("one", "several", "set", "none_missing")  # verdicts that hold as far as nothing else was seen
@@ -127,3 +135,80 @@ def _where(found: Named) -> dict[str, Any]:
 
 def _number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
+
+
+SCHEMA = "tunefree.gap_search/3"
+
+
+class Kept(NamedTuple):
+    """answer: as in gap.json (result.py); null, repaired: values by key as gap/model/graph.py takes them, of recalibration
+    alone and with the effects. free: the keys that belong to effects found. regions, shape: of the target that shows it
+    best, `signal` ('' where nothing is broken and nobody was found). seconds: that the search took. named: whether
+    names were looked for. foretold: by target, of what the model with the effects still misses, the share that
+    something foretells.
+    """
+
+    answer: dict[str, Any]
+    null: dict[str, float]
+    repaired: dict[str, float]
+    free: tuple[str, ...]
+    signal: str
+    regions: tuple[Region, ...]
+    shape: Shape | None
+    seconds: float
+    named: bool = True
+    foretold: dict[str, float] = {}  # noqa: RUF012 - never mutated
+
+    @property
+    def verdict(self) -> str | None:
+        """One of gap/pipeline.py's VERDICTS; None where nobody was to be named."""
+        return self.answer["verdict"]
+
+    @property
+    def names(self) -> list[str]:
+        """Of the effects that were found."""
+        return [one["name"] for one in self.answer["effects"]]
+
+
+def keep(found: Named, kind: str, seconds: float, named: bool = True) -> Kept:
+    """Of a search's result. kind: of the model's plant; named: whether names were looked for."""
+    card, answer = found.card, as_data(found, kind)
+    if answer["verdict"] == "none_missing" and not any(one["enough"] for one in answer["excitation"].values()):
+        answer |= {"verdict": "cannot_test", "absorbed": False, "words": [_lacking(answer)]}  # nothing could be seen
+    return Kept(
+        answer, _values(found.question.null), _values(found.repaired),
+        tuple(one.key for one in found.repaired.fitted.free), "" if card is None else card.looked.signal,
+        () if card is None else card.regions, None if card is None else card.shape, seconds, named,
+        {name: min(max(one.explained / one.total, 0.0), 1.0) for name, one in found.after.items() if one.total > 0.0},
+    )  # fmt: skip
+
+
+def as_json(kept: Kept) -> dict[str, Any]:
+    """Plain data."""
+    return {"schema": SCHEMA, **plain(kept._asdict())}
+
+
+def from_json(data: Mapping[str, Any]) -> Kept:
+    """The same again. Raises ValueError for what no `as_json` wrote, by this version."""
+    if data.get("schema") != SCHEMA:
+        raise ValueError(f"schema is {data.get('schema')!r}, expected {SCHEMA!r}")
+    try:
+        fields = {name: data[name] for name in Kept._fields}
+        shape = fields["shape"]
+        return Kept(**fields)._replace(
+            free=tuple(fields["free"]),
+            regions=tuple(Region(**one) for one in fields["regions"]),
+            shape=None if shape is None else Shape(**shape),
+        )
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"no whole search: {error}") from error
+
+
+def _values(model: Modelled) -> dict[str, float]:
+    return {key: float(value) for key, value in model.fitted.values.items()}
+
+
+def _lacking(answer: Mapping[str, Any]) -> str:
+    """What to record, where no effect could have been seen."""
+    lacks = sorted({words for one in answer["excitation"].values() for words in one["lacks"]})
+    return f"no effect of the catalogue could have shown itself; record a drive with more: {'; '.join(lacks)}"

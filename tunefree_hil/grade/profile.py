@@ -15,9 +15,9 @@ import numpy as np
 from tunefree_hil.base.course import Course
 from tunefree_hil.control.schedule import PULL_AWAY_MPS2, STOPPED_MPS
 from tunefree_hil.episode.recording import Recording
-from tunefree_hil.grade.feet import stations_of
 from tunefree_hil.grade.metrics import AS_PUBLISHED, Row, Scales, Sharing, is_planned_row, samples_of, samples_of_plan
-from tunefree_hil.grade.original import samples_against_original
+from tunefree_hil.grade.original_reference import samples_against_original
+from tunefree_hil.grade.path_projection import stations_of
 from tunefree_hil.grade.score import CONTROL_ERRORS, GradeVehicle
 from tunefree_hil.grade.signals import Context
 from tunefree_hil.grade.table import ROWS, TABLE, How, Metric

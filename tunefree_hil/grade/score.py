@@ -16,7 +16,7 @@ from tunefree_hil.base.course import Course
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import VehicleSpec, WeightsSpec
 from tunefree_hil.episode.recording import Recording
-from tunefree_hil.grade.kept import Kept
+from tunefree_hil.grade.memo import Kept
 from tunefree_hil.grade.metrics import (
     METRICS,
     Samples,
@@ -27,7 +27,7 @@ from tunefree_hil.grade.metrics import (
     samples_of,
     samples_of_plan,
 )
-from tunefree_hil.grade.original import samples_against_original
+from tunefree_hil.grade.original_reference import samples_against_original
 
 FINISHED = "finished"
 DIVERGED = "diverged"

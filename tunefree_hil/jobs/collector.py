@@ -50,7 +50,7 @@ def read_plan(path: Path) -> DrivePlan:
 
 def collector(bench: Path, *, bus: str, bench_bus: str, session: str, realtime: bool) -> Iterator[Event]:
     """Serve the drives of a collection until the runner says end or the bus is gone."""
-    from tunefree_hil.jobs.running.serving import serve_controller
+    from tunefree_hil.jobs.running.node_main import serve_controller
 
     yield from serve_controller(
         bench, PlannerFor, "collector", "collector", bus=bus, bench_bus=bench_bus, session=session, realtime=realtime

@@ -11,7 +11,7 @@ from tunefree_hil.base.events import Event
 def controller(bench: Path, *, bus: str, bench_bus: str, session: str, realtime: bool) -> Iterator[Event]:
     """Serve episodes on the bus until the runner says end or the bus is gone."""
     from tunefree_hil.bench import ControllerFor, part_values
-    from tunefree_hil.jobs.running.serving import OURS, serve_controller
+    from tunefree_hil.jobs.running.node_main import OURS, serve_controller
 
     yield from serve_controller(
         bench,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
+from tunefree_hil.jobs.command_text import pasted
 from tunefree_hil.jobs.machine import FAULT, NOTE, OK, Finding, machine
-from tunefree_hil.jobs.pasted import pasted
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import BenchSpec, VehicleSpec
@@ -54,7 +54,7 @@ def _schema(name: str) -> Iterator[Event]:
 
 def vehicle_findings(folder: Path) -> list[Finding]:
     """Everything that is wrong with a vehicle folder, at once; what it lacks and assumes as notes."""
-    from tunefree_hil.bus.check_vehicle import check_vehicle
+    from tunefree_hil.bus.dbc.check_vehicle import check_vehicle
     from tunefree_hil.config.check_vehicle import check_fields
     from tunefree_hil.config.find import find
     from tunefree_hil.config.load import load_vehicle
@@ -156,7 +156,7 @@ def _start_findings(file: Path, told: Sequence[Finding]) -> list[Finding]:
     """What `drive` and `tune` refuse before they start a process, beyond what is told; each fault once."""
     from tunefree_hil.bench import ControllerFor, load, parameters_of, require_buildable
     from tunefree_hil.control.parameters import NAMES
-    from tunefree_hil.jobs.tune.wish import Asked, resolve_wish
+    from tunefree_hil.jobs.tune.options import Asked, resolve_wish
 
     findings: list[Finding] = []
     bench = _try(findings, lambda: load(file))

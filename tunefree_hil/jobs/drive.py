@@ -24,19 +24,17 @@ from tunefree_hil.config.load import load_scenario
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.grade.score import FINISHED, combine
+from tunefree_hil.jobs.command_text import pasted
 from tunefree_hil.jobs.identity import identity_of, resolved_toml
-from tunefree_hil.jobs.learn.model_words import model_words
-from tunefree_hil.jobs.learn.outside import drive_warning, outside_data, outside_words
-from tunefree_hil.jobs.pasted import pasted
+from tunefree_hil.jobs.learn.report_text import drive_warning, model_words, outside_data, outside_words
+from tunefree_hil.jobs.report_text import early
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder, write_text
+from tunefree_hil.jobs.running.episode_results import Episode, heard_of
 from tunefree_hil.jobs.running.foreign import joined_name, program_of, with_command
-from tunefree_hil.jobs.running.harvest import Episode
-from tunefree_hil.jobs.running.heard import heard_of
 from tunefree_hil.jobs.running.lateness import judge_realtime
 from tunefree_hil.jobs.running.node_links import bus_for
 from tunefree_hil.jobs.running.session import Session
-from tunefree_hil.jobs.running.track import Track
-from tunefree_hil.jobs.words import early
+from tunefree_hil.jobs.running.trial_driver import Track
 
 DEFAULT_ROOT = Path("runs")
 

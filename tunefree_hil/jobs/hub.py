@@ -14,7 +14,7 @@ def hub(*, session: str, clock: str, transport: str, owned: bool) -> Iterator[Ev
     Of a bench in real time (clock = "real") it is as punctual as the nodes: frames that it hands on late are late.
     """
     from tunefree_hil.bus.tfhub.address import HubInfo
-    from tunefree_hil.bus.tfhub.serve import say_on_stderr, serve
+    from tunefree_hil.bus.tfhub.server.serve import say_on_stderr, serve
     from tunefree_hil.nodes.priority import punctual
 
     def announce(info: HubInfo) -> None:

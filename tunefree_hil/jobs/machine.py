@@ -79,7 +79,7 @@ def entry_point() -> Finding:
 
 def can_links(wanted: tuple[str, ...] = ("vcan0", "vcan1")) -> Iterator[Finding]:
     """Every CAN link of this kernel, and the bench's two (`wanted`). Without them tfhub does: no faults."""
-    from tunefree_hil.bus.kernel_link import ADD_VCAN, can_names, kernel_has_can
+    from tunefree_hil.bus.socketcan.kernel_link import ADD_VCAN, can_names, kernel_has_can
 
     make = " && ".join(ADD_VCAN.format(name=name) for name in wanted)
     if not kernel_has_can():
@@ -92,7 +92,7 @@ def can_links(wanted: tuple[str, ...] = ("vcan0", "vcan1")) -> Iterator[Finding]
 
 def can_link(name: str) -> Finding:
     """One CAN link: its kind, whether it is up, what frames it carries, how many may wait to be sent."""
-    from tunefree_hil.bus.kernel_link import ADD_VCAN, FD_MTU, MAKE_FD, holder, link_state
+    from tunefree_hil.bus.socketcan.kernel_link import ADD_VCAN, FD_MTU, MAKE_FD, holder, link_state
 
     state = link_state(name)
     if not state.exists:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from tunefree_hil.base.events import Event
 
-STAGES = {  # of a search for what is missing (gap/name.py): the share of its time that has gone as each begins
+STAGES = {  # of a search for what is missing (gap/pipeline.py): the share of its time that has gone as each begins
     "recalibration alone": 0.0,
     "suspects": 0.24,
     "beside": 0.86,

@@ -15,14 +15,14 @@ from tunefree_hil.base.clock import Clock
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import CanFrame, Command
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.codec import Codec
-from tunefree_hil.bus.frame_writer import FrameWriter
-from tunefree_hil.bus.message_map import MessageMap
+from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.dbc.message_map import MessageMap
+from tunefree_hil.bus.recording.frame_writer import FrameWriter
 from tunefree_hil.control.cascade import Sight
 from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.faults import FaultFilter, ScriptedFault
 from tunefree_hil.nodes.handshake import Handshake, Stage, limits_of
-from tunefree_hil.nodes.hearing import CHASSIS, INS, Hearing
+from tunefree_hil.nodes.measurement_decoder import CHASSIS, INS, Hearing
 from tunefree_hil.nodes.timing import CycleTimes
 
 STAGE_CODES = {

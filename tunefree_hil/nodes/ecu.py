@@ -14,16 +14,16 @@ from tunefree_hil.base.clock import Clock
 from tunefree_hil.base.course import Course
 from tunefree_hil.base.records import CanFrame, Disturbance
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.codec import Codec
-from tunefree_hil.bus.frame_writer import FrameWriter
-from tunefree_hil.nodes.bits import StatusSignals, cause_name
-from tunefree_hil.nodes.ears import Ears
+from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.recording.frame_writer import FrameWriter
+from tunefree_hil.nodes.command_decoder import Ears
 from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.faults import FaultFilter, ScriptedFault
+from tunefree_hil.nodes.status_bits import StatusSignals, cause_name
 from tunefree_hil.nodes.timing import CycleTimes
-from tunefree_hil.plant.body import Driver
-from tunefree_hil.plant.bywire import Heard
-from tunefree_hil.plant.unit import Unit, UnitInput
+from tunefree_hil.plant.actuation.bywire import Heard
+from tunefree_hil.plant.ecu import Unit, UnitInput
+from tunefree_hil.plant.types import Driver
 from tunefree_hil.plant.vehicle import Body
 
 

@@ -14,8 +14,8 @@ from typing import Any
 from tunefree_hil.base.errors import BenchError, NoAnswer, PeerGone
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.ledger import PHASE_ROLES, can_key, digest
 from tunefree_hil.bus.link import Link
+from tunefree_hil.bus.recording.frame_attribution import PHASE_ROLES, can_key, digest
 
 HARD_LIMIT_S = 5.0
 SLICE_S = 0.5  # how often a waiting node looks at the other link: a lost peer is said on both

@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from tunefree_hil.base.records import CanFrame
-from tunefree_hil.bus.e2e import protect, put_nibble, read_nibble, with_crc
-from tunefree_hil.bus.message_map import EXTENDED_FLAG, MessageMap
+from tunefree_hil.bus.dbc.e2e import protect, put_nibble, read_nibble, with_crc
+from tunefree_hil.bus.dbc.message_map import EXTENDED_FLAG, MessageMap
 
 SEED_STEP = 1 << 32  # seed and tick in one number
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from tunefree_hil.bus.integrity import E2eStatus, Receiver
-from tunefree_hil.bus.message_map import MessageMap
+from tunefree_hil.bus.dbc.integrity import E2eStatus, Receiver
+from tunefree_hil.bus.dbc.message_map import MessageMap
 
 TOO_MANY = "more frames than are due"
 TOO_SHORT = "shorter than the DBC says"

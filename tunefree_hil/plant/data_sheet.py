@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.units import AIR_DENSITY_KGPM3, G_MPS2
-from tunefree_hil.plant.body import filled, laden, more_drag_m2, rolling_share
+from tunefree_hil.plant.types import filled, laden, more_drag_m2, rolling_share
 
 DEFAULTS: dict[str, float] = {
     "mass_kg": 2080.0,

@@ -22,13 +22,13 @@ from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.maths import clamp
 from tunefree_hil.base.records import Motion
-from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
-from tunefree_hil.plant.cell import Cell, CellState, bounded, cell_out, init_cell, step_cell, take_in
 from tunefree_hil.plant.data_sheet import DEFAULTS, SingleTrack, constants_of
+from tunefree_hil.plant.forces.tyre_relaxation import AT_EASE, Axles
 from tunefree_hil.plant.kinematics import Velocity, moved, with_velocity
-from tunefree_hil.plant.learned_file import cell_of, load_plant_file
-from tunefree_hil.plant.relaxing import AT_EASE, Axles
+from tunefree_hil.plant.learned.lstm_cell import Cell, CellState, bounded, cell_out, init_cell, step_cell, take_in
+from tunefree_hil.plant.learned.weights_file import cell_of, load_plant_file
 from tunefree_hil.plant.single_track import pushed
+from tunefree_hil.plant.types import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
 
 FADE_MPS = 0.3
 

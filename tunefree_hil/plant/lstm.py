@@ -1,4 +1,4 @@
-"""Plant kind `lstm`: a state-carrying LSTM says acceleration and yaw rate, kinematics do the rest (plant/carriage.py).
+"""Plant kind `lstm`: a state-carrying LSTM says acceleration and yaw rate, kinematics do the rest (plant/learned/kinematics.py).
 
 Inputs at a tick's beginning: speed, throttle and brake duty over rest, steering-wheel angle (the actuators' outputs of
 this tick), its own acceleration (the rate of speed on level ground) and the yaw rate of the tick before. Outputs:
@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.records import Motion
-from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
-from tunefree_hil.plant.carriage import DEFAULTS, Carriage, carriage_of, driven, over_rest, said_of, seen_of
-from tunefree_hil.plant.cell import Cell, CellState, bounded, cell_out, init_cell, step_cell, take_in
-from tunefree_hil.plant.learned_file import cell_of, load_plant_file
+from tunefree_hil.plant.learned.kinematics import DEFAULTS, Carriage, carriage_of, driven, over_rest, said_of, seen_of
+from tunefree_hil.plant.learned.lstm_cell import Cell, CellState, bounded, cell_out, init_cell, step_cell, take_in
+from tunefree_hil.plant.learned.weights_file import cell_of, load_plant_file
+from tunefree_hil.plant.types import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
 
 Maker = Callable[[Mapping[str, float], BodyChange], Block]
 

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.base.kernel import kernel
 from tunefree_hil.base.records import Motion
-from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
-from tunefree_hil.plant.carriage import DEFAULTS, driven, said_of, seen_of
-from tunefree_hil.plant.cell import Layer, LayerState, bounded, init_layer, layer_out, step_layer
-from tunefree_hil.plant.learned_file import layer_of, load_plant_file
+from tunefree_hil.plant.learned.kinematics import DEFAULTS, driven, said_of, seen_of
+from tunefree_hil.plant.learned.lstm_cell import Layer, LayerState, bounded, init_layer, layer_out, step_layer
+from tunefree_hil.plant.learned.weights_file import layer_of, load_plant_file
 from tunefree_hil.plant.lstm import maker, take_in_car
+from tunefree_hil.plant.types import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
 
 
 class MlpState(NamedTuple):

@@ -21,11 +21,11 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block, buffer, kernel
 from tunefree_hil.base.maths import clamp
 from tunefree_hil.base.records import Actuation, Command, Motion
-from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, filled, rolling_motion, unopened
-from tunefree_hil.plant.carriage import DEFAULTS as CAR
-from tunefree_hil.plant.carriage import Carriage, carriage_of, driven, over_rest, said_of, seen_of
-from tunefree_hil.plant.cell import Cell, CellState, cell_out, clear_cell, init_cell, step_cell
-from tunefree_hil.plant.learned_file import cell_of, load_plant_file
+from tunefree_hil.plant.learned.kinematics import DEFAULTS as CAR
+from tunefree_hil.plant.learned.kinematics import Carriage, carriage_of, driven, over_rest, said_of, seen_of
+from tunefree_hil.plant.learned.lstm_cell import Cell, CellState, cell_out, clear_cell, init_cell, step_cell
+from tunefree_hil.plant.learned.weights_file import cell_of, load_plant_file
+from tunefree_hil.plant.types import ChassisInput, ChassisParams, Plant, filled, rolling_motion, unopened
 
 SAMPLES = 20
 TAKEN = 5  # inputs of a sample

@@ -17,10 +17,9 @@ from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.maths import clamp
 from tunefree_hil.base.records import GEAR_DRIVE, GEAR_PARK, Motion
 from tunefree_hil.base.units import G_MPS2
-from tunefree_hil.plant import reference_actuators
-from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion
-from tunefree_hil.plant.reference_car import DEFAULTS, constants_of
-from tunefree_hil.plant.reference_maps import (
+from tunefree_hil.plant.reference_vehicle import actuators
+from tunefree_hil.plant.reference_vehicle.car import DEFAULTS, constants_of
+from tunefree_hil.plant.reference_vehicle.maps import (
     MAP_REST_FRAC,
     Gearbox,
     brake_force_n,
@@ -31,7 +30,8 @@ from tunefree_hil.plant.reference_maps import (
     step_gearbox,
     table_duty,
 )
-from tunefree_hil.plant.reference_tyres import Chassis, Loads, Tyre, four_tyres, side_n
+from tunefree_hil.plant.reference_vehicle.tyres import Chassis, Loads, Tyre, four_tyres, side_n
+from tunefree_hil.plant.types import ChassisInput, ChassisParams, Plant, rolling_motion
 
 PARKED_N = 1.0e6  # what a locked gearbox holds
 
@@ -273,7 +273,7 @@ PLANT = Plant(
     make,
     DEFAULTS,
     substeps=10,
-    actuators=reference_actuators.own_actuators,
-    dead_times=reference_actuators.DEAD_TIMES,
-    lags=reference_actuators.LAGS,
+    actuators=actuators.own_actuators,
+    dead_times=actuators.DEAD_TIMES,
+    lags=actuators.LAGS,
 )

@@ -16,8 +16,8 @@ from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.open_loop_map import MAP_FILE, Refusal, SpeedRows, read_triples, rows_by_speed, value_at
 from tunefree_hil.base.records import Motion
-from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
-from tunefree_hil.plant.carriage import DEFAULTS, Carriage, carriage_of, driven, over_rest
+from tunefree_hil.plant.learned.kinematics import DEFAULTS, Carriage, carriage_of, driven, over_rest
+from tunefree_hil.plant.types import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
 
 REFUSAL = Refusal(
     missing="no_plant_file",

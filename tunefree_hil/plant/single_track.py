@@ -14,11 +14,11 @@ from typing import NamedTuple
 from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.records import Motion
-from tunefree_hil.plant.body import ChassisInput, ChassisParams, Plant, rolling_motion
 from tunefree_hil.plant.data_sheet import DEFAULTS, SingleTrack, constants_of
+from tunefree_hil.plant.forces.track_forces import GAMMA, LOW_MPS, Push, axle_n, forward_n, push_of
+from tunefree_hil.plant.forces.tyre_relaxation import AT_EASE, Axles, relaxed_step
 from tunefree_hil.plant.kinematics import Velocity, moved, with_velocity
-from tunefree_hil.plant.relaxing import AT_EASE, Axles, relaxed_step
-from tunefree_hil.plant.track_forces import GAMMA, LOW_MPS, Push, axle_n, forward_n, push_of
+from tunefree_hil.plant.types import ChassisInput, ChassisParams, Plant, rolling_motion
 
 FULL_MPS = 1.5  # dynamic above, kinematic below LOW_MPS, blended between
 BLEND_MPS = FULL_MPS - LOW_MPS

@@ -15,19 +15,12 @@ from tunefree_hil.base.course import Start
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.records import GEAR_DRIVE, NAN, Actuation, Command, Disturbance
-from tunefree_hil.plant.actuators import ActuatorParams, actuators
-from tunefree_hil.plant.asked_accel import actuators_by_accel
-from tunefree_hil.plant.body import (
-    BodyInput,
-    BodyOutput,
-    ChassisInput,
-    Driver,
-    Plant,
-    rolling_motion,
-)
-from tunefree_hil.plant.late import latency_of
+from tunefree_hil.plant.actuation.acceleration_interface import actuators_by_accel
+from tunefree_hil.plant.actuation.actuators import ActuatorParams, actuators
+from tunefree_hil.plant.measurement.report_latency import latency_of
+from tunefree_hil.plant.measurement.sensors import SensorInput, SensorParams, noise_table, rolled_in, sensors
 from tunefree_hil.plant.ports import Effects, channels_of, seen_of, upto_report
-from tunefree_hil.plant.sensors import SensorInput, SensorParams, noise_table, rolled_in, sensors
+from tunefree_hil.plant.types import BodyInput, BodyOutput, ChassisInput, Driver, Plant, rolling_motion
 
 
 class BodyParams(NamedTuple):

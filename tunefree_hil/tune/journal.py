@@ -19,10 +19,10 @@ import optuna
 
 from tunefree_hil.base.errors import BenchError, InputError, TunefreeError
 from tunefree_hil.tune import store
-from tunefree_hil.tune.filling import Answers, Filling, Points
-from tunefree_hil.tune.mirror import mirror
+from tunefree_hil.tune.shared.study_copy import mirror
 from tunefree_hil.tune.store import Settings
 from tunefree_hil.tune.trial import CUT_OFF, Baseline, Evaluation, Trial, check, lowest
+from tunefree_hil.tune.trial_loop import Answers, Filling, Points
 
 SCHEMA = "tunefree.trials/1"
 CONFIRMED = "confirmed "

@@ -12,10 +12,10 @@ from optuna.trial import TrialState
 
 from tunefree_hil.base.errors import TunefreeError
 from tunefree_hil.tune import store
-from tunefree_hil.tune.filling import Answers, Filling, Points
-from tunefree_hil.tune.shelf import Shelf
+from tunefree_hil.tune.optuna_study import Shelf
 from tunefree_hil.tune.store import Settings
 from tunefree_hil.tune.trial import CUT_OFF, Baseline, Evaluate, EvaluateAll, Evaluation, Trial
+from tunefree_hil.tune.trial_loop import Answers, Filling, Points
 
 __all__ = [
     "Baseline",

@@ -28,15 +28,15 @@ from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.bench_channel import ErrorCode
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.cli.entry import run
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.jobs.collect.collect import collect, require_stopped
+from tunefree_hil.jobs.collect.live_coverage import Ears, Wish, coverage_for, from_logs
 from tunefree_hil.jobs.collect.plan import Asked, require_room
-from tunefree_hil.jobs.collect.watch import Ears, Wish, coverage_for, from_logs
 from tunefree_hil.jobs.run_folder import versions, write_json
-from tunefree_hil.learn.read import read_drives
+from tunefree_hil.learn.drives.read import read_drives
 
 WORDS = ("--vehicle", "mkz_bywire", "--model", "mkz_nominal", "--quota-s", "0.2", "--top-mps", "3", "--area-m", "150")
 SHORT = ("--drive-s", "12")

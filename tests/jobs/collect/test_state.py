@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tunefree_hil.collect.gentle import TOGETHER
+from tunefree_hil.collect.gentle_driving import TOGETHER
 from tunefree_hil.jobs.collect.plan import Asked, open_folder, prepare, record_of, vehicle_and_model
 from tunefree_hil.jobs.collect.state import Collection
 

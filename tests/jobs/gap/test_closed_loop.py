@@ -18,7 +18,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load
 from tunefree_hil.bench.simulator import Drive, Job, Simulator
 from tunefree_hil.config.load import load_model
-from tunefree_hil.gap.repair import found_effects, repaired, write_repaired
+from tunefree_hil.gap.validation.repair import found_effects, repaired, write_repaired
 from tunefree_hil.jobs.gap.closed_loop import DRIVE, MEASURED, SIGNALS, UNKNOWN, End, Sum, compared, replayed
 from tunefree_hil.jobs.gap.gap import Material
 from tunefree_hil.jobs.gap.repair import Mended

@@ -20,13 +20,13 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.collect.plan import DrivePlan
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import ValidSpec
-from tunefree_hil.gap.drive_menu import MENU
+from tunefree_hil.gap.experiment_design import MENU
 from tunefree_hil.jobs.gap import drive as module
 from tunefree_hil.jobs.gap.drive import Wish, gap_drive
 from tunefree_hil.jobs.gap.drive_bench import Job
 from tunefree_hil.jobs.gap.folder import Folder
 from tunefree_hil.jobs.gap.gap import Asked
-from tunefree_hil.jobs.gap.page import write_page
+from tunefree_hil.jobs.gap.report import write_page
 
 SET = ["steer_dead_time", "brake_lag", "aero_drag"]
 

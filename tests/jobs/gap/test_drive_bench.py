@@ -10,11 +10,11 @@ from tests.bench.tiny import write_bench
 from tests.gap.made_answer import VEHICLE
 from tests.jobs.command import new_session, no_orphans
 from tunefree_hil.base.errors import BenchError
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.episode.candump import read_candump
-from tunefree_hil.gap.drive_menu import MENU, Manoeuvre
+from tunefree_hil.gap.experiment_design import MENU, Manoeuvre
 from tunefree_hil.jobs.gap.drive_bench import Job, Wish, drive_all, jobs_of, open_bench
-from tunefree_hil.learn.read import read_drives
+from tunefree_hil.learn.drives.read import read_drives
 
 SHORT = Manoeuvre("short", "a short drive", (3,), (0,), (3,), 1.0, drive_s=9.0)
 

@@ -15,7 +15,7 @@ import tunefree_hil.effects
 from tests.gap.made_answer import VEHICLE, made_kept, made_model
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import EffectSpec
-from tunefree_hil.gap.kept import as_json
+from tunefree_hil.gap.result import as_json
 from tunefree_hil.jobs.gap.folder import (
     ANSWER,
     ANSWER_SCHEMA,

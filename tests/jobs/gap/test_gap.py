@@ -18,12 +18,12 @@ from tests.learn.made_drives import made_drive
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_model
-from tunefree_hil.gap.kept import Kept
+from tunefree_hil.gap.result import Kept
 from tunefree_hil.jobs.gap import gap as module
-from tunefree_hil.jobs.gap import pictures as gap_pictures
+from tunefree_hil.jobs.gap import report as gap_pictures
 from tunefree_hil.jobs.gap.folder import ANSWER, PAGE, QUESTION
 from tunefree_hil.jobs.gap.gap import Asked, _other_car, gap
-from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.drives.drive import Drive
 
 FIELDS = {
     "schema", "verdict", "effects", "set", "separate_by", "where", "signals", "explained_frac", "excitation",
@@ -58,7 +58,7 @@ def search(monkeypatch: pytest.MonkeyPatch) -> Search:
     found = Search()
     monkeypatch.setattr(gap_pictures, "draw", lambda *_: [])
     monkeypatch.setattr(module, "_searched", found.searched)
-    monkeypatch.setattr("tunefree_hil.learn.read.read_drives", found.read)
+    monkeypatch.setattr("tunefree_hil.learn.drives.read.read_drives", found.read)
     monkeypatch.setattr(module, "model_for", lambda *_: replace(made_model(), hash="a model"))
     return found
 

@@ -12,13 +12,13 @@ from msgspec.structs import replace
 from tests.gap.made_answer import SECONDS, VEHICLE, answer, late_drive, made_kept, made_model
 from tests.jobs.ended import ended
 from tests.learn.made_drives import CHANNELS, made_drive
-from tunefree_hil.gap.chain import open_chain
+from tunefree_hil.gap.measured.chain import open_chain
 from tunefree_hil.jobs.gap.folder import Folder
 from tunefree_hil.jobs.gap.gap import Asked, Material
-from tunefree_hil.jobs.gap.page import write_page
 from tunefree_hil.jobs.gap.repair import as_data, mend, proved
-from tunefree_hil.jobs.gap.words import is_unproved, is_unshown, next_of, sentence_of, waits_for_proof
-from tunefree_hil.learn.drives import Drive
+from tunefree_hil.jobs.gap.report import write_page
+from tunefree_hil.jobs.gap.report_text import is_unproved, is_unshown, next_of, sentence_of, waits_for_proof
+from tunefree_hil.learn.drives.drive import Drive
 from tunefree_hil.plant.data_sheet import DEFAULTS
 
 WORDS = "steer_dead_time came nearest, and closed nothing of the gap in stretches that no fit has seen"

@@ -16,7 +16,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.gap import gap as module
 from tunefree_hil.jobs.gap.folder import ANSWER, QUESTION, SEARCH
 from tunefree_hil.jobs.gap.gap import Asked, gap
-from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.drives.drive import Drive
 
 pytestmark = [pytest.mark.slow, pytest.mark.compiled, pytest.mark.timeout(900)]
 

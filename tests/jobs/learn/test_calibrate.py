@@ -12,22 +12,22 @@ import pytest
 
 from tests.jobs.ended import ended
 from tests.learn.made_drives import made_drive, whole
-from tests.learn.test_write_model import FIT
+from tests.learn.test_model_folder import FIT
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench.vehicle import VehicleFor
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.control.calibration_map import load, lookup
-from tunefree_hil.jobs.gap.own_logs import ASKED
+from tunefree_hil.jobs.gap.calibration_logs import ASKED
 from tunefree_hil.jobs.learn import calibrate as job
-from tunefree_hil.jobs.learn.calibrate_words import benches_of, channel_words, closing
-from tunefree_hil.jobs.learn.calibrated import card_of, effect_of, fit_all, split_of, write
-from tunefree_hil.learn.drives import Drive, Split
-from tunefree_hil.learn.physics import is_clear
-from tunefree_hil.learn.physics_problem import BAND, EFFECTS, LAG, OFFSET
-from tunefree_hil.learn.values import Value, unknown
-from tunefree_hil.learn.worker import Worker
-from tunefree_hil.learn.write_model import CARD_FILE, write_card
+from tunefree_hil.jobs.learn.calibration import card_of, effect_of, fit_all, split_of, write
+from tunefree_hil.jobs.learn.report_text import benches_of, channel_words, closing
+from tunefree_hil.learn.compiled_process import Worker
+from tunefree_hil.learn.drives.drive import Drive, Split
+from tunefree_hil.learn.estimate import Value, unknown
+from tunefree_hil.learn.model_folder import CARD_FILE, write_card
+from tunefree_hil.learn.physics.fit import is_clear
+from tunefree_hil.learn.physics.unknowns import BAND, EFFECTS, LAG, OFFSET
 
 VEHICLE = load_vehicle("mkz_bywire")
 OFF_CENTRE = 0.04

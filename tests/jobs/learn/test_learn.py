@@ -23,11 +23,10 @@ from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import EffectSpec
 from tunefree_hil.jobs.learn import learn as job
 from tunefree_hil.jobs.learn.learn import KINDS, Asked, again, finished, learn
-from tunefree_hil.learn import learned_folder
-from tunefree_hil.learn.drives import Drive
-from tunefree_hil.learn.learned_folder import Learned, fit_of, params_of, write_learned
-from tunefree_hil.learn.worker import answers_to
-from tunefree_hil.learn.write_model import OWN_EFFECTS, OWN_LOGS
+from tunefree_hil.learn import model_folder
+from tunefree_hil.learn.compiled_process import answers_to
+from tunefree_hil.learn.drives.drive import Drive
+from tunefree_hil.learn.model_folder import OWN_EFFECTS, OWN_LOGS, Learned, fit_of, params_of, write_learned
 
 TRUTH = {"drive_force_n": 5200.0, "brake_force_n_per_frac": 70000.0, "rolling_frac": 0.02}
 
@@ -41,7 +40,7 @@ class Here:
     def __exit__(self, *_: object) -> None: ...
 
     def result(self, *asked: Any) -> Any:
-        from tunefree_hil.learn.worker import Asked as Call
+        from tunefree_hil.learn.compiled_process import Asked as Call
 
         *_, last = answers_to(Call(asked[0], asked[1], asked[2:]))
         assert last.kind == "result", last.value
@@ -63,7 +62,7 @@ def asked(repo: Path, tmp_path: Path, drives: list[Drive], monkeypatch: pytest.M
 
     monkeypatch.setattr(job, "read", read)
     monkeypatch.setattr(job, "JUDGED_STARTS", 2)
-    monkeypatch.setattr(learned_folder, "Worker", Here)
+    monkeypatch.setattr(model_folder, "Worker", Here)
     models = repo / "bench_configs" / "models"
     return Asked(
         [Path("a.log")], str(repo / "dbc" / "mkz_bywire"), tmp_path / "model", "mlp", 1, 0.005, models / "mkz_nominal"
@@ -89,7 +88,7 @@ def test_numbers_that_are_none_are_refused_before_training(
     speed = drives[0].fields["ins.speed_mps"].copy()
     speed[500:600] = np.nan
     spoilt = drives[0]._replace(fields={**drives[0].fields, "ins.speed_mps": speed})
-    monkeypatch.setattr("tunefree_hil.learn.read.read_drives", lambda *_, **__: [spoilt, *drives[1:]])
+    monkeypatch.setattr("tunefree_hil.learn.drives.read.read_drives", lambda *_, **__: [spoilt, *drives[1:]])
     with pytest.raises(InputError, match=r"ins\.speed_mps"):
         list(learn(asked))
 
@@ -97,7 +96,7 @@ def test_numbers_that_are_none_are_refused_before_training(
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 1e308])
 def test_times_that_are_no_numbers_are_refused(asked: Asked, value: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """A range of the command line lets NaN through."""
-    monkeypatch.setattr("tunefree_hil.learn.training.needs.require_torch", lambda what: None)
+    monkeypatch.setattr("tunefree_hil.learn.training.torch_extra.require_torch", lambda what: None)
     for change in ({"minutes": value}, {"sample_spacing_s": value, "kind": "paper"}):
         with pytest.raises(InputError, match="does not do") as caught:
             list(learn(asked._replace(**change)))

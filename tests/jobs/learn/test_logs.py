@@ -17,7 +17,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.learn import calibrate, learn
 from tunefree_hil.jobs.learn import map as map_job
 from tunefree_hil.jobs.learn.logs import read
-from tunefree_hil.learn.drives import Drive
+from tunefree_hil.learn.drives.drive import Drive
 
 
 class Heard(NamedTuple):

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.learn.checks.test_consistency import swapped
 from tests.learn.made_logs import MKZ, PEDALS, VAN, good, negated, planted, rows_of, write_log
-from tests.learn.test_check_motion import swapped
 from tunefree_hil.bus.formats.rows import Row
 from tunefree_hil.cli.entry import run
 

@@ -13,15 +13,15 @@ import pytest
 
 from tests.episode.drives import in_units, motion, write_csv, write_map
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bus.codec import Codec
-from tunefree_hil.bus.invented import STEP
+from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.dbc.synthetic_dbc import STEP
 from tunefree_hil.config.load import json_schema, load_import, load_vehicle
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.jobs.doctor import doctor
 from tunefree_hil.jobs.log.check import check
 from tunefree_hil.jobs.log.csv_import import import_csv
 from tunefree_hil.jobs.log.plot import series_of
-from tunefree_hil.learn.read import read_drives
+from tunefree_hil.learn.drives.read import read_drives
 
 DART = {
     "dart_100hz": "steering_identification_25_sept_2024/car_1_Datarecording_09_25_2024_09_56_53.csv",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.figures.signals import Series, broken_at_gaps, draw_signals

@@ -22,7 +22,7 @@ from tunefree_hil.bench import load, own_parameters, parameters_of
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.jobs.identity import identity_of, resolved_toml
 from tunefree_hil.jobs.running.foreign import program_hashes, program_of, require_announced, require_one, with_command
-from tunefree_hil.jobs.running.parts import Places, paths_for
+from tunefree_hil.jobs.running.session_parts import Places, paths_for
 
 NODE = Path(__file__).parents[1] / "foreign_node.py"
 OWN = """[controller]

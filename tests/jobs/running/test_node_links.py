@@ -26,7 +26,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus import open as bus_open
-from tunefree_hil.bus.kernel_link import LinkState
+from tunefree_hil.bus.socketcan.kernel_link import LinkState
 from tunefree_hil.jobs.running import node_links
 from tunefree_hil.jobs.running.node_links import (
     bus_for,

@@ -16,10 +16,10 @@ from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.tune.candidates import baseline_vectors
 from tunefree_hil.jobs.tune.confirm import Confirmed, confirm, differing, to_confirm
 from tunefree_hil.jobs.tune.evaluators import BusEvaluator, Candidate
-from tunefree_hil.jobs.tune.hold import Held
 from tunefree_hil.jobs.tune.report import finish_report
-from tunefree_hil.tune.holding import Came
+from tunefree_hil.jobs.tune.robustness import Held
 from tunefree_hil.tune.journal import Journal, open_journal, slot_key
+from tunefree_hil.tune.robust_winner import Came
 from tunefree_hil.tune.space import resolve
 from tunefree_hil.tune.store import Settings
 from tunefree_hil.tune.trial import Evaluation

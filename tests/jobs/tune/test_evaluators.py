@@ -18,9 +18,9 @@ from tunefree_hil.episode.candump import LogFrame, write_candump
 from tunefree_hil.episode.recording import Recording
 from tunefree_hil.grade.score import ScenarioGrade, combine
 from tunefree_hil.jobs.run_folder import RunFolder, open_run
-from tunefree_hil.jobs.running.harvest import Episode
+from tunefree_hil.jobs.running.episode_results import Episode
 from tunefree_hil.jobs.running.lateness import frames_late_s, judge_realtime
-from tunefree_hil.jobs.running.track import DriveJob, Track
+from tunefree_hil.jobs.running.trial_driver import DriveJob, Track
 from tunefree_hil.jobs.tune.evaluators import MOST_REPEATS, BatchEvaluator, BusEvaluator, Candidate, RealtimeEvaluator
 
 SCENARIOS = ("tiny", "other")

@@ -14,7 +14,7 @@ from tunefree_hil.config.dump import to_toml
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, write_text
 from tunefree_hil.jobs.tune.candidates import winner_of
 from tunefree_hil.jobs.tune.folder import HELD, run_folder_of
-from tunefree_hil.jobs.tune.wish import Asked, Wish, resolve_wish
+from tunefree_hil.jobs.tune.options import Asked, Wish, resolve_wish
 from tunefree_hil.tune.store import alone
 
 SHARED = "postgresql://me@host/studies#mine"

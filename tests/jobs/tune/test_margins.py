@@ -23,9 +23,16 @@ from tunefree_hil.grade.margins import POINTS, SAME, WALKS
 from tunefree_hil.grade.score import ScenarioGrade
 from tunefree_hil.jobs.tune import margins
 from tunefree_hil.jobs.tune.candidates import TUNED
-from tunefree_hil.jobs.tune.margins import EFFECTS, Found, drive_margins, find_margins
-from tunefree_hil.jobs.tune.margins_report import margin_data, steering_data
-from tunefree_hil.jobs.tune.margins_words import margin_table, margin_words
+from tunefree_hil.jobs.tune.margins import (
+    EFFECTS,
+    Found,
+    drive_margins,
+    find_margins,
+    margin_data,
+    margin_table,
+    margin_words,
+    steering_data,
+)
 
 SCENARIOS = ("tiny", "other")
 MASS_KG = 2080.0  # of mkz_nominal

@@ -16,11 +16,11 @@ from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.tune.candidates import baseline_vectors
 from tunefree_hil.jobs.tune.evaluators import Candidate, Evaluator
 from tunefree_hil.jobs.tune.search import Search
-from tunefree_hil.tune.filling import ASKED_AGAIN
 from tunefree_hil.tune.journal import open_journal
 from tunefree_hil.tune.space import resolve
 from tunefree_hil.tune.store import Settings
 from tunefree_hil.tune.trial import Evaluation
+from tunefree_hil.tune.trial_loop import ASKED_AGAIN
 
 
 class Flaky:

@@ -19,7 +19,7 @@ from tunefree_hil.bus.bench_channel import HelloCollector, Role, hello_messages
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.tune import tune
 from tunefree_hil.jobs.tune.evaluators import Candidate
-from tunefree_hil.jobs.tune.wish import Asked, Wish, resolve_wish
+from tunefree_hil.jobs.tune.options import Asked, Wish, resolve_wish
 from tunefree_hil.tune.trial import Evaluation, Trial
 
 WINNER = Trial(4, 4, {"mrac.t_ref_s": 0.1, "mrac.p": 0.001}, 0.25, {})

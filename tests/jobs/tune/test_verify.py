@@ -14,11 +14,11 @@ from tests.jobs.made_runs import made_tune
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load, parameters_of
-from tunefree_hil.bench.fleet import Fleet
+from tunefree_hil.bench.parallel import Fleet
 from tunefree_hil.config.dump import to_toml
 from tunefree_hil.grade.margins import SAME, WALKS
 from tunefree_hil.jobs.run_folder import write_text
-from tunefree_hil.jobs.tune import margins, margins_report, verify
+from tunefree_hil.jobs.tune import margins, verify
 from tunefree_hil.jobs.tune.candidates import baseline_vectors
 
 FEW = {"friction": (SAME._replace(friction=0.8), SAME._replace(friction=0.6)), "lag": (SAME._replace(lag=1.4),)}
@@ -51,7 +51,7 @@ def run(tmp_path: Path) -> Path:
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few changed cars, and one manual vector."""
-    for module in (margins, margins_report):
+    for module in (margins, margins):
         monkeypatch.setattr(module, "POINTS", FEW)
         monkeypatch.setattr(module, "WALKS", SHORT)
     monkeypatch.setattr(margins, "Batch", HereBatch)

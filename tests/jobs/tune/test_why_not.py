@@ -9,7 +9,7 @@ import pytest
 from tests.bench.own_part import PART
 from tests.bench.tiny import write_bench
 from tunefree_hil.bench import load
-from tunefree_hil.jobs.running.serving import OURS
+from tunefree_hil.jobs.running.node_main import OURS
 from tunefree_hil.jobs.tune.margins import why_not
 
 

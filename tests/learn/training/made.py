@@ -8,7 +8,7 @@ from pathlib import Path
 from tests.learn.made_drives import made_drive, whole
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
-from tunefree_hil.learn.motion import Track, track_of
+from tunefree_hil.learn.evaluation.motion import Track, track_of
 
 REST = 0.15
 TRUTH = {

@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch")
 
 from tests.learn.training.made import REST, physics, track  # noqa: E402
 from tunefree_hil.base.errors import InputError  # noqa: E402
-from tunefree_hil.learn.motion import Track  # noqa: E402
+from tunefree_hil.learn.evaluation.motion import Track  # noqa: E402
 from tunefree_hil.learn.training import loop  # noqa: E402
 from tunefree_hil.learn.training.fit import STEPS, fit, learner_of, steps_for  # noqa: E402
 from tunefree_hil.learn.training.learners import Wish  # noqa: E402

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.learn.map_cells import Points, cell_errors, rms
-from tunefree_hil.learn.map_net import PedalNet, Scale, merged
+from tunefree_hil.learn.open_loop_map.cells import Points, cell_errors, rms
+from tunefree_hil.learn.open_loop_map.table import PedalNet, Scale, merged
 from tunefree_hil.learn.training import map_nets
 
 

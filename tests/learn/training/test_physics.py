@@ -10,10 +10,10 @@ torch = pytest.importorskip("torch")
 from tunefree_hil.base.contracts import BodyChange  # noqa: E402
 from tunefree_hil.base.records import GEAR_DRIVE, Actuation, Disturbance  # noqa: E402
 from tunefree_hil.learn.training.physics import Physics, tick  # noqa: E402
-from tunefree_hil.plant.body import ChassisInput  # noqa: E402
 from tunefree_hil.plant.data_sheet import constants_of  # noqa: E402
 from tunefree_hil.plant.kinematics import Velocity  # noqa: E402
 from tunefree_hil.plant.single_track import pushed  # noqa: E402
+from tunefree_hil.plant.types import ChassisInput  # noqa: E402
 
 DT_S = 0.01
 PARAMS = {"front_axle_m": 1.27, "front_stiffness_n_per_rad": 118000.0, "throttle_zero_frac": 0.17,

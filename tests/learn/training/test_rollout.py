@@ -11,9 +11,9 @@ torch = pytest.importorskip("torch")
 
 from tests.learn.training.made import REST, physics, track, vehicle  # noqa: E402
 from tunefree_hil.config.load import load_model  # noqa: E402
-from tunefree_hil.learn.free_run import ridden, rig_of  # noqa: E402
-from tunefree_hil.learn.learned_folder import Learned, write_learned  # noqa: E402
-from tunefree_hil.learn.motion import outputs_of  # noqa: E402
+from tunefree_hil.learn.evaluation.free_run import ridden, rig_of  # noqa: E402
+from tunefree_hil.learn.evaluation.motion import outputs_of  # noqa: E402
+from tunefree_hil.learn.model_folder import Learned, write_learned  # noqa: E402
 from tunefree_hil.learn.training.fit import learner_of  # noqa: E402
 from tunefree_hil.learn.training.learners import FreeRunLearner, Wish  # noqa: E402
 from tunefree_hil.learn.training.one_step import OneStepLearner  # noqa: E402

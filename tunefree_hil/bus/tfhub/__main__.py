@@ -7,9 +7,9 @@ import sys
 
 from tunefree_hil.base.errors import TunefreeError
 from tunefree_hil.bus.tfhub.address import DEFAULT_TRANSPORT, HubInfo
-from tunefree_hil.bus.tfhub.peers import OBSERVER_BYTES
 from tunefree_hil.bus.tfhub.records import LOG_NAMES
-from tunefree_hil.bus.tfhub.serve import say_on_stderr, serve
+from tunefree_hil.bus.tfhub.server.connections import OBSERVER_BYTES
+from tunefree_hil.bus.tfhub.server.serve import say_on_stderr, serve
 
 
 def main() -> int:

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import BenchError, NoAnswer
 from tunefree_hil.bus.tfhub import address
-from tunefree_hil.bus.tfhub.connection import Connection, ConnectionGone
 from tunefree_hil.bus.tfhub.records import REPLY, REQUEST, body_of, pack_control
+from tunefree_hil.bus.tfhub.server.connection import Connection, ConnectionGone
 
 REPLY_S = 60.0  # a disk may be slow; a hub that is gone is noticed at once
 STATS_S = 5.0  # these need no disk: a hub that does not say them is stopped

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from tunefree_hil.base.records import CanFrame
-from tunefree_hil.bus.tfhub.connection import ConnectionGone
 from tunefree_hil.bus.tfhub.plugin import HubBus
 from tunefree_hil.bus.tfhub.records import (
     CLASSIC,
@@ -23,6 +22,7 @@ from tunefree_hil.bus.tfhub.records import (
     pack_frames,
     unpack_raw,
 )
+from tunefree_hil.bus.tfhub.server.connection import ConnectionGone
 
 SEND_S = 10.0
 

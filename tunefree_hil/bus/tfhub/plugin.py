@@ -17,7 +17,6 @@ from tunefree_hil.base.errors import BenchError, InputError, PeerGone
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.python_can import can
 from tunefree_hil.bus.tfhub import address
-from tunefree_hil.bus.tfhub.connection import Connection, ConnectionGone
 from tunefree_hil.bus.tfhub.records import (
     BRS,
     DROPPED,
@@ -36,6 +35,7 @@ from tunefree_hil.bus.tfhub.records import (
     plain_frames,
     unpack_raw,
 )
+from tunefree_hil.bus.tfhub.server.connection import Connection, ConnectionGone
 
 LOG = logging.getLogger("can.tfhub")
 ROLES = ("member", "observer")

@@ -8,7 +8,6 @@ import socket
 import time
 from typing import TYPE_CHECKING, Any
 
-from tunefree_hil.bus.tfhub.peers import Peer
 from tunefree_hil.bus.tfhub.records import (
     CHANNELS,
     PEER_GONE,
@@ -18,9 +17,10 @@ from tunefree_hil.bus.tfhub.records import (
     RecordError,
     pack_control,
 )
+from tunefree_hil.bus.tfhub.server.connections import Peer
 
 if TYPE_CHECKING:
-    from tunefree_hil.bus.tfhub.hub import Hub
+    from tunefree_hil.bus.tfhub.server.hub import Hub
 
 HELLO_PATIENCE_S = 2.0
 OWNER_PATIENCE_S = 10.0

@@ -19,7 +19,7 @@ from tunefree_hil.bench import is_heavy
 from tunefree_hil.bus.bench_channel import ErrorCode
 from tunefree_hil.collect.coverage import map_lines
 from tunefree_hil.collect.envelope import Beyond
-from tunefree_hil.collect.seen import lacking
+from tunefree_hil.collect.features import lacking
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.jobs.collect.picture import draw_map
@@ -35,7 +35,7 @@ from tunefree_hil.jobs.collect.plan import (
     write_plan,
 )
 from tunefree_hil.jobs.collect.state import IDLE_DRIVES, Collection
-from tunefree_hil.jobs.pasted import PROGRAM, given, pasted
+from tunefree_hil.jobs.command_text import PROGRAM, given, pasted
 from tunefree_hil.jobs.run_folder import RunFolder, remove_parts
 from tunefree_hil.jobs.running.node_links import bus_for
 from tunefree_hil.jobs.running.session import Session

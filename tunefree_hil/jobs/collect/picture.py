@@ -12,7 +12,7 @@ from tunefree_hil.collect.coverage import Coverage, groups
 
 def draw_map(path: Path, coverage: Coverage, title: str) -> Path:
     """The picture of a coverage, a panel for each band of speed; its path."""
-    from tunefree_hil.figures.coverage import Panel, write_coverage
+    from tunefree_hil.figures.learning.coverage import Panel, write_coverage
 
     panels = []
     for group in groups(coverage):

@@ -18,7 +18,7 @@ from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.find import available, find
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import VehicleSpec
-from tunefree_hil.jobs.require import VEHICLE, require_model_of, require_number
+from tunefree_hil.jobs.preconditions import VEHICLE, require_model_of, require_number
 from tunefree_hil.jobs.run_folder import SCHEMA, RunFolder, open_run, unfinished, versions, write_json, write_text
 
 DRIVE_S = 110.0  # after so long a drive begins to stop, unless told otherwise

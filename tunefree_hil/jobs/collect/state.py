@@ -10,12 +10,12 @@ import numpy as np
 from tunefree_hil.bench import Bench
 from tunefree_hil.collect.coverage import Coverage
 from tunefree_hil.collect.envelope import Beyond, beyond, envelope_of
-from tunefree_hil.collect.gentle import TOGETHER
+from tunefree_hil.collect.gentle_driving import TOGETHER
 from tunefree_hil.collect.plan import driven_stretches, driven_targets
 from tunefree_hil.jobs.collect.plan import Asked, Start, drive_name
 from tunefree_hil.jobs.run_folder import RunFolder, write_json
-from tunefree_hil.learn.drives import Drive
-from tunefree_hil.learn.read import read_drives
+from tunefree_hil.learn.drives.drive import Drive
+from tunefree_hil.learn.drives.read import read_drives
 
 IDLE_DRIVES = 3  # so many drives one after the other that fill less than LEAST_GAIN of a quota
 LEAST_GAIN = 0.05

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.errors import TunefreeError
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.commission import gates, stages
-from tunefree_hil.jobs.commission.gap import disappointed, gap_command
+from tunefree_hil.jobs.commission.next_gap_command import disappointed, gap_command
 from tunefree_hil.jobs.commission.plan import NAMES, Asked, Plan, make_plan
 from tunefree_hil.jobs.commission.record import Record, held_record
 from tunefree_hil.jobs.commission.report import write_report

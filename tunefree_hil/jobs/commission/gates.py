@@ -10,8 +10,8 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from tunefree_hil.jobs.command_text import pasted
 from tunefree_hil.jobs.commission.plan import Plan
-from tunefree_hil.jobs.pasted import pasted
 
 HORIZON = "10"  # s of free run
 

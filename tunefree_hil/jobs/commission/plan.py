@@ -19,11 +19,11 @@ from tunefree_hil.config.load import load_bench, load_model
 from tunefree_hil.config.schema import BenchSpec, VehicleSpec
 from tunefree_hil.jobs.collect.plan import Asked as CollectAsked
 from tunefree_hil.jobs.collect.plan import require_room
+from tunefree_hil.jobs.command_text import given, pasted
 from tunefree_hil.jobs.commission.settings import tuning_hash, verify_hash
 from tunefree_hil.jobs.commission.vehicle import VEHICLE, write_vehicle
 from tunefree_hil.jobs.identity import resolved_toml
-from tunefree_hil.jobs.learn.calibrate_words import benches_of
-from tunefree_hil.jobs.pasted import given, pasted
+from tunefree_hil.jobs.learn.report_text import benches_of
 from tunefree_hil.jobs.run_folder import write_text
 
 ROOT = Path("runs")
@@ -135,7 +135,7 @@ class Plan(NamedTuple):
                 path.rename(other)
 
     def tidy(self) -> None:
-        """Take away model folders that were being written when a process was killed (learn/write_model.py)."""
+        """Take away model folders that were being written when a process was killed (learn/model_folder.py)."""
         for path in self.folder.glob("part-*"):
             shutil.rmtree(path)
 
@@ -206,9 +206,9 @@ def require_options(asked: Asked) -> None:
 
 def _require_stages(asked: Asked, vehicle: VehicleSpec, template: BenchSpec) -> None:
     """What the stages would refuse, some only after others have run: room, torch, set, bus, controller."""
-    from tunefree_hil.jobs.tune.wish import Asked as TuneAsked
-    from tunefree_hil.jobs.tune.wish import resolve_wish
-    from tunefree_hil.learn.training.needs import require_torch
+    from tunefree_hil.jobs.tune.options import Asked as TuneAsked
+    from tunefree_hil.jobs.tune.options import resolve_wish
+    from tunefree_hil.learn.training.torch_extra import require_torch
 
     require_room(vehicle, collect_wish(asked, Path(template.path), None))
     if find_spec("torch") is None:  # not imported: a collection needs none of it

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from tunefree_hil.jobs.commission import gates
-from tunefree_hil.jobs.commission.gap import disappointed, gap_command
+from tunefree_hil.jobs.commission.next_gap_command import disappointed, gap_command
 from tunefree_hil.jobs.commission.plan import NAMES, Plan
 from tunefree_hil.jobs.commission.record import Record
+from tunefree_hil.jobs.report_text import markdown_table
 from tunefree_hil.jobs.run_folder import write_text
-from tunefree_hil.jobs.tune.hold_words import held_rows
-from tunefree_hil.jobs.words import markdown_table
+from tunefree_hil.jobs.tune.robustness import held_rows
 
 REPORT = "report.md"
 TITLES = {

@@ -26,8 +26,8 @@ def kept(result: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     Pictures are named as seen from `folder`, the commission's, so that it may be moved. replans: of the winner, where
     drives of it are told.
     """
+    from tunefree_hil.jobs.report_text import replans
     from tunefree_hil.jobs.tune.candidates import TUNED
-    from tunefree_hil.jobs.words import replans
 
     found = {key: value for key, value in result.items() if key in SHOWN}
     tuned = (result.get("scenarios") or {}).get(TUNED)
@@ -71,8 +71,8 @@ def run_map(plan: Plan) -> Iterator[Event]:
 
 def run_tune(plan: Plan) -> Iterator[Event]:
     """The search on the learned plant; verification is a stage of its own."""
+    from tunefree_hil.jobs.tune.options import Asked
     from tunefree_hil.jobs.tune.tune import tune
-    from tunefree_hil.jobs.tune.wish import Asked
 
     asked = plan.asked
     wish = Asked(

@@ -13,7 +13,7 @@ from pathlib import Path
 from tunefree_hil.config.dump import plain
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import BenchSpec
-from tunefree_hil.learn.write_model import data_of, write_beside
+from tunefree_hil.learn.model_folder import data_of, write_beside
 
 VEHICLE = "vehicle"  # in the commission's folder
 HEAD = "# Written by tunefree_hil commission: {model} with the [[effects]] of {bench}, as `collect` drove it.\n"

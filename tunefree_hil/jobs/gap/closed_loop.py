@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.gap.repair import write_repaired
-from tunefree_hil.jobs.gap.words import listed
+from tunefree_hil.gap.validation.repair import write_repaired
+from tunefree_hil.jobs.gap.report_text import listed
 
 if TYPE_CHECKING:
     from tunefree_hil.bench.simulator import Drive
@@ -144,7 +144,7 @@ def _add(sums: Sums, drives: Mapping[str, Drive]) -> None:
     """The signals of one log, over the rows that all its drives have: one that ends early is not flattered by it."""
     import numpy as np
 
-    from tunefree_hil.learn.motion import wrapped
+    from tunefree_hil.learn.evaluation.motion import wrapped
 
     rows = min(one.recording.ticks for one in drives.values())
     for signal in SIGNALS:

@@ -22,8 +22,9 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.collect.bounds import bounds_of
 from tunefree_hil.effects import catalogue
-from tunefree_hil.gap.drive_menu import MENU, Manoeuvre, plan_for, to_drive
-from tunefree_hil.gap.suspects import class_of
+from tunefree_hil.gap.estimation.candidates import class_of
+from tunefree_hil.gap.experiment_design import MENU, Manoeuvre, plan_for, to_drive
+from tunefree_hil.jobs.command_text import given, option_words
 from tunefree_hil.jobs.gap.drive_bench import (
     Job,
     Wish,
@@ -35,9 +36,8 @@ from tunefree_hil.jobs.gap.drive_bench import (
 )
 from tunefree_hil.jobs.gap.folder import ANSWER, LOCK, PAGE, Folder
 from tunefree_hil.jobs.gap.gap import Asked, gap, model_for
-from tunefree_hil.jobs.gap.page import write_page
-from tunefree_hil.jobs.gap.words import COMMAND, again, next_of
-from tunefree_hil.jobs.pasted import given, option_words
+from tunefree_hil.jobs.gap.report import write_page
+from tunefree_hil.jobs.gap.report_text import COMMAND, again, next_of
 from tunefree_hil.jobs.run_folder import read_json
 
 if TYPE_CHECKING:

@@ -17,13 +17,13 @@ from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bench import Bench, VehicleFor, is_heavy, needed_messages
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.formats.rows import FD, Row
-from tunefree_hil.bus.ledger import can_key
+from tunefree_hil.bus.recording.frame_attribution import can_key
 from tunefree_hil.collect.bounds import Bounds
 from tunefree_hil.collect.plan import DrivePlan, as_dict
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.config.schema import ScenarioSpec, VehicleSpec
 from tunefree_hil.episode.candump import write_candump
-from tunefree_hil.gap.drive_menu import AREA_M, Manoeuvre, plan_for
+from tunefree_hil.gap.experiment_design import AREA_M, Manoeuvre, plan_for
 from tunefree_hil.jobs.collect import plan as collect_plan
 from tunefree_hil.jobs.collect.collect import ANY_PARAMETER, require_stopped
 from tunefree_hil.jobs.collect.plan import Start, drive_name, open_folder, prepare, record_of, vehicle_and_model

@@ -2,7 +2,7 @@
 
 question.json   what was asked: hashes of logs, vehicle, model and its card, effects, the version; a folder that holds
                 more than this is gone on with for no other
-search.json     what the search came to (gap/kept.py): what costs time
+search.json     what the search came to (gap/result.py): what costs time
 gap.json        the answer (interfaces 9), last; gap.md, figures/, model/ are there before it
 """
 
@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.gap import kept
+from tunefree_hil.gap import result
 from tunefree_hil.jobs.run_folder import read_json, write_json, write_text
-from tunefree_hil.learn.write_model import plain, require_new
+from tunefree_hil.learn.model_folder import plain, require_new
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import ModelSpec, VehicleSpec
-    from tunefree_hil.gap.kept import Kept
-    from tunefree_hil.learn.drives import Drive
+    from tunefree_hil.gap.result import Kept
+    from tunefree_hil.learn.drives.drive import Drive
 
 QUESTION, SEARCH, ANSWER = "question.json", "search.json", "gap.json"
 MODEL, FIGURES, PAGE = "model", "figures", "gap.md"
@@ -59,15 +59,15 @@ class Folder(NamedTuple):
         names has also located.
         """
         try:
-            found = kept.from_json(_said_in(self.path / SEARCH))
+            found = result.from_json(_said_in(self.path / SEARCH))
         except ValueError:
             return None  # there is none, or one that another version or somebody's hand left
         return found if found.named or not named else None
 
     def keep(self, found: Kept) -> Kept:
         """Keep what the search came to; the same as whoever goes on later reads it."""
-        write_json(self.path / SEARCH, kept.as_json(found))
-        return kept.from_json(read_json(self.path / SEARCH))
+        write_json(self.path / SEARCH, result.as_json(found))
+        return result.from_json(read_json(self.path / SEARCH))
 
     def answer(self, until: str) -> dict[str, Any] | None:
         """The answer that is there, with the paths that its files have now; None where there is none that goes as far

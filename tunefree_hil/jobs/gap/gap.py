@@ -1,6 +1,6 @@
 """Finds what a model lacks that logs show: where they part, what it is, the model with it, and the proof.
 
-Reads logs, searches (gap/name.py), repairs and proves; writes a folder of which `gap.json` comes last.
+Reads logs, searches (gap/pipeline.py), repairs and proves; writes a folder of which `gap.json` comes last.
 What the search came to is kept, so that a run that was cut off after it goes on from there.
 """
 
@@ -15,21 +15,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.gap.kept import Kept, keep
-from tunefree_hil.gap.result import NOWHERE
+from tunefree_hil.gap.result import NOWHERE, Kept, keep
+from tunefree_hil.jobs.gap.calibration_logs import half_made
 from tunefree_hil.jobs.gap.folder import ANSWER, ANSWER_SCHEMA, Folder, held_folder, question_of, require_ours
-from tunefree_hil.jobs.gap.own_logs import half_made
-from tunefree_hil.jobs.gap.page import write_page
-from tunefree_hil.jobs.gap.sound import require_sound
-from tunefree_hil.jobs.gap.words import again, next_of, remarks, sentence_of
+from tunefree_hil.jobs.gap.model_sanity import require_sound
+from tunefree_hil.jobs.gap.report import write_page
+from tunefree_hil.jobs.gap.report_text import again, next_of, remarks, sentence_of
 from tunefree_hil.jobs.learn.logs import read
+from tunefree_hil.jobs.preconditions import require_model_of
 from tunefree_hil.jobs.progress import eta_of, told
-from tunefree_hil.jobs.require import require_model_of
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import ModelSpec, VehicleSpec
-    from tunefree_hil.gap.chain import Opened
-    from tunefree_hil.learn.drives import Drive
+    from tunefree_hil.gap.measured.chain import Opened
+    from tunefree_hil.learn.drives.drive import Drive
 
 # What is too little to learn from may be enough to judge by; where it is not, the answer is that it cannot be told. A
 # steering that stays short of its command, or an echo that stands, is what somebody may ask about.
@@ -54,7 +53,7 @@ class Asked(NamedTuple):
 
 class Material(NamedTuple):
     """What an answer is made of. given: the model as it is in its folder; model: the same with what its own logs say of
-    it (gap/repair.py, `moved`). left_out: logs of which nothing can be told, in words.
+    it (gap/validation/repair.py, `moved`). left_out: logs of which nothing can be told, in words.
     """
 
     vehicle: VehicleSpec
@@ -72,7 +71,7 @@ def gap(asked: Asked) -> Iterator[Event]:
     holds something else.
     """
     from tunefree_hil.config.load import load_vehicle
-    from tunefree_hil.gap.repair import moved
+    from tunefree_hil.gap.validation.repair import moved
 
     vehicle = load_vehicle(asked.vehicle)
     model = model_for(asked.model, vehicle)
@@ -127,7 +126,7 @@ def _require_others(drives: Sequence[Drive], older: Sequence[Drive]) -> None:
 
 def _other_car(drives: Sequence[Drive], older: Sequence[Drive]) -> Iterator[str]:
     """What older logs do not share with those that are asked about: another car, or what came to it in between."""
-    from tunefree_hil.learn.check_pair import check_same_vehicle
+    from tunefree_hil.learn.checks.same_vehicle import check_same_vehicle
 
     marked = [one._replace(name=f"{one.path} (--older)") for one in older]  # short names are those of a group
     names = {one.name for one in marked}
@@ -142,7 +141,7 @@ def _without_mute(
     """(drives that say something of the speed, names of the others). Where all of those that are asked about do not,
     they stay: that they cannot tell is the answer then.
     """
-    from tunefree_hil.gap.chain import says_speed
+    from tunefree_hil.gap.measured.chain import says_speed
 
     says = [says_speed(one, vehicle) for one in drives]
     if not (all_may_go or any(says)):
@@ -157,7 +156,7 @@ def _read(logs: Sequence[Path], vehicle: VehicleSpec) -> Generator[Event, None, 
 
 
 def _without_stops(drive: Drive) -> tuple[Drive, list[str]]:
-    from tunefree_hil.gap.saturated import stops_of, without
+    from tunefree_hil.gap.measured.signals import stops_of, without
 
     stops = stops_of(drive)
     words = [f"{stop.words} and is left out: what shows in it alone is not told" for stop in stops]
@@ -193,7 +192,7 @@ def _going_on(events: Generator[Event, None, T], asked: Asked, *, saved: bool) -
 
 
 def _opened(material: Material) -> Generator[Event, None, list[Opened]]:
-    from tunefree_hil.gap.chain import open_chain
+    from tunefree_hil.gap.measured.chain import open_chain
 
     opened = [open_chain(drive, material.vehicle) for drive in material.drives]
     yield from (Event("warning", words) for one in opened for words in one.unsure)
@@ -202,8 +201,7 @@ def _opened(material: Material) -> Generator[Event, None, list[Opened]]:
 
 def _searched(asked: Asked, material: Material, opened: list[Opened]) -> Generator[Event, None, Kept]:
     """The search, with its progress."""
-    from tunefree_hil.gap.look_first import look_first
-    from tunefree_hil.gap.name import name
+    from tunefree_hil.gap.pipeline import look_first, name
 
     began, looks = time.monotonic(), asked.until == "locate"
     question = (material.model, material.vehicle, opened)
@@ -228,7 +226,7 @@ def _proved(
     """The answer with its repair and its proof, as far as they are asked for."""
     from tunefree_hil.jobs.gap import repair as gap_repair
     from tunefree_hil.jobs.gap.closed_loop import replayed
-    from tunefree_hil.jobs.gap.pictures import draw
+    from tunefree_hil.jobs.gap.report import draw
 
     answer = {**found.answer, "effects": [{**one, **UNPROVED} for one in found.answer["effects"]]}
     yield from (Event("note", words) for words in (sentence_of(answer), *remarks(answer)))

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
-from tunefree_hil.gap.pays import Paid, chosen_runs, gained, groups_of, that_pays
-from tunefree_hil.gap.repair import Repaired, changes_of, found_effects, repaired, write_repaired
+from tunefree_hil.gap.measured.blocks import block_s_of
 from tunefree_hil.gap.result import is_absorbed
-from tunefree_hil.gap.segments import block_s_of
-from tunefree_hil.gap.shrink import (
+from tunefree_hil.gap.validation.gap_closed import (
     Gap,
     better_by_recalibration,
     explained_frac,
@@ -24,21 +22,23 @@ from tunefree_hil.gap.shrink import (
     unforetold,
     worse_signals,
 )
-from tunefree_hil.gap.verify import Proof, Variant, prove
-from tunefree_hil.jobs.gap.borne_out import closes_it, is_borne_out, taken_back
-from tunefree_hil.jobs.gap.words import CLOSES_NOTHING, UNJUDGED, is_unshown, missed_words
+from tunefree_hil.gap.validation.holdout import Proof, Variant, prove
+from tunefree_hil.gap.validation.repair import Repaired, changes_of, found_effects, repaired, write_repaired
+from tunefree_hil.gap.validation.update_selection import Paid, chosen_runs, gained, groups_of, that_pays
+from tunefree_hil.jobs.gap.acceptance import closes_it, is_borne_out, taken_back
+from tunefree_hil.jobs.gap.report_text import CLOSES_NOTHING, UNJUDGED, is_unshown, missed_words
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import EffectSpec, ModelSpec
-    from tunefree_hil.gap.chain import Opened
-    from tunefree_hil.gap.kept import Kept
+    from tunefree_hil.gap.measured.chain import Opened
+    from tunefree_hil.gap.result import Kept
     from tunefree_hil.jobs.gap.folder import Folder
     from tunefree_hil.jobs.gap.gap import Material
 
 
 class Mended(NamedTuple):
     """null: the model recalibrated; made: with what was found, None where nothing was; model: as written and loaded.
-    left: groups of numbers (gap/pays.py) that recalibration moved and that stay as they were, as that did not pay.
+    left: groups of numbers (gap/validation/update_selection.py) that recalibration moved and that stay as they were, as that did not pay.
     """
 
     null: Repaired
@@ -197,7 +197,7 @@ def _gained(gaps: Mapping[str, Any]) -> dict[str, dict[str, float]]:
 
 def _older(material: Material, model: ModelSpec) -> Generator[Event, None, list[dict[str, Any]]]:
     """Every older log by itself, the model as it was against the repaired one, both as a bench would drive them."""
-    from tunefree_hil.gap.chain import open_chain
+    from tunefree_hil.gap.measured.chain import open_chain
 
     found = []
     for drive in material.older:

@@ -15,8 +15,8 @@ from tunefree_hil.grade.score import FINISHED
 from tunefree_hil.grade.table import by_aspect
 from tunefree_hil.jobs.drive import DEFAULT_ROOT
 from tunefree_hil.jobs.grade.run_drives import RunDrives, read_run
+from tunefree_hil.jobs.report_text import early
 from tunefree_hil.jobs.run_folder import RunFolder, write_json
-from tunefree_hil.jobs.words import early
 
 SCHEMA = "tunefree.compare/1"
 COMBINED = "combined"

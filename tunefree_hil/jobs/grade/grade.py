@@ -9,7 +9,7 @@ from typing import Any
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.load import load_vehicle, load_weights
 from tunefree_hil.config.schema import WeightsSpec
 from tunefree_hil.episode.recording import Recording, save_recording
@@ -21,9 +21,9 @@ from tunefree_hil.grade.table import PUBLISHED, TABLE, by_aspect
 from tunefree_hil.jobs.drive import DEFAULT_ROOT, find_scenario
 from tunefree_hil.jobs.log.drive import LogDrive, beside_of, manual_s, read_drive, refuse_jump
 from tunefree_hil.jobs.log.files import codec_for, load_log
-from tunefree_hil.jobs.require import require_number
+from tunefree_hil.jobs.preconditions import require_number
+from tunefree_hil.jobs.report_text import early
 from tunefree_hil.jobs.run_folder import RunFolder, read_json, write_json
-from tunefree_hil.jobs.words import early
 
 SCHEMA = "tunefree.grade/1"
 MOST_START_S = 1e9  # thirty years; beyond the end of a log anyway

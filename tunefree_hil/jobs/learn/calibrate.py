@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tunefree_hil.base.events import Event
-from tunefree_hil.jobs.gap.own_logs import ask_own_logs, were_asked
-from tunefree_hil.jobs.learn.calibrate_words import SEED, again, channel_words, closing
-from tunefree_hil.jobs.learn.calibrated import STOPPED, Fitted, card_of, fit_all, said_of, split_of, write
+from tunefree_hil.jobs.gap.calibration_logs import ask_own_logs, were_asked
+from tunefree_hil.jobs.learn.calibration import STOPPED, Fitted, card_of, fit_all, said_of, split_of, write
 from tunefree_hil.jobs.learn.logs import read
-from tunefree_hil.learn.drives import Drive, Split
-from tunefree_hil.learn.level import offset_words
-from tunefree_hil.learn.worker import Worker
-from tunefree_hil.learn.write_model import require_new
+from tunefree_hil.jobs.learn.report_text import SEED, again, channel_words, closing
+from tunefree_hil.learn.compiled_process import Worker
+from tunefree_hil.learn.drives.drive import Drive, Split
+from tunefree_hil.learn.drives.road_slope import offset_words
+from tunefree_hil.learn.model_folder import require_new
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
@@ -80,8 +80,8 @@ def _made(out: Path, spec: VehicleSpec, drives: Sequence[Drive], seed: int) -> G
 
 def draw(folder: Path, fitted: Fitted, split: Split) -> list[Path]:
     """Both pictures."""
-    from tunefree_hil.figures.calibrate import Channel, Growth, Stretch, write_channels, write_growth
-    from tunefree_hil.learn.windows import TARGETS
+    from tunefree_hil.figures.learning.calibrate import Channel, Growth, Stretch, write_channels, write_growth
+    from tunefree_hil.learn.physics.windows import TARGETS
 
     channels = [
         Channel(name, channel_words(name, found).partition(": ")[2], [Stretch(*one) for one in fitted.traces[name]])

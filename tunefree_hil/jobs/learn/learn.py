@@ -9,22 +9,29 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.gap.card import read_card
-from tunefree_hil.jobs.gap.own_logs import ask_own_logs, were_asked
-from tunefree_hil.jobs.learn import calibrated
+from tunefree_hil.gap.model.card import read_card
+from tunefree_hil.jobs.command_text import given, pasted
+from tunefree_hil.jobs.gap.calibration_logs import ask_own_logs, were_asked
+from tunefree_hil.jobs.learn import calibration
 from tunefree_hil.jobs.learn.logs import read
-from tunefree_hil.jobs.pasted import given, pasted
+from tunefree_hil.jobs.preconditions import require_model_of, require_number
 from tunefree_hil.jobs.progress import told
-from tunefree_hil.jobs.require import require_model_of, require_number
-from tunefree_hil.learn.card import Training, card_of
-from tunefree_hil.learn.drives import Drive, Split
-from tunefree_hil.learn.free_run import Judged
-from tunefree_hil.learn.learned_folder import Learned, calibration_of, write_learned
-from tunefree_hil.learn.level import offset_words
-from tunefree_hil.learn.motion import Track, tracks_of
-from tunefree_hil.learn.physics_problem import ROAD
-from tunefree_hil.learn.worker import Worker
-from tunefree_hil.learn.write_model import CARD_FILE, OWN_EFFECTS, require_new
+from tunefree_hil.learn.compiled_process import Worker
+from tunefree_hil.learn.drives.drive import Drive, Split
+from tunefree_hil.learn.drives.road_slope import offset_words
+from tunefree_hil.learn.evaluation.free_run import Judged
+from tunefree_hil.learn.evaluation.motion import Track, tracks_of
+from tunefree_hil.learn.model_folder import (
+    CARD_FILE,
+    OWN_EFFECTS,
+    Learned,
+    Training,
+    calibration_of,
+    card_of,
+    require_new,
+    write_learned,
+)
+from tunefree_hil.learn.physics.unknowns import ROAD
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import ModelSpec, VehicleSpec
@@ -73,23 +80,23 @@ def learn(asked: Asked) -> Iterator[Event]:
     if asked.physics is not None:
         physics_in(asked.physics, vehicle)
     began = time.monotonic()
-    drives = yield from read(asked.logs, vehicle, excused=calibrated.STOPPED)
-    split = yield from calibrated.split_of(drives, asked.seed)
+    drives = yield from read(asked.logs, vehicle, excused=calibration.STOPPED)
+    split = yield from calibration.split_of(drives, asked.seed)
     for words in offset_words(drives, vehicle):
         yield Event("warning", words)
     physics = yield from physics_of(asked, vehicle, drives, split)
     share = road_share_of(Path(physics.folder), drives)
     data = Data(drives, split, *(_tracks(parts, vehicle, share) for parts in (split.training, split.held_out)))
     part = asked.out.with_name(asked.out.name + ".part")
-    arrays, calibration, training = None, calibration_of(physics), None
+    arrays, map_arrays, training = None, calibration_of(physics), None
     if asked.kind == "rule_based":
-        calibration = yield from _map(drives, vehicle, asked.seed)
+        map_arrays = yield from _map(drives, vehicle, asked.seed)
     else:
         trained, wish = yield from _trained(asked, vehicle, physics, data, part)
         arrays, training = trained.arrays, _said(trained, wish)
         if trained.stopped:
             yield Event("warning", f"the training stopped after {trained.steps} steps: {trained.stopped}")
-    learned = Learned(asked.kind, vehicle, physics, arrays, calibration, asked.sample_spacing_s)
+    learned = Learned(asked.kind, vehicle, physics, arrays, map_arrays, asked.sample_spacing_s)
     judged = yield from _judged(learned, data)
     seconds = time.monotonic() - began
     card = card_of(asked.kind, vehicle, physics, drives, split.words, asked.seed, seconds, training, judged)
@@ -112,7 +119,7 @@ def _require(asked: Asked) -> None:
         raise InputError(f"no kind {asked.kind!r}", code="unknown_kind", key="--kind", hint=", ".join(KINDS))
     require_number("--minutes", asked.minutes, most=MOST_MINUTES, zero=True)
     require_number("--sample-spacing", asked.sample_spacing_s, most=MOST_SPACING_S)
-    from tunefree_hil.learn.training.needs import require_torch
+    from tunefree_hil.learn.training.torch_extra import require_torch
 
     require_torch(f"learn --kind {asked.kind}")
 
@@ -126,9 +133,9 @@ def physics_of(
         require_new(folder)
         began = time.monotonic()
         with Worker() as worker:
-            fitted = yield from calibrated.fit_all(worker, split, vehicle)
-        card = calibrated.card_of(drives, split, vehicle, fitted, asked.seed, time.monotonic() - began)
-        calibrated.write(folder, vehicle, fitted, split, card)
+            fitted = yield from calibration.fit_all(worker, split, vehicle)
+        card = calibration.card_of(drives, split, vehicle, fitted, asked.seed, time.monotonic() - began)
+        calibration.write(folder, vehicle, fitted, split, card)
     if asked.physics is None and not were_asked(folder):
         yield from ask_own_logs(folder, vehicle, drives)
     yield Event("note", f"physics: {folder}")
@@ -222,7 +229,7 @@ def _said(trained: Trained, wish: Wish) -> Training:
 def _map(drives: list[Drive], vehicle: VehicleSpec, seed: int) -> Generator[Event, None, dict[str, Any]]:
     """The open-loop map of the logs, as arrays of calibration.npz."""
     from tunefree_hil.jobs.learn.map import learned_map
-    from tunefree_hil.learn.map import gather
+    from tunefree_hil.learn.open_loop_map.build import gather
 
     learned = yield from learned_map(gather(drives, vehicle), vehicle, seed)
     return {name: getattr(learned.table, name) for name in ("speed_mps", "accel_mps2", "command_frac")}
@@ -230,7 +237,7 @@ def _map(drives: list[Drive], vehicle: VehicleSpec, seed: int) -> Generator[Even
 
 def _judged(learned: Learned, data: Data) -> Generator[Event, None, dict[str, Judged]]:
     """Free run of the physics and of what was learned, on held-out stretches, by the kernels: by kind."""
-    from tunefree_hil.learn.learned_folder import judged_by_kernels
+    from tunefree_hil.learn.model_folder import judged_by_kernels
 
     yield Event("note", "free run of what was learned, on what was held out")
     try:
@@ -243,7 +250,7 @@ def _judged(learned: Learned, data: Data) -> Generator[Event, None, dict[str, Ju
 
 
 def _drawn(asked: Asked, card: Mapping[str, Any]) -> list[str]:
-    from tunefree_hil.figures.learning import write_free_run
+    from tunefree_hil.figures.learning.training import write_free_run
 
     if not card["free_run"]:
         return []

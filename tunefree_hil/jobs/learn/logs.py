@@ -11,7 +11,7 @@ from tunefree_hil.base.events import Event
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
-    from tunefree_hil.learn.drives import Drive
+    from tunefree_hil.learn.drives.drive import Drive
 
 REAR_AXLE = "rear_axle"
 
@@ -25,17 +25,16 @@ def read(
 ) -> Generator[Event, None, list[Drive]]:
     """The drives of logs, in their order; what is to be said of them on the way.
 
-    excused: codes of refusals (learn/checks.py) that are no more than warnings to whoever asks; unsaid: codes that do
+    excused: codes of refusals (learn/checks/drive_checks.py) that are no more than warnings to whoever asks; unsaid: codes that do
     not matter to them at all; mend: what they leave out of a drive before it is judged, with words for it. Raises
     InputError where no log is named, one cannot be read, or one is refused: before anything is learned, with all that
     is wrong.
     """
-    from tunefree_hil.bus.codec import Codec
-    from tunefree_hil.learn.checks import check_drives
-    from tunefree_hil.learn.held_pose import PLACE, without_held_pose, without_place
-    from tunefree_hil.learn.problems import require_good
-    from tunefree_hil.learn.read import read_drives
-    from tunefree_hil.learn.spikes import without_spikes
+    from tunefree_hil.bus.dbc.codec import Codec
+    from tunefree_hil.learn.checks.drive_checks import check_drives
+    from tunefree_hil.learn.checks.problem import require_good
+    from tunefree_hil.learn.drives.read import read_drives
+    from tunefree_hil.learn.drives.validity import PLACE, without_held_pose, without_place, without_spikes
 
     if not logs:
         raise InputError("no log is named", code="no_log", key="LOG", hint="name one log or more")

@@ -13,17 +13,17 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.base.open_loop_map import MAP_FILE
 from tunefree_hil.jobs.learn.logs import read
+from tunefree_hil.jobs.preconditions import require_model_of
 from tunefree_hil.jobs.progress import left_s, told
-from tunefree_hil.jobs.require import require_model_of
-from tunefree_hil.learn.drives import Drive
-from tunefree_hil.learn.map import Gathered, LearnedMap, Step, gather, learn_map
-from tunefree_hil.learn.map_cells import cell_errors, rms
-from tunefree_hil.learn.map_samples import PEDALS
-from tunefree_hil.learn.map_table import BACKED, BEYOND, GAP, is_monotone, law_of, write_table
+from tunefree_hil.learn.drives.drive import Drive
+from tunefree_hil.learn.open_loop_map.build import Gathered, LearnedMap, Step, gather, learn_map
+from tunefree_hil.learn.open_loop_map.cells import cell_errors, rms
+from tunefree_hil.learn.open_loop_map.samples import PEDALS
+from tunefree_hil.learn.open_loop_map.table import BACKED, BEYOND, GAP, is_monotone, law_of, write_table
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
-    from tunefree_hil.figures.map import MapPicture
+    from tunefree_hil.figures.learning.map import MapPicture
 
 SCHEMA = "tunefree.map/1"
 
@@ -148,7 +148,7 @@ def _joined(errors: Sequence[Any]) -> Any:
 
 def draw(learned: LearnedMap, gathered: Gathered, target: Path) -> list[str]:
     """The two figures, beside the file: what was collected (Fig. 4a), what came out (Fig. 4b)."""
-    from tunefree_hil.figures.map import write_map, write_map_data
+    from tunefree_hil.figures.learning.map import write_map, write_map_data
 
     picture = picture_of(learned, gathered)
     stem = target.with_suffix("")
@@ -159,7 +159,7 @@ def draw(learned: LearnedMap, gathered: Gathered, target: Path) -> list[str]:
 
 def picture_of(learned: LearnedMap, gathered: Gathered) -> MapPicture:
     """Plain arrays for the figures."""
-    from tunefree_hil.figures.map import MapPicture
+    from tunefree_hil.figures.learning.map import MapPicture
 
     grid, samples = learned.grid, gathered.samples
     sign = samples.pedal

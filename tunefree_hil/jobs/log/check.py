@@ -10,7 +10,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.log.files import by_channel, codec_for, cut_warning, open_log
 
 if TYPE_CHECKING:
-    from tunefree_hil.bus.codec import Codec
+    from tunefree_hil.bus.dbc.codec import Codec
 
 HEAD = f"{'message':<24}{'id':>11}{'frames':>8}{'Hz':>8}{'wanted':>8}{'gap ms':>8}"
 HEAD += f"{'late':>6}{'lost':>6}{'short':>7}{'crc':>5}"
@@ -22,7 +22,7 @@ def check(path: Path, vehicle: str | None) -> Iterator[Event]:
     Columns: rate and the period's rate, longest gap, gaps above 1.5 periods, frames lost by their counter, frames
     shorter than the DBC says, frames whose CRC does not fit ('-': the folder names no profile to check it by).
     """
-    from tunefree_hil.bus.log_check import check_frames
+    from tunefree_hil.bus.recording.log_check import check_frames
 
     codec, where = codec_for(path, vehicle)
     yield Event("note", f"{path}, read as {where}")

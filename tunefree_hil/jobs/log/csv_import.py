@@ -17,19 +17,19 @@ from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.base.records import GROUPS
+from tunefree_hil.bus.dbc.synthetic_dbc import ENABLED, HIGHEST, STEP, dbc_text
 from tunefree_hil.bus.formats.rows import FD, Row
-from tunefree_hil.bus.invented import ENABLED, HIGHEST, STEP, dbc_text
 from tunefree_hil.config.dump import to_toml
 from tunefree_hil.config.load import load_import, load_vehicle
 from tunefree_hil.episode.candump import write_candump
 from tunefree_hil.episode.csv_drive import CsvDrive, read_csv_drive
 from tunefree_hil.episode.plausible import Finding, check_units
+from tunefree_hil.jobs.command_text import pasted
 from tunefree_hil.jobs.log.vehicle import vehicle_table
-from tunefree_hil.jobs.pasted import pasted
 
 if TYPE_CHECKING:
-    from tunefree_hil.bus.codec import Codec
-    from tunefree_hil.bus.message_map import MessageMap
+    from tunefree_hil.bus.dbc.codec import Codec
+    from tunefree_hil.bus.dbc.message_map import MessageMap
     from tunefree_hil.config.import_schema import ImportSpec
 
 CHANNEL = "can0"
@@ -169,7 +169,7 @@ def _states(drive: CsvDrive, codec: Codec, message: MessageMap) -> Iterator[tupl
 
 def frames_of(drive: CsvDrive, folder: Path) -> tuple[list[Row], float]:
     """(the frames by time, largest difference between a value and what its frame says), by the folder's own codec."""
-    from tunefree_hil.bus.codec import Codec
+    from tunefree_hil.bus.dbc.codec import Codec
 
     codec = Codec(load_vehicle(folder))
     found: list[tuple[int, int, Row]] = []

@@ -12,7 +12,7 @@ from tunefree_hil.base.course import Course, Tracking
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import CanFrame
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.control.follower import make_follower
 from tunefree_hil.episode.candump import EXTENDED_BIT, LogFrame
 from tunefree_hil.episode.columns import columns_from_frames

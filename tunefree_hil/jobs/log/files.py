@@ -12,7 +12,7 @@ from tunefree_hil.bus.formats.rows import Row
 from tunefree_hil.episode.candump import LogFrame, cut_line, read_rows
 
 if TYPE_CHECKING:
-    from tunefree_hil.bus.codec import Codec
+    from tunefree_hil.bus.dbc.codec import Codec
 
 KEPT_FLAGS = 31  # of a Row that a LogFrame has
 
@@ -91,7 +91,7 @@ def codec_for(path: Path, vehicle: str | None) -> tuple[Codec, str]:
 
     And its folder. Raises InputError when the vehicle is not known.
     """
-    from tunefree_hil.bus.codec import Codec
+    from tunefree_hil.bus.dbc.codec import Codec
     from tunefree_hil.config.load import load_bench, load_vehicle
 
     near: Path | None = None

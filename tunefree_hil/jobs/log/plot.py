@@ -16,7 +16,7 @@ from tunefree_hil.jobs.log.files import by_channel, codec_for, cut_warning, open
 from tunefree_hil.jobs.log.show import known_names, message_of, refuse_unknown
 
 if TYPE_CHECKING:
-    from tunefree_hil.bus.codec import Codec, MessageMap
+    from tunefree_hil.bus.dbc.codec import Codec, MessageMap
 
 GAP_PERIODS, GAP_S = 3.0, 0.05  # a silence is drawn as one from three periods on, but not below 50 ms
 # The end of a record field's name -> the unit that is shown.
@@ -106,7 +106,7 @@ def unit_of(name: str, units: Mapping[str, str]) -> str:
 
 def dbc_units(folder: str) -> dict[str, str]:
     """MESSAGE.SIGNAL -> unit, as the DBC has it."""
-    from tunefree_hil.bus.dbc import read_network
+    from tunefree_hil.bus.dbc.network import read_network
     from tunefree_hil.config.load import load_vehicle
 
     network: dict[str, Any] = read_network(load_vehicle(folder))

@@ -13,7 +13,7 @@ from tunefree_hil.episode.candump import ERROR, EXTENDED_BIT, RTR, LogFrame
 from tunefree_hil.jobs.log.files import by_channel, codec_for, cut_warning, open_log
 
 if TYPE_CHECKING:
-    from tunefree_hil.bus.codec import Codec, MessageMap
+    from tunefree_hil.bus.dbc.codec import Codec, MessageMap
 
 
 def show(path: Path, vehicle: str | None, signals: Sequence[str]) -> Iterator[Event]:

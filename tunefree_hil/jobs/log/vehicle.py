@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tunefree_hil.base.records import GROUPS, WHEEL_FIELDS
-from tunefree_hil.bus.invented import ENABLED, STATE, WHEELS, message_name, signal_name
+from tunefree_hil.bus.dbc.synthetic_dbc import ENABLED, STATE, WHEELS, message_name, signal_name
 from tunefree_hil.config.check_vehicle import field_names
 from tunefree_hil.config.dump import plain
 from tunefree_hil.episode.csv_drive import CsvDrive

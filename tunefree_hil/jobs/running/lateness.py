@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from tunefree_hil.bus.codec import Codec
+from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.schema import FaultSpec
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.track import ROLES
+from tunefree_hil.jobs.running.trial_driver import ROLES
 
 LATE_S = 0.002
 LATE_SHARE = 0.001

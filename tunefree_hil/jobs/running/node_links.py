@@ -23,7 +23,7 @@ from tunefree_hil.bus.open import (
     require_virtual_link,
     resolve_bus,
 )
-from tunefree_hil.bus.socketcan import Options
+from tunefree_hil.bus.socketcan.link import Options
 from tunefree_hil.jobs.running.processes import starter_is_gone
 from tunefree_hil.nodes.exchange import HARD_LIMIT_S, Exchange
 

@@ -1,6 +1,6 @@
 """A running bench: hub, ECU and controller as processes of their own, and a runner that conducts episodes over them.
 
-Where the vehicle's frames run over SocketCAN a recorder writes the logs (bus/recorder.py), and with the bench channel
+Where the vehicle's frames run over SocketCAN a recorder writes the logs (bus/recording/recorder.py), and with the bench channel
 on a vcan link too there is no hub at all.
 """
 
@@ -19,15 +19,15 @@ from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bench import load
 from tunefree_hil.bus.bench_channel import FAULT_ID, HELLO_ID, STATUS_ID, Role
 from tunefree_hil.bus.error_frames import error_words
-from tunefree_hil.bus.kernel_link import Claim
 from tunefree_hil.bus.link import Link, Owner
 from tunefree_hil.bus.open import BusChoice, open_link
-from tunefree_hil.bus.recorder_owner import BusTrouble, RecorderOwner
+from tunefree_hil.bus.recording.recorder_owner import BusTrouble, RecorderOwner
+from tunefree_hil.bus.socketcan.kernel_link import Claim
 from tunefree_hil.bus.tfhub.records import EFF_MASK
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.jobs.running.node_links import TIMING_VARIABLE, clock_of, usable_bus
-from tunefree_hil.jobs.running.parts import links_of, paths_for, places_of, start_recorder, uses_hub
 from tunefree_hil.jobs.running.processes import Processes
+from tunefree_hil.jobs.running.session_parts import links_of, paths_for, places_of, start_recorder, uses_hub
 from tunefree_hil.nodes.runner import Outcome, Runner
 
 START_LIMIT_S = 30.0

@@ -10,7 +10,7 @@ from tunefree_hil.base.errors import BenchError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, parameters_of
 from tunefree_hil.jobs.tune.evaluators import BusEvaluator, Candidate
-from tunefree_hil.jobs.tune.hold import Held
+from tunefree_hil.jobs.tune.robustness import Held
 from tunefree_hil.jobs.tune.search import Vectors
 from tunefree_hil.tune.journal import Journal, slot_key
 from tunefree_hil.tune.trial import Baseline, Trial, lowest

@@ -14,9 +14,9 @@ from tunefree_hil.bus.bench_channel import ErrorCode
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.grade.score import GRADED, ScenarioGrade, combine
 from tunefree_hil.jobs.run_folder import drop_bulk
-from tunefree_hil.jobs.running.harvest import Episode, evaluation_of
+from tunefree_hil.jobs.running.episode_results import Episode, evaluation_of
 from tunefree_hil.jobs.running.lateness import judge_realtime
-from tunefree_hil.jobs.running.track import DriveJob, Track
+from tunefree_hil.jobs.running.trial_driver import DriveJob, Track
 from tunefree_hil.tune.trial import Evaluation
 
 MOST_REPEATS = 5  # of one drive, before the machine is said not to be up to it

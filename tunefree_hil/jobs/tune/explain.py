@@ -219,8 +219,8 @@ def _data(found: Findings, cuts: Mapping[str, Cut]) -> dict[str, Any]:
 
 def _figures(folder: RunFolder, found: Findings, cuts: Mapping[str, Cut]) -> list[str]:
     from tunefree_hil.figures.heat import write_heat
-    from tunefree_hil.figures.importance import write_importance
-    from tunefree_hil.figures.slices import Slice, write_slices
+    from tunefree_hil.figures.tuning.importance import write_importance
+    from tunefree_hil.figures.tuning.slices import Slice, write_slices
 
     figures, apart = folder.figures(), found.difference
     title = f"Winner against {found.manual_name}: score {found.manual.score:.3f} -> {found.winner.score:.3f}"

@@ -11,7 +11,7 @@ from tunefree_hil.bench import Bench
 from tunefree_hil.jobs.drive import DEFAULT_ROOT
 from tunefree_hil.jobs.identity import resolved_toml
 from tunefree_hil.jobs.run_folder import RunFolder, all_unfinished, open_run, remove_parts, write_text
-from tunefree_hil.jobs.tune.wish import OPTIONS, Wish
+from tunefree_hil.jobs.tune.options import OPTIONS, Wish
 from tunefree_hil.tune.store import alone
 
 HELD = "worker"

@@ -11,13 +11,12 @@ from tunefree_hil.bench import Bench, parameters_of
 from tunefree_hil.config.dump import to_toml
 from tunefree_hil.control.parameters import BY_NAME
 from tunefree_hil.episode.recording import Recording, load_recording
-from tunefree_hil.jobs.learn.outside import outside_data, outside_words
+from tunefree_hil.jobs.learn.report_text import outside_data, outside_words
+from tunefree_hil.jobs.report_text import Drives, comparison, early, table
 from tunefree_hil.jobs.run_folder import RunFolder, write_text
 from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors
 from tunefree_hil.jobs.tune.confirm import Confirmed
-from tunefree_hil.jobs.tune.hold import Held
-from tunefree_hil.jobs.tune.hold_words import held_data, held_table, held_words
-from tunefree_hil.jobs.words import Drives, comparison, early, table
+from tunefree_hil.jobs.tune.robustness import Held, held_data, held_table, held_words
 from tunefree_hil.tune.compare import Standing, best_baseline
 from tunefree_hil.tune.insight import edge_of
 from tunefree_hil.tune.journal import slot_key
@@ -133,8 +132,8 @@ def on_edge(study: Scored, best: Trial) -> list[str]:
 
 def _figures(bench: Bench, run: RunFolder, study: Scored, best: Trial, manual_name: str) -> list[str]:
     from tunefree_hil.figures.bars import write_bars
-    from tunefree_hil.figures.history import write_history
-    from tunefree_hil.figures.scatter import Points, Range, write_scatter
+    from tunefree_hil.figures.tuning.history import write_history
+    from tunefree_hil.figures.tuning.scatter import Points, Range, write_scatter
 
     folder = run.figures()
     trials, baselines = study.trials(), study.baselines()

@@ -13,11 +13,11 @@ from tunefree_hil.bench import Bench, parameters_of
 from tunefree_hil.jobs.run_folder import RunFolder, drop_bulk
 from tunefree_hil.jobs.tune.evaluators import Candidate, Evaluator
 from tunefree_hil.tune.compare import best_baseline
-from tunefree_hil.tune.filling import ASKED_AGAIN
 from tunefree_hil.tune.journal import Journal
-from tunefree_hil.tune.shared import SharedStudy
+from tunefree_hil.tune.shared.shared_study import SharedStudy
 from tunefree_hil.tune.study import Study
 from tunefree_hil.tune.trial import Evaluation, Trial
+from tunefree_hil.tune.trial_loop import ASKED_AGAIN
 
 Vectors = Mapping[str, dict[str, float]]
 Kept = Study | Journal | SharedStudy

@@ -16,24 +16,24 @@ from typing import Any
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import is_heavy, model_of, parameters_of
 from tunefree_hil.bench.batch import Batch
-from tunefree_hil.jobs.learn.model_words import model_words
-from tunefree_hil.jobs.pasted import pasted
+from tunefree_hil.jobs.command_text import pasted
+from tunefree_hil.jobs.learn.report_text import model_words
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder
 from tunefree_hil.jobs.running.foreign import joined_name, program_of, require_announced
 from tunefree_hil.jobs.running.session import open_lanes
-from tunefree_hil.jobs.running.track import Track
+from tunefree_hil.jobs.running.trial_driver import Track
 from tunefree_hil.jobs.tune.confirm import Confirmed, confirm, to_confirm
 from tunefree_hil.jobs.tune.evaluators import BatchEvaluator, BusEvaluator, Candidate, RealtimeEvaluator
 from tunefree_hil.jobs.tune.folder import run_folder_of
-from tunefree_hil.jobs.tune.hold import Held, held_of, hold, trials_hash
+from tunefree_hil.jobs.tune.options import BATCH, Asked, Wish, resolve_wish
 from tunefree_hil.jobs.tune.report import finish_report, is_kept
+from tunefree_hil.jobs.tune.robustness import Held, held_of, hold, trials_hash
 from tunefree_hil.jobs.tune.search import Search
 from tunefree_hil.jobs.tune.verify import verify_winner
-from tunefree_hil.jobs.tune.wish import BATCH, Asked, Wish, resolve_wish
-from tunefree_hil.tune.ending import WORKER, Ending
 from tunefree_hil.tune.journal import open_journal, slot_key
-from tunefree_hil.tune.mirror import mirror
-from tunefree_hil.tune.shared import SharedStudy, join_study
+from tunefree_hil.tune.shared.finalisation import WORKER, Ending
+from tunefree_hil.tune.shared.shared_study import SharedStudy, join_study
+from tunefree_hil.tune.shared.study_copy import mirror
 from tunefree_hil.tune.study import open_study
 from tunefree_hil.tune.trial import Scored, Trial
 

@@ -13,20 +13,18 @@ from typing import Any
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, is_heavy, load
+from tunefree_hil.jobs.command_text import pasted
 from tunefree_hil.jobs.drive import own_session
-from tunefree_hil.jobs.learn.outside import outside_data, outside_words
-from tunefree_hil.jobs.pasted import pasted
+from tunefree_hil.jobs.learn.report_text import outside_data, outside_words
 from tunefree_hil.jobs.progress import left_s
+from tunefree_hil.jobs.report_text import comparison, early, failures, table
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder, open_run, write_json
+from tunefree_hil.jobs.running.episode_results import Episode, evaluation_of
 from tunefree_hil.jobs.running.foreign import joined_name, program_of
-from tunefree_hil.jobs.running.harvest import Episode, evaluation_of
 from tunefree_hil.jobs.running.session import lanes_of, open_lanes
-from tunefree_hil.jobs.running.track import Track
+from tunefree_hil.jobs.running.trial_driver import Track
 from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors, winner_of
-from tunefree_hil.jobs.tune.margins import find_margins
-from tunefree_hil.jobs.tune.margins_report import margin_data, steering_data
-from tunefree_hil.jobs.tune.margins_words import margin_table, margin_words
-from tunefree_hil.jobs.words import comparison, early, failures, table
+from tunefree_hil.jobs.tune.margins import find_margins, margin_data, margin_table, margin_words, steering_data
 from tunefree_hil.tune.trial import Evaluation
 
 NOT_HOLDING = 1  # exit status
@@ -146,8 +144,8 @@ def _compare(results: Mapping[str, Evaluation]) -> dict[str, Any]:
 
 
 def _figures(run: RunFolder, columns: Mapping[str, Mapping[str, Episode]], found: Mapping[str, Any]) -> list[str]:
-    from tunefree_hil.figures.margins import write_margins
     from tunefree_hil.figures.scenario import Drive, write_scenario
+    from tunefree_hil.figures.tuning.margins import write_margins
 
     manual, margins = found["manual"], found["margins"]
     written = [] if margins["reason"] else [str(write_margins(run.figures() / "margins.png", margins, TUNED))]

@@ -12,7 +12,7 @@ import torch
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec
-from tunefree_hil.learn.motion import Track
+from tunefree_hil.learn.evaluation.motion import Track
 from tunefree_hil.learn.training.learners import FreeRunLearner, Learner, Wish
 from tunefree_hil.learn.training.loop import THREADS, Step, Trained, planned_steps, train
 from tunefree_hil.learn.training.one_step import OneStepLearner

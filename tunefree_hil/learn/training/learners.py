@@ -15,12 +15,12 @@ from torch import Tensor, nn
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec
-from tunefree_hil.learn.drives import Array
-from tunefree_hil.learn.motion import body_change
-from tunefree_hil.learn.training.guided import GuidedRunner
+from tunefree_hil.learn.drives.drive import Array
+from tunefree_hil.learn.evaluation.motion import body_change
 from tunefree_hil.learn.training.nets import CellNet, LayerNet
 from tunefree_hil.learn.training.physics import Physics
 from tunefree_hil.learn.training.rollout import CarriageRunner, HybridRunner, PhysicsRunner, Runner, errors_of
+from tunefree_hil.learn.training.teacher_forcing import GuidedRunner
 from tunefree_hil.learn.training.windows import ACCEL, YAW, Pool, begins, chances_of, drawn, spread, window_at
 
 WARM_S = 1.0

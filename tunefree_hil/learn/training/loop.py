@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from tunefree_hil.learn.drives import Array
+from tunefree_hil.learn.drives.drive import Array
 from tunefree_hil.learn.training.learners import Learner, Wish
 
 RATES = {"hybrid": 1e-2, "lstm": 1e-2, "mlp": 1e-2, "paper": 5e-3}  # of Adam at the beginning

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.learn.map_cells import Points, cell_errors, rms
-from tunefree_hil.learn.map_net import PedalNet, Scale, merged, scale_of
+from tunefree_hil.learn.open_loop_map.cells import Points, cell_errors, rms
+from tunefree_hil.learn.open_loop_map.table import PedalNet, Scale, merged, scale_of
 
 WIDTHS = (3, 5, 8, 12, 16)  # shipped: 15 for the throttle, 10 for the brake (apollo_facts 5.2)
 SEEDS = 3

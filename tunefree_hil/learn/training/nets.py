@@ -1,4 +1,4 @@
-"""The trained networks as torch modules: the cell and the layer of plant/cell.py with their arrays in plant.npz."""
+"""The trained networks as torch modules: the cell and the layer of plant/learned/lstm_cell.py with their arrays in plant.npz."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from tunefree_hil.learn.drives import Array
+from tunefree_hil.learn.drives.drive import Array
 
 UNITS = 8  # of the cell (paper Table I)
 HIDDEN = 10  # of the mlp

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from tunefree_hil.base.units import G_MPS2
-from tunefree_hil.learn.drives import Array
+from tunefree_hil.learn.drives.drive import Array
 from tunefree_hil.learn.training.learners import LEAST_SPREAD, Wish, cosine, require_some
 from tunefree_hil.learn.training.nets import CellNet, LayerNet
 from tunefree_hil.learn.training.windows import ACCEL, SPEED, YAW, Pool, drawn, spread
@@ -109,7 +109,7 @@ class OneStepLearner:
 
 
 def _slope(pool: Pool, rows: Tensor) -> Tensor:
-    """What the road takes off the acceleration, m/s2: plant/carriage.py takes it off again."""
+    """What the road takes off the acceleration, m/s2: plant/learned/kinematics.py takes it off again."""
     return G_MPS2 * torch.sin(pool.grade_rad[rows])
 
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.units import G_MPS2
-from tunefree_hil.learn.drives import Array
+from tunefree_hil.learn.drives.drive import Array
 from tunefree_hil.plant.data_sheet import constants_of
 from tunefree_hil.plant.single_track import BLEND_MPS, FULL_MPS, GAMMA, LOW_MPS
 

@@ -17,8 +17,8 @@ from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.learn.training.nets import CellNet, LayerNet, put_out
 from tunefree_hil.learn.training.physics import Physics, tick
 from tunefree_hil.learn.training.windows import ACCEL, HEADING, SPEED, YAW, Pool, Window, X, Y
-from tunefree_hil.plant.carriage import DEFAULTS, LEAST_MPS, PULL_AWAY_MPS2, carriage_of
 from tunefree_hil.plant.hybrid import FADE_MPS
+from tunefree_hil.plant.learned.kinematics import DEFAULTS, LEAST_MPS, PULL_AWAY_MPS2, carriage_of
 
 LEAD_S, PIECE_S = 1.5, 4.0  # the tyres' memory is far shorter than the lead
 
@@ -127,7 +127,7 @@ class HybridRunner(PhysicsRunner):
 
 
 class CarriageRunner:
-    """Kinds lstm and mlp: the network says acceleration and yaw rate, plant/carriage.py moves the car."""
+    """Kinds lstm and mlp: the network says acceleration and yaw rate, plant/learned/kinematics.py moves the car."""
 
     def __init__(self, params: Mapping[str, float], net: CellNet | LayerNet) -> None:
         own = {key: value for key, value in params.items() if key in DEFAULTS}
@@ -172,7 +172,7 @@ class CarriageRunner:
         return Ran(shown, torch.stack(yaws), torch.zeros_like(shown))
 
     def _moved(self, before: Tensor, said: Tensor, slope: Tensor, dt: float) -> tuple[Tensor, Tensor, Tensor]:
-        """Speed, yaw rate and own acceleration after a tick, as `driven` and `said_of` of plant/carriage.py."""
+        """Speed, yaw rate and own acceleration after a tick, as `driven` and `said_of` of plant/learned/kinematics.py."""
         own = said[0].clamp(-self.grip, self.grip)
         speed = before + dt * (own - slope)
         yaw = said[1]

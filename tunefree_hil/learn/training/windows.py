@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from tunefree_hil.config.schema import ModelSpec
-from tunefree_hil.learn.drives import Array
-from tunefree_hil.learn.motion import Track, outputs_of
-from tunefree_hil.learn.runs import runs
+from tunefree_hil.learn.drives.drive import Array
+from tunefree_hil.learn.drives.runs import runs
+from tunefree_hil.learn.evaluation.motion import Track, outputs_of
 
 EVERY_ROWS = 10  # a window can begin at each of these
 LEAST_MEAN_MPS = 0.3  # a car that stands teaches nothing

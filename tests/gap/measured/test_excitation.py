@@ -1,0 +1,55 @@
+"""What is refused before any search: logs that are too short, and a car that stands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from tests.learn.made_drives import made_drive
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.config.load import load_vehicle
+from tunefree_hil.gap.measured.chain import Opened, open_chain
+from tunefree_hil.gap.measured.excitation import LEAST_S, refuse_untold
+
+VEHICLE = load_vehicle("mkz_bywire")
+
+
+def opened(seconds: float) -> Opened:
+    return open_chain(made_drive(seconds, seed=5), VEHICLE)
+
+
+def refusal(drives: Sequence[Opened]) -> InputError:
+    with pytest.raises(InputError) as refused:
+        refuse_untold(drives)
+    return refused.value
+
+
+def test_a_log_that_is_too_short_is_refused_with_what_to_do() -> None:
+    found = refusal([opened(30.0)])
+    assert found.code == "too_short" and "5 blocks of 5 s" in found.message and f"{LEAST_S:.0f} s" in found.hint
+
+
+def test_short_logs_are_enough_together() -> None:
+    refuse_untold([opened(45.0), opened(45.0)])
+
+
+def test_a_car_that_stands_for_most_of_the_log_is_refused_with_what_to_do() -> None:
+    one = opened(110.0)
+    halted = one.moving.copy()
+    halted[3000:] = False
+    refuse_untold([one])
+    found = refusal([one._replace(moving=halted)])
+    assert found.code == "standing" and "walking pace" in found.message and "in gear" in found.hint
+
+
+@pytest.mark.parametrize("field", ["report.steer_rad", "report.brake_frac"])
+def test_a_report_that_falls_silent_is_named_and_not_the_car(field: str) -> None:
+    drive = made_drive(110.0, seed=5)
+    late = np.arange(drive.ticks) > 4500
+    fields = {**drive.fields, field: np.where(late, np.nan, drive.fields[field])}
+    one = open_chain(drive._replace(fields=fields, fresh={**drive.fresh, field: drive.fresh[field] & ~late}), VEHICLE)
+    found = refusal([one])
+    assert f"{field} is silent for 6" in found.message and "stands for" not in found.message
+    assert "falls silent" in found.hint

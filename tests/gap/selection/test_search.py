@@ -1,0 +1,202 @@
+"""The search over effects, on models made by hand: what is no merit of an effect does not count for it."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from tests.gap.selection.test_criteria import ALL, NULL, ROWS, SIZES, model, spread
+from tunefree_hil.gap.estimation.candidates import Suspect
+from tunefree_hil.gap.estimation.evidence import LEAST_NATS, stretched
+from tunefree_hil.gap.selection.criteria import PLAIN_NATS, Weighed
+from tunefree_hil.gap.selection.search import CONTENDERS, backward, forward, settled, weighed
+from tunefree_hil.gap.workers.worker import Modelled, Question
+
+SUSPECTS = tuple(Suspect(name, (), ()) for name in ("delay", "friction", "limit", "lag"))
+SOME = {"null": NULL, "sizes": SIZES, "suspects": SUSPECTS, "broken": None, "usually": ()}
+QUESTION = cast(Question, type("Asked", (), SOME)())
+
+
+def beside(first: Modelled, name: str, square: np.ndarray, other: float = ROWS) -> Modelled:
+    """A model with the effects of `first` and one more."""
+    return model(name, square, other, [one.key.partition(".")[0] for one in first.fitted.free])
+
+
+FIRST = model("delay", spread(2.0))
+
+
+class Made:
+    """A team whose fits are known beforehand. rest: what a model comes to without an effect, by its name."""
+
+    def __init__(self, alone: dict[str, Modelled], further: dict[str, Modelled], rest: dict[str, Modelled]) -> None:
+        self.alone, self.further, self.rest = alone, further, rest
+        self.asked: list[tuple[str, ...]] = []
+        self.again: dict[str, Modelled] = {}  # by the noise of the best: what grids under the start's did not see
+
+    def fit(self, names: list[str], start: Modelled | None, noise: Modelled | None = None) -> dict[str, Modelled]:
+        if noise is not None:
+            return {name: self.again[name] for name in names if name in self.again}
+        self.asked.append(tuple(names))
+        some = self.alone if start is None else self.further
+        return {name: some[name] for name in names if name in some}
+
+    def fit_on(self, models: list[Modelled]) -> list[Modelled]:
+        return models
+
+    def fit_without(self, model: Modelled, names: list[str]) -> dict[str, Modelled]:
+        return {name: self.rest[name] for name in names}
+
+
+def run(steps: Any) -> Any:
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value
+
+
+def found_by(team: Made) -> list[Weighed]:
+    """As `name` searches."""
+    one = cast(Any, team)
+    first = weighed(one, QUESTION, list(team.alone), None, ALL)
+    found = run(forward(one, QUESTION, first, ALL))
+    steps = run(backward(one, QUESTION, found, ALL))
+    steps, _ = run(settled(one, QUESTION, first, steps, ALL, len(steps) < len(found)))
+    return steps
+
+
+def searched(team: Made) -> list[str]:
+    return [step.name for step in found_by(team)]
+
+
+def test_a_further_effect_that_explains_much_of_the_gap_is_added() -> None:
+    both = beside(FIRST, "friction", spread(0.5, 3))
+    team = Made({"delay": FIRST, "friction": model("friction", spread(6.0))}, {"friction": both},
+                {"friction": FIRST, "delay": model("friction", spread(6.0))})  # fmt: skip
+    assert searched(team) == ["delay", "friction"]
+    # whoever was hidden by the first, too; and at last who else might stand in the first one's place
+    assert team.asked[1:] == [("friction", "limit", "lag"), ("limit", "lag"), ("limit", "lag")]
+
+
+def test_what_the_rest_comes_to_by_itself_is_no_merit_of_a_limit_that_nothing_touches() -> None:
+    better = beside(FIRST, "limit", spread(0.5, 3))
+    team = Made({"delay": FIRST, "limit": model("limit", spread(7.9))}, {"limit": better},
+                {"limit": model("delay", spread(0.5, 3))})  # fmt: skip
+    assert searched(team) == ["delay"]
+
+
+def test_the_first_is_taken_out_again_where_the_second_explains_all_of_it() -> None:
+    both = beside(FIRST, "lag", spread(0.5, 3))
+    alone = model("lag", spread(0.5, 3))
+    team = Made({"delay": FIRST}, {"lag": both}, {"lag": FIRST, "delay": alone})
+    team.alone["lag"] = model("lag", spread(7.0))  # its search alone had stuck
+    assert searched(team) == ["lag"]
+
+
+def test_who_stays_alone_is_weighed_against_everybody_alone() -> None:
+    both, lag = beside(FIRST, "lag", spread(0.5, 3)), model("lag", spread(0.5, 3))
+    alone = {"delay": FIRST, "lag": model("lag", spread(7.0)), "limit": model("limit", spread(0.5, 4))}
+    alone["limit"] = alone["limit"]._replace(fitted=alone["limit"].fitted)
+    team = Made({"delay": FIRST, "lag": alone["lag"]}, {"lag": both}, {"lag": FIRST, "delay": lag})
+    (step,) = found_by(team)
+    assert step.name == "lag" and step.others == ()
+    one = cast(Any, team)
+    first = weighed(one, QUESTION, list(team.alone), None, ALL)
+    limit = weighed(cast(Any, Made({"limit": alone["limit"]}, {}, {})), QUESTION, ["limit"], None, ALL)
+    (again,), _ = run(settled(one, QUESTION, [*first, *limit], [step], ALL))
+    assert {again.name, *again.others} == {"lag", "limit"}
+
+
+def test_of_two_effects_each_has_its_rivals_in_its_own_place() -> None:
+    both = beside(FIRST, "friction", spread(0.5, 3))
+    equal = beside(model("friction", spread(6.0)), "lag", spread(0.5, 4))  # in the place of the delay
+    worse = beside(FIRST, "limit", spread(1.9, 5))
+    rest = {"friction": FIRST, "delay": model("friction", spread(6.0)), "limit": FIRST}
+
+    class Placed(Made):
+        def fit(self, names: list[str], start: Modelled | None, noise: Modelled | None = None) -> dict[str, Modelled]:
+            if start is not None and start.fitted.name == "friction":
+                return {"lag": equal}
+            return super().fit(names, start, noise)
+
+    team = Placed({"delay": FIRST}, {"friction": both, "limit": worse}, rest)
+    delay, friction = found_by(team)
+    assert (delay.name, delay.others) == ("delay", ("lag",)) and (friction.name, friction.others) == ("friction", ())
+    assert set(delay.placed) == {"delay", "lag"} and set(friction.placed) == {"friction", "limit"}
+    assert delay.placed["lag"] == pytest.approx(delay.placed["delay"], rel=0.1) and friction.placed["limit"] < 100.0
+
+
+def test_whoever_is_near_the_best_is_fitted_on_before_it_is_judged() -> None:
+    asked: list[str] = []
+
+    class Counting(Made):
+        def fit_on(self, models: list[Modelled]) -> list[Modelled]:
+            asked.extend(one.fitted.name for one in models)
+            return models
+
+    names = [f"e{i}" for i in range(CONTENDERS + 3)]
+    team = Counting({name: model(name, spread(1.0 + 0.02 * i, i)) for i, name in enumerate(names)}, {}, {})
+    team.alone["far"] = model("far", spread(6.0))
+    weighed(cast(Any, team), QUESTION, [*names, "far"], None, ALL)
+    assert sorted(asked) == sorted(names)
+
+
+def test_the_best_is_fitted_on_however_little_it_has_after_one_step() -> None:
+    """A bias that one step leaves passes for noise: fitted to its end it has all the evidence there is."""
+    near, there = model("delay", spread(4.0)), model("delay", spread(1.0))
+    near = near._replace(fitted=stretched(near.fitted, {"a": 4000.0}))
+
+    class Finishing(Made):
+        def fit_on(self, models: list[Modelled]) -> list[Modelled]:
+            return [there if one is near else one for one in models]
+
+    (alone,) = weighed(cast(Any, Made({"delay": near}, {}, {})), QUESTION, ["delay"], None, ALL)
+    assert not alone.counts and alone.evidence < LEAST_NATS
+    (found,) = weighed(cast(Any, Finishing({"delay": near}, {}, {})), QUESTION, ["delay"], None, ALL)
+    assert found.counts and found.evidence > PLAIN_NATS
+
+
+def test_whom_the_grid_did_not_see_by_the_starts_noise_is_found_by_the_best_ones() -> None:
+    """A constant force: by the noise of a start that lacks it nobody gains anything from its truth (test_scan.py)."""
+    team = Made(
+        {"delay": FIRST, "friction": model("friction", spread(7.9)), "lag": model("lag", spread(2.5, 3))}, {}, {}
+    )
+    assert weighed(cast(Any, team), QUESTION, list(team.alone), None, ALL)[0].name == "delay"
+    team.again = {"friction": model("friction", spread(0.5, 4)), "lag": model("lag", spread(7.0))}
+    found = weighed(cast(Any, team), QUESTION, list(team.alone), None, ALL)
+    assert found[0].name == "friction" and found[0].counts
+    (lag,) = [one for one in found if one.name == "lag"]
+    assert lag.model.fitted.sums["a"].square.sum() == team.alone["lag"].fitted.sums["a"].square.sum()  # not the worse
+
+
+def test_where_the_best_has_little_evidence_nobody_is_asked_again() -> None:
+    team = Made({"delay": model("delay", spread(7.9))}, {}, {})
+    team.again = {"delay": FIRST}
+    (found,) = weighed(cast(Any, team), QUESTION, ["delay"], None, ALL)
+    assert found.evidence < PLAIN_NATS
+
+
+def test_two_that_hide_each_other_are_found_together() -> None:
+    """A late INS and a filtered gyro: whichever is repaired alone spoils what compares the two."""
+    late, worse = model("delay", spread(0.5), 5.0 * ROWS), model("lag", spread(7.9), 5.0 * ROWS)
+    both = beside(late, "lag", spread(0.5, 3), 0.5 * ROWS)
+    small = model("friction", spread(6.5))
+    team = Made({"delay": late, "lag": worse, "friction": small}, {"lag": both}, {"delay": worse, "lag": late})
+    assert searched(team) == ["delay", "lag"]
+    first = weighed(cast(Any, team), QUESTION, list(team.alone), None, ALL)
+    assert first[0].name == "friction" and [one.name for one in first if one.spoils] == ["delay"]
+
+
+def test_who_spoils_a_signal_is_nobody_alone() -> None:
+    late = model("delay", spread(0.5), 5.0 * ROWS)
+    team = Made({"delay": late, "friction": model("friction", spread(6.5))}, {}, {})
+    assert searched(team) == []
+    beside_it = Made(team.alone, {"lag": beside(late, "lag", spread(0.4, 3), 5.0 * ROWS)}, {"lag": late, "delay": late})
+    assert searched(beside_it) == [], "what comes beside it mends nothing of what it spoils"
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.3])
+def test_nothing_is_named_where_nothing_counts(gain: float) -> None:
+    assert searched(Made({"delay": model("delay", spread(8.0 - gain))}, {}, {})) == []

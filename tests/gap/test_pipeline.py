@@ -1,0 +1,60 @@
+"""The whole search on drives whose truth is known: a car with and without something that its model lacks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+from tests.learn.made_drives import CHANNELS, made_drive
+from tunefree_hil.base.contracts import Link
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.config.load import load_model, load_vehicle
+from tunefree_hil.config.schema import ActuatorSpec, ModelSpec
+from tunefree_hil.gap.measured.chain import open_chain
+from tunefree_hil.gap.pipeline import VERDICTS, Named, name
+
+pytestmark = [pytest.mark.slow, pytest.mark.compiled, pytest.mark.timeout(900)]  # two processes that compile first
+
+
+def model() -> ModelSpec:
+    """A model of the made car as it is without anything hidden."""
+    own = {
+        channel: ActuatorSpec(dead_time_s=one.dead_time_s, lag_s=one.lag_s, rate_limit=one.rate_limit)
+        for channel, one in CHANNELS.items()
+    }
+    nominal = load_model("mkz_nominal")
+    return replace(nominal, actuators=own, plant=replace(nominal.plant, kind="physics", params={}, card=""), effects=[])
+
+
+def asked(seconds: float, **hidden: Any) -> Named:
+    vehicle = load_vehicle("mkz_bywire")
+    search = name(model(), vehicle, [open_chain(made_drive(seconds, seed=5, **hidden), vehicle)])
+    while True:
+        try:
+            next(search)
+        except StopIteration as end:
+            return end.value
+
+
+def test_a_car_as_its_model_has_it_misses_nothing() -> None:
+    found = asked(110.0)
+    assert found.verdict == "none_missing" and not found.effects and not found.set and found.link is None
+
+
+def test_a_steering_that_answers_later_is_named_with_its_value_and_link() -> None:
+    late = CHANNELS["steer"]._replace(dead_time_s=CHANNELS["steer"].dead_time_s + 0.07)
+    found = asked(110.0, channels={**CHANNELS, "steer": late})
+    assert found.verdict in VERDICTS and found.verdict == "one"
+    (effect,) = found.effects
+    delay = effect.params["delay_s"]
+    assert effect.name == "steer_dead_time" and delay.value == pytest.approx(0.07, abs=0.005) and delay.unit == "s"
+    assert delay.low < delay.value < delay.high
+    assert found.link is Link.COMMAND_TO_REPORT and found.card is not None and found.card.looked.signal == "steer"
+    assert found.candidates[0].name == "steer_dead_time" and found.excitation["steer_dead_time"].enough
+
+
+def test_who_is_not_asked_is_told_before_anybody_waits() -> None:
+    with pytest.raises(InputError, match="5 blocks of 5 s"):
+        asked(30.0)

@@ -1,0 +1,192 @@
+"""The slower car: who is driven in it, what is kept, who wins, and what is said of who is passed over."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace as with_fields
+
+from tests.bench.tiny import write_bench
+from tests.jobs.ended import ended
+from tunefree_hil.base.errors import PeerGone
+from tunefree_hil.bench import Bench, load, parameters_of
+from tunefree_hil.bench.batch import Driven, Job
+from tunefree_hil.config.schema import ControllerSpec
+from tunefree_hil.grade.score import ScenarioGrade, combine
+from tunefree_hil.jobs.commission import report as commission_report
+from tunefree_hil.jobs.run_folder import RunFolder
+from tunefree_hil.jobs.tune import robustness as hold_module
+from tunefree_hil.jobs.tune.candidates import baseline_vectors
+from tunefree_hil.jobs.tune.robustness import FILE, Held, held_data, held_table, held_words, hold
+from tunefree_hil.tune.journal import Journal, open_journal, slot_key
+from tunefree_hil.tune.robust_winner import Came, holds
+from tunefree_hil.tune.space import resolve
+from tunefree_hil.tune.store import Settings
+from tunefree_hil.tune.trial import Evaluation
+
+SCENARIOS = ("tiny", "other")
+TRIALS = 8
+EDGE = 0.004  # of mrac.p: above it the slower car re-plans, and the better is the grade
+
+
+class Plant:
+    """A batch on which more mrac.p is a better grade, until slower actuators make it re-plan."""
+
+    def __init__(self, *, edge: float = EDGE, indifferent: bool = False, lost: bool = False) -> None:
+        self.edge, self.indifferent, self.lost = edge, indifferent, lost
+        self.jobs: list[Job] = []
+
+    def drive(self, jobs: Sequence[Job]) -> list[Driven]:
+        self.jobs += jobs
+        if self.lost:
+            raise PeerGone("batch")
+        return [self._driven(job) for job in jobs]
+
+    def _driven(self, job: Job) -> Driven:
+        p, slow = job.values["mrac.p"], 0.0 if self.indifferent else job.scale["lag"] - 1.0
+        upset = slow > 0.0 and p > self.edge
+        score = 1.0 / (1.0 + 1000.0 * p) + 0.1 * slow + (3.0 if upset else 0.0)
+        outcome = "left_lane" if upset and job.scenario.name == "other" else "finished"
+        return Driven(ScenarioGrade(job.scenario.name, score, {}, 4 * upset, outcome, 200), 200, "")
+
+
+def as_it_is(values: Mapping[str, float]) -> Evaluation:
+    score = 1.0 / (1.0 + 1000.0 * values["mrac.p"])
+    grades = [ScenarioGrade(name, score, {}, 0, "finished", 200) for name in SCENARIOS]
+    return Evaluation(combine(grades), {one.scenario: one._asdict() for one in grades})
+
+
+def with_slower(bench: Bench, slower: float) -> Bench:
+    return replace(bench, spec=with_fields(bench.spec, tune=with_fields(bench.spec.tune, slower=slower)))
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return with_slower(load(write_bench(tmp_path, scenarios=SCENARIOS)), 1.5)
+
+
+@pytest.fixture
+def journal(bench: Bench, tmp_path: Path) -> Journal:
+    settings = Settings(resolve("mrac", [], file=bench.file), 1, "random", "sha256:00", {}, in_flight=4)
+    made = open_journal(tmp_path / "trials.jsonl", settings)
+    for name, values in baseline_vectors(bench).items():
+        made.add_baseline(name, values, as_it_is(values))
+    list(made.run_all(TRIALS, lambda points: [as_it_is(parameters_of(bench, p)) for p in points.values()]))
+    edges = [trial.parameters["mrac.p"] > EDGE for trial in made.trials()]
+    assert any(edges) and not all(edges), "the search must have gone beyond the edge, and not only"
+    return made
+
+
+def held_by(bench: Bench, journal: Journal, plant: Plant, folder: Path) -> tuple[Held, list[str]]:
+    found, events = ended(hold(bench, RunFolder(folder, {}), journal, baseline_vectors(bench), plant))
+    return found, [f"{event.kind}: {event.message}" for event in events]
+
+
+def test_the_winner_is_the_best_grade_that_the_slower_car_bears(bench: Bench, journal: Journal, tmp_path: Path) -> None:
+    plant = Plant()
+    held, _ = held_by(bench, journal, plant, tmp_path)
+    winner, best = held.ranked(journal.trials())[0], journal.best()
+    assert best is not None and best.parameters["mrac.p"] > EDGE >= winner.parameters["mrac.p"]
+    assert winner.parameters["mrac.p"] == max(
+        one.parameters["mrac.p"] for one in journal.trials() if one.parameters["mrac.p"] <= EDGE
+    )
+    assert all(job.scale == {"dead_time": 1.5, "lag": 1.5} and not job.effects for job in plant.jobs)
+    assert set(baseline_vectors(bench)) <= set(held.came)
+    assert len(plant.jobs) == len(held.came) * len(SCENARIOS), "nothing is driven twice"
+
+
+def test_what_was_passed_over_is_named_with_the_reason(bench: Bench, journal: Journal, tmp_path: Path) -> None:
+    held, _ = held_by(bench, journal, Plant(), tmp_path)
+    data = held_data(held, journal, journal.trials())
+    best = journal.best()
+    assert best is not None and data["winner"]["holds"] and not data["passed_over"][0]["holds"]
+    words, table = held_words(data), "\n".join(held_table(data))
+    assert words.startswith(f"{slot_key(best.slot)} scores {best.score:.3f} and is passed over")
+    assert "re-plans 8 times and fails in 1 scenario in a car with dead times and lags +50 %" in words
+    assert f"{data['winner']['key']}, the winner" in table and f"{data['holding']} of {data['driven']} trials" in table
+    assert all(name in table for name in baseline_vectors(bench))
+    json.dumps(data, allow_nan=False)
+    page = "\n".join(commission_report._section(tmp_path, "tune", {"sentence": words, "held": data}, []))
+    assert "| gains | score | in a slower car |" in page and f"| {data['winner']['key']}, the winner | " in page
+
+
+def test_it_is_kept_and_read_again_as_long_as_the_trials_are_those(
+    bench: Bench, journal: Journal, tmp_path: Path
+) -> None:
+    held, _ = held_by(bench, journal, Plant(), tmp_path)
+    again = Plant()
+    assert held_by(bench, journal, again, tmp_path)[0] == held and not again.jobs
+    other = with_slower(bench, 1.2)
+    assert held_by(other, journal, again, tmp_path)[0].factor == 1.2 and again.jobs
+    again.jobs.clear()
+    list(journal.run_all(TRIALS + 4, lambda points: [as_it_is(parameters_of(bench, p)) for p in points.values()]))
+    held_by(other, journal, again, tmp_path)
+    assert again.jobs
+
+
+def test_where_no_trial_holds_that_is_said_and_the_best_mean_wins(
+    bench: Bench, journal: Journal, tmp_path: Path
+) -> None:
+    held, _ = held_by(bench, journal, Plant(edge=0.0), tmp_path)
+    trials = journal.trials()
+    assert set(map(slot_key, range(TRIALS))) <= set(held.came) and not any(holds(one, held.came) for one in trials)
+    data = held_data(held, journal, trials)
+    assert held.ranked(trials)[0] == journal.best() and not data["passed_over"]
+    assert held_words(data).startswith("NO trial holds in a car with dead times and lags +50 %")
+
+
+@pytest.mark.parametrize(
+    ("plant", "words"),
+    [
+        (Plant(indifferent=True), "no actuators that could be slower"),
+        (Plant(lost=True), "batch is gone"),
+    ],
+)
+def test_what_cannot_be_driven_slower_is_said_and_the_best_grade_wins(
+    bench: Bench, journal: Journal, tmp_path: Path, plant: Plant, words: str
+) -> None:
+    held, said = held_by(bench, journal, plant, tmp_path)
+    assert held.came == {} and words in held.reason and any(line.startswith("warning") for line in said)
+    assert held.ranked(journal.trials())[0] == journal.best()
+    assert words in held_words(held_data(held, journal, journal.trials()))
+    assert not (tmp_path / FILE).exists(), "the next time it is tried again"
+
+
+def test_somebody_elses_controller_is_chosen_by_grade(
+    bench: Bench, journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hold_module, "Batch", lambda *_: pytest.fail("no batch knows it"))
+    foreign = replace(bench, spec=with_fields(bench.spec, controller=ControllerSpec(command=["pursuit"])))
+    held, _ = ended(hold(foreign, RunFolder(tmp_path, {}), journal, baseline_vectors(bench)))
+    assert "our controller only" in held.reason and held.ranked(journal.trials())[0] == journal.best()
+
+
+def test_a_joined_controller_is_chosen_by_grade_whatever_ours_would_have_borne(
+    bench: Bench, journal: Journal, tmp_path: Path
+) -> None:
+    held_by(bench, journal, Plant(), tmp_path)
+    assert (tmp_path / FILE).exists(), "an earlier version drove ours and kept that"
+    run, plant = RunFolder(tmp_path, {"joined": "pursuit"}), Plant()
+    held, _ = ended(hold(bench, run, journal, baseline_vectors(bench), plant))
+    assert "not pursuit" in held.reason and not plant.jobs and held.ranked(journal.trials())[0] == journal.best()
+
+
+def test_one_or_one_trial_leaves_nothing_to_choose(bench: Bench, journal: Journal, tmp_path: Path) -> None:
+    plant = Plant()
+    assert held_by(with_slower(bench, 1.0), journal, plant, tmp_path)[0] == Held() and not plant.jobs
+    assert held_words(held_data(Held(), journal, journal.trials())) == ""
+    assert held_table(held_data(Held(), journal, journal.trials())) == []
+
+
+def test_a_drive_that_the_bench_ended_does_not_hold(bench: Bench, journal: Journal, tmp_path: Path) -> None:
+    class Losing(Plant):
+        def _driven(self, job: Job) -> Driven:
+            return super()._driven(job) if job.values["mrac.p"] < EDGE else Driven(None, 7, "node_lost")
+
+    held, _ = held_by(bench, journal, Losing(), tmp_path)
+    worst = Came(bench.weights.failure_score, 0, len(SCENARIOS))
+    assert worst in held.came.values() and held.ranked(journal.trials())[0].parameters["mrac.p"] < EDGE

@@ -1,0 +1,181 @@
+"""What a node makes of frames: values, state bits, the age of each message."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from copy import copy
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.bus.e2e_car import write_car
+from tunefree_hil.base.records import CanFrame, Ins, Report
+from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.dbc.integrity import E2eStatus
+from tunefree_hil.bus.recording.frame_writer import FrameWriter
+from tunefree_hil.config.load import load_vehicle
+from tunefree_hil.nodes.handshake import VehicleState
+from tunefree_hil.nodes.measurement_decoder import CHASSIS, INS, Hearing
+
+ENABLED = ("BRAKE_REPORT", "THROTTLE_REPORT", "STEERING_REPORT")
+
+
+def frame(
+    codec: Codec, name: str, signals: Mapping[str, float] | None = None, report: Report | None = None
+) -> CanFrame:
+    message = codec.by_name[name]
+    records = {"report": report} if report is not None else {}
+    return CanFrame(message.can_id, codec.encode(message, records, signals or {}), message.extended, message.fd)
+
+
+def enabled_frames(codec: Codec) -> list[CanFrame]:
+    return [frame(codec, name, {"ENABLED": 1.0}) for name in ENABLED]
+
+
+def test_nothing_heard_is_nan_and_unknown(codec: Codec) -> None:
+    hearing = Hearing(codec, 0.01)
+    assert all(math.isnan(value) for record in hearing.measurement() for value in record)
+    assert hearing.state() == VehicleState()._replace(enabled=True)
+    assert not hearing.state().known
+
+
+def test_values_are_kept_until_the_next(codec: Codec) -> None:
+    hearing = Hearing(codec, 0.01)
+    report = Report()._replace(speed_mps=5.0, steer_rad=0.5)
+    hearing.hear(0, [frame(codec, "STEERING_REPORT", report=report)])
+    hearing.hear(1, [frame(codec, "GYRO", report=Report()._replace(yaw_rate_radps=0.1))])
+    heard = hearing.measurement()
+    assert heard.report.speed_mps == pytest.approx(5.0, abs=0.01)
+    assert heard.report.steer_rad == pytest.approx(0.5, abs=0.01)
+    assert heard.report.yaw_rate_radps == pytest.approx(0.1, abs=0.001)
+    assert heard.ins == pytest.approx(Ins(), nan_ok=True)
+
+
+def test_every_channel_must_say_enabled(codec: Codec) -> None:
+    hearing = Hearing(codec, 0.01)
+    for name in ENABLED[:2]:
+        hearing.hear(0, [frame(codec, name, {"ENABLED": 1.0})])
+        assert not hearing.state().known
+    hearing.hear(0, [frame(codec, ENABLED[2], {"ENABLED": 0.0})])
+    assert hearing.state() == VehicleState(known=True, enabled=False)
+    hearing.hear(1, [frame(codec, ENABLED[2], {"ENABLED": 1.0})])
+    assert hearing.state() == VehicleState(known=True, enabled=True)
+
+
+@pytest.mark.parametrize(
+    ("message", "signal", "value", "condition"),
+    [
+        ("BRAKE_REPORT", "OVERRIDE", 1.0, "override"),
+        ("GEAR_REPORT", "OVERRIDE", 1.0, "override"),
+        ("THROTTLE_REPORT", "FLT1", 1.0, "fault"),
+        ("STEERING_REPORT", "FLTCAL", 1.0, "fault"),
+        ("BRAKE_REPORT", "FLTWDC", 1.0, "fault"),
+        ("STEERING_REPORT", "TMOUT", 1.0, "fault"),
+        ("BRAKE_REPORT", "WDCBRK", 1.0, "fault"),
+        ("BRAKE_REPORT", "WDCSRC", 14.0, "fault"),
+        ("GEAR_REPORT", "FLTBUS", 1.0, ""),  # effect "warn"
+    ],
+)
+def test_state_bits(codec: Codec, message: str, signal: str, value: float, condition: str) -> None:
+    hearing = Hearing(codec, 0.01)
+    hearing.hear(0, enabled_frames(codec))
+    own = {"ENABLED": 1.0} if message in ENABLED else {}
+    hearing.hear(1, [frame(codec, message, {**own, signal: value})])
+    expected = VehicleState(known=True, enabled=True, override=condition == "override", fault=condition == "fault")
+    assert hearing.state() == expected
+    hearing.hear(2, [frame(codec, message, own)])
+    assert hearing.state() == VehicleState(known=True, enabled=True)
+
+
+def test_the_age_of_a_message(codec: Codec) -> None:
+    """0.2 s, counted from tick 0 for what was never heard; the same payload again is heard too."""
+    needed = {INS: ["INS_POS_LOCAL"], CHASSIS: ["STEERING_REPORT"]}
+    hearing = Hearing(codec, 0.01)
+    same = frame(codec, "INS_POS_LOCAL")
+    for k in range(0, 31, 10):
+        hearing.hear(k, [same, frame(codec, "STEERING_REPORT")])
+    assert hearing.missing(50, needed) is None
+    assert hearing.missing(51, needed) == (INS, ["INS_POS_LOCAL"])
+    hearing.hear(51, [same])
+    assert hearing.missing(51, needed) == (CHASSIS, ["STEERING_REPORT"])
+    assert Hearing(codec, 0.01).missing(20, needed) is None
+    assert Hearing(codec, 0.01).missing(21, needed) == (INS, ["INS_POS_LOCAL"])
+
+
+def test_a_longer_tick_has_fewer_ticks_in_its_limit(codec: Codec) -> None:
+    needed = {CHASSIS: ["GYRO"]}
+    assert Hearing(codec, 0.02).missing(10, needed) is None
+    assert Hearing(codec, 0.02).missing(11, needed) == (CHASSIS, ["GYRO"])
+
+
+@pytest.mark.parametrize(("period", "timeout", "limit"), [(50, 0, 125), (50, 300, 300), (2, 0, 20)])
+def test_a_slow_message_has_longer(codec: Codec, period: int, timeout: int, limit: int) -> None:
+    """Its first frame may not be believed, if it is protected, and then it is heard after two periods."""
+    slow = copy(codec)
+    changed = {"period_ticks": period, "timeout_ticks": timeout}
+    slow.telemetry = tuple(replace(one, **changed) if one.name == "GYRO" else one for one in codec.telemetry)
+    hearing = Hearing(slow, 0.01)
+    assert hearing.missing(limit, {CHASSIS: ["GYRO"]}) is None
+    assert hearing.missing(limit + 1, {CHASSIS: ["GYRO"]}) == (CHASSIS, ["GYRO"])
+
+
+@given(st.data())
+def test_a_frame_of_any_length_ends_nothing(codec: Codec, data: st.DataObject) -> None:
+    """Another node's frame with one of the vehicle's ids, cut off anywhere: the values are those before it."""
+    message = data.draw(st.sampled_from(codec.telemetry))
+    hearing = Hearing(codec, 0.01)
+    hearing.hear(0, [CanFrame(one.can_id, bytes(one.length), one.extended, one.fd) for one in codec.telemetry])
+    before = hearing.measurement(), hearing.state()
+    short = data.draw(st.binary(max_size=message.length - 1))
+    hearing.hear(1, [CanFrame(message.can_id, short, message.extended, message.fd)])
+    assert (hearing.measurement(), hearing.state()) == before and hearing.heard_at[message.name] == 0
+    assert hearing.reception.too_short == {message.name: 1}
+
+
+@pytest.fixture
+def little(tmp_path: Path) -> Codec:
+    return Codec(load_vehicle(write_car(tmp_path)))
+
+
+def protected(writer: FrameWriter, speed_mps: float, enabled: float = 1.0) -> CanFrame:
+    message = writer.codec.by_name["STATE"]
+    return writer.write(message, {"report": Report()._replace(speed_mps=speed_mps)}, {"EN": enabled}, 0.0)
+
+
+def test_a_protected_report_is_invalid_until_proven(little: Codec) -> None:
+    hearing, writer = Hearing(little, 0.01), FrameWriter(little)
+    hearing.hear(0, [protected(writer, 3.0)])
+    assert math.isnan(hearing.measurement().report.speed_mps) and not hearing.state().known
+    hearing.hear(2, [protected(writer, 4.0)])
+    assert hearing.measurement().report.speed_mps == pytest.approx(4.0) and hearing.state().known
+
+
+def test_a_broken_or_repeated_report_changes_nothing(little: Codec) -> None:
+    hearing, writer = Hearing(little, 0.01), FrameWriter(little)
+    good = [protected(writer, 3.0) for _ in range(2)]
+    hearing.hear(0, good[:1])
+    hearing.hear(2, good[1:])
+    other = protected(writer, 9.0, 0.0)
+    hearing.hear(4, [other._replace(data=other.data[:-1] + b"\x01")])
+    assert hearing.measurement().report.speed_mps == pytest.approx(3.0) and hearing.state().enabled
+    hearing.hear(6, good[1:])
+    assert hearing.heard_at["STATE"] == 2, "a repeated frame is no news"
+
+
+def test_a_report_that_is_not_believed_for_0_2_s_is_missing_with_its_status(little: Codec) -> None:
+    """Whether anybody asked for it or not."""
+    hearing, writer = Hearing(little, 0.01), FrameWriter(little)
+    needed: dict[str, list[str]] = {INS: [], CHASSIS: []}
+    for k in range(0, 10, 2):
+        hearing.hear(k, [protected(writer, 3.0)])
+    for k in range(10, 30, 2):
+        frame = protected(writer, 3.0)
+        hearing.hear(k, [frame._replace(data=bytes((frame.data[0] ^ 255,)) + frame.data[1:])])
+        assert hearing.missing(k, needed) is None
+    assert hearing.missing(29, needed) == (CHASSIS, ["STATE"])
+    assert hearing.why("STATE") == "STATE (wrong CRC)" and hearing.why("OTHER") == "OTHER"
+    assert hearing.reception.troubles()["STATE"][E2eStatus.WRONG_CRC] == 10

@@ -1,0 +1,107 @@
+"""Compiles a message's layout into the flat steps that encode and decode run through."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable, Mapping
+
+from tunefree_hil.bus.dbc.message_map import TWO_PI, FieldMap, Plan, ReadStep, SignalMap, Term, Turn, WriteStep
+
+
+def make_plan(
+    signals: Mapping[str, SignalMap], fields: Iterable[FieldMap], raw: set[str], constants: Mapping[str, float]
+) -> Plan:
+    """The plan of one message. `raw`: signals that decode leaves as their raw integer (roles and states)."""
+    fields = tuple(fields)
+    little, big = _constant_bits(signals, constants)
+    steps = [_read_step(signal, signal.name in raw) for signal in signals.values() if not signal.is_float]
+    ends = {name: signal.big_endian for name, signal in signals.items()}
+    plain = [step for step in steps if step.factor == 1 and step.offset == 0]
+    scaled = [step for step in steps if not (step.factor == 1 and step.offset == 0)]
+    return Plan(
+        little=little,
+        big=big,
+        simple=tuple(
+            (group, tuple(_write_step(f) for f in fields if f.group == group and _is_simple(f)))
+            for group in dict.fromkeys(field.group for field in fields)
+        ),
+        special=tuple(field for field in fields if not _is_simple(field)),
+        raws={s.name: (s.mask, s.shift, ~(s.mask << s.shift), s.big_endian) for s in signals.values()},
+        plain_little=tuple(step[:4] for step in plain if not ends[step.name]),
+        plain_big=tuple(step[:4] for step in plain if ends[step.name]),
+        scaled_little=tuple(step for step in scaled if not ends[step.name]),
+        scaled_big=tuple(step for step in scaled if ends[step.name]),
+        floats=tuple(signal for signal in signals.values() if signal.is_float),
+        values=tuple(
+            (f.group, f.index, tuple((term.signal.name, term.scale) for term in f.terms), f.scale, f.offset)
+            for f in fields
+        ),
+    )
+
+
+def _read_step(signal: SignalMap, raw: bool) -> ReadStep:
+    sign = 1 << (signal.bits - 1) if signal.signed else 0
+    factor, offset = (1, 0) if raw else (signal.factor, signal.offset)
+    return ReadStep(signal.name, signal.shift, signal.mask, sign, factor, offset)
+
+
+def _write_step(field: FieldMap) -> WriteStep:
+    signal, term_scale = field.terms[0]
+    return WriteStep(
+        index=field.index,
+        offset=field.offset,
+        scale=field.scale,
+        term_scale=term_scale,
+        signal_offset=float(signal.offset),
+        factor=float(signal.factor),
+        raw_low=float(signal.raw_low),
+        raw_high=float(signal.raw_high),
+        mask=signal.mask,
+        shift=signal.shift,
+        big=signal.big_endian,
+    )
+
+
+def _is_simple(field: FieldMap) -> bool:
+    return len(field.terms) == 1 and field.turn.raw_turn == 0.0
+
+
+def _constant_bits(signals: Mapping[str, SignalMap], constants: Mapping[str, float]) -> tuple[int, int]:
+    bits = [0, 0]
+    for name, value in constants.items():
+        signal = signals[name]
+        raw = round((value - signal.offset) / signal.factor)
+        raw = min(max(raw, signal.raw_low), signal.raw_high)
+        bits[signal.big_endian] |= (raw & signal.mask) << signal.shift
+    return bits[0], bits[1]
+
+
+def sort_terms(terms: Iterable[Term]) -> tuple[Term, ...]:
+    """Coarse first: encode gives each term what the ones before it left over."""
+    return tuple(sorted(terms, key=lambda term: -abs(term.signal.factor * term.scale)))
+
+
+def heading_turn(terms: tuple[Term, ...], scale: float, offset: float) -> Turn:
+    """The interval of one turn that a heading is wrapped into: [-pi, pi) or [0, 2 pi) where the signal reaches over it.
+
+    Else the turn that begins at the signal's low end. check_vehicle refuses a signal that reaches less than a turn.
+    """
+    signal, term_scale = terms[0]
+    step = signal.factor * term_scale * scale
+    ends = [
+        (raw * signal.factor + signal.offset) * term_scale * scale + offset for raw in (signal.raw_low, signal.raw_high)
+    ]
+    low, high, slack = min(ends), max(ends), abs(step) * 1.001
+    steps = float(round(abs(TWO_PI / step)))
+    for start in (-math.pi, 0.0):
+        if low <= start + slack and start + TWO_PI <= high + slack:
+            return Turn(start, steps)
+    return Turn(low, steps)
+
+
+def read_float(signal: SignalMap, little: int, big: int) -> float:
+    """A floating-point signal of 16, 32 or 64 bits."""
+    bits = ((big if signal.big_endian else little) >> signal.shift) & signal.mask
+    form = {16: "<e", 32: "<f", 64: "<d"}[signal.bits]
+    return struct.unpack(form, bits.to_bytes(signal.bits // 8, "little"))[0] * signal.factor + signal.offset

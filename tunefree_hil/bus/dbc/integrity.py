@@ -1,0 +1,213 @@
+"""Whether a received frame may be believed: counters, CRCs, arrival. One implementation for ECU, controller and logs.
+
+A counter proves that a frame is fresh and in order, a CRC that it came through whole, a data id that it is from the
+right sender; none of them proves that its values are plausible. Statuses are AUTOSAR's (anchors A6). A protected
+message is invalid until proven: its first frame only says where the counter stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import Enum, IntEnum
+from typing import TYPE_CHECKING, NamedTuple
+
+from tunefree_hil.bus.dbc.e2e import PROFILES, is_intact, read_nibble
+
+if TYPE_CHECKING:
+    from tunefree_hil.bus.dbc.message_map import MessageMap
+
+__all__ = [
+    "BELIEVED",
+    "PROFILES",
+    "Counted",
+    "CounterCheck",
+    "E2eStatus",
+    "Order",
+    "Receiver",
+    "check_counter",
+    "check_e2e",
+    "next_counter",
+]
+
+
+class Order(Enum):
+    """How a counter follows the one before."""
+
+    FIRST = "the first frame"
+    OK = "the next value"
+    REPEATED = "the same value again: a repeated or stuck frame"
+    SOME_LOST = "a few values were skipped"
+    WRONG = "more values were skipped than allowed, or it went back"
+
+
+class E2eStatus(IntEnum):
+    """What a receiver knows of a message's last frame, or of its absence. The numbers are the project's own."""
+
+    words: str
+
+    def __new__(cls, value: int, words: str) -> E2eStatus:
+        member = int.__new__(cls, value)
+        member._value_ = value
+        member.words = words
+        return member
+
+    OK = 0, "ok"
+    SOME_LOST = 1, "some frames lost"
+    REPEATED = 2, "repeated"
+    WRONG_SEQUENCE = 3, "wrong sequence"
+    WRONG_CRC = 4, "wrong CRC"
+    NO_NEW_DATA = 5, "no new data"
+    INITIAL = 6, "not proven yet"
+
+
+LATE_TICKS = 2  # after its period, at which a message is overdue: frames come a tick late in real time
+BELIEVED = (E2eStatus.OK, E2eStatus.SOME_LOST)  # the values of such a frame of a protected message are taken
+_OF_ORDER = {
+    Order.FIRST: E2eStatus.INITIAL,
+    Order.OK: E2eStatus.OK,
+    Order.REPEATED: E2eStatus.REPEATED,
+    Order.SOME_LOST: E2eStatus.SOME_LOST,
+    Order.WRONG: E2eStatus.WRONG_SEQUENCE,
+}
+
+
+class Counted(NamedTuple):
+    """What a counter check says: the order, and how many frames are missing in between."""
+
+    order: Order
+    lost: int
+
+
+def next_counter(counter: int, modulus: int) -> int:
+    """The value after `counter` of a counter that rolls over at `modulus`."""
+    return (counter + 1) % modulus
+
+
+def check_counter(last: int | None, heard: int, modulus: int, max_delta: int = 1) -> Counted:
+    """How `heard` follows `last` (None: nothing heard yet). max_delta: the widest step that still passes."""
+    if last is None:
+        return Counted(Order.FIRST, 0)
+    delta = (heard - last) % modulus
+    if delta == 0:
+        return Counted(Order.REPEATED, 0)
+    if delta == 1:
+        return Counted(Order.OK, 0)
+    return Counted(Order.SOME_LOST if delta <= max_delta else Order.WRONG, delta - 1)
+
+
+class CounterCheck:
+    """Watches one message's counter. A wrong step is a new start, as receivers take it after a sender's restart."""
+
+    def __init__(self, modulus: int, max_delta: int = 1) -> None:
+        self.modulus = modulus
+        self.max_delta = max_delta
+        self.last: int | None = None
+        self.repeats = 0  # in a row
+
+    def hear(self, counter: float) -> Counted:
+        """Take in the next frame's counter."""
+        heard = int(counter)
+        counted = check_counter(self.last, heard, self.modulus, self.max_delta)
+        self.repeats = self.repeats + 1 if counted.order is Order.REPEATED else 0
+        self.last = heard
+        return counted
+
+
+class Receiver:
+    """Watches one message over time, ticks of the vehicle's. `hear` each frame; `look` once a tick when all are heard.
+
+    The step that the counter may make grows by one for each period in which no frame could be believed, as in
+    AUTOSAR's receiver; when it would allow any step, or after a wrong one, the counter is taken anew and the frame
+    after it is the first to be believed. A message without protection is believed; its counter, where it has one, is
+    watched all the same.
+    """
+
+    def __init__(self, message: MessageMap) -> None:
+        self.message = message
+        self.status = E2eStatus.INITIAL
+        self.counts = [0] * len(E2eStatus)
+        self.protection = message.e2e
+        self._period = max(message.period_ticks, 1)
+        self._plain = message.e2e is None and not message.counter
+        self._last: int | None = None
+        self._good_at = 0  # tick of the last frame that counted on
+        self._slack = LATE_TICKS
+        self._due_at = self._period + self._slack
+
+    @property
+    def believed(self) -> bool:
+        """Whether the values of the frame just heard may be taken."""
+        return self.protection is None or self.status in BELIEVED
+
+    def expect_every_period(self) -> None:
+        """From the beginning: a frame is overdue at the very tick at which it does not come. For lockstep."""
+        self._due_at -= self._slack
+        self._slack = 0
+
+    def hear(self, tick: int, data: bytes) -> E2eStatus:
+        """Take in a frame that has arrived by `tick`."""
+        self._due_at = tick + self._period + self._slack
+        self.status = status = E2eStatus.OK if self._plain else self._judge(tick, data)
+        self.counts[status] += 1
+        return status
+
+    def look(self, tick: int) -> bool:
+        """End a tick; True where the message is overdue at it, which is counted once a period."""
+        if tick < self._due_at:
+            return False
+        self._due_at = tick + self._period
+        self.status = E2eStatus.NO_NEW_DATA
+        self.counts[self.status] += 1
+        return True
+
+    def _judge(self, tick: int, data: bytes) -> E2eStatus:
+        heard, modulus, widest = self._read(data), self.message.counter_modulus, 1
+        if heard is None:
+            return E2eStatus.OK
+        if heard < 0:
+            return E2eStatus.WRONG_CRC
+        if self.protection is not None:
+            if heard >= modulus:  # 15 in profile 1: no sender counts so
+                return E2eStatus.WRONG_SEQUENCE
+            widest = self.message.e2e_max_delta + max(0, (tick - self._good_at) // self._period - 1)
+            if widest >= modulus - 1:
+                self._last = None
+        order = check_counter(self._last, heard, modulus, widest).order
+        if order is not Order.REPEATED:
+            self._last, self._good_at = heard, tick
+        return _OF_ORDER[order]
+
+    def _read(self, data: bytes) -> int | None:
+        """The frame's counter; -1 where its CRC is wrong; None where an unprotected frame ends before it."""
+        message = self.message
+        if self.protection is not None:
+            data = data[: message.length]
+            if len(data) < message.length or not is_intact(self.protection, data):
+                return -1
+            return read_nibble(data, self.protection.counter_at)
+        if message.signals[message.counter].end_bit > 8 * len(data):
+            return None
+        mask, shift, _, big_endian = message.plan.raws[message.counter]
+        whole = data[: message.length].ljust(message.length, b"\0")
+        return int.from_bytes(whole, "big" if big_endian else "little") >> shift & mask
+
+
+def check_e2e(message: MessageMap, frames: Iterable[tuple[float, bytes]], tick_s: float = 0.01) -> dict[str, int]:
+    """What a receiver would have said of recorded frames (time_s, payload) of one message: {status: frames}.
+
+    Statuses by name in lower case ('ok', 'wrong_crc', ...), those that never came left out; 'no_new_data' counts
+    periods. Empty for a message with neither CRC nor counter.
+    """
+    if message.e2e is None and not message.counter:
+        return {}
+    receiver = Receiver(message)
+    first_s = None
+    before = 0
+    for time_s, data in frames:
+        first_s = time_s if first_s is None else first_s
+        tick = max(before, round((time_s - first_s) / tick_s))
+        for silent in range(before, tick):
+            receiver.look(silent)
+        receiver.hear(tick, data)
+        before = tick
+    return {status.name.lower(): count for status in E2eStatus if (count := receiver.counts[status])}

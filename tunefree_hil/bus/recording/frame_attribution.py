@@ -1,0 +1,169 @@
+"""Whose frame, of which tick? What a recorder on SocketCAN works out, where a hub would know.
+
+SocketCAN shows no sender and carries no virtual time. Interfaces 8 settle both: ids of commands count as the
+controller's (phase 1), the vehicle's other ids as the ECU's (phase 0), and DONE(k, phase, n_tx, digest) on the bench
+channel claims the next n_tx frames of its phase, in the order in which they arrived. So the two channels, which are
+read from two sockets, may arrive interleaved in any way. The digest says whether the claimed frames are the announced
+ones: where they are not, somebody else sends these ids.
+
+In lockstep a claimed frame is stamped k ticks; one that nobody claims keeps its place in the log, with the tick of the
+frame before it. In real time stamps are the kernel's own and nothing waits for its claim.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections import deque
+from collections.abc import Callable, Collection, Iterable
+
+from tunefree_hil.base.errors import BenchError
+from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus import bench_channel as bc
+from tunefree_hil.bus.dbc.message_map import EXTENDED_FLAG
+from tunefree_hil.bus.tfhub.records import EFF_FLAG, EFF_MASK, ERR_FLAG, RTR_FLAG, Raw
+
+PHASE_ROLES = ("ecu", "controller")
+
+
+def can_key(frame: CanFrame) -> int:
+    """SocketCAN's can_id. Order of simultaneous frames too: a stable sort keeps the sequence within an id."""
+    return frame.id | EXTENDED_FLAG if frame.extended else frame.id
+
+
+def digest(frames: Iterable[CanFrame]) -> int:
+    """16-bit check of a phase's frames, in (id, sequence) order (DONE, interfaces 8)."""
+    crc = 0
+    for frame in frames:
+        crc = zlib.crc32(frame.data, zlib.crc32(frame.id.to_bytes(4, "little"), crc))
+    return crc & 0xFFFF
+
+
+class _Entry:
+    """A vehicle frame on its way to the log. `phase` -1 for a frame that is none of the vehicle's."""
+
+    __slots__ = ("k", "phase", "raw")
+
+    def __init__(self, raw: Raw, phase: int) -> None:
+        self.raw = raw
+        self.phase = phase
+        self.k = -1
+
+
+class Ledger:
+    """One episode. `write(frame)` gets the vehicle's frames, stamped, in the order in which they arrived.
+
+    `foreign` (id -> count), `errors` and `remote` count what is none of the vehicle's; it is written all the same.
+    """
+
+    def __init__(
+        self, ids_of_phase: tuple[Collection[int], Collection[int]], tick_ns: int, write: Callable[[Raw], None]
+    ) -> None:
+        self.foreign: dict[int, int] = {}
+        self.errors = 0
+        self.remote = 0
+        self.tick = 0  # the latest one that TICK or DONE named
+        self.ended = False  # the ECU said how it ended
+        self.claiming = True  # False once frames were lost: then nobody can tell whose the others are
+        self._phase_of = {key: phase for phase, ids in enumerate(ids_of_phase) for key in ids}
+        self._tick_ns = tick_ns  # 0 in real time
+        self._write = write
+        self._waiting: deque[_Entry] = deque()  # not yet written, in order of arrival
+        self._unclaimed: tuple[deque[_Entry], deque[_Entry]] = (deque(), deque())
+        self._dones: tuple[deque[bc.Done], deque[bc.Done]] = (deque(), deque())
+        self._last_ns = 0
+
+    def vehicle(self, raw: Raw) -> None:
+        """A frame of the vehicle channel has arrived. BenchError when it shows a foreign sender."""
+        phase = self._count(raw)
+        entry = _Entry(raw, phase)
+        if phase >= 0:
+            self._unclaimed[phase].append(entry)
+        if self._tick_ns:
+            self._waiting.append(entry)
+        else:
+            self._write(raw)
+        if phase >= 0:
+            self._claim(phase)
+        self._hand_over()
+
+    def bench(self, message: object) -> None:
+        """A message of the bench channel has arrived. BenchError when it shows a foreign sender of vehicle frames."""
+        if isinstance(message, bc.Tick):
+            self.tick = message.k
+        elif isinstance(message, bc.Done):
+            self.tick = message.k
+            if message.phase in (0, 1):
+                self._dones[message.phase].append(message)
+                self._claim(message.phase)
+                self._hand_over()
+        elif isinstance(message, bc.Status) and message.role == bc.Role.ECU:
+            self.ended = self.ended or message.state in (bc.State.FINISHED, bc.State.FAILED)
+
+    @property
+    def settled(self) -> bool:
+        """The drive is over and every announced frame has arrived."""
+        return self.ended and not any(self._dones)
+
+    def missing(self) -> tuple[int, str, int]:
+        """(tick, sender, how many) of the first announced frames that have not arrived; (0, '', 0) for none."""
+        for phase, dones in enumerate(self._dones):
+            if dones:
+                return dones[0].k, PHASE_ROLES[phase], dones[0].n_tx - len(self._unclaimed[phase])
+        return 0, "", 0
+
+    def finish(self) -> None:
+        """Write what still waits for a claim; nobody will make one."""
+        while self._waiting:
+            self._put(self._waiting.popleft())
+
+    def _count(self, raw: Raw) -> int:
+        """Phase of a frame, -1 (and counted) for what is none of the vehicle's."""
+        if raw.can_id & ERR_FLAG:
+            self.errors += 1
+            return -1
+        key = raw.can_id & (EFF_FLAG | EFF_MASK)
+        if raw.can_id & RTR_FLAG:
+            self.remote += 1
+            return -1
+        phase = self._phase_of.get(key, -1)
+        if phase < 0:
+            self.foreign[key] = self.foreign.get(key, 0) + 1
+        return phase
+
+    def _claim(self, phase: int) -> None:
+        dones, unclaimed = self._dones[phase], self._unclaimed[phase]
+        while self.claiming and dones and len(unclaimed) >= dones[0].n_tx:
+            done = dones.popleft()
+            claimed = [unclaimed.popleft() for _ in range(done.n_tx)]
+            for entry in claimed:
+                entry.k = done.k
+            frames = [_plain(entry.raw) for entry in claimed]
+            frames.sort(key=can_key)
+            if digest(frames) != done.digest:
+                raise self._foreign_sender(done, frames)
+
+    def _foreign_sender(self, done: bc.Done, frames: list[CanFrame]) -> BenchError:
+        ids = ", ".join(dict.fromkeys(f"0x{frame.id:03X}" for frame in frames))
+        word = "commander" if done.phase else "reporter"
+        return BenchError(
+            f"foreign {word} at tick {done.k}: the frames that came with ids of the {PHASE_ROLES[done.phase]} ({ids}) "
+            "are not those that it announced, so another node sends them on this bus",
+            code=f"foreign_{word}",
+            hint="end the other controller, player or vehicle on this link; SocketCAN does not say which it is",
+        )
+
+    def _hand_over(self) -> None:
+        waiting = self._waiting
+        if not self.claiming:
+            self.finish()
+        while waiting and (waiting[0].k >= 0 or waiting[0].phase < 0):
+            self._put(waiting.popleft())
+
+    def _put(self, entry: _Entry) -> None:
+        if entry.k >= 0:
+            self._last_ns = entry.k * self._tick_ns
+        self._write(entry.raw._replace(time_ns=self._last_ns))
+
+
+def _plain(raw: Raw) -> CanFrame:
+    return CanFrame(raw.can_id & EFF_MASK, raw.data, bool(raw.can_id & EFF_FLAG), raw.fd)

@@ -1,0 +1,55 @@
+"""The sender's side of counters and end-to-end protection, one for ECU and controller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.dbc.e2e import protect
+from tunefree_hil.bus.dbc.integrity import next_counter
+from tunefree_hil.bus.dbc.message_map import MessageMap
+
+
+class FrameWriter:
+    """Records -> frames of a vehicle, each message counted on from its last. One a node; counters begin at 0."""
+
+    def __init__(self, codec: Codec) -> None:
+        self.codec = codec
+        self._next: dict[str, int] = {}
+
+    def restart(self) -> None:
+        """Count from 0 again: a new episode."""
+        self._next.clear()
+
+    def write(
+        self, message: MessageMap, records: Mapping[str, Any], signals: Mapping[str, float], stamp_s: float
+    ) -> CanFrame:
+        """The next frame of a message. records, signals: as Codec.encode takes them, without counter and CRC."""
+        if not message.counter:
+            return self._frame(message, self.codec.encode(message, records, signals), stamp_s)
+        counter = self._next.get(message.name, 0)
+        self._next[message.name] = next_counter(counter, message.counter_modulus)
+        if message.e2e is None:
+            signals = {**signals, message.counter: float(counter)}
+            return self._frame(message, self.codec.encode(message, records, signals), stamp_s)
+        data = protect(message.e2e, self.codec.encode(message, records, signals), counter)
+        return self._frame(message, data, stamp_s)
+
+    def write_short(
+        self,
+        message: MessageMap,
+        records: Mapping[str, Any],
+        signals: Mapping[str, float],
+        length: int,
+        stamp_s: float,
+    ) -> CanFrame:
+        """A frame that ends before its counter, which therefore stays. A protected message is never cut short."""
+        if message.e2e is not None:
+            return self.write(message, records, signals, stamp_s)
+        return self._frame(message, self.codec.encode(message, records, signals, length), stamp_s)
+
+    @staticmethod
+    def _frame(message: MessageMap, data: bytes, stamp_s: float) -> CanFrame:
+        return CanFrame(message.can_id, data, message.extended, message.fd, stamp_s)

@@ -1,0 +1,235 @@
+"""The recorder: hears a vehicle's SocketCAN link and the bench channel, and writes the logs of both.
+
+Over a hub the hub itself writes the logs. SocketCAN has no such middle, so whoever conducts episodes starts a recorder
+in a process of its own (recorder_process.py, recorder_owner.py): a runner that grades an episode for 50 ms would let a
+queue of the kernel overflow.
+
+Trouble on the bus (frames lost, link down, bus-off, a foreign sender) is kept, the first of it, until the next episode;
+what was heard goes on into the log.
+"""
+
+from __future__ import annotations
+
+import select
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.errors import BenchError, TunefreeError
+from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus import bench_channel as bc
+from tunefree_hil.bus.error_frames import note_error
+from tunefree_hil.bus.link import Link
+from tunefree_hil.bus.open import open_link
+from tunefree_hil.bus.recording.frame_attribution import Ledger
+from tunefree_hil.bus.socketcan.kernel_link import kernel_drops
+from tunefree_hil.bus.socketcan.link import SocketCanLink, overflow, realtime_offset_ns
+from tunefree_hil.bus.tfhub.records import EFF_FLAG, EFF_MASK, ERR_FLAG, Raw, pack_raw
+from tunefree_hil.bus.tfhub.server.log import CandumpLog
+
+SETTLE_S = 1.0  # how long the end of a log waits for frames that were announced; SocketCAN delivers at once
+LOOK_S = 0.01
+MOST_OLD = 30_000  # frames that came before an episode, as many as wait in a queue of 16 MiB; a flood has no end
+LOG_SLICE = 256  # frames made into text at a time
+NOT_WHOLE = ("rx_overflow", "link_down", "bus_error", "frames_missing")  # trouble after which a log lacks frames
+
+
+class Setup(NamedTuple):
+    """What the owner sends first. ids: (of reports, of commands), EFF bit included; tick_ns 0 in real time."""
+
+    vehicle: str
+    bench: str
+    ids: tuple[list[int], list[int]]
+    tick_ns: int
+    fd: bool
+
+
+class Recorder:
+    """Both links and, while an episode is driven, its logs."""
+
+    def __init__(self, setup: Setup, vehicle: SocketCanLink, bench: Link, bench_fd: int) -> None:
+        self.setup = setup
+        self.vehicle = vehicle
+        self.bench = bench
+        self.frames = {"vehicle": 0, "bench": 0}  # heard since it was started
+        self.trouble: TunefreeError | None = None
+        self.fds = (vehicle.fileno(), bench_fd)
+        self._logs: dict[str, CandumpLog] = {}
+        self._ledger: Ledger | None = None
+        self._drops = 0
+        self._bench_name = setup.bench.rpartition(":")[2] if setup.bench.startswith("socketcan:") else "bench"
+
+    def read(self) -> int:
+        """Take in what has arrived on both links; how many frames. Trouble is kept. BenchError when the hub is gone."""
+        before = sum(self.frames.values())
+        try:
+            raws = self.vehicle.receive_raw(0.0)
+            self._require_all()
+            self.frames["vehicle"] += len(raws)
+            for raw in raws:
+                self._hear(raw)
+            self._read_bench()
+        except BenchError as error:
+            if error.code == "hub_gone":
+                raise
+            self._note(error)
+        return sum(self.frames.values()) - before
+
+    def work(self) -> bool:
+        """Make text of some frames; True while more wait."""
+        for log in self._logs.values():
+            if log.waiting:
+                log.work(LOG_SLICE)
+        return any(log.waiting for log in self._logs.values())
+
+    def start(self, paths: dict[str, str]) -> None:
+        """Begin an episode; what came before belongs to none. BenchError when a file cannot be made."""
+        if self._logs:
+            raise BenchError("a log is being written already", code="log_runs", hint="stop it first")
+        left = MOST_OLD
+        while left > 0 and (heard := self.read()):
+            left -= heard
+        self.trouble = None  # what was told of frames that belong to no episode
+        self._forgive()
+        names = {"vehicle": self.vehicle.interface, "bench": self._bench_name}
+        logs: dict[str, CandumpLog] = {}
+        try:
+            for channel, path in paths.items():
+                logs[channel] = CandumpLog(path, names[channel], 0)
+        except BenchError:
+            for log in logs.values():
+                log.discard()
+            raise
+        self._logs = logs
+        reports, commands = self.setup.ids
+        self._ledger = Ledger((reports, commands), self.setup.tick_ns, self._write_vehicle)
+
+    def stop(self) -> dict[str, Any]:
+        """Finish the logs: what was written and what stood out. Trouble of the end of it is noted too.
+
+        Logs that lack frames keep their temporary names.
+        """
+        if self._ledger is None:
+            raise BenchError("no log is being written", code="no_log", hint="start_log comes first")
+        ledger = self._settle(self._ledger)
+        self._ledger = None
+        ledger.finish()
+        logs, self._logs = self._logs, {}
+        self._end(list(logs.values()))
+        return {
+            "frames": {channel: log.frames for channel, log in logs.items()},
+            "foreign": {f"{key:X}": count for key, count in ledger.foreign.items()},
+            "remote": ledger.remote,
+            "errors": dict(self.vehicle.errors),
+        }
+
+    def close(self) -> None:
+        """Leave both links; a log that was not stopped keeps its temporary name."""
+        for log in self._logs.values():
+            log.abandon()
+        self.vehicle.close()
+        self.bench.close()
+
+    def _end(self, logs: Sequence[CandumpLog]) -> None:
+        """Write the rest of the logs. The first BenchError of a disk, when all are done."""
+        failures: list[BenchError] = []
+        for log in logs:
+            if self.trouble is not None and self.trouble.code in NOT_WHOLE:
+                log.abandon()
+                continue
+            try:
+                log.close()
+            except BenchError as error:
+                failures.append(error)
+        if failures:
+            raise failures[0]
+
+    def _settle(self, ledger: Ledger) -> Ledger:
+        """Wait for what was announced and has not arrived; say what did not."""
+        looks = round(SETTLE_S / LOOK_S)
+        while not ledger.settled and self.trouble is None and looks:
+            looks -= 1
+            select.select(self.fds, [], [], LOOK_S)
+            self.read()
+        self.read()
+        lost = self.vehicle.count_lost()
+        dropped = kernel_drops(self.vehicle.interface) - self._drops
+        self._require_all()
+        if dropped > 0:
+            self._note(overflow(self.vehicle.interface, "the kernel (net.core.netdev_max_backlog)", dropped))
+        tick, who, count = ledger.missing()
+        if count and ledger.ended and not lost:
+            words = f"tick {tick}: {count} frames that the {who} announced never came over {self.vehicle.interface}"
+            self._note(BenchError(words, code="frames_missing"))
+        return ledger
+
+    def _forgive(self) -> None:
+        self.vehicle.forgive()
+        if isinstance(self.bench, SocketCanLink):
+            self.bench.forgive()
+        self.vehicle.errors.clear()
+        self._drops = kernel_drops(self.vehicle.interface)
+
+    def _note(self, error: TunefreeError) -> None:
+        """Keep the first trouble; frames that were lost outside an episode are none."""
+        if self.trouble is None and (self._ledger is not None or error.code != "rx_overflow"):
+            self.trouble = error
+
+    def _require_all(self) -> None:
+        """Note frames that were lost in an episode, before what follows them is taken for something else."""
+        try:
+            self.vehicle.require_all()
+        except BenchError as error:
+            if self._ledger is not None:
+                self._ledger.claiming = False
+                self._note(error)
+
+    def _hear(self, raw: Raw) -> None:
+        """One frame of the vehicle channel, into the log whatever it is."""
+        try:
+            if self._ledger is not None:
+                self._ledger.vehicle(raw)
+            if raw.can_id & ERR_FLAG:
+                note_error(self.vehicle.errors, raw.can_id & EFF_MASK, raw.data, self.vehicle.interface)
+        except BenchError as error:
+            self._note(error)
+
+    def _read_bench(self) -> None:
+        offset_ns = 0 if self.setup.tick_ns else realtime_offset_ns()
+        for frame in self.bench.receive(0.0):
+            self.frames["bench"] += 1
+            if self._ledger is not None:
+                self._hear_bench(self._ledger, frame, offset_ns)
+
+    def _hear_bench(self, ledger: Ledger, frame: CanFrame, offset_ns: int) -> None:
+        try:
+            ledger.bench(bc.decode(frame))
+        except BenchError as error:
+            self._note(error)
+        tick_ns = self.setup.tick_ns
+        self._write_bench(frame, ledger.tick * tick_ns if tick_ns else round(frame.time_s * 1e9) + offset_ns)
+
+    def _write_vehicle(self, raw: Raw) -> None:
+        record = pack_raw(raw.can_id, raw.data, raw.time_ns, fd=raw.fd, flags=raw.flags, length=raw.length)
+        log = self._logs.get("vehicle")
+        if log is not None:
+            log.add(record, 1)
+
+    def _write_bench(self, frame: CanFrame, time_ns: int) -> None:
+        log = self._logs.get("bench")
+        if log is not None:
+            can_id = frame.id | EFF_FLAG if frame.extended else frame.id
+            log.add(pack_raw(can_id, frame.data, time_ns, fd=frame.fd), 1)
+
+
+def open_recorder(setup: Setup) -> Recorder:
+    """Open both links to listen; on a hub as a member, whom the hub waits for. BenchError, InputError as open_link."""
+    vehicle = open_link(setup.vehicle, "vehicle", name="the recorder", role="observer", fd=setup.fd)
+    assert isinstance(vehicle, SocketCanLink)
+    try:
+        role = "observer" if setup.bench.startswith("socketcan:") else "member"
+        bench = open_link(setup.bench, "bench", name="recorder", role=role)
+    except BaseException:
+        vehicle.close()
+        raise
+    fd = bench.fileno() if isinstance(bench, SocketCanLink) else bench._bus.fileno()  # type: ignore[attr-defined]
+    return Recorder(setup, vehicle, bench, fd)

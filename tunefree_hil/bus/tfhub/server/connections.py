@@ -1,0 +1,241 @@
+"""Who is connected to a hub, what each is still owed, and who holds the bus up.
+
+One connection as the hub sees it: who it is, what it still has to be given, and what happens when it does not read.
+
+A member's queue only grows to HIGH_BYTES, because the hub then stops reading from the channel's senders (hub.py). An
+observer's queue is a ring: the oldest is dropped and counted.
+"""
+
+from __future__ import annotations
+
+import selectors
+import socket
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from tunefree_hil.bus.tfhub.records import CHANNELS, DROPPED, as_other, only_these, pack_control
+
+READ, WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
+KNOWN = 4  # bit of Peer.events: the board holds the connection, even when it waits for nothing from it
+
+
+class Board:
+    """The connections of one hub and their selector. What is owed is written by `flush`, once a wake-up and peer."""
+
+    def __init__(self, observer_bytes: int) -> None:
+        self.observer_bytes = observer_bytes
+        self.peers: list[Peer] = []
+        self.strangers: list[Peer] = []  # those of them that have not said who they are
+        self.listeners: dict[str, list[Peer]] = {channel: [] for channel in CHANNELS}
+        self.holders: dict[str, list[Peer]] = {channel: [] for channel in CHANNELS}  # members that do not keep up
+        self.dirty: set[Peer] = set()
+        self.selector = selectors.DefaultSelector()
+
+    # --- coming and going ----------------------------------------------------------------------------------------
+
+    def add(self, sock: socket.socket, channel: str, deadline_s: float) -> None:
+        """A new connection, a stranger still."""
+        peer = Peer(sock, channel, deadline_s)
+        self.peers.append(peer)
+        self.strangers.append(peer)
+        self.watch(peer, READ)
+
+    def admit(self, peer: Peer, welcome: bytes) -> None:
+        """A stranger has said who it is; it gets `welcome` first and then what it listens to."""
+        self.strangers.remove(peer)
+        self.owe(peer, welcome)
+        for channel in peer.channels:
+            if peer.listen:
+                self.listeners[channel].append(peer)
+            if peer.role == "member":
+                self.pause_senders(channel)
+
+    def forget(self, peer: Peer) -> None:
+        """Close a connection and let go of everything that belonged to it."""
+        if peer.events & (READ | WRITE):
+            self.selector.unregister(peer.sock)
+        peer.events = 0
+        peer.sock.close()
+        self.peers.remove(peer)
+        self.dirty.discard(peer)
+        for group in (self.strangers, *self.listeners.values()):
+            if peer in group:
+                group.remove(peer)
+        self._release(peer)
+
+    def watch(self, peer: Peer, events: int) -> None:
+        """Have the selector report these events of a peer; 0: none, but the peer stays."""
+        now = peer.events & (READ | WRITE)
+        if events == now:
+            return
+        if not events:
+            self.selector.unregister(peer.sock)
+        elif now:
+            self.selector.modify(peer.sock, events, peer)
+        else:
+            self.selector.register(peer.sock, events, peer)
+        peer.events = events | KNOWN
+
+    # --- giving --------------------------------------------------------------------------------------------------
+
+    def owe(self, peer: Peer, record: bytes) -> None:
+        """Owe a peer a record that is no frame."""
+        peer.give(record, 0)
+        self.dirty.add(peer)
+
+    def deliver(self, sender: Peer, channel: str, chunk: bytes, frames: int) -> None:
+        """Owe frames to all others of a channel, and to the sender when it wants its echo."""
+        for peer in self.listeners[channel]:
+            if peer is sender and not peer.echo:
+                continue
+            if peer.only:
+                kept = only_these(chunk, frames, peer.only)
+                if kept:
+                    self._give(peer, channel, b"".join(kept), len(kept))
+                continue
+            self._give(peer, channel, chunk, frames)
+
+    def _give(self, peer: Peer, channel: str, chunk: bytes, frames: int) -> None:
+        """Owe one peer frames of a channel; an observer's are a ring, a member that falls behind holds the bus."""
+        if peer.role == "observer":
+            peer.give(chunk, frames, self.observer_bytes)
+        else:
+            peer.give(chunk if peer.channel == channel else as_other(chunk, frames), frames)
+            if peer.owed > HIGH_BYTES:
+                self._hold(peer)
+        self.dirty.add(peer)
+
+    def flush(self, failed: Callable[[Peer], None]) -> None:
+        """Write what is owed, as far as the sockets take it; `failed` gets each peer that cannot be written to."""
+        dirty, self.dirty = self.dirty, set()
+        for peer in dirty:
+            if not peer.events:
+                continue
+            try:
+                done = peer.flush()
+            except OSError:
+                failed(peer)
+                continue
+            if peer.owed < LOW_BYTES:
+                self._release(peer)
+            self.watch(peer, (0 if peer.paused else READ) | (0 if done else WRITE))
+
+    # --- back-pressure -------------------------------------------------------------------------------------------
+
+    def _hold(self, member: Peer) -> None:
+        """A member does not keep up: read from no sender of its channels until it does."""
+        for channel in member.channels:
+            if member not in self.holders[channel]:
+                self.holders[channel].append(member)
+                self.pause_senders(channel)
+
+    def _release(self, member: Peer) -> None:
+        """It keeps up again, or is gone."""
+        for channel in member.channels:
+            if member in self.holders[channel]:
+                self.holders[channel].remove(member)
+                self.pause_senders(channel)
+
+    def pause_senders(self, channel: str) -> None:
+        """Read from the members of a channel exactly when nobody holds one of their channels."""
+        for peer in self.peers:
+            if peer.role == "member" and channel in peer.channels:
+                held = any(self.holders[one] for one in peer.channels)
+                peer.paused = held
+                self.watch(peer, (0 if held else READ) | (peer.events & WRITE))
+
+
+HIGH_BYTES = 1 << 20  # a member that is owed this much stops its channel's senders
+LOW_BYTES = 1 << 18  # and lets them go on from here
+OBSERVER_BYTES = 1 << 20  # an observer is owed at most this
+WRITE_BYTES = 1 << 18  # at most this much is joined into one write
+
+
+@dataclass(slots=True, eq=False)
+class Peer:
+    """A connection. `role` is '' until its hello; `queue` holds (bytes, number of frames in them)."""
+
+    sock: socket.socket
+    channel: str
+    deadline_s: float  # of its hello, monotonic
+    role: str = ""
+    name: str = "?"
+    pid: int = 0
+    index: int = 0
+    echo: bool = False  # gets its own frames back
+    listen: bool = True
+    also: str = ""  # the other channel, where this connection carries both (records.OTHER)
+    only: frozenset[int] = frozenset()  # gets only frames with one of these ids; empty: all
+    stamps: bool = False
+    mourned: bool = False  # its process's loss has been announced
+    rest: bytes = b""  # the beginning of a record whose end has not come yet
+    sent: int = 0
+    dropped: int = 0
+    dropped_told: int = 0
+    owed: int = 0  # bytes in the queue
+    queue: deque[tuple[bytes | memoryview, int]] = field(default_factory=deque)
+    begun: bool = False  # the queue's first chunk is partly written
+    events: int = 0  # as registered with the selector
+    paused: bool = False  # not read from, because a member holds the bus
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels that it is on."""
+        return (self.channel, self.also) if self.also else (self.channel,)
+
+    def give(self, chunk: bytes, frames: int, ring_bytes: int = 0) -> None:
+        """Owe it `chunk`. With ring_bytes the oldest frames make room, and are counted in `dropped`."""
+        self.queue.append((chunk, frames))
+        self.owed += len(chunk)
+        if ring_bytes and self.owed > ring_bytes:
+            self._make_room(ring_bytes)
+
+    def _make_room(self, ring_bytes: int) -> None:
+        kept = [self.queue.popleft()] if self.begun else []
+        while self.queue and self.owed > ring_bytes:
+            chunk, frames = self.queue.popleft()
+            self.owed -= len(chunk)
+            self.dropped += frames
+            if not frames:  # it was a notice of earlier drops: tell again
+                self.dropped_told = -1
+        self.queue.extendleft(kept)
+
+    def flush(self) -> bool:
+        """Write what the socket takes. True when nothing is left. OSError when the peer is gone."""
+        queue = self.queue
+        while True:
+            if self.dropped != self.dropped_told and not self.begun:
+                self._tell_drops()
+            if not queue:
+                return True
+            batch = queue[0][0] if len(queue) == 1 or self.begun else self._join()
+            try:
+                written = self.sock.send(batch)
+            except BlockingIOError:
+                return False
+            self.owed -= written
+            if written < len(batch):
+                queue[0] = (memoryview(batch)[written:], queue[0][1])
+                self.begun = True
+                return False
+            queue.popleft()
+            self.begun = False
+
+    def _tell_drops(self) -> None:
+        notice = pack_control(DROPPED, sequence=self.dropped)
+        self.queue.appendleft((notice, 0))
+        self.owed += len(notice)
+        self.dropped_told = self.dropped
+
+    def _join(self) -> bytes:
+        """Make the first chunks of the queue one, up to WRITE_BYTES; its bytes."""
+        parts, frames, size = [], 0, 0
+        while self.queue and size < WRITE_BYTES:
+            chunk, count = self.queue.popleft()
+            parts.append(chunk)
+            frames += count
+            size += len(chunk)
+        batch = b"".join(parts)
+        self.queue.appendleft((batch, frames))
+        return batch

@@ -1,0 +1,94 @@
+"""What the owner of a hub may ask: logs and numbers. Requests and replies are JSON (records.REQUEST, REPLY)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from tunefree_hil.base.errors import BenchError
+from tunefree_hil.bus.tfhub.records import CHANNELS, REPLY, RecordError, pack_control
+from tunefree_hil.bus.tfhub.server.log import CandumpLog
+from tunefree_hil.bus.tfhub.server.sender_check import Guard
+
+if TYPE_CHECKING:
+    from tunefree_hil.bus.tfhub.server.hub import Hub
+
+
+def answer(hub: Hub, body: dict[str, Any]) -> bytes:
+    """The REPLY to one request: {"ok": ...} or {"error": ...}. RecordError for a request that there is not."""
+    operations = {"start_log": _start_log, "stop_log": _stop_log, "stats": _stats, "guard": _guard}
+    operation = operations.get(str(body.get("op")))
+    if operation is None:
+        raise RecordError(f"it asked for {body.get('op')!r}")
+    try:
+        return pack_control(REPLY, {"ok": operation(hub, body)})
+    except BenchError as error:
+        return pack_control(REPLY, {"error": error.as_dict()})
+
+
+def _start_log(hub: Hub, body: dict[str, Any]) -> dict[str, Any]:
+    if hub.logs:
+        raise BenchError("a log is being written already", code="log_runs", hint="stop it first")
+    paths = body.get("paths")
+    if not isinstance(paths, dict) or not paths or not set(paths) <= set(CHANNELS):
+        raise RecordError("it asked for a log without channels")
+    logs: dict[str, CandumpLog] = {}
+    try:
+        for channel, path in paths.items():
+            logs[channel] = CandumpLog(str(path), hub.log_names[channel], hub.epoch_offset_ns)
+    except BenchError:
+        for log in logs.values():
+            log.discard()
+        raise
+    hub.logs = logs
+    return {}
+
+
+def _stop_log(hub: Hub, body: dict[str, Any]) -> dict[str, int]:
+    """Frames by channel. Every log is closed before the first error is told."""
+    if not hub.logs:
+        raise BenchError("no log is being written", code="no_log", hint="start_log comes first")
+    logs, hub.logs = hub.logs, {}
+    errors: list[BenchError] = []
+    for log in logs.values():
+        try:
+            log.close()
+        except BenchError as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]
+    return {channel: log.frames for channel, log in logs.items()}
+
+
+def _guard(hub: Hub, body: dict[str, Any]) -> list[dict[str, Any]]:
+    """With "ids": watch these from now on, and forget what was seen. Without: what strangers have sent since."""
+    if "ids" in body:
+        ids = body["ids"]
+        if not isinstance(ids, list) or not all(isinstance(can_id, int) for can_id in ids):
+            raise RecordError("it asked to watch what are no ids")
+        hub.guard = Guard(frozenset(ids))
+    return hub.guard.seen()
+
+
+def _stats(hub: Hub, body: dict[str, Any]) -> dict[str, Any]:
+    peers = [
+        {
+            "name": peer.name,
+            "channel": peer.channel,
+            "role": peer.role,
+            "pid": peer.pid,
+            "sent": peer.sent,
+            "dropped": peer.dropped,
+            "owed_bytes": peer.owed,
+        }
+        for peer in hub.board.peers
+        if peer.role
+    ]
+    return {
+        "session": hub.session.session,
+        "clock": hub.session.info.clock,
+        "frames": hub.frames,
+        "peers": peers,
+        "lost": list(hub.lost)[-20:],
+        "held_by": [peer.name for holders in hub.board.holders.values() for peer in holders],
+        "log_failures": [log.failure for log in hub.logs.values() if log.failure],
+    }

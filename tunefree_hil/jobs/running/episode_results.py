@@ -1,0 +1,126 @@
+"""From an episode's logs to its columns, frame hash and grade.
+
+What the nodes of a drive noticed of each other's frames, from the episode's timing.npz.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tunefree_hil.bench import Bench, follower_of
+from tunefree_hil.config.schema import ScenarioSpec
+from tunefree_hil.episode.candump import read_candump
+from tunefree_hil.episode.columns import columns_from_placed, place_vehicle
+from tunefree_hil.episode.frame_hash import hash_of
+from tunefree_hil.episode.real_time import run_zero_s
+from tunefree_hil.episode.recording import Recording, save_recording
+from tunefree_hil.grade.score import ScenarioGrade, combine, grade, vehicle_of
+from tunefree_hil.jobs.run_folder import write_json
+from tunefree_hil.nodes.reception import in_words
+from tunefree_hil.nodes.runner import Outcome
+from tunefree_hil.tune.trial import Evaluation
+
+
+class Episode(NamedTuple):
+    """One drive, read and graded. error_code: the number that was said, a controller's own as it said it."""
+
+    recording: Recording
+    grade: ScenarioGrade
+    hash: str
+    foreign: dict[int, int]
+    error_code: int = 0
+
+
+def harvest(
+    bench: Bench,
+    scenario: ScenarioSpec,
+    values: Mapping[str, float],
+    outcome: Outcome,
+    folder: Path,
+    *,
+    seed: int = 0,
+    realtime: bool = False,
+) -> Episode:
+    """Read `folder/vehicle.log`, write columns.npz and episode.json beside it."""
+    frames = read_candump(folder / "vehicle.log")
+    codec = bench.codec
+    zero_s = run_zero_s(folder / "bench.log") if realtime else 0.0
+    placed = place_vehicle(frames, codec, bench.dt_s, zero_s)
+    hashed = hash_of(placed)
+    recording = columns_from_placed(
+        placed,
+        codec,
+        follower_of(bench, scenario, values),
+        bench.dt_s,
+        ticks=outcome.ticks,
+        late_ticks=1 if realtime else 0,
+    )
+    save_recording(recording, folder / "columns.npz")
+    graded = grade(
+        recording,
+        bench.course(scenario),
+        bench.weights,
+        vehicle_of(bench.vehicle),
+        scenario=scenario.name,
+        error=outcome.error,
+    )
+    write_json(folder / "episode.json", _summary(scenario, seed, values, outcome, graded, hashed.hex))
+    return Episode(recording, graded, hashed.hex, dict(hashed.foreign), outcome.error_code)
+
+
+def _summary(
+    scenario: ScenarioSpec,
+    seed: int,
+    values: Mapping[str, float],
+    outcome: Outcome,
+    graded: ScenarioGrade,
+    sha256: str,
+) -> dict[str, Any]:
+    return {
+        "schema": "tunefree.episode/1",
+        "scenario": scenario.name,
+        "scenario_hash": scenario.hash,
+        "seed": seed,
+        "parameters": dict(values),
+        "ticks": outcome.ticks,
+        "error": outcome.error,
+        "error_code": outcome.error_code,
+        "score": graded.score,
+        "metrics": graded.metrics,
+        "replans": graded.replans,
+        "outcome": graded.outcome,
+        "frame_hash": sha256,
+    }
+
+
+def evaluation_of(episodes: Mapping[str, Episode]) -> Evaluation:
+    """Eq. 7 over the episodes, and each grade as plain data."""
+    grades = [episode.grade for episode in episodes.values()]
+    kept = {name: {**episode.grade._asdict(), "frame_hash": episode.hash} for name, episode in episodes.items()}
+    return Evaluation(combine(grades), kept)
+
+
+ROLES = ("ecu", "controller")
+HEARD = "_heard_"
+
+
+def heard_of(episode: Path) -> list[str]:
+    """A line for each message with which something was wrong, by who heard it; empty where all was well.
+
+    episode: folder of an episode. Without its timing.npz (a controller that is not ours keeps none) nothing is known.
+    """
+    file = episode / "timing.npz"
+    if not file.is_file():
+        return []
+    with np.load(file, allow_pickle=False) as data:
+        rows = {name: data[name].tolist() for name in data.files if HEARD in name}
+    return [
+        f"{role} heard {name.removeprefix(role + HEARD)}: {in_words(row)}"
+        for role in ROLES
+        for name, row in sorted(rows.items())
+        if name.startswith(role + HEARD)
+    ]

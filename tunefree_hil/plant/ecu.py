@@ -1,0 +1,96 @@
+"""The whole vehicle as the bus sees it, as one Block: command delay, by-wire unit, body, report delay (design D4).
+
+Where an effect makes the chassis reports late, the by-wire unit's bits, which are in the same frames, are as late.
+
+What goes in at tick k are the command frames of tick k; what comes out is what the reports of tick k + 1 say. In real
+time one tick of each delay is the bus's own, so `make_unit` is then given one tick less.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from tunefree_hil.base.kernel import Block, kernel
+from tunefree_hil.base.records import Disturbance, Measurement
+from tunefree_hil.plant.actuation.bywire import ByWireInput, ByWireStatus, Heard
+from tunefree_hil.plant.actuation.delay import init_delay, step_delay
+from tunefree_hil.plant.measurement.report_latency import init_late, with_late_status
+from tunefree_hil.plant.types import BodyInput, Driver
+from tunefree_hil.plant.vehicle import Body, first_output
+
+
+class UnitInput(NamedTuple):
+    """One tick: the command frames, the person in the seat, the road."""
+
+    heard: Heard
+    driver: Driver
+    road: Disturbance
+
+
+class Said(NamedTuple):
+    """What the vehicle's frames say."""
+
+    measurement: Measurement
+    status: ByWireStatus
+
+
+class UnitParams(NamedTuple):
+    """Params of the parts."""
+
+    bywire: Any
+    body: Any
+
+
+class UnitState(NamedTuple):
+    """States of the parts; speed_mps and steer_rad are what the by-wire unit senses itself."""
+
+    commands: Any
+    bywire: Any
+    body: Any
+    reports: Any
+    speed_mps: float
+    steer_rad: float
+
+
+class Unit(NamedTuple):
+    """A vehicle's step, made (and compiled) once for all its episodes."""
+
+    step: Any
+    bywire: Block
+    command_ticks: int
+    report_ticks: int
+
+    def start(self, body: Body, dt_s: float) -> tuple[UnitParams, UnitState, Said]:
+        """(params, state, what the frames of tick 0 say) of an episode; `body` comes from `for_episode`."""
+        body_state, first = first_output(body, dt_s)
+        said = Said(first.measurement, ByWireStatus())
+        reports = init_delay(self.report_ticks)(said, dt_s)
+        state = UnitState(
+            init_delay(self.command_ticks)(Heard(), dt_s),
+            self.bywire.init(self.bywire.params, dt_s),
+            body_state,
+            (init_late(body.block.params.late_s, dt_s), reports) if body.late else reports,
+            float(first.motion.speed_mps),
+            float(first.actuation.steer_rad),
+        )
+        return UnitParams(self.bywire.params, body.block.params), state, said
+
+
+def make_unit(body: Body, bywire: Block, command_ticks: int, report_ticks: int) -> Unit:
+    """The vehicle's step for the structure of `body`; its numbers come with `Unit.start`."""
+    command_step, report_step = step_delay(command_ticks), step_delay(report_ticks)
+    bywire_step, body_step = bywire.step, body.block.step
+    if body.late:
+        report_step = with_late_status(report_step, Said)
+
+    @kernel
+    def step(params: UnitParams, state: UnitState, x: UnitInput, dt_s: float) -> tuple[UnitState, Said]:
+        commands, heard = command_step(0.0, state.commands, x.heard, dt_s)
+        seen = ByWireInput(heard, x.driver, state.speed_mps, state.steer_rad)
+        bywire_state, applied = bywire_step(params.bywire, state.bywire, seen, dt_s)
+        body_state, out = body_step(params.body, state.body, BodyInput(applied.command, x.driver, x.road), dt_s)
+        reports, said = report_step(0.0, state.reports, Said(out.measurement, applied.status), dt_s)
+        speed_mps, steer_rad = out.motion.speed_mps, out.actuation.steer_rad
+        return UnitState(commands, bywire_state, body_state, reports, speed_mps, steer_rad), said
+
+    return Unit(step, bywire, command_ticks, report_ticks)

@@ -1,0 +1,173 @@
+"""What is measured of the motion: chassis reports and INS, with noise, bias and INS latency.
+
+Chance is drawn before tick 0 by `noise_table`; the kernel only looks it up. Quantisation is the wire's (codec), the
+report's delay the bench's (`plant/actuation/delay.py`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.kernel import Block, kernel, table
+from tunefree_hil.base.maths import wrap_rad
+from tunefree_hil.base.records import Actuation, Command, Ins, Measurement, Motion, Report
+from tunefree_hil.plant.types import Driver
+
+NOISY = (
+    "report.throttle_frac", "report.brake_frac", "report.steer_rad", "report.speed_mps",
+    "report.wheel_fl_radps", "report.wheel_fr_radps", "report.wheel_rl_radps", "report.wheel_rr_radps",
+    "report.accel_mps2", "report.lateral_accel_mps2", "report.yaw_rate_radps",
+    "ins.x_m", "ins.y_m", "ins.heading_rad", "ins.speed_mps", "ins.accel_mps2", "ins.yaw_rate_radps",
+)  # fmt: skip
+WIDTH = len(NOISY)
+
+
+class SensorParams(NamedTuple):
+    """noise: table of rows of WIDTH numbers in the order of NOISY, one a tick, added to the true values (bias is in
+    them); behind its last row it begins again. The INS stands on the centre line, ins_ahead_m ahead of the rear axle;
+    its acceleration is the rate of speed, or specific force where ins_specific_force is 1.
+    """
+
+    noise: Any
+    ins_ahead_m: float = 0.0
+    ins_specific_force: float = 0.0
+
+
+class SensorInput(NamedTuple):
+    """What there is to measure in one tick."""
+
+    motion: Motion
+    actuation: Actuation
+    command: Command  # as applied by the by-wire unit: its echo
+    driver: Driver
+
+
+class SensorState(NamedTuple):
+    """Row of the noise table, and the INS records on their way, oldest first."""
+
+    row: int
+    late: Any
+
+
+def noise_table(sigma: Mapping[str, float], bias: Mapping[str, float], ticks: int, seed: int) -> Any:
+    """Rows for ticks 0..ticks: white Gaussian noise of `sigma` about `bias`, by record field ('report.speed_mps').
+
+    Every field has a stream of its own, so one field's noise does not move another's. Raises InputError for a field
+    that is not in NOISY. Without any noise one row does for all ticks.
+    """
+    unknown = sorted((set(sigma) | set(bias)) - set(NOISY))
+    if unknown:
+        raise InputError(
+            f"no noise for {', '.join(unknown)}",
+            code="unknown_noise_field",
+            key=f"noise.{unknown[0]}",
+            hint=f"there is noise for {', '.join(NOISY)}",
+        )
+    rows = ticks + 1 if any(sigma.values()) else 1
+    drawn = np.zeros((rows, WIDTH))
+    for column, name in enumerate(NOISY):
+        if sigma.get(name, 0.0):
+            stream = np.random.default_rng([seed, column])
+            drawn[:, column] = sigma[name] * stream.standard_normal(rows)
+        drawn[:, column] += bias.get(name, 0.0)
+    return table(drawn.ravel().tolist())
+
+
+@kernel
+def report_of(x: SensorInput, noise: Any, at: int) -> Report:
+    """The chassis reports; `at` is where this tick's noise begins."""
+    motion, out, told, driver = x.motion, x.actuation, x.command, x.driver
+    return Report(
+        driver.throttle_frac,
+        told.throttle_frac,
+        out.throttle_frac + noise[at],
+        driver.brake_frac,
+        told.brake_frac,
+        out.brake_frac + noise[at + 1],
+        told.steer_rad,
+        out.steer_rad + noise[at + 2],
+        motion.speed_mps + noise[at + 3],
+        motion.wheel_fl_radps + noise[at + 4],
+        motion.wheel_fr_radps + noise[at + 5],
+        motion.wheel_rl_radps + noise[at + 6],
+        motion.wheel_rr_radps + noise[at + 7],
+        motion.accel_mps2 + noise[at + 8],
+        motion.lateral_accel_mps2 + noise[at + 9],
+        motion.yaw_rate_radps + noise[at + 10],
+        out.gear,
+        told.accel_mps2,
+        told.steer_torque_nm,
+        driver.steer_torque_nm,
+    )
+
+
+@kernel
+def ins_of(params: SensorParams, motion: Motion) -> Ins:
+    """What the INS would say at once and without noise; heading within (-pi, pi] once noise is on it."""
+    ahead_m, heading = params.ins_ahead_m, motion.heading_rad
+    accel = motion.accel_mps2 if params.ins_specific_force > 0.5 else motion.speed_rate_mps2
+    return Ins(
+        motion.x_m + ahead_m * math.cos(heading),
+        motion.y_m + ahead_m * math.sin(heading),
+        heading,
+        motion.speed_mps,
+        accel,
+        motion.yaw_rate_radps,
+    )
+
+
+@kernel
+def noisy_ins(ins: Ins, noise: Any, at: int) -> Ins:
+    """The INS record with this tick's noise."""
+    return Ins(
+        ins.x_m + noise[at + 11],
+        ins.y_m + noise[at + 12],
+        wrap_rad(ins.heading_rad + noise[at + 13]),
+        ins.speed_mps + noise[at + 14],
+        ins.accel_mps2 + noise[at + 15],
+        ins.yaw_rate_radps + noise[at + 16],
+    )
+
+
+def sensors(params: SensorParams, ins_ticks: int = 0) -> Block:
+    """Block SensorInput -> Measurement whose INS is `ins_ticks` ticks late. `init` leaves no INS record on its way."""
+
+    def init(params: SensorParams, dt_s: float) -> SensorState:
+        return SensorState(0, (Ins(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),) * ins_ticks)
+
+    if ins_ticks == 0:
+
+        @kernel
+        def step_now(params: SensorParams, state: SensorState, x: SensorInput, dt_s: float) -> Any:
+            at = state.row * WIDTH
+            row = 0 if at + WIDTH >= len(params.noise) else state.row + 1
+            ins = noisy_ins(ins_of(params, x.motion), params.noise, at)
+            return SensorState(row, state.late), Measurement(report_of(x, params.noise, at), ins)
+
+        return Block(init, step_now, params)
+
+    @kernel
+    def step(params: SensorParams, state: SensorState, x: SensorInput, dt_s: float) -> Any:
+        at = state.row * WIDTH
+        row = 0 if at + WIDTH >= len(params.noise) else state.row + 1
+        late = state.late[1:] + (ins_of(params, x.motion),)
+        ins = noisy_ins(state.late[0], params.noise, at)
+        return SensorState(row, late), Measurement(report_of(x, params.noise, at), ins)
+
+    return Block(init, step, params)
+
+
+def rolled_in(params: SensorParams, first: Motion, ins_ticks: int, dt_s: float) -> SensorState:
+    """State at tick 0 of a car that has always rolled straight on as in `first`: the INS records on their way."""
+    late = []
+    for k in range(ins_ticks, 0, -1):
+        back_m = k * dt_s * first.speed_mps
+        x_m = first.x_m - back_m * math.cos(first.heading_rad)
+        y_m = first.y_m - back_m * math.sin(first.heading_rad)
+        late.append(ins_of(params, first._replace(x_m=x_m, y_m=y_m)))
+    return SensorState(0, tuple(late))
