@@ -1,4 +1,4 @@
-"""What the tests of the house share: the project's files, their imports, and the tables of docs/architecture.md.
+"""What the tests of the house share: the project's files, their imports, and the tables of docs/explanation/architecture.md.
 
 The document is the one list of floors, owners and allowed functions; these readers take it from there, so that a
 table nobody checks cannot exist.
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "tunefree_hil"
-ARCHITECTURE = ROOT / "docs" / "architecture.md"
+ARCHITECTURE = ROOT / "docs" / "explanation" / "architecture.md"
 LOADERS = ("import_module", "load", "names")  # calls that import what a string names (base/parts.py)
 TEXT_FOLDERS = (".ci", "bench_configs", "dbc", "docs", "tests", "tools", PACKAGE)
 TEXT_SUFFIXES = ("", ".bash", ".cfg", ".dbc", ".in", ".ini", ".json", ".lock", ".md", ".py", ".sh", ".toml", ".txt")
@@ -98,7 +98,7 @@ def _named_by_string(call: ast.Call) -> Iterator[Import]:
 
 
 def floors() -> dict[str, int]:
-    """Folder -> floor, from the table of docs/architecture.md. Words in brackets are plans and do not count."""
+    """Folder -> floor, from the table of docs/explanation/architecture.md. Words in brackets are plans and do not count."""
     table: dict[str, int] = {}
     for line in ARCHITECTURE.read_text(encoding="utf-8").splitlines():
         row = re.match(r"(\d)  (\S.*)", line)

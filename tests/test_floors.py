@@ -1,4 +1,4 @@
-"""A module imports its own folder and lower floors only (docs/architecture.md)."""
+"""A module imports its own folder and lower floors only (docs/explanation/architecture.md)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def upward_imports(source: str, inside: str) -> list[str]:
     """Complaints about one file of the package, `inside` being its path there."""
     own = folder_of(inside)
     if own not in FLOORS:
-        return [f"{inside}: {own} stands on no floor of docs/architecture.md"]
+        return [f"{inside}: {own} stands on no floor of docs/explanation/architecture.md"]
     module = f"{PACKAGE}.{inside.removesuffix('.py').replace('/', '.')}"
     complaints = []
     for line, target in imports(source, module):

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""`tools/make_effects_page.py`: writes the tables of docs/effects.md from what the files of effects/ export.
+"""`tools/make_effects_page.py`: writes the tables of docs/reference/effects.md from what the files of effects/ export.
 
 Between the two marks of the page everything is replaced, the rest is left alone.
 """
@@ -15,10 +15,10 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
-from tunefree_hil.base.contracts import QUANTITIES, Effect, Port, Prior, links_of, place_of  # noqa: E402
+from tunefree_hil.base.contracts import Effect, Port, Prior, links_of, place_of  # noqa: E402
 from tunefree_hil.effects import catalogue  # noqa: E402
 
-PAGE = ROOT / "docs" / "effects.md"
+PAGE = ROOT / "docs" / "reference" / "effects.md"
 BEGIN, END = "<!-- tables: tools/make_effects_page.py -->", "<!-- end of tables -->"
 GROUPS = {
     "Steering": (Port.STEER_A, Port.STEER_OUT, Port.STEER_B),
@@ -36,15 +36,13 @@ def tables() -> str:
     lines = [f"{len(every)} effects."]
     for title, ports in GROUPS.items():
         lines += ["", f"### {title}", *_group({name: one for name, one in every.items() if one.port in ports})]
-    lines += ["", "### What a drive is asked for", "", "| needs | |", "|---|---|"]
-    lines += [f"| `{name}` | {meaning} |" for name, meaning in QUANTITIES.items()]
     return "\n".join(lines) + "\n"
 
 
 def _group(some: dict[str, Effect]) -> Iterator[str]:
     yield from (
         "",
-        "| effect | place | parameter | neutral | looked for | typical | breaks |",
+        "| effect | place | parameter | neutral | searched | typical | breaks |",
         "|---|---|---|---|---|---|---|",
     )
     for name, one in some.items():
@@ -56,10 +54,9 @@ def _group(some: dict[str, Effect]) -> Iterator[str]:
                 f"| {first[0]} | {first[1]} | {key}{_unit(one.units[key])} | {_number(one.neutral[key])} | "
                 f"{_range(one.priors[key])} | {_typical(one.priors[key])} | {first[2]} |"
             )
-    yield from ("", "| effect | looks like | taken for | told apart by | needs |", "|---|---|---|---|---|")
+    yield from ("", "| effect | looks like | taken for | told apart by |", "|---|---|---|---|")
     for name, one in some.items():
-        needs = ", ".join(f"{need.quantity} {need.least:g}" for need in one.needs)
-        yield f"| `{name}` | {one.symptom} | {', '.join(one.impostors)} | {one.manoeuvre} | {needs} |"
+        yield f"| `{name}` | {one.symptom} | {', '.join(one.impostors)} | {one.manoeuvre} |"
 
 
 def _unit(unit: str) -> str:

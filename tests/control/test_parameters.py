@@ -15,7 +15,7 @@ from tunefree_hil.base.contracts import Tunable
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.control import parameters as par
 
-PAGE = ROOT / "docs" / "tuning.md"
+PAGE = ROOT / "docs" / "reference" / "controller.md"
 
 
 def test_table_is_that_of_interfaces_7():

@@ -30,9 +30,10 @@ from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.formats.rows import Row
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.episode.candump import write_candump
+from tunefree_hil.learn.actuators import identify
 from tunefree_hil.learn.actuators.samples import pairs_of, up_to_stops
-from tunefree_hil.learn.compiled_process import Worker
-from tunefree_hil.learn.data_sheet import channel_sheet
+from tunefree_hil.learn.compiled_process import CompiledProcess
+from tunefree_hil.learn.data_sheet import read_channel_sheet
 from tunefree_hil.learn.drives.read import read_drives
 from tunefree_hil.learn.drives.split import split_drives
 from tunefree_hil.learn.estimate import ActuatorFit
@@ -73,7 +74,7 @@ def measure(
     ledger = Ledger(Path(folder) / "actuators")
     loaded = load(ROOT / bench)
     rows: list[list[dict[str, Any]]] = []
-    with Worker() as worker:
+    with CompiledProcess() as worker:
         for number in range(vehicles):
             depends = {"vehicle": number, "seed": seed, "seconds": seconds, "bench": bench, "code": _code()}
             known = ledger.find(depends)
@@ -128,7 +129,7 @@ def _reached(block: Block, channel: str, base: float, step: float, rest: float) 
     raise ValueError(f"{channel} does not answer a step within {SMALL_S} s")
 
 
-def _one(bench: Bench, values: dict[str, float], seconds: float, number: int, worker: Worker) -> list[dict[str, Any]]:
+def _one(bench: Bench, values: dict[str, float], seconds: float, number: int, worker: CompiledProcess) -> list[dict[str, Any]]:
     """Rows of one vehicle: driven, logged, read, split, identified."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "vehicle.log"
@@ -139,8 +140,8 @@ def _one(bench: Bench, values: dict[str, float], seconds: float, number: int, wo
     found = []
     for channel in CHANNELS:
         parts = up_to_stops(pairs_of(split.training, channel), pairs_of(split.held_out, channel))
-        sheet = channel_sheet(bench.vehicle, channel)
-        one = worker.result("tunefree_hil.learn.actuators.identify", "fit", *parts, sheet, True)
+        sheet = read_channel_sheet(bench.vehicle, channel)
+        one = worker.wait_for_result(identify.fit, *parts, sheet, True)
         found += _rows(channel, truths[channel], one)
     return found
 

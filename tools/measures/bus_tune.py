@@ -22,7 +22,7 @@ from tools.measures._ledger import FOLDER, code_hash
 from tools.measures._summary import RESAMPLES, machine, rounded
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.jobs.run_folder import RunFolder, open_run
-from tunefree_hil.jobs.tune.options import Asked
+from tunefree_hil.jobs.tune.options import TuneOptions
 from tunefree_hil.jobs.tune.tune import tune
 from tunefree_hil.tune.sampling import Told, suggest
 from tunefree_hil.tune.space import Space
@@ -83,7 +83,7 @@ def measure(
 def _timed(folder: Path, trials: int, benches: int, bench: Path) -> Timed:
     """Run or go on with the study."""
     folder.mkdir(parents=True, exist_ok=True)
-    asked = Asked(bench, trials=trials, verify=False, benches=benches, out=folder, session=f"bus-tune-{os.getpid()}")
+    asked = TuneOptions(bench, trials=trials, verify=False, benches=benches, out=folder, session=f"bus-tune-{os.getpid()}")
     old = _last_run(folder)
     speed_x = float("nan")
     for event in tune(asked if old is None else asked._replace(resume=old.path)):

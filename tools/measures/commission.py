@@ -11,7 +11,7 @@ from tools.measures.collect import one_of_each
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_bench
 from tunefree_hil.jobs.commission.commission import NAMES, commission
-from tunefree_hil.jobs.commission.plan import Asked
+from tunefree_hil.jobs.commission.plan import CommissionOptions
 from tunefree_hil.jobs.run_folder import read_json
 
 VALUE = "wall minutes of all stages of `commission`, the slower vehicle"
@@ -29,7 +29,7 @@ def measure(
     names = benches.split(",") if benches else one_of_each()
     rows = {}
     for name in names:
-        asked = Asked(
+        asked = CommissionOptions(
             load_bench(name).vehicle, Path(name), Path(folder) / "commission" / code_hash()[:12] / Path(name).stem,
             set_name or None, trials or None, quota_s=quota_s, minutes=minutes or None, seed=seed,
         )  # fmt: skip
@@ -39,7 +39,7 @@ def measure(
     return {"value": slowest, "unit": "min", "n": len(rows), "low": None, "high": None, "detail": rounded(detail)}
 
 
-def _commissioned(asked: Asked) -> dict[str, Any]:
+def _commissioned(asked: CommissionOptions) -> dict[str, Any]:
     assert asked.out is not None
     last = Event("result", "", {})
     for event in commission(asked):

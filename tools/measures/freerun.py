@@ -25,10 +25,10 @@ from tunefree_hil.config.schema import ModelSpec
 from tunefree_hil.figures.learning.training import Heading, write_free_run, write_headings
 from tunefree_hil.jobs.learn.calibrate import calibrate
 from tunefree_hil.jobs.learn.learn import Asked, learn
-from tunefree_hil.learn.compiled_process import Worker
+from tunefree_hil.learn.compiled_process import CompiledProcess
 from tunefree_hil.learn.drives.read import read_drives
-from tunefree_hil.learn.drives.split import parts_of
-from tunefree_hil.learn.evaluation.free_run import Judged, reduction, table_of
+from tunefree_hil.learn.drives.split import find_complete_parts
+from tunefree_hil.learn.evaluation.free_run import Judged, headings_of, judge_all, reduction, table_of
 from tunefree_hil.learn.evaluation.motion import Track, is_hill, starts_of, tracks_of
 
 VALUE = "percent that the 10 s position error of hybrid is below the fitted physics', level, unseen drives, mkz_bywire"
@@ -64,7 +64,7 @@ def measure(
     models = learned(loaded, sources, learned_in(folder, loaded, sources), kinds.split(","), seed, minutes, spacing_s)
     unseen = unseen_logs(bench, place / "unseen", gains, hills)
     tracks = {ground: unseen_tracks(some, loaded) for ground, some in unseen.items()}
-    with Worker() as worker:
+    with CompiledProcess() as worker:
         judged = judged_on(worker, models, loaded, [*tracks["level"], *tracks["hills"]], every_s)
         heading = heading_on(worker, models, loaded, tracks["level"])
     tables = {name: table_of(one, seed) for name, one in judged.items()}
@@ -122,17 +122,17 @@ def unseen_tracks(logs: Sequence[Path], bench: Bench) -> list[Track]:
     found: list[Track] = []
     for drive in read_drives(list(logs), bench.codec):
         needed = [name for name in NEEDED if drive.get(name) is not None]
-        found += tracks_of(parts_of(drive, needed), bench.vehicle)
+        found += tracks_of(find_complete_parts(drive, needed), bench.vehicle)
     return found
 
 
 def judged_on(
-    worker: Worker, models: Mapping[str, ModelSpec], bench: Bench, tracks: Sequence[Track], every_s: float
+    worker: CompiledProcess, models: Mapping[str, ModelSpec], bench: Bench, tracks: Sequence[Track], every_s: float
 ) -> dict[str, Judged]:
     """Free run of all models from the same starts; says which one is done."""
     options = {"every_s": every_s}
     asked = worker.call(
-        "tunefree_hil.learn.evaluation.free_run", "judge_all", models, bench.vehicle, list(tracks), options
+        judge_all, models, bench.vehicle, list(tracks), options
     )
     while True:
         try:
@@ -141,7 +141,7 @@ def judged_on(
             return end.value
 
 
-def heading_on(worker: Worker, models: Mapping[str, ModelSpec], bench: Bench, tracks: Sequence[Track]) -> Heading:
+def heading_on(worker: CompiledProcess, models: Mapping[str, ModelSpec], bench: Bench, tracks: Sequence[Track]) -> Heading:
     """The level start whose heading turns most in PICTURE_S. Raises InputError where no drive is that long."""
     best: tuple[float, Track, int] | None = None
     for track in tracks:
@@ -153,8 +153,8 @@ def heading_on(worker: Worker, models: Mapping[str, ModelSpec], bench: Bench, tr
     if best is None:
         raise InputError(f"no unseen drive has {PICTURE_S:g} s to show", code="too_short", key="bench")
     _, track, row = best
-    kinds = worker.result(
-        "tunefree_hil.learn.evaluation.free_run", "headings_of", dict(models), bench.vehicle, track, row, PICTURE_S
+    kinds = worker.wait_for_result(
+        headings_of, dict(models), bench.vehicle, track, row, PICTURE_S
     )
     rows = len(next(iter(kinds.values())))
     time_s = track.dt_s * np.arange(rows, dtype=np.float64)

@@ -19,7 +19,7 @@ from tunefree_hil.bench import Bench, load
 from tunefree_hil.jobs.run_folder import open_run, read_json
 from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors, winner_of
 from tunefree_hil.jobs.tune.margins import Found, find_margins, margin_data, margin_table, margin_words
-from tunefree_hil.jobs.tune.options import BATCH, Asked
+from tunefree_hil.jobs.tune.options import BATCH, TuneOptions
 from tunefree_hil.jobs.tune.tune import tune
 
 VALUE = "winner's / best manual's delay margin, smallest over the verify scenarios (manual must not re-plan as it is)"
@@ -84,7 +84,7 @@ def own_runs(bench: str, trials: int, seeds: int, folder: Path) -> list[Path]:
         place = folder / f"{Path(bench).stem}-{trials}-{seed}"
         done = [path.parent for path in sorted(place.glob("*/best.toml"))]
         if not done:
-            asked = Asked(Path(bench), trials=trials, seed=seed, out=place, verify=False, backend=BATCH)
+            asked = TuneOptions(Path(bench), trials=trials, seed=seed, out=place, verify=False, backend=BATCH)
             _ended(tune(asked))
             done = [path.parent for path in sorted(place.glob("*/best.toml"))]
         found.append(done[-1])

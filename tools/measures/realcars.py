@@ -29,13 +29,13 @@ from tunefree_hil.figures.learning.velocity_free_run import Run, write_runs
 from tunefree_hil.jobs.learn.calibrate import calibrate
 from tunefree_hil.jobs.learn.learn import Asked, learn
 from tunefree_hil.jobs.log.csv_import import import_csv
-from tunefree_hil.learn.compiled_process import Worker
-from tunefree_hil.learn.drives.drive import Drive, Split
+from tunefree_hil.learn.compiled_process import CompiledProcess
+from tunefree_hil.learn.drives.drive import Drive, DriveSplit
 from tunefree_hil.learn.drives.read import read_drives
 from tunefree_hil.learn.drives.split import split_drives
 from tunefree_hil.learn.evaluation.free_run import interval_of
 from tunefree_hil.learn.evaluation.motion import tracks_of
-from tunefree_hil.learn.evaluation.velocity_free_run import Ahead
+from tunefree_hil.learn.evaluation.velocity_free_run import Ahead, look_ahead
 
 VALUE = "m/s that fitted physics misses the RAV4's speed by after 10 s of free run, mean, guarded held-out blocks"
 NAME = "realcars"
@@ -160,20 +160,20 @@ def folds_of(car: Car, place: Path, seed: int, minutes: float, every_s: float) -
         models = learned(car, place / f"{car.name}-{key}-{chosen}", chosen, minutes)
         tracks = tracks_of(split.held_out, vehicle)
         try:
-            with Worker() as worker:
-                ahead = worker.result(
-                    "tunefree_hil.learn.evaluation.velocity_free_run", "look_ahead", models, vehicle, tracks, every_s
+            with CompiledProcess() as worker:
+                ahead = worker.wait_for_result(
+                    look_ahead, models, vehicle, tracks, every_s
                 )
         except InputError as error:
-            print(f"{car.name}, {split.words}: {error.message}", file=sys.stderr)
+            print(f"{car.name}, {split.description}: {error.message}", file=sys.stderr)
             ahead = None
-        folds.append(Fold(chosen, split.words, len(split.held_out), ahead))
+        folds.append(Fold(chosen, split.description, len(split.held_out), ahead))
     return folds
 
 
-def splits_of(drives: Sequence[Drive], seed: int) -> list[tuple[int, Split]]:
+def splits_of(drives: Sequence[Drive], seed: int) -> list[tuple[int, DriveSplit]]:
     """(seed, split): of a single drive until each block was held out once, or MOST_SEEDS were tried."""
-    found: dict[tuple[Any, ...], tuple[int, Split]] = {}
+    found: dict[tuple[Any, ...], tuple[int, DriveSplit]] = {}
     for chosen in range(seed, seed + (MOST_SEEDS if len(drives) == 1 else 1)):
         split = split_drives(drives, seed=chosen)
         found.setdefault(tuple((part.drive.name, part.begin) for part in split.held_out), (chosen, split))
