@@ -1,4 +1,4 @@
-"""What a kernel may not contain, read from its source (docs/architecture.md, "Kernels")."""
+"""What a kernel may not contain, read from its source (docs/explanation/architecture.md, "Kernels")."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kernels say the same bits in plain Python and compiled: what docs/architecture.md bans is not in them.
+"""Kernels say the same bits in plain Python and compiled: what docs/explanation/architecture.md bans is not in them.
 
 Checked are functions decorated with @kernel and the functions of the same module that they call.
 """

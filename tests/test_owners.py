@@ -1,6 +1,6 @@
-"""Each third-party library has one owner in the package (docs/architecture.md); tools/ and tests/ are free.
+"""Each third-party library has one owner in the package (docs/explanation/architecture.md); tools/ and tests/ are free.
 
-Also: what a node's process imports is small. An un-jitted node takes 150 MB at most (design D1), and each of the
+Also: what a node's process imports is small. An un-jitted node takes 150 MB at most (docs/reference/design.md), and each of the
 libraries named here costs 45 MB or more.
 """
 
@@ -27,7 +27,7 @@ def strangers(source: str, inside: str) -> list[str]:
             continue
         places = OWNERS.get(library, [])
         if not any(inside == where or (where.endswith("/") and inside.startswith(where)) for where in places):
-            may = f"only {', '.join(places)} may" if places else "it has no owner in docs/architecture.md"
+            may = f"only {', '.join(places)} may" if places else "it has no owner in docs/explanation/architecture.md"
             complaints.append(f"{inside}:{line} imports {library}: {may}")
     return complaints
 

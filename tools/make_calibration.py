@@ -17,14 +17,14 @@ import numpy as np  # noqa: E402
 
 from tunefree_hil.base.errors import InputError, TunefreeError  # noqa: E402
 from tunefree_hil.config.load import load_model, load_vehicle  # noqa: E402
-from tunefree_hil.learn.open_loop_map.build import Triple, as_arrays, open_loop_map  # noqa: E402
+from tunefree_hil.learn.open_loop_map.build import MapTriple, arrays_from_triples, sample_plant_map  # noqa: E402
 from tunefree_hil.plant.single_track import PLANT as PHYSICS  # noqa: E402
 from tunefree_hil.plant.types import Plant  # noqa: E402
 
 PLANTS: dict[str, Plant] = {"physics": PHYSICS}
 
 
-def calibrate(model_name: str) -> list[Triple]:
+def calibrate(model_name: str) -> list[MapTriple]:
     """The triples of a model folder. Raises InputError for a kind of plant that cannot be driven from here."""
     model = load_model(model_name)
     if model.plant.kind not in PLANTS:
@@ -35,13 +35,13 @@ def calibrate(model_name: str) -> list[Triple]:
             key="plant.kind",
             hint=f"it drives {', '.join(PLANTS)}",
         )
-    return open_loop_map(PLANTS[model.plant.kind], dict(model.plant.params), load_vehicle(model.vehicle))
+    return sample_plant_map(PLANTS[model.plant.kind], dict(model.plant.params), load_vehicle(model.vehicle))
 
 
-def write(triples: list[Triple], path: Path) -> None:
+def write(triples: list[MapTriple], path: Path) -> None:
     """Write under a temporary name, then rename."""
     part = path.with_suffix(".part.npz")
-    np.savez(part, **as_arrays(triples))  # type: ignore[arg-type]
+    np.savez(part, **arrays_from_triples(triples))  # type: ignore[arg-type]
     part.replace(path)
 
 

@@ -28,7 +28,7 @@ from tunefree_hil.cli.output import present  # noqa: E402
 from tunefree_hil.config.find import available  # noqa: E402
 from tunefree_hil.config.load import load_model, load_vehicle  # noqa: E402
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec  # noqa: E402
-from tunefree_hil.jobs.learn.report_text import off_after  # noqa: E402
+from tunefree_hil.jobs.learn.report_text import position_error  # noqa: E402
 from tunefree_hil.jobs.run_folder import read_json, write_json  # noqa: E402
 
 MODELS = ROOT / "bench_configs" / "models"
@@ -108,21 +108,21 @@ def driven_model(vehicle: VehicleSpec) -> ModelSpec | None:
 def _vehicle(plan: Plan) -> Steps:
     """Everything of one vehicle; a sentence about each model."""
     from tunefree_hil.jobs.learn.calibrate import calibrate
-    from tunefree_hil.jobs.learn.learn import Asked as Wish
     from tunefree_hil.jobs.learn.learn import learn
     from tunefree_hil.jobs.learn.map import map_logs
+    from tunefree_hil.jobs.learn.options import CalibrateOptions, LearnOptions, MapOptions
 
     asked, folder, seed = plan.asked, plan.vehicle.folder, plan.asked.seed
     collected = yield from _collected(plan)
     logs = sorted((plan.place / "collect" / "logs").glob("*.log"))
     physics, charted = plan.place / "physics", plan.place / "map"
-    yield from _unless_there(physics / CARD, lambda: calibrate(logs, folder, physics, seed))
-    yield from _unless_there(charted / MAP, lambda: map_logs(logs, folder, charted, seed))
+    yield from _unless_there(physics / CARD, lambda: calibrate(CalibrateOptions(logs, folder, physics, seed)))
+    yield from _unless_there(charted / MAP, lambda: map_logs(MapOptions(logs, folder, charted, seed)))
     made = {}
     for kind in asked.kinds:
         learned = plan.place / (f"{kind}-{asked.minutes:g}" if asked.minutes else kind)
-        wish = Wish(logs, folder, learned, kind, seed, asked.minutes, physics)
-        yield from _unless_there(learned / CARD, lambda wish=wish: learn(wish))
+        options = LearnOptions(logs, folder, learned, kind, seed, asked.minutes, physics)
+        yield from _unless_there(learned / CARD, lambda options=options: learn(options))
         made |= ship(learned, charted / MAP, asked.out / name_of(plan.stem, kind), made_of(plan, kind, collected))
     return made
 
@@ -135,7 +135,7 @@ def name_of(stem: str, kind: str) -> str:
 def _collected(plan: Plan) -> Steps:
     """The collection, driven as far as it is not there; what it covers. Raises InputError where that is too little."""
     from tunefree_hil.jobs.collect.collect import collect
-    from tunefree_hil.jobs.collect.plan import Asked as Wish
+    from tunefree_hil.jobs.collect.plan import CollectOptions as Wish
 
     asked = plan.asked
     wish = Wish(
@@ -201,7 +201,7 @@ def ship(learned: Path, charted: Path, target: Path, made: Mapping[str, Any]) ->
         card = read_json(learned / CARD) | {**made, "map": map_card(charted), "files": files}
         write_json(part / CARD, card)
         load_model(part)
-        off_m, size = off_after(card), size_of(part)
+        off_m, size = position_error(card), size_of(part)
         _refuse(learned, off_m, size)
         same = target.is_dir() and hashes_of(target) == files
         if target.exists():

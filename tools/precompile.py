@@ -23,7 +23,7 @@ if str(ROOT) not in sys.path:
 from tunefree_hil.base.errors import TunefreeError  # noqa: E402
 from tunefree_hil.bench import is_heavy, load, parameters_of  # noqa: E402
 from tunefree_hil.bench.batch import Batch, Job  # noqa: E402
-from tunefree_hil.jobs.tune.margins import EFFECTS, why_not  # noqa: E402
+from tunefree_hil.jobs.tune.margins import EFFECTS, find_batch_obstacle  # noqa: E402
 
 BATCH = "batch"
 
@@ -48,7 +48,7 @@ def uses_of(bench_file: str, folder: str) -> Iterator[list[str]]:
     """Command lines that use what is to be compiled, those that take longest first."""
     bench = load(bench_file)
     model, verify_model = bench.spec.model, bench.spec.verify_model
-    if not why_not(bench):
+    if not find_batch_obstacle(bench):
         batches = [(verify_model, *EFFECTS)] if verify_model else []
         for words in [*batches, (model,)]:
             yield [str(Path(__file__).resolve()), f"--{BATCH}", bench_file, *words]

@@ -12,7 +12,7 @@ from tunefree_hil.batch.bits import bit_params, hear_bits, init_bits, say_bits, 
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.recording.frame_writer import FrameWriter
 from tunefree_hil.config.load import load_vehicle
-from tunefree_hil.nodes.measurement_decoder import Hearing
+from tunefree_hil.nodes.measurement_decoder import MeasurementDecoder
 from tunefree_hil.nodes.status_bits import StatusSignals
 from tunefree_hil.plant.actuation.bywire import CAUSES, ByWireStatus, ChannelStatus
 
@@ -34,7 +34,7 @@ def test_the_tables_say_what_the_nodes_say(vehicle: str, data: st.DataObject) ->
     speaking = [message for message in codec.telemetry if message.states]
     params = bit_params(speaking)
     state = init_bits(params)
-    hearing, writer, signals = Hearing(codec, 0.01), FrameWriter(codec), StatusSignals(codec)
+    hearing, writer, signals = MeasurementDecoder(codec, 0.01), FrameWriter(codec), StatusSignals(codec)
     proving = {message.name for message in speaking if message.unproven_frames}
     hearing.hear(0, frames(writer, signals, ByWireStatus(), proving))
     for k in range(1, 5):

@@ -12,7 +12,7 @@ from tests.house import ROOT
 from tests.jobs.command import one_message, tunefree
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load
-from tunefree_hil.jobs.doctor import vehicle_findings
+from tunefree_hil.jobs.doctor import check_vehicle_folder
 from tunefree_hil.jobs.machine import FAULT
 
 # file, what stands there, the mistake, and two words that its line must say: where, and what or what to do
@@ -55,7 +55,7 @@ def test_loading_gives_one_error_with_all_of_them(bench: Path) -> None:
 def test_the_doctor_finds_the_same(bench: Path) -> None:
     with pytest.raises(InputError) as caught:
         load(bench)
-    found = [one.text for one in vehicle_findings(bench.parent / "dbc" / "bad_car") if one.kind == FAULT]
+    found = [one.text for one in check_vehicle_folder(bench.parent / "dbc" / "bad_car") if one.kind == FAULT]
     assert len(found) == len(set(found)) == len(caught.value.message.splitlines()) - 1
     for _, _, _, where, _ in MISTAKES:
         assert any(where in text for text in found)

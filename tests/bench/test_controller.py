@@ -60,7 +60,7 @@ def test_the_shipped_zeros_are_named_in_the_hint() -> None:
 
 @given(st.floats())
 def test_a_users_own_parameter_has_no_published_box_but_must_be_sendable(value: float) -> None:
-    """PARAM carries a binary32 number (interfaces 8)."""
+    """PARAM carries a binary32 number (docs/reference/bench_channel.md)."""
     if math.isfinite(value) and abs(value) < 3.4028234e38:
         require_in_box("own.gain", value)
         bc.encode(bc.Param(16, 17, value))

@@ -1,6 +1,6 @@
 """What every vehicle folder and every bench file of the project must be able to do, whichever there are.
 
-A vehicle comes as folders and no Python (interfaces 2): these tests find it by looking.
+A vehicle comes as folders and no Python (docs/reference/files.md): these tests find it by looking.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from tunefree_hil.bus.recording.log_check import check_frames
 from tunefree_hil.config.load import load_bench, load_model, load_vehicle
 from tunefree_hil.config.schema import FaultSpec
 from tunefree_hil.episode.candump import read_candump
-from tunefree_hil.jobs.doctor import bench_findings, vehicle_findings
+from tunefree_hil.jobs.doctor import check_bench_file, check_vehicle_folder
 from tunefree_hil.jobs.machine import FAULT
-from tunefree_hil.jobs.tune.candidates import baseline_vectors
-from tunefree_hil.tune.space import resolve
+from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
+from tunefree_hil.tune.space import resolve_space
 
 VEHICLES = sorted(path.parent.name for path in (ROOT / "dbc").glob("*/vehicle.toml"))
 BENCHES = sorted((ROOT / "bench_configs").glob("*.toml"))
@@ -49,7 +49,7 @@ def shortest(bench: Bench) -> str:
 
 @pytest.mark.parametrize("name", VEHICLES)
 def test_a_vehicle_loads_and_the_doctor_finds_nothing(name: str) -> None:
-    assert [finding for finding in vehicle_findings(Path(name)) if finding.kind == FAULT] == []
+    assert [finding for finding in check_vehicle_folder(Path(name)) if finding.kind == FAULT] == []
     vehicle = load_vehicle(name)
     assert vehicle.name == name, "a bench file's models are found by it"
     assert len(Codec(vehicle).by_id) == len(Codec(vehicle).by_name)
@@ -57,9 +57,9 @@ def test_a_vehicle_loads_and_the_doctor_finds_nothing(name: str) -> None:
 
 @pytest.mark.parametrize("path", BENCHES, ids=lambda path: path.stem)
 def test_a_bench_can_be_built_on_both_of_its_models(path: Path) -> None:
-    assert [finding for finding in bench_findings(path) if finding.kind == FAULT] == []
+    assert [finding for finding in check_bench_file(path) if finding.kind == FAULT] == []
     bench = load(path)
-    values = baseline_vectors(bench)["rule_based"] if path in OURS else parameters_of(bench)
+    values = compute_baseline_vectors(bench)["rule_based"] if path in OURS else parameters_of(bench)
     scenarios = list(bench.scenarios.values())  # each is checked against the vehicle's limits
     for model in filter(None, (bench.spec.model, bench.spec.verify_model)):
         assert model_of(bench, model).vehicle == bench.vehicle.name
@@ -71,14 +71,14 @@ def test_rules_work_on_a_model_with_actuators_of_its_own(path: Path) -> None:
     """Then the data sheet's latencies count; they differ from the nominal model's by rounding at most."""
     bench = load(path)
     other = replace(bench, spec=msgspec.structs.replace(bench.spec, model=bench.spec.verify_model))
-    nominal, own = baseline_vectors(bench)["rule_based"], baseline_vectors(other)["rule_based"]
+    nominal, own = compute_baseline_vectors(bench)["rule_based"], compute_baseline_vectors(other)["rule_based"]
     assert own == pytest.approx(nominal, rel=0.05)
 
 
 @pytest.mark.parametrize("path", OURS, ids=lambda path: path.stem)
 def test_names_of_baselines_claim_nothing_that_was_not_shipped(path: Path) -> None:
     bench = load(path)
-    shipped = [name for name in baseline_vectors(bench) if name.startswith(("as_shipped", "mrac_on"))]
+    shipped = [name for name in compute_baseline_vectors(bench) if name.startswith(("as_shipped", "mrac_on"))]
     assert bool(shipped) == (bench.vehicle.manual_gains == "as_shipped")
 
 
@@ -88,7 +88,7 @@ def test_a_bench_drives_with_manual_gains_of_its_own_vehicle(path: Path) -> None
     bench = load(path)
     if bench.vehicle.manual_gains == "as_shipped":
         return
-    rule = resolve("complete", []).fit(baseline_vectors(bench)["rule_based"])
+    rule = resolve_space("complete", []).clip(compute_baseline_vectors(bench)["rule_based"])
     assert {name: parameters_of(bench)[name] for name in rule} == pytest.approx(rule, rel=0.02)
 
 
@@ -116,7 +116,7 @@ def test_rule_based_gains_drive_the_verify_model(path: Path) -> None:
     """To the end and on the path, on the vehicle that shares nothing with the model that the gains are for."""
     bench = load(path)
     drives = InProcess(bench, bench.spec.verify_model)
-    graded, _ = drives.grade(bench.scenarios[shortest(bench)], baseline_vectors(bench)["rule_based"])
+    graded, _ = drives.grade(bench.scenarios[shortest(bench)], compute_baseline_vectors(bench)["rule_based"])
     assert (graded.outcome, graded.replans) == ("finished", 0)
     peak = graded.metrics["lateral_err_peak"]
     assert peak is not None and 0.5 * peak < 0.5, "metres"

@@ -13,9 +13,9 @@ from tools.make_calibration import calibrate, write
 from tools.measures._in_process import InProcess
 from tools.measures.faults import NOT_DETECTABLE, SILENT, rows_of
 from tunefree_hil.bench import Bench, load, parameters_of, require_buildable
-from tunefree_hil.jobs.doctor import bench_findings, vehicle_findings
+from tunefree_hil.jobs.doctor import check_bench_file, check_vehicle_folder
 from tunefree_hil.jobs.machine import FAULT
-from tunefree_hil.jobs.tune.candidates import baseline_vectors
+from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
 from tunefree_hil.nodes.controller import ControllerPart
 from tunefree_hil.nodes.timing import CycleTimes
 
@@ -31,14 +31,14 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 
 def test_the_doctor_finds_nothing(bench: Bench) -> None:
-    found = [*bench_findings(Path(bench.file)), *vehicle_findings(Path(bench.vehicle.folder))]
+    found = [*check_bench_file(Path(bench.file)), *check_vehicle_folder(Path(bench.vehicle.folder))]
     assert [one for one in found if one.kind == FAULT] == []
 
 
 def test_it_drives_with_gains_that_the_rules_give_it(bench: Bench) -> None:
     """Without a gear, a yaw rate or a lateral acceleration in its reports, on commands every 20 ms."""
     scenario = bench.scenarios["bend"]
-    for values in (baseline_vectors(bench)["rule_based"], parameters_of(bench)):
+    for values in (compute_baseline_vectors(bench)["rule_based"], parameters_of(bench)):
         require_buildable(bench, bench.spec.model, [scenario], values)
         graded, _ = InProcess(bench).grade(scenario, values)
         peak = graded.metrics["lateral_err_peak"]

@@ -14,7 +14,7 @@ from tests.house import ROOT
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, load, model_of, parameters_of
 from tunefree_hil.bench.scaling import mass_of, own_times, scaled
-from tunefree_hil.bench.simulator import Drive, Job, Simulator
+from tunefree_hil.bench.simulator import Job, SimulatedDrive, Simulator
 from tunefree_hil.config.schema import ActuatorSpec, Interval
 from tunefree_hil.jobs.tune.margins import EFFECTS
 from tunefree_hil.plant import reference
@@ -37,11 +37,11 @@ def folder_with(bench: Bench, model: str, name: str, factors: dict[str, float]) 
     return name
 
 
-def driven(bench: Bench, model: str, job: Job, extra: tuple[str, ...] = ()) -> Drive:
+def driven(bench: Bench, model: str, job: Job, extra: tuple[str, ...] = ()) -> SimulatedDrive:
     return Simulator(bench, model, extra).drive(job)
 
 
-def same(first: Drive, second: Drive) -> bool:
+def same(first: SimulatedDrive, second: SimulatedDrive) -> bool:
     one, two = first.recording.columns, second.recording.columns
     return one.keys() == two.keys() and all(np.array_equal(one[key], two[key], equal_nan=True) for key in one)
 

@@ -18,8 +18,8 @@ from tunefree_hil.bench.vehicle import bywire_params
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.config.schema import FaultSpec
 from tunefree_hil.episode.columns import columns_from_frames
-from tunefree_hil.grade.score import grade, vehicle_of
-from tunefree_hil.jobs.tune.candidates import baseline_vectors
+from tunefree_hil.grade.score import grade_drive, grade_vehicle_from_spec
+from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
 from tunefree_hil.nodes.handshake import limits_of
 
 KART = ROOT / "tests" / "bench" / "kart"
@@ -52,14 +52,14 @@ def bench_of(folder: Path, calibration: Path, tick_ms: int) -> Bench:
 @pytest.mark.parametrize("tick_ms", TICKS_MS)
 def test_it_drives_and_the_batch_drives_the_same(tmp_path: Path, calibration: Path, tick_ms: int) -> None:
     bench = bench_of(tmp_path, calibration, tick_ms)
-    scenario, values = bench.scenarios["bend"], baseline_vectors(bench)["rule_based"]
+    scenario, values = bench.scenarios["bend"], compute_baseline_vectors(bench)["rule_based"]
     drive, simulator = InProcess(bench).drive(scenario, values), Simulator(bench)
     batch = simulator.drive(Job(values, scenario))
     assert (drive.error, drive.ticks * tick_ms) == (batch.error, batch.ticks * tick_ms) == ("", 1500)
     follower = follower_of(bench, scenario, values)
     recording = columns_from_frames(drive.frames, bench.codec, follower, bench.dt_s, ticks=drive.ticks)
     assert recording.columns["cmd_steer_rad"].tolist() == batch.recording.columns["cmd_steer_rad"].tolist()
-    graded = grade(recording, bench.course(scenario), bench.weights, vehicle_of(bench.vehicle))
+    graded = grade_drive(recording, bench.course(scenario), bench.weights, grade_vehicle_from_spec(bench.vehicle))
     assert (graded.outcome, graded.replans) == ("finished", 0)
     assert simulator._link.limits == limits_of(bench.dt_s)
 

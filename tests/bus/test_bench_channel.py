@@ -176,7 +176,7 @@ def test_every_code_has_a_sentence() -> None:
 
 @given(st.integers(1000, 65535))
 def test_every_number_from_1000_on_is_a_controllers_own_error(number: int) -> None:
-    """docs/controller.md lets a controller number its own errors; what it said stays in the words."""
+    """docs/how-to/own_controller.md lets a controller number its own errors; what it said stays in the words."""
     assert bc.ErrorCode(number) is bc.ErrorCode.CONTROLLER_OWN
     assert bc.error_text(number) == ("controller_own" if number == 1000 else f"controller_own {number}")
 

@@ -130,7 +130,7 @@ def test_a_killed_peer_is_named_once_and_the_bus_goes_on(own_hub: Backend) -> No
                 assert raised.value.peer == "ecu" and isinstance(raised.value, can.CanOperationError)
         a.send_frames([frame(1)])
         assert b.recv_frames(PATIENCE_S) and a.recv(0.02) is None
-    assert own_hub.hub.said().count("lost member ecu") == 2
+    assert own_hub.hub.messages().count("lost member ecu") == 2
 
 
 @pytest.mark.slow
@@ -189,7 +189,7 @@ def test_garbage_costs_its_own_connection_only(tfhub: Backend, garbage: bytes) -
             bus.recv(PATIENCE_S)
     a.send_frames([frame(1)])
     assert b.recv_frames(PATIENCE_S)
-    assert "dropped mad" in tfhub.hub.said()
+    assert "dropped mad" in tfhub.hub.messages()
 
 
 def test_one_name_once(tfhub: Backend) -> None:
@@ -216,7 +216,7 @@ def test_the_token(tmp_path: Path) -> None:
             HubBus(info.addresses["vehicle"], token_file=str(tmp_path / "none"))
         with HubBus(f"{info.addresses['vehicle']}?token_file={info.token_file}"):
             pass
-        assert "refused" in hub.said() and hub.owner.stats().lost == ()
+        assert "refused" in hub.messages() and hub.owner.stats().lost == ()
         with pytest.raises(InputError, match="has an owner already"):
             Owner(hub.session)
 

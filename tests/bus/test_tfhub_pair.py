@@ -18,7 +18,7 @@ from tunefree_hil.bus.link import Links, PairLink
 from tunefree_hil.bus.open import BusChoice, open_link, open_links
 from tunefree_hil.bus.tfhub.pair import HubPair
 from tunefree_hil.bus.tfhub.plugin import HubBus
-from tunefree_hil.bus.tfhub.records import FRAME, KIND_AT, OTHER, as_other, only_these, pack_frames
+from tunefree_hil.bus.tfhub.records import FRAME, KIND_AT, SECOND_FRAME, mark_second_channel, pack_frames, select_ids
 
 
 @pytest.fixture(params=["unix", "tcp"])
@@ -126,13 +126,13 @@ def test_only_what_one_wants(hub, stack):
 def test_records_are_marked_and_searched(content, wanted):
     frames = [CanFrame(number, data, False, len(data) > 8) for number, data in content]
     data = pack_frames(frames)
-    marked = as_other(data, len(frames))
+    marked = mark_second_channel(data, len(frames))
     assert len(marked) == len(data)
     at, differing = 0, 0
     while at < len(data):
-        assert data[at + KIND_AT] == FRAME and marked[at + KIND_AT] == OTHER
+        assert data[at + KIND_AT] == FRAME and marked[at + KIND_AT] == SECOND_FRAME
         differing += 1
         at += data[at] | data[at + 1] << 8
     assert differing == sum(one != other for one, other in zip(data, marked, strict=True))
     kept = [frame for frame in frames if frame.id == wanted]
-    assert b"".join(only_these(data, len(frames), frozenset([wanted]))) == pack_frames(kept)
+    assert b"".join(select_ids(data, len(frames), frozenset([wanted]))) == pack_frames(kept)

@@ -17,8 +17,8 @@ import pytest
 from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
 from tunefree_hil.cli.entry import run
-from tunefree_hil.jobs.drive import Asked as Drive
-from tunefree_hil.jobs.tune.options import Asked
+from tunefree_hil.jobs.drive import DriveOptions
+from tunefree_hil.jobs.tune.options import TuneOptions, VerifyOptions
 
 Fake = Callable[..., list[tuple[tuple[Any, ...], dict[str, Any]]]]
 
@@ -47,12 +47,12 @@ NODE = {"bus": "auto", "bench_bus": "", "session": "default", "realtime": False}
 @pytest.mark.parametrize(
     ("words", "module", "arguments", "options"),
     [
-        ("drive b.toml", "drive", (Drive(BENCH),), {}),
+        ("drive b.toml", "drive", (DriveOptions(BENCH),), {}),
         (
             "drive b.toml --scenario s --parameter a=1 --parameter b=2 --realtime --join --out runs --seed 3",
             "drive",
             (
-                Drive(
+                DriveOptions(
                     BENCH,
                     scenario=["s"],
                     parameters=["a=1", "b=2"],
@@ -65,12 +65,12 @@ NODE = {"bus": "auto", "bench_bus": "", "session": "default", "realtime": False}
             ),
             {},
         ),
-        ("tune b.toml", "tune.tune", (Asked(BENCH),), {}),
+        ("tune b.toml", "tune.tune", (TuneOptions(BENCH),), {}),
         (
             "tune b.toml --trials 5 --set lateral --scale linear --no-verify --sampler random --study x --realtime",
             "tune.tune",
             (
-                Asked(
+                TuneOptions(
                     BENCH,
                     trials=5,
                     set_name="lateral",
@@ -87,7 +87,7 @@ NODE = {"bus": "auto", "bench_bus": "", "session": "default", "realtime": False}
             "tune b.toml --backend batch --confirm 5 --in-flight 4 --benches 2 --seed 9 --join --controller ./c",
             "tune.tune",
             (
-                Asked(
+                TuneOptions(
                     BENCH,
                     backend="batch",
                     confirm=5,
@@ -101,8 +101,8 @@ NODE = {"bus": "auto", "bench_bus": "", "session": "default", "realtime": False}
             ),
             {},
         ),
-        ("tune --resume runs/x", "tune.tune", (Asked(Path("runs/x/bench.toml"), resume=Path("runs/x")),), {}),
-        ("verify runs/x --bus tfhub", "tune.verify", (Path("runs/x"),), {"bus": "tfhub"}),
+        ("tune --resume runs/x", "tune.tune", (TuneOptions(Path("runs/x/bench.toml"), resume=Path("runs/x")),), {}),
+        ("verify runs/x --bus tfhub", "tune.verify", (VerifyOptions(Path("runs/x"), bus="tfhub"),), {}),
         ("replay runs/x --episode 3 --verify", "replay", (Path("runs/x"),), {"episode": 3, "verify": True}),
         ("hub --clock real --owned", "hub", (), {"session": "default", "clock": "real", "owned": True}),
         ("ecu b.toml --model m --realtime", "ecu", (BENCH,), {**NODE, "model": "m", "realtime": True}),
@@ -180,8 +180,8 @@ def test_tune_says_what_goes_on_and_what_resume_is_for(capsys: pytest.CaptureFix
     """What tests/jobs/tune/test_kill.py shows."""
     assert run(["tune", "--help"]) == 0
     words = " ".join(capsys.readouterr().out.split())
-    assert "Stopped, the same command goes on where it was; finished, it starts anew" in words
-    assert "--resume goes on with the run that you name, a finished one too" in words
+    assert "The same command resumes an unfinished run and starts a new one after a finished run" in words
+    assert "--resume continues the given run, even a finished one" in words
 
 
 def test_the_list_of_commands_cuts_no_sentence(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,8 +9,8 @@ import pytest
 from rich.console import Console
 
 from tunefree_hil.base.events import Event
-from tunefree_hil.cli.live import REDRAW_S, LiveSink, picture
-from tunefree_hil.cli.output import _sink
+from tunefree_hil.cli.live import REDRAW_S, LiveSink, render_progress
+from tunefree_hil.cli.output import _make_sink
 
 DATA = {
     "label": "trial",
@@ -35,7 +35,7 @@ def drawn(console: Console) -> str:
 
 def test_two_lines_fit_80_columns() -> None:
     console = Console(file=io.StringIO(), width=80)
-    console.print(picture("left_turn", DATA))
+    console.print(render_progress("left_turn", DATA))
     lines = drawn(console).splitlines()
     assert len(lines) == 2
     assert all(len(line) <= 80 for line in lines)
@@ -45,14 +45,14 @@ def test_two_lines_fit_80_columns() -> None:
 
 def test_a_block_stays_below_the_two_lines_and_is_cut_not_wrapped() -> None:
     console = Console(file=io.StringIO(), width=80)
-    console.print(picture("drive", {**DATA, "block": ["first row", "x" * 100]}))
+    console.print(render_progress("drive", {**DATA, "block": ["first row", "x" * 100]}))
     lines = drawn(console).splitlines()
     assert len(lines) == 4 and lines[2].rstrip() == "first row" and len(lines[3]) == 80
 
 
 def test_a_narrow_terminal_cuts_and_does_not_wrap() -> None:
     console = Console(file=io.StringIO(), width=60)
-    console.print(picture("left_turn", DATA))
+    console.print(render_progress("left_turn", DATA))
     assert len(drawn(console).splitlines()) == 2
 
 
@@ -96,10 +96,10 @@ def test_a_long_command_is_not_broken() -> None:
 
 
 def test_lines_where_there_is_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert type(_sink(False)).__name__ == "PlainSink"
+    assert type(_make_sink(False)).__name__ == "PlainSink"
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     monkeypatch.setenv("TERM", "dumb")
-    assert type(_sink(False)).__name__ == "PlainSink"
+    assert type(_make_sink(False)).__name__ == "PlainSink"
     monkeypatch.setenv("TERM", "xterm-256color")
-    assert type(_sink(False)).__name__ == "LiveSink"
-    assert type(_sink(True)).__name__ == "PlainSink"
+    assert type(_make_sink(False)).__name__ == "LiveSink"
+    assert type(_make_sink(True)).__name__ == "PlainSink"

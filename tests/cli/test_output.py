@@ -1,4 +1,4 @@
-"""A job's events become lines, one JSON object and an exit status (interfaces 1)."""
+"""A job's events become lines, one JSON object and an exit status (docs/reference/files.md)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 
 from tunefree_hil.base.errors import BenchError, InputError, NotValid, PeerGone
 from tunefree_hil.base.events import Event
-from tunefree_hil.cli.output import PlainSink, present, result_object
+from tunefree_hil.cli.output import PlainSink, make_result_object, present
 
 RESULT = Event("result", "", {"sentence": "done: 3 of 3", "next": ["candump vcan0"], "score": 0.5})
 
@@ -146,7 +146,8 @@ def test_what_only_begins_anew_is_not_said_to_be_saved(capsys: pytest.CaptureFix
     for saved in (False, True):
         assert show(job(saved)) == 130
         ends.append(capsys.readouterr().err.splitlines()[-3:])
-    assert ends[0] == ["next:", "  candump gap", "interrupted, nothing is kept yet: that command begins anew"]
+    text = "interrupted, nothing saved yet: that command starts from the beginning"
+    assert ends[0] == ["next:", "  candump gap", text]
     assert ends[1] == ["next:", "  candump gap", "interrupted, state saved"]
 
 
@@ -197,7 +198,7 @@ def test_json_knows_only_plain_things() -> None:
         "exit": 0,
         3: True,
     }
-    found = result_object("drive", 0, data, [])["data"]
+    found = make_result_object("drive", 0, data, [])["data"]
     assert json.loads(json.dumps(found, allow_nan=False)) == {
         "nan": None,
         "numpy": 0.5,
@@ -210,6 +211,6 @@ def test_json_knows_only_plain_things() -> None:
 
 
 def test_status_and_exit_agree() -> None:
-    assert result_object("x", 1, {"status": "ok"}, [])["status"] == "failed"
-    assert result_object("x", 0, {"status": "failed"}, [])["status"] == "ok"
-    assert result_object("x", 130, {}, [])["status"] == "interrupted"
+    assert make_result_object("x", 1, {"status": "ok"}, [])["status"] == "failed"
+    assert make_result_object("x", 0, {"status": "failed"}, [])["status"] == "ok"
+    assert make_result_object("x", 130, {}, [])["status"] == "interrupted"

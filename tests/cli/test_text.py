@@ -27,22 +27,22 @@ FULL = {
     [(0.2, "0 s"), (8.4, "8 s"), (59.6, "1 min 0 s"), (130.0, "2 min 10 s"), (7500.0, "2 h 5 min"), (-3.0, "0 s")],
 )
 def test_durations(seconds: float, expected: str) -> None:
-    assert text.duration(seconds) == expected
+    assert text.format_duration(seconds) == expected
 
 
 def test_best_against_manual() -> None:
-    assert text.scores(FULL) == "best 0.4123, manual 0.6551 (-37 %)"
-    assert text.scores({"manual": 0.5}) == "manual 0.5"
-    assert text.scores({"best": 0.5, "manual": 0.0}) == "best 0.5, manual 0"
+    assert text.scores_text(FULL) == "best 0.4123, manual 0.6551 (-37 %)"
+    assert text.scores_text({"manual": 0.5}) == "manual 0.5"
+    assert text.scores_text({"best": 0.5, "manual": 0.0}) == "best 0.5, manual 0"
 
 
 def test_what_is_not_known_is_not_shown() -> None:
-    assert text.progress_line("", {"best": math.nan, "manual": None, "eta_s": math.inf, "done": True}) == ""
-    assert text.counted({"done": 3}) == "3"
+    assert text.format_progress("", {"best": math.nan, "manual": None, "eta_s": math.inf, "done": True}) == ""
+    assert text.count_text({"done": 3}) == "3"
 
 
 def test_one_line_says_all() -> None:
-    line = text.progress_line("left_turn", FULL)
+    line = text.format_progress("left_turn", FULL)
     assert line == (
         "trial 12/400; left_turn; best 0.4123, manual 0.6551 (-37 %); 123 x real time, 84,321 frames/s; 2 h 5 min left"
     )
@@ -54,10 +54,10 @@ def test_a_next_command_works_as_pasted(monkeypatch: pytest.MonkeyPatch, tmp_pat
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "executable", str(program.parent / "python"))
     monkeypatch.setenv("PATH", "")
-    assert text.pasteable("tunefree-hil verify runs/x") == "venv/bin/python -m tunefree_hil verify runs/x"
+    assert text.make_pasteable("tunefree-hil verify runs/x") == "venv/bin/python -m tunefree_hil verify runs/x"
     program.write_text("#!/bin/sh\n")
-    assert text.pasteable("tunefree-hil verify runs/x") == "venv/bin/tunefree-hil verify runs/x"
-    assert text.pasteable("candump vcan0") == "candump vcan0"
+    assert text.make_pasteable("tunefree-hil verify runs/x") == "venv/bin/tunefree-hil verify runs/x"
+    assert text.make_pasteable("candump vcan0") == "candump vcan0"
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(program.parent))
-    assert text.pasteable("tunefree-hil verify runs/x") == "tunefree-hil verify runs/x"
+    assert text.make_pasteable("tunefree-hil verify runs/x") == "tunefree-hil verify runs/x"

@@ -11,7 +11,7 @@ from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.maths import clamp
 from tunefree_hil.base.records import GEAR_DRIVE, Command, Ins, Measurement, Report
 from tunefree_hil.collect.envelope import Envelope
-from tunefree_hil.collect.planner import ENDED, Params, make_planner
+from tunefree_hil.collect.planner import ENDED, PlannerParams, make_planner
 from tunefree_hil.control.cascade import Sight
 
 DT_S = 0.01
@@ -102,7 +102,7 @@ class Car:
         self.y_m += DT_S * self.speed_mps * math.sin(middle)
 
 
-def drive(params: Params, car: Car, most_s: float = 180.0) -> tuple[list[Row], list[int], bool]:
+def drive(params: PlannerParams, car: Car, most_s: float = 180.0) -> tuple[list[Row], list[int], bool]:
     """One drive of the planner: (rows, frames by cell as it counted them, whether it ended by itself)."""
     block: Block = make_planner(params)
     state = block.init(block.params, DT_S)

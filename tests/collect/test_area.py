@@ -8,10 +8,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from tunefree_hil.collect.area import Ground, Pose, bearing_rad, circle_fits, far_corner, room_m
+from tunefree_hil.collect.area import DrivingArea, Pose, bearing_rad, farthest_corner, is_circle_inside, room_m
 from tunefree_hil.collect.envelope import BORDER_M
 
-GROUND = Ground(30.0, -20.0, 100.0)
+GROUND = DrivingArea(30.0, -20.0, 100.0)
 INNER = 100.0 - BORDER_M
 places = st.builds(Pose, st.floats(-59.0, 119.0), st.floats(-109.0, 69.0), st.floats(-math.pi, math.pi))
 
@@ -36,7 +36,7 @@ def test_beyond_the_border_there_is_no_room_outwards_and_all_of_it_inwards() -> 
 @given(places, st.floats(-0.15, 0.15))
 def test_a_circle_that_fits_stays_inside_all_the_way_round(pose: Pose, curvature: float) -> None:
     assume(abs(curvature) > 0.005)
-    fits = circle_fits(GROUND, pose, curvature)
+    fits = is_circle_inside(GROUND, pose, curvature)
     radius = 1.0 / curvature
     turns = [0.02 * math.pi * i for i in range(100)]
     around = [
@@ -56,7 +56,7 @@ def test_a_circle_that_fits_stays_inside_all_the_way_round(pose: Pose, curvature
 
 @given(places)
 def test_the_far_corner_lies_inside_and_no_other_is_farther(pose: Pose) -> None:
-    x, y = far_corner(GROUND, pose)
+    x, y = farthest_corner(GROUND, pose)
     assert inside(x, y)
     others = [(GROUND.x_m + a * (x - GROUND.x_m), GROUND.y_m + b * (y - GROUND.y_m)) for a in (-1, 1) for b in (-1, 1)]
     assert math.dist((x, y), pose[:2]) >= max(math.dist(one, pose[:2]) for one in others) - 1e-9

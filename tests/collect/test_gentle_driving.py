@@ -12,34 +12,34 @@ from hypothesis import strategies as st
 
 from tests import other_vehicle
 from tests.collect.cars import DT_S, Car, Row, drive
-from tunefree_hil.collect.cells import COUNT, fastest_mps
-from tunefree_hil.collect.envelope import Envelope, envelope_of
-from tunefree_hil.collect.features import GENTLE, STAND, TURN, Params
+from tunefree_hil.collect.cells import CELL_COUNT, max_planned_speed_mps
+from tunefree_hil.collect.envelope import Envelope, envelope_from_vehicle
+from tunefree_hil.collect.features import GENTLE, STAND, TURN, PlannerParams
 from tunefree_hil.collect.gentle_driving import (
     ACCEL_SHARE,
     COAST,
     LATERAL_SHARE,
     SLOW,
     STEER_RATE_SHARE,
-    Gait,
-    Stretch,
-    bend_1pm,
-    gone_on,
-    side_needed_m,
-    stretches_of,
+    GentleState,
+    GentleStretch,
+    advance_stage,
+    area_side_for_holding_m,
+    gentle_curvature_1pm,
+    plan_stretches,
 )
-from tunefree_hil.collect.plan import DrivePlan, driven_stretches, params_of
+from tunefree_hil.collect.plan import DrivePlan, make_planner_params, plannable_stretches
 from tunefree_hil.config.load import load_vehicle
 
-FULL = (10**6,) * COUNT  # no cell is missing
+FULL = (10**6,) * CELL_COUNT  # no cell is missing
 PLAN = DrivePlan(10.0, 400.0, None, None, FULL, 0, 110.0, (0, 3))
 CASES = [("mkz_bywire", 1), ("mkz_bywire", 2), (other_vehicle.NAME, 3), (other_vehicle.NAME, 4)]
 KART = Envelope(6.0, 3.0, 0.5, 1.5, -3.0, 2.0, 1.0, 1.0, 0.0, 1.1, 1.0)
 
 
 @cache
-def driven(name: str, seed: int, first: int = 0) -> tuple[tuple[Row, ...], Params, bool]:
-    own = params_of(load_vehicle(name), PLAN._replace(stretches=(first, first + 3)), DT_S)
+def driven(name: str, seed: int, first: int = 0) -> tuple[tuple[Row, ...], PlannerParams, bool]:
+    own = make_planner_params(load_vehicle(name), PLAN._replace(stretches=(first, first + 3)), DT_S)
     rows, _, ended = drive(own, Car(own.envelope, seed))
     return tuple(rows), own, ended
 
@@ -52,24 +52,24 @@ def of_mode(rows: tuple[Row, ...], mode: int, name: str) -> np.ndarray:
     quota_s=st.floats(0.1, 60.0), drive_s=st.floats(5.0, 300.0), area_m=st.floats(20.0, 900.0), top=st.floats(0.5, 60.0)
 )
 def test_stretches_fit_vehicle_area_and_drive(quota_s: float, drive_s: float, area_m: float, top: float) -> None:
-    for envelope in (envelope_of(load_vehicle("mkz_bywire")), KART):
-        found = stretches_of(envelope, quota_s, drive_s, area_m, top)
-        assert len(found) % 2 == 0 and sum(one.bent for one in found) == len(found) // 2
+    for envelope in (envelope_from_vehicle(load_vehicle("mkz_bywire")), KART):
+        found = plan_stretches(envelope, quota_s, drive_s, area_m, top)
+        assert len(found) % 2 == 0 and sum(one.is_curved for one in found) == len(found) // 2
         for one in found:
-            assert 0.0 < one.speed_mps <= fastest_mps(envelope, top) < envelope.speed_mps
-            assert side_needed_m(envelope, one.speed_mps) <= area_m
+            assert 0.0 < one.speed_mps <= max_planned_speed_mps(envelope, top) < envelope.speed_mps
+            assert area_side_for_holding_m(envelope, one.speed_mps) <= area_m
             assert 5.0 <= one.hold_s <= min(1.5 * quota_s, 0.15 * drive_s)
-            felt = one.speed_mps**2 * bend_1pm(envelope, one.speed_mps)
+            felt = one.speed_mps**2 * gentle_curvature_1pm(envelope, one.speed_mps)
             assert felt <= LATERAL_SHARE * envelope.lateral_mps2 * 1.001
 
 
 def test_every_speed_is_driven_straight_and_bent_and_a_short_quota_has_none() -> None:
-    found = driven_stretches(load_vehicle("mkz_bywire"), 10.0, 110.0, 400.0, None)
+    found = plannable_stretches(load_vehicle("mkz_bywire"), 10.0, 110.0, 400.0, None)
     speeds = {one.speed_mps for one in found}
     assert speeds == {2.0, 4.0, 6.0, 8.0, 11.0, 14.0}
-    assert {(one.speed_mps, one.bent) for one in found} == {(v, bent) for v in speeds for bent in (False, True)}
-    assert driven_stretches(load_vehicle("mkz_bywire"), 2.0, 110.0, 400.0, None) == ()
-    assert max(one.speed_mps for one in stretches_of(KART, 10.0, 110.0, 60.0, None)) < 4.0
+    assert {(one.speed_mps, one.is_curved) for one in found} == {(v, bent) for v in speeds for bent in (False, True)}
+    assert plannable_stretches(load_vehicle("mkz_bywire"), 2.0, 110.0, 400.0, None) == ()
+    assert max(one.speed_mps for one in plan_stretches(KART, 10.0, 110.0, 60.0, None)) < 4.0
 
 
 @pytest.mark.parametrize(("name", "seed"), CASES)
@@ -102,7 +102,7 @@ def test_pedals_and_wheel_move_calmly_and_all_stays_inside(name: str, seed: int)
 
 
 def test_near_the_border_it_turns_back_and_goes_on_with_the_stretch() -> None:
-    own = params_of(load_vehicle("mkz_bywire"), PLAN._replace(stretches=(4, 6), centre=(0.0, 0.0)), DT_S)
+    own = make_planner_params(load_vehicle("mkz_bywire"), PLAN._replace(stretches=(4, 6), centre=(0.0, 0.0)), DT_S)
     car = Car(own.envelope, 6)
     car.x_m, car.y_m, car.heading_rad = 150.0, 150.0, 0.7
     rows, _, ended = drive(own, car)
@@ -113,18 +113,18 @@ def test_near_the_border_it_turns_back_and_goes_on_with_the_stretch() -> None:
 
 
 def test_what_is_never_reached_is_given_up() -> None:
-    envelope = envelope_of(load_vehicle("mkz_bywire"))
-    gait, seconds = Gait(), 0.0
+    envelope = envelope_from_vehicle(load_vehicle("mkz_bywire"))
+    gait, seconds = GentleState(), 0.0
     while gait.number == 0 and seconds < 200.0:
-        gait = gone_on(gait, Stretch(10.0, 15.0, False), envelope, 3.0, DT_S)
+        gait = advance_stage(gait, GentleStretch(10.0, 15.0, False), envelope, 3.0, DT_S)
         seconds += DT_S
     assert gait.number == 1 and 40.0 < seconds < 80.0
 
 
 def test_a_kart_on_a_small_place_does_it_too() -> None:
-    own = params_of(load_vehicle("mkz_bywire"), PLAN, DT_S)
+    own = make_planner_params(load_vehicle("mkz_bywire"), PLAN, DT_S)
     own = own._replace(
-        envelope=KART, half_m=30.0, stretches=stretches_of(KART, 10.0, 110.0, 60.0, None)[:3], need=own.have
+        envelope=KART, half_m=30.0, stretches=plan_stretches(KART, 10.0, 110.0, 60.0, None)[:3], need=own.have
     )
     rows, _, ended = drive(own, Car(KART, 2))
     assert ended and max(max(abs(row.x_m), abs(row.y_m)) for row in rows) < 30.0
@@ -132,9 +132,9 @@ def test_a_kart_on_a_small_place_does_it_too() -> None:
 
 
 def test_it_coasts_as_long_as_it_is_told_unless_it_stands_before() -> None:
-    envelope = envelope_of(load_vehicle("mkz_bywire"))
-    coasting = Gait(stage=COAST, time_s=5.0, wish_mps=8.0)
-    usual = Stretch(10.0, 15.0, False)
-    assert gone_on(coasting, usual, envelope, 8.0, DT_S).stage == SLOW
-    assert gone_on(coasting, usual._replace(coast_s=12.0), envelope, 8.0, DT_S).stage == COAST
-    assert gone_on(coasting, usual._replace(coast_s=12.0), envelope, 0.05, DT_S).stage == SLOW
+    envelope = envelope_from_vehicle(load_vehicle("mkz_bywire"))
+    coasting = GentleState(stage=COAST, time_s=5.0, target_mps=8.0)
+    usual = GentleStretch(10.0, 15.0, False)
+    assert advance_stage(coasting, usual, envelope, 8.0, DT_S).stage == SLOW
+    assert advance_stage(coasting, usual._replace(coast_s=12.0), envelope, 8.0, DT_S).stage == COAST
+    assert advance_stage(coasting, usual._replace(coast_s=12.0), envelope, 0.05, DT_S).stage == SLOW

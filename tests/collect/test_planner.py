@@ -9,17 +9,17 @@ import pytest
 
 from tests import other_vehicle
 from tests.collect.cars import DT_S, Car, Row, drive
-from tunefree_hil.collect.cells import COUNT, Counter, Seen, cell_of
-from tunefree_hil.collect.plan import DrivePlan, params_of
-from tunefree_hil.collect.planner import HOLD, STAND, Params
+from tunefree_hil.collect.cells import CELL_COUNT, CellCounter, CellSignals, classify_cell
+from tunefree_hil.collect.plan import DrivePlan, make_planner_params
+from tunefree_hil.collect.planner import HOLD, STAND, PlannerParams
 from tunefree_hil.config.load import load_vehicle
 
-PLAN = DrivePlan(10.0, 400.0, None, None, (0,) * COUNT, 0, 40.0)
+PLAN = DrivePlan(10.0, 400.0, None, None, (0,) * CELL_COUNT, 0, 40.0)
 CASES = [("mkz_bywire", 1), ("mkz_bywire", 2), (other_vehicle.NAME, 3), (other_vehicle.NAME, 4)]
 
 
-def params(name: str, plan: DrivePlan = PLAN) -> Params:
-    return params_of(load_vehicle(name), plan, DT_S)
+def params(name: str, plan: DrivePlan = PLAN) -> PlannerParams:
+    return make_planner_params(load_vehicle(name), plan, DT_S)
 
 
 @cache
@@ -60,10 +60,10 @@ def test_it_counts_as_brute_force_counts_what_it_saw(name: str, seed: int) -> No
     """The car's own values are without noise, so that counts at the edges of cells may differ a little."""
     rows, have, _ = driven(name, seed)
     own = params(name)
-    counter = Counter(own.need)
+    counter = CellCounter(own.need)
     for row in rows:
-        seen = Seen(4.0, row.speed_mps, row.steer_rad, row.throttle_frac, row.brake_frac)
-        counter.see(cell_of(own.bands, seen))
+        seen = CellSignals(4.0, row.speed_mps, row.steer_rad, row.throttle_frac, row.brake_frac)
+        counter.count_frame(classify_cell(own.bands, seen))
     assert sum(abs(a - b) for a, b in zip(counter.have, have, strict=True)) < 0.1 * sum(have)
 
 

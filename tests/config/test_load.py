@@ -25,7 +25,7 @@ from tunefree_hil.config.load import (
 )
 from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.grade.metrics import METRICS
-from tunefree_hil.tune.space import resolve
+from tunefree_hil.tune.space import resolve_space
 
 LOADERS: dict[str, Callable[..., Any]] = {
     "vehicle": load_vehicle,
@@ -238,8 +238,8 @@ def test_a_controller_of_ones_own_has_parameters_of_its_own(write: Callable[...,
 def test_a_parameter_without_a_box_is_searched_in_the_one_it_has(write: Callable[..., Path]) -> None:
     """With a box it is searched in that one; what is none of ours has none that could be meant."""
     tune = load_bench(write("bench", "low = 0.01\nhigh = 1.0\n", "")).tune
-    assert resolve("", tune.parameters).axes == (resolve("complete", []).axes[NAMES.index("station.kp")],)
-    assert resolve("", load_bench(write("bench", "high = 1.0", "high = 0.5")).tune.parameters).axes[0].high == 0.5
+    assert resolve_space("", tune.parameters).axes == (resolve_space("complete", []).axes[NAMES.index("station.kp")],)
+    assert resolve_space("", load_bench(write("bench", "high = 1.0", "high = 0.5")).tune.parameters).axes[0].high == 0.5
     own = 'name = "pursuit.gain"\n'
     with pytest.raises(InputError, match="not below high"):
         load_bench(write("bench", 'name = "station.kp"\nlow = 0.01\nhigh = 1.0\n', own))

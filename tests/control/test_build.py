@@ -110,7 +110,7 @@ def test_a_users_own_controller(kit, tmp_path):
     course = kit.course(8.0, lambda t: 4.0)
     block = build({**study_values(), "mine.gain": 6.0}, MKZ, kit.linear_map(), course, names=names)
     decisions, _ = drive(kit, block, 700, kit.car(0.0, 0.3, 0.0, 4.0))
-    assert decisions[0].steer_wish_rad == pytest.approx(-6.0 * 0.3)
+    assert decisions[0].steer_demand_rad == pytest.approx(-6.0 * 0.3)
     assert abs(decisions[-1].tracking.lateral_error_m) < 0.02
     with pytest.raises(InputError, match=r"missing: mine\.gain"):
         build(study_values(), MKZ, kit.linear_map(), course, names=names)

@@ -66,11 +66,11 @@ def test_command_is_clamped_to_the_vehicle(kit):
     ],
 )
 def test_supervision(block, sight, code):
-    lane = block.params[5]._replace(lane_half_width_m=2.0)
+    lane = block.params.guard._replace(lane_half_width_m=2.0)
     # The heading's lever would take the centre of mass out of the lane first: give that test a wide one.
     if sight.measurement.ins.heading_rad:
         lane = lane._replace(lane_half_width_m=20.0)
-    own = block._replace(params=(*block.params[:5], lane))
+    own = block._replace(params=block.params._replace(guard=lane))
     assert first(own, sight)[1].error_code == code
 
 

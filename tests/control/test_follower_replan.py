@@ -1,4 +1,4 @@
-"""Re-plans of the reference follower (design D11): when, anchored where, blended how."""
+"""Re-plans of the reference follower (docs/reference/grading.md): when, anchored where, blended how."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import math
 import pytest
 
 from tests.control.fixes import AHEAD_M, DT_S, fix, run, straight
-from tunefree_hil.control.follower import Rules, make_follower
+from tunefree_hil.control.follower import ReplanRules, make_follower
 
 
 @pytest.mark.parametrize("shift", [{"y": 0.51}, {"x": -2.51}, {"x": 2.51}])
@@ -47,7 +47,7 @@ def test_after_a_replan_it_blends_back_over_3_s_and_does_not_catch_up(kit):
             lost_m = 3.0 if k >= 300 else 0.0
             yield fix(x=0.05 * k - lost_m, y=0.55 if k >= 300 else 0.0)
 
-    answers = run(make_follower(straight(kit), AHEAD_M, rules=Rules(lateral_m=0.549)), fixes())
+    answers = run(make_follower(straight(kit), AHEAD_M, rules=ReplanRules(lateral_m=0.549)), fixes())
     events = [k for k, tracking in enumerate(answers) if tracking.replan]
     assert events[0] == 300
     # The vehicle stays 0.55 m beside the path while the trajectory goes back, so it is off again at its end.
@@ -68,7 +68,7 @@ def test_speed_offset_fades_over_3_s(kit):
             yield fix(x=x, y=0.6 if 200 <= k < 202 else 0.0, speed=speed)
             x += speed * DT_S
 
-    answers = run(make_follower(straight(kit), AHEAD_M, rules=Rules(station_m=90.0)), fixes())
+    answers = run(make_follower(straight(kit), AHEAD_M, rules=ReplanRules(station_m=90.0)), fixes())
     assert [k for k, tracking in enumerate(answers) if tracking.replan] == [200]
     speeds = [tracking.ref_speed_mps for tracking in answers[201:520]]
     assert speeds[0] == pytest.approx(3.0, abs=0.001)

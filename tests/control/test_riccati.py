@@ -60,12 +60,12 @@ def test_recursion_without_cap_comes_to_the_same_solution():
     _, converged, _ = riccati.gain(a, b, q, 1.0, shipped=False)
     p = buffer(16)
     rounds = riccati.recurse(p, a, b, q, 1.0, 4, 100000, 1e-9, buffer(16), buffer(4))
-    assert rounds == 4174  # the count of apollo_facts 3.2
+    assert rounds == 4174  # the count of docs/reference/apollo.md
     assert np.max(np.abs(np.array(p) - converged)) < 1e-5 * np.max(np.abs(converged))
 
 
 @pytest.mark.parametrize(("speed", "rounds"), [(1.0, 150), (12.0, 150), (16.0, 134), (20.0, 126)])
-def test_shipped_recursion_stops_where_apollo_facts_3_2_says(speed, rounds):
+def test_shipped_recursion_stops_where_apollo_stops(speed, rounds):
     ratio = {1.0: (1.0, 1.0), 12.0: (0.2, 0.4), 16.0: (0.15, 0.3), 20.0: (0.1, 0.2)}[speed]
     a, b = model(speed, MKZ, 0.01)
     q = np.diag([0.05 * ratio[0], 0.0, ratio[1], 0.0]).ravel().tolist()

@@ -1,4 +1,4 @@
-"""Every effect keeps the contract (interfaces 4): complete, neutral when it is, seen where its port says."""
+"""Every effect keeps the contract (docs/reference/effects.md): complete, neutral when it is, seen where its port says."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ LINKS = {
     "steer_report_offset": (Link.COMMAND_TO_REPORT,),
     "report_latency": (Link.CLOCK,),
     "ins_latency": (Link.CLOCK,),
-}  # interfaces 4; of all others the port says it
+}  # docs/reference/effects.md; of all others the port says it
 
 
 @pytest.mark.parametrize("name", NAMES)

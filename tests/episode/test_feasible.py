@@ -87,7 +87,7 @@ def vehicle(**nominal: Any) -> VehicleSpec:
 
 
 def test_limits_of_the_mkz() -> None:
-    """Least turning radius 5.05 m (apollo_facts 1.1); 8.55211 / 16 / 2.8448 = 0.1879 1/m/s."""
+    """Least turning radius 5.05 m (docs/reference/apollo.md); 8.55211 / 16 / 2.8448 = 0.1879 1/m/s."""
     limits = limits_of(vehicle(wheelbase_m=2.8448, steer_ratio=16.0))
     assert 1.0 / limits.curvature_1pm == pytest.approx(5.0539, abs=1e-3)
     assert limits.curvature_rate_1pmps == pytest.approx(0.18789, abs=1e-4)

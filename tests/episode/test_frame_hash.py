@@ -1,4 +1,4 @@
-"""The frame hash: its bytes as interfaces 8 prints them, and what it does and does not depend on."""
+"""The frame hash: its bytes as docs/reference/bench_channel.md prints them, and what it does and does not depend on."""
 
 from __future__ import annotations
 

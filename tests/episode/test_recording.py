@@ -1,4 +1,4 @@
-"""Recordings: columns as interfaces 6 names them, whole files or none."""
+"""Recordings: columns as docs/reference/files.md names them, whole files or none."""
 
 from __future__ import annotations
 

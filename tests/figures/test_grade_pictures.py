@@ -32,11 +32,11 @@ def terms(columns: int) -> dict[str, dict[str, float]]:
     return found
 
 
-def cuts(count: int) -> dict[str, slices.Slice]:
+def cuts(count: int) -> dict[str, slices.ParameterSlice]:
     points = np.geomspace(1e-4, 0.1, 9)
     scores: list[float | None] = [0.2 + 0.1 * abs(float(np.log10(value / 0.003))) for value in points]
     scores[2], scores[8] = None, 9.0
-    one = slices.Slice(points.tolist(), scores, 0.003, True, "s")
+    one = slices.ParameterSlice(points.tolist(), scores, 0.003, True, "s")
     flagged = one._replace(winner=1e-4, flag="on the lower edge of its box")
     return {f"group.p{i}": flagged if i == 1 else one for i in range(count)}
 
@@ -129,7 +129,7 @@ def test_slices_mark_winner_manual_edge_and_what_is_above() -> None:
 
 def test_importance_says_n_and_sign() -> None:
     said = words(DRAWN["importance"]())
-    assert "What matters, by 100 trials" in said
+    assert "Importance of the parameters, from 100 trials" in said
     assert any("larger is worse" in one for one in said) and any("larger is better" in one for one in said)
     few = importance.draw_importance({"a": Importance(None, 0.5, 5)})
     assert any("too few trials" in one for one in words(few))

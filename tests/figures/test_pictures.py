@@ -24,7 +24,7 @@ SCORES = {
 }
 
 
-def drive(label: str, peak_m: float, rows: int = 400, replan: int = -1, outcome: str = "") -> scenario.Drive:
+def drive(label: str, peak_m: float, rows: int = 400, replan: int = -1, outcome: str = "") -> scenario.DrivePicture:
     t = np.arange(rows) * 0.01
     error = peak_m * np.sin(t)
     columns = {
@@ -40,19 +40,19 @@ def drive(label: str, peak_m: float, rows: int = 400, replan: int = -1, outcome:
         "out_steer_rad": np.sin(t),
         "replan": (np.arange(rows) == replan).astype(float),
     }
-    return scenario.Drive(label, columns, 0.5, outcome)
+    return scenario.DrivePicture(label, columns, 0.5, outcome)
 
 
 DRIVES = (drive("manual", 0.6, replan=130, outcome="left the lane", rows=300), drive("tuned", 0.12))
 
 
-def points(dimensions: int, trials: int = 40) -> scatter.Points:
+def points(dimensions: int, trials: int = 40) -> scatter.TrialPoints:
     chance = np.random.default_rng(dimensions)
     names = [f"group.p{i}_s" for i in range(dimensions)]
     values = {name: np.exp(chance.uniform(np.log(0.01), 0.0, trials)) for name in names}
     scores = 0.3 + sum((i + 1) * (np.log10(values[name]) + 1.0) ** 2 for i, name in enumerate(names))
-    boxes = {name: scatter.Range(0.01, 1.0, True, "s") for name in names}
-    return scatter.Points(values, list(scores), boxes, {name: 0.0 for name in names})  # type: ignore[arg-type]
+    boxes = {name: scatter.ParameterBox(0.01, 1.0, True, "s") for name in names}
+    return scatter.TrialPoints(values, list(scores), boxes, {name: 0.0 for name in names})  # type: ignore[arg-type]
 
 
 DRAWN: dict[str, Callable[[], Figure]] = {
@@ -138,7 +138,7 @@ def test_replans_and_early_ends_are_marked_on_every_panel() -> None:
 def test_what_was_not_recorded_is_said_not_drawn() -> None:
     bare = {name: DRIVES[1].columns[name] for name in ("t_s", "lateral_error_m")}
     bare["speed_mps"] = np.full(400, np.nan)
-    figure = scenario.draw_scenario("log", [scenario.Drive("car", bare), scenario.Drive("empty", {"t_s": []})])
+    figure = scenario.draw_scenario("log", [scenario.DrivePicture("car", bare), scenario.DrivePicture("empty", {"t_s": []})])
     said = [text.get_text() for text in texts(figure) if "not recorded" in text.get_text()]
     assert len(said) == 5  # path, heading, speed, steering, and the title for the second drive
     assert not any("0.00" in text for text in said)
@@ -148,7 +148,7 @@ def test_a_slender_path_is_stretched_and_says_so() -> None:
     assert "drawn larger than x" in scenario.draw_scenario("a", [drive("tuned", 0.1, rows=2000)._replace(
         columns={"t_s": [0.0, 1.0], "x_m": [0.0, 100.0], "y_m": [0.0, 3.0]})]).axes[0].get_ylabel()  # fmt: skip
     square = scenario.draw_scenario(
-        "b", [scenario.Drive("tuned", {"t_s": [0, 1, 2], "x_m": [0, 20, 0], "y_m": [0, 9, 20]})]
+        "b", [scenario.DrivePicture("tuned", {"t_s": [0, 1, 2], "x_m": [0, 20, 0], "y_m": [0, 9, 20]})]
     ).axes[0]
     assert square.get_ylabel() == "y (m)" and square.get_aspect() == 1.0
 
@@ -185,7 +185,7 @@ def test_many_parameters_show_the_three_that_matter_and_all_in_parallel() -> Non
     figure = scatter.draw_scatter(data)
     *planes, parallel, _ = figure.axes
     shown = {axes.get_xlabel() for axes in planes} | {axes.get_ylabel() for axes in planes}
-    assert shown == {f"{name} (s)" for name in scatter.by_weight(data)[:3]}
+    assert shown == {f"{name} (s)" for name in scatter.rank_parameters(data)[:3]}
     assert shown <= {f"group.p{i}_s (s)" for i in range(6, 11)}  # the heavier half of the bowl
     assert len(parallel.get_xticklabels()) == 11
     assert len(parallel.get_lines()) == 400 + 2
@@ -194,10 +194,10 @@ def test_many_parameters_show_the_three_that_matter_and_all_in_parallel() -> Non
 def test_weight_sees_slopes_and_valleys_but_not_noise() -> None:
     chance = np.random.default_rng(2)
     values, noise = chance.uniform(-1.0, 1.0, 300), chance.normal(size=300)
-    slope, valley = (scatter.weight(values, list(score)) for score in (values + 0.3 * noise, values**2 + 0.1 * noise))
+    slope, valley = (scatter.variance_share(values, list(score)) for score in (values + 0.3 * noise, values**2 + 0.1 * noise))
     assert slope > 0.6 and valley > 0.4
-    assert scatter.weight(values, list(noise)) < 0.06
-    assert scatter.weight(values, [1.0] * 300) >= 0.0
+    assert scatter.variance_share(values, list(noise)) < 0.06
+    assert scatter.variance_share(values, [1.0] * 300) >= 0.0
 
 
 def test_jitter_counts_what_was_late() -> None:

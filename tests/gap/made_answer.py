@@ -11,7 +11,7 @@ from tests.learn.made_drives import CHANNELS, made_drive
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec
 from tunefree_hil.gap.diagnostics.residual_tests import Region, Shape
-from tunefree_hil.gap.result import Kept
+from tunefree_hil.gap.result import SearchResult
 from tunefree_hil.learn.drives.drive import Drive
 
 VEHICLE = load_vehicle("mkz_bywire")
@@ -76,7 +76,7 @@ def answer(verdict: str = "one", **more: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def made_kept(verdict: str = "one", **more: Any) -> Kept:
+def made_kept(verdict: str = "one", **more: Any) -> SearchResult:
     """What the search would have come to."""
     null = {"steer_gain.gain_frac": 1.001, "grade.grade_rad": 0.0001, "actuator.steer.dead_time_s": 0.003}
     repaired = {"steer_gain.gain_frac": 1.0, "steer_dead_time.delay_s": LATE_S}
@@ -85,7 +85,7 @@ def made_kept(verdict: str = "one", **more: Any) -> Kept:
         Region("steer side", 0.0, 0.4, 0.05, 0.0, 0.9, 0.4, 2.0, False),
     )
     named = verdict in ("one", "several")
-    return Kept(
+    return SearchResult(
         answer(verdict, **more), null, repaired if named else null, ("steer_dead_time.delay_s",) if named else (),
         "steer", regions, Shape(0.07, 1.0, 0.0), 12.5,
     )  # fmt: skip

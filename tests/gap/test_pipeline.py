@@ -12,8 +12,9 @@ from tunefree_hil.base.contracts import Link
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec
-from tunefree_hil.gap.measured.chain import open_chain
-from tunefree_hil.gap.pipeline import VERDICTS, Named, name
+from tunefree_hil.gap.measured.chain import build_measured_drive
+from tunefree_hil.gap.pipeline import Diagnosis, diagnose
+from tunefree_hil.gap.selection.reasons import VerdictKind
 
 pytestmark = [pytest.mark.slow, pytest.mark.compiled, pytest.mark.timeout(900)]  # two processes that compile first
 
@@ -28,9 +29,9 @@ def model() -> ModelSpec:
     return replace(nominal, actuators=own, plant=replace(nominal.plant, kind="physics", params={}, card=""), effects=[])
 
 
-def asked(seconds: float, **hidden: Any) -> Named:
+def asked(seconds: float, **hidden: Any) -> Diagnosis:
     vehicle = load_vehicle("mkz_bywire")
-    search = name(model(), vehicle, [open_chain(made_drive(seconds, seed=5, **hidden), vehicle)])
+    search = diagnose(model(), vehicle, [build_measured_drive(made_drive(seconds, seed=5, **hidden), vehicle)])
     while True:
         try:
             next(search)
@@ -40,19 +41,23 @@ def asked(seconds: float, **hidden: Any) -> Named:
 
 def test_a_car_as_its_model_has_it_misses_nothing() -> None:
     found = asked(110.0)
-    assert found.verdict == "none_missing" and not found.effects and not found.set and found.link is None
+    assert found.verdict.kind is VerdictKind.NONE_MISSING and not found.effects and found.link is None
 
 
 def test_a_steering_that_answers_later_is_named_with_its_value_and_link() -> None:
     late = CHANNELS["steer"]._replace(dead_time_s=CHANNELS["steer"].dead_time_s + 0.07)
     found = asked(110.0, channels={**CHANNELS, "steer": late})
-    assert found.verdict in VERDICTS and found.verdict == "one"
+    assert found.verdict.kind is VerdictKind.ONE and found.verdict.names == ("steer_dead_time",)
     (effect,) = found.effects
     delay = effect.params["delay_s"]
     assert effect.name == "steer_dead_time" and delay.value == pytest.approx(0.07, abs=0.005) and delay.unit == "s"
     assert delay.low < delay.value < delay.high
-    assert found.link is Link.COMMAND_TO_REPORT and found.card is not None and found.card.looked.signal == "steer"
-    assert found.candidates[0].name == "steer_dead_time" and found.excitation["steer_dead_time"].enough
+    assert (
+        found.link is Link.COMMAND_TO_REPORT
+        and found.location is not None
+        and found.location.residual.signal == "steer"
+    )
+    assert found.candidates[0].name == "steer_dead_time" and found.excitation["steer_dead_time"].is_sufficient
 
 
 def test_who_is_not_asked_is_told_before_anybody_waits() -> None:

@@ -7,14 +7,18 @@ from typing import Any, cast
 
 import pytest
 
-from tunefree_hil.gap.measured.blocks import PROOF, blocks_of
-from tunefree_hil.gap.pipeline import Named
-from tunefree_hil.gap.result import FEW_BLOCKS, _short_words
+from tunefree_hil.gap.measured.blocks import HOLDOUT, cut_blocks
+from tunefree_hil.gap.pipeline import Diagnosis
+from tunefree_hil.gap.result import FEW_BLOCKS, _few_blocks_texts
+from tunefree_hil.gap.selection.reasons import Verdict, VerdictKind
 
 
-def found(seconds: float, verdict: str) -> Named:
-    blocks = blocks_of([round(seconds / 0.01)], 0.01)
-    return cast(Named, cast(Any, SimpleNamespace(question=SimpleNamespace(blocks=blocks), verdict=verdict)))
+def found(seconds: float, verdict: str) -> Diagnosis:
+    blocks = cut_blocks([round(seconds / 0.01)], 0.01)
+    return cast(
+        Diagnosis,
+        cast(Any, SimpleNamespace(problem=SimpleNamespace(blocks=blocks), verdict=Verdict(VerdictKind(verdict)))),
+    )
 
 
 @pytest.mark.parametrize(("seconds", "verdict", "said"), [
@@ -24,7 +28,7 @@ def test_few_blocks_are_said_where_the_verdict_stands_on_nothing_else_being_seen
     seconds: float, verdict: str, said: bool
 ) -> None:
     asked = found(seconds, verdict)
-    judged = int((asked.question.blocks.roles != PROOF).sum())
+    judged = int((asked.problem.blocks.roles != HOLDOUT).sum())
     assert (judged < FEW_BLOCKS) is (seconds < 100.0)
-    words = _short_words(asked)
+    words = _few_blocks_texts(asked)
     assert bool(words) is said and all(str(judged) in one for one in words)

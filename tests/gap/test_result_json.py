@@ -9,16 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.gap.made_answer import made_kept
-from tunefree_hil.gap.estimation.least_squares import Fitted
-from tunefree_hil.gap.measured.blocks import blocks_of
-from tunefree_hil.gap.measured.excitation import Excited
-from tunefree_hil.gap.pipeline import Named
-from tunefree_hil.gap.result import SCHEMA, as_json, from_json, keep
-from tunefree_hil.gap.workers.worker import Modelled, Question
+from tunefree_hil.gap.estimation.least_squares import Fit
+from tunefree_hil.gap.measured.blocks import cut_blocks
+from tunefree_hil.gap.measured.excitation import Excitation
+from tunefree_hil.gap.pipeline import Diagnosis
+from tunefree_hil.gap.result import KEYS, SCHEMA, SearchResult, as_json, from_json, make_search_result
+from tunefree_hil.gap.selection.reasons import Criterion, Reason, Verdict, VerdictKind, reason_entry
+from tunefree_hil.gap.workers.worker import FitSummary, OpenProblem
 
-FITTED = Fitted("", (), np.zeros(0), (), {}, np.zeros((0, 0)), {}, {})
-MODELLED = Modelled(FITTED, {})
-QUESTION_OF = Question(MODELLED, blocks_of([9000], 0.01), {}, {}, (), {})
+FITTED = Fit("", (), np.zeros(0), (), {}, np.zeros((0, 0)), {}, {})
+SUMMARY = FitSummary(FITTED, {})
+PROBLEM = OpenProblem(SUMMARY, cut_blocks([9000], 0.01), {}, {}, (), {})
 
 
 def test_it_comes_back_as_it_was() -> None:
@@ -30,27 +31,60 @@ def test_it_comes_back_as_it_was() -> None:
 
 @given(st.dictionaries(st.text(min_size=1), st.floats(allow_nan=False, allow_infinity=False)))
 def test_values_keep_every_bit(values: dict[str, float]) -> None:
-    kept = made_kept()._replace(null=values, shape=None)
+    kept = made_kept()._replace(recalibrated_values=values, shape=None)
     assert from_json(json.loads(json.dumps(as_json(kept)))) == kept
 
 
+def nothing_missing(excitation: dict[str, Excitation]) -> Diagnosis:
+    return Diagnosis(
+        verdict=Verdict(VerdictKind.NONE_MISSING, (), (Reason(Criterion.NOTHING_BROKEN),)),
+        link=None,
+        location=None,
+        links_before=(),
+        excitation=excitation,
+        problem=PROBLEM,
+        repaired=SUMMARY,
+        lack_of_fit_after={},
+        unobservable_links={},
+    )
+
+
 def test_nothing_found_where_nothing_could_have_been_seen_is_no_answer() -> None:
-    lacking = Excited(0.1, False, ("3 s above 2 m/s, 20 are needed",))
-    found = Named(
-        "none_missing", (), (), "", None, None, (), {"steer_lag": lacking}, (), QUESTION_OF, MODELLED, {}, {}, {}, ()
-    )  # fmt: skip
-    kept = keep(found, "physics", 1.0)
+    found = nothing_missing({"steer_lag": Excitation(0.1, False, ("3 s above 2 m/s, 20 are needed",))})
+    kept = make_search_result(found, "physics", 1.0)
     assert kept.verdict == "cannot_test" and "record a drive with more: 3 s above" in kept.answer["words"][0]
-    seen = found._replace(excitation={"steer_lag": Excited(2.0, True, ())})
-    assert keep(seen, "physics", 1.0).verdict == "none_missing"
-    assert keep(seen, "hybrid", 1.0).answer["absorbed"] and not keep(seen, "physics", 1.0).answer["absorbed"]
+    assert kept.answer["reasons"] == [{"name": "", "criterion": "nothing_visible"}]
+    seen = found._replace(excitation={"steer_lag": Excitation(2.0, True, ())})
+    physics, hybrid = (make_search_result(seen, kind, 1.0) for kind in ("physics", "hybrid"))
+    assert physics.verdict == "none_missing" and hybrid.answer["absorbed"] and not physics.answer["absorbed"]
+    assert physics.answer["reasons"] == [{"name": "", "criterion": "nothing_broken"}]
 
 
 def test_what_moves_nothing_that_is_compared_could_not_have_been_seen() -> None:
-    held = {"steer_lag": Excited(2.0, True, ()), "side_wind": Excited(2.0, True, ())}
-    found = Named("none_missing", (), (), "", None, None, (), held, (), QUESTION_OF, MODELLED, {}, {}, {}, ())
-    one = keep(found._replace(unmoved={"side_wind": "no value"}), "physics", 1.0)
-    assert one.verdict == "none_missing" and one.answer["untold"] == {"side_wind": "no value"}
-    assert not one.answer["excitation"]["side_wind"]["enough"] and one.answer["excitation"]["steer_lag"]["enough"]
-    none = keep(found._replace(unmoved=dict.fromkeys(held, "no value")), "physics", 1.0)
+    excitation = {"steer_lag": Excitation(2.0, True, ()), "side_wind": Excitation(2.0, True, ())}
+    found = nothing_missing(excitation)
+    single = make_search_result(found._replace(unmoving=("side_wind",)), "physics", 1.0)
+    assert single.verdict == "none_missing" and list(single.answer["untold"]) == ["side_wind"]
+    assert "by 0.4% of that signal" in single.answer["untold"]["side_wind"]
+    assert not single.answer["excitation"]["side_wind"]["enough"]
+    assert single.answer["excitation"]["steer_lag"]["enough"]
+    none = make_search_result(found._replace(unmoving=tuple(excitation)), "physics", 1.0)
     assert none.verdict == "cannot_test" and "no value" in none.answer["words"][0]
+
+
+def test_the_keys_of_the_file_stay_whatever_the_fields_are_called() -> None:
+    assert set(KEYS) == set(SearchResult._fields)
+    assert list(as_json(made_kept())) == [
+        "schema", "answer", "null", "repaired", "free", "signal", "regions", "shape", "seconds", "named", "foretold",
+    ]  # fmt: skip
+
+
+def test_a_reason_is_written_with_its_numbers() -> None:
+    reason = Reason(Criterion.EVIDENCE, "steer_lag", 3.0, 6.0, key="steer")
+    found = {"name": "steer_lag", "criterion": "evidence", "signal": "steer", "value": 3.0, "limit": 6.0}
+    assert reason_entry(reason) == found
+    assert reason_entry(reason._replace(value=float("nan"), key="")) == {
+        "name": "steer_lag",
+        "criterion": "evidence",
+        "limit": 6.0,
+    }

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.grade.checks import Condition, judge_condition, parse_condition
+from tunefree_hil.grade.checks import Condition, check_condition, parse_condition
 
 SCENARIOS = ("u_turn", "side-pass")
 
@@ -33,7 +33,7 @@ def test_conditions(text: str, expected: tuple[str, str, str, float, bool]) -> N
 def test_a_misspelt_metric_gets_a_guess() -> None:
     with pytest.raises(InputError) as caught:
         parse_condition("lateral_peak > 1", ["tiny"])
-    assert caught.value.hint.startswith("did you mean lateral_err_peak")
+    assert caught.value.hint.startswith("Did you mean lateral_err_peak")
     with pytest.raises(InputError) as caught:
         parse_condition("xyz > 1", ["tiny"])
     assert caught.value.hint.startswith("one of score, ")
@@ -42,16 +42,16 @@ def test_a_misspelt_metric_gets_a_guess() -> None:
 @pytest.mark.parametrize(
     ("text", "part"),
     [
-        ("", "no condition"),
-        ("lateral_err_peak", "no condition"),
-        ("lateral_err_peak = 3", "no condition"),
-        ("lateral_err_peak > ", "no condition"),
-        ("lateral_err_peak > 5 m", "no condition"),
-        ("lateral > 3", "no metric: 'lateral'"),
-        ("score@left_turn > 3", "no scenario that all runs drove: 'left_turn'"),
+        ("", "not a condition"),
+        ("lateral_err_peak", "not a condition"),
+        ("lateral_err_peak = 3", "not a condition"),
+        ("lateral_err_peak > ", "not a condition"),
+        ("lateral_err_peak > 5 m", "not a condition"),
+        ("lateral > 3", "unknown metric 'lateral'"),
+        ("score@left_turn > 3", "not all runs drove: 'left_turn'"),
         ("score > 5%", "no sign before 5%"),
-        ("score > much", "'much', which is no number"),
-        ("score > nan", "no number"),
+        ("score > much", "'much', which is not a number"),
+        ("score > nan", "not a number"),
         ("score > +x%", "no sign"),
     ],
 )
@@ -63,7 +63,7 @@ def test_a_bad_one_is_one_message(text: str, part: str) -> None:
 
 def holds(text: str, *values: float | None) -> list[bool]:
     named = {f"run{i}": value for i, value in enumerate(values)}
-    return [one.holds for one in judge_condition(parse_condition(text, SCENARIOS), named)]
+    return [one.holds for one in check_condition(parse_condition(text, SCENARIOS), named)]
 
 
 def test_the_first_run_is_what_the_others_are_held_against() -> None:
@@ -78,8 +78,8 @@ def test_what_cannot_be_told_fails() -> None:
     assert holds("score > +5%", 1.0, None) == [True]
     assert holds("score > +5%", None, 1.0) == [True]
     assert holds("score > 2", None, 1.0) == [False]
-    (finding,) = judge_condition(parse_condition("score > 1", ()), {"a": 1.0, "b": None})
-    assert "could not be had in b" in finding.words
+    (finding,) = check_condition(parse_condition("score > 1", ()), {"a": 1.0, "b": None})
+    assert "is not available in b" in finding.words
 
 
 @given(st.floats(0.0, 10.0), st.floats(0.0, 10.0), st.integers(-99, 99), st.sampled_from([">", ">=", "<", "<="]))
@@ -87,5 +87,5 @@ def test_a_condition_or_its_opposite_holds(first: float, other: float, percent: 
     opposite = {">": "<=", "<=": ">", "<": ">=", ">=": "<"}[op]
     one, two = (parse_condition(f"score {word} {percent:+d}%", ()) for word in (op, opposite))
     values = {"a": first, "b": other}
-    assert judge_condition(one, values)[0].holds is not judge_condition(two, values)[0].holds
+    assert check_condition(one, values)[0].holds is not check_condition(two, values)[0].holds
     assert isinstance(one, Condition)

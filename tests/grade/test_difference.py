@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tunefree_hil.config.schema import WeightsSpec
-from tunefree_hil.grade.difference import FAILURE, REPLANS, difference, terms_of
+from tunefree_hil.grade.difference import FAILURE, REPLANS, score_difference, score_terms
 from tunefree_hil.grade.metrics import METRICS
-from tunefree_hil.grade.score import FINISHED, ScenarioGrade, combine, weighted_mean
+from tunefree_hil.grade.score import FINISHED, ScenarioGrade, combine_scores, weighted_mean
 
 NAMES = list(METRICS)
 WEIGHTS = WeightsSpec(
@@ -50,16 +50,16 @@ def plain(grades: list[ScenarioGrade]) -> dict[str, Any]:
 
 @given(candidates())
 def test_terms_add_up_to_the_score(grades: list[ScenarioGrade]) -> None:
-    terms = terms_of(plain(grades), WEIGHTS)
-    assert sum(sum(row.values()) for row in terms.values()) == pytest.approx(combine(grades), rel=1e-12)
+    terms = score_terms(plain(grades), WEIGHTS)
+    assert sum(sum(row.values()) for row in terms.values()) == pytest.approx(combine_scores(grades), rel=1e-12)
 
 
 @given(candidates(), candidates())
 def test_cells_add_up_to_the_difference(first: list[ScenarioGrade], other: list[ScenarioGrade]) -> None:
-    apart = difference(plain(first), plain(other), WEIGHTS)
-    assert apart.total == pytest.approx(combine(other) - combine(first), rel=1e-9, abs=1e-12)
+    apart = score_difference(plain(first), plain(other), WEIGHTS)
+    assert apart.total == pytest.approx(combine_scores(other) - combine_scores(first), rel=1e-9, abs=1e-12)
     assert sum(apart.scenarios.values()) == pytest.approx(apart.total, rel=1e-9, abs=1e-12)
-    back = difference(plain(other), plain(first), WEIGHTS)
+    back = score_difference(plain(other), plain(first), WEIGHTS)
     assert back.total == pytest.approx(-apart.total)
 
 
@@ -70,9 +70,11 @@ def test_what_a_term_is() -> None:
         metrics={"lateral_err_peak": 2.0, "speed_err_peak": 1.0, "station_err_peak": 0.0},
     )  # fmt: skip
     drive = {"metrics": {"lateral_err_peak": 0.3, "speed_err_peak": 0.6}, "replans": 1, "outcome": FINISHED}
-    (row,) = terms_of({"a": {**drive, "score": 1.4, "planned_samples": 10}}, weights).values()
+    (row,) = score_terms({"a": {**drive, "score": 1.4, "planned_samples": 10}}, weights).values()
     assert row == pytest.approx({"lateral_err_peak": 0.2, "speed_err_peak": 0.2, REPLANS: 1.0, FAILURE: 0.0})
-    (row,) = terms_of({"a": {**drive, "outcome": "left_lane", "score": 10.0, "planned_samples": 10}}, weights).values()
+    (row,) = score_terms(
+        {"a": {**drive, "outcome": "left_lane", "score": 10.0, "planned_samples": 10}}, weights
+    ).values()
     assert row == {"lateral_err_peak": 0.0, "speed_err_peak": 0.0, REPLANS: 0.0, FAILURE: 10.0}
-    (row,) = terms_of({"a": {**drive, "replans": 12, "score": 10.0, "planned_samples": 10}}, weights).values()
+    (row,) = score_terms({"a": {**drive, "replans": 12, "score": 10.0, "planned_samples": 10}}, weights).values()
     assert row[REPLANS] == 12.0 and row[FAILURE] == pytest.approx(-2.4), "the cap"

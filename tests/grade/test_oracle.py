@@ -1,4 +1,4 @@
-"""The 42 metrics written down a second time, plainly, from apollo_facts 6.1; a drive of every kind of sample."""
+"""A second, plain implementation of the 42 metrics from docs/reference/apollo.md, compared on one drive."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from tunefree_hil.config.schema import ProfileSpec, ScenarioSpec
 from tunefree_hil.episode.recording import COLUMNS, make_recording
 from tunefree_hil.episode.scenario import build_course
-from tunefree_hil.grade.profile import Beside, profile
+from tunefree_hil.grade.profile import DriveExtras, profile_drive
 from tunefree_hil.grade.score import GradeVehicle
 from tunefree_hil.grade.table import PUBLISHED
 
@@ -164,7 +164,7 @@ EXPECTED: dict[str, float] = {
     "pose_heading_offset_std": rms(offsets()),
     "pose_heading_offset_peak": max(abs(one) for one in offsets()),
 }
-FOUND = profile(make_recording(DRIVE, DT_S), COURSE, CAR, beside=Beside(TIMES_S, "control_error"))
+FOUND = profile_drive(make_recording(DRIVE, DT_S), COURSE, CAR, extras=DriveExtras(TIMES_S, "control_error"))
 
 
 def test_the_oracle_knows_all_42() -> None:

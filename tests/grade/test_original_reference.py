@@ -11,7 +11,7 @@ from tunefree_hil.config.schema import ProfileSpec, ScenarioSpec
 from tunefree_hil.control.follower import make_follower
 from tunefree_hil.episode.recording import Recording, make_recording
 from tunefree_hil.episode.scenario import build_course
-from tunefree_hil.grade.metrics import samples_of
+from tunefree_hil.grade.metrics import samples_from_recording
 from tunefree_hil.grade.original_reference import samples_against_original
 
 DT_S = 0.01
@@ -144,6 +144,6 @@ def test_the_chassis_sensors_have_no_say_in_the_errors() -> None:
 
 def test_a_recording_without_a_follower() -> None:
     bare = make_recording({"speed_mps": np.ones(9)}, DT_S)
-    found, current = samples_against_original(bare, COURSE, REAR_AXLE_M), samples_of(bare)
+    found, current = samples_against_original(bare, COURSE, REAR_AXLE_M), samples_from_recording(bare)
     assert found.speed_mps is current.speed_mps
     assert found.lateral_error_m is None

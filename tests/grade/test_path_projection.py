@@ -15,7 +15,7 @@ from tunefree_hil.config.schema import ProfileSpec, ScenarioSpec
 from tunefree_hil.control.path import cell_of, make_path, project
 from tunefree_hil.episode.recording import make_recording
 from tunefree_hil.episode.scenario import build_course
-from tunefree_hil.grade.path_projection import find_feet, near_stations, stations_of, tables_of
+from tunefree_hil.grade.path_projection import course_arrays, estimate_stations, project_points, rear_axle_stations
 
 DT_S = 0.01
 
@@ -32,7 +32,7 @@ def bends() -> Course:
 
 
 COURSE = bends()
-TABLES = tables_of(COURSE)
+TABLES = course_arrays(COURSE)
 
 
 def weave(side_m: float, omega_radps: float, late_m: float, ahead_m: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -60,7 +60,7 @@ def one_by_one(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 @given(side_m=st.floats(-2.5, 2.5), omega_radps=st.floats(0.1, 2.0), late_m=st.floats(-3.0, 3.0))
 def test_feet_are_those_of_the_follower(side_m: float, omega_radps: float, late_m: float) -> None:
     x, y = weave(side_m, omega_radps, late_m)
-    np.testing.assert_allclose(np.stack(find_feet(TABLES, x, y), axis=1), one_by_one(x, y), atol=1e-9)
+    np.testing.assert_allclose(np.stack(project_points(TABLES, x, y), axis=1), one_by_one(x, y), atol=1e-9)
 
 
 @settings(max_examples=15, deadline=None)
@@ -68,9 +68,9 @@ def test_feet_are_those_of_the_follower(side_m: float, omega_radps: float, late_
 def test_where_the_search_starts_changes_no_bit(side_m: float, omega_radps: float, first: int) -> None:
     """The middle's feet are looked for from the rear axle's, and only from the first re-plan on."""
     x, y = weave(side_m, omega_radps, 0.5, ahead_m=1.4)
-    whole = np.stack(find_feet(TABLES, x, y), axis=1)
-    rear = near_stations(TABLES, *weave(side_m, omega_radps, 0.5))
-    part = np.stack(find_feet(TABLES, x, y, rear + 1.4, first), axis=1)
+    whole = np.stack(project_points(TABLES, x, y), axis=1)
+    rear = estimate_stations(TABLES, *weave(side_m, omega_radps, 0.5))
+    part = np.stack(project_points(TABLES, x, y, rear + 1.4, first), axis=1)
     np.testing.assert_array_equal(part[first:], whole[first:])
     assert np.isnan(part[:first]).all()
 
@@ -80,25 +80,25 @@ def test_what_is_not_known_stays_unknown() -> None:
     x[:7] = math.nan
     y[500] = math.inf
     known = np.isfinite(x + y)
-    feet = np.stack(find_feet(TABLES, x, y), axis=1)
+    feet = np.stack(project_points(TABLES, x, y), axis=1)
     assert np.isnan(feet[~known]).all()
     np.testing.assert_allclose(feet[known], one_by_one(x[known], y[known]), atol=1e-9)
     nothing = np.full(9, math.nan)
-    assert np.isnan(np.stack(find_feet(TABLES, nothing, nothing))).all()
-    np.testing.assert_array_equal(near_stations(TABLES, nothing, nothing), np.zeros(9))
+    assert np.isnan(np.stack(project_points(TABLES, nothing, nothing))).all()
+    np.testing.assert_array_equal(estimate_stations(TABLES, nothing, nothing), np.zeros(9))
 
 
 def test_stations_of_a_straight_drive() -> None:
     course = straight(5.0)
     x = 0.05 * np.arange(course.ticks)
     recording = make_recording({"x_m": x, "y_m": 0.0 * x + 0.3}, DT_S)
-    stations = stations_of(recording, course)
+    stations = rear_axle_stations(recording, course)
     assert stations is not None
     np.testing.assert_allclose(stations, x, atol=1e-9)
-    assert stations_of(make_recording({"speed_mps": x}, DT_S), course) is None
+    assert rear_axle_stations(make_recording({"speed_mps": x}, DT_S), course) is None
 
 
 def test_a_course_is_made_into_arrays_once() -> None:
-    tables = tables_of(COURSE)  # others may have been kept since the module's own were made
-    assert tables_of(COURSE) is tables
+    tables = course_arrays(COURSE)  # others may have been kept since the module's own were made
+    assert course_arrays(COURSE) is tables
     assert pytest.approx(COURSE.ticks * DT_S) == tables.plan_s[-1]

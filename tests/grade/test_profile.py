@@ -14,23 +14,23 @@ from tunefree_hil.base.course import Course
 from tunefree_hil.config.schema import ProfileSpec, ScenarioSpec, WeightsSpec
 from tunefree_hil.episode.recording import COLUMNS, Recording, make_recording
 from tunefree_hil.episode.scenario import build_course
-from tunefree_hil.grade.metrics import METRICS, Scales
+from tunefree_hil.grade.metrics import METRICS, MetricScales
 from tunefree_hil.grade.profile import (
-    Beside,
-    Value,
+    DriveExtras,
+    MetricValue,
     combine_profiles,
     combine_values,
-    profile,
-    stops_of,
-    summed,
+    planned_stops,
+    profile_drive,
+    summarise_series,
 )
-from tunefree_hil.grade.score import GradeVehicle, grade
-from tunefree_hil.grade.signals import Context
-from tunefree_hil.grade.table import ASPECTS, HIGHLIGHTED, PUBLISHED, TABLE, How, Metric, by_aspect
+from tunefree_hil.grade.score import GradeVehicle, grade_drive
+from tunefree_hil.grade.signals import FormulaContext
+from tunefree_hil.grade.table import ASPECTS, HIGHLIGHTED, PUBLISHED, TABLE, Aggregation, MetricRow, names_by_aspect
 
 DT_S = 0.01
 CAR = GradeVehicle(2.8448, 1.4224, 8.0, 8.5, rest_pedal_frac=0.15)
-HOWS: tuple[How, ...] = ("std", "peak", "share", "mean")
+HOWS: tuple[Aggregation, ...] = ("std", "peak", "share", "mean")
 # series that look over more than one row: two halves lack what happens between them
 OVER_ROWS = {"jerk_bad_sensation", "lateral_jerk_bad_sensation", "heading_acc_bad_sensation",
              "heading_jerk_bad_sensation", "pose_heading_offset_std", "pose_heading_offset_peak", "lateral_jerk_rms",
@@ -66,13 +66,15 @@ def recording(rows: int = 400, seed: int = 1, **given: Any) -> Recording:
     return make_recording(columns, DT_S)
 
 
-def values(of: Recording, plan: Course | None = None, beside: Beside | None = None, **options: Any) -> dict[str, Value]:
-    return profile(of, plan or course(), CAR, beside=beside, **options)
+def values(
+    of: Recording, plan: Course | None = None, beside: DriveExtras | None = None, **options: Any
+) -> dict[str, MetricValue]:
+    return profile_drive(of, plan or course(), CAR, extras=beside, **options)
 
 
 def test_the_source_has_42() -> None:
     assert len(PUBLISHED) == 42
-    counts = {aspect: sum(name in PUBLISHED for name in names) for aspect, names in by_aspect().items()}
+    counts = {aspect: sum(name in PUBLISHED for name in names) for aspect, names in names_by_aspect().items()}
     assert tuple(counts) == ASPECTS
     assert list(counts.values()) == [18, 5, 6, 6, 2, 3, 2]
     assert set(METRICS) <= set(TABLE) and set(HIGHLIGHTED) <= set(PUBLISHED)
@@ -126,18 +128,18 @@ def test_by_hand(name: str, columns: dict[str, Any], expected: float, n: int) ->
 
 def test_standing_still_has_no_course() -> None:
     found = values(recording(x_m=0.0, y_m=0.0))["pose_heading_offset_std"]
-    assert found == Value(None, 0, "no such samples in this drive")
+    assert found == MetricValue(None, 0, "no such samples in this drive")
 
 
 def test_compute_time_and_control_errors() -> None:
     times = np.array([0.002] * 9 + [0.012])
-    found = values(recording(), beside=Beside(times, "control_error"))
+    found = values(recording(), beside=DriveExtras(times, "control_error"))
     assert found["total_time_usage"].value == pytest.approx(math.sqrt((9 * 0.04 + 1.44) / 9))
     assert found["total_time_peak"].value == pytest.approx(1.2)
     assert found["total_time_exceeded_count"] == (0.1, 10, "")
     assert found["control_error_code_count"] == (1.0 / 400.0, 400, "")
     for harmless in ("", "left_lane", "diverged"):
-        assert values(recording(), beside=Beside(None, harmless))["control_error_code_count"].value == 0.0
+        assert values(recording(), beside=DriveExtras(None, harmless))["control_error_code_count"].value == 0.0
     unknown = values(recording())
     assert unknown["control_error_code_count"].value is None and "bench log" in unknown["control_error_code_count"].why
     assert "compute times" in unknown["total_time_peak"].why
@@ -159,7 +161,7 @@ def test_endings() -> None:
         ),
         DT_S,
     )
-    np.testing.assert_allclose(stops_of(plan), [8.0])
+    np.testing.assert_allclose(planned_stops(plan), [8.0])
     speed = np.concatenate([np.full(200, 4.0), np.zeros(50), np.full(50, 0.1), np.zeros(100)])
     error = np.linspace(0.0, 0.399, 400)
     near = stopping(np.full(400, 7.5), speed, station_error_m=error, lateral_error_m=error, heading_error_rad=error)
@@ -184,7 +186,7 @@ def test_what_is_weighed_is_what_the_score_weighs() -> None:
             schema="tunefree.weights/1", name="t", against=against, as_published=published,  # type: ignore[arg-type]
             metrics={"lateral_err_peak": 1.0}, lane_half_width_m=1e9, divergence_heading_rad=1e9,
         )  # fmt: skip
-        graded = grade(one, plan, weights, CAR)
+        graded = grade_drive(one, plan, weights, CAR)
         found = values(one, plan, against=against, as_published=published)
         assert {name: found[name].value for name in METRICS} == graded.metrics
 
@@ -192,7 +194,7 @@ def test_what_is_weighed_is_what_the_score_weighs() -> None:
 @pytest.mark.parametrize("name", TABLE)
 def test_a_missing_column_is_none_with_its_name(name: str) -> None:
     full = recording(1000, accel_mps2=np.zeros(1000))
-    beside = Beside(np.full(9, 0.001), "")
+    beside = DriveExtras(np.full(9, 0.001), "")
     for need in TABLE[name].needs:
         gone = {"station_m": "x_m"}.get(need, need)
         if gone in ("control_time_s", "control_error"):
@@ -208,10 +210,10 @@ numbers = st.lists(st.floats(-9.0, 9.0), min_size=5, max_size=30)
 
 
 @given(st.sampled_from(HOWS), st.lists(numbers, min_size=1, max_size=5))
-def test_parts_make_the_whole(how: How, parts: list[list[float]]) -> None:
-    row = Metric("performance", how, "", (), limit=2.0)
-    whole = summed(row, np.array([value for part in parts for value in part]))
-    combined = combine_values(how, [summed(row, np.array(part)) for part in parts])
+def test_parts_make_the_whole(how: Aggregation, parts: list[list[float]]) -> None:
+    row = MetricRow("performance", how, "", (), limit=2.0)
+    whole = summarise_series(row, np.array([value for part in parts for value in part]))
+    combined = combine_values(how, [summarise_series(row, np.array(part)) for part in parts])
     assert combined.n == whole.n
     assert combined.value == pytest.approx(whole.value, rel=1e-9, abs=1e-12)
 
@@ -221,8 +223,8 @@ def test_halves_of_a_drive_make_the_drive(row: int, seed: int) -> None:
     whole, plan = recording(seed=seed), course()
     halves = [make_recording({k: v[cut] for k, v in whole.columns.items() if k not in ("t_s", "tick")}, DT_S)
               for cut in (slice(None, row), slice(row, None))]  # fmt: skip
-    expected = values(whole, plan, against="current", beside=Beside(None, ""))
-    parts = combine_profiles([values(half, plan, against="current", beside=Beside(None, "")) for half in halves])
+    expected = values(whole, plan, against="current", beside=DriveExtras(None, ""))
+    parts = combine_profiles([values(half, plan, against="current", beside=DriveExtras(None, "")) for half in halves])
     for name in set(TABLE) - OVER_ROWS:
         if expected[name].value is None:
             assert parts[name].value is None
@@ -232,8 +234,8 @@ def test_halves_of_a_drive_make_the_drive(row: int, seed: int) -> None:
 
 
 def test_a_drive_without_the_metric_does_not_count() -> None:
-    assert combine_values("mean", [Value(None, 3, "few"), Value(2.0, 10)]) == (2.0, 10, "")
-    assert combine_values("std", [Value(None, 3, "few"), Value(None, 0, "none")]) == (None, 0, "few")
+    assert combine_values("mean", [MetricValue(None, 3, "few"), MetricValue(2.0, 10)]) == (2.0, 10, "")
+    assert combine_values("std", [MetricValue(None, 3, "few"), MetricValue(None, 0, "none")]) == (None, 0, "few")
 
 
 def test_formulas_leave_their_signals_alone() -> None:
@@ -248,4 +250,4 @@ def test_a_recording_of_nothing_but_speed() -> None:
     bare = make_recording({"speed_mps": np.full(50, 3.0)}, DT_S)
     found = values(bare)
     assert all(value.value is None and value.why for value in found.values())
-    assert Context(Scales(1.0, 1.0, 1.0, DT_S), 0.0, np.empty(0)).stops_m.size == 0
+    assert FormulaContext(MetricScales(1.0, 1.0, 1.0, DT_S), 0.0, np.empty(0)).stops_m.size == 0

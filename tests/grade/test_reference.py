@@ -12,7 +12,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.episode.feasible import curvature_by_time
 from tunefree_hil.episode.scenario import build_course
-from tunefree_hil.grade.path_projection import find_feet, tables_of
+from tunefree_hil.grade.path_projection import course_arrays, project_points
 from tunefree_hil.grade.reference import read_reference
 
 DT_S = 0.01
@@ -46,7 +46,7 @@ def write(path: Path, names: tuple[str, ...], rows: np.ndarray) -> str:
 def test_points_of_a_scenario_give_its_course(tmp_path: Path, names: tuple[str, ...], tolerance_m: float) -> None:
     found = read_reference(write(tmp_path / "points.csv", names, rows_of(10)), DT_S)
     course = found.course
-    assert found.world and found.name == "points"
+    assert found.in_log_coordinates and found.name == "points"
     assert abs(course.ticks - U_TURN.ticks) <= 10
     rows = min(course.ticks, U_TURN.ticks)
     np.testing.assert_allclose(course.speed_mps[:rows], U_TURN.speed_mps[:rows], atol=0.05)
@@ -88,7 +88,7 @@ def test_the_middle_runs_ahead_of_the_rear_axle(tmp_path: Path, spacing_m: float
     ticks = np.arange(100, 500, 10)
     angle = 5.0 * ticks * DT_S / radius_m
     rear = radius_m * np.sin(angle), radius_m * (1.0 - np.cos(angle))
-    feet = find_feet(tables_of(course), *rear)
+    feet = project_points(course_arrays(course), *rear)
     np.testing.assert_allclose(np.asarray(course.station_m)[ticks], feet.station_m, atol=0.1)
     np.testing.assert_allclose(feet.lateral_m, outer_m - radius_m, atol=0.02 + 3.0 * noise_m)
 
@@ -105,7 +105,12 @@ def test_noise_of_a_recorded_drive_is_no_acceleration_and_no_way(tmp_path: Path)
 
 def test_a_scenario_by_name() -> None:
     found = read_reference("u_turn", DT_S)
-    assert not found.world and found.name == "u_turn" and found.course.ticks == U_TURN.ticks and len(found.hash) == 64
+    assert (
+        not found.in_log_coordinates
+        and found.name == "u_turn"
+        and found.course.ticks == U_TURN.ticks
+        and len(found.hash) == 64
+    )
 
 
 BROKEN = [
@@ -114,9 +119,9 @@ BROKEN = [
     ("x_m,y_m,speed_mps\n0,0,1\n1,zero,1\n2,0,1\n", "y_m", "row 3: 'zero'"),
     ("x_m,y_m,speed_mps\n0,0,1\n1,0\n2,0,1\n", "speed_mps", "row 3: ''"),
     ("x_m,y_m,speed_mps\n0,0,1\n1,0,-1\n2,0,1\n", "speed_mps", "negative"),
-    ("x_m,y_m,speed_mps\n0,0,1\n1,0,0\n2,0,0\n", "t_s", "for how long"),
+    ("x_m,y_m,speed_mps\n0,0,1\n1,0,0\n2,0,0\n", "t_s", "its duration is"),
     ("t_s,x_m,y_m,speed_mps\n0,0,0,1\n2,1,0,1\n1,2,0,1\n", "t_s", "row 4 does not"),
-    ("t_s,x_m,y_m,speed_mps\n0,0,0,1\n1,0,0,1\n2,0,0,1\n", "", "do not move on"),
+    ("t_s,x_m,y_m,speed_mps\n0,0,0,1\n1,0,0,1\n2,0,0,1\n", "", "a path needs 3 points"),
     ("station_m,x_m,y_m,speed_mps\n0,0,0,1\n1,1,0,1\n1,2,0,1\n2,3,0,1\n", "station_m", "must ascend"),
     ("", "x_m", "has no column"),
 ]

@@ -21,15 +21,15 @@ from tunefree_hil.grade.metrics import METRICS
 from tunefree_hil.grade.score import (
     GradeVehicle,
     ScenarioGrade,
-    combine,
-    grade,
-    vehicle_of,
+    combine_scores,
+    grade_drive,
+    grade_vehicle_from_spec,
     weighted_mean,
 )
 
 MKZ = GradeVehicle(2.8448, 1.4224, 8.20305, 8.55211)
 DT_S = 0.01
-PUBLISHED = {  # apollo_facts 6.2
+PUBLISHED = {  # docs/reference/apollo.md
     "station_err_std": 1, "speed_err_std": 1, "lateral_err_std": 3, "heading_err_std": 1, "heading_err_rate_std": 2,
     "station_err_std_harsh": 1, "speed_err_std_harsh": 1, "lateral_err_std_harsh": 4, "heading_err_std_harsh": 1,
     "heading_err_rate_std_harsh": 2, "station_err_peak": 1, "speed_err_peak": 1, "lateral_err_peak": 4,
@@ -73,7 +73,7 @@ def recording(ticks: int = COURSE.ticks, **columns: Any) -> Recording:
 
 
 def score(weights_spec: WeightsSpec, error: str = "", **columns: Any) -> ScenarioGrade:
-    return grade(recording(**columns), COURSE, weights_spec, MKZ, scenario="straight", error=error)
+    return grade_drive(recording(**columns), COURSE, weights_spec, MKZ, scenario="straight", error=error)
 
 
 def graded(value: float, planned: int) -> ScenarioGrade:
@@ -82,9 +82,9 @@ def graded(value: float, planned: int) -> ScenarioGrade:
 
 def test_eq_7_by_hand() -> None:
     """Two scenarios of 2000 and 1000 samples, scores 0.3 and 0.9: 0.3 x 2/3 + 0.9 x 1/3 = 0.5."""
-    assert combine([graded(0.3, 2000), graded(0.9, 1000)]) == pytest.approx(0.5)
+    assert combine_scores([graded(0.3, 2000), graded(0.9, 1000)]) == pytest.approx(0.5)
     with pytest.raises(ValueError, match="no scenario"):
-        combine([])
+        combine_scores([])
 
 
 def test_inner_sum_by_hand() -> None:
@@ -124,7 +124,7 @@ def test_harsh_metrics_count_where_the_course_is_harsh() -> None:
     )
     bend = build_course(spec, DT_S)
     driven = recording(ref_curvature_1pm=0.06, ref_accel_mps2=np.asarray(bend.accel_mps2)[:200], lateral_error_m=0.1)
-    found = grade(driven, bend, weights(lateral_err_std_harsh=1.0, station_err_std_harsh=1.0), MKZ)
+    found = grade_drive(driven, bend, weights(lateral_err_std_harsh=1.0, station_err_std_harsh=1.0), MKZ)
     assert found.dropped == ()
     assert found.metrics["lateral_err_std_harsh"] == pytest.approx(0.1 / (0.06 * 5.0 * 2.8448), rel=0.01)
     assert found.metrics["station_err_std_harsh"] == 0.0
@@ -199,7 +199,7 @@ def test_failing_earlier_never_scores_better(lateral_m: float, one: int, other: 
 
     def total(ticks: int, error: str) -> float:
         drive = recording(ticks, lateral_error_m=lateral_m)
-        return combine([grade(drive, COURSE, weights(), MKZ, error=error), *rest])
+        return combine_scores([grade_drive(drive, COURSE, weights(), MKZ, error=error), *rest])
 
     earlier, later = sorted((one, other))
     assert total(earlier + 1, "diverged") >= total(later + 1, "diverged") >= total(COURSE.ticks, "")
@@ -215,14 +215,14 @@ def test_the_score_rises_with_each_metric(name: str, one: float, other: float) -
 
 def test_a_recording_that_stops_without_a_reason_is_not_graded() -> None:
     with pytest.raises(InputError, match="'straight' was recorded for 150 ticks of 200"):
-        grade(recording(150), COURSE, weights(), MKZ, scenario="straight")
-    assert grade(recording(195), COURSE, weights(), MKZ).outcome == "finished"
+        grade_drive(recording(150), COURSE, weights(), MKZ, scenario="straight")
+    assert grade_drive(recording(195), COURSE, weights(), MKZ).outcome == "finished"
 
 
 def test_nothing_to_grade() -> None:
     bare = make_recording({"speed_mps": np.ones(200)}, DT_S)
     with pytest.raises(InputError, match="not one of the weighted metrics"):
-        grade(bare, COURSE, weights(), MKZ)
+        grade_drive(bare, COURSE, weights(), MKZ)
 
 
 def test_paper_weights_are_the_published_ones() -> None:
@@ -253,7 +253,9 @@ def test_numbers_of_the_vehicle() -> None:
             nominal=NominalSpec(**nominal),
         )  # fmt: skip
 
-    assert vehicle_of(vehicle(wheelbase_m=3.0, front_axle_m=1.2)) == pytest.approx((3.0, 1.8, 8.0, 8.5, 0.0))
-    assert vehicle_of(vehicle(wheelbase_m=3.0)) == pytest.approx((3.0, 1.5, 8.0, 8.5, 0.0))
+    assert grade_vehicle_from_spec(vehicle(wheelbase_m=3.0, front_axle_m=1.2)) == pytest.approx(
+        (3.0, 1.8, 8.0, 8.5, 0.0)
+    )
+    assert grade_vehicle_from_spec(vehicle(wheelbase_m=3.0)) == pytest.approx((3.0, 1.5, 8.0, 8.5, 0.0))
     with pytest.raises(InputError, match=r"car/vehicle.toml, key nominal.wheelbase_m"):
-        vehicle_of(vehicle(steer_ratio=16.0))
+        grade_vehicle_from_spec(vehicle(steer_ratio=16.0))

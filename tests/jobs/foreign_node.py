@@ -13,7 +13,7 @@ import time
 from typing import Any
 
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.link import Link
+from tunefree_hil.bus.link import BusLink
 from tunefree_hil.bus.open import open_link, resolve_bus
 from tunefree_hil.bus.recording.frame_attribution import digest
 
@@ -57,7 +57,7 @@ def _fail(mode: str) -> None:
         os._exit(5 if mode == "crash" else 0)
 
 
-def _say(bench: Link, *messages: Any) -> None:
+def _say(bench: BusLink, *messages: Any) -> None:
     bench.send([bc.encode(message) for message in messages])
 
 

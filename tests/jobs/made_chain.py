@@ -14,7 +14,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.commission import commission as module
 from tunefree_hil.jobs.commission import plan as plans
 from tunefree_hil.jobs.commission.commission import NAMES, STAGES, commission
-from tunefree_hil.jobs.commission.plan import FOLDERS, Asked, Plan
+from tunefree_hil.jobs.commission.plan import FOLDERS, CommissionOptions, CommissionPlan
 
 
 def judged(mean_m: float | None, n: int = 100, kind: str = "hybrid", ground: str = "level") -> dict[str, Any]:
@@ -47,7 +47,7 @@ class Chain:
         monkeypatch.setattr(module, "STAGES", stages)
 
     def _stage(self, name: str) -> Any:
-        def run(plan: Plan) -> Iterator[Event]:
+        def run(plan: CommissionPlan) -> Iterator[Event]:
             self.called.append(name)
             yield Event("progress", "at work", {"done": 1, "total": 2})
             yield Event("warning", f"{name} is doubtful")
@@ -60,7 +60,7 @@ class Chain:
 
         return run
 
-    def run(self, asked: Asked) -> dict[str, Any]:
+    def run(self, asked: CommissionOptions) -> dict[str, Any]:
         """The data of the result."""
         return list(commission(asked))[-1].data
 
@@ -72,10 +72,10 @@ def chain(monkeypatch: pytest.MonkeyPatch) -> Chain:
 
 
 @pytest.fixture
-def asked(tmp_path: Path) -> Asked:
-    return Asked("mkz_bywire", Path("bench_configs/mkz_steer.toml"), tmp_path / "c")
+def asked(tmp_path: Path) -> CommissionOptions:
+    return CommissionOptions("mkz_bywire", Path("bench_configs/mkz_steer.toml"), tmp_path / "c")
 
 
-def record(asked: Asked) -> dict[str, Any]:
+def record(asked: CommissionOptions) -> dict[str, Any]:
     assert asked.out is not None
     return json.loads((asked.out / "commission.json").read_text())

@@ -16,12 +16,13 @@ from tunefree_hil.config.dump import to_toml
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.jobs.identity import resolved_toml
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.episode_results import Episode, evaluation_of, harvest
-from tunefree_hil.jobs.tune.candidates import baseline_vectors
+from tunefree_hil.jobs.running.episode_results import EpisodeResult, evaluation_from_episodes, read_episode
+from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
 from tunefree_hil.nodes.runner import Outcome
-from tunefree_hil.tune.space import resolve
-from tunefree_hil.tune.store import Settings
+from tunefree_hil.tune.space import resolve_space
+from tunefree_hil.tune.store import StudySettings
 from tunefree_hil.tune.study import Evaluation, open_study
+from tunefree_hil.tune.trial_loop import run_trials
 
 
 def made_drive(bench_file: Path, root: Path, name: str, values: Mapping[str, float], *, last: int = 0) -> Path:
@@ -38,8 +39,12 @@ def made_tune(bench_file: Path, root: Path, trials: int, seed: int = 1) -> Path:
     """A tune with two baselines driven, and `trials` random trials, the winner driven, the others scored by formula."""
     bench = load(bench_file)
     scenarios = [bench.scenarios[one] for one in bench.spec.scenarios]
-    run, vectors, one = _folder(bench, root, "tune", "tune", scenarios), baseline_vectors(bench), InProcess(bench)
-    settings = Settings(resolve(bench.spec.tune.set, []), seed, "random", "none", {})
+    run, vectors, one = (
+        _folder(bench, root, "tune", "tune", scenarios),
+        compute_baseline_vectors(bench),
+        InProcess(bench),
+    )
+    settings = StudySettings(resolve_space(bench.spec.tune.set, []), seed, "random", "none", {})
     kept: dict[str, Evaluation] = {}
     with open_study(run.path / "study.db", settings) as study:
         for number, name in enumerate(list(vectors)[:2]):
@@ -51,7 +56,7 @@ def made_tune(bench_file: Path, root: Path, trials: int, seed: int = 1) -> Path:
             away = sum(abs(math.log(value)) for value in searched.values())
             return Evaluation(best.score * (1.0 + away), best.scenarios)
 
-        for _ in study.run(trials, evaluate):
+        for _ in run_trials(study, trials, evaluate):
             pass
         winner = study.best()
     assert winner is not None
@@ -71,7 +76,7 @@ def drive_into(
     scenarios: list[ScenarioSpec],
 ) -> Evaluation:
     """Episodes first, first + 1, ... of a run folder: logs, columns, summary, compute times."""
-    episodes: dict[str, Episode] = {}
+    episodes: dict[str, EpisodeResult] = {}
     for number, scenario in enumerate(scenarios, first):
         folder = run.episode(number)
         drive = one.drive(scenario, values)
@@ -83,8 +88,8 @@ def drive_into(
         np.savez(folder / "timing.npz", controller_control_time_s=np.full(drive.ticks, 0.001))
         code = next((one for one in ErrorCode if one.name.lower() == drive.error), ErrorCode.NONE)
         outcome = Outcome(drive.ticks, int(code) if drive.error else 0, {}, 0.0)
-        episodes[scenario.name] = harvest(bench, scenario, values, outcome, folder)
-    return evaluation_of(episodes)
+        episodes[scenario.name] = read_episode(bench, scenario, values, outcome, folder)
+    return evaluation_from_episodes(episodes)
 
 
 def _folder(bench: Bench, root: Path, name: str, command: str, scenarios: list[Any]) -> RunFolder:

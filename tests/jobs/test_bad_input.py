@@ -100,9 +100,9 @@ def test_a_bench_file_that_does_not_fit(
     ("value", "parts"),
     [
         ("mrac.t_ref_s=0", ["mrac.t_ref_s = 0", "0.01 to 0.26 s"]),
-        ("mrac.t_ref=0.1", ["no parameter 'mrac.t_ref'", "mrac.t_ref_s"]),
-        ("lqr.q1=big", ["gives no number", "lqr.q1=0.1"]),
-        ("lqr.q1", ["gives no number"]),
+        ("mrac.t_ref=0.1", ["unknown parameter 'mrac.t_ref'", "mrac.t_ref_s"]),
+        ("lqr.q1=big", ["has no number", "lqr.q1=0.1"]),
+        ("lqr.q1", ["has no number"]),
         ("lqr.q1=nan", ["lqr.q1 = nan"]),
         ("lqr.q1=1e999", ["lqr.q1 = inf"]),
     ],
@@ -228,7 +228,7 @@ def test_a_counter_of_no_bits(tmp_path: Path, said: Callable[..., str]) -> None:
         ("nonsense", ["no bus 'nonsense'", "tfhub"]),
         ("pcan:PCAN_USBBUS1", ["safety gate"]),
         ("slcan:/dev/ttyACM0", ["safety gate"]),
-        ("virtual", ["does not leave a process", "--bus tfhub"]),
+        ("virtual", ["inside one process only", "--bus tfhub"]),
         ("tfhub:tcp:192.0.2.1:4000", ["192.0.2.1", "loopback"]),
     ],
 )

@@ -14,19 +14,18 @@ from hypothesis import strategies as st
 from tunefree_hil.base.events import Event
 from tunefree_hil.cli.entry import run
 from tunefree_hil.jobs.collect import collect
-from tunefree_hil.jobs.collect.plan import Asked as Collect
-from tunefree_hil.jobs.command_text import option_words, pasted
+from tunefree_hil.jobs.collect.plan import CollectOptions as Collect
+from tunefree_hil.jobs.command_text import option_arguments, shell_command
 from tunefree_hil.jobs.commission import plan
-from tunefree_hil.jobs.commission.plan import Asked as Commission
+from tunefree_hil.jobs.commission.plan import CommissionOptions as Commission
 from tunefree_hil.jobs.gap import report_text as gap_words
-from tunefree_hil.jobs.gap.drive import with_drive
-from tunefree_hil.jobs.gap.drive_bench import Wish
-from tunefree_hil.jobs.gap.gap import Asked as Gap
+from tunefree_hil.jobs.gap.options import GapDriveOptions
+from tunefree_hil.jobs.gap.options import GapOptions as Gap
 from tunefree_hil.jobs.learn import learn
 from tunefree_hil.jobs.learn.learn import KINDS
-from tunefree_hil.jobs.learn.learn import Asked as Learn
+from tunefree_hil.jobs.learn.options import LearnOptions as Learn
 from tunefree_hil.jobs.tune import options
-from tunefree_hil.jobs.tune.options import Asked as Tune
+from tunefree_hil.jobs.tune.options import TuneOptions as Tune
 
 NAMES = st.text("ab /.'\"$*\\;&é", min_size=1, max_size=8).map(lambda text: f"x{text}")
 PATHS = NAMES.map(Path)
@@ -71,18 +70,18 @@ GAP = st.builds(
 )  # fmt: skip
 
 ALL = {
-    "collect": (COLLECT, collect.again),
-    "learn": (LEARN, learn.again),
-    "commission": (COMMISSION, plan.again),
-    "tune": (TUNE, lambda asked: options.again(asked, asked.study or "")),
-    "gap": (GAP, gap_words.again),
+    "collect": (COLLECT, collect.resume_command),
+    "learn": (LEARN, learn.build_command),
+    "commission": (COMMISSION, plan.format_command),
+    "tune": (TUNE, lambda asked: options.format_command(asked, asked.study or "")),
+    "gap": (GAP, gap_words.build_command),
 }
-MODULES = {
-    "collect": "collect.collect",
-    "learn": "learn.learn",
-    "commission": "commission.commission",
-    "tune": "tune.tune",
-    "gap": "gap.gap",
+JOBS = {
+    "collect": "collect.collect.collect",
+    "learn": "learn.learn.learn",
+    "commission": "commission.commission.commission",
+    "tune": "tune.tune.tune",
+    "gap": "gap.gap.run_gap",
 }
 
 
@@ -107,9 +106,9 @@ def test_a_command_is_read_back_as_what_was_asked(name: str, data: st.DataObject
     some, again = ALL[name]
     asked = data.draw(some)
     with pytest.MonkeyPatch.context() as monkeypatch:
-        (heard,) = read_back(again(asked), f"{MODULES[name]}.{name}", monkeypatch)
+        (heard,) = read_back(again(asked), JOBS[name], monkeypatch)
     if name == "tune":
-        heard, asked = options.settled(heard), options.settled(asked)  # what is usual need not be said
+        heard, asked = options.fill_defaults(heard), options.fill_defaults(asked)  # what is usual need not be said
     assert heard._replace(**plain(heard)) == asked._replace(**plain(asked))
 
 
@@ -121,10 +120,10 @@ def plain(asked: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("again", "asked", "words"),
     [
-        (collect.again, Collect(Path("b.toml"), out=Path("runs/x")), "collect b.toml --out runs/x"),
-        (learn.again, Learn([Path("a.log")], "mkz", Path("m")), "learn a.log --vehicle mkz --out m"),
-        (plan.again, Commission("mkz", only="learn", start_at="map"), "commission mkz"),
-        (gap_words.again, Gap([Path("a.log")], "v", "m", Path("o")), "gap a.log --vehicle v --model m --out o"),
+        (collect.resume_command, Collect(Path("b.toml"), out=Path("runs/x")), "collect b.toml --out runs/x"),
+        (learn.build_command, Learn([Path("a.log")], "mkz", Path("m")), "learn a.log --vehicle mkz --out m"),
+        (plan.format_command, Commission("mkz", only="learn", start_at="map"), "commission mkz"),
+        (gap_words.build_command, Gap([Path("a.log")], "v", "m", Path("o")), "gap a.log --vehicle v --model m --out o"),
     ],
 )
 def test_what_is_as_usual_is_not_said(again: Callable[[Any], str], asked: Any, words: str) -> None:
@@ -135,20 +134,20 @@ def test_a_collection_goes_on_over_the_bus_that_it_began_on(monkeypatch: pytest.
     asked = Collect(
         Path("my bench.toml"), bus="socketcan:vcan0", bench_bus="socketcan:vcan1", session="two", out=Path("run 1")
     )
-    command = collect.again(asked)
+    command = collect.resume_command(asked)
     assert "--bench-bus socketcan:vcan1" in command and "--session two" in command and "'run 1'" in command
     assert read_back(command, "collect.collect.collect", monkeypatch) == (asked,)
 
 
 def test_a_gap_with_drives_is_read_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked, drives = Gap([Path("a b.log")], "v", "m", Path("o"), []), Wish(Path("my bench.toml"), "virtual")
-    command = with_drive(gap_words.again(asked), drives)
-    assert read_back(command, "gap.drive.gap_drive", monkeypatch) == (asked, drives)
+    asked, drives = Gap([Path("a b.log")], "v", "m", Path("o")), GapDriveOptions(Path("my bench.toml"), "virtual")
+    command = gap_words.build_command(asked, drive=drives)
+    assert read_back(command, "gap.drive.run_gap_with_drives", monkeypatch) == (asked, drives)
 
 
 def test_options() -> None:
-    assert option_words(a=None, b=False, c=True, d_e=[1, 2], f=0.1, g="x y") == [
+    assert option_arguments(a=None, b=False, c=True, d_e=[1, 2], f=0.1, g="x y") == [
         *("--c", "--d-e", "1", "--d-e", "2", "--f", "0.1", "--g", "x y")
     ]
-    assert pasted("log check", Path("a b"), None, s=10.0) == "tunefree-hil log check 'a b' --s 10"
-    assert pasted("x", s=0.1 + 0.2) == "tunefree-hil x --s 0.30000000000000004"
+    assert shell_command("log check", Path("a b"), None, s=10.0) == "tunefree-hil log check 'a b' --s 10"
+    assert shell_command("x", s=0.1 + 0.2) == "tunefree-hil x --s 0.30000000000000004"

@@ -18,7 +18,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bus.socketcan import kernel_link
 from tunefree_hil.bus.socketcan.kernel_link import LinkState
 from tunefree_hil.jobs import machine
-from tunefree_hil.jobs.doctor import bench_findings, doctor, vehicle_findings
+from tunefree_hil.jobs.doctor import check_bench_file, check_vehicle_folder, doctor
 from tunefree_hil.jobs.machine import FAULT, NOTE, OK
 
 
@@ -30,12 +30,12 @@ def run(**options: Any) -> tuple[list[str], Event]:
 
 @pytest.mark.parametrize("name", sorted(path.parent.name for path in (ROOT / "dbc").glob("*/vehicle.toml")))
 def test_the_vehicles_of_the_project_have_no_fault(name: str) -> None:
-    assert [finding for finding in vehicle_findings(Path(name)) if finding.kind == FAULT] == []
+    assert [finding for finding in check_vehicle_folder(Path(name)) if finding.kind == FAULT] == []
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "bench_configs").glob("*.toml")), ids=lambda path: path.stem)
 def test_the_bench_files_of_the_project_have_no_fault(path: Path) -> None:
-    assert [finding for finding in bench_findings(path) if finding.kind == FAULT] == []
+    assert [finding for finding in check_bench_file(path) if finding.kind == FAULT] == []
 
 
 def test_all_faults_of_a_folder_at_once(tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_a_bench_file_is_followed(tmp_path: Path) -> None:
     file = tmp_path / "b.toml"
     names = 'vehicle = "mkz_bywire"\nmodel = "no_model"\nscenarios = ["left_trun"]\nweights = "heavy"\n'
     file.write_text(f'schema = "tunefree.bench/1"\n{names}')
-    found = [finding for finding in bench_findings(file) if finding.kind == FAULT]
+    found = [finding for finding in check_bench_file(file) if finding.kind == FAULT]
     assert len(found) == 3
     assert all(finding.remedy for finding in found)
     assert any("left_turn" in finding.text + finding.remedy for finding in found)
@@ -90,7 +90,7 @@ FAULT_OF = '[[faults]]\nkind = "drop"\nmessage = "NO_MESSAGE"\nfrom_tick = 1\nto
         ("[tune]", '[controller.parameters]\n"lqr.q1" = 55.0\n[tune]', "key controller.parameters.lqr.q1", "outside"),
         ("[tune]", EFFECT + "[tune]", "key effects[0]", "no 'no_effect'"),
         ("[tune]", FAULT_OF + "[tune]", "key faults[0].message", "NO_MESSAGE"),
-        ("slower = 1.0", "slower = 99", "key tune.slower", "99 does not do"),
+        ("slower = 1.0", "slower = 99", "key tune.slower", "99 is not allowed"),
         ('set = "mrac"\n', "", "", ""),
         ('set = "mrac"\n', 'parameters = [{ name = "lqr.q1" }]\n', "", ""),
         ('set = "mrac"\ntrials = 3\nsampler = "random"\nslower = 1.0', "slower = 99", "key tune.slower", "99"),
@@ -102,7 +102,7 @@ def test_what_drive_or_tune_would_refuse_is_a_fault(tmp_path: Path, old: str, ne
     text = file.read_text()
     assert old in text
     file.write_text(text.replace(old, new, 1))
-    found = [finding for finding in bench_findings(file) if finding.kind == FAULT]
+    found = [finding for finding in check_bench_file(file) if finding.kind == FAULT]
     assert len(found) == bool(words), found
     assert all(where in finding.text and words in finding.text and finding.remedy for finding in found)
 
@@ -113,7 +113,7 @@ def test_faults_of_several_kinds_are_each_told_once(tmp_path: Path) -> None:
     file = write_bench(tmp_path, more=EFFECT + FAULT_OF + '[controller]\ncalibration = "missing.npz"\n')
     text = file.read_text().replace("slower = 1.0", "slower = 99").replace('["tiny"]', '["tiny", "mad_bend"]')
     file.write_text(text)
-    found = [finding.text for finding in bench_findings(file) if finding.kind == FAULT]
+    found = [finding.text for finding in check_bench_file(file) if finding.kind == FAULT]
     marks = ("'mad_bend' cannot be driven", "no_effect", "missing.npz", "tune.slower")
     assert [sum(mark in text for text in found) for mark in marks] == [1, 1, 1, 1]
     assert len(found) == 4, found  # of the effects and the faults of the model's node the first that is met
@@ -138,22 +138,22 @@ def test_this_machine() -> None:
 
 
 def test_an_old_python_is_a_fault() -> None:
-    assert machine.python((3, 10, 1)).kind == FAULT
-    assert machine.python((3, 12, 0)).kind == OK
+    assert machine.check_python((3, 10, 1)).kind == FAULT
+    assert machine.check_python((3, 12, 0)).kind == OK
 
 
 def test_a_missing_package_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = machine.version_of
-    monkeypatch.setattr(machine, "version_of", lambda name: "" if name in ("cantools", "torch") else real(name))
-    found = {finding.text: finding.kind for finding in machine.packages()}
+    real = machine.installed_version
+    monkeypatch.setattr(machine, "installed_version", lambda name: "" if name in ("cantools", "torch") else real(name))
+    found = {finding.text: finding.kind for finding in machine.check_packages()}
     assert found["cantools is missing"] == FAULT
-    assert found["torch is not there (only the extra 'learn' needs it)"] == NOTE
+    assert found["torch is not installed (only needed for the extra 'learn')"] == NOTE
 
 
 def test_a_missing_entry_point_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert machine.entry_point().kind == OK
+    assert machine.check_entry_point().kind == OK
     monkeypatch.setattr(machine.metadata, "entry_points", lambda group: ())
-    assert machine.entry_point().kind == FAULT
+    assert machine.check_entry_point().kind == FAULT
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ def test_a_missing_entry_point_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> No
 )
 def test_a_can_link(state: LinkState, kind: str, text: str, remedy: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernel_link, "link_state", lambda name: state)
-    found = machine.can_link("vcan0")
+    found = machine.check_can_link("vcan0")
     assert found.kind == kind and text in found.text
     assert remedy in found.remedy and bool(remedy) == bool(found.remedy)
 
@@ -177,7 +177,7 @@ def test_a_can_link(state: LinkState, kind: str, text: str, remedy: str, monkeyp
 def test_can_links(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without CAN one note with the commands that make both links; with it every link there is."""
     monkeypatch.setattr(kernel_link, "kernel_has_can", lambda: False)
-    (found,) = machine.can_links()
+    (found,) = machine.check_can_links()
     assert found.kind == NOTE and "no CAN" in found.text
     for command in ("modprobe vcan", "ip link add dev vcan0 type vcan", "ip link set dev vcan1 mtu 72 up"):
         assert command in found.remedy
@@ -186,16 +186,16 @@ def test_can_links(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         kernel_link, "link_state", lambda name: LinkState(name != "vcan1", True, "vcan"[: 4 * (name > "v")])
     )
-    told = {finding.text.split()[0]: finding.kind for finding in machine.can_links()}
+    told = {finding.text.split()[0]: finding.kind for finding in machine.check_can_links()}
     assert told == {"vcan0": OK, "the": NOTE, "can0": NOTE}
 
 
 def test_a_bus_that_there_is_not() -> None:
-    assert machine.which_bus("nonsense").kind == FAULT
-    assert machine.which_bus("tfhub").kind == OK
+    assert machine.check_bus("nonsense").kind == FAULT
+    assert machine.check_bus("tfhub").kind == OK
 
 
 def test_a_full_disk_is_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert machine.disk(tmp_path).kind == OK
-    monkeypatch.setattr(machine, "NEEDED_FREE_GB", 1e9)
-    assert machine.disk(tmp_path).kind == FAULT
+    assert machine.check_disk(tmp_path).kind == OK
+    monkeypatch.setattr(machine, "MIN_FREE_GB", 1e9)
+    assert machine.check_disk(tmp_path).kind == FAULT

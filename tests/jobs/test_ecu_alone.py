@@ -53,6 +53,6 @@ def test_it_follows_commands_that_no_controller_of_ours_sends(tmp_path: Path) ->
             cycles += 1
         node.join()
     assert turned == pytest.approx(STEER_RAD, abs=0.1)
-    assert "begins now" in told[-2]
+    assert "starts now" in told[-2]
     heard = int(told[-1].split(";")[1].split()[0])
     assert "tiny driven to its end" in told[-1] and heard > 40

@@ -13,7 +13,7 @@ from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.dbc.integrity import E2eStatus
 from tunefree_hil.episode.candump import read_candump
-from tunefree_hil.jobs.running.episode_results import heard_of
+from tunefree_hil.jobs.running.episode_results import reception_warnings
 
 pytestmark = pytest.mark.slow
 
@@ -59,7 +59,7 @@ def test_faults_over_the_bus_replay_bit_for_bit(tmp_path: Path) -> None:
         assert data["ecu_heard_STEERING_CMD"][E2eStatus.WRONG_SEQUENCE] == 2, "there and back"
         assert data["controller_heard_WHEEL_SPEED"][E2eStatus.NO_NEW_DATA] == 4, "each tick of the delay"
         assert data["controller_heard_GEAR_REPORT"][len(E2eStatus)] > 10, "more than are due"
-    assert "ecu heard STEERING_CMD: 2 wrong sequence" in heard_of(run / "episodes" / "0")
+    assert "ecu received STEERING_CMD: 2 wrong sequence" in reception_warnings(run / "episodes" / "0")
     told = (run / "nodes" / "ecu.txt").read_text()
     assert "ecu: tick 100: STEERING_CMD: wrong sequence" in told
     again = tunefree("replay", run, "--verify")

@@ -13,7 +13,7 @@ import pytest
 from tests.bench.tiny import write_bench
 from tunefree_hil.bench import load
 from tunefree_hil.config.dump import plain
-from tunefree_hil.jobs.identity import identity_of
+from tunefree_hil.jobs.identity import compute_identity
 
 NOMINAL = Path(__file__).parents[2] / "bench_configs" / "models" / "mkz_nominal"
 PART = "from tunefree_hil.control.lateral.lqr import CONTROLLER\n"
@@ -42,7 +42,7 @@ def with_plant(folder: Path) -> tuple[Path, Path]:
 
 def identity(path: Path) -> str:
     bench = load(path)
-    return identity_of(bench, bench.spec.model, bench.scenarios.values())["identity"]
+    return compute_identity(bench, bench.spec.model, bench.scenarios.values())["identity"]
 
 
 @pytest.mark.parametrize("made", [with_part, with_plant])
@@ -57,7 +57,7 @@ def test_a_module_that_was_changed_makes_another_run(made: Callable[[Path], tupl
 def test_a_bench_without_modules_keeps_the_identity_that_it_had(tmp_path: Path) -> None:
     """Or a tune that was cut off would begin anew with the next version."""
     bench = load(write_bench(tmp_path))
-    found = identity_of(bench, "mkz_nominal", bench.scenarios.values())
+    found = compute_identity(bench, "mkz_nominal", bench.scenarios.values())
     assert set(found["hashes"]) == {"bench", "vehicle", "model", "calibration", "weights", "scenarios"}
     controller = {key: value for key, value in plain(bench.spec.controller).items() if key != "calibration"}
     counted = [{key: value for key, value in found["hashes"].items() if key != "bench"}, controller, [[], []]]

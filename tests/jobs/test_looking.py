@@ -14,7 +14,7 @@ from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.load import load_scenario, load_vehicle
 from tunefree_hil.jobs.log import check as log_check
 from tunefree_hil.jobs.log import show as log_show
-from tunefree_hil.jobs.scenarios import describe, export, scenarios
+from tunefree_hil.jobs.scenarios import describe_scenario, export_scenarios, scenarios
 
 SCENARIO = """
 schema = "tunefree.scenario/1"
@@ -43,7 +43,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_scenario_in_numbers(here: Path) -> None:
-    row = describe(load_scenario("slow_bend"))
+    row = describe_scenario(load_scenario("slow_bend"))
     assert row["duration_s"] == pytest.approx(10.0)
     assert row["length_m"] == pytest.approx(50.0)
     assert row["speed_mps"] == pytest.approx([5.0, 5.0])
@@ -93,7 +93,7 @@ def test_a_whole_log(tmp_path: Path, codec: Codec) -> None:
     path = write_log(tmp_path / "a.log", codec)
     said, result = lines(log_check.check(path, "mkz_bywire"))
     assert result.data["exit"] == 0
-    assert result.data["sentence"].endswith("in 0.99 s: the log is whole")
+    assert result.data["sentence"].endswith("in 0.99 s: no faults")
     assert len(said) == 1 + len(codec.telemetry) + len(codec.commands)
 
 
@@ -105,7 +105,7 @@ def test_a_log_with_a_silent_message_and_a_cut_end(tmp_path: Path, codec: Codec)
     assert result.data["exit"] == 1
     faults = [line for line in said if line.startswith("fault: ")]
     assert len(faults) >= 2
-    assert "cut off" in faults[0] and f"fault: {silent} was never heard" in faults
+    assert "incomplete" in faults[0] and f"fault: {silent} was never heard" in faults
 
 
 def test_the_run_folder_knows_the_vehicle(tmp_path: Path, codec: Codec) -> None:
@@ -158,7 +158,7 @@ def test_the_measured_drive(shared_data: Path) -> None:
 
 
 def test_scenarios_export_the_reference_drive(tmp_path: Path) -> None:
-    events = list(export(vehicle="mkz_bywire", name="u_turn", folder=tmp_path))
+    events = list(export_scenarios(vehicle="mkz_bywire", name="u_turn", folder=tmp_path))
     spec = load_scenario("u_turn")
     path = tmp_path / f"{spec.hash[:12]}.csv"
     assert events[-1].kind == "result" and [one.name for one in tmp_path.iterdir()] == [path.name]

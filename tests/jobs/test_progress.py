@@ -10,7 +10,8 @@ import pytest
 from tests.jobs.ended import ended
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.jobs.progress import eta_of, left_s, told
+from tunefree_hil.gap.progress import SearchProgress, SearchStage
+from tunefree_hil.jobs.progress import left_s, progress_data, relay_events
 
 
 def counted(most: int, closed: list[bool], fails: bool = False) -> Generator[int, None, str]:
@@ -28,14 +29,14 @@ def as_event(step: int) -> Event:
 
 
 def test_every_step_is_told_and_the_result_returned() -> None:
-    found, said = ended(told(counted(3, []), as_event))
+    found, said = ended(relay_events(counted(3, []), as_event))
     assert found == "done" and [event.message for event in said] == ["step 0", "step 1", "step 2"]
 
 
 def test_steps_end_at_once_when_nobody_listens_any_more() -> None:
     closed: list[bool] = []
     steps = counted(3, closed)  # held here, so that no tidying of memory ends it
-    listening = told(steps, as_event)
+    listening = relay_events(steps, as_event)
     next(listening)
     listening.close()
     assert closed == [True] and list(steps) == []
@@ -43,7 +44,7 @@ def test_steps_end_at_once_when_nobody_listens_any_more() -> None:
 
 def test_an_error_of_a_step_comes_through() -> None:
     with pytest.raises(InputError, match="no more"):
-        ended(told(counted(1, [], fails=True), as_event))
+        ended(relay_events(counted(1, [], fails=True), as_event))
 
 
 def test_what_is_left_goes_by_the_share_that_is_done() -> None:
@@ -54,6 +55,6 @@ def test_what_is_left_goes_by_the_share_that_is_done() -> None:
 
 def test_a_search_says_what_is_left_only_where_some_of_it_has_gone() -> None:
     began = time.monotonic() - 10.0
-    assert eta_of("recalibration alone", began) == {} == eta_of("every link by itself", began)
-    found = eta_of("suspects: brake_fade", began)
+    assert progress_data(SearchProgress(SearchStage.RECALIBRATION, "every link by itself"), began) == {}
+    found = progress_data(SearchProgress(SearchStage.CANDIDATES, "42 candidates"), began)
     assert (found["done"], found["total"]) == (24, 100) and found["eta_s"] > 10.0

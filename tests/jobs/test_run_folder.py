@@ -6,7 +6,7 @@ import json
 import pytest
 
 from tunefree_hil.base.errors import BenchError, InputError
-from tunefree_hil.jobs.run_folder import RunFolder, open_run, remove_parts, unfinished, write_json
+from tunefree_hil.jobs.run_folder import RunFolder, find_unfinished, open_run, remove_partial_files, write_json
 
 
 def test_create_open_finish(tmp_path):
@@ -24,17 +24,17 @@ def test_two_runs_in_one_second_get_two_folders(tmp_path):
 def test_unfinished_finds_only_what_agrees(tmp_path):
     done = RunFolder.create(tmp_path, "tune-a", {"hash": "1"})
     done.finish()
-    assert unfinished(tmp_path, "tune-a", {"hash": "1"}) is None
+    assert find_unfinished(tmp_path, "tune-a", {"hash": "1"}) is None
     other = RunFolder.create(tmp_path, "tune-a", {"hash": "2"})
     mine = RunFolder.create(tmp_path, "tune-a", {"hash": "1"})
-    found = [unfinished(tmp_path, "tune-a", {"hash": word}) for word in ("1", "2")]
+    found = [find_unfinished(tmp_path, "tune-a", {"hash": word}) for word in ("1", "2")]
     assert [run.path for run in found if run is not None] == [mine.path, other.path]
 
 
 def test_a_name_with_brackets_is_found_again(tmp_path):
     for name in ("tune-b[1]", "tune-b*", "tune-b?"):
         made = RunFolder.create(tmp_path, name, {"name": name})
-        found = unfinished(tmp_path, name, {"name": name})
+        found = find_unfinished(tmp_path, name, {"name": name})
         assert found is not None and found.path == made.path
 
 
@@ -43,7 +43,7 @@ def test_a_copy_that_a_person_made_is_no_episode(tmp_path):
     for name in ("10", "2", "old", "2 (copy)", "007", "-1"):
         (run.path / "episodes" / name).mkdir()
         (run.path / "episodes" / name / "vehicle.log").write_text("")
-    assert run.numbered("vehicle.log") == [2, 10] and run.numbered("columns.npz") == []
+    assert run.episodes_with("vehicle.log") == [2, 10] and run.episodes_with("columns.npz") == []
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_not_a_run(tmp_path):
 def test_half_written_files_are_removed(tmp_path):
     run = RunFolder.create(tmp_path, "x", {})
     (run.episode(0) / "vehicle.log.part").write_text("half")
-    remove_parts(run.path)
+    remove_partial_files(run.path)
     assert list(run.path.rglob("*.part")) == []
     assert json.loads((run.path / "run.json").read_text())["schema"] == "tunefree.run/1"
 
@@ -84,7 +84,7 @@ def test_what_cannot_be_written_says_why_and_what_to_do(tmp_path, monkeypatch):
     for path in (tmp_path / "none" / "x.json", tmp_path / "file" / "x.json"):
         with pytest.raises(BenchError, match=r"cannot write: (No such|Not a dir)") as caught:
             write_json(path, {})
-        assert caught.value.hint.startswith("see to the folder and its permissions") and caught.value.code == "disk"
+        assert caught.value.hint.startswith("check the folder and its permissions") and caught.value.code == "disk"
 
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -92,4 +92,4 @@ def test_what_cannot_be_written_says_why_and_what_to_do(tmp_path, monkeypatch):
     monkeypatch.setattr("os.replace", full)
     with pytest.raises(BenchError, match="cannot write: No space left") as caught:
         write_json(tmp_path / "x.json", {})
-    assert caught.value.hint.startswith("make room") and not list(tmp_path.glob("*.part"))
+    assert caught.value.hint.startswith("free some space") and not list(tmp_path.glob("*.part"))

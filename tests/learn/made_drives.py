@@ -10,8 +10,8 @@ import numpy as np
 
 from tunefree_hil.base.course import Start
 from tunefree_hil.base.records import GEAR_DRIVE, NAN, WHEEL_FIELDS, Command, Disturbance
-from tunefree_hil.learn.actuators.samples import Pair, Pairs
-from tunefree_hil.learn.drives.drive import Drive, Part
+from tunefree_hil.learn.actuators.samples import ActuatorSamples, ChannelSamples
+from tunefree_hil.learn.drives.drive import Drive, DrivePart
 from tunefree_hil.plant.actuation.actuators import ActuatorParams, init_actuator, step_actuator
 from tunefree_hil.plant.ports import Effects
 from tunefree_hil.plant.single_track import PLANT
@@ -118,13 +118,13 @@ def rounded(values: np.ndarray, quantum: float) -> np.ndarray:
     return np.round(values / quantum) * quantum if quantum else values
 
 
-def whole(drive: Drive) -> Part:
-    return Part(drive, 0, drive.ticks)
+def whole(drive: Drive) -> DrivePart:
+    return DrivePart(drive, 0, drive.n_rows)
 
 
 def made_pairs(
     params: ActuatorParams, seconds: float, seed: int, *, span: float = 1.0, noise: float = 0.0, quantum: float = 0.0
-) -> Pairs:
+) -> ChannelSamples:
     """One channel alone: steps, small sines about rest and about an offset, through the actuator and a rough report."""
     chance = np.random.default_rng([seed, 7])
     n = round(seconds / DT_S)
@@ -140,4 +140,4 @@ def made_pairs(
     output = rounded(output + noise * chance.standard_normal(n), quantum)
     counts = np.ones(n, dtype=bool)
     counts[:100] = False
-    return Pairs("steer", (Pair(command, output, counts, DT_S),), "made")
+    return ChannelSamples("steer", (ActuatorSamples(command, output, counts, DT_S),), "made")

@@ -23,7 +23,7 @@ from tunefree_hil.bus.recording.frame_writer import FrameWriter
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.episode.candump import write_candump
-from tunefree_hil.learn.checks.drive_checks import Problem, check_drives
+from tunefree_hil.learn.checks.drive_checks import LogProblem, check_drives
 from tunefree_hil.learn.drives.drive import Drive
 from tunefree_hil.learn.drives.read import read_drives
 
@@ -153,7 +153,7 @@ def with_report(change: Callable[[int, Report], Report]) -> Change:
     return lambda k, records: records | {"report": change(k, records["report"])}
 
 
-def refusals(problems: list[Problem]) -> dict[str, Problem]:
+def refusals(problems: list[LogProblem]) -> dict[str, LogProblem]:
     """What forbids learning, by its code."""
     return {one.code: one for one in problems if one.severity == "refuse"}
 
@@ -164,7 +164,7 @@ def drives_of(folder: Path, vehicle: str, *logs: Sequence[Row]) -> list[Drive]:
     return read_drives(paths, car(vehicle).codec)
 
 
-def checked(folder: Path, vehicle: str, *logs: Sequence[Row]) -> list[Problem]:
+def checked(folder: Path, vehicle: str, *logs: Sequence[Row]) -> list[LogProblem]:
     """What check_drives says of them."""
     return check_drives(drives_of(folder, vehicle, *logs), car(vehicle).spec)
 

@@ -10,9 +10,7 @@ from typing import Any
 import pytest
 
 from tunefree_hil.base.errors import InputError, PeerGone
-from tunefree_hil.learn.compiled_process import Asked, Worker, answers_to
-
-HERE = "tests.learn.test_compiled_process"
+from tunefree_hil.learn.compiled_process import CompiledProcess, make_request, run_request
 
 
 def mode() -> tuple[str, int]:
@@ -43,8 +41,8 @@ def printing() -> str:
 
 
 def test_a_call_is_answered_once() -> None:
-    assert [one.kind for one in answers_to(Asked(HERE, "counting", (2,)))] == ["progress", "progress", "result"]
-    assert [one.kind for one in answers_to(Asked(HERE, "refusing", ()))] == ["error"]
+    assert [one.kind for one in run_request(make_request(counting, (2,)))] == ["progress", "progress", "result"]
+    assert [one.kind for one in run_request(make_request(refusing, ()))] == ["error"]
 
 
 def _drained(calling: Generator[Any, None, Any]) -> tuple[list[Any], Any]:
@@ -58,50 +56,50 @@ def _drained(calling: Generator[Any, None, Any]) -> tuple[list[Any], Any]:
 
 @pytest.mark.slow
 def test_the_process_compiles_kernels_and_serves_until_it_is_closed() -> None:
-    with Worker() as worker:
-        said, pid = worker.result(HERE, "mode")
+    with CompiledProcess() as worker:
+        said, pid = worker.wait_for_result(mode)
         assert said == "1" and pid != os.getpid()
-        assert _drained(worker.call(HERE, "counting", 4)) == ([0, 1, 2, 3], 6)
-        assert worker.result(HERE, "printing") == "said"
+        assert _drained(worker.call(counting, 4)) == ([0, 1, 2, 3], 6)
+        assert worker.wait_for_result(printing) == "said"
         with pytest.raises(InputError, match="not this") as caught:
-            worker.result(HERE, "refusing")
+            worker.wait_for_result(refusing)
         assert caught.value.key == "some.key"
-        assert worker.result(HERE, "mode")[1] == pid, "a refusal does not end it"
+        assert worker.wait_for_result(mode)[1] == pid, "a refusal does not end it"
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
 
 
 @pytest.mark.slow
 def test_a_mistake_ends_it_with_its_last_words() -> None:
-    with Worker() as worker:
+    with CompiledProcess() as worker:
         with pytest.raises(PeerGone, match="ZeroDivisionError"):
-            worker.result(HERE, "wrong")
-        assert worker.result(HERE, "printing") == "said", "the next call has a new one"
+            worker.wait_for_result(wrong)
+        assert worker.wait_for_result(printing) == "said", "the next call has a new one"
 
 
 @pytest.mark.slow
 def test_a_process_that_is_killed_is_named() -> None:
-    with Worker() as worker:
-        pid = worker.result(HERE, "mode")[1]
+    with CompiledProcess() as worker:
+        pid = worker.wait_for_result(mode)[1]
         os.kill(pid, signal.SIGKILL)
         os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)  # gone, and still to be heard of by who started it
         with pytest.raises(PeerGone, match="-9"):
-            worker.result(HERE, "mode")
+            worker.wait_for_result(mode)
 
 
 @pytest.mark.slow
 def test_a_call_that_nobody_hears_out_does_not_disturb_the_next() -> None:
-    with Worker() as worker:
-        calling = worker.call(HERE, "counting", 100)
+    with CompiledProcess() as worker:
+        calling = worker.call(counting, 100)
         assert next(calling) == 0
         calling.close()
-        assert worker.result(HERE, "printing") == "said"
+        assert worker.wait_for_result(printing) == "said"
 
 
 def test_one_that_was_ended_starts_no_process_any_more() -> None:
     """A thread that was about to ask would have one of its own, which nobody ends."""
-    worker = Worker()
-    worker.end()
+    worker = CompiledProcess()
+    worker.shut_down()
     with pytest.raises(PeerGone, match="was ended"):
-        worker.result(HERE, "mode")
+        worker.wait_for_result(mode)
     assert worker._helper is None

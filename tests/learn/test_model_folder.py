@@ -14,25 +14,33 @@ from tests.plant.model_files import arrays_of
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import value_of
-from tunefree_hil.learn.estimate import ActuatorFit, Value, exactly, unknown
-from tunefree_hil.learn.model_folder import write_model
+from tunefree_hil.learn.estimate import ActuatorFit, Estimate, make_exact_estimate, make_unidentified_estimate
+from tunefree_hil.learn.model_folder import ModelContent, write_model
 from tunefree_hil.plant.learned.weights_file import load_plant_file
 
-LIMIT = unknown(math.inf, "never reached", low=3.0, high=math.inf)
-LAG = exactly(0.0), Value(3.0, 2.9, 3.1), Value(0.7, 0.6, 0.8)
-FIT = ActuatorFit(Value(0.1, 0.09, 0.11), 2, *LAG, LIMIT, exactly(0.0), exactly(1.0), exactly(0.0))
+LIMIT = make_unidentified_estimate(math.inf, "never reached", low=3.0, high=math.inf)
+LAG = make_exact_estimate(0.0), Estimate(3.0, 2.9, 3.1), Estimate(0.7, 0.6, 0.8)
+FIT = ActuatorFit(
+    Estimate(0.1, 0.09, 0.11),
+    2,
+    *LAG,
+    LIMIT,
+    make_exact_estimate(0.0),
+    make_exact_estimate(1.0),
+    make_exact_estimate(0.0),
+)
 
 
 def write(folder: Path, **changed: Any) -> Path:
     given: dict[str, Any] = {
         "kind": "physics",
         "actuators": {"steer": FIT},
-        "params": {"mass_kg": 2000.0, "steer_ratio": Value(15.9, 15.7, 16.1)},
+        "params": {"mass_kg": 2000.0, "steer_ratio": Estimate(15.9, 15.7, 16.1)},
         "valid": {"speed_mps": (0.0, 12.0)},
         "noise": {"report.speed_mps": np.float64(0.01)},
-        "card": {"rows": np.arange(3), "best": math.nan},
     }
-    return write_model(folder, load_vehicle("mkz_bywire"), **{**given, **changed})
+    card = {"rows": np.arange(3), "best": math.nan}
+    return write_model(folder, load_vehicle("mkz_bywire"), ModelContent(**{**given, **changed}), card)
 
 
 def test_it_is_read_back_as_it_was_given(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from tunefree_hil.base.contracts import Link, links_of
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import EffectSpec
 from tunefree_hil.effects import catalogue
-from tunefree_hil.learn.model_folder import OWN_LOGS, Learned, write_learned
+from tunefree_hil.learn.model_folder import CALIBRATION_LOGS, LearnedModel, write_learned_model
 from tunefree_hil.plant.learned.weights_file import save_plant
 
 
@@ -20,10 +20,10 @@ from tunefree_hil.plant.learned.weights_file import save_plant
 def test_a_net_has_learned_every_lateness_that_its_own_logs_told_and_physics_none(
     kind: str, repo: Path, tmp_path: Path
 ) -> None:
-    told = [EffectSpec(name=name, params={}, provenance={"by": OWN_LOGS}) for name in catalogue()]
+    told = [EffectSpec(name=name, params={}, provenance={"by": CALIBRATION_LOGS}) for name in catalogue()]
     physics = msgspec.structs.replace(load_model(repo / "bench_configs" / "models" / "mkz_nominal"), effects=told)
     arrays = None if kind == "physics" else arrays_of(kind)
-    folder = write_learned(tmp_path / kind, Learned(kind, load_vehicle("mkz_bywire"), physics, arrays), {})
+    folder = write_learned_model(tmp_path / kind, LearnedModel(kind, load_vehicle("mkz_bywire"), physics, arrays), {})
     kept = [one.name for one in load_model(folder).effects]
     late = {name for name, effect in catalogue().items() if links_of(effect)[0] is Link.CLOCK}
     assert {"report_latency", "ins_latency"} <= late
@@ -33,8 +33,8 @@ def test_a_net_has_learned_every_lateness_that_its_own_logs_told_and_physics_non
 @pytest.mark.parametrize("kind", ["hybrid", "paper"])
 def test_a_nets_file_is_that_of_the_plant(kind: str, repo: Path, tmp_path: Path) -> None:
     physics = load_model(repo / "bench_configs" / "models" / "mkz_nominal")
-    learned = Learned(kind, load_vehicle("mkz_bywire"), physics, arrays_of(kind), sample_spacing_s=0.05)
-    folder = write_learned(tmp_path / kind, learned, {})
+    learned = LearnedModel(kind, load_vehicle("mkz_bywire"), physics, arrays_of(kind), sample_spacing_s=0.05)
+    folder = write_learned_model(tmp_path / kind, learned, {})
     save_plant(tmp_path / "plant.npz", kind, arrays_of(kind))
     assert (folder / "plant.npz").read_bytes() == (tmp_path / "plant.npz").read_bytes()
     assert load_model(folder).plant.params.get("sample_spacing_s") == (0.05 if kind == "paper" else None)

@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tunefree_hil.learn.robust_least_squares import WARM, correlation_length, solve
+from tunefree_hil.learn.robust_least_squares import (
+    WARM_START_MARGIN,
+    SolverOptions,
+    compute_correlation_length,
+    fit_robustly,
+)
 
 LOW, HIGH = np.full(2, -50.0), np.full(2, 50.0)
 
@@ -30,7 +35,7 @@ def test_the_interval_covers_the_truth_as_often_as_it_says(kept: float, count: i
     hits = []
     for _ in range(60):
         y = 1.5 + 0.7 * slow + 0.3 * correlated(chance, len(t), kept)
-        least = solve(lambda x, y=y: (x[0] + x[1] * slow - y) / 0.3, np.zeros(2), LOW, HIGH, blocks)
+        least = fit_robustly(lambda x, y=y: (x[0] + x[1] * slow - y) / 0.3, np.zeros(2), (LOW, HIGH), blocks)
         for i, truth in enumerate((1.5, 0.7)):
             low, high = least.interval(i)
             hits.append(low <= truth <= high)
@@ -40,8 +45,8 @@ def test_the_interval_covers_the_truth_as_often_as_it_says(kept: float, count: i
 def test_the_plain_covariance_would_not_have() -> None:
     chance = np.random.default_rng(3)
     rows = correlated(chance, 6000, 0.9)
-    assert correlation_length(rows, np.repeat(np.arange(10), 600)) == pytest.approx(19.0, rel=0.35)
-    assert correlation_length(chance.standard_normal(6000), np.zeros(6000)) < 1.3
+    assert compute_correlation_length(rows, np.repeat(np.arange(10), 600)) == pytest.approx(19.0, rel=0.35)
+    assert compute_correlation_length(chance.standard_normal(6000), np.zeros(6000)) < 1.3
 
 
 def test_what_was_found_near_a_bound_is_found_again_in_few_steps() -> None:
@@ -52,9 +57,11 @@ def test_what_was_found_near_a_bound_is_found_again_in_few_steps() -> None:
     def residuals(x: np.ndarray) -> np.ndarray:
         return 30.0 * (np.tanh(4.0 * (x[0] - found[0])) * (1.0 + t) + (x[1] - found[1]) * t)
 
-    miss = [float(np.abs(solve(residuals, found, low, HIGH, blocks, most=3, **how).x - found).max())
-            for how in ({}, {"inside": WARM})]  # fmt: skip
-    assert miss[1] < 0.2 * miss[0]
+    options = SolverOptions(max_evaluations=3), SolverOptions(max_evaluations=3, start_margin=WARM_START_MARGIN)
+    cold, warm = (
+        float(np.abs(fit_robustly(residuals, found, (low, HIGH), blocks, option).x - found).max()) for option in options
+    )
+    assert warm < 0.2 * cold
 
 
 def test_outliers_are_held_down() -> None:
@@ -66,8 +73,8 @@ def test_outliers_are_held_down() -> None:
     def residuals(x: np.ndarray) -> np.ndarray:
         return (x[0] - y) / 0.1
 
-    plain = solve(residuals, np.zeros(1), LOW[:1], HIGH[:1], blocks)
-    firm = solve(residuals, np.zeros(1), LOW[:1], HIGH[:1], blocks, robust=3.0)
+    plain = fit_robustly(residuals, np.zeros(1), (LOW[:1], HIGH[:1]), blocks)
+    firm = fit_robustly(residuals, np.zeros(1), (LOW[:1], HIGH[:1]), blocks, SolverOptions(soft_l1_scale=3.0))
     assert abs(plain.x[0] - 2.0) > 1.0 and abs(firm.x[0] - 2.0) < 0.05
 
 
@@ -78,7 +85,7 @@ def test_what_nothing_shows_stays_as_wide_as_it_was_known() -> None:
     def residuals(x: np.ndarray) -> np.ndarray:
         return np.concatenate([(x[0] - y) / 0.01, x])
 
-    least = solve(residuals, np.zeros(2), LOW, HIGH, blocks, priors=2)
+    least = fit_robustly(residuals, np.zeros(2), (LOW, HIGH), blocks, SolverOptions(n_priors=2))
     inner = np.linalg.pinv(least.jacobian.T @ least.jacobian)
     assert np.sqrt(inner[1, 1]) == pytest.approx(1.0, rel=0.01) and np.sqrt(inner[0, 0]) < 0.01
 
@@ -91,9 +98,9 @@ def test_a_start_at_a_bound_does_not_hold_the_search() -> None:
     def residuals(x: np.ndarray) -> np.ndarray:
         return np.concatenate([(x[0] - y) / 0.1, (x[1] - 0.5 * y) / 0.1])
 
-    least = solve(residuals, np.zeros(2), low, HIGH, np.concatenate([blocks, blocks]))
+    least = fit_robustly(residuals, np.zeros(2), (low, HIGH), np.concatenate([blocks, blocks]))
     assert least.x == pytest.approx([3.0, 1.5])
-    held = solve(
-        lambda x: residuals(x) + np.repeat([0.0, 40.0], 100), np.zeros(2), low, HIGH, np.concatenate([blocks] * 2)
+    held = fit_robustly(
+        lambda x: residuals(x) + np.repeat([0.0, 40.0], 100), np.zeros(2), (low, HIGH), np.concatenate([blocks] * 2)
     )
     assert held.x == pytest.approx([3.0, 0.0], abs=1e-3), "and a bound still holds it"

@@ -10,7 +10,7 @@ from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.dbc.integrity import E2eStatus
 from tunefree_hil.bus.recording.frame_writer import FrameWriter
 from tunefree_hil.config.load import load_vehicle
-from tunefree_hil.nodes.command_decoder import Ears
+from tunefree_hil.nodes.command_decoder import CommandDecoder
 from tunefree_hil.nodes.status_bits import set_bits
 from tunefree_hil.plant.actuation.bywire import ByWireInput, ByWireParams, Heard, bywire
 from tunefree_hil.plant.vehicle import Driver
@@ -34,7 +34,7 @@ class Road:
     """A sender of DRIVE and the ears that hear it."""
 
     def __init__(self, codec: Codec) -> None:
-        self.codec, self.ears, self.writer = codec, Ears(codec), FrameWriter(codec)
+        self.codec, self.ears, self.writer = codec, CommandDecoder(codec), FrameWriter(codec)
         self.unit = bywire(ByWireParams())
         self.state = self.unit.init(self.unit.params, 0.01)
 

@@ -127,7 +127,7 @@ def test_the_vehicle_has_0_4_s_to_enable_on_every_tick(codec: Codec, dt_s: float
 
 
 def test_a_latched_override_is_cleared_by_frames_of_four_bytes(seat: Seat) -> None:
-    """An 8-byte frame without a counter that counts would trip the watchdog (apollo_facts 7.3)."""
+    """An 8-byte frame without a counter that counts would trip the watchdog (docs/reference/by_wire.md)."""
     latched = {name: {"ENABLED": 0.0} for name in ENABLED} | {"BRAKE_REPORT": {"ENABLED": 0.0, "OVERRIDE": 1.0}}
     clears = []
     for k in range(6):

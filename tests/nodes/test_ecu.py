@@ -15,7 +15,7 @@ from tunefree_hil.base.records import GEAR_DRIVE, GEAR_NONE, CanFrame, Command
 from tunefree_hil.bench import VehicleFor, load
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.dbc.codec import Codec
-from tunefree_hil.nodes.command_decoder import Ears
+from tunefree_hil.nodes.command_decoder import CommandDecoder
 from tunefree_hil.nodes.ecu import EcuPart
 from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.timing import CycleTimes
@@ -82,16 +82,16 @@ def car(tmp_path: Path) -> Car:
 
 
 def test_what_the_ears_hear(car: Car) -> None:
-    heard = Ears(car.codec).hear(car.commands())
+    heard = CommandDecoder(car.codec).hear(car.commands())
     assert heard.throttle.value == pytest.approx(0.2, abs=2e-5)
     assert heard.steer.value == pytest.approx(0.0, abs=1e-3)
     assert [(one.enable, one.clear, one.ignore, one.fresh) for one in heard[:3]] == [(1.0, 0.0, 0.0, 1.0)] * 3
     assert heard.gear == GEAR_DRIVE and heard.gear_clear == 0.0
-    assert Ears(car.codec).hear([]).brake.fresh == 0.0
+    assert CommandDecoder(car.codec).hear([]).brake.fresh == 0.0
 
 
 def test_the_ears_notice_a_counter_that_does_not_count(car: Car) -> None:
-    ears = Ears(car.codec)
+    ears = CommandDecoder(car.codec)
     first = car.commands()
     assert ears.hear(first).brake.counter_ok == 1.0
     assert ears.hear(first).brake.counter_ok == 0.0
@@ -100,7 +100,7 @@ def test_the_ears_notice_a_counter_that_does_not_count(car: Car) -> None:
 
 
 def test_a_clear_frame_of_four_bytes_says_nothing_of_the_counter(car: Car) -> None:
-    ears = Ears(car.codec)
+    ears = CommandDecoder(car.codec)
     ears.hear(car.commands())
     message = car.codec.by_name["BRAKE_CMD"]
     clear = CanFrame(message.can_id, car.codec.encode(message, {}, {message.clear: 1.0}, 4))
@@ -110,7 +110,7 @@ def test_a_clear_frame_of_four_bytes_says_nothing_of_the_counter(car: Car) -> No
 
 def test_a_command_that_is_too_short_is_no_command(car: Car) -> None:
     """GEAR_CMD may not be cut: a byte of it is noticed, and the gear stays unsaid."""
-    ears, message = Ears(car.codec), car.codec.by_name["GEAR_CMD"]
+    ears, message = CommandDecoder(car.codec), car.codec.by_name["GEAR_CMD"]
     assert not message.allow_truncated and ears.hear([CanFrame(message.can_id, b"")]).gear == GEAR_NONE
     assert ears.reception.too_short == {"GEAR_CMD": 1}
 
@@ -198,7 +198,7 @@ def test_a_scripted_driver_takes_over(tmp_path: Path, channel: str, value: float
 
 
 def test_each_message_goes_out_on_its_own_tick(car: Car) -> None:
-    """k + phase divisible by the period: interfaces 3's seeded phases."""
+    """k + phase divisible by the period: docs/reference/files.md's seeded phases."""
     seen: dict[str, list[int]] = {message.name: [] for message in car.codec.telemetry}
     for k in range(40):
         for name in car.tick():

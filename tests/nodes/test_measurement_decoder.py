@@ -19,7 +19,7 @@ from tunefree_hil.bus.dbc.integrity import E2eStatus
 from tunefree_hil.bus.recording.frame_writer import FrameWriter
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.nodes.handshake import VehicleState
-from tunefree_hil.nodes.measurement_decoder import CHASSIS, INS, Hearing
+from tunefree_hil.nodes.measurement_decoder import CHASSIS, INS, MeasurementDecoder
 
 ENABLED = ("BRAKE_REPORT", "THROTTLE_REPORT", "STEERING_REPORT")
 
@@ -37,14 +37,14 @@ def enabled_frames(codec: Codec) -> list[CanFrame]:
 
 
 def test_nothing_heard_is_nan_and_unknown(codec: Codec) -> None:
-    hearing = Hearing(codec, 0.01)
+    hearing = MeasurementDecoder(codec, 0.01)
     assert all(math.isnan(value) for record in hearing.measurement() for value in record)
     assert hearing.state() == VehicleState()._replace(enabled=True)
     assert not hearing.state().known
 
 
 def test_values_are_kept_until_the_next(codec: Codec) -> None:
-    hearing = Hearing(codec, 0.01)
+    hearing = MeasurementDecoder(codec, 0.01)
     report = Report()._replace(speed_mps=5.0, steer_rad=0.5)
     hearing.hear(0, [frame(codec, "STEERING_REPORT", report=report)])
     hearing.hear(1, [frame(codec, "GYRO", report=Report()._replace(yaw_rate_radps=0.1))])
@@ -56,7 +56,7 @@ def test_values_are_kept_until_the_next(codec: Codec) -> None:
 
 
 def test_every_channel_must_say_enabled(codec: Codec) -> None:
-    hearing = Hearing(codec, 0.01)
+    hearing = MeasurementDecoder(codec, 0.01)
     for name in ENABLED[:2]:
         hearing.hear(0, [frame(codec, name, {"ENABLED": 1.0})])
         assert not hearing.state().known
@@ -81,7 +81,7 @@ def test_every_channel_must_say_enabled(codec: Codec) -> None:
     ],
 )
 def test_state_bits(codec: Codec, message: str, signal: str, value: float, condition: str) -> None:
-    hearing = Hearing(codec, 0.01)
+    hearing = MeasurementDecoder(codec, 0.01)
     hearing.hear(0, enabled_frames(codec))
     own = {"ENABLED": 1.0} if message in ENABLED else {}
     hearing.hear(1, [frame(codec, message, {**own, signal: value})])
@@ -94,7 +94,7 @@ def test_state_bits(codec: Codec, message: str, signal: str, value: float, condi
 def test_the_age_of_a_message(codec: Codec) -> None:
     """0.2 s, counted from tick 0 for what was never heard; the same payload again is heard too."""
     needed = {INS: ["INS_POS_LOCAL"], CHASSIS: ["STEERING_REPORT"]}
-    hearing = Hearing(codec, 0.01)
+    hearing = MeasurementDecoder(codec, 0.01)
     same = frame(codec, "INS_POS_LOCAL")
     for k in range(0, 31, 10):
         hearing.hear(k, [same, frame(codec, "STEERING_REPORT")])
@@ -102,14 +102,14 @@ def test_the_age_of_a_message(codec: Codec) -> None:
     assert hearing.missing(51, needed) == (INS, ["INS_POS_LOCAL"])
     hearing.hear(51, [same])
     assert hearing.missing(51, needed) == (CHASSIS, ["STEERING_REPORT"])
-    assert Hearing(codec, 0.01).missing(20, needed) is None
-    assert Hearing(codec, 0.01).missing(21, needed) == (INS, ["INS_POS_LOCAL"])
+    assert MeasurementDecoder(codec, 0.01).missing(20, needed) is None
+    assert MeasurementDecoder(codec, 0.01).missing(21, needed) == (INS, ["INS_POS_LOCAL"])
 
 
 def test_a_longer_tick_has_fewer_ticks_in_its_limit(codec: Codec) -> None:
     needed = {CHASSIS: ["GYRO"]}
-    assert Hearing(codec, 0.02).missing(10, needed) is None
-    assert Hearing(codec, 0.02).missing(11, needed) == (CHASSIS, ["GYRO"])
+    assert MeasurementDecoder(codec, 0.02).missing(10, needed) is None
+    assert MeasurementDecoder(codec, 0.02).missing(11, needed) == (CHASSIS, ["GYRO"])
 
 
 @pytest.mark.parametrize(("period", "timeout", "limit"), [(50, 0, 125), (50, 300, 300), (2, 0, 20)])
@@ -118,7 +118,7 @@ def test_a_slow_message_has_longer(codec: Codec, period: int, timeout: int, limi
     slow = copy(codec)
     changed = {"period_ticks": period, "timeout_ticks": timeout}
     slow.telemetry = tuple(replace(one, **changed) if one.name == "GYRO" else one for one in codec.telemetry)
-    hearing = Hearing(slow, 0.01)
+    hearing = MeasurementDecoder(slow, 0.01)
     assert hearing.missing(limit, {CHASSIS: ["GYRO"]}) is None
     assert hearing.missing(limit + 1, {CHASSIS: ["GYRO"]}) == (CHASSIS, ["GYRO"])
 
@@ -127,7 +127,7 @@ def test_a_slow_message_has_longer(codec: Codec, period: int, timeout: int, limi
 def test_a_frame_of_any_length_ends_nothing(codec: Codec, data: st.DataObject) -> None:
     """Another node's frame with one of the vehicle's ids, cut off anywhere: the values are those before it."""
     message = data.draw(st.sampled_from(codec.telemetry))
-    hearing = Hearing(codec, 0.01)
+    hearing = MeasurementDecoder(codec, 0.01)
     hearing.hear(0, [CanFrame(one.can_id, bytes(one.length), one.extended, one.fd) for one in codec.telemetry])
     before = hearing.measurement(), hearing.state()
     short = data.draw(st.binary(max_size=message.length - 1))
@@ -147,7 +147,7 @@ def protected(writer: FrameWriter, speed_mps: float, enabled: float = 1.0) -> Ca
 
 
 def test_a_protected_report_is_invalid_until_proven(little: Codec) -> None:
-    hearing, writer = Hearing(little, 0.01), FrameWriter(little)
+    hearing, writer = MeasurementDecoder(little, 0.01), FrameWriter(little)
     hearing.hear(0, [protected(writer, 3.0)])
     assert math.isnan(hearing.measurement().report.speed_mps) and not hearing.state().known
     hearing.hear(2, [protected(writer, 4.0)])
@@ -155,7 +155,7 @@ def test_a_protected_report_is_invalid_until_proven(little: Codec) -> None:
 
 
 def test_a_broken_or_repeated_report_changes_nothing(little: Codec) -> None:
-    hearing, writer = Hearing(little, 0.01), FrameWriter(little)
+    hearing, writer = MeasurementDecoder(little, 0.01), FrameWriter(little)
     good = [protected(writer, 3.0) for _ in range(2)]
     hearing.hear(0, good[:1])
     hearing.hear(2, good[1:])
@@ -168,7 +168,7 @@ def test_a_broken_or_repeated_report_changes_nothing(little: Codec) -> None:
 
 def test_a_report_that_is_not_believed_for_0_2_s_is_missing_with_its_status(little: Codec) -> None:
     """Whether anybody asked for it or not."""
-    hearing, writer = Hearing(little, 0.01), FrameWriter(little)
+    hearing, writer = MeasurementDecoder(little, 0.01), FrameWriter(little)
     needed: dict[str, list[str]] = {INS: [], CHASSIS: []}
     for k in range(0, 10, 2):
         hearing.hear(k, [protected(writer, 3.0)])

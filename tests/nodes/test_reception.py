@@ -33,7 +33,7 @@ def run(codec: Codec, name: str, counts: dict[int, int], ticks: int, *, lockstep
 
 
 def of(reception: Reception, name: str) -> list[tuple[int, str]]:
-    return [(one.tick, one.what) for one in reception.notices() if one.message == name]
+    return [(one.tick, one.problem) for one in reception.notices() if one.message == name]
 
 
 @pytest.mark.parametrize("name", ["GYRO", "BRAKE_REPORT", "GEAR_REPORT"])

@@ -12,7 +12,7 @@ from tests.nodes.memory import FakeLink, FakeTime
 from tunefree_hil.base.errors import BenchError, InputError, NoAnswer, PeerGone
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.link import HubStats
-from tunefree_hil.grade.score import GRADED
+from tunefree_hil.grade.score import GRADED_ENDS
 from tunefree_hil.nodes import runner as module
 from tunefree_hil.nodes.runner import LEAD_MS, SILENT_LIMIT_S, Outcome, Runner
 
@@ -143,7 +143,7 @@ def test_a_failure_in_the_last_tick_counts_where_it_is_heard_after_the_end(clock
 def test_a_controllers_own_error_has_one_name_and_keeps_its_number(clock: FakeTime, number: int) -> None:
     failed = [bc.Status(CONTROLLER, bc.State.FAILED, number, 9), ended(bc.State.FAILED, number, 10)]
     outcome = Desk(clock, READY, failed).drive()
-    assert (outcome.error, outcome.error_code) == ("controller_own", number) and outcome.error in GRADED
+    assert (outcome.error, outcome.error_code) == ("controller_own", number) and outcome.error in GRADED_ENDS
     with pytest.raises(BenchError, match=f"cannot load this episode: {bc.error_text(number)}") as caught:
         Desk(clock, failed[:1]).drive()
     assert caught.value.code == "controller_own"

@@ -7,7 +7,7 @@ import pytest
 
 from tests.plant.drives import CHANNELS, DT_S, REST, command, drive, rest_of
 from tunefree_hil.base.contracts import Effect, make_effect
-from tunefree_hil.gap.model.graph import effects
+from tunefree_hil.gap.model.graph import load_catalogue
 from tunefree_hil.plant.actuation.actuators import ActuatorParams
 from tunefree_hil.plant.single_track import PLANT
 from tunefree_hil.plant.vehicle import Body, assemble
@@ -18,7 +18,7 @@ STEP_RAD = 1.0
 
 def car(name: str, **params: float) -> Body:
     """A car whose motors have a lag, with an effect."""
-    effect: Effect = effects()[name]
+    effect: Effect = load_catalogue()[name]
     made = make_effect(effect, params, rest=rest_of(effect.port))
     channels = CHANNELS | {
         "steer": ActuatorParams(lag_s=LAG_S),

@@ -35,7 +35,7 @@ from tunefree_hil.plant.vehicle import steady_accel
 AT_ONCE = {"drive_lag_s": 0.0}
 BODY = car("reference")
 
-# apollo_facts 2, point (b): mean deceleration over 2..10 m/s by brake duty
+# docs/reference/apollo.md, point (b): mean deceleration over 2..10 m/s by brake duty
 MEAN_BRAKING = {0.20: -0.33, 0.22: -0.68, 0.25: -1.79, 0.27: -2.64, 0.30: -4.75, 0.33: -7.55, 0.35: -8.94}
 
 

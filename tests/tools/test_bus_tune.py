@@ -13,6 +13,7 @@ from tools.measures import bus_tune
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.tune.study import open_study
 from tunefree_hil.tune.trial import Evaluation
+from tunefree_hil.tune.trial_loop import run_generations
 
 
 def test_the_first_trials_stand_for_themselves_and_the_others_for_the_rest() -> None:
@@ -33,7 +34,7 @@ def test_seconds_are_the_study_s_own(tmp_path: Path) -> None:
         ]
 
     with open_study(tmp_path / "study.db", settings("tpe_independent")._replace(in_flight=2)) as study:
-        list(study.run_all(4, evaluate))
+        list(run_generations(study, 4, evaluate))
     timed = bus_tune._read(RunFolder(tmp_path, {}), 3)
     assert len(timed.seconds) == 3 and all(0.1 <= one < 60.0 for one in timed.seconds)
     assert (timed.early, timed.drives) == (1, 3)

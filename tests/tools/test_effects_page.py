@@ -1,4 +1,4 @@
-"""docs/effects.md says what the code does."""
+"""docs/reference/effects.md says what the code does."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.bench.controller import require_in_box
 from tunefree_hil.config.load import load_model
-from tunefree_hil.learn.model_folder import Learned, write_learned
+from tunefree_hil.learn.model_folder import LearnedModel, write_learned_model
 
 
 def test_an_unseen_bench_can_be_driven_and_stands_on_a_slope(repo: Path, tmp_path: Path) -> None:
@@ -54,6 +54,6 @@ def test_a_card_in_words(repo: Path, tmp_path: Path) -> None:
     nominal = load_model(repo / "bench_configs" / "models" / "mkz_nominal")
     vehicle = load(repo / "bench_configs" / "mkz_complete.toml").vehicle
     card = {"split": "2 of 11", "seconds": 3.0, "training": {"steps": 5, "score": 1.0, "untrained": 2.0, "stopped": ""}}
-    write_learned(tmp_path / "m", Learned("physics", vehicle, nominal), card)
+    write_learned_model(tmp_path / "m", LearnedModel("physics", vehicle, nominal), card)
     assert card_words(load_model(tmp_path / "m"))["held_out"] == 1.0
     assert json.loads((tmp_path / "m" / "card.json").read_text())["split"] == "2 of 11"

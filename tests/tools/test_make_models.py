@@ -202,9 +202,9 @@ class Jobs:
         covers = {"cells_full": cells, "cells_wanted": 100, "simulated_s": 1.0, "beyond_envelope_s": 0.0, "run": "r"}
         stand_ins = {
             "collect.collect.collect": lambda wish: leave("collect", wish.out / "logs", charted.parent, covers),
-            "learn.calibrate.calibrate": lambda logs, vehicle, out, seed: leave("calibrate", out, learned, {}),
+            "learn.calibrate.calibrate": lambda options: leave("calibrate", options.out, learned, {}),
             "learn.learn.learn": lambda wish: leave(f"learn {wish.kind}", wish.out, learned, {}),
-            "learn.map.map_logs": lambda logs, vehicle, out, seed: leave("map", out, charted.parent, {}),
+            "learn.map.map_logs": lambda options: leave("map", options.out, charted.parent, {}),
         }
         for name, job in stand_ins.items():
             monkeypatch.setattr(f"tunefree_hil.jobs.{name}", job)

@@ -16,8 +16,8 @@ from tools.measures import map as measure
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load
 from tunefree_hil.bench.controller import calibration_of
-from tunefree_hil.learn.open_loop_map.build import balanced, gather
-from tunefree_hil.learn.open_loop_map.cells import Points, edges_of, hold_out
+from tunefree_hil.learn.open_loop_map.build import gather_samples, select_points
+from tunefree_hil.learn.open_loop_map.cells import CellPoints, make_cell_edges, split_holdout
 from tunefree_hil.learn.open_loop_map.samples import PEDALS, THROTTLE
 
 
@@ -46,9 +46,9 @@ def test_the_newest_collection_of_the_vehicle_is_taken(tmp_path: Path) -> None:
 
 
 def test_binned_averages_are_linear_between_cells_and_the_nearest_outside() -> None:
-    edges = edges_of(vehicle(), THROTTLE)
+    edges = make_cell_edges(vehicle(), THROTTLE)
     speed, command = (one.ravel() for one in np.meshgrid([4.5, 5.5, 6.5], [0.2, 0.3, 0.4]))
-    points = Points(speed, command, speed + command, np.arange(9), np.ones(9))
+    points = CellPoints(speed, command, speed + command, np.arange(9), np.ones(9))
     law = measure.binned(points, edges)
     assert law(np.array([4.5, 5.0, 6.5]), np.array([0.3, 0.3, 0.4])) == pytest.approx([4.8, 5.3, 6.9], abs=0.02)
     assert law(np.array([6.5]), np.array([REST])) == pytest.approx([6.7], abs=0.02)
@@ -69,17 +69,17 @@ def test_every_cell_is_held_out_once_and_what_is_done_is_not_done_again(
     cells: list[set[int]] = []
 
     def turn(points: Any, edges: Any, nominal: Any, which: tuple[int, int], seed: int) -> Any:
-        out = [hold_out(points[pedal], *which, np.random.default_rng([seed, 77]))[1] for pedal in PEDALS]
+        out = [split_holdout(points[pedal], *which, np.random.default_rng([seed, 77]))[1] for pedal in PEDALS]
         cells.append(set(out[0].cell.tolist()))
         errors = {pedal: [0.1] * len(set(one.cell.tolist())) for pedal, one in zip(PEDALS, out, strict=True)}
         return {name: errors for name in (measure.LEARNED, measure.NETS, measure.BINNED, measure.NOMINAL)}
 
     monkeypatch.setattr(measure, "_turn", turn)
-    samples = gather([some_drive()], vehicle()).samples
+    samples = gather_samples([some_drive()], vehicle()).samples
     for _ in range(2):
         ledger = measure.Ledger(tmp_path)
         errors = measure.held_out_errors(samples, bench, None, 3, 1, ledger, {"files": ["a"]})
     assert len(cells) == 3, "the second call finds all turns"
-    own = balanced(samples, {pedal: edges_of(vehicle(), pedal) for pedal in PEDALS}, 1)[THROTTLE]
+    own = select_points(samples, {pedal: make_cell_edges(vehicle(), pedal) for pedal in PEDALS}, 1)[THROTTLE]
     assert set.union(*cells) == set(own.cell.tolist()) and sum(map(len, cells)) == len(set(own.cell.tolist()))
     assert len(errors[measure.LEARNED][THROTTLE]) == len(set(own.cell.tolist()))

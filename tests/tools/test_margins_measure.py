@@ -14,7 +14,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load
 from tunefree_hil.jobs.run_folder import write_json
-from tunefree_hil.jobs.tune.margins import Found
+from tunefree_hil.jobs.tune.margins import MarginDrives
 
 
 def run_with(folder: Path, margins: dict[str, Any]) -> Path:
@@ -40,7 +40,7 @@ def test_without_anything_to_compare_there_is_no_number(tmp_path: Path) -> None:
 
 def test_the_whole_score_is_weighted_by_planned_samples(tmp_path: Path) -> None:
     bench = load(write_bench(tmp_path, duration_s=2.0, scenarios=("tiny", "other")))
-    found = Found({}, {}, {"tuned": {"tiny": 0.1, "other": 0.3}}, {}, 0)
+    found = MarginDrives({}, {}, {"tuned": {"tiny": 0.1, "other": 0.3}}, {}, 0)
     assert measure_margins.scores_of(bench, found) == {"tuned": pytest.approx(0.2)}
 
 

@@ -12,7 +12,7 @@ from tests.learn.made_bare import accel_drive
 from tools.measures import realcars
 from tools.measures.realcars import Fold, dart, errors_at, rav4, rows, shown, splits_of
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.learn.evaluation.velocity_free_run import NAIVE, Ahead, Trace
+from tunefree_hil.learn.evaluation.velocity_free_run import CONSTANT_SPEED, VelocityErrors, VelocityTrace
 
 HEAD = "elapsed time sensors,current,voltage,acc x (IMU),acc y (IMU),W (IMU),vel encoder,safety_value,throttle,steering"
 
@@ -20,10 +20,10 @@ HEAD = "elapsed time sensors,current,voltage,acc x (IMU),acc y (IMU),W (IMU),vel
 def a_fold(seed: int, errors: list[float], drive: str = "drive.log") -> Fold:
     speed = np.array([[0.1, 0.2, one] for one in errors])
     time_s = np.arange(0.0, 1.0 + len(errors), 0.1)
-    trace = Trace(drive, time_s, time_s, 0.0 * time_s, {"physics": time_s}, {"physics": 0.0 * time_s})
+    trace = VelocityTrace(drive, time_s, time_s, 0.0 * time_s, {"physics": time_s}, {"physics": 0.0 * time_s})
     many = tuple([drive] * len(errors))
-    both = {"physics": speed, NAIVE: 2.0 * speed}
-    return Fold(seed, f"split {seed}", 1, Ahead((1.0, 3.0, 10.0), many, both, both, (trace,)))
+    both = {"physics": speed, CONSTANT_SPEED: 2.0 * speed}
+    return Fold(seed, f"split {seed}", 1, VelocityErrors((1.0, 3.0, 10.0), many, both, both, (trace,)))
 
 
 def test_every_block_of_a_single_drive_is_held_out_once() -> None:
@@ -47,13 +47,13 @@ def test_rows_are_of_all_blocks_with_the_spread_between_them() -> None:
     assert (ten["starts"], ten["blocks"]) == (3, 2) and found["without_a_start"] == ["split 3"]
     assert ten["speed_mps"]["mean"] == pytest.approx(5.0 / 3.0)
     assert ten["speed_mps"]["low"] == 0.0 and ten["speed_mps"]["high"] > 3.0, "two blocks say little"
-    assert found["free_run"][NAIVE]["10"]["speed_mps"]["mean"] == pytest.approx(10.0 / 3.0)
+    assert found["free_run"][CONSTANT_SPEED]["10"]["speed_mps"]["mean"] == pytest.approx(10.0 / 3.0)
     assert errors_at(folds, "hybrid", 10.0)[0].size == 0
 
 
 def test_the_longest_run_of_each_car_is_shown() -> None:
     (run,) = shown({"car": [a_fold(1, [1.0]), a_fold(2, [1.0, 1.0])], "none": [Fold(1, "", 1, None)]})
-    assert run.words == "car" and run.time_s[-1] == pytest.approx(2.9)
+    assert run.title == "car" and run.time_s[-1] == pytest.approx(2.9)
 
 
 def test_doubles_are_taken_once_and_refused_files_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tunefree_hil.tune.space import make_space
-from tunefree_hil.tune.store import Settings
+from tunefree_hil.tune.store import StudySettings
 from tunefree_hil.tune.study import Evaluation, open_study
+from tunefree_hil.tune.trial_loop import run_trials
 
 
 class Parameter(NamedTuple):
@@ -30,11 +31,11 @@ SPACE = make_space(
         Parameter("riccati", 0.0, 1.0, "linear", choices=(0.0, 1.0)),
     ]
 )
-FIRST = SPACE.fit({"lqr.q1": 0.05, "station.kp": 0.2, "look_ahead_m": 0.0, "riccati": 0.0})
+FIRST = SPACE.clip({"lqr.q1": 0.05, "station.kp": 0.2, "look_ahead_m": 0.0, "riccati": 0.0})
 
 
-def settings(sampler: str) -> Settings:
-    return Settings(SPACE, seed=3, sampler=sampler, bench_hash="sha256:00", first=FIRST)
+def settings(sampler: str) -> StudySettings:
+    return StudySettings(SPACE, seed=3, sampler=sampler, bench_hash="sha256:00", first=FIRST)
 
 
 def bowl(parameters: dict[str, float]) -> Evaluation:
@@ -51,7 +52,7 @@ def main(path: str, sampler: str, trials: str, sleep_s: str) -> None:
         return bowl(parameters)
 
     with open_study(Path(path), settings(sampler)) as study:
-        for trial in study.run(int(trials), evaluate):
+        for trial in run_trials(study, int(trials), evaluate):
             print("filled", trial.slot, flush=True)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tests.tune.drive_study import bowl, settings
 from tunefree_hil.base.errors import TunefreeError
-from tunefree_hil.tune.shared.finalisation import Ending
+from tunefree_hil.tune.shared.finalisation import Finalisation
 from tunefree_hil.tune.shared.shared_study import join_study
 from tunefree_hil.tune.trial import Evaluation
 
@@ -28,16 +28,16 @@ def main(url: str, folder: str, trials: str, sleep_s: str, grace_s: str, patienc
     where = Path(folder)
     where.mkdir(exist_ok=True)
     with join_study(url, asked, where, grace_s=float(grace_s), patience_s=float(patience_s)) as study:
-        for trial in study.run_all(int(trials), evaluate):
+        for trial in study.run_trials(int(trials), evaluate):
             print("said " + trial if isinstance(trial, str) else f"filled {trial.slot}", flush=True)
-        with Ending(study, "these trials") as ending:
-            for words in ending.look(("winner",)):
+        with Finalisation(study, "these trials") as ending:
+            for words in ending.wait_for_parts(("winner",)):
                 print("said " + words, flush=True)
-            if ending.ours:
+            if ending.is_ours:
                 print("ours", flush=True)
                 time.sleep(float(end_s))
-                list(ending.keep(winner=where.name))
-        print(f"{'last' if ending.ours else 'over'} {ending.kept['winner']}", flush=True)
+                list(ending.store_parts(winner=where.name))
+        print(f"{'last' if ending.is_ours else 'over'} {ending.parts['winner']}", flush=True)
 
 
 if __name__ == "__main__":

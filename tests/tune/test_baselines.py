@@ -12,14 +12,14 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.control.parameters import BASELINES, NAMES, check_complete, round32
 from tunefree_hil.tune.baselines import (
     RuleInputs,
-    complete,
-    first_trial,
-    lag_of_order_2_s,
-    manual_vectors,
-    opening,
-    rule_based,
+    complete_vector,
+    compute_rule_based,
+    equivalent_lag_s,
+    list_manual_vectors,
+    make_first_trial,
+    select_first_baseline,
 )
-from tunefree_hil.tune.space import make_space, resolve
+from tunefree_hil.tune.space import make_space, resolve_space
 
 MKZ = RuleInputs(
     steer_lag_s=0.12,
@@ -35,54 +35,54 @@ MKZ = RuleInputs(
 
 
 def test_the_first_trial_is_manual_with_mrac_clipped() -> None:
-    space = resolve("complete", [])
-    first = first_trial(space)
+    space = resolve_space("complete", [])
+    first = make_first_trial(space)
     manual = BASELINES["mrac_on"]
     by_name = {axis.name: axis for axis in space.axes}
-    assert first == space.fit(first)
+    assert first == space.clip(first)
     assert first["lqr.q2"] == by_name["lqr.q2"].low and first["lqr.q4"] == by_name["lqr.q4"].low
     inside = [name for name in space.names if name not in ("lqr.q2", "lqr.q4", "mrac.p")]
     assert [first[name] for name in inside] == [round32(manual[name]) for name in inside]
-    check_complete(complete(first))
-    assert complete(first)["mrac.enable"] == 1.0
-    assert complete(first)["look_ahead_m"] == 0.0
+    check_complete(complete_vector(first))
+    assert complete_vector(first)["mrac.enable"] == 1.0
+    assert complete_vector(first)["look_ahead_m"] == 0.0
 
 
 def test_a_parameter_without_a_manual_value_starts_in_the_middle() -> None:
     space = make_space([Tunable("mine.a", "1", 0.01, 1.0), Tunable("mine.b", "1", 0.0, 4.0, "linear")])
-    assert first_trial(space) == pytest.approx({"mine.a": 0.1, "mine.b": 2.0})
+    assert make_first_trial(space) == pytest.approx({"mine.a": 0.1, "mine.b": 2.0})
 
 
 def test_only_the_vehicle_that_gains_were_shipped_for_has_them() -> None:
-    rule = rule_based(MKZ)
-    own, other = manual_vectors(rule, shipped=True), manual_vectors(rule, shipped=False)
+    rule = compute_rule_based(MKZ)
+    own, other = list_manual_vectors(rule, shipped=True), list_manual_vectors(rule, shipped=False)
     assert list(own) == [*BASELINES, "rule_based"] and own["rule_based"] == other["rule_based"] == rule
     assert not set(other) & set(BASELINES) and all(name == "rule_based" or "borrowed" in name for name in other)
     assert other["borrowed_mrac_on"] == BASELINES["mrac_on"] and other["borrowed"]["look_ahead_m"] == 0.0
-    assert opening(own) == BASELINES["mrac_on"] and opening(other) == rule
+    assert select_first_baseline(own) == BASELINES["mrac_on"] and select_first_baseline(other) == rule
 
 
 def test_a_study_can_open_with_rule_based() -> None:
-    space = resolve("complete", [])
-    rule = rule_based(MKZ)
-    first = first_trial(space, rule)
-    assert first == space.fit({name: rule[name] for name in space.names}) != first_trial(space)
+    space = resolve_space("complete", [])
+    rule = compute_rule_based(MKZ)
+    first = make_first_trial(space, rule)
+    assert first == space.clip({name: rule[name] for name in space.names}) != make_first_trial(space)
 
 
 def test_of_a_baseline_only_what_lies_outside_the_box_is_moved() -> None:
     manual = BASELINES["as_shipped"]
-    inside = resolve("complete", []).fit(manual)
+    inside = resolve_space("complete", []).clip(manual)
     assert [name for name, value in inside.items() if value != pytest.approx(manual[name])] == ["lqr.q2", "lqr.q4"]
 
 
 def test_rules_give_a_complete_vector_that_scales_as_it_should() -> None:
-    values = rule_based(MKZ)
+    values = compute_rule_based(MKZ)
     assert tuple(check_complete(values)) == NAMES
-    quick = rule_based(MKZ._replace(drive_dead_time_s=0.04, drive_lag_s=0.1, loop_delay_s=0.01))
+    quick = compute_rule_based(MKZ._replace(drive_dead_time_s=0.04, drive_lag_s=0.1, loop_delay_s=0.01))
     for name, power in (("speed.kp_low", 1), ("speed.ki_high", 2), ("station.kp", 1)):
         assert quick[name] == pytest.approx(values[name] * (0.22 / 0.1) ** power)
-    assert rule_based(MKZ._replace(lateral_accel_mps2=2.5))["lqr.q1"] < 0.3 * values["lqr.q1"]
-    assert rule_based(MKZ._replace(speed_mps=1.0))["lqr.q3"] == pytest.approx((8.2 / 16.0 / 0.5236) ** 2)
+    assert compute_rule_based(MKZ._replace(lateral_accel_mps2=2.5))["lqr.q1"] < 0.3 * values["lqr.q1"]
+    assert compute_rule_based(MKZ._replace(speed_mps=1.0))["lqr.q3"] == pytest.approx((8.2 / 16.0 / 0.5236) ** 2)
     assert values["mrac.t_ref_s"] == 0.12
 
 
@@ -104,19 +104,19 @@ def closed_loop(values: dict[str, float], seconds: float) -> np.ndarray:
 
 
 def test_the_rules_close_a_loop_that_is_stable_and_calm() -> None:
-    rows = closed_loop(rule_based(MKZ), 30.0)
+    rows = closed_loop(compute_rule_based(MKZ), 30.0)
     assert np.all(np.abs(rows[-1]) < 0.01)
     assert rows[:, 0].min() > -0.35  # overshoot of the station
-    assert not np.all(np.abs(closed_loop({**rule_based(MKZ), "speed.kp_low": 12.0}, 30.0)[-1]) < 0.01)
+    assert not np.all(np.abs(closed_loop({**compute_rule_based(MKZ), "speed.kp_low": 12.0}, 30.0)[-1]) < 0.01)
 
 
 @pytest.mark.parametrize("change", [{"steer_lag_s": 0.0}, {"speed_mps": -1.0}, {"steer_ratio": math.nan}])
 def test_rules_without_their_numbers_are_refused(change: dict[str, float]) -> None:
     with pytest.raises(InputError) as caught:
-        rule_based(MKZ._replace(**change))
+        compute_rule_based(MKZ._replace(**change))
     assert caught.value.key == next(iter(change))
     with pytest.raises(InputError, match="delay"):
-        rule_based(MKZ._replace(drive_dead_time_s=0.0, drive_lag_s=0.0, loop_delay_s=0.0))
+        compute_rule_based(MKZ._replace(drive_dead_time_s=0.0, drive_lag_s=0.0, loop_delay_s=0.0))
 
 
 def test_the_lag_of_a_second_order_actuator() -> None:
@@ -126,4 +126,4 @@ def test_the_lag_of_a_second_order_actuator() -> None:
     for k in range(30_000):
         rate += (natural_radps**2 * (k * dt_s - angle) - 2.0 * damping * natural_radps * rate) * dt_s
         angle += rate * dt_s
-    assert 3.0 - angle == pytest.approx(lag_of_order_2_s(natural_radps / (2.0 * math.pi), damping), abs=2e-4)
+    assert 3.0 - angle == pytest.approx(equivalent_lag_s(natural_radps / (2.0 * math.pi), damping), abs=2e-4)

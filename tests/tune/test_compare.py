@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.tune.compare import best_baseline
+from tunefree_hil.tune.compare import find_best_baseline
 from tunefree_hil.tune.study import Baseline
 
 
 def test_the_best_baseline_says_that_it_replanned() -> None:
     drives = {"left_turn": {"replans": 1}, "u_turn": {"replans": 2}, "straight": {}}
     baselines = {"as_shipped": Baseline({}, 0.9, {}), "mrac_on": Baseline({}, 0.7, drives)}
-    assert best_baseline(baselines) == ("mrac_on", 0.7, 3)
+    assert find_best_baseline(baselines) == ("mrac_on", 0.7, 3)
     with pytest.raises(InputError):
-        best_baseline({})
+        find_best_baseline({})

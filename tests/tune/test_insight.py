@@ -10,8 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tunefree_hil.control.parameters import box32
-from tunefree_hil.tune.insight import FEWEST, edge_of, edges, importance, rank_correlation, slice_points
-from tunefree_hil.tune.space import Axis, Space, resolve
+from tunefree_hil.tune.insight import (
+    MIN_TRIALS,
+    choose_slice_points,
+    compute_importance,
+    describe_edges,
+    find_edge,
+    rank_correlation,
+)
+from tunefree_hil.tune.space import Axis, Space, resolve_space
 from tunefree_hil.tune.study import Trial
 
 LOG = Axis("a", *box32(0.01, 1.0), True)  # as every box is: rounded inward to binary32
@@ -27,8 +34,8 @@ def trials(n: int, seed: int = 1) -> list[Trial]:
     found = []
     for slot in range(n):
         values = {
-            "a": LOG.fit(math.exp(chance.uniform(math.log(0.01), 0.0))),
-            "b": LINEAR.fit(chance.uniform(0.0, 2.0)),
+            "a": LOG.clip(math.exp(chance.uniform(math.log(0.01), 0.0))),
+            "b": LINEAR.clip(chance.uniform(0.0, 2.0)),
             "c": float(chance.integers(4)),
             "d": float(chance.integers(2)),
         }
@@ -38,7 +45,7 @@ def trials(n: int, seed: int = 1) -> list[Trial]:
 
 
 def test_what_matters_comes_first() -> None:
-    found = importance(SPACE, trials(300))
+    found = compute_importance(SPACE, trials(300))
     assert next(iter(found)) == "a"
     shares = [one.share for one in found.values() if one.share is not None]
     assert len(shares) == 4 and sum(shares) == pytest.approx(1.0) and shares == sorted(shares, reverse=True)
@@ -48,13 +55,13 @@ def test_what_matters_comes_first() -> None:
 
 
 def test_importance_is_a_function_of_the_trials() -> None:
-    assert importance(SPACE, trials(40)) == importance(SPACE, trials(40))
+    assert compute_importance(SPACE, trials(40)) == compute_importance(SPACE, trials(40))
 
 
 def test_few_trials_have_ranks_only() -> None:
-    found = importance(SPACE, trials(FEWEST - 1))
-    assert all(one.share is None and one.n == FEWEST - 1 for one in found.values())
-    assert all(one.rank == 0.0 for one in importance(SPACE, trials(1)).values())
+    found = compute_importance(SPACE, trials(MIN_TRIALS - 1))
+    assert all(one.share is None and one.n == MIN_TRIALS - 1 for one in found.values())
+    assert all(one.rank == 0.0 for one in compute_importance(SPACE, trials(1)).values())
 
 
 @given(st.lists(st.integers(-50, 50), min_size=3, max_size=20, unique=True))
@@ -83,22 +90,22 @@ def test_equal_values_share_their_rank() -> None:
     ],
 )
 def test_edges_are_two_percent_of_the_range(axis: Axis, value: float, edge: str) -> None:
-    assert edge_of(axis, value) == edge
+    assert find_edge(axis, value) == edge
 
 
 def test_an_edge_in_words() -> None:
     values = {"a": 0.01, "b": 1.0, "c": 1.0, "d": 1.0}
-    assert edges(SPACE, values) == ["a sits on the lower edge of its box (0.01 to 1): widen it"]
+    assert describe_edges(SPACE, values) == ["a is at the lower edge of its range (0.01 to 1): widen the range"]
 
 
-@given(st.sampled_from([*SPACE.axes, *resolve("complete", []).axes]), st.integers(2, 30))
+@given(st.sampled_from([*SPACE.axes, *resolve_space("complete", []).axes]), st.integers(2, 30))
 def test_slices_reach_both_edges_and_stay_in_the_box(axis: Axis, points: int) -> None:
-    found = slice_points(axis, points)
+    found = choose_slice_points(axis, points)
     assert (found[0], found[-1]) == (axis.low, axis.high)
-    assert found == sorted(set(found)) and all(axis.fit(value) == value for value in found)
+    assert found == sorted(set(found)) and all(axis.clip(value) == value for value in found)
     assert len(found) == (min(points, len(axis.grid)) if axis.grid else points)
 
 
 def test_one_point_is_no_slice() -> None:
     with pytest.raises(ValueError, match="two"):
-        slice_points(LOG, 1)
+        choose_slice_points(LOG, 1)

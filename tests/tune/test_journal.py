@@ -13,6 +13,7 @@ from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.tune.journal import Journal, open_journal, slot_key
 from tunefree_hil.tune.study import read_study
 from tunefree_hil.tune.trial import Evaluation
+from tunefree_hil.tune.trial_loop import run_generations
 
 ASKED = settings("tpe_independent")._replace(in_flight=4)
 Points = Mapping[int, dict[str, float]]
@@ -26,7 +27,7 @@ def answer(points: Points) -> list[Evaluation]:
 def whole(tmp_path: Path) -> Journal:
     """Three generations that nobody disturbed."""
     journal = open_journal(tmp_path / "whole.jsonl", ASKED)
-    list(journal.run_all(12, answer))
+    list(run_generations(journal, 12, answer))
     return journal
 
 
@@ -43,7 +44,7 @@ def test_cut_off_anywhere_it_goes_on_to_the_same_trials(whole: Journal, tmp_path
     for place in range(0, len(text), max(1, len(text) // 23)):
         cut.write_bytes(text[:place])
         journal = open_journal(cut, ASKED)
-        list(journal.run_all(12, answer))
+        list(run_generations(journal, 12, answer))
         assert journal.trials() == whole.trials()
         assert cut.read_bytes() == text
 
@@ -60,9 +61,9 @@ def test_an_interruption_is_kept_as_one_and_costs_a_generation(whole: Journal, t
         return answer(points)
 
     with pytest.raises(KeyboardInterrupt):
-        list(journal.run_all(12, interrupted))
+        list(run_generations(journal, 12, interrupted))
     assert [trial.error for trial in open_journal(journal.path, ASKED).failures()] == ["interrupted"] * 4
-    list(journal.run_all(12, answer))
+    list(run_generations(journal, 12, answer))
     assert journal.trials() == whole.trials()
 
 
@@ -75,12 +76,12 @@ def test_one_that_fails_is_asked_again_alone(whole: Journal, tmp_path: Path) -> 
         lost = len(asked) == 2
         return [Evaluation(0.0, {}, error="lost") if lost and slot == 6 else bowl(p) for slot, p in points.items()]
 
-    told = list(journal.run_all(12, one_fails))
+    told = list(run_generations(journal, 12, one_fails))
     assert asked == [[0, 1, 2, 3], [4, 5, 6, 7], [6], [8, 9, 10, 11]]
     assert [trial.slot for trial in told if trial.error] == [6]
     assert journal.trials() == whole.trials()
     with pytest.raises(BenchError, match="for good"):
-        list(journal.run_all(16, lambda points: [Evaluation(0.0, {}, error="for good")] * len(points)))
+        list(run_generations(journal, 16, lambda points: [Evaluation(0.0, {}, error="for good")] * len(points)))
 
 
 def test_other_settings_and_other_files_are_refused(whole: Journal, tmp_path: Path) -> None:
@@ -89,35 +90,35 @@ def test_other_settings_and_other_files_are_refused(whole: Journal, tmp_path: Pa
     other = tmp_path / "other.jsonl"
     for text in ('{"schema": "tunefree.other/1"}\n', "no JSON\n", "[1]\n"):
         other.write_text(text)
-        with pytest.raises(InputError, match="no list of trials"):
+        with pytest.raises(InputError, match="not a list of trials"):
             open_journal(other, ASKED)
 
 
 def test_two_processes_cannot_fill_one_list(whole: Journal) -> None:
-    running = open_journal(whole.path, ASKED).run_all(16, answer)
+    running = run_generations(open_journal(whole.path, ASKED), 16, answer)
     next(running)
     with pytest.raises(InputError, match="another process"):
-        list(whole.run_all(16, answer))
+        list(run_generations(whole, 16, answer))
     running.close()
 
 
 def test_what_the_bus_confirms_stands_beside_the_batch(whole: Journal) -> None:
     whole.add_baseline("as_shipped", {**FIRST, "more": 1.0}, bowl(FIRST))
-    whole.confirm("as_shipped", Evaluation(0.25, {}))
-    whole.confirm(slot_key(3), bowl(whole.trials()[3].parameters))
+    whole.store_confirmation("as_shipped", Evaluation(0.25, {}))
+    whole.store_confirmation(slot_key(3), bowl(whole.trials()[3].parameters))
     again = open_journal(whole.path, ASKED)
     assert again.baselines() == whole.baselines() and again.baselines()["as_shipped"].parameters["more"] == 1.0
-    assert again.confirmed()["as_shipped"].score == 0.25
-    assert again.confirmed()[slot_key(3)].score == again.trials()[3].score
+    assert again.confirmations()["as_shipped"].score == 0.25
+    assert again.confirmations()[slot_key(3)].score == again.trials()[3].score
 
 
 def test_the_copy_is_a_study_that_grows(whole: Journal, tmp_path: Path) -> None:
     path = tmp_path / "study.db"
     path.write_text("what a full disk left behind")
-    whole.mirror(path)
-    list(whole.run_all(16, answer))
+    whole.copy_to(path)
+    list(run_generations(whole, 16, answer))
     whole.add_baseline("as_shipped", FIRST, bowl(FIRST))
-    whole.mirror(path)
+    whole.copy_to(path)
     with read_study(path) as study:
         assert study.trials() == whole.trials() and len(study.trials()) == 16
         assert study.baselines() == whole.baselines()

@@ -1,4 +1,4 @@
-"""Workers on one study in a real PostgreSQL: no slot twice, none lost, whoever is killed (design D13, D14)."""
+"""Workers on one study in a real PostgreSQL: no slot twice, none lost, whoever is killed (docs/reference/design.md)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.jobs.command import start as start_command
 from tests.tune.drive_study import bowl, settings
 from tests.tune.postgres import PASSWORD, USER, Server, needs_server, running
 from tunefree_hil.base.errors import BenchError, InputError
-from tunefree_hil.tune.shared.server import address_of, open_storage
+from tunefree_hil.tune.shared.server import open_storage, parse_address
 from tunefree_hil.tune.shared.shared_study import SharedStudy, join_study
 from tunefree_hil.tune.study import read_study
 from tunefree_hil.tune.trial import Evaluation, Trial
@@ -80,7 +80,7 @@ def joined(url: str, folder: Path, patience_s: float = 5.0) -> SharedStudy:
 
 def failures(url: str, folder: Path) -> list[Trial]:
     with joined(url, folder) as study:
-        return study.slots.failures()
+        return study.shared_trials.stored.failures()
 
 
 def whole(url: str, folder: Path, trials: int) -> list[Trial]:
@@ -89,9 +89,9 @@ def whole(url: str, folder: Path, trials: int) -> list[Trial]:
         found = study.trials()
         assert [trial.slot for trial in found] == list(range(trials))
         assert all(trial.score == bowl(trial.parameters).score for trial in found)
-        complete = [one for one in study.slots._optuna.get_trials() if one.state.name == "COMPLETE"]
+        complete = [one for one in study.shared_trials.stored.optuna_study.get_trials() if one.state.name == "COMPLETE"]
         assert len(complete) == trials, "a slot was filled twice"
-        assert not study.slots._running()
+        assert not study.shared_trials._running()
         return found
 
 
@@ -132,31 +132,34 @@ def test_an_interrupted_worker_gives_its_slot_back_at_once(server: Server, tmp_p
     worker.process.communicate(timeout=30)
     assert [(trial.slot, trial.error) for trial in failures(url, tmp_path)] == [(0, "interrupted")]
     with joined(url, tmp_path) as study:
-        assert study.claims.take(0)
+        assert study.leases.acquire(0)
 
 
 def test_a_worker_taken_for_dead_is_still_heard(server: Server, tmp_path: Path) -> None:
     url = server.url("slow")
     with joined(url, tmp_path) as slow, joined(url, tmp_path) as quick:
-        begun = slow.slots.begin(0, "slow")
-        again = quick.slots.begin(0, "quick")  # it looked as if slow were gone
+        begun = slow.shared_trials.begin(0, "slow")
+        again = quick.shared_trials.begin(0, "quick")  # it looked as if slow were gone
         assert again.parameters == begun.parameters
-        assert slow.slots.settle(begun, bowl(begun.parameters)) is not None
-        assert quick.slots.settle(again, bowl(again.parameters)) is None
-        assert slow.slots.settle(begun, bowl(begun.parameters)) is not None or len(slow.slots.trials()) == 1
+        assert slow.shared_trials.complete(begun, bowl(begun.parameters)) is not None
+        assert quick.shared_trials.complete(again, bowl(again.parameters)) is None
+        assert (
+            slow.shared_trials.complete(begun, bowl(begun.parameters)) is not None
+            or len(slow.shared_trials.stored.trials()) == 1
+        )
     whole(url, tmp_path, 1)
 
 
 def test_what_is_kept_for_a_study_that_was_lost_is_told_nobody_elses_trial(server: Server, tmp_path: Path) -> None:
     with joined(server.url("lost"), tmp_path) as lost:
-        kept = [lost.slots.begin(slot, "us") for slot in (0, 1)]
+        kept = [lost.shared_trials.begin(slot, "us") for slot in (0, 1)]
     url = server.url("made-anew")
     with joined(url, tmp_path) as study:
-        theirs = study.slots.begin(1, "another")  # number 0, as ours of slot 0 was in the study that is gone
+        theirs = study.shared_trials.begin(1, "another")  # number 0, as ours of slot 0 was in the study that is gone
         assert theirs.number == kept[0].number
-        told = [study.slots.settle(one, bowl(one.parameters)) for one in kept]
+        told = [study.shared_trials.complete(one, bowl(one.parameters)) for one in kept]
         assert [one and one.slot for one in told] == [0, 1]
-        assert study.slots.settle(theirs, bowl(theirs.parameters)) is None, "it was filled meanwhile"
+        assert study.shared_trials.complete(theirs, bowl(theirs.parameters)) is None, "it was filled meanwhile"
     whole(url, tmp_path, 2)
 
 
@@ -219,13 +222,13 @@ def test_a_bench_that_fails_is_told_and_asked_again(server: Server, tmp_path: Pa
         return [bowl(parameters) for parameters in points.values()]
 
     with joined(server.url("fails"), tmp_path) as study:
-        told = [one for one in study.run_all(1, evaluate) if isinstance(one, Trial)]
+        told = [one for one in study.run_trials(1, evaluate) if isinstance(one, Trial)]
         assert [bool(one.error) for one in told] == [True, False]
         assert told[0].parameters == told[1].parameters
         with pytest.raises(BenchError, match="for good"):
             lost = BenchError("lost for good", code="node_lost")
-            list(study.run_all(2, lambda _: [Evaluation(0.0, {}, error=lost.message)]))
-        assert study.claims.take(1)
+            list(study.run_trials(2, lambda _: [Evaluation(0.0, {}, error=lost.message)]))
+        assert study.leases.acquire(1)
 
 
 def test_two_workers_of_tune_one_of_them_killed(server: Server, tmp_path: Path) -> None:
@@ -262,7 +265,7 @@ def test_two_workers_of_tune_one_of_them_killed(server: Server, tmp_path: Path) 
 
 def complete(url: str) -> list[optuna.trial.FrozenTrial]:
     """The trials that Optuna itself counts as complete."""
-    address = address_of(url)
+    address = parse_address(url)
     storage = open_storage(address)
     try:
         study = optuna.load_study(study_name=address.name, storage=storage)

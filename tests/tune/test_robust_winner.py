@@ -1,4 +1,4 @@
-"""Which trial wins: what holds in both cars before what does not, the best mean of those, and nobody is missed."""
+"""Which trial wins: robust trials before the others, the best mean of those, and no possible winner is missed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tunefree_hil.tune.journal import slot_key
-from tunefree_hil.tune.robust_winner import Came, ahead, came_of, holds, mean_of, passed_over, ranked
+from tunefree_hil.tune.robust_winner import (
+    DriveTotals,
+    drive_totals,
+    find_open_trials,
+    find_rejected_trials,
+    is_robust,
+    mean_score,
+    rank_trials,
+)
 from tunefree_hil.tune.trial import Trial
 
 
@@ -19,10 +27,10 @@ def trial(slot: int, score: float, replans: int = 0, outcome: str = "finished") 
     return Trial(slot, slot, {"x": float(slot)}, score, drives)
 
 
-def driven(trials: Sequence[Trial], slower: Mapping[str, Came]) -> dict[str, Came]:
+def driven(trials: Sequence[Trial], slower: Mapping[str, DriveTotals]) -> dict[str, DriveTotals]:
     """What is known when all that may win has been driven, one after the other."""
-    known: dict[str, Came] = {}
-    while wanted := ahead(trials, known):
+    known: dict[str, DriveTotals] = {}
+    while wanted := find_open_trials(trials, known):
         key = slot_key(wanted[0].slot)
         known[key] = slower[key]
     return known
@@ -30,40 +38,44 @@ def driven(trials: Sequence[Trial], slower: Mapping[str, Came]) -> dict[str, Cam
 
 def test_a_better_grade_that_does_not_hold_is_passed_over() -> None:
     trials = [trial(0, 0.150), trial(1, 0.143), trial(2, 0.160), trial(3, 0.155)]
-    slower = {"trial 1": Came(0.19, 0, 0), "trial 2": Came(4.4, 12, 2), "trial 3": Came(0.17, 0, 0)}
-    slower["trial 4"] = Came(0.60, 1, 0)
-    assert [one.slot for one in ranked(trials, slower)] == [2, 0, 3, 1]
-    assert [one.slot for one in passed_over(trials, slower)] == [1, 0, 3]
-    assert not holds(trials[1], slower) and holds(trials[2], slower)
-    assert mean_of(trials[2], slower) == pytest.approx(0.165)
+    slower = {
+        "trial 1": DriveTotals(0.19, 0, 0),
+        "trial 2": DriveTotals(4.4, 12, 2),
+        "trial 3": DriveTotals(0.17, 0, 0),
+    }
+    slower["trial 4"] = DriveTotals(0.60, 1, 0)
+    assert [one.slot for one in rank_trials(trials, slower)] == [2, 0, 3, 1]
+    assert [one.slot for one in find_rejected_trials(trials, slower)] == [1, 0, 3]
+    assert not is_robust(trials[1], slower) and is_robust(trials[2], slower)
+    assert mean_score(trials[2], slower) == pytest.approx(0.165)
 
 
 def test_without_the_slower_car_the_best_grade_wins() -> None:
     trials = [trial(0, 0.2), trial(1, 0.1), trial(2, 0.1)]
-    assert [one.slot for one in ranked(trials, {})] == [1, 2, 0]
-    assert passed_over(trials, {}) == [] and passed_over([], {}) == []
+    assert [one.slot for one in rank_trials(trials, {})] == [1, 2, 0]
+    assert find_rejected_trials(trials, {}) == [] and find_rejected_trials([], {}) == []
 
 
 def test_where_none_holds_the_best_mean_of_what_was_driven_wins() -> None:
     trials = [trial(0, 0.2), trial(1, 0.1), trial(2, 0.05, replans=1)]
-    slower = {"trial 1": Came(0.6, 1, 0), "trial 2": Came(5.0, 9, 3)}
-    assert [one.slot for one in ranked(trials, slower)] == [0, 1, 2]
-    assert [one.slot for one in passed_over(trials, slower)] == [2, 1]
+    slower = {"trial 1": DriveTotals(0.6, 1, 0), "trial 2": DriveTotals(5.0, 9, 3)}
+    assert [one.slot for one in rank_trials(trials, slower)] == [0, 1, 2]
+    assert [one.slot for one in find_rejected_trials(trials, slower)] == [2, 1]
 
 
 def test_what_is_not_calm_as_it_is_is_not_driven_and_never_holds() -> None:
     trials = [trial(0, 0.1, replans=1), trial(1, 0.2, outcome="left_lane"), trial(2, 0.3)]
-    assert [one.slot for one in ahead(trials, {})] == [2]
-    assert not holds(trials[0], {"trial 1": Came(0.1, 0, 0)})
-    assert not came_of(0.2, trials[1].scenarios).calm and came_of(0.3, trials[2].scenarios).calm
+    assert [one.slot for one in find_open_trials(trials, {})] == [2]
+    assert not is_robust(trials[0], {"trial 1": DriveTotals(0.1, 0, 0)})
+    assert not drive_totals(0.2, trials[1].scenarios).is_clean and drive_totals(0.3, trials[2].scenarios).is_clean
 
 
 def test_it_stops_where_no_grade_can_win_any_more() -> None:
     trials = [trial(slot, 0.1 + 0.01 * slot) for slot in range(9)]
-    slower = {slot_key(slot): Came(0.16 + 0.01 * slot, 0, 0) for slot in range(9)}
+    slower = {slot_key(slot): DriveTotals(0.16 + 0.01 * slot, 0, 0) for slot in range(9)}
     known = driven(trials, slower)
     assert list(known) == ["trial 1"] + [slot_key(slot) for slot in range(1, 3)]  # 0.13 is the first one's mean
-    assert ranked(trials, known)[0].slot == 0
+    assert rank_trials(trials, known)[0].slot == 0
 
 
 SCORES = st.floats(0.01, 1.0)
@@ -73,14 +85,14 @@ SCORES = st.floats(0.01, 1.0)
 def test_whoever_is_not_driven_would_not_have_won(sets: list[tuple[float, float, bool, bool]]) -> None:
     trials = [trial(slot, score, replans=int(restless)) for slot, (score, _, restless, _) in enumerate(sets)]
     whole = {
-        slot_key(slot): Came(score + more, int(upset), 0)  # a slower car is driven no better
+        slot_key(slot): DriveTotals(score + more, int(upset), 0)  # a slower car is driven no better
         for slot, (score, more, _, upset) in enumerate(sets)
     }
     known = driven(trials, whole)
-    holding = [one for one in trials if holds(one, whole)]
-    winner = ranked(trials, known)[0]
+    holding = [one for one in trials if is_robust(one, whole)]
+    winner = rank_trials(trials, known)[0]
     if holding:
-        assert mean_of(winner, known) == min(mean_of(one, whole) or math.inf for one in holding)
+        assert mean_score(winner, known) == min(mean_score(one, whole) or math.inf for one in holding)
     else:
-        assert all(slot_key(one.slot) in known for one in trials if came_of(one.score, one.scenarios).calm)
-    assert sorted(one.slot for one in ranked(trials, known)) == list(range(len(sets)))
+        assert all(slot_key(one.slot) in known for one in trials if drive_totals(one.score, one.scenarios).is_clean)
+    assert sorted(one.slot for one in rank_trials(trials, known)) == list(range(len(sets)))

@@ -15,16 +15,16 @@ from hypothesis import strategies as st
 from tests.tune.drive_study import SPACE, Parameter
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.tune import sampling
-from tunefree_hil.tune.sampling import SAMPLERS, Told, learned_value, slot_seed, suggest
+from tunefree_hil.tune.sampling import SAMPLERS, ScoredPoint, derive_slot_seed, sampler_value_from_score, suggest_point
 from tunefree_hil.tune.space import Space, make_space
 
 
-def history(space: Space, length: int, score: Any = lambda values: sum(values)) -> list[Told]:
+def history(space: Space, length: int, score: Any = lambda values: sum(values)) -> list[ScoredPoint]:
     """Random trials, which hold every kind of value."""
     told = []
     for slot in range(length):
-        values = suggest(space, [], sampler="random", seed=99, slot=slot)
-        told.append(Told(values, score(values.values())))
+        values = suggest_point(space, [], sampler="random", seed=99, slot=slot)
+        told.append(ScoredPoint(values, score(values.values())))
     return told
 
 
@@ -32,16 +32,16 @@ def history(space: Space, length: int, score: Any = lambda values: sum(values)) 
 @settings(max_examples=15)
 @given(seed=st.integers(0, 2**40), length=st.integers(0, 25), slot=st.integers(0, 1000))
 def test_every_sampler_stays_in_the_box(sampler: str, seed: int, length: int, slot: int) -> None:
-    asked = suggest(SPACE, history(SPACE, length), sampler=sampler, seed=seed, slot=slot)
+    asked = suggest_point(SPACE, history(SPACE, length), sampler=sampler, seed=seed, slot=slot)
     assert tuple(asked) == SPACE.names
-    assert SPACE.fit(asked) == asked  # inside, on the grid, and binary32
+    assert SPACE.clip(asked) == asked  # inside, on the grid, and binary32
 
 
 @pytest.mark.parametrize("sampler", SAMPLERS)
 def test_a_suggestion_is_a_function_of_its_arguments(sampler: str) -> None:
     told = history(SPACE, 20)
-    asked = [suggest(SPACE, told, sampler=sampler, seed=1, slot=20) for _ in range(2)]
-    others = [suggest(SPACE, told, sampler=sampler, seed=seed, slot=slot) for seed, slot in ((1, 21), (2, 20))]
+    asked = [suggest_point(SPACE, told, sampler=sampler, seed=1, slot=20) for _ in range(2)]
+    others = [suggest_point(SPACE, told, sampler=sampler, seed=seed, slot=slot) for seed, slot in ((1, 21), (2, 20))]
     assert asked[0] == asked[1]
     assert all(asked[0] != other for other in others)
 
@@ -50,12 +50,12 @@ def test_a_suggestion_is_a_function_of_its_arguments(sampler: str) -> None:
 def test_equal_scores_are_kept_in_slot_order(sampler: str) -> None:
     """With ties, what counts as good depends on the order; the order of the slots is the one that is kept."""
     told = history(SPACE, 20, lambda _: 1.0)
-    asked = suggest(SPACE, told, sampler=sampler, seed=1, slot=20)
-    assert asked != suggest(SPACE, told[::-1], sampler=sampler, seed=1, slot=20)
+    asked = suggest_point(SPACE, told, sampler=sampler, seed=1, slot=20)
+    assert asked != suggest_point(SPACE, told[::-1], sampler=sampler, seed=1, slot=20)
 
 
 def test_seeds_of_slots_are_unrelated() -> None:
-    seeds = {slot_seed(seed, slot) for seed, slot in itertools.product(range(20), range(50))}
+    seeds = {derive_slot_seed(seed, slot) for seed, slot in itertools.product(range(20), range(50))}
     assert len(seeds) == 1000
     assert max(seeds) < 2**32
 
@@ -69,16 +69,16 @@ def test_the_sampler_is_told_the_logarithm(monkeypatch: pytest.MonkeyPatch) -> N
 
     monkeypatch.setattr(sampling, "create_trial", spied)
     known = history(SPACE, 3)
-    suggest(SPACE, known, sampler="tpe_relative", seed=1, slot=3)
+    suggest_point(SPACE, known, sampler="tpe_relative", seed=1, slot=3)
     assert told == [math.log(one.score) for one in known]
-    assert learned_value(math.e) == pytest.approx(1.0)
-    assert math.isfinite(learned_value(0.0))
-    assert learned_value(0.0) < learned_value(0.01) < learned_value(10.0)
+    assert sampler_value_from_score(math.e) == pytest.approx(1.0)
+    assert math.isfinite(sampler_value_from_score(0.0))
+    assert sampler_value_from_score(0.0) < sampler_value_from_score(0.01) < sampler_value_from_score(10.0)
 
 
 def test_an_unknown_sampler_is_refused() -> None:
     with pytest.raises(InputError, match="no sampler 'tpe'"):
-        suggest(SPACE, [], sampler="tpe", seed=1, slot=0)
+        suggest_point(SPACE, [], sampler="tpe", seed=1, slot=0)
 
 
 def quadratic(values: dict[str, float]) -> float:
@@ -88,10 +88,10 @@ def quadratic(values: dict[str, float]) -> float:
 
 def lowest_found(sampler: str, seed: int, trials: int) -> float:
     space = make_space([Parameter(f"p{i}", 0.01, 1.0) for i in range(4)])
-    told: list[Told] = []
+    told: list[ScoredPoint] = []
     for slot in range(trials):
-        values = suggest(space, told, sampler=sampler, seed=seed, slot=slot)
-        told.append(Told(values, quadratic(values)))
+        values = suggest_point(space, told, sampler=sampler, seed=seed, slot=slot)
+        told.append(ScoredPoint(values, quadratic(values)))
     return min(one.score for one in told)
 
 

@@ -1,4 +1,4 @@
-"""Box edges, binary32 and distributions (interfaces 7 and 8)."""
+"""Box edges, binary32 and distributions (docs/reference/controller.md)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tunefree_hil.base.contracts import Tunable
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ParameterSpec
 from tunefree_hil.control.parameters import BY_NAME, NAMES
-from tunefree_hil.tune.space import from_description, make_space, resolve
+from tunefree_hil.tune.space import make_space, resolve_space, space_from_data
 
 
 def binary32(value: float) -> float:
@@ -28,7 +28,7 @@ def test_edges_go_inward_and_values_stay_inside(low: float, width: float, value:
     high = low + width * max(abs(low), 1e-3)
     axis = make_space([spec(low=low, high=high)]).axes[0]
     assert low <= axis.low < axis.high <= high
-    fitted = axis.fit(value)
+    fitted = axis.clip(value)
     assert axis.low <= fitted <= axis.high
     assert all(binary32(number) == number for number in (axis.low, axis.high, fitted))
 
@@ -42,30 +42,30 @@ def test_edges_are_the_nearest_inside(low: float, width: float) -> None:
 @given(value=st.floats(0.1, 0.7))
 def test_a_fitted_value_is_the_nearest_binary32(value: float) -> None:
     axis = make_space([spec()]).axes[0]
-    assert axis.fit(value) in (binary32(value), axis.low, axis.high)
-    assert axis.fit(axis.fit(value)) == axis.fit(value)
+    assert axis.clip(value) in (binary32(value), axis.low, axis.high)
+    assert axis.clip(axis.clip(value)) == axis.clip(value)
 
 
 @given(place=st.integers(0, 6), off=st.floats(-0.04, 0.04))
 def test_steps_are_the_multiples_from_low(place: int, off: float) -> None:
     axis = make_space([spec(step=0.1)]).axes[0]
     assert axis.grid == tuple(min(max(binary32(0.1 + 0.1 * k), axis.low), axis.high) for k in range(7))
-    assert axis.fit(0.1 + 0.1 * place + off) == axis.grid[place]
+    assert axis.clip(0.1 + 0.1 * place + off) == axis.grid[place]
     assert axis.from_sampler(axis.to_sampler(axis.grid[place])) == axis.grid[place]
     assert axis.to_sampler(axis.grid[place]) == place
 
 
 def test_choices_have_no_order_for_the_sampler() -> None:
     axis = make_space([spec(choices=[4.0, 0.1, 1.0])]).axes[0]
-    assert axis.sampled() == axis.stored()
+    assert axis.sampler_distribution() == axis.stored_distribution()
     assert axis.grid == (binary32(0.1), 1.0, 4.0)
-    assert axis.fit(3.0) == 4.0
+    assert axis.clip(3.0) == 4.0
 
 
 @pytest.mark.parametrize("extra", [{}, {"step": 0.1}, {"choices": [1.0, 2.0]}, {"low": 0.2, "scale": "log"}])
 def test_a_described_space_is_the_same_space(extra: dict[str, object]) -> None:
     space = make_space([spec(**extra), spec(name="q")])
-    assert from_description(space.described()) == space
+    assert space_from_data(space.as_data()) == space
 
 
 @pytest.mark.parametrize(
@@ -73,12 +73,12 @@ def test_a_described_space_is_the_same_space(extra: dict[str, object]) -> None:
     [
         ({"low": 0.0, "scale": "log"}, "log scale"),
         ({"low": -1.0, "scale": "log"}, "log scale"),
-        ({"low": 0.7}, "empty box"),
-        ({"low": 0.7, "high": 0.1}, "empty box"),
-        ({"low": 0.1 + 1e-12, "high": 0.1 + 2e-12}, "empty box"),
-        ({"high": float("inf")}, "box"),
-        ({"high": float("nan")}, "box"),
-        ({"high": 1e39}, "box"),
+        ({"low": 0.7}, "empty range"),
+        ({"low": 0.7, "high": 0.1}, "empty range"),
+        ({"low": 0.1 + 1e-12, "high": 0.1 + 2e-12}, "empty range"),
+        ({"high": float("inf")}, "range"),
+        ({"high": float("nan")}, "range"),
+        ({"high": 1e39}, "range"),
         ({"step": 0.1, "scale": "log"}, "steps on a log scale"),
         ({"step": 0.0}, "step"),
         ({"step": 1.0}, "step"),
@@ -98,10 +98,10 @@ def test_what_does_not_fit_is_refused_by_name(extra: dict[str, object], word: st
 
 @pytest.mark.parametrize(("name", "count"), [("mrac", 2), ("lateral", 6), ("complete", 11)])
 def test_sets_are_those_of_the_interfaces(name: str, count: int) -> None:
-    space = resolve(name, [])
+    space = resolve_space(name, [])
     assert space.names == NAMES[:count]
     assert all(axis.log for axis in space.axes)
-    assert not any(axis.log for axis in resolve(name, [], scale="linear").axes)
+    assert not any(axis.log for axis in resolve_space(name, [], scale="linear").axes)
     for axis in space.axes:
         box = BY_NAME[axis.name].tunable
         assert box.low <= axis.low <= box.low * (1 + 2e-7) and box.high * (1 - 2e-7) <= axis.high <= box.high
@@ -116,14 +116,14 @@ def test_a_listed_parameter_takes_the_box_of_the_table() -> None:
         ParameterSpec(name="mine.gain"),
         ParameterSpec(name="look_ahead_m", scale="linear", step=0.5),
     ]
-    space = resolve("", specs, own=[mine])
-    assert space.axes[0] == resolve("lateral", []).axes[3]
+    space = resolve_space("", specs, announced=[mine])
+    assert space.axes[0] == resolve_space("lateral", []).axes[3]
     assert (space.axes[1].low, space.axes[1].high) == pytest.approx((0.1, 0.2))
     assert space.axes[2].grid == (0.0, 1.0) and space.axes[2].choices
     assert (space.axes[3].low, space.axes[3].high) == (2.0, 3.0)
     assert space.axes[4].grid == tuple(0.5 * k for k in range(11))
     assert space.axes[0].log
-    assert not resolve("", [ParameterSpec(name="lqr.q2", scale="linear")]).axes[0].log
+    assert not resolve_space("", [ParameterSpec(name="lqr.q2", scale="linear")]).axes[0].log
 
 
 @pytest.mark.parametrize(
@@ -138,14 +138,14 @@ def test_a_listed_parameter_takes_the_box_of_the_table() -> None:
 )
 def test_a_tune_table_that_asks_for_nothing_sound(set_name: str, specs: list[ParameterSpec]) -> None:
     with pytest.raises(InputError):
-        resolve(set_name, specs)
+        resolve_space(set_name, specs)
 
 
 def test_fit_takes_each_parameter_on_its_own() -> None:
-    space = resolve("mrac", [])
-    fitted = space.fit({"mrac.t_ref_s": -5.0, "mrac.p": 0.0625, "other": 1.0})
+    space = resolve_space("mrac", [])
+    fitted = space.clip({"mrac.t_ref_s": -5.0, "mrac.p": 0.0625, "other": 1.0})
     assert fitted == {"mrac.t_ref_s": space.axes[0].low, "mrac.p": 0.0625}
     with pytest.raises(InputError, match=r"mrac\.p"):
-        space.fit({"mrac.t_ref_s": 0.1})
+        space.clip({"mrac.t_ref_s": 0.1})
     with pytest.raises(InputError, match="not a number"):
-        space.fit({"mrac.t_ref_s": float("nan"), "mrac.p": 0.05})
+        space.clip({"mrac.t_ref_s": float("nan"), "mrac.p": 0.05})

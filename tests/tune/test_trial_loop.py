@@ -1,4 +1,4 @@
-"""Generations: what a slot is asked for depends on the generations before it, and on nothing else (design D13)."""
+"""Generations: the parameters of a slot depend on the settings and the generations before it, and on nothing else."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from tests.tune.drive_study import FIRST, SPACE, bowl, settings
 from tunefree_hil.tune.sampling import SAMPLERS
-from tunefree_hil.tune.trial import Evaluation, Trial, lowest
-from tunefree_hil.tune.trial_loop import next_slots, points_of
+from tunefree_hil.tune.trial import Evaluation, Trial, find_best_trial
+from tunefree_hil.tune.trial_loop import find_next_slots, suggest_slots
 
 SIZE = 4
 
@@ -23,8 +23,8 @@ def filled(points: Mapping[int, dict[str, float]]) -> list[Trial]:
 def course(sampler: str, trials: int) -> list[Trial]:
     asked = settings(sampler)._replace(in_flight=SIZE)
     done: list[Trial] = []
-    while slots := next_slots({trial.slot for trial in done}, SIZE, trials):
-        done += filled(points_of(asked, done, slots))
+    while slots := find_next_slots({trial.slot for trial in done}, SIZE, trials):
+        done += filled(suggest_slots(asked, done, slots))
     return done
 
 
@@ -34,7 +34,7 @@ def test_a_slot_is_the_same_whatever_of_its_generation_is_missing(sampler: str) 
     asked = settings(sampler)._replace(in_flight=SIZE)
     for slots in ([12], [15], [13, 14], [12, 13, 14, 15]):
         others = [trial for trial in whole if trial.slot not in slots]
-        again = points_of(asked, others, slots)
+        again = suggest_slots(asked, others, slots)
         assert again == {slot: whole[slot].parameters for slot in slots}
     assert whole[0].parameters == FIRST
 
@@ -44,7 +44,7 @@ def test_a_study_cut_short_and_made_longer_is_the_same() -> None:
     whole = course("tpe_independent", 16)
     begun = course("tpe_independent", 13)
     assert begun == whole[:13]
-    assert points_of(asked, begun, next_slots(set(range(13)), SIZE, 16)) == {
+    assert suggest_slots(asked, begun, find_next_slots(set(range(13)), SIZE, 16)) == {
         k: whole[k].parameters for k in (13, 14, 15)
     }
 
@@ -52,7 +52,7 @@ def test_a_study_cut_short_and_made_longer_is_the_same() -> None:
 def test_slots_in_flight_keep_apart() -> None:
     points = [trial.parameters for trial in course("tpe_independent", 16)]
     assert len({tuple(values.values()) for values in points}) == 16
-    assert all(SPACE.fit(values) == values for values in points)
+    assert all(SPACE.clip(values) == values for values in points)
 
 
 def test_generations_learn() -> None:
@@ -63,7 +63,7 @@ def test_generations_learn() -> None:
 
 @given(st.sets(st.integers(0, 30)), st.integers(1, 9), st.integers(0, 30))
 def test_the_next_slots_lie_in_the_first_generation_with_a_gap(filled: set[int], size: int, trials: int) -> None:
-    slots = next_slots(filled, size, trials)
+    slots = find_next_slots(filled, size, trials)
     missing = [slot for slot in range(trials) if slot not in filled]
     assert bool(slots) == bool(missing)
     if slots:
@@ -73,5 +73,5 @@ def test_the_next_slots_lie_in_the_first_generation_with_a_gap(filled: set[int],
 
 def test_the_earliest_of_equals_is_the_best() -> None:
     trials = [Trial(2, 0, {}, 0.5, {}), Trial(1, 1, {}, 0.5, {}), Trial(0, 2, {}, 0.7, {})]
-    assert lowest(trials) == trials[1] and lowest([]) is None
+    assert find_best_trial(trials) == trials[1] and find_best_trial([]) is None
     assert isinstance(bowl(FIRST), Evaluation)

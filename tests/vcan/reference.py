@@ -21,10 +21,10 @@ from tests.jobs.command import finish, new_session, no_orphans, start
 from tests.vcan.peers import HERE, PATIENCE_S, PROGRAM, SCENARIO, controller_of
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.episode_results import Episode
-from tunefree_hil.jobs.running.foreign import program_of, with_command
-from tunefree_hil.jobs.running.session import Session
-from tunefree_hil.jobs.running.trial_driver import Track
+from tunefree_hil.jobs.running.episode_results import EpisodeResult
+from tunefree_hil.jobs.running.foreign import controller_program, with_controller_command
+from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.trial_driver import TrialDriver
 from tunefree_hil.tune.study import read_study
 
 GIVEN = "TUNEFREE_VCAN_REFERENCE"
@@ -57,7 +57,7 @@ class Reference(NamedTuple):
     tune: Tuned
 
 
-def compared(episode: Episode) -> Driven:
+def compared(episode: EpisodeResult) -> Driven:
     """The same of a drive over whatever bus."""
     return Driven(episode.hash, episode.grade.outcome, episode.grade.replans, episode.grade.score)
 
@@ -82,8 +82,8 @@ def made(folder: Path) -> Reference:
     drives = _driven(folder / "drives", bench, bench.spec.scenarios)
     foreign, program = None, controller_of()
     if program is not None:
-        with_it = with_command(bench, PROGRAM.format(program=program))
-        (foreign,) = _driven(folder / "foreign", with_it, [SCENARIO], program_of(with_it)).values()
+        with_it = with_controller_command(bench, PROGRAM.format(program=program))
+        (foreign,) = _driven(folder / "foreign", with_it, [SCENARIO], controller_program(with_it)).values()
     session = new_session()
     with no_orphans(session, ORPHANS_S):
         ended = finish(start(*tune_words(folder / "tune", session, "--bus", "tfhub", "--benches", "1")), PATIENCE_S)
@@ -106,10 +106,10 @@ def reference_of(folder: Path) -> Reference:
 def _driven(folder: Path, bench: Bench, names: Any, command: Any = None) -> dict[str, Driven]:
     run = RunFolder(folder, {})
     words = {"controller_command": command} if command else {}
-    with Session(HERE / "bench.toml", run.words(), session=new_session(), bus="tfhub", **words) as session:
-        track = Track(session, bench, run)
+    with BenchSession(HERE / "bench.toml", run.node_output(), session=new_session(), bus="tfhub", **words) as session:
+        track = TrialDriver(session, bench, run)
         try:
-            episodes = track.drive_all(parameters_of(bench), [bench.scenarios[name] for name in names], 0)
+            episodes = track.drive_scenarios(parameters_of(bench), [bench.scenarios[name] for name in names], 0)
         finally:
             track.close()
     return {name: compared(episode) for name, episode in episodes.items()}

@@ -20,9 +20,9 @@ from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.episode.candump import LogFrame, read_candump
 from tunefree_hil.episode.same_frames import same_frames
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.episode_results import Episode
-from tunefree_hil.jobs.running.session import Session
-from tunefree_hil.jobs.running.trial_driver import Track
+from tunefree_hil.jobs.running.episode_results import EpisodeResult
+from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.trial_driver import TrialDriver
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(3000)]
 
@@ -36,14 +36,14 @@ UNDER_WAY = 10_000  # bytes of a vehicle.log that is being written
 class Driven(NamedTuple):
     """A bench that has driven all scenarios, and is still there."""
 
-    session: Session
-    track: Track
+    session: BenchSession
+    track: TrialDriver
     run: RunFolder
-    episodes: dict[str, Episode]
+    episodes: dict[str, EpisodeResult]
 
-    def again(self, name: str, k: int) -> Episode:
+    def again(self, name: str, k: int) -> EpisodeResult:
         """One more drive, as episode `k`."""
-        return self.track.drive_all(parameters_of(BENCH), [BENCH.scenarios[name]], k)[name]
+        return self.track.drive_scenarios(parameters_of(BENCH), [BENCH.scenarios[name]], k)[name]
 
     def log(self, k: int) -> Path:
         """The vehicle's log of an episode; it has another name while it is written."""
@@ -53,11 +53,11 @@ class Driven(NamedTuple):
 def drive(stack: ExitStack, bus: str, folder: Path) -> Driven:
     """Start a bench and drive every scenario over it."""
     run = RunFolder(folder, {})
-    session = Session(HERE / "bench.toml", run.words(), session=f"vcan-{folder.name}", bus=bus)
-    track = Track(stack.enter_context(session), BENCH, run)
+    session = BenchSession(HERE / "bench.toml", run.node_output(), session=f"vcan-{folder.name}", bus=bus)
+    track = TrialDriver(stack.enter_context(session), BENCH, run)
     stack.callback(track.close)
     scenarios = [BENCH.scenarios[name] for name in FAMILIES]
-    return Driven(session, track, run, track.drive_all(parameters_of(BENCH), scenarios, 0))
+    return Driven(session, track, run, track.drive_scenarios(parameters_of(BENCH), scenarios, 0))
 
 
 class Heard(NamedTuple):

@@ -14,10 +14,10 @@ from tests.vcan.peers import HERE, PATIENCE_S, PROGRAM, SCENARIO, Links, control
 from tests.vcan.reference import EXACT, Reference, compared
 from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.episode_results import Episode
-from tunefree_hil.jobs.running.foreign import program_of, with_command
-from tunefree_hil.jobs.running.session import Session
-from tunefree_hil.jobs.running.trial_driver import Track
+from tunefree_hil.jobs.running.episode_results import EpisodeResult
+from tunefree_hil.jobs.running.foreign import controller_program, with_controller_command
+from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.trial_driver import TrialDriver
 
 pytestmark = [
     pytest.mark.vcan,
@@ -39,7 +39,7 @@ def controller() -> Path:
 class Driven(NamedTuple):
     """An episode with its bench channel's log, and what the bench noted."""
 
-    episode: Episode
+    episode: EpisodeResult
     bench_log: str
     told: str
     notes: list[str]
@@ -48,22 +48,22 @@ class Driven(NamedTuple):
 @pytest.fixture(scope="module")
 def driven(controller: Path, links: Links, _patient_and_lean: None, tmp_path_factory: pytest.TempPathFactory) -> Driven:
     """One scenario of this folder's bench, driven by the C program over two links of the kernel."""
-    bench = with_command(load(HERE / "bench.toml"), PROGRAM.format(program=controller))
+    bench = with_controller_command(load(HERE / "bench.toml"), PROGRAM.format(program=controller))
     run = RunFolder(tmp_path_factory.mktemp("foreign") / "run", {})
-    with Session(
+    with BenchSession(
         HERE / "bench.toml",
-        run.words(),
+        run.node_output(),
         session="vcan-foreign",
         bus=f"socketcan:{links.vehicle}",
         bench_bus=f"socketcan:{links.bench}",
-        controller_command=program_of(bench),
+        controller_command=controller_program(bench),
     ) as session:
-        track = Track(session, bench, run)
+        track = TrialDriver(session, bench, run)
         try:
-            episode = track.drive_all(parameters_of(bench), [bench.scenarios[SCENARIO]], 0)[SCENARIO]
+            episode = track.drive_scenarios(parameters_of(bench), [bench.scenarios[SCENARIO]], 0)[SCENARIO]
         finally:
             track.close()
-        told = "\n".join(path.read_text() for path in run.words().glob("controller.txt"))
+        told = "\n".join(path.read_text() for path in run.node_output().glob("controller.txt"))
         return Driven(episode, (run.episode(0) / "bench.log").read_text(), told, session.notes)
 
 

@@ -19,8 +19,8 @@ from tunefree_hil.bench import load
 from tunefree_hil.bus.open import open_link, resolve_bus
 from tunefree_hil.bus.socketcan.kernel_link import Claim, link_state
 from tunefree_hil.bus.socketcan.link import SocketCanLink
-from tunefree_hil.jobs.machine import NOTE, OK, can_links, which_bus
-from tunefree_hil.jobs.running.node_links import bus_for, sends_fd, usable_bus
+from tunefree_hil.jobs.machine import NOTE, OK, check_bus, check_can_links
+from tunefree_hil.jobs.running.node_links import resolve_process_bus, resolve_vehicle_bus, sends_fd
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(300)]
 BURST = 5000
@@ -122,12 +122,12 @@ def test_a_link_that_goes_down_is_named_at_once(
 
 
 def test_auto_takes_vcan0_and_only_for_one_bench(links: Links) -> None:
-    assert usable_bus("auto", "s", "").vehicle_address == f"socketcan:{links.vehicle}"
+    assert resolve_process_bus("auto", "s", "").vehicle_address == f"socketcan:{links.vehicle}"
     code = f"from tunefree_hil.bus.socketcan.kernel_link import Claim; c = Claim({links.vehicle!r}); input('held')"
     words = [sys.executable, "-c", code]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None and other.stdout.read(4) == "held"
-        choice = usable_bus("auto", "s", "")
+        choice = resolve_process_bus("auto", "s", "")
         assert choice.kind == "tfhub" and f"pid {other.pid}" in choice.why
         with pytest.raises(InputError, match=f"carries another bench of yours already, pid {other.pid}"):
             Claim(links.vehicle)
@@ -148,7 +148,7 @@ def test_a_link_that_is_not_there_or_down_is_refused_with_the_command(links: Lin
     ip("link", "set", "up", links.vehicle)
     ip("link", "del", links.bench)
     with pytest.raises(InputError, match=f"there is no network link {links.bench}"):
-        usable_bus(f"socketcan:{links.vehicle}", "s", f"socketcan:{links.bench}")
+        resolve_process_bus(f"socketcan:{links.vehicle}", "s", f"socketcan:{links.bench}")
 
 
 def test_what_the_kernel_does_not_call_vcan_is_refused(links: Links) -> None:
@@ -160,7 +160,7 @@ def test_what_the_kernel_does_not_call_vcan_is_refused(links: Links) -> None:
             ip("link", "set", "up", name)
         try:
             with pytest.raises(InputError, match=f"{name} is not a vcan link") as caught:
-                usable_bus(f"socketcan:{name}", "s", "")
+                resolve_process_bus(f"socketcan:{name}", "s", "")
             assert caught.value.code == "no_gate"
         finally:
             if name == "vcan9":
@@ -171,30 +171,30 @@ def test_a_classic_link_is_refused_for_a_vehicle_with_fd_frames(links: Links, me
     ip("link", "set", "down", links.vehicle)
     ip("link", "set", links.vehicle, "mtu", "16")
     ip("link", "set", "up", links.vehicle)
-    assert bus_for(load(HERE / "bench.toml"), f"socketcan:{links.vehicle}", "s", "").kind == "socketcan"
+    assert resolve_vehicle_bus(load(HERE / "bench.toml"), f"socketcan:{links.vehicle}", "s", "").kind == "socketcan"
     van = next(bench for bench in one_of_each_vehicle() if sends_fd(bench))
     with pytest.raises(InputError, match=rf"{links.vehicle} is a classic CAN link \(mtu 16\)") as caught:
-        bus_for(van, f"socketcan:{links.vehicle}", "s", "")
+        resolve_vehicle_bus(van, f"socketcan:{links.vehicle}", "s", "")
     for command in caught.value.hint.split(" && "):
         subprocess.run(command.removeprefix("sudo ").split(), check=True)
-    assert bus_for(van, f"socketcan:{links.vehicle}", "s", "").kind == "socketcan"
+    assert resolve_vehicle_bus(van, f"socketcan:{links.vehicle}", "s", "").kind == "socketcan"
 
 
 # --- doctor ------------------------------------------------------------------------------------------------------
 
 
 def test_doctor_says_what_there_is(links: Links) -> None:
-    found = list(can_links())
+    found = list(check_can_links())
     assert [(one.kind, one.text.split(" (")[0]) for one in found] == [(OK, f"{name} is up") for name in links]
     assert all("vcan, mtu 72 (classic CAN and CAN FD)" in one.text for one in found)
-    assert f"SocketCAN {links.vehicle}, because it is up" in which_bus("auto").text
+    assert f"SocketCAN {links.vehicle}, because it is up" in check_bus("auto").text
 
 
 def test_what_doctor_says_creates_the_links(links: Links, mended: None) -> None:
     """Its commands, word for word but for sudo and modprobe: an emulated machine has its modules loaded."""
     for name in links:
         ip("link", "del", name)
-    missing = [one for one in can_links() if one.kind == NOTE]
+    missing = [one for one in check_can_links() if one.kind == NOTE]
     assert len(missing) == len(links)
     for one in missing:
         for command in one.remedy.split(" && "):
@@ -203,4 +203,4 @@ def test_what_doctor_says_creates_the_links(links: Links, mended: None) -> None:
                 subprocess.run(words, check=True)
     for name in links:
         assert link_state(name)[:4] == (True, True, "vcan", 72)
-    assert all(one.kind == OK for one in can_links())
+    assert all(one.kind == OK for one in check_can_links())

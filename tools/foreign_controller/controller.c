@@ -86,7 +86,7 @@ static uint16_t digest(const Frame *frames, int count)
     return (uint16_t)(~crc & 0xFFFF);
 }
 
-/* Supervision (design D11): the drive is over where the lane is left or the car points across the path. */
+/* Supervision (docs/reference/grading.md): the drive is over where the lane is left or the car points across the path. */
 static void supervise(Node *node, uint32_t k)
 {
     int error = fabs(node->drive.heading_rad) > QUARTER_TURN_RAD ? DIVERGED

@@ -11,7 +11,6 @@ from tools.measures._in_process import InProcess
 from tunefree_hil.bench import Bench
 from tunefree_hil.config.dump import to_toml
 from tunefree_hil.config.load import load_scenario
-from tunefree_hil.control.inner.mrac import MracState
 
 SPEED_MPS = 10.0
 # Offsets that a vehicle still has which nobody calibrated lately, beside the model's own noise.
@@ -32,13 +31,13 @@ class _Gains:
         self._steer_rad = 0.0
 
     def __call__(self, state: Any) -> None:
-        inner = next(part for part in state if isinstance(part, MracState))
+        inner = state.inner
         now = (float(inner.gains.x1), float(inner.gains.r))
         if self.ticks == 0:
             self.start = now
         self.ticks += 1
         self.largest = [max(old, abs(a - b)) for old, a, b in zip(self.largest, now, self.start, strict=True)]
-        self._steer_rad = max(self._steer_rad, abs(float(state[-2])))  # the cascade: its last steering command
+        self._steer_rad = max(self._steer_rad, abs(float(state.last_steer_rad)))
         if self.ticks % self.per_minute == 0:
             self.minutes.append(now)
             self.steer_rad.append(self._steer_rad)

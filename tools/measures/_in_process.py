@@ -18,7 +18,7 @@ from tunefree_hil.config.schema import FaultSpec, ScenarioSpec
 from tunefree_hil.episode.candump import FD, LogFrame
 from tunefree_hil.episode.columns import columns_from_frames
 from tunefree_hil.episode.frame_hash import frame_hash
-from tunefree_hil.grade.score import ScenarioGrade, grade, vehicle_of
+from tunefree_hil.grade.score import ScenarioGrade, grade_drive, grade_vehicle_from_spec
 from tunefree_hil.nodes.controller import Assignment, ControllerPart
 from tunefree_hil.nodes.ecu import EcuPart
 from tunefree_hil.nodes.exchange import Exchange, can_key
@@ -88,9 +88,9 @@ class InProcess:
         hashed = frame_hash(drive.frames, bench.dt_s, commands, bench.codec.by_id.keys())
         follower = follower_of(bench, scenario, values)
         recording = columns_from_frames(drive.frames, bench.codec, follower, bench.dt_s, ticks=drive.ticks)
-        vehicle = vehicle_of(bench.vehicle)
+        vehicle = grade_vehicle_from_spec(bench.vehicle)
         course = bench.course(scenario)
-        graded = grade(recording, course, bench.weights, vehicle, scenario=scenario.name, error=drive.error)
+        graded = grade_drive(recording, course, bench.weights, vehicle, scenario=scenario.name, error=drive.error)
         return graded, hashed.hex
 
 

@@ -26,8 +26,8 @@ from tunefree_hil.bus.link import Link
 from tunefree_hil.bus.open import open_link
 from tunefree_hil.bus.tfhub.start import start_hub
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.session import SLOW_VARIABLE, Session
-from tunefree_hil.jobs.running.trial_driver import Track
+from tunefree_hil.jobs.running.session import SLOW_VARIABLE, BenchSession
+from tunefree_hil.jobs.running.trial_driver import TrialDriver
 
 ASK_ID, STOP_ID, READY_ID = 0x100, 0x7FF, 0x7FE
 PATIENCE_S = float(os.environ.get(SLOW_VARIABLE, "60"))
@@ -69,20 +69,20 @@ def drives(bench: Bench, link: str, names: Sequence[str]) -> Iterator[tuple[str,
             found: dict[str, Any] = {"ticks": bench.course(scenario).ticks, "hashes": {}, "wall_s": {}}
             for bus, track in tracks.items():
                 before_s = track.wall_s
-                episodes = track.drive_all(parameters_of(bench), [scenario], k, keep=False)
+                episodes = track.drive_scenarios(parameters_of(bench), [scenario], k, keep=False)
                 found["hashes"][bus] = episodes[name].hash
                 found["wall_s"][bus] = track.wall_s - before_s
             yield name, found
 
 
 @contextmanager
-def _track(bench: Bench, bus: str, name: str) -> Iterator[Track]:
+def _track(bench: Bench, bus: str, name: str) -> Iterator[TrialDriver]:
     """A bench that is up, in a folder that goes with it."""
     with tempfile.TemporaryDirectory() as folder:
         run = RunFolder(Path(folder), {})
         session = f"measure-{os.getpid()}-{name}"
-        with Session(Path(bench.file), run.words(), session=session, bus=bus) as opened:
-            track = Track(opened, bench, run)
+        with BenchSession(Path(bench.file), run.node_output(), session=session, bus=bus) as opened:
+            track = TrialDriver(opened, bench, run)
             try:
                 yield track
             finally:

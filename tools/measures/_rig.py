@@ -16,12 +16,12 @@ from tunefree_hil.bench import Bench, is_heavy
 from tunefree_hil.bench.batch import Batch
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.grade.score import FINISHED
-from tunefree_hil.jobs.identity import identity_of
+from tunefree_hil.jobs.identity import compute_identity
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.episode_results import evaluation_of
-from tunefree_hil.jobs.running.session import Session
-from tunefree_hil.jobs.running.trial_driver import Track
-from tunefree_hil.jobs.tune.evaluators import BatchEvaluator, Candidate
+from tunefree_hil.jobs.running.episode_results import evaluation_from_episodes
+from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.trial_driver import TrialDriver
+from tunefree_hil.jobs.tune.evaluators import BatchEvaluator, VectorCandidate
 from tunefree_hil.tune.trial import Evaluation
 
 _numbers = itertools.count()  # one worker opens several benches, one after the other
@@ -46,7 +46,7 @@ class Rig:
         self.folder = ledger.folder / f"rig-{os.getpid()}-{Path(model).name}"
         self.over_bus = over_bus
         self._batch: BatchEvaluator | None = None
-        self._track: Track | None = None
+        self._track: TrialDriver | None = None
         self._open = ExitStack()
 
     def __enter__(self) -> Self:
@@ -77,32 +77,32 @@ class Rig:
 
     def _over_bus(self, values: Mapping[str, float]) -> Evaluation:
         track = self._track or self._start()
-        return evaluation_of(track.drive_all(values, self.scenarios, 0, keep=False))
+        return evaluation_from_episodes(track.drive_scenarios(values, self.scenarios, 0, keep=False))
 
     def _in_batch(self, values: Mapping[str, float]) -> Evaluation:
         if self._batch is None:
             batch = self._open.enter_context(Batch(self.bench, self.model))
-            self._batch = BatchEvaluator(batch, self.bench, self.scenarios, at_once=1)
-        (evaluation,) = self._batch.evaluate([Candidate(0, values)])
+            self._batch = BatchEvaluator(batch, self.bench, self.scenarios, batch_size=1)
+        (evaluation,) = self._batch.evaluate([VectorCandidate(0, values)])
         return evaluation
 
-    def _start(self) -> Track:
+    def _start(self) -> TrialDriver:
         run = RunFolder(self.folder, {})
-        session = Session(
+        session = BenchSession(
             Path(self.bench.file),
-            run.words(),
+            run.node_output(),
             session=f"measure-{os.getpid()}-{next(_numbers)}",
             model=self.model,
             jitted_ecu=is_heavy(self.bench, self.model),
         )
-        self._track = Track(self._open.enter_context(session), self.bench, run)
+        self._track = TrialDriver(self._open.enter_context(session), self.bench, run)
         self._open.callback(self._track.close)
         return self._track
 
 
 def standing(bench: Bench, model: str, scenarios: Sequence[ScenarioSpec]) -> dict[str, str]:
     """All that a score depends on, but the vector: files and code."""
-    identity = identity_of(bench, model, scenarios)["identity"]
+    identity = compute_identity(bench, model, scenarios)["identity"]
     return {"identity": identity, "model": Path(model).name, "code": code_hash()}
 
 

@@ -1,4 +1,4 @@
-"""One way to make an answer of several readings: median, and how far it can be trusted (interfaces 1)."""
+"""One way to make an answer of several readings: median, and how far it can be trusted (docs/reference/files.md)."""
 
 from __future__ import annotations
 

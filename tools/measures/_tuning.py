@@ -18,11 +18,12 @@ from tools.measures._rig import Rig, failed, replans, standing
 from tools.measures._side_by_side import side_by_side
 from tools.measures._summary import machine, rounded, summary
 from tunefree_hil.bench import Bench, load, parameters_of
-from tunefree_hil.jobs.tune.candidates import baseline_vectors
-from tunefree_hil.tune.baselines import first_trial
-from tunefree_hil.tune.space import resolve
-from tunefree_hil.tune.store import Settings
+from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
+from tunefree_hil.tune.baselines import make_first_trial
+from tunefree_hil.tune.space import resolve_space
+from tunefree_hil.tune.store import StudySettings
 from tunefree_hil.tune.study import Evaluation, open_study
+from tunefree_hil.tune.trial_loop import run_trials
 
 RANDOM = "random"
 Scored = dict[str, Any]
@@ -82,7 +83,7 @@ def measure_tuning(plan: Plan, seeds: int, workers: int) -> tuple[dict[str, Any]
     """(the answer of the measure, scores on the verify model by row of the figure)."""
     before = machine()
     bench = plan.loaded()
-    baselines = baseline_vectors(bench)
+    baselines = compute_baseline_vectors(bench)
     sampler = bench.spec.tune.sampler
     searches = [Search(plan, kind, seed) for seed in range(1, seeds + 1) for kind in (sampler, RANDOM)]
     winners: dict[str, Scored] = {}
@@ -133,7 +134,7 @@ def _same_grades(winners: Mapping[str, Scored], on_model: Mapping[str, Scored]) 
 def standings(rows: Mapping[str, Sequence[float]], judged: Mapping[str, Scored]) -> dict[str, dict[str, Any]]:
     """In how many seeds the tuned vector beats each row; a row of one score stands against every seed.
 
-    A baseline that re-plans or fails is said to do so (interfaces 7).
+    A baseline that re-plans or fails is said to do so (docs/reference/controller.md).
     """
     tuned, found = rows["tuned"], {}
     for name, scores in rows.items():
@@ -155,16 +156,16 @@ def search(job: Search) -> Scored:
     plan, bench = job.plan, job.plan.loaded()
     ledger = Ledger(Path(plan.folder), f"{job.sampler}-{job.seed}")
     asked = bench.spec.tune
-    space = resolve(asked.set, asked.parameters, file=bench.file)
+    space = resolve_space(asked.set, asked.parameters, file=bench.file)
     chosen = [bench.scenarios[name] for name in plan.scenarios]
     depends = {
         **standing(bench, bench.spec.model, chosen),
         "what": "study",
-        "space": space.described(),
+        "space": space.as_data(),
         "sampler": job.sampler,
         "seed": job.seed,
         "trials": plan.trials,
-        "first": first_trial(space),
+        "first": make_first_trial(space),
     }
     known = ledger.find(depends)
     return known if known is not None else ledger.keep(depends, _searched(job, bench, ledger, depends["identity"]))
@@ -173,8 +174,8 @@ def search(job: Search) -> Scored:
 def _searched(job: Search, bench: Bench, ledger: Ledger, identity: str) -> Scored:
     """The study itself, as `tune` runs it. Trials that the ledger knows cost nothing, so a cut-off study goes on."""
     asked = bench.spec.tune
-    space = resolve(asked.set, asked.parameters, file=bench.file)
-    settings = Settings(space, job.seed, job.sampler, identity, first_trial(space))
+    space = resolve_space(asked.set, asked.parameters, file=bench.file)
+    settings = StudySettings(space, job.seed, job.sampler, identity, make_first_trial(space))
     seconds: list[float] = []
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -187,7 +188,7 @@ def _searched(job: Search, bench: Bench, ledger: Ledger, identity: str) -> Score
             seconds.append(scored["seconds"])
             return Evaluation(scored["score"], scored["scenarios"])
 
-        for trial in study.run(job.plan.trials, evaluate):
+        for trial in run_trials(study, job.plan.trials, evaluate):
             if trial.error:
                 _say(f"{job.sampler}, seed {job.seed}, trial {trial.slot + 1} failed, asked again: {trial.error}")
         best = min(study.trials(), key=lambda trial: trial.score)

@@ -12,7 +12,7 @@ import tomli_w
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.control.parameters import BY_NAME, box32
-from tunefree_hil.jobs.drive import Asked, drive
+from tunefree_hil.jobs.drive import DriveOptions, drive
 
 GAINS = (1.0, 1.8, 0.6)  # factors on all tuned gains: drives that differ in more than their noise
 GRADES_RAD = (0.03, -0.03)
@@ -46,7 +46,7 @@ def _driven(bench: Bench, names: list[str], folder: Path, factor: float, grade_r
         file.write_text(tomli_w.dumps(_bench(bench, names, grade_rad)), encoding="utf-8")
         words = [f"{name}={value:.9g}" for name, value in scaled(parameters_of(bench), factor).items()]
         result = ended(
-            drive(Asked(file, model=bench.spec.verify_model, bus="tfhub", seed=seed, out=folder, parameters=words))
+            drive(DriveOptions(file, model=bench.spec.verify_model, bus="tfhub", seed=seed, out=folder, parameters=words))
         )
         logs = sorted(str(path) for path in Path(result["run"]).glob("episodes/*/vehicle.log"))
         done.write_text("\n".join(logs), encoding="utf-8")

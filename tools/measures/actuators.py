@@ -31,7 +31,7 @@ from tunefree_hil.bus.formats.rows import Row
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.episode.candump import write_candump
 from tunefree_hil.learn.actuators import identify
-from tunefree_hil.learn.actuators.samples import pairs_of, up_to_stops
+from tunefree_hil.learn.actuators.samples import clip_to_stops, collect_samples
 from tunefree_hil.learn.compiled_process import CompiledProcess
 from tunefree_hil.learn.data_sheet import read_channel_sheet
 from tunefree_hil.learn.drives.read import read_drives
@@ -139,7 +139,7 @@ def _one(bench: Bench, values: dict[str, float], seconds: float, number: int, wo
     truths = truth_of(values, bench.vehicle.nominal.rest_pedal_frac)
     found = []
     for channel in CHANNELS:
-        parts = up_to_stops(pairs_of(split.training, channel), pairs_of(split.held_out, channel))
+        parts = clip_to_stops(collect_samples(split.training, channel), collect_samples(split.held_out, channel))
         sheet = read_channel_sheet(bench.vehicle, channel)
         one = worker.wait_for_result(identify.fit, *parts, sheet, True)
         found += _rows(channel, truths[channel], one)

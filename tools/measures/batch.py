@@ -18,13 +18,14 @@ from tunefree_hil.base.kernel_cache import FOLDER_VARIABLE
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Batch, Job
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.jobs.tune.candidates import baseline_vectors, opening_of
-from tunefree_hil.jobs.tune.evaluators import BatchEvaluator, Candidate
-from tunefree_hil.tune.baselines import first_trial
+from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors, select_first_vector
+from tunefree_hil.jobs.tune.evaluators import BatchEvaluator, VectorCandidate
+from tunefree_hil.tune.baselines import make_first_trial
 from tunefree_hil.tune.journal import open_journal
-from tunefree_hil.tune.space import resolve
-from tunefree_hil.tune.store import Settings
+from tunefree_hil.tune.space import resolve_space
+from tunefree_hil.tune.store import StudySettings
 from tunefree_hil.tune.trial import Evaluation
+from tunefree_hil.tune.trial_loop import run_generations
 
 VALUE = "seconds to search the complete set in the batch, 800 trials of 7 scenarios with the sampler; compiled before"
 CHUNK = 8  # trials asked for together, as in a search
@@ -88,18 +89,18 @@ def _search_s(
 ) -> tuple[float, float]:
     """(seconds, best score) of a search as `tune --backend batch` makes it."""
     asked = bench.spec.tune
-    space = resolve(asked.set, asked.parameters, file=bench.file)
-    first = first_trial(space, opening_of(baseline_vectors(bench)))
-    settings = Settings(space, seed, asked.sampler, "measured", first, in_flight)
-    evaluator = BatchEvaluator(batch, bench, scenarios, at_once=in_flight)
+    space = resolve_space(asked.set, asked.parameters, file=bench.file)
+    first = make_first_trial(space, select_first_vector(compute_baseline_vectors(bench)))
+    settings = StudySettings(space, seed, asked.sampler, "measured", first, in_flight)
+    evaluator = BatchEvaluator(batch, bench, scenarios, batch_size=in_flight)
 
     def evaluate(points: Mapping[int, dict[str, float]]) -> list[Evaluation]:
-        return evaluator.evaluate([Candidate(slot, parameters_of(bench, one)) for slot, one in points.items()])
+        return evaluator.evaluate([VectorCandidate(slot, parameters_of(bench, one)) for slot, one in points.items()])
 
     with tempfile.TemporaryDirectory() as folder:
         journal = open_journal(Path(folder) / "trials.jsonl", settings)
         started = time.perf_counter()
-        scores = [trial.score for trial in journal.run_all(trials, evaluate)]
+        scores = [trial.score for trial in run_generations(journal, trials, evaluate)]
         return time.perf_counter() - started, min(score for score in scores if score is not None)
 
 

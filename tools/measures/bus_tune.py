@@ -24,7 +24,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.jobs.run_folder import RunFolder, open_run
 from tunefree_hil.jobs.tune.options import TuneOptions
 from tunefree_hil.jobs.tune.tune import tune
-from tunefree_hil.tune.sampling import Told, suggest
+from tunefree_hil.tune.sampling import ScoredPoint, suggest_point
 from tunefree_hil.tune.space import Space
 from tunefree_hil.tune.store import STUDY_NAME
 from tunefree_hil.tune.study import read_study
@@ -43,7 +43,7 @@ class Timed(NamedTuple):
     drives: int
     space: Space
     sampler: str
-    told: list[Told]
+    told: list[ScoredPoint]
     speed_x: float  # of this session's drives together, against real time; nan where all were there before
 
 
@@ -118,7 +118,7 @@ def _read(run: RunFolder, trials: int) -> Timed:
     took_s = {one.user_attrs["slot"]: one.duration.total_seconds() for one in frozen if one.duration is not None}
     drives = [drive for trial in known for drive in trial.scenarios.values()]
     early = sum(drive["outcome"] != "finished" for drive in drives)
-    told = [Told(trial.parameters, trial.score) for trial in known]
+    told = [ScoredPoint(trial.parameters, trial.score) for trial in known]
     # Trials in flight together share their time: each has its part of the generation's.
     seconds = [took_s[trial.slot] / max(1, settings.in_flight) for trial in known]
     return Timed(seconds, early, len(drives), settings.space, settings.sampler, told, float("nan"))
@@ -140,7 +140,7 @@ def _sampling_s(timed: Timed, of: int) -> float:
         walls = []
         for repeat in range(REPEATS):
             started = time.perf_counter()
-            suggest(timed.space, history, sampler=timed.sampler, seed=repeat, slot=known)
+            suggest_point(timed.space, history, sampler=timed.sampler, seed=repeat, slot=known)
             walls.append(time.perf_counter() - started)
         costs.append(float(np.median(walls)))
     return float(np.trapezoid(costs, places))

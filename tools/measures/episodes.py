@@ -25,7 +25,7 @@ DOES = {
     "ours": "by-wire vehicle with delays, lags, noise, bus quantisation and state bits; LQR, MRAC, PID; grade; 100 Hz",
     "highway_env": "BicycleVehicle alone, on one lane, 100 Hz: no actuators, no controller, no grade; pure Python",
 }
-# Seconds an episode of 30 s at 100 Hz, one thread of another machine (opt_anchors D).
+# Seconds an episode of 30 s at 100 Hz, one thread of another machine.
 PUBLISHED = {
     "commonroad-vehicle-models 3.0.2, single-track, RK4, pure Python: plant only": 0.05,
     "f1tenth_gym vehicle_dynamics_st, numba called from Python, RK4: plant only": 0.020,

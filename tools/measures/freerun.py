@@ -22,14 +22,22 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, load
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import ModelSpec
-from tunefree_hil.figures.learning.training import Heading, write_free_run, write_headings
+from tunefree_hil.figures.learning.training import HeadingRun, write_free_run, write_headings
 from tunefree_hil.jobs.learn.calibrate import calibrate
-from tunefree_hil.jobs.learn.learn import Asked, learn
+from tunefree_hil.jobs.learn.learn import learn
+from tunefree_hil.jobs.learn.options import CalibrateOptions, LearnOptions
 from tunefree_hil.learn.compiled_process import CompiledProcess
 from tunefree_hil.learn.drives.read import read_drives
 from tunefree_hil.learn.drives.split import find_complete_parts
-from tunefree_hil.learn.evaluation.free_run import Judged, headings_of, judge_all, reduction, table_of
-from tunefree_hil.learn.evaluation.motion import Track, is_hill, starts_of, tracks_of
+from tunefree_hil.learn.evaluation.free_run import (
+    EvaluationOptions,
+    FreeRunErrors,
+    error_reduction,
+    evaluate_models,
+    run_headings,
+    table_from_errors,
+)
+from tunefree_hil.learn.evaluation.motion import MotionTrack, find_starts, is_hilly, make_motion_tracks
 
 VALUE = "percent that the 10 s position error of hybrid is below the fitted physics', level, unseen drives, mkz_bywire"
 NAME = "freerun"
@@ -67,8 +75,8 @@ def measure(
     with CompiledProcess() as worker:
         judged = judged_on(worker, models, loaded, [*tracks["level"], *tracks["hills"]], every_s)
         heading = heading_on(worker, models, loaded, tracks["level"])
-    tables = {name: table_of(one, seed) for name, one in judged.items()}
-    found = reduction(judged["hybrid"], judged["physics"], 10.0, seed=seed)
+    tables = {name: table_from_errors(one, seed) for name, one in judged.items()}
+    found = error_reduction(judged["hybrid"], judged["physics"], 10.0, seed=seed)
     if found["n"] < LEAST_STARTS:
         print(f"only {found['n']} level starts: {LEAST_STARTS} are asked for", file=sys.stderr)
     detail = {
@@ -101,7 +109,7 @@ def learned(
     """'physics' and every kind, from the same logs and the same split; folders of an earlier call are taken."""
     physics = place / f"physics-{seed}"
     if not physics.is_dir():
-        ended(calibrate(logs, bench.vehicle.folder, physics, seed))
+        ended(calibrate(CalibrateOptions(logs, bench.vehicle.folder, physics, seed)))
     wanted = [(kind, kind, 0.01) for kind in kinds]
     if spacing_s and SPACED in kinds:
         wanted.append((f"{SPACED} at {spacing_s:g} s", SPACED, spacing_s))
@@ -109,31 +117,29 @@ def learned(
     for name, kind, spacing in wanted:
         out = place / f"{name.replace(' ', '-')}-{seed}-{minutes:g}"
         if not out.is_dir():
-            asked = Asked(list(logs), bench.vehicle.folder, out, kind, seed, minutes or None, physics, spacing)
+            asked = LearnOptions(list(logs), bench.vehicle.folder, out, kind, seed, minutes or None, physics, spacing)
             ended(learn(asked))
         models[name] = load_model(out)
     return models
 
 
-def unseen_tracks(logs: Sequence[Path], bench: Bench) -> list[Track]:
+def unseen_tracks(logs: Sequence[Path], bench: Bench) -> list[MotionTrack]:
     """The stretches without a gap of unseen logs."""
     if not logs:
         return []
-    found: list[Track] = []
+    found: list[MotionTrack] = []
     for drive in read_drives(list(logs), bench.codec):
         needed = [name for name in NEEDED if drive.get(name) is not None]
-        found += tracks_of(find_complete_parts(drive, needed), bench.vehicle)
+        found += make_motion_tracks(find_complete_parts(drive, needed), bench.vehicle)
     return found
 
 
 def judged_on(
-    worker: CompiledProcess, models: Mapping[str, ModelSpec], bench: Bench, tracks: Sequence[Track], every_s: float
-) -> dict[str, Judged]:
+    worker: CompiledProcess, models: Mapping[str, ModelSpec], bench: Bench, tracks: Sequence[MotionTrack], every_s: float
+) -> dict[str, FreeRunErrors]:
     """Free run of all models from the same starts; says which one is done."""
-    options = {"every_s": every_s}
-    asked = worker.call(
-        judge_all, models, bench.vehicle, list(tracks), options
-    )
+    options = EvaluationOptions(every_s=every_s)
+    asked = worker.call(evaluate_models, models, bench.vehicle, list(tracks), options)
     while True:
         try:
             print(f"free run of {next(asked)} done", file=sys.stderr, flush=True)
@@ -141,35 +147,35 @@ def judged_on(
             return end.value
 
 
-def heading_on(worker: CompiledProcess, models: Mapping[str, ModelSpec], bench: Bench, tracks: Sequence[Track]) -> Heading:
+def heading_on(worker: CompiledProcess, models: Mapping[str, ModelSpec], bench: Bench, tracks: Sequence[MotionTrack]) -> HeadingRun:
     """The level start whose heading turns most in PICTURE_S. Raises InputError where no drive is that long."""
-    best: tuple[float, Track, int] | None = None
+    best: tuple[float, MotionTrack, int] | None = None
     for track in tracks:
         ahead = round(PICTURE_S / track.dt_s)
-        for row in starts_of(track, round(1.0 / track.dt_s), ahead, round(1.0 / track.dt_s)):
+        for row in find_starts(track, round(1.0 / track.dt_s), ahead, round(1.0 / track.dt_s)):
             turned = float(np.abs(np.diff(track.heading_rad[row : row + ahead])).sum())
-            if not is_hill(track, row, ahead) and (best is None or turned > best[0]):
+            if not is_hilly(track, row, ahead) and (best is None or turned > best[0]):
                 best = (turned, track, row)
     if best is None:
         raise InputError(f"no unseen drive has {PICTURE_S:g} s to show", code="too_short", key="bench")
     _, track, row = best
     kinds = worker.wait_for_result(
-        headings_of, dict(models), bench.vehicle, track, row, PICTURE_S
+        run_headings, dict(models), bench.vehicle, track, row, PICTURE_S
     )
     rows = len(next(iter(kinds.values())))
     time_s = track.dt_s * np.arange(rows, dtype=np.float64)
-    return Heading(
+    return HeadingRun(
         time_s, track.heading_rad[row : row + rows], kinds, f"The unseen start that turns most: {track.name}"
     )
 
 
-def reductions(judged: Mapping[str, Judged], seed: int) -> dict[str, Any]:
+def reductions(judged: Mapping[str, FreeRunErrors], seed: int) -> dict[str, Any]:
     """Of hybrid's 10 s position error against every other kind, level and hills."""
     found: dict[str, Any] = {}
     for ground, hills in (("level", False), ("hills", True)):
-        if bool((judged["hybrid"].hill == hills).any()):
+        if bool((judged["hybrid"].is_on_hill == hills).any()):
             found[ground] = {
-                name: reduction(judged["hybrid"], one, 10.0, hills=hills, seed=seed)
+                name: error_reduction(judged["hybrid"], one, 10.0, hills=hills, seed=seed)
                 for name, one in judged.items()
                 if name != "hybrid"
             }

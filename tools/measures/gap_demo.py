@@ -19,7 +19,7 @@ import msgspec
 
 from tools.measures._ledger import FIGURES, FOLDER, ROOT
 from tools.measures._summary import machine, rounded, summary
-from tunefree_hil.figures.gap.demonstration import Driven, write_demonstration
+from tunefree_hil.figures.gap.demonstration import ParameterSetResult, write_demonstration
 from tunefree_hil.jobs.run_folder import read_json
 
 VALUE = "score on the vehicle after tuning on the repaired model, as a share of that on the old one (by search)"
@@ -71,7 +71,7 @@ def measure(
         "outcome": read_json(place / "said.json")["outcome"],
         "tuned": {name: [one._asdict() for one in some] for name, some in tuned.items()},
         "median": {name: median(one.score for one in some) for name, some in tuned.items()},
-        "holds": {name: sum(one.holds for one in some) for name, some in tuned.items()},
+        "holds": {name: sum(one.is_without_failures for one in some) for name, some in tuned.items()},
         "manual": {"set": best, **manual._asdict()},
     }
     if REPAIRED not in tuned:
@@ -142,10 +142,10 @@ def mirrored(place: Path) -> Path:
     return path
 
 
-def _driven(verified: dict[str, Any], which: str) -> Driven:
+def _driven(verified: dict[str, Any], which: str) -> ParameterSetResult:
     """One set of numbers of a verify.json."""
     drives = verified["scenarios"][which]
-    return Driven(
+    return ParameterSetResult(
         verified["scores"][which],
         {scenario: drive["score"] for scenario, drive in drives.items()},
         sum(drive["replans"] for drive in drives.values()),

@@ -21,8 +21,10 @@ from tools.measures._summary import rounded
 from tools.measures._unseen import ended
 from tools.measures.realcars import DATA, SETS, dart, needed
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.jobs.gap.gap import Asked, gap
+from tunefree_hil.jobs.gap.gap import run_gap
+from tunefree_hil.jobs.gap.options import GapOptions
 from tunefree_hil.jobs.learn.calibrate import calibrate
+from tunefree_hil.jobs.learn.options import CalibrateOptions
 
 VALUE = "recordings of real cars of which a name or a set is said, out of those that were asked; no truth is known"
 NAME = "gap_real"
@@ -93,8 +95,8 @@ def _answer(halves: Halves, place: Path) -> dict[str, Any]:
     model, out = place / "model", place / "gap"
     try:
         if not model.is_dir():
-            ended(calibrate(list(halves.model), str(halves.vehicle), model))
-        ended(gap(Asked(list(halves.asked), str(halves.vehicle), str(model), out)))
+            ended(calibrate(CalibrateOptions(list(halves.model), str(halves.vehicle), model)))
+        ended(run_gap(GapOptions(list(halves.asked), str(halves.vehicle), str(model), out)))
     except InputError as error:
         return {"refused": error.message}
     return told(json.loads((out / "gap.json").read_text(encoding="utf-8")), halves)

@@ -13,8 +13,8 @@ from tools.measures._summary import machine, rounded, summary
 from tunefree_hil.bench import follower_of, load, parameters_of
 from tunefree_hil.episode.columns import columns_from_frames
 from tunefree_hil.episode.recording import Recording
-from tunefree_hil.grade.profile import Beside, profile
-from tunefree_hil.grade.score import grade, vehicle_of
+from tunefree_hil.grade.profile import DriveExtras, profile_drive
+from tunefree_hil.grade.score import grade_drive, grade_vehicle_from_spec
 
 VALUE = "ms to grade 30 s of driving: the 18 weighed metrics and the score, a drive without re-plans (median)"
 EPISODE_S = 30.0
@@ -31,7 +31,7 @@ def measure(runs: int = 50, scenario: str = "u_turn", bench: str = "bench_config
     drive = InProcess(loaded).drive(spec, values)
     follower, course = follower_of(loaded, spec, values), loaded.course(spec)
     recording = columns_from_frames(drive.frames, loaded.codec, follower, loaded.dt_s, ticks=drive.ticks)
-    replanned, car = _with_replans(recording), vehicle_of(loaded.vehicle)
+    replanned, car = _with_replans(recording), grade_vehicle_from_spec(loaded.vehicle)
     scale = EPISODE_S / (recording.ticks * recording.dt_s)
 
     def timed(work: Callable[[], Any]) -> list[float]:
@@ -43,9 +43,9 @@ def measure(runs: int = 50, scenario: str = "u_turn", bench: str = "bench_config
             found.append(1e3 * scale * (time.perf_counter() - started))
         return found
 
-    plain = timed(lambda: grade(recording, course, loaded.weights, car, scenario=scenario))
-    again = timed(lambda: grade(replanned, course, loaded.weights, car, scenario=scenario))
-    whole = timed(lambda: profile(recording, course, car, beside=Beside(np.full(recording.ticks, 1e-3), "")))
+    plain = timed(lambda: grade_drive(recording, course, loaded.weights, car, scenario=scenario))
+    again = timed(lambda: grade_drive(replanned, course, loaded.weights, car, scenario=scenario))
+    whole = timed(lambda: profile_drive(recording, course, car, extras=DriveExtras(np.full(recording.ticks, 1e-3), "")))
     detail = {
         "machine": before,
         "scenario": scenario,

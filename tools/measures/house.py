@@ -20,7 +20,7 @@ def measure() -> dict[str, Any]:
     counts = {path: names.count_bindings(source) for path, source in sources.items()}
     whole = names.total(counts.values())
     folders = sorted({_top(path) for path in files})
-    docs = sorted((ROOT / "docs").rglob("*.md"))
+    docs = [path for path in sorted((ROOT / "docs").rglob("*.md")) if "results" not in path.parts]
     detail = {
         "by_package_percent": {f: round(_share(counts, f).share_percent, 2) for f in folders},
         "frequent": dict(list(names.frequent_stop_words(counts.values()).items())[:10]),

@@ -11,7 +11,7 @@ import numpy as np
 
 from tools.measures._summary import machine, rounded, summary
 from tunefree_hil.bench import Bench, is_heavy, load, parameters_of
-from tunefree_hil.jobs.running.session import Session
+from tunefree_hil.jobs.running.session import BenchSession
 
 VALUE = "times real time in lockstep: nominal plant, hub, ECU and controller as processes, MRAC, noise, logs (median)"
 
@@ -43,7 +43,7 @@ def _factors(bench: Bench, model: str, names: list[str], runs: int) -> dict[str,
     simulated, frames = dict.fromkeys(names, 0.0), 0
     with (
         tempfile.TemporaryDirectory() as folder,
-        Session(
+        BenchSession(
             Path(bench.file),
             Path(folder) / "nodes",
             session=f"lockstep-{os.getpid()}",

@@ -24,12 +24,28 @@ from tunefree_hil.config.load import load_bench
 from tunefree_hil.control import calibration_map
 from tunefree_hil.episode.columns import columns_from_frames
 from tunefree_hil.figures.learning.map import write_map, write_map_data
-from tunefree_hil.jobs.learn.map import picture_of, report
+from tunefree_hil.jobs.learn.map import build_report, make_picture
 from tunefree_hil.learn.drives.read import read_drives
-from tunefree_hil.learn.open_loop_map.build import balanced, finished, gather, learn_map, learn_nets, map_of
-from tunefree_hil.learn.open_loop_map.cells import Edges, Law, Points, cell_errors, edges_of, hold_out, means_of, rms
+from tunefree_hil.learn.open_loop_map.build import (
+    exhaust,
+    gather_samples,
+    learn_map,
+    make_map,
+    select_points,
+    train_nets,
+)
+from tunefree_hil.learn.open_loop_map.cells import (
+    AccelerationLaw,
+    CellEdges,
+    CellPoints,
+    average_cells,
+    compute_cell_errors,
+    compute_rms,
+    make_cell_edges,
+    split_holdout,
+)
 from tunefree_hil.learn.open_loop_map.samples import PEDALS
-from tunefree_hil.learn.open_loop_map.table import MapTable, is_monotone, law_of, write_table
+from tunefree_hil.learn.open_loop_map.table import MapTable, is_monotone, law_from_calibration, write_table
 from tunefree_hil.learn.training import map_nets
 
 VALUE = (
@@ -62,26 +78,26 @@ def measure(
     """
     before, loaded = machine(), load(bench)
     paths = logs_in(logs, folder, loaded.vehicle.name)
-    gathered = gather(read_drives(paths, loaded.codec), loaded.vehicle)
+    gathered = gather_samples(read_drives(paths, loaded.codec), loaded.vehicle)
     nominal = calibration_map.load(calibration_path(loaded))
     ledger, depends = Ledger(Path(folder) / NAME), _standing(paths, loaded, seed)
     errors = held_out_errors(gathered.samples, loaded, nominal, parts, seed, ledger, depends)
-    learned = finished(learn_map(gathered.samples, loaded.vehicle, seed))
+    learned = exhaust(learn_map(gathered.samples, loaded.vehicle, seed))
     target = Path(folder) / NAME / "calibration.npz"
-    card = report(learned, gathered, [], loaded.vehicle, seed)
+    card = build_report(learned, gathered, [], loaded.vehicle, seed)
     write_table(target, learned.table, json.dumps(card))
-    picture = picture_of(learned, gathered)
+    picture = make_picture(learned, gathered)
     joined = {name: np.concatenate([own[pedal] for pedal in PEDALS]) for name, own in errors.items()}
     low, high = _interval(joined[LEARNED], seed)
     detail = {
         "machine": before,
         "logs": len(paths),
-        "minutes_of_use": gathered.words[0],
+        "minutes_of_use": gathered.notes[0],
         "delay_s": {pedal: one.seconds for pedal, one in gathered.delays.items()},
-        "rmse_mps2": {name: rms(own) for name, own in joined.items()},
-        "by_pedal_mps2": {pedal: {name: rms(own[pedal]) for name, own in errors.items()} for pedal in PEDALS},
+        "rmse_mps2": {name: compute_rms(own) for name, own in joined.items()},
+        "by_pedal_mps2": {pedal: {name: compute_rms(own[pedal]) for name, own in errors.items()} for pedal in PEDALS},
         "largest_mps2": {name: float(np.max(np.abs(own))) for name, own in joined.items()},
-        "hidden_units": {pedal: choice.width for pedal, choice in learned.choices.items()},
+        "hidden_units": {pedal: choice.width for pedal, choice in learned.selections.items()},
         "monotone": is_monotone(learned.table),
         "support": card["support"],
         "tracking": tracking(loaded, target, scenarios.split(",")),
@@ -90,7 +106,7 @@ def measure(
             str(write_map(Path(figures) / "map.png", picture)),
         ],
     }
-    value = rms(joined[LEARNED])
+    value = compute_rms(joined[LEARNED])
     return {
         "value": value,
         "unit": "m/s2",
@@ -126,8 +142,8 @@ def held_out_errors(
     samples: Any, bench: Bench, nominal: Any, parts: int, seed: int, ledger: Ledger, depends: Mapping[str, Any]
 ) -> dict[str, dict[str, np.ndarray]]:
     """What is compared -> pedal -> error of each cell (m/s2), by something that has not seen this cell."""
-    edges = {pedal: edges_of(bench.vehicle, pedal) for pedal in PEDALS}
-    points = balanced(samples, edges, seed)
+    edges = {pedal: make_cell_edges(bench.vehicle, pedal) for pedal in PEDALS}
+    points = select_points(samples, edges, seed)
     turns = []
     for part in range(parts):
         key = {**depends, "what": "turn", "part": part, "parts": parts}
@@ -140,23 +156,23 @@ def held_out_errors(
 
 
 def _turn(
-    points: Mapping[str, Points], edges: Mapping[str, Edges], nominal: Any, turn: tuple[int, int], seed: int
+    points: Mapping[str, CellPoints], edges: Mapping[str, CellEdges], nominal: Any, turn: tuple[int, int], seed: int
 ) -> dict[str, dict[str, list[float]]]:
     """Errors of the cells of one part, by what was made of the others."""
-    split = {pedal: hold_out(own, *turn, np.random.default_rng([seed, 77])) for pedal, own in points.items()}
+    split = {pedal: split_holdout(own, *turn, np.random.default_rng([seed, 77])) for pedal, own in points.items()}
     seen = {pedal: one[0] for pedal, one in split.items()}
-    choices = finished(learn_nets(seen, seed))
-    table = as_map(map_of(choices, edges).table)
+    choices = exhaust(train_nets(seen, seed))
+    table = as_map(make_map(choices, edges).table)
     found: dict[str, dict[str, list[float]]] = {name: {} for name in (LEARNED, NETS, BINNED, NOMINAL)}
     for pedal in PEDALS:
-        laws: dict[str, Law] = {
-            LEARNED: law_of(table, pedal),
-            NETS: choices[pedal].net.accel_of,
+        laws: dict[str, AccelerationLaw] = {
+            LEARNED: law_from_calibration(table, pedal),
+            NETS: choices[pedal].net.predict_acceleration,
             BINNED: binned(seen[pedal], edges[pedal]),
-            NOMINAL: law_of(nominal, pedal),
+            NOMINAL: law_from_calibration(nominal, pedal),
         }
         for name, law in laws.items():
-            found[name][pedal] = cell_errors(law, split[pedal][1]).tolist()
+            found[name][pedal] = compute_cell_errors(law, split[pedal][1]).tolist()
     return found
 
 
@@ -179,9 +195,9 @@ def as_map(table: MapTable) -> calibration_map.CalibrationMap:
     return calibration_map.from_triples(*(column.tolist() for column in table[:3]))
 
 
-def binned(points: Points, edges: Edges) -> Law:
+def binned(points: CellPoints, edges: CellEdges) -> AccelerationLaw:
     """Means of the cells, linear between them in units of cells, the nearest one's outside."""
-    means = means_of(points)
+    means = average_cells(points)
 
     def places(speed: np.ndarray, command: np.ndarray) -> np.ndarray:
         rows = np.interp(speed, edges.speed_mps, np.arange(len(edges.speed_mps)))
@@ -223,13 +239,13 @@ def _driven(rig: InProcess, bench: Bench, name: str) -> dict[str, Any]:
         drive.frames, bench.codec, follower, bench.dt_s, ticks=drive.ticks
     ).columns
     later = slice(round(SETTLED_S / bench.dt_s), None)
-    errors: dict[str, Any] = {key: rms(columns[column][later]) for key, column in ERRORS.items()}
+    errors: dict[str, Any] = {key: compute_rms(columns[column][later]) for key, column in ERRORS.items()}
     return errors | {"replans": int(np.nansum(columns["replan"])), "error": drive.error}
 
 
 def _interval(errors: np.ndarray, seed: int) -> tuple[float, float]:
     """95 % of bootstrap resamples of the cells."""
     rng = np.random.default_rng(seed)
-    drawn = [rms(rng.choice(errors, len(errors))) for _ in itertools.repeat(None, RESAMPLES)]
+    drawn = [compute_rms(rng.choice(errors, len(errors))) for _ in itertools.repeat(None, RESAMPLES)]
     low, high = np.percentile(drawn, [2.5, 97.5])
     return float(low), float(high)

@@ -17,8 +17,8 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, load
 from tunefree_hil.jobs.run_folder import open_run, read_json
-from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors, winner_of
-from tunefree_hil.jobs.tune.margins import Found, find_margins, margin_data, margin_table, margin_words
+from tunefree_hil.jobs.tune.candidates import TUNED, compute_baseline_vectors, read_winner
+from tunefree_hil.jobs.tune.margins import MarginDrives, find_margins, margin_data, margin_table, margin_text
 from tunefree_hil.jobs.tune.options import BATCH, TuneOptions
 from tunefree_hil.jobs.tune.tune import tune
 
@@ -53,14 +53,14 @@ def margins_of(run: Path) -> dict[str, Any]:
         return known
     folder = open_run(run)
     bench = load(folder.bench_file())
-    vectors = {TUNED: winner_of(bench, folder), **baseline_vectors(bench)}
+    vectors = {TUNED: read_winner(bench, folder), **compute_baseline_vectors(bench)}
     scenarios = [bench.scenarios[name] for name in bench.spec.verify_scenarios]
     found = _ended(find_margins(bench, bench.spec.verify_model, vectors, scenarios))
-    scores = scores_of(bench, found) if isinstance(found, Found) else {}
+    scores = scores_of(bench, found) if isinstance(found, MarginDrives) else {}
     return margin_data(found, dict.fromkeys(vectors), scores, {})  # nothing was driven over the bus here
 
 
-def scores_of(bench: Bench, found: Found) -> dict[str, float]:
+def scores_of(bench: Bench, found: MarginDrives) -> dict[str, float]:
     """Each vector's score over the scenarios, weighted by their planned samples (the paper's eq. 7)."""
     ticks = {name: bench.course(bench.scenarios[name]).ticks for name in bench.spec.verify_scenarios}
     by_name = {bench.scenarios[name].name: count for name, count in ticks.items()}
@@ -111,7 +111,7 @@ def _detail(data: Mapping[str, Any]) -> dict[str, Any]:
     kept = {key: data[key] for key in ("against", "less", "drives", "limits")}
     if data["same_as_bus"]["of"]:
         kept["same_as_bus"] = data["same_as_bus"]
-    return {"ratio": ratio_of(data), "words": margin_words(data, TUNED), **kept, "vectors": vectors}
+    return {"ratio": ratio_of(data), "words": margin_text(data, TUNED), **kept, "vectors": vectors}
 
 
 def _draw(data: Mapping[str, Any], folder: Path) -> str:

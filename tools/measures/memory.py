@@ -1,4 +1,4 @@
-"""How much memory the nodes take (design D1)."""
+"""How much memory the nodes take (docs/reference/design.md)."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 
 from tools.measures._summary import rounded, summary
 from tunefree_hil.bench import Bench, load, parameters_of
-from tunefree_hil.jobs.running.session import Session
+from tunefree_hil.jobs.running.session import BenchSession
 
 VALUE = "MB, peak resident size of the largest node, the compiled ECU among them (median of sessions)"
-LIMITS_MB = {"plain": 150.0, "compiled": 250.0}  # design D1
+LIMITS_MB = {"plain": 150.0, "compiled": 250.0}  # docs/reference/design.md
 
 
 def measure(runs: int = 3, scenarios: str = "", bench: str = "bench_configs/mkz_steer.toml") -> dict[str, Any]:
@@ -45,7 +45,7 @@ def _session_mb(bench: Bench, model: str, names: list[str], *, compiled: bool) -
     """{peak, resident: node -> MB} after all these drives in one session."""
     with (
         tempfile.TemporaryDirectory() as folder,
-        Session(
+        BenchSession(
             Path(bench.file),
             Path(folder) / "nodes",
             session=f"memory-{os.getpid()}",
@@ -61,7 +61,7 @@ def _session_mb(bench: Bench, model: str, names: list[str], *, compiled: bool) -
         return {"peak": session.processes.memory_mb(), "resident": _resident_mb(session)}
 
 
-def _resident_mb(session: Session) -> dict[str, float]:
+def _resident_mb(session: BenchSession) -> dict[str, float]:
     """Node -> MB at this moment."""
     sizes = {}
     for child in session.processes.children:

@@ -22,10 +22,11 @@ from tools.measures._side_by_side import side_by_side
 from tools.measures._summary import machine, rounded, summary
 from tunefree_hil.bench import Bench, load, model_of, parameters_of
 from tunefree_hil.config.dump import to_toml
-from tunefree_hil.tune.baselines import first_trial
-from tunefree_hil.tune.space import resolve
-from tunefree_hil.tune.store import Settings
+from tunefree_hil.tune.baselines import make_first_trial
+from tunefree_hil.tune.space import resolve_space
+from tunefree_hil.tune.store import StudySettings
 from tunefree_hil.tune.study import Evaluation, open_study
+from tunefree_hil.tune.trial_loop import run_trials
 
 VALUE = "lateral peak with tuned MRAC / without, serpentine, median of 12 steering actuators"
 NAME, SCENARIO = "mrac", "serpentine"
@@ -155,15 +156,15 @@ class _Drives:
 
 
 def _tune(job: Cell, bench: Bench, drive: _Drives, identity: str, folder: Path) -> dict[str, float]:
-    space = resolve("mrac", [])
-    settings = Settings(space, job.seed, bench.spec.tune.sampler, identity, first_trial(space))
+    space = resolve_space("mrac", [])
+    settings = StudySettings(space, job.seed, bench.spec.tune.sampler, identity, make_first_trial(space))
 
     def evaluate(searched: dict[str, float]) -> Evaluation:
         found = drive(parameters_of(bench, searched))
         return Evaluation(found["score"], {SCENARIO: found})
 
     with open_study(folder / "study.db", settings) as study:
-        return min(study.run(job.trials, evaluate), key=lambda trial: trial.score).parameters
+        return min(run_trials(study, job.trials, evaluate), key=lambda trial: trial.score).parameters
 
 
 def work_straight(job: Straight) -> tuple[str, dict[str, Any]]:
@@ -228,7 +229,7 @@ def _words(cell: Mapping[str, Any]) -> str:
 
 
 def _figure(cells: list[dict[str, Any]], ratios: list[float], figures: str) -> str:
-    from tunefree_hil.figures.learning.cells import Side, write_cells
+    from tunefree_hil.figures.learning.cells import CellAxis, write_cells
 
     panels = {}
     for label, title in ((FIXED, "reference model only (p = 0)"), (TUNED, "tuned T_ref and p")):
@@ -240,5 +241,5 @@ def _figure(cells: list[dict[str, Any]], ratios: list[float], figures: str) -> s
     better = sum(ratio < 1.0 for ratio in ratios)
     title = f"Lateral peak of the serpentine, of that without MRAC: tuned is lower in {better} of {len(ratios)}"
     title += f" (median {float(np.median(ratios)):.2f})"
-    sides = Side("steer dead time (s)", DEAD_TIMES_S), Side("steer lag (s)", LAGS_S)
+    sides = CellAxis("steer dead time (s)", DEAD_TIMES_S), CellAxis("steer lag (s)", LAGS_S)
     return str(write_cells(Path(figures) / "mrac.png", panels, *sides, title))

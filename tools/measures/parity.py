@@ -24,10 +24,10 @@ from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.control.parameters import PARAMETERS, SETS, Parameter, round32, study_values
 from tunefree_hil.episode.recording import Recording
 from tunefree_hil.grade.score import ScenarioGrade
-from tunefree_hil.jobs.run_folder import RunFolder, drop_bulk
-from tunefree_hil.jobs.running.session import Session
-from tunefree_hil.jobs.running.trial_driver import DriveJob, Track
-from tunefree_hil.jobs.tune.candidates import baseline_vectors
+from tunefree_hil.jobs.run_folder import RunFolder, delete_logs
+from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.trial_driver import DriveJob, TrialDriver
+from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
 
 VALUE = "values that differ in a bit between bus and batch: all columns, ticks, scenarios, vehicles (0 is right)"
 SEARCHED = tuple(SETS["complete"])
@@ -78,7 +78,7 @@ def measure(
 def parameter_sets(bench: Bench, count: int, seed: int = 1) -> dict[str, dict[str, float]]:
     """`count` complete vectors (binary32) by name: the vehicle's baselines, then seeded points of the box."""
     vectors: dict[str, dict[str, float]] = {}
-    for name, values in list(baseline_vectors(bench).items())[:count]:
+    for name, values in list(compute_baseline_vectors(bench).items())[:count]:
         vectors[name] = dict(values)
     chance = Random(seed)
     for i in range(count - len(vectors)):
@@ -165,7 +165,7 @@ def _compare_part(part: Part, sets: int, ledger: Ledger, limit_s: float) -> list
     """The drives of a part that the ledger knows, and those that there is time for."""
     found = []
     with ExitStack() as stack:
-        both: tuple[Track, Batch] | None = None
+        both: tuple[TrialDriver, Batch] | None = None
         for name, values in parameter_sets(part.bench, sets).items():
             depends = {one.name: {**part.depends, "scenario": one.hash, "values": values} for one in part.scenarios}
             todo = [one for one in part.scenarios if ledger.find(depends[one.name]) is None]
@@ -177,7 +177,7 @@ def _compare_part(part: Part, sets: int, ledger: Ledger, limit_s: float) -> list
     return found
 
 
-def _start(part: Part, folder: Path, stack: ExitStack) -> tuple[Track, Batch]:
+def _start(part: Part, folder: Path, stack: ExitStack) -> tuple[TrialDriver, Batch]:
     """A bench over the bus with a lane a core, and a batch."""
     where = folder / f"bus-{os.getpid()}"
     stack.callback(shutil.rmtree, where, ignore_errors=True)
@@ -186,25 +186,25 @@ def _start(part: Part, folder: Path, stack: ExitStack) -> tuple[Track, Batch]:
     sessions = []
     for lane in range(min(2, len(os.sched_getaffinity(0)))):
         name = f"parity-{os.getpid()}-{Path(part.model).name}-{lane}"
-        words = run.words() / str(lane)
-        one = Session(Path(part.bench.file), words, session=name, model=part.model, bus="tfhub", jitted_ecu=heavy)
+        words = run.node_output() / str(lane)
+        one = BenchSession(Path(part.bench.file), words, session=name, model=part.model, bus="tfhub", jitted_ecu=heavy)
         sessions.append(stack.enter_context(one))
-    track = Track(sessions, part.bench, run)
+    track = TrialDriver(sessions, part.bench, run)
     stack.callback(track.close)
     return track, stack.enter_context(Batch(part.bench, part.model))
 
 
 def _compare(
-    bench: Bench, track: Track, batch: Batch, scenarios: Sequence[ScenarioSpec], values: Mapping[str, float]
+    bench: Bench, track: TrialDriver, batch: Batch, scenarios: Sequence[ScenarioSpec], values: Mapping[str, float]
 ) -> dict[str, Found]:
     """Scenario -> what differs. Raises the error of a bench that failed: that is no question of parity."""
     driven = batch.drive([Job(values, scenario) for scenario in scenarios], columns=True)
-    episodes = track.drive_some([DriveJob(k, scenario, values) for k, scenario in enumerate(scenarios)])
+    episodes = track.drive_jobs([DriveJob(k, scenario, values) for k, scenario in enumerate(scenarios)])
     found = {}
     for k, (scenario, one) in enumerate(zip(scenarios, driven, strict=True)):
         episode = episodes[k]
         if isinstance(episode, BenchError):
             raise episode
         found[scenario.name] = compared(episode.recording, episode.grade, one)
-        drop_bulk(track.run.episode(k))
+        delete_logs(track.run.episode(k))
     return found

@@ -25,17 +25,18 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import ModelSpec
-from tunefree_hil.figures.learning.velocity_free_run import Run, write_runs
+from tunefree_hil.figures.learning.velocity_free_run import VelocityRun, write_runs
 from tunefree_hil.jobs.learn.calibrate import calibrate
-from tunefree_hil.jobs.learn.learn import Asked, learn
+from tunefree_hil.jobs.learn.learn import learn
+from tunefree_hil.jobs.learn.options import CalibrateOptions, LearnOptions
 from tunefree_hil.jobs.log.csv_import import import_csv
 from tunefree_hil.learn.compiled_process import CompiledProcess
 from tunefree_hil.learn.drives.drive import Drive, DriveSplit
 from tunefree_hil.learn.drives.read import read_drives
 from tunefree_hil.learn.drives.split import split_drives
-from tunefree_hil.learn.evaluation.free_run import interval_of
-from tunefree_hil.learn.evaluation.motion import tracks_of
-from tunefree_hil.learn.evaluation.velocity_free_run import Ahead, look_ahead
+from tunefree_hil.learn.evaluation.free_run import mean_interval
+from tunefree_hil.learn.evaluation.motion import make_motion_tracks
+from tunefree_hil.learn.evaluation.velocity_free_run import VelocityErrors, evaluate_velocities
 
 VALUE = "m/s that fitted physics misses the RAV4's speed by after 10 s of free run, mean, guarded held-out blocks"
 NAME = "realcars"
@@ -68,7 +69,7 @@ class Fold(NamedTuple):
     seed: int
     words: str
     blocks: int
-    ahead: Ahead | None
+    ahead: VelocityErrors | None
 
 
 def measure(
@@ -89,7 +90,7 @@ def measure(
     found = {car.name: folds_of(car, place, seed, minutes if with_hybrid else 0.0, every_s) for car in cars}
     rav = found["rav4"]
     errors, blocks = errors_at(rav, "physics", AT_S)
-    low, high = interval_of(errors, blocks, seed)
+    low, high = mean_interval(errors, blocks, seed)
     detail = {
         "cars": {car.name: {**said(car), **rows(found[car.name], seed)} for car in cars},
         "hybrid": "trained; what was held out also chose when to stop, so its rows flatter it"
@@ -158,11 +159,11 @@ def folds_of(car: Car, place: Path, seed: int, minutes: float, every_s: float) -
     for chosen, split in splits_of(drives, seed):
         key = hashlib.sha256("".join(map(str, car.logs)).encode()).hexdigest()[:8]
         models = learned(car, place / f"{car.name}-{key}-{chosen}", chosen, minutes)
-        tracks = tracks_of(split.held_out, vehicle)
+        tracks = make_motion_tracks(split.held_out, vehicle)
         try:
             with CompiledProcess() as worker:
                 ahead = worker.wait_for_result(
-                    look_ahead, models, vehicle, tracks, every_s
+                    evaluate_velocities, models, vehicle, tracks, every_s
                 )
         except InputError as error:
             print(f"{car.name}, {split.description}: {error.message}", file=sys.stderr)
@@ -184,14 +185,14 @@ def learned(car: Car, place: Path, seed: int, minutes: float) -> dict[str, Model
     """'physics', and 'hybrid' where minutes is above 0, by the commands that anybody has."""
     vehicle, physics = str(car.logs[0].parent), place / "physics"
     if not physics.is_dir():
-        ended(calibrate(list(car.logs), vehicle, physics, seed))
+        ended(calibrate(CalibrateOptions(list(car.logs), vehicle, physics, seed)))
     models = {"physics": load_model(physics)}
     if minutes <= 0.0:
         return models
     hybrid, without = place / f"hybrid-{minutes:g}", place / f"hybrid-{minutes:g}.json"
     if not hybrid.is_dir() and not without.is_file():
         try:
-            ended(learn(Asked(list(car.logs), vehicle, hybrid, "hybrid", seed, minutes, physics)))
+            ended(learn(LearnOptions(list(car.logs), vehicle, hybrid, "hybrid", seed, minutes, physics)))
         except InputError as error:  # too little to learn from is an answer
             without.write_text(json.dumps({"refused": error.message}) + "\n", encoding="utf-8")
     return models | ({"hybrid": load_model(hybrid)} if hybrid.is_dir() else {})
@@ -206,7 +207,7 @@ def errors_at(folds: Sequence[Fold], name: str, seconds: float, of: str = "speed
         values = getattr(fold.ahead, of)[name][:, fold.ahead.horizons_s.index(seconds)]
         known = np.isfinite(values)
         errors.append(values[known])
-        blocks.append(np.array([f"{fold.seed}: {drive}" for drive in fold.ahead.drives])[known])
+        blocks.append(np.array([f"{fold.seed}: {drive}" for drive in fold.ahead.drive_names])[known])
     return np.concatenate(errors), np.concatenate(blocks)
 
 
@@ -222,7 +223,7 @@ def rows(folds: Sequence[Fold], seed: int) -> dict[str, Any]:
                 errors, blocks = errors_at(folds, name, seconds, of)
                 row["starts"], row["blocks"] = len(errors), len(set(blocks.tolist()))
                 if len(errors):
-                    low, high = interval_of(errors, blocks, seed)
+                    low, high = mean_interval(errors, blocks, seed)
                     row[of] = {"mean": float(errors.mean()), "low": low, "high": high}
     without = [fold.words for fold in folds if fold.ahead is None]
     return {"free_run": found, "splits": [fold.words for fold in folds], "without_a_start": without}
@@ -239,12 +240,12 @@ def said(car: Car) -> dict[str, Any]:
     }
 
 
-def shown(found: Mapping[str, Sequence[Fold]]) -> list[Run]:
+def shown(found: Mapping[str, Sequence[Fold]]) -> list[VelocityRun]:
     """The longest free run of each car, of those the one whose speed changes most."""
     runs = []
     for name, folds in found.items():
         traces = [trace for fold in folds if fold.ahead is not None for trace in fold.ahead.traces]
         if traces:
             one = max(traces, key=lambda trace: (round(trace.time_s[-1]), float(np.ptp(trace.speed_mps))))
-            runs.append(Run(name, one.time_s, one.speed_mps, one.yaw_rate_radps, one.speeds, one.yaw_rates))
+            runs.append(VelocityRun(name, one.time_s, one.speed_mps, one.yaw_rate_radps, one.speeds, one.yaw_rates))
     return runs

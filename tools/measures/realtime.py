@@ -17,9 +17,9 @@ from tools.measures._summary import RESAMPLES, machine, rounded
 from tunefree_hil.bench import Bench, is_heavy, load, parameters_of
 from tunefree_hil.grade.score import ScenarioGrade
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.lateness import LATE_S, NEVER_LATER_S, judge_realtime
-from tunefree_hil.jobs.running.session import Session
-from tunefree_hil.jobs.running.trial_driver import ROLES, Track
+from tunefree_hil.jobs.running.lateness import CRITERIA, judge_realtime
+from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.trial_driver import ROLES, TrialDriver
 
 VALUE = "ms late, p99 over the ticks of the later node at 100 Hz, idle machine"
 BLOCK_S = 1.0  # ticks near one another are late together: whole seconds are drawn for the interval
@@ -47,8 +47,8 @@ def measure(
         "scenarios": len(idle.names),
         "nodes": idle.verdict["nodes"],
         "later_node": later,
-        "late_means_ms": 1e3 * LATE_S,
-        "never_later_than_ms": 1e3 * NEVER_LATER_S,
+        "late_means_ms": 1e3 * CRITERIA.late_s,
+        "never_later_than_ms": 1e3 * CRITERIA.max_late_s,
         "was_real_time": idle.verdict["valid"],
         "agreement": _agreement(loaded, model or loaded.spec.model, idle),
         "figure": _figure(idle.late, figures),
@@ -98,20 +98,20 @@ def _drive(bench: Bench, model: str, run: RunFolder, seconds: float) -> tuple[li
     """The scenarios driven, in order, and their last grades; what was driven is read before the next begins."""
     driven: list[str] = []
     grades: dict[str, ScenarioGrade] = {}
-    with Session(
+    with BenchSession(
         Path(bench.file),
-        run.words(),
+        run.node_output(),
         session=f"realtime-{os.getpid()}",
         model=model,
         realtime=True,
         jitted_ecu=is_heavy(bench, model),
     ) as session:
-        track = Track(session, bench, run)
+        track = TrialDriver(session, bench, run)
         try:
             for name in itertools.cycle(bench.spec.scenarios):
                 if track.simulated_s >= seconds:
                     return driven, grades
-                found = track.drive_all(parameters_of(bench), [bench.scenarios[name]], len(driven))
+                found = track.drive_scenarios(parameters_of(bench), [bench.scenarios[name]], len(driven))
                 grades[name] = next(iter(found.values())).grade
                 driven.append(name)
         finally:
@@ -139,4 +139,4 @@ def _figure(late: dict[str, np.ndarray], figures: str) -> str:
     from tunefree_hil.figures.jitter import write_jitter
 
     rows = {role: [float(one) for one in values] for role, values in late.items()}
-    return str(write_jitter(Path(figures) / "realtime.png", rows, LATE_S))
+    return str(write_jitter(Path(figures) / "realtime.png", rows, CRITERIA.late_s))

@@ -17,6 +17,7 @@ from tools.measures.map import logs_in
 from tunefree_hil.bench import load
 from tunefree_hil.config.load import load_model
 from tunefree_hil.jobs.learn.calibrate import calibrate
+from tunefree_hil.jobs.learn.options import CalibrateOptions
 
 VALUE = "s of wall time of `learn` alone (default kind, its own number of steps), mkz_bywire"
 NAME = "train"
@@ -37,7 +38,7 @@ def measure(
     calibrated_s = None
     if not physics.is_dir():
         began = time.monotonic()
-        ended(calibrate(sources, loaded.vehicle.folder, physics, seed))
+        ended(calibrate(CalibrateOptions(sources, loaded.vehicle.folder, physics, seed)))
         calibrated_s = time.monotonic() - began
     times, out = [], place / "model"
     for _ in range(runs):

@@ -28,16 +28,18 @@ from tools.measures.map import logs_in
 from tools.measures.parity import parameter_sets
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Batch
-from tunefree_hil.figures.tuning.transfer import Ranked, write_transfer
+from tunefree_hil.figures.tuning.transfer import TransferGrades, write_transfer
 from tunefree_hil.jobs.learn.map import map_logs
-from tunefree_hil.jobs.tune.candidates import baseline_vectors
-from tunefree_hil.jobs.tune.robustness import drive_slower
-from tunefree_hil.tune.baselines import first_trial
-from tunefree_hil.tune.robust_winner import ranked
-from tunefree_hil.tune.space import resolve
-from tunefree_hil.tune.store import Settings
+from tunefree_hil.jobs.learn.options import MapOptions
+from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
+from tunefree_hil.jobs.tune.robustness import drive_slower_car
+from tunefree_hil.tune.baselines import make_first_trial
+from tunefree_hil.tune.robust_winner import rank_trials
+from tunefree_hil.tune.space import resolve_space
+from tunefree_hil.tune.store import StudySettings
 from tunefree_hil.tune.study import Evaluation, open_study
-from tunefree_hil.tune.trial import Scored, Trial
+from tunefree_hil.tune.trial import ScoredStudy, Trial
+from tunefree_hil.tune.trial_loop import run_trials
 
 VALUE = "Spearman correlation of grades, hybrid plant and vehicle, of random sets that finish on both; lower vehicle"
 NAME, SET = "transfer", "complete"
@@ -110,7 +112,7 @@ def _one(bench: Bench, seed: int, asked: Wanted) -> dict[str, Any]:
     training = (seed - 1) % asked.trainings + 1 if asked.trainings else seed
     models = learned(bench, logs, learned_in(str(asked.folder), bench, logs), asked.kinds, training, asked.minutes, 0.0)
     bench = _with_map(bench, logs, place / f"map-{training}")
-    vectors = parameter_sets(bench, asked.sets + len(baseline_vectors(bench)), seed)
+    vectors = parameter_sets(bench, asked.sets + len(compute_baseline_vectors(bench)), seed)
     drawn = {name: values for name, values in vectors.items() if name.startswith(DRAWN)}
     vehicle = bench.spec.verify_model
     truth = _graded(bench, vehicle, drawn, ledger)
@@ -122,8 +124,8 @@ def _one(bench: Bench, seed: int, asked: Wanted) -> dict[str, Any]:
         _say(f"{place.name}, seed {seed}, {name}: {words['rho']:.3f} of {words['n']} sets that finish on both")
     winners = {name: _tuned(bench, models[name].folder, asked.trials, seed, ledger) for name in asked.searched}
     winners["vehicle"] = _tuned(bench, vehicle, asked.trials, seed, ledger)
-    scores = _scores(bench, vehicle, winners | baseline_vectors(bench), ledger)
-    manual = min(baseline_vectors(bench), key=lambda name: scores[name])
+    scores = _scores(bench, vehicle, winners | compute_baseline_vectors(bench), ledger)
+    manual = min(compute_baseline_vectors(bench), key=lambda name: scores[name])
     return {
         "seed": seed,
         "training": training,
@@ -136,13 +138,13 @@ def _one(bench: Bench, seed: int, asked: Wanted) -> dict[str, Any]:
     }
 
 
-def _pictured(rows: Sequence[Mapping[str, Any]]) -> dict[str, Ranked]:
+def _pictured(rows: Sequence[Mapping[str, Any]]) -> dict[str, TransferGrades]:
     """All seeds' sets together, by kind; rho: the seeds' median."""
     found = {}
     for kind in rows[0]["kinds"]:
         rho = float(np.median([row["kinds"][kind]["finished"]["rho"] for row in rows]))
         model, vehicle = (np.concatenate([row["grades"][name].score for row in rows]) for name in (kind, ""))
-        found[kind] = Ranked(model, vehicle, rho)
+        found[kind] = TransferGrades(model, vehicle, rho)
     return found
 
 
@@ -151,7 +153,7 @@ def _with_map(bench: Bench, logs: Sequence[Path], place: Path) -> Bench:
     path = place / "calibration.npz"
     if not path.is_file():
         place.mkdir(parents=True, exist_ok=True)
-        ended(map_logs(logs, bench.vehicle.folder, place))
+        ended(map_logs(MapOptions(logs, bench.vehicle.folder, place)))
     controller = with_values(bench.spec.controller, calibration=str(path.resolve()))
     return replace(bench, spec=with_values(bench.spec, controller=controller))
 
@@ -197,8 +199,8 @@ def _rank(one: np.ndarray, other: np.ndarray) -> float:
 
 def _tuned(bench: Bench, model: str, trials: int, seed: int, ledger: Ledger) -> dict[str, float]:
     """The winner of a search of SET on a model; trials that the ledger knows cost nothing."""
-    space = resolve(SET, [], file=bench.file)
-    settings = Settings(space, seed, bench.spec.tune.sampler, "transfer", first_trial(space))
+    space = resolve_space(SET, [], file=bench.file)
+    settings = StudySettings(space, seed, bench.spec.tune.sampler, "transfer", make_first_trial(space))
     with (
         tempfile.TemporaryDirectory() as folder,
         Rig(bench, model, bench.spec.scenarios, ledger, over_bus=False) as rig,
@@ -209,23 +211,23 @@ def _tuned(bench: Bench, model: str, trials: int, seed: int, ledger: Ledger) -> 
             scored = rig.evaluate(parameters_of(bench, searched))
             return Evaluation(scored["score"], scored["scenarios"])
 
-        for _ in study.run(trials, evaluate):
+        for _ in run_trials(study, trials, evaluate):
             pass
         best = _held(bench, model, study)
     _say(f"{Path(model).name}, seed {seed}: {best.score:.4f} after {trials} trials")
     return parameters_of(bench, best.parameters)
 
 
-def _held(bench: Bench, model: str, study: Scored) -> Trial:
+def _held(bench: Bench, model: str, study: ScoredStudy) -> Trial:
     """The winner as `tune` chooses it: the best that holds in a slower car (jobs/tune/robustness.py)."""
     searched = replace(bench, spec=with_values(bench.spec, model=model))
     with Batch(searched) as batch:
-        driving = drive_slower(batch, searched, study, {})
+        driving = drive_slower_car(batch, searched, study, {})
         while True:
             try:
                 next(driving)
             except StopIteration as end:
-                return ranked(study.trials(), end.value)[0]
+                return rank_trials(study.trials(), end.value)[0]
 
 
 def _say(words: str) -> None:

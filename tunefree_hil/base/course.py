@@ -41,7 +41,7 @@ class Start(NamedTuple):
 
 
 class Tracking(NamedTuple):
-    """What the reference follower says at one tick; the columns of interfaces 6 of the same names.
+    """What the reference follower says at one tick; the columns of docs/reference/files.md of the same names.
 
     ref_x/y/heading/curvature: the point of the current trajectory nearest to the centre of mass. ref_speed/accel: the
     current trajectory at this time. Lateral and heading error: vehicle - reference, at the centre of mass, left

@@ -7,7 +7,7 @@ TunefreeError
 │   └── NoAnswer        a peer is there but does not answer in time
 └── NotValid        4   finished, but the result must not be used (was not real time)
 
-The number is the exit status (interfaces 1).
+The number is the exit status (docs/reference/files.md).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class TunefreeError(Exception):
         return f"{text}\n  what to do: {self.hint}" if self.hint else text
 
     def as_dict(self) -> dict[str, str]:
-        """The entry of `errors` in the JSON result (interfaces 1)."""
+        """The entry of `errors` in the JSON result (docs/reference/files.md)."""
         return {"code": self.code, "file": self.file, "key": self.key, "message": self.message, "hint": self.hint}
 
 

@@ -1,4 +1,4 @@
-"""The one contract for everything that moves through time: the Block (design D1).
+"""The one contract for everything that moves through time: the Block (docs/reference/design.md).
 
 `step(params, state, x, dt_s) -> (state, y)`: params are frozen, state is passed by hand, and after a step the old
 state is dead (a step may reuse the buffers it owns). The same source runs tick by tick on the bus as plain Python and,
@@ -98,16 +98,16 @@ def kept(function: F) -> F:
 
 def callees(function: Callable[..., Any]) -> list[Callable[..., Any]]:
     """The kernels that a kernel calls, and they in turn, without itself: found by name in globals and closures."""
-    found: dict[Any, None] = {}
+    callees: dict[Any, None] = {}
     todo: list[Any] = [function]
     while todo:
         for _, value in named_in(todo.pop()):
             plain = getattr(value, "py_func", value)
             is_kernel = isinstance(plain, FunctionType) and (plain is not value or "kernel" in plain.__dict__)
-            if is_kernel and plain is not function and plain not in found:
-                found[plain] = None
+            if is_kernel and plain is not function and plain not in callees:
+                callees[plain] = None
                 todo.append(plain)
-    return list(found)
+    return list(callees)
 
 
 class Block(NamedTuple):

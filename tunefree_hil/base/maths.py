@@ -46,18 +46,18 @@ def find_cell(grid: Any, value: float) -> int:
 
 
 @kernel
-def lerp_table(grid: Any, values: Any, at: float) -> float:
+def lerp_table(grid: Any, values: Any, x: float) -> float:
     """Linear interpolation in an ascending grid, flat outside it."""
-    if at <= grid[0]:
+    if x <= grid[0]:
         return float(values[0])
     last = len(grid) - 1
-    if at >= grid[last]:
+    if x >= grid[last]:
         return float(values[last])
-    i = find_cell(grid, at)
+    i = find_cell(grid, x)
     width = grid[i + 1] - grid[i]
     if width <= 0.0:
         return float(values[i])
-    share = (at - grid[i]) / width
+    share = (x - grid[i]) / width
     return float(values[i] + share * (values[i + 1] - values[i]))
 
 

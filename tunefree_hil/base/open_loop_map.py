@@ -80,49 +80,49 @@ def _unfit(message: str, path: Path, refusal: Refusal) -> InputError:
     return InputError(message, code=refusal.unfit, file=str(path), hint=refusal.hint)
 
 
-def rows_by_speed(speed_mps: Sequence[float], at: Sequence[float], value: Sequence[float]) -> SpeedRows:
-    """Rows of `value` over `at`; of a repeated (speed, at) pair the last one counts (apollo_facts 4.4).
+def rows_by_speed(speed_mps: Sequence[float], keys: Sequence[float], value: Sequence[float]) -> SpeedRows:
+    """Rows of `value` over `at`; of a repeated (speed, at) pair the last one counts (docs/reference/apollo.md).
 
     Raises ValueError for columns that are not equally long, or empty.
     """
     rows: dict[float, dict[float, float]] = {}
-    for speed, place, own in zip(speed_mps, at, value, strict=True):
-        rows.setdefault(float(speed), {})[float(place)] = float(own)
+    for speed, place, row_value in zip(speed_mps, keys, value, strict=True):
+        rows.setdefault(float(speed), {})[float(place)] = float(row_value)
     if not rows:
         raise ValueError("a map has one point or more")
     first, places, values = [0], [], []
     for speed in sorted(rows):
         pairs = sorted(rows[speed].items())
         places += [place for place, _ in pairs]
-        values += [own for _, own in pairs]
+        values += [row_value for _, row_value in pairs]
         first.append(len(places))
     return SpeedRows(table(sorted(rows)), table(first), table(places), table(values))
 
 
 @kernel
-def value_in_row(rows: SpeedRows, row: int, at: float) -> float:
+def value_in_row(rows: SpeedRows, row: int, key: float) -> float:
     """Linear within one speed, held at the ends."""
     places, values = rows.at, rows.value
     low, high = int(rows.first[row]), int(rows.first[row + 1]) - 1
-    if at <= places[low]:
+    if key <= places[low]:
         return float(values[low])
-    if at >= places[high]:
+    if key >= places[high]:
         return float(values[high])
-    i = find_cell_between(places, low, high, at)
-    share = (at - places[i]) / (places[i + 1] - places[i])  # not 0: strictly ascending
+    i = find_cell_between(places, low, high, key)
+    share = (key - places[i]) / (places[i + 1] - places[i])  # not 0: strictly ascending
     return float(values[i] + share * (values[i + 1] - values[i]))
 
 
 @kernel
-def value_at(rows: SpeedRows, speed_mps: float, at: float) -> float:
+def value_at(rows: SpeedRows, speed_mps: float, key: float) -> float:
     """Linear between the two bracketing speeds, held at the ends."""
     speeds = rows.speed_mps
     last = len(speeds) - 1
     if speed_mps <= speeds[0]:
-        return value_in_row(rows, 0, at)
+        return value_in_row(rows, 0, key)
     if speed_mps >= speeds[last]:
-        return value_in_row(rows, last, at)
+        return value_in_row(rows, last, key)
     i = find_cell(speeds, speed_mps)
     share = (speed_mps - speeds[i]) / (speeds[i + 1] - speeds[i])  # not 0: strictly ascending
-    below = value_in_row(rows, i, at)
-    return below + share * (value_in_row(rows, i + 1, at) - below)
+    below = value_in_row(rows, i, key)
+    return below + share * (value_in_row(rows, i + 1, key) - below)

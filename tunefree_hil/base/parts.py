@@ -22,8 +22,8 @@ FAILURES = (  # of a file that is run: its grammar, what it imports, what it doe
 
 def names(package: str) -> list[str]:
     """The parts in a folder, by file name."""
-    found = importlib.import_module(package)
-    return sorted(info.name for info in pkgutil.iter_modules(found.__path__) if not info.name.startswith("_"))
+    module = importlib.import_module(package)
+    return sorted(info.name for info in pkgutil.iter_modules(module.__path__) if not info.name.startswith("_"))
 
 
 def load(package: str, name: str, export: str, kind: type | None = None) -> Any:
@@ -33,11 +33,11 @@ def load(package: str, name: str, export: str, kind: type | None = None) -> Any:
     export is instead of a `kind`.
     """
     if ":" in name:
-        found = _from_path(name)
-        if kind is not None and not isinstance(found, kind):
-            what = f"{name} is of type {type(found).__name__}, where {kind.__name__} is expected"
-            raise InputError(what, code="unknown_part", hint=f"{export} = {kind.__name__}(...) in that file")
-        return found
+        part = _from_path(name)
+        if kind is not None and not isinstance(part, kind):
+            problem = f"{name} is of type {type(part).__name__}, where {kind.__name__} is expected"
+            raise InputError(problem, code="unknown_part", hint=f"{export} = {kind.__name__}(...) in that file")
+        return part
     if name not in names(package):
         known = ", ".join(names(package))
         raise InputError(

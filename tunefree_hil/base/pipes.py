@@ -96,8 +96,8 @@ class Helper:
         self.process.wait(END_S)
         self._words.seek(0)
         lines = self._words.read().decode(errors="replace").strip().splitlines()[-LAST_LINES:]
-        said = "\n    ".join(["", *lines]) if lines else ""
-        message = f"{self._loss.subject} has ended ({self.process.returncode}){said}"
+        stderr_lines = "\n    ".join(["", *lines]) if lines else ""
+        message = f"{self._loss.subject} has ended ({self.process.returncode}){stderr_lines}"
         return PeerGone(self._loss.peer, message, code=self._loss.code, hint=self._loss.hint)
 
 

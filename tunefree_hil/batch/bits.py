@@ -59,9 +59,9 @@ def bit_params(messages: Sequence[MessageMap]) -> BitParams:
             low = 1.0 - first.active if first.active in (0, 1) else 0.0
             rest.append(_read_back(message, name, low))
         for state in message.states:
-            said = _read_back(message, state.signal, state.active)
-            at = float(first_signal[-1] + names.index(state.signal))
-            rows.append((at, *_looks_at(state), float(state.active), said, _sign(state)))
+            read_back = _read_back(message, state.signal, state.active)
+            column = float(first_signal[-1] + names.index(state.signal))
+            rows.append((column, *_looks_at(state), float(state.active), read_back, _sign(state)))
         first_row.append(len(rows))
         first_signal.append(first_signal[-1] + len(names))
     columns = [table(row[i] for row in rows) for i in range(7)]
@@ -87,24 +87,24 @@ def holds(kind: float, channel: float, field: float, status: ByWireStatus) -> bo
         return status.gear_override > 0.5
     if kind != CHANNEL:
         return False
-    at = int(field)
-    if channel in (0.0, ANY) and status.throttle[at] > 0.5:
+    column = int(field)
+    if channel in (0.0, ANY) and status.throttle[column] > 0.5:
         return True
-    if channel in (1.0, ANY) and status.brake[at] > 0.5:
+    if channel in (1.0, ANY) and status.brake[column] > 0.5:
         return True
-    return channel in (2.0, ANY) and status.steer[at] > 0.5
+    return channel in (2.0, ANY) and status.steer[column] > 0.5
 
 
 @kernel
 def say_bits(p: BitParams, state: BitState, status: ByWireStatus) -> None:
     """What each message would say of a status: to be called when the status has changed."""
-    value, told = state.value, state.told
+    value, decoded = state.value, state.told
     for i in range(len(p.rest)):
-        value[i], told[i] = float(p.rest[i]), 0.0
+        value[i], decoded[i] = float(p.rest[i]), 0.0
     for i in range(len(p.kind)):
-        at = int(p.signal[i])
-        if told[at] == 0.0 and holds(float(p.kind[i]), float(p.channel[i]), float(p.field[i]), status):
-            value[at], told[at] = float(p.said[i]), 1.0
+        column = int(p.signal[i])
+        if decoded[column] == 0.0 and holds(float(p.kind[i]), float(p.channel[i]), float(p.field[i]), status):
+            value[column], decoded[column] = float(p.said[i]), 1.0
     for m in range(len(p.enables)):
         for j in range(3):
             state.now[3 * m + j] = 0.0
@@ -137,19 +137,30 @@ def vehicle_state(p: BitParams, state: BitState) -> VehicleState:
     return VehicleState(known, not disabled, override, fault)
 
 
-def _looks_at(state: StateMap) -> tuple[float, float, float]:
-    """(kind, channel, field) of a row."""
+class StatusSource(NamedTuple):
+    """Which status a row reads: its kind, the channel, the field."""
+
+    kind: float
+    channel: float
+    field: float
+
+
+def _looks_at(state: StateMap) -> StatusSource:
+    """The status that a condition of the vehicle folder reads."""
     if state.condition == "watchdog":
-        return (CAUSE, 0.0, CAUSES.get(state.cause, -1.0)) if state.cause else (BRAKING, 0.0, 0.0)
+        if state.cause:
+            return StatusSource(CAUSE, 0.0, CAUSES.get(state.cause, -1.0))
+        return StatusSource(BRAKING, 0.0, 0.0)
     if state.bywire == "gear":
-        return (GEAR if state.condition == "override" else NEVER, 0.0, 0.0)
+        return StatusSource(GEAR if state.condition == "override" else NEVER, 0.0, 0.0)
     channel = float(CHANNELS.index(state.bywire)) if state.bywire else ANY
     if state.condition == "fault":
         counts = state.cause == COUNTER_CAUSE
-        return (CHANNEL if counts else NEVER, channel, float(ChannelStatus._fields.index("counter_fault")))
+        field = float(ChannelStatus._fields.index("counter_fault"))
+        return StatusSource(CHANNEL if counts else NEVER, channel, field)
     if state.condition not in ("enabled", "override", "timeout", "driver"):
-        return (NEVER, channel, 0.0)
-    return (CHANNEL, channel, float(ChannelStatus._fields.index(state.condition)))
+        return StatusSource(NEVER, channel, 0.0)
+    return StatusSource(CHANNEL, channel, float(ChannelStatus._fields.index(state.condition)))
 
 
 def _sign(state: StateMap) -> float:

@@ -134,19 +134,19 @@ def heard_commands(p: CommandParams, state: CommandState) -> Heard:
 
 
 def _message_of(channel: str, messages: tuple[MessageMap, ...]) -> int:
-    found = [at for at, message in enumerate(messages) if channel in message.bywire]
-    if len(found) > 1:
-        names = ", ".join(messages[at].name for at in found)
+    places = [at for at, message in enumerate(messages) if channel in message.bywire]
+    if len(places) > 1:
+        names = ", ".join(messages[at].name for at in places)
         raise InputError(
             f"more than one message commands {channel}: {names}",
             code="not_in_batch",
             hint="the batch cannot drive such a vehicle; leave out --backend batch",
         )
-    return found[0] if found else -1
+    return places[0] if places else -1
 
 
-def _place_of(channel: str, messages: tuple[MessageMap, ...], at: int) -> int:
-    fields = [] if at < 0 else [field.name for field in messages[at].fields if field.group == "command"]
+def _place_of(channel: str, messages: tuple[MessageMap, ...], start: int) -> int:
+    fields = [] if start < 0 else [field.name for field in messages[start].fields if field.group == "command"]
     return Command._fields.index(PLACES[channel]) if PLACES[channel] in fields else -1
 
 

@@ -1,4 +1,4 @@
-"""One drive in one kernel: ECU, bus and controller tick by tick as the nodes go (docs/architecture.md, one tick).
+"""One drive in one kernel: ECU, bus and controller tick by tick as the nodes go (docs/explanation/architecture.md, one tick).
 
 It ends with the course, or at the tick at which the controller says a failure. Rows: what is on the bus and what the
 reference follower says of it, column by column, as episode/columns.py reads them off a log.
@@ -50,7 +50,7 @@ class LinkParams(NamedTuple):
     limits: Limits
 
 
-class LinkState(NamedTuple):
+class WireStates(NamedTuple):
     """What is under way. bit_sent: frames so far of each message with states."""
 
     report: WireState
@@ -108,7 +108,7 @@ def same_status(a: ByWireStatus, b: ByWireStatus) -> bool:
 
 
 @kernel
-def publish_bits(p: LinkParams, state: LinkState, tick: int) -> None:
+def publish_bits(p: LinkParams, state: WireStates, tick: int) -> None:
     """The state bits that go out and are heard at this tick."""
     for m in range(len(p.bit_period)):
         if int(tick + p.bit_phase[m]) % int(p.bit_period[m]) == 0:  # not 0: a period is a tick or more
@@ -120,10 +120,10 @@ def publish_bits(p: LinkParams, state: LinkState, tick: int) -> None:
 @kernel
 def driver_at(rows: Any, tick: int) -> Driver:
     """The person in the seat."""
-    at = min(tick, len(rows) // 6 - 1) * 6
+    start = min(tick, len(rows) // 6 - 1) * 6
     return Driver(
-        float(rows[at]), float(rows[at + 1]), float(rows[at + 2]),
-        float(rows[at + 3]), float(rows[at + 4]), float(rows[at + 5]),
+        float(rows[start]), float(rows[start + 1]), float(rows[start + 2]),
+        float(rows[start + 3]), float(rows[start + 4]), float(rows[start + 5]),
     )  # fmt: skip
 
 
@@ -135,7 +135,7 @@ def ins_sent(state: WireState) -> Ins:
 
 
 @kernel
-def write_row(out: Any, rows: int, tick: int, link: LinkState, tracking: Any) -> None:
+def write_row(out: Any, rows: int, tick: int, link: WireStates, tracking: Any) -> None:
     """Row `tick` of the columns."""
     for i in range(20):
         out[(REPORT + i) * rows + tick] = float(link.report.sent[i])
@@ -156,19 +156,19 @@ def make_episode(control: Callable[..., Any], unit: Callable[..., Any], follow: 
     """
 
     @kernel
-    def drive(p: LinkParams, link: LinkState, setting: Setting, rider: Rider, car: Ridden, out: Any) -> End:
+    def drive(p: LinkParams, link: WireStates, setting: Setting, rider: Rider, car: Ridden, out: Any) -> End:
         rows, dt_s = setting.ticks, setting.dt_s
         control_state, follower_state = rider.control_state, rider.follower_state
-        car_state, said, status = car.state, car.said, car.said.status
+        car_state, reported, status = car.state, car.said, car.said.status
         progress = Progress(0, 0, False)
         apart = False
         say_bits(p.bits, link.bits, status)
         for k in range(rows):
-            if not same_status(said.status, status):
-                status = said.status
+            if not same_status(reported.status, status):
+                status = reported.status
                 say_bits(p.bits, link.bits, status)
-            pass_on(p.report, link.report, said.measurement.report)
-            pass_on(p.ins, link.ins, said.measurement.ins)
+            pass_on(p.report, link.report, reported.measurement.report)
+            pass_on(p.ins, link.ins, reported.measurement.ins)
             publish_bits(p, link, k)
             fix = ins_sent(link.ins)
             code = 0.0
@@ -203,7 +203,9 @@ def make_episode(control: Callable[..., Any], unit: Callable[..., Any], follow: 
                 return End(k + 1, code)
             road = Disturbance(float(setting.grade_rad[k]), float(setting.friction_frac[k]))
             heard = heard_commands(p.command, link.command)
-            car_state, said = unit(car.params, car_state, UnitInput(heard, driver_at(setting.driver, k), road), dt_s)
+            car_state, reported = unit(
+                car.params, car_state, UnitInput(heard, driver_at(setting.driver, k), road), dt_s
+            )
         return End(rows, 0.0)
 
     return compiled(drive)

@@ -1,4 +1,4 @@
-"""The compiled batch of a bench: many drives at once, bit for bit those of the bus (design D1).
+"""The compiled batch of a bench: many drives at once, bit for bit those of the bus (docs/reference/design.md).
 
     with Batch(bench, model, extra_effects=("steer_gain",)) as batch:
         driven = batch.drive([Job(values, scenario), Job(values, scenario, effects={"steer_gain": {"gain_frac": 1.1}})])

@@ -24,7 +24,7 @@ def require_buildable(
         bench.course(scenario)
     VehicleFor(bench, model, realtime=realtime)
     if scenarios:
-        one = replace(bench, scenarios={scenario.name: scenario for scenario in scenarios})
+        changed = replace(bench, scenarios={scenario.name: scenario for scenario in scenarios})
         start = bytes.fromhex(scenarios[0].hash)[:6]
-        controller = ControllerFor(one)
+        controller = ControllerFor(changed)
         controller(start, controller.indexed(values))

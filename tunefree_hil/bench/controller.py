@@ -33,7 +33,7 @@ from tunefree_hil.control.parameters import (
 from tunefree_hil.nodes.controller import Assignment
 from tunefree_hil.nodes.measurement_decoder import CHASSIS, INS
 
-KEPT = 32  # gain tables, and path tables
+MAX_CACHED = 32  # gain tables, and path tables
 
 
 def constants_of(vehicle: VehicleSpec) -> VehicleConstants:
@@ -69,7 +69,7 @@ def constants_of(vehicle: VehicleSpec) -> VehicleConstants:
 def require_in_box(name: str, value: float, *, file: str = "", key: str = "") -> None:
     """Raise InputError for a value that a person gave outside its published box; the shipped manual values may.
 
-    Compared as binary32, which is what the controller gets. Names that are not of interfaces 7 have no box; their
+    Compared as binary32, which is what the controller gets. Names that are not of docs/reference/controller.md have no box; their
     values need only be sendable.
     """
     row, sendable = BY_NAME.get(name), math.isfinite(value) and abs(value) < LARGEST32
@@ -112,12 +112,12 @@ def parameters_of(bench: Bench, chosen: Mapping[str, float] | None = None) -> di
         require_in_box(name, value, file=bench.file, key=f"controller.parameters.{name}")
     values = study_values()
     values |= {"riccati": RICCATI_CODES[controller.riccati], "look_ahead_m": controller.look_ahead_m}
-    own = own_parameters(bench)
-    for name in (name for name in own if name not in controller.parameters):
-        require_in_box(name, own[name], file=bench.file, key="tune.parameters")
-    values |= own | controller.parameters
+    own_names = own_parameters(bench)
+    for name in (name for name in own_names if name not in controller.parameters):
+        require_in_box(name, own_names[name], file=bench.file, key="tune.parameters")
+    values |= own_names | controller.parameters
     values |= dict(chosen or {})
-    return {name: round32(value) for name, value in check_complete(values, tuple(own)).items()}
+    return {name: round32(value) for name, value in check_complete(values, tuple(own_names)).items()}
 
 
 def settings_of(bench: Bench) -> Settings:
@@ -131,10 +131,10 @@ def settings_of(bench: Bench) -> Settings:
 
 def calibration_path(bench: Bench) -> Path:
     """File of the open-loop map: the bench file's own, else that of its model."""
-    own = bench.spec.controller.calibration
-    if own:
-        beside = Path(bench.file).parent / own
-        return beside if beside.is_file() else Path(own)
+    file = bench.spec.controller.calibration
+    if file:
+        beside = Path(bench.file).parent / file
+        return beside if beside.is_file() else Path(file)
     return Path(model_of(bench, bench.spec.model).folder) / MAP_FILE
 
 
@@ -151,7 +151,7 @@ def follower_of(bench: Bench, scenario: ScenarioSpec, values: Mapping[str, float
 class ControllerFor:
     """(scenario, parameters by index) -> Assignment. Gain tables of the last parameters and path tables are kept.
 
-    own: what the parts bring beyond interfaces 7, to be announced in this order.
+    own: what the parts bring beyond docs/reference/controller.md, to be announced in this order.
     """
 
     def __init__(self, bench: Bench) -> None:
@@ -182,7 +182,7 @@ class ControllerFor:
             _make_room(self._followers)
             self._followers[spec.hash] = follower_of(self.bench, spec, values)
         follower = self._followers[spec.hash].params._replace(look_ahead_m=values["look_ahead_m"])
-        params = (follower, *block.params[1:])
+        params = block.params._replace(follower=follower)
         return Assignment(block._replace(params=params), course.ticks, self.bench.dt_s, self.faults)
 
     def _build(self, values: dict[str, float], course: Course) -> Block:
@@ -198,10 +198,10 @@ class ControllerFor:
         )
 
 
-def _make_room(kept: dict[Any, Any]) -> None:
+def _make_room(cache: dict[Any, Any]) -> None:
     """Forget the oldest of too many."""
-    if len(kept) >= KEPT:
-        del kept[next(iter(kept))]
+    if len(cache) >= MAX_CACHED:
+        del cache[next(iter(cache))]
 
 
 def needed_messages(codec: Codec) -> dict[str, list[str]]:

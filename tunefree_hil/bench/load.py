@@ -65,8 +65,8 @@ def whole_vehicle(name: Path | str, near: Path | str | None = None) -> VehicleSp
     problems = check_fields(vehicle)
     known = {(problem.key, problem.message) for problem in problems}
     problems += [one for one in check_vehicle(vehicle) if (one.key, one.message) not in known]
-    told = {problem.key for problem in problems}
-    problems += [one for one in check_drive(vehicle) if one.key not in told]
+    refused_keys = {problem.key for problem in problems}
+    problems += [one for one in check_drive(vehicle) if one.key not in refused_keys]
     if problems:
         raise one_error(problems)
     return vehicle
@@ -76,10 +76,10 @@ def _refuse_namesakes(spec: BenchSpec, scenarios: Mapping[str, ScenarioSpec]) ->
     """Results are kept by the name that a scenario gives itself."""
     known: dict[str, ScenarioSpec] = {}
     for scenario in scenarios.values():
-        other = known.setdefault(scenario.name, scenario)
-        if other.path != scenario.path:
+        first = known.setdefault(scenario.name, scenario)
+        if first.path != scenario.path:
             raise InputError(
-                f"{other.path} and {scenario.path} both have the name {scenario.name!r}",
+                f"{first.path} and {scenario.path} both have the name {scenario.name!r}",
                 code="same_name",
                 file=spec.path,
                 key="scenarios",

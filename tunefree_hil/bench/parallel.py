@@ -10,7 +10,7 @@ from typing import NamedTuple
 from tunefree_hil.bench.load import Bench
 from tunefree_hil.bench.simulator import Job, Simulator
 from tunefree_hil.episode.recording import Recording
-from tunefree_hil.grade.score import GRADED, ScenarioGrade, grade, vehicle_of
+from tunefree_hil.grade.score import GRADED_ENDS, ScenarioGrade, grade_drive, grade_vehicle_from_spec
 
 
 class Driven(NamedTuple):
@@ -35,7 +35,7 @@ class Fleet:
 
     def __init__(self, bench: Bench, model: str, extra_effects: Sequence[str], threads: int | None = None) -> None:
         self.simulator = Simulator(bench, model, extra_effects)
-        self._vehicle = vehicle_of(bench.vehicle)
+        self._vehicle = grade_vehicle_from_spec(bench.vehicle)
         self._pool = ThreadPoolExecutor(threads or len(os.sched_getaffinity(0)))
 
     def drive(self, jobs: Sequence[Job], *, columns: bool = False) -> list[Driven]:
@@ -54,9 +54,9 @@ class Fleet:
         drive = simulator.drive(job)
         bench = simulator.bench
         graded = None
-        if drive.error in GRADED:
+        if drive.error in GRADED_ENDS:
             course = bench.course(scenario)
-            graded = grade(
+            graded = grade_drive(
                 drive.recording, course, bench.weights, self._vehicle, scenario=scenario.name, error=drive.error
             )
         return Driven(graded, drive.ticks, drive.error, drive.recording if columns else None)

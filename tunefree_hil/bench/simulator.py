@@ -29,10 +29,10 @@ from tunefree_hil.batch.episode import (
     WIDTH,
     End,
     LinkParams,
-    LinkState,
     Ridden,
     Rider,
     Setting,
+    WireStates,
     make_episode,
 )
 from tunefree_hil.bench.controller import ControllerFor, needed_messages
@@ -51,7 +51,7 @@ from tunefree_hil.episode.recording import Recording
 from tunefree_hil.nodes.controller import MISSING_CODES, STAGE_CODES, Assignment
 from tunefree_hil.nodes.ecu import Vehicle
 from tunefree_hil.nodes.handshake import STAGES, Stage, limits_of
-from tunefree_hil.nodes.measurement_decoder import Hearing
+from tunefree_hil.nodes.measurement_decoder import MeasurementDecoder
 
 KEPT_VEHICLES = 64  # one is a scenario's noise: 0.4 MB a minute's drive
 
@@ -70,7 +70,25 @@ class Job(NamedTuple):
     scale: Mapping[str, float] = {}
 
 
-class Drive(NamedTuple):
+class EpisodeRun(NamedTuple):
+    """A drive of the kernel: its course, how it ended, and its rows column by column."""
+
+    course: Course
+    end: End
+    rows: np.ndarray
+
+
+class EpisodeSetup(NamedTuple):
+    """The kernel of an episode and its input."""
+
+    kernel: Any
+    setting: Setting
+    link: WireStates
+    rider: Rider
+    car: Ridden
+
+
+class SimulatedDrive(NamedTuple):
     """How a drive went. error: '' when it was driven to its end, else the error's name."""
 
     recording: Recording
@@ -104,7 +122,7 @@ class Simulator:
         self._not_ours = own_of(self.bench, self._base.model)
         self._kernel: Any = None
 
-    def drive(self, job: Job) -> Drive:
+    def drive(self, job: Job) -> SimulatedDrive:
         """One drive."""
         course, end, rows = self.run(job)
         records: Any = rows.reshape(WIDTH, course.ticks)[:, : end.ticks].T
@@ -112,10 +130,10 @@ class Simulator:
             records[:, REPORT:INS], records[:, INS:COMMAND], records[:, COMMAND:TRACKING], records[:, TRACKING:],
             self.bench.dt_s,
         )  # fmt: skip
-        return Drive(recording, end.ticks, ErrorCode(int(end.code)).name.lower() if end.code else "")
+        return SimulatedDrive(recording, end.ticks, ErrorCode(int(end.code)).name.lower() if end.code else "")
 
-    def run(self, job: Job) -> tuple[Course, End, np.ndarray]:
-        """(course, end, rows column by column) of a drive; the rows are good until this thread's next drive."""
+    def run(self, job: Job) -> EpisodeRun:
+        """Drive a job. The rows are overwritten by this thread's next drive."""
         with self._lock:
             task = self._assignment(job)
             vehicle = self._vehicle(job)
@@ -130,21 +148,21 @@ class Simulator:
                 key="faults",
                 hint="let the driver take over later, or leave out --backend batch",
             )
-        return vehicle.course, end, np.asarray(out)
+        return EpisodeRun(vehicle.course, end, np.asarray(out))
 
     def _rows(self, ticks: int) -> Any:
-        kept = self._own.__dict__.setdefault("rows", {})
-        if ticks not in kept:
-            kept[ticks] = buffer(WIDTH * ticks, NAN)
-        return kept[ticks]
+        cache = self._own.__dict__.setdefault("rows", {})
+        if ticks not in cache:
+            cache[ticks] = buffer(WIDTH * ticks, NAN)
+        return cache[ticks]
 
-    def _episode(self, task: Assignment, vehicle: Vehicle) -> tuple[Any, Setting, LinkState, Rider, Ridden]:
-        """The kernel and what it works on, states fresh."""
+    def _episode(self, task: Assignment, vehicle: Vehicle) -> EpisodeSetup:
+        """The kernel and its input with fresh states."""
         bench, course, block = self.bench, vehicle.course, task.block
         if self._kernel is None:
             self._kernel = make_episode(block.step, vehicle.unit.step, follower.step)
         report, ins = (self._wires[group].init(self._wires[group].params, bench.dt_s) for group in ("report", "ins"))
-        link = LinkState(
+        link = WireStates(
             report,
             ins,
             init_bits(self._link.bits),
@@ -152,9 +170,9 @@ class Simulator:
             init_commands(self._wires["command"], self._link.command),
         )
         setting = Setting(course.ticks, bench.dt_s, course.grade_rad, course.friction_frac, self._driver)
-        follow = block.params[0]
+        follow = block.params.follower
         rider = Rider(block.params, block.init(block.params, bench.dt_s), follow, follower.init(follow, bench.dt_s))
-        return self._kernel, setting, link, rider, self._start_of(vehicle)
+        return EpisodeSetup(self._kernel, setting, link, rider, self._start_of(vehicle))
 
     def _start_of(self, vehicle: Vehicle) -> Ridden:
         """The vehicle at tick 0, with buffers of its own: what it is made of is kept with its noise."""
@@ -179,15 +197,15 @@ class Simulator:
         if key not in self._vehicles:
             if len(self._vehicles) >= KEPT_VEHICLES:
                 self._vehicles.pop(next(iter(self._vehicles)))
-            own = self._vehicle_maker(job.effects, job.scale)(bytes.fromhex(job.scenario.hash)[:6], seed)
-            self._vehicles[key] = self._with_base_steps(own)
+            vehicle = self._vehicle_maker(job.effects, job.scale)(bytes.fromhex(job.scenario.hash)[:6], seed)
+            self._vehicles[key] = self._with_base_steps(vehicle)
         return self._vehicles[key]
 
-    def _with_base_steps(self, own: Vehicle) -> Vehicle:
+    def _with_base_steps(self, vehicle: Vehicle) -> Vehicle:
         """The same vehicle stepped by the structure's own kernels: the numbers are its own, the code is shared."""
         base = self._base.body
-        block = base.block._replace(params=own.body.block.params)
-        return own._replace(unit=self._base.unit, body=base._replace(block=block))
+        block = base.block._replace(params=vehicle.body.block.params)
+        return vehicle._replace(unit=self._base.unit, body=base._replace(block=block))
 
     def _vehicle_maker(self, effects: Mapping[str, Mapping[str, float]], scale: Mapping[str, float]) -> VehicleFor:
         key = _key(effects, scale)
@@ -281,7 +299,7 @@ def _first_missing(codec: Codec, dt_s: float, phases: Mapping[str, int]) -> tupl
 
     The bus loses nothing here, so that this depends on periods and phases alone.
     """
-    hearing, needed = Hearing(codec, dt_s), needed_messages(codec)
+    hearing, needed = MeasurementDecoder(codec, dt_s), needed_messages(codec)
     sent = dict.fromkeys(phases, 0)
     longest = max((message.period_ticks for message in codec.telemetry), default=1)
     for k in range(4 * longest + 2 * hearing.limit_ticks):

@@ -27,19 +27,19 @@ def own_of(bench: Bench, model: ModelSpec) -> list[Own]:
     return [one for one in (plant, *parts) if ":" in one.name]
 
 
-def answer_of(kernel: Callable[..., Any], args: tuple[Any, ...], own: Sequence[Own]) -> Any:
+def answer_of(kernel: Callable[..., Any], args: tuple[Any, ...], user_kernels: Sequence[Own]) -> Any:
     """`kernel(*args)`. Raises InputError where one with code of the user's cannot be compiled; ours can, so without
     any the compiler's own words are a mistake of ours and pass.
     """
-    if not own:
+    if not user_kernels:
         return kernel(*args)
     try:
         return kernel(*args)
     except compiler_errors() as error:
         raise InputError(
-            f"{' and '.join(one.name for one in own)} cannot be compiled, so the batch does not drive it",
+            f"{' and '.join(one.name for one in user_kernels)} cannot be compiled, so the batch does not drive it",
             code="not_in_batch",
-            file=own[0].file,
-            key=own[0].key,
+            file=user_kernels[0].file,
+            key=user_kernels[0].key,
             hint="drive it over the bus, or write its blocks as kernels (base/kernel.py)",
         ) from error

@@ -29,10 +29,12 @@ def own_parameters(bench: Bench) -> dict[str, float]:
 def part_names(bench: Bench) -> PartNames:
     """The parts of our controller; a user's file ('mine.py:CONTROLLER') is looked for beside the bench file first."""
     controller = bench.spec.controller
-    return PartNames(*(_found(bench, name) for name in (controller.lateral, controller.longitudinal, controller.inner)))
+    return PartNames(
+        *(_find_file(bench, name) for name in (controller.lateral, controller.longitudinal, controller.inner))
+    )
 
 
-def _found(bench: Bench, name: str) -> str:
+def _find_file(bench: Bench, name: str) -> str:
     path, colon, export = name.rpartition(":")
     for folder in (Path(bench.file).parent, Path()):
         if colon and (folder / path).is_file():
@@ -41,7 +43,7 @@ def _found(bench: Bench, name: str) -> str:
 
 
 def part_values(bench: Bench) -> dict[str, float]:
-    """What the parts of our controller bring beyond interfaces 7 (control/build.py). InputError names file and key."""
+    """What the parts of our controller bring beyond docs/reference/controller.md (control/build.py). InputError names file and key."""
     try:
         return own_values(part_names(bench))
     except InputError as error:
@@ -49,14 +51,14 @@ def part_values(bench: Bench) -> dict[str, float]:
         raise
 
 
-def _require_of_parts(bench: Bench, named: Sequence[str], own: Sequence[str]) -> None:
+def _require_of_parts(bench: Bench, named: Sequence[str], own_names: Sequence[str]) -> None:
     """Raise InputError for a parameter that no part has, where there are parts of the user's own."""
-    unknown = [name for name in named if name not in own]
+    unknown = [name for name in named if name not in own_names]
     if unknown and any(":" in part for part in part_names(bench)):
         raise InputError(
             f"the controller's parts have no parameter {', '.join(unknown)}",
             code="unknown_parameter",
             file=bench.file,
             key=f"controller.parameters.{unknown[0]}",
-            hint=f"their own are {', '.join(own) or 'none'}: the `tunables` of a part say them",
+            hint=f"their own are {', '.join(own_names) or 'none'}: the `tunables` of a part say them",
         )

@@ -33,7 +33,7 @@ PLANTS = {  # [plant] kind -> file in plant/
     "rule_based": "rule_based",
     "paper": "paper",
 }
-TIMEOUT_S = 0.1  # of a channel whose command states none (apollo_facts 7.3)
+TIMEOUT_S = 0.1  # of a channel whose command states none (docs/reference/by_wire.md)
 STEER_DRIVER_S = 0.02  # that a hand must be felt for; of the pedals vehicle.toml says it
 HEAVY = ("reference", "paper")  # kinds whose node runs compiled
 
@@ -51,8 +51,8 @@ class VehicleFor:
         self.model_name = model if isinstance(model, str) else model.folder
         self.body = _body_of(bench, self.model)
         timing = self.model.timing
-        own = 1 if realtime else 0  # real time: one tick each way is the bus's own
-        if min(timing.command_ticks, timing.report_ticks) < own:
+        bus_ticks = 1 if realtime else 0  # real time: one tick each way is the bus's own
+        if min(timing.command_ticks, timing.report_ticks) < bus_ticks:
             raise InputError(
                 "in real time a frame needs one tick each way",
                 file=f"{self.model.folder}/model.toml",
@@ -63,8 +63,8 @@ class VehicleFor:
         self.driver = driver_script(bench.spec.faults, bench.vehicle.nominal.rest_pedal_frac)
         self.faults = faults_of(bench, ECU)
         self.ahead = ahead and not realtime and timing.command_ticks > 0
-        waits = own or int(self.ahead)  # ticks that a command waits outside the unit
-        unit = make_unit(self.body, block, timing.command_ticks - waits, timing.report_ticks - own)
+        waits = bus_ticks or int(self.ahead)  # ticks that a command waits outside the unit
+        unit = make_unit(self.body, block, timing.command_ticks - waits, timing.report_ticks - bus_ticks)
         self.unit = unit._replace(step=kept(unit.step))
         for alone in (self.body.eyes, self.body.seen):  # tick 0 calls them by themselves
             kept(alone.step)

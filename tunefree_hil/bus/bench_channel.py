@@ -1,4 +1,4 @@
-"""The bench channel (interfaces 8, dbc/bench.dbc): how the processes agree on episodes, parameters and ticks.
+"""The bench channel (docs/reference/bench_channel.md, dbc/bench.dbc): how the processes agree on episodes, parameters and ticks.
 
 A message is a NamedTuple; `encode` makes it a frame, `decode` makes a frame a message again, or None when it is none of
 ours. TICK and DONE are on the path of every tick, so the bytes are packed by `struct`; a test holds them against
@@ -16,31 +16,31 @@ from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.records import CanFrame
 
 TICK_ID, DONE_ID, STATUS_ID, EPISODE_ID, PARAM_ID, FAULT_ID, HELLO_ID = range(0x6E0, 0x6E7)
-FIRST_OWN_INDEX = 16  # a user's controller numbers its own parameters from here on (interfaces 7)
+FIRST_OWN_INDEX = 16  # a user's controller numbers its own parameters from here on (docs/reference/controller.md)
 LAST_INDEX = 255  # PARAM's index is one byte
 HELLO_WORDS = (
     f"HELLO (id 0x{HELLO_ID:X}, role 2) when it starts and whenever the runner does: its name, then a line "
     f"'INDEX NAME' for each parameter of its own, from index {FIRST_OWN_INDEX} on, four bytes a frame "
-    "(docs/controller.md)"
+    "(docs/how-to/own_controller.md)"
 )
 NOT_SCRIPTED = 255  # Fault.index of a fault that no bench file asked for
 CHUNK_BYTES = 4
 MAX_PARTS = 4095
 
 
-class Told(IntEnum):
+class DescribedCode(IntEnum):
     """Base of the codes: each has a `sentence` for people."""
 
     sentence: str
 
-    def __new__(cls, value: int, sentence: str) -> Told:
+    def __new__(cls, value: int, sentence: str) -> DescribedCode:
         member = int.__new__(cls, value)
         member._value_ = value
         member.sentence = sentence
         return member
 
 
-class Role(Told):
+class Role(DescribedCode):
     """Who speaks."""
 
     RUNNER = 0, "conducts episodes"
@@ -50,7 +50,7 @@ class Role(Told):
     OBSERVER = 4, "only listens"
 
 
-class State(Told):
+class State(DescribedCode):
     """What a role is doing; from the runner STOP and END are requests."""
 
     IDLE = 0, "waiting for an episode"
@@ -63,7 +63,7 @@ class State(Told):
     END = 7, "the process is to end"
 
 
-class ErrorCode(Told):
+class ErrorCode(DescribedCode):
     """Why an episode ended early. From 1000 on: errors inside a controller, its own numbers included."""
 
     NONE = 0, "no error"
@@ -90,7 +90,7 @@ class ErrorCode(Told):
         raise BenchError(
             f"a STATUS says ERROR {value}, which has no meaning",
             code="unknown_error",
-            hint=f"a controller's own errors are numbered from {int(cls.CONTROLLER_OWN)} on (docs/controller.md)",
+            hint=f"a controller's own errors are numbered from {int(cls.CONTROLLER_OWN)} on (docs/how-to/own_controller.md)",
         )
 
 
@@ -197,10 +197,10 @@ def decode(frame: CanFrame) -> Any:
         return None
     if frame.id == HELLO_ID and len(frame.data) == _HELLO.size:
         return _unpack_hello(frame.data)
-    found = _BY_ID.get(frame.id)
-    if found is None or len(frame.data) != found[1].size:
+    entry = _BY_ID.get(frame.id)
+    if entry is None or len(frame.data) != entry[1].size:
         return None
-    kind, form = found
+    kind, form = entry
     return kind(*form.unpack(frame.data))
 
 
@@ -220,7 +220,7 @@ def _unpack_hello(data: bytes) -> Hello | None:
 
 
 def hello_messages(role: int, name: str, parameters: Sequence[str] | Mapping[int, str] = ()) -> list[Hello]:
-    """What a node says of itself: its name, and the parameters that it takes beside the list of interfaces 7.
+    """What a node says of itself: its name, and the parameters that it takes beside the list of docs/reference/controller.md.
 
     parameters: names, numbered from FIRST_OWN_INDEX on, or {index: name}. Raises InputError when the text is too long.
     """
@@ -269,17 +269,17 @@ class HelloCollector:
 
         Raises InputError for a line that is not 'INDEX NAME' with an index of its own range, or for one said twice.
         """
-        found: dict[int, str] = {}
+        announced: dict[int, str] = {}
         lines = self._lines(role)[1:] if self.complete(role) else []
         for line in filter(None, lines):  # a text may end with a line feed
             index, _, name = line.partition(" ")
             number = int(index) if index.isascii() and index.isdigit() else -1
             if not (FIRST_OWN_INDEX <= number <= LAST_INDEX and name.strip()):
                 raise _bad_hello(role, line, f"is not 'INDEX NAME', index {FIRST_OWN_INDEX} to {LAST_INDEX}")
-            if number in found or name in found.values():
+            if number in announced or name in announced.values():
                 raise _bad_hello(role, line, "repeats an index or a name")
-            found[number] = name
-        return found
+            announced[number] = name
+        return announced
 
     def arrived(self, role: int) -> tuple[int, int]:
         """(chunks that are here, chunks there are) of a role's text; (0, 0) where it said nothing yet."""

@@ -1,4 +1,4 @@
-"""What a node holds of a bus: a Link. Above it nobody knows which bus it is."""
+"""What a node holds of a bus: a BusLink, which hides the kind of the bus."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SEND_S = 10.0  # how long a send may wait for a bus that somebody holds
 MOST_AT_ONCE = 4096  # frames that one receive of a foreign bus hands over, so that a flood cannot keep it for ever
 
 
-class Link(Protocol):
+class BusLink(Protocol):
     """One channel of one bus.
 
     `time_s` of a received frame is its stamp: virtual time on a hub with the clock 'sender' (and where members stamp on
@@ -57,7 +57,7 @@ class Link(Protocol):
 
 
 class HubLink:
-    """A Link over a hub's fast path."""
+    """A BusLink over a hub's fast path."""
 
     refused: Sequence[CanFrame] = ()
 
@@ -78,14 +78,14 @@ class HubLink:
         return self._bus.dropped
 
     def send(self, frames: Sequence[CanFrame]) -> None:
-        """See Link."""
+        """See BusLink."""
         try:
             self._bus.send_frames(frames, SEND_S, self._brs)
         except can.CanTimeoutError as error:
             raise NoAnswer(str(error), code="bus_held") from None
 
     def receive(self, timeout_s: float) -> list[CanFrame]:
-        """See Link."""
+        """See BusLink."""
         frames = self._bus.recv_frames(timeout_s)
         if self._bus.error_frames:
             latest, self._bus.error_frames = self._bus.error_frames, []
@@ -94,12 +94,12 @@ class HubLink:
         return frames
 
     def close(self) -> None:
-        """See Link."""
+        """See BusLink."""
         self._bus.shutdown()
 
 
 class PairLink:
-    """One channel of a HubPair as a Link."""
+    """One channel of a HubPair as a BusLink."""
 
     refused: Sequence[CanFrame] = ()
 
@@ -115,7 +115,7 @@ class PairLink:
         return self._pair.remote_frames[self._channel]
 
     def send(self, frames: Sequence[CanFrame]) -> None:
-        """See Link."""
+        """See BusLink."""
         vehicle, bench = (frames, ()) if self._channel == 0 else ((), frames)
         try:
             self._pair.send(vehicle, bench)
@@ -123,7 +123,7 @@ class PairLink:
             raise NoAnswer(str(error), code="bus_held") from None
 
     def receive(self, timeout_s: float) -> list[CanFrame]:
-        """See Link."""
+        """See BusLink."""
         frames = self._pair.receive(self._channel, timeout_s)
         if self._pair.error_frames:
             latest, self._pair.error_frames = self._pair.error_frames, []
@@ -132,15 +132,15 @@ class PairLink:
         return frames
 
     def close(self) -> None:
-        """See Link; closes both."""
+        """See BusLink; closes both."""
         self._pair.close()
 
 
 class Links(NamedTuple):
     """Both channels of a node. `send_both(vehicle, bench)`: the vehicle's frames first, in as few writes as can be."""
 
-    vehicle: Link
-    bench: Link
+    vehicle: BusLink
+    bench: BusLink
     send_both: Callable[[Sequence[CanFrame], Sequence[CanFrame]], None]
 
     def close(self) -> None:
@@ -150,7 +150,7 @@ class Links(NamedTuple):
 
 
 class CanLink:
-    """A Link over any other bus of python-can. `keeps_stamps`: the bus carries the senders' own stamps."""
+    """A BusLink over any other bus of python-can. `keeps_stamps`: the bus carries the senders' own stamps."""
 
     refused: Sequence[CanFrame] = ()
 
@@ -166,7 +166,7 @@ class CanLink:
         self._brs = brs
 
     def send(self, frames: Sequence[CanFrame]) -> None:
-        """See Link. InputError on a link that was opened to listen."""
+        """See BusLink. InputError on a link that was opened to listen."""
         if not self._may_send:
             raise InputError(f"{self.name} only listens to {self._bus.channel_info}", code="observer", key="role")
         try:
@@ -180,7 +180,7 @@ class CanLink:
             ) from error
 
     def receive(self, timeout_s: float) -> list[CanFrame]:
-        """See Link."""
+        """See BusLink."""
         frames: list[CanFrame] = []
         deadline_s = time.monotonic() + timeout_s
         try:
@@ -200,7 +200,7 @@ class CanLink:
         return [frame._replace(time_s=frame.time_s - offset_s) for frame in frames]
 
     def close(self) -> None:
-        """See Link."""
+        """See BusLink."""
         self._bus.shutdown()
 
     def _message(self, frame: CanFrame) -> can.Message:
@@ -225,4 +225,4 @@ class CanLink:
             frames.append(CanFrame(message.arbitration_id, data, extended, message.is_fd, message.timestamp))
 
 
-__all__ = ["CanLink", "HubLink", "HubStats", "Link", "Links", "Owner", "PairLink", "PeerStats"]
+__all__ = ["BusLink", "CanLink", "HubLink", "HubStats", "Links", "Owner", "PairLink", "PeerStats"]

@@ -1,4 +1,4 @@
-"""From `--bus TEXT` (interfaces 1) to open links, and the one place that refuses to transmit where it must not (D2)."""
+"""Opens the links that `--bus TEXT` names (docs/reference/files.md), and refuses to transmit on real CAN hardware."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.records import CanFrame
-from tunefree_hil.bus.link import CanLink, HubLink, Link, Links, PairLink
+from tunefree_hil.bus.link import BusLink, CanLink, HubLink, Links, PairLink
 from tunefree_hil.bus.python_can import can
 from tunefree_hil.bus.socketcan.kernel_link import FD_MTU, MAKE_FD, MAKE_VCAN, holder, kernel_has_can, link_state
 from tunefree_hil.bus.socketcan.link import Options, open_socketcan
@@ -26,12 +26,18 @@ USE_VIRTUAL = "use --bus tfhub, --bus virtual, or a vcan link"
 
 
 class BusChoice(NamedTuple):
-    """Which bus: `kind` tfhub | socketcan | virtual; an address for each channel; `why`, a sentence for a person."""
+    """Which bus: `kind` tfhub | socketcan | virtual; an address for each channel; the reason, and where the bench is."""
 
     kind: str
     vehicle_address: str
     bench_address: str
-    why: str
+    reason: str
+    bench_text: str = ""  # the bus of the bench channel, where it is not that of the vehicle channel
+
+    @property
+    def why(self) -> str:
+        """The choice in one sentence."""
+        return self.reason + (f"; the bench channel over {self.bench_text}" if self.bench_text else "")
 
 
 def resolve_bus(text: str = "auto", session: str = "default", bench_bus: str = "") -> BusChoice:
@@ -40,13 +46,12 @@ def resolve_bus(text: str = "auto", session: str = "default", bench_bus: str = "
     if kind == "auto" and not rest:
         choice = _auto(session)
     elif kind == "tfhub":
-        own = _session_of(rest) if rest else session
-        why = f"tfhub, session {own}, because --bus says so"
-        choice = BusChoice("tfhub", _hub(own, "vehicle"), _hub(own, "bench"), why)
+        hub_session = _session_of(rest) if rest else session
+        why = f"tfhub, session {hub_session}, because --bus says so"
+        choice = BusChoice("tfhub", _hub(hub_session, "vehicle"), _hub(hub_session, "bench"), why)
     elif kind == "socketcan" and rest:
         _require_socketcan(rest)
-        why = f"SocketCAN {rest}, because --bus says so; the bench channel over tfhub, session {session}"
-        choice = BusChoice("socketcan", f"socketcan:{rest}", _hub(session, "bench"), why)
+        choice = _socketcan_choice(rest, "--bus says so", session)
     elif kind == "virtual":
         name = rest or session
         why = "python-can's virtual bus, within this one process"
@@ -65,7 +70,12 @@ def resolve_bus(text: str = "auto", session: str = "default", bench_bus: str = "
             key="--bench-bus",
             hint="leave --bench-bus out, or give another vcan link: socketcan:vcan1",
         )
-    return choice._replace(bench_address=bench, why=choice.why.partition(";")[0] + f"; the bench channel over {bench}")
+    return choice._replace(bench_address=bench, bench_text=bench)
+
+
+def _socketcan_choice(link: str, reason: str, session: str) -> BusChoice:
+    addresses = f"socketcan:{link}", _hub(session, "bench")
+    return BusChoice("socketcan", *addresses, f"SocketCAN {link}, because {reason}", f"tfhub, session {session}")
 
 
 def open_link(
@@ -79,7 +89,7 @@ def open_link(
     only: Sequence[int] = (),
     clock: str = "",
     options: Options | None = None,
-) -> Link:
+) -> BusLink:
     """Open one channel of a choice, or an address as it stands in one.
 
     `role` observer only listens. `stamps`: this member stamps its frames itself (lockstep). `fd`: CAN FD, sent with
@@ -90,10 +100,8 @@ def open_link(
     if channel not in CHANNELS:
         raise InputError(f"no channel {channel!r}", key="channel", hint=f"one of {', '.join(CHANNELS)}")
     if isinstance(choice, BusChoice):
-        text = choice.vehicle_address if channel == "vehicle" else choice.bench_address
-    else:
-        text = choice
-    kind, _, rest = text.partition(":")
+        choice = choice.vehicle_address if channel == "vehicle" else choice.bench_address
+    kind, _, rest = choice.partition(":")
     if kind == "tfhub":
         bus = HubBus(_endpoint_of(rest, channel), role=role, name=name, stamps=stamps, only=only)
         _require_clock(bus.welcome, clock, bus.shutdown)
@@ -108,7 +116,7 @@ def open_link(
         given = (options or Options())._replace(may_send=may_send, fd=fd, only=only)
         return open_socketcan(rest, name or default_name(), given)
     if kind != "virtual":
-        raise InputError(f"{text} is not open to a bench: {NO_GATE}", code="no_gate", key="--bus", hint=USE_VIRTUAL)
+        raise InputError(f"{choice} is not open to a bench: {NO_GATE}", code="no_gate", key="--bus", hint=USE_VIRTUAL)
     return CanLink(_virtual(rest, stamps), name or default_name(), may_send=may_send, keeps_stamps=stamps)
 
 
@@ -132,8 +140,10 @@ def open_links(
         pair = HubPair(_endpoint_of(vehicle[2], "vehicle"), name=name, stamps=stamps)
         _require_clock(pair.welcome, clock, pair.close)
         return Links(PairLink(pair, 0), PairLink(pair, 1), pair.send)
-    kept = only if vehicle[0] == "socketcan" else ()
-    links = [open_link(choice, "vehicle", name=name, stamps=stamps, fd=fd, only=kept, clock=clock, options=options)]
+    vehicle_ids = only if vehicle[0] == "socketcan" else ()
+    links = [
+        open_link(choice, "vehicle", name=name, stamps=stamps, fd=fd, only=vehicle_ids, clock=clock, options=options)
+    ]
     patient = Options(alive=options.alive if options else None)
     try:
         links.append(open_link(choice, "bench", name=name, stamps=stamps, clock=clock, options=patient))
@@ -150,8 +160,8 @@ def open_links(
     return Links(links[0], links[1], send_both)
 
 
-def alone_on(vehicle: Link) -> Links:
-    """The links of a node without a bench channel: nobody says anything there, and nobody hears it."""
+def alone_on(vehicle: BusLink) -> Links:
+    """The links of a node without a bench channel: nothing is sent or received there."""
     bus = f"alone-{id(vehicle)}"
     bench = CanLink(_virtual(bus, False), vehicle.name, may_send=True)
 
@@ -167,9 +177,9 @@ def require_virtual_link(name: str) -> None:
     state = link_state(name)
     if state.exists and state.kind == "vcan":
         return
-    what = f"of kind {state.kind}" if state.kind else "hardware"
+    kind = f"of kind {state.kind}" if state.kind else "hardware"
     raise InputError(
-        f"{name} is not a vcan link but {what if state.exists else 'not there'}: {NO_GATE}",
+        f"{name} is not a vcan link but {kind if state.exists else 'not there'}: {NO_GATE}",
         code="no_gate",
         key="--bus",
         hint=USE_VIRTUAL,
@@ -191,11 +201,10 @@ def require_fd_link(name: str) -> None:
 def _auto(session: str) -> BusChoice:
     """SocketCAN when vcan0 is there, up, of kind vcan and carries no other bench of ours, else tfhub."""
     state = link_state(DEFAULT_LINK)
-    there = state.exists and state.up and state.kind == "vcan" and kernel_has_can()
-    used_by = holder(DEFAULT_LINK) if there else 0
-    if there and used_by in (0, os.getpid()):
-        why = f"SocketCAN {DEFAULT_LINK}, because it is up; the bench channel over tfhub, session {session}"
-        return BusChoice("socketcan", f"socketcan:{DEFAULT_LINK}", _hub(session, "bench"), why)
+    is_usable = state.exists and state.up and state.kind == "vcan" and kernel_has_can()
+    used_by = holder(DEFAULT_LINK) if is_usable else 0
+    if is_usable and used_by in (0, os.getpid()):
+        return _socketcan_choice(DEFAULT_LINK, "it is up", session)
     if used_by:
         reason = f"{DEFAULT_LINK} carries another bench, pid {used_by}"
     elif not kernel_has_can():

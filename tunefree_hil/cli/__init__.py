@@ -1,6 +1,6 @@
-"""Floor 8: the command line. Parses arguments, runs a job of jobs/ and shows its events.
+"""Floor 8: the command line. It parses arguments, runs a job of jobs/ and shows its events.
 
-Only what ends a command in order is imported here: its own modules take a while, and Ctrl-C may come in that while.
+Only what a command needs to end orderly is imported here: Ctrl-C may come while the other modules are imported.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ INTERRUPTED = 130
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point of `tunefree-hil`; leaves with the exit status of interfaces 1."""
+    """Entry point of `tunefree-hil`; the exit status is that of docs/reference/files.md."""
     try:
-        end_as_ctrl_c()
+        handle_sigterm()
         from tunefree_hil.cli.entry import run
 
         status = run(sys.argv[1:] if arguments is None else list(arguments))
@@ -27,14 +27,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sys.exit(status)
 
 
-def end_as_ctrl_c() -> None:
-    """A kill ends like Ctrl-C: processes stopped, state saved."""
+def handle_sigterm() -> None:
+    """Make SIGTERM end a command like Ctrl-C: processes are stopped, state is saved."""
     if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, _end)
+        signal.signal(signal.SIGTERM, _raise_interrupt)
 
 
-def _end(number: int, frame: FrameType | None) -> None:
+def _raise_interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-__all__ = ["INTERRUPTED", "end_as_ctrl_c", "main"]
+__all__ = ["INTERRUPTED", "handle_sigterm", "main"]

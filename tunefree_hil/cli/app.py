@@ -1,4 +1,4 @@
-"""The commands of `tunefree-hil`. Their jobs are imported when they run, so that help is there at once."""
+"""The commands of `tunefree-hil`. Their jobs are imported when they run, so that --help is fast."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def start(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="print the version", is_eager=True)] = False,
 ) -> None:
-    """Without a command: the four jobs."""
+    """Without a command: an overview."""
     if version:
         print(f"tunefree-hil {__version__}")
         raise typer.Exit(0)

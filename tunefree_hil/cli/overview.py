@@ -1,4 +1,4 @@
-"""What `tunefree-hil` says without a command: the four jobs, one line each."""
+"""The overview that `tunefree-hil` prints without a command: the main jobs, one line each."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Guided collection: which driving is still missing, and a planner that drives it safely."""
+"""Guided data collection: coverage of driving states, and a planner that drives the missing ones safely."""

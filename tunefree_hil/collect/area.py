@@ -1,4 +1,4 @@
-"""The bounded area: a square about a centre, its sides along the axes of the INS. Lengths in m, angles in rad."""
+"""The driving area: a square with its sides along the axes of the INS. Lengths in m, angles in rad."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 from tunefree_hil.collect.envelope import BORDER_M, WOBBLE_M
 
-CORNER_M = 25.0  # corners are aimed at so far inside the border
+CORNER_INSET_M = 25.0  # distance of a target corner from the inner border
 
 
-class Ground(NamedTuple):
+class DrivingArea(NamedTuple):
     """Centre and half the side."""
 
     x_m: float
@@ -19,44 +19,44 @@ class Ground(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """Where the rear axle's middle is, and where the vehicle points."""
+    """Position of the middle of the rear axle, and heading."""
 
     x_m: float
     y_m: float
     heading_rad: float
 
 
-def room_m(ground: Ground, pose: Pose) -> float:
-    """Way straight ahead to the inner border (BORDER_M inside the area); negative where it is crossed already."""
-    inner = ground.half_m - BORDER_M
+def room_m(area: DrivingArea, pose: Pose) -> float:
+    """Distance straight ahead to the inner border (BORDER_M inside the area); negative once it is crossed."""
+    inner = area.half_m - BORDER_M
     along = (math.cos(pose.heading_rad), math.sin(pose.heading_rad))
-    ways = []
-    for direction, offset in zip(along, (pose.x_m - ground.x_m, pose.y_m - ground.y_m), strict=True):
+    distances = []
+    for direction, offset in zip(along, (pose.x_m - area.x_m, pose.y_m - area.y_m), strict=True):
         if abs(direction) > 1e-9:
-            ways.append((math.copysign(inner, direction) - offset) / direction)
+            distances.append((math.copysign(inner, direction) - offset) / direction)
         if abs(offset) > inner and offset * direction > 0.0:
             return inner - abs(offset)
-    return min(ways)
+    return min(distances)
 
 
-def circle_fits(ground: Ground, pose: Pose, curvature_1pm: float) -> bool:
-    """Whether the whole circle that is driven from here at this curvature stays inside, with a little to spare."""
+def is_circle_inside(area: DrivingArea, pose: Pose, curvature_1pm: float) -> bool:
+    """Whether the full circle from this pose at this curvature stays inside, with a margin."""
     if abs(curvature_1pm) < 1e-4:
         return False
     radius = 1.0 / curvature_1pm
-    x = pose.x_m - radius * math.sin(pose.heading_rad) - ground.x_m
-    y = pose.y_m + radius * math.cos(pose.heading_rad) - ground.y_m
-    return max(abs(x), abs(y)) + 1.1 * abs(radius) + WOBBLE_M < ground.half_m - BORDER_M
+    x = pose.x_m - radius * math.sin(pose.heading_rad) - area.x_m
+    y = pose.y_m + radius * math.cos(pose.heading_rad) - area.y_m
+    return max(abs(x), abs(y)) + 1.1 * abs(radius) + WOBBLE_M < area.half_m - BORDER_M
 
 
 def bearing_rad(pose: Pose, x_m: float, y_m: float) -> float:
-    """Direction of a point as seen from the pose's place, not relative to its heading."""
+    """Direction from the pose's position to a point, not relative to its heading."""
     return math.atan2(y_m - pose.y_m, x_m - pose.x_m)
 
 
-def far_corner(ground: Ground, pose: Pose) -> tuple[float, float]:
-    """The corner that is farthest away, CORNER_M inside the border."""
-    reach = max(ground.half_m - BORDER_M - CORNER_M, 0.0)
-    x = ground.x_m + (-reach if pose.x_m > ground.x_m else reach)
-    y = ground.y_m + (-reach if pose.y_m > ground.y_m else reach)
+def farthest_corner(area: DrivingArea, pose: Pose) -> tuple[float, float]:
+    """The corner farthest away, CORNER_INSET_M inside the inner border."""
+    reach = max(area.half_m - BORDER_M - CORNER_INSET_M, 0.0)
+    x = area.x_m + (-reach if pose.x_m > area.x_m else reach)
+    y = area.y_m + (-reach if pose.y_m > area.y_m else reach)
     return x, y

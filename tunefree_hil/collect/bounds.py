@@ -1,8 +1,7 @@
-"""What a drive stays inside of besides the vehicle's limits: what the data of a model covered.
+"""Bounds of a drive from the validity region of a model ([valid] of model.toml), within the vehicle's limits.
 
-A model is held by what it was made from. Where a drive goes beyond that, it misses things for its form alone, and what
-is asked about it is lost among them. The region ([valid] of model.toml) says how far the data went: a few moments of
-them did, so nothing is planned beyond.
+Outside the range of its data a model has errors of structure, which would hide the differences that a drive is to
+show. So a drive is planned inside that range.
 """
 
 from __future__ import annotations
@@ -14,16 +13,16 @@ from typing import NamedTuple
 from tunefree_hil.collect.envelope import HARD_SHARE, LATERAL_SHARE, Envelope
 from tunefree_hil.config.schema import ValidSpec, VehicleSpec
 
-# About as fast as a car creeps by itself. Below it creep, stick and clutches are no car that a model describes, and a
-# calibration has next to nothing of it: who drives from place to place is there for moments only
-CREEPS_MPS = 3.0
-SLOW_SHARE = 0.125  # of the speed limit, of what is slower than a road car: half of its slowest cells' upper end
+# About the creep speed of a car. Below it, creep, stiction and clutches act, which the models do not describe and
+# calibration data hardly contain.
+CREEP_SPEED_MPS = 3.0
+SLOW_SHARE = 0.125  # of the speed limit, for slow vehicles: half of the upper edge of the slowest speed band
 
 
-class Bounds(NamedTuple):
-    """What a drive is not to go beyond, within the vehicle's limits: pedals as duty over rest, the rest as there.
+class DriveBounds(NamedTuple):
+    """Limits of a drive, within the vehicle's limits; pedals as duty above rest.
 
-    slow_mps: the speed below which nothing is held and nothing begins.
+    slow_mps: lowest speed that is held or from which a manoeuvre begins.
     """
 
     slow_mps: float
@@ -37,33 +36,33 @@ class Bounds(NamedTuple):
 
     @property
     def is_drivable(self) -> bool:
-        """Whether they leave anything to drive at all."""
+        """Whether the bounds leave room for any driving."""
         return min(self.lateral_mps2, self.steer_rad, -self.accel_low_mps2, *self[5:]) > 0.0
 
 
-def bounds_of(vehicle: VehicleSpec, valid: ValidSpec) -> Bounds:
-    """What a model's data covered, where that is less than the vehicle's limits; to either side as far as to one."""
+def bounds_from_valid_region(vehicle: VehicleSpec, valid: ValidSpec) -> DriveBounds:
+    """Smaller of the vehicle's limits and the range of the model's data; symmetric where the data are not."""
     limits, rest = vehicle.limits, vehicle.nominal.rest_pedal_frac
-    brake, throttle = valid.pedals or (-math.inf, math.inf)  # duty, rest and all: the brake's negative
-    slowing, quickening = valid.accel_mps2 or (-math.inf, math.inf)
-    return Bounds(
-        min(CREEPS_MPS, SLOW_SHARE * limits.speed_mps),
+    brake, throttle = valid.pedals or (-math.inf, math.inf)  # duty including rest; the brake's negative
+    decel, accel = valid.accel_mps2 or (-math.inf, math.inf)
+    return DriveBounds(
+        min(CREEP_SPEED_MPS, SLOW_SHARE * limits.speed_mps),
         min(limits.speed_mps, valid.speed_mps[1] if valid.speed_mps else math.inf),
-        min(limits.lateral_accel_mps2, _reach(valid.lateral_accel_mps2)),
-        min(limits.steer_rad, _reach(valid.steer_rad)),
-        max(limits.accel_mps2[0], min(slowing, 0.0)),
-        min(limits.accel_mps2[1], max(quickening, 0.0)),
+        min(limits.lateral_accel_mps2, _max_abs(valid.lateral_accel_mps2)),
+        min(limits.steer_rad, _max_abs(valid.steer_rad)),
+        max(limits.accel_mps2[0], min(decel, 0.0)),
+        min(limits.accel_mps2[1], max(accel, 0.0)),
         min(limits.throttle_frac, max(throttle, rest)) - rest,
         min(limits.brake_frac, max(-brake, rest)) - rest,
     )
 
 
-def _reach(ends: Sequence[float] | None) -> float:
+def _max_abs(ends: Sequence[float] | None) -> float:
     return max(map(abs, ends)) if ends else math.inf
 
 
-def within(envelope: Envelope, bounds: Bounds) -> Envelope:
-    """The part of an envelope that is inside of bounds. What the planner plans with a share of comes up to them."""
+def limit_envelope(envelope: Envelope, bounds: DriveBounds) -> Envelope:
+    """Reduce an envelope to bounds. Limits of which the planner uses a share are scaled so that the share fits."""
     rest = envelope.rest_frac
     low = max(envelope.accel_low_mps2, bounds.accel_low_mps2 / HARD_SHARE)
     high = min(envelope.accel_high_mps2, bounds.accel_high_mps2)
@@ -72,9 +71,9 @@ def within(envelope: Envelope, bounds: Bounds) -> Envelope:
         steer_rad=min(envelope.steer_rad, bounds.steer_rad),
         accel_low_mps2=low,
         accel_high_mps2=high,
-        throttle_most=min(1.0, bounds.throttle_frac / (envelope.throttle_frac - rest)),
-        brake_most=min(1.0, bounds.brake_frac / (envelope.brake_frac - rest)),
-        calm_mps2=bounds.accel_high_mps2,
-        high_share=high / envelope.accel_high_mps2,
-        low_share=low / envelope.accel_low_mps2,
+        max_throttle_push=min(1.0, bounds.throttle_frac / (envelope.throttle_frac - rest)),
+        max_brake_push=min(1.0, bounds.brake_frac / (envelope.brake_frac - rest)),
+        throttle_release_mps2=bounds.accel_high_mps2,
+        accel_share=high / envelope.accel_high_mps2,
+        decel_share=low / envelope.accel_low_mps2,
     )

@@ -1,6 +1,6 @@
-"""Excitation: what is laid over a steady pedal or steering angle, so that dead time, lag and dead band come apart.
+"""Excitation signals that are added to a constant pedal or steering command.
 
-Steps show dead time and rate limit, a chirp the lag, stairs and small sines dead band and gain.
+Steps identify dead time and rate limit, a chirp the lag, stairs and small sines dead band and gain.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 STEPS, CHIRP, SMALL, STAIRS = range(4)
-KINDS = 4
+WAVE_KINDS = 4
 STEP_S = 0.9
 STAIR_S = 0.6
 STAIR_LEVELS = (-1.0, -0.33, 0.33, 1.0, 0.33, -0.33)
@@ -16,8 +16,8 @@ SMALL_SIZE, SMALL_HZ = 0.3, 0.5
 CHIRP_FROM_HZ, CHIRP_TO_HZ, CHIRP_S = 0.3, 2.5, 8.0
 
 
-def wave(kind: int, time_s: float) -> float:
-    """Value within [-1, 1] of a kind of wave, time_s after it began."""
+def excitation_wave(kind: int, time_s: float) -> float:
+    """Value in [-1, 1] of a wave, time_s after its start."""
     if kind == STEPS:
         return -1.0 if int(time_s / STEP_S) % 2 else 1.0
     if kind == STAIRS:

@@ -1,9 +1,9 @@
-"""Gentle stretches: a speed is held, varied slowly and given up again, as a person drives who has nowhere to hurry.
+"""Gentle driving: a speed is reached, held, varied slowly and left again.
 
-Cells with their steps and waves tell a vehicle's parts apart, but on the road most of the time is spent here: light
-throttle, coasting, light braking. A bias of some hundredths of a m/s2 there shows in no step, and is metres after 10 s.
+The steps and waves of the cells identify the parts of a vehicle, but normal driving is mostly light throttle, coasting
+and light braking. An acceleration bias of some 0.01 m/s^2 there is invisible in a step and is metres after 10 s.
 
-A stretch: REACH its speed, KEEP it, VARY it, COAST, and SLOW down: to rest where it was straight, to half where bent.
+Stages of a stretch: REACH its speed, KEEP it, VARY it, COAST, and SLOW down: to rest if straight, to half if curved.
 """
 
 from __future__ import annotations
@@ -13,164 +13,176 @@ from typing import NamedTuple
 
 from tunefree_hil.base.maths import clamp
 from tunefree_hil.collect import steering
-from tunefree_hil.collect.area import Ground, Pose
-from tunefree_hil.collect.cells import fastest_mps
-from tunefree_hil.collect.envelope import BORDER_M, Envelope, curvature_1pm, room_to_turn_m, steer_rad
-from tunefree_hil.collect.pedals import Pedal
+from tunefree_hil.collect.area import DrivingArea, Pose
+from tunefree_hil.collect.cells import max_planned_speed_mps
+from tunefree_hil.collect.envelope import BORDER_M, Envelope, curvature_1pm, steer_for_curvature_rad, turn_back_room_m
+from tunefree_hil.collect.pedals import PedalState
 
 REACH, KEEP, VARY, COAST, SLOW = range(5)
-HELD_SHARES = (0.05, 0.1, 0.15, 0.2, 0.275, 0.35, 0.45)  # of the speed limit
-HOLD_QUOTAS, HOLD_SHARE = 1.5, 0.15  # KEEP and VARY together last so many quotas, and at most this share of a drive
-LEAST_HOLD_S = 5.0  # less teaches nothing
-TOGETHER = 3  # stretches a drive, where it has nothing else to do; otherwise one
-ACCEL_SHARE = 0.45  # of the vehicle's greatest acceleration: how fast the wished speed changes, up and down
-LATERAL_SHARE, LOCK_SHARE = 0.35, 0.4  # of the limits: how sharply it bends
+SPEED_SHARES = (0.05, 0.1, 0.15, 0.2, 0.275, 0.35, 0.45)  # of the speed limit
+HOLD_QUOTA_FACTOR, HOLD_SHARE = 1.5, 0.15  # duration of KEEP and VARY: in quotas, and at most as a share of a drive
+MIN_HOLD_S = 5.0  # a shorter hold contains too little information
+MAX_STRETCHES_A_DRIVE = 3  # in a drive without missing cells; otherwise one
+ACCEL_SHARE = 0.45  # share of the vehicle's acceleration limit: rate of the target speed, up and down
+LATERAL_SHARE, LOCK_SHARE = 0.35, 0.4  # shares of lateral acceleration and steering angle in curves
 STEER_RATE_SHARE = 0.2
-BEND_S = 12.0  # from left to right and back
-VARY_SHARE = 0.15  # of the speed, up and down once
+BEND_S = 12.0  # period from left to right and back
+VARY_SHARE = 0.15  # share of the speed, once up and down
 REACHED_SHARE, REACHED_MPS = 0.05, 0.15
-REACH_MOST_S, COAST_S, SLOW_MOST_S = 30.0, 3.0, 15.0
-LEFT_SHARE = 0.5  # of the speed, at the end of a bent stretch
+MAX_REACH_S, COAST_S, MAX_SLOW_S = 30.0, 3.0, 15.0
+END_SPEED_SHARE = 0.5  # share of the speed at the end of a curved stretch
 RESTING_MPS = 0.1
-FACING_RAD = 0.4  # from the middle of the area, it goes straight on
-PULL_PER_S = 0.4  # of an error in speed
-LEARN_PER_S, PUSH_PER_S = 0.3, 0.15  # how fast a pedal follows the error in acceleration, in its greatest; at most
-THROTTLE_MOST, BRAKE_MOST = 0.6, 0.3  # of the pedals' ways
-TOO_FAST_SHARE, TOO_FAST_MPS = 0.1, 0.6  # over the wished speed before a speed that is held is braked for
+FACING_RAD = 0.4  # heading error to the middle of the area below which it drives straight on
+SPEED_GAIN_PER_S = 0.4  # target acceleration per speed error
+PUSH_GAIN_PER_S = 0.3  # rate of a pedal per acceleration error, as share of the acceleration limit
+MAX_PUSH_RATE_PER_S = 0.15
+MAX_THROTTLE_PUSH, MAX_BRAKE_PUSH = 0.6, 0.3  # shares of the pedal travel
+TOO_FAST_SHARE, TOO_FAST_MPS = 0.1, 0.6  # excess over the target speed from which the brake is used
 
 
-class Stretch(NamedTuple):
-    """What is driven: at which speed, for how long, straight or from side to side, and how long it coasts then.
-
-    most_mps: the speed that is not varied beyond.
-    """
+class GentleStretch(NamedTuple):
+    """A stretch: speed and duration, straight or in curves, duration of coasting. max_mps: limit of the variation."""
 
     speed_mps: float
     hold_s: float
-    bent: bool
+    is_curved: bool
     coast_s: float = COAST_S
-    most_mps: float = math.inf
+    max_mps: float = math.inf
 
 
-class Gait(NamedTuple):
-    """Where it stands: number of the stretch in the drive's own, stage, time in it, and the speed wished for now.
+class GentleState(NamedTuple):
+    """State: number of the stretch in this drive, stage, time in the stage, target speed and acceleration.
 
-    push: of the pedals (pedals.py). side: +1 or -1 while it bends back to the middle of the area, else 0.
+    push: of the pedals (pedals.py). side: +1 or -1 while it steers back to the middle of the area, else 0.
     """
 
     number: int = 0
     stage: int = REACH
     time_s: float = 0.0
-    wish_mps: float = 0.0
-    slope_mps2: float = 0.0
+    target_mps: float = 0.0
+    target_accel_mps2: float = 0.0
     push: float = 0.0
     side: float = 0.0
 
 
-def stretches_of(
+def plan_stretches(
     envelope: Envelope, quota_s: float, drive_s: float, area_m: float, top_mps: float | None
-) -> tuple[Stretch, ...]:
-    """All stretches of a collection: each speed that the vehicle and the area allow, once straight and once bent.
+) -> tuple[GentleStretch, ...]:
+    """All stretches of a collection: each speed that vehicle and area allow, once straight and once in curves.
 
-    None where so small a quota or so short a drive leaves too little time to hold a speed.
+    Empty where quota or drive are too short to hold a speed.
     """
-    hold_s = min(HOLD_QUOTAS * quota_s, HOLD_SHARE * drive_s)
-    if hold_s < LEAST_HOLD_S:
+    hold_s = min(HOLD_QUOTA_FACTOR * quota_s, HOLD_SHARE * drive_s)
+    if hold_s < MIN_HOLD_S:
         return ()
-    most = fastest_mps(envelope, top_mps)
-    speeds = [share * envelope.speed_mps for share in HELD_SHARES]
-    fit = [speed for speed in speeds if speed <= most and side_needed_m(envelope, speed) <= area_m]
-    return tuple(Stretch(speed, hold_s, (i + turn) % 2 == 1) for turn in range(2) for i, speed in enumerate(fit))
+    most = max_planned_speed_mps(envelope, top_mps)
+    speeds = [share * envelope.speed_mps for share in SPEED_SHARES]
+    fit = [speed for speed in speeds if speed <= most and area_side_for_holding_m(envelope, speed) <= area_m]
+    return tuple(GentleStretch(speed, hold_s, (i + turn) % 2 == 1) for turn in range(2) for i, speed in enumerate(fit))
 
 
-def side_needed_m(envelope: Envelope, speed_mps: float) -> float:
-    """Side of the square area in which a speed can be held: a circle of gentle bend, and the border."""
-    return 2.5 / bend_1pm(envelope, speed_mps) + 2.0 * BORDER_M
+def area_side_for_holding_m(envelope: Envelope, speed_mps: float) -> float:
+    """Side of the square area in which a speed can be held: a gentle circle, and the border."""
+    return 2.5 / gentle_curvature_1pm(envelope, speed_mps) + 2.0 * BORDER_M
 
 
-def bend_1pm(envelope: Envelope, speed_mps: float) -> float:
-    """The greatest curvature that is bent at a speed."""
+def gentle_curvature_1pm(envelope: Envelope, speed_mps: float) -> float:
+    """Largest curvature of gentle driving at a speed."""
     lock = curvature_1pm(envelope, LOCK_SHARE * envelope.steer_rad)
     return min(lock, LATERAL_SHARE * envelope.lateral_mps2 / max(speed_mps * speed_mps, 1e-6))
 
 
-def taken_up(gait: Gait, speed_mps: float) -> Gait:
-    """Gentle driving begins, or goes on after turning back, at this speed and with both pedals at rest."""
-    return gait._replace(wish_mps=speed_mps, slope_mps2=0.0, push=0.0, side=0.0)
+def begin_gentle(gentle: GentleState, speed_mps: float) -> GentleState:
+    """Begin or resume gentle driving at this speed, with both pedals released."""
+    return gentle._replace(target_mps=speed_mps, target_accel_mps2=0.0, push=0.0, side=0.0)
 
 
-def gone_on(gait: Gait, stretch: Stretch, envelope: Envelope, speed_mps: float, dt_s: float) -> Gait:
-    """A tick later: the stage, and the wished speed, which changes no faster than gently."""
-    gait = gait._replace(time_s=gait.time_s + dt_s)
-    if _is_over(gait, stretch, speed_mps):
-        last = gait.stage == SLOW
-        number, stage = (gait.number + 1, REACH) if last else (gait.number, gait.stage + 1)
-        return gait._replace(number=number, stage=stage, time_s=0.0, slope_mps2=0.0)
-    if gait.stage == COAST:
-        return gait._replace(wish_mps=speed_mps, slope_mps2=0.0)
+def advance_stage(
+    gentle: GentleState, stretch: GentleStretch, envelope: Envelope, speed_mps: float, dt_s: float
+) -> GentleState:
+    """Advance one tick: next stage where due, and the target speed with its rate limit."""
+    gentle = gentle._replace(time_s=gentle.time_s + dt_s)
+    if _is_stage_over(gentle, stretch, speed_mps):
+        last = gentle.stage == SLOW
+        number, stage = (gentle.number + 1, REACH) if last else (gentle.number, gentle.stage + 1)
+        return gentle._replace(number=number, stage=stage, time_s=0.0, target_accel_mps2=0.0)
+    if gentle.stage == COAST:
+        return gentle._replace(target_mps=speed_mps, target_accel_mps2=0.0)
     reach = ACCEL_SHARE * envelope.accel_high_mps2 * dt_s
-    change = clamp(_aimed_mps(gait, stretch) - gait.wish_mps, -reach, reach)
-    return gait._replace(wish_mps=gait.wish_mps + change, slope_mps2=change / dt_s)
+    change = clamp(_aim_speed_mps(gentle, stretch) - gentle.target_mps, -reach, reach)
+    return gentle._replace(target_mps=gentle.target_mps + change, target_accel_mps2=change / dt_s)
 
 
-def _is_over(gait: Gait, stretch: Stretch, speed_mps: float) -> bool:
-    """Whether the stage has come to its end."""
-    if gait.stage == REACH:
+def _is_stage_over(gentle: GentleState, stretch: GentleStretch, speed_mps: float) -> bool:
+    """Whether the current stage has ended."""
+    if gentle.stage == REACH:
         near = abs(speed_mps - stretch.speed_mps) < REACHED_SHARE * stretch.speed_mps + REACHED_MPS
-        return (near and gait.wish_mps == stretch.speed_mps) or gait.time_s >= REACH_MOST_S
-    if gait.stage in (KEEP, VARY):
-        return gait.time_s >= 0.5 * stretch.hold_s
-    if gait.stage == COAST:
-        return gait.time_s >= stretch.coast_s or speed_mps <= RESTING_MPS
-    return speed_mps <= max(_aimed_mps(gait, stretch), RESTING_MPS) or gait.time_s >= SLOW_MOST_S
+        return (near and gentle.target_mps == stretch.speed_mps) or gentle.time_s >= MAX_REACH_S
+    if gentle.stage in (KEEP, VARY):
+        return gentle.time_s >= 0.5 * stretch.hold_s
+    if gentle.stage == COAST:
+        return gentle.time_s >= stretch.coast_s or speed_mps <= RESTING_MPS
+    return speed_mps <= max(_aim_speed_mps(gentle, stretch), RESTING_MPS) or gentle.time_s >= MAX_SLOW_S
 
 
-def _aimed_mps(gait: Gait, stretch: Stretch) -> float:
-    if gait.stage == VARY:
-        phase = 2.0 * math.pi * gait.time_s / (0.5 * stretch.hold_s)
-        return min(stretch.speed_mps * (1.0 + VARY_SHARE * math.sin(phase)), stretch.most_mps)
-    if gait.stage == SLOW:
-        return LEFT_SHARE * stretch.speed_mps if stretch.bent else 0.0
+def _aim_speed_mps(gentle: GentleState, stretch: GentleStretch) -> float:
+    if gentle.stage == VARY:
+        phase = 2.0 * math.pi * gentle.time_s / (0.5 * stretch.hold_s)
+        return min(stretch.speed_mps * (1.0 + VARY_SHARE * math.sin(phase)), stretch.max_mps)
+    if gentle.stage == SLOW:
+        return END_SPEED_SHARE * stretch.speed_mps if stretch.is_curved else 0.0
     return stretch.speed_mps
 
 
-def pushed(gait: Gait, pedal: Pedal, envelope: Envelope, dt_s: float) -> Gait:
-    """The next push of the pedals: it follows the error in acceleration slowly, through rest from one to the other.
+def update_push(gentle: GentleState, pedals: PedalState, envelope: Envelope, dt_s: float) -> GentleState:
+    """Next push of the pedals: slow integral of the acceleration error, from one pedal through rest to the other.
 
-    A speed that is held is not braked for unless it is far too fast: the foot comes off the throttle.
+    While a speed is held, the brake is used only where the vehicle is far too fast.
     """
-    if gait.stage == COAST:
-        wanted = -gait.push / dt_s
+    if gentle.stage == COAST:
+        push_rate = -gentle.push / dt_s
     else:
-        wish = gait.slope_mps2 + PULL_PER_S * (gait.wish_mps - pedal.speed_mps)
-        if gait.stage == SLOW:
-            wish = min(wish, -0.5 * ACCEL_SHARE * envelope.accel_high_mps2)
-        wanted = LEARN_PER_S * envelope.high_share * (wish - pedal.accel_mps2) / envelope.accel_high_mps2
-    push = gait.push + clamp(wanted, -PUSH_PER_S, PUSH_PER_S) * dt_s
-    fast = pedal.speed_mps - gait.wish_mps > TOO_FAST_SHARE * gait.wish_mps + TOO_FAST_MPS
-    low = -BRAKE_MOST if fast or gait.stage == SLOW else min(0.0, gait.push + PUSH_PER_S * dt_s)
-    return gait._replace(push=clamp(push, low, THROTTLE_MOST))
+        target_mps2 = gentle.target_accel_mps2 + SPEED_GAIN_PER_S * (gentle.target_mps - pedals.speed_mps)
+        if gentle.stage == SLOW:
+            target_mps2 = min(target_mps2, -0.5 * ACCEL_SHARE * envelope.accel_high_mps2)
+        push_rate = (
+            PUSH_GAIN_PER_S * envelope.accel_share * (target_mps2 - pedals.accel_mps2) / envelope.accel_high_mps2
+        )
+    push = gentle.push + clamp(push_rate, -MAX_PUSH_RATE_PER_S, MAX_PUSH_RATE_PER_S) * dt_s
+    fast = pedals.speed_mps - gentle.target_mps > TOO_FAST_SHARE * gentle.target_mps + TOO_FAST_MPS
+    low = -MAX_BRAKE_PUSH if fast or gentle.stage == SLOW else min(0.0, gentle.push + MAX_PUSH_RATE_PER_S * dt_s)
+    return gentle._replace(push=clamp(push, low, MAX_THROTTLE_PUSH))
 
 
-def bent_back(gait: Gait, envelope: Envelope, ground: Ground, pose: Pose, speed_mps: float, room_m: float) -> Gait:
-    """Whether it bends to the middle of the area: begun where a gentle bend still fits before turning back does not."""
-    error = steering.error_rad(pose, (ground.x_m, ground.y_m))
+def update_return_side(
+    gentle: GentleState, envelope: Envelope, area: DrivingArea, pose: Pose, speed_mps: float, room_m: float
+) -> GentleState:
+    """Begin or end steering back to the middle of the area; begun while a gentle curve still fits ahead."""
+    error = steering.error_rad(pose, (area.x_m, area.y_m))
     if abs(error) < FACING_RAD:
-        return gait._replace(side=0.0)
-    if gait.side == 0.0 and room_m < 1.3 / bend_1pm(envelope, speed_mps) + room_to_turn_m(envelope, speed_mps):
-        return gait._replace(side=math.copysign(1.0, error))
-    return gait
+        return gentle._replace(side=0.0)
+    if gentle.side == 0.0 and room_m < 1.3 / gentle_curvature_1pm(envelope, speed_mps) + turn_back_room_m(
+        envelope, speed_mps
+    ):
+        return gentle._replace(side=math.copysign(1.0, error))
+    return gentle
 
 
-def angle_rad(gait: Gait, stretch: Stretch, envelope: Envelope, speed_mps: float, drive_s: float) -> float:
-    """The steering-wheel angle wished for, drive_s after the drive began."""
-    most = bend_1pm(envelope, speed_mps)
-    if gait.side != 0.0:
-        return steer_rad(envelope, gait.side * most)
-    return steer_rad(envelope, most * math.sin(2.0 * math.pi * drive_s / BEND_S)) if stretch.bent else 0.0
+def target_angle_rad(
+    gentle: GentleState, stretch: GentleStretch, envelope: Envelope, speed_mps: float, drive_s: float
+) -> float:
+    """Target steering-wheel angle, drive_s after the start of the drive."""
+    most = gentle_curvature_1pm(envelope, speed_mps)
+    if gentle.side != 0.0:
+        return steer_for_curvature_rad(envelope, gentle.side * most)
+    return (
+        steer_for_curvature_rad(envelope, most * math.sin(2.0 * math.pi * drive_s / BEND_S))
+        if stretch.is_curved
+        else 0.0
+    )
 
 
-def calm_rad(wish_rad: float, last_rad: float, envelope: Envelope, dt_s: float) -> float:
-    """The wish, approached from the last command no faster than a calm hand turns the wheel."""
+def limit_wheel_rate_rad(target_rad: float, last_rad: float, envelope: Envelope, dt_s: float) -> float:
+    """Limit the rate from the last command to the target angle."""
     reach = STEER_RATE_SHARE * envelope.steer_rate_radps * dt_s
-    return clamp(wish_rad, last_rad - reach, last_rad + reach)
+    return clamp(target_rad, last_rad - reach, last_rad + reach)

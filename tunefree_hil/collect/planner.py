@@ -1,13 +1,13 @@
-"""The planner: a Block that drives whatever coverage still lacks, in the place of a controller that follows a path.
+"""The planner: a Block that drives the missing cells, in the place of a path-following controller.
 
-    START ─> GENTLE ─> APPROACH ─> HOLD ─> (next cell) ... STOP ─> STAND, and the drive has ended
+    START ─> GENTLE ─> APPROACH ─> HOLD ─> (next cell) ... STOP ─> STAND, end of the drive
                └──────────┴── no room ahead ──> TURN ──┘
 
-A drive begins with the gentle stretches that it is given (gentle.py), then goes for cells.
+A drive begins with its gentle stretches (gentle_driving.py), then drives cells.
 
-step(params, state, Sight, dt_s) -> (state, Answer). It is a pure function of tick, measurement and state, and drives by
-what it measures only. It stays inside the envelope by planning with shares of it, and inside the area by turning back
-while braking, turning and reacting still fit into the way ahead.
+step(params, state, Sight, dt_s) -> (state, PlannerOutput) is a pure function of tick, measurement and state. The
+planner stays inside the envelope by using shares of it, and inside the area by turning back while reaction, braking and
+turning still fit into the distance ahead.
 """
 
 from __future__ import annotations
@@ -16,10 +16,19 @@ from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.maths import clamp
 from tunefree_hil.base.records import GEAR_DRIVE, NAN, Command, Ins
 from tunefree_hil.collect import gentle_driving, steering
-from tunefree_hil.collect.area import Ground, Pose, circle_fits, far_corner, room_m
-from tunefree_hil.collect.cells import FIRST_THROTTLE, NONE, STRAIGHT, Counter, Place, Seen, cell_of, number_of
-from tunefree_hil.collect.envelope import HARD_SHARE, curvature_1pm, room_to_turn_m, turn_room_m, turn_speed_mps
-from tunefree_hil.collect.excitation_signals import KINDS, wave
+from tunefree_hil.collect.area import DrivingArea, Pose, farthest_corner, is_circle_inside, room_m
+from tunefree_hil.collect.cells import (
+    FIRST_THROTTLE,
+    NO_CELL,
+    STRAIGHT,
+    CellCounter,
+    CellIndex,
+    CellSignals,
+    cell_number,
+    classify_cell,
+)
+from tunefree_hil.collect.envelope import HARD_SHARE, curvature_1pm, turn_advance_m, turn_back_room_m, turning_speed_mps
+from tunefree_hil.collect.excitation_signals import WAVE_KINDS, excitation_wave
 from tunefree_hil.collect.features import (
     APPROACH,
     GENTLE,
@@ -28,251 +37,265 @@ from tunefree_hil.collect.features import (
     START,
     STOP,
     TURN,
-    Answer,
-    Now,
-    Params,
-    State,
-    look,
+    PlannerOutput,
+    PlannerParams,
+    PlannerState,
+    PlannerTick,
+    read_signals,
 )
-from tunefree_hil.collect.next_cell import entry_mps, pick
-from tunefree_hil.collect.pedals import BRAKE_HARD, HOLD_PUSH, Pedal, duties, ends, felt, learned_cap, level, push_for
+from tunefree_hil.collect.next_cell import choose_cell, entry_speeds_mps
+from tunefree_hil.collect.pedals import (
+    BRAKE_HARD,
+    HOLD_PUSH,
+    PedalState,
+    cell_push,
+    pedal_duties,
+    push_for_acceleration,
+    push_limits,
+    update_acceleration,
+    update_push_caps,
+)
 from tunefree_hil.control.cascade import Sight
 
-ENDED = 11.0  # bench_channel.ErrorCode.STOPPED: standing, nothing more to drive
-BRAKED_S, CREEP_S = 1.0, 2.5  # a drive begins on the brake, then with both pedals at rest
+ENDED = 11.0  # bench_channel.ErrorCode.STOPPED: at standstill, nothing more to drive
+INITIAL_BRAKE_S, INITIAL_COAST_S = 1.0, 2.5  # a drive begins with the brake, then with both pedals released
 STAND_S = 1.0
 STANDING_MPS = 0.05
-HOLD_MOST_S = 12.0
-APPROACH_MOST_S = 25.0
+MAX_HOLD_S = 12.0
+MAX_APPROACH_S = 25.0
 STOP_MPS2 = 1.5
-FACING_RAD = 0.12  # a turn is over when it looks at its aim
-EARLY_MPS = 2.0  # above the turning speed: a turn only brakes
-NARROW_MPS = 3.0  # turning with the border near
-APPROACH_SHARE = 0.95  # of its acceleration
-UNHEARD_S = 0.2
+FACING_RAD = 0.12  # heading error at which a turn ends
+EARLY_MPS = 2.0  # excess over the turning speed at which a turn only brakes
+NARROW_MPS = 3.0  # turning speed near the border
+APPROACH_SHARE = 0.95  # share of the acceleration limit
+MAX_MISSING_S = 0.2  # time after the start until a missing signal leads to braking
 
 
-def make_planner(params: Params) -> Block:
-    """The Block."""
+def make_planner(params: PlannerParams) -> Block:
+    """Block of the planner."""
     return Block(init, step, params)
 
 
-def init(params: Params, dt_s: float) -> State:
+def init(params: PlannerParams, dt_s: float) -> PlannerState:
     rest = params.envelope.rest_frac
     command = Command(rest, rest, 0.0, GEAR_DRIVE, 0.0, NAN)
-    return State(Counter(params.need, params.have), params.ground, command, hold=params.first_hold)
+    return PlannerState(CellCounter(params.need, params.have), params.area, command, hold_count=params.first_hold)
 
 
-def step(p: Params, s: State, x: Sight, dt_s: float) -> tuple[State, Answer]:
+def step(p: PlannerParams, s: PlannerState, x: Sight, dt_s: float) -> tuple[PlannerState, PlannerOutput]:
     """One tick."""
     ins = x.measurement.ins
-    seen = look(p.eyes, x.measurement, s.command)
-    total = ins.x_m + ins.y_m + ins.heading_rad + seen.speed_mps + seen.steer_rad
+    signals = read_signals(p.sources, x.measurement, s.command)
+    total = ins.x_m + ins.y_m + ins.heading_rad + signals.speed_mps + signals.steer_rad
     if total - total != 0.0:
-        return _unheard(p, s, x.tick * dt_s >= UNHEARD_S)
-    s.counter.see(cell_of(p.bands, seen))
+        return _command_without_signals(p, s, x.tick * dt_s >= MAX_MISSING_S)
+    s.counter.count_frame(classify_cell(p.bands, signals))
     pose = Pose(ins.x_m, ins.y_m, ins.heading_rad)
-    ground = s.ground or Ground(pose.x_m, pose.y_m, p.half_m)
-    now = Now(x.tick, dt_s, seen, pose, room_m(ground, pose))
-    s = s._replace(ground=ground, pedal=felt(s.pedal, seen.speed_mps, dt_s))
-    s = think(p, s, now)
-    wheel = steering.turned(p.envelope, s.wheel, _wish_rad(p, s, now), seen.speed_mps, _lateral(ins, seen), dt_s)
-    pedal, push = _push(p, s, now)
-    if s.mode not in (START, STOP, STAND):  # it stands and comes to a stand whatever a model's data covered
-        push = clamp(push, *ends(p.envelope, pedal))
-    throttle, brake = duties(p.envelope, push)
+    area = s.area or DrivingArea(pose.x_m, pose.y_m, p.half_m)
+    tick = PlannerTick(x.tick, dt_s, signals, pose, room_m(area, pose))
+    s = s._replace(area=area, pedals=update_acceleration(s.pedals, signals.speed_mps, dt_s))
+    s = decide_mode(p, s, tick)
+    wheel = steering.update_wheel(
+        p.envelope, s.wheel, _target_angle_rad(p, s, tick), signals.speed_mps, _lateral_accel(ins, signals), dt_s
+    )
+    pedal, push = _target_push(p, s, tick)
+    if s.mode not in (START, STOP, STAND):  # standing and stopping are allowed outside the bounds
+        push = clamp(push, *push_limits(p.envelope, pedal))
+    throttle, brake = pedal_duties(p.envelope, push)
     command = Command(throttle, brake, wheel.steer_rad, GEAR_DRIVE, 0.0, NAN)
-    s = s._replace(wheel=wheel, pedal=learned_cap(pedal, p.envelope, push, dt_s), command=command)
-    ended = s.mode == STAND and now.since_s(s.since) >= STAND_S
-    return s, Answer(command, ENDED if ended else 0.0, s.mode, s.cell)
+    s = s._replace(wheel=wheel, pedals=update_push_caps(pedal, p.envelope, push, dt_s), command=command)
+    ended = s.mode == STAND and tick.since_s(s.mode_tick) >= STAND_S
+    return s, PlannerOutput(command, ENDED if ended else 0.0, s.mode, s.cell)
 
 
-def think(p: Params, s: State, now: Now) -> State:
-    """The mode of this tick."""
-    speed = now.seen.speed_mps
+def decide_mode(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> PlannerState:
+    """Mode of this tick."""
+    speed = tick.signals.speed_mps
     if s.mode == STAND:
         return s
     if s.mode == STOP:
-        return _into(s, STAND, now) if speed < STANDING_MPS else s
-    if s.mode == START and now.since_s(s.since) < BRAKED_S + CREEP_S:
+        return _enter_mode(s, STAND, tick) if speed < STANDING_MPS else s
+    if s.mode == START and tick.since_s(s.mode_tick) < INITIAL_BRAKE_S + INITIAL_COAST_S:
         return s
     if s.mode == TURN:
-        faces = abs(steering.error_rad(now.pose, s.aim)) < FACING_RAD
-        return _next(p, s, now) if faces and not _must_turn(p, s, now) else s
-    if _must_turn(p, s, now):
-        return _turn(p, s, now)
-    if s.mode == START or _is_over(p, s, now):
-        return _next(p, s, now)
+        is_facing = abs(steering.error_rad(tick.pose, s.aim)) < FACING_RAD
+        return _choose_next(p, s, tick) if is_facing and not _must_turn(p, s, tick) else s
+    if _must_turn(p, s, tick):
+        return _begin_turn(p, s, tick)
+    if s.mode == START or _is_over(p, s, tick):
+        return _choose_next(p, s, tick)
     if s.mode == GENTLE:
-        return _gentle(p, s, now)
+        return _drive_gently(p, s, tick)
     if s.mode == APPROACH:
-        return _approach(p, s, now)
+        return _approach_cell(p, s, tick)
     target = p.targets[s.cell]
-    over = not target.low_mps <= speed <= target.high_mps or now.since_s(s.since) >= HOLD_MOST_S
-    return _next(p, s, now) if over or not s.counter.lacks(s.cell) else s
+    over = not target.low_mps <= speed <= target.high_mps or tick.since_s(s.mode_tick) >= MAX_HOLD_S
+    return _choose_next(p, s, tick) if over or not s.counter.lacks(s.cell) else s
 
 
-def _gentle(p: Params, s: State, now: Now) -> State:
-    """A tick of gentle driving; on to the cells after the last stretch."""
-    assert s.ground is not None
-    speed = now.seen.speed_mps
-    gait = gentle_driving.gone_on(s.gait, p.stretches[s.gait.number], p.envelope, speed, now.dt_s)
-    gait = gentle_driving.bent_back(gait, p.envelope, s.ground, now.pose, speed, now.room_m)
-    s = s._replace(gait=gentle_driving.pushed(gait, s.pedal, p.envelope, now.dt_s))
-    return s if _is_gentle_left(p, s) else _next(p, s, now)
+def _drive_gently(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> PlannerState:
+    """One tick of gentle driving; after the last stretch the cells follow."""
+    assert s.area is not None
+    speed = tick.signals.speed_mps
+    gentle = gentle_driving.advance_stage(s.gentle, p.stretches[s.gentle.number], p.envelope, speed, tick.dt_s)
+    gentle = gentle_driving.update_return_side(gentle, p.envelope, s.area, tick.pose, speed, tick.room_m)
+    s = s._replace(gentle=gentle_driving.update_push(gentle, s.pedals, p.envelope, tick.dt_s))
+    return s if _is_gentle_left(p, s) else _choose_next(p, s, tick)
 
 
-def _is_gentle_left(p: Params, s: State) -> bool:
-    return s.gait.number < len(p.stretches)
+def _is_gentle_left(p: PlannerParams, s: PlannerState) -> bool:
+    return s.gentle.number < len(p.stretches)
 
 
-def _approach(p: Params, s: State, now: Now) -> State:
-    """HOLD once the cell can be driven; another cell where this one stays out of reach, or has become full."""
+def _approach_cell(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> PlannerState:
+    """Go to HOLD when the cell can be driven; choose another cell if it cannot be reached or is full."""
     if not s.counter.lacks(s.cell):
-        return _next(p, s, now)
-    if now.since_s(s.since) >= APPROACH_MOST_S:
-        return _next(p, s._replace(tired=s.cell), now)
+        return _choose_next(p, s, tick)
+    if tick.since_s(s.mode_tick) >= MAX_APPROACH_S:
+        return _choose_next(p, s._replace(skipped_cell=s.cell), tick)
     target = p.targets[s.cell]
-    low, high = entry_mps(target)
-    if low <= now.seen.speed_mps <= high and _has_place(p, s, now):
-        return _into(s, HOLD, now)._replace(hold=s.hold + 1)
+    low, high = entry_speeds_mps(target)
+    if low <= tick.signals.speed_mps <= high and _has_room(p, s, tick):
+        return _enter_mode(s, HOLD, tick)._replace(hold_count=s.hold_count + 1)
     return s
 
 
-def _has_place(p: Params, s: State, now: Now) -> bool:
-    return steering.has_place(p.envelope, p.bands, p.targets[s.cell], s.ground, now.pose, now.seen.speed_mps)
+def _has_room(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> bool:
+    return steering.has_room_for_cell(p.envelope, p.bands, p.targets[s.cell], s.area, tick.pose, tick.signals.speed_mps)
 
 
-def _next(p: Params, s: State, now: Now) -> State:
-    """On with what is left of gentle driving, else to the nearest missing cell; to where it has room first."""
-    speed = now.seen.speed_mps
-    if _is_over(p, s, now):
-        return _into(s, STOP, now)
+def _choose_next(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> PlannerState:
+    """Continue gentle driving, else choose the next missing cell."""
+    speed = tick.signals.speed_mps
+    if _is_over(p, s, tick):
+        return _enter_mode(s, STOP, tick)
     if _is_gentle_left(p, s):
-        return _into(s, GENTLE, now)._replace(cell=NONE, gait=gentle_driving.taken_up(s.gait, speed))
-    cell = pick(p.targets, s.counter, p.envelope, speed, steering.band_of(p.bands, now.seen), now.room_m, s.tired)
-    if cell == NONE:
-        return _into(s, STOP, now)
-    assert s.ground is not None
-    s = _into(s, APPROACH, now)._replace(cell=cell, aim=far_corner(s.ground, now.pose))
-    return _approach(p, s, now) if cell != s.tired else s
+        return _enter_mode(s, GENTLE, tick)._replace(cell=NO_CELL, gentle=gentle_driving.begin_gentle(s.gentle, speed))
+    cell = choose_cell(
+        p.targets, s.counter, p.envelope, speed, steering.steer_band(p.bands, tick.signals), tick.room_m, s.skipped_cell
+    )
+    if cell == NO_CELL:
+        return _enter_mode(s, STOP, tick)
+    assert s.area is not None
+    s = _enter_mode(s, APPROACH, tick)._replace(cell=cell, aim=farthest_corner(s.area, tick.pose))
+    return _approach_cell(p, s, tick) if cell != s.skipped_cell else s
 
 
-def _is_over(p: Params, s: State, now: Now) -> bool:
-    return now.tick >= p.stop_tick or (s.counter.missing == 0 and not _is_gentle_left(p, s))
+def _is_over(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> bool:
+    return tick.number >= p.stop_tick or (s.counter.missing == 0 and not _is_gentle_left(p, s))
 
 
-def _turn(p: Params, s: State, now: Now) -> State:
-    assert s.ground is not None
-    aim = far_corner(s.ground, now.pose)
-    side = 1.0 if steering.error_rad(now.pose, aim) >= 0.0 else -1.0
-    return _into(s, TURN, now)._replace(aim=aim, wheel=s.wheel._replace(side=side), cell=NONE)
+def _begin_turn(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> PlannerState:
+    assert s.area is not None
+    aim = farthest_corner(s.area, tick.pose)
+    side = 1.0 if steering.error_rad(tick.pose, aim) >= 0.0 else -1.0
+    return _enter_mode(s, TURN, tick)._replace(aim=aim, wheel=s.wheel._replace(side=side), cell=NO_CELL)
 
 
-def _into(s: State, mode: int, now: Now) -> State:
-    return s._replace(mode=mode, since=now.tick)
+def _enter_mode(s: PlannerState, mode: int, tick: PlannerTick) -> PlannerState:
+    return s._replace(mode=mode, mode_tick=tick.number)
 
 
-def _must_turn(p: Params, s: State, now: Now) -> bool:
-    """Whether the way ahead is all needed for turning back."""
-    if now.room_m > room_to_turn_m(p.envelope, now.seen.speed_mps):
+def _must_turn(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> bool:
+    """Whether the distance ahead is needed for turning back."""
+    if tick.room_m > turn_back_room_m(p.envelope, tick.signals.speed_mps):
         return False
-    assert s.ground is not None
-    return not circle_fits(s.ground, now.pose, curvature_1pm(p.envelope, now.seen.steer_rad))
+    assert s.area is not None
+    return not is_circle_inside(s.area, tick.pose, curvature_1pm(p.envelope, tick.signals.steer_rad))
 
 
-def _wish_rad(p: Params, s: State, now: Now) -> float:
-    """The steering-wheel angle wished for."""
+def _target_angle_rad(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> float:
+    """Target steering-wheel angle."""
     if s.mode in (START, STOP, STAND):
         return 0.0
     if s.mode == TURN:
-        braked = _braked(p, s, now)
-        if braked != NONE:  # straight on while it is fast: the way ahead was reckoned for that
-            return steering.in_band(p.envelope, p.bands, p.targets[braked], now.seen.speed_mps, 0.0)
-        return steering.turn_back(p.envelope, now.pose, s.aim, now.seen.speed_mps, s.wheel.side)
+        braked = _braking_cell(p, s, tick)
+        if braked != NO_CELL:  # straight while it is fast, as the distance ahead was computed for that
+            return steering.angle_in_band_rad(p.envelope, p.bands, p.targets[braked], tick.signals.speed_mps, 0.0)
+        return steering.turn_back_angle_rad(p.envelope, tick.pose, s.aim, tick.signals.speed_mps, s.wheel.side)
     if s.mode == GENTLE:
-        angle = gentle_driving.angle_rad(
-            s.gait, p.stretches[s.gait.number], p.envelope, now.seen.speed_mps, now.since_s(0)
+        angle = gentle_driving.target_angle_rad(
+            s.gentle, p.stretches[s.gentle.number], p.envelope, tick.signals.speed_mps, tick.since_s(0)
         )
-        return gentle_driving.calm_rad(angle, s.wheel.steer_rad, p.envelope, now.dt_s)
+        return gentle_driving.limit_wheel_rate_rad(angle, s.wheel.steer_rad, p.envelope, tick.dt_s)
     target = p.targets[s.cell]
     if s.mode == HOLD:
-        sway = wave((s.hold // 2) % KINDS, now.since_s(s.since))
-        return steering.in_band(p.envelope, p.bands, target, now.seen.speed_mps, sway)
-    return steering.approach(p.envelope, p.bands, target, s.ground, now.pose, s.aim, now.seen.speed_mps)
+        sway = excitation_wave((s.hold_count // 2) % WAVE_KINDS, tick.since_s(s.mode_tick))
+        return steering.angle_in_band_rad(p.envelope, p.bands, target, tick.signals.speed_mps, sway)
+    return steering.approach_angle_rad(p.envelope, p.bands, target, s.area, tick.pose, s.aim, tick.signals.speed_mps)
 
 
-def _push(p: Params, s: State, now: Now) -> tuple[Pedal, float]:
-    """The push of the pedals."""
-    speed = now.seen.speed_mps
+def _target_push(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> tuple[PedalState, float]:
+    """Push of the pedals."""
+    speed = tick.signals.speed_mps
     if s.mode == START:
-        return s.pedal, HOLD_PUSH if now.since_s(s.since) < BRAKED_S else 0.0
+        return s.pedals, HOLD_PUSH if tick.since_s(s.mode_tick) < INITIAL_BRAKE_S else 0.0
     if s.mode == STAND:
-        return s.pedal, HOLD_PUSH
+        return s.pedals, HOLD_PUSH
     if s.mode == GENTLE:
-        return s.pedal._replace(trim=0.0), s.gait.push
+        return s.pedals._replace(trim=0.0), s.gentle.push
     if s.mode == HOLD:
-        sway = wave(s.hold % KINDS, now.since_s(s.since))
-        place, (least, most) = p.targets[s.cell].place, ends(p.envelope, s.pedal)
+        sway = excitation_wave(s.hold_count % WAVE_KINDS, tick.since_s(s.mode_tick))
+        place, (least, most) = p.targets[s.cell].index, push_limits(p.envelope, s.pedals)
         most = most if place.pedal >= FIRST_THROTTLE else -least
-        return s.pedal._replace(trim=0.0), level(place, s.hold, s.pedal.cap, sway, most)
-    wish = clamp(_accel(p, s, now, speed), -_hardest(p), _liveliest(p))
-    pedal, push = push_for(s.pedal, p.envelope, wish, now.dt_s)
-    if s.mode == TURN and wish < 0.0 and _braked(p, s, now) != NONE:
+        return s.pedals._replace(trim=0.0), cell_push(place, s.hold_count, s.pedals.brake_cap, sway, most)
+    target_mps2 = clamp(_target_accel(p, s, tick, speed), -_max_decel_mps2(p), _max_accel_mps2(p))
+    pedal, push = push_for_acceleration(s.pedals, p.envelope, target_mps2, tick.dt_s)
+    if s.mode == TURN and target_mps2 < 0.0 and _braking_cell(p, s, tick) != NO_CELL:
         return pedal, min(push, -BRAKE_HARD - 0.01)
     return pedal, push
 
 
-def _accel(p: Params, s: State, now: Now, speed: float) -> float:
-    """The acceleration wished for while no pedal level is held."""
+def _target_accel(p: PlannerParams, s: PlannerState, tick: PlannerTick, speed: float) -> float:
+    """Target acceleration while no pedal band is held."""
     if s.mode == STOP:
-        way = max(now.room_m - turn_room_m(p.envelope, 0.0), 1.0)  # the next drive begins with turning away
-        return -max(STOP_MPS2, 0.5 * speed * speed / way)
+        free_m = max(tick.room_m - turn_advance_m(p.envelope, 0.0), 1.0)  # the next drive begins with a turn
+        return -max(STOP_MPS2, 0.5 * speed * speed / free_m)
     if s.mode == TURN:
-        slow = turn_speed_mps(p.envelope)
-        if now.room_m < turn_room_m(p.envelope, slow):
+        slow = turning_speed_mps(p.envelope)
+        if tick.room_m < turn_advance_m(p.envelope, slow):
             slow = min(slow, NARROW_MPS)
         if speed <= slow + 0.5:
             return 0.8 * (slow - speed)
-        way = max(now.room_m - turn_room_m(p.envelope, slow), 2.0)
-        return -max(0.5 * (speed * speed - slow * slow) / way, 0.5)
-    low, high = entry_mps(p.targets[s.cell])
-    if speed <= high and not _has_place(p, s, now):
-        low = high = turn_speed_mps(p.envelope)  # on to where it has place
+        free_m = max(tick.room_m - turn_advance_m(p.envelope, slow), 2.0)
+        return -max(0.5 * (speed * speed - slow * slow) / free_m, 0.5)
+    low, high = entry_speeds_mps(p.targets[s.cell])
+    if speed <= high and not _has_room(p, s, tick):
+        low = high = turning_speed_mps(p.envelope)  # drive on to where there is room
     if speed < low:
         return 1.0 + 0.8 * (low - speed)
     return -1.0 - 0.8 * (speed - high) if speed > high else 0.0
 
 
-def _braked(p: Params, s: State, now: Now) -> int:
-    """The cell of hard braking that a turn fills on its way down from a high speed: straight, or to the aim's side."""
-    speed = now.seen.speed_mps
-    if speed < turn_speed_mps(p.envelope) + EARLY_MPS:
-        return NONE
+def _braking_cell(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> int:
+    """Cell of hard braking that is filled while a turn slows down: straight, or to the side of the turn."""
+    speed = tick.signals.speed_mps
+    if speed < turning_speed_mps(p.envelope) + EARLY_MPS:
+        return NO_CELL
     band = sum(speed >= edge for edge in p.bands.speed_mps) - 1
     for steer in (STRAIGHT, STRAIGHT + round(s.wheel.side)):
-        number = number_of(Place(False, steer, band, 0))
+        number = cell_number(CellIndex(False, steer, band, 0))
         if s.counter.lacks(number):
             return number
-    return NONE
+    return NO_CELL
 
 
-def _hardest(p: Params) -> float:
+def _max_decel_mps2(p: PlannerParams) -> float:
     return -HARD_SHARE * p.envelope.accel_low_mps2
 
 
-def _liveliest(p: Params) -> float:
+def _max_accel_mps2(p: PlannerParams) -> float:
     return APPROACH_SHARE * p.envelope.accel_high_mps2
 
 
-def _lateral(ins: Ins, seen: Seen) -> float:
-    """Lateral acceleration, or 0 where nobody tells the yaw rate."""
-    felt_mps2 = seen.speed_mps * ins.yaw_rate_radps
-    return felt_mps2 if felt_mps2 - felt_mps2 == 0.0 else 0.0
+def _lateral_accel(ins: Ins, signals: CellSignals) -> float:
+    """Lateral acceleration, 0 where the yaw rate is not reported."""
+    lateral_mps2 = signals.speed_mps * ins.yaw_rate_radps
+    return lateral_mps2 if lateral_mps2 - lateral_mps2 == 0.0 else 0.0
 
 
-def _unheard(p: Params, s: State, late: bool) -> tuple[State, Answer]:
-    """A value that is needed is not there: wait at first, then brake with the wheel held."""
-    throttle, brake = duties(p.envelope, HOLD_PUSH if late else 0.0)
+def _command_without_signals(p: PlannerParams, s: PlannerState, late: bool) -> tuple[PlannerState, PlannerOutput]:
+    """Command while a needed signal is missing: wait at first, then brake with constant steering."""
+    throttle, brake = pedal_duties(p.envelope, HOLD_PUSH if late else 0.0)
     command = Command(throttle, brake, s.command.steer_rad, GEAR_DRIVE, 0.0, NAN)
-    return s._replace(command=command), Answer(command, 0.0, s.mode, s.cell)
+    return s._replace(command=command), PlannerOutput(command, 0.0, s.mode, s.cell)

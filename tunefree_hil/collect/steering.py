@@ -1,4 +1,4 @@
-"""Where the planner turns the wheel: into a cell's band, towards a point, back into the area; always within bounds."""
+"""Steering of the planner: into a cell's band, towards a point, back into the area; within the envelope."""
 
 from __future__ import annotations
 
@@ -6,28 +6,29 @@ import math
 from typing import NamedTuple
 
 from tunefree_hil.base.maths import clamp, wrap_rad
-from tunefree_hil.collect.area import Ground, Pose, bearing_rad, circle_fits, room_m
-from tunefree_hil.collect.cells import STRAIGHT, Bands, Seen, Target
+from tunefree_hil.collect.area import DrivingArea, Pose, bearing_rad, is_circle_inside, room_m
+from tunefree_hil.collect.cells import STRAIGHT, BandEdges, CellSignals, TargetCell
 from tunefree_hil.collect.envelope import (
     LATERAL_SHARE,
     RATE_SHARE,
     Envelope,
     curvature_1pm,
-    room_to_turn_m,
-    sharpest_1pm,
-    steer_rad,
+    max_curvature_1pm,
+    steer_for_curvature_rad,
+    turn_back_room_m,
 )
 
-TIGHT_M = 60.0  # circles up to this radius are driven whole
-WHILE_S = 4.0  # of driving a tight cell that turning back will cut short
-STRAIGHT_SHARE = 0.7  # of the straight band, for waves about zero
-MARGIN = 1.12  # from a band's edge
-REVERSAL_RAD = 1.2  # a turn keeps its side while the aim is farther round than this
-EASE_SHARE, EASE_PER_S, EASE_BACK_PER_S = 0.85, 1.0, 0.1  # of the envelope's lateral acceleration
+TIGHT_M = 60.0  # cells up to this radius are driven in full circles
+TIGHT_CELL_S = 4.0  # shortest useful time in a tight cell whose circle does not fit
+STRAIGHT_SHARE = 0.7  # share of the straight band for waves about zero
+MARGIN = 1.12  # factor from a band's edge
+REVERSAL_RAD = 1.2  # a turn keeps its side while the heading error is larger
+EASE_SHARE = 0.85  # share of the envelope's lateral acceleration above which the angle is reduced
+EASE_PER_S, EASE_BACK_PER_S = 1.0, 0.1  # rates of reduction and recovery
 
 
-class Wheel(NamedTuple):
-    """The last command; the side to which a turn goes; ease: what is left of the angle after it felt too much."""
+class WheelState(NamedTuple):
+    """Last command; side of a turn; ease: factor on the angle after too much lateral acceleration."""
 
     steer_rad: float = 0.0
     side: float = 1.0
@@ -35,98 +36,100 @@ class Wheel(NamedTuple):
 
 
 def error_rad(pose: Pose, aim: tuple[float, float]) -> float:
-    """How far to the left of the heading the aim is."""
+    """Heading error to the aim, positive to the left."""
     return wrap_rad(bearing_rad(pose, *aim) - pose.heading_rad)
 
 
-def band_of(bands: Bands, seen: Seen) -> int:
-    """Index of the steering band (cells.STEERS) that is driven now."""
-    turn = sum(abs(seen.steer_rad) >= edge for edge in bands.steer_rad)
-    return STRAIGHT + turn if seen.steer_rad > 0.0 else STRAIGHT - turn
+def steer_band(bands: BandEdges, signals: CellSignals) -> int:
+    """Index of the current steering band (cells.STEER_BANDS)."""
+    turn = sum(abs(signals.steer_rad) >= edge for edge in bands.steer_rad)
+    return STRAIGHT + turn if signals.steer_rad > 0.0 else STRAIGHT - turn
 
 
-def in_band(envelope: Envelope, bands: Bands, target: Target, speed_mps: float, sway: float) -> float:
-    """The angle for a target's steering band with a wave of [-1, 1] laid over it, within the bound of the speed."""
-    turn = target.place.steer - STRAIGHT
+def angle_in_band_rad(envelope: Envelope, bands: BandEdges, target: TargetCell, speed_mps: float, sway: float) -> float:
+    """Angle in a cell's steering band with a wave in [-1, 1], within the limit at this speed."""
+    turn = target.index.steer - STRAIGHT
     if turn == 0:
         return STRAIGHT_SHARE * bands.steer_rad[0] * sway
     edges = (*bands.steer_rad, envelope.steer_rad)
     low = edges[abs(turn) - 1] * MARGIN
-    bound = steer_rad(envelope, sharpest_1pm(envelope, speed_mps))
+    bound = steer_for_curvature_rad(envelope, max_curvature_1pm(envelope, speed_mps))
     high = max(low, min(edges[abs(turn)] / MARGIN, bound))
     if abs(turn) == 3:
-        high = max(low, min(0.95 * envelope.steer_rad, _bound_rad(envelope, speed_mps)))
+        high = max(low, min(0.95 * envelope.steer_rad, _max_angle_rad(envelope, speed_mps)))
     angle = 0.5 * (low + high) + 0.5 * (high - low) * sway
     return math.copysign(angle, turn)
 
 
-def has_place(
-    envelope: Envelope, bands: Bands, target: Target, ground: Ground | None, pose: Pose, speed_mps: float
+def has_room_for_cell(
+    envelope: Envelope, bands: BandEdges, target: TargetCell, area: DrivingArea | None, pose: Pose, speed_mps: float
 ) -> bool:
-    """Whether a cell can be driven from here: a tight one needs its whole circle inside, or room for a while."""
-    bend = _bend(envelope, bands, target)
-    if ground is None or abs(bend) * TIGHT_M < 1.0 or circle_fits(ground, pose, bend):
+    """Whether a cell can be driven from here: a tight one needs its full circle inside the area, or a free distance."""
+    bend = _cell_curvature_1pm(envelope, bands, target)
+    if area is None or abs(bend) * TIGHT_M < 1.0 or is_circle_inside(area, pose, bend):
         return True
-    return room_m(ground, pose) > room_to_turn_m(envelope, speed_mps) + WHILE_S * speed_mps
+    return room_m(area, pose) > turn_back_room_m(envelope, speed_mps) + TIGHT_CELL_S * speed_mps
 
 
-def approach(
+def approach_angle_rad(
     envelope: Envelope,
-    bands: Bands,
-    target: Target,
-    ground: Ground | None,
+    bands: BandEdges,
+    target: TargetCell,
+    area: DrivingArea | None,
     pose: Pose,
     aim: tuple[float, float],
     speed_mps: float,
 ) -> float:
-    """While the speed is not there yet: round the circle of a tight cell, to the middle for want of place, else on."""
-    if abs(_bend(envelope, bands, target)) * TIGHT_M >= 1.0 and ground is not None:
-        if has_place(envelope, bands, target, ground, pose, speed_mps):
-            return in_band(envelope, bands, target, speed_mps, 0.0)
-        aim = (ground.x_m, ground.y_m)
-    return _towards(envelope, error_rad(pose, aim), speed_mps)
+    """Angle while a cell's speed is being reached: circle of a tight cell, else to the aim, or the middle if narrow."""
+    if abs(_cell_curvature_1pm(envelope, bands, target)) * TIGHT_M >= 1.0 and area is not None:
+        if has_room_for_cell(envelope, bands, target, area, pose, speed_mps):
+            return angle_in_band_rad(envelope, bands, target, speed_mps, 0.0)
+        aim = (area.x_m, area.y_m)
+    return _angle_towards_rad(envelope, error_rad(pose, aim), speed_mps)
 
 
-def turn_back(envelope: Envelope, pose: Pose, aim: tuple[float, float], speed_mps: float, side: float) -> float:
-    """As tight as the speed allows to the chosen side, until the aim is ahead."""
+def turn_back_angle_rad(
+    envelope: Envelope, pose: Pose, aim: tuple[float, float], speed_mps: float, side: float
+) -> float:
+    """Angle of a turn to the chosen side until the aim is ahead."""
     error = error_rad(pose, aim)
     if abs(error) > REVERSAL_RAD:
         error = math.copysign(error, side)
-    return _towards(envelope, error, speed_mps)
+    return _angle_towards_rad(envelope, error, speed_mps)
 
 
-def turned(
-    envelope: Envelope, wheel: Wheel, wish_rad: float, speed_mps: float, lateral_mps2: float, dt_s: float
-) -> Wheel:
-    """The next command: within what the speed allows and what is felt, and no faster than the wheel may turn."""
+def update_wheel(
+    envelope: Envelope, wheel: WheelState, target_rad: float, speed_mps: float, lateral_mps2: float, dt_s: float
+) -> WheelState:
+    """Next command, limited by speed, measured lateral acceleration and steering rate."""
     if abs(lateral_mps2) > EASE_SHARE * envelope.lateral_mps2:
         ease = max(0.3, wheel.ease - EASE_PER_S * dt_s)
     else:
         ease = min(1.0, wheel.ease + EASE_BACK_PER_S * dt_s)
-    bound = _bound_rad(envelope, speed_mps) * ease
+    bound = _max_angle_rad(envelope, speed_mps) * ease
     reach = RATE_SHARE * envelope.steer_rate_radps * dt_s
-    wanted = clamp(wish_rad, -bound, bound)
+    wanted = clamp(target_rad, -bound, bound)
     return wheel._replace(steer_rad=clamp(wanted, wheel.steer_rad - reach, wheel.steer_rad + reach), ease=ease)
 
 
-def _towards(envelope: Envelope, error: float, speed_mps: float) -> float:
-    """Turn the heading by `error`: in about a second, as far as the speed allows."""
-    most = sharpest_1pm(envelope, speed_mps)
-    return steer_rad(envelope, clamp(error / max(0.9 * speed_mps, 4.0), -most, most))
+def _angle_towards_rad(envelope: Envelope, error: float, speed_mps: float) -> float:
+    """Angle that corrects a heading error in about one second, limited by the speed."""
+    most = max_curvature_1pm(envelope, speed_mps)
+    return steer_for_curvature_rad(envelope, clamp(error / max(0.9 * speed_mps, 4.0), -most, most))
 
 
-def _bound_rad(envelope: Envelope, speed_mps: float) -> float:
-    """The most steering at a speed, the whole lock included."""
+def _max_angle_rad(envelope: Envelope, speed_mps: float) -> float:
+    """Largest angle at a speed, up to nearly the full lock."""
     square = speed_mps * speed_mps
     lock = curvature_1pm(envelope, 0.97 * envelope.steer_rad)
     if square * lock <= LATERAL_SHARE * envelope.lateral_mps2:
         return 0.97 * envelope.steer_rad
-    return steer_rad(envelope, LATERAL_SHARE * envelope.lateral_mps2 / square)
+    return steer_for_curvature_rad(envelope, LATERAL_SHARE * envelope.lateral_mps2 / square)
 
 
-def _bend(envelope: Envelope, bands: Bands, target: Target) -> float:
-    """Curvature in the middle of a target's band at its slower speeds."""
+def _cell_curvature_1pm(envelope: Envelope, bands: BandEdges, target: TargetCell) -> float:
+    """Curvature in the middle of a cell's steering and speed band."""
     speed = target.low_mps + 0.5 * (target.high_mps - target.low_mps)
-    if target.place.steer == STRAIGHT:
+    if target.index.steer == STRAIGHT:
         return 0.0
-    return curvature_1pm(envelope, in_band(envelope, bands, target, speed, 0.0))
+    return curvature_1pm(envelope, angle_in_band_rad(envelope, bands, target, speed, 0.0))

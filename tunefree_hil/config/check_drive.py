@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.config.problem import ConfigProblem, Problems
 from tunefree_hil.config.schema import VehicleSpec
 
 # Group -> fields, and what they are there for. The controller commands pedals and a steering wheel angle, and follows
@@ -34,15 +34,17 @@ def check_drive(spec: VehicleSpec) -> list[InputError]:
     ]
 
 
-def _fields(spec: VehicleSpec) -> Iterator[tuple[str, str, str]]:
+def _fields(spec: VehicleSpec) -> Problems:
     for group, (names, what_for) in FIELDS.items():
         for name in names:
             if name not in getattr(spec, group):
                 hint = f"map [{group}.{name}]; without it the folder is good for reading logs only"
-                yield f"{group}.{name}", f"the vehicle does not have it, and {what_for}", hint
+                yield ConfigProblem(f"{group}.{name}", f"the vehicle does not have it, and {what_for}", hint)
 
 
-def _nominal(spec: VehicleSpec) -> Iterator[tuple[str, str, str]]:
+def _nominal(spec: VehicleSpec) -> Problems:
     for name in NOMINAL:
         if getattr(spec.nominal, name) is None:
-            yield f"nominal.{name}", "the controller needs this data-sheet value", "add it, and to `assumed` if it is"
+            yield ConfigProblem(
+                f"nominal.{name}", "the controller needs this data-sheet value", "add it, and to `assumed` if it is"
+            )

@@ -17,7 +17,7 @@ from tunefree_hil.config.schema import Spec
 
 S = TypeVar("S", bound=Spec)
 SET_BY_LOADER = ("folder", "path", "hash")
-# Limits may be infinite: it means that there is none (interfaces 4). Nothing else may.
+# Limits may be infinite: it means that there is none (docs/reference/effects.md). Nothing else may.
 MAY_BE_INFINITE = ("rate_limit", "effects", "params")
 
 
@@ -61,8 +61,8 @@ class _Reader:
                 raise self.error(_join(key, name), "unknown key", "unknown_key", nearest(name, known))
         for name, field in known.items():
             if field.required and name not in data:
-                what = _expected(field.type)
-                raise self.error(_join(key, name), "missing", "missing_key", f"add it; expected {what}")
+                expected = _expected(field.type)
+                raise self.error(_join(key, name), "missing", "missing_key", f"add it; expected {expected}")
         values = {name: self.value(value, known[name].type, _join(key, name)) for name, value in data.items()}
         return kind(**values)
 

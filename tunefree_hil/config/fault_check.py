@@ -5,9 +5,10 @@ The kinds that disturb CRC and counter have CANoe's names: value, freeze, random
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from tunefree_hil.config.find import nearest
+from tunefree_hil.config.problem import ConfigProblem, Problems
 from tunefree_hil.config.schema import FaultSpec
 
 DRIVER, PEER = "driver_override", "peer_stop"
@@ -29,48 +30,50 @@ VALUES = {
     "burst": ("extra copies", 1, MOST_FRAMES),
 }
 
-Found = Iterator[tuple[str, str, str]]
 
-
-def check_faults(faults: Sequence[FaultSpec]) -> Found:
+def check_faults(faults: Sequence[FaultSpec]) -> Problems:
     """Every problem, by key."""
     if len(faults) > MOST_FAULTS:
-        yield "faults", f"there are {len(faults)}", f"give {MOST_FAULTS} at most"
+        yield ConfigProblem("faults", f"there are {len(faults)}", f"give {MOST_FAULTS} at most")
     for i, fault in enumerate(faults):
         key = f"faults[{i}]"
         if not 0 <= fault.from_tick < fault.to_tick:
-            yield key, f"from_tick {fault.from_tick}, to_tick {fault.to_tick}", "0 <= from_tick < to_tick"
+            yield ConfigProblem(
+                key, f"from_tick {fault.from_tick}, to_tick {fault.to_tick}", "0 <= from_tick < to_tick"
+            )
         if not 0 <= fault.seed <= MOST_SEED:
-            yield f"{key}.seed", f"{fault.seed} does not fit", f"give 0 to {MOST_SEED}"
+            yield ConfigProblem(f"{key}.seed", f"{fault.seed} does not fit", f"give 0 to {MOST_SEED}")
         if fault.kind not in FAULT_KINDS:
-            yield f"{key}.kind", f"no fault kind {fault.kind!r}", f"there is {', '.join(FAULT_KINDS)}"
+            yield ConfigProblem(f"{key}.kind", f"no fault kind {fault.kind!r}", f"there is {', '.join(FAULT_KINDS)}")
         else:
             yield from _place(key, fault)
             yield from _value(key, fault)
 
 
-def _place(key: str, fault: FaultSpec) -> Found:
+def _place(key: str, fault: FaultSpec) -> Problems:
     if fault.kind in FRAME_KINDS:
         if not fault.message:
-            yield f"{key}.message", f"{fault.kind} needs it", "name a message of the vehicle's DBC"
+            yield ConfigProblem(f"{key}.message", f"{fault.kind} needs it", "name a message of the vehicle's DBC")
         if fault.channel not in ("", "vehicle"):
-            yield f"{key}.channel", f"{fault.channel!r} has no messages", 'leave it out, or "vehicle"'
+            yield ConfigProblem(f"{key}.channel", f"{fault.channel!r} has no messages", 'leave it out, or "vehicle"')
         return
     known = HANDS if fault.kind == DRIVER else PEERS
     if fault.channel not in known:
-        who = "a driver has no" if fault.kind == DRIVER else "no peer"
-        yield f"{key}.channel", f"{who} {fault.channel!r}", nearest(fault.channel, known)
+        subject = "a driver has no" if fault.kind == DRIVER else "no peer"
+        yield ConfigProblem(f"{key}.channel", f"{subject} {fault.channel!r}", nearest(fault.channel, known))
     if fault.message:
-        yield f"{key}.message", f"{fault.kind} is of no message", "remove the key"
+        yield ConfigProblem(f"{key}.message", f"{fault.kind} is of no message", "remove the key")
 
 
-def _value(key: str, fault: FaultSpec) -> Found:
+def _value(key: str, fault: FaultSpec) -> Problems:
     if fault.kind == DRIVER:
         return
     if fault.kind not in VALUES:
         if fault.value != 0.0:
-            yield f"{key}.value", f"{fault.kind} has no value", "remove the key"
+            yield ConfigProblem(f"{key}.value", f"{fault.kind} has no value", "remove the key")
         return
-    what, low, high = VALUES[fault.kind]
+    meaning, low, high = VALUES[fault.kind]
     if not low <= fault.value <= high or fault.value != int(fault.value):
-        yield f"{key}.value", f"{fault.value:g} is not {what}", f"give a whole number from {low} to {high}"
+        yield ConfigProblem(
+            f"{key}.value", f"{fault.value:g} is not {meaning}", f"give a whole number from {low} to {high}"
+        )

@@ -47,10 +47,10 @@ def places(kind: str, near: str | Path | None = None) -> list[Path]:
     """The folders that are looked into, in order; each also under the checkout's name of the kind's folder."""
     folder = KINDS[kind].folder
     roots = [_folder(Path(near))] if near is not None else []
-    found: list[Path] = []
+    paths: list[Path] = []
     for root in [*roots, Path.cwd(), CHECKOUT]:
-        found += [place for place in (root, root / folder, root / Path(folder).name) if place not in found]
-    return found
+        paths += [place for place in (root, root / folder, root / Path(folder).name) if place not in paths]
+    return paths
 
 
 def _folder(near: Path) -> Path:
@@ -81,13 +81,13 @@ def _is_file(path: Path) -> bool:
 
 def available(kind: str, near: str | Path | None = None) -> list[str]:
     """The names of this kind in the folders that are looked into."""
-    what = KINDS[kind]
+    kind_name = KINDS[kind]
     names: set[str] = set()
     for place in places(kind, near):
-        if place.name != Path(what.folder).name or not place.is_dir():
+        if place.name != Path(kind_name.folder).name or not place.is_dir():
             continue
-        if what.inside:
-            names |= {found.parent.name for found in place.glob(f"*/{what.inside}")}
+        if kind_name.inside:
+            names |= {found.parent.name for found in place.glob(f"*/{kind_name.inside}")}
         else:
             names |= {found.stem for found in place.glob("*.toml")}
     return sorted(names)

@@ -5,7 +5,6 @@ Every unit comes from a closed list; its factor to SI stands beside it, so that 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Literal
 
 from msgspec import field
@@ -13,6 +12,7 @@ from msgspec import field
 from tunefree_hil.base.records import GROUPS, WHEEL_FIELDS
 from tunefree_hil.base.units import G_MPS2, KPH_PER_MPS, RAD_PER_DEG
 from tunefree_hil.config.find import nearest
+from tunefree_hil.config.problem import ConfigProblem, Problems
 from tunefree_hil.config.vehicle_schema import LimitsSpec, NominalSpec, Spec
 
 TURN_RAD = 360.0 * RAD_PER_DEG
@@ -121,37 +121,39 @@ def to_si(column: ColumnSpec) -> float:
     return UNITS[si_unit(column.field.partition(".")[2])][column.unit]
 
 
-def check_import(spec: ImportSpec) -> Iterator[tuple[str, str, str]]:
-    """(key, problem, what to do): what does not fit together in a mapping file."""
+def check_import(spec: ImportSpec) -> Problems:
+    """Problems of a mapping file."""
     if len(spec.delimiter) != 1 or spec.delimiter in (spec.decimal, '"', "\n"):
-        yield "delimiter", f"{spec.delimiter!r} cannot part the cells", "one sign, such as , ; or a tab"
+        yield ConfigProblem("delimiter", f"{spec.delimiter!r} cannot part the cells", "one sign, such as , ; or a tab")
     if not spec.columns:
-        yield "columns", "no column is named", "add [[columns]] with column, field and unit"
+        yield ConfigProblem("columns", "no column is named", "add [[columns]] with column, field and unit")
     if spec.clock.gap_s < 0.0:
-        yield "clock.gap_s", "it is below 0", "give seconds, or leave it out"
+        yield ConfigProblem("clock.gap_s", "it is below 0", "give seconds, or leave it out")
     for name in spec.accept:
         if name not in CHECKS:
-            yield f"accept.{name}", "no such check", nearest(name, CHECKS)
+            yield ConfigProblem(f"accept.{name}", "no such check", nearest(name, CHECKS))
     seen: set[str] = set()
     for i, column in enumerate(spec.columns):
         key = f"columns[{i}]"
         if column.field in seen:
-            yield f"{key}.field", f"{column.field} is filled twice", "remove one"
+            yield ConfigProblem(f"{key}.field", f"{column.field} is filled twice", "remove one")
         seen.add(column.field)
         yield from _column(key, column)
     wheels = {f"report.{name}" for name in WHEEL_FIELDS}
     if seen & wheels and not wheels <= seen:
-        yield "columns", f"of the four wheels {', '.join(sorted(wheels - seen))} is missing", "map all four, or none"
+        yield ConfigProblem(
+            "columns", f"of the four wheels {', '.join(sorted(wheels - seen))} is missing", "map all four, or none"
+        )
 
 
-def _column(key: str, column: ColumnSpec) -> Iterator[tuple[str, str, str]]:
+def _column(key: str, column: ColumnSpec) -> Problems:
     if column.field not in FIELDS:
-        yield f"{key}.field", f"no record field {column.field!r}", nearest(column.field, FIELDS)
+        yield ConfigProblem(f"{key}.field", f"no record field {column.field!r}", nearest(column.field, FIELDS))
         return
     units = UNITS[si_unit(column.field.partition(".")[2])]
     if column.unit not in units:
-        yield f"{key}.unit", f"{column.unit} is no unit of {column.field}", f"one of {', '.join(units)}"
+        yield ConfigProblem(f"{key}.unit", f"{column.unit} is no unit of {column.field}", f"one of {', '.join(units)}")
     if column.scale == 0.0:
-        yield f"{key}.scale", "it is 0", "the cell is multiplied by it"
+        yield ConfigProblem(f"{key}.scale", "it is 0", "the cell is multiplied by it")
     if column.period_ms < 0:
-        yield f"{key}.period_ms", "it is below 0", "give whole ms, or leave it out"
+        yield ConfigProblem(f"{key}.period_ms", "it is below 0", "give whole ms, or leave it out")

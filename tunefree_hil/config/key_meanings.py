@@ -75,7 +75,7 @@ _MODEL: dict[type[Spec], dict[str, str]] = {
         "steer_rad": f"{SPAN}, rad at the steering wheel",
     },
     EffectSpec: {
-        "name": "one of docs/effects.md, or 'path/to/file.py:EFFECT' of your own",
+        "name": "one of docs/reference/effects.md, or 'path/to/file.py:EFFECT' of your own",
         "params": "its numbers by name, with the units in the names",
         "interval": "parameter -> [low, high] in which it was found",
         "provenance": "where it comes from: log, seed, version",
@@ -110,7 +110,7 @@ _ROADS: dict[type[Spec], dict[str, str]] = {
         "description": "what is weighed, in a sentence",
         "against": "trajectory that errors count against: current (a re-plan forgives) or original",
         "as_published": "true keeps the source's slip in heading_err_rate_std_harsh",
-        "metrics": "metric of docs/grading.md -> weight from 0 on",
+        "metrics": "metric of docs/reference/grading.md -> weight from 0 on",
         "replan_penalty": "what a re-plan adds to a score",
         "failure_score": "score of a drive that fails, and the highest there is",
         "lane_half_width_m": "sideways error at which the lane is left, m",
@@ -163,10 +163,10 @@ _BENCH: dict[type[Spec], dict[str, str]] = {
     FaultSpec: {
         "channel": "who: throttle, brake, steer or gear of driver_override, ecu or controller of peer_stop; else ''",
         "message": "message that is disturbed where it is sent; '' for driver_override and peer_stop",
-        "kind": "one of docs/faults.md",
+        "kind": "one of docs/reference/faults.md",
         "from_tick": "first tick of it",
         "to_tick": "first tick after it",
-        "value": "what it means for the kind: docs/faults.md",
+        "value": "what it means for the kind: docs/reference/faults.md",
         "seed": "of its chance, 0 to 65535",
     },
 }

@@ -18,6 +18,7 @@ from tunefree_hil.config.convert import SET_BY_LOADER, convert, read_toml
 from tunefree_hil.config.find import find, nearest
 from tunefree_hil.config.import_schema import ImportSpec, check_import
 from tunefree_hil.config.key_meanings import WORDS
+from tunefree_hil.config.problem import Problems
 from tunefree_hil.config.schema import BenchSpec, ModelSpec, ScenarioSpec, Spec, VehicleSpec, WeightsSpec
 
 SPECS: dict[str, type[Spec]] = {
@@ -95,10 +96,10 @@ def json_schema(name: str) -> dict[str, Any]:
     for key in SET_BY_LOADER:
         definitions[SPECS[name].__name__]["properties"].pop(key, None)
     for kind, definition in definitions.items():
-        for key, one in definition.get("properties", {}).items():
-            one["description"] = WORDS[kind][key]
-            if one.get("default") == math.inf:  # JSON has no infinity
-                del one["default"]
+        for key, entry in definition.get("properties", {}).items():
+            entry["description"] = WORDS[kind][key]
+            if entry.get("default") == math.inf:  # JSON has no infinity
+                del entry["default"]
     return schema
 
 
@@ -111,12 +112,12 @@ def _hash(paths: Iterable[Path]) -> str:
     return digest.hexdigest()
 
 
-def _refuse(path: Path, found: Iterable[tuple[str, str, str]]) -> None:
-    problems = [
-        InputError(message, code="does_not_fit", file=str(path), key=key, hint=hint) for key, message, hint in found
+def _refuse(path: Path, problems: Problems) -> None:
+    errors = [
+        InputError(message, code="does_not_fit", file=str(path), key=key, hint=hint) for key, message, hint in problems
     ]
-    if problems:
-        raise _one_error(problems)
+    if errors:
+        raise _one_error(errors)
 
 
 def _one_error(problems: list[InputError]) -> InputError:

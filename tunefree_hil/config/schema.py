@@ -1,4 +1,4 @@
-"""What the TOML files may say (interfaces 2-6): frozen structs, unknown keys refused.
+"""What the TOML files may say (docs/reference/files.md): frozen structs, unknown keys refused.
 
 Only shapes and types here; what must fit together is checked in `check.py` and `check_vehicle.py`, by file and key.
 """
@@ -60,7 +60,7 @@ __all__ = [
 ]
 
 
-# --- model.toml (interfaces 3) -----------------------------------------------------------------------------------
+# --- model.toml (docs/reference/files.md) -----------------------------------------------------------------------------------
 
 
 class Interval(Spec, frozen=True, kw_only=True):
@@ -75,7 +75,7 @@ Number = float | Interval
 
 
 class ActuatorSpec(Spec, frozen=True, kw_only=True):
-    """Dead time, lag of order 1 (lag_s) or 2 (natural_hz, damping), rate limit, dead band, gain, offset (design D5)."""
+    """Dead time, lag of order 1 (lag_s) or 2 (natural_hz, damping), rate limit, dead band, gain, offset (docs/reference/design.md)."""
 
     dead_time_s: Number = 0.0
     order: Literal[1, 2] = 1
@@ -141,7 +141,7 @@ class ModelSpec(Spec, frozen=True, kw_only=True):
     hash: str = ""
 
 
-# --- scenario, weights, bench (interfaces 5) ---------------------------------------------------------------------
+# --- scenario, weights, bench (docs/reference/files.md) ---------------------------------------------------------------------
 
 
 class StartSpec(Spec, frozen=True, kw_only=True):
@@ -175,7 +175,7 @@ class ScenarioSpec(Spec, frozen=True, kw_only=True):
 
 
 class WeightsSpec(Spec, frozen=True, kw_only=True):
-    """bench_configs/weights/<name>.toml (design D11)."""
+    """bench_configs/weights/<name>.toml (docs/reference/grading.md)."""
 
     schema: Literal["tunefree.weights/1"]
     name: str
@@ -198,7 +198,9 @@ class ControllerSpec(Spec, frozen=True, kw_only=True):
     look_ahead_m: float = 0.0
     mrac_dead_zone: float = 0.5  # percent of the steering limit within which MRAC does not adapt; 0: as published
     calibration: str = ""  # another calibration.npz than the model's
-    parameters: dict[str, float] = field(default_factory=dict)  # by the names of interfaces 7, or its own ones
+    parameters: dict[str, float] = field(
+        default_factory=dict
+    )  # by the names of docs/reference/controller.md, or its own ones
     command: list[str] = field(default_factory=list)  # starts a controller of the user's own instead of ours
 
 

@@ -45,7 +45,7 @@ VEHICLE_WORDS: dict[type[Spec], dict[str, str]] = {
         "override": "when the by-wire unit takes a driver's pedal or hand for a take-over",
         "limits": "what the vehicle can and may do",
         "nominal": "data-sheet constants of the body",
-        "manual_gains": "as_shipped: the gains of interfaces 7 were shipped for this vehicle; else rule_based",
+        "manual_gains": "as_shipped: the gains of docs/reference/controller.md were shipped for this vehicle; else rule_based",
     },
     FieldSpec: {
         "message": "name of the message in the DBC",

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from tunefree_hil.config.problem import ConfigProblem, Problems
 from tunefree_hil.config.vehicle_schema import VehicleSpec
 
 
@@ -17,13 +18,13 @@ class Range(NamedTuple):
     """low <= value <= high; with `above` low itself is not allowed."""
 
     high: float
-    what: str  # unit, or what the number is
+    meaning: str  # unit, or what the number is
     low: float = 0.0
     above: bool = False
 
     def slip(self, value: float) -> tuple[str, str] | None:
         """(what is wrong with the value, what to write instead), or None where it may stand."""
-        hint = f"give a number {'above' if self.above else 'from'} {self.low:g} to {self.high:g} ({self.what})"
+        hint = f"give a number {'above' if self.above else 'from'} {self.low:g} to {self.high:g} ({self.meaning})"
         if value < self.low or (self.above and value == self.low):
             return f"{value} is {'not above' if self.above else 'below'} {self.low:g}", hint
         return (f"{value} is above {self.high:g}", hint) if value > self.high else None
@@ -78,46 +79,55 @@ RANGES: dict[str, dict[str, Range]] = {
 MOST_ACCEL_MPS2 = 1e3
 GLOBE_DEG = (90.0, 180.0)  # the largest latitude and longitude
 
-Found = Iterator[tuple[str, str, str]]
+
+class _Table(NamedTuple):
+    """A table of vehicle.toml: what its keys are prefixed with, and their ranges."""
+
+    prefix: str
+    values: object
+    ranges: dict[str, Range]
 
 
-def check_numbers(spec: VehicleSpec) -> Found:
-    """Every number that cannot be, as (key, message, hint)."""
-    for prefix, table, ranges in _tables(spec):
-        for name, allowed in ranges.items():
-            value = getattr(table, name)
+def check_numbers(spec: VehicleSpec) -> Problems:
+    """Every number outside its range, or that contradicts another."""
+    for table in _tables(spec):
+        for name, allowed in table.ranges.items():
+            value = getattr(table.values, name)
             slip = allowed.slip(value) if value is not None else None
             if slip:
-                yield prefix + name, *slip
+                yield ConfigProblem(table.prefix + name, *slip)
     yield from _together(spec)
     low_high = spec.limits.accel_mps2
     if len(low_high) != 2 or not -MOST_ACCEL_MPS2 <= low_high[0] < 0.0 < low_high[1] <= MOST_ACCEL_MPS2:
-        yield "limits.accel_mps2", f"expected [low, high] round 0, got {low_high}", "for example [-6.0, 2.0]"
+        yield ConfigProblem(
+            "limits.accel_mps2", f"expected [low, high] round 0, got {low_high}", "for example [-6.0, 2.0]"
+        )
     origin = spec.ins_frame.origin
     if not isinstance(origin, str) and not _on_the_globe(origin):
-        yield "ins_frame.origin", f"{origin} is no [latitude, longitude]", 'give degrees, or "local"'
+        yield ConfigProblem("ins_frame.origin", f"{origin} is no [latitude, longitude]", 'give degrees, or "local"')
 
 
-def _tables(spec: VehicleSpec) -> Iterator[tuple[str, object, dict[str, Range]]]:
-    """(what comes before its keys' names, the table, the ranges of its keys)."""
-    yield "", spec, RANGES["top"]
+def _tables(spec: VehicleSpec) -> Iterator[_Table]:
+    yield _Table("", spec, RANGES["top"])
     for name in ("ins_frame", "override", "limits", "nominal"):
-        yield f"{name}.", getattr(spec, name), RANGES[name]
+        yield _Table(f"{name}.", getattr(spec, name), RANGES[name])
     for actuator, latency in spec.latency.items():
-        yield f"latency.{actuator}.", latency, RANGES["latency"]
+        yield _Table(f"latency.{actuator}.", latency, RANGES["latency"])
 
 
-def _together(spec: VehicleSpec) -> Found:
+def _together(spec: VehicleSpec) -> Problems:
     """The numbers that must fit each other, where each could stand by itself."""
     wheelbase_m, front_m, rest = spec.nominal.wheelbase_m, spec.nominal.front_axle_m, spec.nominal.rest_pedal_frac
     if front_m is not None and wheelbase_m is not None and 0.0 < wheelbase_m <= front_m:
         message = f"{front_m:g} is not below wheelbase_m = {wheelbase_m:g}"
-        yield "nominal.front_axle_m", message, "give the metres from the centre of mass to the front axle"
+        yield ConfigProblem(
+            "nominal.front_axle_m", message, "give the metres from the centre of mass to the front axle"
+        )
     name = min(("throttle_frac", "brake_frac"), key=lambda name: getattr(spec.limits, name))
     limit = getattr(spec.limits, name)
     if 0.0 < limit <= rest <= 1.0:
         hint = "give the duty of a pedal that nobody touches, below the limits of both pedals"
-        yield "nominal.rest_pedal_frac", f"{rest:g} is not below limits.{name} = {limit:g}", hint
+        yield ConfigProblem("nominal.rest_pedal_frac", f"{rest:g} is not below limits.{name} = {limit:g}", hint)
 
 
 def _on_the_globe(origin: list[float]) -> bool:

@@ -1,4 +1,4 @@
-"""What vehicle.toml may say (interfaces 2): frozen structs, unknown keys refused. The other files: schema.py."""
+"""What vehicle.toml may say (docs/reference/files.md): frozen structs, unknown keys refused. The other files: schema.py."""
 
 from __future__ import annotations
 
@@ -110,7 +110,9 @@ class LimitsSpec(Spec, frozen=True, kw_only=True):
     lateral_accel_mps2: float = 5.0
     speed_mps: float = 40.0
     reverse_mps: float = 0.0  # how fast it drives backwards; 0: it does not, or nobody says so
-    brake_rate_per_s: float = 20.0  # the by-wire unit lets the brake demand change no faster (apollo_facts 7.3)
+    brake_rate_per_s: float = (
+        20.0  # the by-wire unit lets the brake demand change no faster (docs/reference/by_wire.md)
+    )
     watchdog_brake_frac: float = 0.30  # duty with which its watchdog brakes
     assumed: list[str] = field(default_factory=list)
 
@@ -165,6 +167,8 @@ class VehicleSpec(Spec, frozen=True, kw_only=True):
     override: OverrideSpec = OverrideSpec()
     limits: LimitsSpec
     nominal: NominalSpec = NominalSpec()
-    manual_gains: Literal["rule_based", "as_shipped"] = "rule_based"  # as_shipped: those of interfaces 7 are this one's
+    manual_gains: Literal["rule_based", "as_shipped"] = (
+        "rule_based"  # as_shipped: those of docs/reference/controller.md are this one's
+    )
     folder: str = ""
     hash: str = ""

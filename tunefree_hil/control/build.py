@@ -12,7 +12,7 @@ from tunefree_hil.base.kernel import Block
 from tunefree_hil.control import cascade, limits
 from tunefree_hil.control.calibration_map import CalibrationMap
 from tunefree_hil.control.contract import Settings, Setup, VehicleConstants, bind
-from tunefree_hil.control.follower import Rules, make_follower
+from tunefree_hil.control.follower import ReplanRules, make_follower
 from tunefree_hil.control.parameters import BY_NAME, check_complete, middle_of
 
 
@@ -37,18 +37,18 @@ def load_parts(names: PartNames) -> list[Any]:
 
 
 def own_values(names: PartNames) -> dict[str, float]:
-    """The tunables that the parts bring beyond interfaces 7, in order (PARAM indices from 16 on): name -> value.
+    """The tunables that the parts bring beyond docs/reference/controller.md, in order (PARAM indices from 16 on): name -> value.
 
     The value of a plain Block is that of its params; a Recipe has none yet, so it is the middle of the box.
     """
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for part in load_parts(names):
         params = getattr(part, "params", None)
         for tunable in part.tunables:
             if tunable.name not in BY_NAME:
                 field = tunable.name.rpartition(".")[2]
-                found.setdefault(tunable.name, float(getattr(params, field, middle_of(tunable))))
-    return found
+                values.setdefault(tunable.name, float(getattr(params, field, middle_of(tunable))))
+    return values
 
 
 def build(
@@ -60,12 +60,12 @@ def build(
     dt_s: float = 0.01,
     settings: Settings | None = None,
     names: PartNames | None = None,
-    rules: Rules | None = None,
+    rules: ReplanRules | None = None,
     absent: Iterable[str] = (),
 ) -> Block:
     """The controller for one drive: x = cascade.Sight -> cascade.Decision.
 
-    `parameters` must name all of interfaces 7 and the user's own, else InputError. `absent`: record fields that the
+    `parameters` must name all of docs/reference/controller.md and the user's own, else InputError. `absent`: record fields that the
     vehicle does not have, as 'report.speed_mps'.
     """
     names = names or PartNames()

@@ -1,4 +1,4 @@
-"""The open-loop map f_map of eq. 2: (acceleration wanted, speed) -> pedal command, brake negative (interfaces 3)."""
+"""The open-loop map f_map of eq. 2: (acceleration wanted, speed) -> pedal command, brake negative (docs/reference/files.md)."""
 
 from __future__ import annotations
 

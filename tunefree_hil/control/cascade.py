@@ -1,6 +1,6 @@
-"""The controller as one Block: follower, outer loops, inner loop, limits, supervision (Fig. 5 of the paper).
+"""The controller as one Block: follower, outer loops, inner loop, limits, supervision (paper, Fig. 5).
 
-controller.step(params, state, Sight(tick, measurement), dt_s) -> (state, Decision); parts: contract.py.
+`controller.step(params, state, Sight(tick, measurement), dt_s) -> (state, Decision)`; the parts: contract.py.
 """
 
 from __future__ import annotations
@@ -11,27 +11,27 @@ from tunefree_hil.base.course import Tracking
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.maths import clamp, is_finite
 from tunefree_hil.base.records import GEAR_DRIVE, NAN, Command, Ins, Measurement
-from tunefree_hil.control.contract import Settings, VehicleConstants, chassis_speed_of, speed_of
+from tunefree_hil.control.contract import Pedals, Settings, VehicleConstants, chassis_speed_of, speed_of
 
-ERROR_DIVERGED = 1.0  # a number that is not finite, or |heading error to the path| beyond the bound
-ERROR_LEFT_LANE = 2.0  # |lateral error to the original path| beyond half the lane
-FIRST_FRAMES_S = 0.2  # so long a needed value may still be unheard (20 missed periods, apollo_facts 1.2)
-STOP_BRAKE_FRAC = 0.5  # the shipped emergency stop (apollo_facts 1.2)
+ERROR_DIVERGED = 1.0  # a number is not finite, or |heading error to the path| exceeds its bound
+ERROR_LEFT_LANE = 2.0  # |lateral error to the original path| exceeds half the lane
+FIRST_FRAMES_S = 0.2  # a needed value may be missing for so long (Apollo: 20 missed periods of 10 ms)
+STOP_BRAKE_FRAC = 0.5  # brake duty of an emergency stop, as Apollo ships it
 
 
 class Sight(NamedTuple):
-    """What the controller gets at a tick."""
+    """Input of the controller at a tick."""
 
     tick: int
     measurement: Measurement
 
 
 class Decision(NamedTuple):
-    """What it makes of it."""
+    """Output of the controller at a tick."""
 
     command: Command
     tracking: Tracking
-    steer_wish_rad: float  # of the lateral part, before inner loop and limits
+    steer_demand_rad: float  # of the lateral part, before inner loop and limits
     accel_cmd_mps2: float
     inner_status: float
     error_code: float  # 0, ERROR_DIVERGED, ERROR_LEFT_LANE
@@ -48,7 +48,7 @@ class Guard(NamedTuple):
     accel_high_mps2: float
     lane_half_width_m: float
     divergence_heading_rad: float
-    chassis_speed: float  # 0: the vehicle reports no speed, the INS's is used
+    chassis_speed: float  # 1, or 0 where the vehicle reports no speed and the one of the INS is used
 
 
 def make_guard(vehicle: VehicleConstants, settings: Settings, absent: frozenset[str] = frozenset()) -> Guard:
@@ -66,52 +66,96 @@ def make_guard(vehicle: VehicleConstants, settings: Settings, absent: frozenset[
     )
 
 
-def assemble(follower: Block, lateral: Block, longitudinal: Block, inner: Block, limits: Block, guard: Guard) -> Block:
-    """One Block of the parts; x = Sight -> Decision."""
-    parts = (follower, lateral, longitudinal, inner, limits)
-    follow, steer, pedal, tame, limit = (part.step for part in parts)
+class CascadeParams(NamedTuple):
+    """Parameters of each part, and the bounds of the drive. The types of the parts' params depend on the bench."""
 
-    def init(params: Any, dt_s: float) -> Any:
-        states = tuple(part.init(own, dt_s) for part, own in zip(parts, params, strict=False))
-        return (*states, 0.0, 0.0)
+    follower: Any
+    lateral: Any
+    longitudinal: Any
+    inner: Any
+    limits: Any
+    guard: Guard
+
+
+class CascadeState(NamedTuple):
+    """State of each part, and what the last complete tick left."""
+
+    follower: Any
+    lateral: Any
+    longitudinal: Any
+    inner: Any
+    limits: Any
+    last_steer_rad: float
+    has_completed_tick: bool
+
+
+def assemble(follower: Block, lateral: Block, longitudinal: Block, inner: Block, limits: Block, guard: Guard) -> Block:
+    """Join the parts to one Block.
+
+    Returns:
+        The Block with x = Sight, y = Decision, params CascadeParams, state CascadeState.
+    """
+    follower_step, lateral_step, longitudinal_step = follower.step, lateral.step, longitudinal.step
+    inner_step, limit_step = inner.step, limits.step
+
+    def init(params: CascadeParams, dt_s: float) -> CascadeState:
+        return CascadeState(
+            follower.init(params.follower, dt_s),
+            lateral.init(params.lateral, dt_s),
+            longitudinal.init(params.longitudinal, dt_s),
+            inner.init(params.inner, dt_s),
+            limits.init(params.limits, dt_s),
+            last_steer_rad=0.0,
+            has_completed_tick=False,
+        )
 
     @kernel
-    def step(params: Any, state: Any, x: Sight, dt_s: float) -> tuple[Any, Decision]:
-        measurement = x.measurement
-        bounds = params[5]
-        early = state[6] == 0.0 and x.tick * dt_s < FIRST_FRAMES_S
-        speed_mps = speed_of(measurement, bounds.chassis_speed)
-        follower_state, tracking = follow(params[0], state[0], (x.tick, measurement.ins), dt_s)
+    def step(params: CascadeParams, state: CascadeState, x: Sight, dt_s: float) -> tuple[CascadeState, Decision]:
+        measurement, guard = x.measurement, params.guard
+        is_start = not state.has_completed_tick and x.tick * dt_s < FIRST_FRAMES_S
+        speed_mps = speed_of(measurement, guard.chassis_speed)
+        follower_state, tracking = follower_step(params.follower, state.follower, (x.tick, measurement.ins), dt_s)
         if not is_finite(tracking.path_lateral_error_m + speed_mps):
-            return state, without(bounds, tracking, state[5], early, pose_sum(measurement.ins) + speed_mps)
-        lateral_state, wish_rad = steer(params[1], state[1], (tracking, measurement), dt_s)
-        longitudinal_state, pedals = pedal(params[2], state[2], (tracking, measurement), dt_s)
-        inner_state, answer = tame(params[3], state[3], (wish_rad, measurement.report.steer_rad, speed_mps), dt_s)
-        limit_state, steer_rad = limit(params[4], state[4], (answer.steer_rad, speed_mps), dt_s)
+            total = pose_sum(measurement.ins) + speed_mps
+            return state, incomplete_decision(guard, tracking, state.last_steer_rad, is_start, total)
+        lateral_state, demand_rad = lateral_step(params.lateral, state.lateral, (tracking, measurement), dt_s)
+        longitudinal_state, pedals = longitudinal_step(
+            params.longitudinal, state.longitudinal, (tracking, measurement), dt_s
+        )
+        inner_input = (demand_rad, measurement.report.steer_rad, speed_mps)
+        inner_state, answer = inner_step(params.inner, state.inner, inner_input, dt_s)
+        limit_state, steer_rad = limit_step(params.limits, state.limits, (answer.steer_rad, speed_mps), dt_s)
         total = steer_rad + pedals.throttle_frac + pedals.brake_frac + pedals.accel_mps2
         if not is_finite(total):
-            return state, without(bounds, tracking, state[5], early, total)
-        steer_rad = clamp(steer_rad, -bounds.steer_limit_rad, bounds.steer_limit_rad)
-        command = Command(
-            clamp(pedals.throttle_frac, 0.0, bounds.throttle_limit_frac),
-            clamp(pedals.brake_frac, 0.0, bounds.brake_limit_frac),
-            steer_rad,
-            GEAR_DRIVE,
-            clamp(pedals.accel_mps2, bounds.accel_low_mps2, bounds.accel_high_mps2),
-            NAN,
+            return state, incomplete_decision(guard, tracking, state.last_steer_rad, is_start, total)
+        command = limit_command(guard, pedals, steer_rad)
+        code = supervise(guard, tracking)
+        decision = Decision(command, tracking, demand_rad, pedals.accel_mps2, answer.status, code)
+        new_state = CascadeState(
+            follower_state, lateral_state, longitudinal_state, inner_state, limit_state, command.steer_rad, True
         )
-        code = supervise(bounds, tracking)
-        decision = Decision(command, tracking, wish_rad, pedals.accel_mps2, answer.status, code)
-        states = (follower_state, lateral_state, longitudinal_state, inner_state, limit_state, steer_rad, 1.0)
-        return states, decision
+        return new_state, decision
 
-    tunables = lateral.tunables + longitudinal.tunables + inner.tunables
-    return Block(init, step, (*(part.params for part in parts), guard), tunables)
+    params = CascadeParams(follower.params, lateral.params, longitudinal.params, inner.params, limits.params, guard)
+    return Block(init, step, params, lateral.tunables + longitudinal.tunables + inner.tunables)
+
+
+@kernel
+def limit_command(guard: Guard, pedals: Pedals, steer_rad: float) -> Command:
+    """The command within the vehicle's limits."""
+    return Command(
+        clamp(pedals.throttle_frac, 0.0, guard.throttle_limit_frac),
+        clamp(pedals.brake_frac, 0.0, guard.brake_limit_frac),
+        clamp(steer_rad, -guard.steer_limit_rad, guard.steer_limit_rad),
+        GEAR_DRIVE,
+        clamp(pedals.accel_mps2, guard.accel_low_mps2, guard.accel_high_mps2),
+        NAN,
+    )
 
 
 @kernel
 def supervise(guard: Guard, tracking: Tracking) -> float:
-    """The error code of a finite tick (design D11)."""
+    """The error code of a finite tick: 0, ERROR_DIVERGED or ERROR_LEFT_LANE (docs/reference/grading.md)."""
     if abs(tracking.path_heading_error_rad) > guard.divergence_heading_rad:
         return ERROR_DIVERGED
     if abs(tracking.path_lateral_error_m) > guard.lane_half_width_m:
@@ -121,17 +165,23 @@ def supervise(guard: Guard, tracking: Tracking) -> float:
 
 @kernel
 def pose_sum(ins: Ins) -> float:
-    """NaN where a part of the pose has not been heard, infinite where one is."""
+    """The sum of the pose and the speed: NaN where one was not received yet."""
     return ins.x_m + ins.y_m + ins.heading_rad + ins.speed_mps
 
 
 @kernel
-def without(guard: Guard, tracking: Tracking, steer_rad: float, early: bool, total: float) -> Decision:
-    """The answer to a sum of needed numbers that is not finite. early: no tick has been complete yet.
+def incomplete_decision(guard: Guard, tracking: Tracking, steer_rad: float, is_start: bool, total: float) -> Decision:
+    """The decision where a needed number is not finite.
 
-    NaN is then a message that has not had its turn (periods and phases differ): roll on. Else it is divergence.
+    Before the first complete tick a NaN is a message that has not had its turn yet (periods and phases differ): the
+    vehicle rolls on. Otherwise it is divergence, and the vehicle is stopped.
+
+    Args:
+        steer_rad: the last steering command.
+        is_start: no tick has been complete yet, and the first frames may still be missing.
+        total: the sum of the needed numbers, which is not finite.
     """
-    if early and total != total:
+    if is_start and total != total:
         rest = guard.rest_pedal_frac
         return Decision(Command(rest, rest, steer_rad, GEAR_DRIVE, 0.0, NAN), tracking, NAN, NAN, 0.0, 0.0)
     return stop(guard, tracking, steer_rad)
@@ -139,7 +189,7 @@ def without(guard: Guard, tracking: Tracking, steer_rad: float, early: bool, tot
 
 @kernel
 def stop(guard: Guard, tracking: Tracking, steer_rad: float) -> Decision:
-    """Brake, wheel held: the answer to numbers that are not finite."""
+    """Brake with the steering wheel held."""
     brake_frac = clamp(STOP_BRAKE_FRAC, 0.0, guard.brake_limit_frac)
     command = Command(guard.rest_pedal_frac, brake_frac, steer_rad, GEAR_DRIVE, guard.accel_low_mps2, NAN)
     return Decision(command, tracking, NAN, NAN, 0.0, ERROR_DIVERGED)

@@ -23,7 +23,7 @@ from tunefree_hil.base.records import Measurement
 class VehicleConstants(NamedTuple):
     """What the controller believes of the vehicle (vehicle.toml: nominal, limits, latency). Stiffness is per AXLE.
 
-    The defaults are the MKZ of apollo_facts 1.1. Pedals are duty as on the wire.
+    The defaults are the MKZ of docs/reference/apollo.md. Pedals are duty as on the wire.
     """
 
     mass_kg: float = 2080.0
@@ -59,14 +59,14 @@ class Pedals(NamedTuple):
 
 
 class InnerAnswer(NamedTuple):
-    """Answer of an inner part. status: 0, +/-1 bounded in size, +/-2 bounded in rate (apollo_facts 3.4)."""
+    """Answer of an inner part. status: 0, +/-1 bounded in size, +/-2 bounded in rate (docs/reference/apollo.md)."""
 
     steer_rad: float
     status: float
 
 
 class LeadLag(NamedTuple):
-    """Low-speed lead-lag G(s) = beta (tau s + 1)/(alpha tau s + 1) on -lateral error (apollo_facts 3.3).
+    """Low-speed lead-lag G(s) = beta (tau s + 1)/(alpha tau s + 1) on -lateral error (docs/reference/apollo.md).
 
     weight 0 switches it off, which is our default: as shipped (weight 1, alpha = beta = 1, tau = 0) it adds 1 rad of
     road wheel per metre of error below 3 m/s, five times the K1 of any Q in the published box, is not in the paper's
@@ -81,7 +81,7 @@ class LeadLag(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """What is neither tuned nor a constant of the vehicle. Defaults are the shipped ones (apollo_facts 1.2 to 1.6)."""
+    """What is neither tuned nor a constant of the vehicle. Defaults are the shipped ones (docs/reference/apollo.md)."""
 
     lead_lag: LeadLag = LeadLag()
     cutoff_hz: float = 10.0
@@ -123,7 +123,7 @@ def chassis_speed_of(absent: Collection[str]) -> float:
 
 @kernel
 def speed_of(measurement: Measurement, chassis_speed: float) -> float:
-    """The speed that gains, map and bounds go by: the chassis's (apollo_facts 4.4), the INS's where there is none."""
+    """The speed that gains, map and bounds go by: the chassis's (docs/reference/apollo.md), the INS's where there is none."""
     return measurement.report.speed_mps if chassis_speed != 0.0 else measurement.ins.speed_mps
 
 

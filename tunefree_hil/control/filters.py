@@ -37,7 +37,7 @@ class FirstOrder(NamedTuple):
 
 
 def butterworth(cutoff_hz: float, dt_s: float) -> SecondOrder:
-    """Low-pass of second order, wc^2 / (s^2 + sqrt(2) wc s + wc^2), bilinear *without* pre-warp (apollo_facts 3.3).
+    """Low-pass of second order, wc^2 / (s^2 + sqrt(2) wc s + wc^2), bilinear *without* pre-warp (docs/reference/apollo.md).
 
     So its real -3 dB point lies a little below `cutoff_hz` (9.69 Hz for 10 Hz at 10 ms).
     """
@@ -72,5 +72,5 @@ def first_order(lead_lag: LeadLag, dt_s: float) -> FirstOrder:
 @kernel
 def first_order_step(filt: FirstOrder, inner: float, value: float) -> tuple[float, float]:
     """(inner state, output): direct form II with its state kept within the limit."""
-    now = clamp(value - filt.a1 * inner, -filt.limit, filt.limit)
-    return now, filt.b0 * now + filt.b1 * inner
+    output = clamp(value - filt.a1 * inner, -filt.limit, filt.limit)
+    return output, filt.b0 * output + filt.b1 * inner

@@ -1,11 +1,11 @@
-"""The reference follower (design D11): where the vehicle is against the trajectory, and when that is planned anew.
+"""The reference follower (docs/reference/grading.md): where the vehicle is against the trajectory, and when that is planned anew.
 
 It runs in the controller at every tick and again wherever errors are worked out from INS frames. Signs and points as
-in interfaces 6. Station runs along the original path throughout; the current trajectory is that path plus the lateral
+in docs/reference/files.md. Station runs along the original path throughout; the current trajectory is that path plus the lateral
 and speed offsets of the last re-plan, so it is the same until the first one.
 
-The heading error's rate is yaw rate - kappa v_ref (apollo_facts 3.1) with the kappa of the foot and the v_ref of this
-time, as the columns of interfaces 6 go; shipped takes both at the foot. No look-up goes to the nearest row, as shipped
+The heading error's rate is yaw rate - kappa v_ref (docs/reference/apollo.md) with the kappa of the foot and the v_ref of this
+time, as the columns of docs/reference/files.md go; shipped takes both at the foot. No look-up goes to the nearest row, as shipped
 ones do: feet are continuous, and times are read between rows.
 
 At the tick of a re-plan the errors are still against the trajectory that was too far away (they show why), from the
@@ -35,14 +35,14 @@ from tunefree_hil.control.schedule import (
     time_of,
 )
 
-PREVIEW_S = 0.2  # apollo_facts 1.3: preview window of 20 samples
-SHRINK_FLOOR = 0.01  # least 1 - kappa d in the speed along the path (apollo_facts 4.1)
-PREVIEW_SPEED_FLOOR_MPS = 0.1  # apollo_facts 3.1
+PREVIEW_S = 0.2  # docs/reference/apollo.md: preview window of 20 samples
+MIN_ARC_SCALE = 0.01  # least 1 - kappa d in the speed along the path (docs/reference/apollo.md)
+PREVIEW_SPEED_FLOOR_MPS = 0.1  # docs/reference/apollo.md
 PREVIEW_COS_FLOOR = 0.1
 
 
-class Rules(NamedTuple):
-    """When and how a re-plan happens (design D11)."""
+class ReplanRules(NamedTuple):
+    """When and how a re-plan happens (docs/reference/grading.md)."""
 
     lateral_m: float = 0.5
     station_m: float = 2.5
@@ -56,7 +56,7 @@ class FollowerParams(NamedTuple):
 
     path: Path
     schedule: Schedule
-    rules: Rules
+    rules: ReplanRules
     rear_axle_m: float  # rear axle (INS point) to centre of mass
     look_ahead_m: float
 
@@ -82,9 +82,11 @@ class Lane(NamedTuple):
     path_heading_error_rad: float
 
 
-def make_follower(course: Course, rear_axle_m: float, look_ahead_m: float = 0.0, rules: Rules | None = None) -> Block:
+def make_follower(
+    course: Course, rear_axle_m: float, look_ahead_m: float = 0.0, rules: ReplanRules | None = None
+) -> Block:
     """Block: x = (tick, Ins) -> Tracking. A fix with a number that is not finite gives a Tracking of NaN."""
-    params = FollowerParams(make_path(course), make_schedule(course), rules or Rules(), rear_axle_m, look_ahead_m)
+    params = FollowerParams(make_path(course), make_schedule(course), rules or ReplanRules(), rear_axle_m, look_ahead_m)
     return Block(init, step, params)
 
 
@@ -99,7 +101,7 @@ def step(params: FollowerParams, state: FollowerState, x: tuple[Any, Ins], dt_s:
     """One tick: errors and previews, then a re-plan where it is due."""
     tick, ins = x
     if not is_finite(ins.x_m + ins.y_m + ins.heading_rad + ins.speed_mps):
-        return state, lost()
+        return state, undefined_tracking()
     time_s = tick * dt_s
     blend, rules, schedule = state.blend, params.rules, params.schedule
     cos, sin = math.cos(ins.heading_rad), math.sin(ins.heading_rad)
@@ -169,7 +171,7 @@ def lane_at(blend: Blend, mass: Foot, x_m: float, y_m: float, heading_rad: float
             ref_y_m,
             path_heading_error_rad,
         )
-    turn_rad, curvature_1pm = bent(mass.curvature_1pm, offset_m, slope, bend_1pm)
+    turn_rad, curvature_1pm = offset_curve(mass.curvature_1pm, offset_m, slope, bend_1pm)
     error_m = lateral_m * math.cos(turn_rad)
     heading = mass.heading_rad + turn_rad
     ref_x_m, ref_y_m = x_m + error_m * math.sin(heading), y_m - error_m * math.cos(heading)
@@ -178,30 +180,30 @@ def lane_at(blend: Blend, mass: Foot, x_m: float, y_m: float, heading_rad: float
 
 
 @kernel
-def bent(curvature_1pm: float, offset_m: float, slope: float, bend_1pm: float) -> tuple[float, float]:
+def offset_curve(curvature_1pm: float, offset_m: float, slope: float, bend_1pm: float) -> tuple[float, float]:
     """(heading against the path, curvature) of a line at a varying offset from a path.
 
     The path's curvature counts as constant over the blend, which leaves out offset times its change.
     """
-    shrink = max(1.0 - curvature_1pm * offset_m, SHRINK_FLOOR)
-    turn_rad = math.atan(slope / shrink)
+    arc_scale = max(1.0 - curvature_1pm * offset_m, MIN_ARC_SCALE)
+    turn_rad = math.atan(slope / arc_scale)
     cos = math.cos(turn_rad)
-    grown_1pm = (bend_1pm + curvature_1pm * slope * slope / shrink) * cos * cos / shrink
-    return turn_rad, (grown_1pm + curvature_1pm) * cos / shrink
+    grown_1pm = (bend_1pm + curvature_1pm * slope * slope / arc_scale) * cos * cos / arc_scale
+    return turn_rad, (grown_1pm + curvature_1pm) * cos / arc_scale
 
 
 @kernel
 def speed_along(rear: Foot, ins: Ins) -> float:
-    """Rate of the station: v cos(heading error) / (1 - kappa d) at the rear axle (apollo_facts 4.1)."""
-    shrink = max(1.0 - rear.curvature_1pm * rear.lateral_m, SHRINK_FLOOR)
-    return ins.speed_mps * math.cos(ins.heading_rad - rear.heading_rad) / shrink
+    """Rate of the station: v cos(heading error) / (1 - kappa d) at the rear axle (docs/reference/apollo.md)."""
+    arc_scale = max(1.0 - rear.curvature_1pm * rear.lateral_m, MIN_ARC_SCALE)
+    return ins.speed_mps * math.cos(ins.heading_rad - rear.heading_rad) / arc_scale
 
 
 @kernel
 def look_ahead(
     params: FollowerParams, blend: Blend, mass: Foot, lane: Lane, plan_s: float, speed_mps: float
 ) -> tuple[float, float]:
-    """(heading change, curvature) of the trajectory at the look-ahead point (apollo_facts 3.1).
+    """(heading change, curvature) of the trajectory at the look-ahead point (docs/reference/apollo.md).
 
     That point is where the plan will have gone in look_ahead / (max(|v|, 0.1) cos(heading error)) seconds.
     """
@@ -218,7 +220,7 @@ def look_ahead(
     station_m = mass.station_m + run_m
     heading_rad, curvature_1pm = heading_at(params.path, station_m)
     offset_m, slope, bend_1pm = lateral_blend(blend, station_m)
-    turn_rad, bent_1pm = bent(curvature_1pm, offset_m, slope, bend_1pm)
+    turn_rad, bent_1pm = offset_curve(curvature_1pm, offset_m, slope, bend_1pm)
     return heading_rad + turn_rad - lane.heading_rad, bent_1pm
 
 
@@ -240,11 +242,11 @@ def anchor(
     length_m = rules.blend_s * rolling_mps
     if length_m < rules.blend_least_m:
         length_m = rules.blend_least_m
-    shrink = max(1.0 - mass.curvature_1pm * mass.lateral_m, SHRINK_FLOOR)
+    arc_scale = max(1.0 - mass.curvature_1pm * mass.lateral_m, MIN_ARC_SCALE)
     cos = math.cos(lane.path_heading_error_rad)
     slope = 0.0  # across the path or backwards: the offset only
     if cos > PREVIEW_COS_FLOOR:
-        slope = shrink * math.sin(lane.path_heading_error_rad) / cos
+        slope = arc_scale * math.sin(lane.path_heading_error_rad) / cos
     return Blend(
         time_s - new_plan_s,
         time_s,
@@ -277,6 +279,6 @@ def roll_on(schedule: Schedule, blend: Blend, blend_s: float, time_s: float, dt_
 
 
 @kernel
-def lost() -> Tracking:
+def undefined_tracking() -> Tracking:
     """Nothing is known."""
     return Tracking(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, 0.0, NAN, NAN, NAN, 0.0, NAN, NAN, NAN)

@@ -1,4 +1,4 @@
-"""What happens to the steering wish behind the inner loop, in the order of apollo_facts 3.3.
+"""What happens to the steering wish behind the inner loop, in the order of docs/reference/apollo.md.
 
 clamp to atan(a_lat L / v^2) -> low-pass -> clamp to the wheel's limit -> hold near standstill -> clamp of the rate.
 """
@@ -70,11 +70,9 @@ def steer_bound(bound: SteerBound, speed_mps: float) -> float:
 @kernel
 def step(params: LimitParams, state: LimitState, x: tuple[float, float], dt_s: float) -> tuple[LimitState, float]:
     """One tick of the chain."""
-    wish_rad, speed_mps = x
-    largest_rad = steer_bound(params.bound, speed_mps)
-    low_pass, smooth_rad = second_order_step(
-        params.low_pass, state.low_pass, clamp(wish_rad, -largest_rad, largest_rad)
-    )
+    demand_rad, speed_mps = x
+    bound_rad = steer_bound(params.bound, speed_mps)
+    low_pass, smooth_rad = second_order_step(params.low_pass, state.low_pass, clamp(demand_rad, -bound_rad, bound_rad))
     steer_rad = clamp(smooth_rad, -params.bound.steer_limit_rad, params.bound.steer_limit_rad)
     if abs(speed_mps) < params.hold_speed_mps:
         steer_rad = state.steer_rad

@@ -1,4 +1,4 @@
-"""The parameters of interfaces 7: index on the bench channel, name, box, unit and manual value; sets and baselines."""
+"""The parameters of docs/reference/controller.md: index on the bench channel, name, box, unit and manual value; sets and baselines."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(14, Tunable("mrac.gamma", "1", 1e-4, 1.0), 1.0),
     Parameter(15, Tunable("look_ahead_m", "m", 0.0, 5.0, "linear"), 0.0),
 )
-LARGEST32 = 3.4028234e38  # of PARAM's binary32 (interfaces 8), rounded down
+LARGEST32 = 3.4028234e38  # of PARAM's binary32 (docs/reference/bench_channel.md), rounded down
 FIRST_OWN_INDEX = 16  # a user's own controller announces its parameters from here on
 BY_NAME: dict[str, Parameter] = {row.tunable.name: row for row in PARAMETERS}
 NAMES: tuple[str, ...] = tuple(BY_NAME)
 SETS: dict[str, tuple[str, ...]] = {"mrac": NAMES[0:2], "lateral": NAMES[0:6], "complete": NAMES[0:11]}
 
-HALF_WHEELBASE_M = 1.4224  # the shipped look-ahead (apollo_facts 1.4)
+HALF_WHEELBASE_M = 1.4224  # the shipped look-ahead (docs/reference/apollo.md)
 RICCATI_CODES = {"converged": 0.0, "apollo150": 1.0}
 
 _AS_SHIPPED = {row.tunable.name: row.manual for row in PARAMETERS}
@@ -74,7 +74,7 @@ BASELINES: dict[str, dict[str, float]] = {
 
 
 def study_values() -> dict[str, float]:
-    """A complete vector to start a study's trial from: manual gains, MRAC on, gamma 1, clamp 0.01 s (interfaces 7)."""
+    """A complete vector to start a study's trial from: manual gains, MRAC on, gamma 1, clamp 0.01 s (docs/reference/controller.md)."""
     return {row.tunable.name: row.manual if row.fixed is None else row.fixed for row in PARAMETERS}
 
 
@@ -91,7 +91,7 @@ def middle_of(box: Box) -> float:
 
 
 def round32(value: float) -> float:
-    """The nearest IEEE 754 binary32 number: what a PARAM frame carries (interfaces 8)."""
+    """The nearest IEEE 754 binary32 number: what a PARAM frame carries (docs/reference/bench_channel.md)."""
     return float(struct.unpack("<f", struct.pack("<f", value))[0])
 
 
@@ -121,9 +121,9 @@ def _step32(value: float, *, upward: bool) -> float:
     return float(struct.unpack("<f", struct.pack("<I", bits + (1 if away_from_zero else -1)))[0])
 
 
-def check_complete(values: Mapping[str, float], own: tuple[str, ...] = ()) -> dict[str, float]:
+def check_complete(values: Mapping[str, float], own_names: tuple[str, ...] = ()) -> dict[str, float]:
     """`values` as floats. Raises InputError unless it names every parameter (and `own`, a user's), and nothing else."""
-    known = NAMES + own
+    known = NAMES + own_names
     missing = [name for name in known if name not in values]
     unknown = [name for name in values if name not in known]
     if missing or unknown:
@@ -140,11 +140,11 @@ def check_complete(values: Mapping[str, float], own: tuple[str, ...] = ()) -> di
     return {name: float(values[name]) for name in known}
 
 
-def indices_of(own: Sequence[str] = ()) -> dict[str, int]:
-    """The PARAM index of every parameter by name: interfaces 7, then `own` in the order in which it is announced."""
-    return {name: index for index, name in [*enumerate(NAMES), *enumerate(own, FIRST_OWN_INDEX)]}
+def indices_of(own_names: Sequence[str] = ()) -> dict[str, int]:
+    """The PARAM index of every parameter by name: docs/reference/controller.md, then `own` in the order in which it is announced."""
+    return {name: index for index, name in [*enumerate(NAMES), *enumerate(own_names, FIRST_OWN_INDEX)]}
 
 
-def by_index(values: Mapping[int, float], own: Sequence[str] = ()) -> dict[str, float]:
-    """A vector by name from one by PARAM index; indices that are neither in interfaces 7 nor of `own` are left out."""
-    return {name: float(values[index]) for name, index in indices_of(own).items() if index in values}
+def by_index(values: Mapping[int, float], own_names: Sequence[str] = ()) -> dict[str, float]:
+    """A vector by name from one by PARAM index; indices that are neither in docs/reference/controller.md nor of `own` are left out."""
+    return {name: float(values[index]) for name, index in indices_of(own_names).items() if index in values}

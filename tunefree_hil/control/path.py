@@ -112,13 +112,13 @@ def project(path: Path, cell: int, x_m: float, y_m: float) -> Foot:
 def heading_at(path: Path, station_m: float) -> tuple[float, float]:
     """(heading, curvature) of the path at a station; beyond the ends that of the end."""
     last = len(path.x_m) - 1
-    at = (station_m - path.first_station_m) / path.spacing_m  # not 0: a Course has a spacing
-    if at <= 0.0:
+    row = (station_m - path.first_station_m) / path.spacing_m  # not 0: a Course has a spacing
+    if row <= 0.0:
         return float(path.heading_rad[0]), float(path.curvature_1pm[0])
-    if at >= last:
+    if row >= last:
         return float(path.heading_rad[last]), float(path.curvature_1pm[last])
-    cell = int(math.floor(at))  # noqa: RUF046 - a compiled floor gives a float
-    share = at - cell
+    cell = int(math.floor(row))  # noqa: RUF046 - a compiled floor gives a float
+    share = row - cell
     first_heading, first_curvature = path.heading_rad[cell], path.curvature_1pm[cell]
     heading_rad = first_heading + share * (path.heading_rad[cell + 1] - first_heading)
     curvature_1pm = first_curvature + share * (path.curvature_1pm[cell + 1] - first_curvature)
@@ -129,9 +129,9 @@ def heading_at(path: Path, station_m: float) -> tuple[float, float]:
 def cell_of(path: Path, station_m: float) -> int:
     """The cell in which a station lies, clamped to the ends."""
     last = len(path.x_m) - 2
-    at = (station_m - path.first_station_m) / path.spacing_m  # not 0: a Course has a spacing
-    if at <= 0.0:
+    row = (station_m - path.first_station_m) / path.spacing_m  # not 0: a Course has a spacing
+    if row <= 0.0:
         return 0
-    if at >= last:
+    if row >= last:
         return last
-    return int(math.floor(at))  # noqa: RUF046 - a compiled floor gives a float
+    return int(math.floor(row))  # noqa: RUF046 - a compiled floor gives a float

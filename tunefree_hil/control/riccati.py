@@ -3,7 +3,7 @@
 No linear-algebra library: its order of operations may change from one version to the next, and gains must not.
 
 Two ways to the same equation P = Q + A'PA - A'PB (r + B'PB)^-1 B'PA:
-`recurse` is the plain recursion as shipped (apollo_facts 3.2), which stops by tolerance or at 150 rounds; up to 12 m/s
+`recurse` is the plain recursion as shipped (docs/reference/apollo.md), which stops by tolerance or at 150 rounds; up to 12 m/s
 the cap stops it, so its gains are not those of the equation. `double` is structured doubling, one of whose rounds is
 worth all the recursion's rounds so far, and it goes on to rounding error.
 """
@@ -32,7 +32,7 @@ def multiply(out: Any, left: Any, right: Any, n: int) -> None:
 
 
 @kernel
-def multiply_turned(out: Any, left: Any, right: Any, n: int) -> None:
+def multiply_transposed_left(out: Any, left: Any, right: Any, n: int) -> None:
     """out = left' right."""
     for i in range(n):
         for j in range(n):
@@ -43,7 +43,7 @@ def multiply_turned(out: Any, left: Any, right: Any, n: int) -> None:
 
 
 @kernel
-def multiply_by_turned(out: Any, left: Any, right: Any, n: int) -> None:
+def multiply_transposed_right(out: Any, left: Any, right: Any, n: int) -> None:
     """out = left right'."""
     for i in range(n):
         for j in range(n):
@@ -67,9 +67,9 @@ def solve(matrix: Any, right: Any, n: int, columns: int) -> bool:
             for j in range(n):
                 matrix[pivot * n + j], matrix[best * n + j] = matrix[best * n + j], matrix[pivot * n + j]
             for j in range(columns):
-                kept = right[pivot * columns + j]
+                swapped = right[pivot * columns + j]
                 right[pivot * columns + j] = right[best * columns + j]
-                right[best * columns + j] = kept
+                right[best * columns + j] = swapped
         scale = 1.0 / matrix[pivot * n + pivot]  # not 0: seen to above
         for i in range(n):
             if i != pivot:
@@ -87,7 +87,7 @@ def solve(matrix: Any, right: Any, n: int, columns: int) -> bool:
 
 
 @kernel
-def gain_of(gain: Any, p: Any, a: Any, b: Any, weight: float, n: int) -> None:
+def fill_gain(gain: Any, p: Any, a: Any, b: Any, weight: float, n: int) -> None:
     """gain = (r + B'PB)^-1 B'PA, a row of n."""
     middle = weight
     for i in range(n):
@@ -161,7 +161,7 @@ def double(
                 w[i * n + j] = pair[i * 2 * n + j]  # W A
                 v[i * n + j] = pair[i * 2 * n + n + j]  # W G
         multiply(t, h, w, n)
-        multiply_turned(left, a, t, n)  # A' H W A
+        multiply_transposed_left(left, a, t, n)  # A' H W A
         largest, change = 0.0, 0.0
         for i in range(n):
             for j in range(n):
@@ -172,7 +172,7 @@ def double(
                 if abs(h[i * n + j]) > largest:
                     largest = abs(h[i * n + j])
         multiply(t, a, v, n)
-        multiply_by_turned(left, t, a, n)  # A W G A'
+        multiply_transposed_right(left, t, a, n)  # A W G A'
         for i in range(n):
             for j in range(n):
                 g[i * n + j] += 0.5 * (left[i * n + j] + left[j * n + i])
@@ -184,7 +184,7 @@ def double(
     return rounds
 
 
-class Work(NamedTuple):
+class RiccatiBuffers(NamedTuple):
     """Buffers that `converge` uses up: six of n n, one of 2 n n, one of n."""
 
     g: Any
@@ -197,14 +197,16 @@ class Work(NamedTuple):
     row: Any
 
 
-def make_work(n: int) -> Work:
+def make_buffers(n: int) -> RiccatiBuffers:
     """The buffers for n states."""
     squares = [buffer(n * n) for _ in range(6)]
-    return Work(*[*squares, buffer(2 * n * n), buffer(n)])
+    return RiccatiBuffers(*[*squares, buffer(2 * n * n), buffer(n)])
 
 
 @kernel
-def solve_gain(gain: Any, p: Any, a: Any, b: Any, q: Any, weight: float, n: int, shipped: bool, work: Work) -> int:
+def solve_gain(
+    gain: Any, p: Any, a: Any, b: Any, q: Any, weight: float, n: int, shipped: bool, work: RiccatiBuffers
+) -> int:
     """K into gain, P into p, for flat A (n n), B (n), Q (n n) and the weight r of the one input; the rounds it took.
 
     `shipped`: the recursion with its cap; else the converged solution. a, b, q are left as they are.
@@ -215,18 +217,26 @@ def solve_gain(gain: Any, p: Any, a: Any, b: Any, q: Any, weight: float, n: int,
         inverse = 1.0 / weight if weight != 0.0 else 0.0
         for i in range(n):
             for j in range(n):
-                at = i * n + j
-                p[at], work.used[at], work.g[at] = q[at], a[at], b[i] * b[j] * inverse
+                index = i * n + j
+                p[index], work.used[index], work.g[index] = q[index], a[index], b[i] * b[j] * inverse
         rounds = double(
             p, work.used, work.g, n, DOUBLINGS, DOUBLING_TOLERANCE, work.w, work.v, work.t, work.left, work.pair
         )
-    gain_of(gain, p, a, b, weight, n)
+    fill_gain(gain, p, a, b, weight, n)
     return rounds
 
 
-def gain(a: Any, b: Any, q: Any, weight: float, shipped: bool) -> tuple[list[float], list[float], int]:
-    """(K, P, rounds) of one system, as `solve_gain`."""
+class RiccatiSolution(NamedTuple):
+    """K (n), P (n n, by rows) and the rounds that the solver took."""
+
+    gain: list[float]
+    p: list[float]
+    rounds: int
+
+
+def gain(a: Any, b: Any, q: Any, weight: float, shipped: bool) -> RiccatiSolution:
+    """Solve one system, as `solve_gain`."""
     n = len(b)
     row, p = buffer(n), buffer(n * n)
-    rounds = solve_gain(row, p, a, b, q, weight, n, shipped, make_work(n))
-    return [float(value) for value in row], [float(value) for value in p], int(rounds)
+    rounds = solve_gain(row, p, a, b, q, weight, n, shipped, make_buffers(n))
+    return RiccatiSolution([float(value) for value in row], [float(value) for value in p], int(rounds))

@@ -1,4 +1,4 @@
-"""The speed plan of a Course by time, and how it is shifted and blended after a re-plan (design D11)."""
+"""The speed plan of a Course by time, and how it is shifted and blended after a re-plan (docs/reference/grading.md)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.course import Course
 from tunefree_hil.base.kernel import kernel, table
 
-STOPPED_MPS = 1e-3  # a row slower than this that does not pull away is a stop (apollo_facts 4.3)
+STOPPED_MPS = 1e-3  # a row slower than this that does not pull away is a stop (docs/reference/apollo.md)
 PULL_AWAY_MPS2 = 0.01
 
 

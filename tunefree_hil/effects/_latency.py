@@ -1,7 +1,7 @@
-"""Records that come late as a whole: delay lines for a Report and for an Ins, straight lines between two ticks.
+"""Delay lines for whole records (Report, Ins), with straight lines between two ticks.
 
-A record that goes in at tick k is put out `delay_s` later. Before the first one the car rolled straight on as that one
-says. A gear is nothing between two gears: of a delay with a part of a tick the earlier one counts.
+A record that goes in at tick k comes out `delay_s` later. Before the first record the car rolled straight on as that
+record says. A gear is not interpolated: for a delay with a fraction of a tick the earlier gear counts.
 """
 
 from __future__ import annotations
@@ -11,17 +11,19 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.base.contracts import Block, Latency
 from tunefree_hil.base.kernel import buffer, kernel
-from tunefree_hil.base.maths import wrap_rad
 from tunefree_hil.base.records import Ins, Report
+from tunefree_hil.base.rows import INS_WIDTH, REPORT_WIDTH, interpolate_ins, interpolate_report, next_row, pack_row
 from tunefree_hil.effects._signals import positive
 
-REPORT_WIDTH, INS_WIDTH = len(Report()), len(Ins())
-GEAR = Report._fields.index("gear")
 
+class DelayLineState(NamedTuple):
+    """A delay line.
 
-class LineState(NamedTuple):
-    """Rows of a record, one a tick; the place of the next one to go in, which is the oldest; the share of a tick that
-    is left over from whole ticks; 0 until the first record has come.
+    Args:
+        rows: a ring of records, one a tick.
+        place: where the next record goes in, which is where the oldest is.
+        share: fraction of a tick in the delay.
+        filled: 0 until the first record has come, then 1.
     """
 
     rows: Any
@@ -31,79 +33,43 @@ class LineState(NamedTuple):
 
 
 def _init(width: int) -> Any:
-    def init(params: Latency, dt_s: float) -> LineState:
+    def init(params: Latency, dt_s: float) -> DelayLineState:
         ticks = params.delay_s / dt_s
         whole = math.floor(ticks + 1e-9)
         share = ticks - whole if ticks - whole > 1e-9 else 0.0  # 0.07 / 0.01 is not quite 7
-        return LineState(buffer((whole + 2) * width), 0, share, 0)
+        return DelayLineState(buffer((whole + 2) * width), 0, share, 0)
 
     return init
 
 
 @kernel
-def following(rows: Any, at: int, width: int) -> int:
-    """Where the row behind the one at `at` begins."""
-    at = at + width
-    return 0 if at == len(rows) else at
-
-
-@kernel
-def between(rows: Any, older: int, newer: int, share: float) -> float:
-    """`share` of the way from the newer of two numbers to the older."""
-    new = float(rows[newer])
-    return new + share * (float(rows[older]) - new)
-
-
-@kernel
-def step_report(params: Latency, state: LineState, x: Report, dt_s: float) -> tuple[LineState, Report]:
+def step_report(params: Latency, state: DelayLineState, x: Report, dt_s: float) -> tuple[DelayLineState, Report]:
     """The report of `delay_s` ago."""
     rows, share = state.rows, state.share
     if state.filled == 0:
         for k in range(len(rows) // REPORT_WIDTH):
-            for i in range(REPORT_WIDTH):
-                rows[k * REPORT_WIDTH + i] = x[i]
-    for i in range(REPORT_WIDTH):
-        rows[state.place + i] = x[i]
-    a = following(rows, state.place, REPORT_WIDTH)
-    b = following(rows, a, REPORT_WIDTH)
-    gear = float(rows[a + GEAR]) if share > 0.0 else float(rows[b + GEAR])
-    late = Report(
-        between(rows, a, b, share), between(rows, a + 1, b + 1, share), between(rows, a + 2, b + 2, share),
-        between(rows, a + 3, b + 3, share), between(rows, a + 4, b + 4, share), between(rows, a + 5, b + 5, share),
-        between(rows, a + 6, b + 6, share), between(rows, a + 7, b + 7, share), between(rows, a + 8, b + 8, share),
-        between(rows, a + 9, b + 9, share), between(rows, a + 10, b + 10, share), between(rows, a + 11, b + 11, share),
-        between(rows, a + 12, b + 12, share), between(rows, a + 13, b + 13, share),
-        between(rows, a + 14, b + 14, share), between(rows, a + 15, b + 15, share), gear,
-        between(rows, a + 17, b + 17, share), between(rows, a + 18, b + 18, share),
-        between(rows, a + 19, b + 19, share),
-    )  # fmt: skip
-    return LineState(rows, a, share, 1), late
+            pack_row(rows, k * REPORT_WIDTH, x)
+    pack_row(rows, state.place, x)
+    older = next_row(rows, state.place, REPORT_WIDTH)
+    newer = next_row(rows, older, REPORT_WIDTH)
+    return DelayLineState(rows, older, share, 1), interpolate_report(rows, older, newer, share)
 
 
 @kernel
-def step_ins(params: Latency, state: LineState, x: Ins, dt_s: float) -> tuple[LineState, Ins]:
+def step_ins(params: Latency, state: DelayLineState, x: Ins, dt_s: float) -> tuple[DelayLineState, Ins]:
     """The INS record of `delay_s` ago; headings the short way round."""
     rows, share = state.rows, state.share
     if state.filled == 0:
         count = len(rows) // INS_WIDTH
         for k in range(count):
             back_m = (count - k) * dt_s * x.speed_mps
-            for i in range(INS_WIDTH):
-                rows[k * INS_WIDTH + i] = x[i]
-            rows[k * INS_WIDTH] = x.x_m - back_m * math.cos(x.heading_rad)
-            rows[k * INS_WIDTH + 1] = x.y_m - back_m * math.sin(x.heading_rad)
-    for i in range(INS_WIDTH):
-        rows[state.place + i] = x[i]
-    a = following(rows, state.place, INS_WIDTH)
-    b = following(rows, a, INS_WIDTH)
-    heading = float(rows[b + 2])
-    if share > 0.0:
-        heading = wrap_rad(heading + share * wrap_rad(float(rows[a + 2]) - heading))
-    late = Ins(
-        between(rows, a, b, share), between(rows, a + 1, b + 1, share), heading, between(rows, a + 3, b + 3, share),
-        between(rows, a + 4, b + 4, share), between(rows, a + 5, b + 5, share),
-    )  # fmt: skip
-    return LineState(rows, a, share, 1), late
+            x_m = x.x_m - back_m * math.cos(x.heading_rad)
+            y_m = x.y_m - back_m * math.sin(x.heading_rad)
+            pack_row(rows, k * INS_WIDTH, Ins(x_m, y_m, x.heading_rad, x.speed_mps, x.accel_mps2, x.yaw_rate_radps))
+    pack_row(rows, state.place, x)
+    older = next_row(rows, state.place, INS_WIDTH)
+    newer = next_row(rows, older, INS_WIDTH)
+    return DelayLineState(rows, older, share, 1), interpolate_ins(rows, older, newer, share)
 
 
 def late_report(delay_s: float) -> Block:

@@ -156,7 +156,7 @@ def play(name: str, half_width: float, rest: float) -> Block:
     return Block(lambda params, dt_s: rest, step_play, positive(name, half_width))
 
 
-class Shape(NamedTuple):
+class SignalShape(NamedTuple):
     """A curve through rest: `half_width` of the input is lost on each side, the rest is multiplied by `gain`."""
 
     rest: float
@@ -166,7 +166,7 @@ class Shape(NamedTuple):
 
 
 @kernel
-def step_shape(params: Shape, state: float, x: float, dt_s: float) -> tuple[float, float]:
+def step_shape(params: SignalShape, state: float, x: float, dt_s: float) -> tuple[float, float]:
     """The curve; no memory. Neutral parts are left out, so that nothing is rounded."""
     y = x
     over = y - params.rest
@@ -188,7 +188,7 @@ def step_shape(params: Shape, state: float, x: float, dt_s: float) -> tuple[floa
 
 def shape(rest: float, *, half_width: float = 0.0, gain: float = 1.0, limit: float = math.inf) -> Block:
     """A curve about `rest` as a Block on a float; the caller has checked the numbers."""
-    return Block(lambda params, dt_s: 0.0, step_shape, Shape(rest, half_width, gain, limit))
+    return Block(lambda params, dt_s: 0.0, step_shape, SignalShape(rest, half_width, gain, limit))
 
 
 @kernel

@@ -1,7 +1,7 @@
 """Fast reader of candump text logs (`candump -L` / `-l`), ours and anybody's, and a writer.
 
 A line: `(12.340000) vcan0 062#0011` ; FD `123##1AABB` (one flag digit); remote `123#R4`; error frames have bit 29 of
-the id set; 8 hex digits mean an extended id; ` R` or ` T` (sent) may follow (can_hil_anchors A9).
+the id set; 8 hex digits mean an extended id; ` R` or ` T` (sent) may follow.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NamedTuple
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.formats.rows import LONGEST_LINE, SENT, Row, Survey, survey
 
-FD, BRS, ESI, RTR, ERROR = 1, 2, 4, 8, 16  # flags; the first four as in interfaces 8
+FD, BRS, ESI, RTR, ERROR = 1, 2, 4, 8, 16  # flags; the first four as in docs/reference/bench_channel.md
 EXTENDED_BIT = 0x80000000  # SocketCAN's EFF: tells the 29-bit id from the 11-bit id of the same number
 
 _ERROR_BIT = 0x20000000
@@ -51,7 +51,7 @@ def read_rows(path: Path, *, allow_cut: bool = False) -> Iterator[Row]:
     """As read_candump, one by one, with what only other formats ask for: direction, and a remote frame's length."""
     for frame, groups in _parse(_blocks_of(path), str(path), allow_cut):
         flags = frame[4] | SENT if groups[5] == "T" else frame[4]
-        yield Row(*frame[:4], flags, _asked(groups[4]) if flags & RTR else 0)
+        yield Row(*frame[:4], flags, _requested_length(groups[4]) if flags & RTR else 0)
 
 
 def write_candump(path: Path, rows: Iterable[Row], seen: Survey | None = None) -> None:
@@ -69,8 +69,8 @@ def write_candump(path: Path, rows: Iterable[Row], seen: Survey | None = None) -
         for row in rows:
             key = row.can_id, row.flags & ERROR
             name = ids.get(key) or ids.setdefault(key, _digits(*key))
-            way = (" T" if row.flags & SENT else " R") if seen.sent else ""
-            file.write(f"({row.time_s:.{digits}f}) {row.channel} {name}#{_payload(row)}{way}\n")
+            direction = (" T" if row.flags & SENT else " R") if seen.sent else ""
+            file.write(f"({row.time_s:.{digits}f}) {row.channel} {name}#{_payload(row)}{direction}\n")
 
 
 def _digits(can_id: int, error: int) -> str:
@@ -86,7 +86,7 @@ def _payload(row: Row) -> str:
     return fd + row.data.hex().upper()
 
 
-def _asked(text: str) -> int:
+def _requested_length(text: str) -> int:
     """The length that a remote frame asks for: 'R4' -> 4."""
     return int(text[1:] or "0", 16)
 
@@ -135,16 +135,16 @@ def _parse(blocks: Iterable[str], file: str, allow_cut: bool) -> Iterator[tuple[
             raise _problem(file, lines + 1, f"not a frame: {rest[:60]!r}", "foreign_log" if not good else "bad_line")
         text, _, rest = block.rpartition("\n")
         text += "\n" if text else ""
-        found: list[Groups] = _LINES.findall(text)
+        groups: list[Groups] = _LINES.findall(text)
         count = text.count("\n")
-        if len(found) != count:
-            _explain(text, file, lines, good or len(found))
+        if len(groups) != count:
+            _explain(text, file, lines, good or len(groups))
         try:
-            frames = _frames(found)
+            frames = _frames(groups)
         except ValueError:
             raise _odd_data(text, file, lines) from None
-        yield from zip(frames, found, strict=True)
-        lines, good = lines + count, good + len(found)
+        yield from zip(frames, groups, strict=True)
+        lines, good = lines + count, good + len(groups)
     if rest and not allow_cut:
         raise _problem(file, lines + 1, f"the log is cut off in this line: {rest[:60]!r}", "truncated_log")
     if not good:
@@ -184,8 +184,8 @@ def _explain(text: str, file: str, before: int, good: int) -> None:
             continue
         if good == 0 and _SCREEN.match(line):
             raise _problem(file, number, "this is what candump shows on a screen, not its log format", "foreign_log")
-        what = "not a candump log" if good == 0 else "not a frame"
-        raise _problem(file, number, f"{what}: {line[:60]!r}", "foreign_log" if good == 0 else "bad_line")
+        problem = "not a candump log" if good == 0 else "not a frame"
+        raise _problem(file, number, f"{problem}: {line[:60]!r}", "foreign_log" if good == 0 else "bad_line")
 
 
 def _odd_data(text: str, file: str, before: int) -> InputError:

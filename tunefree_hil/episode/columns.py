@@ -1,4 +1,4 @@
-"""From a log to columns (interfaces 6): vehicle frames and the scenario alone, so a real car's log gives the same ones.
+"""From a log to columns (docs/reference/files.md): vehicle frames and the scenario alone, so a real car's log gives the same ones.
 
 The errors are those of the reference follower, run again on the INS frames exactly as the controller ran it.
 """
@@ -83,34 +83,34 @@ def columns_from_placed(
     """As columns_from_frames, of frames that `place_vehicle` has put in order."""
     buckets = _buckets(placed, codec, late_ticks)
     rows = ticks or max(k for k, _ in buckets) + 1
-    ear = _Ear(codec, by_channel)
-    held = ear.held
+    latest = _LatestValues(codec, by_channel)
+    held_rows = latest.rows
     reports, fixes, commands, trackings = [], [], [], []
     step, params = follower.step, follower.params
     state = follower.init(params, dt_s)
     for k in range(rows):
-        ear.hear(buckets.get((k, 0), ()))
-        reports.append(tuple(held["report"]))
-        fix = Ins._make(held["ins"])
+        latest.update(buckets.get((k, 0), ()))
+        reports.append(tuple(held_rows["report"]))
+        fix = Ins._make(held_rows["ins"])
         fixes.append(fix)
-        ear.hear(buckets.get((k, 1), ()))
-        commands.append(tuple(held["command"]))
+        latest.update(buckets.get((k, 1), ()))
+        commands.append(tuple(held_rows["command"]))
         state, tracking = step(params, state, (k, fix), dt_s)
         trackings.append(tracking)
     return assemble_columns(reports, fixes, commands, trackings, dt_s)
 
 
-class _Ear:
-    """The values heard last, by record group. A payload that says nothing new is not decoded again."""
+class _LatestValues:
+    """The latest value of each field, by record group. A payload that did not change is not decoded again."""
 
     def __init__(self, codec: Codec, by_channel: bool) -> None:
-        self.held = {group: [NAN] * len(record._fields) for group, record in GROUPS.items()}
+        self.rows = {group: [NAN] * len(record._fields) for group, record in GROUPS.items()}
         self._codec = codec
         self._by_channel = by_channel
         self._messages: dict[tuple[int, str], MessageMap | None] = {}
         self._payloads: dict[MessageMap, bytes] = {}
 
-    def hear(self, frames: Sequence[LogFrame]) -> None:
+    def update(self, frames: Sequence[LogFrame]) -> None:
         """Take in the frames of one phase of one tick."""
         codec, messages, payloads = self._codec, self._messages, self._payloads
         for frame in frames:
@@ -122,7 +122,7 @@ class _Ear:
                 continue  # nobody believes what has been corrupted on its way
             payloads[message] = frame.data
             for group, index, value in codec.values(message, codec.decode(message, frame.data)):
-                self.held[group][index] = value
+                self.rows[group][index] = value
 
     def _find(self, key: tuple[int, str]) -> MessageMap | None:
         """The message of (can_id, channel), remembered."""

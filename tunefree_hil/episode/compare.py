@@ -27,8 +27,8 @@ class Divergence(NamedTuple):
 
     def sentence(self) -> str:
         """For a person."""
-        what = f"tick {self.tick}, {self.message} (0x{self.can_id & 0x1FFFFFFF:X}), {self.signal}"
-        return f"{what}: {self.first} in the first log, {self.second} in the second"
+        place = f"tick {self.tick}, {self.message} (0x{self.can_id & 0x1FFFFFFF:X}), {self.signal}"
+        return f"{place}: {self.first} in the first log, {self.second} in the second"
 
 
 def compare_logs(first: Path, second: Path, codec: Codec, dt_s: float) -> Divergence | None:
@@ -40,14 +40,16 @@ def compare_logs(first: Path, second: Path, codec: Codec, dt_s: float) -> Diverg
 
 def first_divergence(a: Sequence[PlacedFrame], b: Sequence[PlacedFrame], codec: Codec) -> Divergence | None:
     """The first difference of two drives, frames in the order of the hash."""
-    for one, other in zip(a, b, strict=False):
-        if _place(one) != _place(other):
-            early, words = (one, ("sent", "missing")) if _place(one) < _place(other) else (other, ("missing", "sent"))
+    for first, second in zip(a, b, strict=False):
+        if _place(first) != _place(second):
+            early, words = (
+                (first, ("sent", "missing")) if _place(first) < _place(second) else (second, ("missing", "sent"))
+            )
             return _divergence(early, codec, "frame", *words)
-        if one.frame.data != other.frame.data:
-            return _divergence(one, codec, *_differing(one, other, codec))
-        if one.frame.flags != other.frame.flags:
-            return _divergence(one, codec, "flags", one.frame.flags, other.frame.flags)
+        if first.frame.data != second.frame.data:
+            return _divergence(first, codec, *_differing(first, second, codec))
+        if first.frame.flags != second.frame.flags:
+            return _divergence(first, codec, "flags", first.frame.flags, second.frame.flags)
     if len(a) > len(b):
         return _divergence(a[len(b)], codec, "frame", "sent", "missing")
     if len(b) > len(a):
@@ -55,18 +57,26 @@ def first_divergence(a: Sequence[PlacedFrame], b: Sequence[PlacedFrame], codec: 
     return None
 
 
-def _place(item: PlacedFrame) -> tuple[int, int, int]:
+def _place(item: PlacedFrame) -> tuple[int, ...]:
+    """Where a frame stands in an episode: tick, phase, id."""
     return item.k, item.phase, item.can_id
 
 
-def _differing(one: PlacedFrame, other: PlacedFrame, codec: Codec) -> tuple[str, float | str, float | str]:
-    """(signal, value, value) of the first signal that differs, or ('data', hex, hex)."""
-    first, second = _decoded(one, codec), _decoded(other, codec)
-    for name, value in first.items():
-        against = second.get(name)
+class SignalDifference(NamedTuple):
+    """The first signal that differs between two frames; 'data' with both as hexadecimal text where none does."""
+
+    signal: str
+    first: float | str
+    second: float | str
+
+
+def _differing(first: PlacedFrame, second: PlacedFrame, codec: Codec) -> SignalDifference:
+    values, other_values = _decoded(first, codec), _decoded(second, codec)
+    for name, value in values.items():
+        against = other_values.get(name)
         if against is not None and value != against and (value == value or against == against):  # NaN equals NaN
-            return name, value, against
-    return "data", one.frame.data.hex().upper(), other.frame.data.hex().upper()
+            return SignalDifference(name, value, against)
+    return SignalDifference("data", first.frame.data.hex().upper(), second.frame.data.hex().upper())
 
 
 def _decoded(item: PlacedFrame, codec: Codec) -> Mapping[str, float]:

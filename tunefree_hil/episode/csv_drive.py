@@ -104,11 +104,11 @@ def _cells(path: Path, spec: ImportSpec) -> Iterator[tuple[int, list[tuple[str, 
 
 def _place(name: str, head: Sequence[str], path: Path, spec: ImportSpec) -> int:
     if head.count(name) != 1:
-        there = f"there are {head.count(name)} columns" if name in head else "no column"
+        problem = f"there are {head.count(name)} columns" if name in head else "no column"
         hint = nearest(name, head)
         if len(head) == 1:
             hint = f"the head is one cell: is {spec.delimiter!r} its delimiter?"
-        raise InputError(f"{there} named {name!r}", code="no_column", file=f"{path}:1", key=name, hint=hint)
+        raise InputError(f"{problem} named {name!r}", code="no_column", file=f"{path}:1", key=name, hint=hint)
     return head.index(name)
 
 
@@ -185,11 +185,11 @@ def _enabled(by_name: dict[str, NDArray[np.float64]], spec: ImportSpec) -> NDArr
 
 def _thinned(sent: NDArray[np.bool_], time_s: NDArray[np.float64], period_s: float) -> NDArray[np.bool_]:
     """At most one row a period: the first of each on the grid that begins with the first row."""
-    kept = np.zeros_like(sent)
+    is_kept = np.zeros_like(sent)
     rows = np.flatnonzero(sent)
     slots = np.floor((time_s[rows] - time_s[0]) / period_s + 1e-6)
-    kept[rows[np.concatenate([[True], np.diff(slots) > 0.0])] if rows.size else rows] = True
-    return kept
+    is_kept[rows[np.concatenate([[True], np.diff(slots) > 0.0])] if rows.size else rows] = True
+    return is_kept
 
 
 def _gaps(time_s: NDArray[np.float64], columns: dict[str, Column], gap_s: float) -> Iterator[Gap]:

@@ -79,8 +79,8 @@ def curvature_by_time(course: Course) -> np.ndarray:
     return np.interp(np.asarray(course.station_m), stations, np.asarray(course.path_curvature_1pm))
 
 
-def _problem(what: str, unit: str, values: np.ndarray, limit: float, dt_s: float) -> str:
+def _problem(label: str, unit: str, values: np.ndarray, limit: float, dt_s: float) -> str:
     worst = int(np.argmax(np.abs(values)))
     if abs(values[worst]) <= limit:
         return ""
-    return f"{what} {values[worst]:.3g} {unit} at t = {worst * dt_s:.2f} s, the limit is {limit:.3g} {unit}"
+    return f"{label} {values[worst]:.3g} {unit} at t = {worst * dt_s:.2f} s, the limit is {limit:.3g} {unit}"

@@ -1,4 +1,4 @@
-"""The frame hash of an episode (interfaces 8): two drives are the same when it is."""
+"""The frame hash of an episode (docs/reference/bench_channel.md): two drives are the same when it is."""
 
 from __future__ import annotations
 

@@ -85,12 +85,12 @@ def _rows_of(path: Path, kind: str) -> Iterator[Row]:
 
 def _pieces_of(rows: Iterable[Row]) -> Iterator[Piece]:
     rows = iter(rows)
-    while some := list(islice(rows, ROWS_AT_ONCE)):
-        found: dict[Name, int] = {}
-        name = np.array([found.setdefault((row.channel, row.can_id), len(found)) for row in some])
-        time_s = np.array([row.time_s for row in some], dtype=np.float64)
-        flags = np.array([row.flags & (FD | RTR | ERROR) for row in some], dtype=np.uint8)
-        yield Piece(time_s, name, tuple(found), payloads_of([row.data for row in some]), flags)
+    while chunk := list(islice(rows, ROWS_AT_ONCE)):
+        numbers: dict[Name, int] = {}
+        name = np.array([numbers.setdefault((row.channel, row.can_id), len(numbers)) for row in chunk])
+        time_s = np.array([row.time_s for row in chunk], dtype=np.float64)
+        flags = np.array([row.flags & (FD | RTR | ERROR) for row in chunk], dtype=np.uint8)
+        yield Piece(time_s, name, tuple(numbers), payloads_of([row.data for row in chunk]), flags)
 
 
 def _texts(path: Path) -> Iterator[bytes]:
@@ -137,9 +137,9 @@ def _first(codes: Array, sign: str, begins: Array, ends: Array) -> Array | None:
     places = np.flatnonzero(codes == ord(sign))
     if not len(places):
         return None
-    at = np.searchsorted(places, begins)
-    found = places[np.minimum(at, len(places) - 1)]
-    return found if (found >= begins).all() and (found < ends).all() else None
+    index = np.searchsorted(places, begins)
+    nearest = places[np.minimum(index, len(places) - 1)]
+    return nearest if (nearest >= begins).all() and (nearest < ends).all() else None
 
 
 def _words(codes: Array, begins: Array, ends: Array, longest: int) -> Array | None:
@@ -166,8 +166,16 @@ def _stamps(codes: Array, begins: Array, ends: Array) -> Array | None:
     return words.astype(np.float64)
 
 
-def _labels(codes: Array, begins: Array, ends: Array) -> tuple[Array, tuple[Name, ...], Array] | None:
-    """(number of its name for each line, names, error flag by name) of what stands between the stamp and the data."""
+class LineLabels(NamedTuple):
+    """Channel and id of each line: the number of its name, all names, and the error flag of each name."""
+
+    name_numbers: Array
+    names: tuple[Name, ...]
+    error_flags: Array
+
+
+def _labels(codes: Array, begins: Array, ends: Array) -> LineLabels | None:
+    """The part of each line between its stamp and its data."""
     words = _words(codes, begins, ends, _LONGEST_LABEL)
     if words is None:
         return None
@@ -181,7 +189,7 @@ def _labels(codes: Array, begins: Array, ends: Array) -> tuple[Array, tuple[Name
         error = extended and bool(number & _ERROR_BIT)
         errors.append(ERROR if error else 0)
         names.append((match[1], number & _ID_MASK | (EXTENDED_BIT if extended and not error else 0)))
-    return name.reshape(-1), tuple(names), np.array(errors, dtype=np.uint8)
+    return LineLabels(name.reshape(-1), tuple(names), np.array(errors, dtype=np.uint8))
 
 
 def _payloads(codes: Array, begins: Array, lines: Array) -> tuple[Payloads, Array] | None:
@@ -202,8 +210,8 @@ def _payloads(codes: Array, begins: Array, lines: Array) -> tuple[Payloads, Arra
     size = length // 2
     along = np.arange(max(1, int(size.max())))
     inside = along < size[:, None]
-    at = np.minimum(begins[:, None] + 2 * along, len(codes) - 2)
-    high, low = _NIBBLES[codes[at]], _NIBBLES[codes[at + 1]]
+    offsets = np.minimum(begins[:, None] + 2 * along, len(codes) - 2)
+    high, low = _NIBBLES[codes[offsets]], _NIBBLES[codes[offsets + 1]]
     if ((high | low)[inside] > 15).any():
         return None
     data = np.where(inside, high << 4 | low & 15, PAD).astype(np.uint8)
@@ -214,8 +222,8 @@ def _data_ends(codes: Array, begins: Array, lines: Array) -> Array | None:
     """Where the data end: at the line's end, before ` R` or ` T`, or before a carriage return."""
     lines = np.where(codes[lines - 1] == ord("\r"), lines - 1, lines)
     letter = codes[lines - 1]
-    told = (codes[lines - 2] == ord(" ")) & ((letter == ord("R")) | (letter == ord("T")))
-    ends = np.where(told, lines - 2, lines)
+    has_direction = (codes[lines - 2] == ord(" ")) & ((letter == ord("R")) | (letter == ord("T")))
+    ends = np.where(has_direction, lines - 2, lines)
     return ends if (ends >= begins).all() else None
 
 

@@ -42,11 +42,11 @@ def check_units(
     wheel_radius_m: float | None = None,
 ) -> list[Finding]:
     """All checks that the drive's columns allow; with the car's constants also steering and wheels."""
-    found = list(_ranges(drive))
+    problems = list(_ranges(drive))
     for pair in pairs_of(wheelbase_m, steer_ratio, wheel_radius_m):
         if all(name in drive.columns for name in (*pair.first, *pair.second)):
-            found.append(_compare(pair, drive))
-    return found
+            problems.append(_compare(pair, drive))
+    return problems
 
 
 def _ranges(drive: CsvDrive) -> Iterator[Finding]:
@@ -116,29 +116,36 @@ def _quoted(columns: Sequence[Column]) -> str:
     return " and ".join(repr(column.spec.column) for column in columns)
 
 
-def _fits(pair: Pair, judged: tuple[float, float, float]) -> bool:
-    factor, fit, moved = judged
-    return moved >= pair.least and fit >= LEAST_FIT and LIKELY[0] <= factor <= LIKELY[1]
+class PairFit(NamedTuple):
+    """How two columns agree: factor between them, size of their correlation, greatest movement beyond noise."""
+
+    factor: float
+    correlation: float
+    moved: float
 
 
-def _judge(pair: Pair, drive: CsvDrive, by_first: float, by_second: float) -> tuple[float, float, float]:
-    """(factor, size of the correlation, greatest movement beyond noise), the SI values being multiplied by these."""
+def _fits(pair: Pair, fit: PairFit) -> bool:
+    return fit.moved >= pair.least and fit.correlation >= LEAST_FIT and LIKELY[0] <= fit.factor <= LIKELY[1]
+
+
+def _judge(pair: Pair, drive: CsvDrive, by_first: float, by_second: float) -> PairFit:
+    """Compare two groups of columns whose SI values are multiplied by these factors."""
     unit = _unit(pair.first[0])  # of the four wheels all, of steering and speed the steering
     first = [_sample(drive, name, by_first if _unit(name) == unit else 1.0) for name in pair.first]
     second = [_sample(drive, name, by_second) for name in pair.second]
     edges = _edges([*first, *second])
     if len(edges) < LEAST_WINDOWS:
-        return 0.0, 0.0, 0.0
+        return PairFit(0.0, 0.0, 0.0)
     a, b = pair.windows(first, second, edges)
     if pair.centred:
         a, b = a - a.mean(), b - b.mean()
     moved = max(_moved(a, pair.least), _moved(b, pair.least))
     squares = float(a @ a) * float(b @ b)
     if squares <= 0.0:
-        return 0.0, 0.0, moved
+        return PairFit(0.0, 0.0, moved)
     fit = float(a @ b) / squares**0.5
     factor = float(a @ b) / float(a @ a)
-    return factor, abs(fit), moved
+    return PairFit(factor, abs(fit), moved)
 
 
 def _moved(windows: Array, least: float) -> float:

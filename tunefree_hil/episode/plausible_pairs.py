@@ -38,7 +38,7 @@ def _change(sample: Sample, edges: Array) -> Array:
     return np.diff(np.interp(edges, *sample), axis=1)[:, 0]
 
 
-def _way(first: Sequence[Sample], second: Sequence[Sample], edges: Array) -> tuple[Array, Array]:
+def _distance(first: Sequence[Sample], second: Sequence[Sample], edges: Array) -> tuple[Array, Array]:
     """Speed's integral, and the distance between the positions at the window's ends."""
     speed = (first[0][0], np.abs(first[0][1]))
     return _integral(speed, edges), np.hypot(_change(second[0], edges), _change(second[1], edges))
@@ -84,8 +84,8 @@ def _course(first: Sequence[Sample], second: Sequence[Sample], edges: Array) -> 
     """The change of heading, and that of the course over ground, from one moving window to the next."""
     times, heading = first[0]
     dx, dy = _change(second[0], edges), _change(second[1], edges)
-    way = np.hypot(dx, dy)
-    moving = way > 0.2 * way.max(initial=0.0)
+    distance = np.hypot(dx, dy)
+    moving = distance > 0.2 * distance.max(initial=0.0)
     pairs = moving[1:] & moving[:-1] & (np.abs(np.diff(edges[:, 0]) - WINDOW_S) < 1e-6)
     middle = np.interp(edges.mean(axis=1), times, np.unwrap(heading))
     turned = np.diff(np.arctan2(dy, dx))
@@ -96,7 +96,7 @@ PLACE = ("ins.x_m", "ins.y_m")
 HALF = (1.0 / 1.5, 1.5)
 WIDE = (0.45, 2.2)  # an acceleration's own noise makes its factor small
 PAIRS = (
-    *(Pair("speed_and_path", (name,), PLACE, HALF, 2.0, _way) for name in ("report.speed_mps", "ins.speed_mps")),
+    *(Pair("speed_and_path", (name,), PLACE, HALF, 2.0, _distance) for name in ("report.speed_mps", "ins.speed_mps")),
     *(
         Pair("yaw_rate_and_heading", (name,), ("ins.heading_rad",), HALF, 0.3, _turn)
         for name in ("report.yaw_rate_radps", "ins.yaw_rate_radps")

@@ -1,4 +1,4 @@
-"""How a log's time stamps become ticks: in virtual time, and in real time beside the bench's own log (interfaces 8)."""
+"""How a log's time stamps become ticks: in virtual time, and in real time beside the bench's own log (docs/reference/bench_channel.md)."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def times_of(off_grid: float, first_s: float, earliest_s: float, dt_s: float, fo
     return Times(earliest_s, 1, f"real time: second 0 is the log's first frame, at {earliest_s:.3f} s", True)
 
 
-def clock_jump(step_s: float, at_s: float, way: str, file: Path, hint: str = CUT_THERE) -> InputError:
+def clock_jump(step_s: float, at_s: float, direction: str, file: Path, hint: str = CUT_THERE) -> InputError:
     """What to raise for a log whose clock goes `way` ("back" or "ahead") by more than MOST_STEP_S at one frame."""
-    message = f"the clock jumps {way} by {step_s:.6g} s at stamp {at_s:.6f}"
+    message = f"the clock jumps {direction} by {step_s:.6g} s at stamp {at_s:.6f}"
     return InputError(message, code="clock_jump", file=str(file), hint=hint)
 
 

@@ -1,4 +1,4 @@
-"""What is kept of a drive: the columns of interfaces 6, one row a tick, and `columns.npz` on disk."""
+"""What is kept of a drive: the columns of docs/reference/files.md, one row a tick, and `columns.npz` on disk."""
 
 from __future__ import annotations
 
@@ -80,14 +80,16 @@ def make_recording(columns: dict[str, Array], dt_s: float, instead: dict[str, st
     if len(lengths) != 1:
         raise ValueError(f"columns of one length are needed, got {sorted(lengths)}")
     tick = np.arange(lengths.pop(), dtype=float)
-    every = {"t_s": tick * dt_s, "tick": tick, **columns}
-    kept = {}
+    all_columns = {"t_s": tick * dt_s, "tick": tick, **columns}
+    finite_columns = {}
     for name in COLUMNS:
-        if name in every:
-            values = np.asarray(every[name], dtype=float)
+        if name in all_columns:
+            values = np.asarray(all_columns[name], dtype=float)
             if name == "tick" or not np.isnan(values).all():
-                kept[name] = values
-    return Recording(kept, dt_s, {name: text for name, text in (instead or {}).items() if name in kept})
+                finite_columns[name] = values
+    return Recording(
+        finite_columns, dt_s, {name: text for name, text in (instead or {}).items() if name in finite_columns}
+    )
 
 
 def save_recording(recording: Recording, path: Path) -> None:
@@ -113,11 +115,11 @@ def load_recording(path: Path) -> Recording:
         raise InputError("there is no such file", code="no_columns", file=str(path))
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
-            found = {name: data[name] for name in data.files}
+            columns = {name: data[name] for name in data.files}
     except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(f"not a readable .npz ({error})", code="bad_columns", file=str(path)) from error
-    if "tick" not in found or "dt_s" not in found:
+    if "tick" not in columns or "dt_s" not in columns:
         raise InputError("has no columns 'tick' and 'dt_s'", code="bad_columns", file=str(path))
-    instead = dict(text.split("=", 1) for text in found.pop(_INSTEAD, np.array([], dtype=str)).tolist())
-    dt_s = float(found.pop("dt_s"))
-    return Recording({name: found[name] for name in COLUMNS if name in found}, dt_s, instead)
+    instead = dict(text.split("=", 1) for text in columns.pop(_INSTEAD, np.array([], dtype=str)).tolist())
+    dt_s = float(columns.pop("dt_s"))
+    return Recording({name: columns[name] for name in COLUMNS if name in columns}, dt_s, instead)

@@ -1,4 +1,4 @@
-"""A scenario made into numbers: breakpoints of speed and curvature -> Course (interfaces 5), and its start.
+"""A scenario made into numbers: breakpoints of speed and curvature -> Course (docs/reference/files.md), and its start.
 
 Speed and curvature are linear in time between breakpoints, so station (quadratic in time) and heading (cubic) are
 integrated exactly; x and y by Simpson's rule on half the spacing of the path table, with `math.sin/cos`, so that the
@@ -24,7 +24,7 @@ PROLONGED_M = 20.0  # straight on at both ends
 LEAST_ADVANCE_M = 1e-9  # below it a piece counts as standstill and takes no part in the path
 
 
-class Drive(NamedTuple):
+class ReferenceDrive(NamedTuple):
     """The reference drive on the time grid where it is exact (ticks and breakpoints): arrays of equal length."""
 
     time_s: Array
@@ -81,7 +81,7 @@ def start_of(spec: ScenarioSpec, course: Course) -> Start:
     )
 
 
-def integrate(spec: ScenarioSpec) -> Drive:
+def integrate(spec: ScenarioSpec) -> ReferenceDrive:
     """Station and heading at every breakpoint: exact, for speed and curvature are linear between these."""
     time = np.union1d(spec.speed.t_s, spec.curvature.t_s)
     time = time[time <= spec.speed.t_s[-1]]
@@ -91,22 +91,37 @@ def integrate(spec: ScenarioSpec) -> Drive:
     middle = 0.25 * (speed[:-1] + speed[1:]) * (curvature[:-1] + curvature[1:])
     turned = span / 6.0 * (speed[:-1] * curvature[:-1] + 4.0 * middle + speed[1:] * curvature[1:])
     station = _running_sum(0.5 * span * (speed[:-1] + speed[1:]))
-    return Drive(time, speed, curvature, station, _running_sum(turned))
+    return ReferenceDrive(time, speed, curvature, station, _running_sum(turned))
 
 
-def _by_time(drive: Drive, time_s: Array) -> tuple[Array, Array, Array]:
+class TimePlan(NamedTuple):
     """Station, speed and acceleration at the ticks."""
+
+    station_m: Array
+    speed_mps: Array
+    accel_mps2: Array
+
+
+class StationPath(NamedTuple):
+    """The path every SPACING_M, from -PROLONGED_M to beyond the end."""
+
+    x_m: Array
+    y_m: Array
+    heading_rad: Array
+    curvature_1pm: Array
+
+
+def _by_time(drive: ReferenceDrive, time_s: Array) -> TimePlan:
     slope = np.diff(drive.speed_mps) / np.diff(drive.time_s)
     # 1e-9: a tick that is a breakpoint up to rounding belongs to the piece that begins there
     piece = np.clip(np.searchsorted(drive.time_s, time_s + 1e-9, side="right") - 1, 0, len(slope) - 1)
     since = time_s - drive.time_s[piece]
     speed = drive.speed_mps[piece] + slope[piece] * since
     station = drive.station_m[piece] + since * (drive.speed_mps[piece] + 0.5 * slope[piece] * since)
-    return station, np.maximum(speed, 0.0), slope[piece]
+    return TimePlan(station, np.maximum(speed, 0.0), slope[piece])
 
 
-def _by_station(drive: Drive) -> tuple[Array, Array, Array, Array]:
-    """x, y, heading and curvature of the path, every SPACING_M from -PROLONGED_M to beyond the end."""
+def _by_station(drive: ReferenceDrive) -> StationPath:
     length_m = float(drive.station_m[-1])
     before = round(PROLONGED_M / SPACING_M)
     cells = before + math.ceil((length_m + PROLONGED_M) / SPACING_M)
@@ -114,10 +129,10 @@ def _by_station(drive: Drive) -> tuple[Array, Array, Array, Array]:
     heading, curvature = _shape_at(drive, half)
     x = _simpson([math.cos(angle) for angle in heading.tolist()])
     y = _simpson([math.sin(angle) for angle in heading.tolist()])
-    return x - x[before], y - y[before], heading[::2], curvature[::2]
+    return StationPath(x - x[before], y - y[before], heading[::2], curvature[::2])
 
 
-def _shape_at(drive: Drive, station_m: Array) -> tuple[Array, Array]:
+def _shape_at(drive: ReferenceDrive, station_m: Array) -> tuple[Array, Array]:
     """Heading and curvature at the stations: straight on before 0 and after the end."""
     moves = np.flatnonzero(np.diff(drive.station_m) > LEAST_ADVANCE_M)
     if len(moves) == 0:
@@ -183,6 +198,6 @@ def _profile_problem(profile: ProfileSpec) -> str:
     if time[0] != 0.0:
         return f"t_s begins at {time[0]}; it must begin at 0"
     if (np.diff(time) <= 0.0).any():
-        at = int(np.argmax(np.diff(time) <= 0.0))
-        return f"t_s must ascend; entry {at + 1} ({time[at + 1]}) does not"
+        index = int(np.argmax(np.diff(time) <= 0.0))
+        return f"t_s must ascend; entry {index + 1} ({time[index + 1]}) does not"
     return ""

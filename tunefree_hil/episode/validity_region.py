@@ -1,4 +1,4 @@
-"""How much of a drive lies outside the region that a model's data covered ([valid] of model.toml, interfaces 3).
+"""How much of a drive lies outside the region that a model's data covered ([valid] of model.toml, docs/reference/files.md).
 
 A learned plant says something everywhere, and means it only where it has seen the vehicle. A tick is outside where one
 quantity is: its mean over SMOOTH ticks, as noise is no drive, beyond its ends by more than MARGIN of their distance.
@@ -34,13 +34,13 @@ class Outside(NamedTuple):
 
 def outside(recording: Recording, valid: ValidSpec) -> Outside | None:
     """What of a drive is outside; None where model or recording has nothing to say about it."""
-    every = {key: _beyond(recording, valid, key) for key in ValidSpec.__struct_fields__}
-    beyond = {key: found for key, found in every.items() if found is not None}
+    outside_by_key = {key: _beyond(recording, valid, key) for key in ValidSpec.__struct_fields__}
+    beyond = {key: found for key, found in outside_by_key.items() if found is not None}
     if not beyond or not recording.ticks:
         return None
     anywhere = np.any(list(beyond.values()), axis=0)
-    by = {key: float(np.mean(found)) for key, found in beyond.items() if found.any()}
-    return Outside(float(np.mean(anywhere)), by, recording.ticks)
+    share_by_key = {key: float(np.mean(found)) for key, found in beyond.items() if found.any()}
+    return Outside(float(np.mean(anywhere)), share_by_key, recording.ticks)
 
 
 def together(drives: Iterable[Outside | None]) -> Outside | None:
@@ -50,8 +50,8 @@ def together(drives: Iterable[Outside | None]) -> Outside | None:
     if not ticks:
         return None
     keys = dict.fromkeys(key for one in known for key in one.by)
-    by = {key: sum(one.by.get(key, 0.0) * one.ticks for one in known) / ticks for key in keys}
-    return Outside(sum(one.share * one.ticks for one in known) / ticks, by, ticks)
+    share_by_key = {key: sum(one.by.get(key, 0.0) * one.ticks for one in known) / ticks for key in keys}
+    return Outside(sum(one.share * one.ticks for one in known) / ticks, share_by_key, ticks)
 
 
 def _beyond(recording: Recording, valid: ValidSpec, key: str) -> Array | None:
@@ -83,7 +83,7 @@ def _mean(values: Array) -> Array:
     known = np.isfinite(values)
     sums = np.concatenate([[0.0], np.cumsum(np.where(known, values, 0.0))])
     counts = np.concatenate([[0.0], np.cumsum(known)])
-    at = np.arange(len(values))
-    begin, end = np.maximum(at - SMOOTH // 2, 0), np.minimum(at + SMOOTH // 2 + 1, len(values))
+    index = np.arange(len(values))
+    begin, end = np.maximum(index - SMOOTH // 2, 0), np.minimum(index + SMOOTH // 2 + 1, len(values))
     number = counts[end] - counts[begin]
     return np.where(number > 0, (sums[end] - sums[begin]) / np.maximum(number, 1.0), np.nan)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FAILURE_SCORE = 10.0  # design D11; bars of failures are cut, or the others could not be told apart
+FAILURE_SCORE = 10.0  # docs/reference/grading.md; bars of failures are cut, or the others could not be told apart
 HEIGHT_IN = 0.28  # of one bar
 
 
@@ -63,10 +63,10 @@ def _draw_series(
 ) -> None:
     """The bars of one label; `place`: which of how many in each group."""
     width = 0.82 / place[1]
-    at = {name: i + (place[0] - 0.5 * (place[1] - 1)) * width for i, name in enumerate(scenarios)}
+    positions = {name: i + (place[0] - 0.5 * (place[1] - 1)) * width for i, name in enumerate(scenarios)}
     shown = [name for name in scenarios if name in scores]
     axes.barh(
-        [at[name] for name in shown],
+        [positions[name] for name in shown],
         [min(scores[name], end) for name in shown],
         height=0.9 * width,
         color=look.colour,
@@ -76,7 +76,9 @@ def _draw_series(
     )
     for name in shown:
         text = f" {style.number(scores[name])}" + (" ▸ failed" if scores[name] > end else "")
-        axes.text(min(scores[name], end), at[name], text, va="center", fontsize=style.FONT_PT - 2.0, color=style.INK)
+        axes.text(
+            min(scores[name], end), positions[name], text, va="center", fontsize=style.FONT_PT - 2.0, color=style.INK
+        )
 
 
 def _sentence(scores: Mapping[str, Mapping[str, float]]) -> str:

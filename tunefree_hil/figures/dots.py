@@ -1,4 +1,4 @@
-"""Several rows of scores, one dot each: tuned study by study against what it has to beat (design D9)."""
+"""Several rows of scores, one dot each: tuned study by study against what it has to beat (docs/reference/design.md)."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ SPREAD = 0.32  # height of a row over which its dots are spread, so that equal s
 WIDE = 6.0  # from this ratio of the largest to the smallest score on the axis is logarithmic
 
 
-def write_dots(path: Path, rows: Mapping[str, Sequence[float]], what: str, best: str = "") -> Path:
+def write_dots(path: Path, rows: Mapping[str, Sequence[float]], label: str, best: str = "") -> Path:
     """Write the figure of `draw_dots` to `path` as PNG."""
-    return style.save(draw_dots(rows, what, best), path)
+    return style.save(draw_dots(rows, label, best), path)
 
 
 def draw_dots(rows: Mapping[str, Sequence[float]], what: str, best: str = "") -> Figure:
@@ -61,9 +61,9 @@ def _draw_row(axes: Axes, row: int, scores: Sequence[float], look: style.Look) -
     )  # fmt: skip
 
 
-def _scale(axes: Axes, every: Sequence[float]) -> None:
+def _scale(axes: Axes, values: Sequence[float]) -> None:
     """Room for the numbers on the right; a log scale where the scores are far apart."""
-    low, high = min(every), max(every)
+    low, high = min(values), max(values)
     if low <= 0.0:
         return
     if high > WIDE * low:

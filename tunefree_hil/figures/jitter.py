@@ -1,4 +1,4 @@
-"""How punctual a real-time run was: how late each tick was done, by node (design D4)."""
+"""How punctual a real-time run was: how late each tick was done, by node (docs/reference/bench_channel.md)."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from tunefree_hil.grade.table import (
     LOCALISATION,
     PERFORMANCE,
     SAFETY,
-    by_aspect,
+    names_by_aspect,
 )
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def write_highlights(path: Path, values: Values, title: str) -> Path:
 
 def draw_profile(values: Values, title: str) -> Figure:
     """Bars of all metrics, a panel an aspect; what could not be had says so."""
-    groups = by_aspect()
+    groups = names_by_aspect()
     row_in = BAR_IN * len(values) + GAP_IN
     height = 1.6 + max(sum(0.75 + row_in * len(groups[aspect]) for aspect in side) for side in SIDES)
     figure = style.new_figure(14.0, height)
@@ -88,8 +88,8 @@ def _finish(figure: Figure, values: Values, title: str) -> None:
 
 
 def _looks(values: Values) -> dict[str, tuple[style.Look, str]]:
-    found = style.looks(list(values))
-    return {label: (found[label], HATCHES[i % len(HATCHES)]) for i, label in enumerate(values)}
+    looks = style.looks(list(values))
+    return {label: (looks[label], HATCHES[i % len(HATCHES)]) for i, label in enumerate(values)}
 
 
 def _draw_panel(axes: Axes, values: Values, names: Sequence[str], title: str) -> None:
@@ -100,11 +100,11 @@ def _draw_panel(axes: Axes, values: Values, names: Sequence[str], title: str) ->
     for place, (label, (look, hatch)) in enumerate(_looks(values).items()):
         for row, name in enumerate(names):
             value = values[label].get(name)
-            at = row + (place - 0.5 * (len(values) - 1)) * width
-            axes.barh(at, _known(value), 0.9 * width, color=look.colour, hatch=hatch, edgecolor="white")
+            position = row + (place - 0.5 * (len(values) - 1)) * width
+            axes.barh(position, _known(value), 0.9 * width, color=look.colour, hatch=hatch, edgecolor="white")
             said = " not to be had" if value is None else f" {style.number(value)}"
             colour = style.FAINT if value is None else style.INK
-            axes.text(_known(value), at, said, va="center", fontsize=style.FONT_PT - 2.5, color=colour)
+            axes.text(_known(value), position, said, va="center", fontsize=style.FONT_PT - 2.5, color=colour)
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.45, -0.55)
     axes.set_xlim(0.0, 1.18 * end)

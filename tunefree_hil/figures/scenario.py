@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 DEG_PER_RAD = 180.0 / np.pi
 KPH_PER_MPS = 3.6
-REPLAN_M = 0.5  # the follower re-plans above this lateral error (design D11)
+REPLAN_M = 0.5  # the follower re-plans above this lateral error (docs/reference/grading.md)
 STRETCH_ABOVE = 5.0  # a path longer than this many times its width is drawn with a scale of its own for y
 
 
-class Drive(NamedTuple):
-    """One drive: `label` ("manual ...", "tuned ..." keep their colours), columns by the names of interfaces 6.
+class DrivePicture(NamedTuple):
+    """One drive: `label` ("manual ...", "tuned ..." keep their colours), columns by the names of docs/reference/files.md.
 
     Columns have one row a tick and may be missing; t_s must be there. outcome: why it ended early, or empty.
     """
@@ -50,12 +50,12 @@ PANELS = (
 )
 
 
-def write_scenario(path: Path, name: str, drives: Sequence[Drive]) -> Path:
+def write_scenario(path: Path, name: str, drives: Sequence[DrivePicture]) -> Path:
     """Write the figure of scenario `name` to `path` as PNG."""
     return style.save(draw_scenario(name, drives), path)
 
 
-def draw_scenario(name: str, drives: Sequence[Drive]) -> Figure:
+def draw_scenario(name: str, drives: Sequence[DrivePicture]) -> Figure:
     """The path at the left, four signals over time at the right; triangles are re-plans, crosses early ends."""
     figure = style.new_figure(13.0, 8.0)
     grid = figure.add_gridspec(len(PANELS), 2, width_ratios=(1.0, 1.25))
@@ -74,7 +74,7 @@ def draw_scenario(name: str, drives: Sequence[Drive]) -> Figure:
     return figure
 
 
-def column(drive: Drive, name: str) -> NDArray[np.float64] | None:
+def column(drive: DrivePicture, name: str) -> NDArray[np.float64] | None:
     """A column as an array; None where the drive has none, or nothing finite in it."""
     if name not in drive.columns:
         return None
@@ -82,7 +82,7 @@ def column(drive: Drive, name: str) -> NDArray[np.float64] | None:
     return values if np.isfinite(values).any() else None
 
 
-def _sentence(drives: Sequence[Drive]) -> str:
+def _sentence(drives: Sequence[DrivePicture]) -> str:
     """Peak of the lateral error and re-plans of each drive, in words."""
     parts = []
     for drive in drives:
@@ -93,12 +93,12 @@ def _sentence(drives: Sequence[Drive]) -> str:
     return "peak lateral error " + ", ".join(parts)
 
 
-def _replan_rows(drive: Drive) -> NDArray[np.int64]:
+def _replan_rows(drive: DrivePicture) -> NDArray[np.int64]:
     replan = column(drive, "replan")
     return np.flatnonzero(replan > 0.5) if replan is not None else np.array([], dtype=np.int64)
 
 
-def _draw_path(axes: Axes, drives: Sequence[Drive], series: Mapping[str, style.Look]) -> None:
+def _draw_path(axes: Axes, drives: Sequence[DrivePicture], series: Mapping[str, style.Look]) -> None:
     """Seen from above; the reference is the current trajectory of the first drive that has one."""
     lines = [(column(drive, "ref_x_m"), column(drive, "ref_y_m")) for drive in drives]
     reference = next(((x, y) for x, y in lines if x is not None and y is not None), None)
@@ -131,7 +131,7 @@ def _scale(axes: Axes) -> str:
     return ""
 
 
-def _draw_panel(axes: Axes, panel: Panel, drives: Sequence[Drive], series: Mapping[str, style.Look]) -> None:
+def _draw_panel(axes: Axes, panel: Panel, drives: Sequence[DrivePicture], series: Mapping[str, style.Look]) -> None:
     drawn = False
     for drive in drives:
         time_s, values = column(drive, "t_s"), column(drive, panel.column)
@@ -148,7 +148,7 @@ def _draw_panel(axes: Axes, panel: Panel, drives: Sequence[Drive], series: Mappi
     _draw_reference(axes, panel, drives)
 
 
-def _draw_reference(axes: Axes, panel: Panel, drives: Sequence[Drive]) -> None:
+def _draw_reference(axes: Axes, panel: Panel, drives: Sequence[DrivePicture]) -> None:
     """The wished value where there is one, else zero; the re-plan limits where they are near."""
     longest = max(drives, key=lambda drive: len(drive.columns.get("t_s", ())))
     time_s = column(longest, "t_s")

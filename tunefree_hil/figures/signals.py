@@ -63,19 +63,19 @@ def gaps_of(series: Series) -> NDArray[np.int64]:
     return np.flatnonzero(np.diff(series.time_s) > series.gap_s)
 
 
-def _panel(axes: Axes, some: Sequence[Series], zero_s: float) -> None:
-    for one, look in zip(some, _looks(len(some)), strict=True):
-        if not one.time_s.size:
-            style.line(axes, [], [], look, f"{one.name} (never heard)")
+def _panel(axes: Axes, series: Sequence[Series], zero_s: float) -> None:
+    for line, look in zip(series, _looks(len(series)), strict=True):
+        if not line.time_s.size:
+            style.line(axes, [], [], look, f"{line.name} (never heard)")
             continue
-        times, values = broken_at_gaps(one)
-        single = one.values.size == 1
-        style.line(axes, times - zero_s, values, look._replace(marker=""), one.name)
+        times, values = broken_at_gaps(line)
+        single = line.values.size == 1
+        style.line(axes, times - zero_s, values, look._replace(marker=""), line.name)
         if single:
             axes.plot(times - zero_s, values, marker="o", color=look.colour)
-        for i in gaps_of(one):
+        for i in gaps_of(line):
             axes.axvspan(
-                float(one.time_s[i]) - zero_s, float(one.time_s[i + 1]) - zero_s, color=look.colour, alpha=0.12, lw=0
+                float(line.time_s[i]) - zero_s, float(line.time_s[i + 1]) - zero_s, color=look.colour, alpha=0.12, lw=0
             )
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=style.FONT_PT - 1.5, frameon=False)
 

@@ -45,17 +45,17 @@ OTHERS = (
 
 def looks(labels: Sequence[str]) -> dict[str, Look]:
     """A look for each label: "manual" and "tuned" have their own wherever they start a label, the rest go in order."""
-    found: dict[str, Look] = {}
+    looks: dict[str, Look] = {}
     others = 0
     for label in labels:
         if label.startswith("tuned"):
-            found[label] = TUNED
+            looks[label] = TUNED
         elif label.startswith("manual"):
-            found[label] = MANUAL
+            looks[label] = MANUAL
         else:
-            found[label] = OTHERS[others % len(OTHERS)]
+            looks[label] = OTHERS[others % len(OTHERS)]
             others += 1
-    return found
+    return looks
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
@@ -117,9 +117,9 @@ def plain_numbers(axis: Axis, narrow: bool = False) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def say_missing(axes: Axes, what: str) -> None:
+def say_missing(axes: Axes, label: str) -> None:
     """An empty panel says why it is empty."""
-    axes.text(0.5, 0.5, f"{what}: not recorded", transform=axes.transAxes, ha="center", va="center", fontsize=FONT_PT)
+    axes.text(0.5, 0.5, f"{label}: not recorded", transform=axes.transAxes, ha="center", va="center", fontsize=FONT_PT)
 
 
 def save(figure: Figure, path: Path) -> Path:

@@ -1,1 +1,14 @@
-"""See docs/architecture.md."""
+"""What a simulation lacks that logs of the car show. `pipeline.diagnose` takes a log this way:
+
+    open         measured/     targets, and blocks for fit, selection and holdout               MeasuredDrive
+    recalibrate  estimation/   the model's numbers moved within their priors                    FitSummary
+                 diagnostics/  which links stay broken, where, and how it looks                 LinkResidual
+    scan         estimation/   every effect of the catalogue fitted alone (model/, workers/)    CandidateScore
+    select       selection/    stepwise search; rejection.py drops effects, with the reason     SelectionOutcome
+    verdict      selection/    one, several, set, none_missing, none_of_these, cannot_test      Verdict
+    afterwards   validation/   the repaired model, and free runs of it on the holdout blocks    HoldoutResult
+
+A name is rejected by its score (selection/criteria.py), by what the selected effects explain (selection/rejection.py),
+by the verdict (selection/verdict.py), or by the holdout blocks (jobs/gap/acceptance.py), and nowhere else; each time
+with a Reason (selection/reasons.py). result.py writes the Diagnosis as gap.json, result_text.py makes its texts, last.
+"""

@@ -1,184 +1,226 @@
-"""A model's own logs asked: what explains them, what its sensors say throughout, and what it misses of them as usual.
+"""What a model's own logs, from which it was calibrated, show: effects they contain, and what the model misses of them.
 
-Where the catalogue explains all that a model misses of its own logs, a later search finds that by itself. Where it does
-not, the sensors' own numbers (a scale, an offset, a latency: what holds one sensor against another, whatever the car
-does) are still told by these logs, and belong to the model; what is missed then is what is usual with it (usual.py).
+Where catalogue effects explain all that a model misses of its own logs, a later search finds them by itself. Where they
+do not, the logs still determine the effects of the sensors (scale, offset, latency), because sensors are compared with
+each other whatever the car does. These become part of the model; what is still missed is its baseline misfit
+(gap/selection/baseline_misfit.py), which later logs are compared with.
 """
 
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
+from contextlib import closing
 from typing import NamedTuple
 
 import numpy as np
 
 from tunefree_hil.base.contracts import Link, links_of
 from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
-from tunefree_hil.gap.estimation.calibration_priors import OwnNumbers, own_numbers
-from tunefree_hil.gap.estimation.evidence import judged
-from tunefree_hil.gap.estimation.intervals import across, deviations
-from tunefree_hil.gap.estimation.residuals import Setting
-from tunefree_hil.gap.measured.chain import Opened
-from tunefree_hil.gap.measured.observability import lost_links
-from tunefree_hil.gap.model.graph import effects
-from tunefree_hil.gap.pipeline import Named
-from tunefree_hil.gap.selection.baseline_misfit import KINDS, NOTHING, Usual, by_name
-from tunefree_hil.gap.selection.criteria import MOST_WORSE, PLAIN_NATS, Weighed
-from tunefree_hil.gap.selection.search import looked_at, weighed
-from tunefree_hil.gap.workers.pool import Team
-from tunefree_hil.gap.workers.worker import Modelled, Question
-from tunefree_hil.learn.estimate import NORMAL_95
-from tunefree_hil.learn.model_folder import OWN_LOGS
+from tunefree_hil.gap.estimation.calibration_priors import CalibrationPrior, prior_from_fit
+from tunefree_hil.gap.estimation.evidence import non_holdout_blocks
+from tunefree_hil.gap.estimation.intervals import estimates_across_blocks, standard_deviations
+from tunefree_hil.gap.estimation.residuals import ProblemSpec
+from tunefree_hil.gap.measured.chain import MeasuredDrive
+from tunefree_hil.gap.measured.observability import find_unobservable_links
+from tunefree_hil.gap.model.graph import load_catalogue
+from tunefree_hil.gap.pipeline import Diagnosis
+from tunefree_hil.gap.progress import SearchProgress, SearchStage
+from tunefree_hil.gap.selection.baseline_misfit import (
+    NO_BASELINE,
+    BaselineMisfit,
+    baseline_from_links,
+    group_by_effect,
+)
+from tunefree_hil.gap.selection.criteria import CRITERIA, CandidateScore
+from tunefree_hil.gap.selection.model_misfit import SearchContext, assess_model
+from tunefree_hil.gap.selection.search import fit_and_score
+from tunefree_hil.gap.workers.pool import WorkerPool
+from tunefree_hil.gap.workers.worker import FitSummary, OpenProblem
+from tunefree_hil.learn.estimate import NORMAL_QUANTILE_95
+from tunefree_hil.learn.model_folder import CALIBRATION_LOGS
 
 Array = np.ndarray
 
-SENSING = (Link.WHEEL_VS_INS, Link.YAW_VS_INS, Link.ACCEL_VS_DVDT, Link.CLOCK)
-OF_THE_CAR = ("power_limit",)  # what a car just has, and none of the plant's constants stands for
-OF_TYRES = ("tyre_relaxation",)  # what any tyre has, and no plant of ours by itself
-MOST_SENSORS = 6
-UNTOLD = (4.0 * np.pi) ** -0.5  # deviation in u from which on logs say less of a parameter than its flat prior does
+SENSOR_LINKS = (Link.WHEEL_VS_INS, Link.YAW_VS_INS, Link.ACCEL_VS_DVDT, Link.CLOCK)
+VEHICLE_LIMITS = ("power_limit",)  # limits of a car that no constant of the plant stands for
+TYRE_EFFECTS = ("tyre_relaxation",)  # of any tyre, but not part of the plants
+MAX_SENSOR_EFFECTS = 6
+# Standard deviation in u at which the logs know as much of a parameter as its uniform prior: information 2 pi each
+UNINFORMATIVE_STD_U = (4.0 * np.pi) ** -0.5
 
 
-class OwnLogs(NamedTuple):
-    """A question about a model's own logs."""
+class CalibrationLogs(NamedTuple):
+    """A model with its own logs."""
 
     model: ModelSpec
     vehicle: VehicleSpec
-    drives: Sequence[Opened]
+    drives: Sequence[MeasuredDrive]
     workers: int = 2
 
-
-def explained(found: Named) -> Usual:
-    """Of a search that leaves nothing broken: what explains the own logs, and what they are missed by without it."""
-    there = by_name(across(found.repaired.fitted, judged(found.question.blocks)))
-    return NOTHING._replace(own=there, own_missed={one.signal: one.amount for one in found.looked if one.broken})
-
-
-def limits_named(found: Named, model: ModelSpec) -> list[EffectSpec]:
-    """Those of OF_THE_CAR that a search of the own logs plainly names, and the model does not have: a later log is not
-    to be told that they are missing. A lower one that comes later shows all the same: of two limits the lower counts.
-    """
-    plain = {one.name for one in found.effects if one.evidence > PLAIN_NATS and not one.faint}
-    values = by_name(across(found.repaired.fitted, judged(found.question.blocks)))
-    return [_of_own_logs(name, values[name]) for name in _not_in(model, OF_THE_CAR) if name in plain]
+    @property
+    def spec(self) -> ProblemSpec:
+        """As a worker process takes it."""
+        return ProblemSpec(self.model, self.vehicle, tuple(self.drives))
 
 
-def limits(asked: OwnLogs) -> Generator[str, None, list[EffectSpec]]:
-    """The same of own logs in which nothing is broken, each limit by itself: a later log may be one at it from end to
-    end.
-    """
-    yield "limits of the car"
-    return _plainly_held(asked, OF_THE_CAR)
-
-
-def tyres(asked: OwnLogs) -> Generator[str, None, list[EffectSpec]]:
-    """Of a model that misses its own logs: those of OF_TYRES that they plainly hold where it comes near them. Of each
-    later log they would explain as much, and stand before whatever came later.
-    """
-    yield "its tyres"
-    return _plainly_held(asked, OF_TYRES, unbroken=True)
-
-
-def _plainly_held(asked: OwnLogs, wanted: Sequence[str], *, unbroken: bool = False) -> list[EffectSpec]:
-    """Those of some effects that the own logs plainly hold, each by itself, and the model does not have. unbroken: only
-    those that show best where the model comes near its logs.
-    """
-    team = Team(Setting(asked.model, asked.vehicle, tuple(asked.drives)), workers=1)
-    try:
-        question = team.open()
-        blocks, missing = judged(question.blocks), _not_in(asked.model, wanted)
-        if unbroken:
-            _, looked = looked_at(team, question, question.null, blocks)
-            question = question._replace(broken=frozenset(one.signal for one in looked if one.broken))
-        names = [one.name for one in question.suspects if one.name in missing]
-        found = weighed(team, question, names, None, blocks) if names else []
-    finally:
-        team.close()
-    plain = [one for one in found if one.counts and one.evidence > PLAIN_NATS and (one.unbroken or not unbroken)]
-    return [_of_own_logs(one.name, by_name(across(one.model.fitted, blocks))[one.name]) for one in plain]
-
-
-def _not_in(model: ModelSpec, wanted: Sequence[str]) -> list[str]:
-    has = {one.name for one in model.effects}
-    return [name for name in wanted if name not in has]
-
-
-def sensors(asked: OwnLogs) -> Generator[str, None, list[EffectSpec]]:
-    """What ails the sensors, whatever else is missed: one after the other, each beside those before it, as long as
-    there is plain evidence; whether all blocks say so is not asked, as none of them is explained. Where there is no
-    second sensor to hold one against, it would be held against the car's model, which is wrong: nobody is asked.
-    """
-    yield "its sensors"
-    team = Team(Setting(asked.model, asked.vehicle, tuple(asked.drives)), asked.workers)
-    try:
-        question = team.open()
-        told = set(SENSING) - set(lost_links(asked.drives))
-        names = [one.name for one in question.suspects if links_of(effects()[one.name])[0] in told]
-        blocks, model = judged(question.blocks), None
-        for _ in range(MOST_SENSORS):
-            yield f"its sensors, {len(names)} of them"
-            some = [one for one in weighed(team, question, names, model, blocks) if _is_plain(one)]
-            best = max(some, key=lambda one: one.evidence, default=None)
-            if best is None:
-                break
-            model, names = best.model, [name for name in names if name != best.name]
-    finally:
-        team.close()
-    values = by_name({} if model is None else across(model.fitted, blocks))
-    return [_of_own_logs(name, by) for name, by in sorted(values.items())]  # as the graph has them in series
-
-
-def _of_own_logs(name: str, params: Mapping[str, tuple[float, float]]) -> EffectSpec:
-    """The entry of [[effects]]. params: value and deviation."""
-    return EffectSpec(
-        name=name,
-        params={key: value for key, (value, _) in params.items()},
-        interval={key: [value - NORMAL_95 * by, value + NORMAL_95 * by] for key, (value, by) in params.items()},
-        provenance={"by": OWN_LOGS},
+def baseline_from_search(diagnosis: Diagnosis) -> BaselineMisfit:
+    """Baseline from a search that leaves no link broken: the effects that explain the logs, and the misfit without."""
+    return NO_BASELINE._replace(
+        explaining=_estimates_by_effect(diagnosis.repaired, non_holdout_blocks(diagnosis.problem.blocks)),
+        misfit_unexplained={link.signal: link.misfit_share for link in diagnosis.links_before if link.is_broken},
     )
 
 
-def _is_plain(one: Weighed) -> bool:
-    """Whether a sensor is plainly off, and no other signal the worse for it."""
-    return one.matters and min(one.evidence, one.gain.total) > PLAIN_NATS and one.worst_missed < MOST_WORSE
+def named_vehicle_limits(diagnosis: Diagnosis, model: ModelSpec) -> list[EffectSpec]:
+    """VEHICLE_LIMITS that a search of the logs names with plain evidence, and the model does not have.
 
-
-def usual(asked: OwnLogs) -> Generator[str, None, Usual]:
-    """What is missed, and what each effect would be, alone: all of them, however little they gain. NOTHING where the
-    sensors explained what was missed.
+    Later logs need not find them missing. A lower limit is still found: of two limits the lower one acts.
     """
-    yield "what is left"
-    team = Team(Setting(asked.model, asked.vehicle, tuple(asked.drives)), asked.workers, thorough=True)
-    try:
-        question = team.open()
-        blocks = judged(question.blocks)
-        _, looked = looked_at(team, question, question.null, blocks)
-        broken = frozenset(one.signal for one in looked if one.broken)
-        if not broken:
-            return NOTHING
-        yield f"{len(question.suspects)} suspects, each alone"
-        found = team.fit([one.name for one in question.suspects], None)
-    finally:
-        team.close()
-    values: dict[str, dict[str, tuple[float, float]]] = {}
-    for name, one in found.items():
-        values |= by_name(known_of(name, one, blocks))
-    kinds = {key: {one.signal: getattr(one, key) for one in looked} for key in KINDS}
-    return Usual({one.signal: one.amount for one in looked}, values, broken, **kinds)
+    plain = {
+        effect.name
+        for effect in diagnosis.effects
+        if effect.evidence > CRITERIA.plain_evidence_nats and not effect.is_weak
+    }
+    estimates = _estimates_by_effect(diagnosis.repaired, non_holdout_blocks(diagnosis.problem.blocks))
+    return [_effect_spec(name, estimates[name]) for name in _missing_effects(model, VEHICLE_LIMITS) if name in plain]
 
 
-def numbers_of(question: Question) -> OwnNumbers:
-    """Where own logs put what recalibration may move, by a question about them."""
-    return own_numbers(question.null.fitted, question.drifting, judged(question.blocks))
+def find_vehicle_limits(logs: CalibrationLogs) -> Generator[SearchProgress, None, list[EffectSpec]]:
+    """Find VEHICLE_LIMITS in logs in which no link is broken, each limit by itself.
 
-
-def known_of(name: str, model: Modelled, blocks: Array) -> dict[str, tuple[float, float]]:
-    """What the own logs make of an effect, by key, as far as they tell it. A limit of which they tell nothing lies
-    beyond all that they reached: one that is lower later came later, however little is known of the first.
+    A later log may be at a limit from end to end.
     """
-    found, neutral = across(model.fitted, blocks), effects()[name].neutral
-    keys, by = list(model.fitted.keys), deviations(model.fitted, blocks)
-    told = {key for key in found if by[keys.index(key)] < UNTOLD}
-    limits = {key for key in found if not np.isfinite(neutral[key.partition(".")[2]])}
-    endless = {key: (value, 0.0) for key, (value, _) in found.items() if key in limits - told}
-    return {key: known for key, known in found.items() if key in told} | endless
+    yield SearchProgress(SearchStage.RECALIBRATION, "limits of the car")
+    return _find_plain_effects(logs, VEHICLE_LIMITS)
+
+
+def find_tyre_effects(logs: CalibrationLogs) -> Generator[SearchProgress, None, list[EffectSpec]]:
+    """Find TYRE_EFFECTS that show where the model comes near its logs, although it misses them elsewhere.
+
+    They would explain as much of each later log, and hide what is new there.
+    """
+    yield SearchProgress(SearchStage.RECALIBRATION, "its tyres")
+    return _find_plain_effects(logs, TYRE_EFFECTS, only_unbroken=True)
+
+
+def _find_plain_effects(
+    logs: CalibrationLogs, names: Sequence[str], *, only_unbroken: bool = False
+) -> list[EffectSpec]:
+    """Effects that the logs contain with plain evidence, each by itself, and the model does not have.
+
+    Args:
+        only_unbroken: only those that show best in a target that is not broken
+    """
+    with closing(WorkerPool(logs.spec, workers=1)) as pool:
+        problem = pool.open()
+        blocks, missing = non_holdout_blocks(problem.blocks), _missing_effects(logs.model, names)
+        if only_unbroken:
+            _, links = assess_model(pool, problem, problem.recalibrated, blocks)
+            problem = problem._replace(broken_targets=frozenset(link.signal for link in links if link.is_broken))
+        tested = [candidate.name for candidate in problem.candidates if candidate.name in missing]
+        scores = fit_and_score(SearchContext(pool, problem, blocks), tested) if tested else []
+    plain = [
+        score
+        for score in scores
+        if score.is_accepted
+        and score.evidence > CRITERIA.plain_evidence_nats
+        and (score.is_unbroken or not only_unbroken)
+    ]
+    return [_effect_spec(score.name, _estimates_by_effect(score.model, blocks)[score.name]) for score in plain]
+
+
+def _missing_effects(model: ModelSpec, names: Sequence[str]) -> list[str]:
+    present = {effect.name for effect in model.effects}
+    return [name for name in names if name not in present]
+
+
+def _estimates_by_effect(model: FitSummary, blocks: Array) -> dict[str, dict[str, tuple[float, float]]]:
+    """Value and standard deviation of each parameter, by effect."""
+    return group_by_effect(estimates_across_blocks(model.fit, blocks))
+
+
+def find_sensor_effects(logs: CalibrationLogs) -> Generator[SearchProgress, None, list[EffectSpec]]:
+    """Find sensor effects whatever else the model misses: one after the other, each beside the earlier ones.
+
+    They need plain evidence, but not agreement of the blocks, none of which is explained. A sensor without a second one
+    would be compared with the model, which is wrong here; it is not tested.
+    """
+    yield SearchProgress(SearchStage.RECALIBRATION, "its sensors")
+    with closing(WorkerPool(logs.spec, logs.workers)) as pool:
+        problem = pool.open()
+        observable = set(SENSOR_LINKS) - set(find_unobservable_links(logs.drives))
+        catalogue = load_catalogue()
+        names = [
+            candidate.name for candidate in problem.candidates if links_of(catalogue[candidate.name])[0] in observable
+        ]
+        blocks, model = non_holdout_blocks(problem.blocks), None
+        for _ in range(MAX_SENSOR_EFFECTS):
+            yield SearchProgress(SearchStage.RECALIBRATION, f"its sensors: {len(names)} candidates")
+            scores = [
+                score for score in fit_and_score(SearchContext(pool, problem, blocks), names, model) if _is_plain(score)
+            ]
+            best = max(scores, key=lambda score: score.evidence, default=None)
+            if best is None:
+                break
+            model, names = best.model, [name for name in names if name != best.name]
+    estimates = {} if model is None else _estimates_by_effect(model, blocks)
+    return [_effect_spec(name, params) for name, params in sorted(estimates.items())]  # in the order of the simulation
+
+
+def _effect_spec(name: str, params: Mapping[str, tuple[float, float]]) -> EffectSpec:
+    """Entry of [[effects]]. params: value and standard deviation of each parameter."""
+    half_width = {key: NORMAL_QUANTILE_95 * std for key, (_, std) in params.items()}
+    return EffectSpec(
+        name=name,
+        params={key: value for key, (value, _) in params.items()},
+        interval={key: [value - half_width[key], value + half_width[key]] for key, (value, _) in params.items()},
+        provenance={"by": CALIBRATION_LOGS},
+    )
+
+
+def _is_plain(score: CandidateScore) -> bool:
+    """Whether a sensor effect has plain evidence and degrades no broken target."""
+    return (
+        score.is_relevant
+        and min(score.evidence, score.gain.total) > CRITERIA.plain_evidence_nats
+        and score.broken_degradation < CRITERIA.max_degradation
+    )
+
+
+def measure_baseline_misfit(logs: CalibrationLogs) -> Generator[SearchProgress, None, BaselineMisfit]:
+    """Measure the misfit, and the value that each effect would have alone, however little it gains.
+
+    Returns: NO_BASELINE where no link is broken any more
+    """
+    yield SearchProgress(SearchStage.REMAINDER, "what is left unexplained")
+    with closing(WorkerPool(logs.spec, logs.workers, fits_all=True)) as pool:
+        problem = pool.open()
+        blocks = non_holdout_blocks(problem.blocks)
+        _, links = assess_model(pool, problem, problem.recalibrated, blocks)
+        if not any(link.is_broken for link in links):
+            return NO_BASELINE
+        yield SearchProgress(SearchStage.CANDIDATES, f"{len(problem.candidates)} candidates, each alone")
+        fits = pool.fit_candidates([candidate.name for candidate in problem.candidates], None)
+    estimates: dict[str, dict[str, tuple[float, float]]] = {}
+    for name, fit in fits.items():
+        estimates |= group_by_effect(known_parameters(name, fit, blocks))
+    return baseline_from_links(links, estimates)
+
+
+def prior_from_problem(problem: OpenProblem) -> CalibrationPrior:
+    """Prior of the recalibrated parameters, from an open problem of the model's own logs."""
+    return prior_from_fit(problem.recalibrated.fit, problem.nuisances, non_holdout_blocks(problem.blocks))
+
+
+def known_parameters(name: str, model: FitSummary, blocks: Array) -> dict[str, tuple[float, float]]:
+    """Value and standard deviation of the parameters of an effect that the logs determine, by key.
+
+    A limit that they do not determine lies beyond all that they reach, exactly: a lower one in later logs is new,
+    however little these know of it.
+    """
+    estimates, neutral = estimates_across_blocks(model.fit, blocks), load_catalogue()[name].neutral
+    keys, std = list(model.fit.keys), standard_deviations(model.fit, blocks)
+    known = {key for key in estimates if std[keys.index(key)] < UNINFORMATIVE_STD_U}
+    limits = {key for key in estimates if not np.isfinite(neutral[key.partition(".")[2]])}
+    unreached = {key: (value, 0.0) for key, (value, _) in estimates.items() if key in limits - known}
+    return {key: estimate for key, estimate in estimates.items() if key in known} | unreached

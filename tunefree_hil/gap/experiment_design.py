@@ -1,8 +1,8 @@
-"""From the words by which an effect is told apart to drives that a bench can make: one menu, one mapping.
+"""Drives that separate effects: from the manoeuvres that an effect names, or the needs it has, to plans of a bench.
 
 The planner of `collect` drives them: cells of steering, speed and pedal with steps, a chirp, small sines and stairs
-laid over them, and gentle stretches, inside the vehicle's limits and a bounded area. What separates two effects is a
-choice among these; an effect of somebody's own is driven by the words it says, or else by what it needs.
+added, and gentle stretches, within the limits of the vehicle and a bounded area. Each manoeuvre selects some of these.
+An effect that a user adds is driven by the manoeuvres in its text, or else by what it needs.
 """
 
 from __future__ import annotations
@@ -12,84 +12,131 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.contracts import Effect
-from tunefree_hil.collect.bounds import Bounds
-from tunefree_hil.collect.cells import LEAST_MPS, fastest_mps, needs_of
-from tunefree_hil.collect.envelope import side_needed_m
-from tunefree_hil.collect.plan import DrivePlan, bounded, driven_stretches, driven_targets
+from tunefree_hil.collect.bounds import DriveBounds
+from tunefree_hil.collect.cells import MIN_SPEED_MPS, max_planned_speed_mps, needed_frames
+from tunefree_hil.collect.envelope import area_side_for_speed_m
+from tunefree_hil.collect.plan import DrivePlan, bounded_envelope, plannable_cells, plannable_stretches
 from tunefree_hil.config.schema import VehicleSpec
 
 AREA_M = 500.0  # side of the square that a drive stays in: room to coast from 14 m/s
-MOST = 3  # manoeuvres a round: more would hide the log that was there before
-LONG_COAST_S = 12.0  # what slows a car down shows in how that changes with the speed: some m/s have to go
-FITS = 0.9  # a top speed for which the area is too small is lowered by this
-SHARP_RIGHT, TURN_RIGHT, BRANCH_RIGHT, AHEAD, BRANCH_LEFT, TURN_LEFT, SHARP_LEFT = range(7)  # cells.STEERS
-BRAKE_HIGH, BRAKE_MID, BRAKE_LIGHT, THROTTLE_LIGHT, THROTTLE_MID, THROTTLE_HIGH = range(6)  # cells.PEDALS
+MAX_MANOEUVRES = 3  # in a round: with more, the original log would have little weight
+LONG_COAST_S = 12.0  # resistances show in how the deceleration depends on the speed, which must fall by some m/s
+TOP_SPEED_FACTOR = 0.9  # by which a top speed is lowered until the area is large enough
+# Numbers of the bands of collect/cells.py: steering, pedal and speed
+SHARP_RIGHT, TURN_RIGHT, BRANCH_RIGHT, STRAIGHT, BRANCH_LEFT, TURN_LEFT, SHARP_LEFT = range(7)
+BRAKE_HIGH, BRAKE_MID, BRAKE_LIGHT, THROTTLE_LIGHT, THROTTLE_MID, THROTTLE_HIGH = range(6)
 SLOW, MEDIUM, FAST = range(3)
+FIRST_PEDAL_STEPS = FIRST_STEERING_SINES = 3  # number of the first hold of these excitation signals
 
 
 class Manoeuvre(NamedTuple):
-    """A drive from standstill to standstill. steers, speeds, pedals: bands of collect/cells.py, each with each.
+    """A drive from standstill to standstill.
 
-    seconds: in each cell. first_hold: by it the planner chooses the waves that come first (collect/excitation_signals.py): steps of
-    the pedals after 3, of the steering after 0, small sines of the steering after 3. gentle: the stretches that hold a
-    speed, coast and come to a stand, instead of cells. drive_s: it begins to stop after so long.
+    Args:
+        name: of the manoeuvre
+        description: for reports
+        steers: steering bands of collect/cells.py that are combined with all `speeds` and `pedals`
+        speeds: speed bands
+        pedals: pedal bands
+        cell_s: time in each cell
+        first_hold: which excitation signals come first (collect/excitation_signals.py): steps of the pedals after
+            FIRST_PEDAL_STEPS, of the steering after 0, small sines of the steering after FIRST_STEERING_SINES
+        is_gentle: instead of cells, the stretches that hold a speed, coast and stop
+        drive_s: time after which it begins to stop
     """
 
     name: str
-    words: str
+    description: str
     steers: tuple[int, ...] = ()
     speeds: tuple[int, ...] = ()
     pedals: tuple[int, ...] = ()
-    seconds: float = 6.0
+    cell_s: float = 6.0
     first_hold: int = 0
-    gentle: bool = False
+    is_gentle: bool = False
     drive_s: float = 120.0
 
 
-MENU = {
-    one.name: one
-    for one in (
+MANOEUVRES = {
+    manoeuvre.name: manoeuvre
+    for manoeuvre in (
         Manoeuvre(
-            "steer_steps", "steps and a chirp of the steering, small and large, at two speeds",
-            (TURN_RIGHT, BRANCH_RIGHT, AHEAD, BRANCH_LEFT, TURN_LEFT), (SLOW, MEDIUM), (THROTTLE_LIGHT,),
+            "steer_steps",
+            "steps and a chirp of the steering, small and large, at two speeds",
+            steers=(TURN_RIGHT, BRANCH_RIGHT, STRAIGHT, BRANCH_LEFT, TURN_LEFT),
+            speeds=(SLOW, MEDIUM),
+            pedals=(THROTTLE_LIGHT,),
         ),
         Manoeuvre(
-            "steer_sines", "small sines of the steering about straight ahead and about an offset",
-            (BRANCH_RIGHT, AHEAD, BRANCH_LEFT), (SLOW, MEDIUM), (THROTTLE_LIGHT,), 8.0, first_hold=3,
+            "steer_sines",
+            "small sines of the steering about straight ahead and about an offset",
+            steers=(BRANCH_RIGHT, STRAIGHT, BRANCH_LEFT),
+            speeds=(SLOW, MEDIUM),
+            pedals=(THROTTLE_LIGHT,),
+            cell_s=8.0,
+            first_hold=FIRST_STEERING_SINES,
         ),
         Manoeuvre(
-            "steer_lock", "steering from lock to lock, slowly driven",
-            (SHARP_RIGHT, TURN_RIGHT, TURN_LEFT, SHARP_LEFT), (SLOW,), (THROTTLE_LIGHT,), 8.0,
+            "steer_lock",
+            "steering from lock to lock, slowly driven",
+            steers=(SHARP_RIGHT, TURN_RIGHT, TURN_LEFT, SHARP_LEFT),
+            speeds=(SLOW,),
+            pedals=(THROTTLE_LIGHT,),
+            cell_s=8.0,
         ),
         Manoeuvre(
-            "circles", "circles both ways at growing speeds",
-            (TURN_RIGHT, BRANCH_RIGHT, BRANCH_LEFT, TURN_LEFT), (SLOW, MEDIUM), (THROTTLE_LIGHT, THROTTLE_MID), 8.0,
+            "circles",
+            "circles both ways at growing speeds",
+            steers=(TURN_RIGHT, BRANCH_RIGHT, BRANCH_LEFT, TURN_LEFT),
+            speeds=(SLOW, MEDIUM),
+            pedals=(THROTTLE_LIGHT, THROTTLE_MID),
+            cell_s=8.0,
         ),
         Manoeuvre(
-            "throttle_steps", "steps of the throttle, small and large, at two speeds",
-            (AHEAD,), (SLOW, MEDIUM), (THROTTLE_LIGHT, THROTTLE_MID, THROTTLE_HIGH), first_hold=3,
+            "throttle_steps",
+            "steps of the throttle, small and large, at two speeds",
+            steers=(STRAIGHT,),
+            speeds=(SLOW, MEDIUM),
+            pedals=(THROTTLE_LIGHT, THROTTLE_MID, THROTTLE_HIGH),
+            first_hold=FIRST_PEDAL_STEPS,
         ),
         Manoeuvre(
-            "full_throttle", "much throttle from a stand to high speed",
-            (AHEAD,), (SLOW, MEDIUM, FAST), (THROTTLE_HIGH,), 8.0, first_hold=3,
+            "full_throttle",
+            "much throttle from a stand to high speed",
+            steers=(STRAIGHT,),
+            speeds=(SLOW, MEDIUM, FAST),
+            pedals=(THROTTLE_HIGH,),
+            cell_s=8.0,
+            first_hold=FIRST_PEDAL_STEPS,
         ),
         Manoeuvre(
-            "brake_levels", "steps of the brake and braking at growing levels",
-            (AHEAD,), (SLOW, MEDIUM), (BRAKE_HIGH, BRAKE_MID, BRAKE_LIGHT), first_hold=3,
+            "brake_levels",
+            "steps of the brake and braking at growing levels",
+            steers=(STRAIGHT,),
+            speeds=(SLOW, MEDIUM),
+            pedals=(BRAKE_HIGH, BRAKE_MID, BRAKE_LIGHT),
+            first_hold=FIRST_PEDAL_STEPS,
         ),
         Manoeuvre(
-            "stops", "equal brakings, one after the other",
-            (AHEAD,), (MEDIUM,), (BRAKE_HIGH,), 16.0, drive_s=180.0,
+            "stops",
+            "equal brakings, one after the other",
+            steers=(STRAIGHT,),
+            speeds=(MEDIUM,),
+            pedals=(BRAKE_HIGH,),
+            cell_s=16.0,
+            drive_s=180.0,
         ),
         Manoeuvre(
-            "gentle", "straight on and coasting at several speeds, and standing",
-            seconds=4.0, gentle=True, drive_s=300.0,
+            "gentle",
+            "straight on and coasting at several speeds, and standing",
+            cell_s=4.0,
+            is_gentle=True,
+            drive_s=300.0,
         ),
     )
-}  # fmt: skip
+}
 
-# What effects say in `manoeuvre`, before its colon, and what that is on the menu.
-SAID: tuple[tuple[str, tuple[str, ...]], ...] = (
+# Phrases in an effect's `manoeuvre`, before its colon, and the manoeuvres that they stand for
+MANOEUVRES_BY_PHRASE: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("steps of the steering", ("steer_steps",)),
     ("chirp", ("steer_steps",)),
     ("small sine", ("steer_sines",)),
@@ -109,8 +156,8 @@ SAID: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("straight on", ("gentle",)),
     ("standing", ("gentle",)),
 )
-# What a drive is asked for (base/contracts.py QUANTITIES), and what gives it.
-GIVEN_BY = {
+# The manoeuvre that gives each quantity an effect may need (base/contracts.py QUANTITIES)
+MANOEUVRE_BY_QUANTITY = {
     "moving_s": "gentle",
     "top_speed_mps": "full_throttle",
     "speed_span_mps": "full_throttle",
@@ -130,84 +177,100 @@ GIVEN_BY = {
 }
 
 
-def manoeuvres_of(effect: Effect) -> tuple[Manoeuvre, ...]:
-    """What drives the words by which an effect is told apart; where they say nothing that is known, what it needs."""
-    asked = effect.manoeuvre.partition(":")[0].lower()
-    names = [name for words, some in SAID if words in asked for name in some]
-    return tuple(MENU[name] for name in dict.fromkeys(names)) or needed_by(effect)
+def manoeuvres_for_effect(effect: Effect) -> tuple[Manoeuvre, ...]:
+    """The manoeuvres that an effect names; those for its needs if it names none that is known."""
+    text = effect.manoeuvre.partition(":")[0].lower()
+    names = [name for phrase, matches in MANOEUVRES_BY_PHRASE if phrase in text for name in matches]
+    return tuple(MANOEUVRES[name] for name in dict.fromkeys(names)) or manoeuvres_for_needs(effect)
 
 
-def needed_by(effect: Effect) -> tuple[Manoeuvre, ...]:
-    """What gives a drive that an effect shows in."""
-    return tuple(MENU[name] for name in dict.fromkeys(GIVEN_BY[need.quantity] for need in effect.needs))
+def manoeuvres_for_needs(effect: Effect) -> tuple[Manoeuvre, ...]:
+    """The manoeuvres that give a drive in which an effect shows."""
+    names = dict.fromkeys(MANOEUVRE_BY_QUANTITY[need.quantity] for need in effect.needs)
+    return tuple(MANOEUVRES[name] for name in names)
 
 
-def to_drive(
+def next_manoeuvres(
     answer: Mapping[str, Any], driven: Collection[str], effects: Mapping[str, Effect]
 ) -> tuple[Manoeuvre, ...]:
-    """What a round drives for an answer (gap.json), without what has been driven; none where nothing would decide it.
+    """The manoeuvres of the next round.
 
-    Of a set: what tells the first name apart of which something is still to be driven, and once all of that is driven,
-    what the names need to be seen. Where the logs cannot tell: what most of the effects that could not have shown
-    themselves ask for.
+    Of a set: those of its first effect that has some left, and when all are driven, those for the needs of its effects.
+    Where the logs cannot tell: those that most of the insufficiently excited effects ask for.
+
+    Args:
+        answer: gap.json
+        driven: names of the manoeuvres that were driven
+        effects: the catalogue
+
+    Returns: at most MAX_MANOEUVRES; none where no drive would decide anything
     """
     if answer["verdict"] == "set":
-        return _first_of(answer["set"], driven, effects)
+        return _manoeuvres_for_set(answer["set"], driven, effects)
     if answer["verdict"] != "cannot_test":
         return ()
-    lacking = [name for name, one in answer["excitation"].items() if not one["enough"]] or list(effects)
-    known = [manoeuvres_of(effects[name]) for name in lacking if name in effects]
-    count = Counter(one.name for some in known for one in some if one.name not in driven)
-    return tuple(MENU[name] for name, _ in count.most_common(MOST))
+    lacking = [name for name, entry in answer["excitation"].items() if not entry["enough"]] or list(effects)
+    lists = [manoeuvres_for_effect(effects[name]) for name in lacking if name in effects]
+    counts = Counter(manoeuvre.name for manoeuvres in lists for manoeuvre in manoeuvres if manoeuvre.name not in driven)
+    return tuple(MANOEUVRES[name] for name, _ in counts.most_common(MAX_MANOEUVRES))
 
 
-def _first_of(names: Sequence[str], driven: Collection[str], effects: Mapping[str, Effect]) -> tuple[Manoeuvre, ...]:
+def _manoeuvres_for_set(
+    names: Sequence[str], driven: Collection[str], effects: Mapping[str, Effect]
+) -> tuple[Manoeuvre, ...]:
     known = [effects[name] for name in names if name in effects]
-    for asked in (manoeuvres_of, needed_by):
+    for select in (manoeuvres_for_effect, manoeuvres_for_needs):
         for effect in known:
-            fresh = [one for one in asked(effect) if one.name not in driven]
-            if fresh:
-                return tuple(fresh[:MOST])
+            remaining = [manoeuvre for manoeuvre in select(effect) if manoeuvre.name not in driven]
+            if remaining:
+                return tuple(remaining[:MAX_MANOEUVRES])
     return ()
 
 
-def top_speed_mps(vehicle: VehicleSpec, bounds: Bounds | None = None) -> float:
-    """The highest speed that is driven: the vehicle's own, or less where bounds say so or the area is too small for it;
-    0 where that leaves none.
-    """
+def drivable_top_speed_mps(vehicle: VehicleSpec, bounds: DriveBounds | None = None) -> float:
+    """The highest speed that is driven: the vehicle's own, or less for the bounds or the area; 0 where none is left."""
     if bounds is not None and not bounds.is_drivable:
         return 0.0
-    envelope = bounded(vehicle, bounds)
-    top = fastest_mps(envelope, bounds and bounds.speed_mps)
-    while top > LEAST_MPS and side_needed_m(envelope, top) > AREA_M:
-        top *= FITS
-    return top if top > LEAST_MPS else 0.0
+    envelope = bounded_envelope(vehicle, bounds)
+    top_mps = max_planned_speed_mps(envelope, bounds and bounds.speed_mps)
+    while top_mps > MIN_SPEED_MPS and area_side_for_speed_m(envelope, top_mps) > AREA_M:
+        top_mps *= TOP_SPEED_FACTOR
+    return top_mps if top_mps > MIN_SPEED_MPS else 0.0
 
 
-def plan_for(vehicle: VehicleSpec, manoeuvre: Manoeuvre, dt_s: float, bounds: Bounds | None = None) -> DrivePlan | None:
-    """The planner's plan of a manoeuvre for a vehicle, inside of bounds; None where it can drive no part of it."""
-    top = top_speed_mps(vehicle, bounds)
-    if not top:
+def plan_manoeuvre(
+    vehicle: VehicleSpec, manoeuvre: Manoeuvre, dt_s: float, bounds: DriveBounds | None = None
+) -> DrivePlan | None:
+    """Plan a manoeuvre for a vehicle within bounds; None where it can drive no part of it."""
+    top_mps = drivable_top_speed_mps(vehicle, bounds)
+    if not top_mps:
         return None
-    targets = driven_targets(vehicle, top, bounds)
-    have = needs_of(targets, manoeuvre.seconds, dt_s)  # full, and so not asked for
-    wanted = [
+    cells = plannable_cells(vehicle, top_mps, bounds)
+    frames = needed_frames(cells, manoeuvre.cell_s, dt_s)  # of a full cell, which is not driven
+    selected = [
         number
-        for number, one in enumerate(targets)
-        if not one.excluded
-        and not one.place.backwards
-        and one.place.steer in manoeuvre.steers
-        and one.place.speed in manoeuvre.speeds
-        and one.place.pedal in manoeuvre.pedals
+        for number, cell in enumerate(cells)
+        if not cell.excluded
+        and not cell.index.backwards
+        and cell.index.steer in manoeuvre.steers
+        and cell.index.speed in manoeuvre.speeds
+        and cell.index.pedal in manoeuvre.pedals
     ]
-    for number in wanted:
-        have[number] = 0
-    every = driven_stretches(vehicle, manoeuvre.seconds, manoeuvre.drive_s, AREA_M, top, bounds)
-    stretches = every if manoeuvre.gentle else ()
-    if not wanted and not stretches:
+    for number in selected:
+        frames[number] = 0
+    gentle = plannable_stretches(vehicle, manoeuvre.cell_s, manoeuvre.drive_s, AREA_M, top_mps, bounds)
+    stretches = gentle if manoeuvre.is_gentle else ()
+    if not selected and not stretches:
         return None
-    straight_first = (0, len(stretches) // 2)  # each speed once
     return DrivePlan(
-        manoeuvre.seconds, AREA_M, top, None, tuple(have), manoeuvre.first_hold, manoeuvre.drive_s, straight_first,
-        bounds, LONG_COAST_S,
-    )  # fmt: skip
+        quota_s=manoeuvre.cell_s,
+        area_m=AREA_M,
+        top_mps=top_mps,
+        centre=None,
+        have=tuple(frames),
+        first_hold=manoeuvre.first_hold,
+        stop_s=manoeuvre.drive_s,
+        stretches=(0, len(stretches) // 2),  # straight ahead, each speed once
+        bounds=bounds,
+        coast_s=LONG_COAST_S,
+    )

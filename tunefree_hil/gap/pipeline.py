@@ -1,227 +1,369 @@
-"""Who did it: recalibration, every suspect with the same freedom, more than one if need be, and the doubt about it all.
+"""From measured drives to a diagnosis: which effects the model lacks, with their values and the doubt about them.
 
-    opened = list of drives (chain.py)
-    found = yield from name(model, vehicle, opened)
-
-Processes share the suspects (team.py, search.py). The verdict is one of VERDICTS; whatever it is, the numbers
-behind it come with it.
-
-Where simulation and measurement part, and no more: recalibration, every link by itself, a card; nobody is named.
+`diagnose` opens the problem (which recalibrates the model), looks at what recalibration leaves, scans all candidates
+one by one, selects effects stepwise, and decides the verdict. A name can be rejected by its score
+(selection/criteria.py), by what the selected effects explain (selection/rejection.py), by the verdict
+(selection/verdict.py), and later by the holdout blocks (jobs/gap/acceptance.py); every rejection is a `Reason`.
+`locate` stops before the candidates.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import closing
 from typing import NamedTuple
 
 import numpy as np
 
 from tunefree_hil.base.contracts import Link, Port, links_of
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
-from tunefree_hil.gap.diagnostics.lack_of_fit import Left
-from tunefree_hil.gap.diagnostics.residual_tests import Card, Looked, card, echo_words
-from tunefree_hil.gap.estimation.evidence import judged
-from tunefree_hil.gap.estimation.intervals import Value, apart, unsteady, values_of
-from tunefree_hil.gap.estimation.residuals import Setting
-from tunefree_hil.gap.measured.chain import Opened
-from tunefree_hil.gap.measured.clock import Echo, echoes
-from tunefree_hil.gap.measured.excitation import Excited, excitation, held_by, refuse_untold
-from tunefree_hil.gap.measured.observability import lost_links, silent_ports
-from tunefree_hil.gap.model.graph import effects
-from tunefree_hil.gap.selection.baseline_misfit import NOTHING, Usual, usual_of, usual_words
-from tunefree_hil.gap.selection.criteria import MATTERS, Weighed, worked_on
-from tunefree_hil.gap.selection.search import Sifted, looked_at, marked, searched, weighed
-from tunefree_hil.gap.selection.verdict import (
-    alike_words,
-    daily_words,
-    small_words,
-    still_words,
-    verdict_of,
-    with_others,
+from tunefree_hil.gap.diagnostics.lack_of_fit import LackOfFit
+from tunefree_hil.gap.diagnostics.residual_tests import LinkResidual, MisfitDescription, describe_misfit
+from tunefree_hil.gap.estimation.evidence import non_holdout_blocks
+from tunefree_hil.gap.estimation.intervals import (
+    ParameterEstimate,
+    estimate_parameters,
+    inconsistent_daily_effects,
+    inconsistent_gains,
 )
-from tunefree_hil.gap.validation.holdout_effect import NOT_LOOKED, Own, own
-from tunefree_hil.gap.workers.pool import Team
-from tunefree_hil.gap.workers.worker import Modelled, Question
+from tunefree_hil.gap.estimation.residuals import ProblemSpec
+from tunefree_hil.gap.measured.chain import MeasuredDrive
+from tunefree_hil.gap.measured.clock import check_echoes
+from tunefree_hil.gap.measured.excitation import (
+    Excitation,
+    assess_excitation,
+    measure_quantities,
+    require_enough_driving,
+)
+from tunefree_hil.gap.measured.observability import find_unobservable_links, find_unobservable_ports
+from tunefree_hil.gap.model.graph import load_catalogue
+from tunefree_hil.gap.progress import SearchProgress, SearchStage
+from tunefree_hil.gap.selection.baseline_misfit import NO_BASELINE, BaselineMisfit, baseline_of_model
+from tunefree_hil.gap.selection.criteria import CRITERIA, CandidateScore
+from tunefree_hil.gap.selection.equivalence import add_easily_confused, find_inseparable
+from tunefree_hil.gap.selection.model_misfit import ModelMisfit, SearchContext, assess_model, mark_broken_targets
+from tunefree_hil.gap.selection.reasons import Reason, Verdict, VerdictKind
+from tunefree_hil.gap.selection.rejection import SelectionOutcome
+from tunefree_hil.gap.selection.scoring import explained_targets
+from tunefree_hil.gap.selection.search import fit_and_score, select_effects
+from tunefree_hil.gap.selection.verdict import (
+    Findings,
+    decide_location,
+    decide_verdict,
+    find_changed_frames,
+    find_day_sized,
+    find_unexplained_beside,
+)
+from tunefree_hil.gap.validation.holdout_effect import (
+    NOT_MEASURED,
+    ComparedModels,
+    HoldoutEffect,
+    measure_holdout_effect,
+)
+from tunefree_hil.gap.workers import worker
+from tunefree_hil.gap.workers.pool import WorkerPool
+from tunefree_hil.gap.workers.worker import FitSummary, OpenProblem
 
 Array = np.ndarray
 
-NO_PORT: Mapping[Port, str] = {}
-NOBODY: Mapping[str, str] = {}
-UNMOVED = f"no value of it that a car has moves anything that is compared here by {MATTERS:.1%} of its signal"
-VERDICTS = ("one", "several", "set", "none_missing", "none_of_these", "cannot_test")
+NAMED = (VerdictKind.ONE, VerdictKind.SEVERAL)
 
 
-class Effect(NamedTuple):
-    """An effect that is said to be missing. evidence: nats over the model without it. faint: only if proved. own: what
-    it does to the target that shows it best; on the blocks that prove that is nobody's business before the proof.
+class FoundEffect(NamedTuple):
+    """An effect that the model lacks.
+
+    Args:
+        evidence: log evidence over the model without it, nats.
+        is_weak: only the holdout blocks can confirm it.
+        holdout: what it does to the signal that shows it best; not to be shown before the proof.
     """
 
     name: str
-    params: dict[str, Value]
+    params: dict[str, ParameterEstimate]
     evidence: float
-    faint: bool = False
-    own: Own = NOT_LOOKED
+    is_weak: bool = False
+    holdout: HoldoutEffect = NOT_MEASURED
 
 
-class Named(NamedTuple):
-    """The answer. candidates: all first-round suspects weighed, best first; repaired: the model with the effects in it
-    (the question's null where there are none). before, after: what either leaves to be explained.
+class Diagnosis(NamedTuple):
+    """A search's whole result.
 
-    looked, still: every target with recalibration done, and with all that was found besides; card: of the one that
-    shows it best (None: nothing is broken and nobody was found), with the link that is to blame. set: names where it is
-    one of them, and not known which. lost, silent: links and ports that the logs cannot show, in words; unmoved: the
-    same of effects of which no value moves anything that is compared. usual: what the model misses of its own logs.
+    Args:
+        verdict: its kind, the names of a set, and the reasons.
+        effects: the effects of ONE and SEVERAL.
+        separate_by: the manoeuvre that tells the names of a set apart.
+        link, location: the link to blame, and the target that shows it best; None where nothing is broken or found.
+        links_before, links_after: every target with recalibration done, and with the search's effects in the model.
+        excitation: by effect, whether the logs could have shown it.
+        candidates: every candidate scored alone, the best first.
+        problem: the opened problem.
+        repaired: the model with the effects; the recalibrated one where there are none.
+        lack_of_fit_after: by target, what `repaired` leaves.
+        unobservable_links, unobservable_ports: what these logs cannot show, with the reason.
+        unmoving: effects of which no value moves anything that is compared.
+        baseline: what the model misses on its calibration logs.
+        rejected: why effects of the search were dropped, or are not new.
+        unexplained_beside: broken targets that the named effects do not work on.
+        day_sized: named effects no larger than a day's change.
+        inseparable: by named effect, those that no log of this car tells from it.
+        drive_differences: numbers of the day that differ between the drives, in standard deviations.
     """
 
-    verdict: str
-    effects: tuple[Effect, ...]
-    set: tuple[str, ...]
-    separate_by: str
+    verdict: Verdict
     link: Link | None
-    card: Card | None
-    looked: tuple[Looked, ...]
-    excitation: dict[str, Excited]
-    candidates: tuple[Weighed, ...]
-    question: Question
-    repaired: Modelled
-    before: dict[str, Left]
-    after: dict[str, Left]
-    lost: dict[Link, str]
-    words: tuple[str, ...]
-    still: tuple[Looked, ...] = ()
-    usual: Usual = NOTHING
-    silent: Mapping[Port, str] = NO_PORT
-    unmoved: Mapping[str, str] = NOBODY
+    location: MisfitDescription | None
+    links_before: tuple[LinkResidual, ...]
+    excitation: dict[str, Excitation]
+    problem: OpenProblem
+    repaired: FitSummary
+    lack_of_fit_after: dict[str, LackOfFit]
+    unobservable_links: dict[Link, str]
+    unobservable_ports: Mapping[Port, str] = {}
+    effects: tuple[FoundEffect, ...] = ()
+    separate_by: str = ""
+    links_after: tuple[LinkResidual, ...] = ()
+    candidates: tuple[CandidateScore, ...] = ()
+    unmoving: tuple[str, ...] = ()
+    baseline: BaselineMisfit = NO_BASELINE
+    rejected: tuple[Reason, ...] = ()
+    unexplained_beside: tuple[LinkResidual, ...] = ()
+    day_sized: tuple[str, ...] = ()
+    inseparable: Mapping[str, tuple[str, ...]] = {}
+    drive_differences: Mapping[str, float] = {}
+
+    @property
+    def set_names(self) -> tuple[str, ...]:
+        """The names of a SET; empty for any other verdict."""
+        return self.verdict.names if self.verdict.kind is VerdictKind.SET else ()
 
 
-def name(
-    model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened], workers: int = 2
-) -> Generator[str, None, Named]:
-    """Find who it was; yields what is being done. Raises InputError for logs in which nothing can be compared."""
-    refuse_untold(drives)
-    usual_of(model)  # a card that is none is said before anybody waits for a search
-    team = Team(Setting(model, vehicle, tuple(drives)), workers)
-    try:
-        yield "recalibration alone"
-        question = team.open()
-        return (yield from _named(team, question, vehicle, drives))
-    finally:
-        team.close()
+class Search(NamedTuple):
+    """A search under way: the processes, the problem they have open, and what recalibration leaves."""
+
+    pool: WorkerPool
+    problem: OpenProblem
+    recalibrated: ModelMisfit
+    baseline: BaselineMisfit
+
+    @property
+    def blocks(self) -> Array:
+        """The blocks that are fitted on and chosen by."""
+        return non_holdout_blocks(self.problem.blocks)
+
+    @property
+    def context(self) -> SearchContext:
+        """What the functions of selection/search.py work with."""
+        return SearchContext(self.pool, self.problem, self.blocks)
+
+    @property
+    def drives(self) -> Sequence[MeasuredDrive]:
+        """The drives that are asked about."""
+        return self.pool.spec.drives
 
 
-def _named(
-    team: Team, question: Question, vehicle: VehicleSpec, drives: Sequence[Opened]
-) -> Generator[str, None, Named]:
-    blocks, usual = judged(question.blocks), usual_of(team.setting.model)
-    before = looked_at(team, question, question.null, blocks)
-    question = marked(question, before.looked, usual)
-    yield f"{len(question.suspects)} suspects"
-    every = weighed(team, question, [one.name for one in question.suspects], None, blocks)
-    question = question._replace(cannot={**question.cannot, **team.dropped})
-    first, found = yield from searched(team, question, every, before, usual)
-    held = excitation(effects(), held_by(drives, vehicle))
-    steps = [with_others(step, found.news, held, drives) for step in found.news]
-    said, days = tuple(one for opened in drives for one in echoes(opened)), question.blocks.drives[blocks]
-    restless = usual.more_restless(restless_of(question))
-    verdict, others, words = verdict_of(
-        first, steps, before.looked, found.amiss, held, echo_words(said), restless, usual
-    )  # fmt: skip
-    link, shown = _where(team, question, steps, before.looked, said)
-    known: tuple[Effect, ...] = ()
-    if verdict in ("one", "several"):
-        known = _effects(team, question, steps, found.repaired)
-        words = (*words, *_beside_words(question, known, found, usual))
-    words = (*words, *alike_words([one.name for one in known] or others, drives), *found.words, *found.no_news)
-    words = (*words, *usual_words(usual), *daily_words(apart(found.repaired.fitted, blocks, days)))
-    said_of = {*(one.name for one in known), *others}
-    return Named(
-        verdict, known, others, _manoeuvre(others), link, shown, tuple(before.looked), held, tuple(every), question,
-        found.repaired, before.left, found.after.left, lost_links(drives), words, tuple(found.still), usual,
-        silent_ports(drives),
-        {name: UNMOVED for name, by in team.moves.items() if by < MATTERS and name not in said_of},
-    )  # fmt: skip
+class Decision(NamedTuple):
+    """The verdict, the effects it is about with all their equivalents, and what the logs could have shown."""
+
+    verdict: Verdict
+    steps: list[CandidateScore]
+    excitation: dict[str, Excitation]
+    has_changed_frames: bool
 
 
-def _beside_words(question: Question, known: Sequence[Effect], found: Sifted, usual: Usual) -> tuple[str, ...]:
-    """Of effects that are named: how small they are, and what is missed beside them."""
-    sizes = {one.name: {key: value.value for key, value in one.params.items()} for one in known}
-    worked = worked_on(question.null, found.repaired, question.sizes, judged(question.blocks))
-    return (*small_words(sizes), *still_words(found.after.looked, worked, usual))
+def diagnose(
+    model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[MeasuredDrive], workers: int = 2
+) -> Generator[SearchProgress, None, Diagnosis]:
+    """Find what the model lacks; yields its progress.
+
+    Raises:
+        InputError: the logs hold too little driving, or nothing that can be compared; the model's card cannot be read.
+    """
+    require_enough_driving(drives)
+    baseline = baseline_of_model(model)  # an unreadable card is reported before the search
+    with closing(WorkerPool(ProblemSpec(model, vehicle, tuple(drives)), workers)) as pool:
+        yield SearchProgress(SearchStage.RECALIBRATION, "recalibration alone")
+        problem = pool.open()
+        search = assess_recalibrated(pool, problem, baseline)
+        scores = yield from scan_candidates(search)
+        alone, outcome = yield from select_effects(search.context, scores, search.recalibrated, baseline)
+        decision = decide(search, alone, outcome)
+        return make_diagnosis(search, scores, outcome, decision)
 
 
-def restless_of(question: Question) -> dict[str, float]:
-    """What recalibration alone would have to move otherwise in each block (interval.unsteady)."""
-    blocks = judged(question.blocks)
-    sigmas = {free.key: free.doubt for one in question.suspects for free in one.free if free.doubt}
-    return unsteady(question.null.fitted, blocks, question.blocks.drives[blocks], sigmas)
+def locate(
+    model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[MeasuredDrive]
+) -> Generator[SearchProgress, None, Diagnosis]:
+    """Only where model and measurement differ: every link by itself, no candidate. Raises as `diagnose` does."""
+    require_enough_driving(drives)
+    with closing(WorkerPool(ProblemSpec(model, vehicle, tuple(drives)), workers=1)) as pool:
+        yield SearchProgress(SearchStage.RECALIBRATION, "recalibration alone")
+        problem = pool.open()
+        yield SearchProgress(SearchStage.RECALIBRATION, "every link by itself")
+        misfit = assess_model(pool, problem, problem.recalibrated, non_holdout_blocks(problem.blocks))
+        location = _describe_location(pool, problem, misfit.links)
+    changed = _find_changed_frames(drives)
+    link = location.residual.link if location else None
+    return Diagnosis(
+        verdict=decide_location(misfit.links, changed),
+        link=Link.COMMAND_ECHO if changed else link,
+        location=location,
+        links_before=tuple(misfit.links),
+        excitation=assess_excitation(load_catalogue(), measure_quantities(drives, vehicle)),
+        problem=problem,
+        repaired=problem.recalibrated,
+        lack_of_fit_after=misfit.lack_of_fit,
+        unobservable_links=find_unobservable_links(drives),
+        unobservable_ports=find_unobservable_ports(drives),
+    )
 
 
-def _effects(team: Team, question: Question, steps: Sequence[Weighed], repaired: Modelled) -> tuple[Effect, ...]:
-    """What was found, each effect held against the model without it."""
-    blocks, null = judged(question.blocks), question.null
-    proof = np.setdiff1d(np.arange(question.blocks.count), blocks)
-    is_one = len({free.key.partition(".")[0] for free in repaired.fitted.free}) == 1  # some may not be said
-    without = {steps[0].name: null} if is_one else team.fit_without(repaired, [one.name for one in steps])
+def assess_recalibrated(pool: WorkerPool, problem: OpenProblem, baseline: BaselineMisfit) -> Search:
+    """Look at what recalibration leaves, and mark the targets that it leaves broken."""
+    misfit = assess_model(pool, problem, problem.recalibrated, non_holdout_blocks(problem.blocks))
+    return Search(pool, mark_broken_targets(problem, misfit.links, baseline), misfit, baseline)
+
+
+def scan_candidates(search: Search) -> Generator[SearchProgress, None, list[CandidateScore]]:
+    """Fit every candidate alone and score it, the best first."""
+    names = [candidate.name for candidate in search.problem.candidates]
+    yield SearchProgress(SearchStage.CANDIDATES, f"{len(names)} candidates")
+    return fit_and_score(search.context, names)
+
+
+def decide(search: Search, alone: list[CandidateScore], outcome: SelectionOutcome) -> Decision:
+    """Complete the equivalents of the selected effects, and decide the verdict.
+
+    Args:
+        alone: the candidates scored alone, of the selection's last round.
+    """
+    drives, baseline = search.drives, search.baseline
+    excitation = assess_excitation(load_catalogue(), measure_quantities(drives, search.pool.spec.vehicle))
+    steps = [add_easily_confused(step, outcome.new_effects, excitation, drives) for step in outcome.new_effects]
+    findings = Findings(
+        links=search.recalibrated.links,
+        alone=alone,
+        steps=steps,
+        rejection=outcome.rejection,
+        changed_frames=_find_changed_frames(drives),
+        inconsistent_gains=baseline.excess_inconsistency(find_inconsistent_gains(search.problem)),
+        baseline=baseline,
+    )
+    return Decision(decide_verdict(findings), steps, excitation, bool(findings.changed_frames))
+
+
+def make_diagnosis(
+    search: Search, scores: list[CandidateScore], outcome: SelectionOutcome, decision: Decision
+) -> Diagnosis:
+    """Gather what belongs to a verdict. scores: every candidate scored alone."""
+    pool, drives, links = search.pool, search.drives, search.recalibrated.links
+    verdict, steps = decision.verdict, decision.steps
+    impossible = {**search.problem.untestable_effects, **pool.impossible_candidates}
+    location = _describe_location(pool, search.problem, links, steps)
+    link = links_of(load_catalogue()[steps[0].name])[0] if steps else location.residual.link if location else None
+    effects = _found_effects(search, steps, outcome.repaired) if verdict.kind in NAMED else ()
+    found = Diagnosis(
+        verdict=verdict,
+        effects=effects,
+        link=Link.COMMAND_ECHO if decision.has_changed_frames else link,
+        location=location,
+        links_before=tuple(links),
+        links_after=tuple(outcome.links_with_all_steps),
+        excitation=decision.excitation,
+        candidates=tuple(scores),
+        problem=search.problem._replace(untestable_effects=impossible),
+        repaired=outcome.repaired,
+        lack_of_fit_after=outcome.misfit.lack_of_fit,
+        unobservable_links=find_unobservable_links(drives),
+        unobservable_ports=find_unobservable_ports(drives),
+        unmoving=_find_unmoving(pool, verdict.names),
+        baseline=search.baseline,
+        rejected=(*outcome.dropped, *outcome.known),
+        inseparable=find_inseparable(verdict.names, drives),
+        drive_differences=_drive_differences(search, outcome.repaired),
+    )
+    found = found._replace(separate_by=_separating_manoeuvre(found.set_names))
+    return _with_remarks(search, found, outcome) if effects else found
+
+
+def _with_remarks(search: Search, found: Diagnosis, outcome: SelectionOutcome) -> Diagnosis:
+    """A diagnosis that names effects, with how small they are and what is missed beside them."""
+    problem = search.problem
+    values = {effect.name: {key: one.value for key, one in effect.params.items()} for effect in found.effects}
+    explained = explained_targets(problem.recalibrated, outcome.repaired, problem.signal_scales, search.blocks)
+    return found._replace(
+        day_sized=find_day_sized(values),
+        unexplained_beside=find_unexplained_beside(outcome.misfit.links, explained, search.baseline),
+    )
+
+
+def find_inconsistent_gains(problem: OpenProblem) -> dict[str, float]:
+    """The gains that recalibration alone would move to another value in each block, in standard deviations."""
+    blocks = non_holdout_blocks(problem.blocks)
+    sigmas = {
+        free.key: free.calibration_sigma
+        for candidate in problem.candidates
+        for free in candidate.free
+        if free.calibration_sigma
+    }
+    return inconsistent_gains(problem.recalibrated.fit, blocks, problem.blocks.drives[blocks], sigmas)
+
+
+def _drive_differences(search: Search, model: FitSummary) -> Mapping[str, float]:
+    """Numbers of the day that differ between the drives, in standard deviations."""
+    return inconsistent_daily_effects(model.fit, search.blocks, search.problem.blocks.drives[search.blocks])
+
+
+def _find_unmoving(pool: WorkerPool, names: Sequence[str]) -> tuple[str, ...]:
+    """The candidates, but for the named ones, of which no value moves `min_explained_share` of any target."""
     return tuple(
-        Effect(
-            one.name, values_of(one.name, repaired.fitted, blocks), one.evidence, one.faint,
-            own(without[one.name], repaired, null, one.target, blocks, proof),
+        name
+        for name, share in pool.max_effect_shares.items()
+        if share < CRITERIA.min_explained_share and name not in names
+    )
+
+
+def _found_effects(search: Search, steps: Sequence[CandidateScore], repaired: FitSummary) -> tuple[FoundEffect, ...]:
+    """The named effects, each compared with the model without it."""
+    problem, blocks, recalibrated = search.problem, search.blocks, search.problem.recalibrated
+    holdout = np.setdiff1d(np.arange(problem.blocks.count), blocks)
+    # The model may hold further effects, which are not named
+    is_single = len({free.key.partition(".")[0] for free in repaired.fit.free}) == 1
+    if is_single:
+        without = {steps[0].name: recalibrated}
+    else:
+        without = search.pool.fit_without_effects(repaired, [step.name for step in steps])
+    return tuple(
+        FoundEffect(
+            name=step.name,
+            params=estimate_parameters(step.name, repaired.fit, blocks),
+            evidence=step.evidence,
+            is_weak=step.is_weak,
+            holdout=measure_holdout_effect(
+                ComparedModels(without[step.name], repaired, recalibrated), step.target, blocks, holdout
+            ),
         )
-        for one in steps
-    )  # fmt: skip
+        for step in steps
+    )
 
 
-def _where(
-    team: Team, question: Question, steps: list[Weighed], looked: Sequence[Looked], said: Sequence[Echo]
-) -> tuple[Link | None, Card | None]:
-    """(the link to blame, the card of the target that shows it best), of the model without any effect."""
-    lost = any(one.broken for one in said)
-    if not steps and not looked[0].broken:
-        return (Link.COMMAND_ECHO if lost else None), None
-    target = steps[0].target if steps else looked[0].signal
-    found, shape = team.ask("seen_of", question.null.fitted, target)
-    here = next(one for one in looked if one.signal == target)
-    link = links_of(effects()[steps[0].name])[0] if steps else here.link
-    return (Link.COMMAND_ECHO if lost else link), card(here, shape, found, question.sizes[target])
+def _find_changed_frames(drives: Sequence[MeasuredDrive]) -> tuple[Reason, ...]:
+    return find_changed_frames([echo for drive in drives for echo in check_echoes(drive)])
 
 
-def _manoeuvre(names: Iterable[str]) -> str:
-    """What would tell the names of a set apart: the first one's own manoeuvre."""
-    catalogue = effects()
-    some = [catalogue[one].manoeuvre for one in names if one in catalogue and catalogue[one].manoeuvre]
-    return some[0] if some else ""
+def _describe_location(
+    pool: WorkerPool, problem: OpenProblem, links: Sequence[LinkResidual], steps: Sequence[CandidateScore] = ()
+) -> MisfitDescription | None:
+    """The target that shows best what the recalibrated model misses; None where nothing is broken or found."""
+    if not steps and not links[0].is_broken:
+        return None
+    target = steps[0].target if steps else links[0].signal
+    regions, shape = pool.ask(worker.describe_residual, problem.recalibrated.fit, target)
+    link = next(link for link in links if link.signal == target)
+    return describe_misfit(link, shape, regions, problem.signal_scales[target])
 
 
-NOBODY_ASKED = ""  # the verdict where links are broken and no name was looked for
-
-
-def look_first(model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened]) -> Generator[str, None, Named]:
-    """The part of `name` before any suspect is asked; `repaired` is the null. Raises as `name` does."""
-    refuse_untold(drives)
-    team = Team(Setting(model, vehicle, tuple(drives)), workers=1)
-    try:
-        yield "recalibration alone"
-        question = team.open()
-        yield "every link by itself"
-        left, looked = looked_at(team, question, question.null, judged(question.blocks))
-        said = tuple(one for opened in drives for one in echoes(opened))
-        strange = echo_words(said)
-        shown: Card | None = None
-        if looked[0].broken:
-            regions, shape = team.ask("seen_of", question.null.fitted, looked[0].signal)
-            shown = card(looked[0], shape, regions, question.sizes[looked[0].signal])
-    finally:
-        team.close()
-    link = Link.COMMAND_ECHO if strange else looked[0].link if shown else None
-    held = excitation(effects(), held_by(drives, vehicle))
-    words = tuple(strange) or (() if shown else ("nothing beyond noise and recalibration",))
-    return Named(
-        _verdict(looked, strange), (), (), "", link, shown, tuple(looked), held, (), question, question.null,
-        left, left, lost_links(drives), words, silent=silent_ports(drives),
-    )  # fmt: skip
-
-
-def _verdict(looked: Sequence[Looked], strange: Sequence[str]) -> str:
-    if strange:
-        return "none_of_these"
-    return NOBODY_ASKED if looked[0].broken else "none_missing"
+def _separating_manoeuvre(names: Sequence[str]) -> str:
+    """What tells the names of a set apart: the manoeuvre of the first one that has one."""
+    catalogue = load_catalogue()
+    manoeuvres = (catalogue[name].manoeuvre for name in names if name in catalogue)
+    return next((manoeuvre for manoeuvre in manoeuvres if manoeuvre), "")

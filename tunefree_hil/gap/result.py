@@ -1,11 +1,7 @@
-"""An answer as data, in the words of `gap.json` (interfaces 9): what a name, a place and a doubt are called there.
+"""A search's result as data: the part of gap.json that it gives, and search.json, from which a cut-off run goes on.
 
-`signals`, `explained_frac`, `model`, `figures` belong to whoever repairs and verifies; they are not here.
-
-What a search came to, as it is kept between sessions: the answer, both models' values, and how it looked.
-
-Repair, proof, page and pictures are made of this and the logs alone, so that a run that was cut off after the search
-goes on without it, and comes to the same numbers: floats survive JSON bit for bit.
+Repair, proof, page and pictures are made from this and the logs alone. Floats survive JSON bit for bit. The keys are in
+docs/reference/files.md.
 """
 
 from __future__ import annotations
@@ -14,201 +10,269 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from tunefree_hil.gap.diagnostics.residual_tests import Looked, Region, Shape
-from tunefree_hil.gap.estimation.evidence import judged
-from tunefree_hil.gap.estimation.intervals import held_back
-from tunefree_hil.gap.measured.excitation import Excited
-from tunefree_hil.gap.measured.observability import untold
-from tunefree_hil.gap.model.graph import effects
-from tunefree_hil.gap.pipeline import Effect, Named
-from tunefree_hil.gap.selection.criteria import Weighed
-from tunefree_hil.gap.workers.worker import Modelled
-from tunefree_hil.learn.model_folder import plain
-
-FEW_BLOCKS = 9  # judged, of a drive of a minute and three quarters; shorter ones have fewer
-BY_TEST = ("one", "several", "set", "none_missing")  # verdicts that hold as far as nothing else was seen
-NOWHERE: dict[str, Any] = {"link": None, "signal": "", "regime": [], "card": ""}  # where nothing is missed
-REGIONS = 3  # that are told, of those that stand out
-WITHOUT_NET = ("physics", "reference")  # kinds of plants that were not taught by logs, and so hide nothing
-
-
-def as_data(found: Named, kind: str = "physics") -> dict[str, Any]:
-    """Plain dicts, lists, numbers and words; what is no finite number is None. kind: of the model's plant."""
-    blind = {**found.unmoved, **untold(effects(), found.lost, found.silent)}
-    return {
-        "verdict": found.verdict or None,
-        "forced": forced_name(found),
-        "absorbed": is_absorbed(found.verdict, kind),
-        "effects": [_effect(one) for one in found.effects],
-        "set": list(found.set),
-        "together": together(found),
-        "separate_by": found.separate_by,
-        "where": _where(found),
-        "excitation": {name: _excited(one, blind.get(name, "")) for name, one in found.excitation.items()},
-        "links": [_link(one) for one in found.looked],
-        "as_usual": [one.signal for one in found.looked if one.broken and found.usual.as_usual(one)],
-        "untold": blind,
-        "lost": {link.value: words for link, words in found.lost.items()},
-        "not_suspected": dict(found.question.cannot),
-        "candidates": [_candidate(one) for one in found.candidates],
-        "words": [*found.words, *_short_words(found), *dict.fromkeys(found.silent.values())],
-        "moved": list(moved_words(found)),
-    }
-
-
-def _excited(one: Excited, blind: str) -> dict[str, Any]:
-    """Whether the logs hold what shows an effect. blind: why they cannot show it anyhow; '' where they can."""
-    lacks = [*one.lacks, blind] if blind else list(one.lacks)
-    return {"score": _number(one.score), "enough": one.enough and not blind, "lacks": lacks}
-
-
-def _link(one: Looked) -> dict[str, Any]:
-    return {
-        "link": one.link.value, "signal": one.signal, "unit": one.unit, "rms": one.rms, "noise": one.noise,
-        "explicable": one.explicable, "share": one.share, "broken": one.broken,
-    }  # fmt: skip
-
-
-def _candidate(one: Weighed) -> dict[str, Any]:
-    return {
-        "name": one.name, "evidence": _number(one.evidence),
-        "held_out": [_number(one.gain.total), _number(one.gain.low)],
-        "shrink": [_number(value) for value in one.shrink], "signal": one.target, "counts": one.counts,
-    }  # fmt: skip
-
-
-def _short_words(found: Named) -> tuple[str, ...]:
-    """That so few blocks were judged by that much could be missing and not be seen; nothing where nobody says so."""
-    count = len(judged(found.question.blocks))
-    if count >= FEW_BLOCKS or found.verdict not in BY_TEST:
-        return ()
-    return (f"judged by {count} stretches alone: what else may be missing is hardly seen in so short a recording",)
-
-
-def together(found: Named) -> list[str]:
-    """Of a set that stands for several effects at once: those that fit best; the set's other names are rivals of one of
-    them. Empty where the set is one effect's.
-    """
-    fitted = dict.fromkeys(key.partition(".")[0] for key in (one.key for one in found.repaired.fitted.free))
-    heads = [name for name in fitted if name in found.set]
-    return heads if found.verdict == "set" and len(heads) > 1 else []
-
-
-def moved_words(found: Named) -> tuple[str, ...]:
-    """What recalibration would move further than a calibrated model may be off, in words: it may as well be missing."""
-    return tuple(one.words for one in held_back(found.repaired.fitted, judged(found.question.blocks)))
-
-
-def forced_name(found: Named) -> str | None:
-    """Who it would be if somebody had to be named; None where nobody was suspected."""
-    if found.effects:
-        return found.effects[0].name
-    return max(found.candidates, key=lambda one: one.evidence).name if found.candidates else None
-
-
-def is_absorbed(verdict: str, kind: str) -> bool:
-    """Whether a learned plant may hide what is not found: its net may have been taught by logs that had it."""
-    return kind not in WITHOUT_NET and verdict in ("none_missing", "none_of_these")
-
-
-def _effect(one: Effect) -> dict[str, Any]:
-    params = {key: {**value._asdict(), **_ends(value.low, value.high)} for key, value in one.params.items()}
-    seen = {"shrink": one.own.seen, "unseen_shrink": one.own.unseen, "unseen_stirs": one.own.stirs}
-    numbers = {key: _number(value) for key, value in {"evidence": one.evidence, **seen}.items()}
-    return {"name": one.name, "params": params, "faint": one.faint, **numbers}
-
-
-def _ends(low: float, high: float) -> dict[str, float | None]:
-    return {"low": _number(low), "high": _number(high)}
-
-
-def _where(found: Named) -> dict[str, Any]:
-    card = found.card
-    regime = [] if card is None else [one.words for one in card.regions if one.stands_out][:REGIONS]
-    return {
-        "link": None if found.link is None else found.link.value,
-        "signal": "" if card is None else card.looked.signal,
-        "regime": regime,
-        "card": "" if card is None else card.words,
-    }
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
+from tunefree_hil.gap.diagnostics.residual_tests import LinkResidual, Region, Shape
+from tunefree_hil.gap.estimation.evidence import non_holdout_blocks
+from tunefree_hil.gap.estimation.intervals import AtBound, find_parameters_at_bound
+from tunefree_hil.gap.measured.excitation import Excitation
+from tunefree_hil.gap.measured.observability import find_untestable_effects
+from tunefree_hil.gap.model.graph import load_catalogue
+from tunefree_hil.gap.pipeline import Diagnosis, FoundEffect
+from tunefree_hil.gap.result_text import UNTESTABLE, diagnosis_texts, few_blocks_text, lacking_text
+from tunefree_hil.gap.selection.criteria import CRITERIA, CandidateScore
+from tunefree_hil.gap.selection.reasons import Criterion, Reason, VerdictKind, reason_entry
+from tunefree_hil.gap.workers.worker import FitSummary
+from tunefree_hil.learn.model_folder import plain_data
 
 SCHEMA = "tunefree.gap_search/3"
+FEW_BLOCKS = 9  # searched, of a drive of a minute and three quarters; a shorter one has fewer
+MAX_REGIONS = 3  # listed, of those that stand out
+NO_LOCATION: dict[str, Any] = {"link": None, "signal": "", "regime": [], "card": ""}  # where nothing is missed
+PLANTS_WITHOUT_NET = ("physics", "reference")  # kinds of plants that have learned nothing from logs
+# Verdicts that hold only as far as the blocks could have shown anything else
+LIMITED_BY_BLOCKS = (VerdictKind.ONE, VerdictKind.SEVERAL, VerdictKind.SET, VerdictKind.NONE_MISSING)
+KEYS = {  # of search.json, by field of SearchResult
+    "answer": "answer",
+    "recalibrated_values": "null",
+    "repaired_values": "repaired",
+    "effect_keys": "free",
+    "signal": "signal",
+    "regions": "regions",
+    "shape": "shape",
+    "elapsed_s": "seconds",
+    "has_candidates": "named",
+    "predictable_shares": "foretold",
+}
 
 
-class Kept(NamedTuple):
-    """answer: as in gap.json (result.py); null, repaired: values by key as gap/model/graph.py takes them, of recalibration
-    alone and with the effects. free: the keys that belong to effects found. regions, shape: of the target that shows it
-    best, `signal` ('' where nothing is broken and nobody was found). seconds: that the search took. named: whether
-    names were looked for. foretold: by target, of what the model with the effects still misses, the share that
-    something foretells.
+class SearchResult(NamedTuple):
+    """What a search came to, as it is kept between sessions.
+
+    Args:
+        answer: as in gap.json.
+        recalibrated_values, repaired_values: values by key as gap/model/graph.py takes them, of recalibration alone and
+            with the effects.
+        effect_keys: the keys that belong to the effects found.
+        signal, regions, shape: of the target that shows it best; "" where nothing is broken and no effect was found.
+        elapsed_s: that the search took.
+        has_candidates: candidates were tried.
+        predictable_shares: by target, of what the model with the effects still misses, the share that is predictable.
     """
 
     answer: dict[str, Any]
-    null: dict[str, float]
-    repaired: dict[str, float]
-    free: tuple[str, ...]
+    recalibrated_values: dict[str, float]
+    repaired_values: dict[str, float]
+    effect_keys: tuple[str, ...]
     signal: str
     regions: tuple[Region, ...]
     shape: Shape | None
-    seconds: float
-    named: bool = True
-    foretold: dict[str, float] = {}  # noqa: RUF012 - never mutated
+    elapsed_s: float
+    has_candidates: bool = True
+    predictable_shares: dict[str, float] = {}  # noqa: RUF012 - never mutated
 
     @property
     def verdict(self) -> str | None:
-        """One of gap/pipeline.py's VERDICTS; None where nobody was to be named."""
+        """The verdict as in gap.json; None where no candidate was tried."""
         return self.answer["verdict"]
 
     @property
     def names(self) -> list[str]:
         """Of the effects that were found."""
-        return [one["name"] for one in self.answer["effects"]]
+        return [effect["name"] for effect in self.answer["effects"]]
 
 
-def keep(found: Named, kind: str, seconds: float, named: bool = True) -> Kept:
-    """Of a search's result. kind: of the model's plant; named: whether names were looked for."""
-    card, answer = found.card, as_data(found, kind)
-    if answer["verdict"] == "none_missing" and not any(one["enough"] for one in answer["excitation"].values()):
-        answer |= {"verdict": "cannot_test", "absorbed": False, "words": [_lacking(answer)]}  # nothing could be seen
-    return Kept(
-        answer, _values(found.question.null), _values(found.repaired),
-        tuple(one.key for one in found.repaired.fitted.free), "" if card is None else card.looked.signal,
-        () if card is None else card.regions, None if card is None else card.shape, seconds, named,
-        {name: min(max(one.explained / one.total, 0.0), 1.0) for name, one in found.after.items() if one.total > 0.0},
-    )  # fmt: skip
+def make_search_result(found: Diagnosis, kind: str, elapsed_s: float, has_candidates: bool = True) -> SearchResult:
+    """What is kept of a diagnosis.
+
+    Args:
+        kind: of the model's plant.
+        has_candidates: candidates were tried.
+    """
+    location, answer = found.location, answer_entries(found, kind)
+    shares = {name: fit.explained / fit.total for name, fit in found.lack_of_fit_after.items() if fit.total > 0.0}
+    return SearchResult(
+        answer=answer,
+        recalibrated_values=_values_of(found.problem.recalibrated),
+        repaired_values=_values_of(found.repaired),
+        effect_keys=tuple(free.key for free in found.repaired.fit.free),
+        signal="" if location is None else location.residual.signal,
+        regions=() if location is None else location.regions,
+        shape=None if location is None else location.shape,
+        elapsed_s=elapsed_s,
+        has_candidates=has_candidates,
+        predictable_shares={name: min(max(share, 0.0), 1.0) for name, share in shares.items()},
+    )
 
 
-def as_json(kept: Kept) -> dict[str, Any]:
-    """Plain data."""
-    return {"schema": SCHEMA, **plain(kept._asdict())}
+def as_json(kept: SearchResult) -> dict[str, Any]:
+    """The table of search.json."""
+    return {"schema": SCHEMA, **plain_data({key: getattr(kept, field) for field, key in KEYS.items()})}
 
 
-def from_json(data: Mapping[str, Any]) -> Kept:
-    """The same again. Raises ValueError for what no `as_json` wrote, by this version."""
+def from_json(data: Mapping[str, Any]) -> SearchResult:
+    """The result that a table of search.json is of.
+
+    Raises:
+        ValueError: no `as_json` of this version wrote it.
+    """
     if data.get("schema") != SCHEMA:
         raise ValueError(f"schema is {data.get('schema')!r}, expected {SCHEMA!r}")
     try:
-        fields = {name: data[name] for name in Kept._fields}
+        fields = {field: data[key] for field, key in KEYS.items()}
         shape = fields["shape"]
-        return Kept(**fields)._replace(
-            free=tuple(fields["free"]),
-            regions=tuple(Region(**one) for one in fields["regions"]),
+        return SearchResult(**fields)._replace(
+            effect_keys=tuple(fields["effect_keys"]),
+            regions=tuple(Region(**region) for region in fields["regions"]),
             shape=None if shape is None else Shape(**shape),
         )
     except (KeyError, TypeError) as error:
         raise ValueError(f"no whole search: {error}") from error
 
 
-def _values(model: Modelled) -> dict[str, float]:
-    return {key: float(value) for key, value in model.fitted.values.items()}
+def answer_entries(found: Diagnosis, kind: str = "physics") -> dict[str, Any]:
+    """The keys of gap.json that a search gives; a number that is not finite is None. kind: of the model's plant.
+
+    Where nothing is missing and no effect could have been seen, the verdict is that these logs cannot tell.
+    """
+    untestable = _untestable_effects(found)
+    verdict = found.verdict.kind.value
+    answer = {
+        "verdict": verdict or None,
+        "forced": most_likely_name(found),
+        "absorbed": may_be_absorbed(verdict, kind),
+        "effects": [_effect_entry(effect) for effect in found.effects],
+        "set": list(found.set_names),
+        "together": joint_effects(found),
+        "separate_by": found.separate_by,
+        "where": _location_entry(found),
+        "excitation": {
+            name: _excitation_entry(one, untestable.get(name, "")) for name, one in found.excitation.items()
+        },
+        "links": [_link_entry(link) for link in found.links_before],
+        "as_usual": [link.signal for link in found.links_before if link.is_broken and found.baseline.is_within(link)],
+        "untold": untestable,
+        "lost": {link.value: reason for link, reason in found.unobservable_links.items()},
+        "not_suspected": dict(found.problem.untestable_effects),
+        "candidates": [_candidate_entry(score) for score in found.candidates],
+        "words": [
+            *diagnosis_texts(found),
+            *_few_blocks_texts(found),
+            *dict.fromkeys(found.unobservable_ports.values()),
+        ],
+        "reasons": [reason_entry(reason) for reason in (*found.verdict.reasons, *found.rejected)],
+        "moved": [bound.text for bound in _parameters_at_bound(found)],
+    }
+    is_blind = not any(entry["enough"] for entry in answer["excitation"].values())
+    return answer | (_blind_entries(answer) if found.verdict.kind is VerdictKind.NONE_MISSING and is_blind else {})
 
 
-def _lacking(answer: Mapping[str, Any]) -> str:
-    """What to record, where no effect could have been seen."""
-    lacks = sorted({words for one in answer["excitation"].values() for words in one["lacks"]})
-    return f"no effect of the catalogue could have shown itself; record a drive with more: {'; '.join(lacks)}"
+def _blind_entries(answer: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys where no effect could have been seen."""
+    return {
+        "verdict": VerdictKind.CANNOT_TEST.value,
+        "absorbed": False,
+        "words": [lacking_text(answer["excitation"])],
+        "reasons": [reason_entry(Reason(Criterion.NOTHING_VISIBLE))],
+    }
+
+
+def _untestable_effects(found: Diagnosis) -> dict[str, str]:
+    """Effects that these logs cannot show, with the reason."""
+    unmoving = dict.fromkeys(found.unmoving, UNTESTABLE.format(share=CRITERIA.min_explained_share))
+    links, ports = found.unobservable_links, found.unobservable_ports
+    return {**unmoving, **find_untestable_effects(load_catalogue(), links, ports)}
+
+
+def _excitation_entry(excitation: Excitation, untestable: str) -> dict[str, Any]:
+    """Whether the logs hold what shows an effect. untestable: why they cannot show it anyhow; "" where they can."""
+    lacks = [*excitation.shortages, untestable] if untestable else list(excitation.shortages)
+    return {"score": _finite(excitation.score), "enough": excitation.is_sufficient and not untestable, "lacks": lacks}
+
+
+def _link_entry(link: LinkResidual) -> dict[str, Any]:
+    return {
+        "link": link.link.value,
+        "signal": link.signal,
+        "unit": link.unit,
+        "rms": link.rms,
+        "noise": link.noise,
+        "explicable": link.explainable_rms,
+        "share": link.explainable_share,
+        "broken": link.is_broken,
+    }
+
+
+def _candidate_entry(score: CandidateScore) -> dict[str, Any]:
+    return {
+        "name": score.name,
+        "evidence": _finite(score.evidence),
+        "held_out": [_finite(score.gain.total), _finite(score.gain.low)],
+        "shrink": [_finite(share) for share in score.error_reduction],
+        "signal": score.target,
+        "counts": score.is_accepted,
+    }
+
+
+def _effect_entry(effect: FoundEffect) -> dict[str, Any]:
+    bounds = {key: {"low": _finite(one.low), "high": _finite(one.high)} for key, one in effect.params.items()}
+    return {
+        "name": effect.name,
+        "params": {key: {**one._asdict(), **bounds[key]} for key, one in effect.params.items()},
+        "faint": effect.is_weak,
+        "evidence": _finite(effect.evidence),
+        "shrink": _finite(effect.holdout.fit_error_reduction),
+        "unseen_shrink": _finite(effect.holdout.holdout_error_reduction),
+        "unseen_stirs": _finite(effect.holdout.effect_energy),
+    }
+
+
+def _location_entry(found: Diagnosis) -> dict[str, Any]:
+    location = found.location
+    regions = [] if location is None else [region.text for region in location.regions if region.stands_out]
+    return {
+        "link": None if found.link is None else found.link.value,
+        "signal": "" if location is None else location.residual.signal,
+        "regime": regions[:MAX_REGIONS],
+        "card": "" if location is None else location.text,
+    }
+
+
+def _few_blocks_texts(found: Diagnosis) -> tuple[str, ...]:
+    """That the search saw few blocks, where the verdict stands on nothing else being seen."""
+    n_blocks = len(non_holdout_blocks(found.problem.blocks))
+    if n_blocks >= FEW_BLOCKS or found.verdict.kind not in LIMITED_BY_BLOCKS:
+        return ()
+    return (few_blocks_text(n_blocks),)
+
+
+def _parameters_at_bound(found: Diagnosis) -> list[AtBound]:
+    """Numbers that recalibration would move further than a calibrated model may be off: something may be missing."""
+    return find_parameters_at_bound(found.repaired.fit, non_holdout_blocks(found.problem.blocks))
+
+
+def joint_effects(found: Diagnosis) -> list[str]:
+    """Of a set that stands for several effects at once, those that fit best; each other name may stand in place of one
+    of them. Empty where the set is one effect's.
+    """
+    fitted = dict.fromkeys(free.key.partition(".")[0] for free in found.repaired.fit.free)
+    names = [name for name in fitted if name in found.set_names]
+    return names if len(names) > 1 else []
+
+
+def most_likely_name(found: Diagnosis) -> str | None:
+    """The name to give if one had to be given; None where no candidate was tried."""
+    if found.effects:
+        return found.effects[0].name
+    return max(found.candidates, key=lambda score: score.evidence).name if found.candidates else None
+
+
+def may_be_absorbed(verdict: str, kind: str) -> bool:
+    """Whether a learned plant may hide what is not found: logs that had it may have taught its net."""
+    return kind not in PLANTS_WITHOUT_NET and verdict in ("none_missing", "none_of_these")
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _values_of(model: FitSummary) -> dict[str, float]:
+    return {key: float(value) for key, value in model.fit.values.items()}

@@ -1,8 +1,8 @@
-"""Where a difference of scores comes from: eq. 7 taken apart into terms that add up to it.
+"""Decompose a difference of scores (eq. 7) into terms by scenario and metric that add up to it.
 
-The score of eq. 7 is a sum over scenarios j and metrics k of (m_j / M) (w_k / W_j) s_jk, plus (m_j / M) times the
-re-plans' penalty; W_j is the weight of the metrics that could be had. What a failed drive scores, and what the cap at
-the failure score takes away, is a term of its own, so that the terms add up to the score whatever happened.
+The score of eq. 7 is the sum over scenarios j and metrics k of (m_j / M) (w_k / W_j) s_jk, plus (m_j / M) times the
+penalty of the re-plans; W_j is the total weight of the available metrics. The score of a failed drive and the cap at
+the failure score form a separate term, so that the terms always add up to the score.
 """
 
 from __future__ import annotations
@@ -17,47 +17,50 @@ from tunefree_hil.grade.score import FINISHED
 REPLANS, FAILURE = "re-plans", "failure or cap"
 
 
-class Difference(NamedTuple):
-    """terms: by scenario, then by term, other - first; a row adds up to scenarios[name], all of them to total."""
+class ScoreDifference(NamedTuple):
+    """Second score minus first: by scenario and term, by scenario, and in total."""
 
     terms: dict[str, dict[str, float]]
     scenarios: dict[str, float]
     total: float
 
 
-def terms_of(drives: Mapping[str, Mapping[str, Any]], weights: WeightsSpec) -> dict[str, dict[str, float]]:
-    """A score's terms by scenario. drives: grades as plain data (ScenarioGrade's fields), by scenario.
+def score_terms(drives: Mapping[str, Mapping[str, Any]], weights: WeightsSpec) -> dict[str, dict[str, float]]:
+    """Terms of a score by scenario and name; their sum is the score. A failed drive has the failure term only.
 
-    All of them add up to eq. 7's score. A drive that was not driven to its end has the failure term only.
+    Args:
+        drives: Grades as plain data (the fields of ScenarioGrade), by scenario.
     """
     planned = sum(int(drive["planned_samples"]) for drive in drives.values())
-    return {name: _terms(drive, weights, int(drive["planned_samples"]) / planned) for name, drive in drives.items()}
+    return {
+        name: _scenario_terms(drive, weights, int(drive["planned_samples"]) / planned) for name, drive in drives.items()
+    }
 
 
-def _terms(drive: Mapping[str, Any], weights: WeightsSpec, share: float) -> dict[str, float]:
+def _scenario_terms(drive: Mapping[str, Any], weights: WeightsSpec, share: float) -> dict[str, float]:
     names = [name for name, weight in weights.metrics.items() if weight > 0.0]
     terms = dict.fromkeys([*names, REPLANS, FAILURE], 0.0)
     score = float(drive["score"])
     if drive["outcome"] == FINISHED:
-        had = {name: float(drive["metrics"][name]) for name in names if drive["metrics"].get(name) is not None}
-        total = math.fsum(weights.metrics[name] for name in had)
-        terms |= {name: share * weights.metrics[name] / total * value for name, value in had.items()}
+        known = {name: float(drive["metrics"][name]) for name in names if drive["metrics"].get(name) is not None}
+        total = math.fsum(weights.metrics[name] for name in known)
+        terms |= {name: share * weights.metrics[name] / total * value for name, value in known.items()}
         terms[REPLANS] = share * weights.replan_penalty * int(drive["replans"])
-    terms[FAILURE] = _rest(share * score, list(terms.values()))
+    terms[FAILURE] = _remainder(share * score, list(terms.values()))
     return terms
 
 
-def _rest(score: float, terms: list[float]) -> float:
-    """What the terms lack of the score; rounding is none of it."""
+def _remainder(score: float, terms: list[float]) -> float:
+    """Score minus the sum of the terms; 0 where it is only rounding."""
     rest = score - math.fsum(terms)
     return 0.0 if abs(rest) < 1e-12 * max(1.0, abs(score)) else rest
 
 
-def difference(
-    first: Mapping[str, Mapping[str, Any]], other: Mapping[str, Mapping[str, Any]], weights: WeightsSpec
-) -> Difference:
-    """other - first, term by term (negative: the other is better). Both must have the same scenarios."""
-    before, after = terms_of(first, weights), terms_of(other, weights)
+def score_difference(
+    first: Mapping[str, Mapping[str, Any]], second: Mapping[str, Mapping[str, Any]], weights: WeightsSpec
+) -> ScoreDifference:
+    """Second minus first, term by term (negative: the second is better). Both must have the same scenarios."""
+    before, after = score_terms(first, weights), score_terms(second, weights)
     terms = {name: {term: after[name][term] - before[name][term] for term in after[name]} for name in after}
     scenarios = {name: math.fsum(row.values()) for name, row in terms.items()}
-    return Difference(terms, scenarios, math.fsum(value for row in terms.values() for value in row.values()))
+    return ScoreDifference(terms, scenarios, math.fsum(value for row in terms.values() for value in row.values()))

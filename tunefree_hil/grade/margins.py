@@ -1,8 +1,8 @@
-"""How much a car may differ before it is driven badly: margins, failure rates and nervous steering, from outcomes.
+"""Robustness margins, failure rates and steering activity of a controller, from the outcomes of simulated drives.
 
-Pure functions: which cars there are (`Car`), in which order they are tried (`Walk`), and what the outcomes say. A
-drive *fails* where it is not driven to its end (|lateral error| > the lane's half width, 2 m, or divergence); it is
-*calm* where it neither fails nor re-plans. A margin is the first value at which a drive is not calm: 0 is none.
+Pure functions: the car variants, the order in which they are driven (`MarginSearch`), and the evaluation. A drive fails
+where it is not driven to its end (|lateral error| above half the lane width of 4 m, or divergence); it is clean where
+it neither fails nor re-plans. A margin is the first value at which a drive is not clean; 0 is no margin.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from tunefree_hil.grade.score import FINISHED
 
-INSIDE = 0.2  # 0 failures are wanted where no factor is further from 1
-NEAR = 1e-9  # of factors that were meant to be equal
-REVERSAL_GAP_RAD = math.radians(1.0)  # of the steering wheel; ten steps of a by-wire command's usual quantisation
+MAX_NEAR_NOMINAL = 0.2  # no failure is accepted where all factors are within 1 +/- this value
+FACTOR_TOLERANCE = 1e-9  # factors closer than this count as equal
+MIN_REVERSAL_RAD = math.radians(1.0)  # of the steering wheel: ten steps of a usual by-wire quantisation
 
 
-class Car(NamedTuple):
-    """A car that differs from its model by factors, and by an extra steer dead time in seconds.
+class CarVariant(NamedTuple):
+    """A car that differs from its model by factors and by an additional steering dead time.
 
-    lag, dead_time: of all actuators. friction: between tyre and road. steer_gain: of the steering behind its report.
+    lag, dead_time: of all actuators. friction: between tyre and road. steer_gain: road wheels over reported angle.
     """
 
     mass: float = 1.0
@@ -35,25 +35,25 @@ class Car(NamedTuple):
     steer_delay_s: float = 0.0
 
 
-class Came(NamedTuple):
-    """What came out of a drive: 'finished' or what ended it, and its re-plans."""
+class DriveOutcome(NamedTuple):
+    """Outcome of one drive ('finished' or the name of what ended it) and its number of re-plans."""
 
     outcome: str
     replans: int
 
     @property
-    def failed(self) -> bool:
+    def is_failed(self) -> bool:
         return self.outcome != FINISHED
 
     @property
-    def calm(self) -> bool:
-        return not self.failed and self.replans == 0
+    def is_clean(self) -> bool:
+        return not self.is_failed and self.replans == 0
 
 
 class Margin(NamedTuple):
-    """The first value at which a drive was not calm, in which scenario, and what it did.
+    """The first value at which a drive was not clean, its scenario, and what happened there.
 
-    at_least: none was found up to `value`, where the search ends; scenario and what are then ''.
+    at_least: no such drive up to `value`, where the search ends; scenario and what are then ''.
     """
 
     value: float
@@ -62,8 +62,8 @@ class Margin(NamedTuple):
     what: str = ""
 
 
-class Rate(NamedTuple):
-    """Failed drives of so many."""
+class FailureRate(NamedTuple):
+    """Number of failed drives and of all drives."""
 
     failed: int
     drives: int
@@ -73,113 +73,120 @@ class Rate(NamedTuple):
         return self.failed / self.drives if self.drives else math.nan
 
 
-class Steering(NamedTuple):
-    """How nervous the steering command is: RMS of its rate at the steering wheel, and reversals a second."""
+class SteeringActivity(NamedTuple):
+    """RMS of the rate of the steering command (steering wheel), and its reversals per second."""
 
     rate_rms_radps: float
     reversals_per_s: float
 
 
-SAME = Car()
+NOMINAL = CarVariant()
 
 
-def _one(name: str, *factors: float) -> tuple[Car, ...]:
-    return tuple(SAME._replace(**{name: factor}) for factor in factors)
+def _vary_one(name: str, *factors: float) -> tuple[CarVariant, ...]:
+    return tuple(NOMINAL._replace(**{name: factor}) for factor in factors)
 
 
-def _together(masses: Sequence[float], times: Sequence[float], friction: float) -> tuple[Car, ...]:
-    return tuple(Car(mass, late, late, friction) for mass in masses for late in times)
+def _vary_together(masses: Sequence[float], times: Sequence[float], friction: float) -> tuple[CarVariant, ...]:
+    return tuple(CarVariant(mass, late, late, friction) for mass in masses for late in times)
 
 
-POINTS: dict[str, tuple[Car, ...]] = {
-    "mass": _one("mass", 0.9, 1.1, 1.2, 1.3),
-    "lag": _one("lag", 0.6, 0.8, 1.2, 1.4),
-    "dead time": _one("dead_time", 0.6, 0.8, 1.2, 1.4),
-    "friction": _one("friction", 0.9, 0.8, 0.7, 0.6),
-    "steer gain": _one("steer_gain", 0.6, 0.8, 1.2, 1.4),
-    "together": _together((0.9, 1.2), (0.8, 1.2), 0.8) + _together((0.9, 1.3), (0.6, 1.4), 0.6),
+POINTS: dict[str, tuple[CarVariant, ...]] = {
+    "mass": _vary_one("mass", 0.9, 1.1, 1.2, 1.3),
+    "lag": _vary_one("lag", 0.6, 0.8, 1.2, 1.4),
+    "dead time": _vary_one("dead_time", 0.6, 0.8, 1.2, 1.4),
+    "friction": _vary_one("friction", 0.9, 0.8, 0.7, 0.6),
+    "steer gain": _vary_one("steer_gain", 0.6, 0.8, 1.2, 1.4),
+    "together": _vary_together((0.9, 1.2), (0.8, 1.2), 0.8) + _vary_together((0.9, 1.3), (0.6, 1.4), 0.6),
 }
 DELAY, GAIN_UP, GAIN_DOWN = "delay", "gain_up", "gain_down"
-WALKS: dict[str, tuple[Car, ...]] = {
-    DELAY: tuple(SAME._replace(steer_delay_s=n / 100.0) for n in range(31)),
-    GAIN_UP: tuple(SAME._replace(steer_gain=n / 20.0) for n in range(20, 41)),
-    GAIN_DOWN: tuple(SAME._replace(steer_gain=n / 20.0) for n in range(20, 5, -1)),
+SWEEPS: dict[str, tuple[CarVariant, ...]] = {
+    DELAY: tuple(NOMINAL._replace(steer_delay_s=n / 100.0) for n in range(31)),
+    GAIN_UP: tuple(NOMINAL._replace(steer_gain=n / 20.0) for n in range(20, 41)),
+    GAIN_DOWN: tuple(NOMINAL._replace(steer_gain=n / 20.0) for n in range(20, 5, -1)),
 }
 
 
-def is_inside(car: Car) -> bool:
+def is_near_nominal(variant: CarVariant) -> bool:
     """Whether no factor is further than 20 % from 1, and no dead time is added."""
-    return car.steer_delay_s == 0.0 and all(abs(factor - 1.0) <= INSIDE + NEAR for factor in car[:-1])
+    limit = MAX_NEAR_NOMINAL + FACTOR_TOLERANCE
+    return variant.steer_delay_s == 0.0 and all(abs(factor - 1.0) <= limit for factor in variant[:-1])
 
 
-def said(car: Car) -> str:
-    """'mass +30 %, friction -40 %'."""
-    words = {"mass": "mass", "lag": "lag", "dead_time": "dead time", "friction": "friction", "steer_gain": "steer gain"}
-    parts = [f"{word} {100.0 * (factor - 1.0):+.0f} %" for name, word in words.items()
-             if abs((factor := getattr(car, name)) - 1.0) > NEAR]  # fmt: skip
-    if car.steer_delay_s:
-        parts.append(f"{1e3 * car.steer_delay_s:.0f} ms more steer dead time")
+def describe_variant(variant: CarVariant) -> str:
+    """Text such as 'mass +30 %, friction -40 %'."""
+    parts = []
+    for name in ("mass", "lag", "dead_time", "friction", "steer_gain"):
+        factor = getattr(variant, name)
+        if abs(factor - 1.0) > FACTOR_TOLERANCE:
+            parts.append(f"{name.replace('_', ' ')} {100.0 * (factor - 1.0):+.0f} %")
+    if variant.steer_delay_s:
+        parts.append(f"{1e3 * variant.steer_delay_s:.0f} ms more steer dead time")
     return ", ".join(parts) or "as it is"
 
 
-class Walk:
-    """Cars further and further from what the model is, until a drive is not calm: that value counts, whatever drives
-    behind it would do. `ahead` is the next car to drive in all scenarios, None at the end; `found` is then the margin.
+class MarginSearch:
+    """Search for the first of several car variants, ordered by their distance from the model, that is not driven clean.
+
+    `next_variant` is the one to drive next in all scenarios; at the end it is None, and `margin` is the result.
     """
 
-    def __init__(self, cars: Sequence[Car]) -> None:
-        """cars: in this order; they differ in one field, and the first is the car as it is."""
-        changing = [i for i in range(len(SAME)) if len({car[i] for car in cars}) > 1]
+    def __init__(self, variants: Sequence[CarVariant]) -> None:
+        """variants: in this order; they differ in one field, and the first is the unchanged car."""
+        changing = [i for i in range(len(NOMINAL)) if len({variant[i] for variant in variants}) > 1]
         if len(changing) != 1:
-            raise ValueError(f"these cars do not differ in one field: {cars}")
+            raise ValueError(f"the variants must differ in exactly one field: {variants}")
         self._field = changing[0]
-        self._cars = list(cars)
-        self._at = 0
-        self.found: Margin | None = None
+        self._variants = list(variants)
+        self._index = 0
+        self.margin: Margin | None = None
 
     @property
-    def ahead(self) -> Car | None:
-        return self._cars[self._at] if self.found is None else None
+    def next_variant(self) -> CarVariant | None:
+        return self._variants[self._index] if self.margin is None else None
 
     @property
-    def left(self) -> int:
-        """Cars that may still have to be driven."""
-        return len(self._cars) - self._at if self.found is None else 0
+    def remaining(self) -> int:
+        """Largest number of variants still to be driven."""
+        return len(self._variants) - self._index if self.margin is None else 0
 
-    def tell(self, drives: Mapping[str, Came]) -> None:
-        """What came out of the car ahead, by scenario; the first scenario that is not calm is named."""
-        value = self._cars[self._at][self._field]
-        for scenario, came in drives.items():
-            if not came.calm:
-                self.found = Margin(value, False, scenario, came.outcome if came.failed else "re-plan")
+    def record_outcomes(self, drives: Mapping[str, DriveOutcome]) -> None:
+        """Record the drives of `next_variant` by scenario; the margin names the first scenario that is not clean."""
+        value = self._variants[self._index][self._field]
+        for scenario, drive in drives.items():
+            if not drive.is_clean:
+                self.margin = Margin(value, False, scenario, drive.outcome if drive.is_failed else "re-plan")
                 return
-        self._at += 1
-        if self._at == len(self._cars):
-            self.found = Margin(value, True)
+        self._index += 1
+        if self._index == len(self._variants):
+            self.margin = Margin(value, True)
 
 
-def rate_of(drives: Iterable[Came]) -> Rate:
-    """How many failed."""
-    failed = [came.failed for came in drives]
-    return Rate(sum(failed), len(failed))
+def failure_rate(drives: Iterable[DriveOutcome]) -> FailureRate:
+    """Failure rate of some drives."""
+    failed = [drive.is_failed for drive in drives]
+    return FailureRate(sum(failed), len(failed))
 
 
-def rates(driven: Mapping[Car, Mapping[str, Came]], *, inside: bool) -> Rate:
-    """Failures over all of POINTS that were driven and are within +/-20 %, or those beyond."""
-    cars = [car for cars in POINTS.values() for car in cars if car in driven and is_inside(car) is inside]
-    return rate_of(came for car in cars for came in driven[car].values())
+def failure_rate_at_points(
+    outcomes: Mapping[CarVariant, Mapping[str, DriveOutcome]], *, near_nominal: bool
+) -> FailureRate:
+    """Failure rate over the driven POINTS: those within +/-20 % of the model, or those beyond."""
+    driven = [car for cars in POINTS.values() for car in cars if car in outcomes]
+    cars = [car for car in driven if is_near_nominal(car) is near_nominal]
+    return failure_rate(drive for car in cars for drive in outcomes[car].values())
 
 
-def is_less(margin: Margin, other: Margin, *, down: bool = False) -> bool:
-    """Whether `margin` is the smaller one; down: of a gain that is lowered, where the larger value is the less."""
-    way = -1.0 if down else 1.0
-    if abs(margin.value - other.value) <= NEAR:
-        return other.at_least and not margin.at_least
-    return way * margin.value < way * other.value
+def is_smaller_margin(margin: Margin, reference: Margin, *, down: bool = False) -> bool:
+    """Whether `margin` is smaller than `reference`; down: for a gain that is lowered, the larger value is smaller."""
+    sign = -1.0 if down else 1.0
+    if abs(margin.value - reference.value) <= FACTOR_TOLERANCE:
+        return reference.at_least and not margin.at_least
+    return sign * margin.value < sign * reference.value
 
 
-def steering_of(commands: Iterable[NDArray[np.float64]], dt_s: float) -> Steering | None:
-    """Over the steering commands [rad] of some drives together; None where there is not one finite pair of samples."""
+def steering_activity(commands: Iterable[NDArray[np.float64]], dt_s: float) -> SteeringActivity | None:
+    """Activity over the steering commands [rad] of several drives; None without two finite samples in a drive."""
     squares = seconds = 0.0
     reversals = 0
     for command in commands:
@@ -189,25 +196,22 @@ def steering_of(commands: Iterable[NDArray[np.float64]], dt_s: float) -> Steerin
         rate = np.diff(finite) / dt_s
         squares += float(rate @ rate) * dt_s
         seconds += len(rate) * dt_s
-        reversals += reversals_of(finite.tolist())
-    return Steering(math.sqrt(squares / seconds), reversals / seconds) if seconds else None
+        reversals += count_reversals(finite.tolist())
+    return SteeringActivity(math.sqrt(squares / seconds), reversals / seconds) if seconds else None
 
 
-def reversals_of(angles: Sequence[float], gap_rad: float = REVERSAL_GAP_RAD) -> int:
-    """Changes of direction of at least `gap_rad` (SAE J2944's steering reversals: smaller to and fro is not counted).
-
-    A reversal is where the wheel, having moved one way by the gap or more, has come back by the gap or more.
-    """
+def count_reversals(angles: Sequence[float], min_reversal_rad: float = MIN_REVERSAL_RAD) -> int:
+    """Number of steering reversals (SAE J2944): changes of direction of at least `min_reversal_rad`."""
     low = high = extreme = angles[0]
-    way, found = 0, 0
+    direction, count = 0, 0
     for angle in angles:
-        if way == 0:  # not moved by the gap yet
+        if direction == 0:  # no movement of that size yet
             low, high = min(low, angle), max(high, angle)
-            if high - low >= gap_rad:
-                way, extreme = (1, high) if angle == high else (-1, low)
-        elif way * (angle - extreme) > 0.0:
+            if high - low >= min_reversal_rad:
+                direction, extreme = (1, high) if angle == high else (-1, low)
+        elif direction * (angle - extreme) > 0.0:
             extreme = angle
-        elif way * (extreme - angle) >= gap_rad:
-            found += 1
-            way, extreme = -way, angle
-    return found
+        elif direction * (extreme - angle) >= min_reversal_rad:
+            count += 1
+            direction, extreme = -direction, angle
+    return count

@@ -1,4 +1,4 @@
-"""What follows from a course alone, worked out once: thousands of drives of a tune share a handful of courses."""
+"""Cache of values that depend on a course only: thousands of drives of a tune share a few courses."""
 
 from __future__ import annotations
 
@@ -8,26 +8,25 @@ from typing import Generic, TypeVar
 
 from tunefree_hil.base.course import Course
 
-Made = TypeVar("Made")
+Derived = TypeVar("Derived")
 
-MOST = 32  # courses
+MAX_COURSES = 32  # courses
 
 
-class Kept(Generic[Made]):
-    """`make(course)`, kept for the last courses asked for. A course is known by identity: it never changes.
+class CourseCache(Generic[Derived]):
+    """Caches `make(course)` for the most recently added courses. A course is compared by identity, as it is immutable.
 
-    May be called by several threads at once; at worst something is made twice.
+    Safe for concurrent calls; at worst a value is computed twice.
     """
 
-    def __init__(self, make: Callable[[Course], Made], most: int = MOST) -> None:
+    def __init__(self, make: Callable[[Course], Derived], max_courses: int = MAX_COURSES) -> None:
         self._make = make
-        self._kept: deque[tuple[Course, Made]] = deque(maxlen=most)
+        self._entries: deque[tuple[Course, Derived]] = deque(maxlen=max_courses)
 
-    def __call__(self, course: Course) -> Made:
-        """What `make` says of the course."""
-        for known, made in tuple(self._kept):  # a copy: another thread may add one meanwhile
+    def __call__(self, course: Course) -> Derived:
+        for known, value in tuple(self._entries):  # a copy, because another thread may add an entry meanwhile
             if known is course:
-                return made
-        made = self._make(course)
-        self._kept.append((course, made))
-        return made
+                return value
+        value = self._make(course)
+        self._entries.append((course, value))
+        return value

@@ -1,7 +1,7 @@
-"""From metrics to one number: a scenario's grade, and the paper's eq. 7 over the scenarios. Lower is better.
+"""Score of a drive, and the paper's eq. 7 over several scenarios. Lower is better.
 
-A scenario's score is the weighted mean of its metrics plus 1.0 per re-plan; a failed drive scores 10.0, and no drive
-scores above that (design D11). Over scenarios it is weighted by the *planned* number of samples, so that a drive that
+A scenario's score is the weighted mean of its metrics plus 1.0 per re-plan; a failed drive scores 10.0, which is also
+the cap (docs/reference/grading.md). Scenarios are weighted by their planned number of samples, so that a drive that
 ends early does not count less.
 """
 
@@ -16,41 +16,41 @@ from tunefree_hil.base.course import Course
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import VehicleSpec, WeightsSpec
 from tunefree_hil.episode.recording import Recording
-from tunefree_hil.grade.memo import Kept
+from tunefree_hil.grade.memo import CourseCache
 from tunefree_hil.grade.metrics import (
     METRICS,
-    Samples,
-    Scales,
-    Sharing,
+    MetricEvaluator,
+    MetricSamples,
+    MetricScales,
     is_planned,
-    row_of,
-    samples_of,
-    samples_of_plan,
+    metric_formula,
+    samples_from_plan,
+    samples_from_recording,
 )
 from tunefree_hil.grade.original_reference import samples_against_original
 
 FINISHED = "finished"
 DIVERGED = "diverged"
 LEFT_LANE = "left_lane"
-CONTROL_ERRORS = ("control_error", "controller_own")  # names of the errors that a controller answers for
-GRADED = ("", DIVERGED, LEFT_LANE, *CONTROL_ERRORS)  # ends that the parameters answer for; the rest is the bench's
-MISSING_TICKS = 10  # a recording may lack so many of the planned rows and still count as driven to its end
+CONTROL_ERRORS = ("control_error", "controller_own")  # errors caused by the controller
+GRADED_ENDS = ("", DIVERGED, LEFT_LANE, *CONTROL_ERRORS)  # ends caused by the parameters; all others by the bench
+MAX_MISSING_TICKS = 10  # a recording that lacks up to so many planned rows counts as complete
 
 
 class GradeVehicle(NamedTuple):
-    """The vehicle's numbers that grading needs."""
+    """Vehicle constants that grading needs."""
 
     wheelbase_m: float
     rear_axle_m: float  # rear axle (INS point) to centre of mass
     steer_rad: float
     steer_rate_radps: float
-    rest_pedal_frac: float = 0.0  # duty of a pedal that nobody touches
+    rest_pedal_frac: float = 0.0  # duty of a released pedal
 
 
 class ScenarioGrade(NamedTuple):
-    """How one drive was. `metrics` holds every metric of METRICS, None where it could not be had.
+    """Grade of one drive. metrics: every metric of METRICS, None where not available.
 
-    outcome: 'finished', or the name of what ended the drive. dropped: weighted metrics that were None.
+    outcome: 'finished', or the name of what ended the drive. dropped: weighted metrics that are None.
     """
 
     scenario: str
@@ -62,12 +62,12 @@ class ScenarioGrade(NamedTuple):
     dropped: tuple[str, ...] = ()
 
 
-def vehicle_of(spec: VehicleSpec) -> GradeVehicle:
-    """The numbers that grading needs of vehicle.toml. Raises InputError that names a missing one."""
+def grade_vehicle_from_spec(spec: VehicleSpec) -> GradeVehicle:
+    """Vehicle constants from vehicle.toml. Raises InputError that names a missing one."""
     nominal = spec.nominal
     if nominal.wheelbase_m is None:
         raise InputError(
-            "needed to normalise the lateral metrics, and missing",
+            "missing; it is needed to normalise the lateral metrics",
             code="missing_nominal",
             file=f"{spec.folder}/vehicle.toml",
             key="nominal.wheelbase_m",
@@ -83,7 +83,7 @@ def vehicle_of(spec: VehicleSpec) -> GradeVehicle:
     )
 
 
-def grade(
+def grade_drive(
     recording: Recording,
     course: Course,
     weights: WeightsSpec,
@@ -94,64 +94,69 @@ def grade(
 ) -> ScenarioGrade:
     """Grade one drive of `course`.
 
-    error: name of the error that ended the drive, '' for none; any error scores failure_score, so errors of the bench
-    (a lost process, somebody's stop: none of GRADED) are not to be graded. Leaving the lane and diverging are also
-    found in the columns themselves. A metric of samples that the course does not plan (harsh ones) is None whatever a
-    re-plan's blend made of the reference: the same weights count in every drive of a scenario (interfaces 6). Raises
-    InputError for a recording that ends early without an error, or in which nothing can be graded.
+    Leaving the lane and diverging are also detected from the columns. A metric of samples that the course does not
+    plan (harsh ones) is None even where a re-plan's blend produced some: the same weights count in every drive of a
+    scenario.
+
+    Args:
+        error: Name of the error that ended the drive, '' for none. Any error scores failure_score, so errors of the
+            bench (not in GRADED_ENDS) must not be graded.
+
+    Raises:
+        InputError: The recording ends early without an error, or no metric is available.
     """
     original = samples_against_original(recording, course, vehicle.rear_axle_m)
-    samples = original if weights.against == "original" else samples_of(recording)
-    scales = Scales(vehicle.wheelbase_m, vehicle.steer_rad, vehicle.steer_rate_radps, recording.dt_s)
-    sharing, planned = Sharing(samples, scales), planned_metrics(course)
+    samples = original if weights.against == "original" else samples_from_recording(recording)
+    scales = MetricScales(vehicle.wheelbase_m, vehicle.steer_rad, vehicle.steer_rate_radps, recording.dt_s)
+    sharing, planned = MetricEvaluator(samples, scales), planned_metrics(course)
     metrics = {
-        name: sharing.metric(row_of(name, as_published=weights.as_published)) if name in planned else None
+        name: sharing.value(metric_formula(name, as_published=weights.as_published)) if name in planned else None
         for name in METRICS
     }
-    outcome = error or judge(original, weights)
-    replans = _replans(recording)
+    outcome = error or judge_outcome(original, weights)
+    replans = _count_replans(recording)
     dropped = tuple(name for name, weight in weights.metrics.items() if weight > 0.0 and metrics[name] is None)
     if outcome != FINISHED:
         score = weights.failure_score
     else:
-        _require_whole(recording, course, scenario)
+        _require_complete(recording, course, scenario)
         score = min(weighted_mean(metrics, weights) + weights.replan_penalty * replans, weights.failure_score)
     return ScenarioGrade(scenario, score, metrics, replans, outcome, course.ticks, dropped)
 
 
 def planned_metrics(course: Course) -> frozenset[str]:
-    """The metrics of METRICS whose samples the course plans (is_planned)."""
-    return _planned(course)
+    """The metrics of METRICS whose samples the course plans."""
+    return _planned_metrics_cache(course)
 
 
-def _plan(course: Course) -> frozenset[str]:
-    plan = samples_of_plan(course)
+def _find_planned_metrics(course: Course) -> frozenset[str]:
+    plan = samples_from_plan(course)
     return frozenset(name for name in METRICS if is_planned(name, plan))
 
 
-_planned = Kept(_plan)
+_planned_metrics_cache = CourseCache(_find_planned_metrics)
 
 
-def judge(original: Samples, weights: WeightsSpec) -> str:
-    """'finished', or what the errors against the original path show first: 'diverged' or 'left_lane'.
+def judge_outcome(original: MetricSamples, weights: WeightsSpec) -> str:
+    """Outcome by the errors against the original path: 'finished', 'diverged' or 'left_lane', whichever is first.
 
-    Diverged: an error is not finite after the first one that was, or |heading error| is above its limit.
+    Diverged: an error is not finite after the first finite one, or |heading error| is above its limit.
     """
     lateral, heading = original.lateral_error_m, original.heading_error_rad
     if lateral is None or heading is None:
         return FINISHED
-    lost = ~np.isfinite(lateral + heading)
-    lost[: int(np.argmin(lost))] = False  # nothing heard yet
+    is_diverged_row = ~np.isfinite(lateral + heading)
+    is_diverged_row[: int(np.argmin(is_diverged_row))] = False  # before the first fix
     with np.errstate(invalid="ignore"):
-        diverged = _first(lost | (np.abs(heading) > weights.divergence_heading_rad))
-        left = _first(np.abs(lateral) > weights.lane_half_width_m)
-    if diverged == left:
+        diverged = _first_true(is_diverged_row | (np.abs(heading) > weights.divergence_heading_rad))
+        lane_left = _first_true(np.abs(lateral) > weights.lane_half_width_m)
+    if diverged == lane_left:
         return FINISHED if diverged == len(lateral) else DIVERGED
-    return DIVERGED if diverged < left else LEFT_LANE
+    return DIVERGED if diverged < lane_left else LEFT_LANE
 
 
 def weighted_mean(metrics: dict[str, float | None], weights: WeightsSpec) -> float:
-    """Mean of the metrics by their weights, renormalised over those that could be had (the inner sum of eq. 7)."""
+    """Weighted mean of the metrics, renormalised over the available ones (the inner sum of eq. 7)."""
     total = share = 0.0
     for name, weight in weights.metrics.items():
         value = metrics[name]
@@ -160,36 +165,36 @@ def weighted_mean(metrics: dict[str, float | None], weights: WeightsSpec) -> flo
             share += weight
     if share == 0.0:
         raise InputError(
-            "not one of the weighted metrics can be computed from this recording",
+            "none of the weighted metrics can be computed from this recording",
             code="nothing_to_grade",
             file=weights.path,
-            hint="does the vehicle have INS frames, and does the log hold at least 5 ticks of them?",
+            hint="does the vehicle send INS frames, and does the log contain at least 5 ticks of them?",
         )
     return total / share
 
 
-def combine(grades: Sequence[ScenarioGrade]) -> float:
-    """Eq. 7: mean of the scenarios' scores, weighted by their planned samples m_j. ValueError for none."""
+def combine_scores(grades: Sequence[ScenarioGrade]) -> float:
+    """Eq. 7: mean of the scenarios' scores, weighted by their planned samples m_j. Raises ValueError for none."""
     planned = sum(grade.planned_samples for grade in grades)
     if planned <= 0:
         raise ValueError("no scenario to combine")
     return sum(grade.score * grade.planned_samples for grade in grades) / planned
 
 
-def _first(flags: np.ndarray) -> int:
+def _first_true(flags: np.ndarray) -> int:
     """Index of the first True, or the length."""
     return int(np.argmax(flags)) if flags.any() else len(flags)
 
 
-def _replans(recording: Recording) -> int:
+def _count_replans(recording: Recording) -> int:
     replan = recording.get("replan")
     return 0 if replan is None else int(np.count_nonzero(replan > 0.5))
 
 
-def _require_whole(recording: Recording, course: Course, scenario: str) -> None:
-    if recording.ticks < course.ticks - MISSING_TICKS:
+def _require_complete(recording: Recording, course: Course, scenario: str) -> None:
+    if recording.ticks < course.ticks - MAX_MISSING_TICKS:
         raise InputError(
-            f"{scenario!r} was recorded for {recording.ticks} ticks of {course.ticks} and no error says why",
+            f"{scenario!r}: {recording.ticks} of {course.ticks} ticks were recorded, without an error",
             code="recording_short",
-            hint="the drive was interrupted: drive it again",
+            hint="the drive was interrupted; drive it again",
         )

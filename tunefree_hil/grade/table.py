@@ -1,9 +1,9 @@
-"""All 42 metrics of the source (apollo_facts 6.1), by aspect, and two of ours: one row each, formula and source in it.
+"""Table of all metrics by aspect: the 42 of Apollo's control profiling and two of this project.
 
-Two ways of summing up a series s of N samples: how the value is made, and how values of several drives become one:
+Aggregation of a series s of N samples to a value, and combination of the values of several drives:
   std    sqrt(sum s^2 / (N - 1))     pooled: sqrt((x^2 (nx - 1) + y^2 (ny - 1)) / (nx + ny - 1))
   peak   max |s|                     the largest
-  share  mean of a yes or no         mean weighted by N
+  share  mean of a yes/no value      mean weighted by N
   mean   mean of s                   mean weighted by N
 """
 
@@ -12,154 +12,171 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 from tunefree_hil.grade import signals
-from tunefree_hil.grade.metrics import LEAST_SAMPLES, METRICS, Own, Peak, Rms
+from tunefree_hil.grade.metrics import METRICS, MIN_SAMPLES, PeakMetric, RmsMetric, SeriesMetric
 
-How = Literal["std", "peak", "share", "mean"]
+Aggregation = Literal["std", "peak", "share", "mean"]
 PERFORMANCE, SAFETY, COMFORT, EFFORT = "performance", "safety", "comfort", "effort"
 DEAD_BAND, LATENCY, LOCALISATION = "dead band", "latency", "localisation"
 ASPECTS = (PERFORMANCE, SAFETY, COMFORT, EFFORT, DEAD_BAND, LATENCY, LOCALISATION)
 
 
-class Metric(NamedTuple):
-    """One row. words: the formula for people. formula: None where the row is one of grade/metrics.py.
+class MetricRow(NamedTuple):
+    """A metric. description: its formula as text. formula: None where it is one of FORMULAS.
 
-    limit: of a share, what |s| must reach. least: samples below which there is no value. ours: not of the source's 42.
+    limit: of a share, the threshold of |s|. min_samples: no value with fewer. ours: not one of Apollo's 42.
     """
 
     aspect: str
-    how: How
-    words: str
+    aggregation: Aggregation
+    description: str
     needs: tuple[str, ...]
     formula: signals.Formula | None = None
     limit: float = 0.0
-    least: int = LEAST_SAMPLES
+    min_samples: int = MIN_SAMPLES
     ours: bool = False
 
 
-NEEDED_FOR = {"moving": "ref_speed_mps", "harsh accel": "ref_accel_mps2", "harsh curvature": "ref_curvature_1pm"}
-_OVER = {"V": "V", "C": "C", "L": "L", "T": "1 s"}
-_WHERE = {"moving": "v_ref >= 0.03", "harsh accel": "|a_ref| >= 1", "harsh curvature": "|kappa_ref| >= 0.05"}
+SUBSET_COLUMN = {"moving": "ref_speed_mps", "harsh accel": "ref_accel_mps2", "harsh curvature": "ref_curvature_1pm"}
+_DIVISOR_TEXT = {"V": "V", "C": "C", "L": "L", "T": "1 s"}
+_SUBSET_TEXT = {"moving": "v_ref >= 0.03", "harsh accel": "|a_ref| >= 1", "harsh curvature": "|kappa_ref| >= 0.05"}
 
-# what the source profiles and does not weigh, in the same form as the rows of METRICS
-RATES: dict[str, Rms | Peak] = {
-    "lateral_err_rate_std": Rms("lateral_error_rate_mps", "CVL", "moving"),
-    "lateral_err_rate_std_harsh": Rms("lateral_error_rate_mps", "CVL", "harsh curvature"),
-    "lateral_err_rate_peak": Peak("lateral_error_rate_mps", 0.5),
+# metrics that Apollo reports and does not weigh, in the form of METRICS
+RATE_FORMULAS: dict[str, RmsMetric | PeakMetric] = {
+    "lateral_err_rate_std": RmsMetric("lateral_error_rate_mps", "CVL", "moving"),
+    "lateral_err_rate_std_harsh": RmsMetric("lateral_error_rate_mps", "CVL", "harsh curvature"),
+    "lateral_err_rate_peak": PeakMetric("lateral_error_rate_mps", 0.5),
 }
-ROWS: dict[str, Rms | Peak | Own] = {**METRICS, **RATES}
+FORMULAS: dict[str, RmsMetric | PeakMetric | SeriesMetric] = {**METRICS, **RATE_FORMULAS}
 
 
-def _error(name: str) -> Metric:
-    """The row of an error metric, read off its row in ROWS."""
-    row = ROWS[name]
-    if isinstance(row, Rms):
-        over = " ".join(_OVER[letter] for letter in row.by)
-        needs = [row.error, "ref_speed_mps", NEEDED_FOR[row.where]] + (["ref_curvature_1pm"] if "C" in row.by else [])
-        return Metric(PERFORMANCE, "std", f"{row.error} / ({over}), {_WHERE[row.where]}", tuple(dict.fromkeys(needs)))
-    assert isinstance(row, Peak)
-    return Metric(PERFORMANCE, "peak", f"|{row.error}| / {row.threshold:g}", (row.error,))
+def _error_row(name: str) -> MetricRow:
+    """Row of an error metric, from its formula."""
+    row = FORMULAS[name]
+    if isinstance(row, RmsMetric):
+        over = " ".join(_DIVISOR_TEXT[letter] for letter in row.divisors)
+        needs = [row.error, "ref_speed_mps", SUBSET_COLUMN[row.subset]] + (
+            ["ref_curvature_1pm"] if "C" in row.divisors else []
+        )
+        return MetricRow(
+            PERFORMANCE, "std", f"{row.error} / ({over}), {_SUBSET_TEXT[row.subset]}", tuple(dict.fromkeys(needs))
+        )
+    assert isinstance(row, PeakMetric)
+    return MetricRow(PERFORMANCE, "peak", f"|{row.error}| / {row.threshold:g}", (row.error,))
 
 
-def _own(name: str, aspect: str, words: str, *, ours: bool) -> Metric:
-    row = ROWS[name]
-    assert isinstance(row, Own)
-    return Metric(aspect, "std", words, row.needs, ours=ours)
+def _series_row(name: str, aspect: str, description: str, *, ours: bool) -> MetricRow:
+    row = FORMULAS[name]
+    assert isinstance(row, SeriesMetric)
+    return MetricRow(aspect, "std", description, row.needs, ours=ours)
 
 
-def _ending(error: str, threshold: float) -> Metric:
-    words = f"|{error}| / {threshold:g} when it comes to stand, less than 1 m before a planned stop"
-    return Metric(SAFETY, "peak", words, (error, "speed_mps", "station_m"), signals.ending(error, threshold), least=1)
+def _ending_row(error: str, threshold: float) -> MetricRow:
+    description = f"|{error}| / {threshold:g} at standstill, less than 1 m before a planned stop"
+    return MetricRow(
+        SAFETY,
+        "peak",
+        description,
+        (error, "speed_mps", "station_m"),
+        signals.ending_error(error, threshold),
+        min_samples=1,
+    )
 
 
-def _felt(formula: signals.Formula, limit: float, words: str, *needs: str) -> Metric:
-    return Metric(COMFORT, "share", f"share of |{words}| >= {limit:g}", needs, formula, limit)
+def _sensation_row(formula: signals.Formula, limit: float, signal_text: str, *needs: str) -> MetricRow:
+    return MetricRow(COMFORT, "share", f"share of |{signal_text}| >= {limit:g}", needs, formula, limit)
 
 
-def _pedal(command: str, *, harsh: bool) -> Metric:
+def _pedal_row(command: str, *, harsh: bool) -> MetricRow:
     if harsh:
-        return Metric(
+        return MetricRow(
             EFFORT, "std", f"{command}, |a_ref| >= 1", (command, "ref_accel_mps2"), signals.harsh_usage(command)
         )
-    return Metric(EFFORT, "std", f"{command} (duty)", (command,), signals.usage(command))
+    return MetricRow(EFFORT, "std", f"{command} (duty)", (command,), signals.usage(command))
 
 
 _GROUPS = ("station_err", "speed_err", "lateral_err", "lateral_err_rate", "heading_err", "heading_err_rate")
-_TURNED = "v yaw_rate"
+_LATERAL_ACCEL = "v yaw_rate"
 
-TABLE: dict[str, Metric] = {
-    **{f"{group}_{kind}": _error(f"{group}_{kind}") for kind in ("std", "std_harsh", "peak") for group in _GROUPS},
-    "ending_station_err": _ending("station_error_m", 1.0),
-    "ending_lateral_err": _ending("lateral_error_m", 0.5),
-    "ending_heading_err": _ending("heading_error_rad", 0.5236),
-    "replan_trajectory_count": Metric(
-        SAFETY, "share", "share of ticks with a re-plan", ("replan",), signals.flagged("replan"), 0.5
+TABLE: dict[str, MetricRow] = {
+    **{f"{group}_{kind}": _error_row(f"{group}_{kind}") for kind in ("std", "std_harsh", "peak") for group in _GROUPS},
+    "ending_station_err": _ending_row("station_error_m", 1.0),
+    "ending_lateral_err": _ending_row("lateral_error_m", 0.5),
+    "ending_heading_err": _ending_row("heading_error_rad", 0.5236),
+    "replan_trajectory_count": MetricRow(
+        SAFETY, "share", "share of ticks with a re-plan", ("replan",), signals.flag("replan"), 0.5
     ),
-    "control_error_code_count": Metric(
+    "control_error_code_count": MetricRow(
         SAFETY,
         "share",
         "share of ticks with a control error (code >= 1000, or no command computed)",
         ("control_error",),
-        signals.flagged("control_error"),
+        signals.flag("control_error"),
         0.5,
     ),
-    "acc_bad_sensation": _felt(signals.acceleration, 4.0, "accel_mps2", "accel_mps2"),
-    "jerk_bad_sensation": _felt(signals.jerk, 2.0, "d/dt accel_mps2", "accel_mps2"),
-    "lateral_acc_bad_sensation": _felt(signals.lateral_acceleration, 4.0, _TURNED, "speed_mps", "yaw_rate_radps"),
-    "lateral_jerk_bad_sensation": _felt(signals.lateral_jerk, 2.0, f"d/dt ({_TURNED})", "speed_mps", "yaw_rate_radps"),
-    "heading_acc_bad_sensation": _felt(signals.heading_acceleration, 3.1416, "d/dt yaw_rate", "yaw_rate_radps"),
-    "heading_jerk_bad_sensation": _felt(signals.heading_jerk, 1.5708, "d2/dt2 yaw_rate", "yaw_rate_radps"),
-    "throttle_control_usage": _pedal("cmd_throttle_frac", harsh=False),
-    "throttle_control_usage_harsh": _pedal("cmd_throttle_frac", harsh=True),
-    "brake_control_usage": _pedal("cmd_brake_frac", harsh=False),
-    "brake_control_usage_harsh": _pedal("cmd_brake_frac", harsh=True),
-    "steering_control_usage": _own("steering_control_usage", EFFORT, "cmd_steer_rad / limit", ours=False),
-    "steering_control_usage_harsh": Metric(
+    "acc_bad_sensation": _sensation_row(signals.acceleration, 4.0, "accel_mps2", "accel_mps2"),
+    "jerk_bad_sensation": _sensation_row(signals.jerk, 2.0, "d/dt accel_mps2", "accel_mps2"),
+    "lateral_acc_bad_sensation": _sensation_row(
+        signals.lateral_acceleration, 4.0, _LATERAL_ACCEL, "speed_mps", "yaw_rate_radps"
+    ),
+    "lateral_jerk_bad_sensation": _sensation_row(
+        signals.lateral_jerk, 2.0, f"d/dt ({_LATERAL_ACCEL})", "speed_mps", "yaw_rate_radps"
+    ),
+    "heading_acc_bad_sensation": _sensation_row(
+        signals.heading_acceleration, 3.1416, "d/dt yaw_rate", "yaw_rate_radps"
+    ),
+    "heading_jerk_bad_sensation": _sensation_row(signals.heading_jerk, 1.5708, "d2/dt2 yaw_rate", "yaw_rate_radps"),
+    "throttle_control_usage": _pedal_row("cmd_throttle_frac", harsh=False),
+    "throttle_control_usage_harsh": _pedal_row("cmd_throttle_frac", harsh=True),
+    "brake_control_usage": _pedal_row("cmd_brake_frac", harsh=False),
+    "brake_control_usage_harsh": _pedal_row("cmd_brake_frac", harsh=True),
+    "steering_control_usage": _series_row("steering_control_usage", EFFORT, "cmd_steer_rad / limit", ours=False),
+    "steering_control_usage_harsh": MetricRow(
         EFFORT,
         "std",
         "cmd_steer_rad / limit, |kappa_ref| >= 0.05",
         ("cmd_steer_rad", "ref_curvature_1pm"),
         signals.harsh_steering,
     ),
-    "throttle_deadzone_mean": Metric(
+    "throttle_deadzone_mean": MetricRow(
         DEAD_BAND,
         "mean",
         "out_throttle_frac while braking",
         ("out_throttle_frac", "cmd_brake_frac"),
-        signals.idle("out_throttle_frac", "cmd_brake_frac"),
+        signals.reported_while_other_pedal("out_throttle_frac", "cmd_brake_frac"),
     ),
-    "brake_deadzone_mean": Metric(
+    "brake_deadzone_mean": MetricRow(
         DEAD_BAND,
         "mean",
         "out_brake_frac while on throttle",
         ("out_brake_frac", "cmd_throttle_frac"),
-        signals.idle("out_brake_frac", "cmd_throttle_frac"),
+        signals.reported_while_other_pedal("out_brake_frac", "cmd_throttle_frac"),
     ),
-    "total_time_usage": Metric(LATENCY, "std", "control time / period", ("control_time_s",), signals.time_usage),
-    "total_time_peak": Metric(LATENCY, "peak", "control time / period", ("control_time_s",), signals.time_usage),
-    "total_time_exceeded_count": Metric(
+    "total_time_usage": MetricRow(LATENCY, "std", "control time / period", ("control_time_s",), signals.time_usage),
+    "total_time_peak": MetricRow(LATENCY, "peak", "control time / period", ("control_time_s",), signals.time_usage),
+    "total_time_exceeded_count": MetricRow(
         LATENCY, "share", "share of cycles over their period", ("control_time_s",), signals.overrun, 0.5
     ),
-    "pose_heading_offset_std": Metric(
+    "pose_heading_offset_std": MetricRow(
         LOCALISATION,
         "std",
         "(course over ground - heading) / pi, moving",
         ("x_m", "y_m", "heading_rad"),
         signals.pose_heading_offset,
     ),
-    "pose_heading_offset_peak": Metric(
+    "pose_heading_offset_peak": MetricRow(
         LOCALISATION,
         "peak",
         "(course over ground - heading) / pi, moving",
         ("x_m", "y_m", "heading_rad"),
         signals.pose_heading_offset,
     ),
-    "lateral_jerk_rms": _own("lateral_jerk_rms", COMFORT, f"d/dt ({_TURNED}) / 2 m/s3", ours=True),
-    "steer_rate_rms": _own("steer_rate_rms", EFFORT, "d/dt cmd_steer_rad / limit of the rate", ours=True),
+    "lateral_jerk_rms": _series_row("lateral_jerk_rms", COMFORT, f"d/dt ({_LATERAL_ACCEL}) / 2 m/s3", ours=True),
+    "steer_rate_rms": _series_row("steer_rate_rms", EFFORT, "d/dt cmd_steer_rad / limit of the rate", ours=True),
 }
 
 PUBLISHED = tuple(name for name, row in TABLE.items() if not row.ours)  # the 42
 
-# 6.1: highlighted in reports
+# highlighted in Apollo's reports
 HIGHLIGHTED = (
     "station_err_std",
     "speed_err_std",
@@ -173,6 +190,6 @@ HIGHLIGHTED = (
 )
 
 
-def by_aspect() -> dict[str, list[str]]:
-    """Names of all rows, by aspect, the source's before ours."""
+def names_by_aspect() -> dict[str, list[str]]:
+    """Names of all rows by aspect, Apollo's first."""
     return {aspect: [name for name, row in TABLE.items() if row.aspect == aspect] for aspect in ASPECTS}

@@ -1,4 +1,4 @@
-"""The controller's process of a collection: the planner in the place of a controller that follows a path."""
+"""The collector: the planner of a collection as the controller process."""
 
 from __future__ import annotations
 
@@ -16,42 +16,49 @@ if TYPE_CHECKING:
     from tunefree_hil.nodes.controller import Assignment
 
 
-class PlannerFor:
-    """(scenario, parameters) -> Assignment: the planner for the drive whose plan lies beside its scenario."""
+class PlannerAssigner:
+    """(scenario, parameters) -> Assignment: the planner for a drive, whose plan is beside its scenario."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
 
     def __call__(self, scenario: bytes, parameters: Mapping[int, float]) -> Assignment:
         from tunefree_hil.bench import scenario_of_hash
-        from tunefree_hil.collect.plan import params_of
+        from tunefree_hil.collect.plan import make_planner_params
         from tunefree_hil.collect.planner import make_planner
         from tunefree_hil.nodes.controller import Assignment
 
         spec = scenario_of_hash(self.bench, scenario)
         plan = read_plan(Path(spec.path).with_suffix(".json"))
-        block = make_planner(params_of(self.bench.vehicle, plan, self.bench.dt_s))
+        block = make_planner(make_planner_params(self.bench.vehicle, plan, self.bench.dt_s))
         return Assignment(block, self.bench.course(spec).ticks, self.bench.dt_s)
 
 
 def read_plan(path: Path) -> DrivePlan:
-    """The plan of a drive. Raises InputError for a file that is missing or none."""
-    from tunefree_hil.collect.plan import plan_of
+    """Read the plan of a drive. Raises InputError for a missing or invalid file."""
+    from tunefree_hil.collect.plan import plan_from_dict
 
     try:
         data = json.loads(path.read_text())
     except (OSError, ValueError) as error:
-        hint = "a collector drives what `tunefree-hil collect` plans; it has no drives of its own"
+        hint = "the collector drives the plans of `tunefree-hil collect` only"
         raise InputError(
-            f"no plan of a drive can be read: {error}", code="no_plan", file=str(path), hint=hint
+            f"cannot read the plan of a drive: {error}", code="no_plan", file=str(path), hint=hint
         ) from error
-    return plan_of(data, str(path))
+    return plan_from_dict(data, str(path))
 
 
 def collector(bench: Path, *, bus: str, bench_bus: str, session: str, realtime: bool) -> Iterator[Event]:
-    """Serve the drives of a collection until the runner says end or the bus is gone."""
+    """Serve the drives of a collection until the runner ends the node or the bus is lost."""
     from tunefree_hil.jobs.running.node_main import serve_controller
 
     yield from serve_controller(
-        bench, PlannerFor, "collector", "collector", bus=bus, bench_bus=bench_bus, session=session, realtime=realtime
+        bench,
+        PlannerAssigner,
+        "collector",
+        "collector",
+        bus=bus,
+        bench_bus=bench_bus,
+        session=session,
+        realtime=realtime,
     )

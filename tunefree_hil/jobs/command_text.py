@@ -1,4 +1,4 @@
-"""Commands that work as pasted: words quoted for a shell, which the command line reads as what was asked."""
+"""Shell commands to copy and paste, with quoted arguments that the command line reads back exactly."""
 
 from __future__ import annotations
 
@@ -7,40 +7,42 @@ from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 PROGRAM = "tunefree-hil"
-AS_THE_FIELD: Mapping[str, str] = {}
+SAME_NAMES: Mapping[str, str] = {}
 
 
-def pasted(command: str, *arguments: Any, **options: Any) -> str:
+def shell_command(command: str, *arguments: Any, **options: Any) -> str:
     """`tunefree-hil COMMAND ARGUMENT ... --option VALUE ...`; an argument that is None is left out."""
-    said = [_word(one) for one in arguments if one is not None]
-    return shlex.join([PROGRAM, *command.split(), *said, *option_words(**options)])
+    words = [_argument_text(argument) for argument in arguments if argument is not None]
+    return shlex.join([PROGRAM, *command.split(), *words, *option_arguments(**options)])
 
 
-def option_words(**options: Any) -> list[str]:
-    """By their names on the command line, with _ for -. True is a flag, False and None are nothing, and a list is said
-    once for each of its values.
-    """
+def option_arguments(**options: Any) -> list[str]:
+    """Command-line words of options, with - for _. True is a flag, False and None are left out, a list repeats it."""
     words: list[str] = []
     for name, value in options.items():
         option = "--" + name.replace("_", "-")
         if value is True:
             words.append(option)
         elif value is not None and value is not False:
-            some = value if isinstance(value, list | tuple) else [value]
-            words += [word for one in some for word in (option, _word(one))]
+            values = value if isinstance(value, list | tuple) else [value]
+            words += [word for item in values for word in (option, _argument_text(item))]
     return words
 
 
-def given(asked: NamedTuple, leave: Collection[str] = (), called: Mapping[str, str] = AS_THE_FIELD) -> dict[str, Any]:
-    """Of a job's Asked the options that are not what they are when nothing is said.
+def changed_options(
+    options: NamedTuple, skip: Collection[str] = (), option_names: Mapping[str, str] = SAME_NAMES
+) -> dict[str, Any]:
+    """The options of a job that differ from their defaults.
 
-    leave: fields that are no options; called: fields whose option has another name.
+    Args:
+        skip: Fields that are not options.
+        option_names: Option names that differ from their field's name.
     """
-    usual = asked._field_defaults
-    said = {name: value for name, value in asked._asdict().items() if value != usual.get(name)}
-    return {called.get(name, name): value for name, value in said.items() if name not in leave}
+    defaults = options._field_defaults
+    changed = {name: value for name, value in options._asdict().items() if value != defaults.get(name)}
+    return {option_names.get(name, name): value for name, value in changed.items() if name not in skip}
 
 
-def _word(value: Any) -> str:
-    """Of a number the shortest that is read back as the same: what a run was begun with must agree to the last bit."""
+def _argument_text(value: Any) -> str:
+    """Text of a value; of a number the shortest that is read back bit for bit, so that a resumed run agrees."""
     return f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else str(value)

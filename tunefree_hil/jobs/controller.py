@@ -1,4 +1,4 @@
-"""The controller as a process of its own."""
+"""The controller as a separate process."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tunefree_hil.base.events import Event
 
 
 def controller(bench: Path, *, bus: str, bench_bus: str, session: str, realtime: bool) -> Iterator[Event]:
-    """Serve episodes on the bus until the runner says end or the bus is gone."""
+    """Serve episodes on the bus until the runner ends the node or the bus is lost."""
     from tunefree_hil.bench import ControllerFor, part_values
     from tunefree_hil.jobs.running.node_main import OURS, serve_controller
 
@@ -22,5 +22,5 @@ def controller(bench: Path, *, bus: str, bench_bus: str, session: str, realtime:
         bench_bus=bench_bus,
         session=session,
         realtime=realtime,
-        own=part_values,
+        parameter_names=part_values,
     )

@@ -1,4 +1,4 @@
-"""Says what a machine, a vehicle folder or a bench file lacks, and the command that mends it."""
+"""Check a machine, a vehicle folder or a bench file, and name the command or change that fixes each fault."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from typing import TYPE_CHECKING, TypeVar
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.jobs.command_text import pasted
-from tunefree_hil.jobs.machine import FAULT, NOTE, OK, Finding, machine
+from tunefree_hil.jobs.command_text import shell_command
+from tunefree_hil.jobs.machine import FAULT, NOTE, OK, DoctorFinding, check_machine
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import BenchSpec, VehicleSpec
 
-SOME_SET = "mrac"  # searched where a bench file leaves it to `tune --set`: its other keys are checked all the same
+FALLBACK_SET = "mrac"  # for a bench file without parameters to tune, so that its other keys can be checked
 FIRST_BENCH = Path("bench_configs/mkz_steer.toml")
 T = TypeVar("T")
 
 
 def doctor(*, vehicle: Path | None, schema: str | None, bus: str, bench: Path | None) -> Iterator[Event]:
-    """One line a finding on stdout; exit 1 when one is a fault. With `schema` only the JSON Schema."""
+    """One line a finding on stdout; exit 1 on a fault. With `schema` only the JSON Schema is printed."""
     if schema is not None:
-        yield from _schema(schema)
+        yield from _print_schema(schema)
         return
-    findings: list[Finding] = []
+    findings: list[DoctorFinding] = []
     if vehicle is not None:
-        findings += vehicle_findings(vehicle)
+        findings += check_vehicle_folder(vehicle)
     if bench is not None:
-        findings += bench_findings(bench)
+        findings += check_bench_file(bench)
     if vehicle is None and bench is None:
-        findings += machine(bus)
+        findings += check_machine(bus)
     for finding in findings:
         yield Event("line", f"{finding.kind:<6}{finding.text}")
         if finding.remedy:
@@ -39,12 +39,12 @@ def doctor(*, vehicle: Path | None, schema: str | None, bus: str, bench: Path | 
     faults = sum(finding.kind == FAULT for finding in findings)
     sentence = f"{faults} fault{'' if faults == 1 else 's'} found" if faults else "no fault found"
     drivable = bench or (FIRST_BENCH if vehicle is None and FIRST_BENCH.is_file() else None)
-    following = [pasted("drive", drivable)] if drivable and not faults else []
+    following = [shell_command("drive", drivable)] if drivable and not faults else []
     data = {"findings": findings, "sentence": sentence, "exit": 1 if faults else 0, "next": following}
     yield Event("result", "", data)
 
 
-def _schema(name: str) -> Iterator[Event]:
+def _print_schema(name: str) -> Iterator[Event]:
     from tunefree_hil.config.load import json_schema
 
     schema = json_schema(name)
@@ -52,39 +52,39 @@ def _schema(name: str) -> Iterator[Event]:
     yield Event("result", "", {"schema": schema, "sentence": f"the JSON Schema of {name} files"})
 
 
-def vehicle_findings(folder: Path) -> list[Finding]:
-    """Everything that is wrong with a vehicle folder, at once; what it lacks and assumes as notes."""
+def check_vehicle_folder(folder: Path) -> list[DoctorFinding]:
+    """All faults of a vehicle folder; absent and assumed values as notes."""
     from tunefree_hil.bus.dbc.check_vehicle import check_vehicle
     from tunefree_hil.config.check_vehicle import check_fields
     from tunefree_hil.config.find import find
     from tunefree_hil.config.load import load_vehicle
 
-    find("vehicle", folder)  # a name that is wrong is the user's, not a fault of a file: it is raised
-    findings: list[Finding] = []
-    spec = _try(findings, lambda: load_vehicle(folder, check=False))
+    find("vehicle", folder)  # a wrong name is raised: it is an error of the command line, not of a file
+    findings: list[DoctorFinding] = []
+    spec = _try_loading(findings, lambda: load_vehicle(folder, check=False))
     if spec is None:
         return findings
-    findings += [_fault(error) for error in check_fields(spec)]
-    problems = _try(findings, lambda: check_vehicle(spec))
+    findings += [_fault_from_error(error) for error in check_fields(spec)]
+    problems = _try_loading(findings, lambda: check_vehicle(spec))
     known = {finding.text for finding in findings}
-    findings += [one for one in map(_fault, problems or []) if one.text not in known]
+    findings += [one for one in map(_fault_from_error, problems or []) if one.text not in known]
     if not findings:
-        findings.append(Finding(OK, _of_vehicle(spec), ""))
+        findings.append(DoctorFinding(OK, _vehicle_summary(spec), ""))
     if spec.absent:
-        findings.append(Finding(NOTE, f"it does not have {', '.join(spec.absent)}", ""))
-    assumed = sorted(set(_assumed(spec)))
+        findings.append(DoctorFinding(NOTE, f"signals that this vehicle does not have: {', '.join(spec.absent)}", ""))
+    assumed = sorted(set(_assumed_keys(spec)))
     if assumed:
-        findings.append(Finding(NOTE, f"assumed, not stated by a source: {', '.join(assumed)}", ""))
+        findings.append(DoctorFinding(NOTE, f"assumed values without a source: {', '.join(assumed)}", ""))
     return findings
 
 
-def _of_vehicle(spec: VehicleSpec) -> str:
+def _vehicle_summary(spec: VehicleSpec) -> str:
     counts = [f"{len(getattr(spec, group))} {group} fields" for group in ("command", "report", "ins")]
     return f"{spec.folder}: {spec.name}, {', '.join(counts)}, {spec.bitrate // 1000} kbit/s"
 
 
-def _assumed(spec: VehicleSpec) -> Iterator[str]:
-    """The keys of whatever the folder marks as assumed."""
+def _assumed_keys(spec: VehicleSpec) -> Iterator[str]:
+    """Keys that the folder marks as assumed."""
     for group in ("command", "report", "ins", "latency", "state"):
         for name, table in getattr(spec, group).items():
             tables = table if isinstance(table, list) else [table]
@@ -98,49 +98,51 @@ def _assumed(spec: VehicleSpec) -> Iterator[str]:
             yield name
 
 
-def bench_findings(file: Path) -> list[Finding]:
-    """A bench file and all it names: vehicle, models, weights, scenarios, and what `drive` and `tune` build of them."""
+def check_bench_file(file: Path) -> list[DoctorFinding]:
+    """Faults of a bench file and its vehicle, models, weights and scenarios, and of what `drive` and `tune` build."""
     from tunefree_hil.config.find import find
     from tunefree_hil.config.load import load_bench, load_model, load_weights
 
     find("bench", file)
-    findings: list[Finding] = []
-    spec = _try(findings, lambda: load_bench(file))
+    findings: list[DoctorFinding] = []
+    spec = _try_loading(findings, lambda: load_bench(file))
     if spec is None:
         return findings
-    findings += [one for one in vehicle_findings_of(spec) if one.kind == FAULT]
+    findings += [one for one in check_vehicle_of_bench(spec) if one.kind == FAULT]
     for name in filter(None, (spec.model, spec.verify_model)):
-        _try(findings, lambda name=name: load_model(name, spec.path))
-    _try(findings, lambda: load_weights(spec.weights, spec.path))
-    findings += _scenario_findings(spec)
-    findings += _start_findings(file, findings)
+        _try_loading(findings, lambda name=name: load_model(name, spec.path))
+    _try_loading(findings, lambda: load_weights(spec.weights, spec.path))
+    findings += _check_scenarios(spec)
+    findings += _check_start(file, findings)
     if not findings:
         count = len(spec.scenarios) + len(spec.verify_scenarios)
-        findings.append(Finding(OK, f"{spec.path}: {spec.vehicle}, {spec.model}, {count} scenarios", ""))
+        findings.append(DoctorFinding(OK, f"{spec.path}: {spec.vehicle}, {spec.model}, {count} scenarios", ""))
     return findings
 
 
-def vehicle_findings_of(spec: BenchSpec) -> list[Finding]:
-    """The findings of the vehicle that a bench file names."""
+def check_vehicle_of_bench(spec: BenchSpec) -> list[DoctorFinding]:
+    """Findings of the vehicle of a bench file."""
     from tunefree_hil.config.check_drive import check_drive
     from tunefree_hil.config.find import find
     from tunefree_hil.config.load import load_vehicle
 
-    findings: list[Finding] = []
-    path = _try(findings, lambda: find("vehicle", spec.vehicle, spec.path))
+    findings: list[DoctorFinding] = []
+    path = _try_loading(findings, lambda: find("vehicle", spec.vehicle, spec.path))
     if path is None:
         return findings
-    vehicle = _try([], lambda: load_vehicle(path.parent, check=False))  # what cannot be read is told by the next line
-    return vehicle_findings(path.parent) + [_fault(error) for error in (check_drive(vehicle) if vehicle else [])]
+    vehicle = _try_loading([], lambda: load_vehicle(path.parent, check=False))  # the next line reports its errors
+    return check_vehicle_folder(path.parent) + [
+        _fault_from_error(error) for error in (check_drive(vehicle) if vehicle else [])
+    ]
 
 
-def _scenario_findings(spec: BenchSpec) -> list[Finding]:
+def _check_scenarios(spec: BenchSpec) -> list[DoctorFinding]:
     from tunefree_hil.config.load import load_scenario, load_vehicle
     from tunefree_hil.episode.feasible import limits_of, require_feasible
     from tunefree_hil.episode.scenario import build_course
 
-    findings: list[Finding] = []
-    vehicle = _try([], lambda: load_vehicle(spec.vehicle, spec.path))  # its own faults are told elsewhere
+    findings: list[DoctorFinding] = []
+    vehicle = _try_loading([], lambda: load_vehicle(spec.vehicle, spec.path))  # faults: see above
 
     def drivable(name: str) -> None:
         scenario = load_scenario(name, spec.path)
@@ -148,20 +150,20 @@ def _scenario_findings(spec: BenchSpec) -> list[Finding]:
             require_feasible(scenario, build_course(scenario, vehicle.tick_ms * 1e-3), limits_of(vehicle))
 
     for name in dict.fromkeys([*spec.scenarios, *spec.verify_scenarios]):
-        _try(findings, lambda name=name: drivable(name))
+        _try_loading(findings, lambda name=name: drivable(name))
     return findings
 
 
-def _start_findings(file: Path, told: Sequence[Finding]) -> list[Finding]:
-    """What `drive` and `tune` refuse before they start a process, beyond what is told; each fault once."""
+def _check_start(file: Path, known: Sequence[DoctorFinding]) -> list[DoctorFinding]:
+    """Faults that `drive` and `tune` detect before they start a process, without the known ones; each once."""
     from tunefree_hil.bench import ControllerFor, load, parameters_of, require_buildable
     from tunefree_hil.control.parameters import NAMES
-    from tunefree_hil.jobs.tune.options import Asked, resolve_wish
+    from tunefree_hil.jobs.tune.options import TuneOptions, make_tune_plan
 
-    findings: list[Finding] = []
-    bench = _try(findings, lambda: load(file))
-    if bench is None:  # where something is told, it is told of the file that has the fault
-        return [] if told else findings
+    findings: list[DoctorFinding] = []
+    bench = _try_loading(findings, lambda: load(file))
+    if bench is None:  # a known finding names the faulty file more precisely
+        return [] if known else findings
     spec = bench.spec
 
     def controller() -> None:
@@ -171,25 +173,28 @@ def _start_findings(file: Path, told: Sequence[Finding]) -> list[Finding]:
 
     def search() -> None:
         named = spec.tune.set or spec.tune.parameters
-        resolve_wish(Asked(file, set_name=None if named else SOME_SET, bus="tfhub"))  # whatever links are up here
+        make_tune_plan(
+            TuneOptions(file, set_name=None if named else FALLBACK_SET, bus="tfhub")
+        )  # independent of this machine's links
 
     for model in filter(None, (spec.model, spec.verify_model)):
-        _try(findings, lambda model=model: require_buildable(bench, model, [], {}))
-    _try(findings, controller)
-    _try(findings, search)
-    known = {finding.text for finding in told}
-    return [one for text, one in {one.text: one for one in findings}.items() if text not in known]
+        _try_loading(findings, lambda model=model: require_buildable(bench, model, [], {}))
+    _try_loading(findings, controller)
+    _try_loading(findings, search)
+    known_texts = {finding.text for finding in known}
+    by_text = {finding.text: finding for finding in findings}
+    return [finding for text, finding in by_text.items() if text not in known_texts]
 
 
-def _try(findings: list[Finding], load: Callable[[], T]) -> T | None:
-    """What `load` gives, or None and its mistake among the findings."""
+def _try_loading(findings: list[DoctorFinding], load: Callable[[], T]) -> T | None:
+    """Result of `load`; on an InputError None, with the error added to the findings."""
     try:
         return load()
     except InputError as error:
-        findings.append(_fault(error))
+        findings.append(_fault_from_error(error))
         return None
 
 
-def _fault(error: InputError) -> Finding:
+def _fault_from_error(error: InputError) -> DoctorFinding:
     where = error.file + (f", key {error.key}" if error.key else "")
-    return Finding(FAULT, f"{where}: {error.message}" if where else error.message, error.hint)
+    return DoctorFinding(FAULT, f"{where}: {error.message}" if where else error.message, error.hint)

@@ -23,24 +23,24 @@ from tunefree_hil.bus.bench_channel import error_text
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.control.parameters import NAMES
-from tunefree_hil.grade.score import FINISHED, combine
-from tunefree_hil.jobs.command_text import pasted
-from tunefree_hil.jobs.identity import identity_of, resolved_toml
-from tunefree_hil.jobs.learn.report_text import drive_warning, model_words, outside_data, outside_words
-from tunefree_hil.jobs.report_text import early
+from tunefree_hil.grade.score import FINISHED, combine_scores
+from tunefree_hil.jobs.command_text import shell_command
+from tunefree_hil.jobs.identity import compute_identity, resolved_toml
+from tunefree_hil.jobs.learn.report_text import describe_model, describe_outside, measure_outside, warn_of_outside
+from tunefree_hil.jobs.report_text import early_end
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder, write_text
-from tunefree_hil.jobs.running.episode_results import Episode, heard_of
-from tunefree_hil.jobs.running.foreign import joined_name, program_of, with_command
+from tunefree_hil.jobs.running.episode_results import EpisodeResult, reception_warnings
+from tunefree_hil.jobs.running.foreign import controller_program, joined_controller_name, with_controller_command
 from tunefree_hil.jobs.running.lateness import judge_realtime
-from tunefree_hil.jobs.running.node_links import bus_for
-from tunefree_hil.jobs.running.session import Session
-from tunefree_hil.jobs.running.trial_driver import Track
+from tunefree_hil.jobs.running.node_links import resolve_vehicle_bus
+from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.trial_driver import TrialDriver
 
 DEFAULT_ROOT = Path("runs")
 
 
-class Asked(NamedTuple):
-    """The command line of `drive`. scenario: none for all of the bench file; session: '' for one of its own."""
+class DriveOptions(NamedTuple):
+    """Options of `drive`. scenario: empty for all of the bench file; session: '' for a new one."""
 
     bench: Path
     scenario: Sequence[str] = ()
@@ -56,10 +56,10 @@ class Asked(NamedTuple):
     controller: str = ""
 
 
-class Wish(NamedTuple):
-    """What was asked for, resolved."""
+class ResolvedDrive(NamedTuple):
+    """The options with the files they name."""
 
-    asked: Asked
+    options: DriveOptions
     bench: Bench
     model: str
     scenarios: list[ScenarioSpec]
@@ -67,131 +67,140 @@ class Wish(NamedTuple):
     session: str
 
 
-def drive(asked: Asked) -> Iterator[Event]:
-    """Drive the scenarios that are named, or all of the bench file. Real time: exit 4 when it was not."""
-    wish = _resolved(asked)
-    run = _folder_of(wish)
+def drive(options: DriveOptions) -> Iterator[Event]:
+    """Drive the named scenarios, or all of the bench file. Exit 4 when real time was wanted and not kept."""
+    resolved = _resolve_options(options)
+    run = _create_run_folder(resolved)
     yield Event("note", f"run folder {run.path}")
-    yield Event("note", model_words(model_of(wish.bench, wish.model)))
-    episodes, pace = yield from _driven(wish, run)
-    figures = draw(run, episodes)
-    numbers, faults = range(len(wish.scenarios)), wish.bench.spec.faults
-    verdict = judge_realtime(run, numbers, wish.bench.codec, faults=faults) if asked.realtime else None
-    score = combine([episode.grade for episode in episodes.values()])
+    yield Event("note", describe_model(model_of(resolved.bench, resolved.model)))
+    episodes, pace = yield from _drive_scenarios(resolved, run)
+    figures = draw_drives(run, episodes)
+    numbers, faults = range(len(resolved.scenarios)), resolved.bench.spec.faults
+    verdict = judge_realtime(run, numbers, resolved.bench.codec, faults=faults) if options.realtime else None
+    score = combine_scores([episode.grade for episode in episodes.values()])
     run.finish(score=score, frame_hashes={name: episode.hash for name, episode in episodes.items()})
-    beyond = outside_data(wish.bench, wish.model, {name: episode.recording for name, episode in episodes.items()})
+    beyond = measure_outside(
+        resolved.bench, resolved.model, {name: episode.recording for name, episode in episodes.items()}
+    )
     yield _result(run, episodes, score, figures, verdict, {**pace, "outside": beyond})
 
 
-def _resolved(asked: Asked) -> Wish:
-    """Read and check everything. Raises InputError that names what does not fit, before any process starts."""
-    bench = with_command(load(asked.bench), asked.controller)
-    values = parameters_of(bench, chosen_parameters(asked.parameters, own_parameters(bench)))
-    model = asked.model or bench.spec.model
-    scenarios = [find_scenario(bench, name) for name in dict.fromkeys(asked.scenario or bench.spec.scenarios)]
-    require_buildable(bench, model, scenarios, values, realtime=asked.realtime)
-    session = asked.session or own_session()
-    bus_for(bench, asked.bus, session, asked.bench_bus)
-    return Wish(asked, bench, model, scenarios, values, session)
+def _resolve_options(options: DriveOptions) -> ResolvedDrive:
+    """Read and check all inputs before any process starts. Raises InputError for a fault."""
+    bench = with_controller_command(load(options.bench), options.controller)
+    values = parameters_of(bench, parse_parameters(options.parameters, own_parameters(bench)))
+    model = options.model or bench.spec.model
+    scenarios = [find_scenario(bench, name) for name in dict.fromkeys(options.scenario or bench.spec.scenarios)]
+    require_buildable(bench, model, scenarios, values, realtime=options.realtime)
+    session = options.session or new_session_name()
+    resolve_vehicle_bus(bench, options.bus, session, options.bench_bus)
+    return ResolvedDrive(options, bench, model, scenarios, values, session)
 
 
-def _folder_of(wish: Wish) -> RunFolder:
-    """A new run folder, with the bench file as it was understood."""
-    asked, bench = wish.asked, wish.bench
-    identity = identity_of(bench, wish.model, wish.scenarios)
-    record = {"command": "drive", "bench": str(asked.bench), "model": wish.model, "realtime": asked.realtime}
-    record |= {**identity, "seed": asked.seed, "parameters": wish.values}
-    run = RunFolder.create(asked.out or DEFAULT_ROOT, f"drive-{asked.bench.stem}", record)
-    write_text(run.path / "bench.toml", resolved_toml(bench, wish.scenarios))
+def _create_run_folder(resolved: ResolvedDrive) -> RunFolder:
+    """Create the run folder with the resolved bench file."""
+    options, bench = resolved.options, resolved.bench
+    identity = compute_identity(bench, resolved.model, resolved.scenarios)
+    record = {"command": "drive", "bench": str(options.bench), "model": resolved.model, "realtime": options.realtime}
+    record |= {**identity, "seed": options.seed, "parameters": resolved.values}
+    run = RunFolder.create(options.out or DEFAULT_ROOT, f"drive-{options.bench.stem}", record)
+    write_text(run.path / "bench.toml", resolved_toml(bench, resolved.scenarios))
     return run
 
 
-def _driven(wish: Wish, run: RunFolder) -> Generator[Event, None, tuple[dict[str, Episode], dict[str, float]]]:
-    """(episodes by scenario, the pace that was kept)."""
-    asked, bench = wish.asked, wish.bench
-    with Session(
+def _drive_scenarios(
+    resolved: ResolvedDrive, run: RunFolder
+) -> Generator[Event, None, tuple[dict[str, EpisodeResult], dict[str, float]]]:
+    """Drive all scenarios. Returns the episodes by scenario, and the speed (TrialDriver.pace)."""
+    options, bench = resolved.options, resolved.bench
+    with BenchSession(
         run.path / "bench.toml",
-        run.words(),
-        session=wish.session,
-        model=wish.model,
-        bus=asked.bus,
-        bench_bus=asked.bench_bus,
-        realtime=asked.realtime,
-        join=asked.join,
-        jitted_ecu=is_heavy(bench, wish.model),
-        controller_command=program_of(bench),
+        run.node_output(),
+        session=resolved.session,
+        model=resolved.model,
+        bus=options.bus,
+        bench_bus=options.bench_bus,
+        realtime=options.realtime,
+        join=options.join,
+        jitted_ecu=is_heavy(bench, resolved.model),
+        controller_command=controller_program(bench),
     ) as session:
         yield Event("note", f"bus: {session.choice.why}")
-        if asked.join:
-            run.note(**{JOINED: joined_name([session])})
-        track = Track(session, bench, run, seed=asked.seed)
-        episodes: dict[str, Episode] = {}
+        if options.join:
+            run.add_to_record(**{JOINED: joined_controller_name([session])})
+        driver = TrialDriver(session, bench, run, seed=options.seed)
+        episodes: dict[str, EpisodeResult] = {}
         try:
-            for i, one in enumerate(wish.scenarios):
-                episodes |= track.drive_all(wish.values, [one], i)
-                yield from _told(wish, run, i, episodes[one.name], track.pace)
+            for i, scenario in enumerate(resolved.scenarios):
+                episodes |= driver.drive_scenarios(resolved.values, [scenario], i)
+                yield from _report_scenario(resolved, run, i, episodes[scenario.name], driver.pace)
         finally:
-            track.close()
-        yield from (Event("warning", words) for words in session.notes)
-    return episodes, track.pace
+            driver.close()
+        yield from (Event("warning", text) for text in session.notes)
+    return episodes, driver.pace
 
 
-def _told(wish: Wish, run: RunFolder, i: int, episode: Episode, pace: Mapping[str, float]) -> Iterator[Event]:
-    """How scenario i went, and what is to be known of it."""
-    bench, name = wish.bench, wish.scenarios[i].name
-    rest_s = sum(bench.course(later).ticks for later in wish.scenarios[i + 1 :]) * bench.dt_s
+def _report_scenario(
+    resolved: ResolvedDrive, run: RunFolder, i: int, episode: EpisodeResult, pace: Mapping[str, float]
+) -> Iterator[Event]:
+    """Events for the result of scenario i: progress, and warnings."""
+    bench, name = resolved.bench, resolved.scenarios[i].name
+    rest_s = sum(bench.course(later).ticks for later in resolved.scenarios[i + 1 :]) * bench.dt_s
     eta_s = rest_s / pace.get("speed_x", 1.0)
-    data = {"label": "scenario", "done": i + 1, "total": len(wish.scenarios), "eta_s": eta_s, **pace}
-    yield Event("progress", _line(name, episode), data)
-    yield from (Event("warning", f"{name}: {words}") for words in heard_of(run.episode(i)))
-    words = drive_warning(bench, wish.model, name, episode.recording)
-    yield from [Event("warning", words)] * bool(words)
+    data = {"label": "scenario", "done": i + 1, "total": len(resolved.scenarios), "eta_s": eta_s, **pace}
+    yield Event("progress", _score_line(name, episode), data)
+    yield from (Event("warning", f"{name}: {text}") for text in reception_warnings(run.episode(i)))
+    text = warn_of_outside(bench, resolved.model, name, episode.recording)
+    yield from [Event("warning", text)] * bool(text)
 
 
-def own_session() -> str:
-    """A session name of our own, so that two runs on one machine do not meet."""
+def new_session_name() -> str:
+    """A session name that is unique on this machine."""
     return f"run-{os.getpid()}"
 
 
-def chosen_parameters(texts: Iterable[str], own: Iterable[str] = ()) -> dict[str, float]:
-    """NAME=VALUE pairs; own: names of somebody else's controller. Raises InputError that names a wrong one."""
-    known = [*NAMES, *own]
+def parse_parameters(texts: Iterable[str], extra_names: Iterable[str] = ()) -> dict[str, float]:
+    """Parse NAME=VALUE pairs; extra_names: parameters of a foreign controller. Raises InputError for a wrong one."""
+    known = [*NAMES, *extra_names]
     chosen = {}
     for text in texts:
         name, _, value = text.partition("=")
         if name not in known:
             raise InputError(
-                f"no parameter {name!r}", code="unknown_parameter", key="--parameter", hint=f"one of {', '.join(known)}"
+                f"unknown parameter {name!r}",
+                code="unknown_parameter",
+                key="--parameter",
+                hint=f"one of {', '.join(known)}",
             )
         try:
             chosen[name] = float(value)
         except ValueError:
             raise InputError(
-                f"{text!r} gives no number", code="bad_parameter", key="--parameter", hint=f"--parameter {name}=0.1"
+                f"{text!r} has no number", code="bad_parameter", key="--parameter", hint=f"--parameter {name}=0.1"
             ) from None
         require_in_box(name, chosen[name], key="--parameter")
     return chosen
 
 
 def find_scenario(bench: Bench, name: str) -> ScenarioSpec:
-    """A scenario of the bench file by its name there or its own, or any other file of that name or path."""
-    own = {scenario.name: scenario for scenario in bench.scenarios.values()} | dict(bench.scenarios)
-    return own[name] if name in own else load_scenario(name, bench.file)
+    """A scenario of the bench file by its name there or in its file, or any other scenario by name or path."""
+    known = {scenario.name: scenario for scenario in bench.scenarios.values()} | dict(bench.scenarios)
+    return known[name] if name in known else load_scenario(name, bench.file)
 
 
-def draw(run: RunFolder, episodes: Mapping[str, Episode], label: str = "drive") -> list[str]:
-    """One figure a scenario."""
-    from tunefree_hil.figures.scenario import Drive, write_scenario
+def draw_drives(run: RunFolder, episodes: Mapping[str, EpisodeResult], label: str = "drive") -> list[str]:
+    """Draw one figure a scenario."""
+    from tunefree_hil.figures.scenario import DrivePicture, write_scenario
 
     written = []
     for name, episode in episodes.items():
         graded = episode.grade
-        one = Drive(label, episode.recording.columns, graded.score, early(graded.outcome))
-        written.append(str(write_scenario(run.figures() / f"{name}.png", name, [one])))
+        shown = DrivePicture(label, episode.recording.columns, graded.score, early_end(graded.outcome))
+        written.append(str(write_scenario(run.figures() / f"{name}.png", name, [shown])))
     return written
 
 
-def _line(name: str, episode: Episode) -> str:
+def _score_line(name: str, episode: EpisodeResult) -> str:
     grade = episode.grade
     peak = grade.metrics.get("lateral_err_peak")
     lateral = f", lateral peak {0.5 * peak:.2f} m" if peak is not None else ""
@@ -202,19 +211,19 @@ def _line(name: str, episode: Episode) -> str:
 
 def _result(
     run: RunFolder,
-    episodes: Mapping[str, Episode],
+    episodes: Mapping[str, EpisodeResult],
     score: float,
     figures: list[str],
     verdict: dict[str, Any] | None,
     more: dict[str, Any],
 ) -> Event:
-    """more: goes into the data as it is; "outside" is said too."""
+    """The result event. more: added to the data; the sentence mentions its "outside"."""
     failed = [name for name, episode in episodes.items() if episode.grade.outcome != FINISHED]
-    many = "1 scenario" if len(episodes) == 1 else f"{len(episodes)} scenarios"
-    sentence = f"{many} driven, score {score:.3f}"
+    count = "1 scenario" if len(episodes) == 1 else f"{len(episodes)} scenarios"
+    sentence = f"{count} driven, score {score:.3f}"
     if failed:
         sentence += f"; not driven to the end: {', '.join(failed)}"
-    beyond = outside_words(more["outside"])
+    beyond = describe_outside(more["outside"])
     sentence += f"; {beyond}" if beyond else ""
     data: dict[str, Any] = {
         "run": str(run.path),
@@ -223,8 +232,8 @@ def _result(
         "hashes": {name: episode.hash for name, episode in episodes.items()},
         "figures": figures,
         "next": [
-            pasted("replay", run.path, verify=True),
-            pasted("log check", run.path / "episodes" / "0" / "vehicle.log"),
+            shell_command("replay", run.path, verify=True),
+            shell_command("log check", run.path / "episodes" / "0" / "vehicle.log"),
         ],
         **more,
     }

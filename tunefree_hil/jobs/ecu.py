@@ -1,4 +1,4 @@
-"""The simulated by-wire vehicle as a process of its own."""
+"""The simulated by-wire vehicle as a separate process."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.nodes.ecu import EcuPart
 from tunefree_hil.nodes.exchange import Exchange
 
-LEAD_S = 0.2  # from being ready to tick 0
+LEAD_S = 0.2  # from ready to tick 0
 
 
 def ecu(
@@ -25,10 +25,10 @@ def ecu(
     realtime: bool,
     scenario: str | None = None,
 ) -> Iterator[Event]:
-    """Serve episodes on the bus until the runner says end or the bus is gone.
+    """Serve episodes on the bus until the runner ends the node or the bus is lost.
 
-    `scenario`: no runner, no bench channel: drive this one in real time, once, for whoever sends the command frames
-    (cansend, canplayer, a controller of the user's own).
+    scenario: drive this one once in real time, without runner and bench channel, for any sender of command frames
+    (cansend, canplayer, a foreign controller).
     """
     from tunefree_hil.bench import VehicleFor, load
     from tunefree_hil.jobs.running.node_links import open_exchange, timing_folder
@@ -40,21 +40,21 @@ def ecu(
     realtime = realtime or alone is not None
     assign = VehicleFor(parts, model or parts.spec.model, realtime=realtime, ahead=True)
     with open_exchange(parts, "ecu", bus, bench_bus, session, realtime=realtime, alone=alone is not None) as opened:
-        exchange, clock, where = opened
-        yield Event("note", f"ecu: {parts.vehicle.name} ({assign.model_name}) on {where}")
+        exchange, clock, bus_text = opened
+        yield Event("note", f"ecu: {parts.vehicle.name} ({assign.model_name}) on {bus_text}")
         part = EcuPart(parts.codec, assign, CycleTimes(timing_folder()))
         if alone is not None:
-            yield Event("note", f"ecu: {alone.name}, {parts.course(alone).ticks * parts.dt_s:g} s, begins now")
+            yield Event("note", f"ecu: {alone.name}, {parts.course(alone).ticks * parts.dt_s:g} s, starts now")
             yield drive_alone(part, exchange, clock, alone)
             return
         Node(part, exchange, assign.model_name, clock, realtime).serve()
-    yield Event("result", "", {"sentence": "ecu: told to end", "next": []})
+    yield Event("result", "", {"sentence": "ecu: ended by the runner", "next": []})
 
 
 def drive_alone(part: EcuPart, exchange: Exchange, clock: Clock, scenario: ScenarioSpec) -> Event:
-    """One scenario in real time without a runner; the result says how many command frames were heard."""
+    """Drive one scenario in real time without a runner; the result has the number of received command frames."""
     part.load(bytes.fromhex(scenario.hash)[:6], scenario.noise_seed, {})
     exchange.clear()
     part.realtime(exchange, clock, clock.now_s() + LEAD_S, lambda message: False)
-    sentence = f"ecu: {scenario.name} driven to its end; {exchange.heard} command frames heard"
+    sentence = f"ecu: {scenario.name} driven to its end; {exchange.heard} command frames received"
     return Event("result", "", {"sentence": sentence, "heard": exchange.heard, "next": []})

@@ -1,4 +1,4 @@
-"""The hub as a process: routes the frames of one bench, orders them, writes its logs."""
+"""The hub as a process: routes and orders the frames of one bench, and writes its logs."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from tunefree_hil.base.events import Event
 
 
 def hub(*, session: str, clock: str, transport: str, owned: bool) -> Iterator[Event]:
-    """Serve until told to end, or until the owner is gone when `owned`.
+    """Serve until ended by its owner, or until the owner is lost when `owned`.
 
-    Of a bench in real time (clock = "real") it is as punctual as the nodes: frames that it hands on late are late.
+    In real time (clock = "real") it gets the same scheduling priority as the nodes.
     """
     from tunefree_hil.bus.tfhub.address import HubInfo
     from tunefree_hil.bus.tfhub.server.serve import say_on_stderr, serve

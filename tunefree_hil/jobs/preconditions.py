@@ -1,4 +1,4 @@
-"""What several jobs refuse before they begin."""
+"""Checks that several jobs make before they start."""
 
 from __future__ import annotations
 
@@ -11,15 +11,21 @@ from tunefree_hil.bench.load import require_current
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import ModelSpec, VehicleSpec
 
-LOGS, VEHICLE = "the logs are of", "the vehicle is"
+LOGS_ARE_OF, VEHICLE_IS = "the logs are of", "the vehicle is"
 
 
-def require_model_of(
-    model: ModelSpec, vehicle: VehicleSpec, key: str = "vehicle", *, hint: str, file: str = "", needed: str = LOGS
+def require_model_of_vehicle(
+    model: ModelSpec,
+    vehicle: VehicleSpec,
+    key: str = "vehicle",
+    *,
+    hint: str,
+    file: str = "",
+    needed: str = LOGS_ARE_OF,
 ) -> None:
-    """Raises InputError for a model of another vehicle, and for one of this vehicle before its folder was changed.
+    """Raise InputError for a model of another vehicle, or of an earlier state of the vehicle folder.
 
-    key, file: where it was named, '' for the model's own file; needed: what says which vehicle it has to be.
+    key, file: where the model was named, '' for its own file. needed: what determines the vehicle, for the message.
     """
     if model.vehicle != vehicle.name:
         raise InputError(
@@ -32,9 +38,9 @@ def require_model_of(
     require_current(model, vehicle)
 
 
-def require_number(key: str, value: float | None, *, most: float, zero: bool = False) -> None:
-    """Raise InputError for an option that is no number above 0 (with `zero`: from 0 on) to `most`; None: not given."""
-    if value is None or (math.isfinite(value) and 0.0 <= value <= most and (zero or value > 0.0)):
+def require_number(key: str, value: float | None, *, maximum: float, allow_zero: bool = False) -> None:
+    """Raise InputError for an option that is not in (0, most], or with `zero` in [0, most]. None is accepted."""
+    if value is None or (math.isfinite(value) and 0.0 <= value <= maximum and (allow_zero or value > 0.0)):
         return
-    hint = f"give a number {'from' if zero else 'above'} 0, {most:g} at most"
-    raise InputError(f"{key} {value:g} does not do", code="usage", key=key, hint=hint)
+    hint = f"give a number {'from' if allow_zero else 'above'} 0, {maximum:g} at most"
+    raise InputError(f"{key} {value:g} is out of range", code="usage", key=key, hint=hint)

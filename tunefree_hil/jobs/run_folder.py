@@ -1,4 +1,4 @@
-"""The run folder of interfaces 6: written under temporary names, readable and resumable wherever it was cut off."""
+"""The run folder (docs/reference/files.md): written atomically, readable and resumable after any interruption."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from tunefree_hil import __version__
 from tunefree_hil.base.errors import BenchError, InputError
 
 SCHEMA = "tunefree.run/1"
-JOINED = "joined"  # key of run.json: what the controller of a bench that was joined calls itself
-FULL = (errno.ENOSPC, errno.EDQUOT)
+JOINED = "joined"  # key of run.json: name announced by the controller of a joined bench
+DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT)
 LIBRARIES = ("python-can", "cantools", "numpy", "optuna", "msgspec")
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a whole file or nothing. Raises BenchError that says why: the disk is full, the folder is not ours."""
+    """Write a file atomically. Raises BenchError where the disk is full or the folder is not writable."""
     part = path.with_name(path.name + ".part")
     try:
         part.write_text(text)
         os.replace(part, path)
     except OSError as error:
-        with contextlib.suppress(OSError):  # of what cannot be written there is often nothing
+        with contextlib.suppress(OSError):  # the part may not exist
             part.unlink(missing_ok=True)
-        hint = "make room" if error.errno in FULL else "see to the folder and its permissions"
+        hint = "free some space" if error.errno in DISK_FULL_ERRORS else "check the folder and its permissions"
         raise BenchError(
             f"cannot write: {error.strerror}",
             code="disk",
@@ -46,8 +46,8 @@ def write_json(path: Path, data: Any) -> None:
     write_text(path, json.dumps(data, indent=1, sort_keys=True) + "\n")
 
 
-def versions(libraries: Iterable[str] = LIBRARIES) -> dict[str, str]:
-    """What numbers were made with: this package, Python, and some libraries."""
+def library_versions(libraries: Iterable[str] = LIBRARIES) -> dict[str, str]:
+    """Versions of this package, Python and some libraries."""
     return {
         "tunefree_hil": __version__,
         "python": platform.python_version(),
@@ -56,7 +56,7 @@ def versions(libraries: Iterable[str] = LIBRARIES) -> dict[str, str]:
 
 
 class RunFolder:
-    """One run on disk. Make it with `create`, find it again with `open_run` or `unfinished`."""
+    """One run on disk. Created by `create`, opened by `open_run` or `find_unfinished`."""
 
     def __init__(self, path: Path, record: dict[str, Any]) -> None:
         self.path = path
@@ -66,26 +66,26 @@ class RunFolder:
     def create(
         cls, root: Path, name: str, record: dict[str, Any], prepare: Callable[[Path], None] = lambda path: None
     ) -> RunFolder:
-        """A new folder `<root>/<date>-<name>`; `record` is what run.json holds beside schema and versions.
+        """Create the folder `<root>/<date>-<name>`; record: content of run.json beside schema and versions.
 
-        `prepare(path)` comes before run.json, by which others find it: what must be there, and held, by then.
+        prepare: called with the path before run.json is written, by which other processes find the run.
         """
         date = datetime.now().strftime("%Y%m%d-%H%M%S")
         path, i = root / f"{date}-{name}", 1
-        while not _made(path):
+        while not _make_folder(path):
             i += 1
             path = root / f"{date}-{name}-{i}"
         prepare(path)
-        run = cls(path, {"schema": SCHEMA, "versions": versions(), "complete": False, **record})
+        run = cls(path, {"schema": SCHEMA, "versions": library_versions(), "complete": False, **record})
         write_json(path / "run.json", run.record)
         return run
 
     def finish(self, **more: Any) -> None:
-        """Mark the run complete; the last thing that is written."""
+        """Mark the run complete, as the last write."""
         self.record = {**self.record, **more, "complete": True}
         write_json(self.path / "run.json", self.record)
 
-    def note(self, **more: Any) -> None:
+    def add_to_record(self, **more: Any) -> None:
         """Add to run.json."""
         self.record = {**self.record, **more}
         write_json(self.path / "run.json", self.record)
@@ -96,22 +96,22 @@ class RunFolder:
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 
-    def numbered(self, file: str) -> list[int]:
-        """Numbers of the episodes that hold `file`, in order; a folder with another name is a person's own."""
-        found = [path.parent.name for path in self.path.glob(f"episodes/*/{file}")]
-        return sorted(int(name) for name in found if name.isdecimal() and str(int(name)) == name)
+    def episodes_with(self, file: str) -> list[int]:
+        """Sorted numbers of the episodes that contain `file`; folders with other names are ignored."""
+        names = [path.parent.name for path in self.path.glob(f"episodes/*/{file}")]
+        return sorted(int(name) for name in names if name.isdecimal() and str(int(name)) == name)
 
     def bench_file(self) -> Path:
-        """The resolved bench file. Raises InputError where the run was cut off before it was written."""
+        """The resolved bench file. Raises InputError where the run was interrupted before it was written."""
         path = self.path / "bench.toml"
         if not path.is_file():
             raise InputError(
-                "has no bench.toml: it was cut off before it began", file=str(self.path), hint="start anew"
+                "has no bench.toml: it was interrupted at the start", file=str(self.path), hint="start a new run"
             )
         return path
 
-    def words(self) -> Path:
-        """Where the nodes' own words go."""
+    def node_output(self) -> Path:
+        """Folder for the output of the nodes."""
         return self.path / "nodes"
 
     def figures(self) -> Path:
@@ -121,8 +121,8 @@ class RunFolder:
         return folder
 
 
-def _made(path: Path) -> bool:
-    """Make a run's folder; False where it is there already, perhaps since a moment ago."""
+def _make_folder(path: Path) -> bool:
+    """Make a run's folder; False where it already exists (another process may have made it)."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with contextlib.suppress(FileExistsError):
@@ -135,21 +135,21 @@ def _made(path: Path) -> bool:
 
 
 def read_json(file: Path) -> dict[str, Any]:
-    """The object in a JSON file of a run. Raises InputError that names the file."""
+    """Read a JSON object of a run. Raises InputError that names the file."""
     try:
-        found = json.loads(file.read_text())
+        data = json.loads(file.read_text())
     except ValueError as error:
         raise InputError(
-            f"not readable JSON ({error})", file=str(file), hint="this run cannot be used; start anew"
+            f"not readable JSON ({error})", file=str(file), hint="this run cannot be used; start a new one"
         ) from error
-    return found if isinstance(found, dict) else {}
+    return data if isinstance(data, dict) else {}
 
 
 def open_run(path: Path) -> RunFolder:
-    """Read a run folder. Raises InputError when it is none, of another version, or cut off before it began."""
+    """Open a run folder. Raises InputError when it is not one, or of another version."""
     file = path / "run.json"
     if not path.is_dir():
-        raise InputError("there is no such run folder", file=str(path), hint="`ls runs` shows the runs")
+        raise InputError("no such run folder", file=str(path), hint="`ls runs` shows the runs")
     if not file.is_file():
         raise InputError("not a run folder: it has no run.json", file=str(path), hint="give the folder of a run")
     record = read_json(file)
@@ -173,13 +173,13 @@ def open_run(path: Path) -> RunFolder:
     return RunFolder(path, record)
 
 
-def unfinished(root: Path, name: str, same: dict[str, Any]) -> RunFolder | None:
-    """The newest of `all_unfinished`."""
-    return next(all_unfinished(root, name, same), None)
+def find_unfinished(root: Path, name: str, same: dict[str, Any]) -> RunFolder | None:
+    """The newest of `iterate_unfinished`, or None."""
+    return next(iterate_unfinished(root, name, same), None)
 
 
-def all_unfinished(root: Path, name: str, same: dict[str, Any]) -> Iterator[RunFolder]:
-    """The runs `*-<name>` that are not complete and whose record agrees with `same`, the newest first."""
+def iterate_unfinished(root: Path, name: str, same: dict[str, Any]) -> Iterator[RunFolder]:
+    """The incomplete runs `*-<name>` whose record agrees with `same`, newest first."""
     for path in sorted(root.glob(f"*-{glob.escape(name)}*"), reverse=True):
         try:
             run = open_run(path)
@@ -189,13 +189,13 @@ def all_unfinished(root: Path, name: str, same: dict[str, Any]) -> Iterator[RunF
             yield run
 
 
-def remove_parts(folder: Path) -> None:
-    """Take away what an interrupted run left half written."""
+def remove_partial_files(folder: Path) -> None:
+    """Delete the partial files of an interrupted run."""
     for part in folder.rglob("*.part"):
         part.unlink(missing_ok=True)
 
 
-def drop_bulk(episode: Path) -> None:
-    """Keep an episode's summary, drop its logs and columns."""
+def delete_logs(episode: Path) -> None:
+    """Delete an episode's logs and columns, and keep its summary."""
     for name in ("vehicle.log", "bench.log", "columns.npz", "timing.npz"):
         (episode / name).unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Lists the manoeuvres: how long, how fast, how tight, and whether a vehicle can drive them."""
+"""List the scenarios with duration, speeds and curvatures, and whether a vehicle can drive them."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ from typing import Any
 from tunefree_hil.base.course import Course
 from tunefree_hil.base.events import Event
 
-TICK_S = 0.01  # the grid on which a course is built where no vehicle says its own
-EXPORTED = "t_s,x_m,y_m,heading_rad,speed_mps,accel_mps2,curvature_1pm"
+TICK_S = 0.01  # tick of a course without a vehicle
+CSV_HEADER = "t_s,x_m,y_m,heading_rad,speed_mps,accel_mps2,curvature_1pm"
 
 
 def scenarios(*, vehicle: str | None, name: str | None) -> Iterator[Event]:
-    """One line a scenario on stdout; of `name` alone all there is to say. Exit 1 when `vehicle` cannot drive one."""
+    """One line a scenario on stdout; with `name` all its details. Exit 1 when `vehicle` cannot drive one."""
     from tunefree_hil.config.find import available
     from tunefree_hil.config.load import load_scenario, load_vehicle
 
     spec = load_vehicle(vehicle) if vehicle else None
-    rows = [describe(load_scenario(one), spec) for one in ([name] if name else available("scenario"))]
+    rows = [describe_scenario(load_scenario(one), spec) for one in ([name] if name else available("scenario"))]
     for row in rows:
-        yield Event("line", _in_full(row) if name else _in_short(row))
+        yield Event("line", _full_text(row) if name else _short_line(row))
         for problem in row["problems"]:
             yield Event("line", f"{'':20}cannot be driven: {problem}")
     bad = [row["name"] for row in rows if row["problems"]]
     data = {"scenarios": rows, "exit": 1 if bad else 0, "next": []}
-    yield Event("result", "", {**data, "sentence": _sentence(len(rows), bad, vehicle)})
+    yield Event("result", "", {**data, "sentence": _summary(len(rows), bad, vehicle)})
 
 
-def export(*, vehicle: str | None, name: str | None, folder: Path) -> Iterator[Event]:
-    """Write each scenario's reference drive as `folder/<start of its hash>.csv`: what a foreign controller needs.
+def export_scenarios(*, vehicle: str | None, name: str | None, folder: Path) -> Iterator[Event]:
+    """Write each scenario's reference drive for a foreign controller as `folder/<first 12 digits of its hash>.csv`.
 
-    The start: the first 12 digits, which EPISODE carries. One row a tick; x, y, heading, curvature: of the path where
-    the rear axle is planned to be then (SI).
+    The EPISODE message contains these digits. One row a tick (SI); x, y, heading and curvature are those of the path at
+    the planned position of the rear axle.
     """
     from tunefree_hil.config.find import available
     from tunefree_hil.config.load import load_scenario, load_vehicle
@@ -42,23 +42,23 @@ def export(*, vehicle: str | None, name: str | None, folder: Path) -> Iterator[E
     tick_s = load_vehicle(vehicle).tick_ms / 1000.0 if vehicle else TICK_S
     specs = [load_scenario(one) for one in ([name] if name else available("scenario"))]
     for spec in specs:
-        yield Event("line", f"{spec.name:<20}{write_drive(build_course(spec, tick_s), spec.hash, folder)}")
+        yield Event("line", f"{spec.name:<20}{write_reference_drive(build_course(spec, tick_s), spec.hash, folder)}")
     sentence = f"{len(specs)} reference drives in {folder}"
     yield Event("result", sentence, {"sentence": sentence, "folder": str(folder), "next": []})
 
 
-def write_drive(course: Course, content_hash: str, folder: Path) -> Path:
-    """Write the reference drive of the scenario with this content hash (hex) as `export` does."""
+def write_reference_drive(course: Course, content_hash: str, folder: Path) -> Path:
+    """Write the reference drive of the scenario with this content hash (hex), as `export_scenarios` does."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{content_hash[:12]}.csv"
     part = path.with_suffix(".part")
-    part.write_text(_csv(course), encoding="ascii")
+    part.write_text(_reference_csv(course), encoding="ascii")
     part.replace(path)
     return path
 
 
-def _csv(course: Course) -> str:
-    """The columns of `export`."""
+def _reference_csv(course: Course) -> str:
+    """The CSV of `export_scenarios`."""
     import numpy as np
 
     path_m = course.first_station_m + course.spacing_m * np.arange(len(course.path_x_m))
@@ -69,11 +69,11 @@ def _csv(course: Course) -> str:
     columns += [np.array(course.speed_mps), np.array(course.accel_mps2)]
     columns += [np.interp(stations, path_m, np.array(course.path_curvature_1pm))]
     rows = [",".join(f"{value:.6f}" for value in row) for row in np.column_stack(columns)]
-    return "\n".join([EXPORTED, *rows, ""])
+    return "\n".join([CSV_HEADER, *rows, ""])
 
 
-def describe(spec: Any, vehicle: Any = None) -> dict[str, Any]:
-    """A scenario in numbers (SI): duration, length, extremes of speed, acceleration and curvature, what is too much."""
+def describe_scenario(spec: Any, vehicle: Any = None) -> dict[str, Any]:
+    """A scenario in numbers (SI): duration, length, ranges of speed, acceleration and curvature, exceeded limits."""
     from tunefree_hil.episode.feasible import check_feasible, curvature_by_time, limits_of
     from tunefree_hil.episode.scenario import build_course
 
@@ -96,17 +96,17 @@ def describe(spec: Any, vehicle: Any = None) -> dict[str, Any]:
     }
 
 
-def _in_short(row: dict[str, Any]) -> str:
+def _short_line(row: dict[str, Any]) -> str:
     low, high = row["speed_mps"]
     tight = max(abs(one) for one in row["curvature_1pm"])
     radius = f"{1.0 / tight:.0f} m" if tight > 1e-4 else "none"
     return (
         f"{row['name']:<20}{row['duration_s']:5.0f} s {row['length_m']:5.0f} m  {low:4.1f} to {high:4.1f} m/s"
-        f"  least radius {radius}"
+        f"  smallest radius {radius}"
     )
 
 
-def _in_full(row: dict[str, Any]) -> str:
+def _full_text(row: dict[str, Any]) -> str:
     def span(key: str, unit: str) -> str:
         return f"{row[key][0]:.3g} to {row[key][1]:.3g} {unit}"
 
@@ -115,7 +115,7 @@ def _in_full(row: dict[str, Any]) -> str:
             f"{row['name']}: {row['description']}",
             f"  duration      {row['duration_s']:.2f} s, {row['length_m']:.1f} m",
             f"  speed         {span('speed_mps', 'm/s')}",
-            f"  acceleration  {span('accel_mps2', 'm/s2')}, to the side at most {row['lateral_accel_mps2']:.3g} m/s2",
+            f"  acceleration  {span('accel_mps2', 'm/s2')}, lateral at most {row['lateral_accel_mps2']:.3g} m/s2",
             f"  curvature     {span('curvature_1pm', '1/m')}",
             f"  noise seed    {row['noise_seed']}",
             f"  file          {row['path']}, SHA-256 {row['hash'][:12]}...",
@@ -123,8 +123,8 @@ def _in_full(row: dict[str, Any]) -> str:
     )
 
 
-def _sentence(count: int, bad: list[str], vehicle: str | None) -> str:
+def _summary(count: int, bad: list[str], vehicle: str | None) -> str:
     if bad:
         return f"{vehicle} cannot drive {len(bad)} of {count} scenarios: {', '.join(bad)}"
-    words = f", all within the limits of {vehicle}" if vehicle else ""
-    return f"{count} scenario{'' if count == 1 else 's'}{words}"
+    limits_text = f", all within the limits of {vehicle}" if vehicle else ""
+    return f"{count} scenario{'' if count == 1 else 's'}{limits_text}"

@@ -1,72 +1,129 @@
-"""A process in which kernels are compiled, for fits that need millions of plant steps.
+"""A helper process with compiled kernels, for fits that need millions of plant steps.
 
-    with Worker() as worker:
-        result = yield from worker.call("tunefree_hil.learn.physics.fit", "fit", windows, start)
+    with CompiledProcess() as process:
+        result = yield from process.call(fit_physics, windows, fixed, priors, brake_way)
 
-What kernels are is settled at import (TUNEFREE_JIT), so the fit runs in a process of its own. It ends with this one.
+Whether kernels are compiled is decided at import (TUNEFREE_JIT), so such a fit needs a process of its own. It ends
+with this process.
 """
 
 from __future__ import annotations
 
 import importlib
 import inspect
+import sys
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, ParamSpec, Self, TypeVar, overload
 
 from tunefree_hil.base.errors import PeerGone, TunefreeError
 from tunefree_hil.base.pipes import Helper, Loss, send, serve
 
-COMPILED = {"TUNEFREE_JIT": "1"}  # the environment of the process beside ours
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # a tall thin J'J gains nothing by more
+JIT_ENVIRONMENT = {"TUNEFREE_JIT": "1"}
+SINGLE_THREAD_ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # more do not speed up a thin J'J
 LOSS = Loss("fit", "the process that fits", "fit_lost", "run the same command again")
 
+P = ParamSpec("P")
+Progress = TypeVar("Progress")
+Result = TypeVar("Result")
 
-class Asked(NamedTuple):
-    """A call: the module's function, and what it is called with."""
+
+class CallRequest(NamedTuple):
+    """A call of a module-level function, by name: only the name is pickled."""
 
     module: str
     function: str
     args: tuple[Any, ...]
 
 
-class Answer(NamedTuple):
-    """kind: 'progress' (what a generator yields), 'result' (the last), 'error' (of base/errors.py)."""
+class CallReply(NamedTuple):
+    """'progress': a value that a generator yields; 'result': the last reply; 'error': a TunefreeError of the call."""
 
-    kind: str
+    kind: Literal["progress", "result", "error"]
     value: Any
 
 
-class Worker:
-    """The process; started at the first call, and at the next one after it was lost."""
+def make_request(function: Callable[..., Any], args: tuple[Any, ...]) -> CallRequest:
+    """The request to call a function in another process.
+
+    Raises:
+        ValueError: The function is not defined at the top of an importable module.
+    """
+    module, name = function.__module__, getattr(function, "__qualname__", "")
+    if getattr(sys.modules.get(module), name, None) is not function:
+        raise ValueError(f"{module}.{name} is not a module-level function: another process cannot find it")
+    return CallRequest(module, name, args)
+
+
+def run_request(request: CallRequest) -> Generator[CallReply, None, None]:
+    """Make the call in this process; progress as it comes, then one result or error."""
+    try:
+        result = getattr(importlib.import_module(request.module), request.function)(*request.args)
+        while inspect.isgenerator(result):
+            try:
+                yield CallReply("progress", next(result))
+            except StopIteration as end:
+                result = end.value
+        yield CallReply("result", result)
+    except TunefreeError as error:
+        yield CallReply("error", error)
+
+
+class CompiledProcess:
+    """A process with compiled kernels. It starts at the first call, and again at the first call after it was lost."""
 
     def __init__(self) -> None:
         self._helper: Helper | None = None
-        self._ended = False
-        self._starting = threading.Lock()
+        self._is_shut_down = False
+        self._start_lock = threading.Lock()
 
-    def call(self, module: str, function: str, *args: Any) -> Generator[Any, None, Any]:
-        """Run a module-level function there; its arguments and all that it gives must be picklable.
+    @overload
+    def call(
+        self, function: Callable[P, Generator[Progress, None, Result]], *args: P.args, **_: P.kwargs
+    ) -> Generator[Progress, None, Result]: ...
 
-        Where the function is a generator, what it yields is yielded here as it comes. Returns its result. Raises the
-        function's own TunefreeError, and PeerGone with the end of what the process printed where it is lost.
+    @overload
+    def call(self, function: Callable[P, Result], *args: P.args, **_: P.kwargs) -> Generator[Any, None, Result]: ...
+
+    def call(self, function: Callable[..., Any], *args: Any) -> Generator[Any, None, Any]:
+        """Call a module-level function in the process; what it yields is yielded here as it comes.
+
+        Args:
+            function: A function or generator function; its module is imported there by name.
+            args: Picklable positional arguments, as must be all results.
+
+        Returns:
+            The result of the function.
+
+        Raises:
+            TunefreeError: Raised by the function.
+            PeerGone: The process was lost; the message has the end of its output.
         """
+        request = make_request(function, args)
         try:
-            helper = self._started()
-            helper.say((module, function, args))
-            while (answer := Answer(*helper.hear())).kind == "progress":
-                yield answer.value
-        except BaseException:  # lost, interrupted, or nobody will hear the rest: it cannot be asked again
+            helper = self._start_helper()
+            helper.say(tuple(request))
+            while (reply := CallReply(*helper.hear())).kind == "progress":
+                yield reply.value
+        except BaseException:  # after an interrupted exchange the pipe holds replies to an earlier call
             self.close()
             raise
-        if answer.kind == "error":
-            raise answer.value
-        return answer.value
+        if reply.kind == "error":
+            raise reply.value
+        return reply.value
 
-    def result(self, module: str, function: str, *args: Any) -> Any:
-        """The same, for who does not want to hear of the progress."""
-        calling = self.call(module, function, *args)
+    @overload
+    def wait_for_result(
+        self, function: Callable[P, Generator[Any, None, Result]], *args: P.args, **_: P.kwargs
+    ) -> Result: ...
+
+    @overload
+    def wait_for_result(self, function: Callable[P, Result], *args: P.args, **_: P.kwargs) -> Result: ...
+
+    def wait_for_result(self, function: Callable[..., Any], *args: Any) -> Any:
+        """The result of a call, without its progress. Arguments and errors are those of `call`."""
+        calling = self.call(function, *args)
         while True:
             try:
                 next(calling)
@@ -79,12 +136,10 @@ class Worker:
         if helper is not None:
             helper.close()
 
-    def end(self) -> None:
-        """End the process for good: a call that another thread is about to make starts none any more, which nobody
-        would end.
-        """
-        with self._starting:
-            self._ended = True
+    def shut_down(self) -> None:
+        """End the process for good: a call that another thread is about to make raises PeerGone."""
+        with self._start_lock:
+            self._is_shut_down = True
         self.close()
 
     def __enter__(self) -> Self:
@@ -93,37 +148,24 @@ class Worker:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.end()
+        self.shut_down()
 
-    def _started(self) -> Helper:
-        with self._starting:
-            if self._ended:
+    def _start_helper(self) -> Helper:
+        with self._start_lock:
+            if self._is_shut_down:
                 raise PeerGone(LOSS.peer, f"{LOSS.subject} was ended", code=LOSS.code, hint=LOSS.hint)
             if self._helper is None:
-                self._helper = Helper("tunefree_hil.learn.compiled_process", {**ONE_THREAD, **COMPILED}, LOSS)
+                environment = {**SINGLE_THREAD_ENVIRONMENT, **JIT_ENVIRONMENT}
+                self._helper = Helper("tunefree_hil.learn.compiled_process", environment, LOSS)
             return self._helper
 
 
-def answers_to(asked: Asked) -> Generator[Answer, None, None]:
-    """Make the call: progress as it comes, then the one last answer."""
-    try:
-        made = getattr(importlib.import_module(asked.module), asked.function)(*asked.args)
-        while inspect.isgenerator(made):
-            try:
-                yield Answer("progress", next(made))
-            except StopIteration as end:
-                made = end.value
-        yield Answer("result", made)
-    except TunefreeError as error:
-        yield Answer("error", error)
-
-
 def main() -> None:
-    """Serve until the input ends."""
-    todo, answers = serve()
+    """Serve requests until the input ends."""
+    requests, output = serve()
     while True:
-        for answer in answers_to(Asked(*todo.get())):
-            send(answers, tuple(answer))
+        for reply in run_request(CallRequest(*requests.get())):
+            send(output, tuple(reply))
 
 
 if __name__ == "__main__":

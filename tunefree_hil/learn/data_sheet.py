@@ -1,4 +1,4 @@
-"""What a vehicle folder's data sheet says, as a start and as a stand-in for what logs cannot show."""
+"""Data sheet of a vehicle folder: starting values of fits, and values of what logs do not identify."""
 
 from __future__ import annotations
 
@@ -7,147 +7,196 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from tunefree_hil.base.units import G_MPS2
-from tunefree_hil.config.schema import LatencySpec, NominalSpec, VehicleSpec
+from tunefree_hil.config.schema import LatencySpec, LimitsSpec, NominalSpec, VehicleSpec
 from tunefree_hil.plant.actuation.acceleration_interface import linear
 from tunefree_hil.plant.data_sheet import DEFAULTS
 
-RISE_IN_LAGS = 2.2  # 10 to 90 % of a first-order step response
-SEEN_DOUBT, RATIO_DOUBT = 4.0, 1.5  # of what a plain law of the motion suggests
-# Two front wheels on their own circles are no single track. Where both turn by the same angle, theirs together counts
-# as a share less: t²/L² (1 + L/a) = 0.2 to 0.4 per rad², t half the track, a the front axle's distance; none where the
-# linkage turns each as its circle asks (Ackermann). No ratio is the same from straight ahead to the lock, either.
-BEND_DOUBT = 0.4
-# A brake may pull this much more, or less, at full duty than in proportion
-BRAKE_RISE_DOUBT = 0.5
-# With no foot on a pedal engines hold back some 0.2 m/s², electric motors from nothing to 2
-OVERRUN_DOUBT_MPS2 = 0.7
+RISE_TIME_PER_LAG = 2.2  # ln 9: 10 to 90 % of a first-order step response
 PEDALS = ("throttle", "brake")
-SCALE_DOUBT = 0.3  # by how much the doubt's logarithm grows with that of the mass, beyond a factor of e
+
+
+class PriorCriteria(NamedTuple):
+    """How far a physical constant may be from its prior value. Reasons: docs/reference/learn_criteria.md.
+
+    Attributes:
+        motion_factor: Factor for values read off the motion by a plain law.
+        ratio_factor: The same for the steering ratio.
+        linkage_bend_per_rad2: Steering linkage that departs from a single track. Parallel wheels give t^2/L^2 (1 + L/a)
+            = 0.2 to 0.4 (t: half the track, a: distance of the front axle); Ackermann steering gives 0.
+        brake_rise: Share by which the brake may pull more or less at full duty than in proportion.
+        overrun_mps2: Deceleration with released pedals: about 0.2 for engines, 0 to 2 for electric motors.
+        mass_exponent: Growth of the logarithm of a factor with that of the mass, beyond e times the default mass.
+        unstated_factor: Extra factor for values that the folder could state and does not.
+    """
+
+    motion_factor: float = 4.0
+    ratio_factor: float = 1.5
+    linkage_bend_per_rad2: float = 0.4
+    brake_rise: float = 0.5
+    overrun_mps2: float = 0.7
+    mass_exponent: float = 0.3
+    unstated_factor: float = 1.5
+
+
+PRIORS = PriorCriteria()
 
 
 class ChannelSheet(NamedTuple):
-    """A channel by its data sheet. stated: whether [latency] speaks of it; rate_limit inf: nothing is said."""
+    """Data sheet of a by-wire channel. is_stated: [latency] has it; rate_limit inf: not stated."""
 
     rest: float
     dead_time_s: float
     lag_s: float
     rate_limit: float
-    stated: bool
+    is_stated: bool
 
 
-def channel_sheet(vehicle: VehicleSpec, channel: str) -> ChannelSheet:
+def read_channel_sheet(vehicle: VehicleSpec, channel: str) -> ChannelSheet:
     """[latency] and [limits] of a channel."""
-    said = vehicle.latency.get(channel, LatencySpec())
+    latency = vehicle.latency.get(channel, LatencySpec())
     rest = vehicle.nominal.rest_pedal_frac if channel in PEDALS else 0.0
     rate = vehicle.limits.steer_rate_radps if channel == "steer" else math.inf
-    return ChannelSheet(rest, said.dead_time_s, said.rise_time_s / RISE_IN_LAGS, rate, channel in vehicle.latency)
+    lag_s = latency.rise_time_s / RISE_TIME_PER_LAG
+    return ChannelSheet(rest, latency.dead_time_s, lag_s, rate, channel in vehicle.latency)
 
 
-def rear_behind_m(nominal: NominalSpec) -> float:
-    """How far behind the centre of mass the rear axle lies, as far as the folder says."""
+def com_to_rear_axle_m(nominal: NominalSpec) -> float:
+    """Distance from the centre of mass back to the rear axle; 0 where the folder does not state it."""
     return (nominal.wheelbase_m or 0.0) - (nominal.front_axle_m or 0.0)
 
 
-class Constant(NamedTuple):
-    """A physical constant before the fit: value, and by which factor (or amount) the truth may differ (about 2 sigma).
+class ConstantPrior(NamedTuple):
+    """A physical constant before a fit.
 
-    logarithmic: the doubt is a factor; else it is in the constant's own unit. stated: by the data sheet.
+    Attributes:
+        value: Prior value.
+        uncertainty: About two standard deviations: a factor if `is_factor`, else in the unit of the constant.
+        is_factor: Whether the uncertainty is a factor.
+        is_stated: Whether the data sheet states the value.
     """
 
     value: float
-    doubt: float
-    logarithmic: bool
-    stated: bool
+    uncertainty: float
+    is_factor: bool
+    is_stated: bool
 
-    def ends(self) -> tuple[float, float]:
-        """The constant widened by its doubt."""
-        if self.logarithmic:
-            return self.value / self.doubt, self.value * self.doubt
-        return self.value - self.doubt, self.value + self.doubt
+    def interval(self) -> tuple[float, float]:
+        """The value widened by its uncertainty."""
+        if self.is_factor:
+            return self.value / self.uncertainty, self.value * self.uncertainty
+        return self.value - self.uncertainty, self.value + self.uncertainty
 
 
-def asks_accel(vehicle: VehicleSpec) -> bool:
-    """Whether a vehicle is asked for an acceleration and shows no pedals (plant/actuation/acceleration_interface.py)."""
+def is_accel_commanded(vehicle: VehicleSpec) -> bool:
+    """Whether a vehicle takes an acceleration and shows no pedals (plant/actuation/acceleration_interface.py)."""
     pedals = "throttle_frac" in vehicle.command or "throttle_frac" in vehicle.report
     return "accel_mps2" in vehicle.command and not pedals
 
 
 def has_brake(vehicle: VehicleSpec) -> bool:
-    """Whether a vehicle has a brake of its own, as far as its folder says."""
+    """Whether a vehicle folder has a brake of its own."""
     return "brake_frac" in vehicle.command or "brake_frac" in vehicle.report
 
 
-def fixed_params(vehicle: VehicleSpec, seen: Mapping[str, float] | None = None) -> dict[str, float]:
-    """What is never fitted: masses, geometry, rest of the pedals; plausible numbers where the folder is silent.
+def make_fixed_params(vehicle: VehicleSpec, motion_values: Mapping[str, float] | None = None) -> dict[str, float]:
+    """[plant.params] that are never fitted: masses, geometry, pedal rest; defaults where the folder is silent.
 
-    Of a car that is asked for an acceleration also all that moves it along; a car without a brake has none, nor has one
-    creep whose motion shows none (seen: as for `constants`).
+    Drive and brake of a vehicle that takes an acceleration are fixed too, as are the brake of a vehicle without one and
+    the creep of a vehicle whose motion shows none.
+
+    Args:
+        vehicle: Vehicle folder.
+        motion_values: As for `make_constant_priors`.
     """
-    said = vehicle.nominal
-    wheelbase_m = said.wheelbase_m or DEFAULTS["wheelbase_m"]
-    rest = said.rest_pedal_frac
-    mass_kg = said.mass_kg or DEFAULTS["mass_kg"] * (wheelbase_m / DEFAULTS["wheelbase_m"]) ** 2
-    found = {
+    nominal = vehicle.nominal
+    wheelbase_m = nominal.wheelbase_m or DEFAULTS["wheelbase_m"]
+    rest = nominal.rest_pedal_frac
+    mass_kg = nominal.mass_kg or DEFAULTS["mass_kg"] * (wheelbase_m / DEFAULTS["wheelbase_m"]) ** 2
+    params = {
         "mass_kg": mass_kg,
         "wheelbase_m": wheelbase_m,
-        "front_axle_m": said.front_axle_m or 0.5 * wheelbase_m,
-        "wheel_radius_m": said.wheel_radius_m or DEFAULTS["wheel_radius_m"],
-        "track_m": said.track_m or DEFAULTS["track_m"] * wheelbase_m / DEFAULTS["wheelbase_m"],
+        "front_axle_m": nominal.front_axle_m or 0.5 * wheelbase_m,
+        "wheel_radius_m": nominal.wheel_radius_m or DEFAULTS["wheel_radius_m"],
+        "track_m": nominal.track_m or DEFAULTS["track_m"] * wheelbase_m / DEFAULTS["wheelbase_m"],
         "friction": DEFAULTS["friction"],
         "rest_pedal_frac": rest,
         "throttle_full_frac": max(vehicle.limits.throttle_frac, rest + 0.1),
     }
-    if (seen or {}).get("creep_force_n") == 0.0:
-        found |= {"creep_force_n": 0.0, "creep_speed_mps": 1.0, "overrun_force_n": 0.0}
-    if asks_accel(vehicle):
-        return found | linear(mass_kg, rest)
-    return found if has_brake(vehicle) else found | {"brake_force_n_per_frac": 0.0, "brake_rise_per_frac": 0.0}
+    if (motion_values or {}).get("creep_force_n") == 0.0:
+        params |= {"creep_force_n": 0.0, "creep_speed_mps": 1.0, "overrun_force_n": 0.0}
+    if is_accel_commanded(vehicle):
+        return params | linear(mass_kg, rest)
+    return params if has_brake(vehicle) else params | {"brake_force_n_per_frac": 0.0, "brake_rise_per_frac": 0.0}
 
 
-def constants(vehicle: VehicleSpec, seen: Mapping[str, float] | None = None) -> dict[str, Constant]:
-    """The constants that a fit may change, by their names in [plant.params]: from [nominal], [limits], or plausible.
+def make_constant_priors(
+    vehicle: VehicleSpec, motion_values: Mapping[str, float] | None = None
+) -> dict[str, ConstantPrior]:
+    """Priors of the constants that a fit may change, by their names in [plant.params].
 
-    seen: values that the motion suggests (learn/actuators/samples_from_motion.py), for those that the folder does not state.
-    What is plausible is so for a road car: of a lighter one (or heavier) it is doubted the more, by SCALE_DOUBT.
+    Defaults are those of a road car; their uncertainty grows for a much lighter or heavier vehicle.
+
+    Args:
+        vehicle: Vehicle folder: [nominal] and [limits].
+        motion_values: Values read off the motion (learn/actuators/samples_from_motion.py), used where the folder does
+            not state one.
     """
-    said, limits, fixed = vehicle.nominal, vehicle.limits, fixed_params(vehicle, seen)
-    mass_kg, wheelbase_m, front_m = fixed["mass_kg"], fixed["wheelbase_m"], fixed["front_axle_m"]
-    rest, heavier = said.rest_pedal_frac, mass_kg / DEFAULTS["mass_kg"]
+    fixed = make_fixed_params(vehicle, motion_values)
+    span = fixed["throttle_full_frac"] - vehicle.nominal.rest_pedal_frac
+    priors = {
+        **_longitudinal_priors(vehicle.limits, fixed, span),
+        **_lateral_priors(vehicle.nominal, fixed),
+    }
+    for name, value in (motion_values or {}).items():
+        if name == "throttle_zero_frac":
+            priors[name] = ConstantPrior(value, 0.15 * span, False, False)
+        elif name in priors and not priors[name].is_stated:
+            factor = PRIORS.ratio_factor if name == "steer_ratio" else PRIORS.motion_factor
+            priors[name] = ConstantPrior(value, factor, True, False)
+    return {name: prior for name, prior in priors.items() if name not in fixed}
+
+
+def _longitudinal_priors(limits: LimitsSpec, fixed: Mapping[str, float], span: float) -> dict[str, ConstantPrior]:
+    """Drive, brake and resistance. span: throttle duty from rest to full."""
+    mass_kg, rest = fixed["mass_kg"], fixed["rest_pedal_frac"]
     low, high = limits.accel_mps2
     brake_span = max(limits.brake_frac - rest, 0.05)
-    axle_n = 7.6 * mass_kg * G_MPS2 / wheelbase_m  # per rad at one axle, times the other axle's distance
+    heavier = mass_kg / DEFAULTS["mass_kg"]
+    scaled = 1.0 + PRIORS.mass_exponent * max(abs(math.log(heavier)) - 1.0, 0.0)
 
-    def stated(value: float | None, otherwise: float, doubt: float) -> Constant:
-        return Constant(value or otherwise, doubt if value else doubt * 1.5, True, bool(value))
+    def guess(value: float, factor: float) -> ConstantPrior:
+        return ConstantPrior(value, factor**scaled, True, False)
 
-    scaled = 1.0 + SCALE_DOUBT * max(abs(math.log(heavier)) - 1.0, 0.0)
-
-    def guess(value: float, doubt: float) -> Constant:
-        return Constant(value, doubt**scaled, True, False)
-
-    span = fixed["throttle_full_frac"] - rest
-    found = {
+    return {
         "drive_force_n": guess(1.6 * max(high, 0.5) * mass_kg, 3.0),
         "drive_knee_frac": guess(0.2, 4.0),
         "drive_power_w": guess(DEFAULTS["drive_power_w"] * heavier, 3.0),
-        "throttle_zero_frac": Constant(rest + 0.03 * span, min(0.08 * scaled, 0.3) * span, False, False),
+        "throttle_zero_frac": ConstantPrior(rest + 0.03 * span, min(0.08 * scaled, 0.3) * span, False, False),
         "drive_corner": guess(DEFAULTS["drive_corner"], 4.0),
         "creep_force_n": guess(DEFAULTS["creep_force_n"] * heavier, 3.0),
         "creep_speed_mps": guess(DEFAULTS["creep_speed_mps"], 2.5),
-        "overrun_force_n": Constant(0.0, OVERRUN_DOUBT_MPS2 * mass_kg, False, False),
+        "overrun_force_n": ConstantPrior(0.0, PRIORS.overrun_mps2 * mass_kg, False, False),
         "brake_force_n_per_frac": guess(1.2 * max(-low, 1.0) * mass_kg / brake_span, 4.0),
-        "brake_rise_per_frac": Constant(0.0, BRAKE_RISE_DOUBT, False, False),
+        "brake_rise_per_frac": ConstantPrior(0.0, PRIORS.brake_rise, False, False),
         "rolling_frac": guess(DEFAULTS["rolling_frac"], 2.0),
         "drag_area_m2": guess(DEFAULTS["drag_area_m2"] * math.sqrt(heavier), 2.0),
-        "front_stiffness_n_per_rad": stated(said.front_stiffness_n_per_rad, axle_n * (wheelbase_m - front_m), 1.8),
-        "rear_stiffness_n_per_rad": stated(said.rear_stiffness_n_per_rad, axle_n * front_m, 1.8),
-        "yaw_inertia_kgm2": stated(said.yaw_inertia_kgm2, mass_kg * front_m * (wheelbase_m - front_m), 1.5),
-        "steer_ratio": stated(said.steer_ratio, DEFAULTS["steer_ratio"], 1.1),
-        "linkage_bend": Constant(0.0, BEND_DOUBT, False, False),
     }
-    for name, value in (seen or {}).items():
-        if name == "throttle_zero_frac":
-            found[name] = Constant(value, 0.15 * span, False, False)
-        elif name in found and not found[name].stated:
-            found[name] = Constant(value, RATIO_DOUBT if name == "steer_ratio" else SEEN_DOUBT, True, False)
-    return {name: one for name, one in found.items() if name not in fixed}
+
+
+def _lateral_priors(nominal: NominalSpec, fixed: Mapping[str, float]) -> dict[str, ConstantPrior]:
+    """Tyres, yaw inertia and steering."""
+    mass_kg, wheelbase_m, front_m = fixed["mass_kg"], fixed["wheelbase_m"], fixed["front_axle_m"]
+    axle_n = 7.6 * mass_kg * G_MPS2 / wheelbase_m  # per rad at one axle, times the other axle's distance
+
+    def stated(value: float | None, otherwise: float, factor: float) -> ConstantPrior:
+        return ConstantPrior(
+            value or otherwise, factor if value else factor * PRIORS.unstated_factor, True, bool(value)
+        )
+
+    return {
+        "front_stiffness_n_per_rad": stated(nominal.front_stiffness_n_per_rad, axle_n * (wheelbase_m - front_m), 1.8),
+        "rear_stiffness_n_per_rad": stated(nominal.rear_stiffness_n_per_rad, axle_n * front_m, 1.8),
+        "yaw_inertia_kgm2": stated(nominal.yaw_inertia_kgm2, mass_kg * front_m * (wheelbase_m - front_m), 1.5),
+        "steer_ratio": stated(nominal.steer_ratio, DEFAULTS["steer_ratio"], 1.1),
+        "linkage_bend": ConstantPrior(0.0, PRIORS.linkage_bend_per_rad2, False, False),
+    }

@@ -1,4 +1,4 @@
-"""What a fit says: a value with its interval, and whether these logs could show it at all."""
+"""Results of a fit: values with intervals, and whether the logs identify them."""
 
 from __future__ import annotations
 
@@ -8,14 +8,18 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.plant.actuation.actuators import ActuatorParams
 
-NORMAL_95 = 1.96  # deviations to either end of a normal number's interval of 95 %
+NORMAL_QUANTILE_95 = 1.96  # half width of a 95 % interval in standard deviations
 
 
-class Value(NamedTuple):
-    """A number with its 95 % interval.
+class Estimate(NamedTuple):
+    """A number with its 95 % interval. The field names are keys of card.json.
 
-    known: the logs show it. Else it is the data sheet's (or neutral), low and high are widened, and `why` says what
-    the logs lack.
+    Attributes:
+        value: The number.
+        low: Lower end of the interval.
+        high: Upper end of the interval.
+        known: True: the logs identify it. False: `value` is the data sheet's or neutral, and the interval is widened.
+        why: The reason, where it is not identified.
     """
 
     value: float
@@ -25,53 +29,60 @@ class Value(NamedTuple):
     why: str = ""
 
 
-def exactly(value: float, why: str = "") -> Value:
-    """A number without doubt, because it was chosen and not fitted."""
-    return Value(value, value, value, True, why)
+def make_exact_estimate(value: float, why: str = "") -> Estimate:
+    """A number that was chosen and not fitted: an interval of width 0."""
+    return Estimate(value, value, value, True, why)
 
 
-def unknown(value: float, why: str, *, low: float | None = None, high: float | None = None, by: float = 0.5) -> Value:
-    """A data sheet's number, widened to both sides by the fraction `by` of it unless low and high say otherwise."""
-    spread = by * abs(value) if math.isfinite(value) else 0.0
-    return Value(value, value - spread if low is None else low, value + spread if high is None else high, False, why)
+def make_unidentified_estimate(
+    value: float, why: str, *, low: float | None = None, high: float | None = None, by_share: float = 0.5
+) -> Estimate:
+    """A data sheet value, widened to both sides by a share of it where `low` or `high` is not given."""
+    spread = by_share * abs(value) if math.isfinite(value) else 0.0
+    return Estimate(value, value - spread if low is None else low, value + spread if high is None else high, False, why)
 
 
-def together_with(one: Value, value: float, why: str) -> Value:
-    """Another value in the place of `one`, not known by itself, in an interval that holds both."""
-    return Value(value, min(one.low, value), max(one.high, value), False, why)
+def replace_value(estimate: Estimate, value: float, why: str) -> Estimate:
+    """Another, unidentified value; the interval is widened to contain it."""
+    return Estimate(value, min(estimate.low, value), max(estimate.high, value), False, why)
 
 
 class ActuatorFit(NamedTuple):
-    """One by-wire channel as identified (design D5), in its own unit (duty, rad at the steering wheel, m/s2, Nm).
+    """An identified by-wire channel, in its own unit (duty, rad at the steering wheel, m/s2, Nm).
 
-    order 1 has lag_s (and natural_hz = 0), order 2 natural_hz and damping (and lag_s = 0). noise: standard deviation
-    of the reported output, quantum: its step on the wire. error: RMS of the simulated against the reported output on
-    held-out parts (NaN where there are none), rows: how many reports were compared. words: how it was identified.
+    Order 1 uses lag_s (natural_hz is 0), order 2 natural_hz and damping (lag_s is 0).
+
+    Attributes:
+        noise: Standard deviation of the reported output.
+        quantum: Resolution of the reported output.
+        error: RMS of simulated minus reported output on held-out parts; NaN where there are none.
+        rows: Number of compared reports.
+        report: How the channel was identified.
     """
 
-    dead_time_s: Value
+    dead_time_s: Estimate
     order: int
-    lag_s: Value
-    natural_hz: Value
-    damping: Value
-    rate_limit: Value
-    dead_band: Value
-    gain: Value
-    offset: Value
+    lag_s: Estimate
+    natural_hz: Estimate
+    damping: Estimate
+    rate_limit: Estimate
+    dead_band: Estimate
+    gain: Estimate
+    offset: Estimate
     noise: float = 0.0
     quantum: float = 0.0
     error: float = math.nan
     rows: int = 0
-    words: str = ""
+    report: str = ""
 
-    def numbers(self) -> dict[str, Value]:
-        """The fitted values by their names in model.toml; those of the other order are left out."""
-        own = ("lag_s",) if self.order == 1 else ("natural_hz", "damping")
-        names = ("dead_time_s", *own, "rate_limit", "dead_band", "gain", "offset")
+    def estimates(self) -> dict[str, Estimate]:
+        """The fitted values by their names in model.toml, without those of the other order."""
+        dynamics = ("lag_s",) if self.order == 1 else ("natural_hz", "damping")
+        names = ("dead_time_s", *dynamics, "rate_limit", "dead_band", "gain", "offset")
         return {name: getattr(self, name) for name in names}
 
     def params(self, rest: float = 0.0, initial: float | None = None) -> ActuatorParams:
-        """The kernel's params at these values. initial: the command held before tick 0, None for `rest`."""
+        """Parameters of the actuator kernel. initial: the command before tick 0, None for `rest`."""
         return ActuatorParams(
             dead_time_s=float(self.dead_time_s.value),
             order=float(self.order),
@@ -87,19 +98,19 @@ class ActuatorFit(NamedTuple):
         )
 
     def lag_63_s(self) -> float:
-        """Time in which the answer to a small step, once it has begun, reaches 63 %."""
+        """Rise time of the response to a small step after the dead time, 0 to 63 %."""
         if self.order == 1:
             return float(self.lag_s.value)
-        return rise_63_s(self.natural_hz.value, self.damping.value)
+        return compute_rise_63_s(self.natural_hz.value, self.damping.value)
 
 
-def rise_63_s(natural_hz: float, damping: float) -> float:
+def compute_rise_63_s(natural_hz: float, damping: float) -> float:
     """Time in which a second-order lag reaches 1 - 1/e of a step, by bisection of its step response."""
     from tunefree_hil.plant.actuation.actuators import init_actuator
 
     goal = 1.0 - math.exp(-1.0)
     params = ActuatorParams(order=2.0, natural_hz=float(natural_hz), damping=float(damping))
-    low, high = 0.0, 1.0 / natural_hz  # natural_hz > 0: config/check.py refuses another
+    low, high = 0.0, 1.0 / natural_hz  # config/check.py requires natural_hz > 0
     while init_actuator(params, high).lag.output_new < goal:
         low, high = high, 2.0 * high
     for _ in range(60):
@@ -111,10 +122,13 @@ def rise_63_s(natural_hz: float, damping: float) -> float:
     return 0.5 * (low + high)
 
 
-def as_data(values: Mapping[str, Value]) -> dict[str, Any]:
-    """Values as plain data for card.json; what is not finite becomes null, which there means 'no limit'."""
-    return {name: {key: _finite(one) for key, one in value._asdict().items()} for name, value in values.items()}
+def data_from_estimates(estimates: Mapping[str, Estimate]) -> dict[str, Any]:
+    """Plain data for card.json; numbers that are not finite become null, which means 'no limit' there."""
+    return {
+        name: {key: _null_if_infinite(item) for key, item in estimate._asdict().items()}
+        for name, estimate in estimates.items()
+    }
 
 
-def _finite(value: Any) -> Any:
+def _null_if_infinite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -15,7 +15,7 @@ from tunefree_hil.plant.actuation.bywire import Heard, HeardChannel
 _COMMAND_INDEX = {"throttle": 0, "brake": 1, "steer": 2}
 
 
-class Ears:
+class CommandDecoder:
     """Command frames -> Heard. Keeps the counters, as each frame must count on from the last. One an episode."""
 
     def __init__(self, codec: Codec) -> None:

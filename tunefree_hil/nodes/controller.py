@@ -22,7 +22,7 @@ from tunefree_hil.control.cascade import Sight
 from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.faults import FaultFilter, ScriptedFault
 from tunefree_hil.nodes.handshake import Handshake, Stage, limits_of
-from tunefree_hil.nodes.measurement_decoder import CHASSIS, INS, Hearing
+from tunefree_hil.nodes.measurement_decoder import CHASSIS, INS, MeasurementDecoder
 from tunefree_hil.nodes.timing import CycleTimes
 
 STAGE_CODES = {
@@ -74,7 +74,7 @@ class ControllerPart:
         self.task = self.assign(scenario, parameters)
         block = self.task.block
         self._state = block.init(block.params, self.task.dt_s)
-        self.hearing = Hearing(self.codec, self.task.dt_s)
+        self.hearing = MeasurementDecoder(self.codec, self.task.dt_s)
         self.handshake = Handshake(limits_of(self.task.dt_s))
         self._failed = 0
         self._writer.restart()
@@ -159,7 +159,7 @@ class ControllerPart:
 
     def _clear_frames(self, k: int) -> list[CanFrame]:
         """Where the vehicle takes short frames DLC 4: an 8-byte frame without a proper counter would trip its watchdog
-        (apollo_facts 7.3). Of others, and where the clear bit lies further behind, whole frames.
+        (docs/reference/by_wire.md). Of others, and where the clear bit lies further behind, whole frames.
         """
         return [
             self._short_clear(k, message)

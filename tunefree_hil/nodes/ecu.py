@@ -16,7 +16,7 @@ from tunefree_hil.base.records import CanFrame, Disturbance
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.recording.frame_writer import FrameWriter
-from tunefree_hil.nodes.command_decoder import Ears
+from tunefree_hil.nodes.command_decoder import CommandDecoder
 from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.faults import FaultFilter, ScriptedFault
 from tunefree_hil.nodes.status_bits import StatusSignals, cause_name
@@ -65,7 +65,7 @@ class EcuPart:
         """Put a vehicle at the scenario's start: power-up, nothing heard yet."""
         self.car = self.assign(scenario, seed)
         self._params, self._state, self._said = self.car.unit.start(self.car.body, self.car.dt_s)
-        self._ears = Ears(self.codec)
+        self._decoder = CommandDecoder(self.codec)
         self._writer.restart()
         self._faults = FaultFilter(self.car.faults)
         self._cause = 0.0
@@ -86,7 +86,7 @@ class EcuPart:
         """
         self.times.begin()
         self._stopped = stopped
-        self._ears.reception.expect_every_period()
+        self._decoder.reception.expect_every_period()
         ahead, heard, spent_s = self.car.ahead, Heard(), 0.0
         frames = self._publish(0, 0)
         ticks = 0
@@ -145,7 +145,7 @@ class EcuPart:
 
     def _end(self, exchange: Exchange, ticks: int) -> None:
         state = bc.State.FAILED if self._failure else bc.State.FINISHED
-        reception = self._ears.reception
+        reception = self._decoder.reception
         self.times.save("ecu", reception.troubles())
         if words := reception.summary():
             self.say(f"ecu: heard: {words}")
@@ -153,9 +153,9 @@ class EcuPart:
 
     def _publish(self, k: int, used_at: int) -> list[CanFrame]:
         """What is sent at tick k: the frames that are due at the tick that uses them."""
-        car, said = self.car, self._said
-        records = {"report": said.measurement.report, "ins": said.measurement.ins}
-        signals = self._signals.of(said.status)
+        car, reported = self.car, self._said
+        records = {"report": reported.measurement.report, "ins": reported.measurement.ins}
+        signals = self._signals.of(reported.status)
         stamp_s = k * car.dt_s
         write = self._writer.write
         frames = [
@@ -167,10 +167,10 @@ class EcuPart:
 
     def _hear(self, exchange: Exchange, k: int, frames: Sequence[CanFrame]) -> Heard:
         """What the command frames of tick k say; what began or stood out at that tick is told."""
-        heard = self._ears.hear(frames)
+        heard = self._decoder.hear(frames)
         for fault in self._faults.begun(k):
             exchange.say(bc.Fault(self.role, fault.index, fault.code, k), k=k)
-        for notice in self._ears.reception.notices():
+        for notice in self._decoder.reception.notices():
             self.say(f"ecu: {notice}")
         return heard
 

@@ -1,4 +1,4 @@
-"""How a node exchanges frames with the others: phases in lockstep, deadlines in real time (interfaces 8).
+"""How a node exchanges frames with the others: phases in lockstep, deadlines in real time (docs/reference/bench_channel.md).
 
 A node holds two links: `vehicle` carries the frames of the DBC, `bench` carries TICK, DONE, STATUS and the like.
 A phase ends when the DONE that announces it *and* the n_tx frames it announced have arrived; the frames are then handed
@@ -14,7 +14,7 @@ from typing import Any
 from tunefree_hil.base.errors import BenchError, NoAnswer, PeerGone
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.link import Link
+from tunefree_hil.bus.link import BusLink
 from tunefree_hil.bus.recording.frame_attribution import PHASE_ROLES, can_key, digest
 
 HARD_LIMIT_S = 5.0
@@ -29,8 +29,8 @@ class Exchange:
 
     def __init__(
         self,
-        vehicle: Link,
-        bench: Link,
+        vehicle: BusLink,
+        bench: BusLink,
         ids_of_phase: Sequence[frozenset[int]],
         tick_s: float,
         send_both: Callable[[list[CanFrame], list[CanFrame]], None] | None = None,

@@ -107,8 +107,8 @@ def _crc(choose: Callable[[ScriptedFault, int, int, int], int]) -> Change:
 
     def change(fault: ScriptedFault, k: int, data: bytes, before: bytes) -> bytes:
         assert fault.message is not None and fault.message.e2e is not None  # bench/faults.py refuses others
-        at, changed = fault.message.e2e.crc_at, bytearray(data)
-        changed[at] = choose(fault, k, data[at], before[at]) & 0xFF
+        offset, changed = fault.message.e2e.crc_at, bytearray(data)
+        changed[offset] = choose(fault, k, data[offset], before[offset]) & 0xFF
         return bytes(changed)
 
     return change

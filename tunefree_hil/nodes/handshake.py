@@ -1,4 +1,4 @@
-"""Taking over a by-wire vehicle: the controller's side of enable, clear and override (apollo_facts 7.3).
+"""Taking over a by-wire vehicle: the controller's side of enable, clear and override (docs/reference/by_wire.md).
 
     WAIT ── nothing latched ──> ENABLING ── every channel says enabled ──> ENGAGED ── override, fault, dropped ──> LOST
       └── override latched ──> CLEARING ──┘

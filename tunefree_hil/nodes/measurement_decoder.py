@@ -14,12 +14,12 @@ from tunefree_hil.nodes.exchange import can_key
 from tunefree_hil.nodes.handshake import VehicleState
 from tunefree_hil.nodes.reception import Reception
 
-MISSING_S = 0.2  # 20 missed periods of localization in the source (apollo_facts 1.2)
+MISSING_S = 0.2  # 20 missed periods of localization in the source (docs/reference/apollo.md)
 SLOW = 2.5  # periods of a slow message, of which the first frame may not be believed
 INS, CHASSIS = "ins", "chassis"
 
 
-class Hearing:
+class MeasurementDecoder:
     """The vehicle as the controller hears it. One instance an episode."""
 
     def __init__(self, codec: Codec, tick_s: float) -> None:
@@ -27,11 +27,12 @@ class Hearing:
         self.snapshot = Snapshot(codec)
         self.reception = Reception(codec.telemetry)
         self._protected = {message.name: _group(message) for message in codec.telemetry if message.e2e is not None}
-        usual = round(MISSING_S / tick_s)
+        default_ticks = round(MISSING_S / tick_s)
         self._limits = {
-            one.name: max(usual, one.timeout_ticks, round(SLOW * one.period_ticks)) for one in codec.telemetry
+            message.name: max(default_ticks, message.timeout_ticks, round(SLOW * message.period_ticks))
+            for message in codec.telemetry
         }
-        self.limit_ticks = max([usual, *self._limits.values()])
+        self.limit_ticks = max([default_ticks, *self._limits.values()])
         self.heard_at: dict[str, int] = {}
         self._enable_messages = {
             message.name for message in codec.telemetry if any(state.condition == "enabled" for state in message.states)

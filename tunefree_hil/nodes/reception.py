@@ -26,10 +26,10 @@ class Notice(NamedTuple):
 
     tick: int
     message: str
-    what: str
+    problem: str
 
     def __str__(self) -> str:
-        return f"tick {self.tick}: {self.message}: {self.what}"
+        return f"tick {self.tick}: {self.message}: {self.problem}"
 
 
 class _Crowd:
@@ -105,25 +105,25 @@ class Reception:
 
     def troubles(self) -> dict[str, list[int]]:
         """Messages with which something was wrong: frames by E2eStatus in its order, too many ones, too short ones."""
-        found = {}
+        totals = {}
         for name, receiver in self.receivers.items():
             row = [*receiver.counts, self.too_many.get(name, 0), self.too_short.get(name, 0)]
             if sum(row) > sum(row[status] for status in UNREMARKABLE):
-                found[name] = row
-        return found
+                totals[name] = row
+        return totals
 
     def summary(self) -> str:
         """What was wrong, message by message, in one line; '' when nothing was."""
         return "; ".join(f"{name} {in_words(row)}" for name, row in self.troubles().items())
 
-    def _notice(self, tick: int, name: str, what: str) -> None:
-        if (name, what) not in self._seen:
-            self._seen.add((name, what))
-            self._new.append(Notice(tick, name, what))
+    def _notice(self, tick: int, name: str, problem: str) -> None:
+        if (name, problem) not in self._seen:
+            self._seen.add((name, problem))
+            self._new.append(Notice(tick, name, problem))
 
 
 def in_words(row: Sequence[int]) -> str:
     """One message's counts (`Reception.troubles`): '2 repeated, 1 wrong CRC'."""
     kinds = [(row[status], status.words) for status in E2eStatus if status not in UNREMARKABLE]
     kinds += zip(row[len(E2eStatus) :], (TOO_MANY, TOO_SHORT), strict=False)  # older runs do not have the last
-    return ", ".join(f"{count} {what}" for count, what in kinds if count)
+    return ", ".join(f"{count} {problem}" for count, problem in kinds if count)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Protocol
 
 from tunefree_hil.base.errors import BenchError, InputError, NoAnswer, PeerGone
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.link import Link
+from tunefree_hil.bus.link import BusLink
 from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.nodes.exchange import HARD_LIMIT_S
 
@@ -38,27 +38,27 @@ class Outcome(NamedTuple):
         return bc.ErrorCode(self.error_code).name.lower() if self.error_code else ""
 
 
-class Counted(Protocol):
+class FrameCounts(Protocol):
     """`frames`: channel -> frames that have passed so far."""
 
     @property
     def frames(self) -> Mapping[str, int]: ...
 
 
-class Keeper(Protocol):
+class LogKeeper(Protocol):
     """Who writes the logs and counts frames: a hub's owner (bus/tfhub/owner.py) or a recorder's (recorder_owner.py)."""
 
     def start_log(self, paths: Mapping[str, Any]) -> None: ...
 
     def stop_log(self) -> dict[str, int]: ...
 
-    def stats(self) -> Counted: ...
+    def stats(self) -> FrameCounts: ...
 
 
 class Runner:
     """One bench, one episode after the other. `check()` raises when a process of ours has died, or the bus is ill."""
 
-    def __init__(self, bench: Link, owner: Keeper, check: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, bench: BusLink, owner: LogKeeper, check: Callable[[], None] = lambda: None) -> None:
         self.bench = bench
         self.owner = owner
         self.check = check
@@ -74,26 +74,26 @@ class Runner:
                 if isinstance(message, bc.Hello):
                     self.collector.add(message)
             if time.monotonic() > limit:
-                raise self._nobody([role for role in needed if not self.collector.complete(role)], limit_s)
+                raise self._missing_nodes_error([role for role in needed if not self.collector.complete(role)], limit_s)
         self.announced()  # a text that cannot be read is said now
 
-    def _nobody(self, missing: Sequence[bc.Role], limit_s: float) -> NoAnswer:
+    def _missing_nodes_error(self, missing: Sequence[bc.Role], limit_s: float) -> NoAnswer:
         """Who said no HELLO, or not all of it; a controller of the user's own is told what it has to say."""
         message = f"no hello from {' and '.join(role.name.lower() for role in missing)} within {limit_s:g} s"
-        here, all_of_it = self.collector.arrived(bc.Role.CONTROLLER)
-        if bc.Role.CONTROLLER in missing and here:
-            message += f"; {here} of {all_of_it} parts of the controller's came"
+        is_here, all_of_it = self.collector.arrived(bc.Role.CONTROLLER)
+        if bc.Role.CONTROLLER in missing and is_here:
+            message += f"; {is_here} of {all_of_it} parts of the controller's came"
         hint = "start `tunefree-hil ecu` and `tunefree-hil controller` on the same --session"
         if missing == [bc.Role.CONTROLLER]:
             hint += f"; a controller of your own has to send {bc.HELLO_WORDS}"
         return NoAnswer(message, code="node_missing", hint=hint)
 
     def announced(self) -> dict[int, str]:
-        """{index: name} of the parameters that a controller of the user's own announced (interfaces 7)."""
+        """{index: name} of the parameters that a controller of the user's own announced (docs/reference/controller.md)."""
         return self.collector.parameters(bc.Role.CONTROLLER)
 
     def indexed(self, parameters: Mapping[str, float]) -> dict[int, float]:
-        """PARAM index -> value, by the list of interfaces 7 and by what the controller announced.
+        """PARAM index -> value, by the list of docs/reference/controller.md and by what the controller announced.
 
         Raises InputError for a name that is in neither.
         """
@@ -215,9 +215,11 @@ class Runner:
         Left on the bus it would be taken for a failure to load the next episode.
         """
         time.sleep(LOOK_S)
-        words = [bc.decode(frame) for frame in self.bench.receive(0.0)]
-        said = [one for one in words if isinstance(one, bc.Status) and one.role == bc.Role.CONTROLLER]
-        return next((one.error_code for one in said if one.state == bc.State.FAILED), 0)
+        messages = [bc.decode(frame) for frame in self.bench.receive(0.0)]
+        statuses = [
+            message for message in messages if isinstance(message, bc.Status) and message.role == bc.Role.CONTROLLER
+        ]
+        return next((status.error_code for status in statuses if status.state == bc.State.FAILED), 0)
 
 
 class HubSilent(NoAnswer):
@@ -227,24 +229,24 @@ class HubSilent(NoAnswer):
 class Silence:
     """Notices a bench on which nothing moves any more: the hub's or recorder's count of frames stands still."""
 
-    def __init__(self, owner: Keeper) -> None:
+    def __init__(self, owner: LogKeeper) -> None:
         self.owner = owner
         self._frames = -1
         self._moved = self._looked = time.monotonic()
 
     def look(self) -> None:
         """Raise NoAnswer when no frame has passed for SILENT_LIMIT_S."""
-        now = time.monotonic()
-        if now - self._looked < 1.0:
+        now_s = time.monotonic()
+        if now_s - self._looked < 1.0:
             return
-        self._looked = now
+        self._looked = now_s
         try:
             frames = sum(self.owner.stats().frames.values())
         except NoAnswer as error:
             raise HubSilent(error.message, code="no_answer", hint="is it stopped? look where it runs") from error
         if frames != self._frames:
-            self._frames, self._moved = frames, now
-        elif now - self._moved > SILENT_LIMIT_S:
+            self._frames, self._moved = frames, now_s
+        elif now_s - self._moved > SILENT_LIMIT_S:
             raise NoAnswer(
                 f"no frame has passed for {SILENT_LIMIT_S:g} s",
                 code="no_answer",

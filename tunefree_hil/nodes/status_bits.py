@@ -23,12 +23,12 @@ GEARS = {"park": GEAR_PARK, "reverse": GEAR_REVERSE, "neutral": GEAR_NEUTRAL, "d
 def set_bits(message: MessageMap, status: ByWireStatus) -> dict[str, float]:
     """Raw values of the state signals of one message. Codes are 0 while none of their causes holds."""
     bits: dict[str, float] = {}
-    told: set[str] = set()
+    decoded: set[str] = set()
     for state in message.states:
         bits.setdefault(state.signal, 1.0 - state.active if state.active in (0, 1) else 0.0)
-        if state.signal not in told and _holds(state, status):  # of several codes for one cause the first
+        if state.signal not in decoded and _holds(state, status):  # of several codes for one cause the first
             bits[state.signal] = state.active
-            told.add(state.signal)
+            decoded.add(state.signal)
     return bits
 
 

@@ -47,8 +47,8 @@ def require_constants(kind: str, defaults: Mapping[str, float], given: Mapping[s
             )
     for name, least in FARTHER.items():
         if name in values and least in values and values[name] <= values[least]:
-            said = f"{values[name]:g} is not more than {least}, which is {values[least]:g}"
-            raise _wrong(name if name in given else least, said, f"{name} must be more than {least}")
+            problem = f"{values[name]:g} is not more than {least}, which is {values[least]:g}"
+            raise _wrong(name if name in given else least, problem, f"{name} must be more than {least}")
 
 
 def _wrong(name: str, message: str, hint: str) -> InputError:

@@ -23,7 +23,7 @@ DEFAULTS: dict[str, float] = {
     "wheel_radius_m": 0.335,
     "track_m": 1.5824,
     "rest_pedal_frac": 0.15,
-    "throttle_zero_frac": 0.165,  # duty at which the engine begins to answer (apollo_facts 7.4)
+    "throttle_zero_frac": 0.165,  # duty at which the engine begins to answer (docs/reference/by_wire.md)
     "throttle_full_frac": 0.80,
     "drive_force_n": 6500.0,  # at full throttle, standing
     "drive_knee_frac": 0.12,  # throttle share that gives 63 % of it
@@ -32,7 +32,7 @@ DEFAULTS: dict[str, float] = {
     "creep_force_n": 1000.0,
     "creep_speed_mps": 2.0,  # at which creep has faded out
     "overrun_force_n": 0.0,  # held back by the engine or motor with the pedal at rest, above twice creep_speed_mps
-    "brake_force_n_per_frac": 56.6e3,  # 3412 Nm over 0.18 duty at the wheel radius (apollo_facts 7.4, smoothed)
+    "brake_force_n_per_frac": 56.6e3,  # 3412 Nm over 0.18 duty at the wheel radius (docs/reference/by_wire.md, smoothed)
     "brake_rise_per_frac": 0.0,  # share by which the brake pulls more than in proportion, per duty from rest
     "rolling_frac": 0.012,
     "drag_area_m2": 0.70,

@@ -1,4 +1,4 @@
-"""The whole vehicle as the bus sees it, as one Block: command delay, by-wire unit, body, report delay (design D4).
+"""The whole vehicle as the bus sees it, as one Block: command delay, by-wire unit, body, report delay (docs/reference/bench_channel.md).
 
 Where an effect makes the chassis reports late, the by-wire unit's bits, which are in the same frames, are as late.
 
@@ -14,7 +14,7 @@ from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.records import Disturbance, Measurement
 from tunefree_hil.plant.actuation.bywire import ByWireInput, ByWireStatus, Heard
 from tunefree_hil.plant.actuation.delay import init_delay, step_delay
-from tunefree_hil.plant.measurement.report_latency import init_late, with_late_status
+from tunefree_hil.plant.measurement.report_latency import delay_with_status, init_status_delay
 from tunefree_hil.plant.types import BodyInput, Driver
 from tunefree_hil.plant.vehicle import Body, first_output
 
@@ -52,6 +52,14 @@ class UnitState(NamedTuple):
     steer_rad: float
 
 
+class EcuStart(NamedTuple):
+    """An episode at tick 0: params, state, and what the frames report."""
+
+    params: UnitParams
+    state: UnitState
+    reported: Said
+
+
 class Unit(NamedTuple):
     """A vehicle's step, made (and compiled) once for all its episodes."""
 
@@ -60,20 +68,20 @@ class Unit(NamedTuple):
     command_ticks: int
     report_ticks: int
 
-    def start(self, body: Body, dt_s: float) -> tuple[UnitParams, UnitState, Said]:
-        """(params, state, what the frames of tick 0 say) of an episode; `body` comes from `for_episode`."""
+    def start(self, body: Body, dt_s: float) -> EcuStart:
+        """The start of an episode; `body` comes from `for_episode`."""
         body_state, first = first_output(body, dt_s)
-        said = Said(first.measurement, ByWireStatus())
-        reports = init_delay(self.report_ticks)(said, dt_s)
+        reported = Said(first.measurement, ByWireStatus())
+        reports = init_delay(self.report_ticks)(reported, dt_s)
         state = UnitState(
             init_delay(self.command_ticks)(Heard(), dt_s),
             self.bywire.init(self.bywire.params, dt_s),
             body_state,
-            (init_late(body.block.params.late_s, dt_s), reports) if body.late else reports,
+            (init_status_delay(body.block.params.late_s, dt_s), reports) if body.late else reports,
             float(first.motion.speed_mps),
             float(first.actuation.steer_rad),
         )
-        return UnitParams(self.bywire.params, body.block.params), state, said
+        return EcuStart(UnitParams(self.bywire.params, body.block.params), state, reported)
 
 
 def make_unit(body: Body, bywire: Block, command_ticks: int, report_ticks: int) -> Unit:
@@ -81,7 +89,7 @@ def make_unit(body: Body, bywire: Block, command_ticks: int, report_ticks: int) 
     command_step, report_step = step_delay(command_ticks), step_delay(report_ticks)
     bywire_step, body_step = bywire.step, body.block.step
     if body.late:
-        report_step = with_late_status(report_step, Said)
+        report_step = delay_with_status(report_step, Said)
 
     @kernel
     def step(params: UnitParams, state: UnitState, x: UnitInput, dt_s: float) -> tuple[UnitState, Said]:
@@ -89,8 +97,8 @@ def make_unit(body: Body, bywire: Block, command_ticks: int, report_ticks: int) 
         seen = ByWireInput(heard, x.driver, state.speed_mps, state.steer_rad)
         bywire_state, applied = bywire_step(params.bywire, state.bywire, seen, dt_s)
         body_state, out = body_step(params.body, state.body, BodyInput(applied.command, x.driver, x.road), dt_s)
-        reports, said = report_step(0.0, state.reports, Said(out.measurement, applied.status), dt_s)
+        reports, reported = report_step(0.0, state.reports, Said(out.measurement, applied.status), dt_s)
         speed_mps, steer_rad = out.motion.speed_mps, out.actuation.steer_rad
-        return UnitState(commands, bywire_state, body_state, reports, speed_mps, steer_rad), said
+        return UnitState(commands, bywire_state, body_state, reports, speed_mps, steer_rad), reported
 
     return Unit(step, bywire, command_ticks, report_ticks)

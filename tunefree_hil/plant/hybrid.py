@@ -1,4 +1,4 @@
-"""Plant kind `hybrid`: the single-track car with an LSTM that corrects its acceleration and yaw rate (design D5).
+"""Plant kind `hybrid`: the single-track car with an LSTM that corrects its acceleration and yaw rate (docs/reference/design.md).
 
 A tick of dt from motion (v, yaw rate r) with the physics' own lateral state (side speed, yaw rate):
 
@@ -59,27 +59,27 @@ class HybridState(NamedTuple):
 def step_hybrid(params: ChassisParams, state: HybridState, x: ChassisInput, dt_s: float) -> tuple[HybridState, Motion]:
     """One tick."""
     p, net = params.constants.car, params.constants.net
-    was, cell, act = state.motion, state.cell, x.actuation
-    own = Velocity(was.speed_mps, state.side_speed_mps, state.yaw_rate_radps)
-    after = pushed(p, own, state.braked_j, x, dt_s, state.axles)
+    motion, cell, act = state.motion, state.cell, x.actuation
+    velocity = Velocity(motion.speed_mps, state.side_speed_mps, state.yaw_rate_radps)
+    after = pushed(p, velocity, state.braked_j, x, dt_s, state.axles)
     physics = after.velocity
-    take_in(net, cell.seen, 0, was.speed_mps)
-    take_in(net, cell.seen, 1, was.yaw_rate_radps)
+    take_in(net, cell.seen, 0, motion.speed_mps)
+    take_in(net, cell.seen, 1, motion.yaw_rate_radps)
     take_in(net, cell.seen, 2, act.throttle_frac - p.rest_frac)
     take_in(net, cell.seen, 3, act.brake_frac - p.rest_frac)
     take_in(net, cell.seen, 4, act.steer_rad)
-    take_in(net, cell.seen, 5, (physics.speed_mps - was.speed_mps) / dt_s)
+    take_in(net, cell.seen, 5, (physics.speed_mps - motion.speed_mps) / dt_s)
     take_in(net, cell.seen, 6, physics.yaw_rate_radps)
     step_cell(net, cell, False)
     fade = clamp(physics.speed_mps / FADE_MPS, 0.0, 1.0)
     speed = physics.speed_mps + dt_s * fade * bounded(net, 0, cell_out(net, cell, 0))
     turn = fade * bounded(net, 1, cell_out(net, cell, 1))
     if speed > 0.0:
-        now = Velocity(speed, physics.side_speed_mps + p.rear_axle_m * turn, physics.yaw_rate_radps + turn)
+        velocity_new = Velocity(speed, physics.side_speed_mps + p.rear_axle_m * turn, physics.yaw_rate_radps + turn)
     else:
-        now = Velocity(0.0, 0.0, 0.0)
-    new = moved(p, was, now, after.felt_mps2, after.wheel, dt_s)
-    braked_j = state.braked_j + dt_s * (0.5 * (was.speed_mps + new.speed_mps)) * after.brake_n
+        velocity_new = Velocity(0.0, 0.0, 0.0)
+    new = moved(p, motion, velocity_new, after.felt_mps2, after.wheel, dt_s)
+    braked_j = state.braked_j + dt_s * (0.5 * (motion.speed_mps + new.speed_mps)) * after.brake_n
     return HybridState(new, physics.side_speed_mps, physics.yaw_rate_radps, braked_j, cell, after.axles), new
 
 

@@ -19,18 +19,18 @@ class Velocity(NamedTuple):
 
 @kernel
 def moved(
-    p: Any, was: Motion, now: Velocity, felt_mps2: tuple[float, float], wheel: tuple[float, float], dt_s: float
+    p: Any, motion: Motion, velocity: Velocity, felt_mps2: tuple[float, float], wheel: tuple[float, float], dt_s: float
 ) -> Motion:
     """The motion after a tick that began as `was` and ended with the velocities `now`; the pose by their means.
 
     p: any constants with rear_axle_m, front_axle_m, half_track_m and inverse_radius. felt_mps2: what an accelerometer
     feels of gravity forward and to the left. wheel: cosine and sine of the front wheels' angle.
     """
-    speed, side, yaw = now.speed_mps, now.side_speed_mps, now.yaw_rate_radps
-    speed_was, side_was, yaw_was = was.speed_mps, was.side_speed_mps, was.yaw_rate_radps
+    speed, side, yaw = velocity.speed_mps, velocity.side_speed_mps, velocity.yaw_rate_radps
+    speed_was, side_was, yaw_was = motion.speed_mps, motion.side_speed_mps, motion.yaw_rate_radps
     mean_speed, mean_yaw = 0.5 * (speed_was + speed), 0.5 * (yaw_was + yaw)
     turned = dt_s * mean_yaw
-    middle = was.heading_rad + 0.5 * turned
+    middle = motion.heading_rad + 0.5 * turned
     along = dt_s * mean_speed
     across = dt_s * (0.5 * (side_was + side) - p.rear_axle_m * mean_yaw)
     middle_cos, middle_sin = math.cos(middle), math.sin(middle)
@@ -39,9 +39,9 @@ def moved(
     left, right = speed - p.half_track_m * yaw, speed + p.half_track_m * yaw
     swing = (side + p.front_axle_m * yaw) * wheel[1]
     return Motion(
-        was.x_m + along * middle_cos - across * middle_sin,
-        was.y_m + along * middle_sin + across * middle_cos,
-        was.heading_rad + turned,
+        motion.x_m + along * middle_cos - across * middle_sin,
+        motion.y_m + along * middle_sin + across * middle_cos,
+        motion.heading_rad + turned,
         speed,
         side,
         yaw,
@@ -56,10 +56,10 @@ def moved(
 
 
 @kernel
-def with_velocity(at: Motion, now: Velocity) -> Motion:
+def with_velocity(motion: Motion, velocity: Velocity) -> Motion:
     """The same motion with other velocities."""
     return Motion(
-        at.x_m, at.y_m, at.heading_rad, now.speed_mps, now.side_speed_mps, now.yaw_rate_radps, at.accel_mps2,
-        at.lateral_accel_mps2, at.speed_rate_mps2, at.wheel_fl_radps, at.wheel_fr_radps, at.wheel_rl_radps,
-        at.wheel_rr_radps,
+        motion.x_m, motion.y_m, motion.heading_rad, velocity.speed_mps, velocity.side_speed_mps, velocity.yaw_rate_radps, motion.accel_mps2,
+        motion.lateral_accel_mps2, motion.speed_rate_mps2, motion.wheel_fl_radps, motion.wheel_fr_radps, motion.wheel_rl_radps,
+        motion.wheel_rr_radps,
     )  # fmt: skip

@@ -40,15 +40,15 @@ class LstmState(NamedTuple):
 
 
 @kernel
-def take_in_car(net: Any, seen: Any, p: Carriage, was: Motion, own_mps2: float, x: ChassisInput) -> None:
+def take_in_car(net: Any, seen: Any, p: Carriage, motion: Motion, own_mps2: float, x: ChassisInput) -> None:
     """The inputs of kinds lstm and mlp."""
     throttle, brake = over_rest(p, x.actuation)
-    take_in(net, seen, 0, was.speed_mps)
+    take_in(net, seen, 0, motion.speed_mps)
     take_in(net, seen, 1, throttle)
     take_in(net, seen, 2, brake)
     take_in(net, seen, 3, x.actuation.steer_rad)
     take_in(net, seen, 4, own_mps2)
-    take_in(net, seen, 5, was.yaw_rate_radps)
+    take_in(net, seen, 5, motion.yaw_rate_radps)
 
 
 @kernel

@@ -7,7 +7,7 @@ and the network itself must know dead times and lags. Samples are sample_spacing
 tick sees a window of its own from a cell at 0. Before the start the car rolled on at rest.
 
 Where samples are further apart than ticks, a tick goes its share of the way to what is said of the next sample, so that
-nothing is ahead of its time (the published code takes a label of 60 ms ahead for the next 10 ms: apollo_facts 5.3).
+nothing is ahead of its time (the published code takes a label of 60 ms ahead for the next 10 ms: docs/reference/apollo.md).
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ class PaperState(NamedTuple):
 
 
 @kernel
-def keep_sample(net: Cell, past: Any, at: int, sample: tuple[float, float, float, float, float]) -> None:
+def keep_sample(net: Cell, past: Any, offset: int, sample: tuple[float, float, float, float, float]) -> None:
     """Write a sample into the ring, as the cell takes it."""
     for i in range(TAKEN):
-        past[at + i] = (sample[i] - net.mean[i]) * net.inverse_scale[i]
+        past[offset + i] = (sample[i] - net.mean[i]) * net.inverse_scale[i]
 
 
 @kernel
@@ -67,38 +67,38 @@ def see_window(net: Cell, state: PaperState, place: int) -> None:
     cell, past = state.cell, state.past
     length = len(past) // TAKEN
     clear_cell(cell)
-    at = place + 1 if place + 1 < length else 0
+    next_place = place + 1 if place + 1 < length else 0
     for _ in range(SAMPLES):
         for i in range(TAKEN):
-            cell.seen[i] = past[at * TAKEN + i]
+            cell.seen[i] = past[next_place * TAKEN + i]
         step_cell(net, cell, True)
-        at = at + state.gap
-        if at >= length:
-            at = at - length
+        next_place = next_place + state.gap
+        if next_place >= length:
+            next_place = next_place - length
 
 
 @kernel
-def toward(net: Cell, cell: CellState, row: int, now: float, share: float) -> float:
+def toward(net: Cell, cell: CellState, row: int, value: float, share: float) -> float:
     """From `now` the share of the way to output `row`, within its bound."""
     most = float(net.bound[row])
-    return now + share * (clamp(cell_out(net, cell, row), -most, most) - now)
+    return value + share * (clamp(cell_out(net, cell, row), -most, most) - value)
 
 
 @kernel
 def step_paper(params: ChassisParams, state: PaperState, x: ChassisInput, dt_s: float) -> tuple[PaperState, Motion]:
     """One tick."""
-    p, net, was = params.constants.car, params.constants.net, state.motion
+    p, net, motion = params.constants.car, params.constants.net, state.motion
     throttle, brake = over_rest(p, x.actuation)
     place = state.place + 1
     if place * TAKEN >= len(state.past):
         place = 0
-    sample = (throttle, brake, x.actuation.steer_rad, was.speed_mps, state.own_mps2)
+    sample = (throttle, brake, x.actuation.steer_rad, motion.speed_mps, state.own_mps2)
     keep_sample(net, state.past, place * TAKEN, sample)
     see_window(net, state, place)
     share = 1.0 / max(float(state.gap), 1.0)
     accel = toward(net, state.cell, 0, state.own_mps2, share)
-    yaw = toward(net, state.cell, 1, was.yaw_rate_radps, share)
-    new = driven(p, was, accel, yaw, x, dt_s)
+    yaw = toward(net, state.cell, 1, motion.yaw_rate_radps, share)
+    new = driven(p, motion, accel, yaw, x, dt_s)
     return PaperState(new, said_of(p, accel, new, x), state.cell, state.past, place, state.gap), new
 
 
@@ -108,8 +108,8 @@ def init_paper(params: ChassisParams, dt_s: float) -> PaperState:
     gap = max(round(constants.spacing_s / dt_s), 1)
     length = (SAMPLES - 1) * gap + 1
     past = buffer(length * TAKEN)
-    for at in range(0, length * TAKEN, TAKEN):
-        keep_sample(constants.net, past, at, (0.0, 0.0, 0.0, float(params.start.speed_mps), 0.0))
+    for offset in range(0, length * TAKEN, TAKEN):
+        keep_sample(constants.net, past, offset, (0.0, 0.0, 0.0, float(params.start.speed_mps), 0.0))
     motion = rolling_motion(params.start, constants.wheel_radius_m)
     return PaperState(motion, 0.0, init_cell(constants.net), past, length - 1, gap)
 

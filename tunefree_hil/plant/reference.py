@@ -1,4 +1,4 @@
-"""Plant kind `reference`: the stand-in for a measured car, with its awkward facts (design D8).
+"""Plant kind `reference`: the stand-in for a measured car, with its awkward facts (docs/reference/design.md).
 
 Two tracks with load transfer, unequal axles, relaxing tyres with combined slip, steering compliance, brake dead band,
 step and hysteresis, creep, power-limited drive with gear steps. Ten steps of 1 ms a tick: RK4 for velocities and tyre
@@ -88,20 +88,20 @@ def wheel(
 
 
 @kernel
-def rates(p: Chassis, now: Step, s: Slips) -> Slips:
+def rates(p: Chassis, forces: Step, s: Slips) -> Slips:
     """Newton and Euler in the plane, four wheels."""
     left, right = s.speed - p.half_track_m * s.yaw, s.speed + p.half_track_m * s.yaw
     front, rear = s.side + p.front_axle_m * s.yaw, s.side - p.rear_axle_m * s.yaw
-    fl_x, fl_y, fl_rate = wheel(p, now.front_left, now.hold_s, left, front, s.front_left)
-    fr_x, fr_y, fr_rate = wheel(p, now.front_right, now.hold_s, right, front, s.front_right)
-    rl_x, rl_y, rl_rate = wheel(p, now.rear_left, now.hold_s, left, rear, s.rear_left)
-    rr_x, rr_y, rr_rate = wheel(p, now.rear_right, now.hold_s, right, rear, s.rear_right)
+    fl_x, fl_y, fl_rate = wheel(p, forces.front_left, forces.hold_s, left, front, s.front_left)
+    fr_x, fr_y, fr_rate = wheel(p, forces.front_right, forces.hold_s, right, front, s.front_right)
+    rl_x, rl_y, rl_rate = wheel(p, forces.rear_left, forces.hold_s, left, rear, s.rear_left)
+    rr_x, rr_y, rr_rate = wheel(p, forces.rear_right, forces.hold_s, right, rear, s.rear_right)
     if p.head_wind_mps != 0.0:
         air_mps = s.speed + p.head_wind_mps
         drag_n = p.drag_kgpm * air_mps * abs(air_mps)
     else:
         drag_n = p.drag_kgpm * s.speed * s.speed
-    along_n = fl_x + fr_x + rl_x + rr_x - now.resist_n - drag_n
+    along_n = fl_x + fr_x + rl_x + rr_x - forces.resist_n - drag_n
     twist_nm = p.front_axle_m * (fl_y + fr_y) - p.rear_axle_m * (rl_y + rr_y)
     twist_nm = twist_nm + p.half_track_m * (fr_x + rr_x - fl_x - rl_x)
     return Slips(
@@ -130,31 +130,33 @@ def ahead(s: Slips, rate: Slips, by_s: float) -> Slips:
 
 
 @kernel
-def runge_kutta(p: Chassis, now: Step, s: Slips, dt_s: float) -> tuple[Slips, Slips]:
+def runge_kutta(p: Chassis, forces: Step, s: Slips, dt_s: float) -> tuple[Slips, Slips]:
     """Classical RK4: (state half-way, state after the step)."""
-    a = rates(p, now, s)
-    b = rates(p, now, ahead(s, a, 0.5 * dt_s))
+    a = rates(p, forces, s)
+    b = rates(p, forces, ahead(s, a, 0.5 * dt_s))
     middle = ahead(s, b, 0.5 * dt_s)
-    c = rates(p, now, middle)
-    d = rates(p, now, ahead(s, c, dt_s))
+    c = rates(p, forces, middle)
+    d = rates(p, forces, ahead(s, c, dt_s))
     end = ahead(ahead(s, a, dt_s / 6.0), d, dt_s / 6.0)
     return middle, ahead(ahead(end, b, dt_s / 3.0), c, dt_s / 3.0)
 
 
 @kernel
-def pose(p: Chassis, was: Motion, middle: Slips, new: Slips, dt_s: float) -> tuple[float, float, float]:
+def pose(p: Chassis, motion: Motion, middle: Slips, new: Slips, dt_s: float) -> tuple[float, float, float]:
     """Rear axle's middle after the step, by Simpson's rule."""
     sixth = dt_s / 6.0
-    half_turn = 0.25 * dt_s * (was.yaw_rate_radps + middle.yaw)
-    heading = was.heading_rad + sixth * (was.yaw_rate_radps + 4.0 * middle.yaw + new.yaw)
-    c0, s0 = math.cos(was.heading_rad), math.sin(was.heading_rad)
-    c1, s1 = math.cos(was.heading_rad + half_turn), math.sin(was.heading_rad + half_turn)
+    half_turn = 0.25 * dt_s * (motion.yaw_rate_radps + middle.yaw)
+    heading = motion.heading_rad + sixth * (motion.yaw_rate_radps + 4.0 * middle.yaw + new.yaw)
+    c0, s0 = math.cos(motion.heading_rad), math.sin(motion.heading_rad)
+    c1, s1 = math.cos(motion.heading_rad + half_turn), math.sin(motion.heading_rad + half_turn)
     c2, s2 = math.cos(heading), math.sin(heading)
-    slide0 = was.side_speed_mps - p.rear_axle_m * was.yaw_rate_radps
+    slide0 = motion.side_speed_mps - p.rear_axle_m * motion.yaw_rate_radps
     slide1, slide2 = middle.side - p.rear_axle_m * middle.yaw, new.side - p.rear_axle_m * new.yaw
-    along = was.speed_mps * c0 - slide0 * s0 + 4.0 * (middle.speed * c1 - slide1 * s1) + new.speed * c2 - slide2 * s2
-    across = was.speed_mps * s0 + slide0 * c0 + 4.0 * (middle.speed * s1 + slide1 * c1) + new.speed * s2 + slide2 * c2
-    return was.x_m + sixth * along, was.y_m + sixth * across, heading
+    along = motion.speed_mps * c0 - slide0 * s0 + 4.0 * (middle.speed * c1 - slide1 * s1) + new.speed * c2 - slide2 * s2
+    across = (
+        motion.speed_mps * s0 + slide0 * c0 + 4.0 * (middle.speed * s1 + slide1 * c1) + new.speed * s2 + slide2 * c2
+    )
+    return motion.x_m + sixth * along, motion.y_m + sixth * across, heading
 
 
 @kernel
@@ -203,11 +205,11 @@ def step_reference(
     held_n = engine_n - (fl.along_n + fr.along_n + rl.along_n + rr.along_n)  # a tyre that slips heats no brake
     braked_j = state.braked_j + dt_s * was.speed_mps * clamp(held_n, 0.0, brake_n)
     calm = 1.0 + was.speed_mps * was.speed_mps * 0.1
-    now = Step(fl, fr, rl, rr, slope_n + rolling_n, p.hold_s / calm)
-    middle, slips = runge_kutta(p, now, state.slips, dt_s)
+    forces = Step(fl, fr, rl, rr, slope_n + rolling_n, p.hold_s / calm)
+    middle, slips = runge_kutta(p, forces, state.slips, dt_s)
     if slips.speed <= 0.0:
         return stand(p, state, drive_n, box, brake_frac, slope_n, dt_s)
-    motion = moved(p, was, now, middle, slips, slope_n, dt_s)
+    motion = moved(p, was, forces, middle, slips, slope_n, dt_s)
     loads = Loads(
         caught_up(state.loads.along_mps2, motion.accel_mps2, p.body_lag_s, dt_s),
         caught_up(state.loads.left_mps2, motion.lateral_accel_mps2 - p.side_wind_mps2, p.body_lag_s, dt_s),
@@ -216,13 +218,13 @@ def step_reference(
 
 
 @kernel
-def moved(p: Chassis, was: Motion, now: Step, middle: Slips, s: Slips, slope_n: float, dt_s: float) -> Motion:
+def moved(p: Chassis, motion: Motion, forces: Step, middle: Slips, s: Slips, slope_n: float, dt_s: float) -> Motion:
     """The motion after a step; wheels turn with the hub's speed and the slip that their force needs."""
-    x_m, y_m, heading_rad = pose(p, was, middle, s, dt_s)
-    speed_rate = (s.speed - was.speed_mps) / dt_s
+    x_m, y_m, heading_rad = pose(p, motion, middle, s, dt_s)
+    speed_rate = (s.speed - motion.speed_mps) / dt_s
     left, right = s.speed - p.half_track_m * s.yaw, s.speed + p.half_track_m * s.yaw
     front = s.side + p.front_axle_m * s.yaw
-    fl, fr, rl, rr = now.front_left, now.front_right, now.rear_left, now.rear_right
+    fl, fr, rl, rr = forces.front_left, forces.front_right, forces.rear_left, forces.rear_right
     return Motion(
         x_m,
         y_m,
@@ -231,7 +233,7 @@ def moved(p: Chassis, was: Motion, now: Step, middle: Slips, s: Slips, slope_n: 
         s.side,
         s.yaw,
         speed_rate - middle.side * middle.yaw + slope_n * p.inverse_mass,
-        (s.side - was.side_speed_mps) / dt_s + middle.speed * middle.yaw + p.bank_mps2,
+        (s.side - motion.side_speed_mps) / dt_s + middle.speed * middle.yaw + p.bank_mps2,
         speed_rate,
         (left * fl.cosine + front * fl.sine) * (1.0 + fl.along_n * p.inverse_slip) * p.inverse_radius,
         (right * fr.cosine + front * fr.sine) * (1.0 + fr.along_n * p.inverse_slip) * p.inverse_radius,

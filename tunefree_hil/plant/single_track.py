@@ -1,4 +1,4 @@
-"""Plant kind `physics`: a single-track car on data-sheet constants (the nominal model, design D5).
+"""Plant kind `physics`: a single-track car on data-sheet constants (the nominal model, docs/reference/design.md).
 
 Tyres that saturate, kinematic below walking pace, force balance along the car with a smooth power-limited drive map
 and a linear brake. One step a tick: an L-stable Rosenbrock method of order 2 (Verwer et al. 1999, ROS2) for side speed
@@ -64,10 +64,10 @@ def planar(
 
 @kernel
 def dynamic_step(
-    p: SingleTrack, push: Push, grip: float, steer: tuple[float, float, float], was: Velocity, dt_s: float
+    p: SingleTrack, push: Push, grip: float, steer: tuple[float, float, float], velocity: Velocity, dt_s: float
 ) -> tuple[float, float, float]:
     """ROS2 over one step: new forward speed (not below 0), side speed and yaw rate."""
-    speed, side, yaw = was.speed_mps, was.side_speed_mps, was.yaw_rate_radps
+    speed, side, yaw = velocity.speed_mps, velocity.side_speed_mps, velocity.yaw_rate_radps
     front, rear, a, b = p.front_stiffness, p.rear_stiffness, p.front_axle_m, p.rear_axle_m
     scale = GAMMA * dt_s / max(speed, LOW_MPS)
     turn = a * front - b * rear
@@ -138,11 +138,11 @@ def step_single_track(
     params: ChassisParams, memory: SingleTrackState, x: ChassisInput, dt_s: float
 ) -> tuple[SingleTrackState, Motion]:
     """One tick."""
-    p, was = params.constants, memory.motion
-    before = Velocity(was.speed_mps, was.side_speed_mps, was.yaw_rate_radps)
+    p, motion = params.constants, memory.motion
+    before = Velocity(motion.speed_mps, motion.side_speed_mps, motion.yaw_rate_radps)
     after = pushed(p, before, memory.braked_j, x, dt_s, memory.axles)
-    new = moved(p, was, after.velocity, after.felt_mps2, after.wheel, dt_s)
-    mean_speed = 0.5 * (was.speed_mps + new.speed_mps)
+    new = moved(p, motion, after.velocity, after.felt_mps2, after.wheel, dt_s)
+    mean_speed = 0.5 * (motion.speed_mps + new.speed_mps)
     return SingleTrackState(new, memory.braked_j + dt_s * mean_speed * after.brake_n, after.axles), new
 
 
@@ -154,8 +154,8 @@ def init_single_track(params: ChassisParams, dt_s: float) -> SingleTrackState:
 @kernel
 def observe_single_track(state: SingleTrackState, seen: Motion) -> SingleTrackState:
     """The state with the measured pose and speed in it; side speed and yaw rate go on as the tyres have made them."""
-    own = Velocity(seen.speed_mps, state.motion.side_speed_mps, state.motion.yaw_rate_radps)
-    return SingleTrackState(with_velocity(seen, own), state.braked_j, state.axles)
+    velocity = Velocity(seen.speed_mps, state.motion.side_speed_mps, state.motion.yaw_rate_radps)
+    return SingleTrackState(with_velocity(seen, velocity), state.braked_j, state.axles)
 
 
 def make(params: Mapping[str, float], change: BodyChange) -> Block:

@@ -17,7 +17,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import Actuation, Command, Disturbance, Measurement, Motion
 
-REST_FRAC = 0.15  # pedal duty with nobody's foot on it (apollo_facts 7.4)
+REST_FRAC = 0.15  # pedal duty with nobody's foot on it (docs/reference/by_wire.md)
 
 
 class Driver(NamedTuple):
@@ -180,10 +180,10 @@ CHANGES = {
 def refuse_changes(kind: str, change: BodyChange, able: Set[str]) -> None:
     """InputError that names what was changed and is not in `able`, the fields of BodyChange that a kind can apply."""
     still = BodyChange()
-    asked = [name for name in change._fields if name not in able and getattr(change, name) != getattr(still, name)]
-    if asked:
+    changed = [name for name in change._fields if name not in able and getattr(change, name) != getattr(still, name)]
+    if changed:
         raise InputError(
-            f"a plant of kind {kind!r} has no physics that {', '.join(dict.fromkeys(CHANGES[name] for name in asked))}"
+            f"a plant of kind {kind!r} has no physics that {', '.join(dict.fromkeys(CHANGES[name] for name in changed))}"
             " could change",
             code="not_in_this_plant",
             key="effects",

@@ -17,7 +17,7 @@ from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.records import GEAR_DRIVE, NAN, Actuation, Command, Disturbance
 from tunefree_hil.plant.actuation.acceleration_interface import actuators_by_accel
 from tunefree_hil.plant.actuation.actuators import ActuatorParams, actuators
-from tunefree_hil.plant.measurement.report_latency import latency_of
+from tunefree_hil.plant.measurement.report_latency import report_latency
 from tunefree_hil.plant.measurement.sensors import SensorInput, SensorParams, noise_table, rolled_in, sensors
 from tunefree_hil.plant.ports import Effects, channels_of, seen_of, upto_report
 from tunefree_hil.plant.types import BodyInput, BodyOutput, ChassisInput, Driver, Plant, rolling_motion
@@ -81,19 +81,19 @@ def assemble(
     effects = [(port, made) for port, made in effects if isinstance(made, Block)]
     chassis = plant.make(params, change)
     if plant.actuators is not None:
-        own = plant.actuators(params)
+        actuators_block = plant.actuators(params)
     else:
-        own = _own_actuators(channels or {}, rest_frac[0])
-    front = upto_report(effects, own)
+        actuators_block = _own_actuators(channels or {}, rest_frac[0])
+    front = upto_report(effects, actuators_block)
     behind = channels_of(effects, (Port.THROTTLE_B, Port.BRAKE_B, Port.STEER_B), Actuation)
     seen = seen_of(effects)
     ins_ticks = round(ins_latency_s / dt_s)
     quiet = SensorParams(noise_table({}, {}, 0, 0), ins_specific_force=1.0 if ins_specific_force else 0.0)
     eyes = sensors(quiet, ins_ticks)
-    late, late_s = latency_of(effects)
+    late, late_s = report_latency(effects)
     block = _body(front, behind, chassis, eyes, seen, plant.substeps, ins_ticks, late_s)
-    asked = 0.0 if plant.actuators is None and "accel" in (channels or {}) else NAN
-    rest = Command(rest_frac[0], rest_frac[1], 0.0, GEAR_DRIVE, asked, NAN)
+    accel_mps2 = 0.0 if plant.actuators is None and "accel" in (channels or {}) else NAN
+    rest = Command(rest_frac[0], rest_frac[1], 0.0, GEAR_DRIVE, accel_mps2, NAN)
     return Body(block, rest, eyes, seen, late)
 
 

@@ -1,4 +1,4 @@
-"""What a tuned result is held against: the best of the baselines."""
+"""The best of the baselines, which a tuned result is compared with."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.tune.study import Baseline
 
 
-class Standing(NamedTuple):
-    """The best of the baselines. `replans`: over all its scenarios, to be said beside a comparison (interfaces 7)."""
+class BestBaseline(NamedTuple):
+    """The baseline with the lowest score. replans: sum over its scenarios. Stored under its field names."""
 
     name: str
     score: float
     replans: int
 
 
-def best_baseline(baselines: Mapping[str, Baseline]) -> Standing:
-    """The baseline of the lowest score, the first of equals. Raises InputError when there is none."""
+def find_best_baseline(baselines: Mapping[str, Baseline]) -> BestBaseline:
+    """The baseline with the lowest score, the first of equals. Raises InputError without baselines."""
     if not baselines:
         raise InputError("no baseline was scored", code="no_baseline", hint="score one with Study.add_baseline")
-    name = min(baselines, key=lambda one: baselines[one].score)
+    name = min(baselines, key=lambda name: baselines[name].score)
     best = baselines[name]
-    return Standing(name, best.score, sum(int(drive.get("replans", 0) or 0) for drive in best.scenarios.values()))
+    return BestBaseline(name, best.score, sum(int(drive.get("replans", 0) or 0) for drive in best.scenarios.values()))

@@ -1,41 +1,53 @@
-"""What the trials of a study say about its parameters: importance, edges of the box, and where to cut slices."""
+"""What the trials of a study show about its parameters: importance, values on an edge of the range, slices."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 import optuna
 from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
 
-from tunefree_hil.tune.sampling import learned_value
+from tunefree_hil.tune.sampling import sampler_value_from_score
 from tunefree_hil.tune.space import Axis, Space
 from tunefree_hil.tune.study import Trial
 
-FEWEST = 20  # trials below which an importance would be chance
+MIN_TRIALS = 20  # with fewer trials an importance is random
 EDGE_SHARE = 0.02  # of the range, in the scale of the search
 
 
 class Importance(NamedTuple):
-    """share: of all parameters together 1, by PED-ANOVA, None below FEWEST trials. rank: Spearman's correlation of the
-    value with the score, over all n trials, positive: a larger value scores worse."""
+    """Importance of one parameter, over n trials. Stored under its field names.
+
+    share: By PED-ANOVA; 1 in sum over the parameters, None below MIN_TRIALS trials.
+    rank: Spearman's correlation of value and score; positive where a larger value scores worse.
+    """
 
     share: float | None
     rank: float
     n: int
 
 
-def importance(space: Space, trials: Sequence[Trial]) -> dict[str, Importance]:
-    """How much each parameter matters, largest share first.
+class Edge(StrEnum):
+    """The edge of its range that a value lies on."""
 
-    PED-ANOVA (Watanabe, Bansal, Hutter 2023; Optuna's) asks how the best tenth of the trials differ from all in each
-    parameter alone. The rank correlation is a second opinion that also has a sign.
+    NONE = ""
+    LOWER = "lower"
+    UPPER = "upper"
+
+
+def compute_importance(space: Space, trials: Sequence[Trial]) -> dict[str, Importance]:
+    """Compute the importance of each parameter, the largest share first.
+
+    PED-ANOVA (Watanabe, Bansal, Hutter 2023; Optuna's) compares the best tenth of the trials with all trials, for each
+    parameter alone. The rank correlation has also a sign.
     """
-    shares = _shares(space, trials) if len(trials) >= FEWEST else {}
+    shares = _shares(space, trials) if len(trials) >= MIN_TRIALS else {}
     scores = np.array([trial.score for trial in trials])
-    found = {
+    importances = {
         axis.name: Importance(
             shares.get(axis.name),
             rank_correlation(np.array([trial.parameters[axis.name] for trial in trials]), scores),
@@ -43,74 +55,80 @@ def importance(space: Space, trials: Sequence[Trial]) -> dict[str, Importance]:
         )
         for axis in space.axes
     }
-    order = sorted(found, key=lambda name: -(found[name].share or 0.0) if shares else -abs(found[name].rank))
-    return {name: found[name] for name in order}
+    order = sorted(
+        importances, key=lambda name: -(importances[name].share or 0.0) if shares else -abs(importances[name].rank)
+    )
+    return {name: importances[name] for name in order}
 
 
 def _shares(space: Space, trials: Sequence[Trial]) -> dict[str, float]:
-    """PED-ANOVA's importances on the scores as the sampler learns them."""
+    """The importances by PED-ANOVA, from the values that the sampler gets."""
     storage = optuna.storages.InMemoryStorage()
     directions = [optuna.study.StudyDirection.MINIMIZE]
     study_id = storage.create_new_study(directions, "importance")
-    stored = {axis.name: axis.stored() for axis in space.axes}
+    distributions = {axis.name: axis.stored_distribution() for axis in space.axes}
     for trial in trials:
         frozen = optuna.trial.create_trial(
             params={name: trial.parameters[name] for name in space.names},
-            distributions=stored,
-            value=learned_value(trial.score),
+            distributions=distributions,
+            value=sampler_value_from_score(trial.score),
         )
         storage.create_new_trial(study_id, template_trial=frozen)
     study = optuna.Study("importance", storage)
-    found = get_param_importances(study, evaluator=PedAnovaImportanceEvaluator())
-    return {name: float(value) for name, value in found.items() if math.isfinite(value)}
+    shares = get_param_importances(study, evaluator=PedAnovaImportanceEvaluator())
+    return {name: float(share) for name, share in shares.items() if math.isfinite(share)}
 
 
 def rank_correlation(values: np.ndarray, scores: np.ndarray) -> float:
-    """Spearman's correlation, -1 to 1; 0 where either does not vary."""
+    """Spearman's correlation, -1 to 1; 0 where values or scores are constant."""
     if len(values) < 2 or np.ptp(values) == 0.0 or np.ptp(scores) == 0.0:
         return 0.0
     return float(np.corrcoef(_ranks(values), _ranks(scores))[0, 1])
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
-    """Ranks, those of equals averaged."""
+    """Ranks; equal values get their mean rank."""
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     ends = np.cumsum(counts)
     return (ends - 0.5 * (counts - 1))[inverse]
 
 
-def edge_of(axis: Axis, value: float) -> str:
-    """'lower', 'upper', or '' for a value that is not within 2 % of the range of an edge of its box."""
+def find_edge(axis: Axis, value: float) -> Edge:
+    """The edge of the range within 2 % of which a value lies; values without an order have no edge."""
     if axis.choices:
-        return ""
+        return Edge.NONE
     scale = math.log if axis.log else float
-    low, high, at = scale(axis.low), scale(axis.high), scale(value)
-    share = (at - low) / (high - low)
+    low, high, position = scale(axis.low), scale(axis.high), scale(value)
+    share = (position - low) / (high - low)
     if share <= EDGE_SHARE:
-        return "lower"
-    return "upper" if share >= 1.0 - EDGE_SHARE else ""
+        return Edge.LOWER
+    return Edge.UPPER if share >= 1.0 - EDGE_SHARE else Edge.NONE
 
 
-def edges(space: Space, values: Mapping[str, float]) -> list[str]:
-    """A sentence for each value on an edge of its box."""
-    found = []
+def describe_edges(space: Space, values: Mapping[str, float]) -> list[str]:
+    """A sentence for each value on an edge of its range."""
+    sentences = []
     for axis in space.axes:
-        edge = edge_of(axis, values[axis.name])
-        if edge:
-            found.append(f"{axis.name} sits on the {edge} edge of its box ({axis.low:g} to {axis.high:g}): widen it")
-    return found
+        edge = find_edge(axis, values[axis.name])
+        if edge is not Edge.NONE:
+            sentences.append(
+                f"{axis.name} is at the {edge} edge of its range ({axis.low:g} to {axis.high:g}): widen the range"
+            )
+    return sentences
 
 
-def slice_points(axis: Axis, points: int) -> list[float]:
-    """Values across the box of one parameter, both edges in: `points` of them, or the stepped ones where they are less.
+def choose_slice_points(axis: Axis, points: int) -> list[float]:
+    """Values across the range of one parameter, both edges included.
 
-    Raises ValueError below 2 points.
+    Args:
+        axis: The parameter.
+        points: How many values, 2 or more (ValueError); fewer where the grid of the parameter has fewer.
     """
     if points < 2:
         raise ValueError("a slice has two points or more")
     if axis.grid:
-        places = np.unique(np.round(np.linspace(0, len(axis.grid) - 1, points)).astype(int))
-        return [axis.grid[i] for i in places.tolist()]
+        indices = np.unique(np.round(np.linspace(0, len(axis.grid) - 1, points)).astype(int))
+        return [axis.grid[i] for i in indices.tolist()]
     ends = (math.log(axis.low), math.log(axis.high)) if axis.log else (axis.low, axis.high)
     raw = np.linspace(*ends, points).tolist()
-    return [axis.fit(math.exp(value) if axis.log else value) for value in raw]
+    return [axis.clip(math.exp(value) if axis.log else value) for value in raw]

@@ -1,8 +1,8 @@
-"""A study in memory whose every finished generation is appended to a file of the run folder, for evaluations that are
-faster than a database (opt_anchors A: SQLite takes 40 ms a trial, a batch less).
+"""A study in memory whose finished generations are appended to a file of the run folder, `trials.jsonl`.
 
-The file is JSON lines, each written at once and complete or not counted: a header with the settings, then generations,
-baselines and what was confirmed over the bus. `mirror` copies it to a study.db that optuna-dashboard opens.
+For evaluations that are faster than a database: SQLite takes 40 ms a trial, a trial in the batch less. Each line of the
+file is a JSON object, written at once; an incomplete line is ignored. The first line has the settings, the others
+generations, baselines and confirmations over the bus. `copy_to` copies the study to a study.db for optuna-dashboard.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ import optuna
 
 from tunefree_hil.base.errors import BenchError, InputError, TunefreeError
 from tunefree_hil.tune import store
-from tunefree_hil.tune.shared.study_copy import mirror
-from tunefree_hil.tune.store import Settings
-from tunefree_hil.tune.trial import CUT_OFF, Baseline, Evaluation, Trial, check, lowest
-from tunefree_hil.tune.trial_loop import Answers, Filling, Points
+from tunefree_hil.tune.shared.study_copy import copy_study
+from tunefree_hil.tune.store import StudySettings
+from tunefree_hil.tune.trial import Baseline, Evaluation, Trial, check_evaluation, failure_text, find_best_trial
+from tunefree_hil.tune.trial_loop import Outcomes, Points
 
 SCHEMA = "tunefree.trials/1"
-CONFIRMED = "confirmed "
+CONFIRMED = "confirmed "  # begins the key of a user attribute in the copy
 
 
-class Journal(Filling):
+class Journal:
     """A study in `path` (`trials.jsonl` in the run folder). Make it with `open_journal`."""
 
-    def __init__(self, path: Path, settings: Settings) -> None:
+    def __init__(self, path: Path, settings: StudySettings) -> None:
         self.path = path
         self.settings = settings
         self._trials: dict[int, Trial] = {}
@@ -44,80 +44,80 @@ class Journal(Filling):
         return [self._trials[slot] for slot in sorted(self._trials)]
 
     def failures(self) -> list[Trial]:
-        """The attempts that failed, in the order in which they were made; those of a killed process left no trace."""
+        """The failed attempts in the order in which they were made; those of a killed process are not stored."""
         return list(self._failures)
 
     def best(self) -> Trial | None:
-        """The trial of the lowest score, the earliest of equals; None before the first."""
-        return lowest(self.trials())
+        """The trial with the lowest score, the earliest of equals; None before the first trial."""
+        return find_best_trial(self.trials())
 
     def baselines(self) -> dict[str, Baseline]:
         """The stored baselines by name."""
         return dict(self._baselines)
 
-    def confirmed(self) -> dict[str, Evaluation]:
-        """What the bus said, by `slot_key` of a trial or name of a baseline."""
+    def confirmations(self) -> dict[str, Evaluation]:
+        """Evaluations over the bus, by `slot_key` of a trial or name of a baseline."""
         return dict(self._confirmed)
 
     def add_baseline(self, name: str, parameters: Mapping[str, float], evaluation: Evaluation) -> None:
-        """Store a baseline's score with the study. It is no trial: the sampler does not learn from it."""
-        check(evaluation, f"baseline {name}")
-        self._keep({"baseline": name, "parameters": dict(parameters), **_scored(evaluation)})
+        """Store the score of a baseline with the study. It is not a trial: the sampler does not learn from it."""
+        check_evaluation(evaluation, f"baseline {name}")
+        self._store({"baseline": name, "parameters": dict(parameters), **_scored(evaluation)})
 
-    def confirm(self, key: str, evaluation: Evaluation) -> None:
-        """Store what the bus says of a trial or a baseline."""
-        check(evaluation, key)
-        self._keep({"confirmed": key, **_scored(evaluation)})
+    def store_confirmation(self, key: str, evaluation: Evaluation) -> None:
+        """Store the evaluation of a trial or a baseline over the bus."""
+        check_evaluation(evaluation, key)
+        self._store({"confirmed": key, **_scored(evaluation)})
 
-    def alone(self) -> AbstractContextManager[None]:
-        """Hold the file. Raises InputError when another process holds it."""
-        return store.alone(self.path)
+    def lock(self) -> AbstractContextManager[None]:
+        """Lock the file for this process. Raises InputError where another process holds it."""
+        return store.exclusive_lock(self.path)
 
     def begin(self, points: Points) -> None:
-        """Nothing is written before there is a result: what a kill leaves is asked again."""
+        """Nothing is stored before there is a result: after a kill the same slots are suggested again."""
 
-    def end(self, begun: None, points: Points, answers: Answers) -> list[Trial]:
-        """Append the generation."""
+    def end(self, begun: None, points: Points, outcomes: Outcomes) -> list[Trial]:
+        """Append the generation to the file."""
         trials, failures = [], []
-        for slot, answer in answers.items():
-            if isinstance(answer, TunefreeError):
-                text = CUT_OFF if answer.code == CUT_OFF else f"{answer.code}: {answer.message}"
-                failures.append({"slot": slot, "parameters": points[slot], "error": text})
+        for slot, outcome in outcomes.items():
+            if isinstance(outcome, TunefreeError):
+                failures.append({"slot": slot, "parameters": points[slot], "error": failure_text(outcome)})
             else:
-                trials.append({"slot": slot, "parameters": points[slot], **_scored(answer)})
-        self._keep({"trials": trials, "failures": failures})
-        by_slot = {one.slot: one for one in self._failures[len(self._failures) - len(failures) :]}
-        return [by_slot.get(slot) or self._trials[slot] for slot in answers]
+                trials.append({"slot": slot, "parameters": points[slot], **_scored(outcome)})
+        self._store({"trials": trials, "failures": failures})
+        failed = {trial.slot: trial for trial in self._failures[len(self._failures) - len(failures) :]}
+        return [failed.get(slot) or self._trials[slot] for slot in outcomes]
 
     def load(self) -> None:
-        """Read what the file holds; a line that was cut off is taken away. Raises InputError for another study."""
-        whole, _, cut = self.path.read_bytes().rpartition(b"\n")
-        if cut:
-            os.truncate(self.path, len(whole) + 1 if whole else 0)
-        if not whole:
+        """Read the file and remove an incomplete last line. Raises InputError for a study of other settings."""
+        complete, _, incomplete = self.path.read_bytes().rpartition(b"\n")
+        if incomplete:
+            os.truncate(self.path, len(complete) + 1 if complete else 0)
+        if not complete:
             return
         try:
-            header, *lines = [json.loads(line) for line in whole.split(b"\n")]
+            header, *lines = [json.loads(line) for line in complete.split(b"\n")]
         except ValueError as problem:
             raise _no_journal(self.path, str(problem)) from problem
         if not isinstance(header, dict) or header.get("schema") != SCHEMA:
-            raise _no_journal(self.path, "its first line does not say so")
-        store.refuse_differing(header["settings"], self.settings, self.path)
+            raise _no_journal(self.path, "the schema in its first line is another one")
+        store.require_same_settings(header["settings"], self.settings, self.path)
         for line in lines:
-            self._take(line)
+            self._apply(line)
 
     def write_header(self) -> None:
-        """Begin the file, where it is empty."""
+        """Write the first line of an empty file."""
         if not self.path.exists() or not self.path.stat().st_size:
-            self._append({"schema": SCHEMA, "settings": self.settings.described(), "optuna": optuna.__version__})
+            self._append({"schema": SCHEMA, "settings": self.settings.as_data(), "optuna": optuna.__version__})
 
-    def mirror(self, path: Path) -> None:
-        """Copy to the study file at `path` what it does not hold yet, and what the bus confirmed."""
-        mirror(path, self, {CONFIRMED + key: _scored(one) for key, one in self._confirmed.items()})
+    def copy_to(self, path: Path) -> None:
+        """Copy the study with its confirmations to the study file at `path`."""
+        attributes = {CONFIRMED + key: _scored(evaluation) for key, evaluation in self._confirmed.items()}
+        copy_study(path, self, attributes)
 
-    def _keep(self, line: dict[str, Any]) -> None:
+    def _store(self, line: dict[str, Any]) -> None:
         self._append(line)
-        self._take(json.loads(json.dumps(line)))
+        self._apply(json.loads(json.dumps(line)))
 
     def _append(self, line: dict[str, Any]) -> None:
         try:
@@ -129,22 +129,22 @@ class Journal(Filling):
             hint = "make room, then run the same command"
             raise BenchError(f"cannot write: {error.strerror}", code="disk", file=str(self.path), hint=hint) from error
 
-    def _take(self, line: Mapping[str, Any]) -> None:
-        """A line of the file into memory."""
+    def _apply(self, line: Mapping[str, Any]) -> None:
+        """Read a line of the file into memory."""
         if "baseline" in line:
             self._baselines[line["baseline"]] = Baseline(line["parameters"], line["score"], line["scenarios"])
         elif "confirmed" in line:
             self._confirmed[line["confirmed"]] = Evaluation(line["score"], line["scenarios"])
-        for one in line.get("trials", ()):
-            slot = one["slot"]
-            self._trials.setdefault(slot, Trial(slot, slot, one["parameters"], one["score"], one["scenarios"]))
-        for one in line.get("failures", ()):
-            failed = Trial(one["slot"], one["slot"], one["parameters"], math.nan, {}, one["error"])
+        for data in line.get("trials", ()):
+            slot = data["slot"]
+            self._trials.setdefault(slot, Trial(slot, slot, data["parameters"], data["score"], data["scenarios"]))
+        for data in line.get("failures", ()):
+            failed = Trial(data["slot"], data["slot"], data["parameters"], math.nan, {}, data["error"])
             self._failures.append(failed)
 
 
-def open_journal(path: Path, settings: Settings) -> Journal:
-    """The study in `path`, made if it is not there. Raises InputError for one that was started with other settings."""
+def open_journal(path: Path, settings: StudySettings) -> Journal:
+    """Open the study at `path`, or make it. Raises InputError for a study that was started with other settings."""
     store.check_settings(settings)
     journal = Journal(path, settings)
     if path.exists():
@@ -154,7 +154,7 @@ def open_journal(path: Path, settings: Settings) -> Journal:
 
 
 def slot_key(slot: int) -> str:
-    """The name under which a trial is confirmed."""
+    """The name of a trial in confirmations and in the robustness check."""
     return f"trial {slot + 1}"
 
 
@@ -162,6 +162,6 @@ def _scored(evaluation: Evaluation) -> dict[str, Any]:
     return {"score": float(evaluation.score), "scenarios": evaluation.scenarios}
 
 
-def _no_journal(path: Path, why: str) -> InputError:
+def _no_journal(path: Path, reason: str) -> InputError:
     hint = "give the folder of a `tune --backend batch`, or start a new run"
-    return InputError(f"this is no list of trials ({why})", code="no_study", file=str(path), hint=hint)
+    return InputError(f"this is not a list of trials ({reason})", code="no_study", file=str(path), hint=hint)

@@ -1,79 +1,88 @@
-"""A study kept in an Optuna storage, read as ours: slots, failures, baselines."""
+"""The trials of one Optuna study, read and written as ours: filled slots, failed attempts, baselines."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import optuna
 from optuna.trial import FrozenTrial, TrialState
 
 from tunefree_hil.tune import store
-from tunefree_hil.tune.sampling import learned_value
-from tunefree_hil.tune.trial import CUT_OFF, Baseline, Evaluation, Trial, check, lowest
+from tunefree_hil.tune.sampling import sampler_value_from_score
+from tunefree_hil.tune.trial import INTERRUPTED, Baseline, Evaluation, Trial, check_evaluation
 
-BASELINE = "baseline "
+BASELINE = "baseline "  # begins the key of a user attribute of the study
 
 
-class Shelf:
-    """Reads and writes the trials of one Optuna study."""
+class StoredTrials:
+    """Reads and writes the trials of one Optuna study.
 
-    def __init__(self, study: optuna.Study) -> None:
-        self.settings: store.Settings = store.stored_settings(study)
-        self.versions = store.versions_of(study)
-        self._optuna = study
-        self._stored = {axis.name: axis.stored() for axis in self.settings.space.axes}
+    The user attributes of a trial are `slot`, `worker` (shared studies), `score`, `scenarios` and `error`.
+    """
+
+    def __init__(self, optuna_study: optuna.Study) -> None:
+        self.optuna_study = optuna_study
+        self.settings: store.StudySettings = store.read_settings(optuna_study)
+        self.versions = store.read_versions(optuna_study)
+        self.distributions = {axis.name: axis.stored_distribution() for axis in self.settings.space.axes}
 
     def trials(self) -> list[Trial]:
         """The filled slots, in slot order."""
-        found: dict[int, Trial] = {}
-        for frozen in self._optuna.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
-            trial = self._read(frozen)
-            found.setdefault(trial.slot, trial)
-        return [found[slot] for slot in sorted(found)]
+        by_slot: dict[int, Trial] = {}
+        for frozen in self.optuna_study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
+            trial = self.convert(frozen)
+            by_slot.setdefault(trial.slot, trial)
+        return [by_slot[slot] for slot in sorted(by_slot)]
 
     def failures(self) -> list[Trial]:
-        """The attempts that failed, in the order in which they were made; error "interrupted" for those cut off."""
-        return [self._read(frozen) for frozen in self._optuna.get_trials(deepcopy=False, states=(TrialState.FAIL,))]
-
-    def best(self) -> Trial | None:
-        """The trial of the lowest score, the earliest of equals; None before the first."""
-        return lowest(self.trials())
+        """The failed attempts in the order in which they were made; an attempt that was cut off is "interrupted"."""
+        frozen_trials = self.optuna_study.get_trials(deepcopy=False, states=(TrialState.FAIL,))
+        return [self.convert(frozen) for frozen in frozen_trials]
 
     def add_baseline(self, name: str, parameters: Mapping[str, float], evaluation: Evaluation) -> None:
-        """Store a baseline's score with the study. It is no trial: the sampler does not learn from it."""
-        check(evaluation, f"baseline {name}")
+        """Store the score of a baseline with the study. It is not a trial: the sampler does not learn from it."""
+        check_evaluation(evaluation, f"baseline {name}")
         data = {"parameters": dict(parameters), "score": evaluation.score, "scenarios": evaluation.scenarios}
-        self._optuna.set_user_attr(BASELINE + name, data)
+        self.optuna_study.set_user_attr(BASELINE + name, data)
 
     def baselines(self) -> dict[str, Baseline]:
         """The stored baselines by name."""
-        attributes = self._optuna.user_attrs.items()
+        attributes = self.optuna_study.user_attrs.items()
         return {key.removeprefix(BASELINE): Baseline(**data) for key, data in attributes if key.startswith(BASELINE)}
 
-    def _ask(self, slot: int, parameters: Mapping[str, float], **more: Any) -> optuna.Trial:
-        self._optuna.enqueue_trial(dict(parameters), user_attrs={"slot": slot, **more})
-        return self._optuna.ask(self._stored)
+    def ask(self, slot: int, parameters: Mapping[str, float]) -> optuna.Trial:
+        """Begin a trial with these parameters; it is stored as running."""
+        self.optuna_study.enqueue_trial(dict(parameters), user_attrs={"slot": slot})
+        return self.optuna_study.ask(self.distributions)
 
-    def _tell(self, asked: optuna.Trial, answer: Evaluation) -> Trial:
-        asked.set_user_attr("score", float(answer.score))
-        asked.set_user_attr("scenarios", answer.scenarios)
-        return self._read(self._optuna.tell(asked, learned_value(answer.score)))
+    def tell(self, running: optuna.Trial, evaluation: Evaluation) -> Trial:
+        """Complete a running trial with its score."""
+        running.set_user_attr("score", float(evaluation.score))
+        running.set_user_attr("scenarios", evaluation.scenarios)
+        return self.convert(self.optuna_study.tell(running, sampler_value_from_score(evaluation.score)))
 
-    def _tell_failed(self, asked: optuna.Trial, error: str) -> Trial:
-        asked.set_user_attr("error", error)
-        return self._read(self._optuna.tell(asked, state=TrialState.FAIL))
+    def tell_failed(self, running: optuna.Trial, error: str) -> Trial:
+        """End a running trial as failed."""
+        running.set_user_attr("error", error)
+        return self.convert(self.optuna_study.tell(running, state=TrialState.FAIL))
 
-    def _read(self, frozen: FrozenTrial) -> Trial:
-        """Optuna's trial as ours. One that was killed while it was asked may lack parameters."""
+    def fail_unfinished(self) -> None:
+        """End the trials that a stopped process left waiting or running; without `error` they are "interrupted"."""
+        while self.optuna_study.get_trials(deepcopy=False, states=(TrialState.WAITING,)):
+            self.optuna_study.ask()  # starts the waiting trial: only a running one can be ended
+        for frozen in self.optuna_study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+            self.optuna_study.tell(frozen.number, state=TrialState.FAIL)
+
+    def convert(self, frozen: FrozenTrial) -> Trial:
+        """Optuna's trial as ours. A trial whose process was killed during `ask` may lack parameters."""
         attributes = frozen.user_attrs
-        failed = frozen.state == TrialState.FAIL
+        is_failed = frozen.state == TrialState.FAIL
         return Trial(
             slot=attributes["slot"],
             number=frozen.number,
-            parameters={name: frozen.params[name] for name in self._stored if name in frozen.params},
-            score=math.nan if failed else attributes["score"],
+            parameters={name: frozen.params[name] for name in self.distributions if name in frozen.params},
+            score=math.nan if is_failed else attributes["score"],
             scenarios=attributes.get("scenarios", {}),
-            error=attributes.get("error", CUT_OFF) if failed else "",
+            error=attributes.get("error", INTERRUPTED) if is_failed else "",
         )

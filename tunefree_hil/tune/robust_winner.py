@@ -1,86 +1,99 @@
-"""Which trial wins: not the best grade, but the best of those that a slower car does not upset (docs/margins.md).
+"""The rule that picks the winner: the best trial of those that also pass with slower actuators.
 
-A search bends its gains to the plant that it is given, up to the edge where that plant just holds. What holds on the
-vehicle is asked with a second car: the same plant with slower actuators. Pure functions of scores; who drives is
-jobs/tune/robustness.py.
+A search adapts the gains to its plant, up to the edge of stability of that plant. Whether they transfer to the vehicle
+is checked with a second car: the same plant with slower actuators (docs/reference/margins.md). Pure functions of
+scores; jobs/tune/robustness.py drives the cars.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 from tunefree_hil.grade.score import FINISHED
 from tunefree_hil.tune.journal import slot_key
-from tunefree_hil.tune.trial import Trial, lowest
+from tunefree_hil.tune.trial import Trial, find_best_trial
 
 
-class Came(NamedTuple):
-    """What a set of parameters came to over all scenarios: score, re-plans, and drives that were not finished."""
+class DriveTotals(NamedTuple):
+    """Score, number of re-plans and number of unfinished drives over all scenarios. Stored under its field names."""
 
     score: float
     replans: int
     failed: int
 
     @property
-    def calm(self) -> bool:
-        """Every drive was finished without a re-plan."""
+    def is_clean(self) -> bool:
+        """Whether every drive was finished without a re-plan."""
         return not self.replans and not self.failed
 
 
-Slower = Mapping[str, Came]  # in the slower car, by `slot_key` of a trial
+SlowerTotals = Mapping[str, DriveTotals]  # in the slower car, by `slot_key` of a trial
 
 
-def came_of(score: float, scenarios: Mapping[str, Any]) -> Came:
-    """A trial's or a baseline's own drives, from grades as plain data."""
+class RobustnessRank(IntEnum):
+    """Result of the robustness check of a trial, the best first."""
+
+    PASSED = 0
+    FAILED = 1
+    NOT_DRIVEN = 2
+
+
+def drive_totals(score: float, scenarios: Mapping[str, Any]) -> DriveTotals:
+    """Totals of a trial or a baseline in the nominal car, from grades as plain data."""
     failed = sum(drive.get("outcome", FINISHED) != FINISHED for drive in scenarios.values())
-    return Came(score, sum(int(drive.get("replans", 0) or 0) for drive in scenarios.values()), failed)
+    return DriveTotals(score, sum(int(drive.get("replans", 0) or 0) for drive in scenarios.values()), failed)
 
 
-def mean_of(trial: Trial, slower: Slower) -> float | None:
-    """The mean grade of a trial, the car as it is and the slower one; None where the slower one was not driven."""
-    came = slower.get(slot_key(trial.slot))
-    return None if came is None else 0.5 * (trial.score + came.score)
+def mean_score(trial: Trial, slower: SlowerTotals) -> float | None:
+    """Mean of the scores in the nominal and in the slower car; None where the slower car was not driven."""
+    totals = slower.get(slot_key(trial.slot))
+    return None if totals is None else 0.5 * (trial.score + totals.score)
 
 
-def holds(trial: Trial, slower: Slower) -> bool:
+def is_robust(trial: Trial, slower: SlowerTotals) -> bool:
     """Whether a trial drives both cars without a re-plan."""
-    came = slower.get(slot_key(trial.slot))
-    return came is not None and came.calm and came_of(trial.score, trial.scenarios).calm
+    totals = slower.get(slot_key(trial.slot))
+    return totals is not None and totals.is_clean and drive_totals(trial.score, trial.scenarios).is_clean
 
 
-def ranked(trials: Sequence[Trial], slower: Slower) -> list[Trial]:
-    """The trials, the winner first: those that hold by their mean, then others by theirs, then by grade what was not
-    driven. The earliest of equals first.
+def rank_trials(trials: Sequence[Trial], slower: SlowerTotals) -> list[Trial]:
+    """Sort the trials, the winner first.
+
+    Robust trials by their mean score, then the others by theirs, then trials that were not driven in the slower car by
+    their score; the earliest of equals first.
     """
-
-    def place(trial: Trial) -> tuple[int, float, int]:
-        mean = mean_of(trial, slower)
-        if mean is None:
-            return 2, trial.score, trial.slot
-        return (0 if holds(trial, slower) else 1), mean, trial.slot
-
-    return sorted(trials, key=place)
+    return sorted(trials, key=lambda trial: (*_rank(trial, slower), trial.slot))
 
 
-def ahead(trials: Sequence[Trial], slower: Slower) -> list[Trial]:
-    """Trials that may still win and have to be driven in the slower car for that, the best grade first.
+def _rank(trial: Trial, slower: SlowerTotals) -> tuple[RobustnessRank, float]:
+    mean = mean_score(trial, slower)
+    if mean is None:
+        return RobustnessRank.NOT_DRIVEN, trial.score
+    return RobustnessRank.PASSED if is_robust(trial, slower) else RobustnessRank.FAILED, mean
 
-    A trial that is not calm in the car as it is cannot hold; one whose grade there is no better than the best mean of
-    a trial that holds is taken not to win, as a slower car is driven no better.
+
+def find_open_trials(trials: Sequence[Trial], slower: SlowerTotals) -> list[Trial]:
+    """Trials that may still win and must be driven in the slower car for that, the best score first.
+
+    A trial that re-plans or fails in the nominal car is not robust. A trial whose score is no better than the best mean
+    of a robust trial is taken not to win: its score in the slower car will not be better than in the nominal one.
     """
-    means = [mean for one in trials if holds(one, slower) and (mean := mean_of(one, slower)) is not None]
+    means = [mean for trial in trials if is_robust(trial, slower) and (mean := mean_score(trial, slower)) is not None]
     best = min(means, default=math.inf)
-    not_driven = [one for one in trials if slot_key(one.slot) not in slower]
-    open_ = [one for one in not_driven if one.score < best and came_of(one.score, one.scenarios).calm]
-    return sorted(open_, key=lambda one: (one.score, one.slot))
+    not_driven = [trial for trial in trials if slot_key(trial.slot) not in slower]
+    candidates = [
+        trial for trial in not_driven if trial.score < best and drive_totals(trial.score, trial.scenarios).is_clean
+    ]
+    return sorted(candidates, key=lambda trial: (trial.score, trial.slot))
 
 
-def passed_over(trials: Sequence[Trial], slower: Slower) -> list[Trial]:
-    """Trials that are better than the winner by grade alone, the best of them first."""
-    if not trials or lowest(trials) is None:
+def find_rejected_trials(trials: Sequence[Trial], slower: SlowerTotals) -> list[Trial]:
+    """Trials with a better score in the nominal car than the winner, the best first."""
+    if not trials or find_best_trial(trials) is None:
         return []
-    winner = ranked(trials, slower)[0]
-    better = [one for one in trials if (one.score, one.slot) < (winner.score, winner.slot)]
-    return sorted(better, key=lambda one: (one.score, one.slot))
+    winner = rank_trials(trials, slower)[0]
+    better = [trial for trial in trials if (trial.score, trial.slot) < (winner.score, winner.slot)]
+    return sorted(better, key=lambda trial: (trial.score, trial.slot))

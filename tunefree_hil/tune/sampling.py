@@ -1,10 +1,9 @@
-"""The next point of a search, as a pure function of (what was learned so far, study seed, slot) (design D13).
+"""The next point of a search, as a pure function of the finished trials, the study seed and the slot.
 
-The sampler never sees the study file. It gets a study in memory, rebuilt from the finished slots in slot order, because
-what Optuna keeps is shaped by accidents: a kill leaves a RUNNING and then a FAIL trial behind, every trial after it
-gets a higher number, TPE orders its kernels (and so their weights, and ties between equal scores) by that number, and
-RUNNING trials repel it. In the rebuilt study the trial of slot n has number n, and none has any other
-state but those that are to be tried at the same time.
+The sampler never sees the study file, because its content depends on kills: a kill leaves a RUNNING and later a FAIL
+trial, all later trials get a higher number, TPE orders its kernels (and so their weights, and ties between equal
+scores) by that number, and keeps away from RUNNING trials. The sampler gets a study in memory, rebuilt from the
+finished slots in slot order: the trial of slot n has number n, and only trials in flight are unfinished.
 """
 
 from __future__ import annotations
@@ -21,80 +20,94 @@ from optuna.trial import create_trial
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.tune.space import Space
 
-# Optuna would say "A new study created" once for every suggestion.
+# Otherwise Optuna prints "A new study created" for every suggestion.
 optuna.logging.set_verbosity(optuna.logging.WARNING)
 
 SAMPLERS = ("tpe_independent", "tpe_relative", "random")
 SMALLEST_SCORE = 1e-6  # a score of 0 (no error at all) has no logarithm
 
 
-class Told(NamedTuple):
-    """A finished trial, as far as a sampler may know it."""
+class ScoredPoint(NamedTuple):
+    """Parameters and score of a finished trial, which a sampler learns from."""
 
     parameters: dict[str, float]
     score: float
 
 
-def learned_value(score: float) -> float:
-    """What the sampler is told instead of a score: its logarithm (D11). TPE, which looks at ranks, does not mind."""
+def sampler_value_from_score(score: float) -> float:
+    """The logarithm of a score, which the sampler gets as value. TPE uses ranks only, so it is not affected."""
     return math.log(max(score, SMALLEST_SCORE))
 
 
-def slot_seed(seed: int, slot: int) -> int:
-    """A 32-bit seed for the sampler of one slot; slots and neighbouring study seeds are unrelated."""
+def derive_slot_seed(seed: int, slot: int) -> int:
+    """A 32-bit seed for the sampler of one slot, independent of other slots and of neighbouring study seeds."""
     return int(np.random.SeedSequence([seed, slot]).generate_state(1)[0])
 
 
-def suggest(space: Space, history: Sequence[Told], *, sampler: str, seed: int, slot: int) -> dict[str, float]:
-    """The parameters to try in `slot`: binary32 values inside the box, by name, in the space's order.
+def suggest_point(
+    space: Space, history: Sequence[ScoredPoint], *, sampler: str, seed: int, slot: int
+) -> dict[str, float]:
+    """Suggest the parameters of one slot.
 
-    `history`: the finished slots in slot order. Raises InputError for an unknown sampler.
+    Args:
+        space: Search space.
+        history: Finished trials in slot order.
+        sampler: One of SAMPLERS; another name raises InputError.
+        seed: Seed of the study.
+        slot: Number of the slot.
+
+    Returns:
+        binary32 values inside the space, by name, in its order.
     """
-    return suggest_some(space, history, sampler=sampler, seed=seed, slots=[slot])[0]
+    return suggest_points(space, history, sampler=sampler, seed=seed, slots=[slot])[0]
 
 
-def suggest_some(
+def suggest_points(
     space: Space,
-    history: Sequence[Told],
+    history: Sequence[ScoredPoint],
     *,
     sampler: str,
     seed: int,
     slots: Sequence[int],
     pending: Sequence[Mapping[str, float]] = (),
 ) -> list[dict[str, float]]:
-    """One set of parameters for each of `slots`, which are to be tried at the same time.
+    """Suggest the parameters of slots that are tried at the same time.
 
-    `pending`: sets that are in flight already. A sampler that learns keeps away from them, and from the earlier ones of
-    these slots (Optuna's constant liar), so the answer depends on the arguments alone.
+    Args:
+        pending: Sets of parameters in flight. A sampler that learns keeps away from them, and from the earlier ones of
+            these slots (Optuna's constant liar).
+
+    Returns:
+        One set for each slot; it depends on the arguments alone.
     """
-    memory = optuna.create_study(direction="minimize", sampler=_make_sampler(sampler, slot_seed(seed, slots[0])))
-    distributions = {axis.name: axis.sampled() for axis in space.axes}
+    memory = optuna.create_study(direction="minimize", sampler=_make_sampler(sampler, derive_slot_seed(seed, slots[0])))
+    distributions = {axis.name: axis.sampler_distribution() for axis in space.axes}
     if sampler != "random":
         memory.add_trials(
             create_trial(
-                params={axis.name: axis.to_sampler(told.parameters[axis.name]) for axis in space.axes},
+                params={axis.name: axis.to_sampler(point.parameters[axis.name]) for axis in space.axes},
                 distributions=distributions,
-                value=learned_value(told.score),
+                value=sampler_value_from_score(point.score),
             )
-            for told in history
+            for point in history
         )
         for point in pending:
             memory.enqueue_trial({axis.name: axis.to_sampler(point[axis.name]) for axis in space.axes})
             memory.ask(distributions)
-    found: list[dict[str, float]] = []
+    suggested: list[dict[str, float]] = []
     for slot in slots:
-        memory.sampler = _make_sampler(sampler, slot_seed(seed, slot), in_flight=bool(pending or found))
+        memory.sampler = _make_sampler(sampler, derive_slot_seed(seed, slot), in_flight=bool(pending or suggested))
         drawn = memory.ask(distributions).params
-        found.append({axis.name: axis.from_sampler(drawn[axis.name]) for axis in space.axes})
-    return found
+        suggested.append({axis.name: axis.from_sampler(drawn[axis.name]) for axis in space.axes})
+    return suggested
 
 
 def _make_sampler(name: str, seed: int, *, in_flight: bool = False) -> BaseSampler:
-    """A fresh sampler. Only arguments that Optuna 5 neither deprecates nor calls experimental (opt_anchors A)."""
+    """A fresh sampler. Only arguments that Optuna 5 neither deprecates nor calls experimental."""
     if name == "random":
         return RandomSampler(seed=seed)
     if name in SAMPLERS:
-        # Paper, Table III and III-B.2: independent or relative sampling; the liar where others are in flight.
+        # Paper, Table III and III-B.2: independent or relative sampling; the liar while other trials are in flight.
         return TPESampler(seed=seed, multivariate=name == "tpe_relative", constant_liar=in_flight)
     raise InputError(
         f"no sampler {name!r}", code="unknown_sampler", key="tune.sampler", hint=f"use one of {', '.join(SAMPLERS)}"

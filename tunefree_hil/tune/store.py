@@ -1,7 +1,7 @@
-"""The study file: an Optuna study in SQLite, `study.db` in the run folder, which optuna-dashboard opens as it is.
+"""The study file: an Optuna study in SQLite, `study.db` in the run folder, which optuna-dashboard can open.
 
-It is made under a temporary name and renamed, so a study that exists is whole. What was asked for is stored with it,
-and a resume that asks for something else is refused: the trials of two different questions must not be mixed.
+It is made under a temporary name and renamed, so an existing study is complete. The settings are stored with it, and a
+resume with other settings is refused: trials of two different searches must not be mixed.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from sqlalchemy import URL
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.tune.sampling import SAMPLERS
-from tunefree_hil.tune.space import Space, from_description
+from tunefree_hil.tune.space import Space, space_from_data
 
 STUDY_NAME = "tunefree"
-BUSY_S = 60.0  # how long to wait while somebody else, such as the dashboard, holds the file
+BUSY_S = 60.0  # how long to wait while another program, such as the dashboard, holds the file
 SETTINGS, VERSIONS = "settings", "optuna_versions"
 
 
-class Settings(NamedTuple):
-    """What makes a study this study: with these, slot n has the same parameters on every machine with this Optuna.
+class StudySettings(NamedTuple):
+    """What determines a study: with the same settings and Optuna version, slot n has the same parameters everywhere.
 
-    bench_hash: of all that a score depends on (bench file, DBC, model, scenarios, weights). first: the parameters of
-    slot 0, already inside the space; empty where slot 0 is left to the sampler. in_flight: slots that are asked
-    together, a generation: their parameters depend on the generations before them alone. 0: many workers, each asks
-    when it is free, and parameters depend on what is finished by then.
+    bench_hash: Of all that a score depends on (bench file, DBC, model, scenarios, weights).
+    first: Parameters of slot 0, inside the space; empty where the sampler chooses them.
+    in_flight: Slots of a generation, which are tried together; their parameters depend on earlier generations only.
+        0: Workers of a shared study, each of which takes a slot when it is free; parameters depend on what is finished.
     """
 
     space: Space
@@ -43,10 +43,10 @@ class Settings(NamedTuple):
     first: dict[str, float]
     in_flight: int = 1
 
-    def described(self) -> dict[str, Any]:
-        """As plain data, for the file and for comparison."""
+    def as_data(self) -> dict[str, Any]:
+        """Plain data, for the study file and for comparison."""
         return {
-            "parameters": self.space.described(),
+            "parameters": self.space.as_data(),
             "seed": self.seed,
             "sampler": self.sampler,
             "bench_hash": self.bench_hash,
@@ -55,7 +55,7 @@ class Settings(NamedTuple):
         }
 
 
-def check_settings(settings: Settings) -> None:
+def check_settings(settings: StudySettings) -> None:
     """Raise InputError for a seed, sampler or first trial that a study cannot have."""
     if settings.seed < 0:
         raise InputError(f"the seed is {settings.seed}", code="bad_seed", key="seed", hint="use 0 or more")
@@ -66,68 +66,66 @@ def check_settings(settings: Settings) -> None:
         )
     if settings.in_flight < 0:
         raise InputError(f"in_flight is {settings.in_flight}", code="bad_in_flight", key="tune.in_flight")
-    if settings.first and settings.space.fit(settings.first) != settings.first:
-        raise InputError("the first trial lies outside the box", code="bad_parameter", hint="clip it with Space.fit")
+    if settings.first and settings.space.clip(settings.first) != settings.first:
+        raise InputError("the first trial lies outside the box", code="bad_parameter", hint="clip it with Space.clip")
 
 
 class StudyFile(NamedTuple):
-    """An open study file; give it back with `close_file`."""
+    """An open study file; close it with `close_study_file`."""
 
     study: optuna.Study
     storage: RDBStorage
 
 
-def open_file(path: Path, settings: Settings) -> StudyFile:
-    """The study at `path`, made if it is not there. Raises InputError where its settings are others."""
+def open_study_file(path: Path, settings: StudySettings) -> StudyFile:
+    """Open the study at `path`, or make it. Raises InputError where it has other settings."""
     check_settings(settings)
     if not path.exists():
         _create_file(path, settings)
-    file = read_file(path)
+    file = read_study_file(path)
     try:
-        refuse_differing(file.study.user_attrs[SETTINGS], settings, path)
+        require_same_settings(file.study.user_attrs[SETTINGS], settings, path)
     except InputError:
-        close_file(file)
+        close_study_file(file)
         raise
-    versions = versions_of(file.study)
+    versions = read_versions(file.study)
     if versions[-1] != optuna.__version__:
         file.study.set_user_attr(VERSIONS, [*versions, optuna.__version__])
     return file
 
 
-def read_file(path: Path) -> StudyFile:
-    """The study at `path`, unchanged. Raises InputError where there is none of ours."""
-    _check_ours(path)
+def read_study_file(path: Path) -> StudyFile:
+    """Open the study at `path` unchanged. Raises InputError where there is no study of this program."""
+    _require_own_study(path)
     try:
         storage = _storage(path)
-    except RuntimeError as problem:  # what Optuna raises for a file of another version of its tables
-        raise InputError(
-            str(problem), code="no_study", file=str(path), hint="see `optuna storage upgrade`"
-        ) from problem
+    except RuntimeError as error:  # raised by Optuna for a file of another table version
+        raise InputError(str(error), code="no_study", file=str(path), hint="see `optuna storage upgrade`") from error
     return StudyFile(optuna.load_study(study_name=STUDY_NAME, storage=storage, sampler=RandomSampler(seed=0)), storage)
 
 
-def close_file(file: StudyFile) -> None:
-    """Close the file. Nothing would be lost without it, but an open connection keeps it."""
+def close_study_file(file: StudyFile) -> None:
+    """Close the file, which is otherwise in use until the process ends. No data depend on it."""
     file.storage.remove_session()
     file.storage.engine.dispose()
 
 
-def stored_settings(study: optuna.Study) -> Settings:
-    """The settings a study was started with."""
+def read_settings(study: optuna.Study) -> StudySettings:
+    """The settings that a study was started with."""
     stored = study.user_attrs[SETTINGS]
-    space = from_description(stored["parameters"])
-    known = (stored["seed"], stored["sampler"], stored["bench_hash"], stored["first"], stored.get("in_flight", 1))
-    return Settings(space, *known)
+    space = space_from_data(stored["parameters"])
+    values = (stored["seed"], stored["sampler"], stored["bench_hash"], stored["first"], stored.get("in_flight", 1))
+    return StudySettings(space, *values)
 
 
-def versions_of(study: optuna.Study) -> tuple[str, ...]:
-    """The versions of Optuna that worked on it, in order. More than one: a resume may have left the original course."""
+def read_versions(study: optuna.Study) -> tuple[str, ...]:
+    """The Optuna versions used, in order. With more than one, a resumed study may differ from an uninterrupted one."""
     return tuple(study.user_attrs[VERSIONS])
 
 
-def refuse_differing(stored: Mapping[str, Any], settings: Settings, where: Path | str) -> None:
-    """Raise InputError that names what differs between the settings of the study at `where` and those asked for."""
-    differences = differing(stored, settings.described())
+def require_same_settings(stored: Mapping[str, Any], settings: StudySettings, where: Path | str) -> None:
+    """Raise InputError, which names the differences, where the study at `where` has other settings."""
+    differences = describe_differences(stored, settings.as_data())
     if differences:
         raise InputError(
             "the study was started with other settings: " + "; ".join(differences.values()),
@@ -138,48 +136,48 @@ def refuse_differing(stored: Mapping[str, Any], settings: Settings, where: Path 
         )
 
 
-def differing(stored: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, str]:
-    """What differs between two sets of settings: by key, a clause for a person."""
-    stored = {"in_flight": 1, **stored}  # studies of before say nothing of it
-    found = {
-        key: f"{key} was {stored[key]}, now {asked[key]}"
+def describe_differences(stored: Mapping[str, Any], requested: Mapping[str, Any]) -> dict[str, str]:
+    """The differences between two settings as plain data: a clause for an error message, by key."""
+    stored = {"in_flight": 1, **stored}  # studies of earlier versions do not have it
+    clauses = {
+        key: f"{key} was {stored[key]}, now {requested[key]}"
         for key in ("seed", "sampler", "bench_hash", "in_flight")
-        if stored[key] != asked[key]
+        if stored[key] != requested[key]
     }
     for group in ("parameters", "first"):
-        before, now = stored[group], asked[group]
-        if list(before) != list(now):
-            found[group] = f"{group} were {', '.join(before) or 'none'}, now {', '.join(now) or 'none'}"
+        old, new = stored[group], requested[group]
+        if list(old) != list(new):
+            clauses[group] = f"{group} were {', '.join(old) or 'none'}, now {', '.join(new) or 'none'}"
             continue
-        for name in [name for name in before if before[name] != now[name]]:
-            found[f"{group} {name}"] = f"{group} {name} was {_short(before[name])}, now {_short(now[name])}"
-    return found
+        for name in [name for name in old if old[name] != new[name]]:
+            clauses[f"{group} {name}"] = f"{group} {name} was {_value_text(old[name])}, now {_value_text(new[name])}"
+    return clauses
 
 
 @contextlib.contextmanager
-def alone(path: Path) -> Iterator[None]:
-    """Hold the study for this process; InputError when another one holds it, or where none can be held. The system lets
-    go when a process dies.
+def exclusive_lock(path: Path) -> Iterator[None]:
+    """Lock `path` for this process, with a locked SQLite file: it works on every system and ends with the process.
 
-    A locked SQLite file is the one lock that every system has in its standard library.
+    Raises:
+        InputError: Another process has the lock, or the file system has no locks.
     """
     lock_path = path.with_suffix(".lock")
     try:
-        lock = _locked(lock_path)
-    except sqlite3.Error as problem:
-        if getattr(problem, "sqlite_errorcode", None) == sqlite3.SQLITE_BUSY:
+        lock = _open_lock(lock_path)
+    except sqlite3.Error as error:
+        if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_BUSY:
             hint = f"wait for it or end it, then resume (the lock is {lock_path.name})"
-            raise InputError("another process works on it", code="study_busy", file=str(path), hint=hint) from problem
+            raise InputError("another process works on it", code="study_busy", file=str(path), hint=hint) from error
         hint = "it needs a folder that may be written, on a file system with locks; an old lock file may be deleted"
-        message = f"cannot be locked: {problem}"
-        raise InputError(message, code="study_not_locked", file=str(lock_path), hint=hint) from problem
+        message = f"cannot be locked: {error}"
+        raise InputError(message, code="study_not_locked", file=str(lock_path), hint=hint) from error
     try:
         yield
     finally:
         lock.close()
 
 
-def _locked(path: Path) -> sqlite3.Connection:
+def _open_lock(path: Path) -> sqlite3.Connection:
     lock = sqlite3.connect(path, timeout=0.0, check_same_thread=False, isolation_level=None)
     try:
         lock.execute("BEGIN EXCLUSIVE")
@@ -189,37 +187,37 @@ def _locked(path: Path) -> sqlite3.Connection:
     return lock
 
 
-def _create_file(path: Path, settings: Settings) -> None:
+def _create_file(path: Path, settings: StudySettings) -> None:
     part = path.with_name(path.name + ".part")
-    for left_over in (part, part.with_name(part.name + "-journal")):
-        left_over.unlink(missing_ok=True)
+    for old_part in (part, part.with_name(part.name + "-journal")):
+        old_part.unlink(missing_ok=True)
     storage = _storage(part)
     study = optuna.create_study(study_name=STUDY_NAME, storage=storage, direction="minimize")
-    study.set_user_attr(SETTINGS, settings.described())
+    study.set_user_attr(SETTINGS, settings.as_data())
     study.set_user_attr(VERSIONS, [optuna.__version__])
-    close_file(StudyFile(study, storage))
+    close_study_file(StudyFile(study, storage))
     os.replace(part, path)
 
 
-def _check_ours(path: Path) -> None:
-    """Raise InputError unless `path` holds a study of ours. Optuna would add its tables to any SQLite file."""
+def _require_own_study(path: Path) -> None:
+    """Raise InputError unless `path` has a study of this program. Optuna would add its tables to any SQLite file."""
     hint = "give the study.db in a run folder of `tune`"
     if not path.is_file():
         raise InputError("there is no study", code="no_study", file=str(path), hint=hint)
-    # Not opened read-only: after a kill SQLite must be able to roll back what was half written.
+    # Not opened read-only: after a kill SQLite must be able to roll back.
     file = sqlite3.connect(path.resolve().as_uri() + "?mode=rw", uri=True, timeout=BUSY_S)
     try:
-        ours = file.execute(
+        row = file.execute(
             "SELECT 1 FROM studies JOIN study_user_attributes USING (study_id) WHERE study_name = ? AND key = ?",
             (STUDY_NAME, SETTINGS),
         ).fetchone()
-    except sqlite3.DatabaseError as problem:
-        message = f"this is not an Optuna study ({problem})"
-        raise InputError(message, code="no_study", file=str(path), hint=hint) from problem
+    except sqlite3.DatabaseError as error:
+        message = f"this is not an Optuna study ({error})"
+        raise InputError(message, code="no_study", file=str(path), hint=hint) from error
     finally:
         file.close()
-    if ours is None:
-        raise InputError("this Optuna study is not one of ours", code="no_study", file=str(path), hint=hint)
+    if row is None:
+        raise InputError("this Optuna study was not made by tunefree_hil", code="no_study", file=str(path), hint=hint)
 
 
 def _storage(path: Path) -> RDBStorage:
@@ -227,7 +225,7 @@ def _storage(path: Path) -> RDBStorage:
     return RDBStorage(url, engine_kwargs={"connect_args": {"timeout": BUSY_S}})
 
 
-def _short(value: Any) -> str:
+def _value_text(value: Any) -> str:
     if isinstance(value, dict):
         return f"{value['low']:g} to {value['high']:g} {value['scale']}" + (" stepped" if value["grid"] else "")
     return f"{value:g}"

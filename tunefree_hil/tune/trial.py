@@ -1,4 +1,4 @@
-"""What a study speaks of: an evaluation, a trial, a baseline. Plain data, no Optuna."""
+"""The data of a study: evaluation, trial, baseline. Plain data, independent of Optuna."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from tunefree_hil.base.errors import BenchError, TunefreeError
-from tunefree_hil.tune.store import Settings
+from tunefree_hil.tune.store import StudySettings
 
-CUT_OFF = "interrupted"  # the error of an attempt that was cut off
+INTERRUPTED = "interrupted"  # the error of an attempt that was cut off
 
 
 class Evaluation(NamedTuple):
-    """What an evaluation says of one set of parameters. Lower is better; the score is finite and not negative.
+    """The score of one set of parameters: finite, not negative, lower is better.
 
-    scenarios: by name, plain JSON data (score, metrics, replans, error names ...), kept as it is. error: not empty when
-    the bench failed (a lost node); the score then does not count. Raising BenchError says the same.
+    scenarios: Plain JSON data by scenario (score, metrics, replans, error names ...), stored unchanged.
+    error: Not empty where the bench failed (a lost node); the score is then invalid. Raising BenchError is equivalent.
     """
 
     score: float
@@ -25,7 +25,7 @@ class Evaluation(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """One filled slot, or with `error` one attempt that failed (score NaN). `number` is Optuna's, and may run ahead."""
+    """A filled slot, or, with `error` and score NaN, a failed attempt. `number` is Optuna's and may be ahead of it."""
 
     slot: int
     number: int
@@ -36,17 +36,17 @@ class Trial(NamedTuple):
 
 
 class Baseline(NamedTuple):
-    """A set of parameters that was not searched for, scored beside the study and stored with it."""
+    """A set of parameters that was not searched for, scored and stored with the study."""
 
     parameters: dict[str, float]
     score: float
     scenarios: dict[str, Any]
 
 
-class Scored(Protocol):
-    """What a report needs of a study, wherever that is kept."""
+class ScoredStudy(Protocol):
+    """What a report needs of a study, wherever it is stored."""
 
-    settings: Settings
+    settings: StudySettings
 
     def trials(self) -> list[Trial]: ...
     def best(self) -> Trial | None: ...
@@ -54,17 +54,23 @@ class Scored(Protocol):
 
 
 Evaluate = Callable[[dict[str, float]], Evaluation]
-EvaluateAll = Callable[[Mapping[int, dict[str, float]]], Sequence[Evaluation]]  # by slot, answers in its order
+EvaluateAll = Callable[[Mapping[int, dict[str, float]]], Sequence[Evaluation]]  # by slot, results in the same order
 
 
-def check(evaluation: Evaluation, of: str) -> None:
-    """Raise BenchError where the bench failed, TunefreeError where the score is no score."""
+def check_evaluation(evaluation: Evaluation, name: str) -> None:
+    """Raise BenchError where the bench failed, TunefreeError where the score is not finite or negative."""
     if evaluation.error:
         raise BenchError(evaluation.error, code="evaluation_failed")
     if not (math.isfinite(evaluation.score) and evaluation.score >= 0.0):
-        raise TunefreeError(f"{of} was scored {evaluation.score}; a score is finite and not negative", code="bad_score")
+        message = f"{name} was scored {evaluation.score}; a score is finite and not negative"
+        raise TunefreeError(message, code="bad_score")
 
 
-def lowest(trials: Sequence[Trial]) -> Trial | None:
-    """The trial of the lowest score, the earliest of equals; None of none."""
+def find_best_trial(trials: Sequence[Trial]) -> Trial | None:
+    """The trial with the lowest score, the earliest of equals; None without trials."""
     return min(trials, key=lambda trial: (trial.score, trial.slot), default=None)
+
+
+def failure_text(error: TunefreeError) -> str:
+    """The text that a failed attempt is stored with."""
+    return INTERRUPTED if error.code == INTERRUPTED else f"{error.code}: {error.message}"

@@ -137,7 +137,7 @@ def heard_values(codec: Codec, message: MessageMap, records: dict) -> dict[tuple
 
 
 def test_commands_are_packed_as_published() -> None:
-    """apollo_facts 7.2, byte by byte."""
+    """docs/reference/by_wire.md, byte by byte."""
     command = Command(throttle_frac=0.4, brake_frac=0.25, steer_rad=-90.0 * DEG, gear=4.0)
     signals = {"EN": 1.0, "CLEAR": 0.0, "IGNORE": 1.0, "COUNT": 200.0}
     throttle = MKZ.encode(MKZ.by_name["THROTTLE_CMD"], {"command": command}, signals)

@@ -53,7 +53,7 @@ def compare(codec: Codec, message: MessageMap, frames: list[bytes]) -> None:
     places = {(field.group, field.index): place for place, field in enumerate(message.fields)}
     for i, one in enumerate(decoded):
         expected = {places[group, index]: value for group, index, value in codec.values(message, one)}
-        assert {place for place in places.values() if fields.there[i, place]} == expected.keys()
+        assert {place for place in places.values() if fields.is_present[i, place]} == expected.keys()
         assert all(same(fields.values[i, place], value) for place, value in expected.items())
 
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.dbc.e2e import Nibble, Protection, protect
 from tunefree_hil.bus.dbc.integrity import (
-    Counted,
     CounterCheck,
+    CounterStep,
     E2eStatus,
     Order,
     Receiver,
@@ -41,8 +41,8 @@ def test_a_counter_in_order_is_always_ok(modulus: int, frames: int) -> None:
 def test_what_is_missing_is_counted(modulus: int, data: st.DataObject) -> None:
     last, lost = data.draw(st.integers(0, modulus - 1)), data.draw(st.integers(1, modulus - 2))
     heard = (last + lost + 1) % modulus
-    assert check_counter(last, heard, modulus, max_delta=1) == Counted(Order.WRONG, lost)
-    assert check_counter(last, heard, modulus, max_delta=lost + 1) == Counted(Order.SOME_LOST, lost)
+    assert check_counter(last, heard, modulus, max_delta=1) == CounterStep(Order.WRONG, lost)
+    assert check_counter(last, heard, modulus, max_delta=lost + 1) == CounterStep(Order.SOME_LOST, lost)
 
 
 def test_a_stuck_counter_is_noticed_and_counted_in_a_row() -> None:

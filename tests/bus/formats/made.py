@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from tunefree_hil.bus.formats.rows import BRS, ERROR, ESI, EXTENDED_BIT, FD, RTR, SENT, Format, Row, survey
+from tunefree_hil.bus.formats.rows import BRS, ERROR, ESI, EXTENDED_BIT, FD, RTR, SENT, Format, Lost, Row, survey
 
 SUFFIX = {"blf": ".blf", "asc": ".asc", "csv": ".csv", "mf4": ".mf4", "ros1": ".bag", "ros2": ".ros2"}
 ROWS = (
@@ -35,7 +34,7 @@ class Held(NamedTuple):
 
 
 def hold(form: Format, rows: Sequence[Row]) -> Held:
-    lost: Counter[str] = Counter()
+    lost = Lost()
     kept = list(form.hold(rows, survey(rows), lost))
     return Held(kept, dict(lost))
 

@@ -16,18 +16,18 @@ from tunefree_hil.base.errors import BenchError
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.recording import recorder as module
-from tunefree_hil.bus.recording.recorder import Recorder, Setup
+from tunefree_hil.bus.recording.recorder import Recorder, RecorderSetup
 from tunefree_hil.bus.socketcan.link import SocketCanLink
 from tunefree_hil.episode.candump import ERROR, LogFrame, read_candump
 from tunefree_hil.episode.frame_hash import frame_hash
 
-SETUP = Setup("socketcan:can9", "tfhub:s/bench", (REPORTS, COMMANDS), TICK_NS, False)
+SETUP = RecorderSetup("socketcan:can9", "tfhub:s/bench", (REPORTS, COMMANDS), TICK_NS, False)
 
 
 class Bus:
     """A recorder whose links a test feeds."""
 
-    def __init__(self, folder: Path, setup: Setup = SETUP) -> None:
+    def __init__(self, folder: Path, setup: RecorderSetup = SETUP) -> None:
         self.folder = folder
         self.sock = FakeSocket()
         self.channel = FakeLink()

@@ -18,7 +18,7 @@ from tunefree_hil.base.errors import BenchError, NoAnswer
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.recording import recorder as module
 from tunefree_hil.bus.recording import recorder_process
-from tunefree_hil.bus.recording.recorder import Recorder, Setup
+from tunefree_hil.bus.recording.recorder import Recorder, RecorderSetup
 from tunefree_hil.bus.recording.recorder_owner import BusTrouble, RecorderOwner
 
 
@@ -33,7 +33,7 @@ class Served:
         self.thread.start()
         self.owner = RecorderOwner(ours, SETUP, 5.0)
 
-    def _open(self, setup: Setup) -> Recorder:
+    def _open(self, setup: RecorderSetup) -> Recorder:
         assert (setup.vehicle, setup.tick_ns, list(setup.ids[0])) == (SETUP.vehicle, TICK_NS, REPORTS)
         return self.bus.recorder
 
@@ -101,7 +101,7 @@ def test_a_recorder_that_is_gone_or_silent_is_named() -> None:
 
 
 def test_a_link_that_does_not_open_is_the_owners_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(setup: Setup) -> Any:
+    def refuse(setup: RecorderSetup) -> Any:
         raise BenchError("socketcan:can9 does not open", code="bus_error")
 
     monkeypatch.setattr(recorder_process, "open_recorder", refuse)

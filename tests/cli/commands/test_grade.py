@@ -12,21 +12,21 @@ import pytest
 
 from tunefree_hil.base.events import Event
 from tunefree_hil.cli.entry import run
+from tunefree_hil.jobs.grade.grade import GradeOptions
 
-GRADE = {"vehicle": None, "path": "u_turn", "align": "auto", "start_s": None, "weights": None, "out": None}
 COMPARE = {"fail_if": [], "weights": None, "out": None}
 
 
 @pytest.mark.parametrize(
     ("words", "module", "function", "arguments", "options"),
     [
-        (["grade", "a.log", "--path", "u_turn"], "grade.run", "grade_any", ("a.log",), GRADE),
+        (["grade", "a.log", "--path", "u_turn"], "grade.run", "grade_any", ("a.log", GradeOptions(path="u_turn")), {}),
         (
             ["grade", "a.blf", "--path", "p.csv", "--vehicle", "v", "--align", "start", "--start-s", "2.5"],
             "grade.run",
             "grade_any",
-            ("a.blf",),
-            {**GRADE, "path": "p.csv", "vehicle": "v", "align": "start", "start_s": 2.5},
+            ("a.blf", GradeOptions(path="p.csv", vehicle="v", align="start", start_s=2.5)),
+            {},
         ),
         (["compare", "a", "b"], "grade.compare", "compare", (["a", "b"],), COMPARE),
         (
@@ -86,7 +86,7 @@ def test_options_reach_the_job(
         (["grade", "nowhere.log", "--path", "u_turn", "--vehicle", "mkz_bywire"], "no such"),
         (["grade", "a.log", "--path", "u_turn", "--align", "somehow"], "--align"),
         (["compare"], "RUN"),
-        (["compare", "nowhere"], "nothing to be compared"),
+        (["compare", "nowhere"], "at least two runs are needed"),
         (["compare", "nowhere", "either"], "no such run folder"),
         (["explain", "nowhere"], "no such run folder"),
         (["explain", "nowhere", "--points", "1"], "--points"),

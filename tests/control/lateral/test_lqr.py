@@ -16,7 +16,7 @@ from tunefree_hil.control.parameters import BASELINES
 
 MKZ = VehicleConstants()
 SHIPPED_Q = (0.05, 0.0, 1.0, 0.0)
-# apollo_facts 3.2: speed, K of the shipped recursion, K converged, as printed.
+# docs/reference/apollo.md: speed, K of the shipped recursion, K converged, as printed.
 PUBLISHED = [
     (1.0, (0.0517, 0.0003, 0.516, 0.0034), (0.2230, 0.0015, 1.223, 0.0082)),
     (2.0, (0.1074, 0.0014, 0.881, 0.0117), (0.2224, 0.0030, 1.225, 0.0163)),

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from tunefree_hil.figures.gap.demonstration import STAGES, Driven, draw_demonstration, write_demonstration
+from tunefree_hil.figures.gap.demonstration import STAGES, ParameterSetResult, draw_demonstration, write_demonstration
 
 SIGNALS = {
     "yaw_rate_radps": {"before": 0.2, "recalibrated": 0.15, "after": 0.02, "floor": 0.01},
     "speed_mps": {"before": 0.1, "recalibrated": 0.1, "after": 0.1, "floor": 0.05},
 }
-OLD = Driven(3.4, {"u_turn": 3.0, "stop": 3.8}, 22, 1)
-REPAIRED = Driven(0.2, {"u_turn": 0.1, "stop": 0.3}, 1, 0)
-HELD = Driven(0.4, {"u_turn": 0.3, "stop": 0.5}, 0, 0)
-MANUAL = Driven(0.5, {"u_turn": 0.6, "stop": 0.4}, 0, 0)
+OLD = ParameterSetResult(3.4, {"u_turn": 3.0, "stop": 3.8}, 22, 1)
+REPAIRED = ParameterSetResult(0.2, {"u_turn": 0.1, "stop": 0.3}, 1, 0)
+HELD = ParameterSetResult(0.4, {"u_turn": 0.3, "stop": 0.5}, 0, 0)
+MANUAL = ParameterSetResult(0.5, {"u_turn": 0.6, "stop": 0.4}, 0, 0)
 
 
 def test_every_stage_of_every_signal_has_its_bar_and_every_road_its_discs(tmp_path: Path) -> None:
@@ -29,7 +29,7 @@ def test_every_stage_of_every_signal_has_its_bar_and_every_road_its_discs(tmp_pa
     assert not drives.patches and drives.get_xscale() == "log"
     words = [text.get_text() for text in drives.get_legend().get_texts()]
     assert sorted(words) == [
-        "best set that no search found: 0.5, 0 re-plans",
+        "best manual set: 0.5, 0 re-plans",
         "tuned on the old model: 3.4, 22 re-plans, 1 drive not finished",
         "tuned on the repaired model: 0.2, 1 re-plan",
     ]
@@ -44,7 +44,7 @@ def test_several_searches_are_a_disc_at_the_median_with_a_dot_for_each() -> None
     assert list(drives.lines[0].get_xdata()) == [0.3, 0.5]
     assert sorted(drives.lines[1].get_xdata()) == [0.3, 0.3, 0.5, 0.5, 3.0, 3.8]
     words = [text.get_text() for text in drives.get_legend().get_texts()]
-    assert "tuned on the old model: 0.4 (0.4 to 3.4), holds in 2 of 3 searches" in words
+    assert "tuned on the old model: 0.4 (0.4 to 3.4), no failure in 2 of 3 searches" in words
 
 
 def test_where_nothing_was_repaired_there_is_the_old_winner_alone() -> None:

@@ -13,7 +13,7 @@ from tunefree_hil.figures.learning import cells
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DOWN, ACROSS = cells.Side("dead time (s)", (0.05, 0.1)), cells.Side("lag (s)", (0.077, 0.12, 0.25))
+DOWN, ACROSS = cells.CellAxis("dead time (s)", (0.05, 0.1)), cells.CellAxis("lag (s)", (0.077, 0.12, 0.25))
 RATIOS = np.array([[0.5, 0.75, np.nan], [1.0, 1.25, 2.0]])
 
 

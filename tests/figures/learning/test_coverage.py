@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tunefree_hil.figures.learning.coverage import Panel, draw_coverage, write_coverage
+from tunefree_hil.figures.learning.coverage import CoveragePanel, draw_coverage, write_coverage
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HAVE = np.array([[0.0, 4.26, 12.0], [0.0, 0.0, 0.0]])
 NEED = np.array([[10.0, 10.0, 10.0], [0.0, 10.0, 0.0]])
-PANEL = Panel("0.2-10 m/s", HAVE, NEED, ["brake high", "throttle high"], ["left", "straight", "right"])
+PANEL = CoveragePanel("0.2-10 m/s", HAVE, NEED, ["brake high", "throttle high"], ["left", "straight", "right"])
 
 
 def words(figure: Figure) -> list[str]:
@@ -29,7 +29,7 @@ def test_every_asked_cell_is_shown_with_its_seconds_and_no_other() -> None:
     assert shown.count("4.3") == 2 and shown.count("12") == 2
     assert shown.count("0") == 4  # two asked cells a panel are empty; the two that are not asked for say nothing
     assert {"0.2-10 m/s", "brake high", "straight"} <= set(shown)
-    assert any("A title" in text and "10 wanted" in text for text in shown)
+    assert any("A title" in text and "10 requested" in text for text in shown)
 
 
 def test_a_full_cell_is_as_bright_as_one_that_is_more_than_full() -> None:

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from tunefree_hil.figures.learning.velocity_free_run import Run, draw_runs, write_runs
+from tunefree_hil.figures.learning.velocity_free_run import VelocityRun, draw_runs, write_runs
 
 
-def a_run(words: str) -> Run:
+def a_run(words: str) -> VelocityRun:
     time_s = np.arange(0.0, 5.0, 0.1)
     models = {"physics": time_s * 0.9, "keeps its speed": 0.0 * time_s}
-    return Run(words, time_s, time_s, 0.1 * time_s, models, models)
+    return VelocityRun(words, time_s, time_s, 0.1 * time_s, models, models)
 
 
 def test_a_column_a_run_with_every_model_in_both_panels(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tunefree_hil.figures.tuning.transfer import Ranked, draw_transfer, write_transfer
+from tunefree_hil.figures.tuning.transfer import TransferGrades, draw_transfer, write_transfer
 
 GRADES = np.geomspace(0.1, 10.0, 60)
 
@@ -14,8 +14,8 @@ GRADES = np.geomspace(0.1, 10.0, 60)
 def test_it_names_the_worse_vehicle_and_draws_every_set(tmp_path: Path) -> None:
     noisy = GRADES * np.exp(np.random.default_rng(1).normal(0.0, 0.2, GRADES.size))
     vehicles = {
-        "one": {"hybrid": Ranked(GRADES, noisy, 0.95), "physics": Ranked(GRADES, noisy[::-1], 0.1)},
-        "other": {"hybrid": Ranked(GRADES, noisy, 0.91)},
+        "one": {"hybrid": TransferGrades(GRADES, noisy, 0.95), "physics": TransferGrades(GRADES, noisy[::-1], 0.1)},
+        "other": {"hybrid": TransferGrades(GRADES, noisy, 0.91)},
     }
     figure = draw_transfer(vehicles)
     assert "0.91" in figure.get_suptitle() and "2" in figure.get_suptitle()
@@ -26,5 +26,5 @@ def test_it_names_the_worse_vehicle_and_draws_every_set(tmp_path: Path) -> None:
 
 
 def test_without_a_hybrid_it_claims_nothing() -> None:
-    figure = draw_transfer({"one": {"lstm": Ranked(GRADES, GRADES, 1.0)}})
+    figure = draw_transfer({"one": {"lstm": TransferGrades(GRADES, GRADES, 1.0)}})
     assert "hybrid" not in figure.get_suptitle()

@@ -7,40 +7,50 @@ import pytest
 
 from tests.gap.made_answer import VEHICLE, late_drive
 from tunefree_hil.base.contracts import Link
-from tunefree_hil.gap.diagnostics.lack_of_fit import ENOUGH_ROWS, Left, Piece, _pieces, features, left_of, left_over_all
-from tunefree_hil.gap.diagnostics.residual_tests import look
-from tunefree_hil.gap.estimation.residuals import Kind
-from tunefree_hil.gap.measured.chain import open_chain
-from tunefree_hil.gap.measured.targets import Compared
+from tunefree_hil.gap.diagnostics.lack_of_fit import (
+    REGRESSION,
+    LackOfFit,
+    RegressionData,
+    _build_data,
+    _DriveTarget,
+    build_features,
+    cross_validate,
+    pool_lack_of_fit,
+)
+from tunefree_hil.gap.diagnostics.residual_tests import assess_links
+from tunefree_hil.gap.estimation.residuals import TargetProperties
+from tunefree_hil.gap.measured.chain import build_measured_drive
+from tunefree_hil.gap.measured.targets import DriveComparison
 
 N, BLOCKS = 4000, 20
-OPENED = open_chain(late_drive(40.0), VEHICLE)
+OPENED = build_measured_drive(late_drive(40.0), VEHICLE)
 
 
-def made(share: float, seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def made(share: float, seed: int = 1) -> RegressionData:
     chance = np.random.default_rng(seed)
     columns = chance.standard_normal((N, 30))
     residual = share * columns[:, 4] + chance.standard_normal(N)
-    return columns, residual, np.ones(N, dtype=bool), np.arange(N) * BLOCKS // N
+    return RegressionData(columns, residual, np.ones(N, dtype=bool), np.arange(N) * BLOCKS // N)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 2.0])
 def test_what_could_be_explained_is_measured_on_blocks_not_fitted_on(share: float) -> None:
-    left = left_of(*made(share), np.arange(BLOCKS))
+    left = cross_validate(made(share), np.arange(BLOCKS))
     assert left.explained == pytest.approx(share**2, abs=0.05 + 0.05 * share**2)
     assert left.total == pytest.approx(1.0 + share**2, rel=0.1)
 
 
 def test_of_too_few_rows_nothing_is_foretold_and_what_is_missed_is_missed() -> None:
     columns, residual, valid, block = made(2.0)
-    left = left_of(columns[:40], residual[:40], valid[:40], block[:40], np.arange(BLOCKS))
-    assert left == pytest.approx(Left(float(np.mean(residual[:40] ** 2)), 0.0))
+    few = RegressionData(columns[:40], residual[:40], valid[:40], block[:40])
+    left = cross_validate(few, np.arange(BLOCKS))
+    assert left == pytest.approx(LackOfFit(float(np.mean(residual[:40] ** 2)), 0.0))
 
 
 def test_every_row_counts_as_much_whichever_drive_it_is_of() -> None:
     columns, residual, valid, block = made(0.0, seed=2)
-    short = Piece(columns[:400], residual[:400], valid[:400], block[:400] + BLOCKS)
-    left = left_over_all([Piece(*made(2.0)), short], np.arange(2 * BLOCKS))
+    short = RegressionData(columns[:400], residual[:400], valid[:400], block[:400] + BLOCKS)
+    left = pool_lack_of_fit([made(2.0), short], np.arange(2 * BLOCKS))
     assert left.total == pytest.approx((N * 5.0 + 400 * 1.0) / (N + 400), rel=0.05), "3 if drives counted alike"
     assert left.explained > 3.0
 
@@ -50,52 +60,59 @@ def test_many_drives_of_one_block_each_tell_together_what_none_tells_alone(share
     columns, residual, valid, block = made(share)
     residual = residual + np.where(block // 4 % 2, 3.0, -3.0)  # of each drive its own, that no other foretells
     cuts = [block == b for b in range(BLOCKS)]
-    pieces = [Piece(columns[rows], residual[rows], valid[rows], block[rows]) for rows in cuts]
+    pieces = [RegressionData(columns[rows], residual[rows], valid[rows], block[rows]) for rows in cuts]
     missed = float(np.mean(pieces[0].residual ** 2))
-    assert left_over_all(pieces[:1], np.arange(BLOCKS)) == pytest.approx(Left(missed, 0.0)), "missed all the same"
-    left = left_over_all(pieces, np.arange(BLOCKS))
+    assert pool_lack_of_fit(pieces[:1], np.arange(BLOCKS)) == pytest.approx(LackOfFit(missed, 0.0)), (
+        "missed all the same"
+    )
+    left = pool_lack_of_fit(pieces, np.arange(BLOCKS))
     assert left.explained == pytest.approx(share**2, abs=0.6) and left.total == pytest.approx(10.0 + share**2, rel=0.1)
 
 
 def test_features_look_at_nothing_that_comes_later() -> None:
-    target = next(one for one in Compared(OPENED).targets if one.name == "yaw_rate")
+    target = next(one for one in DriveComparison(OPENED).targets if one.name == "yaw_rate")
     half = OPENED.ticks // 2
     later = OPENED.inputs.outputs.copy()
     later[half + 1 :] = 0.3
     other = OPENED._replace(inputs=OPENED.inputs._replace(outputs=later))
     rows = target.rows <= half
-    was, now = (features(one, target) for one in (OPENED, other))
+    was, now = (build_features(one, target) for one in (OPENED, other))
     assert np.array_equal(was[rows], now[rows]) and not np.array_equal(was[~rows], now[~rows])
 
 
 def test_a_link_is_broken_where_more_is_left_than_a_calibrated_model_may_miss() -> None:
-    kinds = {name: Kind(name, Link.REPORT_TO_MOTION, "m/s2", 0.05, 0.0) for name in ("much", "little", "noisy")}
+    kinds = {
+        name: TargetProperties(name, Link.REPORT_TO_MOTION, "m/s2", 0.05, 0.0) for name in ("much", "little", "noisy")
+    }
     kinds["noisy"] = kinds["noisy"]._replace(noise=0.99)
-    left = {"much": Left(0.02, 0.01), "little": Left(0.0002, 0.0001), "noisy": Left(1.0, 0.004)}
-    found = look(left, kinds, dict.fromkeys(kinds, 1.0))
-    assert found[0].signal == "much" and {one.signal: one.broken for one in found} == {
+    left = {"much": LackOfFit(0.02, 0.01), "little": LackOfFit(0.0002, 0.0001), "noisy": LackOfFit(1.0, 0.004)}
+    found = assess_links(left, kinds, dict.fromkeys(kinds, 1.0))
+    assert found[0].signal == "much" and {one.signal: one.is_broken for one in found} == {
         "much": True, "little": False, "noisy": False,
     }  # fmt: skip
 
 
 def test_few_rows_are_asked_by_few_columns() -> None:
-    target = next(one for one in Compared(OPENED).targets if one.name == "yaw_rate")
+    target = next(one for one in DriveComparison(OPENED).targets if one.name == "yaw_rate")
     residual, block = np.zeros(len(target.rows)), np.zeros(len(target.rows), dtype=int)
     widths = [
-        _pieces([(OPENED, target)], [residual], [block], rows)[0].columns.shape[1] for rows in (5000, 500, 300, 50)
+        _build_data([_DriveTarget(OPENED, target)], [residual], [block], rows)[0].features.shape[1]
+        for rows in (5000, 500, 300, 50)
     ]
     assert widths == sorted(widths, reverse=True) and len(set(widths)) == 4
-    assert all(rows >= ENOUGH_ROWS * width for rows, width in zip((5000, 500, 300), widths, strict=False))
+    assert all(
+        rows >= REGRESSION.min_rows_per_column * width for rows, width in zip((5000, 500, 300), widths, strict=False)
+    )
 
 
 def test_what_a_small_car_does_slowly_has_a_shape() -> None:
     """One over the speed, and which way the wheel turns, by the size of the car, its ticks, its steering."""
-    target = next(one for one in Compared(OPENED).targets if one.name == "yaw_rate")
+    target = next(one for one in DriveComparison(OPENED).targets if one.name == "yaw_rate")
     x = OPENED.inputs
-    small = OPENED._replace(inputs=x._replace(speed_mps=0.05 * x.speed_mps, outputs=0.05 * x.outputs), pace=0.05)
+    small = OPENED._replace(inputs=x._replace(speed_mps=0.05 * x.speed_mps, outputs=0.05 * x.outputs), size_scale=0.05)
     whole, little = (
-        features(OPENED, target),
-        features(small._replace(most_steer_rad=0.05 * OPENED.most_steer_rad), target),
+        build_features(OPENED, target),
+        build_features(small._replace(max_steer_rad=0.05 * OPENED.max_steer_rad), target),
     )
     over = -2  # one over the speed: the last but how far the drive has gone
     assert little[:, over] == pytest.approx(20.0 * whole[:, over]) and np.ptp(whole[:, over]) > 0.0

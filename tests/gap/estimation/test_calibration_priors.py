@@ -1,4 +1,4 @@
-"""What a model's own logs make of the numbers that recalibration may move."""
+"""The prior of the recalibrated parameters from a model's own logs."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import ModelSpec
 from tunefree_hil.gap.estimation.calibration_priors import (
-    NOBODY_ASKED,
-    OwnNumbers,
-    _as_blocks_agree,
-    after_own,
-    as_data,
-    own_numbers,
-    own_numbers_of,
+    NO_PRIOR,
+    CalibrationPrior,
+    _posterior_from_blocks,
+    apply_calibration_prior,
+    card_entry_from_prior,
+    prior_from_fit,
+    read_calibration_prior,
 )
-from tunefree_hil.gap.estimation.least_squares import Fitted, Sums
-from tunefree_hil.gap.estimation.noise import Colour
-from tunefree_hil.gap.estimation.nuisance import Nuisance, correlation
-from tunefree_hil.gap.validation.repair import moved
-from tunefree_hil.learn.model_folder import data_of
+from tunefree_hil.gap.estimation.least_squares import Fit, NormalEquations
+from tunefree_hil.gap.estimation.noise import NoiseModel
+from tunefree_hil.gap.estimation.nuisance import Nuisance, prior_correlation
+from tunefree_hil.gap.validation.repair import apply_own_numbers
+from tunefree_hil.learn.model_folder import model_toml_from_spec
 from tunefree_hil.plant.data_sheet import DEFAULTS
 
 Array = np.ndarray
@@ -37,7 +37,7 @@ FORCE, KNEE, WIND = "plant.drive_force_n", "plant.drive_knee_frac", "side_wind.f
 
 
 def drifting(force: float, knee: float, drift: float) -> list[Nuisance]:
-    """Two numbers of the car, of which its calibration says so much, and one of the day."""
+    """Two parameters of the car with these doubts of its calibration, and one of the day."""
     return [
         Nuisance(FORCE, 0.0, float(np.hypot(force, drift)), force, "drive_force_n", 1.0, drift),
         Nuisance(WIND, 0.0, 8.0, 0.0, "", 1.0, 8.0),
@@ -46,14 +46,14 @@ def drifting(force: float, knee: float, drift: float) -> list[Nuisance]:
 
 
 def together(some: list[Nuisance], r: float) -> Array:
-    return correlation(some, {"drive_force_n": {"drive_knee_frac": r}, "drive_knee_frac": {"drive_force_n": r}})
+    return prior_correlation(some, {"drive_force_n": {"drive_knee_frac": r}, "drive_knee_frac": {"drive_force_n": r}})
 
 
 def at_once(some: list[Nuisance], r: float, left: float, z: Array) -> tuple[Array, Array]:
     """(mean, covariance) of a later day's two numbers where the own day's posterior is at z with `left` of its prior:
     by the joint normal of both days and a measurement that would leave just that.
     """
-    told, drift = np.array([some[0].told, some[2].told]), some[0].drift
+    told, drift = np.array([some[0].calibration_sigma, some[2].calibration_sigma]), some[0].drift_sigma
     car = np.array([[1.0, r], [r, 1.0]]) * np.outer(told, told)
     day = car + drift**2 * np.eye(2)
     noise = day * left / (1.0 - left)
@@ -62,7 +62,7 @@ def at_once(some: list[Nuisance], r: float, left: float, z: Array) -> tuple[Arra
     return gain @ measured, day - gain @ car
 
 
-def null(some: list[Nuisance], r: float, curve: Array, z: Array, differ: float | Array = 0.0) -> Fitted:
+def null(some: list[Nuisance], r: float, curve: Array, z: Array, differ: float | Array = 0.0) -> Fit:
     """Own logs that know two numbers by a curvature [2, 2]. differ: by how many deviations their blocks disagree; or
     the covariance [2, 2] of the scores that they sum up to.
     """
@@ -74,15 +74,15 @@ def null(some: list[Nuisance], r: float, curve: Array, z: Array, differ: float |
     else:
         pulls = differ * np.sqrt(np.diag(curve) / BLOCKS) * pulls / pulls.std(axis=0)
     curves = np.tile(curve / BLOCKS, (BLOCKS, 1, 1))
-    sums = Sums(np.array([0, 2]), np.ones(BLOCKS), pulls, curves, np.full(BLOCKS, ROWS),
-                Colour(np.array([1.0]), 1.0, 1.0))  # fmt: skip
+    sums = NormalEquations(np.array([0, 2]), np.ones(BLOCKS), pulls, curves, np.full(BLOCKS, ROWS),
+                NoiseModel(np.array([1.0]), 1.0, 1.0))  # fmt: skip
     keys = tuple(one.key for one in some)
     prior = np.linalg.inv(together(some, r))
-    return Fitted("", keys, np.array([z[0], 0.3, z[1]]), (), {}, prior, {"speed": sums}, {})
+    return Fit("", keys, np.array([z[0], 0.3, z[1]]), (), {}, prior, {"speed": sums}, {})
 
 
 def both(some: list[Nuisance], correlated: Array) -> Array:
-    """Covariance [2, 2] of the car's two numbers."""
+    """Covariance of the car's two parameters, shape (2, 2)."""
     sigma = np.array([one.sigma for one in some])[[0, 2]]
     return correlated[np.ix_([0, 2], [0, 2])] * np.outer(sigma, sigma)
 
@@ -91,70 +91,74 @@ def both(some: list[Nuisance], correlated: Array) -> Array:
     st.floats(0.005, 0.1), st.floats(0.005, 0.1), st.floats(0.001, 0.02), st.floats(-0.95, 0.95), st.floats(0.05, 0.8),
     st.floats(-2.0, 2.0), st.floats(-2.0, 2.0),
 )  # fmt: skip
-def test_a_later_day_is_known_as_the_joint_normal_of_both_days_says(
+def test_a_later_day_has_the_posterior_of_the_joint_normal_of_both_days(
     force: float, knee: float, drift: float, r: float, left: float, a: float, b: float
 ) -> None:
     some, z = drifting(force, knee, drift), np.array([a, b])
     inner = np.linalg.inv(together(some, r)[np.ix_([0, 2], [0, 2])])
-    own = own_numbers(null(some, r, inner * (1.0 - left) / left, z), some, ALL)
+    own = prior_from_fit(null(some, r, inner * (1.0 - left) / left, z), some, ALL)
     mean, covariance = at_once(some, r, left, z)
-    assert list(own.off) == pytest.approx(list(mean), rel=1e-6, abs=1e-12)
-    found, correlated = after_own(some, together(some, r), own)
+    assert list(own.offset) == pytest.approx(list(mean), rel=1e-6, abs=1e-12)
+    found, correlated = apply_calibration_prior(some, together(some, r), own)
     assert both(found, correlated) == pytest.approx(covariance, rel=1e-6, abs=1e-12)
-    assert found[1] == some[1] and correlated[1, 0] == 0.0, "what is of the day is as it was"
+    assert found[1] == some[1] and correlated[1, 0] == 0.0, "an effect of the day is unchanged"
     for one, was in zip(found, some, strict=True):
-        assert not was.told or drift * (1.0 - 1e-9) <= one.sigma <= was.sigma * (1.0 + 1e-9)
-        assert one.sigma == pytest.approx(np.hypot(one.told, one.drift)) and one.neutral == was.neutral
+        assert not was.calibration_sigma or drift * (1.0 - 1e-9) <= one.sigma <= was.sigma * (1.0 + 1e-9)
+        assert (
+            one.sigma == pytest.approx(np.hypot(one.calibration_sigma, one.drift_sigma)) and one.neutral == was.neutral
+        )
 
 
-def test_logs_that_say_nothing_leave_all_as_it_was() -> None:
+def test_logs_without_information_change_nothing() -> None:
     some = drifting(0.03, 0.05, 0.004)
     prior = together(some, 0.9)
-    silent = own_numbers(null(some, 0.9, np.zeros((2, 2)), np.zeros(2)), some, ALL)
-    for own in (NOBODY_ASKED, silent, OwnNumbers(("plant.what_it_had_once",), np.ones(1), np.ones((1, 1)))):
-        found, correlated = after_own(some, prior, own)
+    silent = prior_from_fit(null(some, 0.9, np.zeros((2, 2)), np.zeros(2)), some, ALL)
+    for own in (NO_PRIOR, silent, CalibrationPrior(("plant.what_it_had_once",), np.ones(1), np.ones((1, 1)))):
+        found, correlated = apply_calibration_prior(some, prior, own)
         assert [one.sigma for one in found] == pytest.approx([one.sigma for one in some])
         assert correlated == pytest.approx(prior)
-    assert silent.off == pytest.approx([0.0, 0.0])
+    assert silent.offset == pytest.approx([0.0, 0.0])
 
 
-def test_what_two_numbers_come_to_together_is_known_though_neither_is() -> None:
+def test_the_joint_effect_of_two_parameters_is_known_though_neither_is() -> None:
     """A tenth of the drive force is no recalibration where the own logs know force and knee along one line only."""
     some = drifting(0.08, 0.08, 0.004)
     across = np.array([1.0, -1.0]) / 2.0**0.5
-    own = own_numbers(null(some, 0.0, 0.08**2 / 0.002**2 * np.outer(across, across), np.zeros(2)), some, ALL)
-    found, correlated = after_own(some, np.eye(3), own)
+    own = prior_from_fit(null(some, 0.0, 0.08**2 / 0.002**2 * np.outer(across, across), np.zeros(2)), some, ALL)
+    found, correlated = apply_calibration_prior(some, np.eye(3), own)
     assert min(found[0].sigma, found[2].sigma) > 0.05
     assert across @ both(found, correlated) @ across == pytest.approx(3.6e-5, rel=0.02), "both days' drift, and 0.002"
 
 
-def test_own_logs_are_believed_as_far_as_their_blocks_agree() -> None:
+def test_own_logs_count_as_far_as_their_blocks_agree() -> None:
     some = drifting(0.03, 0.03, 0.004)
     curve, z = np.diag([100.0, 0.0]), np.array([0.7, 0.0])
-    sure, unsure, nobody = (own_numbers(null(some, 0.0, curve, z, by), some, ALL) for by in (0.0, 5.0, 50.0))
-    assert sure.keys == (FORCE, KNEE) and sure.off[0] == pytest.approx(0.7 * some[0].sigma, rel=0.02)
+    sure, unsure, nobody = (prior_from_fit(null(some, 0.0, curve, z, by), some, ALL) for by in (0.0, 5.0, 50.0))
+    assert sure.keys == (FORCE, KNEE) and sure.offset[0] == pytest.approx(0.7 * some[0].sigma, rel=0.02)
     believed = 1.0 / (1.0 + 5.0**2 * BLOCKS / (BLOCKS - 1))  # of what they know, in the only direction that they know
-    by = [(one.covariance[0, 0] - some[0].drift ** 2) / some[0].sigma ** 2 for one in (sure, unsure)]
+    by = [(one.covariance[0, 0] - some[0].drift_sigma ** 2) / some[0].sigma ** 2 for one in (sure, unsure)]
     assert by == pytest.approx([1.0 / 101.0, 1.0 / (1.0 + 100.0 * believed)], rel=0.1)
-    moved_by = 101.0 * believed / (1.0 + 100.0 * believed)  # by the same measurement, that much weaker
-    assert unsure.off[0] == pytest.approx(moved_by * sure.off[0], rel=0.01)
-    assert abs(nobody.off[0]) < 0.05 * abs(sure.off[0]), "blocks that disagree as much as that say next to nothing"
+    measure_sensitivity = 101.0 * believed / (1.0 + 100.0 * believed)  # by the same measurement, that much weaker
+    assert unsure.offset[0] == pytest.approx(measure_sensitivity * sure.offset[0], rel=0.01)
+    assert abs(nobody.offset[0]) < 0.05 * abs(sure.offset[0]), (
+        "blocks that disagree as much as that say next to nothing"
+    )
 
 
 @pytest.mark.parametrize("leans", [-0.07, 0.07])
-def test_a_number_that_they_know_is_not_moved_by_one_that_they_hardly_feel(leans: float) -> None:
+def test_a_known_parameter_is_not_moved_by_one_with_little_information(leans: float) -> None:
     """It does not turn round, and goes hardly farther: a third, as the noise of both leans the one way, that of the
     second against it.
     """
     some = drifting(0.03, 0.03, 1e-6)
     known, blurred, z = np.diag([1.0 / 1.9, 1.0 / 1.01]), np.array([[0.3, leans], [leans, 0.02]]), np.array([0.3, 0.1])
     sharp = np.linalg.inv(known)
-    own = own_numbers(null(some, 0.0, sharp - np.eye(2), z, sharp @ blurred @ sharp), some, ALL)
-    assert 0.0 < own.off[0] / 0.03 < 1.5 * z[0] and abs(own.off[1]) / 0.03 < z[1]
+    own = prior_from_fit(null(some, 0.0, sharp - np.eye(2), z, sharp @ blurred @ sharp), some, ALL)
+    assert 0.0 < own.offset[0] / 0.03 < 1.5 * z[0] and abs(own.offset[1]) / 0.03 < z[1]
 
 
 @given(*(st.floats(low, high) for low, high in ((0.0, 50.0), (0.0, 5.0), (-0.9, 0.9)) * 2))
-def test_no_other_weight_of_blocks_that_disagree_comes_nearer_to_the_car(
+def test_no_other_weight_of_inconsistent_blocks_has_a_smaller_error(
     a: float, b: float, r: float, c: float, d: float, q: float
 ) -> None:
     """theta of the prior, a score J theta + e of covariance J + M: the mean square of what is left is what is stated,
@@ -167,16 +171,16 @@ def test_no_other_weight_of_blocks_that_disagree_comes_nearer_to_the_car(
     def left(by: Array) -> float:
         return float(np.trace((by @ j - np.eye(2)) @ (by @ j - np.eye(2)).T + by @ (j + m) @ by.T))
 
-    each = [own_numbers(null(some, 0.0, j, trusts @ score, m), some, ALL) for score in np.eye(2)]
+    each = [prior_from_fit(null(some, 0.0, j, trusts @ score, m), some, ALL) for score in np.eye(2)]
     share = 2.0 / (BLOCKS + 1.0)  # what is drawn to the average of both
     m = (1.0 - share) * m + share * float(np.trace(np.linalg.solve(j, m))) / 2.0 * j
-    mine = np.stack([one.off for one in each], axis=1) / 0.03
+    mine = np.stack([one.offset for one in each], axis=1) / 0.03
     assert left(mine) <= left(trusts) * (1.0 + 1e-6)
     assert float(np.trace(each[0].covariance)) / 0.03**2 == pytest.approx(left(mine), rel=1e-4)
 
 
 @pytest.mark.parametrize(("judged", "drifts"), [(6, 0.0), (6, 1.0), (9, 1.0), (30, 1.0)])
-def test_with_fewer_blocks_than_numbers_no_more_is_believed_than_is_known(judged: int, drifts: float) -> None:
+def test_with_fewer_blocks_than_parameters_the_posterior_is_not_too_narrow(judged: int, drifts: float) -> None:
     """Sixteen numbers; of a minute there are six blocks, each of which tells five directions, each otherwise."""
     chance, size, squares, turned = np.random.default_rng(1), 16, list[Array](), list[Array]()
     for _ in range(100):
@@ -189,7 +193,7 @@ def test_with_fewer_blocks_than_numbers_no_more_is_believed_than_is_known(judged
         pulls = scores - scores.mean(axis=0)
         sharp = np.linalg.inv(sum(root @ root.T for root in roots) + np.eye(size))
         mean, blurred = sharp @ scores.sum(axis=0), sharp @ (judged / (judged - 1.0) * pulls.T @ pulls) @ sharp
-        found, known = _as_blocks_agree(np.eye(size), sharp, blurred, mean, judged)
+        found, known = _posterior_from_blocks(np.eye(size), sharp, blurred, mean, judged)
         squares.append((found - theta) ** 2 / np.diag(known))
         turned.append((found * mean < 0.0) & (np.minimum(np.abs(mean), np.abs(found)) > 0.3))
     assert np.mean(squares) < 1.3 and np.mean(turned) < 0.015
@@ -201,19 +205,19 @@ def carded(folder: Path, card: dict[str, Any]) -> ModelSpec:
     return replace(model, folder=str(folder), plant=replace(model.plant, card="card.json"))
 
 
-def test_they_come_back_from_a_card_as_they_were(tmp_path: Path) -> None:
+def test_a_prior_is_read_from_a_card_as_it_was_written(tmp_path: Path) -> None:
     some = drifting(0.03, 0.03, 0.004)
-    own = own_numbers(null(some, 0.0, np.diag([100.0, 0.0]), np.array([0.7, 0.0])), some, ALL)
-    back = own_numbers_of(carded(tmp_path, {"seed": 1, **as_data(own)}))
-    assert back.keys == own.keys and (back.off == own.off).all() and (back.covariance == own.covariance).all()
-    assert own_numbers_of(carded(tmp_path, {"seed": 1, **as_data(NOBODY_ASKED)})) is NOBODY_ASKED
+    own = prior_from_fit(null(some, 0.0, np.diag([100.0, 0.0]), np.array([0.7, 0.0])), some, ALL)
+    back = read_calibration_prior(carded(tmp_path, {"seed": 1, **card_entry_from_prior(own)}))
+    assert back.keys == own.keys and (back.offset == own.offset).all() and (back.covariance == own.covariance).all()
+    assert read_calibration_prior(carded(tmp_path, {"seed": 1, **card_entry_from_prior(NO_PRIOR)})) is NO_PRIOR
 
 
-def test_a_model_is_moved_to_what_its_own_logs_say_of_it(tmp_path: Path) -> None:
+def test_a_model_is_moved_to_the_values_of_its_own_logs(tmp_path: Path) -> None:
     keys = ("brake_gain.gain_frac", FORCE, "friction.friction_frac", "linkage.bend")
-    own = OwnNumbers(keys, np.array([-0.02, 0.08, 0.2, 0.01]), np.eye(4))
-    model, vehicle = carded(tmp_path, as_data(own)), load_vehicle("mkz_bywire")
-    there = moved(model, vehicle)
+    own = CalibrationPrior(keys, np.array([-0.02, 0.08, 0.2, 0.01]), np.eye(4))
+    model, vehicle = carded(tmp_path, card_entry_from_prior(own)), load_vehicle("mkz_bywire")
+    there = apply_own_numbers(model, vehicle)
     before, after = ({**DEFAULTS, **one.plant.params} for one in (model, there))
     assert after["brake_force_n_per_frac"] == pytest.approx(0.98 * before["brake_force_n_per_frac"])
     assert after["drive_force_n"] == pytest.approx(np.exp(0.08) * before["drive_force_n"])
@@ -221,9 +225,9 @@ def test_a_model_is_moved_to_what_its_own_logs_say_of_it(tmp_path: Path) -> None
     assert [(one.name, one.params, one.provenance) for one in there.effects[len(model.effects) :]] == [
         ("friction", {"friction_frac": pytest.approx(1.2)}, {"by": "recalibration"})
     ]
-    assert (there.hash, there.folder) == (model.hash, model.folder) and data_of(there)
+    assert (there.hash, there.folder) == (model.hash, model.folder) and model_toml_from_spec(there)
     plain = carded(tmp_path, {"seed": 1})
-    assert moved(plain, vehicle) is plain
+    assert apply_own_numbers(plain, vehicle) is plain
 
 
 @pytest.mark.parametrize(
@@ -234,7 +238,7 @@ def test_a_model_is_moved_to_what_its_own_logs_say_of_it(tmp_path: Path) -> None
      {"keys": ["a"], "off": [0.1], "covariance": [[-1.0]]},
      {"keys": ["a"], "off": ["much"], "covariance": [[1.0]]}],
 )  # fmt: skip
-def test_a_card_that_says_nonsense_is_an_input_error(tmp_path: Path, said: object) -> None:
+def test_an_invalid_card_is_an_input_error(tmp_path: Path, said: object) -> None:
     with pytest.raises(InputError) as refused:
-        own_numbers_of(carded(tmp_path, {"own_numbers": said}))
+        read_calibration_prior(carded(tmp_path, {"own_numbers": said}))
     assert refused.value.code == "bad_card" and "own_numbers" in refused.value.message

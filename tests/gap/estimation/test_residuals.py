@@ -1,4 +1,4 @@
-"""What is the same for all drives of a target: pooled over them, with what the model's own calibration missed."""
+"""Properties of a target, pooled over its drives, and the misfit of the model's own calibration."""
 
 from __future__ import annotations
 
@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 
 from tunefree_hil.base.contracts import Link
-from tunefree_hil.gap.estimation.residuals import EXACT, FLOOR_SHARE, LEAST_OF_LEVEL, kind_of, missed_of, size_of
+from tunefree_hil.gap.estimation.residuals import (
+    CRITERIA,
+    misfit_beyond_noise,
+    pool_signal_scale,
+    pool_target_properties,
+)
 from tunefree_hil.gap.measured.targets import Target
-from tunefree_hil.gap.model.card import HeldOut
+from tunefree_hil.gap.model.card import HoldoutErrors
 
 ROWS = 4000
 VALID = np.ones(ROWS, dtype=bool)
@@ -20,37 +25,40 @@ def target(noise: float, name: str = "rate_of_speed", size: float = 1.0, dt_s: f
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_no_drive_says_for_all_of_them_how_noisy_they_are(first: int) -> None:
+def test_noise_is_pooled_over_the_drives(first: int) -> None:
     calm, loud = target(0.01, dt_s=0.05), target(0.7, dt_s=0.06, seed=2)
-    kind = kind_of([calm, loud] if first == 0 else [loud, calm], 0.02)
-    assert kind.floor == pytest.approx(FLOOR_SHARE * (0.5 * (0.01**2 + 0.7**2)) ** 0.5, rel=0.05)
-    assert kind.dt_s == pytest.approx(0.055) and kind.missed == 0.02
-    assert kind_of([target(0.0)], 0.0).floor == EXACT
+    kind = pool_target_properties([calm, loud] if first == 0 else [loud, calm], 0.02)
+    assert kind.floor == pytest.approx(CRITERIA.min_sensor_share * (0.5 * (0.01**2 + 0.7**2)) ** 0.5, rel=0.05)
+    assert kind.dt_s == pytest.approx(0.055) and kind.calibration_misfit == 0.02
+    assert pool_target_properties([target(0.0)], 0.0).floor == CRITERIA.min_signal_share
 
 
-def test_a_sensor_is_as_loud_as_it_is_in_the_target_and_the_floor_asks_for_its_roughness() -> None:
+def test_noise_is_that_in_the_target_and_the_floor_is_from_white_noise() -> None:
     rough = target(0.1)
-    kind = kind_of([rough._replace(noise=0.7)], 0.0)
-    assert kind.noise == 0.7 and kind.floor == kind_of([rough], 0.0).floor
-    assert kind_of([rough._replace(noise=0.01)], 0.0).noise == pytest.approx(0.1, rel=0.05)
+    kind = pool_target_properties([rough._replace(noise=0.7)], 0.0)
+    assert kind.noise == 0.7 and kind.floor == pool_target_properties([rough], 0.0).floor
+    assert pool_target_properties([rough._replace(noise=0.01)], 0.0).noise == pytest.approx(0.1, rel=0.05)
 
 
-def test_wheels_are_off_by_a_share_of_the_speed_however_even_the_drive_is() -> None:
+def test_the_scale_of_wheel_speed_errors_is_at_least_a_share_of_the_speed() -> None:
     even, lively = np.full(ROWS, 20.0), np.full(ROWS, 10.0)
     wheels = [target(0.01, "wheel_vs_ins", size=0.1)]
-    assert size_of(wheels, [even]) == pytest.approx(LEAST_OF_LEVEL * 20.0)
-    assert size_of([wheels[0]._replace(size=4.0)], [lively]) == 4.0
-    assert size_of([target(0.01, size=0.1)], [even]) == pytest.approx(0.1), "a rate has no level"
+    assert pool_signal_scale(wheels, [even]) == pytest.approx(CRITERIA.min_level_share * 20.0)
+    assert pool_signal_scale([wheels[0]._replace(size=4.0)], [lively]) == 4.0
+    assert pool_signal_scale([target(0.01, size=0.1)], [even]) == pytest.approx(0.1), "a rate has no level"
 
 
-def test_what_a_calibration_missed_of_other_drives_counts_less_the_noise_that_is_in_it() -> None:
-    said = HeldOut({"yaw_rate_radps": 0.01, "speed_mps": 0.05}, {"brake": (0.005, 0.003)})
-    assert missed_of("brake", said, 0.0) == pytest.approx(0.004)
-    assert missed_of("yaw_rate", said, 0.008) == pytest.approx(0.006) and missed_of("yaw_rate", said, 0.02) == 0.0
-    assert missed_of("rate_of_speed", said, 0.0) == 0.0, "of a rate the card says nothing"
+def test_the_misfit_of_a_calibration_counts_without_its_noise() -> None:
+    said = HoldoutErrors({"yaw_rate_radps": 0.01, "speed_mps": 0.05}, {"brake": (0.005, 0.003)})
+    assert misfit_beyond_noise("brake", said, 0.0) == pytest.approx(0.004)
     assert (
-        missed_of("steer", said, 0.0)
-        == missed_of("lateral_accel", said, 0.0)
-        == missed_of("brake", HeldOut({}, {}), 0.0)
+        misfit_beyond_noise("yaw_rate", said, 0.008) == pytest.approx(0.006)
+        and misfit_beyond_noise("yaw_rate", said, 0.02) == 0.0
+    )
+    assert misfit_beyond_noise("rate_of_speed", said, 0.0) == 0.0, "the card has no rate"
+    assert (
+        misfit_beyond_noise("steer", said, 0.0)
+        == misfit_beyond_noise("lateral_accel", said, 0.0)
+        == misfit_beyond_noise("brake", HoldoutErrors({}, {}), 0.0)
         == 0.0
     )

@@ -10,46 +10,52 @@ import pytest
 from tests.learn.made_drives import made_drive
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_vehicle
-from tunefree_hil.gap.measured.chain import Opened, open_chain
-from tunefree_hil.gap.measured.excitation import LEAST_S, refuse_untold
+from tunefree_hil.gap.measured.chain import MeasuredDrive, build_measured_drive
+from tunefree_hil.gap.measured.excitation import DRIVING_CRITERIA, require_enough_driving
 
 VEHICLE = load_vehicle("mkz_bywire")
 
 
-def opened(seconds: float) -> Opened:
-    return open_chain(made_drive(seconds, seed=5), VEHICLE)
+def opened(seconds: float) -> MeasuredDrive:
+    return build_measured_drive(made_drive(seconds, seed=5), VEHICLE)
 
 
-def refusal(drives: Sequence[Opened]) -> InputError:
+def refusal(drives: Sequence[MeasuredDrive]) -> InputError:
     with pytest.raises(InputError) as refused:
-        refuse_untold(drives)
+        require_enough_driving(drives)
     return refused.value
 
 
 def test_a_log_that_is_too_short_is_refused_with_what_to_do() -> None:
     found = refusal([opened(30.0)])
-    assert found.code == "too_short" and "5 blocks of 5 s" in found.message and f"{LEAST_S:.0f} s" in found.hint
+    assert (
+        found.code == "too_short"
+        and "5 blocks of 5 s" in found.message
+        and f"{DRIVING_CRITERIA.min_log_s:.0f} s" in found.hint
+    )
 
 
 def test_short_logs_are_enough_together() -> None:
-    refuse_untold([opened(45.0), opened(45.0)])
+    require_enough_driving([opened(45.0), opened(45.0)])
 
 
 def test_a_car_that_stands_for_most_of_the_log_is_refused_with_what_to_do() -> None:
     one = opened(110.0)
-    halted = one.moving.copy()
+    halted = one.is_moving.copy()
     halted[3000:] = False
-    refuse_untold([one])
-    found = refusal([one._replace(moving=halted)])
+    require_enough_driving([one])
+    found = refusal([one._replace(is_moving=halted)])
     assert found.code == "standing" and "walking pace" in found.message and "in gear" in found.hint
 
 
 @pytest.mark.parametrize("field", ["report.steer_rad", "report.brake_frac"])
 def test_a_report_that_falls_silent_is_named_and_not_the_car(field: str) -> None:
     drive = made_drive(110.0, seed=5)
-    late = np.arange(drive.ticks) > 4500
+    late = np.arange(drive.n_rows) > 4500
     fields = {**drive.fields, field: np.where(late, np.nan, drive.fields[field])}
-    one = open_chain(drive._replace(fields=fields, fresh={**drive.fresh, field: drive.fresh[field] & ~late}), VEHICLE)
+    one = build_measured_drive(
+        drive._replace(fields=fields, fresh={**drive.fresh, field: drive.fresh[field] & ~late}), VEHICLE
+    )
     found = refusal([one])
     assert f"{field} is silent for 6" in found.message and "stands for" not in found.message
-    assert "falls silent" in found.hint
+    assert "long gaps" in found.hint

@@ -7,8 +7,8 @@ import pytest
 
 from tests.learn.made_drives import DT_S, QUANTUM, REST, as_drive
 from tunefree_hil.config.load import load_vehicle
-from tunefree_hil.gap.measured.chain import Opened, open_chain
-from tunefree_hil.gap.measured.targets import LEAST_ROWS, TIGHT_RAD, Compared, Target, too_few
+from tunefree_hil.gap.measured.chain import MeasuredDrive, build_measured_drive
+from tunefree_hil.gap.measured.targets import TARGET_CRITERIA, DriveComparison, Target, find_sparse_targets
 
 TICKS = 3000
 T = DT_S * np.arange(TICKS)
@@ -17,7 +17,7 @@ STEER = 0.3 * np.sin(1.1 * T)
 STANDS = np.full(TICKS, REST)
 
 
-def opened(brake: np.ndarray = PEDAL, asked: np.ndarray | None = None, yaw: np.ndarray | None = None) -> Opened:
+def opened(brake: np.ndarray = PEDAL, asked: np.ndarray | None = None, yaw: np.ndarray | None = None) -> MeasuredDrive:
     """A drive of signals that nobody simulated. brake: its report; asked: the command, else the same."""
     fields = {
         "report.speed_mps": 10.0 + 2.0 * np.sin(0.2 * T),
@@ -29,11 +29,11 @@ def opened(brake: np.ndarray = PEDAL, asked: np.ndarray | None = None, yaw: np.n
         fields |= {f"report.{name}": output, f"report.{bare}_command_{unit}": command, f"command.{name}": command}
     drive = as_drive(fields, 1)
     exact = {name: values for name, values in fields.items() if "brake" in name or (yaw is not None and "yaw" in name)}
-    return open_chain(drive._replace(fields={**drive.fields, **exact}), load_vehicle("mkz_bywire"))
+    return build_measured_drive(drive._replace(fields={**drive.fields, **exact}), load_vehicle("mkz_bywire"))
 
 
-def targets(drive: Opened) -> dict[str, Target]:
-    return {one.name: one for one in Compared(drive).targets}
+def targets(drive: MeasuredDrive) -> dict[str, Target]:
+    return {one.name: one for one in DriveComparison(drive).targets}
 
 
 def test_everything_that_moves_is_compared_and_has_a_size() -> None:
@@ -65,18 +65,18 @@ def test_a_sensor_that_never_moves_is_compared_with_nothing() -> None:
 
 def test_drives_together_must_have_enough_of_a_target_and_each_more_than_a_moment_of_it() -> None:
     one = opened()
-    moment = one._replace(moving=one.moving & (T > 5.0) & (T < 10.5))
-    assert "yaw_rate" not in {target.name for target in Compared(moment).targets}, "it is all there is"
-    short = Compared(moment, 0.05)
+    moment = one._replace(is_moving=one.is_moving & (T > 5.0) & (T < 10.5))
+    assert "yaw_rate" not in {target.name for target in DriveComparison(moment).targets}, "it is all there is"
+    short = DriveComparison(moment, 0.05)
     (rows,) = (int(target.valid.sum()) for target in short.targets if target.name == "yaw_rate")
-    assert 40 <= rows < LEAST_ROWS and {"yaw_rate", "rate_of_speed"} <= too_few([short])
-    assert "yaw_rate" not in too_few([short, Compared(one, 0.95)])
-    glimpse = one._replace(moving=one.moving & (T > 5.0) & (T < 7.0))
-    assert "yaw_rate" not in {target.name for target in Compared(glimpse, 0.01).targets}
+    assert 40 <= rows < TARGET_CRITERIA.min_rows and {"yaw_rate", "rate_of_speed"} <= find_sparse_targets([short])
+    assert "yaw_rate" not in find_sparse_targets([short, DriveComparison(one, 0.95)])
+    glimpse = one._replace(is_moving=one.is_moving & (T > 5.0) & (T < 7.0))
+    assert "yaw_rate" not in {target.name for target in DriveComparison(glimpse, 0.01).targets}
 
     throttle = next(target for target in short.targets if target.name == "throttle")
-    short.leave_out(too_few([short]))
-    assert "throttle" in {target.name for target in short.targets} and throttle.valid.sum() >= LEAST_ROWS
+    short.drop_targets(find_sparse_targets([short]))
+    assert "throttle" in {target.name for target in short.targets} and throttle.valid.sum() >= TARGET_CRITERIA.min_rows
     assert "yaw_rate" not in {target.name for target in short.targets}
 
 
@@ -90,12 +90,16 @@ def test_the_rate_of_speed_is_not_asked_for_in_tight_turns_unless_there_is_hardl
     rate, yaw = (targets(drive)[name] for name in ("rate_of_speed", "yaw_rate"))
     inner = tight & (T > 1.0) & (ends - 3.0 > T)
     assert rate.valid[inner[rate.rows]].any() != left_out and yaw.valid[inner[yaw.rows]].all()
-    assert np.abs(drive.bend[~tight]).max() < TIGHT_RAD < np.abs(drive.bend[inner]).min()
+    assert (
+        np.abs(drive.kinematic_steer_rad[~tight]).max()
+        < TARGET_CRITERIA.max_gentle_rad
+        < np.abs(drive.kinematic_steer_rad[inner]).min()
+    )
 
 
 def test_short_drives_tell_together_what_a_long_one_tells() -> None:
     """9 s: none of them says enough alone, three of them are half a minute."""
     short = opened()
-    piece = short._replace(moving=short.moving & (T > 10.0) & (T < 19.5))
+    piece = short._replace(is_moving=short.is_moving & (T > 10.0) & (T < 19.5))
     assert "yaw_rate" not in targets(piece)
-    assert "yaw_rate" in {one.name for one in Compared(piece, share=1 / 3).targets}
+    assert "yaw_rate" in {one.name for one in DriveComparison(piece, share=1 / 3).targets}

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import ModelSpec
-from tunefree_hil.gap.model.card import HeldOut, held_out_of
+from tunefree_hil.gap.model.card import HoldoutErrors, read_holdout_errors
 
 
 def model_with(card: Any, folder: Path) -> ModelSpec:
@@ -30,16 +30,16 @@ def test_what_was_missed_is_read_by_quantity_and_by_actuator(tmp_path: Path) -> 
         },
         "free_run_rms": {"held_out": {"fitted": {"yaw_rate_radps": 0.01, "speed_mps": 0.05, "x_m": None}}},
     }
-    found = held_out_of(model_with(card, tmp_path))
-    assert found == HeldOut(
+    found = read_holdout_errors(model_with(card, tmp_path))
+    assert found == HoldoutErrors(
         {"yaw_rate_radps": 0.01, "speed_mps": 0.05}, {"brake": (0.005, 0.003), "throttle": (0.01, 0.0)}
     )
 
 
 @pytest.mark.parametrize("card", [{}, {"actuators": None}, {"free_run_rms": {"held_out": None}}])
 def test_a_card_that_says_nothing_of_it_is_one(card: dict[str, Any], tmp_path: Path) -> None:
-    assert held_out_of(model_with(card, tmp_path)) == HeldOut({}, {})
-    assert held_out_of(load_model("mkz_nominal")) == HeldOut({}, {}), "nor is one needed"
+    assert read_holdout_errors(model_with(card, tmp_path)) == HoldoutErrors({}, {})
+    assert read_holdout_errors(load_model("mkz_nominal")) == HoldoutErrors({}, {}), "nor is one needed"
 
 
 @pytest.mark.parametrize(
@@ -53,5 +53,5 @@ def test_a_card_that_says_nothing_of_it_is_one(card: dict[str, Any], tmp_path: P
 )
 def test_a_card_that_nobody_wrote_is_one_message(card: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no card of a model") as caught:
-        held_out_of(model_with(card, tmp_path))
+        read_holdout_errors(model_with(card, tmp_path))
     assert caught.value.file == str(tmp_path / "card.json") and caught.value.hint

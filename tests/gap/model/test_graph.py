@@ -21,10 +21,10 @@ from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.effects import catalogue
 from tunefree_hil.effects._reports import on_steer
 from tunefree_hil.effects._signals import gain, shape, soft
-from tunefree_hil.gap.measured.chain import open_chain
+from tunefree_hil.gap.measured.chain import build_measured_drive
 from tunefree_hil.gap.model import graph as graphs
-from tunefree_hil.gap.model.effect_chain import NO_LINE
-from tunefree_hil.gap.model.graph import BEND, LINKAGE, Graph, scaled
+from tunefree_hil.gap.model.effect_chain import NOT_AFFINE
+from tunefree_hil.gap.model.graph import LINKAGE_BEND_KEY, LINKAGE_BEND_PARAM, EffectGraph, scale_plant_params
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -67,15 +67,18 @@ def test_nothing_is_compiled_for_a_candidate_or_for_two_together() -> None:
 
 def test_the_linkage_bends_on_any_plant_as_the_single_tracks_own_constant_does() -> None:
     vehicle, model = load_vehicle("mkz_bywire"), load_model("mkz_nominal")
-    x = open_chain(made_drive(6.0, channels=CHANNELS), vehicle).inputs
-    bent = replace(model, plant=replace(model.plant, params={**model.plant.params, BEND: 0.2}))
-    ours, theirs = Graph(model, vehicle, x.dt_s).run(x, {LINKAGE: 0.2}), Graph(bent, vehicle, x.dt_s).run(x, {})
+    x = build_measured_drive(made_drive(6.0, channels=CHANNELS), vehicle).inputs
+    bent = replace(model, plant=replace(model.plant, params={**model.plant.params, LINKAGE_BEND_PARAM: 0.2}))
+    ours, theirs = (
+        EffectGraph(model, vehicle, x.dt_s).simulate(x, {LINKAGE_BEND_KEY: 0.2}),
+        EffectGraph(bent, vehicle, x.dt_s).simulate(x, {}),
+    )
     assert ours == pytest.approx(theirs, abs=1e-9)
-    assert np.abs(ours - Graph(model, vehicle, x.dt_s).run(x, {})).max() > 1e-5
+    assert np.abs(ours - EffectGraph(model, vehicle, x.dt_s).simulate(x, {})).max() > 1e-5
 
 
 def test_constants_are_moved_by_the_log_of_a_factor_or_an_amount_of_pedal() -> None:
-    moved = scaled(
+    moved = scale_plant_params(
         {"mass_kg": 100.0}, {"throttle_zero_frac": 0.2}, {"plant.mass_kg": 0.1, "plant.throttle_zero_frac": 0.01}
     )
     assert moved["mass_kg"] == pytest.approx(110.517, abs=1e-3) and moved["throttle_zero_frac"] == pytest.approx(0.21)
@@ -92,11 +95,11 @@ def test_an_effect_file_that_scales_a_reported_output_is_undone_as_one_that_shif
 ) -> None:
     """A report that says a tenth too much of an angle, of a car that truly turned as `x` says."""
     scales = made_effect(lambda p, rest: on_steer(gain("scale_frac", p["scale_frac"])), "scale_frac", 1.0, 1.1)
-    monkeypatch.setattr(graphs, "effects", lambda: {**catalogue(), "steer_report_scale": scales})
+    monkeypatch.setattr(graphs, "load_catalogue", lambda: {**catalogue(), "steer_report_scale": scales})
     vehicle, model = load_vehicle("mkz_bywire"), load_model("mkz_nominal")
-    x = open_chain(made_drive(4.0, channels=CHANNELS), vehicle).inputs
-    graph = Graph(model, vehicle, x.dt_s)
-    true = graph.run(x, {})
+    x = build_measured_drive(made_drive(4.0, channels=CHANNELS), vehicle).inputs
+    graph = EffectGraph(model, vehicle, x.dt_s)
+    true = graph.simulate(x, {})
     for values, outputs in (
         ({"steer_report_scale.scale_frac": 1.1}, x.outputs * [1.0, 1.0, 1.1]),
         (  # in series by name: the offset first, then the scale
@@ -104,7 +107,7 @@ def test_an_effect_file_that_scales_a_reported_output_is_undone_as_one_that_shif
             (x.outputs + [0.0, 0.0, 0.02]) * [1.0, 1.0, 1.1],
         ),
     ):
-        shown = graph.run(x._replace(outputs=outputs), values)
+        shown = graph.simulate(x._replace(outputs=outputs), values)
         assert shown[:, 3:] == pytest.approx(true[:, 3:], rel=1e-9, abs=1e-9, nan_ok=True)
         assert np.abs(shown[:, 2] - true[:, 2]).max() > 1e-3, "the report itself says it"
 
@@ -116,6 +119,6 @@ def test_an_effect_file_whose_report_hides_the_output_is_not_suspected(
     make: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dead = made_effect(lambda p, rest: on_steer(make(p["half_rad"])), "half_rad", 0.0, 1.5)
-    monkeypatch.setattr(graphs, "effects", lambda: {**catalogue(), "steer_report_dead": dead})
-    found = Graph(load_model("mkz_nominal"), load_vehicle("mkz_bywire"), 0.01)
-    assert found.cannot["steer_report_dead"] == NO_LINE and "steer_report_dead" not in found.can
+    monkeypatch.setattr(graphs, "load_catalogue", lambda: {**catalogue(), "steer_report_dead": dead})
+    found = EffectGraph(load_model("mkz_nominal"), load_vehicle("mkz_bywire"), 0.01)
+    assert found.unsupported["steer_report_dead"] == NOT_AFFINE and "steer_report_dead" not in found.supported

@@ -10,14 +10,15 @@ from tests.gap.estimation.test_intervals import ALL, fitted
 from tests.gap.selection.test_criteria import spread, weighed
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import EffectSpec, ModelSpec
-from tunefree_hil.gap.estimation.least_squares import Free
-from tunefree_hil.gap.selection.confounding import taken_back
-from tunefree_hil.gap.selection.criteria import Weighed
+from tunefree_hil.gap.estimation.least_squares import FreeParameter
+from tunefree_hil.gap.result_text import reason_text
+from tunefree_hil.gap.selection.criteria import CandidateScore
+from tunefree_hil.gap.selection.rejection import drop_absorbed_effects
 
-OFFSET = Free("steer_offset.offset_rad", -0.05, 0.05, False, 0.0, -0.35, 1.35)
+OFFSET = FreeParameter("steer_offset.offset_rad", -0.05, 0.05, False, 0.0, -0.35, 1.35)
 BANK, BACK = (weighed(**{name: spread(1.0)})[0] for name in ("road_bank", "steer_offset"))
 ALONE = weighed(road_bank=spread(1.0), steer_offset=spread(8.0))  # the offset is no name by itself
-WORDS = ("steer_offset of the model goes: its calibration had it for road_bank",)
+WORDS = ("steer_offset of the model goes: its calibration had put it in for road_bank",)
 
 
 def model(offset_rad: float, **provenance: str) -> ModelSpec:
@@ -26,11 +27,14 @@ def model(offset_rad: float, **provenance: str) -> ModelSpec:
 
 
 def asked(
-    made: ModelSpec, offset_rad: float, steps: tuple[Weighed, ...] = (BANK, BACK), first: list[Weighed] = ALONE
+    made: ModelSpec,
+    offset_rad: float,
+    steps: tuple[CandidateScore, ...] = (BANK, BACK),
+    first: list[CandidateScore] = ALONE,
 ) -> tuple[list[str], tuple[str, ...]]:
-    found = fitted(OFFSET, curve=1e4, z=OFFSET.place(offset_rad))
-    stay, words = taken_back(steps, first, found, made, ALL)
-    return [one.name for one in stay], words
+    found = fitted(OFFSET, curve=1e4, z=OFFSET.u_from_value(offset_rad))
+    stay, words = drop_absorbed_effects(steps, first, found, made, ALL)
+    return [one.name for one in stay], tuple(reason_text(reason) for reason in words)
 
 
 @pytest.mark.parametrize("back", [-0.01, -0.0104, -0.0096])
@@ -51,25 +55,25 @@ def test_a_model_without_it_an_offset_that_shows_alone_and_one_that_gap_named_ar
     seen = weighed(road_bank=spread(1.0), steer_offset=spread(1.2))
     assert asked(model(0.01), -0.01, first=seen) == (both, ()), "it went, whoever else came"
     assert asked(model(0.01), -0.01, steps=(BACK,)) == (["steer_offset"], ()), "beside nobody"
-    doubtful = BACK._replace(others=("side_wind",))
+    doubtful = BACK._replace(equivalents=("side_wind",))
     assert asked(model(0.01), -0.01, steps=(BANK, doubtful)) == (both, ())
 
 
 def test_what_is_hardly_there_is_not_called_gone() -> None:
     """Less than the logs can tell: any value would leave nothing of it."""
-    found = fitted(OFFSET, differ=3.0, curve=2.0, z=OFFSET.place(-0.001))
-    stay, words = taken_back((BANK, BACK), ALONE, found, model(0.001), np.asarray(ALL))
+    found = fitted(OFFSET, differ=3.0, curve=2.0, z=OFFSET.u_from_value(-0.001))
+    stay, words = drop_absorbed_effects((BANK, BACK), ALONE, found, model(0.001), np.asarray(ALL))
     assert len(stay) == 2 and words == ()
 
 
 def test_the_grip_that_own_logs_put_beside_a_model_is_nothing_that_its_folder_has() -> None:
     """repair.moved"""
-    grip = Free("friction.friction_frac", 0.3, 1.5, True, 1.0, -0.2, 1.2)
+    grip = FreeParameter("friction.friction_frac", 0.3, 1.5, True, 1.0, -0.2, 1.2)
     road = weighed(friction=spread(1.0))[0]
     alone = weighed(road_bank=spread(1.0), friction=spread(8.0))
-    found = fitted(grip, curve=1e4, z=grip.place(1.0 / 1.2))
+    found = fitted(grip, curve=1e4, z=grip.u_from_value(1.0 / 1.2))
     for by, stays in (({"by": "recalibration"}, True), ({"by": "own logs"}, False)):
         one = EffectSpec(name="friction", params={"friction_frac": 1.2}, provenance=by)
         has = replace(load_model("mkz_nominal"), effects=[one])
-        stay, words = taken_back((BANK, road), alone, found, has, ALL)
+        stay, words = drop_absorbed_effects((BANK, road), alone, found, has, ALL)
         assert ("friction" in [one.name for one in stay]) is stays and (words == ()) is stays

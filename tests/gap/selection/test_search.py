@@ -8,20 +8,27 @@ import numpy as np
 import pytest
 
 from tests.gap.selection.test_criteria import ALL, NULL, ROWS, SIZES, model, spread
-from tunefree_hil.gap.estimation.candidates import Suspect
-from tunefree_hil.gap.estimation.evidence import LEAST_NATS, stretched
-from tunefree_hil.gap.selection.criteria import PLAIN_NATS, Weighed
-from tunefree_hil.gap.selection.search import CONTENDERS, backward, forward, settled, weighed
-from tunefree_hil.gap.workers.worker import Modelled, Question
+from tunefree_hil.gap.estimation.candidates import Candidate
+from tunefree_hil.gap.estimation.evidence import MIN_EVIDENCE_NATS, with_correlation_rows
+from tunefree_hil.gap.selection.criteria import CRITERIA, SEARCH, CandidateScore
+from tunefree_hil.gap.selection.model_misfit import SearchContext
+from tunefree_hil.gap.selection.search import fit_and_score, search_backward, search_forward, settle_steps
+from tunefree_hil.gap.workers.worker import FitSummary, OpenProblem
 
-SUSPECTS = tuple(Suspect(name, (), ()) for name in ("delay", "friction", "limit", "lag"))
-SOME = {"null": NULL, "sizes": SIZES, "suspects": SUSPECTS, "broken": None, "usually": ()}
-QUESTION = cast(Question, type("Asked", (), SOME)())
+SUSPECTS = tuple(Candidate(name, (), ()) for name in ("delay", "friction", "limit", "lag"))
+SOME = {
+    "recalibrated": NULL,
+    "signal_scales": SIZES,
+    "candidates": SUSPECTS,
+    "broken_targets": None,
+    "targets_within_baseline": (),
+}
+QUESTION = cast(OpenProblem, type("Asked", (), SOME)())
 
 
-def beside(first: Modelled, name: str, square: np.ndarray, other: float = ROWS) -> Modelled:
+def beside(first: FitSummary, name: str, square: np.ndarray, other: float = ROWS) -> FitSummary:
     """A model with the effects of `first` and one more."""
-    return model(name, square, other, [one.key.partition(".")[0] for one in first.fitted.free])
+    return model(name, square, other, [one.key.partition(".")[0] for one in first.fit.free])
 
 
 FIRST = model("delay", spread(2.0))
@@ -30,22 +37,26 @@ FIRST = model("delay", spread(2.0))
 class Made:
     """A team whose fits are known beforehand. rest: what a model comes to without an effect, by its name."""
 
-    def __init__(self, alone: dict[str, Modelled], further: dict[str, Modelled], rest: dict[str, Modelled]) -> None:
+    def __init__(
+        self, alone: dict[str, FitSummary], further: dict[str, FitSummary], rest: dict[str, FitSummary]
+    ) -> None:
         self.alone, self.further, self.rest = alone, further, rest
         self.asked: list[tuple[str, ...]] = []
-        self.again: dict[str, Modelled] = {}  # by the noise of the best: what grids under the start's did not see
+        self.again: dict[str, FitSummary] = {}  # by the noise of the best: what grids under the start's did not see
 
-    def fit(self, names: list[str], start: Modelled | None, noise: Modelled | None = None) -> dict[str, Modelled]:
+    def fit_candidates(
+        self, names: list[str], start: FitSummary | None, noise: FitSummary | None = None
+    ) -> dict[str, FitSummary]:
         if noise is not None:
             return {name: self.again[name] for name in names if name in self.again}
         self.asked.append(tuple(names))
         some = self.alone if start is None else self.further
         return {name: some[name] for name in names if name in some}
 
-    def fit_on(self, models: list[Modelled]) -> list[Modelled]:
+    def refine_fits(self, models: list[FitSummary]) -> list[FitSummary]:
         return models
 
-    def fit_without(self, model: Modelled, names: list[str]) -> dict[str, Modelled]:
+    def fit_without_effects(self, model: FitSummary, names: list[str]) -> dict[str, FitSummary]:
         return {name: self.rest[name] for name in names}
 
 
@@ -57,13 +68,13 @@ def run(steps: Any) -> Any:
             return end.value
 
 
-def found_by(team: Made) -> list[Weighed]:
+def found_by(team: Made) -> list[CandidateScore]:
     """As `name` searches."""
     one = cast(Any, team)
-    first = weighed(one, QUESTION, list(team.alone), None, ALL)
-    found = run(forward(one, QUESTION, first, ALL))
-    steps = run(backward(one, QUESTION, found, ALL))
-    steps, _ = run(settled(one, QUESTION, first, steps, ALL, len(steps) < len(found)))
+    first = fit_and_score(SearchContext(one, QUESTION, ALL), list(team.alone))
+    found = run(search_forward(SearchContext(one, QUESTION, ALL), first))
+    steps = run(search_backward(SearchContext(one, QUESTION, ALL), found))
+    steps, _ = run(settle_steps(SearchContext(one, QUESTION, ALL), first, steps, len(steps) < len(found)))
     return steps
 
 
@@ -98,15 +109,15 @@ def test_the_first_is_taken_out_again_where_the_second_explains_all_of_it() -> N
 def test_who_stays_alone_is_weighed_against_everybody_alone() -> None:
     both, lag = beside(FIRST, "lag", spread(0.5, 3)), model("lag", spread(0.5, 3))
     alone = {"delay": FIRST, "lag": model("lag", spread(7.0)), "limit": model("limit", spread(0.5, 4))}
-    alone["limit"] = alone["limit"]._replace(fitted=alone["limit"].fitted)
+    alone["limit"] = alone["limit"]._replace(fit=alone["limit"].fit)
     team = Made({"delay": FIRST, "lag": alone["lag"]}, {"lag": both}, {"lag": FIRST, "delay": lag})
     (step,) = found_by(team)
-    assert step.name == "lag" and step.others == ()
+    assert step.name == "lag" and step.equivalents == ()
     one = cast(Any, team)
-    first = weighed(one, QUESTION, list(team.alone), None, ALL)
-    limit = weighed(cast(Any, Made({"limit": alone["limit"]}, {}, {})), QUESTION, ["limit"], None, ALL)
-    (again,), _ = run(settled(one, QUESTION, [*first, *limit], [step], ALL))
-    assert {again.name, *again.others} == {"lag", "limit"}
+    first = fit_and_score(SearchContext(one, QUESTION, ALL), list(team.alone))
+    limit = fit_and_score(SearchContext(cast(Any, Made({"limit": alone["limit"]}, {}, {})), QUESTION, ALL), ["limit"])
+    (again,), _ = run(settle_steps(SearchContext(one, QUESTION, ALL), [*first, *limit], [step]))
+    assert {again.name, *again.equivalents} == {"lag", "limit"}
 
 
 def test_of_two_effects_each_has_its_rivals_in_its_own_place() -> None:
@@ -116,46 +127,54 @@ def test_of_two_effects_each_has_its_rivals_in_its_own_place() -> None:
     rest = {"friction": FIRST, "delay": model("friction", spread(6.0)), "limit": FIRST}
 
     class Placed(Made):
-        def fit(self, names: list[str], start: Modelled | None, noise: Modelled | None = None) -> dict[str, Modelled]:
-            if start is not None and start.fitted.name == "friction":
+        def fit_candidates(
+            self, names: list[str], start: FitSummary | None, noise: FitSummary | None = None
+        ) -> dict[str, FitSummary]:
+            if start is not None and start.fit.name == "friction":
                 return {"lag": equal}
-            return super().fit(names, start, noise)
+            return super().fit_candidates(names, start, noise)
 
     team = Placed({"delay": FIRST}, {"friction": both, "limit": worse}, rest)
     delay, friction = found_by(team)
-    assert (delay.name, delay.others) == ("delay", ("lag",)) and (friction.name, friction.others) == ("friction", ())
-    assert set(delay.placed) == {"delay", "lag"} and set(friction.placed) == {"friction", "limit"}
-    assert delay.placed["lag"] == pytest.approx(delay.placed["delay"], rel=0.1) and friction.placed["limit"] < 100.0
+    assert (delay.name, delay.equivalents) == ("delay", ("lag",)) and (friction.name, friction.equivalents) == (
+        "friction",
+        (),
+    )
+    assert set(delay.evidence_in_place) == {"delay", "lag"} and set(friction.evidence_in_place) == {"friction", "limit"}
+    assert (
+        delay.evidence_in_place["lag"] == pytest.approx(delay.evidence_in_place["delay"], rel=0.1)
+        and friction.evidence_in_place["limit"] < 100.0
+    )
 
 
 def test_whoever_is_near_the_best_is_fitted_on_before_it_is_judged() -> None:
     asked: list[str] = []
 
     class Counting(Made):
-        def fit_on(self, models: list[Modelled]) -> list[Modelled]:
-            asked.extend(one.fitted.name for one in models)
+        def refine_fits(self, models: list[FitSummary]) -> list[FitSummary]:
+            asked.extend(one.fit.name for one in models)
             return models
 
-    names = [f"e{i}" for i in range(CONTENDERS + 3)]
+    names = [f"e{i}" for i in range(SEARCH.refined_at_once + 3)]
     team = Counting({name: model(name, spread(1.0 + 0.02 * i, i)) for i, name in enumerate(names)}, {}, {})
     team.alone["far"] = model("far", spread(6.0))
-    weighed(cast(Any, team), QUESTION, [*names, "far"], None, ALL)
+    fit_and_score(SearchContext(cast(Any, team), QUESTION, ALL), [*names, "far"])
     assert sorted(asked) == sorted(names)
 
 
 def test_the_best_is_fitted_on_however_little_it_has_after_one_step() -> None:
     """A bias that one step leaves passes for noise: fitted to its end it has all the evidence there is."""
     near, there = model("delay", spread(4.0)), model("delay", spread(1.0))
-    near = near._replace(fitted=stretched(near.fitted, {"a": 4000.0}))
+    near = near._replace(fit=with_correlation_rows(near.fit, {"a": 4000.0}))
 
     class Finishing(Made):
-        def fit_on(self, models: list[Modelled]) -> list[Modelled]:
+        def refine_fits(self, models: list[FitSummary]) -> list[FitSummary]:
             return [there if one is near else one for one in models]
 
-    (alone,) = weighed(cast(Any, Made({"delay": near}, {}, {})), QUESTION, ["delay"], None, ALL)
-    assert not alone.counts and alone.evidence < LEAST_NATS
-    (found,) = weighed(cast(Any, Finishing({"delay": near}, {}, {})), QUESTION, ["delay"], None, ALL)
-    assert found.counts and found.evidence > PLAIN_NATS
+    (alone,) = fit_and_score(SearchContext(cast(Any, Made({"delay": near}, {}, {})), QUESTION, ALL), ["delay"])
+    assert not alone.is_accepted and alone.evidence < MIN_EVIDENCE_NATS
+    (found,) = fit_and_score(SearchContext(cast(Any, Finishing({"delay": near}, {}, {})), QUESTION, ALL), ["delay"])
+    assert found.is_accepted and found.evidence > CRITERIA.plain_evidence_nats
 
 
 def test_whom_the_grid_did_not_see_by_the_starts_noise_is_found_by_the_best_ones() -> None:
@@ -163,19 +182,22 @@ def test_whom_the_grid_did_not_see_by_the_starts_noise_is_found_by_the_best_ones
     team = Made(
         {"delay": FIRST, "friction": model("friction", spread(7.9)), "lag": model("lag", spread(2.5, 3))}, {}, {}
     )
-    assert weighed(cast(Any, team), QUESTION, list(team.alone), None, ALL)[0].name == "delay"
+    assert fit_and_score(SearchContext(cast(Any, team), QUESTION, ALL), list(team.alone))[0].name == "delay"
     team.again = {"friction": model("friction", spread(0.5, 4)), "lag": model("lag", spread(7.0))}
-    found = weighed(cast(Any, team), QUESTION, list(team.alone), None, ALL)
-    assert found[0].name == "friction" and found[0].counts
+    found = fit_and_score(SearchContext(cast(Any, team), QUESTION, ALL), list(team.alone))
+    assert found[0].name == "friction" and found[0].is_accepted
     (lag,) = [one for one in found if one.name == "lag"]
-    assert lag.model.fitted.sums["a"].square.sum() == team.alone["lag"].fitted.sums["a"].square.sum()  # not the worse
+    assert (
+        lag.model.fit.equations["a"].squared_residuals.sum()
+        == team.alone["lag"].fit.equations["a"].squared_residuals.sum()
+    )  # not the worse
 
 
 def test_where_the_best_has_little_evidence_nobody_is_asked_again() -> None:
     team = Made({"delay": model("delay", spread(7.9))}, {}, {})
     team.again = {"delay": FIRST}
-    (found,) = weighed(cast(Any, team), QUESTION, ["delay"], None, ALL)
-    assert found.evidence < PLAIN_NATS
+    (found,) = fit_and_score(SearchContext(cast(Any, team), QUESTION, ALL), ["delay"])
+    assert found.evidence < CRITERIA.plain_evidence_nats
 
 
 def test_two_that_hide_each_other_are_found_together() -> None:
@@ -185,8 +207,8 @@ def test_two_that_hide_each_other_are_found_together() -> None:
     small = model("friction", spread(6.5))
     team = Made({"delay": late, "lag": worse, "friction": small}, {"lag": both}, {"delay": worse, "lag": late})
     assert searched(team) == ["delay", "lag"]
-    first = weighed(cast(Any, team), QUESTION, list(team.alone), None, ALL)
-    assert first[0].name == "friction" and [one.name for one in first if one.spoils] == ["delay"]
+    first = fit_and_score(SearchContext(cast(Any, team), QUESTION, ALL), list(team.alone))
+    assert first[0].name == "friction" and [one.name for one in first if one.degrades_others] == ["delay"]
 
 
 def test_who_spoils_a_signal_is_nobody_alone() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, cast
 
 import numpy as np
@@ -11,48 +12,64 @@ from tests.gap.estimation.test_intervals import ALL as BLOCKS_OF
 from tests.gap.estimation.test_intervals import DELAY, fitted
 from tests.gap.selection.test_criteria import spread, weighed
 from tunefree_hil.base.contracts import Link
-from tunefree_hil.gap.diagnostics.residual_tests import Looked
-from tunefree_hil.gap.estimation.nuisance import DRIFT
-from tunefree_hil.gap.measured.excitation import Excited
-from tunefree_hil.gap.selection.baseline_misfit import NOTHING, Usual
-from tunefree_hil.gap.selection.criteria import Weighed
+from tunefree_hil.gap.diagnostics.residual_tests import LinkResidual
+from tunefree_hil.gap.estimation.intervals import block_inconsistency
+from tunefree_hil.gap.estimation.nuisance import DRIFT_SIGMAS
+from tunefree_hil.gap.measured.clock import CommandEcho
+from tunefree_hil.gap.measured.excitation import Excitation
+from tunefree_hil.gap.result_text import drive_difference_texts, equivalent_texts, reason_text, verdict_texts
+from tunefree_hil.gap.selection.baseline_misfit import NO_BASELINE, BaselineMisfit
+from tunefree_hil.gap.selection.criteria import EQUIVALENCE, CandidateScore, Reduction
+from tunefree_hil.gap.selection.equivalence import add_easily_confused, find_inseparable
+from tunefree_hil.gap.selection.reasons import Criterion, Reason, Verdict, VerdictKind
+from tunefree_hil.gap.selection.rejection import (
+    ExplainedTargets,
+    find_inconsistency_rejection,
+    find_residual_rejection,
+    inconsistency_limits,
+    name_all,
+)
 from tunefree_hil.gap.selection.verdict import (
-    SET_NATS,
-    alike_words,
-    daily_words,
-    not_it,
-    small_words,
-    still_words,
-    verdict_of,
-    wavers,
-    with_others,
+    Findings,
+    decide_location,
+    decide_verdict,
+    find_changed_frames,
+    find_day_sized,
+    find_unexplained_beside,
 )
 
-SEEN, UNSEEN = Excited(2.0, True, ()), Excited(0.3, False, ("3 brakings by 3 m/s or more, 9 are needed",))
-BARELY = Excited(0.75, False, ("3 brakings by 3 m/s or more, 4 are needed",))
+SEEN, UNSEEN = Excitation(2.0, True, ()), Excitation(0.3, False, ("3 brakings by 3 m/s or more, 9 are needed",))
+BARELY = Excitation(0.75, False, ("3 brakings by 3 m/s or more, 4 are needed",))
 NAMES = ("brake_gain", "brake_fade", "brake_drag", "rolling_resistance", "steer_lag", "steer_dead_time")
-DRIVES = cast(Any, [type("Drive", (), {"has": lambda self, *names: True})()])
-QUIET = Looked("brake", Link.COMMAND_TO_REPORT, "1", 0.1, 0.1, 0.0, 0.0, False)
+DRIVES = cast(Any, [type("Drive", (), {"has_signals": lambda self, *names: True})()])
+QUIET = LinkResidual("brake", Link.COMMAND_TO_REPORT, "1", 0.1, 0.1, 0.0, 0.0, False)
 
 
 FADES = weighed(brake_gain=spread(1.0), brake_fade=spread(1.2), brake_drag=spread(6.0))
 ALONE = {one.name: one.evidence for one in FADES}
 
 
-def step(name: str, *others: str) -> Weighed:
-    return weighed(**{name: spread(1.0)})[0]._replace(others=others)
+def step(name: str, *others: str) -> CandidateScore:
+    return weighed(**{name: spread(1.0)})[0]._replace(equivalents=others)
 
 
 def verdict(
-    *steps: Weighed,
-    brakes: Excited = SEEN,
-    amiss: str = "",
-    unsteady: dict[str, float] | None = None,
+    *steps: CandidateScore,
+    brakes: Excitation = SEEN,
+    rejection: Reason | None = None,
+    gains: dict[str, float] | None = None,
     placed: dict[str, float] | None = None,
 ) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    """(kind, names of a set, texts)"""
     held = {name: brakes if name == "brake_gain" else SEEN for name in NAMES}
-    told = [with_others(one._replace(placed=placed or ALONE), steps, held, DRIVES) for one in steps]
-    return verdict_of(list(steps), told, [QUIET], amiss, held, (), unsteady or {})
+    told = [add_easily_confused(one._replace(evidence_in_place=placed or ALONE), steps, held, DRIVES) for one in steps]
+    found = decide_verdict(Findings([QUIET], list(steps), told, rejection=rejection, inconsistent_gains=gains or {}))
+    return as_tuple(found, held)
+
+
+def as_tuple(found: Verdict, excitation: Mapping[str, Excitation]) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    names = found.names if found.kind is VerdictKind.SET else ()
+    return found.kind.value, names, verdict_texts(found, excitation)
 
 
 @pytest.mark.parametrize(
@@ -73,32 +90,37 @@ def verdict(
     ],
 )
 def test_rivals_make_a_set_of_one_effect_and_of_several(
-    steps: tuple[Weighed, ...], says: str, names: tuple[str, ...]
+    steps: tuple[CandidateScore, ...], says: str, names: tuple[str, ...]
 ) -> None:
     found = verdict(*steps)
     assert found[:2] == (says, names) and bool(found[2]) == (says == "set")
 
 
 def test_who_would_look_the_same_is_told_beside_a_name() -> None:
-    assert alike_words(["brake_drag", "rolling_resistance"], DRIVES) == (), "both are named"
-    none = cast(Any, [type("Drive", (), {"has": lambda self, *names: False})()])
-    assert "road_bank" in alike_words(["side_wind"], none)[0]
-    assert alike_words(["side_wind"], [*none, *DRIVES]) == (), "one log tells them apart, and that is enough"
-    (words,) = alike_words(["steer_lag", "brake_drag"], DRIVES)
+    assert find_inseparable(["brake_drag", "rolling_resistance"], DRIVES) == {}, "both are named"
+    none = cast(Any, [type("Drive", (), {"has_signals": lambda self, *names: False})()])
+    assert "road_bank" in find_inseparable(["side_wind"], none)["side_wind"]
+    assert find_inseparable(["side_wind"], [*none, *DRIVES]) == {}, "one log tells them apart, and that is enough"
+    (words,) = equivalent_texts(find_inseparable(["steer_lag", "brake_drag"], DRIVES))
     assert words == "brake_drag: no log of this car tells it from rolling_resistance"
 
 
 def test_faint_rivals_are_no_set_as_no_proof_could_bear_one_out() -> None:
-    faint = step("brake_gain", "brake_fade")._replace(unbroken=True, shrink=(0.2, 0.1, 0.3), evidence=SET_NATS - 1.0)
-    assert verdict(faint._replace(evidence=SET_NATS + 1.0))[:2] == ("set", ("brake_gain", "brake_fade"))
+    faint = step("brake_gain", "brake_fade")._replace(
+        is_unbroken=True, error_reduction=Reduction(0.2, 0.1, 0.3), evidence=EQUIVALENCE.min_weak_set_nats - 1.0
+    )
+    assert verdict(faint._replace(evidence=EQUIVALENCE.min_weak_set_nats + 1.0))[:2] == (
+        "set",
+        ("brake_gain", "brake_fade"),
+    )
     assert verdict(faint)[:2] == ("none_missing", ()) and "brake_gain, brake_fade" in verdict(faint)[2][0]
-    held = dict.fromkeys(NAMES, SEEN)
-    elsewhere = QUIET._replace(signal="steer", explicable=0.05, share=0.5, broken=True)
-    says, names, words = verdict_of([faint], [faint], [QUIET, elsewhere], "", held, (), {})
-    assert (says, names) == ("none_of_these", ()) and elsewhere.missed in words[0]
+    held = dict.fromkeys(list[str](NAMES), SEEN)
+    elsewhere = QUIET._replace(signal="steer", explainable_rms=0.05, explainable_share=0.5, is_broken=True)
+    says, names, words = as_tuple(decide_verdict(Findings([QUIET, elsewhere], [faint], [faint])), held)
+    assert (says, names) == ("none_of_these", ()) and elsewhere.text in words[0]
     assert verdict(faint, step("steer_lag"))[0] == "set", "one of several is plain"
-    alone = verdict(faint._replace(others=()))
-    assert alone[0] == "one" and "only a proof" in alone[2][0]
+    alone = verdict(faint._replace(equivalents=()))
+    assert alone[0] == "one" and "only the holdout blocks can confirm it" in alone[2][0]
 
 
 def test_what_the_drive_could_hardly_show_is_a_set_with_whom_it_is_easily_taken_for() -> None:
@@ -121,43 +143,49 @@ def test_nothing_found_and_nothing_missed_is_nothing_missing() -> None:
 
 
 def test_a_gain_that_is_another_one_in_each_block_is_no_recalibration() -> None:
-    says, _, words = verdict(unsteady={"throttle_gain.gain_frac": 3.2})
+    says, _, words = verdict(gains={"throttle_gain.gain_frac": 3.2})
     assert says == "none_of_these" and "throttle_gain.gain_frac" in words[0] and "3.2 standard" in words[0]
-    assert verdict(step("brake_gain"), unsteady={"throttle_gain.gain_frac": 3.2})[0] == "one"
+    assert verdict(step("brake_gain"), gains={"throttle_gain.gain_frac": 3.2})[0] == "one"
 
 
-BROKEN, LOUD = QUIET._replace(broken=True, share=0.1), QUIET._replace(broken=True, loud=0.4)
-HUM = BROKEN._replace(loud=0.14)  # moments that no link is broken by
+BROKEN, LOUD = QUIET._replace(is_broken=True, explainable_share=0.1), QUIET._replace(is_broken=True, burst_share=0.4)
+HUM = BROKEN._replace(burst_share=0.14)  # moments that no link is broken by
 WORKED = {"brake": 0.135}
 
 
+LEFT, PEAK, ELSEWHERE = Criterion.RESIDUAL_LEFT, Criterion.RESIDUAL_PEAK, Criterion.LARGER_ELSEWHERE
+
+
 @pytest.mark.parametrize(
-    ("was", "still", "left", "says"),
+    ("was", "still", "left", "criterion", "value"),
     [
-        (BROKEN, QUIET, 0.6, ""),  # what is left there a calibrated model may miss
-        (BROKEN, BROKEN, 0.2, ""),
-        (BROKEN, BROKEN, 0.6, "leaves 60% of what could be explained of brake"),
-        (LOUD, LOUD._replace(loud=0.3), 0.0, "still brake is missed by 30% of the signal in moments, and hardly else"),
-        (LOUD._replace(loud=5.0), LOUD, 0.0, ""),  # the form of what is there is not quite the catalogue's
-        (LOUD._replace(loud=1.7), LOUD, 0.0, ""),  # less than a quarter
-        (LOUD._replace(loud=1.5), LOUD, 0.0, "still brake is missed by 40% of the signal in moments, and hardly else"),
-        (BROKEN._replace(gross=0.9), BROKEN._replace(gross=0.5), 0.2,
-         "still brake is missed by 50% of the signal, and little of that is foretold by anything"),
-        (BROKEN._replace(gross=2.1), BROKEN._replace(gross=0.5), 0.2, ""),
-        (BROKEN, BROKEN._replace(visible=0.12), 0.6, ""),  # as much its own calibration missed
-        (BROKEN, HUM._replace(signal="steer", share=0.13), 1.0, ""),
-        (BROKEN, HUM._replace(signal="steer", share=0.13, loud=0.9), 1.0,
-         "explains less than what is left elsewhere: steer is missed by 90% of the signal in moments, and hardly else"),
-        (BROKEN, BROKEN._replace(signal="steer"), 1.0, ""),  # another thing, and a smaller one
-        (BROKEN, LOUD._replace(signal="steer"), 1.0,
-         "explains less than what is left elsewhere: steer is missed by 40% of the signal in moments, and hardly else"),
+        (BROKEN, QUIET, 0.6, None, 0.0),  # what is left there a calibrated model may miss
+        (BROKEN, BROKEN, 0.2, None, 0.0),
+        (BROKEN, BROKEN, 0.6, LEFT, 0.6),
+        (LOUD, LOUD._replace(burst_share=0.3), 0.0, PEAK, 0.3),
+        (LOUD._replace(burst_share=5.0), LOUD, 0.0, None, 0.0),  # its form is not quite the catalogue's
+        (LOUD._replace(burst_share=1.7), LOUD, 0.0, None, 0.0),  # less than a quarter
+        (LOUD._replace(burst_share=1.5), LOUD, 0.0, PEAK, 0.4),
+        (BROKEN._replace(gross_share=0.9), BROKEN._replace(gross_share=0.5), 0.2, PEAK, 0.5),
+        (BROKEN._replace(gross_share=2.1), BROKEN._replace(gross_share=0.5), 0.2, None, 0.0),
+        (BROKEN, BROKEN._replace(tolerated_share=0.12), 0.6, None, 0.0),  # as much its own calibration missed
+        (BROKEN, HUM._replace(signal="steer", explainable_share=0.13), 1.0, None, 0.0),
+        (BROKEN, HUM._replace(signal="steer", explainable_share=0.13, burst_share=0.9), 1.0, ELSEWHERE, 0.9),
+        (BROKEN, BROKEN._replace(signal="steer"), 1.0, None, 0.0),  # another thing, and a smaller one
+        (BROKEN, LOUD._replace(signal="steer"), 1.0, ELSEWHERE, 0.4),
     ],
-)  # fmt: skip
-def test_a_name_is_answerable_for_what_is_left(was: Looked, still: Looked, left: float, says: str) -> None:
+)
+def test_a_name_is_answerable_for_what_is_left(
+    was: LinkResidual, still: LinkResidual, left: float, criterion: Criterion | None, value: float
+) -> None:
     before = [was, *([still] if still.signal != was.signal else [])]
-    assert not_it(before, [still], {"brake": left, "steer": 1.0}, WORKED) == says
-    found = verdict(step("brake_gain"), amiss=says)
-    assert (found[0] == "none_of_these") == bool(says)
+    reason = find_residual_rejection(before, [still], ExplainedTargets(WORKED, {"brake": left, "steer": 1.0}))
+    assert (None if reason is None else reason.criterion) is criterion
+    if reason is not None:
+        assert reason.value == value and reason.key == still.signal
+        reason = name_all(reason, [step("brake_gain"), step("steer_lag")])
+        assert reason_text(reason).startswith("brake_gain, steer_lag comes nearest, but")
+    assert (verdict(step("brake_gain"), rejection=reason)[0] == "none_of_these") == (criterion is not None)
 
 
 @pytest.mark.parametrize(
@@ -178,41 +206,65 @@ def test_what_is_another_one_in_each_block_is_no_effect(
         asked.append((key, by))
         return {"brake": moves}
 
-    repaired = one.model._replace(fitted=fitted(DELAY, differ=differ))
-    said = wavers([one], repaired, BLOCKS_OF, np.zeros(len(BLOCKS_OF)), [QUIET], {"brake": explains}, moved)
-    assert bool(said) == says and (not says or said.startswith("what it would be of steer_dead_time differs by"))
+    repaired = one.model._replace(fit=fitted(DELAY, differ=differ))
+    limits = inconsistency_limits([QUIET], {"brake": explains})
+    found = block_inconsistency(repaired.fit, one.name, BLOCKS_OF, np.zeros(len(BLOCKS_OF)))
+    reason = find_inconsistency_rejection({one.name: found}, limits, moved)
+    assert (reason is not None) == says
+    if reason is not None:
+        assert reason.criterion is Criterion.BLOCK_INCONSISTENCY and "steer_dead_time differs by" in reason_text(reason)
     assert [key for key, _ in asked] == ([DELAY.key] if differ > 1.0 else [])
 
 
 def test_what_is_of_the_day_and_differs_between_drives_is_told() -> None:
-    (words,) = daily_words({"grade.grade_rad": 2.3})
+    (words,) = drive_difference_texts({"grade.grade_rad": 2.3})
     assert words.startswith("grade.grade_rad differs by 2.3 standard deviations between the drives")
-    assert daily_words({}) == ()
+    assert drive_difference_texts({}) == ()
 
 
 def test_of_a_name_no_larger_than_a_days_change_that_is_said() -> None:
-    by = DRIFT["brake_gain.gain_frac"]
-    assert small_words({"brake_gain": {"gain_frac": 1.0 - 1.9 * by}, "steer_lag": {"tau_s": 0.001}}) == (
-        "brake_gain: so little of it may come and go from day to day",
-    )
-    assert small_words({"brake_gain": {"gain_frac": 1.0 + 2.1 * by}}) == ()
+    by = DRIFT_SIGMAS["brake_gain.gain_frac"]
+    small = {"brake_gain": {"gain_frac": 1.0 - 1.9 * by}, "steer_lag": {"tau_s": 0.001}}
+    assert find_day_sized(small) == ("brake_gain",)
+    assert find_day_sized({"brake_gain": {"gain_frac": 1.0 + 2.1 * by}}) == ()
 
 
 def test_only_what_is_missed_beyond_usual_is_quoted_and_the_worst_of_that_first() -> None:
-    yaw = Looked("yaw_rate", Link.REPORT_TO_MOTION, "rad/s", 0.2, 0.1, 0.2, 0.35, True, loud=0.25)
-    speed = yaw._replace(signal="rate_of_speed", share=0.2, loud=0.39)
-    usual = Usual({}, {}, loud={"yaw_rate": 0.2, "rate_of_speed": 0.39}, share={"yaw_rate": 0.02})
-    _, _, (words,) = verdict_of([], [], [speed, yaw], "", {}, (), {}, usual)
+    yaw = LinkResidual("yaw_rate", Link.REPORT_TO_MOTION, "rad/s", 0.2, 0.1, 0.2, 0.35, True, burst_share=0.25)
+    speed = yaw._replace(signal="rate_of_speed", explainable_share=0.2, burst_share=0.39)
+    usual = BaselineMisfit(
+        {}, {}, burst_share={"yaw_rate": 0.2, "rate_of_speed": 0.39}, explicable_share={"yaw_rate": 0.02}
+    )
+    _, _, (words,) = as_tuple(decide_verdict(Findings([speed, yaw], baseline=usual)), {})
     assert words == "yaw_rate is missed by 35.0%, and no effect explains it"
-    assert still_words([yaw], [], usual)[0].startswith("yaw_rate is missed by 35.0% all the same")
-    gross = yaw._replace(gross=0.5)
-    said = not_it([gross], [gross], {"yaw_rate": 0.1}, {"yaw_rate": 0.3}, usual)
-    assert said.startswith("still yaw_rate is missed by 50% of the signal, and little")
+    (beside,) = find_unexplained_beside([yaw], {}, usual)
+    assert beside.text == "yaw_rate is missed by 35.0%"
+    gross = yaw._replace(gross_share=0.5)
+    reason = find_residual_rejection([gross], [gross], ExplainedTargets({"yaw_rate": 0.3}, {"yaw_rate": 0.1}), usual)
+    assert reason is not None and reason.criterion is Criterion.RESIDUAL_PEAK and reason.value == 0.5
 
 
 def test_what_is_missed_beside_a_name_is_said() -> None:
-    yaw = Looked("yaw_rate", Link.REPORT_TO_MOTION, "rad/s", 0.2, 0.1, 0.2, 0.06, True)
-    (words,) = still_words([yaw, QUIET], ["rate_of_speed"])
-    assert words.startswith("yaw_rate is missed by 6.0%") and "nothing that is named here" in words
-    assert still_words([yaw], ["yaw_rate"]) == (), "who works on it is asked for it"
-    assert still_words([yaw], [], NOTHING._replace(own_missed={"yaw_rate": 0.05})) == ()
+    yaw = LinkResidual("yaw_rate", Link.REPORT_TO_MOTION, "rad/s", 0.2, 0.1, 0.2, 0.06, True)
+    assert find_unexplained_beside([yaw, QUIET], {"rate_of_speed": 0.1}) == (yaw,)
+    assert find_unexplained_beside([yaw], {"yaw_rate": 0.1}) == (), "who works on it is asked for it"
+    assert find_unexplained_beside([yaw], {}, NO_BASELINE._replace(misfit_unexplained={"yaw_rate": 0.05})) == ()
+
+
+def test_lost_frames_go_before_all_else() -> None:
+    echoes = [CommandEcho("steer", 0.0, 0.3, 100), CommandEcho("brake", 0.0, 0.0, 100)]
+    (reason,) = changed = find_changed_frames(echoes)
+    assert reason.criterion is Criterion.FRAMES_CHANGED and (reason.key, reason.value) == ("steer", 0.3)
+    found = decide_verdict(Findings([QUIET], steps=[step("brake_gain")], changed_frames=changed))
+    assert found.kind is VerdictKind.NONE_OF_THESE and "steer commands echoed" in verdict_texts(found, {})[0]
+    assert decide_location([BROKEN], changed).kind is VerdictKind.NONE_OF_THESE
+    assert decide_location([BROKEN], ()).kind is VerdictKind.NOT_SEARCHED
+    assert decide_location([QUIET], ()).kind is VerdictKind.NONE_MISSING
+
+
+def test_where_nothing_is_found_the_criteria_that_the_strongest_candidate_fails_are_told() -> None:
+    weak = step("brake_gain")._replace(evidence=3.0)
+    found = decide_verdict(Findings([BROKEN], [weak]))
+    assert found.kind is VerdictKind.NONE_OF_THESE
+    assert [reason.criterion for reason in found.reasons] == [Criterion.UNEXPLAINED, Criterion.EVIDENCE]
+    assert verdict_texts(found, {}) == (f"{BROKEN.text}, and no effect explains it",)

@@ -11,18 +11,18 @@ from msgspec.structs import replace
 from tests.gap.made_answer import LATE_S, VEHICLE, late_drive, made_model
 from tunefree_hil.base.contracts import make_effect
 from tunefree_hil.config.schema import EffectSpec, ModelSpec
-from tunefree_hil.gap.measured.blocks import CHOICE
-from tunefree_hil.gap.measured.chain import Opened, open_chain
-from tunefree_hil.gap.model.graph import effects
-from tunefree_hil.gap.validation.free_run import WARM_S, car_of, is_forgotten, needed
-from tunefree_hil.gap.validation.holdout import Proof, Variant, prove
+from tunefree_hil.gap.measured.blocks import SELECTION
+from tunefree_hil.gap.measured.chain import MeasuredDrive, build_measured_drive
+from tunefree_hil.gap.model.graph import load_catalogue
+from tunefree_hil.gap.validation.free_run import WARM_UP_S, assemble_car, forgets_disturbance, rows_to_simulate
+from tunefree_hil.gap.validation.holdout import HoldoutResult, Variant, run_holdout
 
 DT_S = 0.01
 
 
 @cache
-def opened() -> Opened:
-    return open_chain(late_drive(), VEHICLE)
+def opened() -> MeasuredDrive:
+    return build_measured_drive(late_drive(), VEHICLE)
 
 
 @pytest.mark.parametrize(("name", "params", "forgets"), [
@@ -35,18 +35,21 @@ def opened() -> Opened:
 def test_what_is_driven_to_either_side_says_the_same_after_a_while_or_not(
     name: str, params: dict[str, float], forgets: bool
 ) -> None:
-    effect = effects()[name]
-    assert is_forgotten(make_effect(effect, params), effect.port, 0.0, DT_S) is forgets
+    effect = load_catalogue()[name]
+    assert forgets_disturbance(make_effect(effect, params), effect.port, 0.0, DT_S) is forgets
 
 
 def test_rows_are_needed_before_what_is_free_and_no_earlier() -> None:
     held = np.ones(2000, dtype=bool)
     held[900:1000] = held[1900:] = False
-    rows, warm = needed(held, DT_S), round(WARM_S / DT_S)
+    rows, warm = rows_to_simulate(held, DT_S), round(WARM_UP_S / DT_S)
     wanted = np.zeros(2000, dtype=bool)
     wanted[900 - warm : 1000] = wanted[1900 - warm :] = True
     assert np.array_equal(rows, wanted)
-    assert not needed(np.ones(50, dtype=bool), DT_S).any() and needed(np.zeros(50, dtype=bool), DT_S).all()
+    assert (
+        not rows_to_simulate(np.ones(50, dtype=bool), DT_S).any()
+        and rows_to_simulate(np.zeros(50, dtype=bool), DT_S).all()
+    )
 
 
 def with_effect(name: str, **params: float) -> ModelSpec:
@@ -56,20 +59,20 @@ def with_effect(name: str, **params: float) -> ModelSpec:
 def test_a_car_that_keeps_something_is_known() -> None:
     kinds = {
         "nothing": made_model(), "late": with_effect("steer_dead_time", delay_s=LATE_S),
-        "hot": with_effect("brake_fade", **{next(iter(effects()["brake_fade"].neutral)): 0.1}),
-        "loose": with_effect("steer_backlash", **dict.fromkeys(effects()["steer_backlash"].neutral, 0.05)),
+        "hot": with_effect("brake_fade", **{next(iter(load_catalogue()["brake_fade"].neutral)): 0.1}),
+        "loose": with_effect("steer_backlash", **dict.fromkeys(load_catalogue()["steer_backlash"].neutral, 0.05)),
     }  # fmt: skip
-    found = {name: car_of(model, VEHICLE, opened()).forgets for name, model in kinds.items()}
+    found = {name: assemble_car(model, VEHICLE, opened()).has_short_memory for name, model in kinds.items()}
     assert found == {"nothing": True, "late": True, "hot": False, "loose": False}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", [made_model(), with_effect("steer_lag", tau_s=0.2)])
 def test_brief_runs_say_of_the_blocks_what_whole_ones_say(model: ModelSpec) -> None:
-    def run(*, brief: bool) -> Proof:
-        return prove({"": Variant(model)}, VEHICLE, [opened()], role=CHOICE, brief=brief)
+    def run(*, brief: bool) -> HoldoutResult:
+        return run_holdout({"": Variant(model)}, VEHICLE, [opened()], role=SELECTION, skip_forgotten=brief)
 
     whole, brief = run(brief=False), run(brief=True)
-    assert whole.blocks == brief.blocks > 0
-    for signal, squares in whole.squares[""].items():
-        assert brief.squares[""][signal] == pytest.approx(squares, rel=2e-3, abs=1e-9), signal
+    assert whole.n_blocks == brief.n_blocks > 0
+    for signal, squares in whole.squared_errors[""].items():
+        assert brief.squared_errors[""][signal] == pytest.approx(squares, rel=2e-3, abs=1e-9), signal

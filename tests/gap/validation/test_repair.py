@@ -13,11 +13,11 @@ from tests.gap.made_answer import LATE_S, VEHICLE, late_drive, made_kept, made_m
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import ActuatorSpec, EffectSpec, Interval, ModelSpec
-from tunefree_hil.gap.measured.chain import Opened, open_chain
-from tunefree_hil.gap.model.graph import BEND, LINKAGE
-from tunefree_hil.gap.validation.free_run import car_of, run_over
-from tunefree_hil.gap.validation.repair import by_channel, found_effects, repaired, write_repaired
-from tunefree_hil.learn.model_folder import data_of, write_beside
+from tunefree_hil.gap.measured.chain import MeasuredDrive, build_measured_drive
+from tunefree_hil.gap.model.graph import LINKAGE_BEND_KEY, LINKAGE_BEND_PARAM
+from tunefree_hil.gap.validation.free_run import assemble_car, simulate_recording
+from tunefree_hil.gap.validation.repair import effect_specs, merge_pedal_moves, repair_model, write_repaired_model
+from tunefree_hil.learn.model_folder import model_toml_from_spec, write_model_copy
 
 MOVED = {
     "throttle_gain.gain_frac": 0.93,
@@ -31,11 +31,11 @@ MOVED = {
 }
 
 
-def opened() -> Opened:
-    return open_chain(late_drive(20.0), VEHICLE)
+def opened() -> MeasuredDrive:
+    return build_measured_drive(late_drive(20.0), VEHICLE)
 
 
-def free(drive: Opened) -> np.ndarray:
+def free(drive: MeasuredDrive) -> np.ndarray:
     held = np.ones(drive.ticks, dtype=bool)
     held[300:] = False
     return held
@@ -45,17 +45,19 @@ def free(drive: Opened) -> np.ndarray:
 def test_constants_that_were_moved_drive_as_the_effects_would(found: list[EffectSpec]) -> None:
     drive, model = opened(), made_model()
     moved = {key: value for key, value in MOVED.items() if not found or not key.startswith("steer_offset")}
-    made = repaired(model, VEHICLE, moved, found)
+    made = repair_model(model, VEHICLE, moved, found)
     effects = [*found]
     for key, value in moved.items():
         name, _, parameter = key.partition(".")
         effects.append(EffectSpec(name=name, params={parameter: value}))
-    ours = run_over(car_of(made.model, VEHICLE, drive), drive, free(drive))
+    ours = simulate_recording(assemble_car(made.model, VEHICLE, drive), drive, free(drive))
     effects.sort(key=lambda one: one.name)
-    theirs = run_over(car_of(model, VEHICLE, drive, effects), drive, free(drive))
+    theirs = simulate_recording(assemble_car(model, VEHICLE, drive, effects), drive, free(drive))
     for name in ("report.speed_mps", "report.yaw_rate_radps", "report.lateral_accel_mps2", "ins.x_m"):
         assert ours[name] == pytest.approx(theirs[name], abs=1e-7), name
-    assert not np.allclose(ours["ins.x_m"], run_over(car_of(model, VEHICLE, drive), drive, free(drive))["ins.x_m"])
+    assert not np.allclose(
+        ours["ins.x_m"], simulate_recording(assemble_car(model, VEHICLE, drive), drive, free(drive))["ins.x_m"]
+    )
     names = [one.name for one in made.model.effects]
     assert names == (["steer_gain", "steer_offset"] if found else ["steer_offset"]), "the rest is in the constants"
 
@@ -63,22 +65,24 @@ def test_constants_that_were_moved_drive_as_the_effects_would(found: list[Effect
 def test_a_brake_that_pulls_more_than_in_proportion_is_moved_as_its_effect_would() -> None:
     drive, model = opened(), made_model()
     model = replace(model, plant=replace(model.plant, params={**model.plant.params, "brake_rise_per_frac": 3.0}))
-    made = repaired(model, VEHICLE, {"brake_gain.gain_frac": 0.8})
+    made = repair_model(model, VEHICLE, {"brake_gain.gain_frac": 0.8})
     gain = EffectSpec(name="brake_gain", params={"gain_frac": 0.8})
-    ours = run_over(car_of(made.model, VEHICLE, drive), drive, free(drive))
-    theirs = run_over(car_of(model, VEHICLE, drive, [gain]), drive, free(drive))
+    ours = simulate_recording(assemble_car(made.model, VEHICLE, drive), drive, free(drive))
+    theirs = simulate_recording(assemble_car(model, VEHICLE, drive, [gain]), drive, free(drive))
     assert made.model.plant.params["brake_rise_per_frac"] == pytest.approx(2.4)
     assert ours["report.speed_mps"] == pytest.approx(theirs["report.speed_mps"], abs=1e-7)
 
 
 def test_the_linkages_bend_is_a_constant_of_the_car() -> None:
-    made = repaired(made_model(), VEHICLE, {LINKAGE: 0.2}, [])
-    assert made.model.plant.params[BEND] == 0.2 and made.model.effects == [] and made.day == ()
-    assert [(one.key, one.after) for one in made.changes] == [(f"plant.params.{BEND}", 0.2)]
+    made = repair_model(made_model(), VEHICLE, {LINKAGE_BEND_KEY: 0.2}, [])
+    assert made.model.plant.params[LINKAGE_BEND_PARAM] == 0.2 and made.model.effects == [] and made.day == ()
+    assert [(one.key, one.after) for one in made.changes] == [(f"plant.params.{LINKAGE_BEND_PARAM}", 0.2)]
 
 
 def test_what_is_of_the_day_is_not_written() -> None:
-    made = repaired(made_model(), VEHICLE, {"grade.grade_rad": 0.001, "accel_bias.bias_mps2": 0.02, "clock.ins_s": 0.1})
+    made = repair_model(
+        made_model(), VEHICLE, {"grade.grade_rad": 0.001, "accel_bias.bias_mps2": 0.02, "clock.ins_s": 0.1}
+    )
     assert [one.name for one in made.day] == ["grade", "accel_bias"]
     assert made.changes == () and made.model.effects == [] and made.model.plant == made_model().plant
 
@@ -87,7 +91,7 @@ def test_numbers_of_a_channel_keep_the_width_of_their_interval() -> None:
     model = made_model()
     steer = replace(model.actuators["steer"], dead_time_s=Interval(value=0.1, low=0.09, high=0.11))
     values = {"actuator.steer.dead_time_s": 0.02, "actuator.steer.lag_s": 0.1, "plant.drive_force_n": -0.1}
-    made = repaired(replace(model, actuators={**model.actuators, "steer": steer}), VEHICLE, values)
+    made = repair_model(replace(model, actuators={**model.actuators, "steer": steer}), VEHICLE, values)
     moved = made.model.actuators["steer"]
     assert isinstance(moved.dead_time_s, Interval) and moved.dead_time_s.low == pytest.approx(0.11)
     assert moved.lag_s == pytest.approx(0.09 * np.exp(0.1)) and moved.gain == 1.0
@@ -98,8 +102,8 @@ def test_numbers_of_a_channel_keep_the_width_of_their_interval() -> None:
 
 def test_the_folder_is_a_normal_model_with_interval_and_provenance(tmp_path: Path) -> None:
     model, kept = made_model(), made_kept()
-    made = repaired(model, VEHICLE, kept.repaired, found_effects(kept, "sha256:1", "0.0.1"))
-    written = write_repaired(tmp_path / "model", model, made.model, {"logs": ["a"]})
+    made = repair_model(model, VEHICLE, kept.repaired_values, effect_specs(kept, "sha256:1", "0.0.1"))
+    written = write_repaired_model(tmp_path / "model", model, made.model, {"logs": ["a"]})
     assert load_model(tmp_path / "model") == written and written.vehicle_hash == model.vehicle_hash
     (effect,) = written.effects
     assert (effect.name, effect.params) == ("steer_dead_time", {"delay_s": LATE_S})
@@ -110,15 +114,21 @@ def test_the_folder_is_a_normal_model_with_interval_and_provenance(tmp_path: Pat
     assert beside and beside <= {path.name for path in (tmp_path / "model").iterdir()}
     assert [path.name for path in tmp_path.iterdir()] == ["model"]
     with pytest.raises(InputError, match="there already"):
-        write_repaired(tmp_path / "model", model, made.model, {})
+        write_repaired_model(tmp_path / "model", model, made.model, {})
 
 
 def test_what_the_old_model_missed_of_its_own_logs_is_not_the_repaired_ones(tmp_path: Path) -> None:
     made = made_model()
     card = {"seed": 3, "usual": {"missed": {"yaw_rate": 0.5}}, "own_effects": {}}
-    write_beside(tmp_path / "old", made, "", data_of(replace(made, plant=replace(made.plant, card="card.json"))), card)
+    write_model_copy(
+        tmp_path / "old",
+        made,
+        "",
+        model_toml_from_spec(replace(made, plant=replace(made.plant, card="card.json"))),
+        card,
+    )
     old = load_model(tmp_path / "old")
-    write_repaired(tmp_path / "new", old, old, {"logs": []})
+    write_repaired_model(tmp_path / "new", old, old, {"logs": []})
     assert json.loads((tmp_path / "new" / "card.json").read_text()) == {"seed": 3, "repair": {"logs": []}}
 
 
@@ -134,8 +144,8 @@ def test_what_was_moved_of_two_pedals_is_moved_of_the_one_channel_of_a_car_that_
         "actuator.throttle.lag_s": 0.2, "actuator.brake.lag_s": 0.1, "actuator.throttle.offset": 0.004,
         "actuator.brake.offset": 0.001, "actuator.brake.dead_time_s": 0.02, "actuator.steer.lag_s": 0.3,
     }  # fmt: skip
-    assert by_channel(made_model(), values) is values
-    found = repaired(by_accel(lag_s=0.4), VEHICLE, values).model.actuators
+    assert merge_pedal_moves(made_model(), values) is values
+    found = repair_model(by_accel(lag_s=0.4), VEHICLE, values).model.actuators
     assert found["accel"].lag_s == pytest.approx(0.4 * np.exp(0.15)) and found["accel"].dead_time_s == 0.01
     assert found["accel"].offset == pytest.approx(10.0 * (0.004 - 0.001))
     assert found["steer"].lag_s == pytest.approx(0.09 * np.exp(0.3))
@@ -144,7 +154,7 @@ def test_what_was_moved_of_two_pedals_is_moved_of_the_one_channel_of_a_car_that_
 def test_the_proof_of_a_car_that_is_asked_for_an_acceleration_has_its_dead_time_and_lag() -> None:
     drive = opened()
     said = {
-        name: run_over(car_of(model, VEHICLE, drive), drive, free(drive))["report.speed_mps"]
+        name: simulate_recording(assemble_car(model, VEHICLE, drive), drive, free(drive))["report.speed_mps"]
         for name, model in {
             "quick": by_accel(), "slow": by_accel(dead_time_s=0.3, lag_s=0.5),
             "deaf": replace(by_accel(), effects=[EffectSpec(name="throttle_lag", params={"tau_s": 0.8})]),

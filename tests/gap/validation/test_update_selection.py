@@ -9,20 +9,28 @@ import pytest
 
 from tests.gap.made_answer import LATE_S, VEHICLE, late_drive, made_model
 from tunefree_hil.config.schema import EffectSpec
-from tunefree_hil.gap.measured.blocks import PROOF, blocks_of
-from tunefree_hil.gap.measured.chain import open_chain
-from tunefree_hil.gap.validation.holdout import HUGE, POSITION, Proof
-from tunefree_hil.gap.validation.update_selection import ACROSS, ALONG, SENSORS, gained, groups_of, pays, that_pays
+from tunefree_hil.gap.measured.blocks import HOLDOUT, cut_blocks
+from tunefree_hil.gap.measured.chain import build_measured_drive
+from tunefree_hil.gap.validation.holdout import DIVERGED_SQUARE, POSITION, HoldoutResult
+from tunefree_hil.gap.validation.update_selection import (
+    ACROSS,
+    ALONG,
+    SENSORS,
+    error_gains,
+    is_improvement,
+    select_updates,
+    update_groups,
+)
 
 STEERING = {"actuator.steer.dead_time_s": 0.9 * LATE_S}  # helps
 PULL = {"plant.drive_force_n": -0.06, "rolling_resistance.extra_frac": 0.2}  # spoils
 LATE = EffectSpec(name="steer_dead_time", params={"delay_s": LATE_S})
 
 
-def run(**errors: float) -> Proof:
+def run(**errors: float) -> HoldoutResult:
     """RMS by signal, the same in three blocks of ten rows."""
     counts = {name: np.full(3, 10.0) for name in errors}
-    return Proof({"": {name: np.full(3, 10.0 * one * one) for name, one in errors.items()}}, counts, {}, ())
+    return HoldoutResult({"": {name: np.full(3, 10.0 * one * one) for name, one in errors.items()}}, counts, {}, ())
 
 
 def test_every_number_that_was_moved_is_in_one_group() -> None:
@@ -32,7 +40,7 @@ def test_every_number_that_was_moved_is_in_one_group() -> None:
         "plant.wheelbase_m": 0.01, "side_wind.force_n": 4.0, "speed_scale.scale_frac": 1.001,
         "accel_bias.bias_mps2": 0.01, "clock.ins_s": 0.001, "brake_gain.gain_frac": 1.0, "steer_lag.tau_s": 0.1,
     }  # fmt: skip
-    found = groups_of(values, {"steer_lag"})
+    found = update_groups(values, {"steer_lag"})
     assert list(found) == [ALONG, ACROSS, SENSORS]
     assert found[SENSORS] == {"speed_scale.scale_frac", "accel_bias.bias_mps2"}
     assert found[ACROSS] == {
@@ -43,16 +51,16 @@ def test_every_number_that_was_moved_is_in_one_group() -> None:
 
 def test_errors_count_by_their_shares_and_hardly_below_the_floor() -> None:
     floors = {"speed": 1e-6, "steer": 1e-6}
-    gains = gained(run(speed=1.0, steer=5.0), run(speed=2.0, steer=5.0), floors)
+    gains = error_gains(run(speed=1.0, steer=5.0), run(speed=2.0, steer=5.0), floors)
     assert gains == pytest.approx(np.full(3, math.log(2.0)))
-    spoilt = gained(run(speed=0.0322, steer=0.375), run(speed=0.0291, steer=0.375), floors)
+    spoilt = error_gains(run(speed=0.0322, steer=0.375), run(speed=0.0291, steer=0.375), floors)
     assert spoilt == pytest.approx(np.full(3, math.log(0.0291 / 0.0322)), rel=1e-3), "whatever else is far off"
     floors = {"speed": 0.1}
-    assert np.abs(gained(run(speed=0.01), run(speed=0.02), floors)).max() < 0.02
-    assert not gained(run(**{POSITION: 1.0}), run(**{POSITION: 9.0}), {POSITION: 0.1}).any()
-    far = math.sqrt(HUGE)  # what a proof says of a run that came to no number
-    wild = gained(run(speed=far), run(speed=1.0), floors)
-    assert wild.max() < -10.0 and np.array_equal(gained(run(speed=1.0), run(speed=far), floors), -wild)
+    assert np.abs(error_gains(run(speed=0.01), run(speed=0.02), floors)).max() < 0.02
+    assert not error_gains(run(**{POSITION: 1.0}), run(**{POSITION: 9.0}), {POSITION: 0.1}).any()
+    far = math.sqrt(DIVERGED_SQUARE)  # what a proof says of a run that came to no number
+    wild = error_gains(run(speed=far), run(speed=1.0), floors)
+    assert wild.max() < -10.0 and np.array_equal(error_gains(run(speed=1.0), run(speed=far), floors), -wild)
 
 
 @pytest.mark.parametrize(("gains", "clear"), [
@@ -60,13 +68,13 @@ def test_errors_count_by_their_shares_and_hardly_below_the_floor() -> None:
     ((-2.0, -1.4), False),
 ])  # fmt: skip
 def test_what_is_not_above_chance_does_not_pay(gains: tuple[float, ...], clear: bool) -> None:
-    assert pays(np.array(gains)) is clear
+    assert is_improvement(np.array(gains)) is clear
 
 
 @pytest.mark.parametrize("blocks", [2, 5, 20])
 def test_chance_alone_seldom_pays(blocks: int) -> None:
     drawn = 0.4 * np.random.default_rng(1).standard_normal((5000, blocks))
-    assert 0.0 < np.mean([pays(one) for one in drawn]) < 0.05
+    assert 0.0 < np.mean([is_improvement(one) for one in drawn]) < 0.05
 
 
 @pytest.mark.slow
@@ -78,8 +86,8 @@ def test_chance_alone_seldom_pays(blocks: int) -> None:
 def test_what_spoils_a_signal_stays_as_it_was(
     values: dict[str, float], found: list[EffectSpec], left: tuple[str, ...]
 ) -> None:
-    paid = that_pays(made_model(), VEHICLE, values, found, [open_chain(late_drive(), VEHICLE)])
-    assert paid.left == left
+    paid = select_updates(made_model(), VEHICLE, values, found, [build_measured_drive(late_drive(), VEHICLE)])
+    assert paid.dropped_groups == left
     kept = {key for key in values if not (key in PULL or (ACROSS in left and key.startswith("actuator.steer")))}
     assert set(paid.values) == (kept if left else set(values))
 
@@ -87,12 +95,13 @@ def test_what_spoils_a_signal_stays_as_it_was(
 @pytest.mark.slow
 def test_the_blocks_that_prove_are_not_looked_at() -> None:
     drive, name = late_drive(), "report.yaw_rate_radps"
-    blocks = blocks_of([drive.ticks], drive.dt_s)
+    blocks = cut_blocks([drive.n_rows], drive.dt_s)
     spoilt = drive.fields[name].copy()
-    for b in np.flatnonzero(blocks.roles == PROOF):
+    for b in np.flatnonzero(blocks.roles == HOLDOUT):
         spoilt[blocks.begins[b] : blocks.ends[b]] += 5.0
     other = drive._replace(fields={**drive.fields, name: spoilt})
     was, now = (
-        that_pays(made_model(), VEHICLE, {**STEERING, **PULL}, [], [open_chain(one, VEHICLE)]) for one in (drive, other)
+        select_updates(made_model(), VEHICLE, {**STEERING, **PULL}, [], [build_measured_drive(one, VEHICLE)])
+        for one in (drive, other)
     )
-    assert was == now and was.left == (ALONG,)
+    assert was == now and was.dropped_groups == (ALONG,)

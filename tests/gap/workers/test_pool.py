@@ -1,7 +1,8 @@
-"""How suspects are dealt out: grids for all, fits for those that gain something there."""
+"""How candidates are divided among processes: grids for all, fits for those that gain something there."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from threading import Event
 from typing import Any, cast
 
@@ -9,99 +10,101 @@ import numpy as np
 import pytest
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.gap.estimation.grid import Start
-from tunefree_hil.gap.workers.pool import HOPELESS, SCREEN, Team
+from tunefree_hil.gap.estimation.grid import StartPoint
+from tunefree_hil.gap.workers import worker
+from tunefree_hil.gap.workers.pool import CRITERIA, WorkerPool
 
 GAINS = {"best": 1000.0, "near": 400.0, "far": 60.0, "trifle": 5.0, "nothing": 0.1}
 
 
-class Process:
-    """Stands in for a worker: knows what each suspect gains and writes down what it is asked to fit."""
+class FakeProcess:
+    """A process that knows what each candidate gains, and records what it has to fit."""
 
     def __init__(self) -> None:
         self.fitted: list[str] = []
-        self.bars: list[float] = []
-        self.noises: list[Any] = []
+        self.full_fit_gains: list[float] = []
+        self.noise_sources: list[Any] = []
         self.closed = Event()
 
-    def result(self, module: str, function: str, token: str, *args: Any) -> tuple[dict[str, Any], dict[str, str]]:
-        self.noises.append(args[-1])
-        if function == "scan_suspects":
-            can = {
-                name: Start((), np.zeros(0), GAINS[name], moves=0.1 if args[-1] is None else 0.7)
+    def wait_for_result(self, function: Callable[..., Any], token: str, *args: Any) -> Any:
+        self.noise_sources.append(args[-1])
+        if function is worker.scan_candidates:
+            starts = {
+                name: StartPoint((), np.zeros(0), GAINS[name], max_effect_share=0.1 if args[-1] is None else 0.7)
                 for name in args[0]
                 if name in GAINS
             }
-            return can, {name: "no value of it makes a car" for name in args[0] if name not in GAINS}
-        begins, _, bar, _ = args
-        self.fitted += list(begins)
-        self.bars.append(bar)
-        return {name: f"{name} fitted" for name in begins}, {}
+            return starts, {name: "no value of it gives a possible car" for name in args[0] if name not in GAINS}
+        starts, _, full_fit_gain, _ = args
+        self.fitted += list(starts)
+        self.full_fit_gains.append(full_fit_gain)
+        return {name: f"{name} fitted" for name in starts}, {}
 
-    def end(self) -> None:
+    def shut_down(self) -> None:
         self.closed.set()
 
 
-class Lost(Process):
-    """One that fails at once."""
+class FailingProcess(FakeProcess):
+    """A process that fails at once."""
 
-    def result(self, module: str, function: str, token: str, *args: Any) -> Any:
+    def wait_for_result(self, function: Callable[..., Any], token: str, *args: Any) -> Any:
         raise InputError("the process is gone", code="gone")
 
 
-class Busy(Process):
-    """One that computes until it is ended."""
+class BusyProcess(FakeProcess):
+    """A process that computes until it is ended."""
 
-    def result(self, module: str, function: str, token: str, *args: Any) -> Any:
+    def wait_for_result(self, function: Callable[..., Any], token: str, *args: Any) -> Any:
         assert self.closed.wait(20.0)
         raise InputError("ended", code="gone")
 
 
-def team() -> tuple[Team, list[Process]]:
-    one = Team(cast(Any, None), workers=0)
-    workers = [Process(), Process()]
-    one.workers = cast(Any, workers)
-    return one, workers
+def make_pool() -> tuple[WorkerPool, list[FakeProcess]]:
+    pool = WorkerPool(cast(Any, None), workers=0)
+    processes = [FakeProcess(), FakeProcess()]
+    pool.workers = cast(Any, processes)
+    return pool, processes
 
 
-def test_who_gains_nothing_beside_the_best_is_not_fitted_and_who_is_far_gets_one_step() -> None:
-    one, workers = team()
-    assert set(one.fit(list(GAINS), None)) == {"best", "near", "far"}
-    assert all(worker.bars == [max(HOPELESS, SCREEN * GAINS["best"])] for worker in workers)
-    assert GAINS["near"] > workers[0].bars[0] > GAINS["far"]
+def test_a_candidate_that_gains_little_beside_the_best_is_not_fitted_and_a_weak_one_gets_one_step() -> None:
+    pool, processes = make_pool()
+    assert set(pool.fit_candidates(list(GAINS), None)) == {"best", "near", "far"}
+    full_fit_gain = max(CRITERIA.min_gain, CRITERIA.full_fit_share * GAINS["best"])
+    assert all(process.full_fit_gains == [full_fit_gain] for process in processes)
+    assert GAINS["near"] > full_fit_gain > GAINS["far"]
 
 
-def test_those_that_take_long_are_shared_evenly() -> None:
-    one, workers = team()
-    one.fit(list(GAINS), None)
-    assert [worker.fitted for worker in workers] == [["best", "far"], ["near"]]
+def test_candidates_that_take_long_are_shared_evenly() -> None:
+    pool, processes = make_pool()
+    pool.fit_candidates(list(GAINS), None)
+    assert [process.fitted for process in processes] == [["best", "far"], ["near"]]
 
 
-def test_who_makes_no_car_is_told_with_the_reason_and_only_where_it_was_asked_alone() -> None:
-    one, _ = team()
-    one.fit(["best", "wall"], None)
-    assert one.dropped == {"wall": "no value of it makes a car"}
-    one.fit(["best", "other wall"], cast(Any, type("Beside", (), {"fitted": object()})()))
-    assert "other wall" not in one.dropped
+def test_an_impossible_candidate_is_recorded_with_the_reason_only_where_it_is_alone() -> None:
+    pool, _ = make_pool()
+    pool.fit_candidates(["best", "wall"], None)
+    assert pool.impossible_candidates == {"wall": "no value of it gives a possible car"}
+    pool.fit_candidates(["best", "other wall"], cast(Any, type("Beside", (), {"fit": object()})()))
+    assert "other wall" not in pool.impossible_candidates
 
 
-def test_asked_again_under_the_noise_of_another_the_grids_and_the_fits_have_it_and_what_effects_move_stays() -> None:
-    one, workers = team()
-    one.fit(list(GAINS), None)
-    assert {noise for worker in workers for noise in worker.noises} == {None}
-    workers[0].noises, workers[1].noises = [], []
-    one.fit(list(GAINS), None, cast(Any, type("Best", (), {"fitted": "the best one's"})()))
-    assert [worker.noises for worker in workers] == [["the best one's"] * 2] * 2
-    assert set(one.moves.values()) == {0.1}  # as it was by the null's noise: excitation is no matter of who is best
+def test_grids_and_fits_use_the_noise_of_another_model_and_effect_shares_stay() -> None:
+    pool, processes = make_pool()
+    pool.fit_candidates(list(GAINS), None)
+    assert {source for process in processes for source in process.noise_sources} == {None}
+    processes[0].noise_sources, processes[1].noise_sources = [], []
+    pool.fit_candidates(list(GAINS), None, cast(Any, type("Best", (), {"fit": "the best fit"})()))
+    assert [process.noise_sources for process in processes] == [["the best fit"] * 2] * 2
+    assert set(pool.max_effect_shares.values()) == {0.1}  # from the first scan: excitation does not depend on the best
 
 
 def test_where_one_process_fails_the_others_are_ended_and_not_waited_for() -> None:
-    one, _ = team()
-    one.workers = cast(Any, [Busy(), Lost()])
+    pool, _ = make_pool()
+    pool.workers = cast(Any, [BusyProcess(), FailingProcess()])
     with pytest.raises(InputError):
-        one.fit(list(GAINS), None)
-    assert all(cast(Process, worker).closed.is_set() for worker in one.workers)
+        pool.fit_candidates(list(GAINS), None)
+    assert all(cast(FakeProcess, process).closed.is_set() for process in pool.workers)
 
 
-def test_nobody_to_ask_is_no_mistake() -> None:
-    assert team()[0].fit([], None) == {}
+def test_no_candidates_are_no_error() -> None:
+    assert make_pool()[0].fit_candidates([], None) == {}

@@ -33,9 +33,9 @@ from tunefree_hil.cli.entry import run
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.jobs.collect.collect import collect, require_stopped
-from tunefree_hil.jobs.collect.live_coverage import Ears, Wish, coverage_for, from_logs
-from tunefree_hil.jobs.collect.plan import Asked, require_room
-from tunefree_hil.jobs.run_folder import versions, write_json
+from tunefree_hil.jobs.collect.live_coverage import LiveCounter, WatchOptions, count_logs, make_coverage
+from tunefree_hil.jobs.collect.plan import CollectOptions, require_area
+from tunefree_hil.jobs.run_folder import library_versions, write_json
 from tunefree_hil.learn.drives.read import read_drives
 
 WORDS = ("--vehicle", "mkz_bywire", "--model", "mkz_nominal", "--quota-s", "0.2", "--top-mps", "3", "--area-m", "150")
@@ -80,8 +80,8 @@ def test_a_short_collection_leaves_logs_a_map_and_a_picture(calm: tuple[Path, En
 @pytest.mark.slow
 def test_its_logs_count_the_same_when_read_again(calm: tuple[Path, Ended], tmp_path: Path) -> None:
     out, _ = calm
-    wish = Wish("mkz_bywire", "auto", "x", 0.2, 3.0, None, tmp_path / "again")
-    events = list(from_logs(sorted((out / "logs").glob("*.log")), wish))
+    wish = WatchOptions("mkz_bywire", "auto", "x", 0.2, 3.0, None, tmp_path / "again")
+    events = list(count_logs(sorted((out / "logs").glob("*.log")), wish))
     assert isinstance(events[-1], Event) and events[-1].data["missing"] == []
     first, again = (json.loads((one / "coverage.json").read_text())["cells"] for one in (out, tmp_path / "again"))
     assert [one["have_s"] for one in first] == [one["have_s"] for one in again]
@@ -90,16 +90,18 @@ def test_its_logs_count_the_same_when_read_again(calm: tuple[Path, Ended], tmp_p
 @pytest.mark.slow
 def test_frames_as_they_come_count_as_their_log_does(calm: tuple[Path, Ended]) -> None:
     log = calm[0] / "logs" / "drive-001.log"
-    vehicle, wish = load_vehicle("mkz_bywire"), Wish("mkz_bywire", "auto", "x", 0.2, None, None, None)
-    live, whole, codec = coverage_for(vehicle, wish), coverage_for(vehicle, wish), Codec(vehicle)
-    ears = Ears(vehicle, codec, live)
+    vehicle, wish = load_vehicle("mkz_bywire"), WatchOptions("mkz_bywire", "auto", "x", 0.2, None, None, None)
+    live, whole, codec = make_coverage(vehicle, wish), make_coverage(vehicle, wish), Codec(vehicle)
+    ears = LiveCounter(vehicle, codec, live)
     for one in read_candump(log):
-        ears.hear([CanFrame(one.can_id, one.data, time_s=one.time_s)])
+        ears.add_frames([CanFrame(one.can_id, one.data, time_s=one.time_s)])
     whole.add(read_drives([log], codec)[0].get)
     had = sum(whole.counter.have)
     assert sum(abs(a - b) for a, b in zip(live.counter.have, whole.counter.have, strict=True)) <= 2 < had
     before = sum(live.counter.have)
-    ears.hear([CanFrame(one.can_id, one.data, time_s=one.time_s) for one in read_candump(log)])  # the clock went back
+    ears.add_frames(
+        [CanFrame(one.can_id, one.data, time_s=one.time_s) for one in read_candump(log)]
+    )  # the clock went back
     assert sum(live.counter.have) >= 2 * before - 50
 
 
@@ -143,7 +145,7 @@ def test_a_watch_sees_what_is_driven_and_ctrl_c_says_how_to_go_on(tmp_path: Path
 
 def refused(out: Path, **more: Any) -> InputError:
     """The error of a collection that is refused."""
-    asked = Asked(vehicle="mkz_bywire", model="mkz_nominal", bus="tfhub", out=out)
+    asked = CollectOptions(vehicle="mkz_bywire", model="mkz_nominal", bus="tfhub", out=out)
     with pytest.raises(InputError) as caught:
         list(collect(asked._replace(**more)))
     return caught.value
@@ -151,10 +153,10 @@ def refused(out: Path, **more: Any) -> InputError:
 
 def test_an_area_that_is_too_small_is_told_how_large_it_must_be(tmp_path: Path) -> None:
     error = refused(tmp_path / "run", area_m=200.0)
-    assert error.code == "area_too_small" and "200 m are too small for 21 m/s" in error.message
+    assert error.code == "area_too_small" and "200 m is too small for 21 m/s" in error.message
     needed = int(error.hint.split()[1].rstrip(","))
     assert 200 < needed < 400 and f"a square of {needed} m" in error.message
-    require_room(load_vehicle("mkz_bywire"), Asked(area_m=needed))
+    require_area(load_vehicle("mkz_bywire"), CollectOptions(area_m=needed))
     assert not (tmp_path / "run").exists()
 
 
@@ -162,7 +164,7 @@ def test_an_area_that_is_too_small_is_told_how_large_it_must_be(tmp_path: Path) 
     ("more", "said"),
     [
         ({"model": None}, "mkz_reference"),
-        ({"vehicle": None}, "nothing to drive is named"),
+        ({"vehicle": None}, "no vehicle or bench file"),
         ({"bench": Path("b.toml"), "vehicle": "mkz_bywire"}, "a bench file and --vehicle"),
         ({"model": other_vehicle.NOMINAL.name}, f"is a model of '{other_vehicle.NAME}'"),
         ({"vehicle": "rav4_2017"}, "command.brake_frac"),
@@ -205,15 +207,15 @@ def test_a_drive_that_does_not_end_standing_is_none(code: ErrorCode, word: str, 
 
 def test_a_folder_with_another_run_is_not_touched(tmp_path: Path) -> None:
     (tmp_path / "thing.txt").write_text("mine")
-    assert "holds no run" in refused(tmp_path).message
+    assert "not a run folder" in refused(tmp_path).message
     assert [path.name for path in tmp_path.iterdir()] == ["thing.txt"]
-    write_json(tmp_path / "run.json", {"schema": "tunefree.run/1", "versions": versions(), "quota_s": 3.0})
+    write_json(tmp_path / "run.json", {"schema": "tunefree.run/1", "versions": library_versions(), "quota_s": 3.0})
     assert "quota_s" in refused(tmp_path).message
 
 
 def test_a_watch_without_a_vehicle_asks_whose_frames_these_are(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["collect", "--watch", "--plain"]) == 2
-    assert "whose frames are these" in capsys.readouterr().err
+    assert "the vehicle is not given" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("mode", [("--watch",), ("--from", "some.log")])
@@ -222,7 +224,7 @@ def test_a_watch_without_a_vehicle_asks_whose_frames_these_are(capsys: pytest.Ca
     [
         *(("--quota-s", value, "--quota-s") for value in ("nan", "inf", "0", "-5", "1e308")),
         *(("--top-mps", value, "--top-mps") for value in ("nan", "inf", "0", "-1")),
-        ("--top-mps", "0.01", "no cell is driven at 0.01 m/s"),
+        ("--top-mps", "0.01", "no cell can be driven with at most 0.01 m/s"),
         ("--seconds", "nan", "--seconds"),
         ("--seconds", "-1", "--seconds"),
     ],
@@ -239,11 +241,11 @@ def test_a_count_refuses_numbers_that_are_none(
 def test_a_log_of_another_vehicle_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("(0.010000) can0 123#0011\n")
     with pytest.raises(InputError, match="not one frame of vehicle"):
-        list(from_logs([tmp_path / "a.log"], Wish("mkz_bywire", "auto", "x", 1.0, None, None, None)))
+        list(count_logs([tmp_path / "a.log"], WatchOptions("mkz_bywire", "auto", "x", 1.0, None, None, None)))
 
 
 def test_a_collection_that_another_process_works_on_is_refused(tmp_path: Path) -> None:
-    asked = Asked(vehicle="mkz_bywire", model="mkz_nominal", bus="tfhub", out=tmp_path / "run")
+    asked = CollectOptions(vehicle="mkz_bywire", model="mkz_nominal", bus="tfhub", out=tmp_path / "run")
     first = collect(asked)
     assert "run folder" in next(first).message
     with pytest.raises(InputError, match="another process works on it"):

@@ -11,13 +11,13 @@ import pytest
 from tests.jobs.made_chain import Chain, asked, chain, judged, record
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.jobs.commission.commission import NAMES, commission
-from tunefree_hil.jobs.commission.plan import Asked
+from tunefree_hil.jobs.commission.plan import CommissionOptions
 from tunefree_hil.jobs.commission.report import TITLES
 
 __all__ = ["asked", "chain"]  # fixtures
 
 
-def test_all_stages_in_order_and_a_page(chain: Chain, asked: Asked) -> None:
+def test_all_stages_in_order_and_a_page(chain: Chain, asked: CommissionOptions) -> None:
     data = chain.run(asked)
     assert chain.called == list(NAMES) and data["exit"] == 0
     page = Path(data["report"]).read_text()
@@ -26,7 +26,7 @@ def test_all_stages_in_order_and_a_page(chain: Chain, asked: Asked) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_cut_off_in_any_stage_it_goes_on_with_that_one(chain: Chain, asked: Asked, name: str) -> None:
+def test_cut_off_in_any_stage_it_goes_on_with_that_one(chain: Chain, asked: CommissionOptions, name: str) -> None:
     chain.dies = name
     with pytest.raises(KeyboardInterrupt):
         chain.run(asked)
@@ -36,7 +36,7 @@ def test_cut_off_in_any_stage_it_goes_on_with_that_one(chain: Chain, asked: Aske
 
 
 def test_too_little_coverage_stops_before_calibration_and_the_same_command_tries_again(
-    chain: Chain, asked: Asked
+    chain: Chain, asked: CommissionOptions
 ) -> None:
     chain.results["collect"] |= {"cells_full": 5, "missing": ["reverse"]}
     data = chain.run(asked)
@@ -53,12 +53,12 @@ def test_too_little_coverage_stops_before_calibration_and_the_same_command_tries
 @pytest.mark.parametrize(
     ("stage", "bad", "said", "wider"),
     [
-        ("learn", judged(40.0), "40.0 m off", {"most_error_m": 50.0}),
+        ("learn", judged(40.0), "error of the plant is 40.0 m", {"most_error_m": 50.0}),
         ("tune", {"outside": {"share": 0.5, "by": {"speed_mps": 0.4}}}, "speed_mps 40%", {"most_outside": 0.6}),
     ],
 )
 def test_a_stage_that_is_not_good_enough_is_not_done_over_but_judged_anew(
-    stage: str, bad: dict[str, Any], said: str, wider: dict[str, Any], chain: Chain, asked: Asked
+    stage: str, bad: dict[str, Any], said: str, wider: dict[str, Any], chain: Chain, asked: CommissionOptions
 ) -> None:
     chain.results[stage] |= bad
     before = list(NAMES[: NAMES.index(stage) + 1])
@@ -73,7 +73,7 @@ def test_a_stage_that_is_not_good_enough_is_not_done_over_but_judged_anew(
 
 
 def test_a_stage_that_cannot_do_its_work_says_so_in_record_and_page_and_is_tried_again(
-    chain: Chain, asked: Asked
+    chain: Chain, asked: CommissionOptions
 ) -> None:
     chain.refuses = "map"
     with pytest.raises(InputError, match="too little straight driving"):
@@ -85,7 +85,7 @@ def test_a_stage_that_cannot_do_its_work_says_so_in_record_and_page_and_is_tried
     assert "stopped" not in record(asked)
 
 
-def test_a_winner_that_does_not_hold_is_the_exit_status(chain: Chain, asked: Asked) -> None:
+def test_a_winner_that_does_not_hold_is_the_exit_status(chain: Chain, asked: CommissionOptions) -> None:
     chain.results["verify"]["holds"] = False
     assert chain.run(asked)["exit"] == 1
 
@@ -105,7 +105,7 @@ def test_a_winner_that_does_not_hold_is_the_exit_status(chain: Chain, asked: Ask
     ],
 )
 def test_what_no_stage_could_use_is_said_before_the_first(
-    options: dict[str, Any], key: str, chain: Chain, asked: Asked
+    options: dict[str, Any], key: str, chain: Chain, asked: CommissionOptions
 ) -> None:
     with pytest.raises(InputError) as caught:
         chain.run(asked._replace(**options))
@@ -114,11 +114,11 @@ def test_what_no_stage_could_use_is_said_before_the_first(
 
 
 def test_set_area_and_a_missing_torch_are_said_before_the_first_stage(
-    asked: Asked, monkeypatch: pytest.MonkeyPatch
+    asked: CommissionOptions, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(InputError, match="knows no set 'all'"):
+    with pytest.raises(InputError, match="unknown set 'all'"):
         next(iter(commission(asked._replace(set_name="all"))))
-    with pytest.raises(InputError, match="100 m are too small"):
+    with pytest.raises(InputError, match="100 m is too small"):
         next(iter(commission(asked._replace(area_m=100.0))))
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(InputError, match="needs torch") as caught:
@@ -126,7 +126,9 @@ def test_set_area_and_a_missing_torch_are_said_before_the_first_stage(
     assert "pip install '.[learn]'" in caught.value.hint and asked.out is not None and not asked.out.exists()
 
 
-def test_times_sessions_and_warnings_stand_in_the_page_in_the_order_of_the_stages(chain: Chain, asked: Asked) -> None:
+def test_times_sessions_and_warnings_stand_in_the_page_in_the_order_of_the_stages(
+    chain: Chain, asked: CommissionOptions
+) -> None:
     chain.dies = "map"
     with pytest.raises(KeyboardInterrupt):
         chain.run(asked)
@@ -138,7 +140,9 @@ def test_times_sessions_and_warnings_stand_in_the_page_in_the_order_of_the_stage
     assert page.count("- map is doubtful") == 1 and "at most 15 m | 2.00 m over 100 starts" in page
 
 
-def test_pictures_are_linked_where_they_lie_also_after_the_folder_was_moved(chain: Chain, asked: Asked) -> None:
+def test_pictures_are_linked_where_they_lie_also_after_the_folder_was_moved(
+    chain: Chain, asked: CommissionOptions
+) -> None:
     assert asked.out is not None
     picture = asked.out / "map" / "map.png"
     chain.results["map"]["figures"] = [str(picture), str(asked.out / "map" / "lost.png"), "notes.txt"]

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from tests.jobs.made_chain import Chain, asked, chain
-from tunefree_hil.jobs.commission.next_gap_command import disappointed
-from tunefree_hil.jobs.commission.plan import Asked, make_plan
-from tunefree_hil.jobs.commission.stages import kept
+from tunefree_hil.jobs.commission.next_gap_command import find_shortfall
+from tunefree_hil.jobs.commission.plan import CommissionOptions, make_plan
+from tunefree_hil.jobs.commission.stages import select_result
 
 __all__ = ["asked", "chain"]  # fixtures
 
@@ -33,7 +33,7 @@ def driven(replans: int) -> dict[str, Any]:
 CALM = held(True)
 
 
-def verify_drives(asked: Asked, count: int) -> list[Path]:
+def verify_drives(asked: CommissionOptions, count: int) -> list[Path]:
     """The logs of a verification in the commission's folder: so many winner's and baselines' drives."""
     assert asked.out is not None
     run = asked.out / "tune" / "1-tune-bench"
@@ -45,7 +45,7 @@ def verify_drives(asked: Asked, count: int) -> list[Path]:
     return logs
 
 
-def ended(chain: Chain, asked: Asked) -> tuple[dict[str, Any], list[Path]]:
+def ended(chain: Chain, asked: CommissionOptions) -> tuple[dict[str, Any], list[Path]]:
     """(data, the winner's logs) of a commission whose verification left drives."""
     assert asked.out is not None
     chain.run(asked._replace(only="collect"))
@@ -57,12 +57,12 @@ def ended(chain: Chain, asked: Asked) -> tuple[dict[str, Any], list[Path]]:
 @pytest.mark.parametrize(
     ("tune", "verify", "said"),
     [
-        ({}, {"holds": False}, "do not hold on the vehicle"),
+        ({}, {"holds": False}, "fail the verification on the vehicle"),
         (CALM, driven(2), "re-plans 2 times on the vehicle and never on the learned plant"),
     ],
 )
 def test_the_command_stands_in_the_last_words_and_on_the_page(
-    tune: dict[str, Any], verify: dict[str, Any], said: str, chain: Chain, asked: Asked
+    tune: dict[str, Any], verify: dict[str, Any], said: str, chain: Chain, asked: CommissionOptions
 ) -> None:
     chain.results["tune"] |= tune
     chain.results["verify"] |= verify
@@ -89,7 +89,7 @@ def test_the_command_stands_in_the_last_words_and_on_the_page(
     ],
 )
 def test_a_winner_that_does_as_on_the_plant_offers_nothing(
-    tune: dict[str, Any], verify: dict[str, Any], chain: Chain, asked: Asked
+    tune: dict[str, Any], verify: dict[str, Any], chain: Chain, asked: CommissionOptions
 ) -> None:
     chain.results["tune"] |= tune
     chain.results["verify"] |= verify
@@ -98,17 +98,17 @@ def test_a_winner_that_does_as_on_the_plant_offers_nothing(
     assert "tunefree-hil gap" not in Path(data["report"]).read_text()
 
 
-def test_without_logs_there_is_no_command_to_offer(chain: Chain, asked: Asked) -> None:
+def test_without_logs_there_is_no_command_to_offer(chain: Chain, asked: CommissionOptions) -> None:
     chain.results["verify"]["holds"] = False
     data = chain.run(asked)
     assert data["exit"] == 1 and data["next"] == [] and "`gap`" not in data["sentence"]
 
 
 def test_what_is_not_verified_does_not_disappoint() -> None:
-    assert disappointed({}) == "" and disappointed({"tune": {"result": CALM}}) == ""
+    assert find_shortfall({}) is None and find_shortfall({"tune": {"result": CALM}}) is None
 
 
 def test_the_record_keeps_how_often_the_winner_re_planned(tmp_path: Path) -> None:
     drives = {"left": {"replans": 2}, "right": {"replans": 1}}
-    assert kept({"scenarios": {"tuned": drives, "as_shipped": {}}, "sentence": "x"}, tmp_path)["replans"] == 3
-    assert "replans" not in kept({"sentence": "x"}, tmp_path)
+    assert select_result({"scenarios": {"tuned": drives, "as_shipped": {}}, "sentence": "x"}, tmp_path)["replans"] == 3
+    assert "replans" not in select_result({"sentence": "x"}, tmp_path)

@@ -14,12 +14,12 @@ from tests.jobs.made_chain import Chain, asked, chain, judged, record
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.commission.commission import NAMES, commission
-from tunefree_hil.jobs.commission.plan import Asked
+from tunefree_hil.jobs.commission.plan import CommissionOptions
 
 __all__ = ["asked", "chain"]  # fixtures
 
 
-def test_a_stage_again_sets_aside_what_was_built_on_it(chain: Chain, asked: Asked) -> None:
+def test_a_stage_again_sets_aside_what_was_built_on_it(chain: Chain, asked: CommissionOptions) -> None:
     chain.run(asked)
     assert asked.out is not None
     chain.called = []
@@ -33,14 +33,14 @@ def test_a_stage_again_sets_aside_what_was_built_on_it(chain: Chain, asked: Aske
     assert chain.called == ["learn", "map", "tune", "verify"]
 
 
-def test_from_a_stage_on_all_is_done_again(chain: Chain, asked: Asked) -> None:
+def test_from_a_stage_on_all_is_done_again(chain: Chain, asked: CommissionOptions) -> None:
     chain.run(asked)
     chain.called = []
     assert chain.run(asked._replace(start_at="map"))["exit"] == 0
     assert chain.called == ["map", "tune", "verify"]
 
 
-def test_a_stage_again_that_was_cut_off_goes_on_with_what_it_has(chain: Chain, asked: Asked) -> None:
+def test_a_stage_again_that_was_cut_off_goes_on_with_what_it_has(chain: Chain, asked: CommissionOptions) -> None:
     chain.run(asked)
     assert asked.out is not None
     chain.dies, again = "learn", asked._replace(only="learn")
@@ -55,13 +55,15 @@ def test_a_stage_again_that_was_cut_off_goes_on_with_what_it_has(chain: Chain, a
 
 
 @pytest.mark.parametrize(("option", "words"), [("only", "--only"), ("start_at", "--from")])
-def test_a_stage_cannot_come_before_the_one_it_stands_on(option: str, words: str, chain: Chain, asked: Asked) -> None:
+def test_a_stage_cannot_come_before_the_one_it_stands_on(
+    option: str, words: str, chain: Chain, asked: CommissionOptions
+) -> None:
     with pytest.raises(InputError) as caught:
         chain.run(asked._replace(**{option: "learn"}))
     assert caught.value.key == words and "collect" in caught.value.message and chain.called == []
 
 
-def test_other_options_are_another_commission(chain: Chain, asked: Asked) -> None:
+def test_other_options_are_another_commission(chain: Chain, asked: CommissionOptions) -> None:
     chain.run(asked)
     for option, value, stage in (("trials", 7, "tune"), ("kind", "lstm", "learn"), ("quota_s", 3.0, "collect")):
         with pytest.raises(InputError) as caught:
@@ -70,7 +72,7 @@ def test_other_options_are_another_commission(chain: Chain, asked: Asked) -> Non
         assert f"--from {stage}" in caught.value.hint and "--out" in caught.value.hint
 
 
-def test_options_of_a_stage_that_is_done_again_may_be_others(chain: Chain, asked: Asked) -> None:
+def test_options_of_a_stage_that_is_done_again_may_be_others(chain: Chain, asked: CommissionOptions) -> None:
     chain.run(asked)
     other = asked._replace(kind="lstm", minutes=3.0)
     chain.called, chain.results["learn"] = [], {"sentence": "learned", **judged(2.0, kind="lstm")}
@@ -82,7 +84,7 @@ def test_options_of_a_stage_that_is_done_again_may_be_others(chain: Chain, asked
     assert chain.run(other._replace(only="tune", trials=9))["exit"] == 0 and chain.called == ["tune"]
 
 
-def test_options_of_a_stage_that_was_not_reached_may_still_change(chain: Chain, asked: Asked) -> None:
+def test_options_of_a_stage_that_was_not_reached_may_still_change(chain: Chain, asked: CommissionOptions) -> None:
     chain.dies = "learn"
     with pytest.raises(KeyboardInterrupt):
         chain.run(asked)
@@ -101,7 +103,7 @@ def test_options_of_a_stage_that_was_not_reached_may_still_change(chain: Chain, 
     ],
 )
 def test_a_bench_file_that_says_something_else_is_not_done_before(
-    old: str, new: str, file: str, key: str, stage: str, chain: Chain, asked: Asked, tmp_path: Path
+    old: str, new: str, file: str, key: str, stage: str, chain: Chain, asked: CommissionOptions, tmp_path: Path
 ) -> None:
     bench = write_bench(tmp_path, scenarios=("tiny", "other"))
     bench.write_text(bench.read_text().replace('\nscenarios = ["tiny", "other"]', '\nscenarios = ["tiny"]')
@@ -111,13 +113,15 @@ def test_a_bench_file_that_says_something_else_is_not_done_before(
     changed = tmp_path / file
     changed.write_text(changed.read_text().replace(old, new))
     chain.called = []
-    with pytest.raises(InputError, match="they have changed since") as caught:
+    with pytest.raises(InputError, match="which have changed") as caught:
         chain.run(asked)
     assert caught.value.key == key and f"--from {stage}" in caught.value.hint and chain.called == []
     assert chain.run(asked._replace(start_at=stage))["exit"] == 0 and chain.called[0] == stage
 
 
-def test_a_commission_of_an_earlier_version_goes_on_and_is_watched_from_then_on(chain: Chain, asked: Asked) -> None:
+def test_a_commission_of_an_earlier_version_goes_on_and_is_watched_from_then_on(
+    chain: Chain, asked: CommissionOptions
+) -> None:
     chain.run(asked)
     assert asked.out is not None
     data = record(asked)
@@ -129,7 +133,7 @@ def test_a_commission_of_an_earlier_version_goes_on_and_is_watched_from_then_on(
     assert record(asked)["identity"]["tuning_hash"]
 
 
-def test_a_vehicle_folder_that_has_changed_is_another_commission(chain: Chain, asked: Asked) -> None:
+def test_a_vehicle_folder_that_has_changed_is_another_commission(chain: Chain, asked: CommissionOptions) -> None:
     chain.run(asked)
     assert asked.out is not None
     file = asked.out / "commission.json"
@@ -138,7 +142,7 @@ def test_a_vehicle_folder_that_has_changed_is_another_commission(chain: Chain, a
         chain.run(asked)
 
 
-def test_two_commissions_in_one_folder(chain: Chain, asked: Asked) -> None:
+def test_two_commissions_in_one_folder(chain: Chain, asked: CommissionOptions) -> None:
     first = cast(Generator[Event, None, None], commission(asked))
     next(first)
     with pytest.raises(InputError, match="another process works on it"):
@@ -147,10 +151,10 @@ def test_two_commissions_in_one_folder(chain: Chain, asked: Asked) -> None:
     assert chain.run(asked)["exit"] == 0
 
 
-def test_a_folder_of_something_else_is_not_touched(chain: Chain, asked: Asked) -> None:
+def test_a_folder_of_something_else_is_not_touched(chain: Chain, asked: CommissionOptions) -> None:
     assert asked.out is not None
     asked.out.mkdir()
     (asked.out / "thing.txt").write_text("mine")
-    with pytest.raises(InputError, match="holds no commission"):
+    with pytest.raises(InputError, match="has no commission"):
         chain.run(asked)
     assert [path.name for path in asked.out.iterdir()] == ["thing.txt"]

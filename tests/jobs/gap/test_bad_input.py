@@ -131,7 +131,7 @@ def test_cut_off_it_leaves_no_process_and_a_folder_that_the_same_command_goes_on
     os.killpg(again.pid, signal.SIGINT)
     ended = finish(again)
     assert ended.status == 130, ended.words
-    assert "interrupted, nothing is kept yet" in ended.words and f"--out {out}" in ended.words
+    assert "interrupted, nothing saved yet" in ended.words and f"--out {out}" in ended.words
     assert {path.name for path in out.iterdir()} == {"gap.lock", "question.json"}
     assert of_session(again.pid) == []
 

@@ -16,12 +16,21 @@ from tests.jobs.ended import ended
 from tests.jobs.made_runs import made_drive
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load
-from tunefree_hil.bench.simulator import Drive, Job, Simulator
+from tunefree_hil.bench.simulator import Job, SimulatedDrive, Simulator
 from tunefree_hil.config.load import load_model
-from tunefree_hil.gap.validation.repair import found_effects, repaired, write_repaired
-from tunefree_hil.jobs.gap.closed_loop import DRIVE, MEASURED, SIGNALS, UNKNOWN, End, Sum, compared, replayed
-from tunefree_hil.jobs.gap.gap import Material
-from tunefree_hil.jobs.gap.repair import Mended
+from tunefree_hil.gap.validation.repair import effect_specs, repair_model, write_repaired_model
+from tunefree_hil.jobs.gap.closed_loop import (
+    DRIVE_KEY,
+    MEASURED,
+    SIGNALS,
+    UNKNOWN_CONTROLLER,
+    DriveEnd,
+    SquareSum,
+    compare_drives,
+    replay_drives,
+)
+from tunefree_hil.jobs.gap.options import GapInputs
+from tunefree_hil.jobs.gap.repair import RepairOutcome
 
 DELAY_S = 0.12
 IN_LANE, OFF_LANE = 1.35, 2.5  # times the true delay, on which the controller keeps its lane, and does not
@@ -48,10 +57,10 @@ def told(logs: list[Path], delay_s: float, place: Path) -> tuple[tuple[dict[str,
     value = {"value": delay_s, "low": delay_s, "high": delay_s, "unit": "s"}
     effects = [{"name": "steer_dead_time", "params": {"delay_s": value}, "evidence": 9.0}]
     kept = made_kept()._replace(answer=answer(effects=effects))
-    made = repaired(model, VEHICLE, {}, found_effects(kept, "", ""))
-    written = write_repaired(place, model, made.model, {})
-    mended = Mended(repaired(model, VEHICLE, {}), made, written)
-    return ended(replayed(logs, Material(VEHICLE, model, model, [], []), mended))
+    made = repair_model(model, VEHICLE, {}, effect_specs(kept, "", ""))
+    written = write_repaired_model(place, model, made.model, {})
+    mended = RepairOutcome(repair_model(model, VEHICLE, {}), made, written)
+    return ended(replay_drives(logs, GapInputs(VEHICLE, model, model, [], []), mended))
 
 
 @pytest.fixture(scope="module")
@@ -87,9 +96,12 @@ def test_one_that_leaves_the_lane_is_told_and_is_the_worst(log: Path, tmp_path: 
     assert why == "" and found is not None and set(found["ended"]) == {"after"}
     [one] = found["ended"]["after"]
     assert one["log"] == str(log) and one["how"] == "left_lane" and 2.0 < one["t_s"] < 9.0
-    assert found["down_frac"] < 0.0 and found["worst"] == DRIVE and found["worst_frac"] > 999.0
-    assert "the repaired model fails where the measured car did not" in found["words"]
-    assert f"on the repaired model (left_lane after {one['t_s']:.4g} s); compared is what all have" in found["words"]
+    assert found["down_frac"] < 0.0 and found["worst"] == DRIVE_KEY and found["worst_frac"] > 999.0
+    assert "the repaired model fails where the measured vehicle did not" in found["words"]
+    assert (
+        f"on the repaired model (left_lane after {one['t_s']:.4g} s); compared are the rows that all have"
+        in found["words"]
+    )
     assert [event.message for event in events if event.kind == "warning"] == [f"closed loop: {found['words']}"]
 
 
@@ -115,8 +127,10 @@ def test_a_repair_that_fails_at_once_leaves_nothing_to_compare_and_is_told(
     fails_on(monkeypatch, {"made": 1})
     found, why = asked([log], DELAY_S, tmp_path / "made")
     assert why == "" and found is not None
-    assert (found["down_frac"], found["worst"]) == (None, DRIVE) and found["worst_frac"] > 1900.0
-    assert found["words"].startswith("the tracking's difference from the measured drive was none in what all have")
+    assert (found["down_frac"], found["worst"]) == (None, DRIVE_KEY) and found["worst_frac"] > 1900.0
+    assert found["words"].startswith(
+        "the tracking's difference from the measured drive is none in the rows that all drives have"
+    )
 
 
 def test_what_no_model_is_driven_on_cannot_be_repeated(
@@ -124,7 +138,7 @@ def test_what_no_model_is_driven_on_cannot_be_repeated(
 ) -> None:
     fails_on(monkeypatch, {"": 3}, "not_enabled")
     found, why = asked([log], DELAY_S, tmp_path / "model")
-    assert found is None and "cannot be driven again here: no model is driven for 1 s, it ends with not_enabled" in why
+    assert found is None and "cannot be driven again: no model drives for 1 s, the drives end with not_enabled" in why
     fails_on(monkeypatch, {"": 3}, "diverged")
     found, why = asked([log], DELAY_S, tmp_path / "again")
     assert why == "" and found is not None and set(found["ended"]) == {"before", "recalibrated", "after"}
@@ -134,13 +148,13 @@ def fails_on(monkeypatch: pytest.MonkeyPatch, models: dict[str, int], error: str
     """Drives on models whose folder's name has this in it end after so many rows."""
     drive = Simulator.drive
 
-    def cut(self: Simulator, job: Job) -> Drive:
+    def cut(self: Simulator, job: Job) -> SimulatedDrive:
         made = drive(self, job)
         rows = next((rows for name, rows in models.items() if name in Path(self.model).name), None)
         if rows is None:
             return made
         columns = {name: values[:rows] for name, values in made.recording.columns.items()}
-        return Drive(made.recording._replace(columns=columns), rows, error)
+        return SimulatedDrive(made.recording._replace(columns=columns), rows, error)
 
     monkeypatch.setattr(Simulator, "drive", cut)
 
@@ -148,7 +162,7 @@ def fails_on(monkeypatch: pytest.MonkeyPatch, models: dict[str, int], error: str
 def test_who_drove_a_foreign_log_is_not_known(log: Path, tmp_path: Path) -> None:
     other = tmp_path / "some.log"
     other.write_bytes(log.read_bytes())
-    assert asked([other], DELAY_S, tmp_path / "model") == (None, UNKNOWN)
+    assert asked([other], DELAY_S, tmp_path / "model") == (None, UNKNOWN_CONTROLLER)
 
 
 @pytest.mark.parametrize("joined", [True, False])
@@ -165,7 +179,7 @@ def test_what_a_controller_that_is_not_ours_drove_is_not_done_again(log: Path, t
         ]
         bench.write_text("\n".join(lines))
     found, why = asked([run / "episodes" / "0" / "vehicle.log"], DELAY_S, tmp_path / "model")
-    assert found is None and "a batch knows our controller only, not" in why
+    assert found is None and "the batch has only our controller, not" in why
 
 
 def test_a_drive_on_the_vehicle_is_the_tunes_own(log: Path, tmp_path: Path) -> None:
@@ -178,19 +192,19 @@ def test_a_drive_on_the_vehicle_is_the_tunes_own(log: Path, tmp_path: Path) -> N
     assert why == "" and found is not None and found["down_frac"] == 1.0
 
 
-def summed(**rms: tuple[float, float, float]) -> dict[str, dict[str, list[Sum]]]:
+def summed(**rms: tuple[float, float, float]) -> dict[str, dict[str, list[SquareSum]]]:
     """RMS (measured, before, after) by signal, over ten rows."""
     keys = (MEASURED, "before", "after")
     return {
-        name: {key: [Sum(10.0 * one * one, 10)] for key, one in zip(keys, some, strict=True)}
+        name: {key: [SquareSum(10.0 * one * one, 10)] for key, one in zip(keys, some, strict=True)}
         for name, some in rms.items()
     }
 
 
 def test_an_error_that_was_next_to_none_before_decides_nothing() -> None:
     large = {"lateral_error_m": (0.2, 0.1, 0.01)}
-    assert compared(summed(**large), 1)["down_frac"] == pytest.approx(0.9)
-    both = compared(summed(**large, heading_error_rad=(0.02, 1e-6, 1e-5)), 1)
+    assert compare_drives(summed(**large), 1)["down_frac"] == pytest.approx(0.9)
+    both = compare_drives(summed(**large, heading_error_rad=(0.02, 1e-6, 1e-5)), 1)
     assert both["down_frac"] == pytest.approx(0.9, abs=1e-3) and both["worst"] == "lateral_error_m"
     assert "down by 90 %, lateral_error_m least, down by 90 %" in both["words"]
 
@@ -198,24 +212,28 @@ def test_an_error_that_was_next_to_none_before_decides_nothing() -> None:
 def test_squares_are_pooled_over_drives_by_their_rows() -> None:
     short, long = summed(speed_error_mps=(1.0, 1.0, 1.0)), summed(speed_error_mps=(1.0, 1.0, 0.0))
     pooled = {
-        name: {key: [*some[key], Sum(9 * long[name][key][0].squares, 90)] for key in some}
+        name: {key: [*some[key], SquareSum(9 * long[name][key][0].squares, 90)] for key in some}
         for name, some in short.items()
     }
-    assert compared(pooled, 2)["down_frac"] == pytest.approx(1.0 - 0.1**0.5)
+    assert compare_drives(pooled, 2)["down_frac"] == pytest.approx(1.0 - 0.1**0.5)
 
 
 def test_a_difference_that_was_none_and_is_one_now_counts_as_worse() -> None:
-    found = compared(summed(lateral_error_m=(0.2, 0.1, 0.05), speed_mps=(10.0, 0.0, 1.0)), 1)
+    found = compare_drives(summed(lateral_error_m=(0.2, 0.1, 0.05), speed_mps=(10.0, 0.0, 1.0)), 1)
     assert found["worst"] == "speed_mps" and found["worst_frac"] > 10.0 and "speed_mps is up" in found["words"]
-    nothing = compared(summed(**{name: (1.0, 0.0, 0.0) for name in SIGNALS}), 1)
+    nothing = compare_drives(summed(**{name: (1.0, 0.0, 0.0) for name in SIGNALS}), 1)
     assert nothing["down_frac"] is None and nothing["words"] == "no difference"
 
 
-def ends(measured: End, **models: End) -> dict[str, End]:
+def ends(measured: DriveEnd, **models: DriveEnd) -> dict[str, DriveEnd]:
     return {MEASURED: measured, "recalibrated": WHOLE, "before": WHOLE, "after": WHOLE, **models}
 
 
-WHOLE, LEFT, LATER = End("a", 1000, 0.01), End("a", 400, 0.01, "left_lane"), End("a", 410, 0.01, "left_lane")
+WHOLE, LEFT, LATER = (
+    DriveEnd("a", 1000, 0.01),
+    DriveEnd("a", 400, 0.01, "left_lane"),
+    DriveEnd("a", 410, 0.01, "left_lane"),
+)
 BETTER = {"lateral_error_m": (0.2, 0.1, 0.01)}
 
 
@@ -232,16 +250,22 @@ BETTER = {"lateral_error_m": (0.2, 0.1, 0.01)}
         (ends(LEFT), -0.9),
     ],
 )
-def test_what_fails_on_the_repaired_model_and_not_in_the_car_counts(drives: dict[str, End], worst_frac: float) -> None:
-    found = compared(summed(**BETTER), 1, [drives])
+def test_what_fails_on_the_repaired_model_and_not_in_the_car_counts(
+    drives: dict[str, DriveEnd], worst_frac: float
+) -> None:
+    found = compare_drives(summed(**BETTER), 1, [drives])
     assert found["worst_frac"] == pytest.approx(worst_frac) and found["down_frac"] == pytest.approx(0.9)
-    assert ("fails where the measured car did not" in found["words"]) == (found["worst"] == DRIVE) == (worst_frac > 0.0)
+    assert (
+        ("fails where the measured vehicle did not" in found["words"])
+        == (found["worst"] == DRIVE_KEY)
+        == (worst_frac > 0.0)
+    )
     assert set(found["ended"]) == {name for name, one in drives.items() if one.error}
     assert "the drive ends early" in found["words"]
 
 
 def test_a_failure_in_one_log_is_not_made_good_by_another() -> None:
-    found = compared(summed(**BETTER), 2, [ends(WHOLE, before=LEFT), ends(WHOLE, after=LATER)])
-    assert found["worst"] == DRIVE and found["worst_frac"] > 999.0
-    assert "on the model as it was (1 of 2 drives, first left_lane after 4 s) and on the repaired" in found["words"]
-    assert "compared is what all have, 40 % of the measured rows" in found["words"]
+    found = compare_drives(summed(**BETTER), 2, [ends(WHOLE, before=LEFT), ends(WHOLE, after=LATER)])
+    assert found["worst"] == DRIVE_KEY and found["worst_frac"] > 999.0
+    assert "on the original model (1 of 2 drives, first left_lane after 4 s) and on the repaired" in found["words"]
+    assert "compared are the rows that all have, 40 % of the measured ones" in found["words"]

@@ -20,12 +20,12 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.collect.plan import DrivePlan
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import ValidSpec
-from tunefree_hil.gap.experiment_design import MENU
+from tunefree_hil.gap.experiment_design import MANOEUVRES
 from tunefree_hil.jobs.gap import drive as module
-from tunefree_hil.jobs.gap.drive import Wish, gap_drive
-from tunefree_hil.jobs.gap.drive_bench import Job
-from tunefree_hil.jobs.gap.folder import Folder
-from tunefree_hil.jobs.gap.gap import Asked
+from tunefree_hil.jobs.gap.drive import run_gap_with_drives
+from tunefree_hil.jobs.gap.drive_bench import ManoeuvreJob
+from tunefree_hil.jobs.gap.folder import GapFolder
+from tunefree_hil.jobs.gap.options import GapDriveOptions, GapOptions
 from tunefree_hil.jobs.gap.report import write_page
 
 SET = ["steer_dead_time", "brake_lag", "aero_drag"]
@@ -41,9 +41,9 @@ class Bench:
         self.plans: list[DrivePlan] = []
         self.dies = ""
 
-    def gap(self, asked: Asked) -> Iterator[Event]:
+    def gap(self, asked: GapOptions) -> Iterator[Event]:
         yield Event("progress", "suspects", {"resume": "tunefree-hil gap without the drives"})
-        folder, path = Folder(asked.out), asked.out / "gap.json"
+        folder, path = GapFolder(asked.out), asked.out / "gap.json"
         if not path.is_file():
             self.asked.append([log.name for log in asked.logs])
             whole = {
@@ -57,44 +57,46 @@ class Bench:
             folder.write_answer(whole)
         yield Event("result", "", {**json.loads(path.read_text()), "exit": 0, "next": ["ls"]})
 
-    def drive_all(self, run: Any, bench: Any, jobs: Sequence[Job], wish: Wish) -> Iterator[Event]:
+    def drive_jobs(self, run: Any, bench: Any, jobs: Sequence[ManoeuvreJob], wish: GapDriveOptions) -> Iterator[Event]:
         for job in jobs:
             if job.manoeuvre.name == self.dies:
                 raise KeyboardInterrupt
             if not job.log.is_file():
                 self.driven.append(job.manoeuvre.name)
                 self.plans.append(job.plan)
-                yield Event("note", f"driving {job.manoeuvre.words}")
+                yield Event("note", f"driving {job.manoeuvre.description}")
                 job.log.write_text("")
 
 
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     found = Bench()
-    monkeypatch.setattr(module, "gap", found.gap)
-    monkeypatch.setattr(module, "drive_all", found.drive_all)
+    monkeypatch.setattr(module, "run_gap", found.gap)
+    monkeypatch.setattr(module, "drive_jobs", found.drive_jobs)
     return found
 
 
 @pytest.fixture
-def asked(tmp_path: Path) -> Asked:
-    return Asked([Path("a.log")], VEHICLE.folder, "mkz_nominal", tmp_path / "out")
+def asked(tmp_path: Path) -> GapOptions:
+    return GapOptions([Path("a.log")], VEHICLE.folder, "mkz_nominal", tmp_path / "out")
 
 
 @pytest.fixture
-def wish(tmp_path: Path) -> Wish:
-    return Wish(write_bench(tmp_path), "virtual")
+def wish(tmp_path: Path) -> GapDriveOptions:
+    return GapDriveOptions(write_bench(tmp_path), "virtual")
 
 
 def verdict(name: str, **more: Any) -> dict[str, Any]:
     return made_answer(name, **{"set": SET if name == "set" else [], **more})
 
 
-def events(asked: Asked, wish: Wish) -> list[Event]:
-    return list(gap_drive(asked, wish))
+def events(asked: GapOptions, wish: GapDriveOptions) -> list[Event]:
+    return list(run_gap_with_drives(asked, wish))
 
 
-def test_a_set_is_driven_apart_and_the_first_answer_is_kept(bench: Bench, asked: Asked, wish: Wish) -> None:
+def test_a_set_is_driven_apart_and_the_first_answer_is_kept(
+    bench: Bench, asked: GapOptions, wish: GapDriveOptions
+) -> None:
     bench.says = {1: verdict("set"), 2: verdict("one")}
     found = events(asked, wish)
     data, out = found[-1].data, asked.out
@@ -113,7 +115,9 @@ def test_a_set_is_driven_apart_and_the_first_answer_is_kept(bench: Bench, asked:
     assert len(resumes) == 1 and resumes.pop().endswith(f"--drive --bench {wish.bench} --bus virtual")
 
 
-def test_the_same_command_says_it_again_and_drives_nothing(bench: Bench, asked: Asked, wish: Wish) -> None:
+def test_the_same_command_says_it_again_and_drives_nothing(
+    bench: Bench, asked: GapOptions, wish: GapDriveOptions
+) -> None:
     bench.says = {1: verdict("set"), 2: verdict("one")}
     first = events(asked, wish)[-1].data
     again = events(asked, wish)[-1].data
@@ -121,7 +125,9 @@ def test_the_same_command_says_it_again_and_drives_nothing(bench: Bench, asked: 
 
 
 @pytest.mark.parametrize("name", ["one", "none_missing", "none_of_these"])
-def test_where_it_is_decided_nothing_is_driven(name: str, bench: Bench, asked: Asked, wish: Wish) -> None:
+def test_where_it_is_decided_nothing_is_driven(
+    name: str, bench: Bench, asked: GapOptions, wish: GapDriveOptions
+) -> None:
     bench.says = {1: verdict(name)}
     data = events(asked, wish)[-1].data
     assert data["verdict"] == name and "drives" not in data and bench.driven == []
@@ -142,48 +148,52 @@ def named(name: str) -> dict[str, Any]:
     ],
 )
 def test_what_none_of_the_set_would_be_decides_nothing(
-    other: dict[str, Any], bench: Bench, asked: Asked, wish: Wish
+    other: dict[str, Any], bench: Bench, asked: GapOptions, wish: GapDriveOptions
 ) -> None:
     bench.says = {1: verdict("set"), 2: other}
     found = events(asked, wish)
     data, out = found[-1].data, asked.out
     assert data["verdict"] == "set" and data["set"] == SET and len(bench.asked) == 2
-    assert any(one.kind == "warning" and "drives and logs do not go together" in one.message for one in found)
+    assert any(one.kind == "warning" and "drives and logs do not match" in one.message for one in found)
     assert "said of 2 logs" in data["words"][-1] and [one["round"] for one in data["drives"]] == [1]
     assert json.loads((out / "gap.json").read_text())["words"] == data["words"]
     assert json.loads((out / "round-1" / "gap.json").read_text())["verdict"] == other["verdict"]
-    assert "do not go together" in (out / "gap.md").read_text()
+    assert "do not match" in (out / "gap.md").read_text()
     assert not data["drives"][0]["fits"] and "a.log" in data["next"][0] and "drive-001" not in data["next"][0]
     assert events(asked, wish)[-1].data == data
 
 
-def test_a_name_that_no_log_tells_from_one_of_the_set_decides(bench: Bench, asked: Asked, wish: Wish) -> None:
+def test_a_name_that_no_log_tells_from_one_of_the_set_decides(
+    bench: Bench, asked: GapOptions, wish: GapDriveOptions
+) -> None:
     bench.says = {1: verdict("set", set=["aero_drag", "rolling_resistance"]), 2: named("brake_drag")}
     data = events(asked, wish)[-1].data
     assert data["verdict"] == "one" and data["effects"][0]["name"] == "brake_drag"
 
 
 def test_what_the_data_of_a_model_do_not_cover_is_not_driven_and_that_is_said(
-    bench: Bench, asked: Asked, wish: Wish, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, asked: GapOptions, wish: GapDriveOptions, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calm = replace(load_model("mkz_nominal"), valid=ValidSpec(speed_mps=[0.0, 15.0], pedals=[-0.25, 0.3]))
-    monkeypatch.setattr(module, "model_for", lambda name, vehicle: calm)
+    monkeypatch.setattr(module, "load_checked_model", lambda name, vehicle: calm)
     bench.says = dict.fromkeys(range(1, 9), verdict("set", set=["power_limit", "brake_gain"]))
     found = events(asked, wish)
     assert bench.driven and "full_throttle" not in bench.driven and "stops" not in bench.driven
     said = [one.message.rpartition(": ")[2] for one in found if "not driven" in one.message]
-    assert said == [MENU["full_throttle"].words, MENU["stops"].words]
+    assert said == [MANOEUVRES["full_throttle"].description, MANOEUVRES["stops"].description]
     assert bench.plans and all(plan.top_mps == 15.0 and plan.bounds is not None for plan in bench.plans)
 
 
-def test_it_gives_up_after_three_rounds(bench: Bench, asked: Asked, wish: Wish) -> None:
+def test_it_gives_up_after_three_rounds(bench: Bench, asked: GapOptions, wish: GapDriveOptions) -> None:
     bench.says = dict.fromkeys(range(1, 9), verdict("set", set=["steer_lag", "brake_lag", "aero_drag", "friction"]))
     data = events(asked, wish)[-1].data
     assert bench.driven == ["steer_steps", "brake_levels", "gentle"] and len(bench.asked) == 4
     assert [one["round"] for one in data["drives"]] == [1, 2, 3] and data["verdict"] == "set"
 
 
-def test_what_follows_takes_the_drives_and_the_bench_along(bench: Bench, asked: Asked, wish: Wish) -> None:
+def test_what_follows_takes_the_drives_and_the_bench_along(
+    bench: Bench, asked: GapOptions, wish: GapDriveOptions
+) -> None:
     bench.says = dict.fromkeys(range(1, 9), verdict("set", set=["steer_lag", "steer_dead_time"]))
     for _ in range(2):  # as it ends, and as it is said again
         (command,) = events(asked, wish)[-1].data["next"]
@@ -194,14 +204,16 @@ def test_what_follows_takes_the_drives_and_the_bench_along(bench: Bench, asked: 
     assert command in (asked.out / "gap.md").read_text()
 
 
-def test_it_stops_where_nothing_new_can_be_driven(bench: Bench, asked: Asked, wish: Wish) -> None:
+def test_it_stops_where_nothing_new_can_be_driven(bench: Bench, asked: GapOptions, wish: GapDriveOptions) -> None:
     bench.says = dict.fromkeys(range(1, 9), verdict("set", set=["steer_lag", "steer_dead_time"]))
     found = events(asked, wish)
     assert bench.driven == ["steer_steps"] and found[-1].data["verdict"] == "set"
-    assert any("nothing more is to be driven" in event.message for event in found)
+    assert any("no further manoeuvre" in event.message for event in found)
 
 
-def test_logs_that_cannot_tell_are_driven_for_until_the_reason_stays(bench: Bench, asked: Asked, wish: Wish) -> None:
+def test_logs_that_cannot_tell_are_driven_for_until_the_reason_stays(
+    bench: Bench, asked: GapOptions, wish: GapDriveOptions
+) -> None:
     lacking = {"brake_lag": {"score": 0.1, "enough": False, "lacks": ["no braking"]}}
     untold = verdict("cannot_test", excitation=lacking, words=["no braking"])
     bench.says = {1: untold, 2: verdict("one")}
@@ -209,10 +221,10 @@ def test_logs_that_cannot_tell_are_driven_for_until_the_reason_stays(bench: Benc
     bench.says = {key: {**untold, "excitation": {}} for key in range(1, 9)}
     found = events(asked._replace(out=asked.out.with_name("other")), wish)
     assert found[-1].data["verdict"] == "cannot_test" and len(found[-1].data["drives"]) == 3
-    assert any("has changed nothing" in event.message for event in found)
+    assert any("did not change why" in event.message for event in found)
 
 
-def test_cut_off_in_a_drive_it_goes_on_with_that_drive(bench: Bench, asked: Asked, wish: Wish) -> None:
+def test_cut_off_in_a_drive_it_goes_on_with_that_drive(bench: Bench, asked: GapOptions, wish: GapDriveOptions) -> None:
     bench.says = {1: verdict("set", set=["report_latency", "steer_dead_time"]), 4: verdict("one")}
     bench.dies = "throttle_steps"
     with pytest.raises(KeyboardInterrupt):
@@ -225,7 +237,7 @@ def test_cut_off_in_a_drive_it_goes_on_with_that_drive(bench: Bench, asked: Aske
 
 @pytest.mark.parametrize("whole", [False, True])
 def test_drives_of_another_bench_are_not_mixed_in(
-    bench: Bench, asked: Asked, wish: Wish, tmp_path: Path, whole: bool
+    bench: Bench, asked: GapOptions, wish: GapDriveOptions, tmp_path: Path, whole: bool
 ) -> None:
     bench.says, bench.dies = {1: verdict("set"), 2: verdict("one")}, "" if whole else "steer_steps"
     if whole:
@@ -243,18 +255,18 @@ def test_drives_of_another_bench_are_not_mixed_in(
         events(asked, wish._replace(bench=other))
 
 
-def test_a_bench_of_another_vehicle_is_refused_before_anything_is_asked(bench: Bench, asked: Asked) -> None:
+def test_a_bench_of_another_vehicle_is_refused_before_anything_is_asked(bench: Bench, asked: GapOptions) -> None:
     with pytest.raises(InputError) as caught:
-        events(asked, Wish(other_vehicle.BENCH, "virtual"))
+        events(asked, GapDriveOptions(other_vehicle.BENCH, "virtual"))
     assert caught.value.code == "bench_of_other_vehicle" and caught.value.key == "--bench" and bench.asked == []
 
 
-def test_without_names_there_is_nothing_to_tell_apart(bench: Bench, asked: Asked, wish: Wish) -> None:
-    with pytest.raises(InputError, match="nobody is named"):
+def test_without_names_there_is_nothing_to_tell_apart(bench: Bench, asked: GapOptions, wish: GapDriveOptions) -> None:
+    with pytest.raises(InputError, match="names no effects"):
         events(asked._replace(until="locate"), wish)
 
 
-def test_the_first_answer_that_is_kept_is_this_ones(bench: Bench, asked: Asked, wish: Wish) -> None:
+def test_the_first_answer_that_is_kept_is_this_ones(bench: Bench, asked: GapOptions, wish: GapDriveOptions) -> None:
     """Asked up to a name before, and to the end now."""
     bench.says = {1: verdict("set"), 2: verdict("one")}
     events(asked._replace(until="name"), wish)

@@ -12,28 +12,29 @@ from tests.jobs.command import new_session, no_orphans
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.episode.candump import read_candump
-from tunefree_hil.gap.experiment_design import MENU, Manoeuvre
-from tunefree_hil.jobs.gap.drive_bench import Job, Wish, drive_all, jobs_of, open_bench
+from tunefree_hil.gap.experiment_design import MANOEUVRES, Manoeuvre
+from tunefree_hil.jobs.gap.drive_bench import ManoeuvreJob, drive_jobs, open_bench, plan_jobs
+from tunefree_hil.jobs.gap.options import GapDriveOptions
 from tunefree_hil.learn.drives.read import read_drives
 
 SHORT = Manoeuvre("short", "a short drive", (3,), (0,), (3,), 1.0, drive_s=9.0)
 
 
 @pytest.fixture
-def wish(tmp_path: Path) -> Wish:
-    return Wish(write_bench(tmp_path), "virtual")
+def wish(tmp_path: Path) -> GapDriveOptions:
+    return GapDriveOptions(write_bench(tmp_path), "virtual")
 
 
-def driven(folder: Path, wish: Wish) -> Job:
+def driven(folder: Path, wish: GapDriveOptions) -> ManoeuvreJob:
     """A short drive of a bench, over the bus or in this process."""
     run, loaded = open_bench(wish, folder)
-    jobs = jobs_of(run, loaded, [SHORT], 0)
-    list(drive_all(run, loaded, jobs, wish))
+    jobs = plan_jobs(run, loaded, [SHORT], 0)
+    list(drive_jobs(run, loaded, jobs, wish))
     return jobs[0]
 
 
 @pytest.mark.slow
-def test_in_this_process_the_frames_are_those_of_the_bus(wish: Wish, tmp_path: Path) -> None:
+def test_in_this_process_the_frames_are_those_of_the_bus(wish: GapDriveOptions, tmp_path: Path) -> None:
     inside = driven(tmp_path / "inside", wish)
     session = new_session()
     with no_orphans(session):
@@ -47,15 +48,15 @@ def test_in_this_process_the_frames_are_those_of_the_bus(wish: Wish, tmp_path: P
 
 @pytest.mark.slow
 def test_a_drive_that_does_not_end_standing_is_none(
-    wish: Wish, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    wish: GapDriveOptions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tunefree_hil.jobs.collect.plan.SPARE_S", -5.0)  # the course ends before it could stop
+    monkeypatch.setattr("tunefree_hil.jobs.collect.plan.STOP_MARGIN_S", -5.0)  # the course ends before it could stop
     with pytest.raises(BenchError, match="did not come to a stop in time"):
         driven(tmp_path / "out", wish)
     assert not list((tmp_path / "out" / "logs").glob("*.log"))
 
 
-def test_the_names_of_drives_follow_the_menu(wish: Wish, tmp_path: Path) -> None:
+def test_the_names_of_drives_follow_the_menu(wish: GapDriveOptions, tmp_path: Path) -> None:
     run, loaded = open_bench(wish, tmp_path / "d")
-    jobs = jobs_of(run, loaded, [MENU["circles"], MENU["gentle"]], 4)
+    jobs = plan_jobs(run, loaded, [MANOEUVRES["circles"], MANOEUVRES["gentle"]], 4)
     assert [one.log.name for one in jobs] == ["drive-005-circles.log", "drive-006-gentle.log"]

@@ -21,10 +21,10 @@ from tunefree_hil.jobs.gap.folder import (
     ANSWER_SCHEMA,
     QUESTION,
     SEARCH,
-    UNTIL,
-    Folder,
-    held_folder,
-    question_of,
+    STEPS,
+    GapFolder,
+    lock_folder,
+    question_record,
 )
 from tunefree_hil.jobs.run_folder import read_json, write_json
 from tunefree_hil.tune import store
@@ -39,25 +39,25 @@ def said(folder: Path, **more: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("done", UNTIL)
+@pytest.mark.parametrize("done", STEPS)
 def test_an_answer_that_goes_as_far_is_given_again(done: str, tmp_path: Path) -> None:
-    folder = Folder(tmp_path)
-    assert folder.answer("locate") is None
+    folder = GapFolder(tmp_path)
+    assert folder.load_answer("locate") is None
     folder.write_answer(said(tmp_path, until=done))
-    far = UNTIL.index(done)
-    assert [folder.answer(until) is not None for until in UNTIL] == [k <= far for k in range(len(UNTIL))]
+    far = STEPS.index(done)
+    assert [folder.load_answer(until) is not None for until in STEPS] == [k <= far for k in range(len(STEPS))]
 
 
 def test_a_search_for_names_has_located_too(tmp_path: Path) -> None:
-    folder = Folder(tmp_path)
-    folder.keep(made_kept())
-    assert folder.search(named=True) == folder.search(named=False) == made_kept()
-    folder.keep(made_kept()._replace(named=False))
-    assert folder.search(named=True) is None and folder.search(named=False) is not None
+    folder = GapFolder(tmp_path)
+    folder.store_search(made_kept())
+    assert folder.load_search(named=True) == folder.load_search(named=False) == made_kept()
+    folder.store_search(made_kept()._replace(has_candidates=False))
+    assert folder.load_search(named=True) is None and folder.load_search(named=False) is not None
 
 
 def test_whose_question_it_is_is_read_under_the_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lock = store.alone
+    lock = store.exclusive_lock
 
     @contextmanager
     def later(path: Path) -> Iterator[None]:
@@ -66,19 +66,19 @@ def test_whose_question_it_is_is_read_under_the_lock(tmp_path: Path, monkeypatch
         with lock(path):
             yield
 
-    monkeypatch.setattr(store, "alone", later)
-    with pytest.raises(InputError, match="another question: logs"), held_folder(tmp_path, {"logs": ["mine"]}):
+    monkeypatch.setattr(store, "exclusive_lock", later)
+    with pytest.raises(InputError, match="another question: logs"), lock_folder(tmp_path, {"logs": ["mine"]}):
         pass
     assert read_json(tmp_path / QUESTION) == {"logs": ["another's"]}
 
 
 def test_a_question_that_came_to_nothing_leaves_room_for_another(tmp_path: Path) -> None:
-    with held_folder(tmp_path, {"model": "with a mistake"}):
+    with lock_folder(tmp_path, {"model": "with a mistake"}):
         pass
-    with held_folder(tmp_path, {"model": "mended"}) as folder:
-        folder.keep(made_kept())
+    with lock_folder(tmp_path, {"model": "mended"}) as folder:
+        folder.store_search(made_kept())
     assert read_json(tmp_path / QUESTION) == {"model": "mended"}
-    with pytest.raises(InputError, match="another question: model"), held_folder(tmp_path, {"model": "a third"}):
+    with pytest.raises(InputError, match="another question: model"), lock_folder(tmp_path, {"model": "a third"}):
         pass
 
 
@@ -88,14 +88,14 @@ def test_another_card_is_another_question(tmp_path: Path) -> None:
     asked = []
     for text in ("{}", '{"own_logs_asked": true}'):
         (tmp_path / "card.json").write_text(text)
-        asked.append(question_of([], [], VEHICLE, with_card))
-    none = question_of([], [], VEHICLE, model)
+        asked.append(question_record([], [], VEHICLE, with_card))
+    none = question_record([], [], VEHICLE, model)
     assert asked[0]["card"] != asked[1]["card"] and "card" not in none
     out = tmp_path / "out"
-    with held_folder(out, asked[0]) as folder:
-        folder.keep(made_kept())
+    with lock_folder(out, asked[0]) as folder:
+        folder.store_search(made_kept())
     for other in (asked[1], none):
-        with pytest.raises(InputError, match="another question: card is"), held_folder(out, other):
+        with pytest.raises(InputError, match="another question: card differs"), lock_folder(out, other):
             pass
 
 
@@ -103,18 +103,18 @@ def test_an_effect_more_is_another_question(tmp_path: Path, monkeypatch: pytest.
     mine = tmp_path / "mine.py"
     mine.write_text("EFFECT = 1")
     model = replace(made_model(), effects=[EffectSpec(name=f"{mine}:EFFECT", params={})])
-    first = question_of([], [], VEHICLE, model)
-    assert question_of([], [], VEHICLE, model) == first
+    first = question_record([], [], VEHICLE, model)
+    assert question_record([], [], VEHICLE, model) == first
     mine.write_text("EFFECT = 2")
-    second = question_of([], [], VEHICLE, model)
+    second = question_record([], [], VEHICLE, model)
     assert {key for key in first if first[key] != second[key]} == {"effects"}
     (tmp_path / "effects").mkdir()
     for name in ("__init__.py", "one.py"):
         (tmp_path / "effects" / name).write_text("")
     monkeypatch.setattr(tunefree_hil.effects, "__file__", str(tmp_path / "effects" / "__init__.py"))
-    before = question_of([], [], VEHICLE, model)
+    before = question_record([], [], VEHICLE, model)
     (tmp_path / "effects" / "mine.py").write_text("")
-    assert question_of([], [], VEHICLE, model)["effects"] != before["effects"]
+    assert question_record([], [], VEHICLE, model)["effects"] != before["effects"]
 
 
 def test_an_answer_says_where_its_files_are_now(tmp_path: Path) -> None:
@@ -124,10 +124,10 @@ def test_an_answer_says_where_its_files_are_now(tmp_path: Path) -> None:
     (before / "round-2" / "figures" / "shrink.png").touch()
     figures = [str(before / one) for one in ("figures/where.png", "round-2/figures/shrink.png")]
     drives = [{"log": str(before / "drives" / "logs" / "drive-001.log")}]
-    Folder(before).write_answer(said(before, model=str(before / "round-2/model"), figures=figures, drives=drives))
-    assert Folder(before).answer("verify") == read_json(before / ANSWER)
+    GapFolder(before).write_answer(said(before, model=str(before / "round-2/model"), figures=figures, drives=drives))
+    assert GapFolder(before).load_answer("verify") == read_json(before / ANSWER)
     before.rename(now)
-    found = Folder(now).answer("verify")
+    found = GapFolder(now).load_answer("verify")
     assert found is not None and found["model"] == str(now / "round-2" / "model")
     assert found["figures"] == [str(now / "figures" / "where.png"), str(now / "round-2" / "figures" / "shrink.png")]
     assert found["drives"] == [{"log": str(now / "drives" / "logs" / "drive-001.log")}]
@@ -135,10 +135,10 @@ def test_an_answer_says_where_its_files_are_now(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["", "{}", "no json", "[1]", "half"])
 def test_what_is_no_answer_and_no_search_is_not_there(text: str, tmp_path: Path) -> None:
-    folder = Folder(tmp_path)
-    folder.keep(made_kept())
+    folder = GapFolder(tmp_path)
+    folder.store_search(made_kept())
     search = {key: one for key, one in as_json(made_kept()).items() if key != "shape"}
     (tmp_path / SEARCH).write_text(json.dumps(search) if text == "half" else text)
     half = json.dumps({"schema": ANSWER_SCHEMA, "until": "verify"})
     (tmp_path / ANSWER).write_text(half if text == "half" else text)
-    assert folder.answer("locate") is None and folder.search(named=False) is None
+    assert folder.load_answer("locate") is None and folder.load_search(named=False) is None

@@ -18,11 +18,12 @@ from tests.learn.made_drives import made_drive
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_model
-from tunefree_hil.gap.result import Kept
+from tunefree_hil.gap.result import SearchResult
 from tunefree_hil.jobs.gap import gap as module
-from tunefree_hil.jobs.gap import report as gap_pictures
+from tunefree_hil.jobs.gap import report_figures
 from tunefree_hil.jobs.gap.folder import ANSWER, PAGE, QUESTION
-from tunefree_hil.jobs.gap.gap import Asked, _other_car, gap
+from tunefree_hil.jobs.gap.gap import _compare_with_older_logs, run_gap
+from tunefree_hil.jobs.gap.options import GapOptions
 from tunefree_hil.learn.drives.drive import Drive
 
 FIELDS = {
@@ -31,7 +32,7 @@ FIELDS = {
 }  # fmt: skip
 
 
-DRAW = gap_pictures.draw
+DRAW = report_figures.draw_figures
 pytestmark = pytest.mark.slow  # free runs of a car, un-jitted
 
 
@@ -43,7 +44,7 @@ class Search:
         self.drives: dict[str, Drive] = {"late.log": late_drive()}
         self.older = made_drive(SECONDS, seed=7, name="before.log")
 
-    def searched(self, *_: Any) -> Generator[Event, None, Kept]:
+    def searched(self, *_: Any) -> Generator[Event, None, SearchResult]:
         self.asked += 1
         yield Event("progress", "suspects", {"label": "search", "done": 1, "total": 2})
         return self.kept
@@ -56,19 +57,19 @@ class Search:
 def search(monkeypatch: pytest.MonkeyPatch) -> Search:
     """The made answer instead of a search of a minute; no pictures."""
     found = Search()
-    monkeypatch.setattr(gap_pictures, "draw", lambda *_: [])
-    monkeypatch.setattr(module, "_searched", found.searched)
+    monkeypatch.setattr(report_figures, "draw_figures", lambda *_: [])
+    monkeypatch.setattr(module, "_run_search", found.searched)
     monkeypatch.setattr("tunefree_hil.learn.drives.read.read_drives", found.read)
-    monkeypatch.setattr(module, "model_for", lambda *_: replace(made_model(), hash="a model"))
+    monkeypatch.setattr(module, "load_checked_model", lambda *_: replace(made_model(), hash="a model"))
     return found
 
 
-def asked(tmp_path: Path, **more: Any) -> Asked:
-    return Asked([Path("late.log")], VEHICLE.folder, "mkz_nominal", tmp_path / "out")._replace(**more)
+def asked(tmp_path: Path, **more: Any) -> GapOptions:
+    return GapOptions([Path("late.log")], VEHICLE.folder, "mkz_nominal", tmp_path / "out")._replace(**more)
 
 
-def result(one: Asked) -> dict[str, Any]:
-    last = list(gap(one))[-1]
+def result(one: GapOptions) -> dict[str, Any]:
+    last = list(run_gap(one))[-1]
     assert last.kind == "result"
     return last.data
 
@@ -76,7 +77,7 @@ def result(one: Asked) -> dict[str, Any]:
 def test_what_is_missing_is_named_repaired_and_proved(
     search: Search, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(gap_pictures, "draw", DRAW)
+    monkeypatch.setattr(report_figures, "draw_figures", DRAW)
     data = result(asked(tmp_path))
     out = tmp_path / "out"
     written = json.loads((out / ANSWER).read_text())
@@ -100,22 +101,24 @@ def test_the_page_begins_with_the_sentence_and_shows_recalibration_alone(search:
     assert page.splitlines()[0] == f"# {data['sentence']}"
     assert "| recalibration only | repaired | floor |" in page
     assert "brake_fade: 2 brakings by 3 m/s or more, 12 are needed" in page
-    assert "| 97 %; 95 % on the blocks that prove |" in page
+    assert "| 97 %; 95 % on the holdout blocks |" in page
     assert "`effects.steer_dead_time.delay_s`" in page
 
 
 def test_the_page_says_what_of_recalibration_was_left_and_what_could_have_been_foretold(
     search: Search, tmp_path: Path
 ) -> None:
-    spoilt = {**search.kept.repaired, "brake_gain.gain_frac": 1.3}
-    search.kept = search.kept._replace(foretold={"steer": 0.1, "yaw_rate": 0.2}, repaired=spoilt)
+    spoilt = {**search.kept.repaired_values, "brake_gain.gain_frac": 1.3}
+    search.kept = search.kept._replace(predictable_shares={"steer": 0.1, "yaw_rate": 0.2}, repaired_values=spoilt)
     search.kept.answer["moved"] = ["recalibration moves brake_gain.gain_frac by -2.9 standard deviations"]
     data = result(asked(tmp_path))
     page = (tmp_path / "out" / PAGE).read_text()
-    assert "| repaired | of that, foretold by nothing | floor |" in page
-    assert "Of what anything in these logs could still have foretold: " in page and data["explicable_frac"]
+    assert "| repaired | of that, unpredictable | floor |" in page
+    assert "Of the part that these logs allow to predict: " in page and data["explicable_frac"]
     assert data["does_not_pay"] == ["along"]
-    assert "Recalibration on these logs leaves what acts along the car alone: moved, it came no nearer" in page
+    assert (
+        "Recalibration leaves the longitudinal parameters unchanged: moving them does not improve the selection" in page
+    )
     assert "- recalibration moves brake_gain.gain_frac by -2.9" in page
 
 
@@ -151,8 +154,8 @@ def test_a_model_that_is_gone_is_made_and_proved_again(search: Search, tmp_path:
     first = result(asked(tmp_path))
     shutil.rmtree(tmp_path / "out" / "model")
     (tmp_path / "out").rename(tmp_path / "moved")
-    events = list(gap(asked(tmp_path, out=tmp_path / "moved")))
-    assert any("names a model that is gone" in one.message for one in events if one.kind == "warning")
+    events = list(run_gap(asked(tmp_path, out=tmp_path / "moved")))
+    assert any("is gone: it is made and verified again" in one.message for one in events if one.kind == "warning")
     assert search.asked == 1 and events[-1].data["model"] == str(tmp_path / "moved" / "model")
     assert load_model(tmp_path / "moved" / "model").effects and events[-1].data["signals"] == first["signals"]
 
@@ -160,9 +163,9 @@ def test_a_model_that_is_gone_is_made_and_proved_again(search: Search, tmp_path:
 def test_what_is_cut_off_says_by_which_command_it_goes_on_and_whether_anything_is_kept(
     search: Search, tmp_path: Path
 ) -> None:
-    for stage, saved in (("suspects", False), ("proof", True)):  # the second run finds the search
+    for stage, saved in (("suspects", False), ("verification", True)):  # the second run finds the search
         search.asked = 0
-        said = next(one for one in gap(asked(tmp_path, workers=1)) if stage in one.message)
+        said = next(one for one in run_gap(asked(tmp_path, workers=1)) if stage in one.message)
         assert said.data["saved"] is saved and said.data["resume"].endswith("--workers 1")
         if not saved:
             result(asked(tmp_path, until="name"))
@@ -170,14 +173,14 @@ def test_what_is_cut_off_says_by_which_command_it_goes_on_and_whether_anything_i
 
 
 def test_an_older_log_that_is_asked_about_is_refused(search: Search, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"holds what late\.log holds") as caught:
+    with pytest.raises(InputError, match=r"has the same content as late\.log") as caught:
         result(asked(tmp_path, older=[Path("before.log"), Path("late.log")]))
     assert (caught.value.file, caught.value.key) == ("late.log", "--older") and not (tmp_path / "out").exists()
 
 
 def test_a_copy_of_a_log_is_refused_as_it_would_prove_what_is_fitted_on_it(search: Search, tmp_path: Path) -> None:
     search.drives["copy.log"] = late_drive()._replace(name="copy.log")
-    with pytest.raises(InputError, match=r"holds what late\.log holds") as caught:
+    with pytest.raises(InputError, match=r"has the same content as late\.log") as caught:
         result(asked(tmp_path, logs=[Path("late.log"), Path("copy.log")]))
     assert (caught.value.file, caught.value.key) == ("copy.log", "LOG") and not (tmp_path / "out").exists()
 
@@ -186,7 +189,7 @@ def test_a_folder_that_holds_something_else_is_refused_before_anything_is_read(s
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine").write_text("kept")
     with pytest.raises(InputError, match="there already"):
-        next(gap(asked(tmp_path)))
+        next(run_gap(asked(tmp_path)))
     assert not (tmp_path / "out" / QUESTION).exists()
 
 
@@ -207,7 +210,7 @@ def test_an_older_log_that_gets_worse_keeps_the_model_from_being_saved(search: S
     assert "no model is written, as it would make" in data["sentence"]
     (older,) = data["older"]
     assert older["signals"]["report.steer_rad"]["after"] > 10.0 * older["signals"]["report.steer_rad"]["before"]
-    assert "recorded before the effect came" in (tmp_path / "out" / PAGE).read_text()
+    assert "recorded before the effect appeared" in (tmp_path / "out" / PAGE).read_text()
 
 
 def test_an_older_log_with_the_effect_is_no_obstacle(search: Search, tmp_path: Path) -> None:
@@ -220,9 +223,9 @@ def test_an_older_log_of_another_car_is_told_and_may_be_the_effect(search: Searc
     yaws = {name: 0.4 * search.older.fields[name] for name in ("report.yaw_rate_radps", "ins.yaw_rate_radps")}
     turns = {**yaws, "ins.heading_rad": 0.4 * search.older.fields["ins.heading_rad"]}
     other = search.older._replace(fields={**search.older.fields, **turns})
-    said = list(_other_car([search.drives["late.log"]], [other]))
+    said = list(_compare_with_older_logs([search.drives["late.log"]], [other]))
     assert len(said) == 1 and said[0].startswith("before.log (--older) turns 0.") and "in between" in said[0]
-    assert list(_other_car([search.drives["late.log"]], [search.older])) == []
+    assert list(_compare_with_older_logs([search.drives["late.log"]], [search.older])) == []
 
 
 def test_a_set_writes_no_model_and_says_what_to_drive(search: Search, tmp_path: Path) -> None:
@@ -238,7 +241,7 @@ def test_a_set_writes_no_model_and_says_what_to_drive(search: Search, tmp_path: 
 
 def test_where_nothing_is_missing_it_says_what_a_calibration_would_do(search: Search, tmp_path: Path) -> None:
     late = {"actuator.steer.dead_time_s": 0.07}
-    search.kept = made_kept("none_missing")._replace(null=late, repaired=late)
+    search.kept = made_kept("none_missing")._replace(recalibrated_values=late, repaired_values=late)
     data = result(asked(tmp_path))
     assert data["model"] is None and not (tmp_path / "out" / "model").exists()
     assert "report.steer_rad" in data["recalibration"] and "`calibrate` on these logs" in data["sentence"]
@@ -248,7 +251,7 @@ def test_where_nothing_is_missing_it_says_what_a_calibration_would_do(search: Se
 
 def test_another_model_is_refused_with_what_to_do(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is a model of 'mkz_bywire'"):
-        next(gap(asked(tmp_path, vehicle=other_vehicle.NAME)))
+        next(run_gap(asked(tmp_path, vehicle=other_vehicle.NAME)))
 
 
 @pytest.mark.parametrize("stop", [0.15, 0.08])
@@ -256,8 +259,10 @@ def test_a_sensor_at_its_stop_is_left_out_with_a_warning(stop: float, search: Se
     """However much of it is cut off: held against the INS it would be a wrong unit."""
     drive, name = late_drive(), "report.yaw_rate_radps"
     search.drives["late.log"] = drive._replace(fields={**drive.fields, name: np.clip(drive.fields[name], -stop, stop)})
-    events = list(gap(asked(tmp_path)))
-    assert any(one.kind == "warning" and f"{name} stands at its stop of {stop:.4g}" in one.message for one in events)
+    events = list(run_gap(asked(tmp_path)))
+    assert any(
+        one.kind == "warning" and f"{name} is at the end of its range, {stop:.4g}" in one.message for one in events
+    )
     assert name not in events[-1].data["signals"] and "ins.yaw_rate_radps" in events[-1].data["signals"]
 
 
@@ -280,8 +285,8 @@ def test_one_log_of_several_that_says_no_speed_is_left_out(search: Search, tmp_p
     search.drives["mute.log"] = drive._replace(name="mute.log", fields=fields, log_hash="sha256:mute")
     search.older = search.drives["mute.log"]._replace(name="before.log", log_hash="sha256:before")
     logs = [Path("late.log"), Path("mute.log")]
-    events = list(gap(asked(tmp_path, logs=logs, older=[Path("before.log")])))
-    data, said = events[-1].data, "mute.log says nothing of the speed, and is left out"
+    events = list(run_gap(asked(tmp_path, logs=logs, older=[Path("before.log")])))
+    data, said = events[-1].data, "mute.log holds no speed and is left out"
     assert any(one.kind == "warning" and one.message == said for one in events) and said in data["words"]
     assert [one["name"] for one in data["logs"]] == ["late.log"] and data["model"] and data["older"] == []
     alone = result(asked(tmp_path, logs=[Path("mute.log")], out=tmp_path / "alone"))

@@ -12,8 +12,9 @@ from tests.gap.made_answer import VEHICLE
 from tests.jobs.gap.test_calibration_logs import folder_of
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.find import CHECKOUT
-from tunefree_hil.jobs.gap.calibration_logs import ASKED, half_made
-from tunefree_hil.jobs.gap.gap import Asked, gap, model_for
+from tunefree_hil.jobs.gap.calibration_logs import ANALYSED_KEY, list_analysis_warnings
+from tunefree_hil.jobs.gap.gap import load_checked_model, run_gap
+from tunefree_hil.jobs.gap.options import GapOptions
 from tunefree_hil.learn.model_folder import CARD_FILE
 
 EFFECT = '[[effects]]\nname = "{}"\n[effects.params]\n{}\n'
@@ -39,7 +40,7 @@ def changed(folder: Path, more: str = "", kind: str = "physics") -> Path:
         ({"more": EFFECT.format("steer_dead_time", "delay_s = inf")}, "effects[0].params.delay_s", "must be finite"),
         ({"more": DELAY + EFFECT.format("payload", "mass_kg = -9000.0")}, "effects[1]", "-9000.0 kg of payload"),
         ({"kind": "physix"}, "plant.kind", "there are physics, reference"),
-        ({"kind": "reference"}, "plant.kind", "cannot be told a measured motion"),
+        ({"kind": "reference"}, "plant.kind", "cannot take over a measured motion"),
     ],
 )
 def test_what_makes_no_car_is_refused_by_its_key(more: dict[str, Any], key: str, said: str, tmp_path: Path) -> None:
@@ -71,12 +72,12 @@ def test_what_calibrate_and_gap_write_of_a_car_without_a_brake_or_a_pedal_that_b
     folder = folder_of(tmp_path / "model")
     with (folder / "model.toml").open("a") as file:
         file.write("[plant.params]\nbrake_force_n_per_frac = 0.0\nthrottle_zero_frac = -0.01\n")
-    model_for(str(folder), VEHICLE)
+    load_checked_model(str(folder), VEHICLE)
 
 
 def refused(folder: Path, out: Path, key: str, said: str) -> None:
     with pytest.raises(InputError) as caught:
-        next(iter(gap(Asked([Path("no.log")], VEHICLE.folder, str(folder), out))))
+        next(iter(run_gap(GapOptions([Path("no.log")], VEHICLE.folder, str(folder), out))))
     assert (caught.value.file, caught.value.key) == (str(folder / "model.toml"), key)
     assert said in f"{caught.value.message} {caught.value.hint}" and caught.value.hint and not out.exists()
 
@@ -85,7 +86,7 @@ def test_a_card_that_is_named_must_be_there_and_be_one(tmp_path: Path) -> None:
     folder = folder_of(tmp_path / "model")
     (folder / CARD_FILE).write_text("half of")
     with pytest.raises(InputError, match="no card of a model"):
-        model_for(str(folder), VEHICLE)
+        load_checked_model(str(folder), VEHICLE)
     (folder / CARD_FILE).unlink()
     refused(folder, tmp_path / "out", "plant.card", "take the key out")
 
@@ -97,9 +98,9 @@ def test_the_models_of_the_checkout_are_sound_but_for_the_reference(name: str) -
     vehicle = load_vehicle(load_model(name).vehicle)
     if name.endswith("_reference"):
         with pytest.raises(InputError, match="measured motion"):
-            model_for(name, vehicle)
+            load_checked_model(name, vehicle)
     else:
-        assert not list(half_made(model_for(name, vehicle)))
+        assert not list(list_analysis_warnings(load_checked_model(name, vehicle)))
 
 
 def test_a_model_whose_calibration_was_cut_off_is_said_to_be_one(tmp_path: Path) -> None:
@@ -107,7 +108,7 @@ def test_a_model_whose_calibration_was_cut_off_is_said_to_be_one(tmp_path: Path)
     rms = {"training": {"fitted": {"speed_mps": 0.1}}}
     card = {"constants": {}, "free_run_rms": rms}
     (folder / CARD_FILE).write_text(json.dumps(card))
-    (said,) = half_made(model_for(str(folder), VEHICLE))
-    assert "without its own logs being asked" in said and str(folder) in said
-    (folder / CARD_FILE).write_text(json.dumps({**card, ASKED: True}))
-    assert not list(half_made(model_for(str(folder), VEHICLE)))
+    (said,) = list_analysis_warnings(load_checked_model(str(folder), VEHICLE))
+    assert "were not analysed" in said and str(folder) in said
+    (folder / CARD_FILE).write_text(json.dumps({**card, ANALYSED_KEY: True}))
+    assert not list(list_analysis_warnings(load_checked_model(str(folder), VEHICLE)))

@@ -15,7 +15,8 @@ from tests.gap.made_answer import LATE_S, VEHICLE, late_drive, made_model
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.gap import gap as module
 from tunefree_hil.jobs.gap.folder import ANSWER, QUESTION, SEARCH
-from tunefree_hil.jobs.gap.gap import Asked, gap
+from tunefree_hil.jobs.gap.gap import run_gap
+from tunefree_hil.jobs.gap.options import GapOptions
 from tunefree_hil.learn.drives.drive import Drive
 
 pytestmark = [pytest.mark.slow, pytest.mark.compiled, pytest.mark.timeout(900)]
@@ -29,13 +30,13 @@ def read(*_: Any, **__: Any) -> Generator[Event, None, list[Drive]]:
 def result(
     out: Path, logs: Sequence[Path] = (Path("late.log"),), workers: int = 2
 ) -> tuple[list[Event], dict[str, Any]]:
-    events = list(gap(Asked(logs, VEHICLE.folder, "mkz_nominal", out, workers=workers)))
+    events = list(run_gap(GapOptions(logs, VEHICLE.folder, "mkz_nominal", out, workers=workers)))
     return events, events[-1].data
 
 
 def test_it_is_named_repaired_and_proved_and_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "read", read)
-    monkeypatch.setattr(module, "model_for", lambda *_: replace(made_model(), hash="a model"))
+    monkeypatch.setattr(module, "read_logs", read)
+    monkeypatch.setattr(module, "load_checked_model", lambda *_: replace(made_model(), hash="a model"))
     events, data = result(tmp_path / "out")
     assert any("eta_s" in event.data for event in events if event.kind == "progress")
     assert data["verdict"] == "one" and data["forced"] == "steer_dead_time", data["sentence"]

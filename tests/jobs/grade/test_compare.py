@@ -14,10 +14,10 @@ from tests.jobs.made_runs import made_drive, made_tune
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.grade.metrics import METRICS
-from tunefree_hil.grade.profile import Value, combine_values
+from tunefree_hil.grade.profile import MetricValue, combine_values
 from tunefree_hil.grade.table import PUBLISHED
-from tunefree_hil.jobs.grade.compare import COMBINED, compare, verdict
-from tunefree_hil.jobs.grade.grade import grade_log
+from tunefree_hil.jobs.grade.compare import COMBINED, change_text, compare
+from tunefree_hil.jobs.grade.grade import GradeOptions, grade_log
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def test_the_table_holds_what_the_drives_scored_and_draws(runs: list[str], tmp_p
             assert table["score"][column] == own["score"]
             assert {metric: table[metric][column] for metric in METRICS} == own["metrics"]
     pooled = data["tables"][COMBINED]["lateral_err_std"][0]
-    parts = [Value(data["tables"][name]["lateral_err_std"][0], 150) for name in data["scenarios"]]
+    parts = [MetricValue(data["tables"][name]["lateral_err_std"][0], 150) for name in data["scenarios"]]
     assert pooled == pytest.approx(combine_values("std", parts).value)
     assert all(Path(figure).stat().st_size > 10_000 for figure in data["figures"])
     assert {Path(figure).stem for figure in data["figures"]} >= {"highlights", "profile", "tiny", "other"}
@@ -84,8 +84,8 @@ def test_conditions_decide_the_exit_status(runs: list[str], tmp_path: Path) -> N
     _, data = compared(runs[:2], tmp_path, "score > 0", "score@other > 9", "station_err_std_harsh > +5%")
     assert data["exit"] == 1
     assert [one["holds"] for one in data["findings"]] == [True, False, True]
-    assert "could not be had" in data["findings"][2]["words"], "what nobody can tell must not pass"
-    with pytest.raises(InputError, match="no metric"):
+    assert "is not available" in data["findings"][2]["words"], "a missing value must not pass"
+    with pytest.raises(InputError, match="unknown metric"):
         compared(runs[:2], tmp_path, "score > 0", "lateral > 1")
 
 
@@ -98,9 +98,9 @@ def test_only_common_scenarios(runs: list[str], tmp_path: Path) -> None:
 def test_no_common_scenario(runs: list[str], tmp_path: Path) -> None:
     bench = write_bench(tmp_path, scenarios=("third",), duration_s=0.5)
     third = made_drive(bench, tmp_path / "runs", "third", {})
-    with pytest.raises(InputError, match="no scenario in common"):
+    with pytest.raises(InputError, match="no common scenario"):
         compared([runs[0], str(third)], tmp_path)
-    with pytest.raises(InputError, match="nothing to be compared with"):
+    with pytest.raises(InputError, match="at least two runs"):
         compared(runs[:1], tmp_path)
 
 
@@ -124,8 +124,7 @@ def test_winner_and_baselines_of_a_tune(folder: Path, runs: list[str], tmp_path:
 
 def test_a_graded_log_beside_a_drive(folder: Path, runs: list[str], tmp_path: Path) -> None:
     log, path = Path(runs[0]) / "episodes" / "0" / "vehicle.log", str(folder / "scenarios" / "tiny.toml")
-    options: dict[str, Any] = {"vehicle": None, "align": "auto", "start_s": None, "weights": "default"}
-    *_, last = grade_log(log, path=path, out=tmp_path, **options)
+    *_, last = grade_log(log, GradeOptions(path=path, out=tmp_path))
     _, data = compared([runs[2], last.data["run"]], tmp_path)
     assert all(first == other for first, other in data["tables"]["tiny"].values())
 
@@ -160,9 +159,9 @@ def test_what_is_not_there_is_named(runs: list[str], tmp_path: Path) -> None:
         (1.0, 1.0, "equal"),
         (1.0, 1.0001, "about equal"),
         (0.0, 0.1, "worse"),
-        (None, 1.0, "cannot be told"),
-        (None, None, "neither has it"),
+        (None, 1.0, "not comparable"),
+        (None, None, "not available in both"),
     ],
 )
 def test_words(first: float | None, other: float | None, words: str) -> None:
-    assert verdict(first, other) == words
+    assert change_text(first, other) == words

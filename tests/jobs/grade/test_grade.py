@@ -17,7 +17,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.episode.recording import load_recording
 from tunefree_hil.grade.metrics import METRICS
 from tunefree_hil.grade.table import PUBLISHED, TABLE
-from tunefree_hil.jobs.grade.grade import grade_log
+from tunefree_hil.jobs.grade.grade import GradeOptions, grade_log
 from tunefree_hil.jobs.log.convert import convert
 
 
@@ -37,7 +37,7 @@ def _no_figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch)
 
 def graded(log: Path, path: str, out: Path, **more: Any) -> tuple[list[Event], dict[str, Any]]:
     options = {"vehicle": None, "align": "auto", "start_s": None, "weights": "default", **more}
-    events = list(grade_log(log, path=path, out=out, **options))
+    events = list(grade_log(log, GradeOptions(path=path, out=out, **options)))
     return events, events[-1].data
 
 
@@ -93,7 +93,7 @@ def test_the_part_of_a_log_that_is_there(episode: Path, tmp_path: Path) -> None:
     lines = (episode / "vehicle.log").read_text().splitlines(keepends=True)
     log.write_text("".join(lines[: len(lines) // 2]))
     _, data = graded(log, tiny(episode), tmp_path, vehicle="mkz_bywire")
-    assert data["score"] is None and "no score: the log holds 1.0 s of the 2.0 s" in data["sentence"]
+    assert data["score"] is None and "no score: the log contains 1.0 s of the planned 2.0 s" in data["sentence"]
     assert data["metrics"]["lateral_err_peak"]["value"] is not None
 
 
@@ -112,7 +112,7 @@ def test_what_stands_in_and_what_was_driven_by_hand_is_said(episode: Path, tmp_p
     _, data = graded(log, tiny(episode), tmp_path, vehicle="mkz_bywire")
     said = " ".join(data["notes"])
     assert "yaw_rate_radps: from ins.yaw_rate_radps" in said
-    assert "by-wire was not enabled for 0.8 s" in said
+    assert "by-wire control was not enabled for 0.8 s" in said
     _, late = graded(log, tiny(episode), tmp_path, vehicle="mkz_bywire", start_s=1.8)
     assert "not enabled" not in " ".join(late["notes"]), "it was before the start"
     _, whole = graded(episode / "vehicle.log", tiny(episode), tmp_path)
@@ -120,7 +120,7 @@ def test_what_stands_in_and_what_was_driven_by_hand_is_said(episode: Path, tmp_p
 
 
 def test_a_start_that_is_not_in_the_log(episode: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="the start is at 60"):
+    with pytest.raises(InputError, match="the start at 60"):
         graded(episode / "vehicle.log", tiny(episode), tmp_path, start_s=60.0)
 
 
@@ -170,5 +170,5 @@ def test_a_minute_of_a_real_car(shared_data: Path, tmp_path: Path) -> None:
     assert "no lateral_error_m" in data["metrics"]["lateral_err_peak"]["why"]
     assert data["metrics"]["speed_err_std"]["value"] < 0.01, "the scenario was made of this log"
     said = " ".join(event.message for event in events)
-    assert "the start was found by the speed, 9.0" in said and "nothing lateral can be had" in said
+    assert "the start was found by the speed, 9.0" in said and "no lateral errors" in said
     assert data["outcome"] == "finished" and math.isfinite(data["score"]) and len(data["dropped"]) == 12

@@ -14,6 +14,7 @@ from tests.jobs.made_runs import made_drive, made_tune
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.grade.table import TABLE
+from tunefree_hil.jobs.grade.grade import GradeOptions
 from tunefree_hil.jobs.grade.run import grade_any, is_run
 
 NOTHING: dict[str, Any] = {
@@ -43,7 +44,7 @@ def _no_figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch)
 
 
 def graded(name: object, **more: Any) -> tuple[list[Event], dict[str, Any]]:
-    events = list(grade_any(str(name), **{**NOTHING, **more}))
+    events = list(grade_any(str(name), GradeOptions(**{**NOTHING, **more})))
     return events, events[-1].data
 
 
@@ -58,9 +59,9 @@ def test_a_run_is_its_logs_taken_together(run: Path, tmp_path: Path) -> None:
         value, total = data["metrics"][name]["value"], sum(n for _, n in known)
         if not known:
             assert value is None and data["metrics"][name]["why"], name
-        elif row.how == "peak":
+        elif row.aggregation == "peak":
             assert value == max(value for value, _ in known), name
-        elif row.how == "std":
+        elif row.aggregation == "std":
             assert value == pytest.approx(math.sqrt(sum(v * v * (n - 1) for v, n in known) / (total - 1))), name
         else:
             assert value == pytest.approx(sum(v * n for v, n in known) / total), name
@@ -84,7 +85,7 @@ def test_a_tune_its_baselines_and_draws(tmp_path: Path) -> None:
 
 def test_what_a_run_knows_cannot_be_given(run: Path) -> None:
     for key, value in (("path", "u_turn"), ("vehicle", "mkz_bywire"), ("start_s", 1.0), ("out", Path("x"))):
-        with pytest.raises(InputError, match="a run knows its own") as caught:
+        with pytest.raises(InputError, match="not for a run") as caught:
             graded(run, **{key: value})
         assert caught.value.key == f"--{key.replace('_', '-')}"
 

@@ -16,7 +16,8 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.learn import calibrate, learn
 from tunefree_hil.jobs.learn import map as map_job
-from tunefree_hil.jobs.learn.logs import read
+from tunefree_hil.jobs.learn.logs import read_logs
+from tunefree_hil.jobs.learn.options import CalibrateOptions, LearnOptions, MapOptions
 from tunefree_hil.learn.drives.drive import Drive
 
 
@@ -33,7 +34,7 @@ class Heard(NamedTuple):
 
 def heard(logs: Sequence[Path], excused: Collection[str] = ()) -> Heard:
     """The reading of logs as the MKZ's, to its end."""
-    drives, events = ended(read(logs, car(MKZ).spec, excused))
+    drives, events = ended(read_logs(logs, car(MKZ).spec, excused))
     return Heard(events, drives)
 
 
@@ -51,7 +52,7 @@ def test_drives_in_the_order_given_and_how_much_they_are(tmp_path: Path) -> None
 def test_an_ins_that_says_where_another_point_is_says_no_place(tmp_path: Path) -> None:
     log, vehicle = write_log(tmp_path / "a.log", good(MKZ)), car(MKZ).spec
     other = replace(vehicle, ins_frame=replace(vehicle.ins_frame, point="imu"))
-    (drive,), events = ended(read([log], other))
+    (drive,), events = ended(read_logs([log], other))
     assert not {"ins.x_m", "ins.y_m"} & drive.fields.keys() and "ins.heading_rad" in drive.fields
     assert any(one.kind == "warning" and "are of 'imu'" in one.message for one in events)
 
@@ -69,9 +70,9 @@ def test_a_refusal_is_excused_by_its_code_only(tmp_path: Path) -> None:
 def test_what_is_not_excused_is_refused_without_what_is(tmp_path: Path) -> None:
     rows = [row._replace(time_s=row.time_s - (0.5 if row.time_s > 4.0 else 0.0)) for row in rows_of(MKZ, 6.0)]
     log = write_log(tmp_path / "back.log", rows)
-    with pytest.raises(InputError, match="2 things are wrong"):
+    with pytest.raises(InputError, match="2 problems"):
         heard([log])
-    with pytest.raises(InputError, match="1 thing is wrong") as caught:
+    with pytest.raises(InputError, match="because of 1 problem") as caught:
         heard([log], ["too_short"])
     assert caught.value.code == "clock_jump" and "too short" not in caught.value.message
 
@@ -96,12 +97,12 @@ def test_no_log_and_one_that_is_not_there(tmp_path: Path) -> None:
 def test_only_a_calibration_takes_what_is_too_little_to_learn_from(tmp_path: Path) -> None:
     """It refuses what no channel can be told from, and has said by then what the logs lack."""
     log, out = write_log(tmp_path / "short.log", rows_of(MKZ, 6.0)), tmp_path / "out"
-    steps = calibrate.calibrate([log], MKZ, out)
+    steps = calibrate.calibrate(CalibrateOptions([log], MKZ, out))
     while (event := next(steps)).kind != "warning":
         pass
     steps.close()  # type: ignore[attr-defined]
     assert "too short" in event.message
     pytest.importorskip("torch", reason="the extra `learn` is not installed")
-    for job in (learn.learn(learn.Asked([log], MKZ, out)), map_job.map_logs([log], MKZ, out)):
+    for job in (learn.learn(LearnOptions([log], MKZ, out)), map_job.map_logs(MapOptions([log], MKZ, out))):
         with pytest.raises(InputError, match="too short"):
             list(job)

@@ -19,6 +19,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.control.calibration_map import load, lookup
 from tunefree_hil.jobs.learn import map as job
+from tunefree_hil.jobs.learn.options import MapOptions
 from tunefree_hil.learn.training import map_nets
 
 MODELS = ROOT / "bench_configs" / "models"
@@ -33,12 +34,12 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         yield Event("note", "read")
         return drives
 
-    monkeypatch.setattr(job, "read", read)
+    monkeypatch.setattr(job, "read_logs", read)
     return drives
 
 
 def run(out: Path, **options: Any) -> tuple[list[Event], dict[str, Any]]:
-    events = list(job.map_logs([Path("a.log")], "mkz_bywire", out, **options))
+    events = list(job.map_logs(MapOptions([Path("a.log")], "mkz_bywire", out, **options)))
     assert events[-1].kind == "result"
     return events, events[-1].data
 
@@ -46,31 +47,31 @@ def run(out: Path, **options: Any) -> tuple[list[Event], dict[str, Any]]:
 def test_a_missing_torch_is_said_before_anything_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(InputError, match="torch"):
-        list(job.map_logs([tmp_path / "no.log"], "mkz_bywire", tmp_path / "out"))
+        list(job.map_logs(MapOptions([tmp_path / "no.log"], "mkz_bywire", tmp_path / "out")))
 
 
 def test_targets(tmp_path: Path) -> None:
-    assert job.target_of(tmp_path / "a.npz", vehicle()) == tmp_path / "a.npz"
-    assert job.target_of(tmp_path / "new", vehicle()) == tmp_path / "new" / "calibration.npz"
-    assert job.target_of(MODELS / "mkz_nominal", vehicle()).name == "calibration.npz"
+    assert job.resolve_target(tmp_path / "a.npz", vehicle()) == tmp_path / "a.npz"
+    assert job.resolve_target(tmp_path / "new", vehicle()) == tmp_path / "new" / "calibration.npz"
+    assert job.resolve_target(MODELS / "mkz_nominal", vehicle()).name == "calibration.npz"
     with pytest.raises(InputError, match=f"is a model of '{other_vehicle.NAME}'"):
-        job.target_of(other_vehicle.NOMINAL, vehicle())
+        job.resolve_target(other_vehicle.NOMINAL, vehicle())
     old = shutil.copytree(MODELS / "mkz_nominal", tmp_path / "old")
     (old / "model.toml").write_text('vehicle_hash = "sha256:00"\n' + (old / "model.toml").read_text())
     with pytest.raises(InputError, match="said something else"):
-        job.target_of(old, vehicle())
+        job.resolve_target(old, vehicle())
     (tmp_path / "notes.txt").write_text("")
     with pytest.raises(InputError, match="is a file"):
-        job.target_of(tmp_path / "notes.txt", vehicle())
+        job.resolve_target(tmp_path / "notes.txt", vehicle())
 
 
 class TestTraining:
     @pytest.fixture(autouse=True)
     def _torch(self, monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.importorskip("torch", reason="the extra `learn` is not installed")
-        monkeypatch.setattr(map_nets, "WIDTHS", (8,))
-        monkeypatch.setattr(map_nets, "SEEDS", 1)
-        monkeypatch.setattr(map_nets, "MOST_ROUNDS", 10)
+        monkeypatch.setattr(map_nets, "HIDDEN_WIDTHS", (8,))
+        monkeypatch.setattr(map_nets, "N_SEEDS", 1)
+        monkeypatch.setattr(map_nets, "MAX_ROUNDS", 10)
 
     @pytest.mark.slow
     def test_a_model_folder_gets_its_map(self, made: list[Any], tmp_path: Path) -> None:
@@ -108,7 +109,7 @@ class TestTraining:
         made_run = made_drive(bench, tmp_path, "drive", {})
         logs = sorted(made_run.glob("episodes/*/vehicle.log"))
         assert len(logs) == 2
-        events = list(job.map_logs(logs, "mkz_bywire", tmp_path / "own.npz"))
+        events = list(job.map_logs(MapOptions(logs, "mkz_bywire", tmp_path / "own.npz")))
         own = load(tmp_path / "own.npz")
         nominal = load(MODELS / "mkz_nominal" / "calibration.npz")
         for speed, accel in ((6.0, 1.0), (8.0, -1.2)):

@@ -15,7 +15,7 @@ from tests.jobs.command import Ended, tunefree_alone
 from tests.plant.model_files import write_model
 from tunefree_hil.bench import Bench, load
 from tunefree_hil.episode.recording import Recording, make_recording
-from tunefree_hil.jobs.learn.report_text import drive_warning, outside_data, outside_words
+from tunefree_hil.jobs.learn.report_text import describe_outside, measure_outside, warn_of_outside
 
 PATIENCE_S = 150.0
 NARROW = "speed_mps = [0.0, 4.0]"
@@ -44,23 +44,23 @@ def at(speed_mps: float, ticks: int = 300) -> Recording:
 
 def test_shares_of_drives_and_words(bench: Bench) -> None:
     model = bench.spec.model
-    found = outside_data(bench, model, {"slow": at(3.0), "fast": at(6.0, 100)})
+    found = measure_outside(bench, model, {"slow": at(3.0), "fast": at(6.0, 100)})
     assert (found["share"], found["by"], found["drives"]) == (0.25, {"speed_mps": 0.25}, {"fast": 1.0})
-    words = outside_words(found)
+    words = describe_outside(found)
     assert "25.0 % of the ticks outside the valid region" in words and "speed_mps 25.0 %" in words
-    assert "100.0 %" in drive_warning(bench, model, "fast", at(6.0)) and "speed_mps" in drive_warning(
+    assert "100.0 %" in warn_of_outside(bench, model, "fast", at(6.0)) and "speed_mps" in warn_of_outside(
         bench, model, "fast", at(6.0)
     )
-    assert drive_warning(bench, model, "slow", at(3.0)) == ""
-    inside = outside_data(bench, model, {"slow": at(3.0)})
-    assert (inside["share"], inside["drives"]) == (0.0, {}) and "0.0 %" in outside_words(inside)
+    assert warn_of_outside(bench, model, "slow", at(3.0)) == ""
+    inside = measure_outside(bench, model, {"slow": at(3.0)})
+    assert (inside["share"], inside["drives"]) == (0.0, {}) and "0.0 %" in describe_outside(inside)
 
 
 def test_a_model_that_names_no_region_is_not_said_to_be_right(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / "narrow" / "model.toml"
     path.write_text(path.read_text().split("[valid]")[0])
-    found = outside_data(bench, bench.spec.model, {"slow": at(3.0)})
-    assert found["share"] is None and outside_words(found) == ""
+    found = measure_outside(bench, bench.spec.model, {"slow": at(3.0)})
+    assert found["share"] is None and describe_outside(found) == ""
 
 
 def ended(command: str, bench: Path, *more: Any) -> Ended:

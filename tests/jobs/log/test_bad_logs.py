@@ -29,7 +29,7 @@ BAD: dict[str, tuple[Callable[[], list[Rows]], str, tuple[str, ...]]] = {
     "too short": (lambda: [rows_of(VAN, 12.0)], "learn map", ("too short", "record more")),
     "steering's sign": (
         lambda: [planted(VAN, good(VAN), negated("steer_rad"), ["report.steer_rad"])], "calibrate learn map",
-        ("goes the other way than", "turn the sign"),
+        ("has the opposite sign of", "change the sign"),
     ),
     "swapped pedals": (
         lambda: [planted(VAN, good(VAN), swapped, PEDALS)], "calibrate learn map", ("swapped pedals; swap them",),

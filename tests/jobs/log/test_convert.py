@@ -129,28 +129,28 @@ def test_chosen_channels(source: Path, tmp_path: Path) -> None:
     assert list(read_rows(tmp_path / "a.log")) == [ROWS[1]]
     with pytest.raises(InputError, match="no channel 'can7'") as caught:
         list(convert(source, tmp_path / "b.log", channels=["can7"]))
-    assert caught.value.hint == "there are can0, can1"
+    assert caught.value.hint == "its channels are can0, can1"
 
 
 def test_an_existing_file_is_not_overwritten(source: Path, tmp_path: Path) -> None:
     (tmp_path / "a.blf").write_text("mine")
-    with pytest.raises(InputError, match="there already"):
+    with pytest.raises(InputError, match="already exists"):
         list(convert(source, tmp_path / "a.blf"))
     assert (tmp_path / "a.blf").read_text() == "mine"
 
 
 def test_a_target_that_can_hold_nothing(tmp_path: Path) -> None:
     write_candump(tmp_path / "fd.log", [ROWS[1]])
-    with pytest.raises(InputError, match="can hold none of the 1 frames"):
+    with pytest.raises(InputError, match="can store none of the 1 frames"):
         list(convert(tmp_path / "fd.log", tmp_path / "a.bag"))
     assert [path.name for path in tmp_path.iterdir()] == ["fd.log"]
 
 
 def test_a_writer_that_loses_a_frame_is_caught(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The proof by reading back is one: a silent loss is an error, and nothing is left behind."""
-    real = log_convert._format("csv")
+    real = log_convert._load_format("csv")
     broken = real._replace(write=lambda path, rows, seen: real.write(path, list(rows)[1:], seen))
-    monkeypatch.setattr(log_convert, "_format", lambda name: broken)
+    monkeypatch.setattr(log_convert, "_load_format", lambda name: broken)
     with pytest.raises(BenchError, match="does not read back: of frame 0x123 on can0 1 went in and did not come back"):
         list(convert(source, tmp_path / "a.csv"))
     assert [path.name for path in tmp_path.iterdir()] == ["in.log"]

@@ -20,7 +20,7 @@ from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.jobs.doctor import doctor
 from tunefree_hil.jobs.log.check import check
 from tunefree_hil.jobs.log.csv_import import import_csv
-from tunefree_hil.jobs.log.plot import series_of
+from tunefree_hil.jobs.log.plot import collect_series
 from tunefree_hil.learn.drives.read import read_drives
 
 DART = {
@@ -39,7 +39,7 @@ def test_the_log_says_what_the_csv_said(tmp_path: Path) -> None:
     rows = motion()
     out, data, warnings = imported(tmp_path, rows)
     assert warnings == [] and data["frames"] == 7 * len(rows)
-    found = series_of(read_candump(out / "drive.log"), Codec(load_vehicle(out)), ["report.speed_mps", "ins.x_m"])
+    found = collect_series(read_candump(out / "drive.log"), Codec(load_vehicle(out)), ["report.speed_mps", "ins.x_m"])
     for name, column in (("report.speed_mps", "v"), ("ins.x_m", "x")):
         times, values = found[name]
         assert times == pytest.approx([row["t"] for row in rows], abs=1e-6)
@@ -67,7 +67,7 @@ def test_wheels_share_a_can_fd_frame(tmp_path: Path) -> None:
     rows: list[dict] = [{"t": 20 * k, "wfl": 60, "wfr": 61, "wrl": 62, "wrr": 63 if k != 3 else ""} for k in range(10)]
     events = list(import_csv(write_csv(tmp_path / "d.csv", rows), tmp_path / "m.toml", tmp_path / "out"))
     assert events[-1].data["frames"] == 9, "a row without all four is held out"
-    found = series_of(
+    found = collect_series(
         read_candump(tmp_path / "out" / "drive.log"), Codec(load_vehicle(tmp_path / "out")), ["report.wheel_rr_radps"]
     )
     assert found["report.wheel_rr_radps"][1] == pytest.approx([63.0 * 2.0 * math.pi / 60.0] * 9, abs=STEP)
@@ -82,7 +82,7 @@ def test_a_column_says_when_the_vehicle_obeyed(tmp_path: Path) -> None:
     assert [one.message for one in vehicle.state["enabled"]] == ["BYWIRE_STATE"]
     assert "Invented; column 'safe' is 2" in (out / "vehicle.dbc").read_text()
     (drive,) = read_drives([out / "drive.log"], Codec(vehicle))
-    time_s = np.arange(drive.ticks) * drive.dt_s
+    time_s = np.arange(drive.n_rows) * drive.dt_s
     inside = (time_s > 4.1) & (time_s < 11.9)
     assert drive.enabled[inside].all() and not drive.enabled[(time_s < 3.9) | (time_s > 12.1)].any()
     assert list(doctor(vehicle=out, schema=None, bus="auto", bench=None))[-1].data["exit"] == 0
@@ -99,7 +99,7 @@ def test_gaps_and_empty_cells_are_told_and_not_filled(tmp_path: Path) -> None:
     rows[20] = rows[20] | {"v": "nan"}
     out, data, warnings = imported(tmp_path, rows)
     assert warnings[0] == "gap: no row from 5.000 to 6.500 s (1.500 s); not filled"
-    assert warnings[1] == "report.speed_mps: 1 cells hold no value; their frames are left out"
+    assert warnings[1] == "report.speed_mps: 1 cells have no value; their frames are left out"
     assert data["frames"] == 7 * len(rows) - 1
     kept = json.loads((out / "import.json").read_text())
     assert kept["gaps"][0]["begin_s"] == pytest.approx(5.0) and kept["held_out"]["report.speed_mps"] == 1
@@ -122,7 +122,7 @@ def test_swapped_units_are_refused_unless_the_reason_is_given(tmp_path: Path) ->
 def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine").touch()
-    with pytest.raises(InputError, match="there already"):
+    with pytest.raises(InputError, match="already exists"):
         imported(tmp_path, motion())
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["mine"]
 
@@ -177,8 +177,8 @@ def test_the_rav4_minute_goes_through(shared_data: Path, repo: Path, tmp_path: P
 
     wanted = ["report.speed_mps", "report.steer_rad", "report.wheel_rr_radps", "command.accel_mps2"]
     there, here = Codec(load_vehicle("rav4_2017")), Codec(load_vehicle(tmp_path / "out"))
-    true = series_of(read_candump(log), there, wanted, apart=True)
-    found = series_of(read_candump(tmp_path / "out" / "drive.log"), here, wanted)
+    true = collect_series(read_candump(log), there, wanted, by_channel=True)
+    found = collect_series(read_candump(tmp_path / "out" / "drive.log"), here, wanted)
     for name in wanted:
         values = dict(zip(*(array.tolist() for array in true[name]), strict=True))
         assert len(found[name][0]) > 0.98 * len(values)

@@ -12,7 +12,7 @@ from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.figures.signals import Series, broken_at_gaps, draw_signals
-from tunefree_hil.jobs.log.plot import choose, plot, series_of, unit_of
+from tunefree_hil.jobs.log.plot import collect_series, plot, resolve_signals, signal_unit
 
 GAP = Series("a", "m/s", np.array([0.0, 0.1, 0.2, 1.2, 1.3]), np.array([1.0, 2.0, 3.0, 4.0, 5.0]), 0.3)
 
@@ -33,24 +33,24 @@ def log(tmp_path: Path) -> Path:
 
 
 def test_values_are_those_of_the_frames(log: Path, codec: Codec) -> None:
-    found = series_of(read_candump(log), codec, ["report.speed_mps", "SPEED.SPEED"])
+    found = collect_series(read_candump(log), codec, ["report.speed_mps", "SPEED.SPEED"])
     assert found["report.speed_mps"][1] == pytest.approx([10.0] * 10 + [20.0] * 10)
     assert found["SPEED.SPEED"][1] == pytest.approx([36.0] * 10 + [72.0] * 10)
     assert found["SPEED.SPEED"][0][-1] == pytest.approx(0.024 * 59)
 
 
 def test_names(codec: Codec) -> None:
-    assert choose("speed_mps", codec) == ["report.speed_mps"]
-    assert choose("STEER_FRACTION", codec) == ["STEER_ANGLE_SENSOR.STEER_FRACTION"]
-    assert {"SPEED.CHECKSUM", "ACC_CONTROL.CHECKSUM"} < set(choose("CHECKSUM", codec)), "all that have one"
+    assert resolve_signals("speed_mps", codec) == ["report.speed_mps"]
+    assert resolve_signals("STEER_FRACTION", codec) == ["STEER_ANGLE_SENSOR.STEER_FRACTION"]
+    assert {"SPEED.CHECKSUM", "ACC_CONTROL.CHECKSUM"} < set(resolve_signals("CHECKSUM", codec)), "all that have one"
     with pytest.raises(InputError) as caught:
-        choose("report.sped_mps", codec)
+        resolve_signals("report.sped_mps", codec)
     assert caught.value.hint == "did you mean report.speed_mps?"
 
 
 def test_units_of_fields_and_signals() -> None:
-    assert unit_of("report.yaw_rate_radps", {}) == "rad/s" and unit_of("report.accel_mps2", {}) == "m/s²"
-    assert unit_of("SPEED.SPEED", {"SPEED.SPEED": "km/h"}) == "km/h" and unit_of("report.gear", {}) == ""
+    assert signal_unit("report.yaw_rate_radps", {}) == "rad/s" and signal_unit("report.accel_mps2", {}) == "m/s²"
+    assert signal_unit("SPEED.SPEED", {"SPEED.SPEED": "km/h"}) == "km/h" and signal_unit("report.gear", {}) == ""
 
 
 def test_no_line_crosses_a_silence() -> None:
@@ -70,13 +70,13 @@ def test_a_panel_a_unit_and_shaded_silences() -> None:
 def test_the_picture(log: Path, tmp_path: Path) -> None:
     events = list(plot(log, "rav4_2017", ["report.speed_mps", "steer_rad"], tmp_path / "a.png"))
     assert [event.message for event in events if event.kind == "warning"] == [
-        "report.steer_rad was never heard in this log"
+        "report.steer_rad does not occur in this log"
     ]
     assert events[-1].data["values"] == {"report.speed_mps": 20, "report.steer_rad": 0}
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_nothing_to_draw(log: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="not one of the signals"):
+    with pytest.raises(InputError, match="none of the signals"):
         list(plot(log, "rav4_2017", ["steer_rad"], tmp_path / "a.png"))
     assert not (tmp_path / "a.png").exists()

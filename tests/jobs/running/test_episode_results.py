@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tunefree_hil.jobs.running.episode_results import heard_of
+from tunefree_hil.jobs.running.episode_results import reception_warnings
 
 
 def test_each_message_with_trouble_is_a_line(tmp_path: Path) -> None:
@@ -18,13 +18,13 @@ def test_each_message_with_trouble_is_a_line(tmp_path: Path) -> None:
         "controller_heard_GYRO": np.array([90, 0, 0, 0, 0, 0, 0, 0, 3]),
     }
     np.savez(tmp_path / "timing.npz", allow_pickle=False, **rows)
-    assert heard_of(tmp_path) == [
-        "ecu heard STEERING_CMD: 2 wrong sequence",
-        "controller heard GEAR_REPORT: 22 more frames than are due",
-        "controller heard GYRO: 3 shorter than the DBC says",
-        "controller heard WHEEL_SPEED: 4 no new data",
+    assert reception_warnings(tmp_path) == [
+        "ecu received STEERING_CMD: 2 wrong sequence",
+        "controller received GEAR_REPORT: 22 more frames than are due",
+        "controller received GYRO: 3 shorter than the DBC says",
+        "controller received WHEEL_SPEED: 4 no new data",
     ]
 
 
 def test_a_drive_without_times_says_nothing(tmp_path: Path) -> None:
-    assert heard_of(tmp_path) == []
+    assert reception_warnings(tmp_path) == []

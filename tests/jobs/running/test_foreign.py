@@ -20,9 +20,15 @@ from tests.jobs.foreign_node import AT
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load, own_parameters, parameters_of
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.jobs.identity import identity_of, resolved_toml
-from tunefree_hil.jobs.running.foreign import program_hashes, program_of, require_announced, require_one, with_command
-from tunefree_hil.jobs.running.session_parts import Places, paths_for
+from tunefree_hil.jobs.identity import compute_identity, resolved_toml
+from tunefree_hil.jobs.running.foreign import (
+    controller_program,
+    program_hashes,
+    require_announced,
+    require_foreign_controller,
+    with_controller_command,
+)
+from tunefree_hil.jobs.running.session_parts import CommandPlaceholders, write_reference_paths
 
 NODE = Path(__file__).parents[1] / "foreign_node.py"
 OWN = """[controller]
@@ -55,20 +61,20 @@ def test_its_parameters_are_the_bench_files_values_or_the_middle_of_their_boxes(
 
 def test_a_program_beside_the_bench_file_is_found_from_anywhere(tmp_path: Path) -> None:
     bench = load(bench_file(tmp_path))
-    assert program_of(bench) == ["./mine", "{bus}", "{paths}"], "it is not there yet: as written"
+    assert controller_program(bench) == ["./mine", "{bus}", "{paths}"], "it is not there yet: as written"
     (tmp_path / "mine").write_text("first")
-    assert program_of(bench) == [str(tmp_path / "mine"), "{bus}", "{paths}"]
+    assert controller_program(bench) == [str(tmp_path / "mine"), "{bus}", "{paths}"]
     assert str(tmp_path / "mine") in resolved_toml(bench), "the run folder's copy finds it too"
-    assert program_of(load(write_bench(tmp_path / "ours"))) is None
+    assert controller_program(load(write_bench(tmp_path / "ours"))) is None
 
 
 def test_a_program_that_was_built_anew_makes_another_run(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("first")
     bench = load(bench_file(tmp_path))
-    first = identity_of(bench, "mkz_nominal", bench.scenarios.values())
+    first = compute_identity(bench, "mkz_nominal", bench.scenarios.values())
     assert list(first["hashes"]["controller"]) == ["mine"]
     (tmp_path / "mine").write_text("second")
-    second = identity_of(bench, "mkz_nominal", bench.scenarios.values())
+    second = compute_identity(bench, "mkz_nominal", bench.scenarios.values())
     assert first["identity"] != second["identity"]
     assert program_hashes(load(write_bench(tmp_path / "ours"))) == {}
 
@@ -77,7 +83,7 @@ def test_an_environments_python_keeps_its_name(tmp_path: Path) -> None:
     """Its link followed, it would be the machine's, without the environment's packages."""
     (tmp_path / "python").symlink_to(sys.executable)
     bench = load(bench_file(tmp_path, OWN.replace("./mine", "./python")))
-    assert (program_of(bench) or [""])[0] == str(tmp_path / "python")
+    assert (controller_program(bench) or [""])[0] == str(tmp_path / "python")
 
 
 def test_the_words_of_the_option_are_the_shells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,31 +91,31 @@ def test_the_words_of_the_option_are_the_shells(tmp_path: Path, monkeypatch: pyt
     (tmp_path / "elsewhere" / "mine").write_text("")
     monkeypatch.chdir(tmp_path / "elsewhere")
     bench = load(bench_file(tmp_path))
-    asked = with_command(bench, "./mine {bus} 'two words'")
-    assert program_of(asked) == [str(tmp_path / "elsewhere" / "mine"), "{bus}", "two words"]
-    assert program_of(with_command(bench, "")) == program_of(bench)
+    asked = with_controller_command(bench, "./mine {bus} 'two words'")
+    assert controller_program(asked) == [str(tmp_path / "elsewhere" / "mine"), "{bus}", "two words"]
+    assert controller_program(with_controller_command(bench, "")) == controller_program(bench)
     with pytest.raises(InputError, match="No closing quotation"):
-        with_command(bench, "./mine 'open")
+        with_controller_command(bench, "./mine 'open")
 
 
 def test_reference_drives_are_written_where_the_command_asks_for_them(tmp_path: Path) -> None:
     bench = load(write_bench(tmp_path, duration_s=1.0))
-    assert paths_for(["./mine", "{bus}"], bench, tmp_path / "p") == "" and not (tmp_path / "p").exists()
-    folder = paths_for(["./mine", "--paths={paths}"], bench, tmp_path / "p")
+    assert write_reference_paths(["./mine", "{bus}"], bench, tmp_path / "p") == "" and not (tmp_path / "p").exists()
+    folder = write_reference_paths(["./mine", "--paths={paths}"], bench, tmp_path / "p")
     (written,) = Path(folder).iterdir()
     assert written.stem == bench.scenarios["tiny"].hash[:12]
     rows = written.read_text().splitlines()
     assert rows[0].startswith("t_s,x_m,y_m,heading_rad,speed_mps") and len(rows) > 100
-    assert Places("v", "b", "c", "t", "s", "0", folder).fill(["--paths={paths}"]) == [f"--paths={folder}"]
+    assert CommandPlaceholders("v", "b", "c", "t", "s", "0", folder).fill(["--paths={paths}"]) == [f"--paths={folder}"]
 
 
 def test_without_any_such_controller_its_parameters_are_refused(tmp_path: Path) -> None:
     bench = load(bench_file(tmp_path, more=""))
-    with pytest.raises(InputError, match=r"our controller has no parameter mine\.gain") as caught:
-        require_one(bench, ["lqr.q1", "mine.gain"], join=False)
+    with pytest.raises(InputError, match=r"the built-in controller has no parameter mine\.gain") as caught:
+        require_foreign_controller(bench, ["lqr.q1", "mine.gain"], join=False)
     assert "--controller" in caught.value.hint and "--join" in caught.value.hint
-    require_one(bench, ["mine.gain"], join=True)
-    require_one(bench, ["lqr.q1"], join=False)
+    require_foreign_controller(bench, ["mine.gain"], join=True)
+    require_foreign_controller(bench, ["lqr.q1"], join=False)
 
 
 @pytest.mark.parametrize(
@@ -118,7 +124,7 @@ def test_without_any_such_controller_its_parameters_are_refused(tmp_path: Path) 
 )
 def test_a_parameter_that_was_not_announced_is_refused(tmp_path: Path, announced: dict[int, str], hint: str) -> None:
     bench = load(bench_file(tmp_path))
-    with pytest.raises(InputError, match=r"announces no parameter mine\.gain") as caught:
+    with pytest.raises(InputError, match=r"did not announce the parameter mine\.gain") as caught:
         require_announced(bench, lanes(announced), ["lqr.q1", "mine.gain"])
     assert hint in caught.value.hint and caught.value.key == "tune.parameters"
     require_announced(bench, lanes({16: "mine.gain"}), ["lqr.q1", "mine.gain"])
@@ -167,7 +173,9 @@ class TestRealProcesses:
     def test_one_that_announces_nothing_is_told_what_to_send(self, tmp_path: Path) -> None:
         done = driven("tune", "nameless", tmp_path, *BOXES)
         assert done.status == 2
-        one_message(done, "announces no parameter mine.gain, mine.lag_s", "INDEX NAME", "docs/controller.md")
+        one_message(
+            done, "did not announce the parameter mine.gain, mine.lag_s", "INDEX NAME", "docs/how-to/own_controller.md"
+        )
         assert [error["code"] for error in done.errors] == ["not_announced"]
         assert not list(tmp_path.glob("runs/*/episodes/*")), "before anything is driven"
 

@@ -14,9 +14,9 @@ from tests.bench.tiny import write_bench
 from tests.jobs.command import Ended, finish, new_session, no_orphans, start
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.tfhub.address import session_dir
-from tunefree_hil.bus.tfhub.owner import Stranger
+from tunefree_hil.bus.tfhub.owner import ForeignSender
 from tunefree_hil.config.load import load_vehicle
-from tunefree_hil.jobs.running.foreign_frames import error_of
+from tunefree_hil.jobs.running.foreign_frames import foreign_frame_error
 
 
 @pytest.fixture(scope="module")
@@ -25,12 +25,12 @@ def codec() -> Codec:
 
 
 def test_nobody_is_nobody(codec: Codec) -> None:
-    assert error_of([], {message.key for message in codec.commands}) is None
+    assert foreign_frame_error([], {message.key for message in codec.commands}) is None
 
 
 def test_commanders_come_first_and_everyone_is_named() -> None:
-    found = [Stranger("a", 11, 0x61, 500), Stranger("b", 12, 0x60, 1)]
-    error = error_of(found, {0x60})
+    found = [ForeignSender("a", 11, 0x61, 500), ForeignSender("b", 12, 0x60, 1)]
+    error = foreign_frame_error(found, {0x60})
     assert error is not None and error.code == "foreign_commander" and error.key == "b" and error.exit_status == 3
     commander, reporter = error.message.split("; ")
     assert commander == "foreign commander 0x060 from member b (pid 12), 1 frame"
@@ -38,7 +38,7 @@ def test_commanders_come_first_and_everyone_is_named() -> None:
 
 
 def test_who_only_reports_is_no_commander() -> None:
-    error = error_of([Stranger("a", 11, 0x61, 2)], {0x60})
+    error = foreign_frame_error([ForeignSender("a", 11, 0x61, 2)], {0x60})
     assert error is not None and error.code == "foreign_reporter"
 
 

@@ -29,12 +29,12 @@ from tunefree_hil.bus import open as bus_open
 from tunefree_hil.bus.socketcan.kernel_link import LinkState
 from tunefree_hil.jobs.running import node_links
 from tunefree_hil.jobs.running.node_links import (
-    bus_for,
-    ids_of,
+    message_ids,
     open_exchange,
-    require_only_one,
+    require_unique_node,
+    resolve_process_bus,
+    resolve_vehicle_bus,
     send_patience_s,
-    usable_bus,
 )
 
 
@@ -45,30 +45,30 @@ def links(monkeypatch: pytest.MonkeyPatch, **states: LinkState) -> None:
 
 def test_auto_takes_vcan0_where_it_is_up_and_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     links(monkeypatch, vcan0=LinkState(True, True, "vcan"))
-    choice = usable_bus("auto", "default", "")
+    choice = resolve_process_bus("auto", "default", "")
     assert choice.kind == "socketcan" and "vcan0, because it is up" in choice.why
     links(monkeypatch)
-    assert usable_bus("auto", "default", "").kind == "tfhub"
+    assert resolve_process_bus("auto", "default", "").kind == "tfhub"
 
 
 def test_auto_leaves_a_link_alone_that_carries_another_bench(monkeypatch: pytest.MonkeyPatch) -> None:
     links(monkeypatch, vcan0=LinkState(True, True, "vcan"))
     monkeypatch.setattr(bus_open, "holder", lambda name: 4711)
-    choice = usable_bus("auto", "default", "")
+    choice = resolve_process_bus("auto", "default", "")
     assert choice.kind == "tfhub" and "vcan0 carries another bench, pid 4711" in choice.why
 
 
 def test_one_process_buses_cannot_join_processes() -> None:
-    with pytest.raises(InputError, match="does not leave a process"):
-        usable_bus("virtual", "default", "")
+    with pytest.raises(InputError, match="inside one process only"):
+        resolve_process_bus("virtual", "default", "")
 
 
 def test_the_bench_channel_never_shares_the_vehicles_link(monkeypatch: pytest.MonkeyPatch) -> None:
     links(monkeypatch, vcan0=LinkState(True, True, "vcan"), vcan1=LinkState(True, True, "vcan"))
     with pytest.raises(InputError, match="never shares it") as caught:
-        usable_bus("socketcan:vcan0", "s", "socketcan:vcan0")
+        resolve_process_bus("socketcan:vcan0", "s", "socketcan:vcan0")
     assert caught.value.key == "--bench-bus"
-    choice = usable_bus("socketcan:vcan0", "s", "socketcan:vcan1")
+    choice = resolve_process_bus("socketcan:vcan0", "s", "socketcan:vcan1")
     assert (choice.vehicle_address, choice.bench_address) == ("socketcan:vcan0", "socketcan:vcan1")
     assert "vcan1" in choice.why and "tfhub" not in choice.why
 
@@ -76,16 +76,16 @@ def test_the_bench_channel_never_shares_the_vehicles_link(monkeypatch: pytest.Mo
 def test_a_classic_link_is_refused_for_an_fd_vehicle_only(monkeypatch: pytest.MonkeyPatch) -> None:
     links(monkeypatch, vcan0=LinkState(True, True, "vcan", mtu=16))
     bench = load("bench_configs/mkz_steer.toml")
-    assert bus_for(bench, "socketcan:vcan0", "s", "").kind == "socketcan"
+    assert resolve_vehicle_bus(bench, "socketcan:vcan0", "s", "").kind == "socketcan"
     monkeypatch.setattr(node_links, "sends_fd", lambda bench: True)
     with pytest.raises(InputError, match=r"vcan0 is a classic CAN link \(mtu 16\)") as caught:
-        bus_for(bench, "socketcan:vcan0", "s", "")
+        resolve_vehicle_bus(bench, "socketcan:vcan0", "s", "")
     assert caught.value.code == "classic_link"
     assert "ip link set vcan0 mtu 72" in caught.value.hint
 
 
 def test_ids_of_the_phases_have_nothing_in_common() -> None:
-    reports, commands = ids_of(load("bench_configs/mkz_steer.toml"))
+    reports, commands = message_ids(load("bench_configs/mkz_steer.toml"))
     assert reports and commands and not reports & commands
 
 
@@ -140,9 +140,9 @@ def test_a_second_node_of_a_name_is_refused_without_a_hub(who: bc.Role, refused:
     link.arrive(*bc.hello_frames(who, "somebody", []))
     if refused:
         with pytest.raises(InputError, match="controller is on the bus already") as caught:
-            require_only_one(link, "controller", 0.05)
+            require_unique_node(link, "controller", 0.05)
         assert caught.value.code == "duplicate_name"
     else:
-        require_only_one(link, "controller", 0.05)
+        require_unique_node(link, "controller", 0.05)
     asked = [bc.decode(frame) for frame in link.frames()]
     assert all(isinstance(one, bc.Hello) and one.role == bc.Role.RUNNER for one in asked)

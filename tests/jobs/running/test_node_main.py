@@ -16,7 +16,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import ControllerFor, load, parameters_of
 from tunefree_hil.bus.bench_channel import ErrorCode, HelloCollector, Role, State, Status
-from tunefree_hil.jobs.collector import PlannerFor, collector
+from tunefree_hil.jobs.collector import PlannerAssigner, collector
 from tunefree_hil.jobs.controller import controller
 from tunefree_hil.jobs.running import node_main
 from tunefree_hil.nodes.controller import ControllerPart
@@ -25,7 +25,7 @@ LINKS = {"bus": "tfhub", "bench_bus": "", "session": "nobody", "realtime": False
 END = Status(Role.RUNNER, State.END, ErrorCode.NONE, 0)
 
 
-class Told:
+class DescribedCode:
     """An exchange on which the runner says end at once, and what was said on it."""
 
     def __init__(self) -> None:
@@ -45,7 +45,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
 
     @contextmanager
     def open_exchange(bench: Any, *names: str, realtime: bool) -> Iterator[Any]:
-        exchange = Told()
+        exchange = DescribedCode()
         found.append((exchange, *names, realtime))
         yield exchange, RealClock(), "a wire of this test"
 
@@ -67,7 +67,7 @@ def test_it_says_who_it_is_and_ends_when_told(
         heard.add(message)
     assert heard.name(Role.CONTROLLER) == name
     assert (note.kind, note.message) == ("note", f"{command}: mkz_bywire on a wire of this test")
-    assert result.kind == "result" and result.data == {"sentence": f"{command}: told to end", "next": []}
+    assert result.kind == "result" and result.data == {"sentence": f"{command}: ended by the runner", "next": []}
 
 
 def test_the_controller_announces_what_its_parts_bring(opened: list[tuple[Any, ...]], tmp_path: Path) -> None:
@@ -96,6 +96,6 @@ def test_each_has_what_drives_it(
     values = parameters_of(load(bench))
     assert isinstance(follows.assign, ControllerFor)
     assert follows.assign(hash_of(tmp_path), follows.assign.indexed(values)).ticks == 200
-    assert isinstance(collects.assign, PlannerFor)
-    with pytest.raises(InputError, match="no plan of a drive can be read"):
+    assert isinstance(collects.assign, PlannerAssigner)
+    with pytest.raises(InputError, match="cannot read the plan of a drive"):
         collects.assign(hash_of(tmp_path), {})

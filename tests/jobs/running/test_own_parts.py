@@ -11,18 +11,18 @@ from tests.bench.own_part import PART, write_own
 from tests.jobs.command import Ended, tunefree, tunefree_alone
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load, part_names
-from tunefree_hil.jobs.identity import identity_of, resolved_toml
-from tunefree_hil.jobs.running.foreign import require_one
+from tunefree_hil.jobs.identity import compute_identity, resolved_toml
+from tunefree_hil.jobs.running.foreign import require_foreign_controller
 
 TUNED = 'parameters = [{ name = "mine.gain", low = 0.5, high = 4.0 }]'
 
 
 def test_a_part_that_was_changed_makes_another_run(tmp_path: Path) -> None:
     bench = load(write_own(tmp_path))
-    first = identity_of(bench, "mkz_nominal", bench.scenarios.values())
+    first = compute_identity(bench, "mkz_nominal", bench.scenarios.values())
     assert list(first["hashes"]["parts"]) == ["mine.py"]
     (tmp_path / "mine.py").write_text(PART.replace("2.0 * tracking", "1.0 * tracking"))
-    assert identity_of(bench, "mkz_nominal", bench.scenarios.values())["identity"] != first["identity"]
+    assert compute_identity(bench, "mkz_nominal", bench.scenarios.values())["identity"] != first["identity"]
 
 
 def test_the_run_folders_copy_names_its_file(tmp_path: Path) -> None:
@@ -35,9 +35,9 @@ def test_the_run_folders_copy_names_its_file(tmp_path: Path) -> None:
 
 def test_what_is_searched_must_be_a_parts(tmp_path: Path) -> None:
     bench = load(write_own(tmp_path))
-    require_one(bench, ["lqr.q1", "mine.gain"], join=False)
+    require_foreign_controller(bench, ["lqr.q1", "mine.gain"], join=False)
     with pytest.raises(InputError, match=r"no parameter mine\.gian"):
-        require_one(bench, ["mine.gian"], join=False)
+        require_foreign_controller(bench, ["mine.gian"], join=False)
 
 
 def driven(folder: Path, *more: str) -> Ended:

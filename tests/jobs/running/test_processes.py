@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.jobs.command import eventually
-from tunefree_hil.jobs.running.processes import END_S, Processes
+from tunefree_hil.jobs.running.processes import STOP_LIMIT_S, Processes
 
 PROGRAM = "sleep 300 & echo $! > pid.part; mv pid.part pid; "
 
@@ -51,7 +51,7 @@ def test_the_program_of_a_shell_ends_with_it(tmp_path: Path, after: str, asked: 
         began_s = time.monotonic()
         processes.stop()
         eventually(lambda: not alive(pid), 2.0, "the end of the program")
-        assert asked or time.monotonic() - began_s >= END_S, "it is asked before it is killed"
+        assert asked or time.monotonic() - began_s >= STOP_LIMIT_S, "it is asked before it is killed"
     assert processes.children == []
 
 

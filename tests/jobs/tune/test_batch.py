@@ -118,7 +118,7 @@ def test_killed_and_resumed_it_has_the_same_trials(calm: tuple[BatchTune, Ended]
     tune.killed_after(IN_FLIGHT)
     done = tune.end()
     assert done.status == 0, done.words
-    assert "goes on with" in done.words
+    assert "resuming" in done.words
     assert tune.trials() == calm[0].trials()
     assert done.data["confirmed"] == calm[1].data["confirmed"]
     assert done.data["held"] == calm[1].data["held"]
@@ -131,4 +131,4 @@ def test_a_run_that_goes_on_does_so_in_the_batch_without_being_told(calm: tuple[
     assert {key: done.data[key] for key in ("confirmed", "held", "best")} == {
         key: before.data[key] for key in ("confirmed", "held", "best")
     }
-    assert "slower car" not in done.words, "what it said is kept"
+    assert "robustness check of" not in done.words, "its result is stored"

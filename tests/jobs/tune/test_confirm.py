@@ -13,19 +13,20 @@ from tests.bench.tiny import write_bench
 from tunefree_hil.base.errors import BenchError, PeerGone
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.tune.candidates import baseline_vectors
-from tunefree_hil.jobs.tune.confirm import Confirmed, confirm, differing, to_confirm
-from tunefree_hil.jobs.tune.evaluators import BusEvaluator, Candidate
-from tunefree_hil.jobs.tune.report import finish_report
-from tunefree_hil.jobs.tune.robustness import Held
+from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
+from tunefree_hil.jobs.tune.confirm import ConfirmedStudy, confirm_over_bus, find_differences, find_unconfirmed
+from tunefree_hil.jobs.tune.evaluators import BusEvaluator, VectorCandidate
+from tunefree_hil.jobs.tune.report import write_tune_report
+from tunefree_hil.jobs.tune.robustness import RobustnessResult
 from tunefree_hil.tune.journal import Journal, open_journal, slot_key
-from tunefree_hil.tune.robust_winner import Came
-from tunefree_hil.tune.space import resolve
-from tunefree_hil.tune.store import Settings
+from tunefree_hil.tune.robust_winner import DriveTotals
+from tunefree_hil.tune.space import resolve_space
+from tunefree_hil.tune.store import StudySettings
 from tunefree_hil.tune.trial import Evaluation
+from tunefree_hil.tune.trial_loop import run_generations
 
 TRIALS = 8
-BY_GRADE = Held()
+BY_GRADE = RobustnessResult()
 
 
 @pytest.fixture
@@ -45,11 +46,15 @@ def evaluation(score: float) -> Evaluation:
 @pytest.fixture
 def journal(bench: Bench, tmp_path: Path) -> Journal:
     """Eight trials and the baselines, scored in a batch."""
-    settings = Settings(resolve("mrac", [], file=bench.file), 1, "random", "sha256:00", {}, in_flight=4)
+    settings = StudySettings(resolve_space("mrac", [], file=bench.file), 1, "random", "sha256:00", {}, in_flight=4)
     made = open_journal(tmp_path / "trials.jsonl", settings)
-    for name, values in baseline_vectors(bench).items():
+    for name, values in compute_baseline_vectors(bench).items():
         made.add_baseline(name, values, evaluation(score_of(values)))
-    list(made.run_all(TRIALS, lambda points: [evaluation(score_of(parameters_of(bench, p))) for p in points.values()]))
+    list(
+        run_generations(
+            made, TRIALS, lambda points: [evaluation(score_of(parameters_of(bench, p))) for p in points.values()]
+        )
+    )
     return made
 
 
@@ -61,7 +66,7 @@ class FakeBus:
         self.asked: list[int] = []
         self.pace: dict[str, float] = {}
 
-    def evaluate(self, candidates: Sequence[Candidate]) -> list[Evaluation]:
+    def evaluate(self, candidates: Sequence[VectorCandidate]) -> list[Evaluation]:
         (one,) = candidates
         self.asked.append(one.group)
         if one.group in self.lost:
@@ -70,72 +75,76 @@ class FakeBus:
         return [evaluation(score_of(dict(one.values)) + (0.5 if one.group in self.wrong else 0.0))]
 
 
-def confirmed(bench: Bench, journal: Journal, bus: FakeBus, best: int = 2, held: Held = BY_GRADE) -> list[str]:
-    vectors = baseline_vectors(bench)
-    missing = to_confirm(journal, best, held)
-    events = confirm(bench, journal, cast(BusEvaluator, bus), vectors, missing)
+def confirmed(
+    bench: Bench, journal: Journal, bus: FakeBus, best: int = 2, held: RobustnessResult = BY_GRADE
+) -> list[str]:
+    vectors = compute_baseline_vectors(bench)
+    missing = find_unconfirmed(journal, best, held)
+    events = confirm_over_bus(bench, journal, cast(BusEvaluator, bus), vectors, missing)
     return [f"{event.kind}: {event.message}" for event in events]
 
 
 def test_the_best_trials_and_every_baseline_are_driven_once(bench: Bench, journal: Journal) -> None:
-    bus, baselines = FakeBus(), len(baseline_vectors(bench))
+    bus, baselines = FakeBus(), len(compute_baseline_vectors(bench))
     said = confirmed(bench, journal, bus)
     best = sorted(journal.trials(), key=lambda trial: trial.score)[:2]
     assert bus.asked == [baselines + trial.slot for trial in best] + list(range(baselines))
     assert all(line.startswith("progress") and line.endswith("equal") for line in said)
-    assert to_confirm(journal, 2, BY_GRADE) == {} and len(to_confirm(journal, 3, BY_GRADE)) == 1
-    assert to_confirm(open_journal(journal.path, journal.settings), 2, BY_GRADE) == {}, "what was confirmed is kept"
+    assert find_unconfirmed(journal, 2, BY_GRADE) == {} and len(find_unconfirmed(journal, 3, BY_GRADE)) == 1
+    assert find_unconfirmed(open_journal(journal.path, journal.settings), 2, BY_GRADE) == {}, (
+        "what was confirmed is kept"
+    )
 
 
 def test_the_winner_is_the_bus_s_and_what_differs_is_named(bench: Bench, journal: Journal, tmp_path: Path) -> None:
     first, second = sorted(journal.trials(), key=lambda trial: trial.score)[:2]
-    wrong = len(baseline_vectors(bench)) + first.slot
+    wrong = len(compute_baseline_vectors(bench)) + first.slot
     said = confirmed(bench, journal, FakeBus(wrong=[wrong]))
     assert said[0].startswith("warning") and "DIFFERENT (tiny: score, tiny: lateral_err_peak)" in said[0]
-    result = Confirmed(journal)
+    result = ConfirmedStudy(journal)
     best = result.best()
     assert best is not None and best.slot == second.slot
-    report = finish_report(bench, RunFolder(tmp_path, {}), result, BY_GRADE, result)
+    report = write_tune_report(bench, RunFolder(tmp_path, {}), result, BY_GRADE, result)
     assert report.data["exit"] == 1 and report.data["different"] == [f"trial {first.slot + 1}"]
     text = "\n".join(report.lines)
     assert f"all {TRIALS} trials were driven in the batch; 2 of them" in text
     assert any(line.startswith(f"trial {second.slot + 1} ") and "the winner" in line for line in report.lines)
-    n = 2 + len(baseline_vectors(bench))
-    assert f"all metrics of {n - 1} of {n} candidates equal the batch's" in report.sentence
+    n = 2 + len(compute_baseline_vectors(bench))
+    assert f"{n - 1} of {n} candidates have the same metrics in batch and bus" in report.sentence
 
 
 def test_what_holds_is_confirmed_and_wins_and_the_better_grade_is_named(
     bench: Bench, journal: Journal, tmp_path: Path
 ) -> None:
     first, second, third = sorted(journal.trials(), key=lambda trial: trial.score)[:3]
-    upset, calm = Came(5.0, 7, 2), Came(third.score + 0.1, 0, 0)
+    upset, calm = DriveTotals(5.0, 7, 2), DriveTotals(third.score + 0.1, 0, 0)
     came = {slot_key(first.slot): upset, slot_key(second.slot): upset, slot_key(third.slot): calm}
-    held, bus = Held(1.5, came), FakeBus()
+    held, bus = RobustnessResult(1.5, came), FakeBus()
     confirmed(bench, journal, bus, best=1, held=held)
-    assert bus.asked[0] == len(baseline_vectors(bench)) + third.slot
-    result = Confirmed(journal)
-    report = finish_report(bench, RunFolder(tmp_path, {}), result, held, result)
+    assert bus.asked[0] == len(compute_baseline_vectors(bench)) + third.slot
+    result = ConfirmedStudy(journal)
+    report = write_tune_report(bench, RunFolder(tmp_path, {}), result, held, result)
     assert report.data["best"]["slot"] == third.slot
     assert tomllib.loads((tmp_path / "best.toml").read_text())["slot"] == third.slot
     assert [one["slot"] for one in report.data["held"]["passed_over"]] == [first.slot, second.slot]
-    assert f"{slot_key(first.slot)} scores {first.score:.3f} and is passed over" in report.sentence
+    assert f"{slot_key(first.slot)} has a better score ({first.score:.3f}) but was rejected" in report.sentence
 
 
 def test_a_node_that_is_lost_costs_one_attempt(bench: Bench, journal: Journal) -> None:
     bus = FakeBus(lost=[0])
     said = confirmed(bench, journal, bus)
     assert [line for line in said if "driven again" in line and line.startswith("warning")]
-    assert all(one.equal for one in Confirmed(journal).scores().values())
+    assert all(one.is_equal for one in ConfirmedStudy(journal).scores().values())
     with pytest.raises(BenchError):
         journal_again = open_journal(journal.path.with_name("other.jsonl"), journal.settings)
-        journal_again.add_baseline("as_shipped", baseline_vectors(bench)["as_shipped"], evaluation(1.0))
+        journal_again.add_baseline("as_shipped", compute_baseline_vectors(bench)["as_shipped"], evaluation(1.0))
         confirmed(bench, journal_again, FakeBus(lost=[0, 0]))
 
 
 def test_equal_scores_of_other_drives_are_not_equal() -> None:
     one = {"a": {"score": 0.5, "metrics": {"x": 1.0, "y": None}, "replans": 0}}
     same = {"a": {"score": 0.5, "metrics": {"x": 1.0, "y": None}, "replans": 0, "frame_hash": "00"}}
-    assert differing(one, same) == ()
-    assert differing({"a": {**one["a"], "frame_hash": "01"}}, same) == ("a: frame_hash",)
-    assert differing(one, {"a": {**one["a"], "metrics": {"x": 1.0, "y": 0.0}}}) == ("a: y",)
-    assert differing(one, {**one, "b": {"score": 0.1}}) == ("b: score",)
+    assert find_differences(one, same) == ()
+    assert find_differences({"a": {**one["a"], "frame_hash": "01"}}, same) == ("a: frame_hash",)
+    assert find_differences(one, {"a": {**one["a"], "metrics": {"x": 1.0, "y": 0.0}}}) == ("a: y",)
+    assert find_differences(one, {**one, "b": {"score": 0.1}}) == ("b: score",)

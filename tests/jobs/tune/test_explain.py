@@ -90,11 +90,11 @@ def test_slices_change_one_value_at_a_time(run: Path, fake: type[FakeBatch]) -> 
     assert len(vectors) == 1 + 5 + 5 and fake.seen[::2] == fake.seen[1::2]
     for vector in vectors:
         assert sum(vector[name] != value for name, value in winner.items()) <= 1
-    cut = data["slices"]["mrac.t_ref_s"]
-    assert cut["scores"] == pytest.approx([abs(math.log(value)) for value in cut["values"]])
+    curve = data["slices"]["mrac.t_ref_s"]
+    assert curve["scores"] == pytest.approx([abs(math.log(value)) for value in curve["values"]])
     flat = data["slices"]["mrac.p"]["scores"]
     assert flat == pytest.approx([abs(math.log(winner["mrac.t_ref_s"]))] * 5)
-    assert any(event.kind == "warning" and "the batch scores the winner" in event.message for event in events)
+    assert any(event.kind == "warning" and "in the batch, " in event.message for event in events)
     assert (run / "figures" / "slices.png").stat().st_size > 10_000
 
 
@@ -109,9 +109,9 @@ to_tick = 2
 @pytest.mark.parametrize(
     ("more", "joined", "words"),
     [
-        ('[controller]\ncommand = ["./pursuit"]', None, "our controller only, not ./pursuit"),
+        ('[controller]\ncommand = ["./pursuit"]', None, "only our controller, not ./pursuit"),
         ("", "pursuit", "not pursuit, which was joined"),
-        (FAULT, None, "faults on (drop)"),
+        (FAULT, None, "faults of the bench file (drop)"),
     ],
 )
 def test_what_no_batch_drives_has_no_slices_and_the_reason(
@@ -122,59 +122,63 @@ def test_what_no_batch_drives_has_no_slices_and_the_reason(
     shutil.copytree(run.parents[1] / "scenarios", tmp_path / "run" / "scenarios")
     (other / "bench.toml").write_text(write_bench(tmp_path / "b", scenarios=("tiny", "other"), more=more).read_text())
     folder = open_run(other)
-    folder.note(joined=joined)
+    folder.add_to_record(joined=joined)
     *events, last = job.explain(other, points=5, slices=True)
     (warning,) = [event.message for event in events if event.kind == "warning"]
     assert warning.startswith("no slices through the winner: ") and words in warning
-    assert last.data["slices"] == {} and "better place" not in last.message
+    assert last.data["slices"] == {} and "better point" not in last.message
 
 
 def test_a_drive_that_the_bench_failed_is_a_gap(run: Path, fake: type[FakeBatch], monkeypatch: Any) -> None:
     bench = load(run / "bench.toml")
-    found = job.find(job.open_run(run), bench)
+    found = job.analyse_study(job.open_run(run), bench)
     monkeypatch.setattr(fake, "failing", found.space.axes[1].low)
-    cuts, _ = job.cut_slices(bench, found.space, found.winner.parameters, 3)
-    assert [score is None for score in cuts["mrac.p"].scores] == [True, False, False]
+    slices, _ = job.drive_slices(bench, found.space, found.winner.parameters, 3)
+    assert [score is None for score in slices["mrac.p"].scores] == [True, False, False]
 
 
 def test_a_winner_on_an_edge_is_flagged_in_words(run: Path) -> None:
-    found = job.find(job.open_run(run), load(run / "bench.toml"))
+    found = job.analyse_study(job.open_run(run), load(run / "bench.toml"))
     axis = found.space.axes[0]
-    moved = found._replace(edges=job.edges(found.space, {**found.winner.parameters, axis.name: axis.low}))
-    assert f"{axis.name} sits on the lower edge of its box" in job.sentence_of(moved)
-    assert any("sits on the lower edge" in line for line in job.lines_of(moved))
+    moved = found._replace(edges=job.describe_edges(found.space, {**found.winner.parameters, axis.name: axis.low}))
+    assert f"{axis.name} is at the lower edge of its range" in job.summarise_analysis(moved)
+    assert any("is at the lower edge" in line for line in job.format_analysis(moved))
 
 
 def test_a_slice_that_beats_the_winner_is_said() -> None:
-    cuts = {
-        "a": job.Cut([1.0, 2.0, 3.0], [0.3, 0.19, 0.25]),
-        "b": job.Cut([1.0, 2.0], [0.1999, 0.4]),
-        "c": job.Cut([1.0, 2.0], [None, 0.1]),
-        "d": job.Cut([1.0], [None]),
+    slices = {
+        "a": job.SliceScores([1.0, 2.0, 3.0], [0.3, 0.19, 0.25]),
+        "b": job.SliceScores([1.0, 2.0], [0.1999, 0.4]),
+        "c": job.SliceScores([1.0, 2.0], [None, 0.1]),
+        "d": job.SliceScores([1.0], [None]),
     }
-    assert job.better_places(cuts, 0.2) == [("c", 2.0, 0.1), ("a", 2.0, 0.19)], "0.05 % is no better place"
-    lines = job.slice_lines(cuts, 0.2)[1:]
+    assert job.find_better_points(slices, 0.2) == [("c", 2.0, 0.1), ("a", 2.0, 0.19)], "0.05 % is no better place"
+    lines = job.format_slices(slices, 0.2)[1:]
     assert [("better" in line) for line in lines] == [True, False, True, False]
     assert "0.1900 to 0.3000, lowest at 2" in lines[0] and "failed everywhere" in lines[3]
-    assert job.better_places({}, 0.2) == []
+    assert job.find_better_points({}, 0.2) == []
 
 
 def test_a_winner_that_is_the_manual_one(run: Path) -> None:
-    found = job.find(job.open_run(run), load(run / "bench.toml"))
+    found = job.analyse_study(job.open_run(run), load(run / "bench.toml"))
     same = found._replace(
-        difference=job.difference(found.manual.scenarios, found.manual.scenarios, load(run / "bench.toml").weights)
+        difference=job.score_difference(
+            found.manual.scenarios, found.manual.scenarios, load(run / "bench.toml").weights
+        )
     )
-    assert job.sentence_of(same).startswith(f"the winner scores as {found.manual_name} does, in every term")
+    assert job.summarise_analysis(same).startswith(f"the winner has the scores of {found.manual_name} in every term")
 
 
 def test_a_winner_that_is_worse_is_said_to_be(run: Path) -> None:
-    found = job.find(job.open_run(run), load(run / "bench.toml"))
+    found = job.analyse_study(job.open_run(run), load(run / "bench.toml"))
     terms = {"tiny": {"a": 0.3, "b": -0.2}}
-    words = job.sentence_of(found._replace(difference=job.Difference(terms, {"tiny": 0.1}, 0.1), edges=[]))
-    assert words.endswith("it is worse, most by a in tiny (+0.300)")
+    words = job.summarise_analysis(found._replace(difference=job.ScoreDifference(terms, {"tiny": 0.1}, 0.1), edges=[]))
+    assert words.endswith("it is worse, mostly by a in tiny (+0.300)")
     better = {"tiny": {"a": 0.1, "b": -0.2}}
-    words = job.sentence_of(found._replace(difference=job.Difference(better, {"tiny": -0.1}, -0.1), edges=[]))
-    assert words.endswith(f"against {found.manual_name}, most by b in tiny (-0.200)")
+    words = job.summarise_analysis(
+        found._replace(difference=job.ScoreDifference(better, {"tiny": -0.1}, -0.1), edges=[])
+    )
+    assert words.endswith(f"against {found.manual_name}, mostly by b in tiny (-0.200)")
 
 
 def test_what_is_no_tune_or_not_finished(run: Path, tmp_path: Path) -> None:

@@ -19,19 +19,19 @@ from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Driven, Job
 from tunefree_hil.config.schema import ControllerSpec, FaultSpec
 from tunefree_hil.episode.recording import make_recording
-from tunefree_hil.grade.margins import POINTS, SAME, WALKS
+from tunefree_hil.grade.margins import NOMINAL, POINTS, SWEEPS
 from tunefree_hil.grade.score import ScenarioGrade
 from tunefree_hil.jobs.tune import margins
 from tunefree_hil.jobs.tune.candidates import TUNED
 from tunefree_hil.jobs.tune.margins import (
     EFFECTS,
-    Found,
+    MarginDrives,
     drive_margins,
     find_margins,
     margin_data,
     margin_table,
-    margin_words,
-    steering_data,
+    margin_text,
+    measure_steering,
 )
 
 SCENARIOS = ("tiny", "other")
@@ -83,23 +83,23 @@ def vectors_of(bench: Bench, **p: float) -> dict[str, dict[str, float]]:
     return {name: parameters_of(bench, {"mrac.p": one}) for name, one in p.items()}
 
 
-def searched(bench: Bench, rule: Rule, **p: float) -> tuple[Found, MadeUp, list[Event]]:
+def searched(bench: Bench, rule: Rule, **p: float) -> tuple[MarginDrives, MadeUp, list[Event]]:
     batch = MadeUp(rule)
     job = drive_margins(batch, bench, "mkz_nominal", vectors_of(bench, **p), list(bench.scenarios.values()))
     found, events = ended(job)
     return found, batch, events
 
 
-def report(found: Found | str, scores: Mapping[str, float], **more: Any) -> dict[str, Any]:
-    over_bus = more.pop("over_bus", found.scores if isinstance(found, Found) else {})
+def report(found: MarginDrives | str, scores: Mapping[str, float], **more: Any) -> dict[str, Any]:
+    over_bus = more.pop("over_bus", found.scores if isinstance(found, MarginDrives) else {})
     return margin_data(found, dict.fromkeys(scores, STEERING), scores, over_bus)
 
 
 def test_known_margins_are_found_for_every_vector(bench: Bench) -> None:
     found, batch, events = searched(bench, slow, tuned=0.03, manual=0.01)
-    assert found.walked["tuned"]["delay"] == (pytest.approx(0.07), False, "other", "re-plan")
-    assert found.walked["manual"]["delay"] == (pytest.approx(0.09), False, "other", "re-plan")
-    assert found.walked["tuned"]["gain_up"] == (2.0, True, "", "")
+    assert found.margins["tuned"]["delay"] == (pytest.approx(0.07), False, "other", "re-plan")
+    assert found.margins["manual"]["delay"] == (pytest.approx(0.09), False, "other", "re-plan")
+    assert found.margins["tuned"]["gain_up"] == (2.0, True, "", "")
     assert found.drives == len(batch.jobs) == len(SCENARIOS) * sum(len(cars) for cars in found.driven.values())
     progress = [event.data for event in events if event.kind == "progress"]
     assert progress[-1]["done"] == progress[-1]["total"] == found.drives
@@ -111,7 +111,7 @@ def test_nothing_is_driven_twice_and_nothing_behind_a_margin(bench: Bench) -> No
     made = [(job.values["mrac.p"], job.scenario.name, repr(job.effects), repr(job.scale)) for job in batch.jobs]
     assert len(set(made)) == len(made)
     assert max(delay_s(job) for job in batch.jobs) == 0.09
-    assert batch.rounds <= 1 + max(len(cars) for cars in WALKS.values())
+    assert batch.rounds <= 1 + max(len(cars) for cars in SWEEPS.values())
 
 
 def test_a_changed_car_is_asked_for_as_effects_and_scale(bench: Bench) -> None:
@@ -130,7 +130,7 @@ def test_the_winner_with_less_is_marked_in_table_and_sentence(bench: Bench) -> N
     found, _, _ = searched(bench, slow, tuned=0.04, best=0.01)
     data = report(found, {"tuned": 0.1, "best": 0.2})
     assert data["against"] == "best" and [one["what"] for one in data["less"]] == ["delay"]
-    assert margin_words(data, TUNED) == "but with less delay margin than best: 60 ms against 90 ms"
+    assert margin_text(data, TUNED) == "but with less delay margin than best: 60 ms against 90 ms"
     lines = margin_table(data, TUNED)
     assert "60 ms <  " in lines[1] and "< " not in lines[2].replace("<= ", "")
     assert "0.250 rad/s" in lines[1] and "1.50 /s" in lines[1]
@@ -139,17 +139,17 @@ def test_the_winner_with_less_is_marked_in_table_and_sentence(bench: Bench) -> N
 def test_the_winner_with_more_is_not(bench: Bench) -> None:
     found, _, _ = searched(bench, slow, tuned=0.01, best=0.04)
     data = report(found, {"tuned": 0.1, "best": 0.2})
-    assert data["less"] == [] and margin_words(data, TUNED) == "delay margin 90 ms against 60 ms of best"
+    assert data["less"] == [] and margin_text(data, TUNED) == "delay margin 90 ms against 60 ms of best"
     assert not any("<" in line.replace("<=", "") for line in margin_table(data, TUNED))
 
 
 def test_a_manual_vector_that_replans_as_it_is_gives_its_place_to_the_next(bench: Bench) -> None:
     found, _, _ = searched(bench, slow, tuned=0.04, best=0.1, second=0.05)
-    assert found.walked["best"]["delay"].value == 0.0
+    assert found.margins["best"]["delay"].value == 0.0
     assert report(found, {"tuned": 0.1, "best": 0.2, "second": 0.3})["against"] == "second"
     found, _, _ = searched(bench, slow, tuned=0.04, best=0.1)
     data = report(found, {"tuned": 0.1, "best": 0.2})
-    assert data["against"] is None and data["less"] == [] and "no manual vector" in margin_words(data, TUNED)
+    assert data["against"] is None and data["less"] == [] and "no manual vector" in margin_text(data, TUNED)
 
 
 def test_failures_are_counted_inside_and_beyond_and_named(bench: Bench) -> None:
@@ -168,12 +168,12 @@ def test_failures_are_counted_inside_and_beyond_and_named(bench: Bench) -> None:
     assert tuned["inside"]["drives"] == len(SCENARIOS) * sum(one["inside"] for one in tuned["points"])
     (alone,) = [one for one in tuned["points"] if one["what"] == "mass +20 %"]
     assert alone["failures"] == {"tiny": "left_lane"} and (alone["failed"], alone["drives"]) == (1, 2)
-    words = margin_words(data, TUNED)
+    words = margin_text(data, TUNED)
     assert words.startswith("but with less robustness within +/-20 % than best: 3 of ") and "0 of" in words
     (where,) = [line for line in margin_table(data, TUNED) if line.startswith("tuned fails in")]
     assert where.startswith("tuned fails in tiny (left_lane) with mass +20 %; mass +30 %; mass +20 %, lag -20 %")
     alike = report(searched(bench, heavy, tuned=0.03, best=0.04)[0], {"tuned": 0.1, "best": 0.2})
-    assert alike["less"] == [] and "FAILS 3 of" in margin_words(alike, TUNED)
+    assert alike["less"] == [] and "FAILS 3 of" in margin_text(alike, TUNED)
 
 
 def test_the_gain_margin_goes_both_ways(bench: Bench) -> None:
@@ -184,15 +184,15 @@ def test_the_gain_margin_goes_both_ways(bench: Bench) -> None:
     tuned = data["vectors"]["tuned"]
     assert (tuned["gain_up"]["value"], tuned["gain_down"]["value"], tuned["delay"]["at_least"]) == (1.5, 0.7, True)
     assert [one["what"] for one in data["less"]] == ["gain_down"]
-    assert "less steer gain margin downward than best: 0.70 against 0.50" in margin_words(data, TUNED)
+    assert "less steer gain margin downward than best: 0.70 against 0.50" in margin_text(data, TUNED)
     assert ">= 300 ms" in margin_table(data, TUNED)[1]
 
 
 def test_the_data_are_what_the_document_says(bench: Bench, repo: Path) -> None:
-    """Every key of "margins" stands in docs/margins.md, and JSON can hold it."""
+    """Every key of "margins" stands in docs/reference/margins.md, and JSON can hold it."""
     found, _, _ = searched(bench, slow, tuned=0.03, best=0.01)
     data = json.loads(json.dumps(report(found, {"tuned": 0.1, "best": 0.2}), allow_nan=False))
-    text = (repo / "docs" / "margins.md").read_text()
+    text = (repo / "docs" / "reference" / "margins.md").read_text()
     one = data["vectors"]["tuned"]
     keys = {
         *data,
@@ -226,14 +226,17 @@ def test_a_drive_that_the_bench_ended_is_no_good_drive(bench: Bench) -> None:
     found, _ = ended(
         drive_margins(batch, bench, "mkz_nominal", vectors_of(bench, tuned=0.03), list(bench.scenarios.values()))
     )
-    assert found.walked["tuned"]["gain_up"] == (1.35, False, "tiny", "bywire_fault")
+    assert found.margins["tuned"]["gain_up"] == (1.35, False, "tiny", "bywire_fault")
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"controller": ControllerSpec(command=["./pursuit"])}, "our controller only, not ./pursuit"),
-        ({"faults": [FaultSpec(kind="drop", message="STEERING_CMD", from_tick=1, to_tick=2)]}, "faults on (drop)"),
+        ({"controller": ControllerSpec(command=["./pursuit"])}, "only our controller, not ./pursuit"),
+        (
+            {"faults": [FaultSpec(kind="drop", message="STEERING_CMD", from_tick=1, to_tick=2)]},
+            "faults of the bench file (drop)",
+        ),
     ],
 )
 def test_a_bench_that_no_batch_drives_has_no_margins_and_the_reason(
@@ -246,7 +249,7 @@ def test_a_bench_that_no_batch_drives_has_no_margins_and_the_reason(
     assert words in reason and warning.kind == "warning" and "mkz_nominal" in warning.message
     data = report(reason, {"tuned": 0.1, "best": 0.2})
     assert data["vectors"]["tuned"]["delay"] is None and data["vectors"]["tuned"]["steering"] == STEERING
-    assert margin_words(data, TUNED) == "" and margin_table(data, TUNED)[-1] == f"no margins: {reason}"
+    assert margin_text(data, TUNED) == "" and margin_table(data, TUNED)[-1] == f"no margins: {reason}"
     json.dumps(data, allow_nan=False)
 
 
@@ -285,10 +288,10 @@ def test_a_plant_without_what_is_changed_says_which_group_is_missing(bench: Benc
 def test_steering_needs_its_column() -> None:
     ramp = make_recording({"cmd_steer_rad": np.linspace(0.0, 1.0, 101)}, 0.01)
     without = make_recording({"speed_mps": np.ones(101)}, 0.01)
-    found = steering_data([ramp, without])
+    found = measure_steering([ramp, without])
     assert found is not None and found["rate_rms_radps"] == pytest.approx(1.0)
-    assert steering_data([without]) is None
+    assert measure_steering([without]) is None
 
 
 def test_walks_begin_with_the_car_as_it_is() -> None:
-    assert all(cars[0] == SAME for cars in WALKS.values())
+    assert all(cars[0] == NOMINAL for cars in SWEEPS.values())

@@ -1,9 +1,10 @@
-"""Baselines of a tune: driven as many at once as the evaluator likes, again where the bench failed, not for ever."""
+"""Baselines of a tune: driven as many in one call as the evaluator likes, repeated where the bench failed."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import pytest
@@ -13,28 +14,29 @@ from tunefree_hil.base.errors import BenchError, PeerGone
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.tune.candidates import baseline_vectors
-from tunefree_hil.jobs.tune.evaluators import Candidate, Evaluator
-from tunefree_hil.jobs.tune.search import Search
+from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
+from tunefree_hil.jobs.tune.evaluators import Evaluator, Medium, VectorCandidate
+from tunefree_hil.jobs.tune.options import TunePlan
+from tunefree_hil.jobs.tune.search import TrialSearch
 from tunefree_hil.tune.journal import open_journal
-from tunefree_hil.tune.space import resolve
-from tunefree_hil.tune.store import Settings
+from tunefree_hil.tune.space import resolve_space
+from tunefree_hil.tune.store import StudySettings
 from tunefree_hil.tune.trial import Evaluation
-from tunefree_hil.tune.trial_loop import ASKED_AGAIN
+from tunefree_hil.tune.trial_loop import MAX_RETRIES
 
 
 class Flaky:
     """Fails the first `times` evaluations of each group in `bad`: raises with one candidate, says so with several."""
 
-    over = "bus"
+    medium = Medium.BUS
     pace: dict[str, float] = {}  # noqa: RUF012 - a stand-in
 
-    def __init__(self, at_once: int, bad: Sequence[int], times: int) -> None:
-        self.at_once = at_once
+    def __init__(self, batch_size: int, bad: Sequence[int], times: int) -> None:
+        self.batch_size = batch_size
         self.left = dict.fromkeys(bad, times)
         self.asked: list[list[int]] = []
 
-    def evaluate(self, candidates: Sequence[Candidate]) -> list[Evaluation]:
+    def evaluate(self, candidates: Sequence[VectorCandidate]) -> list[Evaluation]:
         self.asked.append([one.group for one in candidates])
         return [self._one(one.group, len(candidates) == 1) for one in candidates]
 
@@ -50,24 +52,25 @@ class Flaky:
 def baselines(folder: Path, flaky: Flaky) -> tuple[dict[str, float], list[Event]]:
     """(score by baseline, what was said)."""
     bench = load(write_bench(folder))
-    settings = Settings(resolve("mrac", [], file=bench.file), 1, "random", "sha256:00", {}, in_flight=2)
+    settings = StudySettings(resolve_space("mrac", [], file=bench.file), 1, "random", "sha256:00", {}, in_flight=2)
     study = open_journal(folder / "trials.jsonl", settings)
-    search = Search(bench, RunFolder(folder, {}), cast(Evaluator, flaky), study, baseline_vectors(bench), 4)
-    said = list(search.baselines())
+    plan = cast(TunePlan, SimpleNamespace(bench=bench, vectors=compute_baseline_vectors(bench), trials=4))
+    search = TrialSearch(plan, RunFolder(folder, {}), cast(Evaluator, flaky), study)
+    said = list(search.score_baselines())
     return {name: one.score for name, one in study.baselines().items()}, said
 
 
-@pytest.mark.parametrize("at_once", [1, 2, 5])
-def test_a_baseline_that_the_bench_failed_is_driven_again(at_once: int, tmp_path: Path) -> None:
-    flaky = Flaky(at_once, bad=[0, 1], times=ASKED_AGAIN)
+@pytest.mark.parametrize("batch_size", [1, 2, 5])
+def test_a_baseline_that_the_bench_failed_is_driven_again(batch_size: int, tmp_path: Path) -> None:
+    flaky = Flaky(batch_size, bad=[0, 1], times=MAX_RETRIES)
     found, said = baselines(tmp_path, flaky)
     assert sorted(found.values()) == pytest.approx([0.1, 1.1, 2.1, 3.1, 4.1])
     warnings = [event.message for event in said if event.kind == "warning"]
-    assert len(warnings) == 2 * ASKED_AGAIN and all("is driven again" in one for one in warnings)
-    assert all(len(groups) <= at_once for groups in flaky.asked)
+    assert len(warnings) == 2 * MAX_RETRIES and all("is driven again" in one for one in warnings)
+    assert all(len(groups) <= batch_size for groups in flaky.asked)
 
 
-@pytest.mark.parametrize("at_once", [1, 2])
-def test_a_bench_that_fails_for_good_ends_it(at_once: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("batch_size", [1, 2])
+def test_a_bench_that_fails_for_good_ends_it(batch_size: int, tmp_path: Path) -> None:
     with pytest.raises(BenchError, match="ecu is gone"):
-        baselines(tmp_path, Flaky(at_once, bad=[2], times=ASKED_AGAIN + 1))
+        baselines(tmp_path, Flaky(batch_size, bad=[2], times=MAX_RETRIES + 1))

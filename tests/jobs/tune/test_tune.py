@@ -18,8 +18,8 @@ from tunefree_hil.bench import parameters_of
 from tunefree_hil.bus.bench_channel import HelloCollector, Role, hello_messages
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.tune import tune
-from tunefree_hil.jobs.tune.evaluators import Candidate
-from tunefree_hil.jobs.tune.options import Asked, Wish, resolve_wish
+from tunefree_hil.jobs.tune.evaluators import VectorCandidate
+from tunefree_hil.jobs.tune.options import TuneOptions, TunePlan, make_tune_plan
 from tunefree_hil.tune.trial import Evaluation, Trial
 
 WINNER = Trial(4, 4, {"mrac.t_ref_s": 0.1, "mrac.p": 0.001}, 0.25, {})
@@ -29,29 +29,29 @@ class OneBench:
     """Stands in for a bench over the bus."""
 
     def __init__(self, score: float) -> None:
-        self.score, self.asked = score, list[Candidate]()
+        self.score, self.asked = score, list[VectorCandidate]()
 
-    def evaluate(self, candidates: Sequence[Candidate]) -> list[Evaluation]:
+    def evaluate(self, candidates: Sequence[VectorCandidate]) -> list[Evaluation]:
         self.asked += candidates
         return [Evaluation(self.score, {}) for _ in candidates]
 
 
 def driven_again(
-    monkeypatch: pytest.MonkeyPatch, wish: Wish, folder: Path, score: float
-) -> tuple[list[Candidate], list[Event]]:
+    monkeypatch: pytest.MonkeyPatch, wish: TunePlan, folder: Path, score: float
+) -> tuple[list[VectorCandidate], list[Event]]:
     bench = OneBench(score)
 
     @contextmanager
     def on_lanes(*_: Any) -> Iterator[OneBench]:
         yield bench
 
-    monkeypatch.setattr(tune, "_on_lanes", on_lanes)
-    said = list(tune._winner_again(wish, RunFolder(folder, {}), WINNER))
+    monkeypatch.setattr(tune, "_open_evaluator", on_lanes)
+    said = list(tune._redrive_winner(wish, RunFolder(folder, {}), WINNER))
     return bench.asked, said
 
 
-def wish_of(folder: Path, **more: Any) -> Wish:
-    return resolve_wish(Asked(write_bench(folder), **more))
+def wish_of(folder: Path, **more: Any) -> TunePlan:
+    return make_tune_plan(TuneOptions(write_bench(folder), **more))
 
 
 def test_it_is_driven_again_in_its_own_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -74,7 +74,7 @@ def test_a_winner_whose_drives_are_there_is_not_driven(tmp_path: Path, monkeypat
     folder.mkdir(parents=True, exist_ok=True)
     np.savez(folder / "columns.npz", time_s=np.zeros(2))
     assert driven_again(monkeypatch, wish, tmp_path, 0.5) == ([], [])
-    joined = wish._replace(asked=wish.asked._replace(join=True))
+    joined = wish._replace(options=wish.options._replace(join=True))
     assert driven_again(monkeypatch, joined, tmp_path / "other", 0.5) == ([], []), "that bench has ended"
 
 
@@ -93,7 +93,7 @@ def test_what_a_joined_controller_calls_itself_is_kept(
 
     monkeypatch.setattr(tune, "open_lanes", open_lanes)
     run = RunFolder(tmp_path, {})
-    with tune._on_lanes(wish_of(tmp_path, join=join), run):
+    with tune._open_evaluator(wish_of(tmp_path, join=join), run):
         pass
     assert run.record.get("joined") == ("pursuit" if join else None)
 
@@ -103,9 +103,9 @@ def test_nothing_is_verified_on_a_joined_ecu_that_drives_another_car(tmp_path: P
     bench = write_bench(tmp_path)
     if other:
         bench.write_text(bench.read_text().replace('verify_model = "mkz_nominal"', 'verify_model = "mkz_reference"'))
-    wish = resolve_wish(Asked(bench, join=join, session="s", verify=True))
-    assert tune._verifies(wish) == (not (join and other))
-    words = tune._not_verified(wish, RunFolder(tmp_path / "run", {}))
+    wish = make_tune_plan(TuneOptions(bench, join=join, session="s", verify=True))
+    assert tune._is_verified(wish) == (not (join and other))
+    words = tune._not_verified_text(wish, RunFolder(tmp_path / "run", {}))
     assert f"ecu {tmp_path}/run/bench.toml --model {wish.bench.spec.verify_model} --session s" in words
     assert f"verify {tmp_path}/run --join --session s" in words
 
@@ -115,5 +115,5 @@ def test_a_factor_that_does_not_do_is_refused(tmp_path: Path, slower: str) -> No
     bench = write_bench(tmp_path)
     bench.write_text(bench.read_text().replace("slower = 1.0", f"slower = {slower}"))
     with pytest.raises(InputError) as refused:
-        resolve_wish(Asked(bench))
+        make_tune_plan(TuneOptions(bench))
     assert refused.value.key == "tune.slower" and refused.value.file == str(bench)

@@ -16,13 +16,17 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.bench.parallel import Fleet
 from tunefree_hil.config.dump import to_toml
-from tunefree_hil.grade.margins import SAME, WALKS
+from tunefree_hil.grade.margins import NOMINAL, SWEEPS
 from tunefree_hil.jobs.run_folder import write_text
 from tunefree_hil.jobs.tune import margins, verify
-from tunefree_hil.jobs.tune.candidates import baseline_vectors
+from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
+from tunefree_hil.jobs.tune.options import VerifyOptions
 
-FEW = {"friction": (SAME._replace(friction=0.8), SAME._replace(friction=0.6)), "lag": (SAME._replace(lag=1.4),)}
-SHORT = {what: cars[:2] for what, cars in WALKS.items()}
+FEW = {
+    "friction": (NOMINAL._replace(friction=0.8), NOMINAL._replace(friction=0.6)),
+    "lag": (NOMINAL._replace(lag=1.4),),
+}
+SHORT = {what: cars[:2] for what, cars in SWEEPS.items()}
 
 
 class HereBatch(Fleet):
@@ -55,11 +59,13 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "POINTS", FEW)
         monkeypatch.setattr(module, "WALKS", SHORT)
     monkeypatch.setattr(margins, "Batch", HereBatch)
-    monkeypatch.setattr(verify, "baseline_vectors", lambda bench: {"mrac_on": baseline_vectors(bench)["mrac_on"]})
+    monkeypatch.setattr(
+        verify, "compute_baseline_vectors", lambda bench: {"mrac_on": compute_baseline_vectors(bench)["mrac_on"]}
+    )
 
 
 def ended(run: Path, session: str) -> list[Event]:
-    return list(verify.verify(run, bus="tfhub", bench_bus="", join=False, session=session))
+    return list(verify.verify(VerifyOptions(run, bus="tfhub", session=session)))
 
 
 @pytest.mark.slow
@@ -114,4 +120,4 @@ def test_a_run_that_is_no_tune_is_refused(tmp_path: Path) -> None:
     bench_file = write_bench(tmp_path, duration_s=1.0)
     path = made_drive(bench_file, tmp_path / "runs", "drive", {})
     with pytest.raises(InputError, match="is a run of 'drive'"):
-        list(verify.verify(path, bus="tfhub", bench_bus="", join=False, session=""))
+        list(verify.verify(VerifyOptions(path, bus="tfhub")))

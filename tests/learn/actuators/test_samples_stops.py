@@ -1,4 +1,4 @@
-"""Stops of a channel: a level that commands of all sizes end at, and nothing else that an actuator does."""
+"""A stop is a level at which commands of several sizes end; no other behaviour of an actuator counts as one."""
 
 from __future__ import annotations
 
@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 
 from tests.learn.made_drives import DT_S, made_drive, whole
-from tunefree_hil.learn.actuators.samples import Pair, commands_at, pairs_of, stop_words, stops_of, up_to_stops, within
-from tunefree_hil.learn.drives.drive import Drive, Part
+from tunefree_hil.learn.actuators.samples import (
+    ActuatorSamples,
+    clip_commands,
+    clip_to_stops,
+    collect_samples,
+    commands_at_outputs,
+    describe_stops,
+    find_stops,
+)
+from tunefree_hil.learn.drives.drive import Drive, DrivePart
 
 CHANCE = np.random.default_rng(3)
 HELD = 80  # rows that a command is held for
@@ -15,41 +23,41 @@ ASKED = np.repeat(CHANCE.uniform(-2.0, 2.0, 60), HELD)
 
 
 def lagging(command: np.ndarray, rows: float = 12.0) -> np.ndarray:
-    found, y = np.empty_like(command), command[0]
-    for k, one in enumerate(command):
-        y += (one - y) / rows
-        found[k] = y
-    return found
+    output, y = np.empty_like(command), command[0]
+    for k, target in enumerate(command):
+        y += (target - y) / rows
+        output[k] = y
+    return output
 
 
-def pair(output: np.ndarray, command: np.ndarray = ASKED) -> Pair:
+def pair(output: np.ndarray, command: np.ndarray = ASKED) -> ActuatorSamples:
     noisy = output + 0.002 * np.random.default_rng(4).standard_normal(len(output))
-    return Pair(command, noisy, np.arange(len(command)) % 2 == 0, DT_S)
+    return ActuatorSamples(command, noisy, np.arange(len(command)) % 2 == 0, DT_S)
 
 
 @pytest.mark.parametrize("ends", [(-1.2, 1.2), (-np.inf, 0.8), (-0.5, np.inf)])
 def test_a_stop_is_found_at_either_end_before_the_lag_and_behind_it(ends: tuple[float, float]) -> None:
     for output in (lagging(np.clip(ASKED, *ends)), np.clip(lagging(ASKED), *ends)):
-        found = stops_of([pair(output)])
-        assert found == pytest.approx(ends, abs=0.01)
-        clipped = within(pair(output), *commands_at([pair(output)], *found)).command
+        stops = find_stops([pair(output)])
+        assert stops == pytest.approx(ends, abs=0.01)
+        clipped = clip_commands(pair(output), *commands_at_outputs([pair(output)], *stops)).command
         assert clipped == pytest.approx(np.clip(ASKED, *ends), abs=0.02)
 
 
-def rate_limited(command: np.ndarray, by: float) -> np.ndarray:
-    found, y = np.empty_like(command), command[0]
-    for k, one in enumerate(command):
-        y += float(np.clip(one - y, -by, by))
-        found[k] = y
-    return found
+def rate_limited(command: np.ndarray, max_step: float) -> np.ndarray:
+    output, y = np.empty_like(command), command[0]
+    for k, target in enumerate(command):
+        y += float(np.clip(target - y, -max_step, max_step))
+        output[k] = y
+    return output
 
 
-def with_play(command: np.ndarray, by: float) -> np.ndarray:
-    found, y = np.empty_like(command), command[0]
-    for k, one in enumerate(command):
-        y = float(np.clip(y, one - by, one + by))
-        found[k] = y
-    return found
+def with_play(command: np.ndarray, play: float) -> np.ndarray:
+    output, y = np.empty_like(command), command[0]
+    for k, target in enumerate(command):
+        y = float(np.clip(y, target - play, target + play))
+        output[k] = y
+    return output
 
 
 @pytest.mark.parametrize(
@@ -58,13 +66,13 @@ def with_play(command: np.ndarray, by: float) -> np.ndarray:
      np.where(np.abs(ASKED) < 0.4, 0.0, ASKED), lagging(ASKED) + 0.3, np.zeros_like(ASKED)],
 )  # fmt: skip
 def test_lags_gains_limits_of_rate_play_bands_and_offsets_are_no_stops(output: np.ndarray) -> None:
-    assert stops_of([pair(output)]) == (-np.inf, np.inf)
-    assert stops_of([]) == (-np.inf, np.inf)
+    assert find_stops([pair(output)]) == (-np.inf, np.inf)
+    assert find_stops([]) == (-np.inf, np.inf)
 
 
 def test_one_command_again_and_again_is_no_stop() -> None:
-    held = np.tile(np.repeat([0.0, 1.0], HELD), 20)
-    assert stops_of([pair(lagging(0.7 * held), held)]) == (-np.inf, np.inf)
+    command = np.tile(np.repeat([0.0, 1.0], HELD), 20)
+    assert find_stops([pair(lagging(0.7 * command), command)]) == (-np.inf, np.inf)
 
 
 @pytest.mark.parametrize("before_the_lag", [True, False])
@@ -75,32 +83,34 @@ def test_commands_end_where_the_channels_own_gain_and_offset_reach_its_stop(
 ) -> None:
     moved = gain * ASKED + offset
     output = lagging(np.clip(moved, -0.9, 0.9), rows) if before_the_lag else np.clip(lagging(moved, rows), -0.9, 0.9)
-    found = pair(output)
-    ends = commands_at([found], *stops_of([found]))
+    segment = pair(output)
+    ends = commands_at_outputs([segment], *find_stops([segment]))
     assert ends == pytest.approx(((-0.9 - offset) / gain, (0.9 - offset) / gain), abs=0.025)
-    given = within(found, *ends).command
+    given = clip_commands(segment, *ends).command
     off = lagging(gain * given + offset, rows) - lagging(np.clip(moved, -0.9, 0.9), rows)
     assert np.abs(off).max() < 0.03, "what the fit is given is what the channel obeyed"
 
 
 def test_where_nothing_rests_a_channel_is_taken_to_reach_what_it_is_asked() -> None:
     swept = 1.5 * np.sin(np.arange(6000) * DT_S * 2.0)
-    assert commands_at([pair(np.clip(swept, -0.9, 0.9), swept)], -0.9, 0.9) == (-0.9, 0.9)
+    assert commands_at_outputs([pair(np.clip(swept, -0.9, 0.9), swept)], -0.9, 0.9) == (-0.9, 0.9)
 
 
-def stopped(drive: Drive, by: float) -> Drive:
+def stopped(drive: Drive, stop: float) -> Drive:
     name = "report.steer_rad"
-    return drive._replace(fields={**drive.fields, name: np.clip(drive.fields[name], -by, by)})
+    return drive._replace(fields={**drive.fields, name: np.clip(drive.fields[name], -stop, stop)})
 
 
 def test_pairs_end_where_the_channel_does_and_say_so() -> None:
     drive = made_drive(60.0, seed=2)
-    plain = pairs_of([whole(drive)], "steer")
-    assert up_to_stops(plain, plain) == (plain, plain)
-    raw = pairs_of([whole(stopped(drive, 0.7))], "steer")
-    short = pairs_of([Part(stopped(drive, 0.7), 0, drive.ticks // 12)], "steer")  # too short to show it by itself
-    for found, was in zip(up_to_stops(raw, short), (raw, short), strict=True):
-        assert "it stops at a command of " in found.words and found.rows == was.rows
-        assert max(float(np.nanmax(np.abs(one.command))) for one in found.some) == pytest.approx(0.7, abs=0.01)
-    assert max(float(np.nanmax(np.abs(one.command))) for one in raw.some) > 1.0
-    assert stop_words(plain.some, -np.inf, np.inf) == ""
+    plain = collect_samples([whole(drive)], "steer")
+    assert clip_to_stops(plain, plain) == (plain, plain)
+    raw = collect_samples([whole(stopped(drive, 0.7))], "steer")
+    short = collect_samples(
+        [DrivePart(stopped(drive, 0.7), 0, drive.n_rows // 12)], "steer"
+    )  # too short to show it by itself
+    for clipped, original in zip(clip_to_stops(raw, short), (raw, short), strict=True):
+        assert "it stops at a command of " in clipped.description and clipped.n_rows == original.n_rows
+        assert max(float(np.nanmax(np.abs(one.command))) for one in clipped.segments) == pytest.approx(0.7, abs=0.01)
+    assert max(float(np.nanmax(np.abs(one.command))) for one in raw.segments) > 1.0
+    assert describe_stops(plain.segments, -np.inf, np.inf) == ""

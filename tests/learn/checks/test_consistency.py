@@ -1,4 +1,4 @@
-"""Signals that contradict each other: each fault planted in a good log is refused by its name."""
+"""Signals that contradict each other: each fault planted in a good log is refused with its code."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from tests.learn.made_logs import (
 )
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.learn.checks.drive_checks import check_drives
-from tunefree_hil.learn.checks.problem import require_good
-from tunefree_hil.learn.checks.stuck_signals import check_stuck
+from tunefree_hil.learn.checks.problem import raise_refusals
+from tunefree_hil.learn.checks.stuck_signals import check_stuck_signals
 from tunefree_hil.learn.drives.drive import Drive
 
 
-def held(name: str, group: str = "report", begin: int = 800, end: int = 2200) -> Change:
-    kept: dict[str, float] = {}
+def hold_field(name: str, group: str = "report", begin: int = 800, end: int = 2200) -> Change:
+    first_values: dict[str, float] = {}
 
     def change(k: int, records: dict) -> dict:
         record = records[group]
         if not begin <= k < end:
             return records
-        value = kept.setdefault(name, getattr(record, name))
+        value = first_values.setdefault(name, getattr(record, name))
         return records | {group: record._replace(**{name: value})}
 
     return change
@@ -50,22 +50,22 @@ def swapped(k: int, records: dict) -> dict:
         throttle_command_frac=report.brake_command_frac,
         brake_command_frac=report.throttle_command_frac,
     )
-    other = command._replace(throttle_frac=command.brake_frac, brake_frac=command.throttle_frac)
-    return records | {"report": turned, "command": other}
+    swapped_command = command._replace(throttle_frac=command.brake_frac, brake_frac=command.throttle_frac)
+    return records | {"report": turned, "command": swapped_command}
 
 
 def swapped_commands(k: int, records: dict) -> dict:
     command = records["command"]
-    other = command._replace(throttle_frac=command.brake_frac, brake_frac=command.throttle_frac)
-    return records | {"command": other}
+    swapped_command = command._replace(throttle_frac=command.brake_frac, brake_frac=command.throttle_frac)
+    return records | {"command": swapped_command}
 
 
 def tapped(k: int, records: dict) -> dict:
-    """Both pedals in turn, 0.3 s each; the speed follows 0.1 s later: 0.5 s on it is the other pedal's doing."""
-    at, rest = k % 60, 0.15
+    """Both pedals in turn for 0.3 s; the speed follows 0.1 s later, so 0.5 s later it follows the other pedal."""
+    phase, rest = k % 60, 0.15
     after = (k - 10) % 60
     speed = 6.0 + 3.0 * 0.01 * (after if after < 30 else 60 - after)
-    throttle, brake = (rest + 0.2, rest) if at < 30 else (rest, rest + 0.2)
+    throttle, brake = (rest + 0.2, rest) if phase < 30 else (rest, rest + 0.2)
     report = records["report"]._replace(
         throttle_frac=throttle, brake_frac=brake, throttle_command_frac=throttle, brake_command_frac=brake,
         speed_mps=speed,
@@ -76,8 +76,8 @@ def tapped(k: int, records: dict) -> dict:
 
 def test_pedals_that_are_only_tapped_are_not_called_swapped(tmp_path: Path) -> None:
     assert car(MKZ).spec.nominal.rest_pedal_frac == 0.15
-    found = checked(tmp_path, MKZ, planted(MKZ, good(MKZ), tapped, [*PEDALS, "report.speed_mps", "ins.speed_mps"]))
-    assert "swapped_pedals" not in refusals(found)
+    problems = checked(tmp_path, MKZ, planted(MKZ, good(MKZ), tapped, [*PEDALS, "report.speed_mps", "ins.speed_mps"]))
+    assert "swapped_pedals" not in refusals(problems)
 
 
 PLANTED: dict[str, tuple[str, Change, str, str, list[str]]] = {
@@ -86,12 +86,12 @@ PLANTED: dict[str, tuple[str, Change, str, str, list[str]]] = {
     "steering_report_turned_van": (VAN, negated("steer_rad"), "steer_sign", "report.steer_rad", []),
     "speed_in_kmh": (VAN, scaled("speed_mps", 3.6), "units", "report.speed_mps", []),
     "yaw_rate_in_degrees": (MKZ, scaled("yaw_rate_radps", 57.3), "units", "report.yaw_rate_radps", []),
-    "steering_stuck": (VAN, held("steer_rad"), "stuck", "report.steer_rad", []),
-    "throttle_stuck": (MKZ, held("throttle_frac"), "stuck", "report.throttle_frac", []),
-    "brake_stuck": (VAN, held("brake_frac"), "stuck", "report.brake_frac", []),
-    "speed_stuck": (MKZ, held("speed_mps"), "stuck", "report.speed_mps", []),
-    "yaw_rate_stuck": (MKZ, held("yaw_rate_radps"), "stuck", "report.yaw_rate_radps", []),
-    "a_wheel_stuck": (VAN, held("wheel_fl_radps"), "stuck", "report.wheel_fl_radps", []),
+    "steering_stuck": (VAN, hold_field("steer_rad"), "stuck", "report.steer_rad", []),
+    "throttle_stuck": (MKZ, hold_field("throttle_frac"), "stuck", "report.throttle_frac", []),
+    "brake_stuck": (VAN, hold_field("brake_frac"), "stuck", "report.brake_frac", []),
+    "speed_stuck": (MKZ, hold_field("speed_mps"), "stuck", "report.speed_mps", []),
+    "yaw_rate_stuck": (MKZ, hold_field("yaw_rate_radps"), "stuck", "report.yaw_rate_radps", []),
+    "a_wheel_stuck": (VAN, hold_field("wheel_fl_radps"), "stuck", "report.wheel_fl_radps", []),
     "pedals_swapped": (MKZ, swapped, "swapped_pedals", "report.throttle_frac", PEDALS),
     "pedals_swapped_van": (VAN, swapped, "swapped_pedals", "report.throttle_frac", PEDALS),
     "commands_swapped": (MKZ, swapped_commands, "swapped_pedals", "command.throttle_frac", PEDALS),
@@ -101,18 +101,23 @@ PLANTED: dict[str, tuple[str, Change, str, str, list[str]]] = {
 @pytest.mark.parametrize("fault", PLANTED)
 def test_what_is_planted_is_refused(fault: str, tmp_path: Path) -> None:
     vehicle, change, code, field, names = PLANTED[fault]
-    found = checked(tmp_path, vehicle, planted(vehicle, good(vehicle), change, names or [field]))
-    named = [one for one in found if one.severity == "refuse" and one.code == code]
-    assert field in {one.field for one in named}, found
-    one = next(one for one in named if one.field == field)
-    assert one.drive == "log0.log" and "log0.log" in one.words and field in one.words and "expect" in one.words
-    assert "\n" not in one.words
-    with pytest.raises(InputError, match="nothing is done with these logs"):
-        require_good(found)
+    problems = checked(tmp_path, vehicle, planted(vehicle, good(vehicle), change, names or [field]))
+    named = [one for one in problems if one.severity == "refuse" and one.code == code]
+    assert field in {one.field for one in named}, problems
+    problem = next(one for one in named if one.field == field)
+    assert (
+        problem.drive == "log0.log"
+        and "log0.log" in problem.message
+        and field in problem.message
+        and "expect" in problem.message
+    )
+    assert "\n" not in problem.message
+    with pytest.raises(InputError, match="these logs cannot be used"):
+        raise_refusals(problems)
 
 
 def stopped(at_rad: float) -> Change:
-    """A steering that goes no further than that."""
+    """A steering that stops at this angle."""
 
     def change(k: int, records: dict) -> dict:
         steer = max(-at_rad, min(at_rad, records["report"].steer_rad))
@@ -127,14 +132,14 @@ def stopped(at_rad: float) -> Change:
 def test_a_wheel_that_stops_before_its_command_does_has_a_word_of_its_own(
     change: Change, short: bool, tmp_path: Path
 ) -> None:
-    """It may be the car; a unit makes every move too small, the small ones, too."""
-    found = checked(tmp_path, MKZ, planted(MKZ, good(MKZ), change, ["report.steer_rad"]))
-    of_the_command = {one.code for one in found if one.severity == "refuse" and "command" in one.field}
-    assert of_the_command == {"short_of_command" if short else "units"}, found
+    """A stop may be a property of the car; a wrong unit makes small moves too small as well."""
+    problems = checked(tmp_path, MKZ, planted(MKZ, good(MKZ), change, ["report.steer_rad"]))
+    of_the_command = {one.code for one in problems if one.severity == "refuse" and "command" in one.field}
+    assert of_the_command == {"short_of_command" if short else "units"}, problems
 
 
 def test_a_command_that_stands_in_for_the_report_is_no_witness_of_it(tmp_path: Path) -> None:
-    """Nobody reports the steering: that the car hardly turns by its command is a wrong unit, as far as is known."""
+    """Without a steering report a car that hardly turns counts as a wrong unit."""
     drives = drives_of(
         tmp_path, MKZ, planted(MKZ, good(MKZ), scaled("yaw_rate_radps", 0.02), ["report.yaw_rate_radps"])
     )
@@ -142,32 +147,32 @@ def test_a_command_that_stands_in_for_the_report_is_no_witness_of_it(tmp_path: P
         one._replace(fields={name: values for name, values in one.fields.items() if name != "report.steer_rad"})
         for one in drives
     ]
-    found = check_drives(bare, car(MKZ).spec)
-    assert "units" in refusals(found) and "short_of_command" not in {one.code for one in found}, found
+    problems = check_drives(bare, car(MKZ).spec)
+    assert "units" in refusals(problems) and "short_of_command" not in {one.code for one in problems}, problems
 
 
 @pytest.mark.parametrize("vehicle", [MKZ, VAN])
 def test_steering_the_wrong_way_without_an_ins(vehicle: str, tmp_path: Path) -> None:
-    """Nothing but steering and one yaw rate, and a folder that says neither wheelbase nor ratio."""
+    """Only steering and one yaw rate, and a folder without wheelbase and steering ratio."""
     spec = car(vehicle).spec
     bare = replace(spec, nominal=replace(spec.nominal, wheelbase_m=None, steer_ratio=None))
     ins = {message.key for message in car(vehicle).codec.telemetry if message.name.startswith("INS_")}
     for change, wrong in ((None, False), (negated("yaw_rate_radps"), True)):
         whole = good(vehicle) if change is None else planted(vehicle, good(vehicle), change, ["report.yaw_rate_radps"])
         rows = [row for row in whole if row.can_id not in ins]
-        found = check_drives(drives_of(tmp_path, vehicle, rows), bare)
-        assert ("steer_sign" in refusals(found)) == wrong, found
+        problems = check_drives(drives_of(tmp_path, vehicle, rows), bare)
+        assert ("steer_sign" in refusals(problems)) == wrong, problems
 
 
 def test_an_answer_that_comes_late_is_not_stuck() -> None:
-    """Steps out of rest, each answered 30 ms later without noise: the last rows before it contradict each other."""
+    """Steps from rest, each followed 30 ms later without noise: just before that the signals differ."""
     ticks = np.arange(6000)
     command = 0.15 + 0.2 * (ticks // 500 % 2)
     echo = 0.15 + 0.2 * (np.maximum(ticks - 3, 0) // 500 % 2)
     speed = 5.0 + 4.0 * np.sin(0.002 * ticks)
     fields = {"command.throttle_frac": command, "report.throttle_command_frac": echo, "report.speed_mps": speed}
-    every = np.ones(len(ticks), dtype=bool)
-    drive = Drive("made", "", 0.01, fields, dict.fromkeys(fields, every), every)
-    assert list(check_stuck(drive)) == []
+    all_rows = np.ones(len(ticks), dtype=bool)
+    drive = Drive("made", "", 0.01, fields, dict.fromkeys(fields, all_rows), all_rows)
+    assert list(check_stuck_signals(drive)) == []
     echo[1000:3000] = 0.15
-    assert [one.field for one in check_stuck(drive)] == ["report.throttle_command_frac"]
+    assert [one.field for one in check_stuck_signals(drive)] == ["report.throttle_command_frac"]

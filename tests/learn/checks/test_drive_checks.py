@@ -1,4 +1,4 @@
-"""What would teach nonsense is named before training: each fault planted in a good log; good logs are not refused."""
+"""Each fault planted in a good log is found before training; good logs are not refused."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from tunefree_hil.bus.formats.rows import Row
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.jobs.log.csv_import import import_csv
 from tunefree_hil.learn.checks.drive_checks import check_drives
-from tunefree_hil.learn.checks.problem import require_good
+from tunefree_hil.learn.checks.problem import raise_refusals
 from tunefree_hil.learn.drives.drive import Drive
 from tunefree_hil.learn.drives.read import read_drives
 
@@ -43,13 +43,13 @@ BOTH = pytest.mark.parametrize("vehicle", [MKZ, VAN])
 @pytest.mark.slow
 @BOTH
 def test_good_logs(vehicle: str, tmp_path: Path) -> None:
-    found = checked(tmp_path, vehicle, *(list(good(vehicle, seed)) for seed in (1, 2)))
-    assert [one.code for one in found] == ["short"], found
-    assert require_good(found) == found
+    problems = checked(tmp_path, vehicle, *(list(good(vehicle, seed)) for seed in (1, 2)))
+    assert [one.code for one in problems] == ["short"], problems
+    assert raise_refusals(problems) == problems
 
 
 def test_a_good_log_of_real_time(tmp_path: Path) -> None:
-    """Stamps of an epoch that are some ms late and now and then out of order, as a receiver's are."""
+    """Epoch stamps that are some ms late and sometimes out of order, like those of a receiver."""
     chance = np.random.default_rng(8)
     rows = [row._replace(time_s=round(1.65e9 + row.time_s + chance.uniform(0.0, 0.008), 6)) for row in good(VAN)]
     for i in range(500, len(rows) - 1, 900):
@@ -63,15 +63,15 @@ def test_a_good_log_of_real_time(tmp_path: Path) -> None:
 @BOTH
 def test_too_short_or_without_braking(vehicle: str, tmp_path: Path) -> None:
     short = checked(tmp_path, vehicle, rows_of(vehicle, 12.0))
-    assert "too_short" in refusals(short) and "hold" in refusals(short)["too_short"].words
+    assert "too_short" in refusals(short) and "hold" in refusals(short)["too_short"].message
     rest = car(vehicle).spec.nominal.rest_pedal_frac
 
     def no_brake(k: int, records: dict) -> dict:
         report = records["report"]._replace(brake_frac=rest, brake_command_frac=rest)
         return records | {"report": report, "command": records["command"]._replace(brake_frac=rest)}
 
-    found = refusals(checked(tmp_path, vehicle, planted(vehicle, good(vehicle), no_brake, PEDALS)))
-    assert found.keys() == {"no_braking"}
+    problems = refusals(checked(tmp_path, vehicle, planted(vehicle, good(vehicle), no_brake, PEDALS)))
+    assert problems.keys() == {"no_braking"}
 
 
 @BOTH
@@ -91,31 +91,31 @@ def test_one_speed_only(vehicle: str, tmp_path: Path) -> None:
         report = records["report"]._replace(speed_mps=8.0 + noise, **wheels, **quiet)
         return {"report": report, "ins": ins, "command": records["command"]._replace(steer_rad=0.0)}
 
-    found = refusals(checked(tmp_path, vehicle, rows_of(vehicle, SECONDS, change=steady)))
-    assert found.keys() == {"one_speed"} and "at one speed only" in found["one_speed"].words
+    problems = refusals(checked(tmp_path, vehicle, rows_of(vehicle, SECONDS, change=steady)))
+    assert problems.keys() == {"one_speed"} and "at one speed only" in problems["one_speed"].message
 
 
 def test_no_log_and_one_that_never_moves(tmp_path: Path) -> None:
     assert refusals(check_drives([], car("mkz_bywire").spec)).keys() == {"no_log"}
-    found = checked(tmp_path, "mkz_bywire", planted(MKZ, good(MKZ), scaled("speed_mps", 0.0), ["report.speed_mps"]))
-    assert "too_short" in refusals(found)
+    problems = checked(tmp_path, "mkz_bywire", planted(MKZ, good(MKZ), scaled("speed_mps", 0.0), ["report.speed_mps"]))
+    assert "too_short" in refusals(problems)
 
 
 # --- planted in the frames -------------------------------------------------------------------------------------------
 
 
 def test_a_number_that_is_none(tmp_path: Path) -> None:
-    """Integers on the wire cannot say it; floats of another folder can, and so can a Drive that somebody made."""
+    """Integers on the bus are always finite; floats of another folder, and drives made in code, may not be."""
     (drive,) = drives_of(tmp_path, "mkz_bywire", list(good("mkz_bywire")))
     drive.fields["report.accel_mps2"][700] = np.nan  # type: ignore[index]
-    found = refusals(check_drives([drive], car("mkz_bywire").spec))
-    assert found.keys() == {"not_a_number"} and found["not_a_number"].field == "report.accel_mps2"
-    assert "7.00 s" in found["not_a_number"].words
+    problems = refusals(check_drives([drive], car("mkz_bywire").spec))
+    assert problems.keys() == {"not_a_number"} and problems["not_a_number"].field == "report.accel_mps2"
+    assert "7.00 s" in problems["not_a_number"].message
 
 
-def jumped(by_s: float, at: float = 0.5) -> Callable[[list[Row]], list[Row]]:
+def jumped(by_s: float, share: float = 0.5) -> Callable[[list[Row]], list[Row]]:
     def change(rows: list[Row]) -> list[Row]:
-        begin = round(at * len(rows))
+        begin = round(share * len(rows))
         return rows[:begin] + [row._replace(time_s=round(row.time_s + by_s, 6)) for row in rows[begin:]]
 
     return change
@@ -123,13 +123,13 @@ def jumped(by_s: float, at: float = 0.5) -> Callable[[list[Row]], list[Row]]:
 
 @pytest.mark.parametrize(("vehicle", "by_s"), [(MKZ, -5.0), (VAN, -0.3), (MKZ, 1.0), (VAN, 4.0), (MKZ, 30.0)])
 def test_a_clock_that_jumps(vehicle: str, by_s: float, tmp_path: Path) -> None:
-    rows = jumped(by_s, at=_fast(vehicle))(list(good(vehicle)))
-    found = refusals(checked(tmp_path, vehicle, rows))
-    assert "clock_jump" in found and "clock" in found["clock_jump"].words
+    rows = jumped(by_s, share=_fast(vehicle))(list(good(vehicle)))
+    problems = refusals(checked(tmp_path, vehicle, rows))
+    assert "clock_jump" in problems and "clock" in problems["clock_jump"].message
 
 
 def _fast(vehicle: str) -> float:
-    """Where in the good log it drives fastest, as a share of it."""
+    """Where in the good log the speed is highest, as a share of the log."""
     speeds = [records["report"].speed_mps for records in motion(vehicle, SECONDS, 1, 12.0, 1.0)]
     return int(np.argmax(speeds[:2400])) / len(speeds)
 
@@ -137,8 +137,8 @@ def _fast(vehicle: str) -> float:
 @BOTH
 def test_a_silence_is_a_gap_and_no_jump(vehicle: str, tmp_path: Path) -> None:
     rows = [row for row in good(vehicle) if not 15.0 <= row.time_s < 16.5]
-    found = checked(tmp_path, vehicle, rows)
-    assert refusals(found) == {} and "gap" in {one.code for one in found}
+    problems = checked(tmp_path, vehicle, rows)
+    assert refusals(problems) == {} and "gap" in {one.code for one in problems}
 
 
 def test_a_clock_in_other_units(tmp_path: Path) -> None:
@@ -148,27 +148,27 @@ def test_a_clock_in_other_units(tmp_path: Path) -> None:
 
 @BOTH
 def test_two_vehicles_of_a_kind_in_one_log(vehicle: str, tmp_path: Path) -> None:
-    """`candump any`, with a car on each channel; a few frames of the second are lost."""
+    """A log of `candump any` with a car on each channel, which lost a few frames of the second one."""
     lost = np.random.default_rng(4).random(len(good(vehicle, 2))) < 0.03
     second = [
         row._replace(channel="can1", time_s=round(row.time_s + 0.003, 6))
         for row, gone in zip(good(vehicle, 2), lost, strict=True)
         if not gone
     ]
-    found = refusals(checked(tmp_path, vehicle, sorted([*good(vehicle), *second], key=lambda row: row.time_s)))
-    assert "two vehicles" in found["wrong_rate"].words
+    problems = refusals(checked(tmp_path, vehicle, sorted([*good(vehicle), *second], key=lambda row: row.time_s)))
+    assert "two vehicles" in problems["wrong_rate"].message
 
 
 def test_the_log_of_another_vehicle(tmp_path: Path) -> None:
-    """Some ids in common, most of the folder's not there."""
+    """Some ids are shared, but most of the folder's are missing."""
     codec = car("mkz_bywire").codec
     common = {codec.by_name[name].key for name in ("STEERING_REPORT", "STEERING_CMD", "THROTTLE_CMD")}
     rows = [row if row.can_id in common else row._replace(can_id=row.can_id + 0x100) for row in good("mkz_bywire")]
-    found = refusals(checked(tmp_path, "mkz_bywire", rows))
+    problems = refusals(checked(tmp_path, "mkz_bywire", rows))
     assert (
-        "other_vehicle" in found
-        and "0x" in found["other_vehicle"].words
-        and "mkz_bywire" in found["other_vehicle"].words
+        "other_vehicle" in problems
+        and "0x" in problems["other_vehicle"].message
+        and "mkz_bywire" in problems["other_vehicle"].message
     )
 
 
@@ -178,42 +178,42 @@ def test_another_van_whose_data_ids_are_others(tmp_path: Path) -> None:
         row._replace(data=bytes([row.data[0] ^ 0x5A]) + row.data[1:]) if row.can_id == dynamics else row
         for row in good(other_vehicle.NAME)
     ]
-    found = refusals(checked(tmp_path, other_vehicle.NAME, rows))
-    assert "other_vehicle" in found and "data ids" in found["other_vehicle"].words
+    problems = refusals(checked(tmp_path, other_vehicle.NAME, rows))
+    assert "other_vehicle" in problems and "data ids" in problems["other_vehicle"].message
 
 
 def test_frames_that_are_too_short(tmp_path: Path) -> None:
     key = car("mkz_bywire").codec.by_name["GYRO"].key
     rows = [row._replace(data=row.data[:2]) if row.can_id == key else row for row in good("mkz_bywire")]
-    assert "DBC" in refusals(checked(tmp_path, "mkz_bywire", rows))["other_vehicle"].words
+    assert "DBC" in refusals(checked(tmp_path, "mkz_bywire", rows))["other_vehicle"].message
 
 
 def test_a_few_bad_frames_are_only_told(tmp_path: Path) -> None:
     rows = list(good(other_vehicle.NAME))
     for i in range(1000, 4000, 400):
         rows[i] = rows[i]._replace(data=bytes([rows[i].data[0] ^ 1]) + rows[i].data[1:])
-    found = checked(tmp_path, other_vehicle.NAME, rows)
-    assert refusals(found) == {} and "bad_frames" in {one.code for one in found}
+    problems = checked(tmp_path, other_vehicle.NAME, rows)
+    assert refusals(problems) == {} and "bad_frames" in {one.code for one in problems}
 
 
 @pytest.mark.slow
 @BOTH
 def test_two_vehicles_in_one_call(vehicle: str, tmp_path: Path) -> None:
-    """The second turns by half as much for the same wheel; or other foreign ids are on its bus."""
-    other = rows_of(vehicle, SECONDS, seed=2, ratio=2.0)
-    found = refusals(checked(tmp_path, vehicle, list(good(vehicle)), other))
-    assert "two_vehicles" in found and "log1.log" in found["two_vehicles"].words
+    """The second vehicle turns half as much for the same steering angle, or has other unknown ids on its bus."""
+    second_log = rows_of(vehicle, SECONDS, seed=2, ratio=2.0)
+    problems = refusals(checked(tmp_path, vehicle, list(good(vehicle)), second_log))
+    assert "two_vehicles" in problems and "log1.log" in problems["two_vehicles"].message
     logs = [
         [*good(vehicle, seed), *(Row(0.01 * k, "can0", base + k % 8, b"\0") for k in range(800))]
         for seed, base in ((1, 0x700), (2, 0x500))
     ]
-    found = refusals(checked(tmp_path, vehicle, *(sorted(rows) for rows in logs)))
-    assert found.keys() == {"two_vehicles"}
+    problems = refusals(checked(tmp_path, vehicle, *(sorted(rows) for rows in logs)))
+    assert problems.keys() == {"two_vehicles"}
 
 
 def test_the_same_recording_twice_is_told(tmp_path: Path) -> None:
-    found = checked(tmp_path, "mkz_bywire", list(good("mkz_bywire")), list(good("mkz_bywire")))
-    assert "twice" in {one.code for one in found} and refusals(found) == {}
+    problems = checked(tmp_path, "mkz_bywire", list(good("mkz_bywire")), list(good("mkz_bywire")))
+    assert "twice" in {one.code for one in problems} and refusals(problems) == {}
 
 
 # --- real recordings -------------------------------------------------------------------------------------------------
@@ -224,8 +224,8 @@ def test_the_rav4_minute_is_not_refused(shared_data: Path) -> None:
     if not path.is_file():
         pytest.skip("no comma2k19_rav4 in the shared data")
     spec = load_vehicle(ROOT / "dbc" / "rav4_2017")
-    found = check_drives(read_drives([path], Codec(spec)), spec)
-    assert refusals(found) == {}, found
+    problems = check_drives(read_drives([path], Codec(spec)), spec)
+    assert refusals(problems) == {}, problems
 
 
 DART = {
@@ -237,7 +237,7 @@ DART = {
 @pytest.mark.slow
 @pytest.mark.parametrize("mapping", DART)
 def test_dart_is_not_refused(mapping: str, shared_data: Path, tmp_path: Path) -> None:
-    """The shorter files of each folder, as one call: a car without a brake, a servo that is not linear."""
+    """The shorter files of each folder in one call: a car without a brake and with a nonlinear servo."""
     drives: list[Drive] = []
     for folder in DART[mapping]:
         files = sorted((shared_data / "dart" / folder).glob("*.csv"), key=lambda path: path.stat().st_size)
@@ -254,17 +254,17 @@ def test_dart_is_not_refused(mapping: str, shared_data: Path, tmp_path: Path) ->
             spec = load_vehicle(out)
             drives += read_drives([out / "drive.log"], Codec(spec))
     assert len(drives) >= 5
-    found = check_drives(drives, spec)
-    assert refusals(found) == {}, found
+    problems = check_drives(drives, spec)
+    assert refusals(problems) == {}, problems
 
 
 def test_every_field_a_check_speaks_of_is_one() -> None:
-    from tunefree_hil.learn.checks.stuck_signals import _FOLLOWS
+    from tunefree_hil.learn.checks.stuck_signals import DRIVING_SIGNALS
     from tunefree_hil.learn.drives import drive
 
     names = {f"{group}.{name}" for group, record in GROUPS.items() for name in record._fields}
     both = (drive.INS_FIRST_SPEEDS, drive.INS_FIRST_YAW_RATES)
     assert both == (drive.CHASSIS_FIRST_SPEEDS[::-1], drive.CHASSIS_FIRST_YAW_RATES[::-1])
-    lists = (*both, drive.THROTTLES, drive.BRAKES, drive.TURNS, tuple(_FOLLOWS))
+    lists = (*both, drive.THROTTLE_FIELDS, drive.BRAKE_FIELDS, drive.STEER_FIELDS, tuple(DRIVING_SIGNALS))
     assert all(name in names for some in lists for name in some)
     assert Report().throttle_frac != 0.0

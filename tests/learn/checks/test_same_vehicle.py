@@ -1,4 +1,4 @@
-"""Logs of one call against each other: one file that is named twice, and a copy of it."""
+"""The logs of one call are compared with each other."""
 
 from __future__ import annotations
 
@@ -14,15 +14,18 @@ from tunefree_hil.learn.drives.read import read_drives
 
 
 def test_a_file_named_twice_is_refused_and_a_copy_told(tmp_path: Path) -> None:
-    """By whatever path; a copy under another name is held out together with what it is a copy of."""
+    """Also through a link; a copy under another name is only a warning, because a split keeps copies together."""
     log = write_log(tmp_path / "a.log", good(MKZ))
     (tmp_path / "link.log").symlink_to(log)
     for again in (log, tmp_path / "link.log"):
-        found = refusals(list(check_same_vehicle(read_drives([log, again], car(MKZ).codec))))
-        assert found.keys() == {"twice"} and f"{again} is named twice" in found["twice"].words
+        problems = refusals(list(check_same_vehicle(read_drives([log, again], car(MKZ).codec))))
+        assert problems.keys() == {"twice"} and f"{again} is named twice" in problems["twice"].message
     copy = Path(shutil.copy(log, tmp_path / "copy.log"))
-    (told,) = check_same_vehicle(read_drives([log, copy], car(MKZ).codec))
-    assert (told.severity, told.code) == ("warn", "twice") and f"{copy} is the same recording as {log}" in told.words
+    (warning,) = check_same_vehicle(read_drives([log, copy], car(MKZ).codec))
+    assert (warning.severity, warning.code) == (
+        "warn",
+        "twice",
+    ) and f"{copy} is the same recording as {log}" in warning.message
 
 
 def turned(name: str, seed: int, from_mps: float, to_mps: float, ratio: float = 15.0) -> Drive:
@@ -40,18 +43,21 @@ def test_one_car_that_drives_faster_is_no_other_car() -> None:
     """Within a band of speeds it turns less for the same angle; another steering ratio still shows."""
     slow, fast = turned("slow", 1, 11.1, 12.0), turned("fast", 2, 15.5, 16.6)
     assert list(check_same_vehicle([slow, fast])) == []
-    (told,) = check_same_vehicle([slow, turned("other", 2, 15.5, 16.6, ratio=30.0)])
-    assert told.severity == "refuse" and told.code == "two_vehicles" and "other turns 0.5" in told.words
+    (refusal,) = check_same_vehicle([slow, turned("other", 2, 15.5, 16.6, ratio=30.0)])
+    assert refusal.severity == "refuse" and refusal.code == "two_vehicles" and "other turns 0.5" in refusal.message
 
 
 def rolled(name: str, seed: int, silent_from: int = 6000) -> Drive:
-    """The same with its rear wheels, whose message is heard until then and stands still from there on."""
+    """The same car with its rear wheels, whose message stops at a row and keeps its last value."""
     drive = turned(name, seed, 5.0, 15.0)
     wheel = drive.fields["report.speed_mps"] / 0.33
     wheel[silent_from:] = wheel[silent_from - 1]
-    heard = np.arange(drive.ticks) < silent_from
+    is_received = np.arange(drive.n_rows) < silent_from
     wheels = ("report.wheel_rl_radps", "report.wheel_rr_radps")
-    fields, fresh = drive.fields | dict.fromkeys(wheels, wheel), {**drive.fresh} | dict.fromkeys(wheels, heard)
+    fields, fresh = (
+        {**drive.fields} | dict.fromkeys(wheels, wheel),
+        {**drive.fresh} | dict.fromkeys(wheels, is_received),
+    )
     return drive._replace(fields=fields, fresh=fresh)
 
 

@@ -1,4 +1,4 @@
-"""Logs -> Drives: the same values in the same ticks as episode/columns.py has them, frame by frame."""
+"""Drives read from logs have the same values in the same ticks as episode/columns.py, which reads frame by frame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.episode.candump import read_candump, read_rows
 from tunefree_hil.episode.columns import columns_from_frames
 from tunefree_hil.learn.checks.drive_checks import check_drives
-from tunefree_hil.learn.drives.drive import Drive, Reading
+from tunefree_hil.learn.drives.drive import Drive, LogSummary
 from tunefree_hil.learn.drives.read import read_drives
 
 NOBODY = Block(lambda params, dt_s: None, lambda params, state, x, dt_s: (state, params), Tracking())
@@ -44,16 +44,16 @@ AS_FIELDS = {
 }
 
 
-def reading_of(drive: Drive) -> Reading:
-    """What its log said."""
-    assert drive.reading is not None
-    return drive.reading
+def summary_of(drive: Drive) -> LogSummary:
+    """The summary of its log."""
+    assert drive.log_summary is not None
+    return drive.log_summary
 
 
 def agree(drive: Drive, path: Path, codec: Codec, **options: object) -> int:
-    """Every column that columns_from_frames has; how many were compared."""
+    """Compare every column of columns_from_frames; returns how many there are."""
     frames = read_candump(path, allow_cut=True)
-    columns = columns_from_frames(frames, codec, NOBODY, drive.dt_s, ticks=drive.ticks, **options).columns  # type: ignore[arg-type]
+    columns = columns_from_frames(frames, codec, NOBODY, drive.dt_s, ticks=drive.n_rows, **options).columns  # type: ignore[arg-type]
     common = [(name, field) for name, field in AS_FIELDS.items() if name in columns]
     for name, field in common:
         np.testing.assert_array_equal(drive.fields[field], columns[name], err_msg=name)
@@ -65,20 +65,20 @@ def test_a_log_in_virtual_time(vehicle: str, tmp_path: Path) -> None:
     path = write_log(tmp_path / "vehicle.log", rows_of(vehicle, 6.0))
     (drive,) = read_drives([path], car(vehicle).codec)
     assert agree(drive, path, car(vehicle).codec) == len(AS_FIELDS)
-    assert drive.ticks == 600 and drive.dt_s == 0.01 and drive.name == "vehicle.log"
+    assert drive.n_rows == 600 and drive.dt_s == 0.01 and drive.name == "vehicle.log"
     assert drive.log_hash == "sha256:" + hashlib.sha256(path.read_bytes()).hexdigest()
     assert {"report.wheel_fl_radps", "report.gear", "command.gear", "ins.speed_mps"} <= drive.fields.keys()
     assert drive.fresh.keys() == drive.fields.keys()
     period = {"mkz_bywire": 2, other_vehicle.NAME: 2}[vehicle]
     assert np.flatnonzero(drive.fresh["report.throttle_frac"])[:3].tolist() == [0, period, 2 * period]
-    reading = reading_of(drive)
-    assert reading.times == "virtual time" and reading.foreign == {} == reading.broken
-    assert reading.frames == sum(reading.heard.values()) == len(read_candump(path))
+    reading = summary_of(drive)
+    assert reading.tick_text == "virtual time" and reading.unknown_ids == {} == reading.corrupt_frames
+    assert reading.frames == sum(reading.frames_by_message.values()) == len(read_candump(path))
 
 
 @pytest.mark.parametrize("vehicle", ["mkz_bywire", other_vehicle.NAME])
 def test_a_log_in_real_time(vehicle: str, tmp_path: Path) -> None:
-    """Stamps of an epoch, each some ms late; a report is heard in the tick after the one it is stamped in."""
+    """Epoch stamps, each some ms late; a report is received in the tick after its stamp."""
     chance = np.random.default_rng(3)
     rows = [
         row._replace(time_s=round(row.time_s + chance.uniform(0.0, 0.004), 6))
@@ -103,7 +103,7 @@ def test_a_real_time_run_begins_where_its_bench_log_says(tmp_path: Path) -> None
 
 
 def test_two_frames_in_a_tick_and_disorder(tmp_path: Path) -> None:
-    """The newer one in the log's order stands, whatever came between; ticks are gone through in their order."""
+    """Of two frames in a tick the later one in the log counts; ticks are in order of time."""
     chance = np.random.default_rng(5)
     rows = rows_of("mkz_bywire", 2.0)
     for i in chance.integers(0, len(rows) - 40, 300).tolist():
@@ -112,7 +112,7 @@ def test_two_frames_in_a_tick_and_disorder(tmp_path: Path) -> None:
     doubled = [row for row in rows for _ in range(int(chance.integers(0, 3)))]
     path = write_log(tmp_path / "a.log", doubled)
     (drive,) = read_drives([path], car("mkz_bywire").codec)
-    zero = {} if reading_of(drive).times == "virtual time" else {"zero_s": 0.0, "late_ticks": 1}
+    zero = {} if summary_of(drive).tick_text == "virtual time" else {"zero_s": 0.0, "late_ticks": 1}
     assert agree(drive, path, car("mkz_bywire").codec, **zero) == len(AS_FIELDS)
 
 
@@ -127,7 +127,7 @@ def test_corrupted_and_short_frames_are_left_out(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.log", rows)
     (drive,) = read_drives([path], codec)
     assert agree(drive, path, codec) == len(AS_FIELDS)
-    assert reading_of(drive).broken == {"DYNAMICS": 5} and reading_of(drive).short == {"DYNAMICS": 3}
+    assert summary_of(drive).corrupt_frames == {"DYNAMICS": 5} and summary_of(drive).short_frames == {"DYNAMICS": 3}
     assert drive.fresh["report.speed_mps"].sum() == len(mine) - 8
 
 
@@ -136,16 +136,16 @@ def test_a_drive_that_was_changed_is_still_judged_by_its_frames(tmp_path: Path) 
     back = [row._replace(time_s=row.time_s - (0.5 if i > 900 else 0.0)) for i, row in enumerate(rows)]
     (drive,) = read_drives([write_log(tmp_path / "a.log", back)], car("mkz_bywire").codec)
     changed = drive._replace(name="changed", fields=dict(drive.fields))
-    assert reading_of(changed) == reading_of(drive)
-    for one in (drive, changed):
-        codes = {problem.code for problem in check_drives([one], car("mkz_bywire").spec)}
+    assert summary_of(changed) == summary_of(drive)
+    for variant in (drive, changed):
+        codes = {problem.code for problem in check_drives([variant], car("mkz_bywire").spec)}
         assert "clock_jump" in codes
-    codes = {problem.code for problem in check_drives([drive._replace(reading=None)], car("mkz_bywire").spec)}
+    codes = {problem.code for problem in check_drives([drive._replace(log_summary=None)], car("mkz_bywire").spec)}
     assert "clock_jump" not in codes
 
 
 def test_by_wire_obeys_when_all_say_so(tmp_path: Path) -> None:
-    """Off where one channel's report says off, until it says on again; and before the first report."""
+    """Disabled while the report of one channel says so, and before the first report."""
     codec, rows = car("mkz_bywire").codec, rows_of("mkz_bywire", 3.0)
     steering = codec.by_name["STEERING_REPORT"]
     mask, shift, _, _ = steering.plan.raws["ENABLED"]
@@ -163,13 +163,13 @@ def test_by_wire_obeys_when_all_say_so(tmp_path: Path) -> None:
 
 
 def test_names_tell_the_logs_apart_and_progress_is_told(tmp_path: Path) -> None:
-    rows, told = rows_of("mkz_bywire", 1.0), []
+    rows, progress = rows_of("mkz_bywire", 1.0), []
     paths = [write_log(tmp_path / one / "vehicle.log", rows) for one in ("run/0", "run/1")]
-    drives = read_drives(paths, car("mkz_bywire").codec, progress=lambda share, name: told.append((share, name)))
+    drives = read_drives(paths, car("mkz_bywire").codec, progress=lambda share, name: progress.append((share, name)))
     assert [drive.name for drive in drives] == ["0/vehicle.log", "1/vehicle.log"]
-    assert told[-1] == (1.0, "1/vehicle.log") and [one[0] for one in told] == sorted(one[0] for one in told)
+    assert progress[-1] == (1.0, "1/vehicle.log") and [one[0] for one in progress] == sorted(one[0] for one in progress)
     again = pickle.loads(pickle.dumps(drives[0]))
-    assert reading_of(again) == reading_of(drives[0]) and again.name == drives[0].name
+    assert summary_of(again) == summary_of(drives[0]) and again.name == drives[0].name
 
 
 def test_another_format_and_a_line_that_was_cut_off(tmp_path: Path) -> None:
@@ -179,7 +179,7 @@ def test_another_format_and_a_line_that_was_cut_off(tmp_path: Path) -> None:
     with path.open("a") as file:
         file.write("(2.0000")
     drives = read_drives([path, tmp_path / "a.csv"], car("mkz_bywire").codec)
-    assert [reading_of(drive).cut for drive in drives] == [True, False]
+    assert [summary_of(drive).is_truncated for drive in drives] == [True, False]
     for name, values in drives[0].fields.items():
         np.testing.assert_array_equal(values, drives[1].fields[name])
 
@@ -200,7 +200,7 @@ def test_logs_that_no_drive_can_be_made_of(tmp_path: Path) -> None:
 
 
 def test_equal_ids_on_two_channels(shared_data: Path) -> None:
-    """The RAV4's 0x343 is on three: the command is the one on can128. Frames that end early say what they hold."""
+    """The RAV4 has 0x343 on three channels: the command is on can128. Short frames give the fields that they hold."""
     path = shared_data / "comma2k19_rav4" / "drive.candump.log"
     if not path.is_file():
         pytest.skip("no comma2k19_rav4 in the shared data")
@@ -220,6 +220,6 @@ def test_equal_ids_on_channels_of_other_names_are_not_mixed(shared_data: Path, t
         pytest.skip("no comma2k19_rav4 in the shared data")
     renamed = tmp_path / "renamed.log"
     renamed.write_text(path.read_text().replace(" can", " bus"))
-    with pytest.raises(InputError, match=r"comes on bus.* and the vehicle has it on can") as caught:
+    with pytest.raises(InputError, match=r"comes on bus.*, but vehicle.toml has it on can") as caught:
         read_drives([renamed], Codec(load_vehicle(ROOT / "dbc" / "rav4_2017")))
-    assert caught.value.file == str(renamed) and "as vehicle.toml does" in caught.value.hint
+    assert caught.value.file == str(renamed) and "the same channel names" in caught.value.hint

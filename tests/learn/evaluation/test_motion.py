@@ -13,17 +13,17 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import ActuatorSpec, EffectSpec, ModelSpec, VehicleSpec
-from tunefree_hil.learn.drives.drive import Drive, Part
+from tunefree_hil.learn.drives.drive import Drive, DrivePart
 from tunefree_hil.learn.evaluation.motion import (
-    WINDOW,
-    Track,
+    SMOOTHING_ROWS,
+    MotionTrack,
     body_change,
-    is_hill,
-    outputs_of,
-    smooth,
-    starts_of,
-    track_of,
-    tracks_of,
+    find_starts,
+    is_hilly,
+    make_motion_track,
+    make_motion_tracks,
+    simulate_actuators,
+    smooth_signal,
 )
 
 
@@ -38,8 +38,8 @@ def drive() -> Drive:
 
 
 @pytest.fixture(scope="module")
-def track(drive: Drive, vehicle: VehicleSpec) -> Track:
-    return track_of(whole(drive), vehicle)
+def track(drive: Drive, vehicle: VehicleSpec) -> MotionTrack:
+    return make_motion_track(whole(drive), vehicle)
 
 
 @pytest.fixture(scope="module")
@@ -54,83 +54,83 @@ def truth(repo: Path) -> ModelSpec:
     return type(model)(**{**fields, "actuators": own})
 
 
-def test_outputs_of_the_true_actuators_are_the_recorded_ones(track: Track, truth: ModelSpec) -> None:
+def test_outputs_of_the_true_actuators_are_the_recorded_ones(track: MotionTrack, truth: ModelSpec) -> None:
     """Only if commands stand in the rows in which they act: a tick more or less is far outside."""
-    missed = outputs_of(track, truth, REST) - track.recorded
+    missed = simulate_actuators(track, truth, REST) - track.recorded
     assert np.abs(missed[100:, 2]).std() < 0.003
     assert missed[100:, :2].std() < 0.002  # between two reports there is a straight line
-    late = np.roll(outputs_of(track, truth, REST), 1, axis=0) - track.recorded
+    late = np.roll(simulate_actuators(track, truth, REST), 1, axis=0) - track.recorded
     assert late[100:, 2].std() > 3.0 * missed[100:, 2].std()
 
 
 def test_labels_are_nearer_to_the_truth_than_what_was_measured(vehicle: VehicleSpec) -> None:
     time_s = np.arange(2000) * 0.01
     speed = 10.0 + 2.0 * np.sin(0.8 * time_s)
-    found = smooth(speed + np.random.default_rng(1).normal(0.0, 0.02, len(speed)))
+    found = smooth_signal(speed + np.random.default_rng(1).normal(0.0, 0.02, len(speed)))
     assert np.abs(found - speed).std() < 0.008
-    assert np.abs(smooth(speed, 0.01) - 1.6 * np.cos(0.8 * time_s)).max() < 0.01
+    assert np.abs(smooth_signal(speed, 0.01) - 1.6 * np.cos(0.8 * time_s)).max() < 0.01
 
 
 def test_what_is_too_short_to_smooth_is_nothing() -> None:
     values = np.ones(200)
     values[60] = np.nan
     values[100] = np.nan
-    found = smooth(values)
+    found = smooth_signal(values)
     assert np.isfinite(found[:60]).all() and np.isnan(found[60:101]).all() and np.isfinite(found[101:]).all()
 
 
-def test_a_slope_is_seen_and_level_ground_is_level(vehicle: VehicleSpec, track: Track) -> None:
-    uphill = track_of(whole(made_drive(20.0, seed=4, grade_rad=0.04)), vehicle)
+def test_a_slope_is_seen_and_level_ground_is_level(vehicle: VehicleSpec, track: MotionTrack) -> None:
+    uphill = make_motion_track(whole(made_drive(20.0, seed=4, grade_rad=0.04)), vehicle)
     moving = uphill.speed_mps > 2.0
     middle = slice(200, 1800)
     assert np.abs(uphill.grade_rad[middle][moving[middle]] - 0.04).mean() < 0.006
-    assert is_hill(uphill, 500, 1000)
-    assert not track.grade_rad.any() and not is_hill(track, 500, 1000)
+    assert is_hilly(uphill, 500, 1000)
+    assert not track.grade_rad.any() and not is_hilly(track, 500, 1000)
 
 
 def test_what_an_accelerometer_says_throughout_is_no_hill_but_for_its_share(vehicle: VehicleSpec) -> None:
     drive = drive_with(0.25)
-    assert not track_of(whole(drive), vehicle).grade_rad.any()
-    (road,) = tracks_of([whole(drive)], vehicle, road_share=1.0)
+    assert not make_motion_track(whole(drive), vehicle).grade_rad.any()
+    (road,) = make_motion_tracks([whole(drive)], vehicle, road_share=1.0)
     assert np.median(road.grade_rad) == pytest.approx(0.25 / G_MPS2, abs=0.003)
 
 
 def test_rows_in_another_gear_or_with_holes_are_not_good(drive: Drive, vehicle: VehicleSpec) -> None:
-    gear = np.full(drive.ticks, 4.0)
+    gear = np.full(drive.n_rows, 4.0)
     gear[300:400] = 2.0
     fields = {**drive.fields, "report.gear": gear}
-    fresh = {**drive.fresh, "report.gear": np.ones(drive.ticks, dtype=bool)}
-    track = track_of(whole(drive._replace(fields=fields, fresh=fresh)), vehicle)
-    assert not track.good[300:400].any() and track.good[100:300].all()
-    starts = starts_of(track, 50, 100, 10)
+    fresh = {**drive.fresh, "report.gear": np.ones(drive.n_rows, dtype=bool)}
+    track = make_motion_track(whole(drive._replace(fields=fields, fresh=fresh)), vehicle)
+    assert not track.is_good[300:400].any() and track.is_good[100:300].all()
+    starts = find_starts(track, 50, 100, 10)
     assert starts and all(row + 100 < 300 or row - 50 >= 400 for row in starts)
 
 
-def test_without_an_ins_the_pose_is_summed_up(drive: Drive, vehicle: VehicleSpec, track: Track) -> None:
+def test_without_an_ins_the_pose_is_summed_up(drive: Drive, vehicle: VehicleSpec, track: MotionTrack) -> None:
     fields = {name: value for name, value in drive.fields.items() if not name.startswith("ins.")}
-    summed = track_of(whole(drive._replace(fields=fields)), vehicle)
-    assert track.placed and not summed.placed
+    summed = make_motion_track(whole(drive._replace(fields=fields)), vehicle)
+    assert track.has_measured_pose and not summed.has_measured_pose
     assert abs((summed.heading_rad[-1] - summed.heading_rad[0]) - (track.heading_rad[-1] - track.heading_rad[0])) < 0.02
 
 
 def test_a_log_without_speed_is_refused(drive: Drive, vehicle: VehicleSpec) -> None:
     fields = {name: value for name, value in drive.fields.items() if "speed" not in name}
-    with pytest.raises(InputError, match=r"say nothing of ins\.speed_mps or report\.speed_mps"):
-        track_of(whole(drive._replace(fields=fields)), vehicle)
+    with pytest.raises(InputError, match=r"the logs have no ins\.speed_mps or report\.speed_mps"):
+        make_motion_track(whole(drive._replace(fields=fields)), vehicle)
 
 
 def test_reports_stand_where_there_are_no_commands(drive: Drive, vehicle: VehicleSpec, truth: ModelSpec) -> None:
     fields = {name: value for name, value in drive.fields.items() if "command" not in name}
-    track = track_of(whole(drive._replace(fields=fields)), vehicle)
-    assert not track.obeyed.any() and np.array_equal(outputs_of(track, truth, REST), track.recorded)
+    track = make_motion_track(whole(drive._replace(fields=fields)), vehicle)
+    assert not track.is_obeyed.any() and np.array_equal(simulate_actuators(track, truth, REST), track.recorded)
 
 
-def test_a_rate_limit_counts_behind_the_actuators_lag(track: Track, truth: ModelSpec) -> None:
+def test_a_rate_limit_counts_behind_the_actuators_lag(track: MotionTrack, truth: ModelSpec) -> None:
     fields = {name: getattr(truth, name) for name in truth.__struct_fields__}
     limited = [EffectSpec(name="steer_rate_limit", params={"rate_radps": 0.2})]
     slow = ActuatorSpec(dead_time_s=0.0, lag_s=0.5)
-    found = outputs_of(track, type(truth)(**{**fields, "effects": limited, "actuators": {"steer": slow}}), REST)
-    free = outputs_of(track, type(truth)(**{**fields, "effects": [], "actuators": {"steer": slow}}), REST)
+    found = simulate_actuators(track, type(truth)(**{**fields, "effects": limited, "actuators": {"steer": slow}}), REST)
+    free = simulate_actuators(track, type(truth)(**{**fields, "effects": [], "actuators": {"steer": slow}}), REST)
     y, expected = 0.0, []  # an effect has been at rest for ever
     for x in free[:, 2]:
         y += float(np.clip(x - y, -0.2 * track.dt_s, 0.2 * track.dt_s))
@@ -138,18 +138,22 @@ def test_a_rate_limit_counts_behind_the_actuators_lag(track: Track, truth: Model
     assert np.abs(np.diff(free[:, 2])).max() > 0.004 and np.allclose(found[200:, 2], expected[200:], atol=2e-3)
 
 
-def test_effects_of_a_channel_count(track: Track, truth: ModelSpec) -> None:
+def test_effects_of_a_channel_count(track: MotionTrack, truth: ModelSpec) -> None:
     fields = {name: getattr(truth, name) for name in truth.__struct_fields__}
     offset = [
         EffectSpec(name="steer_offset", params={"offset_rad": 0.05}),
         EffectSpec(name="grade", params={"grade_rad": 0.1}),
     ]
     other = type(truth)(**{**fields, "effects": offset})
-    assert np.allclose(outputs_of(track, other, REST)[:, 2], outputs_of(track, truth, REST)[:, 2] + 0.05)
+    assert np.allclose(
+        simulate_actuators(track, other, REST)[:, 2], simulate_actuators(track, truth, REST)[:, 2] + 0.05
+    )
     assert body_change(other).grade_rad == 0.1 and body_change(truth).grade_rad == 0.0
 
 
-def test_what_a_person_drives_has_the_effects_behind_the_actuators_as_well(track: Track, truth: ModelSpec) -> None:
+def test_what_a_person_drives_has_the_effects_behind_the_actuators_as_well(
+    track: MotionTrack, truth: ModelSpec
+) -> None:
     """Else a network would learn them from the motion, and the model that has them would have them twice."""
     effects = [
         EffectSpec(name="steer_offset", params={"offset_rad": 0.05}),
@@ -160,8 +164,8 @@ def test_what_a_person_drives_has_the_effects_behind_the_actuators_as_well(track
     recorded = track.recorded.copy()
     recorded[:150, 2] = np.nan
     recorded[:50, 0] = 0.5
-    person = track._replace(recorded=recorded, obeyed=np.zeros_like(track.obeyed))
-    found = outputs_of(person, type(truth)(**{**fields, "effects": effects}), REST)
+    person = track._replace(recorded=recorded, is_obeyed=np.zeros_like(track.is_obeyed))
+    found = simulate_actuators(person, type(truth)(**{**fields, "effects": effects}), REST)
     assert np.isnan(found[:150, 2]).all() and np.allclose(found[150:, 2], recorded[150:, 2] + 0.05)
     assert np.array_equal(found[:, 1], recorded[:, 1])
     assert np.allclose(found[:50, 0], 0.5, atol=1e-3), "the lag begins where the throttle was"
@@ -173,5 +177,5 @@ def test_what_a_person_drives_has_the_effects_behind_the_actuators_as_well(track
 
 
 def test_short_parts_are_left_out(drive: Drive, vehicle: VehicleSpec) -> None:
-    parts = [Part(drive, 0, WINDOW - 1), Part(drive, 500, 1500)]
-    assert [one.begin for one in tracks_of(parts, vehicle)] == [500]
+    parts = [DrivePart(drive, 0, SMOOTHING_ROWS - 1), DrivePart(drive, 500, 1500)]
+    assert [one.begin for one in make_motion_tracks(parts, vehicle)] == [500]

@@ -11,22 +11,22 @@ from hypothesis import strategies as st
 
 from tests.learn.made_pedals import REST, law, vehicle
 from tunefree_hil.control.calibration_map import CalibrationMap, from_triples, load, lookup
-from tunefree_hil.learn.open_loop_map.cells import edges_of
+from tunefree_hil.learn.open_loop_map.cells import make_cell_edges
 from tunefree_hil.learn.open_loop_map.samples import BRAKE, PEDALS, THROTTLE
 from tunefree_hil.learn.open_loop_map.table import (
-    BACKED,
-    BEYOND,
-    GAP,
+    EXTRAPOLATED,
+    INTERPOLATED,
+    SUPPORTED,
     MapGrid,
-    grid_of,
-    inverted,
+    invert_row,
     is_monotone,
-    law_of,
-    table_of,
+    law_from_calibration,
+    make_grid,
+    table_from_grid,
     write_table,
 )
 
-EDGES = {pedal: edges_of(vehicle(), pedal) for pedal in PEDALS}
+EDGES = {pedal: make_cell_edges(vehicle(), pedal) for pedal in PEDALS}
 TRUE_LAWS = {
     THROTTLE: np.vectorize(lambda speed, command: law(speed, command, REST)),
     BRAKE: np.vectorize(lambda speed, command: law(speed, REST, command)),
@@ -42,7 +42,7 @@ def everywhere(pedal: str, upto: int = 12) -> np.ndarray:
 
 
 def grid(laws=TRUE_LAWS, there=None) -> MapGrid:
-    return grid_of(laws, there or {pedal: everywhere(pedal) for pedal in PEDALS}, EDGES, WIDE)
+    return make_grid(laws, there or {pedal: everywhere(pedal) for pedal in PEDALS}, EDGES, WIDE)
 
 
 def as_map(table) -> CalibrationMap:
@@ -60,7 +60,7 @@ def wavy(seed: int):
 def test_any_two_laws_become_a_map_that_can_be_read_backwards(seed: int) -> None:
     made = grid({THROTTLE: wavy(seed), BRAKE: wavy(seed + 1)})
     assert np.all(np.diff(made.accel_mps2, axis=1) >= -1e-12)
-    table = table_of(made)
+    table = table_from_grid(made)
     assert is_monotone(table)
     own = as_map(table)
     rng = np.random.default_rng(seed)
@@ -80,13 +80,13 @@ def test_what_is_looked_up_gives_that_acceleration(speed: float, accel: float) -
         assert law(speed, throttle, brake) == pytest.approx(accel, abs=0.12)
 
 
-OWN = as_map(table_of(grid()))
+OWN = as_map(table_from_grid(grid()))
 
 
 @pytest.mark.parametrize("pedal", PEDALS)
 def test_read_forwards_it_is_the_law_again(pedal: str) -> None:
     speeds, commands = np.meshgrid([0.5, 1.7, 4.0, 8.5], np.linspace(REST, 0.42, 12))
-    told = law_of(OWN, pedal)(speeds.ravel(), commands.ravel())
+    told = law_from_calibration(OWN, pedal)(speeds.ravel(), commands.ravel())
     assert told == pytest.approx(TRUE_LAWS[pedal](speeds.ravel(), commands.ravel()), abs=0.1)
 
 
@@ -101,14 +101,14 @@ def test_dead_bands_are_stepped_over() -> None:
 def test_a_flat_stretch_keeps_the_smallest_pedal() -> None:
     accels = np.array([-3.0, -2.0, -2.0, -0.2, -0.2, -0.2, 1.0, 2.0, 2.0])
     commands = np.array([-0.4, -0.3, -0.25, -0.2, 0.0, 0.2, 0.3, 0.4, 0.5])
-    points = inverted(accels, commands, np.ones(9), 4, 0.15)
+    points = invert_row(accels, commands, np.ones(9), 4, 0.15)
     assert [(round(a, 4), c) for a, c, _ in points] == [
         (-3.0, -0.4), (-2.0, -0.25), (-0.2025, -0.2), (-0.2, 0.2), (1.0, 0.3), (2.0, 0.4)
     ]  # fmt: skip
 
 
 def test_a_pedal_that_rests_at_zero_and_bites_at_once_has_one_point_for_coasting() -> None:
-    points = inverted(np.array([-1.0, 0.0, 1.0]), np.array([-0.2, 0.0, 0.2]), np.ones(3), 1, 0.0)
+    points = invert_row(np.array([-1.0, 0.0, 1.0]), np.array([-0.2, 0.0, 0.2]), np.ones(3), 1, 0.0)
     assert [(a, c) for a, c, _ in points] == [(-1.0, -0.2), (0.0, 0.0), (1.0, 0.2)]
 
 
@@ -119,22 +119,22 @@ def test_support_tells_data_from_gaps_and_what_lies_beyond() -> None:
     there[BRAKE][6:9, 12:] = False  # and nothing behind these
     made = grid(there=there)
     row = int(np.flatnonzero(made.speed_mps == 4.0)[0])
-    throttle = made.support[row, made.rest + 1 :]
-    assert throttle[4] == BACKED and set(throttle[5:8]) == {GAP} and throttle[9] == BACKED
-    brake = made.support[row, : made.rest][::-1]
-    assert brake[10] == BACKED and set(brake[11:]) == {BEYOND}
+    throttle = made.support[row, made.rest_column + 1 :]
+    assert throttle[4] == SUPPORTED and set(throttle[5:8]) == {INTERPOLATED} and throttle[9] == SUPPORTED
+    brake = made.support[row, : made.rest_column][::-1]
+    assert brake[10] == SUPPORTED and set(brake[11:]) == {EXTRAPOLATED}
     first = int(np.flatnonzero(made.speed_mps == 1.0)[0])
-    assert np.all(made.support[first] == BACKED)
+    assert np.all(made.support[first] == SUPPORTED)
 
 
 def test_nothing_beyond_the_data_is_promised() -> None:
     seen = {THROTTLE: np.array([-0.3, 1.0]), BRAKE: np.array([-2.0, 0.2])}
-    made = grid_of(TRUE_LAWS, {pedal: everywhere(pedal) for pedal in PEDALS}, EDGES, seen)
+    made = make_grid(TRUE_LAWS, {pedal: everywhere(pedal) for pedal in PEDALS}, EDGES, seen)
     assert made.accel_mps2.max() <= 1.0 and made.accel_mps2.min() >= -2.0
 
 
 def test_the_file_is_what_the_controller_loads(tmp_path: Path) -> None:
-    table = table_of(grid())
+    table = table_from_grid(grid())
     path = tmp_path / "deep" / "calibration.npz"
     write_table(path, table, '{"seed": 1}')
     assert [one.name for one in path.parent.iterdir()] == ["calibration.npz"]

@@ -7,25 +7,27 @@ import numpy as np
 from tests.learn.made_drives import made_drive, whole
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.learn.physics.unknowns import (
-    LEAST_STRETCHES,
-    STRETCH,
-    deviations_left,
-    doubts_left,
-    stretches_of,
-    together,
+    CRITERIA,
+    assign_stretches,
+    compute_interval_half_widths,
+    compute_remaining_uncertainty,
+    estimate_correlation,
 )
-from tunefree_hil.learn.physics.windows import windows_of
-from tunefree_hil.learn.robust_least_squares import Least, deviations
+from tunefree_hil.learn.physics.windows import extract_windows
+from tunefree_hil.learn.robust_least_squares import RobustFit, compute_std_devs
 
 
 def test_windows_one_behind_the_other_are_one_stretch() -> None:
-    windows = windows_of([whole(made_drive(110.0, seed=seed)) for seed in (1, 2)], load_vehicle("mkz_bywire"))
-    some, names = stretches_of(windows.some), [window.name for window in windows.some]
+    windows = extract_windows([whole(made_drive(110.0, seed=seed)) for seed in (1, 2)], load_vehicle("mkz_bywire"))
+    some, names = assign_stretches(windows.windows), [window.name for window in windows.windows]
     every = np.unique(some)
-    assert len(every) >= LEAST_STRETCHES and max(np.sum(some == one) for one in every) == STRETCH
+    assert (
+        len(every) >= CRITERIA.min_stretches
+        and max(np.sum(some == one) for one in every) == CRITERIA.windows_per_stretch
+    )
     assert all(len({names[i] for i in np.flatnonzero(some == one)}) == 1 for one in every), "none is of two drives"
-    few = windows.some[: STRETCH * (LEAST_STRETCHES - 1)]
-    assert stretches_of(few).tolist() == list(range(len(few))) and len(stretches_of(())) == 0
+    few = windows.windows[: CRITERIA.windows_per_stretch * (CRITERIA.min_stretches - 1)]
+    assert assign_stretches(few).tolist() == list(range(len(few))) and len(assign_stretches(())) == 0
 
 
 def test_the_few_stretches_that_know_a_constant_do_not_vouch_for_themselves() -> None:
@@ -46,8 +48,8 @@ def test_what_is_known_as_a_sum_is_doubted_together() -> None:
     noise = chance.standard_normal(count * rows)
     jacobian = np.concatenate([slopes, np.eye(3)])
     x = np.linalg.lstsq(jacobian, np.concatenate([noise, np.zeros(3)]), rcond=None)[0]
-    least = Least(x, np.full(3, 0.1), 2.2, jacobian, np.concatenate([slopes @ x - noise, x]), 1.0)
-    found = together(("a", "b", "c"), least, stretches)
+    least = RobustFit(x, np.full(3, 0.1), 2.2, jacobian, np.concatenate([slopes @ x - noise, x]), 1.0)
+    found = estimate_correlation(("a", "b", "c"), least, stretches)
     assert found.names == ("a", "b", "c") and np.allclose(np.diag(found.correlation), 1.0)
     assert found.correlation[0, 1] < -0.9 and abs(found.correlation[0, 2]) < 0.5
 
@@ -58,8 +60,8 @@ def _few_that_know(chance: np.random.Generator) -> tuple[np.ndarray, ...]:
     """
     count, rows, unknowns = 12, 8, 3
     knows = np.where(np.arange(count)[:, None] % 2 == np.arange(unknowns) % 2, 30.0, 3.0)
-    stretches = np.repeat(np.arange(count), STRETCH * rows)
-    windows = np.repeat(np.arange(count * STRETCH), rows)
+    stretches = np.repeat(np.arange(count), CRITERIA.windows_per_stretch * rows)
+    windows = np.repeat(np.arange(count * CRITERIA.windows_per_stretch), rows)
     slopes = knows[stretches] * chance.standard_normal((count, unknowns))[stretches]
     slopes += 0.3 * chance.standard_normal(slopes.shape)
     truth = 0.3 * chance.standard_normal(unknowns)
@@ -68,6 +70,6 @@ def _few_that_know(chance: np.random.Generator) -> tuple[np.ndarray, ...]:
     sought = np.concatenate([slopes @ truth + lacks, np.zeros(unknowns)])
     x = np.linalg.lstsq(jacobian, sought, rcond=None)[0]
     residuals = jacobian @ x - sought
-    deviation, quantile = deviations(jacobian, residuals, windows, unknowns)
-    least = Least(x, deviation, quantile, jacobian, residuals, 1.0)
-    return truth, x, quantile * deviations_left(least), doubts_left(least, stretches)
+    deviation, quantile = compute_std_devs(jacobian, residuals, windows, unknowns)
+    least = RobustFit(x, deviation, quantile, jacobian, residuals, 1.0)
+    return truth, x, quantile * compute_remaining_uncertainty(least), compute_interval_half_widths(least, stretches)

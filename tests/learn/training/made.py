@@ -8,7 +8,7 @@ from pathlib import Path
 from tests.learn.made_drives import made_drive, whole
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
-from tunefree_hil.learn.evaluation.motion import Track, track_of
+from tunefree_hil.learn.evaluation.motion import MotionTrack, make_motion_track
 
 REST = 0.15
 TRUTH = {
@@ -32,6 +32,6 @@ def physics() -> ModelSpec:
 
 
 @cache
-def track(seed: int, seconds: float = 40.0) -> Track:
+def track(seed: int, seconds: float = 40.0) -> MotionTrack:
     """A drive of the true car, whose constants are others."""
-    return track_of(whole(made_drive(seconds, seed=seed, params=TRUTH, name=f"made {seed}")), vehicle())
+    return make_motion_track(whole(made_drive(seconds, seed=seed, params=TRUTH, name=f"made {seed}")), vehicle())

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.learn.open_loop_map.cells import Points, cell_errors, rms
-from tunefree_hil.learn.open_loop_map.table import PedalNet, Scale, merged
+from tunefree_hil.learn.open_loop_map.cells import CellPoints, compute_cell_errors, compute_rms
+from tunefree_hil.learn.open_loop_map.table import LinearScale, PedalNet, average_nets
 from tunefree_hil.learn.training import map_nets
 
 
-def bowl(seed: int = 0, count: int = 240) -> Points:
+def bowl(seed: int = 0, count: int = 240) -> CellPoints:
     """A curved law of speed and command with a little noise, three points a cell."""
     rng = np.random.default_rng(seed)
     speed, command = rng.uniform(0.5, 20.0, count), rng.uniform(0.15, 0.8, count)
     accel = 3.0 * (1.0 - np.exp(-(command - 0.15) / 0.15)) / (1.0 + speed / 10.0) - 0.01 * speed
-    return Points(
+    return CellPoints(
         speed, command, accel + 0.01 * rng.standard_normal(count), np.arange(count) // 3, np.full(count, 1 / 3)
     )
 
@@ -26,21 +26,21 @@ def bowl(seed: int = 0, count: int = 240) -> Points:
 def test_without_torch_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(InputError, match="torch") as caught:
-        map_nets.require_torch()
+        map_nets.import_torch()
     assert "pip install '.[learn]'" in caught.value.hint and caught.value.code == "no_torch"
 
 
 def test_a_net_is_equation_one() -> None:
     one = PedalNet(
-        Scale(10.0, 5.0), Scale(0.5, 0.25), Scale(1.0, 2.0),
+        LinearScale(10.0, 5.0), LinearScale(0.5, 0.25), LinearScale(1.0, 2.0),
         np.array([0.3, -1.0]), np.array([2.0, 0.5]), np.array([0.1, -0.2]), np.array([1.5, -0.7]), 0.25,
     )  # fmt: skip
     v, u = (12.0 - 10.0) / 5.0, (0.6 - 0.5) / 0.25
     hidden = [1.0 / (1.0 + np.exp(-z)) for z in (0.3 * v + 2.0 * u + 0.1, -1.0 * v + 0.5 * u - 0.2)]
-    assert one.accel_of(np.array([12.0]), np.array([0.6])) == pytest.approx(
+    assert one.predict_acceleration(np.array([12.0]), np.array([0.6])) == pytest.approx(
         [1.0 + 2.0 * (1.5 * hidden[0] - 0.7 * hidden[1] + 0.25)]
     )
-    assert one.accel_of(np.zeros((3, 4)), np.zeros((3, 4))).shape == (3, 4)
+    assert one.predict_acceleration(np.zeros((3, 4)), np.zeros((3, 4))).shape == (3, 4)
 
 
 class TestTraining:
@@ -50,38 +50,40 @@ class TestTraining:
 
     def test_it_learns_a_curved_law(self) -> None:
         points, unseen = bowl(), bowl(1)
-        trained = map_nets.train(points, unseen, map_nets.scales_of(points), 8, 1)
-        assert trained.whole and trained.held_out_mps2 < 0.02
-        assert rms(cell_errors(trained.net.accel_of, unseen)) == pytest.approx(trained.held_out_mps2)
+        trained = map_nets.train_map_net(points, unseen, map_nets.scales_from_points(points), 8, 1)
+        assert trained.is_complete and trained.held_out_mps2 < 0.02
+        assert compute_rms(compute_cell_errors(trained.net.predict_acceleration, unseen)) == pytest.approx(
+            trained.held_out_mps2
+        )
 
     def test_the_same_seed_gives_the_same_net_another_one_another(self) -> None:
         points = bowl()
-        scales = map_nets.scales_of(points)
-        one, same, other = (map_nets.train(points, None, scales, 5, seed, rounds=2).net for seed in (1, 1, 2))
+        scales = map_nets.scales_from_points(points)
+        one, same, other = (map_nets.train_map_net(points, None, scales, 5, seed, rounds=2).net for seed in (1, 1, 2))
         assert np.array_equal(one.w_out, same.w_out) and not np.array_equal(one.w_out, other.w_out)
 
     def test_the_width_whose_mean_net_is_best_is_chosen(self) -> None:
         points, unseen = bowl(), bowl(1)
-        scales = map_nets.scales_of(points)
-        good = [map_nets.train(points, unseen, scales, 8, seed) for seed in (1, 2)]
-        poor = [map_nets.train(points, None, scales, 3, seed, rounds=1) for seed in (1, 2)]
-        group, error = map_nets.chosen([*poor, *good], unseen)
+        scales = map_nets.scales_from_points(points)
+        good = [map_nets.train_map_net(points, unseen, scales, 8, seed) for seed in (1, 2)]
+        poor = [map_nets.train_map_net(points, None, scales, 3, seed, rounds=1) for seed in (1, 2)]
+        group, error = map_nets.select_width([*poor, *good], unseen)
         assert [one.net.width for one in group] == [8, 8] and error < 0.02
-        mean = sum(one.net.accel_of(unseen.speed_mps, unseen.command_frac) for one in good) / 2.0
-        whole = merged([one.net for one in good])
+        mean = sum(one.net.predict_acceleration(unseen.speed_mps, unseen.command_frac) for one in good) / 2.0
+        whole = average_nets([one.net for one in good])
         assert whole.width == 16
-        assert whole.accel_of(unseen.speed_mps, unseen.command_frac) == pytest.approx(mean)
+        assert whole.predict_acceleration(unseen.speed_mps, unseen.command_frac) == pytest.approx(mean)
 
     def test_numbers_that_are_not_finite_stop_the_training_and_the_best_is_kept(self) -> None:
         points = bowl()
         broken = points._replace(accel_mps2=np.where(points.cell == 3, np.nan, points.accel_mps2))
-        trained = map_nets.train(broken, points, map_nets.scales_of(points), 3, 1)
-        assert not trained.whole
+        trained = map_nets.train_map_net(broken, points, map_nets.scales_from_points(points), 3, 1)
+        assert not trained.is_complete
         assert np.all(np.isfinite(trained.net.w_out))
 
     def test_threads_are_left_as_they_were(self) -> None:
         import torch
 
         before = torch.get_num_threads()
-        map_nets.train(bowl(), None, map_nets.scales_of(bowl()), 3, 1, rounds=1)
+        map_nets.train_map_net(bowl(), None, map_nets.scales_from_points(bowl()), 3, 1, rounds=1)
         assert torch.get_num_threads() == before

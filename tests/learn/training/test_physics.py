@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch")
 
 from tunefree_hil.base.contracts import BodyChange  # noqa: E402
 from tunefree_hil.base.records import GEAR_DRIVE, Actuation, Disturbance  # noqa: E402
-from tunefree_hil.learn.training.physics import Physics, tick  # noqa: E402
+from tunefree_hil.learn.training.physics import BatchedSingleTrack, step_physics  # noqa: E402
 from tunefree_hil.plant.data_sheet import constants_of  # noqa: E402
 from tunefree_hil.plant.kinematics import Velocity  # noqa: E402
 from tunefree_hil.plant.single_track import pushed  # noqa: E402
@@ -43,20 +43,20 @@ def by_kernel(states: np.ndarray, outputs: np.ndarray, grades: np.ndarray) -> np
 @pytest.mark.parametrize("top_mps", [0.6, 2.0, 30.0])
 def test_a_tick_is_the_kernels(top_mps: float) -> None:
     states, outputs, grades = drawn(300, top_mps, 1)
-    physics = Physics(PARAMS, DT_S)
-    push = physics.push(outputs, grades).T
-    after = physics.after(states, push)
+    physics = BatchedSingleTrack(PARAMS, DT_S)
+    push = physics.compute_inputs(outputs, grades).T
+    after = physics.step(states, push)
     assert np.abs(after - by_kernel(states, outputs, grades)).max() < 1e-9
 
 
 def test_slopes_are_those_of_the_kernel() -> None:
     states, outputs, grades = drawn(60, 25.0, 2)
     states[0] += 2.0  # clear of the corners near standstill
-    physics = Physics(PARAMS, DT_S)
-    push = physics.push(outputs, grades).T
+    physics = BatchedSingleTrack(PARAMS, DT_S)
+    push = physics.compute_inputs(outputs, grades).T
     for out in range(3):
         state = torch.from_numpy(states).requires_grad_()
-        tick(physics, state, push)[out].sum().backward()
+        step_physics(physics, state, push)[out].sum().backward()
         for part in range(3):
             nudge = np.zeros((3, 1))
             nudge[part] = 1e-4
@@ -67,8 +67,8 @@ def test_slopes_are_those_of_the_kernel() -> None:
 
 def test_without_gradients_a_tick_is_the_same_to_the_bit() -> None:
     states, outputs, grades = drawn(40, 20.0, 3)
-    physics = Physics(PARAMS, DT_S)
-    push = physics.push(outputs, grades).T
+    physics = BatchedSingleTrack(PARAMS, DT_S)
+    push = physics.compute_inputs(outputs, grades).T
     with torch.no_grad():
-        plain = tick(physics, torch.from_numpy(states), push)
-    assert torch.equal(plain, tick(physics, torch.from_numpy(states).requires_grad_(), push).detach())
+        plain = step_physics(physics, torch.from_numpy(states), push)
+    assert torch.equal(plain, step_physics(physics, torch.from_numpy(states).requires_grad_(), push).detach())

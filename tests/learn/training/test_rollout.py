@@ -11,22 +11,22 @@ torch = pytest.importorskip("torch")
 
 from tests.learn.training.made import REST, physics, track, vehicle  # noqa: E402
 from tunefree_hil.config.load import load_model  # noqa: E402
-from tunefree_hil.learn.evaluation.free_run import ridden, rig_of  # noqa: E402
-from tunefree_hil.learn.evaluation.motion import outputs_of  # noqa: E402
-from tunefree_hil.learn.model_folder import Learned, write_learned  # noqa: E402
-from tunefree_hil.learn.training.fit import learner_of  # noqa: E402
-from tunefree_hil.learn.training.learners import FreeRunLearner, Wish  # noqa: E402
+from tunefree_hil.learn.evaluation.free_run import RunSpan, make_runnable, run_free  # noqa: E402
+from tunefree_hil.learn.evaluation.motion import simulate_actuators  # noqa: E402
+from tunefree_hil.learn.model_folder import LearnedModel, write_learned_model  # noqa: E402
+from tunefree_hil.learn.training.fit import make_learner  # noqa: E402
+from tunefree_hil.learn.training.learners import FreeRunLearner, TrainingPlan  # noqa: E402
 from tunefree_hil.learn.training.one_step import OneStepLearner  # noqa: E402
-from tunefree_hil.learn.training.rollout import CarriageRunner, PhysicsRunner, pose_of  # noqa: E402
-from tunefree_hil.learn.training.windows import Pool, pool_of, window_at  # noqa: E402
+from tunefree_hil.learn.training.rollout import KinematicRunner, PhysicsRunner, integrate_pose  # noqa: E402
+from tunefree_hil.learn.training.windows import TrackPool, make_pool, make_windows  # noqa: E402
 
 WARM, AHEAD = 100, 1000
 FIRST = np.array([300])
 
 
 @pytest.fixture(scope="module")
-def pool() -> Pool:
-    return pool_of([track(1)], physics(), REST)
+def pool() -> TrackPool:
+    return make_pool([track(1)], physics(), REST)
 
 
 def stirred(net: torch.nn.Module, seed: int = 1) -> None:
@@ -41,19 +41,19 @@ def by_kernel(kind: str, arrays: dict[str, np.ndarray] | None, folder: Path) -> 
     """Rows (x, y, heading, speed, yaw rate) from the start on."""
     model = physics()
     if arrays is not None:
-        write_learned(folder / kind, Learned(kind, vehicle(), model, arrays), {})
+        write_learned_model(folder / kind, LearnedModel(kind, vehicle(), model, arrays), {})
         model = load_model(folder / kind)
-    rig, own = rig_of(model), track(1)
+    rig, own = make_runnable(model), track(1)
     behind_m = vehicle().nominal.wheelbase_m - vehicle().nominal.front_axle_m
-    outputs = outputs_of(own, model, REST)
-    return [ridden(rig, own, outputs, int(first), WARM, AHEAD, behind_m)[WARM:] for first in FIRST]
+    outputs = simulate_actuators(own, model, REST)
+    return [run_free(rig, own, outputs, RunSpan(int(first), WARM, AHEAD), behind_m)[WARM:] for first in FIRST]
 
 
-def compare(runner: PhysicsRunner | CarriageRunner, pool: Pool, kernel: list[np.ndarray], a_tick: float) -> None:
-    window = window_at(FIRST, WARM, AHEAD)
+def compare(runner: PhysicsRunner | KinematicRunner, pool: TrackPool, kernel: list[np.ndarray], a_tick: float) -> None:
+    window = make_windows(FIRST, WARM, AHEAD)
     with torch.no_grad():
         ran = runner.run(pool, window)
-        heading, x, y = pose_of(ran, pool.dt_s)
+        heading, x, y = integrate_pose(ran, pool.dt_s)
     for i, rows in enumerate(kernel):
         assert abs(ran.speed[1, i] - rows[1, 3]) < a_tick * pool.dt_s
         assert abs(ran.yaw_rate[1, i] - rows[1, 4]) < a_tick
@@ -67,8 +67,8 @@ def compare(runner: PhysicsRunner | CarriageRunner, pool: Pool, kernel: list[np.
     assert float(ran.speed.max()) > 3.0  # it went somewhere
 
 
-def test_physics(pool: Pool, tmp_path: Path) -> None:
-    learner = learner_of(Wish("hybrid", 1, 10), pool, pool, physics())
+def test_physics(pool: TrackPool, tmp_path: Path) -> None:
+    learner = make_learner(TrainingPlan("hybrid", 1, 10), pool, pool, physics())
     assert isinstance(learner, FreeRunLearner)
     runner = learner.runner
     assert isinstance(runner, PhysicsRunner)
@@ -76,28 +76,28 @@ def test_physics(pool: Pool, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["hybrid", "lstm", "mlp"])
-def test_a_net_runs_as_in_its_kernel(kind: str, pool: Pool, tmp_path: Path) -> None:
-    learner = learner_of(Wish(kind, 1, 10), pool, pool, physics())
+def test_a_net_runs_as_in_its_kernel(kind: str, pool: TrackPool, tmp_path: Path) -> None:
+    learner = make_learner(TrainingPlan(kind, 1, 10), pool, pool, physics())
     stirred(learner.net)
     runner = (
-        learner.runner if isinstance(learner, FreeRunLearner) else CarriageRunner(physics().plant.params, learner.net)
+        learner.runner if isinstance(learner, FreeRunLearner) else KinematicRunner(physics().plant.params, learner.net)
     )
     compare(runner, pool, by_kernel(kind, learner.arrays(), tmp_path), 1e-5)
 
 
-def test_the_papers_net_says_what_its_kernel_says(pool: Pool, tmp_path: Path) -> None:
+def test_the_papers_net_says_what_its_kernel_says(pool: TrackPool, tmp_path: Path) -> None:
     """One step after a measured second: acceleration and yaw rate."""
-    learner = OneStepLearner(Wish("paper", 1, 10), pool, pool)
+    learner = OneStepLearner(TrainingPlan("paper", 1, 10), pool, pool)
     arrays = learner.arrays()
-    write_learned(tmp_path / "paper", Learned("paper", vehicle(), physics(), arrays), {})
-    rig, own = rig_of(load_model(tmp_path / "paper")), track(1)
-    outputs = outputs_of(own, physics(), REST, identity=True)
+    write_learned_model(tmp_path / "paper", LearnedModel("paper", vehicle(), physics(), arrays), {})
+    rig, own = make_runnable(load_model(tmp_path / "paper")), track(1)
+    outputs = simulate_actuators(own, physics(), REST, takes_commands=True)
     behind_m = vehicle().nominal.wheelbase_m - vehicle().nominal.front_axle_m
     row = int(FIRST[0]) + WARM
-    shown = ridden(rig, own, outputs, int(FIRST[0]), WARM, 1, behind_m)[-1]
+    shown = run_free(rig, own, outputs, RunSpan(int(FIRST[0]), WARM, 1), behind_m)[-1]
     with torch.no_grad():
-        ready = learner.net.ready()
-        hidden, _ = learner.net.over(ready, learner._features(pool, np.array([row + 1])))
+        ready = learner.net.rollout_weights()
+        hidden, _ = learner.net.run(ready, learner._features(pool, np.array([row + 1])))
         said = torch.addmm(ready.out_bias, ready.out, hidden) * learner.spread + learner.mean
     assert abs((shown[3] - own.speed_mps[row]) / pool.dt_s - float(said[0])) < 1e-5
     assert abs(shown[4] - float(said[1])) < 1e-5

@@ -1,4 +1,4 @@
-"""The by-wire unit's rules, one by one (apollo_facts 7.3)."""
+"""The by-wire unit's rules, one by one (docs/reference/by_wire.md)."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ def lights(status: ByWireStatus) -> tuple[float, float, float]:
 
 
 def test_brake_lights_have_hysteresis() -> None:
-    """On above 0.22, off below 0.20 of duty (apollo_facts 7.4); the unit's own and the lamp's."""
+    """On above 0.22, off below 0.20 of duty (docs/reference/by_wire.md); the unit's own and the lamp's."""
     bench = Bench()
     seen = [lights(bench.tick(said(brake=duty), n=3).status) for duty in (0.15, 0.21, 0.23, 0.21, 0.19)]
     assert seen == [(0, 0, 0), (0, 0, 0), (0, 1, 1), (0, 1, 1), (0, 0, 0)]

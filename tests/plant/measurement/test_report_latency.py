@@ -14,7 +14,14 @@ from tunefree_hil.base.course import Start
 from tunefree_hil.base.records import Disturbance
 from tunefree_hil.plant.actuation.bywire import ByWireParams, ByWireStatus, ChannelStatus, Heard, HeardChannel, bywire
 from tunefree_hil.plant.ecu import Said, UnitInput, make_unit
-from tunefree_hil.plant.measurement.report_latency import WIDTH, init_late, latency_of, step_late
+from tunefree_hil.plant.measurement.report_latency import (
+    STATUS_WIDTH,
+    delay_status,
+    init_status_delay,
+    pack_status,
+    report_latency,
+    unpack_status,
+)
 from tunefree_hil.plant.types import Driver
 from tunefree_hil.plant.vehicle import for_episode
 
@@ -60,14 +67,21 @@ def test_a_part_of_a_tick_counts_as_a_whole_one_for_bits() -> None:
 
 @given(st.lists(STATUS, min_size=1, max_size=20), st.integers(0, 5))
 def test_any_status_comes_through(statuses: list[ByWireStatus], ticks: int) -> None:
-    state = init_late(ticks * DT_S, DT_S)
+    state = init_status_delay(ticks * DT_S, DT_S)
     out = []
     for status in statuses:
-        state, now = step_late(state, status)
+        state, now = delay_status(state, status)
         out.append(now)
     assert out == [ByWireStatus()] * min(ticks, len(statuses)) + statuses[: max(len(statuses) - ticks, 0)]
 
 
-def test_the_row_holds_all_that_a_status_has() -> None:
-    assert sum(len(one) if isinstance(one, tuple) else 1 for one in ByWireStatus()) == WIDTH
-    assert latency_of(()) == (False, 0.0)
+def test_every_bit_comes_back_in_its_place() -> None:
+    """A field that is added to a status and not to its rows comes back as its default."""
+    channels = [ChannelStatus(*(float(10 * k + i) for i in range(len(ChannelStatus._fields)))) for k in (1, 2, 3)]
+    status = ByWireStatus(*channels, *(40.0 + i for i in range(len(ByWireStatus._fields) - 3)))
+    rows = [0.0] * (2 * STATUS_WIDTH)
+    assert pack_status(rows, STATUS_WIDTH, status) == len(rows) and unpack_status(rows, STATUS_WIDTH) == status
+
+
+def test_no_effect_is_no_delay() -> None:
+    assert report_latency(()) == (False, 0.0)

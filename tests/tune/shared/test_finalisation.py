@@ -15,9 +15,9 @@ from tests.tune.postgres import Server, needs_server, running
 from tests.tune.test_postgres import Worker, joined
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.tune import tune
-from tunefree_hil.jobs.tune.robustness import Held
-from tunefree_hil.tune.robust_winner import Came
-from tunefree_hil.tune.shared.finalisation import Ending
+from tunefree_hil.jobs.tune.robustness import RobustnessResult
+from tunefree_hil.tune.robust_winner import DriveTotals
+from tunefree_hil.tune.shared.finalisation import Finalisation
 from tunefree_hil.tune.shared.shared_study import SharedStudy
 
 pytestmark = needs_server(200)
@@ -32,7 +32,7 @@ def server() -> Iterator[Server]:
 def filled(url: str, folder: Path, trials: int = 2) -> SharedStudy:
     folder.mkdir(exist_ok=True)
     study = joined(url, folder)
-    list(study.run_all(trials, lambda points: [bowl(parameters) for parameters in points.values()]))
+    list(study.run_trials(trials, lambda points: [bowl(parameters) for parameters in points.values()]))
     return study
 
 
@@ -50,7 +50,7 @@ def test_one_of_two_ends_the_study_and_the_other_waits_for_it(server: Server, tm
     (first, winner), (second, same) = map(said_last, workers)
     assert {first, second} == {"last", "over"} and winner == same
     (other,) = [worker for worker in workers if "ours" not in worker.said]
-    assert any("waiting for the worker that finds out who wins" in line for line in other.said)
+    assert any("waiting for the worker that determines the winner" in line for line in other.said)
 
 
 def test_a_worker_that_dies_at_it_is_followed_by_one_that_waits(server: Server, tmp_path: Path) -> None:
@@ -71,38 +71,38 @@ def test_a_worker_that_dies_at_it_is_followed_by_one_that_waits(server: Server, 
 def test_what_dies_between_two_parts_leaves_the_second_to_the_next(server: Server, tmp_path: Path) -> None:
     with filled(server.url("parts"), tmp_path) as study:
         wanted = ("held", "verified")
-        with Ending(study, "a") as first:
-            list(first.look(wanted))
-            list(first.keep(held=1))
-            with joined(server.url("parts"), tmp_path) as beside, Ending(beside, "a") as second:
-                list(second.look(wanted))
-                assert not second.ours and second.kept["held"] == 1, "it need not wait for a verification"
-        with Ending(study, "a") as third:
-            list(third.look(wanted))
-            assert third.ours and third.kept["held"] == 1
-            list(third.keep(held=2, verified=3))
-            assert (third.kept["held"], third.kept["verified"]) == (1, 3), "the first answer counts"
-        with Ending(study, "more trials") as fourth:
-            list(fourth.look(wanted))
-            assert fourth.ours and fourth.kept == {}
+        with Finalisation(study, "a") as first:
+            list(first.wait_for_parts(wanted))
+            list(first.store_parts(held=1))
+            with joined(server.url("parts"), tmp_path) as beside, Finalisation(beside, "a") as second:
+                list(second.wait_for_parts(wanted))
+                assert not second.is_ours and second.parts["held"] == 1, "it need not wait for a verification"
+        with Finalisation(study, "a") as third:
+            list(third.wait_for_parts(wanted))
+            assert third.is_ours and third.parts["held"] == 1
+            list(third.store_parts(held=2, verified=3))
+            assert (third.parts["held"], third.parts["verified"]) == (1, 3), "the first answer counts"
+        with Finalisation(study, "more trials") as fourth:
+            list(fourth.wait_for_parts(wanted))
+            assert fourth.is_ours and fourth.parts == {}
 
 
-def test_every_worker_goes_by_the_slower_car_that_one_drove(
+def test_every_worker_uses_the_robustness_result_of_one(
     server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    held = Held(1.5, {"trial 1": Came(0.3, 2, 0), "trial 2": Came(0.5, 0, 0)}, "")
-    drives = iter([held])
+    result = RobustnessResult(1.5, {"trial 1": DriveTotals(0.3, 2, 0), "trial 2": DriveTotals(0.5, 0, 0)}, "")
+    drives = iter([result])
 
-    def hold(*_: Any) -> Iterator[Any]:
+    def check(*_: Any) -> Iterator[Any]:
         yield from ()
         return next(drives)
 
-    monkeypatch.setattr(tune, "hold", hold)
-    wish: Any = SimpleNamespace(
-        bench=SimpleNamespace(spec=SimpleNamespace(verify_model="")), asked=SimpleNamespace(verify=True), vectors={}
+    monkeypatch.setattr(tune, "check_robustness", check)
+    plan: Any = SimpleNamespace(
+        bench=SimpleNamespace(spec=SimpleNamespace(verify_model="")), options=SimpleNamespace(verify=True), vectors={}
     )
     for i in range(2):
-        with filled(server.url("held"), tmp_path / str(i)) as study, Ending(study, "a") as ending:
-            found, said = ended(tune._held_for_all(wish, RunFolder(tmp_path, {}), study, ending))
-            assert found == held and ending.ours == (i == 0)
-            assert any("was found by worker" in event.message for event in said) == (i == 1)
+        with filled(server.url("held"), tmp_path / str(i)) as study, Finalisation(study, "a") as finalisation:
+            found, said = ended(tune._share_robustness(plan, RunFolder(tmp_path, {}), study, finalisation))
+            assert found == result and finalisation.is_ours == (i == 0)
+            assert any("was determined by worker" in event.message for event in said) == (i == 1)

@@ -8,7 +8,7 @@ from sqlalchemy.exc import OperationalError, PendingRollbackError, ProgrammingEr
 
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.tune.shared import server
-from tunefree_hil.tune.shared.server import address_of, is_gone, patiently
+from tunefree_hil.tune.shared.server import is_unreachable, parse_address, retry_while_unreachable
 
 SECRET = "pa%40ss-word"
 
@@ -29,11 +29,11 @@ def driver_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_an_address_is_shown_without_its_password(text: str, shown: str, name: str) -> None:
-    address = address_of(text)
-    assert (address.shown, address.name) == (shown, name)
+    address = parse_address(text)
+    assert (address.public, address.name) == (shown, name)
     assert address.url.startswith("postgresql+psycopg://") and "#" not in address.url
     assert (SECRET in text) == (SECRET in address.url)
-    assert SECRET not in address.shown
+    assert SECRET not in address.public
 
 
 WRONG = (
@@ -45,14 +45,14 @@ WRONG = (
 @pytest.mark.parametrize("text", WRONG)
 def test_what_is_no_address_is_refused_without_its_password(text: str) -> None:
     with pytest.raises(InputError) as caught:
-        address_of(text)
+        parse_address(text)
     assert caught.value.key == "--study" and SECRET not in str(caught.value)
 
 
 def test_a_missing_driver_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pip install 'tunefree_hil\[postgres\]'"):
-        address_of("postgresql://host/db")
+        parse_address("postgresql://host/db")
 
 
 GONE = OperationalError("SELECT 1", {}, Exception("connection refused"))
@@ -74,16 +74,16 @@ def test_only_a_lost_server_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> No
             raise answer
         return answer
 
-    waiting = patiently(work, address_of("postgresql://host/db"), 60.0, "kept in kept.json")
+    waiting = retry_while_unreachable(work, parse_address("postgresql://host/db"), 60.0, "kept in kept.json")
     first = next(waiting)
     assert "does not answer (connection refused)" in first and "kept in kept.json" in first
     assert next(waiting) == "postgresql://host/db answers again"
     with pytest.raises(StopIteration) as done:
         next(waiting)
     assert done.value.value == 7 and slept == [0.5, 1.0, 2.0]
-    assert not is_gone(StorageInternalError("value too long"))
-    assert not is_gone(PendingRollbackError("of an error in the data"))
-    assert not is_gone(ProgrammingError("SELECT 1", {}, Exception("no such table")))
+    assert not is_unreachable(StorageInternalError("value too long"))
+    assert not is_unreachable(PendingRollbackError("of an error in the data"))
+    assert not is_unreachable(ProgrammingError("SELECT 1", {}, Exception("no such table")))
 
 
 def said(words: str, state: str | None) -> ProgrammingError:
@@ -105,7 +105,7 @@ def test_a_refusal_is_no_mistake_of_ours_and_not_waited_for(words: str, state: s
         raise said(words, state)
 
     with pytest.raises(InputError, match="refuses: ") as caught:
-        list(patiently(work, address_of("postgresql://host/db"), 60.0))
+        list(retry_while_unreachable(work, parse_address("postgresql://host/db"), 60.0))
     assert caught.value.code == "study_refused" and "may the user make tables" in caught.value.hint
 
 
@@ -114,7 +114,7 @@ def test_what_the_server_finds_wrong_in_a_question_is_a_mistake_of_ours() -> Non
         raise said('relation "trials" does not exist', "42P01")
 
     with pytest.raises(ProgrammingError):
-        list(patiently(work, address_of("postgresql://host/db"), 60.0))
+        list(retry_while_unreachable(work, parse_address("postgresql://host/db"), 60.0))
 
 
 def test_patience_ends() -> None:
@@ -122,5 +122,5 @@ def test_patience_ends() -> None:
         raise GONE
 
     with pytest.raises(BenchError, match=r"does not answer, for 0 s \(connection refused\); kept in kept") as caught:
-        list(patiently(work, address_of("postgresql://host/db"), 0.4, "kept in kept.json"))
+        list(retry_while_unreachable(work, parse_address("postgresql://host/db"), 0.4, "kept in kept.json"))
     assert caught.value.exit_status == 3 and "same command" in caught.value.hint

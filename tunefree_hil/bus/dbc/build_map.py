@@ -45,13 +45,13 @@ LEAST_COUNTER = 3  # that a DBC declares as a counter's highest value: what coun
 
 def entries(spec: VehicleSpec) -> list[Entry]:
     """Every mapped record field, `wheel_speed_radps` as its four."""
-    found = []
+    mapped = []
     for group in GROUPS:
         for name, field in getattr(spec, group).items():
             names = WHEEL_FIELDS if name == WHEELS else (name,)
-            for place, one in enumerate(names):
-                found.append(Entry(f"{group}.{name}", group, one, field, field_signals(field, place)))
-    return [entry for entry in found if entry.name in GROUPS[entry.group]._fields]
+            for place, field_name in enumerate(names):
+                mapped.append(Entry(f"{group}.{name}", group, field_name, field, field_signals(field, place)))
+    return [entry for entry in mapped if entry.name in GROUPS[entry.group]._fields]
 
 
 def field_signals(field: FieldSpec, place: int = 0) -> tuple[tuple[str, float], ...]:
@@ -63,10 +63,10 @@ def field_signals(field: FieldSpec, place: int = 0) -> tuple[tuple[str, float], 
     return ((field.signal[place], 1.0),) if place < len(field.signal) else ()
 
 
-def by_message(found: Iterable[Entry]) -> dict[tuple[str, str], list[Entry]]:
+def by_message(mapped: Iterable[Entry]) -> dict[tuple[str, str], list[Entry]]:
     """Entries by (message, channel)."""
     table: dict[tuple[str, str], list[Entry]] = {}
-    for entry in found:
+    for entry in mapped:
         table.setdefault((entry.spec.message, entry.spec.channel), []).append(entry)
     return table
 
@@ -80,21 +80,21 @@ def build_messages(spec: VehicleSpec, network: Mapping[str, Message]) -> list[Me
     for state in (state for states in spec.state.values() for state in states):
         if state.message not in named:
             table.setdefault((state.message, ""), [])
-    maps = [_build(spec, network[name], channel, found) for (name, channel), found in table.items()]
+    maps = [_build(spec, network[name], channel, members) for (name, channel), members in table.items()]
     return sorted(maps, key=lambda message: (message.extended, message.can_id, message.channel))
 
 
-def _build(spec: VehicleSpec, message: Message, channel: str, found: list[Entry]) -> MessageMap:
+def _build(spec: VehicleSpec, message: Message, channel: str, members: list[Entry]) -> MessageMap:
     signals = {signal.name: signal_map(signal, message.length) for signal in message.signals}
-    fields = tuple(_field(entry, signals) for entry in found)
-    roles = {role: _first(getattr(entry.spec, role) for entry in found) for role in ROLES}
-    e2e = _e2e(spec, message.name, found)
+    fields = tuple(_field(entry, signals) for entry in members)
+    roles = {role: _first(getattr(entry.spec, role) for entry in members) for role in ROLES}
+    e2e = _e2e(spec, message.name, members)
     if e2e is not None:
         roles["counter"] = roles["counter"] or e2e.counter
         roles["checksum"] = roles["checksum"] or e2e.crc
     protection = _protection(e2e, signals, message.length)
     states = _states(spec, message.name)
-    constants = _constants(spec, message.name, found)
+    constants = _constants(spec, message.name, members)
     raw = {name for name in roles.values() if name} | {state.signal for state in states}
     return MessageMap(
         name=message.name,
@@ -102,13 +102,13 @@ def _build(spec: VehicleSpec, message: Message, channel: str, found: list[Entry]
         extended=message.is_extended_frame,
         fd=bool(message.is_fd) or message.length > 8,
         length=message.length,
-        kind=_kind(spec, message.name, found),
-        period_ticks=period_ms(spec, message, found) // spec.tick_ms,
-        timeout_ticks=max((entry.spec.timeout_ms for entry in found), default=0) // spec.tick_ms,
+        kind=_kind(spec, message.name, members),
+        period_ticks=period_ms(spec, message, members) // spec.tick_ms,
+        timeout_ticks=max((entry.spec.timeout_ms for entry in members), default=0) // spec.tick_ms,
         fields=fields,
         counter_modulus=_modulus(protection, signals, roles["counter"]),
         channel=channel,
-        allow_truncated=_truncated(spec, message.name, found),
+        allow_truncated=_truncated(spec, message.name, members),
         constants=constants,
         bywire=_bywire(fields, states),
         states=states,
@@ -121,10 +121,10 @@ def _build(spec: VehicleSpec, message: Message, channel: str, found: list[Entry]
     )
 
 
-def _e2e(spec: VehicleSpec, name: str, found: list[Entry]) -> E2eSpec | None:
+def _e2e(spec: VehicleSpec, name: str, members: list[Entry]) -> E2eSpec | None:
     """A message's protection: what any of its fields, or its [extra] entry, says of it. None: nothing."""
-    said = [entry.spec.e2e for entry in found] + ([spec.extra[name].e2e] if name in spec.extra else [])
-    chosen = [one for one in said if one.profile != "none"] or [one for one in said if one.counter]
+    declared = [entry.spec.e2e for entry in members] + ([spec.extra[name].e2e] if name in spec.extra else [])
+    chosen = [one for one in declared if one.profile != "none"] or [one for one in declared if one.counter]
     return chosen[0] if chosen else None
 
 
@@ -168,30 +168,30 @@ def _first(names: Iterable[str]) -> str:
     return next((name for name in names if name), "")
 
 
-def _kind(spec: VehicleSpec, name: str, found: list[Entry]) -> str:
-    if found:
-        return COMMAND if found[0].group == "command" else TELEMETRY
+def _kind(spec: VehicleSpec, name: str, members: list[Entry]) -> str:
+    if members:
+        return COMMAND if members[0].group == "command" else TELEMETRY
     return spec.extra[name].kind if name in spec.extra else TELEMETRY
 
 
-def period_ms(spec: VehicleSpec, message: Message, found: list[Entry]) -> int:
+def period_ms(spec: VehicleSpec, message: Message, members: list[Entry]) -> int:
     """A message's period: its fields', its [extra] entry's, the DBC's GenMsgCycleTime, or one tick."""
-    if found:
-        return found[0].spec.period_ms
+    if members:
+        return members[0].spec.period_ms
     if message.name in spec.extra:
         return spec.extra[message.name].period_ms
     return message.cycle_time or spec.tick_ms
 
 
-def _truncated(spec: VehicleSpec, name: str, found: list[Entry]) -> bool:
+def _truncated(spec: VehicleSpec, name: str, members: list[Entry]) -> bool:
     if name in spec.extra and spec.extra[name].allow_truncated:
         return True
-    return any(entry.spec.allow_truncated for entry in found)
+    return any(entry.spec.allow_truncated for entry in members)
 
 
-def _constants(spec: VehicleSpec, name: str, found: list[Entry]) -> dict[str, float]:
+def _constants(spec: VehicleSpec, name: str, members: list[Entry]) -> dict[str, float]:
     constants = dict(spec.extra[name].constants) if name in spec.extra else {}
-    for entry in found:
+    for entry in members:
         constants.update(entry.spec.constants)
     return constants
 
@@ -206,18 +206,18 @@ def _field(entry: Entry, signals: Mapping[str, SignalMap]) -> FieldMap:
 
 def _states(spec: VehicleSpec, name: str) -> tuple[StateMap, ...]:
     return tuple(
-        StateMap(condition, one.signal, one.active, one.effect, one.bywire, one.cause)
+        StateMap(condition, state.signal, state.active, state.effect, state.bywire, state.cause)
         for condition, states in spec.state.items()
-        for one in states
-        if one.message == name
+        for state in states
+        if state.message == name
     )
 
 
 def _bywire(fields: Iterable[FieldMap], states: Iterable[StateMap]) -> tuple[str, ...]:
     """The channels of the message's fields; of its states where it has no field."""
-    found: set[str] = set()
+    bywire: set[str] = set()
     for field in fields:
         for prefix, channels in BYWIRE_PREFIXES.items():
             if f"{field.group}.{field.name}".startswith(prefix):
-                found.update(channels)
-    return tuple(sorted((found or {state.bywire for state in states}) - {""}))
+                bywire.update(channels)
+    return tuple(sorted((bywire or {state.bywire for state in states}) - {""}))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Collection, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from tunefree_hil.bus.dbc.e2e import DATA_IDS, ID_MODES, MODULI, PROFILES
 
@@ -13,15 +13,25 @@ if TYPE_CHECKING:
 
     from tunefree_hil.config.schema import E2eSpec
 
-Found = Iterator[tuple[str, str, str, str]]  # key, message, hint, code
 BITS = {"crc": 8, "counter": 4, "nibble": 4}
 
 
-def check_protection(key: str, e2e: E2eSpec, message: Message, used: Collection[str]) -> Found:
+class ProtectionProblem(NamedTuple):
+    """A key of an `e2e` table that does not fit its message."""
+
+    key: str
+    message: str
+    hint: str
+    code: str = "vehicle"
+
+
+def check_protection(key: str, e2e: E2eSpec, message: Message, used: Collection[str]) -> Iterator[ProtectionProblem]:
     """Every problem of one `e2e` table. `used`: signals of the message that hold values of their own."""
     if e2e.profile not in PROFILES:
         known = ", ".join(PROFILES)
-        yield f"{key}.profile", f"unknown E2E profile {e2e.profile!r}", f"there is {known}", "unknown_e2e_profile"
+        yield ProtectionProblem(
+            f"{key}.profile", f"unknown E2E profile {e2e.profile!r}", f"there is {known}", "unknown_e2e_profile"
+        )
         return
     roles = ("crc", "counter", "nibble") if e2e.id_mode == "nibble" else ("crc", "counter")
     for role in roles:
@@ -31,61 +41,64 @@ def check_protection(key: str, e2e: E2eSpec, message: Message, used: Collection[
         yield from _modes(key, e2e)
 
 
-def _role(key: str, role: str, e2e: E2eSpec, message: Message, used: Collection[str]) -> Found:
+def _role(key: str, role: str, e2e: E2eSpec, message: Message, used: Collection[str]) -> Iterator[ProtectionProblem]:
     name, where = getattr(e2e, role), f"{key}.{role}"
     if not name:
         if e2e.profile != "none":
-            yield (
-                where,
-                f"profile {e2e.profile} needs it",
-                f"name the signal of {message.name} that holds it",
-                "vehicle",
+            yield ProtectionProblem(
+                where, f"profile {e2e.profile} needs it", f"name the signal of {message.name} that holds it"
             )
         return
     signals = {signal.name: signal for signal in message.signals}
     if name not in signals:
         close = difflib.get_close_matches(name, signals, n=1, cutoff=0.5)
         hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(sorted(signals))}"
-        yield where, f"message {message.name} has no signal {name!r}", hint, "vehicle"
+        yield ProtectionProblem(where, f"message {message.name} has no signal {name!r}", hint)
     elif name in used:
-        yield where, f"{name} holds a value of its own", "name the signal that has this role", "vehicle"
+        yield ProtectionProblem(where, f"{name} holds a value of its own", "name the signal that has this role")
     elif e2e.profile != "none":
         yield from _place(where, role, signals[name])
 
 
-def _place(where: str, role: str, signal: Signal) -> Found:
+def _place(where: str, role: str, signal: Signal) -> Iterator[ProtectionProblem]:
     bits = BITS[role]
     if signal.length != bits or signal.is_signed or signal.conversion.is_float:
         sign = "signed, " if signal.is_signed else ""
-        yield where, f"{signal.name} is {sign}{signal.length} bits wide", f"it is unsigned, of {bits} bits", "vehicle"
+        yield ProtectionProblem(
+            where, f"{signal.name} is {sign}{signal.length} bits wide", f"it is unsigned, of {bits} bits"
+        )
         return
     low = signal.start if signal.byte_order == "little_endian" else signal.start % 8 - bits + 1
     if low % bits:
-        what = "a byte" if bits == 8 else "half a byte"
-        yield where, f"{signal.name} is not {what} by itself", f"its lowest bit is one of {_starts(bits)}", "vehicle"
+        unit = "a byte" if bits == 8 else "half a byte"
+        yield ProtectionProblem(
+            where, f"{signal.name} is not {unit} by itself", f"its lowest bit is one of {_starts(bits)}"
+        )
 
 
 def _starts(bits: int) -> str:
     return "0, 8, 16, ..." if bits == 8 else "0, 4, 8, ..."
 
 
-def _data_ids(key: str, e2e: E2eSpec) -> Found:
+def _data_ids(key: str, e2e: E2eSpec) -> Iterator[ProtectionProblem]:
     count, largest = DATA_IDS[e2e.profile]
     if e2e.id_mode == "nibble":
         largest = 0xFFF
     if len(e2e.data_ids) != count:
-        many = "one data id" if count == 1 else f"{count} data ids, by counter"
-        yield f"{key}.data_ids", f"{len(e2e.data_ids)} given", f"profile {e2e.profile} has {many}", "vehicle"
-    for i, one in enumerate(e2e.data_ids):
-        if not 0 <= one <= largest:
-            yield f"{key}.data_ids[{i}]", f"{one} does not fit", f"give 0 to {largest}", "vehicle"
+        expected = "one data id" if count == 1 else f"{count} data ids, by counter"
+        yield ProtectionProblem(
+            f"{key}.data_ids", f"{len(e2e.data_ids)} given", f"profile {e2e.profile} has {expected}"
+        )
+    for i, data_id in enumerate(e2e.data_ids):
+        if not 0 <= data_id <= largest:
+            yield ProtectionProblem(f"{key}.data_ids[{i}]", f"{data_id} does not fit", f"give 0 to {largest}")
 
 
-def _modes(key: str, e2e: E2eSpec) -> Found:
+def _modes(key: str, e2e: E2eSpec) -> Iterator[ProtectionProblem]:
     allowed = ("", *ID_MODES) if e2e.profile == "P01" else ("",)
     if e2e.id_mode not in allowed:
         hint = f"there is {', '.join(ID_MODES)}" if e2e.profile == "P01" else "profile 2 has no id mode: remove the key"
-        yield f"{key}.id_mode", f"no id mode {e2e.id_mode!r}", hint, "vehicle"
+        yield ProtectionProblem(f"{key}.id_mode", f"no id mode {e2e.id_mode!r}", hint)
     most = MODULI[e2e.profile] - 2
     if not 1 <= e2e.max_delta <= most:
-        yield f"{key}.max_delta", f"{e2e.max_delta} is no step", f"give 1 to {most}", "vehicle"
+        yield ProtectionProblem(f"{key}.max_delta", f"{e2e.max_delta} is no step", f"give 1 to {most}")

@@ -29,8 +29,8 @@ def check_vehicle(spec: VehicleSpec, network: Mapping[str, Message] | None = Non
     """Every problem of a folder, each with key and hint; an empty list means that a Codec can be made of it."""
     if network is None:
         network = read_network(spec)
-    found = {(problem.key, problem.message): problem for problem in _Check(spec, network).run()}
-    return list(found.values())  # a mistake in a field of four wheels is one
+    unique = {(problem.key, problem.message): problem for problem in _Check(spec, network).run()}
+    return list(unique.values())  # a mistake in a field of four wheels is one
 
 
 def one_error(problems: list[InputError]) -> InputError:
@@ -67,9 +67,9 @@ class _Check:
                 yield from self._constants(f"extra.{name}", name, extra.constants)
                 yield from self._protection(f"extra.{name}", name, extra.e2e, extra.constants)
         yield from self._states()
-        for (name, _), found in by_message(self.entries).items():
+        for (name, _), members in by_message(self.entries).items():
             if name in self.network:
-                yield from self._together(name, found)
+                yield from self._together(name, members)
         for name in sorted(self._used()):
             yield from self._layout(self.network[name])
         yield from self._identifiers()
@@ -120,8 +120,10 @@ class _Check:
         signal = signal_map(message.get_signal_by_name(name), message.length)
         key = f"{entry.key}.signal"
         if signal.is_float or signal.bits > MOST_BITS:
-            what = "is a floating-point signal" if signal.is_float else f"has {signal.bits} bits"
-            yield self.problem(key, f"{name} {what}", f"record fields are read from integers of up to {MOST_BITS} bits")
+            defect = "is a floating-point signal" if signal.is_float else f"has {signal.bits} bits"
+            yield self.problem(
+                key, f"{name} {defect}", f"record fields are read from integers of up to {MOST_BITS} bits"
+            )
         elif signal.factor == 0 or signal.raw_low >= signal.raw_high:
             yield self.problem(key, f"{name} can say one value only", "mend its factor or range in the DBC")
         elif entry.name == "heading_rad":
@@ -160,8 +162,8 @@ class _Check:
                 yield self.problem(where, f"{value:g} is outside what {name} can say", f"it says {ends}")
 
     def _protection(self, key: str, name: str, e2e: E2eSpec, used: Iterable[str]) -> Iterator[InputError]:
-        for where, message, hint, code in check_protection(f"{key}.e2e", e2e, self.network[name], set(used)):
-            yield self.problem(where, message, hint, code)
+        for problem in check_protection(f"{key}.e2e", e2e, self.network[name], set(used)):
+            yield self.problem(*problem)
 
     def _states(self) -> Iterator[InputError]:
         for condition, states in self.spec.state.items():
@@ -186,37 +188,37 @@ class _Check:
             hint = f"[extra.{name}] with a period_ms, or a tick_ms that divides it"
             yield self.problem(key, f"the DBC sends {name} every {cycle_ms} ms, no multiple of the tick", hint)
 
-    def _together(self, name: str, found: list[Entry]) -> Iterator[InputError]:
+    def _together(self, name: str, members: list[Entry]) -> Iterator[InputError]:
         """What the fields of one message must agree on."""
-        first = found[0]
-        for what in ("period_ms", *ROLES):
-            said = {getattr(entry.spec, what): entry.key for entry in found if getattr(entry.spec, what)}
-            if len(said) > 1:
-                listed = " and ".join(f"{value} by [{key}]" for value, key in said.items())
-                yield self.problem(f"{first.key}.{what}", f"{name} has {listed}", "a message has one")
-        protected = [entry for entry in found if entry.spec.e2e.profile != "none"]
+        first = members[0]
+        for attribute in ("period_ms", *ROLES):
+            values = {getattr(entry.spec, attribute): entry.key for entry in members if getattr(entry.spec, attribute)}
+            if len(values) > 1:
+                listed = " and ".join(f"{value} by [{key}]" for value, key in values.items())
+                yield self.problem(f"{first.key}.{attribute}", f"{name} has {listed}", "a message has one")
+        protected = [entry for entry in members if entry.spec.e2e.profile != "none"]
         for entry in protected[1:]:
             if entry.spec.e2e != protected[0].spec.e2e:
                 hint = f"give both the same, or leave it to [{protected[0].key}]"
                 yield self.problem(f"{entry.key}.e2e", f"[{protected[0].key}] protects {name} otherwise", hint)
-        if len({entry.group == "command" for entry in found}) > 1:
+        if len({entry.group == "command" for entry in members}) > 1:
             yield self.problem(first.key, f"{name} is both command and report", "a message goes one way")
-        cycle_ms, said_ms = self.network[name].cycle_time, period_ms(self.spec, self.network[name], found)
-        if cycle_ms and said_ms and cycle_ms != said_ms:
+        cycle_ms, period = self.network[name].cycle_time, period_ms(self.spec, self.network[name], members)
+        if cycle_ms and period and cycle_ms != period:
             yield self.problem(
-                f"{first.key}.period_ms", f"{said_ms}, but the DBC says {cycle_ms} of {name}", "give both the same"
+                f"{first.key}.period_ms", f"{period}, but the DBC says {cycle_ms} of {name}", "give both the same"
             )
-        yield from self._shared_signals(name, found)
+        yield from self._shared_signals(name, members)
 
-    def _shared_signals(self, name: str, found: list[Entry]) -> Iterator[InputError]:
+    def _shared_signals(self, name: str, members: list[Entry]) -> Iterator[InputError]:
         users: dict[str, str] = {}
-        for entry in found:
+        for entry in members:
             for signal, _ in entry.parts:
-                other = users.setdefault(signal, f"{entry.group}.{entry.name}")
-                if other != f"{entry.group}.{entry.name}":
+                user = users.setdefault(signal, f"{entry.group}.{entry.name}")
+                if user != f"{entry.group}.{entry.name}":
                     yield self.problem(
                         entry.key,
-                        f"{signal} of {name} is also {other}",
+                        f"{signal} of {name} is also {user}",
                         "a signal is one field: list one as absent",
                     )
             for constant in entry.spec.constants:
@@ -224,40 +226,40 @@ class _Check:
                     yield self.problem(
                         f"{entry.key}.constants.{constant}", f"it is {users[constant]} too", "remove the constant"
                     )
-        yield from self._two_meanings(name, found, users)
+        yield from self._two_meanings(name, members, users)
 
-    def _two_meanings(self, name: str, found: list[Entry], users: Mapping[str, str]) -> Iterator[InputError]:
+    def _two_meanings(self, name: str, members: list[Entry], users: Mapping[str, str]) -> Iterator[InputError]:
         """A signal that is a field's value is read as one; a counter or a state is read as bare bits."""
         roles = {
             signal: f"{entry.key}.{role}"
-            for entry in found
+            for entry in members
             for role in ROLES
             if (signal := getattr(entry.spec, role)) and users.get(signal) != f"{entry.group}.{entry.name}"
         }  # its own value as a role is said already
         states = {
             state.signal: f"state.{condition}[{i}]"
-            for condition, some in self.spec.state.items()
-            for i, state in enumerate(some)
+            for condition, listed in self.spec.state.items()
+            for i, state in enumerate(listed)
             if state.message == name
         }
         for signal, key in {**states, **roles}.items():
             if signal in users:
                 yield self.problem(key, f"{signal} of {name} is also {users[signal]}", "a signal has one meaning")
-        said: dict[str, tuple[float, str]] = {}
-        for entry in found:
+        constants: dict[str, tuple[float, str]] = {}
+        for entry in members:
             for constant, value in entry.spec.constants.items():
-                before, key = said.setdefault(constant, (value, entry.key))
+                before, key = constants.setdefault(constant, (value, entry.key))
                 if before != value:
-                    what = f"{constant} is {value:g} here and {before:g} in [{key}]"
-                    yield self.problem(f"{entry.key}.constants.{constant}", what, "a message has one")
+                    message = f"{constant} is {value:g} here and {before:g} in [{key}]"
+                    yield self.problem(f"{entry.key}.constants.{constant}", message, "a message has one")
 
     def _layout(self, message: Message) -> Iterator[InputError]:
         where = f"message {message.name}"
         if message.is_multiplexed():
             yield self.problem(where, "it is multiplexed", "multiplexed messages are not supported; map another one")
             return
-        for one, other in overlaps(message):
-            yield self.problem(where, f"{one} and {other} overlap in the DBC", "mend their start bits or lengths")
+        for first, second in overlaps(message):
+            yield self.problem(where, f"{first} and {second} overlap in the DBC", "mend their start bits or lengths")
         for signal in message.signals:
             end = signal_map(signal, message.length).end_bit
             if end > 8 * message.length:
@@ -281,8 +283,8 @@ class _Check:
             message = self.network[name]
             for channel in channels.get(name, {""}):
                 place = (message.is_extended_frame, message.frame_id, channel)
-                other = seen.setdefault(place, name)
-                if other != name:
+                holder = seen.setdefault(place, name)
+                if holder != name:
                     yield self.problem(
-                        f"message {name}", f"it has the id of {other}, 0x{message.frame_id:X}", "give one a `channel`"
+                        f"message {name}", f"it has the id of {holder}, 0x{message.frame_id:X}", "give one a `channel`"
                     )

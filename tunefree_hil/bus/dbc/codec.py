@@ -1,13 +1,13 @@
-"""DBC + vehicle.toml -> frames from records, records from frames (design D7, interfaces 2).
+"""DBC + vehicle.toml -> frames from records, records from frames (docs/reference/files.md).
 
-The layout is read by cantools once; what runs every tick are flat steps compiled from it (bus/dbc/encode_plan.py). They agree with
+cantools reads the layout once; every tick runs flat steps compiled from it (bus/dbc/encode_plan.py). They agree with
 cantools bit for bit (tests/bus/dbc/test_codec.py) and cost a few microseconds a message.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import NAN, CanFrame, Command, Ins, Report
@@ -22,6 +22,14 @@ if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
 
 __all__ = ["Codec", "MessageMap", "Snapshot"]
+
+
+class FieldValue(NamedTuple):
+    """SI value of a record field. index: the field's place in its record."""
+
+    group: str
+    index: int
+    value: float
 
 
 class Codec:
@@ -96,12 +104,7 @@ class Codec:
             if field.group in records:
                 more_little, more_big = _special_bits(field, records[field.group][field.index])
                 little, big = little | more_little, big | more_big
-        for name, value in signals.items():
-            mask, shift, others, is_big = plan.raws[name]
-            if is_big:
-                big = big & others | (int(value) & mask) << shift
-            else:
-                little = little & others | (int(value) & mask) << shift
+        little, big = _put_raw(plan, signals, little, big)
         size = message.length
         payload = little.to_bytes(size, "little")
         if big:
@@ -130,12 +133,12 @@ class Codec:
                 hint="allow_truncated = true in vehicle.toml decodes such frames as far as they go",
             )
         decoded = _read(message.plan, data.ljust(message.length, b"\xff"))
-        there = 8 * len(data)
-        return {name: value for name, value in decoded.items() if message.signals[name].end_bit <= there}
+        bits_present = 8 * len(data)
+        return {name: value for name, value in decoded.items() if message.signals[name].end_bit <= bits_present}
 
-    def values(self, message: MessageMap, decoded: Mapping[str, float]) -> list[tuple[str, int, float]]:
-        """(group, index in the record, SI value) of each record field; fields with a missing signal are left out."""
-        found = []
+    def values(self, message: MessageMap, decoded: Mapping[str, float]) -> list[FieldValue]:
+        """The record fields of a decoded message; fields with a missing signal are left out."""
+        values = []
         for group, index, terms, scale, offset in message.plan.values:
             total = 0.0
             for name, term_scale in terms:
@@ -143,8 +146,19 @@ class Codec:
                     break
                 total += decoded[name] * term_scale
             else:
-                found.append((group, index, total * scale + offset))
-        return found
+                values.append(FieldValue(group, index, total * scale + offset))
+        return values
+
+
+def _put_raw(plan: Plan, signals: Mapping[str, float], little: int, big: int) -> tuple[int, int]:
+    """The payload's two integers with raw values put in by signal name."""
+    for name, value in signals.items():
+        mask, shift, others, is_big = plan.raws[name]
+        if is_big:
+            big = big & others | (int(value) & mask) << shift
+        else:
+            little = little & others | (int(value) & mask) << shift
+    return little, big
 
 
 def _special_bits(field: FieldMap, value: float) -> tuple[int, int]:
@@ -218,13 +232,13 @@ class Snapshot:
     def _steps(self, message: MessageMap) -> tuple[tuple[Any, ...], ...] | None:
         """One flat step a field where each is one little-endian integer signal, else None."""
         steps = []
-        for one in message.fields:
-            signal, term_scale = one.terms[0]
-            if len(one.terms) > 1 or signal.big_endian or signal.is_float:
+        for field in message.fields:
+            signal, term_scale = field.terms[0]
+            if len(field.terms) > 1 or signal.big_endian or signal.is_float:
                 return None
             sign = 1 << (signal.bits - 1) if signal.signed else 0
             read = (signal.shift, signal.mask, sign, signal.factor, signal.offset)
-            steps.append((self._groups[one.group], one.index, *read, term_scale, one.scale, one.offset))
+            steps.append((self._groups[field.group], field.index, *read, term_scale, field.scale, field.offset))
         return tuple(steps)
 
     def report(self) -> Report:

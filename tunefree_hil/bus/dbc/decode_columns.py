@@ -33,10 +33,10 @@ class Payloads(NamedTuple):
 
 
 class Fields(NamedTuple):
-    """values: float64 [n, fields] in SI, in the order of message.fields; there: bool [n, fields], all in the frame."""
+    """values: float64 [n, fields] in SI, in the order of message.fields; is_present: bool [n, fields], all bits in the frame."""
 
     values: Array
-    there: Array
+    is_present: Array
 
 
 def payloads_of(frames: Sequence[bytes]) -> Payloads:
@@ -76,17 +76,17 @@ def are_intact(message: MessageMap, payloads: Payloads) -> Array:
 
 
 def decode_fields(message: MessageMap, payloads: Payloads) -> Fields:
-    """The record fields of payloads of `fit`, those of Codec.values; where `there` is False a value means nothing."""
+    """The record fields of payloads of `fit`, those of Codec.values; where `is_present` is False a value means nothing."""
     shape = (len(payloads.size), len(message.fields))
-    found = Fields(np.empty(shape), np.ones(shape, dtype=bool))
+    fields = Fields(np.empty(shape), np.ones(shape, dtype=bool))
     for place, (_, _, terms, scale, offset) in enumerate(message.plan.values):
         total = np.zeros(shape[0])
         with np.errstate(all="ignore"):  # floats on the wire may be infinite
             for name, term_scale in terms:
                 total = total + decode_signal(message, name, payloads) * term_scale
-                found.there[:, place] &= is_there(message, name, payloads)
-            found.values[:, place] = total * scale + offset
-    return found
+                fields.is_present[:, place] &= is_there(message, name, payloads)
+            fields.values[:, place] = total * scale + offset
+    return fields
 
 
 def is_there(message: MessageMap, name: str, payloads: Payloads) -> Array:

@@ -74,8 +74,8 @@ def put_nibble(data: bytearray, place: Nibble, value: int) -> None:
 
 def crc_of(protection: Protection, data: bytes) -> int:
     """The CRC that a payload must carry, whatever its CRC byte says now."""
-    at, counter = protection.crc_at, read_nibble(data, protection.counter_at)
-    covered = data[:at] + data[at + 1 :]
+    index, counter = protection.crc_at, read_nibble(data, protection.counter_at)
+    covered = data[:index] + data[index + 1 :]
     if protection.profile == "P02":
         return crc8(TABLE_2F, covered + bytes((protection.data_ids[counter],)), 0xFF) ^ 0xFF
     return crc8(TABLE_1D, _id_bytes(protection, counter) + covered, 0)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 __all__ = [
     "BELIEVED",
     "PROFILES",
-    "Counted",
     "CounterCheck",
+    "CounterStep",
     "E2eStatus",
     "Order",
     "Receiver",
@@ -71,7 +71,7 @@ _OF_ORDER = {
 }
 
 
-class Counted(NamedTuple):
+class CounterStep(NamedTuple):
     """What a counter check says: the order, and how many frames are missing in between."""
 
     order: Order
@@ -83,16 +83,16 @@ def next_counter(counter: int, modulus: int) -> int:
     return (counter + 1) % modulus
 
 
-def check_counter(last: int | None, heard: int, modulus: int, max_delta: int = 1) -> Counted:
+def check_counter(last: int | None, heard: int, modulus: int, max_delta: int = 1) -> CounterStep:
     """How `heard` follows `last` (None: nothing heard yet). max_delta: the widest step that still passes."""
     if last is None:
-        return Counted(Order.FIRST, 0)
+        return CounterStep(Order.FIRST, 0)
     delta = (heard - last) % modulus
     if delta == 0:
-        return Counted(Order.REPEATED, 0)
+        return CounterStep(Order.REPEATED, 0)
     if delta == 1:
-        return Counted(Order.OK, 0)
-    return Counted(Order.SOME_LOST if delta <= max_delta else Order.WRONG, delta - 1)
+        return CounterStep(Order.OK, 0)
+    return CounterStep(Order.SOME_LOST if delta <= max_delta else Order.WRONG, delta - 1)
 
 
 class CounterCheck:
@@ -104,7 +104,7 @@ class CounterCheck:
         self.last: int | None = None
         self.repeats = 0  # in a row
 
-    def hear(self, counter: float) -> Counted:
+    def hear(self, counter: float) -> CounterStep:
         """Take in the next frame's counter."""
         heard = int(counter)
         counted = check_counter(self.last, heard, self.modulus, self.max_delta)

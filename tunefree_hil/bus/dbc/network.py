@@ -105,9 +105,9 @@ def overlaps(message: Message) -> list[tuple[str, str]]:
     pairs: list[tuple[str, str]] = []
     for signal in message.signals:
         for bit in bits_of(signal):
-            other = owner.setdefault(bit, signal.name)
-            if other != signal.name and (other, signal.name) not in pairs:
-                pairs.append((other, signal.name))
+            holder = owner.setdefault(bit, signal.name)
+            if holder != signal.name and (holder, signal.name) not in pairs:
+                pairs.append((holder, signal.name))
     return pairs
 
 

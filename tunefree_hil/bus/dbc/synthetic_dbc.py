@@ -56,8 +56,8 @@ def dbc_text(fields: Sequence[str], source: str, units: Mapping[str, str], enabl
     body = "\n".join(_message(name, some) for name, some in messages.items())
     if enabled:
         body += f'\nBO_ {STATE_ID} {STATE}: 1 CHASSIS\n SG_ {ENABLED} : 0|1@1+ (1,0) [0|1] "" Vector__XXX\n'
-    said = "Invented by tunefree-hil log import: these data never were on a CAN bus. No vehicle sends such frames."
-    comments = [f'CM_ "{_plain(said)} Source: {_plain(source)}";']
+    notice = "Invented by tunefree-hil log import: these data never were on a CAN bus. No vehicle sends such frames."
+    comments = [f'CM_ "{_plain(notice)} Source: {_plain(source)}";']
     comments += [
         f'CM_ SG_ {_id(field)} {signal_name(field)} "Invented for {field}; {_plain(units[field])}";' for field in fields
     ]

@@ -1,4 +1,4 @@
-"""What a record becomes on its way over the bus, as a Block: bit for bit encode, then decode (design D1).
+"""What a record becomes on its way over the bus, as a Block: bit for bit encode, then decode (docs/reference/design.md).
 
 Each field is quantised and clipped as its signals are, and held between the transmissions of its message, which goes
 out at every tick k at which (k + phase) % period_ticks is 0. Before its first transmission a field is NaN, as in a
@@ -154,20 +154,22 @@ def wire(codec: Codec, group: str, phases: Mapping[str, int], period: bool = Tru
 
     period=False: every message goes out at every tick, and only what quantising and clipping do is left.
     """
-    found = fields_of(codec, group)
-    periods = [message.period_ticks if period else 1 for _, message in found]
-    waits = [-phases.get(message.name, 0) % ticks for (_, message), ticks in zip(found, periods, strict=True)]
-    unproven = [message.unproven_frames if period else 0 for _, message in found]
+    fields = fields_of(codec, group)
+    periods = [message.period_ticks if period else 1 for _, message in fields]
+    waits = [-phases.get(message.name, 0) % ticks for (_, message), ticks in zip(fields, periods, strict=True)]
+    unproven = [message.unproven_frames if period else 0 for _, message in fields]
     size = len(GROUPS[group]._fields)
 
     def init(params: WireParams, dt_s: float) -> WireState:
-        state = WireState(buffer(max(len(found), 1)), buffer(max(len(found), 1)), buffer(size, NAN), buffer(size, NAN))
-        for i in range(len(found)):
+        state = WireState(
+            buffer(max(len(fields), 1)), buffer(max(len(fields), 1)), buffer(size, NAN), buffer(size, NAN)
+        )
+        for i in range(len(fields)):
             state.wait_ticks[i] = float(params.wait_ticks[i])
             state.unproven[i] = float(params.unproven[i])
         return state
 
-    return Block(init, STEPS[group], _params([field for field, _ in found], periods, waits, unproven))
+    return Block(init, STEPS[group], _params([field for field, _ in fields], periods, waits, unproven))
 
 
 def fields_of(codec: Codec, group: str) -> list[tuple[FieldMap, MessageMap]]:

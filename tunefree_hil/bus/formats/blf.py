@@ -1,7 +1,7 @@
 """Vector's binary log, .blf, by python-can's reader and writer.
 
 python-can drops the base of stamps that are no dates (below the year 1990) and cuts those before the first frame to it;
-so the writer is given its base here: 0 for such stamps, else the earliest one (can_hil_anchors A10).
+so the writer is given its base here: 0 for such stamps, else the earliest one.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 from tunefree_hil.base.errors import BenchError
-from tunefree_hil.bus.formats.rows import EXACT_S, TICK_S, Loss, Row
+from tunefree_hil.bus.formats.rows import EXACT_S, TICK_S, FormatLoss, Row
 
 Content = tuple[str, int, bytes, int, int]  # a Row without its stamp
 Waiting = defaultdict[Content, list[float]]  # sorted stamps of frames that have no partner yet
@@ -29,9 +29,9 @@ class Proof:
         self._wanted: Waiting = defaultdict(list)
         self._found: Waiting = defaultdict(list)
 
-    def compare(self, wanted: Iterable[Row], found: Iterable[Row]) -> None:
+    def compare(self, written: Iterable[Row], read_back: Iterable[Row]) -> None:
         """Go through both streams to their ends."""
-        for a, b in zip_longest(wanted, found):
+        for a, b in zip_longest(written, read_back):
             if a is not None and b is not None and a[1:] == b[1:] and abs(a[0] - b[0]) < TICK_S:
                 self._pair(a[0], b[0])
                 continue
@@ -41,7 +41,7 @@ class Proof:
             if b is not None:
                 self._seek(b, self._wanted, self._found)
 
-    def _seek(self, row: Row, others: Waiting, own: Waiting) -> None:
+    def _seek(self, row: Row, others: Waiting, waiting: Waiting) -> None:
         """Pair a row with one of the other stream that waits, or let it wait."""
         content: Content = row[1:]
         times = others[content]
@@ -49,7 +49,7 @@ class Proof:
         if place < len(times) and abs(times[place] - row.time_s) < TICK_S:
             self._pair(row.time_s, times.pop(place))
         else:
-            insort(own[content], row.time_s)
+            insort(waiting[content], row.time_s)
         if not times:
             del others[content]
 
@@ -72,12 +72,12 @@ class Proof:
                 hint="nothing was left there; report this log",
             )
 
-    def losses(self) -> list[Loss]:
+    def losses(self) -> list[FormatLoss]:
         """Frames that changed places with others of the same time, and stamps that were rounded."""
-        found = []
+        losses = []
         if self.moved:
-            what = "comes in another place, for the format keeps frames in the order of time only"
-            found.append(Loss(self.moved, what))
+            text = "comes in another place, for the format keeps frames in the order of time only"
+            losses.append(FormatLoss(self.moved, text))
         if self.rounded:
-            found.append(Loss(self.rounded, f"the stamp is rounded, by at most {1e6 * self.most_s:.3f} us"))
-        return found
+            losses.append(FormatLoss(self.rounded, f"the stamp is rounded, by at most {1e6 * self.most_s:.3f} us"))
+        return losses

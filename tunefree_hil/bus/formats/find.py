@@ -44,10 +44,10 @@ def format_of(path: Path) -> str:
         begin = file.read(64)
     if not begin:
         raise InputError("the log is empty: 0 bytes", code="empty_log", file=str(path), hint="record it again")
-    found = next((name for start, name in _BEGINNINGS.items() if begin.startswith(start)), "")
-    if not found and not begin.lstrip().startswith(b"("):
-        found = _by_suffix(path)
-    return found or CANDUMP
+    format_name = next((name for start, name in _BEGINNINGS.items() if begin.startswith(start)), "")
+    if not format_name and not begin.lstrip().startswith(b"("):
+        format_name = _by_suffix(path)
+    return format_name or CANDUMP
 
 
 def format_for(path: Path, name: str = "") -> str:
@@ -56,14 +56,14 @@ def format_for(path: Path, name: str = "") -> str:
     if name and name not in NAMES:
         hint = f"one of {', '.join(NAMES)}"
         raise InputError(f"no format {name!r}", code="unknown_format", key="--format", hint=hint)
-    found = name or _by_suffix(path)
-    if found == "ros1" and path.suffix != ".bag":
+    format_name = name or _by_suffix(path)
+    if format_name == "ros1" and path.suffix != ".bag":
         hint = "ROS tools know a ROS 1 bag by that"
         raise InputError("a ROS 1 bag's name must end in .bag", code="unknown_format", key="OUT", hint=hint)
-    if not found:
+    if not format_name:
         hint = f"end its name with one of {known}, or say --format"
         raise InputError(f"its format cannot be told from {path.name!r}", code="unknown_format", key="OUT", hint=hint)
-    return found
+    return format_name
 
 
 def _by_suffix(path: Path) -> str:
@@ -77,7 +77,7 @@ def load_format(name: str) -> Format:
     """The reader and writer of a format. Raises InputError that names the extra to install."""
     module, constant, package, _ = PLACES[name]
     try:
-        found = importlib.import_module(f"tunefree_hil.bus.formats.{module}")
+        loaded = importlib.import_module(f"tunefree_hil.bus.formats.{module}")
     except ModuleNotFoundError as error:
         if not package or (error.name or "").partition(".")[0] != package:
             raise
@@ -87,4 +87,4 @@ def load_format(name: str) -> Format:
             key=name,
             hint=f"pip install 'tunefree_hil[{EXTRAS[package]}]'",
         ) from error
-    return getattr(found, constant)
+    return getattr(loaded, constant)

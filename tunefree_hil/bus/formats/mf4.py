@@ -93,17 +93,17 @@ def _refuse_headless(file: BinaryIO, size: int) -> None:
 
 def _groups_of(file: Any) -> list[tuple[int, str]]:
     """(index, kind) of the groups with frames of a CAN bus."""
-    found = []
+    groups = []
     for index, group in enumerate(file.groups):
         source = group.channel_group.acq_source
         if source is None or source.bus_type != Source.BUS_TYPE_CAN or not group.channel_group.cycles_nr:
             continue
         names = {channel.name for channel in group.channels}
-        here = [(index, name) for name in KINDS if name in names]
-        if here:
+        kinds = [(index, name) for name in KINDS if name in names]
+        if kinds:
             _refuse_outside(group)
-        found += here
-    return found
+        groups += kinds
+    return groups
 
 
 def _refuse_outside(group: Any) -> None:
@@ -165,10 +165,10 @@ def write(path: Path, rows: Iterable[Row], seen: Survey) -> None:
         file.header.start_time = datetime.fromtimestamp(base_s, UTC)
         for block in _blocks(rows, seen):
             for name, kind in KINDS.items():
-                some = [row for row in block if row.flags & (ERROR | RTR) == kind]
-                if not some:
+                chosen = [row for row in block if row.flags & (ERROR | RTR) == kind]
+                if not chosen:
                     continue
-                times, samples = np.array([row.time_s - base_s for row in some]), _samples(name, some)
+                times, samples = np.array([row.time_s - base_s for row in chosen]), _samples(name, chosen)
                 if name in groups:
                     file.extend(groups[name], [(times, None), (samples, None)])
                 else:

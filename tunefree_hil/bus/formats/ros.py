@@ -73,12 +73,12 @@ def read(path: Path) -> Iterator[Row]:
     """CAN frames of all topics that have them, in the order of the bag."""
     try:
         with AnyReader([path], default_typestore=_types(ros1=path.suffix == ".bag")) as bag:
-            chosen = [one for one in bag.connections if one.msgtype in DEFINITIONS]
+            chosen = [connection for connection in bag.connections if connection.msgtype in DEFINITIONS]
             if not chosen:
-                raise _no_topic(path, sorted({one.msgtype for one in bag.connections}))
-            names = _channels([one.topic for one in chosen])
-            for one, time_ns, raw in bag.messages(connections=chosen):
-                yield _row(bag.deserialize(raw, one.msgtype), names[one.topic], time_ns)
+                raise _no_topic(path, sorted({connection.msgtype for connection in bag.connections}))
+            names = _channels([connection.topic for connection in chosen])
+            for connection, time_ns, raw in bag.messages(connections=chosen):
+                yield _row(bag.deserialize(raw, connection.msgtype), names[connection.topic], time_ns)
     except _FAULTS as error:
         raise unreadable(path, "a ROS bag", error) from error
 
@@ -96,8 +96,8 @@ def _types(ros1: bool) -> Typestore:
     """The message types of ROS and the two CAN types."""
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     for name, text in DEFINITIONS.items():
-        found: Typesdict = get_types_from_msg(text, name)
-        store.register({name: found[name]})
+        types: Typesdict = get_types_from_msg(text, name)
+        store.register({name: types[name]})
     return store
 
 
@@ -187,8 +187,8 @@ def hold(rows: Iterable[Row], seen: Survey, lost: Lost) -> Iterable[Row]:
 
 def hold_ros1(rows: Iterable[Row], seen: Survey, lost: Lost) -> Iterable[Row]:
     """As `hold`; CAN FD frames have no message in ROS 1 and are left out."""
-    what = "a CAN FD frame is left out: ROS 1 has no message for it"
-    return hold(leave_out(rows, lambda row: bool(row.flags & FD), what, lost), seen, lost)
+    text = "a CAN FD frame is left out: ROS 1 has no message for it"
+    return hold(leave_out(rows, lambda row: bool(row.flags & FD), text, lost), seen, lost)
 
 
 def _without(row: Row, bits: int) -> Row:

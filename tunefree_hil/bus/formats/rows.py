@@ -35,14 +35,14 @@ class Row(NamedTuple):
     dlc: int = 0
 
 
-class Loss(NamedTuple):
-    """What a format does not hold: how many frames it concerns, and what becomes of them in words."""
+class FormatLoss(NamedTuple):
+    """What a format cannot store: how many frames it concerns, and what becomes of them."""
 
     frames: int
-    what: str
+    text: str
 
     def __str__(self) -> str:
-        return f"{self.frames} {'frame' if self.frames == 1 else 'frames'}: {self.what}"
+        return f"{self.frames} {'frame' if self.frames == 1 else 'frames'}: {self.text}"
 
 
 class Survey(NamedTuple):
@@ -65,7 +65,10 @@ class Survey(NamedTuple):
         return sum(self.channels.values())
 
 
-Lost = Counter[str]  # what became of frames, in words -> how many
+class Lost(Counter[str]):
+    """What becomes of frames that a format cannot store -> how many. `left_out`: frames that are not written at all."""
+
+    left_out = 0
 
 
 class Format(NamedTuple):
@@ -82,7 +85,7 @@ class Format(NamedTuple):
 
 def survey(rows: Iterable[Row]) -> Survey:
     """Go through all rows once. The stamps of no row at all are inf and -inf."""
-    channels: Lost = Counter()
+    channels: Counter[str] = Counter()
     earliest_s, latest_s, before_s = math.inf, -math.inf, -math.inf
     backwards, flags, micro = 0, 0, True
     for row in rows:
@@ -141,21 +144,22 @@ def hold_numbered(rows: Iterable[Row], seen: Survey, lost: Lost, highest: int) -
     return (row._replace(channel=renamed.get(row.channel, row.channel)) for row in rows)
 
 
-def leave_out(rows: Iterable[Row], which: Callable[[Row], bool], what: str, lost: Lost) -> Iterator[Row]:
+def leave_out(rows: Iterable[Row], which: Callable[[Row], bool], text: str, lost: Lost) -> Iterator[Row]:
     """Rows without those of which `which` is true."""
     for row in rows:
         if which(row):
-            lost[what] += 1
+            lost[text] += 1
+            lost.left_out += 1
         else:
             yield row
 
 
-def change(rows: Iterable[Row], changed: Callable[[Row], Row], what: str, lost: Lost) -> Iterator[Row]:
+def change(rows: Iterable[Row], changed: Callable[[Row], Row], text: str, lost: Lost) -> Iterator[Row]:
     """Rows as `changed` makes them; counts those that it changes."""
     for row in rows:
         after = changed(row)
         if after is not row and after != row:
-            lost[what] += 1
+            lost[text] += 1
         yield after
 
 
@@ -214,11 +218,11 @@ def refuse_cut(path: Path) -> None:
         )
 
 
-def unreadable(path: Path, what: str, error: BaseException) -> InputError:
+def unreadable(path: Path, format_title: str, error: BaseException) -> InputError:
     """A file that begins like the format and is not whole."""
-    said = str(error) or type(error).__name__
+    reason = str(error) or type(error).__name__
     return InputError(
-        f"cannot be read as {what}: {said}",
+        f"cannot be read as {format_title}: {reason}",
         code="broken_log",
         file=str(path),
         hint="is it cut off? copy it again, or export it anew",

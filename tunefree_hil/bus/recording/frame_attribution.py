@@ -15,6 +15,7 @@ from __future__ import annotations
 import zlib
 from collections import deque
 from collections.abc import Callable, Collection, Iterable
+from typing import NamedTuple
 
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.base.records import CanFrame
@@ -31,7 +32,7 @@ def can_key(frame: CanFrame) -> int:
 
 
 def digest(frames: Iterable[CanFrame]) -> int:
-    """16-bit check of a phase's frames, in (id, sequence) order (DONE, interfaces 8)."""
+    """16-bit check of a phase's frames, in (id, sequence) order (DONE, docs/reference/bench_channel.md)."""
     crc = 0
     for frame in frames:
         crc = zlib.crc32(frame.data, zlib.crc32(frame.id.to_bytes(4, "little"), crc))
@@ -47,6 +48,14 @@ class _Entry:
         self.raw = raw
         self.phase = phase
         self.k = -1
+
+
+class MissingFrames(NamedTuple):
+    """The announced frames of a phase that have not arrived; count 0: none."""
+
+    tick: int
+    sender: str
+    count: int
 
 
 class Ledger:
@@ -104,12 +113,12 @@ class Ledger:
         """The drive is over and every announced frame has arrived."""
         return self.ended and not any(self._dones)
 
-    def missing(self) -> tuple[int, str, int]:
-        """(tick, sender, how many) of the first announced frames that have not arrived; (0, '', 0) for none."""
+    def missing(self) -> MissingFrames:
+        """The first announced frames that have not arrived."""
         for phase, dones in enumerate(self._dones):
             if dones:
-                return dones[0].k, PHASE_ROLES[phase], dones[0].n_tx - len(self._unclaimed[phase])
-        return 0, "", 0
+                return MissingFrames(dones[0].k, PHASE_ROLES[phase], dones[0].n_tx - len(self._unclaimed[phase]))
+        return MissingFrames(0, "", 0)
 
     def finish(self) -> None:
         """Write what still waits for a claim; nobody will make one."""

@@ -72,7 +72,7 @@ class LogHealth(NamedTuple):
     span_s: float  # from the earliest stamp to the latest
 
 
-class _Ear:
+class _MessageCheck:
     """What has been heard of one message."""
 
     def __init__(self, message: MessageMap, tick_s: float) -> None:
@@ -128,56 +128,56 @@ class _Ear:
         """The counts."""
         span_s = self.last_s - self.first_s
         rate_hz = (self.frames - 1) / span_s if self.frames > 1 and span_s > 0.0 else 0.0
-        one, counter = self.message, self.counter
-        said = (one.name, one.kind, 1000.0 * self.period_s, self.frames, rate_hz, self.longest_gap_s, self.late)
-        broken = None if one.e2e is None else self.broken
+        message, counter = self.message, self.counter
+        head = (message.name, message.kind, 1000.0 * self.period_s, self.frames, rate_hz, self.longest_gap_s, self.late)
+        broken = None if message.e2e is None else self.broken
         beyond = sum(self.beyond.values())
-        return MessageHealth(*said, counter.lost, counter.repeated, counter.swapped, self.short, broken, beyond)
+        return MessageHealth(*head, counter.lost, counter.repeated, counter.swapped, self.short, broken, beyond)
 
     def problems(self) -> list[str]:
         """What is wrong with this message. Commands may be missing: a log can be made before anyone commands."""
-        name, found = self.message.name, []
+        name, problems = self.message.name, []
         if not self.frames:
             return [] if self.message.kind == COMMAND else [f"{name} was never heard"]
         if self.longest_gap_s > self.limit_s:
-            found.append(f"{name} is silent for {self.longest_gap_s:.2f} s from {self.longest_at_s:.2f} s on")
+            problems.append(f"{name} is silent for {self.longest_gap_s:.2f} s from {self.longest_at_s:.2f} s on")
         if self.short:
-            found.append(f"{name}: {self.short} frames are shorter than the DBC says")
+            problems.append(f"{name}: {self.short} frames are shorter than the DBC says")
         if self.broken:
-            found.append(f"{name}: the CRC or data id of {self.broken} frames does not fit")
+            problems.append(f"{name}: the CRC or data id of {self.broken} frames does not fit")
         if self.never:
             most = self.message.counter_modulus - 1
-            found.append(f"{name}: {self.never} frames are counted beyond {most}, which its E2E profile never does")
+            problems.append(f"{name}: {self.never} frames are counted beyond {most}, which its E2E profile never does")
         for signal, count in self.beyond.items():
             low, high = self.ranges[signal]
-            found.append(f"{name}: {signal} is outside its [{low:g}, {high:g}] in {count} frames")
+            problems.append(f"{name}: {signal} is outside its [{low:g}, {high:g}] in {count} frames")
         if self.counter.lost:
-            found.append(f"{name}: {self.counter.lost} frames are missing by its counter")
+            problems.append(f"{name}: {self.counter.lost} frames are missing by its counter")
         if self.counter.repeated:
-            found.append(f"{name}: {self.counter.repeated} times the counter stood still")
+            problems.append(f"{name}: {self.counter.repeated} times the counter stood still")
         if self.counter.swapped:
-            found.append(f"{name}: {self.counter.swapped} frames came out of order")
-        return found
+            problems.append(f"{name}: {self.counter.swapped} frames came out of order")
+        return problems
 
 
 def declared_ranges(message: MessageMap) -> dict[str, tuple[float, float]]:
     """Physical (low, high) of the signals whose DBC declares less than their bits can say; half a step of slack."""
-    found = {}
+    ranges = {}
     codes = {message.enable, message.clear, message.ignore, message.counter, message.checksum}
     codes |= {state.signal for state in message.states}
     for name, signal in message.signals.items():
         low, high = (-(signal.mask + 1) // 2, signal.mask // 2) if signal.signed else (0, signal.mask)
         if name not in codes and not signal.is_float and (signal.raw_low, signal.raw_high) != (low, high):
             ends = [raw * signal.factor + signal.offset for raw in (signal.raw_low - 0.5, signal.raw_high + 0.5)]
-            found[name] = (min(ends), max(ends))
-    return found
+            ranges[name] = (min(ends), max(ends))
+    return ranges
 
 
 def check_frames(frames: Iterable[Frame], codec: Codec, by_channel: bool = False) -> LogHealth:
     """Judge frames in the order in which they were recorded. `by_channel`: the log's channels are the folder's."""
     tick_s = codec.tick_ms / 1000.0
     messages = (*codec.telemetry, *codec.commands)
-    ears = {(one.key, one.channel if by_channel else ""): _Ear(one, tick_s) for one in messages}
+    checks = {(one.key, one.channel if by_channel else ""): _MessageCheck(one, tick_s) for one in messages}
     foreign: dict[int, int] = {}
     errors = remote = backwards = count = 0
     last_s, earliest_s, latest_s = float("-inf"), float("inf"), float("-inf")
@@ -189,16 +189,18 @@ def check_frames(frames: Iterable[Frame], codec: Codec, by_channel: bool = False
             errors += bool(flags & ERROR)
             remote += not flags & ERROR
             continue
-        ear = ears.get((can_id, channel)) or ears.get((can_id, ""))
-        if ear is not None:
-            ear.hear(codec, time_s, data)
+        check = checks.get((can_id, channel)) or checks.get((can_id, ""))
+        if check is not None:
+            check.hear(codec, time_s, data)
         else:
             foreign[can_id] = foreign.get(can_id, 0) + 1
-    for ear in ears.values():
-        ear.end(earliest_s, latest_s)
-    problems = [problem for ear in ears.values() for problem in ear.problems()]
+    for check in checks.values():
+        check.end(earliest_s, latest_s)
+    problems = [problem for check in checks.values() for problem in check.problems()]
     problems += [f"{errors} error frames: the wiring or the bit rate"] if errors else []
     problems += [f"{remote} remote frames, which no vehicle here asks for"] if remote else []
     problems += [f"time runs backwards {backwards} times"] if backwards else []
     span_s = max(0.0, latest_s - earliest_s)
-    return LogHealth([ear.health() for ear in ears.values()], dict(sorted(foreign.items())), problems, count, span_s)
+    return LogHealth(
+        [check.health() for check in checks.values()], dict(sorted(foreign.items())), problems, count, span_s
+    )

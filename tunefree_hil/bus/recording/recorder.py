@@ -18,7 +18,7 @@ from tunefree_hil.base.errors import BenchError, TunefreeError
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.error_frames import note_error
-from tunefree_hil.bus.link import Link
+from tunefree_hil.bus.link import BusLink
 from tunefree_hil.bus.open import open_link
 from tunefree_hil.bus.recording.frame_attribution import Ledger
 from tunefree_hil.bus.socketcan.kernel_link import kernel_drops
@@ -33,7 +33,7 @@ LOG_SLICE = 256  # frames made into text at a time
 NOT_WHOLE = ("rx_overflow", "link_down", "bus_error", "frames_missing")  # trouble after which a log lacks frames
 
 
-class Setup(NamedTuple):
+class RecorderSetup(NamedTuple):
     """What the owner sends first. ids: (of reports, of commands), EFF bit included; tick_ns 0 in real time."""
 
     vehicle: str
@@ -46,7 +46,7 @@ class Setup(NamedTuple):
 class Recorder:
     """Both links and, while an episode is driven, its logs."""
 
-    def __init__(self, setup: Setup, vehicle: SocketCanLink, bench: Link, bench_fd: int) -> None:
+    def __init__(self, setup: RecorderSetup, vehicle: SocketCanLink, bench: BusLink, bench_fd: int) -> None:
         self.setup = setup
         self.vehicle = vehicle
         self.bench = bench
@@ -156,9 +156,12 @@ class Recorder:
         self._require_all()
         if dropped > 0:
             self._note(overflow(self.vehicle.interface, "the kernel (net.core.netdev_max_backlog)", dropped))
-        tick, who, count = ledger.missing()
-        if count and ledger.ended and not lost:
-            words = f"tick {tick}: {count} frames that the {who} announced never came over {self.vehicle.interface}"
+        missing = ledger.missing()
+        if missing.count and ledger.ended and not lost:
+            words = (
+                f"tick {missing.tick}: {missing.count} frames that the {missing.sender} announced never came over "
+                f"{self.vehicle.interface}"
+            )
             self._note(BenchError(words, code="frames_missing"))
         return ledger
 
@@ -221,7 +224,7 @@ class Recorder:
             log.add(pack_raw(can_id, frame.data, time_ns, fd=frame.fd), 1)
 
 
-def open_recorder(setup: Setup) -> Recorder:
+def open_recorder(setup: RecorderSetup) -> Recorder:
     """Open both links to listen; on a hub as a member, whom the hub waits for. BenchError, InputError as open_link."""
     vehicle = open_link(setup.vehicle, "vehicle", name="the recorder", role="observer", fd=setup.fd)
     assert isinstance(vehicle, SocketCanLink)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import BenchError, NoAnswer
-from tunefree_hil.bus.recording.recorder import Setup
+from tunefree_hil.bus.recording.recorder import RecorderSetup
 
 REPLY_S = 60.0  # a disk may be slow
 STATS_S = 5.0
@@ -35,7 +35,7 @@ class RecorderOwner:
     Every method raises BenchError where the recorder is gone, and the trouble that it tells of the bus, once.
     """
 
-    def __init__(self, control: socket.socket, setup: Setup, patience_s: float) -> None:
+    def __init__(self, control: socket.socket, setup: RecorderSetup, patience_s: float) -> None:
         self.foreign: dict[int, int] = {}
         self.errors: dict[str, int] = {}
         self.remote = 0
@@ -54,12 +54,12 @@ class RecorderOwner:
 
     def stop_log(self) -> dict[str, int]:
         """Finish the logs; frames by channel. BenchError for a file, or for trouble that `check` has not raised yet."""
-        found = self._ask({"op": "stop"}, REPLY_S)
-        self.foreign = {int(key, 16): count for key, count in found["foreign"].items()}
-        self.errors, self.remote = found["errors"], found["remote"]
-        if found["trouble"] is not None and found["trouble"] not in self._told:
-            self._tell(found["trouble"])
-        return found["frames"]
+        counts = self._ask({"op": "stop"}, REPLY_S)
+        self.foreign = {int(key, 16): count for key, count in counts["foreign"].items()}
+        self.errors, self.remote = counts["errors"], counts["remote"]
+        if counts["trouble"] is not None and counts["trouble"] not in self._told:
+            self._tell(counts["trouble"])
+        return counts["frames"]
 
     def stats(self) -> RecorderStats:
         """The recorder's numbers. NoAnswer where it is stopped."""

@@ -2,7 +2,7 @@
 
     python -m tunefree_hil.bus.recording.recorder_process FD [SESSION]
 
-SESSION is for whoever looks at a list of processes. First the owner sends the Setup, then requests: start (paths),
+SESSION is for whoever looks at a list of processes. First the owner sends the RecorderSetup, then requests: start (paths),
 stop, stats. Each gets one line, {"ok": ...} or {"error": ...}; trouble on the bus is told between them, once, as
 {"trouble": {...}}.
 """
@@ -17,7 +17,7 @@ import sys
 from typing import Any, TextIO
 
 from tunefree_hil.base.errors import BenchError, TunefreeError
-from tunefree_hil.bus.recording.recorder import Recorder, Setup, open_recorder
+from tunefree_hil.bus.recording.recorder import Recorder, RecorderSetup, open_recorder
 
 IDLE_S = 0.5
 LONGEST_LINE = 1 << 20
@@ -32,7 +32,7 @@ def serve(control: socket.socket) -> None:
             return
         reports, commands = words.pop("ids")
         try:
-            recorder = open_recorder(Setup(**words, ids=(reports, commands)))
+            recorder = open_recorder(RecorderSetup(**words, ids=(reports, commands)))
         except TunefreeError as error:
             _tell(control, {"error": error.as_dict()})
             raise
@@ -47,7 +47,7 @@ def serve(control: socket.socket) -> None:
 
 def _record(recorder: Recorder, control: socket.socket, lines: TextIO) -> None:
     """Read the bus, tell trouble, answer; until the owner is gone."""
-    told: TunefreeError | None = None
+    reported: TunefreeError | None = None
     poll = select.poll()
     for fd in (*recorder.fds, control.fileno()):
         poll.register(fd, select.POLLIN)
@@ -55,15 +55,15 @@ def _record(recorder: Recorder, control: socket.socket, lines: TextIO) -> None:
         busy = recorder.work()
         ready = {fd for fd, _ in poll.poll(0 if busy else IDLE_S * 1e3)}
         recorder.read()
-        if recorder.trouble is not None and recorder.trouble is not told:
-            told = recorder.trouble
-            _tell(control, {"trouble": told.as_dict()})
+        if recorder.trouble is not None and recorder.trouble is not reported:
+            reported = recorder.trouble
+            _tell(control, {"trouble": reported.as_dict()})
         if control.fileno() in ready:
             line = lines.readline(LONGEST_LINE)
             if not line:
                 return
             _tell(control, _answer(recorder, json.loads(line)))
-            told = recorder.trouble  # the answer holds what the end of a log brought to light
+            reported = recorder.trouble  # the answer holds what the end of a log brought to light
 
 
 def _answer(recorder: Recorder, request: dict[str, Any]) -> dict[str, Any]:
@@ -73,8 +73,8 @@ def _answer(recorder: Recorder, request: dict[str, Any]) -> dict[str, Any]:
             recorder.start(request["paths"])
             return {"ok": {}}
         if request["op"] == "stop":
-            found = recorder.stop()
-            return {"ok": {**found, "trouble": recorder.trouble.as_dict() if recorder.trouble else None}}
+            counts = recorder.stop()
+            return {"ok": {**counts, "trouble": recorder.trouble.as_dict() if recorder.trouble else None}}
         return {"ok": {"frames": recorder.frames}}
     except BenchError as error:
         return {"error": error.as_dict()}

@@ -31,8 +31,8 @@ def unpack(data: bytes, time_ns: int) -> Raw:
     """A frame as the kernel hands it over."""
     can_id, length, flags = HEAD.unpack_from(data)
     fd = len(data) == FD_FRAME.size
-    kept = 0 if can_id & RTR_FLAG else length
-    return Raw(0, 0, time_ns, can_id, length, flags & (BRS | ESI) if fd else 0, fd, data[8 : 8 + kept])
+    n_bytes = 0 if can_id & RTR_FLAG else length
+    return Raw(0, 0, time_ns, can_id, length, flags & (BRS | ESI) if fd else 0, fd, data[8 : 8 + n_bytes])
 
 
 def pack_filters(ids: Sequence[int]) -> bytes:

@@ -30,7 +30,7 @@ MAKE_VCAN = "on a kernel with CAN: " + ADD_VCAN + "; everywhere: --bus tfhub"
 MAKE_FD = "sudo ip link set down {name} && sudo ip link set {name} mtu 72 && sudo ip link set up {name}"
 
 
-class LinkState(NamedTuple):
+class KernelLinkState(NamedTuple):
     """One network link. `kind` is '' for hardware and for a link that does not exist; mtu 72 carries CAN FD."""
 
     exists: bool
@@ -52,28 +52,30 @@ def kernel_has_can() -> bool:
     return True
 
 
-def link_state(name: str) -> LinkState:
+def link_state(name: str) -> KernelLinkState:
     """Whether the link is there, is up, and of which kind."""
     if not hasattr(socket, "AF_NETLINK") or not 0 < len(name) < 16 or "/" in name:
-        return LinkState(False, False, "")
+        return KernelLinkState(False, False, "")
     answer = _ask(name)
     if answer is None:
-        return LinkState(False, False, "")
+        return KernelLinkState(False, False, "")
     _, _, _, flags, _ = INTERFACE.unpack_from(answer)
-    told = _attributes(answer[INTERFACE.size :])
-    info = _attributes(told.get(IFLA_LINKINFO, b""))
+    attributes = _attributes(answer[INTERFACE.size :])
+    info = _attributes(attributes.get(IFLA_LINKINFO, b""))
     kind = info.get(IFLA_INFO_KIND, b"").rstrip(b"\0").decode("ascii", "replace")
-    return LinkState(True, bool(flags & IFF_UP), kind, _number(told, IFLA_MTU), _number(told, IFLA_TXQLEN))
+    return KernelLinkState(
+        True, bool(flags & IFF_UP), kind, _number(attributes, IFLA_MTU), _number(attributes, IFLA_TXQLEN)
+    )
 
 
 def can_names() -> list[str]:
     """Names of the kernel's CAN links (ARPHRD_CAN, 280), in order; [] where /sys is not there."""
-    found = []
+    names = []
     for path in sorted(SYS_NET.glob("*/type")) if SYS_NET.is_dir() else []:
         with suppress(OSError):  # it went while we looked
             if path.read_text().strip() == ARPHRD_CAN:
-                found.append(path.parent.name)
-    return found
+                names.append(path.parent.name)
+    return names
 
 
 def kernel_drops(name: str) -> int:
@@ -148,11 +150,11 @@ def _ask(name: str) -> bytes | None:
 
 def _attributes(data: bytes) -> dict[int, bytes]:
     """rtattr type -> payload."""
-    found = {}
+    attributes = {}
     while len(data) >= ATTRIBUTE.size:
         length, kind = ATTRIBUTE.unpack_from(data)
         if length < ATTRIBUTE.size:
             break
-        found[kind] = data[ATTRIBUTE.size : length]
+        attributes[kind] = data[ATTRIBUTE.size : length]
         data = data[(length + 3) & ~3 :]
-    return found
+    return attributes

@@ -1,7 +1,7 @@
 """A link of the kernel's SocketCAN (vcan0 of the bench; later, behind the gate, can0).
 
 python-can opens the socket and sets its options; reading and sending are ours, because python-can reads one frame with
-two system calls, has no drop counter and raises ENOBUFS at once (can_hil_anchors B1).
+two system calls, has no drop counter and raises ENOBUFS at once.
 
 - Stamps are the kernel's own, CLOCK_REALTIME in ns, made when the frame passed the link.
 - SO_RXQ_OVFL and SO_MEMINFO give the exact number of frames that did not fit this socket's queue; they are never lost
@@ -58,7 +58,7 @@ class Options(NamedTuple):
 
 
 class SocketCanLink:
-    """A Link (link.py) over one SocketCAN interface; `receive_raw` is for the recorder, which sees all there is."""
+    """A BusLink (link.py) over one SocketCAN interface; `receive_raw` is for the recorder, which sees all there is."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class SocketCanLink:
     # --- sending -------------------------------------------------------------------------------------------------
 
     def send(self, frames: Sequence[CanFrame]) -> None:
-        """See Link; the policy for a full queue stands at the top of this file."""
+        """See BusLink; the policy for a full queue stands at the top of this file."""
         if not self._options.may_send:
             raise InputError(f"{self.name} only listens to {self.interface}", code="observer", key="role")
         limit_s = 0.0
@@ -127,7 +127,7 @@ class SocketCanLink:
     # --- receiving -----------------------------------------------------------------------------------------------
 
     def receive(self, timeout_s: float) -> list[CanFrame]:
-        """See Link. BenchError: rx_overflow with the number of lost frames, link_down, bus_off, starter_gone."""
+        """See BusLink. BenchError: rx_overflow with the number of lost frames, link_down, bus_off, starter_gone."""
         deadline_s = time.monotonic() + timeout_s
         while True:
             frames = self._data_frames(self.receive_raw(timeout_s))
@@ -141,17 +141,17 @@ class SocketCanLink:
         self._require_starter()
         if not self._poll.poll(max(0.0, timeout_s) * 1e3):
             return []
-        found: list[Raw] = []
+        frames: list[Raw] = []
         recvmsg = self._sock.recvmsg
         try:
-            while len(found) < MOST_AT_ONCE:
+            while len(frames) < MOST_AT_ONCE:
                 data, ancillary, _, _ = recvmsg(FD_FRAME.size, ANCILLARY, socket.MSG_DONTWAIT)
-                found.append(unpack(data, self._note(ancillary)))
+                frames.append(unpack(data, self._note(ancillary)))
         except BlockingIOError:
             pass
         except OSError as error:
             raise self._explain(error) from error
-        return found
+        return frames
 
     def require_all(self) -> None:
         """Raise BenchError with the number of frames that were lost since the last call."""
@@ -171,7 +171,7 @@ class SocketCanLink:
         self._told_lost = self.count_lost()
 
     def close(self) -> None:
-        """See Link."""
+        """See BusLink."""
         self._close()
 
     def _note(self, ancillary: Sequence[tuple[int, int, bytes]]) -> int:
@@ -217,10 +217,10 @@ class SocketCanLink:
 
     def _explain(self, error: OSError) -> BenchError:
         name = self.interface
-        what = DOWN.get(error.errno or 0)
-        if what:
+        problem = DOWN.get(error.errno or 0)
+        if problem:
             hint = f"sudo ip link set up {name}; then the same command again"
-            return BenchError(f"{name} {what}", code="link_down", hint=hint)
+            return BenchError(f"{name} {problem}", code="link_down", hint=hint)
         if error.errno == errno.EINVAL:
             return BenchError(f"{name} does not carry such a frame: CAN FD needs mtu 72", code="bus_error")
         return BenchError(f"{name}: {error.strerror}", code="bus_error")
@@ -253,10 +253,10 @@ def _enlarge(sock: socket.socket) -> None:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, QUEUE_BYTES)
 
 
-def overflow(interface: str, who: str, lost: int) -> BenchError:
+def overflow(interface: str, receiver: str, lost: int) -> BenchError:
     """The error for frames that did not fit a receive queue."""
     return BenchError(
-        f"{lost} frame{'' if lost == 1 else 's'} of {interface} did not fit the receive queue of {who} and were lost",
+        f"{lost} frame{'' if lost == 1 else 's'} of {interface} did not fit the receive queue of {receiver} and were lost",
         code="rx_overflow",
         hint="does another program flood this link (candump)? more room: sudo sysctl net.core.rmem_max=16777216",
     )

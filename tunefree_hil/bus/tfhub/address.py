@@ -77,7 +77,7 @@ def split_options(text: str) -> tuple[str, dict[str, str]]:
 
 
 def loopback(host: str) -> str:
-    """`host` as an IPv4 loopback address; InputError for every other address (design D2)."""
+    """`host` as an IPv4 loopback address; InputError for every other address (docs/reference/design.md)."""
     literal = "127.0.0.1" if host in ("", "localhost") else host
     try:
         allowed = ipaddress.IPv4Address(literal).is_loopback
@@ -127,8 +127,8 @@ def read_hub(session: str) -> HubInfo:
     """What runs in a session. BenchError when nothing does."""
     file = session_dir(session) / HUB_FILE
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-        return HubInfo(**found)
+        content = json.loads(file.read_text(encoding="utf-8"))
+        return HubInfo(**content)
     except FileNotFoundError:
         raise BenchError(
             f"no hub runs in session {session!r}",
@@ -142,13 +142,13 @@ def read_hub(session: str) -> HubInfo:
 
 def running_hubs() -> list[HubInfo]:
     """The hubs of this user in the default folder, as their hub.json say (one may have been killed since)."""
-    found = []
+    hubs = []
     for file in sorted(runtime_dir().glob(f"tfhub-{user_id()}-*/{HUB_FILE}")):
         try:
-            found.append(read_hub(str(file.parent)))
+            hubs.append(read_hub(str(file.parent)))
         except BenchError:  # a file of another user or of another version: not ours to list
             continue
-    return found
+    return hubs
 
 
 def _token_of_port(port: int) -> str:

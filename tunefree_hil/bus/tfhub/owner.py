@@ -45,7 +45,7 @@ class HubStats(NamedTuple):
         return {peer.name: peer.dropped for peer in self.peers if peer.role == "observer"}
 
 
-class Stranger(NamedTuple):
+class ForeignSender(NamedTuple):
     """A member that is no node of the bench and has sent a vehicle's id (SocketCAN's, EFF bit included)."""
 
     name: str
@@ -76,18 +76,18 @@ class Owner:
 
     def stats(self) -> HubStats:
         """The hub's numbers."""
-        found = self._ask({"op": "stats"})
-        peers = tuple(PeerStats(**peer) for peer in found["peers"])
-        lists = {key: tuple(found[key]) for key in ("lost", "held_by", "log_failures")}
-        return HubStats(found["session"], found["clock"], found["frames"], peers, **lists)
+        answer = self._ask({"op": "stats"})
+        peers = tuple(PeerStats(**peer) for peer in answer["peers"])
+        lists = {key: tuple(answer[key]) for key in ("lost", "held_by", "log_failures")}
+        return HubStats(answer["session"], answer["clock"], answer["frames"], peers, **lists)
 
     def guard(self, ids: Iterable[int]) -> None:
         """From now on notice these ids (EFF bit included) on the vehicle channel from anyone but the bench's nodes."""
         self._ask({"op": "guard", "ids": sorted(ids)})
 
-    def strangers(self) -> list[Stranger]:
+    def foreign_senders(self) -> list[ForeignSender]:
         """Who has sent the guarded ids since `guard` without being a node: one entry a member and id."""
-        return [Stranger(**one) for one in self._ask({"op": "guard"})]
+        return [ForeignSender(**one) for one in self._ask({"op": "guard"})]
 
     def close(self) -> None:
         """Give the hub up; it ends, unless it is standalone."""

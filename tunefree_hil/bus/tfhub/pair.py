@@ -15,10 +15,10 @@ from tunefree_hil.bus.tfhub.records import (
     ERR_FLAG,
     FRAME,
     NO_DATA,
-    OTHER,
     RTR_FLAG,
+    SECOND_FRAME,
     Raw,
-    as_other,
+    mark_second_channel,
     pack_frames,
     unpack_raw,
 )
@@ -44,12 +44,12 @@ class HubPair:
         """Vehicle frames, then bench frames, in one write."""
         data = pack_frames(vehicle) if vehicle else b""
         if bench:
-            data += as_other(pack_frames(bench), len(bench))
+            data += mark_second_channel(pack_frames(bench), len(bench))
         if data:
             self._bus._transmit(data, SEND_S)
 
     def receive(self, channel: int, timeout_s: float) -> list[CanFrame]:
-        """All that has arrived on a channel; waits up to timeout_s for the first. See link.Link.receive."""
+        """All that has arrived on a channel; waits up to timeout_s for the first. See link.BusLink.receive."""
         deadline_s = time.monotonic() + timeout_s
         rest_s = timeout_s
         while True:
@@ -81,16 +81,16 @@ class HubPair:
         """Put whole records of classic data frames to their channels; False, and nothing done, for anything else."""
         if len(data) % CLASSIC.size:
             return False
-        found: tuple[list[CanFrame], list[CanFrame]] = ([], [])
+        by_channel: tuple[list[CanFrame], list[CanFrame]] = ([], [])
         make = tuple.__new__
         for size, kind, _, _, time_ns, can_id, length, payload in CLASSIC.iter_unpack(data):
-            if size != CLASSIC.size or (kind != FRAME and kind != OTHER) or can_id & NO_DATA:
+            if size != CLASSIC.size or (kind != FRAME and kind != SECOND_FRAME) or can_id & NO_DATA:
                 return False
             part = payload if length == 8 else payload[:length]
             frame = make(CanFrame, (can_id & EFF_MASK, part, can_id > EFF_MASK, False, time_ns / 1e9))
-            found[kind == OTHER].append(frame)
-        self._frames[0].extend(found[0])
-        self._frames[1].extend(found[1])
+            by_channel[kind == SECOND_FRAME].append(frame)
+        self._frames[0].extend(by_channel[0])
+        self._frames[1].extend(by_channel[1])
         return True
 
     def _one_by_one(self, timeout_s: float) -> None:
@@ -100,10 +100,10 @@ class HubPair:
             while connection.fill(timeout_s):
                 timeout_s = 0.0
                 kind, record = connection.kind(), connection.take()
-                if kind not in (FRAME, OTHER):
+                if kind not in (FRAME, SECOND_FRAME):
                     self._bus._control(record)
                     continue
-                self._sort_raw(unpack_raw(record), int(kind == OTHER))
+                self._sort_raw(unpack_raw(record), int(kind == SECOND_FRAME))
         except ConnectionGone as error:
             self._raise_gone(error)
 

@@ -84,11 +84,7 @@ class HubBus(can.BusABC):
         if others:  # python-can, its tools and its configuration files pass what some adapter needs: bit times, handles
             LOG.info("no use for %s", ", ".join(sorted(others)))
         text, options = address.split_options(str(channel))
-        self.role = options.get("role", role or "observer")
-        if self.role not in ROLES:
-            raise InputError(f"no role {self.role!r}", key="role", hint=f"one of {', '.join(ROLES)}")
-        if listen_only or state is can.BusState.PASSIVE:
-            self.role = "observer"
+        self.role = _role(options.get("role", role), listen_only or state is can.BusState.PASSIVE)
         hello = {
             "role": self.role,
             "echo": _yes(options.get("echo"), receive_own_messages),
@@ -169,8 +165,8 @@ class HubBus(can.BusABC):
     @staticmethod
     def _detect_available_configs() -> list[Any]:
         """The channels of this user's hubs."""
-        found = [where for info in address.running_hubs() for where in info.addresses.values()]
-        return [{"interface": "tfhub", "channel": where} for where in found]
+        channels = [where for info in address.running_hubs() for where in info.addresses.values()]
+        return [{"interface": "tfhub", "channel": where} for where in channels]
 
     # --- the fast path -------------------------------------------------------------------------------------------
 
@@ -220,12 +216,12 @@ class HubBus(can.BusABC):
     def _take_frames(self, frames: list[CanFrame]) -> None:
         """Move whole FRAME records from the buffer to `frames`, up to the first record of another type."""
         connection = self._connection
-        buffer, at, end = connection.buffer, connection.at, len(connection.buffer)
-        while end - at >= HEAD.size and buffer[at + 2] == FRAME:
-            size = buffer[at] | buffer[at + 1] << 8
-            if end - at < size:
+        buffer, offset, end = connection.buffer, connection.at, len(connection.buffer)
+        while end - offset >= HEAD.size and buffer[offset + 2] == FRAME:
+            size = buffer[offset] | buffer[offset + 1] << 8
+            if end - offset < size:
                 break
-            raw = unpack_raw(buffer, at)
+            raw = unpack_raw(buffer, offset)
             if raw.can_id & ERR_FLAG:
                 self.error_frames = [*self.error_frames[-99:], raw]
             elif raw.can_id & RTR_FLAG:
@@ -233,8 +229,8 @@ class HubBus(can.BusABC):
             else:
                 extended = bool(raw.can_id & EFF_FLAG)
                 frames.append(CanFrame(raw.can_id & EFF_MASK, raw.data, extended, raw.fd, raw.time_ns / 1e9))
-            at += size
-        connection.skip(at - connection.at)
+            offset += size
+        connection.skip(offset - connection.at)
 
     def _wanted(self, frame: CanFrame) -> bool:
         return self._matches_filters(can.Message(arbitration_id=frame.id, is_extended_id=frame.extended))
@@ -273,6 +269,14 @@ class HubBus(can.BusABC):
     def _gone(self, error: ConnectionGone) -> HubGone:
         self._connection.gone = self._connection.gone or str(error)
         return HubGone(f"the {self._connection} is gone: {error}", code="hub_gone")
+
+
+def _role(wanted: str, is_passive: bool) -> str:
+    """The role of a peer; InputError for one that does not exist."""
+    role = wanted or "observer"
+    if role not in ROLES:
+        raise InputError(f"no role {role!r}", key="role", hint=f"one of {', '.join(ROLES)}")
+    return "observer" if is_passive else role
 
 
 def _yes(word: str | None, otherwise: bool) -> bool:

@@ -6,7 +6,7 @@ import contextlib
 import hmac
 import socket
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.bus.tfhub.records import (
     CHANNELS,
@@ -26,6 +26,14 @@ HELLO_PATIENCE_S = 2.0
 OWNER_PATIENCE_S = 10.0
 ROLES = ("member", "observer", "owner")
 MOST_PEERS = 255  # a sender's index is one byte, and 0 is the hub
+
+
+class JoinRefusal(NamedTuple):
+    """Why a peer may not join."""
+
+    code: str
+    message: str
+    hint: str
 
 
 def accept(hub: Hub, listener: socket.socket, channel: str) -> None:
@@ -75,7 +83,7 @@ def hello(hub: Hub, peer: Peer, body: dict[str, Any]) -> None:
         name = _free_name(hub, peer.channel, name)
     refusal = _refusal(hub, peer, body, role, name)
     if refusal:
-        _refuse(hub, peer, *refusal)
+        _refuse(hub, peer, refusal)
         return
     peer.role, peer.name, peer.pid = role, name, pid
     peer.also = _other_channel(peer, body)
@@ -104,22 +112,26 @@ def _welcome(hub: Hub, peer: Peer) -> bytes:
     return pack_control(WELCOME, body)
 
 
-def _refusal(hub: Hub, peer: Peer, body: dict[str, Any], role: str, name: str) -> tuple[str, str, str] | None:
-    """(code, message, hint) when the peer may not come in."""
+def _refusal(hub: Hub, peer: Peer, body: dict[str, Any], role: str, name: str) -> JoinRefusal | None:
+    """Why the peer may not join; None where it may."""
     token = hub.session.token
     given = body.get("token")
     if token and not (isinstance(given, str) and hmac.compare_digest(token.encode(), given.encode(errors="replace"))):
-        return "wrong_token", "the token is wrong", "name the token file of the hub's session: ?token_file=..."
+        return JoinRefusal(
+            "wrong_token", "the token is wrong", "name the token file of the hub's session: ?token_file=..."
+        )
     if body.get("protocol") != PROTOCOL:
-        return "protocol", f"this hub speaks protocol {PROTOCOL}, not {body.get('protocol')}", "use one version for all"
-    for other in hub.board.peers:
-        if role == other.role == "owner":
-            return "owned", f"this hub has an owner already: {other.name}, pid {other.pid}", "start a hub of your own"
-        if role != "owner" and other.role in ("member", "observer") and _same(other, peer, body, name):
-            there = f"{name} is on the bus already (pid {other.pid})"
-            return "duplicate_name", there, "choose another name: ?name=..."
+        message = f"this hub speaks protocol {PROTOCOL}, not {body.get('protocol')}"
+        return JoinRefusal("protocol", message, "use one version for all")
+    for member in hub.board.peers:
+        if role == member.role == "owner":
+            message = f"this hub has an owner already: {member.name}, pid {member.pid}"
+            return JoinRefusal("owned", message, "start a hub of your own")
+        if role != "owner" and member.role in ("member", "observer") and _same(member, peer, body, name):
+            message = f"{name} is on the bus already (pid {member.pid})"
+            return JoinRefusal("duplicate_name", message, "choose another name: ?name=...")
     if len(hub.board.peers) > MOST_PEERS:
-        return "full", f"the hub has {MOST_PEERS} peers", "close some"
+        return JoinRefusal("full", f"the hub has {MOST_PEERS} peers", "close some")
     return None
 
 
@@ -128,9 +140,9 @@ def _other_channel(peer: Peer, body: dict[str, Any]) -> str:
     return next((one for one in CHANNELS if one != peer.channel), "") if body.get("both") is True else ""
 
 
-def _same(other: Peer, peer: Peer, body: dict[str, Any], name: str) -> bool:
+def _same(member: Peer, peer: Peer, body: dict[str, Any], name: str) -> bool:
     wanted = {peer.channel, _other_channel(peer, body)} - {""}
-    return bool(wanted & set(other.channels)) and other.name == name
+    return bool(wanted & set(member.channels)) and member.name == name
 
 
 def _free_name(hub: Hub, channel: str, name: str) -> str:
@@ -143,14 +155,14 @@ def _free_name(hub: Hub, channel: str, name: str) -> str:
     return free
 
 
-def _refuse(hub: Hub, peer: Peer, code: str, message: str, hint: str) -> None:
-    hub.note(f"refused {peer.name}: {message}")
-    _last_word(hub, peer, code, message, hint)
+def _refuse(hub: Hub, peer: Peer, refusal: JoinRefusal) -> None:
+    hub.note(f"refused {peer.name}: {refusal.message}")
+    _send_refusal(hub, peer, refusal)
 
 
-def _last_word(hub: Hub, peer: Peer, code: str, message: str, hint: str) -> None:
-    """Say why, as far as the socket takes it, and close."""
-    peer.give(pack_control(REFUSED, {"code": code, "message": message, "hint": hint}), 0)
+def _send_refusal(hub: Hub, peer: Peer, refusal: JoinRefusal) -> None:
+    """Send the reason, as far as the socket takes it, and close."""
+    peer.give(pack_control(REFUSED, refusal._asdict()), 0)
     with contextlib.suppress(OSError):  # it does not hear it any more
         peer.flush()
     hub.board.forget(peer)
@@ -174,10 +186,10 @@ def lose(hub: Hub, peer: Peer, why: str) -> None:
 
 def drop(hub: Hub, peer: Peer, why: str) -> None:
     """Throw out a peer that broke the rules; the others go on, and members are told."""
-    who = f"{peer.name} (pid {peer.pid})" if peer.role else f"a connection to {peer.channel}"
-    hub.note(f"dropped {who}: {why}")
-    hub.lost.append(f"{who} was dropped: {why}")
-    _last_word(hub, peer, "dropped", f"the hub dropped this connection: {why}", "")
+    label = f"{peer.name} (pid {peer.pid})" if peer.role else f"a connection to {peer.channel}"
+    hub.note(f"dropped {label}: {why}")
+    hub.lost.append(f"{label} was dropped: {why}")
+    _send_refusal(hub, peer, JoinRefusal("dropped", f"the hub dropped this connection: {why}", ""))
     if peer.role == "owner":
         _without_owner(hub, f"its owner {peer.name} was dropped: {why}")
     elif peer.role == "member":
@@ -196,13 +208,13 @@ def _mourn(hub: Hub, peer: Peer, why: str) -> None:
 
 def _tell_members(hub: Hub, lost: Peer, why: str) -> None:
     record = pack_control(PEER_GONE, {"name": lost.name, "pid": lost.pid, "why": why}, sender=lost.index)
-    for other in hub.board.peers:
-        if other.role != "member":
+    for member in hub.board.peers:
+        if member.role != "member":
             continue
-        if other.name == lost.name and other.pid == lost.pid:
-            other.mourned = True
-        elif other.listen:
-            hub.board.owe(other, record)
+        if member.name == lost.name and member.pid == lost.pid:
+            member.mourned = True
+        elif member.listen:
+            hub.board.owe(member, record)
 
 
 def _without_owner(hub: Hub, why: str) -> None:

@@ -25,7 +25,7 @@ LOG_NAMES = {"vehicle": "can0", "bench": "bench"}  # channel -> its name in a lo
 
 # record types
 FRAME, HELLO, WELCOME, REFUSED, BYE, PEER_GONE, DROPPED, REQUEST, REPLY, END = range(1, 11)
-OTHER = 11  # a frame of the channel that a joint connection carries beside its own
+SECOND_FRAME = 11  # a frame of the channel that a joint connection carries beside its own
 
 # struct can_frame: can_id u32, len u8, 3 bytes, 8 data bytes; canfd_frame: can_id u32, len u8, flags u8, 2, 64
 HEAD = struct.Struct("<HBBQQ")
@@ -132,28 +132,28 @@ def pack_frames(frames: Iterable[CanFrame], brs: bool = True) -> bytes:
     return b"".join(parts)
 
 
-def as_other(records: bytes, count: int) -> bytes:
+def mark_second_channel(records: bytes, count: int) -> bytes:
     """`count` FRAME records as OTHER records."""
     marked = bytearray(records)
     if len(marked) == count * CLASSIC.size:
-        marked[KIND_AT :: CLASSIC.size] = bytes([OTHER]) * count
+        marked[KIND_AT :: CLASSIC.size] = bytes([SECOND_FRAME]) * count
         return bytes(marked)
-    at = 0
-    while at < len(marked):
-        marked[at + KIND_AT] = OTHER
-        at += marked[at] | marked[at + 1] << 8
+    offset = 0
+    while offset < len(marked):
+        marked[offset + KIND_AT] = SECOND_FRAME
+        offset += marked[offset] | marked[offset + 1] << 8
     return bytes(marked)
 
 
-def only_these(records: bytes, count: int, ids: frozenset[int]) -> list[bytes]:
+def select_ids(records: bytes, count: int, ids: frozenset[int]) -> list[bytes]:
     """Those of `count` records that are frames with one of these ids (flag bits left out)."""
-    kept, at = [], 0
+    selected, offset = [], 0
     for _ in range(count):
-        end = at + (records[at] | records[at + 1] << 8)
-        if ID.unpack_from(records, at + ID_AT)[0] & EFF_MASK in ids:
-            kept.append(records[at:end])
-        at = end
-    return kept
+        end = offset + (records[offset] | records[offset + 1] << 8)
+        if ID.unpack_from(records, offset + ID_AT)[0] & EFF_MASK in ids:
+            selected.append(records[offset:end])
+        offset = end
+    return selected
 
 
 def plain_frames(data: bytes) -> list[CanFrame] | None:
@@ -174,6 +174,6 @@ def unpack_raw(buffer: bytes | bytearray | memoryview, offset: int = 0) -> Raw:
     """The FRAME record at `offset`."""
     size, _, sender, sequence, time_ns, can_id, length, flags = FRAME_HEAD.unpack_from(buffer, offset)
     fd = size == FD.size
-    kept = 0 if can_id & RTR_FLAG else length
-    data = bytes(buffer[offset + DATA_AT : offset + DATA_AT + kept])
+    n_bytes = 0 if can_id & RTR_FLAG else length
+    data = bytes(buffer[offset + DATA_AT : offset + DATA_AT + n_bytes])
     return Raw(sender, sequence, time_ns, can_id, length, flags if fd else 0, fd, data)

@@ -36,8 +36,8 @@ class HubProcess(NamedTuple):
         """Address of the bench channel."""
         return address.endpoint(self.session, "bench")
 
-    def said(self) -> str:
-        """What it has told a person so far: losses, refusals, connections it dropped."""
+    def messages(self) -> str:
+        """Its output so far: losses, refusals, connections it dropped."""
         self.words.seek(0)
         return self.words.read().decode(errors="replace")
 
@@ -90,6 +90,6 @@ def _wait_until_ready(process: subprocess.Popen[bytes], words: BinaryIO) -> None
             return
     status = process.wait(END_S)
     words.seek(0)
-    said = words.read().decode(errors="replace").strip() or f"exit status {status}"
+    message = words.read().decode(errors="replace").strip() or f"exit status {status}"
     kind = InputError if status == InputError.exit_status else BenchError
-    raise kind(f"the hub could not be started: {said}", code="hub_failed")
+    raise kind(f"the hub could not be started: {message}", code="hub_failed")

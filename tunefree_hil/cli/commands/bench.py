@@ -1,4 +1,4 @@
-"""Commands that are one process of a bench: hub, ecu, controller. They end by Ctrl-C, a kill, or with the hub."""
+"""Commands that are one process of a bench: hub, ecu, controller. They end by Ctrl-C, a signal, or with the hub."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from tunefree_hil.cli.output import present
 
 
 class HubClock(StrEnum):
-    """Whose time stamps a frame."""
+    """Clock of the time stamps of frames."""
 
     sender = "sender"
     real = "real"
 
 
 class Transport(StrEnum):
-    """How peers reach the hub."""
+    """Transport between hub and peers."""
 
     unix = "unix"
     tcp = "tcp"
@@ -39,13 +39,15 @@ class Transport(StrEnum):
 
 def hub(
     session: Session = DEFAULT_SESSION,
-    clock: Annotated[HubClock, typer.Option(help="stamps: the sender's (lockstep) or real time")] = HubClock.sender,
-    transport: Annotated[Transport, typer.Option(help="how peers reach it; tcp is loopback only")] = Transport.unix,
-    owned: Annotated[bool, typer.Option("--owned", help="end when the one who started it is gone")] = False,
+    clock: Annotated[
+        HubClock, typer.Option(help="time stamps: of the sender (lockstep) or real time")
+    ] = HubClock.sender,
+    transport: Annotated[Transport, typer.Option(help="transport of the peers; tcp on loopback only")] = Transport.unix,
+    owned: Annotated[bool, typer.Option("--owned", help="end with the process that started it")] = False,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
-    """Carry the frames of one bench, write its logs."""
+    """Carry the frames of one bench and write its logs."""
 
     def job() -> Iterable[Event]:
         from tunefree_hil.jobs.hub import hub as run
@@ -63,12 +65,13 @@ def ecu(
     session: Session = DEFAULT_SESSION,
     realtime: Realtime = False,
     scenario: Annotated[
-        str | None, typer.Option(help="no runner: drive this one in real time for whoever sends commands (canplayer)")
+        str | None,
+        typer.Option(help="without runner: drive this scenario in real time with commands from the bus (canplayer)"),
     ] = None,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
-    """Be the simulated by-wire vehicle on the bus."""
+    """Run the simulated by-wire vehicle on the bus."""
 
     def job() -> Iterable[Event]:
         from tunefree_hil.jobs.ecu import ecu as run
@@ -95,7 +98,7 @@ def controller(
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
-    """Be the controller on the bus."""
+    """Run the controller on the bus."""
 
     def job() -> Iterable[Event]:
         from tunefree_hil.jobs.controller import controller as run

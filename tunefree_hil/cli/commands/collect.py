@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -21,75 +21,68 @@ from tunefree_hil.cli.options import (
     Realtime,
     Session,
     Vehicle,
+    record_from,
 )
 from tunefree_hil.cli.output import present
 
 
 def collect(
-    bench: Annotated[Path | None, typer.Argument(help="bench file: its verify model is what is driven")] = None,
+    bench: Annotated[Path | None, typer.Argument(help="bench file; its verify model is driven")] = None,
     vehicle: Vehicle = None,
     model: Model = None,
     bus: Bus = "auto",
     bench_bus: BenchBus = "",
     session: Session = "",
-    out: Annotated[Path | None, typer.Option(help="folder of this collection; one that was cut off goes on")] = None,
+    out: Annotated[Path | None, typer.Option(help="folder of this collection; an unfinished one is resumed")] = None,
     quota_s: Annotated[float, typer.Option(help="seconds wanted in each cell")] = 10.0,
-    area_m: Annotated[float, typer.Option(help="side of the square that it stays in, about where it starts")] = 400.0,
-    top_mps: Annotated[float | None, typer.Option(help="no faster than this; cells beyond are left out")] = None,
-    drive_s: Annotated[float, typer.Option(help="a drive (a log) begins to stop after so long")] = 110.0,
-    seed: Annotated[int, typer.Option(min=0, help="of the simulated sensors' noise")] = 1,
+    area_m: Annotated[float, typer.Option(help="side of the square area around the start")] = 400.0,
+    top_mps: Annotated[float | None, typer.Option(help="top speed; faster cells are left out")] = None,
+    drive_s: Annotated[float, typer.Option(help="time after which a drive (a log) stops")] = 110.0,
+    seed: Annotated[int, typer.Option(min=0, help="seed of the simulated sensor noise")] = 1,
     realtime: Realtime = False,
     watch: Annotated[
-        bool, typer.Option("--watch", help="only listen while a person drives, and say what is missing")
+        bool, typer.Option("--watch", help="only listen while a person drives, and show what is missing")
     ] = False,
-    seconds: Annotated[float | None, typer.Option(help="with --watch: for so long")] = None,
+    seconds: Annotated[float | None, typer.Option(help="with --watch: how long")] = None,
     from_logs: Annotated[
-        list[Path] | None, typer.Option("--from", metavar="LOG", help="count this log, again for more; drive nothing")
+        list[Path] | None, typer.Option("--from", metavar="LOG", help="only count this log; may be repeated")
     ] = None,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
-    """Drive what a model has to be learned from.
+    """Drive to collect the logs for learning a model.
 
-    Cell by cell of gear, steering, speed and pedals, inside the vehicle's limits and a bounded area, with steps and
-    waves. Cut off, the same command goes on. The logs lie in the run folder's logs/.
+    Cell by cell of gear, steering, speed and pedals, with steps and waves, within the limits of the vehicle and a
+    bounded area. The same command resumes an unfinished collection. The logs are in logs/ of the run folder.
     """
+    arguments = locals()
 
     def job() -> Iterable[Event]:
         if watch or from_logs:
-            return _by_others(bench, vehicle, bus, session, quota_s, top_mps, seconds, out, from_logs)
+            return _count_foreign_drives(arguments)
         from tunefree_hil.jobs.collect.collect import collect as run
-        from tunefree_hil.jobs.collect.plan import Asked
+        from tunefree_hil.jobs.collect.plan import CollectOptions
 
-        wished = (bench, vehicle, model, bus, bench_bus, session, realtime, out, quota_s, area_m, top_mps, seed)
-        return run(Asked(*wished, drive_s))
+        return run(record_from(CollectOptions, arguments))
 
     words = "watch" if watch else str(bench or vehicle or "")
     return present("collect", job, plain=plain, as_json=as_json, first=f"collect {words}".strip())
 
 
-def _by_others(
-    bench: Path | None,
-    vehicle: str | None,
-    bus: str,
-    session: str,
-    quota_s: float,
-    top_mps: float | None,
-    seconds: float | None,
-    out: Path | None,
-    logs: list[Path] | None,
-) -> Iterable[Event]:
-    """Count what somebody else drives."""
-    from tunefree_hil.jobs.collect.live_coverage import Wish, from_logs, watch
+def _count_foreign_drives(arguments: Mapping[str, Any]) -> Iterable[Event]:
+    """Count drives that another program or a person makes."""
+    from tunefree_hil.jobs.collect.live_coverage import WatchOptions, count_logs, watch
 
+    vehicle, bench, logs = arguments["vehicle"], arguments["bench"], arguments["from_logs"]
     if vehicle is None and bench is not None:
         from tunefree_hil.config.load import load_bench
 
         vehicle = load_bench(bench).vehicle
     if vehicle is None:
-        raise InputError("whose frames are these?", code="usage", key="--vehicle", hint="--vehicle DIR")
-    wish = Wish(vehicle, bus, session or DEFAULT_SESSION, quota_s, top_mps, seconds, out)
-    return from_logs(logs, wish) if logs else watch(wish)
+        raise InputError("the vehicle is not given", code="usage", key="--vehicle", hint="--vehicle DIR")
+    session = arguments["session"] or DEFAULT_SESSION
+    options = record_from(WatchOptions, arguments, vehicle=vehicle, session=session)
+    return count_logs(logs, options) if logs else watch(options)
 
 
 def collector(
@@ -101,9 +94,9 @@ def collector(
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
-    """Be the planner of a collection on the bus.
+    """Run the planner of a collection on the bus.
 
-    Started by collect, whose drives it drives.
+    Started by collect.
     """
 
     def job() -> Iterable[Event]:

@@ -1,4 +1,4 @@
-"""Commands that look, and those for logs: scenarios, doctor, log check, show, plot, convert, import."""
+"""Commands that inspect, and those for logs: scenarios, doctor, log check, show, plot, convert, import."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ LogPath = Annotated[Path, typer.Argument(metavar="LOG", help="a log: candump, bl
 
 
 def scenarios(
-    name: Annotated[str | None, typer.Argument(help="show this one in full")] = None,
+    name: Annotated[str | None, typer.Argument(help="show this scenario in full")] = None,
     vehicle: Vehicle = None,
-    export: Annotated[Path | None, typer.Option(help="write each reference drive as CSV into this folder")] = None,
+    export: Annotated[Path | None, typer.Option(help="write each reference trajectory as CSV into this folder")] = None,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
     """List the manoeuvres.
 
-    With a vehicle also whether it can drive them. With --export, what a controller of your own needs to follow them.
+    With a vehicle also whether it can drive them. With --export the reference trajectories for another controller.
     """
 
     def job() -> Iterable[Event]:
         if export is not None:
-            from tunefree_hil.jobs.scenarios import export as write
+            from tunefree_hil.jobs.scenarios import export_scenarios as write
 
             return write(vehicle=vehicle, name=name, folder=export)
         from tunefree_hil.jobs.scenarios import scenarios as run
@@ -42,16 +42,16 @@ def scenarios(
 
 
 def doctor(
-    vehicle: Annotated[Path | None, typer.Option(help="check a vehicle folder: all that is wrong, at once")] = None,
+    vehicle: Annotated[Path | None, typer.Option(help="check a vehicle folder; lists all errors")] = None,
     schema: Annotated[str | None, typer.Option(help="print the JSON Schema of a file: vehicle, bench, ...")] = None,
     bus: Bus = "auto",
-    bench: Annotated[Path | None, typer.Option(help="check a bench file and all it names")] = None,
+    bench: Annotated[Path | None, typer.Option(help="check a bench file and all files that it names")] = None,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
-    """Say what is wrong here and how to mend it.
+    """Check the installation and say how to fix it.
 
-    The machine, and with an option a vehicle folder or a bench file. Exit status 1 when a fault was found.
+    With an option also a vehicle folder or a bench file. Exit status 1 if an error was found.
     """
 
     def job() -> Iterable[Event]:
@@ -64,9 +64,9 @@ def doctor(
 
 @log.command("check")
 def log_check(path: LogPath, vehicle: Vehicle = None, plain: Plain = False, as_json: AsJson = False) -> int:
-    """Count and judge the frames of a log.
+    """Count and check the frames of a log.
 
-    Rates, gaps, counters, CRCs, what does not decode or is foreign. Exit status 1 when the log does not hold.
+    Rates, gaps, counters, CRCs, frames that do not decode or are foreign. Exit status 1 if the log fails.
     """
 
     def job() -> Iterable[Event]:
@@ -81,11 +81,11 @@ def log_check(path: LogPath, vehicle: Vehicle = None, plain: Plain = False, as_j
 def log_show(
     path: LogPath,
     vehicle: Vehicle = None,
-    signal: Annotated[list[str] | None, typer.Option(help="only this signal or record field, again for more")] = None,
+    signal: Annotated[list[str] | None, typer.Option(help="only this signal or record field; may be repeated")] = None,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
-    """Print a log decoded, one line a frame."""
+    """Print a decoded log, one line a frame."""
 
     def job() -> Iterable[Event]:
         from tunefree_hil.jobs.log.show import show
@@ -104,7 +104,7 @@ def log_plot(
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
-    """Draw signals of a log over time, a panel a unit, gaps visible."""
+    """Plot signals of a log over time, one panel for each unit."""
 
     def job() -> Iterable[Event]:
         from tunefree_hil.jobs.log.plot import plot
@@ -118,14 +118,14 @@ def log_plot(
 def log_convert(
     path: LogPath,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="ends in .log .blf .asc .csv .mf4 .bag or .ros2")],
-    channel: Annotated[list[str] | None, typer.Option(help="only this channel, again for more")] = None,
+    channel: Annotated[list[str] | None, typer.Option(help="only this channel; may be repeated")] = None,
     to: Annotated[str, typer.Option("--format", help="candump, blf, asc, csv, mf4, ros1 or ros2")] = "",
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
     """Write a log in another format.
 
-    Says what that cannot hold, with counts, and reads the result back to prove it.
+    Counts what the format cannot store, and reads the result back to check it.
     """
 
     def job() -> Iterable[Event]:
@@ -138,15 +138,15 @@ def log_convert(
 
 @log.command("import")
 def log_import(
-    path: Annotated[Path, typer.Argument(metavar="CSV", help="a test drive: one row a sample, a head line")],
+    path: Annotated[Path, typer.Argument(metavar="CSV", help="a test drive: a header line, one row a sample")],
     mapping: Annotated[Path, typer.Option("--map", help="mapping file: column -> record field, unit, clock")],
-    out: Annotated[Path, typer.Option(help="folder to write: drive.log and the vehicle folder it is read with")],
+    out: Annotated[Path, typer.Option(help="folder to write: drive.log and the vehicle folder to read it with")],
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
-    """Bring a CSV of a test drive in.
+    """Import a CSV of a test drive.
 
-    As a candump log through a DBC that is invented for it. Refuses unsorted times and units that contradict each other.
+    Writes a candump log with a DBC made for it. Refuses unsorted times and inconsistent units.
     """
 
     def job() -> Iterable[Event]:

@@ -1,4 +1,4 @@
-"""Commands that judge: grade a log, compare runs, explain a winner. Each imports its job when it is called."""
+"""Commands that evaluate: grade a log, compare runs, explain a winner. Each imports its job when it is called."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Annotated
 import typer
 
 from tunefree_hil.base.events import Event
-from tunefree_hil.cli.options import AsJson, Out, Plain, RunPath, Vehicle
+from tunefree_hil.cli.options import AsJson, Out, Plain, RunPath, Vehicle, record_from
 from tunefree_hil.cli.output import present
 
 
 class Align(StrEnum):
-    """How a path and a log's coordinates are brought together."""
+    """Alignment of the reference path with the coordinates of a log."""
 
     auto = "auto"
     recorded = "recorded"
@@ -27,13 +27,13 @@ def grade(
     ],
     path: Annotated[
         str | None,
-        typer.Option(help="reference: a scenario, or a CSV with x_m, y_m, speed_mps (and t_s); our logs know theirs"),
+        typer.Option(help="reference: a scenario, or a CSV with x_m, y_m, speed_mps (and t_s); our logs have theirs"),
     ] = None,
     vehicle: Vehicle = None,
-    align: Annotated[Align, typer.Option(help="path as recorded, or laid on the pose at the start")] = Align.auto,
-    start_s: Annotated[float | None, typer.Option(help="where the reference begins, seconds into the log")] = None,
+    align: Annotated[Align, typer.Option(help="path as recorded, or moved to the pose at the start")] = Align.auto,
+    start_s: Annotated[float | None, typer.Option(help="start of the reference, seconds into the log")] = None,
     weights: Annotated[
-        str | None, typer.Option(help="weights of the score; default: a run's own, or `default`")
+        str | None, typer.Option(help="weights of the score; default: those of the run, or `default`")
     ] = None,
     out: Out = None,
     plain: Plain = False,
@@ -41,14 +41,16 @@ def grade(
 ) -> int:
     """Grade any log against a reference path, or a whole run.
 
-    The 42 metrics by aspect; what cannot be had is said. Works on the log of a real car. A run's drives are taken
-    together.
+    The 42 metrics by aspect, as far as the log has the data; it may be the log of a real car. The drives of a run are
+    graded together.
     """
+    arguments = locals()
 
     def job() -> Iterable[Event]:
+        from tunefree_hil.jobs.grade.grade import GradeOptions
         from tunefree_hil.jobs.grade.run import grade_any as run
 
-        return run(log, vehicle=vehicle, path=path, align=align.value, start_s=start_s, weights=weights, out=out)
+        return run(log, record_from(GradeOptions, arguments))
 
     return present("grade", job, plain=plain, as_json=as_json)
 
@@ -60,16 +62,16 @@ def compare(
     ],
     fail_if: Annotated[
         list[str] | None,
-        typer.Option(help="METRIC [@SCENARIO] OP VALUE, such as 'lateral_err_peak > +5%', again for more"),
+        typer.Option(help="METRIC [@SCENARIO] OP VALUE, such as 'lateral_err_peak > +5%'; may be repeated"),
     ] = None,
-    weights: Annotated[str | None, typer.Option(help="weights to judge by; default: the first run's")] = None,
+    weights: Annotated[str | None, typer.Option(help="weights of the score; default: those of the first run")] = None,
     out: Out = None,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
-    """Show runs side by side, metric by metric.
+    """Compare runs, metric by metric.
 
-    The first run is what the others are held against. Exit status 1 when a --fail-if holds.
+    The others are compared with the first run. Exit status 1 if a --fail-if condition is true.
     """
 
     def job() -> Iterable[Event]:
@@ -87,9 +89,9 @@ def explain(
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
-    """Say why the winner of a tune wins.
+    """Explain why the winner of a tune wins.
 
-    Score difference by metric and scenario, importance of the parameters, slices through the winner, box edges.
+    Score difference by metric and scenario, importance of the parameters, slices through the winner, edges of ranges.
     """
 
     def job() -> Iterable[Event]:

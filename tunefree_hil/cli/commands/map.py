@@ -1,4 +1,4 @@
-"""The command that learns the open-loop map: map."""
+"""The command `map`: learns the open-loop map from logs."""
 
 from __future__ import annotations
 
@@ -9,30 +9,34 @@ from typing import Annotated
 import typer
 
 from tunefree_hil.base.events import Event
-from tunefree_hil.cli.options import AsJson, Plain
+from tunefree_hil.cli.options import AsJson, Plain, record_from
 from tunefree_hil.cli.output import present
 
-Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="logs of the vehicle, in any format")]
-Of = Annotated[str, typer.Option("--vehicle", help="vehicle folder or its name in dbc/")]
-Target = Annotated[Path, typer.Option("--out", help="a file ending in .npz, or a folder (a model's: its own map)")]
+LogArguments = Annotated[list[Path], typer.Argument(metavar="LOG...", help="logs of the vehicle, in any format")]
+VehicleOption = Annotated[str, typer.Option("--vehicle", help="vehicle folder or its name in dbc/")]
+MapTarget = Annotated[
+    Path, typer.Option("--out", help="a file ending in .npz, or a folder (a model folder: its own map)")
+]
 
 
 def map_logs(
-    logs: Logs,
-    vehicle: Of,
-    out: Target,
-    seed: Annotated[int, typer.Option(min=0, help="of the nets and of what is held out")] = 1,
+    logs: LogArguments,
+    vehicle: VehicleOption,
+    out: MapTarget,
+    seed: Annotated[int, typer.Option(min=0, help="of the nets and the held-out cells")] = 1,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
     """Learn the open-loop map from logs.
 
-    Which pedal at which speed gives which acceleration, as the calibration.npz that the controller looks up.
+    The map gives the acceleration for every pedal position and speed, as the calibration.npz that the controller uses.
     """
+    arguments = locals()
 
     def job() -> Iterable[Event]:
         from tunefree_hil.jobs.learn.map import map_logs as run
+        from tunefree_hil.jobs.learn.options import MapOptions
 
-        return run(logs, vehicle, out, seed)
+        return run(record_from(MapOptions, arguments))
 
     return present("map", job, plain=plain, as_json=as_json)

@@ -24,39 +24,40 @@ from tunefree_hil.cli.options import (
     RunPath,
     Seed,
     Session,
+    record_from,
     session_of,
 )
 from tunefree_hil.cli.output import present
 
 
-class Scale(StrEnum):
-    """How a parameter's box is searched."""
+class SearchScale(StrEnum):
+    """Scale on which the range of a parameter is searched."""
 
     log = "log"
     linear = "linear"
 
 
 class Backend(StrEnum):
-    """What drives the trials."""
+    """What the trials are driven with."""
 
     bus = "bus"
     batch = "batch"
 
 
 class ParameterSet(StrEnum):
-    """Which parameters are tuned (interfaces 7)."""
+    """Set of tuned parameters (docs/reference/controller.md)."""
 
     mrac = "mrac"
     lateral = "lateral"
     complete = "complete"
 
 
-Controller = Annotated[str, typer.Option(metavar="CMD", help="start this program instead of our controller")]
+Controller = Annotated[str, typer.Option(metavar="CMD", help="start this program instead of the built-in controller")]
 
 
 def drive(
     bench: Bench,
-    scenario: Annotated[list[str] | None, typer.Option(help="this scenario only, again for more")] = None,
+    scenario: Annotated[list[str] | None, typer.Option(help="drive only this scenario; may be repeated")] = None,
     model: Model = None,
     bus: Bus = "auto",
     bench_bus: BenchBus = "",
@@ -65,116 +66,86 @@ def drive(
     join: Join = False,
     session: Session = "",
     out: Out = None,
-    parameter: Annotated[list[str] | None, typer.Option(help="NAME=VALUE, again for more")] = None,
+    parameter: Annotated[list[str] | None, typer.Option(help="NAME=VALUE; may be repeated")] = None,
     controller: Controller = "",
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
     """Drive scenarios over the bus and score them."""
+    arguments = locals()
 
     def job() -> Iterable[Event]:
-        from tunefree_hil.jobs.drive import Asked
+        from tunefree_hil.jobs.drive import DriveOptions
         from tunefree_hil.jobs.drive import drive as run
 
-        return run(
-            Asked(
-                bench=bench,
-                scenario=scenario or (),
-                model=model,
-                bus=bus,
-                bench_bus=bench_bus,
-                seed=seed,
-                realtime=realtime,
-                join=join,
-                session=session_of(session, join),
-                out=out,
-                parameters=parameter or (),
-                controller=controller,
-            )
-        )
+        changes = {"parameters": parameter or (), "session": session_of(session, join)}
+        return run(record_from(DriveOptions, arguments, **changes))
 
     return present("drive", job, plain=plain, as_json=as_json, first=f"drive {bench}")
 
 
 def tune(
     bench: Annotated[Path | None, typer.Argument(help="bench file, such as bench_configs/mkz_steer.toml")] = None,
-    trials: Annotated[int | None, typer.Option(min=1, help="how many trials; default: the bench file's")] = None,
-    set_name: Annotated[ParameterSet | None, typer.Option("--set", help="which parameters")] = None,
+    trials: Annotated[int | None, typer.Option(min=1, help="number of trials; default: as in the bench file")] = None,
+    set_name: Annotated[
+        ParameterSet | None, typer.Option("--set", help="parameters to tune; default: as in the bench file")
+    ] = None,
     sampler: Annotated[str | None, typer.Option(help="tpe_independent, tpe_relative or random")] = None,
     seed: Seed = None,
     scale: Annotated[
-        Scale | None, typer.Option(help="how the box is searched (log if not said); linear is the paper's")
+        SearchScale | None, typer.Option(help="scale of the search, default: log; the paper uses linear")
     ] = None,
     bus: Bus = "auto",
     bench_bus: BenchBus = "",
     join: Join = False,
     session: Session = "",
     out: Out = None,
-    resume: Annotated[Path | None, typer.Option(help="go on with this run folder, a finished one too")] = None,
+    resume: Annotated[Path | None, typer.Option(help="continue the run in this folder, even a finished one")] = None,
     verify: Annotated[
-        bool | None, typer.Option(help="drive the winner on the verify model at the end (yes if not said)")
+        bool | None, typer.Option(help="verify the winner on the verify model at the end; default: yes")
     ] = None,
     study: Annotated[
         str | None, typer.Option(metavar="URL", help="work on a shared study: postgresql://USER@HOST/DATABASE#STUDY")
     ] = None,
-    backend: Annotated[Backend, typer.Option(help="batch: compiled, its best confirmed over the bus")] = Backend.bus,
-    benches: Annotated[int, typer.Option(min=0, help="benches side by side; 0: one a core, at most two")] = 0,
-    in_flight: Annotated[int, typer.Option(min=0, help="trials asked together; 0: the bench file's")] = 0,
+    backend: Annotated[
+        Backend, typer.Option(help="batch: compiled; the best trials are confirmed over the bus")
+    ] = Backend.bus,
+    benches: Annotated[int, typer.Option(min=0, help="benches side by side; 0: one per core, at most two")] = 0,
+    in_flight: Annotated[int, typer.Option(min=0, help="trials in a generation; 0: as in the bench file")] = 0,
     realtime: Realtime = False,
     controller: Controller = "",
     confirm: Annotated[
-        int | None, typer.Option(min=1, metavar="K", help="of a batch, how many the bus drives again (3 if not said)")
+        int | None, typer.Option(min=1, metavar="K", help="trials of a batch to confirm over the bus; default: 3")
     ] = None,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
-    """Find the controller's parameters.
+    """Find the parameters of the controller.
 
-    Trial by trial over the bench; the run folder says why the winner wins. Stopped, the same command goes on where it
-    was; finished, it starts anew. --resume goes on with the run that you name, a finished one too (with more --trials).
+    Trial by trial on the bench; the run folder explains why the winner wins. The same command resumes an unfinished run
+    and starts a new one after a finished run. --resume continues the given run, even a finished one (with more
+    --trials).
     """
+    arguments = locals()
 
     def job() -> Iterable[Event]:
-        bench_file = _bench_of(bench, resume)
-        from tunefree_hil.jobs.tune.options import Asked
+        bench_file = _find_bench(bench, resume)
+        from tunefree_hil.jobs.tune.options import TuneOptions
         from tunefree_hil.jobs.tune.tune import tune as run
 
-        return run(
-            Asked(
-                bench=bench_file,
-                trials=trials,
-                set_name=set_name.value if set_name else None,
-                sampler=sampler,
-                seed=seed,
-                scale=scale.value if scale else None,
-                bus=bus,
-                bench_bus=bench_bus,
-                join=join,
-                session=session_of(session, join),
-                out=out,
-                resume=resume,
-                verify=verify,
-                study=study,
-                backend=backend.value,
-                benches=benches,
-                in_flight=in_flight,
-                realtime=realtime,
-                controller=controller,
-                confirm=confirm,
-            )
-        )
+        return run(record_from(TuneOptions, arguments, bench=bench_file, session=session_of(session, join)))
 
     return present("tune", job, plain=plain, as_json=as_json, first=f"tune {bench or resume or ''}".strip())
 
 
-def _bench_of(bench: Path | None, resume: Path | None) -> Path:
-    """The bench file that was given, or the copy in the run that is to go on."""
+def _find_bench(bench: Path | None, resume: Path | None) -> Path:
+    """The bench file that was given, or the copy in the run to resume."""
     if bench is not None:
         return bench
     if resume is not None:
         return resume / "bench.toml"
-    known = sorted(Path("bench_configs").glob("*.toml"))
-    listed = ", ".join(str(path) for path in known) or "bench_configs/NAME.toml"
+    benches = sorted(Path("bench_configs").glob("*.toml"))
+    listed = ", ".join(str(path) for path in benches) or "bench_configs/NAME.toml"
     raise InputError("no bench file given", code="usage", key="BENCH", hint=f"give one of {listed}, or --resume RUN")
 
 
@@ -187,29 +158,31 @@ def verify(
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
-    """Drive a run's winner on the verify model.
+    """Drive the winner of a run on the verify model.
 
-    Beside it the manual parameters. Exit status 1 when the winner does not hold.
+    The manual parameters are driven for comparison. Exit status 1 if one of them is better or the winner fails.
     """
+    arguments = locals()
 
     def job() -> Iterable[Event]:
+        from tunefree_hil.jobs.tune.options import VerifyOptions
         from tunefree_hil.jobs.tune.verify import verify as start_job
 
-        return start_job(run, bus=bus, bench_bus=bench_bus, join=join, session=session_of(session, join))
+        return start_job(record_from(VerifyOptions, arguments, session=session_of(session, join)))
 
     return present("verify", job, plain=plain, as_json=as_json, first=f"verify {run}")
 
 
 def replay(
     run: RunPath,
-    episode: Annotated[int | None, typer.Option(help="which episode; default: all")] = None,
-    verify: Annotated[bool, typer.Option("--verify", help="drive it again and compare every frame")] = False,
+    episode: Annotated[int | None, typer.Option(help="number of the episode; default: all")] = None,
+    verify: Annotated[bool, typer.Option("--verify", help="drive the run again and compare every frame")] = False,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
-    """Read a run's logs again.
+    """Check the logs of a run.
 
-    With --verify drive it again and compare every frame: exit status 1 when they differ.
+    With --verify the run is driven again and every frame is compared. Exit status 1 if frames differ.
     """
 
     def job() -> Iterable[Event]:

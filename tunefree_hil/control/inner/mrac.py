@@ -1,4 +1,4 @@
-"""Model-reference adaptive control of the steering actuator: eq. 5 and 6 of the paper, apollo_facts 1.6 and 3.4.
+"""Model-reference adaptive control of the steering actuator: eq. 5 and 6 of the paper, docs/reference/apollo.md.
 
 Inside this file signals are percent of the steering limit (the box of `mrac.p` presumes it), x = [angle, its rate].
 Form "apollo" is the shipped law (bounds, anti-windup, clamping rule), form "paper" is eq. 6 with nothing round it.

@@ -1,4 +1,4 @@
-"""Lateral LQR with feedforward: eq. 3 and 4 of the paper, apollo_facts 1.4, 3.2 and 3.3, design D12.
+"""Lateral LQR with feedforward: eq. 3 and 4 of the paper, docs/reference/apollo.md and docs/reference/controller.md.
 
 States X = [e_y, e_y', e_th, e_th'] at the centre of mass (vehicle - reference, left positive), input road-wheel angle.
 The gains are worked out at build for a row of speeds and interpolated.
@@ -20,11 +20,11 @@ from tunefree_hil.control.contract import LeadLag, Recipe, Setup, VehicleConstan
 from tunefree_hil.control.filters import FirstOrder, first_order, first_order_step
 from tunefree_hil.control.parameters import RICCATI_CODES, tunables_of
 
-SPEED_FLOOR_MPS = 0.1  # of the model (apollo_facts 3.2)
+SPEED_FLOOR_MPS = 0.1  # of the model (docs/reference/apollo.md)
 # Dense where the gains bend: at low speed, and at every kink of the gain scheduler.
 NODES_MPS = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
 NODES_MPS += (5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 14.0, 16.0, 18.0, 20.0, 22.5, 25.0, 30.0, 40.0)
-# Gain scheduler: ratios by speed on Q1 and Q3 (apollo_facts 1.4).
+# Gain scheduler: ratios by speed on Q1 and Q3 (docs/reference/apollo.md).
 SCHEDULE_MPS = (4.0, 8.0, 12.0, 20.0, 25.0)
 LATERAL_RATIO = (1.0, 0.6, 0.2, 0.1, 0.05)
 HEADING_RATIO = (1.0, 0.6, 0.4, 0.2, 0.1)
@@ -98,25 +98,25 @@ def make(setup: Setup) -> Block:
 
 def model(speed_mps: float, vehicle: VehicleConstants, dt_s: float) -> tuple[Any, Any]:
     """(A, B), flat by rows, of the lateral error model (`fill_model`)."""
-    a, b, work = buffer(16), buffer(4), riccati.make_work(4)
-    fill_model(a, b, max(speed_mps, SPEED_FLOOR_MPS), car_of(vehicle), dt_s, work.w)
+    a, b, work = buffer(16), buffer(4), riccati.make_buffers(4)
+    fill_model(a, b, max(speed_mps, SPEED_FLOOR_MPS), lateral_model_constants(vehicle), dt_s, work.w)
     return a, b
 
 
-class Car(NamedTuple):
-    """The single-track car of the model: axle stiffness, places of the axles, mass and inertia."""
+class LateralModelConstants(NamedTuple):
+    """Constants of the single-track model. Stiffness is per axle; axle positions are distances from the mass centre."""
 
-    front: float
-    rear: float
-    lf: float
-    lr: float
-    mass: float  # not 0: config/load.py refuses it
-    inertia: float  # not 0: config/load.py refuses it
+    front_stiffness_n_per_rad: float
+    rear_stiffness_n_per_rad: float
+    front_axle_m: float
+    rear_axle_m: float
+    mass_kg: float  # not 0: config/load.py refuses it
+    yaw_inertia_kgm2: float  # not 0: config/load.py refuses it
 
 
-def car_of(vehicle: VehicleConstants) -> Car:
-    """The numbers of a vehicle that the model needs."""
-    return Car(
+def lateral_model_constants(vehicle: VehicleConstants) -> LateralModelConstants:
+    """The constants of a vehicle that the model needs."""
+    return LateralModelConstants(
         vehicle.front_stiffness_n_per_rad,
         vehicle.rear_stiffness_n_per_rad,
         vehicle.front_axle_m,
@@ -127,24 +127,30 @@ def car_of(vehicle: VehicleConstants) -> Car:
 
 
 @kernel
-def fill_model(a: Any, b: Any, v: float, car: Car, dt_s: float, minus: Any) -> None:
-    """A and B at a speed v > 0: Tustin for A, forward Euler for B (apollo_facts 3.2). minus: a buffer of 16."""
-    front, rear, lf, lr, mass, inertia = car.front, car.rear, car.lf, car.lr, car.mass, car.inertia
-    total, turning, damping = front + rear, lr * rear - lf * front, lf * lf * front + lr * lr * rear
+def fill_model(a: Any, b: Any, v: float, car: LateralModelConstants, dt_s: float, minus: Any) -> None:
+    """Fill A (16, by rows) and B (4) at a speed v > 0: Tustin for A, forward Euler for B, as Apollo does.
+
+    Args:
+        v: speed, m/s.
+        minus: a buffer of 16 that is overwritten.
+    """
+    cf, cr, lf, lr = car.front_stiffness_n_per_rad, car.rear_stiffness_n_per_rad, car.front_axle_m, car.rear_axle_m
+    mass, inertia = car.mass_kg, car.yaw_inertia_kgm2
+    total, turning, damping = cf + cr, lr * cr - lf * cf, lf * lf * cf + lr * lr * cr
     if v <= 0.0 or mass <= 0.0 or inertia <= 0.0:
         return
     lateral = (0.0, -total / (mass * v), total / mass, turning / (mass * v))
     heading = (0.0, turning / (inertia * v), -turning / inertia, -damping / (inertia * v))
     continuous = (0.0, 1.0, 0.0, 0.0) + lateral + (0.0, 0.0, 0.0, 1.0) + heading
     for i in range(16):
-        one = 1.0 if i in (0, 5, 10, 15) else 0.0
+        identity = 1.0 if i in (0, 5, 10, 15) else 0.0
         half = 0.5 * dt_s * continuous[i]
-        minus[i], a[i] = one - half, one + half
+        minus[i], a[i] = identity - half, identity + half
     riccati.solve(minus, a, 4, 4)
-    b[0], b[1], b[2], b[3] = 0.0, dt_s * front / mass, 0.0, dt_s * lf * front / inertia
+    b[0], b[1], b[2], b[3] = 0.0, dt_s * cf / mass, 0.0, dt_s * lf * cf / inertia
 
 
-class Solver(NamedTuple):
+class GainBuffers(NamedTuple):
     """Buffers for `fill_gains`: A, B, Q, P, K, and riccati's own."""
 
     a: Any
@@ -152,12 +158,18 @@ class Solver(NamedTuple):
     q: Any
     p: Any
     gain: Any
-    work: riccati.Work
+    work: riccati.RiccatiBuffers
 
 
 @kernel
 def fill_gains(
-    rows: Any, speeds: Any, weights: tuple[float, float, float, float], car: Car, dt_s: float, shipped: bool, s: Solver
+    rows: Any,
+    speeds: Any,
+    weights: tuple[float, float, float, float],
+    car: LateralModelConstants,
+    dt_s: float,
+    shipped: bool,
+    s: GainBuffers,
 ) -> None:
     """K1..K4 at each speed into rows, for Q1..Q4 (eq. 4) with the gain scheduler on Q1 and Q3."""
     for k in range(len(speeds)):
@@ -187,8 +199,8 @@ def gain_rows(
 ) -> list[list[float]]:
     """K1..K4 at each speed for Q1..Q4 (`fill_gains`)."""
     rows = buffer(4 * len(speeds_mps))
-    solver = Solver(buffer(16), buffer(4), buffer(16), buffer(16), buffer(4), riccati.make_work(4))
-    fill_gains_fast(rows, table(speeds_mps), weights, car_of(vehicle), dt_s, shipped, solver)
+    solver = GainBuffers(buffer(16), buffer(4), buffer(16), buffer(16), buffer(4), riccati.make_buffers(4))
+    fill_gains_fast(rows, table(speeds_mps), weights, lateral_model_constants(vehicle), dt_s, shipped, solver)
     return [[float(rows[4 * k + j]) for j in range(4)] for k in range(len(speeds_mps))]
 
 
@@ -212,7 +224,7 @@ def step(params: LqrParams, state: LqrState, x: tuple[Tracking, Measurement], dt
         + k.k3 * heading_rad
         + k.k4 * tracking.heading_error_rate_radps
     )
-    inner, boost_rad = low_speed_boost(params, state.lead_lag, -lateral_m, abs(v), dt_s)
+    inner, boost_rad = low_speed_lead_lag(params, state.lead_lag, -lateral_m, abs(v), dt_s)
     road_wheel_rad = feedback_rad + feedforward(params, k, v, tracking.ref_curvature_1pm) + boost_rad
     return LqrState(inner), road_wheel_rad * params.steer_ratio
 
@@ -238,7 +250,7 @@ def interpolate(params: LqrParams, speed_mps: float) -> Feedback:
 
 @kernel
 def feedforward(params: LqrParams, k: Feedback, speed_mps: float, curvature_1pm: float) -> float:
-    """delta_ff = L kappa + k_v v^2 kappa + K3 theta_ss (eq. 3) + K2 v sin(theta_ss) (design D12), road-wheel rad.
+    """delta_ff = L kappa + k_v v^2 kappa + K3 theta_ss (eq. 3) + K2 v sin(theta_ss) (docs/reference/controller.md), road-wheel rad.
 
     theta_ss = -lr kappa + lf m v^2 kappa / (c_r L) is the heading error of steady cornering: minus the side-slip at
     the centre of mass. The second term in it stands because the error rate is taken as v sin(heading error).
@@ -250,10 +262,10 @@ def feedforward(params: LqrParams, k: Feedback, speed_mps: float, curvature_1pm:
 
 
 @kernel
-def low_speed_boost(
+def low_speed_lead_lag(
     params: LqrParams, inner: float, error_m: float, speed_mps: float, dt_s: float
 ) -> tuple[float, float]:
-    """(inner state, road-wheel rad) of the low-speed lead-lag (apollo_facts 3.3; off by default, see LeadLag)."""
+    """(inner state, road-wheel rad) of the low-speed lead-lag (docs/reference/apollo.md; off by default, see LeadLag)."""
     if params.lead_lag_weight == 0.0 or speed_mps >= LOW_SPEED_MPS:
         return inner, 0.0
     inner, boost_rad = first_order_step(params.lead_lag, inner, error_m)

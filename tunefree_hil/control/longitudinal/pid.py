@@ -1,4 +1,4 @@
-"""Longitudinal control (eq. 2, apollo_facts 4): station and speed PID in cascade, preview, open-loop map.
+"""Longitudinal control (eq. 2, docs/reference/apollo.md): station and speed PID in cascade, preview, open-loop map.
 
 Different from the shipped controller on purpose: a pedal at rest is the vehicle's rest duty, not 0, and the least that
 is pressed is that too (shipped 15.4 % and 14.5 %, of one car); the plan is read between its rows, not at the nearest;
@@ -88,7 +88,7 @@ def step(params: PidParams, state: PidState, x: tuple[Tracking, Measurement], dt
 
 @kernel
 def is_full_stop(tracking: Tracking) -> bool:
-    """The plan stands still in a moment, or there is no way left to go (apollo_facts 4.3)."""
+    """The plan stands still in a moment, or there is no way left to go (docs/reference/apollo.md)."""
     flat = abs(tracking.preview_accel_mps2) <= STOPPED_ACCEL_MPS2
     return (flat and abs(tracking.preview_speed_mps) <= STOPPED_SPEED_MPS) or (
         abs(tracking.path_remaining_m) < STOPPED_REST_M
@@ -97,7 +97,7 @@ def is_full_stop(tracking: Tracking) -> bool:
 
 @kernel
 def actuate(params: PidParams, speed_mps: float, accel_mps2: float) -> Pedals:
-    """Throttle or brake by the sign of the *acceleration* (apollo_facts 4.5): coasting drag is not made use of.
+    """Throttle or brake by the sign of the *acceleration* (docs/reference/apollo.md): coasting drag is not made use of.
 
     A pedal that is not in use is at rest, and none is ever below.
     """

@@ -1,4 +1,4 @@
-"""Figures of a calibration: each channel's command, output and fit; free runs with and without the fitted constants."""
+"""Figures of a calibration: command, output and fit of each channel; free-run errors before and after the fit."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ AXES = {
 ROW_IN = 3.2
 
 
-class Stretch(NamedTuple):
-    """Stamps, command, reported output (NaN where none came) and fit."""
+class ChannelTrace(NamedTuple):
+    """Time, command, reported output (NaN without a report) and fit, each of shape (n_rows,)."""
 
     time_s: Numbers
     command: Numbers
@@ -43,16 +43,16 @@ class Stretch(NamedTuple):
     fit: Numbers
 
 
-class Channel(NamedTuple):
-    """A by-wire channel: its name, a line that says what was found, and one stretch or more."""
+class ChannelFit(NamedTuple):
+    """A by-wire channel: its name, a line with the fitted parameters, and one trace or more."""
 
     name: str
-    words: str
-    stretches: Sequence[Stretch]
+    text: str
+    traces: Sequence[ChannelTrace]
 
 
-class Growth(NamedTuple):
-    """RMS error of free runs over time, by target: before and after the fit, each [m]."""
+class ErrorGrowth(NamedTuple):
+    """RMS error of free runs over time by target, before and after the fit, each of shape (n_rows,)."""
 
     time_s: Numbers
     before: Mapping[str, Numbers]
@@ -60,53 +60,51 @@ class Growth(NamedTuple):
     windows: int
 
 
-def write_channels(path: Path, channels: Sequence[Channel], title: str) -> Path:
+def write_channels(path: Path, channels: Sequence[ChannelFit], title: str) -> Path:
     """Write the figure of `draw_channels` to `path` as PNG."""
     return style.save(draw_channels(channels, title), path)
 
 
-def write_growth(path: Path, growth: Growth, title: str) -> Path:
+def write_growth(path: Path, growth: ErrorGrowth, title: str) -> Path:
     """Write the figure of `draw_growth` to `path` as PNG."""
     return style.save(draw_growth(growth, title), path)
 
 
-def draw_channels(channels: Sequence[Channel], title: str) -> Figure:
-    """A row a channel: a long stretch, and a short one in which dead time and lag can be seen."""
-    shown = [channel for channel in channels if channel.stretches]
+def draw_channels(channels: Sequence[ChannelFit], title: str) -> Figure:
+    """Draw a row for each channel: a long trace, and a short one that shows dead time and lag."""
+    shown = [channel for channel in channels if channel.traces]
     figure = style.new_figure(14.0, 1.3 + ROW_IN * max(len(shown), 1))
     style.headline(figure, title)
     if not shown:
         style.say_missing(figure.add_subplot(), "pairs of command and output")
         return figure
-    wide = max(len(channel.stretches) for channel in shown)
+    wide = max(len(channel.traces) for channel in shown)
     grid = figure.add_gridspec(len(shown), wide, width_ratios=[2.0] + [1.0] * (wide - 1))
     axes: Axes | None = None
     for row, channel in enumerate(shown):
-        for column, stretch in enumerate(channel.stretches):
+        for column, trace in enumerate(channel.traces):
             axes = figure.add_subplot(grid[row, column])
-            title_here = f"{channel.name}: {channel.words}" if column == 0 else ""
-            _draw_stretch(axes, stretch)
+            panel_title = f"{channel.name}: {channel.text}" if column == 0 else ""
+            _draw_trace(axes, trace)
             last = row == len(shown) - 1
             style.dress(
-                axes, "time (s)" if last else "", UNITS.get(channel.name, "") if column == 0 else "", title_here
+                axes, "time (s)" if last else "", UNITS.get(channel.name, "") if column == 0 else "", panel_title
             )
     if axes is not None:
         style.legend_below(figure, axes, 3)
     return figure
 
 
-def _draw_stretch(axes: Axes, stretch: Stretch) -> None:
-    heard = np.isfinite(stretch.output)
-    axes.step(stretch.time_s, stretch.command, where="post", color=style.FAINT, linewidth=1.4, label="command")
-    axes.plot(
-        stretch.time_s[heard], stretch.output[heard], color=style.INK, marker=".", markersize=4, linestyle="",
-        label="output as reported",
-    )  # fmt: skip
-    style.line(axes, stretch.time_s, stretch.fit, style.TUNED._replace(width=1.8), "output as fitted")
+def _draw_trace(axes: Axes, trace: ChannelTrace) -> None:
+    is_reported = np.isfinite(trace.output)
+    axes.step(trace.time_s, trace.command, where="post", color=style.FAINT, linewidth=1.4, label="command")
+    dots = {"color": style.INK, "marker": ".", "markersize": 4, "linestyle": "", "label": "output as reported"}
+    axes.plot(trace.time_s[is_reported], trace.output[is_reported], **dots)
+    style.line(axes, trace.time_s, trace.fit, style.TUNED._replace(width=1.8), "output as fitted")
 
 
-def draw_growth(growth: Growth, title: str) -> Figure:
-    """A panel a target: how the error of a free run grows."""
+def draw_growth(growth: ErrorGrowth, title: str) -> Figure:
+    """Draw a panel for each target: the growth of the free-run error."""
     names = [name for name in AXES if name in growth.after]
     columns = min(3, max(len(names), 1))
     rows = max(-(-len(names) // columns), 1)

@@ -1,4 +1,4 @@
-"""The map of a collection: seconds had against seconds wanted, by steering and pedal, a panel for each speed band."""
+"""Figure of the coverage of a collection: seconds by steering and pedal, a panel for each speed band."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = "cividis"  # dark is empty, bright is full; colour-blind people see the same order
-BLANK = "#e8e8e8"  # not asked for
-BRIGHT = 0.55  # of the scale, above which ink is dark
+BLANK = "#e8e8e8"  # not requested
+BRIGHT = 0.55  # share of the scale above which text is dark
 
 
-class Panel(NamedTuple):
-    """One speed band: seconds had and wanted by (pedal, steering); wanted 0 where a cell is not asked for."""
+class CoveragePanel(NamedTuple):
+    """One speed band: seconds driven and requested, shape (n_pedal, n_steering); 0 requested: not part of the plan."""
 
     title: str
     have_s: NDArray[np.float64]
@@ -30,13 +30,13 @@ class Panel(NamedTuple):
     columns: Sequence[str]
 
 
-def write_coverage(path: Path, panels: Sequence[Panel], quota_s: float, title: str) -> Path:
+def write_coverage(path: Path, panels: Sequence[CoveragePanel], quota_s: float, title: str) -> Path:
     """Write the figure of `draw_coverage` to `path` as PNG."""
     return style.save(draw_coverage(panels, quota_s, title), path)
 
 
-def draw_coverage(panels: Sequence[Panel], quota_s: float, title: str) -> Figure:
-    """Every cell with its seconds, coloured by the share of the quota; grey cells are not asked for."""
+def draw_coverage(panels: Sequence[CoveragePanel], quota_s: float, title: str) -> Figure:
+    """Draw every cell with its seconds, coloured by the share of the quota; cells that are not requested are grey."""
     figure = style.new_figure(2.6 + 4.6 * len(panels), 5.2)
     for i, panel in enumerate(panels):
         axes = figure.add_subplot(1, len(panels), i + 1)
@@ -46,11 +46,11 @@ def draw_coverage(panels: Sequence[Panel], quota_s: float, title: str) -> Figure
         axes.tick_params(length=0)
         axes.set_xticks(range(len(panel.columns)), panel.columns, rotation=45, ha="right", rotation_mode="anchor")
         axes.set_yticks(range(len(panel.rows)), panel.rows if i == 0 else [""] * len(panel.rows))
-    style.headline(figure, f"{title}\nseconds by cell, {quota_s:g} wanted; grey: not asked for")
+    style.headline(figure, f"{title}\nseconds by cell, {quota_s:g} requested; grey: not requested")
     return figure
 
 
-def _draw_panel(axes: Axes, panel: Panel) -> None:
+def _draw_panel(axes: Axes, panel: CoveragePanel) -> None:
     wanted = panel.need_s > 0.0
     share = np.where(wanted, np.minimum(panel.have_s / np.where(wanted, panel.need_s, 1.0), 1.0), np.nan)
     axes.set_facecolor(BLANK)

@@ -1,4 +1,4 @@
-"""Figure of free runs on recorded drives: measured speed and yaw rate, and what each model makes of the commands."""
+"""Figure of free runs on recorded drives: speed and yaw rate, measured and simulated by each model."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 ROW_IN, COLUMN_IN = 2.9, 5.4
 
 
-class Run(NamedTuple):
-    """One free run: the drive in words, stamps from its start, measured values and those of each model, [n]."""
+class VelocityRun(NamedTuple):
+    """One free run: title, time from its start, measured and simulated values, each of shape (n_rows,)."""
 
-    words: str
+    title: str
     time_s: Any
     speed_mps: Any
     yaw_rate_radps: Any
@@ -26,13 +26,13 @@ class Run(NamedTuple):
     yaw_rates: Mapping[str, Any]
 
 
-def write_runs(path: Path, runs: Sequence[Run], title: str) -> Path:
+def write_runs(path: Path, runs: Sequence[VelocityRun], title: str) -> Path:
     """Write the figure of `draw_runs` to `path` as PNG."""
     return style.save(draw_runs(runs, title), path)
 
 
-def draw_runs(runs: Sequence[Run], title: str) -> Figure:
-    """A column a run: the speed above, the yaw rate below."""
+def draw_runs(runs: Sequence[VelocityRun], title: str) -> Figure:
+    """Draw a column for each run: speed above, yaw rate below."""
     figure = style.new_figure(max(COLUMN_IN * len(runs), 9.0), 2.0 * ROW_IN + 1.6)
     style.headline(figure, title)
     if not runs:
@@ -51,7 +51,7 @@ def draw_runs(runs: Sequence[Run], title: str) -> Figure:
             style.line(axes, run.time_s, measured, style.REFERENCE, "measured")
             for name, values in models.items():
                 style.line(axes, run.time_s, values, looks[name], name)
-            style.dress(axes, "free run (s)" if row else "", label if column == 0 else "", "" if row else run.words)
+            style.dress(axes, "free run (s)" if row else "", label if column == 0 else "", "" if row else run.title)
             if first is None:
                 first = axes
     style.legend_below(figure, first, 1 + len(looks))

@@ -1,12 +1,13 @@
-"""The course of a study: every score, the best so far, and what it has to beat (paper, III-B)."""
+"""The course of a study: every score, the best so far, and the baselines (paper, III-B)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tunefree_hil.figures import style
 
@@ -21,49 +22,16 @@ def write_history(path: Path, scores: Sequence[float], lines: Mapping[str, float
 
 
 def draw_history(scores: Sequence[float], lines: Mapping[str, float], random: Sequence[float] = ()) -> Figure:
-    """Scores by slot, lower is better, on a log scale.
+    """Draw scores by slot on a log scale; lower is better.
 
-    lines: baselines by name, "manual" first; `random`: scores of a random search at the same budget, drawn as its best
-    so far.
+    Args:
+        scores: Scores in slot order.
+        lines: Scores of the baselines by name, "manual" first.
+        random: Scores of a random search with the same budget, drawn as its best so far.
     """
     figure = style.new_figure(11.0, 6.5)
     axes = figure.add_subplot()
-    trials = np.arange(1, len(scores) + 1)
-    best = np.minimum.accumulate(np.asarray(scores, dtype=np.float64))
-    axes.plot(
-        trials,
-        scores,
-        linestyle="",
-        marker="o",
-        markersize=6.0,
-        color="#86b6d9",
-        markeredgecolor="white",
-        label="trial",
-    )
-    if random:
-        chance = np.minimum.accumulate(np.asarray(random, dtype=np.float64))
-        axes.step(
-            np.arange(1, len(chance) + 1),
-            chance,
-            where="post",
-            color=style.INK,
-            linestyle=":",
-            linewidth=2.2,
-            label="random search, best so far",
-        )
-    axes.step(trials, best, where="post", color=style.TUNED.colour, linewidth=2.8, label="best so far")
-    place = int(np.argmin(scores))
-    axes.plot(
-        trials[place],
-        scores[place],
-        marker="*",
-        markersize=20,
-        color=style.TUNED.colour,
-        markeredgecolor="white",
-        linestyle="",
-        zorder=6,
-        label=f"best: {style.number(scores[place])} in trial {place + 1}",
-    )
+    _draw_scores(axes, scores, random)
     _draw_lines(axes, lines)
     _log_score(axes, [*scores, *lines.values()])
     style.dress(axes, "trial", "score (lower is better)")
@@ -73,14 +41,35 @@ def draw_history(scores: Sequence[float], lines: Mapping[str, float], random: Se
     return figure
 
 
+def _draw_scores(axes: Axes, scores: Sequence[float], random: Sequence[float]) -> None:
+    """The trials, the best so far of both searches, and the best trial."""
+    trials = np.arange(1, len(scores) + 1)
+    dots: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white"}
+    axes.plot(trials, scores, marker="o", markersize=6.0, color="#86b6d9", label="trial", **dots)
+    if random:
+        random_best = _best_so_far(random)
+        dotted: dict[str, Any] = {"color": style.INK, "linestyle": ":", "linewidth": 2.2}
+        numbers = np.arange(1, len(random_best) + 1)
+        axes.step(numbers, random_best, where="post", label="random search, best so far", **dotted)
+    axes.step(trials, _best_so_far(scores), where="post", color=style.TUNED.colour, linewidth=2.8, label="best so far")
+    best = int(np.argmin(scores))
+    label = f"best: {style.number(scores[best])} in trial {best + 1}"
+    star: dict[str, Any] = {"marker": "*", "markersize": 20, "color": style.TUNED.colour, "zorder": 6}
+    axes.plot(trials[best], scores[best], label=label, **star, **dots)
+
+
+def _best_so_far(scores: Sequence[float]) -> NDArray[np.float64]:
+    return np.minimum.accumulate(np.asarray(scores, dtype=np.float64))
+
+
 def _sentence(scores: Sequence[float], lines: Mapping[str, float]) -> str:
     best, trials = min(scores), len(scores)
     if not lines:
         return f"Best score {style.number(best)} in {trials} trials"
-    name = min(lines, key=lambda one: lines[one])
+    name = min(lines, key=lambda baseline: lines[baseline])
     change = 100.0 * (1.0 - best / lines[name])
-    found = f"{abs(change):.0f} % {'below' if change > 0.0 else 'above'} the best baseline ({name})"
-    return f"Best of {trials} trials: {style.number(best)}, {found}"
+    comparison = f"{abs(change):.0f} % {'below' if change > 0.0 else 'above'} the best baseline ({name})"
+    return f"Best of {trials} trials: {style.number(best)}, {comparison}"
 
 
 def _draw_lines(axes: Axes, lines: Mapping[str, float]) -> None:
@@ -95,7 +84,7 @@ def _draw_lines(axes: Axes, lines: Mapping[str, float]) -> None:
 
 
 def _log_score(axes: Axes, values: Sequence[float]) -> None:
-    """A log scale, or a linear one when a score is 0."""
+    """A log scale, or a linear one where a score is 0."""
     if min(values) > 0.0:
         axes.set_yscale("log")
         style.plain_numbers(axes.yaxis, narrow=max(values) < 5.0 * min(values))

@@ -1,4 +1,4 @@
-"""Margins of the winner and the manual vectors: extra delay, steer gain, and how often changed cars fail."""
+"""Margins of the winner and the manual vectors: extra delay, steer gain, and failures of varied cars."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = "Oranges"
-DARK = 0.55  # share of failures from which on the ink is white
+DARK = 0.55  # share of failures above which the text is white
 BAR = 0.62
-BEYOND = " ▸"  # a bar that goes on behind the search's end
+BEYOND = " ▸"  # on a bar that ends at the limit of the search
 
 Rows = Mapping[str, Mapping[str, Any]]  # vector -> its margins, as verify.json has them
 
@@ -28,7 +28,12 @@ def write_margins(path: Path, margins: Mapping[str, Any], tuned: str) -> Path:
 
 
 def draw_margins(margins: Mapping[str, Any], tuned: str) -> Figure:
-    """margins: "margins" of verify.json (docs/margins.md), driven; tuned: the winner's name, drawn on top."""
+    """Draw delay margins, gain margins, and failures of varied cars.
+
+    Args:
+        margins: "margins" of verify.json (docs/reference/margins.md), with drives.
+        tuned: Name of the winner, which is drawn on top.
+    """
     vectors: Rows = margins["vectors"]
     names = [tuned, *(name for name in vectors if name != tuned)]
     height = 0.5 * len(names)
@@ -74,7 +79,7 @@ def _draw_gains(axes: Axes, vectors: Rows, names: Sequence[str], tuned: str) -> 
 
 
 def _draw_strip(axes: Axes, vectors: Rows, names: Sequence[str]) -> None:
-    """Failed scenarios by vector and changed car: those within +/-20 % on the left, those beyond behind the line."""
+    """Failed scenarios by vector and varied car: factors within +/-20 % left of the line, larger ones right of it."""
     points = {name: sorted(vectors[name]["points"], key=lambda point: not point["inside"]) for name in names}
     first = points[names[0]]
     shares = np.array([[point["failed"] / max(point["drives"], 1) for point in points[name]] for name in names])
@@ -91,12 +96,12 @@ def _draw_strip(axes: Axes, vectors: Rows, names: Sequence[str]) -> None:
     axes.set_yticks(range(len(names)), list(names), fontsize=style.FONT_PT - 1.0)
     axes.tick_params(axis="x", length=0, labelsize=style.FONT_PT - 2.0)
     drives = max((point["drives"] for point in first), default=0)
-    title = f"Failed drives of {drives} with a changed car: within ±20 % on the left, beyond on the right of the line"
+    title = f"Failed drives of {drives} with a varied car: within ±20 % left of the line, beyond right of it"
     axes.set_title(title, fontsize=style.FONT_PT, color=style.INK, loc="left")
 
 
 def _short(point: Mapping[str, Any]) -> str:
-    """What is changed of a car; where all is, in three numbers."""
+    """How a car is varied; where all is varied, in three numbers."""
     if point["group"] != "together":
         return point["what"]
     factors = point["factors"]
@@ -115,7 +120,7 @@ def _rows(axes: Axes, names: Sequence[str]) -> None:
 
 
 def _sentence(margins: Mapping[str, Any], tuned: str) -> str:
-    """Whose delay margin is larger, and the winner's failures where none are wanted."""
+    """The delay margins, and the failures of the winner within +/-20 %."""
     mine, against = margins["vectors"][tuned], margins["against"]
     words = f"Delay margin of {tuned}: {1e3 * mine['delay']['value']:.0f} ms"
     if against is not None:

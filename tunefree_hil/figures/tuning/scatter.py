@@ -1,4 +1,4 @@
-"""Where a study looked and what it found there (paper, Fig. 8b and 10): sample points coloured by score."""
+"""The sample points of a study, coloured by score (paper, Fig. 8b and 10)."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PAIRED = 3  # parameters that are shown against one another
+MAX_PAIRED = 3  # parameters that are shown in pairs
 BINS = 5
 
 
-class Range(NamedTuple):
-    """The box of one parameter, its scale and its unit ("1" and "" are not shown)."""
+class ParameterBox(NamedTuple):
+    """The range of one parameter, its scale and its unit ("1" and "" are not shown)."""
 
     low: float
     high: float
@@ -29,7 +29,7 @@ class Range(NamedTuple):
     unit: str = ""
 
 
-class Points(NamedTuple):
+class TrialPoints(NamedTuple):
     """What was tried: the parameters by name, one row a trial; scores, lower is better; the boxes by name.
 
     `manual`: the parameters that the tuned ones are held against; those outside a box are drawn on its edge.
@@ -37,16 +37,16 @@ class Points(NamedTuple):
 
     parameters: Mapping[str, Sequence[float] | NDArray[np.float64]]
     scores: Sequence[float]
-    boxes: Mapping[str, Range]
+    boxes: Mapping[str, ParameterBox]
     manual: Mapping[str, float]
 
 
-def write_scatter(path: Path, points: Points) -> Path:
+def write_scatter(path: Path, points: TrialPoints) -> Path:
     """Write the figure of `draw_scatter` to `path` as PNG."""
     return style.save(draw_scatter(points), path)
 
 
-def draw_scatter(points: Points) -> Figure:
+def draw_scatter(points: TrialPoints) -> Figure:
     """One or two parameters: one plane. More: the three that matter most in pairs, and all in parallel coordinates."""
     names = list(points.parameters)
     if len(names) <= 2:
@@ -55,9 +55,9 @@ def draw_scatter(points: Points) -> Figure:
         _draw_plane(planes[0], points, names[0], names[-1])
     else:
         figure = style.new_figure(14.0, 10.0)
-        grid = figure.add_gridspec(2, PAIRED, height_ratios=(1.0, 1.0))
-        leading = by_weight(points)[:PAIRED]
-        planes = [figure.add_subplot(grid[0, i]) for i in range(PAIRED)]
+        grid = figure.add_gridspec(2, MAX_PAIRED, height_ratios=(1.0, 1.0))
+        leading = rank_parameters(points)[:MAX_PAIRED]
+        planes = [figure.add_subplot(grid[0, i]) for i in range(MAX_PAIRED)]
         for axes, (x, y) in zip(planes, itertools.combinations(leading, 2), strict=True):
             _draw_plane(axes, points, x, y)
         below = figure.add_subplot(grid[1, :])
@@ -70,12 +70,12 @@ def draw_scatter(points: Points) -> Figure:
     return figure
 
 
-def by_weight(points: Points) -> list[str]:
-    """The parameters, the one that tells most about the rank of the score first."""
-    return sorted(points.parameters, key=lambda name: -weight(points.parameters[name], points.scores))
+def rank_parameters(points: TrialPoints) -> list[str]:
+    """The parameters, sorted by `variance_share`, the largest first."""
+    return sorted(points.parameters, key=lambda name: -variance_share(points.parameters[name], points.scores))
 
 
-def weight(values: ArrayLike, scores: ArrayLike) -> float:
+def variance_share(values: ArrayLike, scores: ArrayLike) -> float:
     """Share (0 to 1) of the variance of the scores' ranks that lies between bins of equal numbers of trials.
 
     It sees a valley as well as a slope. It is a help to choose what to show, not a measure of sensitivity: with few
@@ -90,12 +90,12 @@ def weight(values: ArrayLike, scores: ArrayLike) -> float:
 
 
 def _order(scores: Sequence[float]) -> NDArray[np.int64]:
-    """Worst first, so that the good ones are drawn on top."""
+    """Worst first, so that good trials are drawn on top."""
     return np.argsort(-np.asarray(scores, dtype=np.float64), kind="stable")
 
 
 def _norm(scores: Sequence[float]) -> Any:
-    """Colours over the logarithm of the score, for the better three quarters: failures would take all colours."""
+    """Colours over the logarithm of the score of the better three quarters, as failures would use most colours."""
     from matplotlib.colors import LogNorm, Normalize
 
     low, high = float(np.min(scores)), float(np.quantile(np.asarray(scores, dtype=np.float64), 0.75))
@@ -104,7 +104,7 @@ def _norm(scores: Sequence[float]) -> Any:
     return LogNorm(low, high, clip=True)
 
 
-def _draw_plane(axes: Axes, points: Points, x: str, y: str) -> None:
+def _draw_plane(axes: Axes, points: TrialPoints, x: str, y: str) -> None:
     """The trials in the plane of two parameters; with one parameter only, score upwards."""
     order, scores = _order(points.scores), np.asarray(points.scores, dtype=np.float64)
     across = np.asarray(points.parameters[x], dtype=np.float64)
@@ -129,12 +129,12 @@ def _draw_plane(axes: Axes, points: Points, x: str, y: str) -> None:
     style.dress(axes, _label(x, points), "score (lower is better)" if x == y else _label(y, points))
 
 
-def _label(name: str, points: Points) -> str:
+def _label(name: str, points: TrialPoints) -> str:
     unit = points.boxes[name].unit
     return f"{name} ({unit})" if unit not in ("", "1") else name
 
 
-def _inside(points: Points, name: str) -> float:
+def _inside(points: TrialPoints, name: str) -> float:
     return min(max(points.manual[name], points.boxes[name].low), points.boxes[name].high)
 
 
@@ -145,8 +145,8 @@ def _mark(axes: Axes, x: float, y: float, look: style.Look, marker: str, size: f
     )  # fmt: skip
 
 
-def _set_box(axes: Axes, box: Range, which: str) -> None:
-    """The axis shows the whole box and a little more."""
+def _set_box(axes: Axes, box: ParameterBox, which: str) -> None:
+    """Set the limits of an axis a little wider than the range."""
     if box.log:
         getattr(axes, f"set_{which}scale")("log")
         style.plain_numbers(getattr(axes, f"{which}axis"))
@@ -157,45 +157,45 @@ def _set_box(axes: Axes, box: Range, which: str) -> None:
         getattr(axes, f"set_{which}lim")(box.low - edge, box.high + edge)
 
 
-def _place(values: NDArray[np.float64], box: Range) -> NDArray[np.float64]:
-    """Where in its box (0 to 1, on its scale) each value lies; what lies outside goes to the edge."""
+def _place(values: NDArray[np.float64], box: ParameterBox) -> NDArray[np.float64]:
+    """Position of each value in its range (0 to 1, on its scale), clipped to the range."""
     inside = np.clip(values, box.low, box.high)
     if box.log:
         return np.log(inside / box.low) / np.log(box.high / box.low)
     return (inside - box.low) / (box.high - box.low)
 
 
-def _draw_parallel(axes: Axes, points: Points) -> None:
-    """One line a trial across all parameters, each from the lower to the upper edge of its box."""
+def _draw_parallel(axes: Axes, points: TrialPoints) -> None:
+    """One line a trial across all parameters, each from the lower to the upper edge of its range."""
     from matplotlib import colormaps
 
     names, norm = list(points.parameters), _norm(points.scores)
     places = np.array([_place(np.asarray(points.parameters[name], np.float64), points.boxes[name]) for name in names])
-    at = np.arange(len(names))
+    positions = np.arange(len(names))
     for row in _order(points.scores):
         badness = float(norm(points.scores[row]))
         colour = colormaps[style.SCORE_COLOURS](badness)
-        axes.plot(at, places[:, row], color=colour, linewidth=1.0, alpha=0.65 - 0.45 * badness)
+        axes.plot(positions, places[:, row], color=colour, linewidth=1.0, alpha=0.65 - 0.45 * badness)
     shown = [i for i, name in enumerate(names) if name in points.manual]
     manual = [_place(np.array(points.manual[names[i]]), points.boxes[names[i]]) for i in shown]
     look = style.MANUAL
     axes.plot(shown, manual, color=look.colour, linestyle="--", marker="D", markersize=9.0, linewidth=2.6, zorder=5)
     best = places[:, int(np.argmin(points.scores))]
-    axes.plot(at, best, color=style.TUNED.colour, marker="*", markersize=16.0, linewidth=3.2, zorder=6)
-    style.dress(axes, "", "place in the box", "all parameters, from the lower to the upper edge of the box")
-    axes.set_xticks(at, [_tick(name, points.boxes[name]) for name in names], fontsize=style.FONT_PT - 2.0)
+    axes.plot(positions, best, color=style.TUNED.colour, marker="*", markersize=16.0, linewidth=3.2, zorder=6)
+    style.dress(axes, "", "position in the range", "all parameters, from the lower to the upper edge of the range")
+    axes.set_xticks(positions, [_tick(name, points.boxes[name]) for name in names], fontsize=style.FONT_PT - 2.0)
     axes.set_yticks([0.0, 0.5, 1.0], ["low", "middle", "high"])
     axes.set_xlim(-0.3, len(names) - 0.7)
 
 
-def _tick(name: str, box: Range) -> str:
-    """The name in two lines, and its box."""
+def _tick(name: str, box: ParameterBox) -> str:
+    """The name in two lines, and the range."""
     group, _, last = name.rpartition(".")
     edges = f"{style.number(box.low)} to\n{style.number(box.high)}"
     return f"{group}\n{last}\n{edges}" if group else f"{last}\n\n{edges}"
 
 
-def _draw_bar(figure: Figure, axes: Sequence[Axes], points: Points) -> None:
+def _draw_bar(figure: Figure, axes: Sequence[Axes], points: TrialPoints) -> None:
     from matplotlib.cm import ScalarMappable
 
     colours = ScalarMappable(_norm(points.scores), style.SCORE_COLOURS)

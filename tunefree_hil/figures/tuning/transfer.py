@@ -1,4 +1,4 @@
-"""Do good gains on a learned plant hold on the vehicle? Grades of the same sets on both, a panel for each vehicle."""
+"""Transfer of gains from a learned plant to the vehicle: grades of the same gain sets on both, one panel a vehicle."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ Numbers = NDArray[np.float64]
 LEADING = "hybrid"  # drawn last, over the others
 
 
-class Ranked(NamedTuple):
-    """Grades of gain sets on a plant and, set by set, on the vehicle; rho: ranks of those that finish on both."""
+class TransferGrades(NamedTuple):
+    """Grades of gain sets on a plant and on the vehicle; rho: rank correlation of the sets that finish on both."""
 
     model: Numbers
     vehicle: Numbers
     rho: float
 
 
-def write_transfer(path: Path, vehicles: Mapping[str, Mapping[str, Ranked]]) -> Path:
+def write_transfer(path: Path, vehicles: Mapping[str, Mapping[str, TransferGrades]]) -> Path:
     """Write the figure of `draw_transfer` to `path` as PNG."""
     return style.save(draw_transfer(vehicles), path)
 
 
-def draw_transfer(vehicles: Mapping[str, Mapping[str, Ranked]]) -> Figure:
-    """Grade on the plant over grade on the vehicle, both on a log scale: on the diagonal they are equal.
+def draw_transfer(vehicles: Mapping[str, Mapping[str, TransferGrades]]) -> Figure:
+    """Draw the grade on the plant over the grade on the vehicle, both on a log scale.
 
     vehicles: by vehicle, by kind of plant; at least one of each. A set that is not graded on both is left out.
     """
@@ -49,7 +49,7 @@ def draw_transfer(vehicles: Mapping[str, Mapping[str, Ranked]]) -> Figure:
     return figure
 
 
-def _panel(axes: Axes, kinds: Mapping[str, Ranked]) -> None:
+def _panel(axes: Axes, kinds: Mapping[str, TransferGrades]) -> None:
     looks = kind_looks(list(kinds))
     for kind in sorted(kinds, key=lambda one: one == LEADING):
         ranked, look = kinds[kind], looks[kind]
@@ -64,7 +64,7 @@ def _panel(axes: Axes, kinds: Mapping[str, Ranked]) -> None:
         style.plain_numbers(axis)
 
 
-def _sentence(vehicles: Mapping[str, Mapping[str, Ranked]]) -> str:
+def _sentence(vehicles: Mapping[str, Mapping[str, TransferGrades]]) -> str:
     leading = [kinds[LEADING].rho for kinds in vehicles.values() if LEADING in kinds]
     if not leading:
         return "Gains on learned plants and on the vehicle"

@@ -1,16 +1,16 @@
-"""What a model's own logs make of the numbers that recalibration may move, as a prior for later logs.
+"""Prior of the recalibrated parameters from the logs that a model was calibrated on.
 
-A calibration fits its constants by free runs of its own, and states each with an interval. `gap` weighs signals
-otherwise, and of numbers that do nearly the same (drive force, knee, throttle's gain) it knows what they come to
-together far better than any of those intervals says: it knows so from the very logs that the model was made from.
-Without that, recalibration could move all of them a little, and take a motor that gives a tenth less for another day.
+A calibration states each constant with an interval. Of parameters that act nearly alike (drive force, knee, gain of the
+throttle), the logs know the joint effect much better than these intervals say. Without that knowledge, recalibration
+could move all of them a little and mistake a motor that gives a tenth less for another day.
 
-A number of the own logs' day and the same number of a later day are theta + d and theta + d': theta the car's, d and
-d' drifts. Of both the prior covariance is [[S, T], [T, S]], S = T + D: T what the calibration leaves open, D the drift.
-Where the own logs put theirs at m, known by C, theta is at T S^-1 m, known by T - T S^-1 (S - C) S^-1 T. Blocks of the
-logs that disagree are believed the less: both m and C are then those of logs whose noise is the larger by just that
-(`_as_blocks_agree`), and what a few blocks do not say of many numbers is taken from the average (`_shrunk`). Later
-logs are held against the model moved there (`repair.moved`), and its recalibration knows theta so well (`after_own`).
+Let theta + d be a parameter on the day of the calibration, theta + d' on a later day: theta belongs to the car, d and
+d' are drifts. Their prior covariance is [[S, T], [T, S]], where S = T + D: T is the doubt of the calibration, D that of
+the drift. If the calibration logs put the parameter at m with covariance C, then theta has mean T S^-1 m and covariance
+T - T S^-1 (S - C) S^-1 T. Blocks of the logs that contradict each other count less: m and C are then those of logs with
+correspondingly larger noise (`_posterior_from_blocks`), and what few blocks cannot tell about many parameters is taken
+from the average (`_shrink_to_average`). Later logs are compared with the model moved there, and its recalibration has
+the remaining doubt as its prior (`apply_calibration_prior`).
 """
 
 from __future__ import annotations
@@ -22,125 +22,147 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tunefree_hil.config.schema import ModelSpec
-from tunefree_hil.gap.estimation.intervals import by_blocks, curvature
-from tunefree_hil.gap.estimation.least_squares import Fitted
+from tunefree_hil.gap.estimation.intervals import curvature_covariance, sandwich_covariance
+from tunefree_hil.gap.estimation.least_squares import Fit
 from tunefree_hil.gap.estimation.nuisance import Nuisance
-from tunefree_hil.gap.model.card import OWN_NUMBERS, card_of, no_card
+from tunefree_hil.gap.model.card import CALIBRATION_PRIORS_KEY, card_error, load_model_card
 
 Array = np.ndarray
 
-SILENT = 1e-6  # of what a prior knows (1 / variance): logs that know less in a direction say nothing of it
-ROUNDED = 1e-6  # of a correlation: by what a covariance that was written down may seem none
+MIN_INFORMATION = 1e-6  # share of a prior's information below which logs are taken to know nothing of a direction
+EIGENVALUE_TOLERANCE = 1e-6  # of a correlation matrix that was rounded when it was written
 
 
-class OwnNumbers(NamedTuple):
-    """What own logs say of the car: keys [k]; off [k]: where it is, from the model's own numbers; covariance [k, k] of
-    that, a later day's drift not in it; each in its own unit.
+class CalibrationPrior(NamedTuple):
+    """Where the calibration logs put the car.
+
+    Args:
+        keys: parameters
+        offset: from the model's own values, each in its unit, shape (n_keys,)
+        covariance: of `offset`, without the drift of a later day, shape (n_keys, n_keys)
     """
 
     keys: tuple[str, ...]
-    off: Array
+    offset: Array
     covariance: Array
 
 
-NOBODY_ASKED = OwnNumbers((), np.zeros(0), np.zeros((0, 0)))
+NO_PRIOR = CalibrationPrior((), np.zeros(0), np.zeros((0, 0)))
 
 
-def own_numbers(null: Fitted, drifting: Sequence[Nuisance], blocks: Array) -> OwnNumbers:
-    """Of the null of a model's own logs. blocks: those that it was fitted on."""
-    some = {one.key: one for one in drifting if one.told > 0.0}
-    at = [i for i, key in enumerate(null.keys) if key in some]
-    mine = [some[null.keys[i]] for i in at]
-    sigma = np.array([one.sigma for one in mine])
+def prior_from_fit(recalibrated: Fit, nuisances: Sequence[Nuisance], blocks: Array) -> CalibrationPrior:
+    """Prior from the recalibrated model of the calibration logs, and the blocks that it was fitted on."""
+    by_key = {nuisance.key: nuisance for nuisance in nuisances if nuisance.calibration_sigma > 0.0}
+    columns = [i for i, key in enumerate(recalibrated.keys) if key in by_key]
+    known = [by_key[recalibrated.keys[i]] for i in columns]
+    sigma = np.array([nuisance.sigma for nuisance in known])
     units = np.outer(sigma, sigma)
-    prior = np.linalg.inv(null.prior)[np.ix_(at, at)] * units
-    told = prior - np.diag(sigma**2 - [one.told**2 for one in mine])
-    carried = np.linalg.solve(prior, told).T  # T S^-1
-    sharp, blurred = (one(null, blocks)[np.ix_(at, at)] * units for one in (curvature, by_blocks))
-    mean, known = _as_blocks_agree(prior, sharp, blurred, sigma * null.z[at], len(blocks))
-    off = carried @ mean
-    return OwnNumbers(tuple(one.key for one in mine), off, told - carried @ (prior - known) @ carried.T)
+    total = np.linalg.inv(recalibrated.prior_precision)[np.ix_(columns, columns)] * units  # S
+    of_car = total - np.diag(sigma**2 - [nuisance.calibration_sigma**2 for nuisance in known])  # T
+    gain = np.linalg.solve(total, of_car).T  # T S^-1
+    by_curvature, by_blocks = (
+        covariance(recalibrated, blocks)[np.ix_(columns, columns)] * units
+        for covariance in (curvature_covariance, sandwich_covariance)
+    )
+    mean, posterior = _posterior_from_blocks(
+        total, by_curvature, by_blocks, sigma * recalibrated.z[columns], len(blocks)
+    )
+    keys = tuple(nuisance.key for nuisance in known)
+    return CalibrationPrior(keys, gain @ mean, of_car - gain @ (total - posterior) @ gain.T)
 
 
-def after_own(some: Sequence[Nuisance], correlation: Array, own: OwnNumbers) -> tuple[list[Nuisance], Array]:
-    """Nuisances and the correlation [p, p] of their priors, once the own logs have said theirs."""
-    place = {one.key: i for i, one in enumerate(some)}
-    both = [k for k, key in enumerate(own.keys) if key in place]
-    at = [place[own.keys[k]] for k in both]
-    if not at:
-        return list(some), correlation
-    sigma = np.array([one.sigma for one in some])
-    whole = correlation * np.outer(sigma, sigma)
-    car = own.covariance[np.ix_(both, both)]
-    whole[np.ix_(at, at)] = car + np.diag([some[i].sigma ** 2 - some[i].told ** 2 for i in at])
-    sigma, found = np.sqrt(np.diag(whole)), list(some)
-    for i, known in zip(at, np.diag(car), strict=True):
-        found[i] = some[i]._replace(sigma=float(sigma[i]), told=float(known) ** 0.5)
-    return found, whole / np.outer(sigma, sigma)
+def apply_calibration_prior(
+    nuisances: Sequence[Nuisance], correlation: Array, prior: CalibrationPrior
+) -> tuple[list[Nuisance], Array]:
+    """Nuisances and the correlation of their priors, shape (n_nuisances, n_nuisances), given the calibration logs."""
+    index = {nuisance.key: i for i, nuisance in enumerate(nuisances)}
+    shared = [k for k, key in enumerate(prior.keys) if key in index]
+    rows = [index[prior.keys[k]] for k in shared]
+    if not rows:
+        return list(nuisances), correlation
+    sigma = np.array([nuisance.sigma for nuisance in nuisances])
+    covariance = correlation * np.outer(sigma, sigma)
+    of_car = prior.covariance[np.ix_(shared, shared)]
+    drift_variance = [nuisances[i].sigma ** 2 - nuisances[i].calibration_sigma ** 2 for i in rows]
+    covariance[np.ix_(rows, rows)] = of_car + np.diag(drift_variance)
+    sigma, updated = np.sqrt(np.diag(covariance)), list(nuisances)
+    for i, variance in zip(rows, np.diag(of_car), strict=True):
+        updated[i] = nuisances[i]._replace(sigma=float(sigma[i]), calibration_sigma=float(variance) ** 0.5)
+    return updated, covariance / np.outer(sigma, sigma)
 
 
-def _as_blocks_agree(prior: Array, sharp: Array, blurred: Array, mean: Array, blocks: int) -> tuple[Array, Array]:
-    """(mean [k], covariance [k, k]) by a prior and logs whose score b = J theta + e has noise of covariance J + M: J is
-    what they know by their curvature alone, M what the scores of their blocks disagree by. Of blocks that agree M is
-    their noise, and as large as J: such logs are believed by half.
+def _posterior_from_blocks(
+    prior: Array, by_curvature: Array, by_blocks: Array, mean: Array, n_blocks: int
+) -> tuple[Array, Array]:
+    """Mean (k,) and covariance (k, k) of parameters theta, with noise as large as the blocks disagree.
 
-    The fit took M for 0: it is at `mean`, known by `sharp`; `blurred` is M through that. Where theta's prior is the
-    identity, K = (1 + J (J + M)^-1 J)^-1, and theta is at K J (J + M)^-1 b; in directions of which J is silent, it
-    stays. (A mean that is weakened along the axes of a covariance may turn round along those of another.)
+    The score of the logs is b = J theta + e, where e has the covariance J + M: J is the information of their curvature,
+    M the scatter of the scores of their blocks. M of blocks that agree is about J: such logs count by half. The fit had
+    assumed M = 0: it is at `mean` with covariance `by_curvature`; `by_blocks` is M propagated through that. Where the
+    prior of theta is the identity, K = (1 + J (J + M)^-1 J)^-1, and theta is at K J (J + M)^-1 b; in directions without
+    information in J it stays. (A mean that is shrunk along the axes of one covariance may change its sign along those
+    of another.)
     """
     root = np.linalg.cholesky(prior)
-    sharp, blurred = (np.linalg.solve(root, np.linalg.solve(root, one).T) for one in (sharp, blurred))
-    precise = np.linalg.inv(sharp)
-    values, vectors = np.linalg.eigh(precise - np.eye(len(root)))
-    values, vectors = values[values > SILENT], vectors[:, values > SILENT]
-    half, back = vectors * np.sqrt(values), precise @ vectors / np.sqrt(values)
-    weight = np.linalg.inv(np.eye(len(values)) + _shrunk(back.T @ blurred @ back, blocks))
-    known = np.linalg.inv(np.eye(len(root)) + half @ weight @ half.T)
-    found: Array = root @ known @ half @ weight @ back.T @ np.linalg.solve(root, mean)
-    return found, root @ known @ root.T
+    by_curvature, by_blocks = (
+        np.linalg.solve(root, np.linalg.solve(root, covariance).T) for covariance in (by_curvature, by_blocks)
+    )
+    precision = np.linalg.inv(by_curvature)
+    values, vectors = np.linalg.eigh(precision - np.eye(len(root)))
+    values, vectors = values[values > MIN_INFORMATION], vectors[:, values > MIN_INFORMATION]
+    half, back = vectors * np.sqrt(values), precision @ vectors / np.sqrt(values)
+    weight = np.linalg.inv(np.eye(len(values)) + _shrink_to_average(back.T @ by_blocks @ back, n_blocks))
+    covariance = np.linalg.inv(np.eye(len(root)) + half @ weight @ half.T)
+    posterior: Array = root @ covariance @ half @ weight @ back.T @ np.linalg.solve(root, mean)
+    return posterior, root @ covariance @ root.T
 
 
-def _shrunk(disagree: Array, blocks: int) -> Array:
-    """What the scores of so many blocks disagree by in each direction [k, k], where their noise is 1: drawn to the
-    average by as much as it is not known. With fewer blocks than numbers nothing is seen to disagree in some
-    directions, and they are no surer for that.
+def _shrink_to_average(scatter: Array, n_blocks: int) -> Array:
+    """Shrink the scatter of the blocks' scores (k, k), in units of their noise, to its average over all directions.
+
+    Fewer blocks than parameters show no scatter in some directions, which are not better known for that.
     """
-    size = len(disagree)
+    size = len(scatter)
     if not size:
-        return disagree
-    share = size / (size + blocks - 1)
-    return (1.0 - share) * disagree + share * np.trace(disagree) / size * np.eye(size)
+        return scatter
+    share = size / (size + n_blocks - 1)
+    return (1.0 - share) * scatter + share * np.trace(scatter) / size * np.eye(size)
 
 
-def as_data(own: OwnNumbers) -> dict[str, Any]:
-    """Keys of the card; none where there is nothing to keep."""
-    if not own.keys:
+def card_entry_from_prior(prior: CalibrationPrior) -> dict[str, Any]:
+    """Entries for the model's card; none for an empty prior."""
+    if not prior.keys:
         return {}
-    return {OWN_NUMBERS: {"keys": list(own.keys), "off": own.off.tolist(), "covariance": own.covariance.tolist()}}
+    entry = {"keys": list(prior.keys), "off": prior.offset.tolist(), "covariance": prior.covariance.tolist()}
+    return {CALIBRATION_PRIORS_KEY: entry}
 
 
-def own_numbers_of(model: ModelSpec) -> OwnNumbers:
-    """What a model's card says of them; nothing where its own logs were not asked. Raises InputError for a card that is
-    none.
+def read_calibration_prior(model: ModelSpec) -> CalibrationPrior:
+    """Read the prior from a model's card; NO_PRIOR where the card has none.
+
+    Raises: InputError for an invalid card.
     """
-    said = card_of(model).get(OWN_NUMBERS)
-    if said is None:
-        return NOBODY_ASKED
+    entry = load_model_card(model).get(CALIBRATION_PRIORS_KEY)
+    if entry is None:
+        return NO_PRIOR
     try:
-        return _read(said)
+        return _parse(entry)
     except (TypeError, KeyError, ValueError) as error:
-        raise no_card(Path(model.folder) / model.plant.card, f"{OWN_NUMBERS}: {error}") from error
+        raise card_error(Path(model.folder) / model.plant.card, f"{CALIBRATION_PRIORS_KEY}: {error}") from error
 
 
-def _read(said: Mapping[str, Any]) -> OwnNumbers:
-    keys = tuple(str(key) for key in said["keys"])
-    off, known = np.array(said["off"], dtype=float), np.array(said["covariance"], dtype=float)
+def _parse(entry: Mapping[str, Any]) -> CalibrationPrior:
+    keys = tuple(str(key) for key in entry["keys"])
+    offset, covariance = np.array(entry["off"], dtype=float), np.array(entry["covariance"], dtype=float)
     size = len(keys)
-    if off.shape != (size,) or known.shape != (size, size) or not (np.isfinite(off).all() and np.isfinite(known).all()):
-        raise ValueError(f"numbers of {size} keys are not {off.shape} and {known.shape} finite ones")
-    scale = np.sqrt(np.maximum(np.diag(known), 0.0))
-    if not (
-        size and (scale > 0.0).all() and float(np.linalg.eigvalsh(known / np.outer(scale, scale)).min()) > -ROUNDED
-    ):
-        raise ValueError("this is no covariance: it has a direction of negative variance")
-    return OwnNumbers(keys, off, known)
+    has_shape = offset.shape == (size,) and covariance.shape == (size, size)
+    if not (has_shape and np.isfinite(offset).all() and np.isfinite(covariance).all()):
+        raise ValueError(f"{size} keys need {size} finite offsets and a {size} x {size} covariance")
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    if not (size and (scale > 0.0).all() and _smallest_eigenvalue(covariance, scale) > -EIGENVALUE_TOLERANCE):
+        raise ValueError("the covariance has a direction of negative variance")
+    return CalibrationPrior(keys, offset, covariance)
+
+
+def _smallest_eigenvalue(covariance: Array, scale: Array) -> float:
+    return float(np.linalg.eigvalsh(covariance / np.outer(scale, scale)).min())

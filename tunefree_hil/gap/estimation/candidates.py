@@ -1,4 +1,4 @@
-"""Who is suspected: every file of effects/ that the plant can have, with what its prior says to search."""
+"""Candidate effects: every catalogue effect that the plant can have, with the parameters to search."""
 
 from __future__ import annotations
 
@@ -10,83 +10,97 @@ from tunefree_hil import effects
 from tunefree_hil.base.contracts import Link, Prior, links_of, prior_of
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
-from tunefree_hil.gap.estimation.grid import NO_TWIN, TWINS
-from tunefree_hil.gap.estimation.least_squares import Free
-from tunefree_hil.gap.estimation.nuisance import DRIFT, Nuisance
-from tunefree_hil.gap.measured.chain import Opened
-from tunefree_hil.gap.model.graph import Graph
+from tunefree_hil.gap.estimation.grid import NO_TWIN, RECALIBRATION_TWINS
+from tunefree_hil.gap.estimation.least_squares import FreeParameter
+from tunefree_hil.gap.estimation.nuisance import DRIFT_SIGMAS, Nuisance
+from tunefree_hil.gap.measured.chain import MeasuredDrive
+from tunefree_hil.gap.model.graph import EffectGraph
 from tunefree_hil.learn.drives.drive import CHASSIS_FIRST_YAW_RATES
 
-BEYOND = 0.35  # of the prior's width, that a search may go past its ends
-LATERAL = "report.lateral_accel_mps2"
-NO_GYRO = "no gyro: the chassis's yaw rate is made from its wheels"
-# Parameters that mean so many times a constant of the model: as well as that is known
-COUNTS_BY = {"rolling_resistance.extra_frac": "rolling_frac", "head_wind.wind_mps": "drag_area_m2"}
+SEARCH_MARGIN = 0.35  # of the prior's width that a search may go beyond its ends
+LATERAL_ACCEL = "report.lateral_accel_mps2"
+NO_GYRO = "no gyro: the yaw rate of the chassis is computed from its wheel speeds"
+# Parameters that are a share of a constant of the model: they are known only as well as it is
+SCALING_CONSTANT = {"rolling_resistance.extra_frac": "rolling_frac", "head_wind.wind_mps": "drag_area_m2"}
 
 
-class Suspect(NamedTuple):
-    """An effect with the parameters to look for."""
+class Candidate(NamedTuple):
+    """An effect with its free parameters and the links of the measured chain that it acts on."""
 
     name: str
-    free: tuple[Free, ...]
+    free: tuple[FreeParameter, ...]
     links: tuple[Link, ...]
 
 
-def suspects_of(
-    graph: Graph, model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[Opened] = ()
-) -> tuple[list[Suspect], dict[str, str]]:
-    """(suspects, effects that cannot be suspected with the reason): the plant or these drives have none of it."""
-    found, cannot = [], dict(graph.cannot)
-    if _without_gyro(drives):
-        cannot |= {name: NO_GYRO for name, effect in graph.can.items() if links_of(effect)[0] is Link.YAW_VS_INS}
-    sizes = sizes_of(model, vehicle, graph)
-    for name, effect in graph.can.items():
-        if name in cannot:
+def build_candidates(
+    graph: EffectGraph, model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[MeasuredDrive] = ()
+) -> tuple[list[Candidate], dict[str, str]]:
+    """Build the candidates for a model and its drives.
+
+    Returns: the candidates; and the reason for each effect that the plant or these drives cannot have
+    """
+    candidates, untestable = [], dict(graph.unsupported)
+    if _has_no_gyro(drives):
+        untestable |= {
+            name: NO_GYRO for name, effect in graph.supported.items() if links_of(effect)[0] is Link.YAW_VS_INS
+        }
+    sizes = vehicle_sizes(model, vehicle, graph)
+    for name, effect in graph.supported.items():
+        if name in untestable:
             continue
         try:
             priors = {key: prior_of(effect, key, sizes) for key in effect.neutral}
         except InputError as error:
-            cannot[name] = error.message
+            untestable[name] = error.message
             continue
-        free = tuple(free_of(f"{name}.{key}", prior, effect.neutral[key]) for key, prior in priors.items())
-        found.append(Suspect(name, free, links_of(effect)))
-    return found, cannot
-
-
-def _without_gyro(drives: Sequence[Opened]) -> bool:
-    """Whether the chassis's yaw rate is its wheels' in every drive that has one."""
-    said = [one for one in drives if one.has(CHASSIS_FIRST_YAW_RATES[0])]
-    return bool(said) and all(one.by_wheels for one in said)
-
-
-def free_of(key: str, prior: Prior, neutral: float) -> Free:
-    """A prior as a search takes it: on a logarithmic scale only where it does not cross nought."""
-    logarithmic = prior.scale == "log" and prior.low > 0.0
-    one = Free(key, prior.low, prior.high, logarithmic, neutral, -BEYOND, 1.0 + BEYOND)
-    if not logarithmic and prior.low >= 0.0:
-        return one._replace(least=max(-BEYOND, one.place(0.0) + 1e-6))
-    return one
-
-
-def doubted(suspect: Suspect, nuisances: Sequence[Nuisance], doubts: Mapping[str, float]) -> Suspect:
-    """A suspect with the doubt about what it takes the place of, recalibration's own number in the same unit, and about
-    the constant of the model by which it counts, and with its drift. doubts: standard deviations of the constants'
-    logarithms.
-    """
-    sigmas, drifts = ({one.key: getattr(one, number) for one in nuisances} for number in ("sigma", "drift"))
-    # a number of which the model has nothing (no drag) is not recalibrated, and drifts all the same
-    drifts = {one.key: drifts.get(one.key, DRIFT.get(one.key, 0.0)) for one in suspect.free}
-    known = [sigmas.get(one.key, sigmas.get(TWINS.get(one.key, NO_TWIN)[0], 0.0)) for one in suspect.free]
-    return suspect._replace(
-        free=tuple(
-            one._replace(doubt=sigma, share=doubts.get(COUNTS_BY.get(one.key, ""), 0.0), drift=drifts[one.key])
-            for one, sigma in zip(suspect.free, known, strict=True)
+        free = tuple(
+            free_parameter_from_prior(f"{name}.{key}", prior, effect.neutral[key]) for key, prior in priors.items()
         )
-    )
+        candidates.append(Candidate(name, free, links_of(effect)))
+    return candidates, untestable
 
 
-def sizes_of(model: ModelSpec, vehicle: VehicleSpec, graph: Graph) -> Mapping[str, float]:
-    """The vehicle's own sizes, by which priors are given."""
+def _has_no_gyro(drives: Sequence[MeasuredDrive]) -> bool:
+    """Whether the chassis's yaw rate is computed from wheel speeds in every drive that has it."""
+    with_yaw_rate = [drive for drive in drives if drive.has_signals(CHASSIS_FIRST_YAW_RATES[0])]
+    return bool(with_yaw_rate) and all(drive.has_wheel_yaw_rate for drive in with_yaw_rate)
+
+
+def free_parameter_from_prior(key: str, prior: Prior, neutral: float) -> FreeParameter:
+    """Free parameter of a prior; its scale is logarithmic only where the prior is positive."""
+    is_logarithmic = prior.scale == "log" and prior.low > 0.0
+    free = FreeParameter(key, prior.low, prior.high, is_logarithmic, neutral, -SEARCH_MARGIN, 1.0 + SEARCH_MARGIN)
+    if not is_logarithmic and prior.low >= 0.0:
+        return free._replace(u_min=max(-SEARCH_MARGIN, free.u_from_value(0.0) + 1e-6))
+    return free
+
+
+def add_parameter_sigmas(
+    candidate: Candidate, nuisances: Sequence[Nuisance], constant_sigmas: Mapping[str, float]
+) -> Candidate:
+    """Add to each free parameter the doubt of the calibration, the doubt of its scaling constant, and its drift.
+
+    Args:
+        nuisances: what recalibration may move; the candidate takes the place of those of the same key, or of its twin
+        constant_sigmas: of the logarithms of the model's constants
+    """
+    by_key = {nuisance.key: nuisance for nuisance in nuisances}
+
+    def add_sigmas(free: FreeParameter) -> FreeParameter:
+        same = by_key.get(free.key)
+        replaced = same or by_key.get(RECALIBRATION_TWINS.get(free.key, NO_TWIN)[0])
+        return free._replace(
+            calibration_sigma=replaced.sigma if replaced else 0.0,
+            constant_sigma=constant_sigmas.get(SCALING_CONSTANT.get(free.key, ""), 0.0),
+            # A parameter that the model does not have (no drag) is not recalibrated, but drifts as well
+            drift_sigma=same.drift_sigma if same else DRIFT_SIGMAS.get(free.key, 0.0),
+        )
+
+    return candidate._replace(free=tuple(add_sigmas(free) for free in candidate.free))
+
+
+def vehicle_sizes(model: ModelSpec, vehicle: VehicleSpec, graph: EffectGraph) -> Mapping[str, float]:
+    """Sizes of the vehicle by which priors are scaled."""
     params = {**graph.plant.defaults, **model.plant.params}
     nominal = vehicle.nominal
     return {
@@ -96,6 +110,6 @@ def sizes_of(model: ModelSpec, vehicle: VehicleSpec, graph: Graph) -> Mapping[st
     }
 
 
-def class_of(name: str, has_lateral: bool) -> frozenset[str]:
-    """The names that no log of an ordinary drive can tell from this one, itself among them (interfaces 4)."""
-    return effects.class_of(name, frozenset() if has_lateral else frozenset({LATERAL}))
+def indistinguishable_effects(name: str, has_lateral: bool) -> frozenset[str]:
+    """Names that no log of an ordinary drive distinguishes from this one, itself among them."""
+    return effects.class_of(name, frozenset() if has_lateral else frozenset({LATERAL_ACCEL}))

@@ -1,214 +1,276 @@
-"""Fits a model: an effect's own parameters and all that recalibration may move, together, by damped Gauss-Newton steps.
+"""Damped Gauss-Newton fits of a model: the parameters of its effects together with all nuisances.
 
-A step costs simulations for slopes. What recalibration moves is nearly linear, so its slopes are taken once, at the
-model that a candidate is added to, and shared by all candidates; those of the candidate's own parameters are taken anew
-at each step. A model that others are to be weighed beside is fitted on with all slopes anew (`fit_on`). Noise is
-estimated on each candidate's own residual (noise.py).
+A Jacobian costs simulations. Nuisances act nearly linearly, so their derivatives are computed once, at the model that
+candidates are added to, and shared by all candidates; those of a candidate's own parameters are computed at each step.
+A model that others are compared with is refined with all derivatives renewed (`refine_fit`). The noise is estimated
+from the residual of each model itself (gap/estimation/noise.py).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.gap.estimation.evidence import log_evidence, stretched
-from tunefree_hil.gap.estimation.grid import NO_TWIN, TWINS, Scan, Start
+from tunefree_hil.gap.estimation.evidence import log_evidence, with_correlation_rows
+from tunefree_hil.gap.estimation.grid import NO_TWIN, RECALIBRATION_TWINS, GridScan, StartPoint
 from tunefree_hil.gap.estimation.least_squares import (
-    FLAT,
-    Fitted,
-    Free,
-    Problem,
-    Slopes,
-    Sums,
-    cost_of,
-    drawn_in,
-    ends_of,
-    gathered,
-    squares,
-    walled,
+    CURVATURE_FLOOR,
+    Fit,
+    FreeParameter,
+    Jacobian,
+    LeastSquaresProblem,
+    NormalEquations,
+    Reference,
+    key_bounds,
+    penalised_cost,
+    shrink_inside_joint_bounds,
+    step_within_joint_bounds,
+    sum_equations,
+    sum_squared_residuals,
 )
-from tunefree_hil.gap.estimation.noise import Colour
+from tunefree_hil.gap.estimation.noise import NoiseModel
 from tunefree_hil.gap.estimation.residuals import Residuals
 
 Array = np.ndarray
 
-TURNS, ON_TURNS = 8, 40  # steps at most, of a candidate and of a model fitted on
-SETTLING = 3  # of them, after which the noise is taken as it is until nothing more is gained
-ENOUGH = 0.5  # in squares: a step that gains less is the last one
-DAMPINGS = (0.0, 1e-2, 1e-1, 1.0, 10.0)  # of the normal equations, tried in turn
+
+class StepCriteria(NamedTuple):
+    """When a fit ends.
+
+    Args:
+        max_candidate_steps: steps of a candidate
+        max_refine_steps: steps of a model that is refined
+        noise_update_steps: steps after which the noise is renewed only when nothing more is gained
+        min_cost_drop: a step that lowers the squared residuals by less is the last
+    """
+
+    max_candidate_steps: int = 8
+    max_refine_steps: int = 40
+    noise_update_steps: int = 3
+    min_cost_drop: float = 0.5
 
 
-class Point(NamedTuple):
-    """Where a search stands."""
+CRITERIA = StepCriteria()
+DAMPINGS = (0.0, 1e-2, 1e-1, 1.0, 10.0)  # of the normal equations, tried in this order
+
+
+class SearchPoint(NamedTuple):
+    """Where a search stands: keys, the free ones of them, their z (n_keys,), and the residuals there."""
 
     keys: tuple[str, ...]
-    free: tuple[Free, ...]
+    free: tuple[FreeParameter, ...]
     z: Array
     residuals: Residuals
 
 
-def fit_null(problem: Problem) -> tuple[Fitted, Slopes]:
-    """Recalibration alone, fitted on until nothing is gained: a null that is not at its best makes effects of nothing.
+def fit_recalibration(problem: LeastSquaresProblem) -> tuple[Fit, Jacobian]:
+    """Fit the model without effects, and return the Jacobian there, which all candidates share.
 
-    With it the slopes there, which all candidates share.
+    It is refined to its minimum: otherwise effects would seem to explain what recalibration can.
     """
     keys = tuple(problem.nuisances)
     z = np.zeros(len(keys))
-    return _fitted_on(problem, "", Point(keys, (), z, problem.work.residuals(problem.values(keys, z, ()))))
+    residuals = problem.residual_model.simulate_residuals(problem.parameter_values(keys, z, ()))
+    return _refine(problem, "", SearchPoint(keys, (), z, residuals))
 
 
-def fit_on(problem: Problem, model: Fitted) -> Fitted:
-    """A model fitted on from where it stands (with its residuals), under the noise that it leaves itself."""
-    at = Point(model.keys, model.free, model.z, model.residuals)
-    return _fitted_on(problem, model.name, at)[0]
+def refine_fit(problem: LeastSquaresProblem, fit: Fit) -> Fit:
+    """Refine a model (with its residuals) until nothing is gained, under the noise of its own residual."""
+    return _refine(problem, fit.name, SearchPoint(fit.keys, fit.free, fit.z, fit.residuals))[0]
 
 
-def fit_without(problem: Problem, model: Fitted, name: str) -> Fitted:
-    """A model without one of its effects, the rest fitted on from where they stand; what was the effect's own and is
-    recalibrated in the null is recalibrated again.
+def fit_without_effect(problem: LeastSquaresProblem, fit: Fit, name: str) -> Fit:
+    """Remove one effect of a model and refit the rest; nuisances that the effect had replaced are moved again."""
+    free = tuple(parameter for parameter in fit.free if parameter.key.partition(".")[0] != name)
+    remaining, previous = {parameter.key for parameter in free}, {parameter.key for parameter in fit.free}
+    removed = previous - remaining
+    z_by_key = {key: float(z) for key, z in zip(fit.keys, fit.z, strict=True) if key not in removed}
+    replaced = remaining | {RECALIBRATION_TWINS.get(key, NO_TWIN)[0] for key in remaining}
+    keys = (*(key for key in problem.nuisances if key not in replaced), *(parameter.key for parameter in free))
+    z = np.array([z_by_key.get(key, 0.0) for key in keys])
+    residuals = problem.residual_model.simulate_residuals(problem.parameter_values(keys, z, free))
+    return _refine(problem, fit.name if free else "", SearchPoint(keys, free, z, residuals))[0]
+
+
+def fit_candidate(scan: GridScan, name: str, free: Sequence[FreeParameter], start: StartPoint, min_gain: float) -> Fit:
+    """Fit a candidate from one point of its grid beside the scan's model, or from two, and return the better fit.
+
+    Args:
+        min_gain: a candidate that gains less at its start gets one step only, so that no grid alone excludes it
+
+    Raises: InputError if no start leads to a possible car.
     """
-    free = tuple(one for one in model.free if one.key.partition(".")[0] != name)
-    loose, held = {one.key for one in free}, {one.key for one in model.free}
-    place = {key: float(z) for key, z in zip(model.keys, model.z, strict=True) if key not in held or key in loose}
-    apart = loose | {TWINS.get(key, NO_TWIN)[0] for key in loose}
-    keys = (*(key for key in problem.nuisances if key not in apart), *(one.key for one in free))
-    z = np.array([place.get(key, 0.0) for key in keys])
-    residuals = problem.work.residuals(problem.values(keys, z, free))
-    return _fitted_on(problem, model.name if free else "", Point(keys, free, z, residuals))[0]
+    problem, alternative = scan.problem, start.alternative
+    max_steps = CRITERIA.max_candidate_steps if start.priority > min_gain else 1
+    if start.gain > min_gain:
+        start = scan.refine_start(free, start)
+    columns = list(range(len(start.keys) - len(free), len(start.keys)))
+    all_free = (*scan.base.free, *free)
+    errors = list[InputError]()
 
-
-def fit_candidate(scan: Scan, name: str, free: Sequence[Free], begin: Start, hopeless: float) -> Fitted:
-    """A candidate fitted from a point of its grid beside the scan's model, or from two, the better one taken. Who gains
-    less than `hopeless` there gets one step: enough to be sure that nobody is left out for the grid's sake. Raises
-    InputError where no way leads on from any of them.
-    """
-    problem, closer = scan.problem, begin.closer
-    turns = TURNS if begin.worth > hopeless else 1
-    if begin.gain > hopeless:
-        begin = scan.finer(free, begin)
-    own = list(range(len(begin.keys) - len(free), len(begin.keys)))
-    loose = (*scan.start.free, *free)
-    lost = list[InputError]()
-
-    def ended(one: Start, colours: dict[str, Colour] | None) -> Iterator[tuple[Point, Slopes]]:
-        """Where a search from there ends; nowhere where no way leads on. colours: None for those at its begin."""
+    def descend_from(
+        begin: StartPoint, noise_models: dict[str, NoiseModel] | None
+    ) -> Iterator[tuple[SearchPoint, Jacobian]]:
+        """Where a search from there ends, if anywhere. noise_models: None for those of its start."""
         try:
-            residuals = problem.work.residuals(problem.values(one.keys, one.z, loose))
-            at = Point(one.keys, loose, one.z, residuals)
-            yield _descended(problem, at, scan.slopes(free), own, colours or problem.colours(residuals), turns)
-        except InputError as error:  # over the edge of what makes a car: the other start may stay within it
-            lost.append(error)
+            residuals = problem.residual_model.simulate_residuals(
+                problem.parameter_values(begin.keys, begin.z, all_free)
+            )
+            point = SearchPoint(begin.keys, all_free, begin.z, residuals)
+            partial = _PartialJacobian(scan.jacobian(free), columns)
+            yield _descend(problem, point, partial, noise_models or problem.noise_models(residuals), max_steps)
+        except InputError as error:  # not a possible car: the other start may be one
+            errors.append(error)
 
-    found = [end for one in (begin, begin.plain) if one is not None for end in ended(one, scan.colours)]
-    some = [min(found, key=lambda end: _cost(scan, end[0], scan.colours))] if found else []
-    some += [] if closer is None else ended(scan.nearer(free, closer), None)
-    if not some:
-        raise lost[0]
-    return _likelier([_finished(problem, name, *end) for end in some], problem.judged())
-
-
-def _cost(scan: Scan, at: Point, colours: dict[str, Colour]) -> float:
-    """What a point leaves under the noise that the scan takes for everybody's."""
-    problem, start = scan.problem, scan.start
-    left = squares(problem, at.residuals, colours, start.residuals, start.sums, problem.judged())
-    return left + float(at.z @ problem.prior(at.keys, at.free) @ at.z)
+    begins = [begin for begin in (start, start.first_parameter_only) if begin is not None]
+    ends = [end for begin in begins for end in descend_from(begin, scan.noise_models)]
+    finished = [min(ends, key=lambda end: _penalised_cost(scan, end[0]))] if ends else []
+    if alternative is not None:
+        finished += descend_from(scan.refine_alternative(free, alternative), None)
+    if not finished:
+        raise errors[0]
+    return _select_by_evidence([_finish(problem, name, *end) for end in finished], problem.non_holdout_blocks())
 
 
-def _likelier(found: Sequence[Fitted], blocks: Array) -> Fitted:
-    """The best of some ends of one search, all by the noise of the loudest."""
-    if len(found) == 1:
-        return found[0]
-    by = {name: max(one.sums[name].colour.stretch for one in found) for name in found[0].sums}
-    return max(found, key=lambda one: log_evidence(stretched(one, by), blocks))
+def _penalised_cost(scan: GridScan, point: SearchPoint) -> float:
+    """Of a point, under the noise that is common to all candidates of the scan."""
+    problem, base = scan.problem, scan.base
+    reference = Reference(base.residuals, base.equations)
+    blocks = problem.non_holdout_blocks()
+    squared = sum_squared_residuals(problem, point.residuals, scan.noise_models, reference, blocks)
+    return squared + float(point.z @ problem.prior_precision(point.keys, point.free) @ point.z)
 
 
-def _fitted_on(problem: Problem, name: str, at: Point) -> tuple[Fitted, Slopes]:
-    """Steps with all slopes kept while they help, then anew, until fresh ones do not help either, nor under the noise
-    that is left there: what was loud on the way hides how much more there is to gain.
+def _select_by_evidence(fits: Sequence[Fit], blocks: Array) -> Fit:
+    """The fit of largest evidence, all under the largest correlation rows of any of them."""
+    if len(fits) == 1:
+        return fits[0]
+    correlation_rows = {
+        name: max(fit.equations[name].noise.correlation_rows for fit in fits) for name in fits[0].equations
+    }
+    return max(fits, key=lambda fit: log_evidence(with_correlation_rows(fit, correlation_rows), blocks))
+
+
+def _refine(problem: LeastSquaresProblem, name: str, point: SearchPoint) -> tuple[Fit, Jacobian]:
+    """Step with a kept Jacobian while that helps, then with a renewed one, until neither helps.
+
+    That must hold under the noise of the final residual: larger noise on the way hides how much is left to gain.
     """
-    every, at = list(range(len(at.keys))), _drawn_in(problem, at)
-    slopes = problem.slopes(at.keys, at.z, at.free, every, at.residuals)
-    colours, blocks, fresh, heard = problem.colours(at.residuals), problem.judged(), True, False
-    for turn in range(ON_TURNS):
-        there, gain = _stepped(problem, at, problem.sums(at.residuals, slopes, colours), blocks)
-        if gain >= ENOUGH:
-            at, fresh, heard = there, False, False
-        elif not fresh:
-            slopes, fresh = problem.slopes(at.keys, at.z, at.free, every, at.residuals), True
-        elif heard and turn >= SETTLING:
+    columns, point = list(range(len(point.keys))), _move_inside_joint_bounds(problem, point)
+
+    def jacobian_at(place: SearchPoint) -> Jacobian:
+        return problem.jacobian(place.keys, place.z, place.free, columns, place.residuals)
+
+    jacobian = jacobian_at(point)
+    noise_models, blocks = problem.noise_models(point.residuals), problem.non_holdout_blocks()
+    is_renewed, is_noise_final = True, False
+    for turn in range(CRITERIA.max_refine_steps):
+        equations = problem.normal_equations(point.residuals, jacobian, noise_models)
+        stepped, gain = _step(problem, point, equations, blocks)
+        if gain >= CRITERIA.min_cost_drop:
+            point, is_renewed, is_noise_final = stepped, False, False
+        elif not is_renewed:
+            jacobian, is_renewed = jacobian_at(point), True
+        elif is_noise_final and turn >= CRITERIA.noise_update_steps:
             break
         else:
-            heard = True
-        if turn < SETTLING or heard:
-            colours = problem.colours(at.residuals)
-    if not fresh:
-        slopes = problem.slopes(at.keys, at.z, at.free, every, at.residuals)
-    return _finished(problem, name, at, slopes), slopes
+            is_noise_final = True
+        if turn < CRITERIA.noise_update_steps or is_noise_final:
+            noise_models = problem.noise_models(point.residuals)
+    if not is_renewed:
+        jacobian = jacobian_at(point)
+    return _finish(problem, name, point, jacobian), jacobian
 
 
-def _descended(
-    problem: Problem, at: Point, shared: Slopes, own: Sequence[int], colours: dict[str, Colour], most: int
-) -> tuple[Point, Slopes]:
-    """Steps with the slopes of `own` keys anew for each, until nothing is gained. The noise is what the first leave."""
-    blocks, at = problem.judged(), _drawn_in(problem, at)
-    slopes = _with(shared, problem.slopes(at.keys, at.z, at.free, own, at.residuals))
-    for turn in range(most):
-        at, gain = _stepped(problem, at, problem.sums(at.residuals, slopes, colours), blocks)
-        if gain < ENOUGH and (turn >= SETTLING or most == 1):
+class _PartialJacobian(NamedTuple):
+    """A Jacobian that all candidates share, and the columns of a candidate's own parameters, renewed at each step."""
+
+    shared: Jacobian
+    renewed_columns: Sequence[int]
+
+
+def _descend(
+    problem: LeastSquaresProblem,
+    point: SearchPoint,
+    partial: _PartialJacobian,
+    noise_models: dict[str, NoiseModel],
+    max_steps: int,
+) -> tuple[SearchPoint, Jacobian]:
+    """Step until nothing is gained. The noise is that after the first steps."""
+    blocks, point = problem.non_holdout_blocks(), _move_inside_joint_bounds(problem, point)
+
+    def jacobian_at(place: SearchPoint) -> Jacobian:
+        columns = partial.renewed_columns
+        renewed = problem.jacobian(place.keys, place.z, place.free, columns, place.residuals)
+        return _replace_columns(partial.shared, renewed)
+
+    jacobian = jacobian_at(point)
+    for turn in range(max_steps):
+        equations = problem.normal_equations(point.residuals, jacobian, noise_models)
+        point, gain = _step(problem, point, equations, blocks)
+        if gain < CRITERIA.min_cost_drop and (turn >= CRITERIA.noise_update_steps or max_steps == 1):
             break
-        if turn < SETTLING and most > 1:
-            colours = problem.colours(at.residuals)
-        slopes = _with(shared, problem.slopes(at.keys, at.z, at.free, own, at.residuals))
-    return at, slopes
+        if turn < CRITERIA.noise_update_steps and max_steps > 1:
+            noise_models = problem.noise_models(point.residuals)
+        jacobian = jacobian_at(point)
+    return point, jacobian
 
 
-def _finished(problem: Problem, name: str, at: Point, slopes: Slopes) -> Fitted:
-    sums = problem.sums(at.residuals, slopes, problem.colours(at.residuals))
-    values = problem.values(at.keys, at.z, at.free)
-    prior = problem.prior(at.keys, at.free)
-    return Fitted(name, at.keys, at.z, at.free, values, prior, sums, at.residuals)
+def _finish(problem: LeastSquaresProblem, name: str, point: SearchPoint, jacobian: Jacobian) -> Fit:
+    equations = problem.normal_equations(point.residuals, jacobian, problem.noise_models(point.residuals))
+    values = problem.parameter_values(point.keys, point.z, point.free)
+    precision = problem.prior_precision(point.keys, point.free)
+    return Fit(name, point.keys, point.z, point.free, values, precision, equations, point.residuals)
 
 
-def _drawn_in(problem: Problem, at: Point) -> Point:
-    """A point within its walls. What is recalibrated again beside numbers that have moved may be beyond them; from
-    there each step back costs, and none would be taken.
+def _move_inside_joint_bounds(problem: LeastSquaresProblem, point: SearchPoint) -> SearchPoint:
+    """A point within its joint bounds.
+
+    Nuisances that are refitted beside others may start outside, where each step back costs and none would be taken.
     """
-    z = drawn_in(at.z, problem.walls(at.keys, at.free))
-    if z is at.z:
-        return at
-    return at._replace(z=z, residuals=problem.work.residuals(problem.values(at.keys, z, at.free)))
+    z = shrink_inside_joint_bounds(point.z, problem.joint_bounds(point.keys, point.free))
+    if z is point.z:
+        return point
+    values = problem.parameter_values(point.keys, z, point.free)
+    return point._replace(z=z, residuals=problem.residual_model.simulate_residuals(values))
 
 
-def _stepped(problem: Problem, at: Point, sums: dict[str, Sums], blocks: Array) -> tuple[Point, float]:
-    """(point, gain) of a step, ever more damped until it helps under the noise of `sums`; where none does, none."""
-    prior = problem.prior(at.keys, at.free)
-    before = cost_of(sums, at.z, prior, blocks)
-    colours = {name: one.colour for name, one in sums.items()}
-    ends = (*ends_of(at.keys, at.free), problem.walls(at.keys, at.free))
-    curve, slope, _ = gathered(sums, len(at.keys), blocks)
-    curve, slope = curve + prior, slope + prior @ at.z
-    scale = np.maximum(np.diag(curve), FLAT)
+def _step(
+    problem: LeastSquaresProblem, point: SearchPoint, equations: Mapping[str, NormalEquations], blocks: Array
+) -> tuple[SearchPoint, float]:
+    """The next point and what it gains: damped more and more until it gains; the same point and 0 if none does."""
+    precision = problem.prior_precision(point.keys, point.free)
+    cost = penalised_cost(equations, point.z, precision, blocks)
+    noise_models = {name: target.noise for name, target in equations.items()}
+    bounds, joint_bounds = key_bounds(point.keys, point.free), problem.joint_bounds(point.keys, point.free)
+    form = sum_equations(equations, len(point.keys), blocks)
+    curvature, gradient = form.curvature + precision, form.gradient + precision @ point.z
+    scale = np.maximum(np.diag(curvature), CURVATURE_FLOOR)
+    reference = Reference(point.residuals, equations)
     for damping in DAMPINGS:
-        there = at.z + walled(curve + damping * np.diag(scale), slope, at.z, *ends)
+        damped = curvature + damping * np.diag(scale)
+        z = point.z + step_within_joint_bounds(damped, gradient, point.z, bounds, joint_bounds)
         try:
-            found = problem.work.residuals(problem.values(at.keys, there, at.free))
-        except InputError:  # a value that makes no such effect: not so far
+            values = problem.parameter_values(point.keys, z, point.free)
+            residuals = problem.residual_model.simulate_residuals(values)
+        except InputError:  # not a possible car: a shorter step
             continue
-        cost = squares(problem, found, colours, at.residuals, sums, blocks) + float(there @ prior @ there)
-        if cost < before:
-            return at._replace(z=there, residuals=found), before - cost
-    return at, 0.0
+        squared = sum_squared_residuals(problem, residuals, noise_models, reference, blocks)
+        new_cost = squared + float(z @ precision @ z)
+        if new_cost < cost:
+            return point._replace(z=z, residuals=residuals), cost - new_cost
+    return point, 0.0
 
 
-def _with(slopes: Slopes, more: Slopes) -> Slopes:
-    """Both; a column of `more` takes the place of one in `slopes`."""
-    found = {}
-    for name, (columns, pieces) in slopes.by_target.items():
-        new, added = more.by_target[name]
-        keep = [c for c, column in enumerate(columns) if column not in new]
-        joined = [np.concatenate([p[:, keep], a], axis=1) for p, a in zip(pieces, added, strict=True)]
-        found[name] = (np.concatenate([columns[keep], new]), joined)
-    return Slopes(found)
+def _replace_columns(jacobian: Jacobian, renewed: Jacobian) -> Jacobian:
+    """Both Jacobians; a column of `renewed` replaces the same one of `jacobian`."""
+    by_target = {}
+    for name, (columns, pieces) in jacobian.by_target.items():
+        new_columns, new_pieces = renewed.by_target[name]
+        rest = [c for c, column in enumerate(columns) if column not in new_columns]
+        joined = [np.concatenate([old[:, rest], new], axis=1) for old, new in zip(pieces, new_pieces, strict=True)]
+        by_target[name] = (np.concatenate([columns[rest], new_columns]), joined)
+    return Jacobian(by_target)

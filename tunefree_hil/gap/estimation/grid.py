@@ -1,8 +1,8 @@
-"""Where a candidate's search begins: a coarse grid over its own parameters, with what recalibration could do at each.
+"""Start values of a candidate: a coarse grid over its own parameters, with recalibration solved at each point.
 
-What a delay does to an error is rugged, so no slope is trusted before a grid was laid. The slopes of what recalibration
-moves are those of the model that the candidate is added to, so a point of the grid is one simulation: what
-recalibration could still do there is a small linear problem.
+The error as a function of a delay has many local minima, so no derivative is used before a grid was evaluated. The
+derivatives of the nuisances are those of the model that the candidate is added to, so that a point of the grid costs
+one simulation: what recalibration could do there is a small linear problem.
 """
 
 from __future__ import annotations
@@ -15,285 +15,351 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.gap.estimation.least_squares import Fitted, Free, Problem, Slopes, ends_of, walled
-from tunefree_hil.gap.estimation.residuals import Residuals, apart
+from tunefree_hil.gap.estimation.least_squares import (
+    Bounds,
+    Fit,
+    FreeParameter,
+    Jacobian,
+    LeastSquaresProblem,
+    key_bounds,
+    step_within_joint_bounds,
+)
+from tunefree_hil.gap.estimation.residuals import Residuals, rms_difference
 
 Array = np.ndarray
 
-EVEN, FACTORS = 12, 8  # points of a grid: even ones, and of what goes by a logarithm
-# Of a delay, from one point to the next: edges a few hundredths of a second too early or late are worse than none moved
-# at all, and a coarser grid has no point from which a slope leads to the truth
-DELAY_STEP_S, DELAY_SHARE = 0.015, 0.1
-AMOUNTS = (0.03, 0.1, 0.3, 1.0)  # of the prior's ends, to either side: of what is nearly linear, and may be small
-SMALL = AMOUNTS[:2]  # those of a factor, beside its even grid, which has no point near neutral
-# What recalibration has of the very same kind, and its sign: beside the effect it would move the other way, and what is
-# left of both is a signal smoothed by nothing that a car has, or a delay that is told from it by nothing but rounding.
-TWINS = {"ins_latency.delay_s": ("clock.ins_s", 1.0), "report_latency.delay_s": ("clock.ins_s", -1.0)}
+
+class GridCriteria(NamedTuple):
+    """Resolution of the grids.
+
+    Args:
+        linear_points: points of a linear parameter that has no neutral value inside its prior
+        logarithmic_points: points of a logarithmic parameter
+        delay_step_s: smallest step of a delay: edges a few hundredths of a second too early or late are worse than
+            unmoved ones, and a coarser grid has no point from which a derivative leads to the minimum
+        delay_step_share: step of a delay, as a share of it
+        halvings: bisections between two grid points, to where a limit begins to act
+        refined_points: points between the neighbours of the best one: a delay's error varies over a tick
+        min_alternative_reduction: share of a target's mean square. A point that removes more is tried as well,
+            whatever its noise
+    """
+
+    linear_points: int = 12
+    logarithmic_points: int = 8
+    delay_step_s: float = 0.015
+    delay_step_share: float = 0.1
+    halvings: int = 7
+    refined_points: int = 9
+    min_alternative_reduction: float = 0.5
+
+
+CRITERIA = GridCriteria()
+# Distances from neutral, as shares of the prior on either side, for parameters that act nearly linearly
+SHARES_OF_PRIOR = (0.03, 0.1, 0.3, 1.0)
+NEAR_NEUTRAL_SHARES = SHARES_OF_PRIOR[:2]  # for a factor, whose regular grid has no point near neutral
+# Nuisances of the same kind as an effect, with the sign of the relation. Beside the effect the nuisance would move the
+# other way, and leave a smoothing that no car has, or a delay that differs from it by rounding only.
+RECALIBRATION_TWINS = {"ins_latency.delay_s": ("clock.ins_s", 1.0), "report_latency.delay_s": ("clock.ins_s", -1.0)}
 NO_TWIN = ("", 1.0)
-HALVINGS = 7  # of the way between two points of a grid, to where a limit begins to act
-TOUCHES = (0.0, 0.03, 0.07, 0.12, 0.2, 0.33, 0.5)  # of the way from there to the point that cuts off too much
-CLOSER = 0.5  # of a target's mean square: who takes off more is on to something, whatever its noise says
-FINER = 9  # points between the best one's neighbours: a delay is rugged on the scale of a tick
+LIMIT_SHARES = (0.0, 0.03, 0.07, 0.12, 0.2, 0.33, 0.5)  # of the way from where a limit acts to where it acts too much
 
 
-class Start(NamedTuple):
-    """The best point of a grid: keys that move and z of them (all but `free`: recalibration done there), and what it
-    gains over the model that the candidate is added to, in squares. plain: of several parameters the best point with
-    all but the first neutral, where that is another one. moves: what the grid's points move of any target at the most,
-    root mean square where it may be looked at, as a share of its signal. closer: the point that takes most off any
-    target's mean square, where that is much and another one: a filter that fits what a limit leaves makes the corners
-    that are left beside it louder than all of that was.
+class StartPoint(NamedTuple):
+    """The best point of a grid.
+
+    Args:
+        keys: parameters that move
+        z: of them, shape (n_keys,); recalibration is solved there
+        gain: squared residuals less than those of the model that the candidate is added to
+        first_parameter_only: of several parameters, the best point with all but the first neutral, if another one
+        max_effect_share: largest RMS change of a target by any point of the grid, as a share of its signal
+        alternative: the point that removes most of a target's mean square, if it is much, and another point. A filter
+            that fits the residual of a limit can make the remaining corners seem larger than the whole was
     """
 
     keys: tuple[str, ...]
     z: Array
     gain: float
-    plain: Start | None = None
-    moves: float = 0.0
-    closer: Start | None = None
+    first_parameter_only: StartPoint | None = None
+    max_effect_share: float = 0.0
+    alternative: StartPoint | None = None
 
     @property
-    def worth(self) -> float:
-        """What it gains, or more than any: it is to be fitted in any case."""
-        return self.gain if self.closer is None else math.inf
+    def priority(self) -> float:
+        """The gain; infinite with an alternative, which is always fitted."""
+        return self.gain if self.alternative is None else math.inf
 
 
-class _Felt(NamedTuple):
-    """A target of the model that candidates are added to, whitened, in judged blocks only: slopes [m, p], and what its
-    own residual gives.
+class _WhitenedTarget(NamedTuple):
+    """A target of the base model in non-holdout blocks, whitened: its Jacobian (n_rows, n_keys), and products."""
+
+    jacobian: Array
+    gradient: Array
+    squared_residuals: float
+
+
+class GridScan:
+    """Grids of candidates that are added to one model.
+
+    Args:
+        base: the model that candidates are added to
+        jacobian: of its keys, at its solution
+        noise_source: the model whose noise is used for all candidates; None for `base`
     """
 
-    slopes: Array
-    slope: Array
-    square: float
+    def __init__(
+        self, problem: LeastSquaresProblem, base: Fit, jacobian: Jacobian, noise_source: Fit | None = None
+    ) -> None:
+        self.problem, self.base, self._jacobian = problem, base, jacobian
+        source = base if noise_source is None else noise_source
+        self.noise_models = {name: equations.noise for name, equations in source.equations.items()}
+        self._curvature = np.zeros((len(base.keys), len(base.keys)))
+        self._targets = {name: self._whiten_target(name, residual) for name, residual in base.residuals.items()}
+        self._signal_scales = {name: problem.residual_model.signal_scale(name) for name in base.residuals}
 
+    def find_start(self, free: Sequence[FreeParameter]) -> StartPoint:
+        """Find the best point of the grid, or the point where recalibration has put the same parameter.
 
-class Scan:
-    """Grids of candidates beside one model. slopes: of that model's keys, where it stands; noise: the model whose noise
-    is taken for everybody's (None: that one's own).
-    """
-
-    def __init__(self, problem: Problem, start: Fitted, slopes: Slopes, noise: Fitted | None = None) -> None:
-        self.problem, self.start, self._slopes = problem, start, slopes
-        self.colours = {name: one.colour for name, one in (start if noise is None else noise).sums.items()}
-        self._curve = np.zeros((len(start.keys), len(start.keys)))
-        self._felt = {name: self._feel(name, residual) for name, residual in start.residuals.items()}
-        self._sizes = {name: problem.work.size(name) for name in start.residuals}
-
-    def best(self, free: Sequence[Free]) -> Start:
-        """Over the whole grid, and where recalibration has put the very same parameter: taking its place must be no
-        loss. Raises InputError where no value of it makes a car.
+        Raises: InputError if no value gives a possible car.
         """
-        found = self._apart(free, self._best(free, [*grid_of(free), *self._recalibrated(free)]))
-        if len(free) == 1 and not math.isfinite(free[0].neutral) and not self._acts(free[0], float(found.z[-1])):
-            wide, found = found, self._best(free, [found.z[-1:], *self._touched(free[0])])
-            found = found._replace(moves=max(wide.moves, found.moves), closer=wide.closer or found.closer)
-        neutral = [one.place(one.neutral) for one in free[1:]]
-        if np.array_equal(found.z[len(found.z) - len(neutral) :], neutral):
-            return found
-        # A grid of two is coarse: its best point may trade the one for the other on a ridge that leads nowhere
+        best = self._drop_same_alternative(free, self._best_of(free, [*grid_points(free), *self._twin_points(free)]))
+        is_limit = len(free) == 1 and not math.isfinite(free[0].neutral)
+        if is_limit and not self._changes_residuals(free[0], float(best.z[-1])):
+            coarse, best = best, self._best_of(free, [best.z[-1:], *self._limit_points(free[0])])
+            best = best._replace(
+                max_effect_share=max(coarse.max_effect_share, best.max_effect_share),
+                alternative=coarse.alternative or best.alternative,
+            )
+        neutral = [parameter.u_from_value(parameter.neutral) for parameter in free[1:]]
+        if np.array_equal(best.z[len(best.z) - len(neutral) :], neutral):
+            return best
+        # A grid of two parameters is coarse: its best point may trade one for the other along a wrong valley
         try:
-            return found._replace(plain=self._best(free, [np.array([u, *neutral]) for u in _places(free[0])]))
+            points = [np.array([u, *neutral]) for u in _axis_points(free[0])]
+            return best._replace(first_parameter_only=self._best_of(free, points))
         except InputError:
-            return found
+            return best
 
-    def _apart(self, free: Sequence[Free], found: Start) -> Start:
-        """With the closer point only where it is another one."""
-        own = -len(free)
-        same = found.closer is not None and np.array_equal(found.closer.z[own:], found.z[own:])
-        return found._replace(closer=None) if same else found
+    def _drop_same_alternative(self, free: Sequence[FreeParameter], start: StartPoint) -> StartPoint:
+        n = len(free)
+        is_same = start.alternative is not None and np.array_equal(start.alternative.z[-n:], start.z[-n:])
+        return start._replace(alternative=None) if is_same else start
 
-    def finer(self, free: Sequence[Free], found: Start) -> Start:
-        """Around a point that was found, where there is one parameter and what it does is not nearly linear."""
-        points = self._around(free, found)
-        return max(found, self._best(free, points), key=lambda one: one.gain) if points else found
+    def refine_start(self, free: Sequence[FreeParameter], start: StartPoint) -> StartPoint:
+        """Refine the grid around a point, for a single parameter that does not act nearly linearly."""
+        points = self._points_around(free, start)
+        return max(start, self._best_of(free, points), key=lambda point: point.gain) if points else start
 
-    def nearer(self, free: Sequence[Free], found: Start) -> Start:
-        """The same of a `closer` point: the one around it that takes off most."""
-        return self._best(free, self._around(free, found) or [found.z[-len(free) :]]).closer or found
+    def refine_alternative(self, free: Sequence[FreeParameter], start: StartPoint) -> StartPoint:
+        """The same for an alternative: the point around it that removes most of a target's mean square."""
+        return self._best_of(free, self._points_around(free, start) or [start.z[-len(free) :]]).alternative or start
 
-    def _around(self, free: Sequence[Free], found: Start) -> list[Array]:
+    def _points_around(self, free: Sequence[FreeParameter], start: StartPoint) -> list[Array]:
         if len(free) != 1 or free[0].low < 0.0:
             return []
-        places = sorted(_places(free[0]))
-        i = int(np.argmin(np.abs(np.array(places) - found.z[-1])))
-        wide = max(places[min(i + 1, len(places) - 1)] - places[i], places[i] - places[max(i - 1, 0)])
-        near = found.z[-1] + wide * np.linspace(-1.0, 1.0, FINER)
-        return [np.array([u]) for u in np.clip(near, free[0].least, free[0].most)]
+        axis = sorted(_axis_points(free[0]))
+        i = int(np.argmin(np.abs(np.array(axis) - start.z[-1])))
+        width = max(axis[min(i + 1, len(axis) - 1)] - axis[i], axis[i] - axis[max(i - 1, 0)])
+        near = start.z[-1] + width * np.linspace(-1.0, 1.0, CRITERIA.refined_points)
+        return [np.array([u]) for u in np.clip(near, free[0].u_min, free[0].u_max)]
 
-    def kept(self, free: Sequence[Free]) -> list[int]:
-        """The model's keys that are fitted beside a candidate: not what is the candidate's own."""
-        loose = {one.key for one in free} | {TWINS.get(one.key, NO_TWIN)[0] for one in free}
-        return [i for i, key in enumerate(self.start.keys) if key not in loose]
+    def kept_columns(self, free: Sequence[FreeParameter]) -> list[int]:
+        """Columns of the base model's keys that are fitted beside a candidate: not those that it replaces."""
+        replaced = {parameter.key for parameter in free}
+        replaced |= {RECALIBRATION_TWINS.get(parameter.key, NO_TWIN)[0] for parameter in free}
+        return [i for i, key in enumerate(self.base.keys) if key not in replaced]
 
-    def slopes(self, free: Sequence[Free]) -> Slopes:
-        """Of those."""
-        return without(self._slopes, self.kept(free))
+    def jacobian(self, free: Sequence[FreeParameter]) -> Jacobian:
+        """Jacobian of these columns."""
+        return select_columns(self._jacobian, self.kept_columns(free))
 
-    def _touched(self, one: Free) -> list[Array]:
-        """Points at which a limit is hardly touched. Of a coarse grid one point may cut off far too much, and the next
-        nothing at all, while the limit lies between: just below what the drives reach.
+    def _limit_points(self, parameter: FreeParameter) -> list[Array]:
+        """Points at which a limit just begins to act.
+
+        Between two points of a coarse grid a limit may go from far too strong to no effect at all, while the true one
+        lies just below what the drives reach.
         """
-        places = sorted(_places(one))
-        acting = [u for u in places if self._acts(one, u)]
-        beyond = [u for u in places if u not in acting]
-        if not acting or not beyond or max(acting) > max(beyond):
+        axis = sorted(_axis_points(parameter))
+        acting = [u for u in axis if self._changes_residuals(parameter, u)]
+        idle_points = [u for u in axis if u not in acting]
+        if not acting or not idle_points or max(acting) > max(idle_points):
             return []
         begin = acts = max(acting)
-        idle = min(u for u in beyond if u > acts)
-        for _ in range(HALVINGS):
+        idle = min(u for u in idle_points if u > acts)
+        for _ in range(CRITERIA.halvings):
             middle = 0.5 * (acts + idle)
-            acts, idle = (middle, idle) if self._acts(one, middle) else (acts, middle)
-        return [np.array([acts - share * (acts - begin)]) for share in TOUCHES]
+            acts, idle = (middle, idle) if self._changes_residuals(parameter, middle) else (acts, middle)
+        return [np.array([acts - share * (acts - begin)]) for share in LIMIT_SHARES]
 
-    def _acts(self, one: Free, u: float) -> bool:
-        """Whether a value changes anything of what is compared, in judged blocks."""
-        start = self.start
-        keys, z = (*start.keys, one.key), np.append(start.z, u)
+    def _changes_residuals(self, parameter: FreeParameter, u: float) -> bool:
+        """Whether a value changes any residual in non-holdout blocks."""
+        base = self.base
+        keys, z = (*base.keys, parameter.key), np.append(base.z, u)
         try:
-            residuals = self.problem.work.residuals(self.problem.values(keys, z, (*start.free, one)))
+            residuals = self._simulate(keys, z, (*base.free, parameter))
         except InputError:
-            return True  # a limit so low makes no such effect
-        for name, some in residuals.items():
-            was = start.residuals[name]
-            if not unchanged(some, was) and self._white(name, [a - b for a, b in zip(some, was, strict=True)]).any():
-                return True
+            return True  # such a low limit is no possible car
+        for name, pieces in residuals.items():
+            before = base.residuals[name]
+            if not is_unchanged(pieces, before):
+                change = self._whiten(name, [a - b for a, b in zip(pieces, before, strict=True)])
+                if change.any():
+                    return True
         return False
 
-    def _recalibrated(self, free: Sequence[Free]) -> list[Array]:
-        """The point at which the model has these parameters by recalibration; none where it has not."""
-        values, found = self.start.values, list[float]()
-        for one in free:
-            twin, sign = TWINS.get(one.key, NO_TWIN)
-            if one.key not in values and twin not in values:
+    def _twin_points(self, free: Sequence[FreeParameter]) -> list[Array]:
+        """The point at which recalibration has put these parameters, if it has: replacing it must lose nothing."""
+        values, twin_values = self.base.values, list[float]()
+        for parameter in free:
+            twin, sign = RECALIBRATION_TWINS.get(parameter.key, NO_TWIN)
+            if parameter.key not in values and twin not in values:
                 return []
-            found.append(values[one.key] if one.key in values else sign * values[twin])
-        places = [one.place(value) for one, value in zip(free, found, strict=True)]
-        return [np.clip(places, [one.least for one in free], [one.most for one in free])]
+            twin_values.append(values[parameter.key] if parameter.key in values else sign * values[twin])
+        point = [parameter.u_from_value(value) for parameter, value in zip(free, twin_values, strict=True)]
+        return [np.clip(point, [parameter.u_min for parameter in free], [parameter.u_max for parameter in free])]
 
-    def _best(self, free: Sequence[Free], points: Sequence[Array]) -> Start:
-        """The best of some points. What it cost recalibration to move the same is gained: an effect has no prior."""
-        kept, start = self.kept(free), self.start
-        keys = tuple(start.keys[i] for i in kept) + tuple(one.key for one in free)
-        loose, base = (*start.free, *free), np.array([start.z[i] for i in kept])
-        prior = self.problem.prior([start.keys[i] for i in kept], start.free)
-        gone = float(start.z @ start.prior @ start.z - base @ prior @ base)
-        before = self._left(start.residuals, kept, base, prior)[0] + gone
-        best, closest = None, None
-        moves, most = 0.0, CLOSER
+    def _best_of(self, free: Sequence[FreeParameter], points: Sequence[Array]) -> StartPoint:
+        """The best of some points.
+
+        An effect has no prior: what the same change had cost recalibration counts as gain.
+        """
+        columns, base = self.kept_columns(free), self.base
+        kept_keys = [base.keys[i] for i in columns]
+        keys = (*kept_keys, *(parameter.key for parameter in free))
+        all_free, kept_z = (*base.free, *free), np.array([base.z[i] for i in columns])
+        precision = self.problem.prior_precision(kept_keys, base.free)
+        removed_penalty = float(base.z @ base.prior_precision @ base.z - kept_z @ precision @ kept_z)
+        base_cost = self._recalibrated_cost(base.residuals, columns, kept_z, precision)[0] + removed_penalty
+        best, alternative = None, None
+        max_effect_share, max_reduction = 0.0, CRITERIA.min_alternative_reduction
+        bounds = key_bounds(keys, all_free)
         for u in points:
-            z = np.concatenate([base, u])
+            z = np.concatenate([kept_z, u])
             try:
-                residuals = self.problem.work.residuals(self.problem.values(keys, z, loose))
-            except InputError:  # a value that makes no such effect
+                residuals = self._simulate(keys, z, all_free)
+            except InputError:  # not a possible car
                 continue
-            moves = max(moves, self._moved(residuals))
-            left, step = self._left(residuals, kept, base, prior)
-            low, high = ends_of(keys, loose)
-            if best is None or before - left > best.gain:
-                best = Start(keys, np.clip(np.concatenate([base + step, u]), low, high), before - left)
-            if (share := self._taken_off(residuals)) > most:
-                most, closest = share, Start(keys, np.clip(z, low, high), before - left)
+            max_effect_share = max(max_effect_share, self._effect_share(residuals))
+            cost, step = self._recalibrated_cost(residuals, columns, kept_z, precision)
+            gain = base_cost - cost
+            if best is None or gain > best.gain:
+                best = StartPoint(keys, np.clip(np.concatenate([kept_z + step, u]), *bounds), gain)
+            if (reduction := self._max_reduction(residuals)) > max_reduction:
+                max_reduction, alternative = reduction, StartPoint(keys, np.clip(z, *bounds), gain)
         if best is None:
-            raise InputError("no value of it makes a car", code="no_such_effect", key=",".join(one.key for one in free))
-        return best._replace(moves=moves, closer=closest)
+            key = ",".join(parameter.key for parameter in free)
+            raise InputError("no value of it gives a possible car", code="no_such_effect", key=key)
+        return best._replace(max_effect_share=max_effect_share, alternative=alternative)
 
-    def _taken_off(self, residuals: Residuals) -> float:
-        """Of the target of which most of the start's mean square is taken off, the share, where it may be looked at."""
-        work, shares = self.problem.work, list[float]()
-        for name, some in residuals.items():
-            was = self.start.residuals[name]
-            if not unchanged(some, was):
-                now, before = (_square(one, work.seen(name)) for one in (some, was))
-                shares.append(1.0 - now / max(before, 1e-300))
+    def _simulate(self, keys: Sequence[str], z: Array, free: Sequence[FreeParameter]) -> Residuals:
+        return self.problem.residual_model.simulate_residuals(self.problem.parameter_values(keys, z, free))
+
+    def _max_reduction(self, residuals: Residuals) -> float:
+        """Largest share of a target's mean square that is removed, outside holdout blocks."""
+        model, shares = self.problem.residual_model, list[float]()
+        for name, pieces in residuals.items():
+            base_pieces = self.base.residuals[name]
+            if not is_unchanged(pieces, base_pieces):
+                after, before = (_sum_squares(p, model.non_holdout_rows(name)) for p in (pieces, base_pieces))
+                shares.append(1.0 - after / max(before, 1e-300))
         return max(shares, default=0.0)
 
-    def _moved(self, residuals: Residuals) -> float:
-        """What residuals differ by from the start's, of the target that differs most, as a share of its signal."""
-        work = self.problem.work
+    def _effect_share(self, residuals: Residuals) -> float:
+        """Largest RMS change of a target, as a share of its signal."""
+        model = self.problem.residual_model
         shares = [
-            apart(some, self.start.residuals[name], work.seen(name)) / max(self._sizes[name], 1e-12)
-            for name, some in residuals.items()
-            if not unchanged(some, self.start.residuals[name])
+            rms_difference(pieces, self.base.residuals[name], model.non_holdout_rows(name))
+            / max(self._signal_scales[name], 1e-12)
+            for name, pieces in residuals.items()
+            if not is_unchanged(pieces, self.base.residuals[name])
         ]
         return max(shares, default=0.0)
 
-    def _left(self, residuals: Residuals, kept: Sequence[int], z: Array, prior: Array) -> tuple[float, Array]:
-        """(cost, step) of the best that recalibration can do from z with these residuals, by the normal equations.
-        prior [p, p]: precision, of what is kept.
+    def _recalibrated_cost(
+        self, residuals: Residuals, columns: Sequence[int], z: Array, precision: Array
+    ) -> tuple[float, Array]:
+        """Cost and step of the best recalibration from z with these residuals, by the normal equations.
+
+        Args:
+            columns: of the base model's keys that are fitted
+            z: of them, shape (n_columns,)
+            precision: of their priors, shape (n_columns, n_columns)
         """
-        slope, square = np.zeros(len(self.start.keys)), 0.0
-        for name, some in residuals.items():
-            felt = self._felt[name]
-            if not unchanged(some, self.start.residuals[name]):
-                white = self._white(name, some)
-                felt = _Felt(felt.slopes, white @ felt.slopes, float(white @ white))
-            slope, square = slope + felt.slope, square + felt.square
-        low, high = ends_of(self.start.keys, self.start.free)
-        curve, slope = self._curve[np.ix_(kept, kept)] + prior, slope[kept] + prior @ z
-        walls = self.problem.walls([self.start.keys[i] for i in kept], self.start.free)
-        step = walled(curve, slope, z, low[kept], high[kept], walls)
-        return square + float(z @ prior @ z) + float(2.0 * slope @ step + step @ curve @ step), step
+        gradient, squared = np.zeros(len(self.base.keys)), 0.0
+        for name, pieces in residuals.items():
+            target = self._targets[name]
+            if not is_unchanged(pieces, self.base.residuals[name]):
+                white = self._whiten(name, pieces)
+                target = _WhitenedTarget(target.jacobian, white @ target.jacobian, float(white @ white))
+            gradient, squared = gradient + target.gradient, squared + target.squared_residuals
+        bounds = key_bounds(self.base.keys, self.base.free)
+        curvature, gradient = self._curvature[np.ix_(columns, columns)] + precision, gradient[columns] + precision @ z
+        joint_bounds = self.problem.joint_bounds([self.base.keys[i] for i in columns], self.base.free)
+        kept_bounds = Bounds(bounds.low[columns], bounds.high[columns])
+        step = step_within_joint_bounds(curvature, gradient, z, kept_bounds, joint_bounds)
+        return squared + float(z @ precision @ z) + float(2.0 * gradient @ step + step @ curvature @ step), step
 
-    def _feel(self, name: str, residual: list[Array]) -> _Felt:
-        columns, pieces = self._slopes.by_target[name]
-        joint = self._white(name, [np.column_stack([r, p]) for r, p in zip(residual, pieces, strict=True)])
-        slopes = np.zeros((len(joint), len(self.start.keys)))
-        slopes[:, columns] = joint[:, 1:]
-        self._curve[np.ix_(columns, columns)] += joint[:, 1:].T @ joint[:, 1:]
-        return _Felt(slopes, joint[:, 0] @ slopes, float(joint[:, 0] @ joint[:, 0]))
+    def _whiten_target(self, name: str, residual: list[Array]) -> _WhitenedTarget:
+        columns, pieces = self._jacobian.by_target[name]
+        joint = self._whiten(name, [np.column_stack([r, p]) for r, p in zip(residual, pieces, strict=True)])
+        jacobian = np.zeros((len(joint), len(self.base.keys)))
+        jacobian[:, columns] = joint[:, 1:]
+        self._curvature[np.ix_(columns, columns)] += joint[:, 1:].T @ joint[:, 1:]
+        return _WhitenedTarget(jacobian, joint[:, 0] @ jacobian, float(joint[:, 0] @ joint[:, 0]))
 
-    def _white(self, name: str, residual: Sequence[Array]) -> Array:
-        """Whitened, in units of the noise, its rows in judged blocks."""
-        colour = self.colours[name]
-        rows, at = self.problem.work.white(name, residual, colour)
-        return rows[np.isin(at, self.problem.judged())] / np.sqrt(colour.stretch)
-
-
-def _square(residual: Sequence[Array], rows: Sequence[Array]) -> float:
-    return sum(float(np.sum(one[seen] ** 2)) for one, seen in zip(residual, rows, strict=True))
+    def _whiten(self, name: str, residual: Sequence[Array]) -> Array:
+        """Rows in non-holdout blocks, whitened, in units of the noise."""
+        noise = self.noise_models[name]
+        rows, row_blocks = self.problem.residual_model.whiten(name, residual, noise)
+        return rows[np.isin(row_blocks, self.problem.non_holdout_blocks())] / np.sqrt(noise.correlation_rows)
 
 
-def unchanged(some: Sequence[Array], others: Sequence[Array]) -> bool:
-    """Whether residuals of a target are the same, drive by drive."""
-    return all(np.array_equal(a, b) for a, b in zip(some, others, strict=True))
+def _sum_squares(residual: Sequence[Array], rows: Sequence[Array]) -> float:
+    return sum(float(np.sum(piece[used] ** 2)) for piece, used in zip(residual, rows, strict=True))
 
 
-def without(slopes: Slopes, kept: Sequence[int]) -> Slopes:
-    """The slopes of some columns, numbered anew."""
-    place = {old: new for new, old in enumerate(kept)}
-    found = {}
-    for name, (columns, pieces) in slopes.by_target.items():
-        felt = [c for c, column in enumerate(columns) if int(column) in place]
-        numbers = np.array([place[int(columns[c])] for c in felt], dtype=np.int64)
-        found[name] = (numbers, [piece[:, felt] for piece in pieces])
-    return Slopes(found)
+def is_unchanged(residual: Sequence[Array], reference: Sequence[Array]) -> bool:
+    """Whether two residuals of a target are equal in every drive."""
+    return all(np.array_equal(a, b) for a, b in zip(residual, reference, strict=True))
 
 
-def grid_of(free: Sequence[Free]) -> list[Array]:
-    """Points over the priors of one parameter; of two, a coarser grid of both."""
-    first = _places(free[0])
+def select_columns(jacobian: Jacobian, selected: Sequence[int]) -> Jacobian:
+    """The Jacobian of these columns, numbered anew."""
+    index = {old: new for new, old in enumerate(selected)}
+    by_target = {}
+    for name, (columns, pieces) in jacobian.by_target.items():
+        used = [c for c, column in enumerate(columns) if int(column) in index]
+        numbers = np.array([index[int(columns[c])] for c in used], dtype=np.int64)
+        by_target[name] = (numbers, [piece[:, used] for piece in pieces])
+    return Jacobian(by_target)
+
+
+def grid_points(free: Sequence[FreeParameter]) -> list[Array]:
+    """Points over the prior of one parameter; of two, a coarser grid of both. Each of shape (n_parameters,)."""
+    first = _axis_points(free[0])
     if len(free) == 1:
         return [np.array([u]) for u in first]
-    places = product(*((0.1, one.place(one.neutral), 0.9) for one in free[1:]))
-    return [np.array([u, *more]) for u, more in product(first, places)]
+    further = product(*((0.1, parameter.u_from_value(parameter.neutral), 0.9) for parameter in free[1:]))
+    return [np.array([u, *rest]) for u, rest in product(first, further)]
 
 
-def _places(one: Free) -> list[float]:
-    """Of what may go to either side of neutral, amounts to both, a factor's by its logarithm; else even places."""
-    even = [float(u) for u in np.linspace(0.0, 1.0, FACTORS if one.logarithmic else EVEN)]
-    if one.key.endswith("delay_s") and not one.logarithmic:
-        return _delays(one)
-    if not one.low < one.neutral < one.high:
-        return even
-    middle = one.place(one.neutral)
-    shares = SMALL if one.logarithmic else AMOUNTS
-    amounts = [middle + share * (end - middle) for end in (0.0, 1.0) for share in shares]
-    return even + amounts if one.logarithmic else amounts
+def _axis_points(parameter: FreeParameter) -> list[float]:
+    """Points in u: distances to both sides of neutral where it is inside the prior, else regular points."""
+    count = CRITERIA.logarithmic_points if parameter.is_logarithmic else CRITERIA.linear_points
+    regular = [float(u) for u in np.linspace(0.0, 1.0, count)]
+    if parameter.key.endswith("delay_s") and not parameter.is_logarithmic:
+        return _delay_points(parameter)
+    if not parameter.low < parameter.neutral < parameter.high:
+        return regular
+    neutral = parameter.u_from_value(parameter.neutral)
+    shares = NEAR_NEUTRAL_SHARES if parameter.is_logarithmic else SHARES_OF_PRIOR
+    distances = [neutral + share * (end - neutral) for end in (0.0, 1.0) for share in shares]
+    return regular + distances if parameter.is_logarithmic else distances
 
 
-def _delays(one: Free) -> list[float]:
-    found = [one.low]
-    while found[-1] < one.high:
-        found.append(min(found[-1] + max(DELAY_STEP_S, DELAY_SHARE * found[-1]), one.high))
-    return [one.place(delay_s) for delay_s in found]
+def _delay_points(parameter: FreeParameter) -> list[float]:
+    delays_s = [parameter.low]
+    while delays_s[-1] < parameter.high:
+        step_s = max(CRITERIA.delay_step_s, CRITERIA.delay_step_share * delays_s[-1])
+        delays_s.append(min(delays_s[-1] + step_s, parameter.high))
+    return [parameter.u_from_value(delay_s) for delay_s in delays_s]

@@ -1,11 +1,12 @@
-"""How well an effect's own parameters are known: 95 % intervals that a wrong noise does not make too narrow.
+"""How well parameters are known: 95 % intervals, their consistency across blocks, and nuisances at their bounds.
 
-Two deviations are taken and the wider one believed: by the curvature of the fit, which trusts its noise, and by how
-much the blocks pull in different directions (the sandwich of the two), which trusts nothing but that blocks are
-independent. Blocks that prove a repair are not looked at. An effect is extra to a model, and takes the place of what
-recalibration may move; what a calibration does not know of that is not known of the effect either, and is added.
+Two standard deviations are computed and the larger is used: from the curvature of the fit, which relies on its noise
+model, and from the scatter of the blocks (sandwich estimator), which relies only on the blocks being independent.
+Holdout blocks are not used. An effect is added to a model and replaces what recalibration may move; what the
+calibration does not know about that adds to the interval of the effect.
 
-What recalibration would move further than it may: a number at its end that the logs still pull at.
+An effect that exists has the same parameters in all blocks. One that stands in for another cause does not, and neither
+does a nuisance that compensates for a missing effect.
 """
 
 from __future__ import annotations
@@ -16,31 +17,47 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri, stdtrit
 
-from tunefree_hil.gap.estimation.evidence import LEAST_NATS
-from tunefree_hil.gap.estimation.least_squares import Fitted, Free, gathered, is_free
-from tunefree_hil.gap.estimation.nuisance import DAILY, DRIFT
-from tunefree_hil.gap.model.graph import effects
+from tunefree_hil.gap.estimation.evidence import MIN_EVIDENCE_NATS
+from tunefree_hil.gap.estimation.least_squares import Fit, FreeParameter, is_free, sum_equations
+from tunefree_hil.gap.estimation.nuisance import DAILY_EFFECTS, DRIFT_SIGMAS
+from tunefree_hil.gap.model.graph import load_catalogue
 
 Array = np.ndarray
 
-WAVERS = 0.05  # of itself: by what a constant may differ from block to block for want of a model that is exact
-JITTER_S = 0.002  # by which frames come sooner or later themselves: no delay is steadier
-CHANCE = 0.999  # that blocks differ by no more than chance
-# How much of its throttle, brake and steering a car does: by what that may be off from day to day it is not off from
-# one block to the next
+
+class IntervalCriteria(NamedTuple):
+    """Limits for intervals and consistency; sources: docs/reference/gap_criteria.md.
+
+    Args:
+        max_inconsistency_share: share of an effect's size by which its parameter may differ between blocks, because no
+            model is exact
+        frame_jitter_s: jitter of frames; no delay is more consistent than that
+        chance_level: probability below which blocks are taken to differ by chance only
+        max_drift_ratio: ratio of the scatter between blocks to the drift from day to day up to which a parameter is
+            consistent: a car with other pedals than its model reaches 1.1
+        form_share: standard deviation, as a share of the distance from neutral: no car has an effect exactly in the
+            form of the catalogue
+        at_bound_sigmas: standard deviations (of the 2 that are allowed) from which a nuisance is at its bound
+    """
+
+    max_inconsistency_share: float = 0.05
+    frame_jitter_s: float = 0.002
+    chance_level: float = 0.999
+    max_drift_ratio: float = 1.5
+    form_share: float = 0.01
+    at_bound_sigmas: float = 1.8
+
+
+CRITERIA = IntervalCriteria()
+# How far throttle, brake and steering follow their commands. They may drift from day to day, but not between blocks
 GAINS = ("throttle_gain.gain_frac", "brake_gain.gain_frac", "steer_gain.gain_frac")
-# Of what a number drifts from day to day (drifts.py), standard deviations: a car with other pedals than a model has
-# comes to 1.1. Not of what its calibration leaves open: the worse that is, the more would be let pass.
-UNSTEADY = 1.5
-FORM = 0.01  # of the distance from neutral, standard deviation: no car does an effect quite in the catalogue's form
-AROUND = 0.01  # of u, to either side: over which a parameter's scale is taken as even
-KNOWS = 1e-9  # of the block that knows most of a key: who knows less says nothing of it
-
-UPPER = 0.975  # of Student's t with one degree of freedom less than there are blocks
+SLOPE_STEP_U = 0.01  # half the step by which the derivative of a value by u is taken
+MIN_BLOCK_INFORMATION = 1e-9  # of the most informative block: blocks with less are not used
+UPPER_QUANTILE = 0.975  # of Student's t distribution, for a 95 % interval
 
 
-class Value(NamedTuple):
-    """A parameter of an effect with its 95 % interval, all three in `unit`."""
+class ParameterEstimate(NamedTuple):
+    """A parameter of an effect with its 95 % interval, all in `unit`."""
 
     value: float
     low: float
@@ -48,184 +65,27 @@ class Value(NamedTuple):
     unit: str
 
 
-class Wavering(NamedTuple):
-    """By how much an effect's first parameter differs from block to block beyond noise: in u (problem.Free), and as a
-    share of its distance from neutral (of a factor of itself where neutral is none); 0 where chance would do.
+class BlockInconsistency(NamedTuple):
+    """Scatter of an effect's first parameter between blocks, beyond noise; 0 where chance explains it.
+
+    Args:
+        key: of the parameter
+        std_u: standard deviation, in u
+        share: of the distance from neutral; of a factor without a neutral value, of itself
     """
 
     key: str
-    by: float
+    std_u: float
     share: float
 
 
-def values_of(name: str, model: Fitted, blocks: Array) -> dict[str, Value]:
-    """The parameters of one of a model's effects, by their names. blocks: those that it was fitted on."""
-    deviation, units, found = deviations(model, blocks), effects()[name].units, {}
-    reach = float(stdtrit(len(blocks) - 1, UPPER))
-    for one in model.free:
-        owner, _, parameter = one.key.partition(".")
-        if owner == name:
-            i = model.keys.index(one.key)
-            low, high = _ends(one, float(model.z[i]), reach * float(deviation[i]), reach)
-            found[parameter] = Value(model.values[one.key], low, high, units[parameter])
-    return found
+class AtBound(NamedTuple):
+    """A nuisance at its bound.
 
-
-def _ends(one: Free, u: float, by: float, reach: float) -> tuple[float, float]:
-    """(low, high) of a parameter at u that is known within `by` of it by these logs, and by its calibration as well as
-    that knows it: of a factor in shares of it, of what counts by a constant of the model as well as that is known.
-    """
-    value = one.value(u)
-    doubt = reach * one.doubt * (value / one.neutral if one.logarithmic and one.neutral > 0.0 else 1.0)
-    if one.share:  # a limit's neutral is without end
-        doubt = float(np.hypot(doubt, reach * one.share * (value - one.neutral)))
-    by = float(np.hypot(by, reach * FORM * distance(one, u)))
-    ends = [one.value(float(np.clip(u + way * by, one.least, one.most))) for way in (-1.0, 1.0)]
-    far = [value - float(np.hypot(value - min(ends), doubt)), value + float(np.hypot(max(ends) - value, doubt))]
-    return max(far[0], one.value(one.least)), min(far[1], one.value(one.most))
-
-
-def deviations(model: Fitted, blocks: Array) -> Array:
-    """Of each key of a fitted model [p], in its own unit (nuisances in standard deviations, free ones in u)."""
-    inverse, sandwich = _doubts(model, blocks)
-    return np.sqrt(np.maximum(np.diag(inverse), np.diag(sandwich)))
-
-
-def curvature(model: Fitted, blocks: Array) -> Array:
-    """Covariance of the keys of a fitted model [p, p], in their units, as a fit has it that trusts its noise."""
-    return _doubts(model, blocks)[0]
-
-
-def by_blocks(model: Fitted, blocks: Array) -> Array:
-    """The same [p, p] by what the blocks disagree by, alone: the sandwich."""
-    return _doubts(model, blocks)[1]
-
-
-def _doubts(model: Fitted, blocks: Array) -> tuple[Array, Array]:
-    """(inverse curvature, sandwich) [p, p] of a fitted model."""
-    curve, _, _ = gathered(model.sums, len(model.keys), blocks)
-    flat = np.diag(2.0 * np.pi * is_free(model.keys, model.free))  # as `log_evidence` takes what is uniform
-    inverse = np.linalg.inv(curve + model.prior + flat)
-    pulls = np.zeros((len(blocks), len(model.keys)))
-    for one in model.sums.values():
-        pulls[:, one.columns] += one.slope[blocks] / one.colour.stretch
-    pulls = pulls - pulls.mean(axis=0)
-    share = len(blocks) / max(len(blocks) - 1, 1)
-    return inverse, inverse @ (share * pulls.T @ pulls) @ inverse
-
-
-def across(model: Fitted, blocks: Array) -> dict[str, tuple[float, float]]:
-    """(value, deviation) of each free key, in its unit: by the fit, and by what it is from one block to another, be
-    that of one drive or of two.
-    """
-    by, found = deviations(model, blocks), {}
-    for one in model.free:
-        i = model.keys.index(one.key)
-        u = float(model.z[i])
-        whole = float(np.hypot(by[i], _spread(*_pulls(model, i, blocks), np.zeros(len(blocks)))))
-        slope = abs(one.value(u + AROUND) - one.value(u - AROUND)) / (2.0 * AROUND)
-        found[one.key] = (model.values[one.key], whole * slope)
-    return found
-
-
-def wavering(model: Fitted, name: str, blocks: Array, drives: Array) -> Wavering:
-    """Of one of a model's effects; 0 too where the same number differs no less in a model that misses nothing. An
-    effect that is there is the same in all blocks; what stands in for something else follows that. drives: of which
-    drive each block is.
-    """
-    one = next(free for free in model.free if free.key.partition(".")[0] == name)
-    i = model.keys.index(one.key)
-    u, by = float(model.z[i]), _between(model, i, blocks, drives)
-    jitters = (
-        effects()[name].units[one.key.partition(".")[2]] == "s" and abs(one.value(u + by) - one.value(u)) < JITTER_S
-    )
-    if jitters or by <= UNSTEADY * _in_u(one, u, one.drift):
-        return Wavering(one.key, 0.0, 0.0)
-    return Wavering(one.key, by, by / max(distance(one, u), 1e-9))
-
-
-def unsteady(model: Fitted, blocks: Array, drives: Array, sigmas: Mapping[str, float]) -> dict[str, float]:
-    """By how many deviations of its drift each of GAINS that was recalibrated differs from block to block, as far as
-    that is more than UNSTEADY. drives: of which drive each block is; sigmas: what each key's unit is (null.nuisances).
-    """
-    some = [key for key in GAINS if key in model.keys]
-    unit = {key: sigmas.get(key, DRIFT[key]) / DRIFT[key] for key in some}
-    found = {key: unit[key] * _between(model, model.keys.index(key), blocks, drives) for key in some}
-    return {key: by for key, by in found.items() if by > UNSTEADY}
-
-
-def _between(model: Fitted, i: int, blocks: Array, drives: Array) -> float:
-    """Standard deviation of key i from block to block of a drive, beyond noise, in its own unit; 0 where chance would
-    do. From one drive to another it may be another one: these may be days apart. What all blocks of a drive say alike
-    is no difference between them, however strongly they say it, as where a key is held at an end of its range.
-
-    A block says pull / curve, and knows it by 1 / sqrt(curve). Whether that is chance is asked of all blocks as far as
-    they know it; by how much they differ, mostly of those that know it well.
-    """
-    return _spread(*_pulls(model, i, blocks), drives)
-
-
-def apart(model: Fitted, blocks: Array, drives: Array) -> dict[str, float]:
-    """By how many deviations of its prior each of DAILY that was recalibrated differs from drive to drive, as far as
-    that is more than UNSTEADY: it is one number for all of them here.
-    """
-    found, every = {}, np.unique(drives)
-    for i, key in enumerate(model.keys[: len(model.keys) - len(model.free)]):
-        if key.partition(".")[0] in DAILY and len(every) > 1:
-            whole = [[float(one[drives == drive].sum()) for drive in every] for one in _pulls(model, i, blocks)]
-            found[key] = _spread(np.array(whole[0]), np.array(whole[1]), np.zeros(len(every)))
-    return {key: by for key, by in found.items() if by > UNSTEADY}
-
-
-def _spread(pull: Array, curve: Array, groups: Array) -> float:
-    """Standard deviation, within its group, of what pulls [b] with these curvatures say, beyond chance."""
-    known = curve > KNOWS * float(curve.max(initial=0.0))
-    square, degrees, excess, weight = 0.0, 0, 0.0, 0.0
-    for group in np.unique(groups[known]):
-        w, p = (one[known & (groups == group)] for one in (curve, pull))
-        whole = float(w.sum())
-        p = p - w * float(p.sum()) / whole
-        square += float(np.sum(p * p / w))
-        degrees += len(w) - 1
-        excess += float(p @ p) - float(np.sum(w - w * w / whole))
-        weight += float(np.sum(w * w * (1.0 - 2.0 * w / whole + float(w @ w) / whole**2)))
-    if degrees < 1 or square <= float(chdtri(degrees, 1.0 - CHANCE)) or weight <= 0.0:
-        return 0.0
-    return max(excess / weight, 0.0) ** 0.5
-
-
-def _pulls(model: Fitted, i: int, blocks: Array) -> tuple[Array, Array]:
-    """(pull, curvature) of key i [b] by block, over all targets."""
-    pull, curve = np.zeros(len(blocks)), np.zeros(len(blocks))
-    for sums in model.sums.values():
-        for c in np.flatnonzero(sums.columns == i):
-            pull += sums.slope[blocks, c] / sums.colour.stretch
-            curve += sums.curve[blocks, c, c] / sums.colour.stretch
-    return pull, curve
-
-
-def _in_u(one: Free, u: float, sigma: float) -> float:
-    """A deviation that is given in the parameter's unit at neutral, in u at u: of a factor it is a share."""
-    if not one.logarithmic:
-        return sigma / (one.high - one.low)
-    value = one.neutral if 0.0 < one.neutral < np.inf else one.value(u)
-    return sigma / value / float(np.log(one.high / one.low))
-
-
-def distance(one: Free, u: float) -> float:
-    """From neutral to u; of what is sought by its logarithm and has no neutral on it, one of these."""
-    if not one.logarithmic:
-        return abs(u - one.place(one.neutral))
-    reachable = 0.0 < one.neutral < np.inf
-    return abs(u - one.place(one.neutral)) if reachable else 1.0 / float(np.log(one.high / one.low))
-
-
-AT_END = 1.8  # standard deviations, of the 2 that it may go
-
-
-class Held(NamedTuple):
-    """A number of recalibration's: key; z: where it is held, in standard deviations; nats: what letting it go further
-    would gain, all that is not held moving with it.
+    Args:
+        key: of the parameter
+        z: where it is, in standard deviations
+        nats: log likelihood that moving it further would gain, with the others free to follow
     """
 
     key: str
@@ -233,25 +93,210 @@ class Held(NamedTuple):
     nats: float
 
     @property
-    def words(self) -> str:
-        """For who reads."""
+    def text(self) -> str:
+        """For reports."""
         return f"recalibration moves {self.key} by {self.z:+.1f} standard deviations"
 
 
-def held_back(model: Fitted, blocks: Array) -> list[Held]:
-    """Of a fitted model what is held back by more than LEAST_NATS, the most first. blocks: those that it was fitted on.
+class _BlockScores(NamedTuple):
+    """Of one key by block, shape (n_blocks,): gradient of the log likelihood, and its curvature."""
 
-    By the curvature of the fit, and not simulated: far beyond its end a number may do something else.
+    gradient: Array
+    curvature: Array
+
+
+def estimate_parameters(name: str, fit: Fit, blocks: Array) -> dict[str, ParameterEstimate]:
+    """Estimate the parameters of one of a model's effects, by parameter name, from the blocks it was fitted on."""
+    deviation, units, estimates = standard_deviations(fit, blocks), load_catalogue()[name].units, {}
+    quantile = float(stdtrit(len(blocks) - 1, UPPER_QUANTILE))
+    for free in fit.free:
+        owner, _, parameter = free.key.partition(".")
+        if owner == name:
+            i = fit.keys.index(free.key)
+            low, high = _interval(free, float(fit.z[i]), quantile * float(deviation[i]), quantile)
+            estimates[parameter] = ParameterEstimate(fit.values[free.key], low, high, units[parameter])
+    return estimates
+
+
+def _interval(free: FreeParameter, u: float, half_width: float, quantile: float) -> tuple[float, float]:
+    """Interval of a parameter at u, known within `half_width` of u by these logs, and as well as by its calibration.
+
+    The doubt of the calibration is a share of a factor, and of what scales a constant of the model the doubt of that.
     """
-    curve, slope, _ = gathered(model.sums, len(model.keys), blocks)
-    curve, slope = curve + model.prior, slope + model.prior @ model.z
-    loose = np.ones(len(model.keys), dtype=bool)
-    loose[: len(model.keys) - len(model.free)] = np.abs(model.z[: len(model.keys) - len(model.free)]) <= AT_END
-    found = []
-    for i in np.flatnonzero(~loose):
-        some = np.append(np.flatnonzero(loose), i)
-        inner = np.linalg.pinv(curve[np.ix_(some, some)])[-1, -1]
-        nats = 0.5 * float(slope[i] ** 2 * inner)
-        if slope[i] * model.z[i] < 0.0 and nats > LEAST_NATS:
-            found.append(Held(model.keys[i], float(model.z[i]), nats))
-    return sorted(found, key=lambda one: -one.nats)
+    value = free.value_from_u(u)
+    is_factor = free.is_logarithmic and free.neutral > 0.0
+    doubt = quantile * free.calibration_sigma * (value / free.neutral if is_factor else 1.0)
+    if free.constant_sigma:  # the neutral value of a limit is infinite
+        doubt = float(np.hypot(doubt, quantile * free.constant_sigma * (value - free.neutral)))
+    half_width = float(np.hypot(half_width, quantile * CRITERIA.form_share * distance_to_neutral(free, u)))
+    ends = [free.value_from_u(float(np.clip(u + side * half_width, free.u_min, free.u_max))) for side in (-1.0, 1.0)]
+    low = value - float(np.hypot(value - min(ends), doubt))
+    high = value + float(np.hypot(max(ends) - value, doubt))
+    return max(low, free.value_from_u(free.u_min)), min(high, free.value_from_u(free.u_max))
+
+
+def standard_deviations(fit: Fit, blocks: Array) -> Array:
+    """Of each key, shape (n_keys,): nuisances in standard deviations of their priors, free parameters in u."""
+    by_curvature, by_blocks = _covariances(fit, blocks)
+    return np.sqrt(np.maximum(np.diag(by_curvature), np.diag(by_blocks)))
+
+
+def curvature_covariance(fit: Fit, blocks: Array) -> Array:
+    """Covariance of the keys, shape (n_keys, n_keys), from the curvature: it relies on the noise model."""
+    return _covariances(fit, blocks)[0]
+
+
+def sandwich_covariance(fit: Fit, blocks: Array) -> Array:
+    """Covariance of the keys, shape (n_keys, n_keys), from the scatter of the blocks' scores."""
+    return _covariances(fit, blocks)[1]
+
+
+def _covariances(fit: Fit, blocks: Array) -> tuple[Array, Array]:
+    """From the curvature, and from the scatter of the blocks."""
+    curvature = sum_equations(fit.equations, len(fit.keys), blocks).curvature
+    flat = np.diag(2.0 * np.pi * is_free(fit.keys, fit.free))  # a uniform prior, as in `log_evidence`
+    inverse = np.linalg.inv(curvature + fit.prior_precision + flat)
+    scores = np.zeros((len(blocks), len(fit.keys)))
+    for equations in fit.equations.values():
+        scores[:, equations.columns] += equations.gradient[blocks] / equations.noise.correlation_rows
+    scores = scores - scores.mean(axis=0)
+    share = len(blocks) / max(len(blocks) - 1, 1)
+    return inverse, inverse @ (share * scores.T @ scores) @ inverse
+
+
+def estimates_across_blocks(fit: Fit, blocks: Array) -> dict[str, tuple[float, float]]:
+    """Value and standard deviation of each free key, in its unit.
+
+    The deviation is that of the fit, and the scatter between blocks, be they of one drive or of several.
+    """
+    deviations, estimates = standard_deviations(fit, blocks), {}
+    for free in fit.free:
+        i = fit.keys.index(free.key)
+        u = float(fit.z[i])
+        total = float(np.hypot(deviations[i], _excess_scatter(_block_scores(fit, i, blocks), np.zeros(len(blocks)))))
+        change = abs(free.value_from_u(u + SLOPE_STEP_U) - free.value_from_u(u - SLOPE_STEP_U))
+        estimates[free.key] = (fit.values[free.key], total * (change / (2.0 * SLOPE_STEP_U)))
+    return estimates
+
+
+def block_inconsistency(fit: Fit, name: str, blocks: Array, drives: Array) -> BlockInconsistency:
+    """Scatter of one of a model's effects between the blocks of a drive.
+
+    It is 0 also where the same parameter scatters no less in a model that lacks nothing.
+
+    Args:
+        drives: the drive of each block
+    """
+    free = next(parameter for parameter in fit.free if parameter.key.partition(".")[0] == name)
+    i = fit.keys.index(free.key)
+    u, scatter = float(fit.z[i]), _scatter_within_drives(fit, i, blocks, drives)
+    is_time = load_catalogue()[name].units[free.key.partition(".")[2]] == "s"
+    is_jitter = is_time and abs(free.value_from_u(u + scatter) - free.value_from_u(u)) < CRITERIA.frame_jitter_s
+    if is_jitter or scatter <= CRITERIA.max_drift_ratio * _sigma_in_u(free, u, free.drift_sigma):
+        return BlockInconsistency(free.key, 0.0, 0.0)
+    return BlockInconsistency(free.key, scatter, scatter / max(distance_to_neutral(free, u), 1e-9))
+
+
+def inconsistent_gains(fit: Fit, blocks: Array, drives: Array, sigmas: Mapping[str, float]) -> dict[str, float]:
+    """Recalibrated gains that scatter between blocks: by key, the ratio of the scatter to the drift.
+
+    Args:
+        drives: the drive of each block
+        sigmas: prior standard deviation of each key
+    """
+    keys = [key for key in GAINS if key in fit.keys]
+    unit = {key: sigmas.get(key, DRIFT_SIGMAS[key]) / DRIFT_SIGMAS[key] for key in keys}
+    ratios = {key: unit[key] * _scatter_within_drives(fit, fit.keys.index(key), blocks, drives) for key in keys}
+    return {key: ratio for key, ratio in ratios.items() if ratio > CRITERIA.max_drift_ratio}
+
+
+def inconsistent_daily_effects(fit: Fit, blocks: Array, drives: Array) -> dict[str, float]:
+    """Recalibrated effects of the day that differ between drives: by key, the scatter in prior standard deviations.
+
+    The fit has one value for all drives.
+    """
+    ratios, drive_numbers = {}, np.unique(drives)
+    for i, key in enumerate(fit.keys[: len(fit.keys) - len(fit.free)]):
+        if key.partition(".")[0] in DAILY_EFFECTS and len(drive_numbers) > 1:
+            sums = [
+                np.array([float(values[drives == drive].sum()) for drive in drive_numbers])
+                for values in _block_scores(fit, i, blocks)
+            ]
+            ratios[key] = _excess_scatter(_BlockScores(*sums), np.zeros(len(drive_numbers)))
+    return {key: ratio for key, ratio in ratios.items() if ratio > CRITERIA.max_drift_ratio}
+
+
+def _scatter_within_drives(fit: Fit, i: int, blocks: Array, drives: Array) -> float:
+    """Standard deviation of key i between the blocks of a drive, beyond noise, in its own unit; 0 for chance.
+
+    Drives may be days apart, so they may differ. What all blocks of a drive have in common is no scatter, as where a
+    key is at its bound. A block estimates gradient / curvature, with the deviation 1 / sqrt(curvature): the test for
+    chance uses all blocks so weighted; the scatter is mostly that of the informative ones.
+    """
+    return _excess_scatter(_block_scores(fit, i, blocks), drives)
+
+
+def _excess_scatter(scores: _BlockScores, groups: Array) -> float:
+    """Standard deviation, within its group, of what blocks estimate, beyond chance. groups: of each block."""
+    gradient, curvature = scores
+    is_informative = curvature > MIN_BLOCK_INFORMATION * float(curvature.max(initial=0.0))
+    chi_squared, degrees, excess, weight = 0.0, 0, 0.0, 0.0
+    for group in np.unique(groups[is_informative]):
+        in_group = is_informative & (groups == group)
+        w, p = curvature[in_group], gradient[in_group]
+        total = float(w.sum())
+        p = p - w * float(p.sum()) / total
+        chi_squared += float(np.sum(p * p / w))
+        degrees += len(w) - 1
+        excess += float(p @ p) - float(np.sum(w - w * w / total))
+        weight += float(np.sum(w * w * (1.0 - 2.0 * w / total + float(w @ w) / total**2)))
+    if degrees < 1 or chi_squared <= float(chdtri(degrees, 1.0 - CRITERIA.chance_level)) or weight <= 0.0:
+        return 0.0
+    return max(excess / weight, 0.0) ** 0.5
+
+
+def _block_scores(fit: Fit, i: int, blocks: Array) -> _BlockScores:
+    """Of key i, summed over all targets."""
+    gradient, curvature = np.zeros(len(blocks)), np.zeros(len(blocks))
+    for equations in fit.equations.values():
+        for c in np.flatnonzero(equations.columns == i):
+            gradient += equations.gradient[blocks, c] / equations.noise.correlation_rows
+            curvature += equations.curvature[blocks, c, c] / equations.noise.correlation_rows
+    return _BlockScores(gradient, curvature)
+
+
+def _sigma_in_u(free: FreeParameter, u: float, sigma: float) -> float:
+    """A standard deviation in the parameter's unit at neutral (of a factor: a share), converted to u at u."""
+    if not free.is_logarithmic:
+        return sigma / (free.high - free.low)
+    value = free.neutral if 0.0 < free.neutral < np.inf else free.value_from_u(u)
+    return sigma / value / float(np.log(free.high / free.low))
+
+
+def distance_to_neutral(free: FreeParameter, u: float) -> float:
+    """Distance in u; of a logarithmic parameter without a neutral value on its scale, a factor of e."""
+    if not free.is_logarithmic:
+        return abs(u - free.u_from_value(free.neutral))
+    is_on_scale = 0.0 < free.neutral < np.inf
+    return abs(u - free.u_from_value(free.neutral)) if is_on_scale else 1.0 / float(np.log(free.high / free.low))
+
+
+def find_parameters_at_bound(fit: Fit, blocks: Array) -> list[AtBound]:
+    """Nuisances at their bounds that would gain more than MIN_EVIDENCE_NATS beyond them, largest gain first.
+
+    The gain is that of the quadratic of the fit and is not simulated: far beyond its bound a parameter may act
+    differently.
+    """
+    form = sum_equations(fit.equations, len(fit.keys), blocks)
+    curvature, gradient = form.curvature + fit.prior_precision, form.gradient + fit.prior_precision @ fit.z
+    n_nuisances = len(fit.keys) - len(fit.free)
+    is_loose = np.ones(len(fit.keys), dtype=bool)
+    is_loose[:n_nuisances] = np.abs(fit.z[:n_nuisances]) <= CRITERIA.at_bound_sigmas
+    at_bound = []
+    for i in np.flatnonzero(~is_loose):
+        moving = np.append(np.flatnonzero(is_loose), i)
+        variance = np.linalg.pinv(curvature[np.ix_(moving, moving)])[-1, -1]
+        nats = 0.5 * float(gradient[i] ** 2 * variance)
+        if gradient[i] * fit.z[i] < 0.0 and nats > MIN_EVIDENCE_NATS:
+            at_bound.append(AtBound(fit.keys[i], float(fit.z[i]), nats))
+    return sorted(at_bound, key=lambda parameter: -parameter.nats)

@@ -1,10 +1,8 @@
-"""Which stretches of a drive are searched, which of these choose what a repair moves, and which prove it, touched once.
+"""Blocks of drives and their roles: fit, selection (which parameters a repair moves) and holdout (used once).
 
-Blocks with a guard behind each, taken in turn over the whole drive (fit, choice, fit, proof): rows next to each other
-are nearly the same measurement, and what a drive shows changes over its time. A block is BLOCK_S long. Where all drives
-together do not hold FEWEST of these, as a recording of one minute does not, blocks are as long as give FEWEST, but
-a drive is never cut shorter than SHORTEST_S: a residual hangs together for up to 4 s (gap/estimation/noise.py), and what is tested
-block by block must be several pieces of news and not one.
+Neighbouring rows are nearly the same measurement, and what a drive shows changes over its time. So the blocks take
+turns over the whole drive (fit, selection, fit, holdout), with a guard behind each. Where all drives together are too
+short for the least number of blocks, the blocks are shorter, but not below the least length.
 """
 
 from __future__ import annotations
@@ -16,16 +14,31 @@ import numpy as np
 
 Array = np.ndarray
 
-BLOCK_S, SHORTEST_S = 8.0, 5.0
-GUARD_S = 1.0  # behind a block of BLOCK_S; behind a shorter one as much less
-FIT, CHOICE, PROOF, GUARD = 0, 1, 2, -1
-TURN = (FIT, CHOICE, FIT, PROOF)
-FEWEST = 8  # blocks: two to prove, two to choose by
-FEWEST_DRIVEN = 7  # in which the car drives: many a recording begins at rest, or by hand
+
+class BlockCriteria(NamedTuple):
+    """Lengths and numbers of blocks (docs/reference/gap_criteria.md)."""
+
+    block_s: float = 8.0
+    min_block_s: float = 5.0  # a residual is correlated over up to 4 s (gap/estimation/noise.py)
+    guard_s: float = 1.0  # behind a block of block_s; behind a shorter one in proportion
+    min_blocks: int = 8  # two of them for the holdout, two for the selection
+    min_driven_blocks: int = 7  # with a moving car: many recordings begin at rest, or driven by hand
+
+
+BLOCK_CRITERIA = BlockCriteria()
+GUARD_SHARE = BLOCK_CRITERIA.guard_s / BLOCK_CRITERIA.block_s  # of a block
+FIT, SELECTION, HOLDOUT, GUARD = 0, 1, 2, -1  # roles; GUARD is also the block index of a row between two blocks
+ROLE_CYCLE = (FIT, SELECTION, FIT, HOLDOUT)
 
 
 class Blocks(NamedTuple):
-    """roles [b]: of each block; begins, ends [b]: rows of its drive; drives [b]: which drive."""
+    """Blocks, each array (n_blocks,).
+
+    Args:
+        roles: of each block.
+        begins, ends: first row, and the row behind the last one, of its drive.
+        drives: index of its drive.
+    """
 
     roles: Array
     begins: Array
@@ -34,46 +47,61 @@ class Blocks(NamedTuple):
 
     @property
     def count(self) -> int:
-        """How many."""
+        """Number of blocks."""
         return len(self.roles)
 
 
-def block_s_of(ticks: Sequence[int], dt_s: float) -> float:
-    """How long a block of drives of so many rows is at least, s, without its guard."""
-    share = 1.0 + GUARD_S / BLOCK_S
-    lengths = [rows * dt_s / (count * share) for rows in ticks for count in range(1, FEWEST + 1)]
-    fitting = [one for one in lengths if SHORTEST_S <= one < BLOCK_S and _count(ticks, dt_s, one) >= FEWEST]
-    if _count(ticks, dt_s, BLOCK_S) >= FEWEST:
-        return BLOCK_S
-    return max(fitting, default=SHORTEST_S)
+def block_length_s(ticks: Sequence[int], dt_s: float) -> float:
+    """The length of a block without its guard, s.
+
+    Args:
+        ticks: number of rows of each drive.
+        dt_s: time between two rows.
+    """
+    c = BLOCK_CRITERIA
+    lengths = [rows * dt_s / (count * (1.0 + GUARD_SHARE)) for rows in ticks for count in range(1, c.min_blocks + 1)]
+    possible = [
+        length
+        for length in lengths
+        if c.min_block_s <= length < c.block_s and _count_blocks(ticks, dt_s, length) >= c.min_blocks
+    ]
+    if _count_blocks(ticks, dt_s, c.block_s) >= c.min_blocks:
+        return c.block_s
+    return max(possible, default=c.min_block_s)
 
 
-def _count(ticks: Sequence[int], dt_s: float, block_s: float) -> int:
-    """How many blocks of a length drives hold."""
-    return sum(_count_of(rows, dt_s, block_s) for rows in ticks)
+def _count_blocks(ticks: Sequence[int], dt_s: float, block_s: float) -> int:
+    """Number of blocks of a length in all drives."""
+    return sum(_count_drive_blocks(rows, dt_s, block_s) for rows in ticks)
 
 
-def _count_of(rows: int, dt_s: float, block_s: float) -> int:
-    """Of one drive; one that is shorter than a block is one by itself."""
-    return max(1, int(rows * dt_s / (block_s * (1.0 + GUARD_S / BLOCK_S)) + 1e-9))
+def _count_drive_blocks(rows: int, dt_s: float, block_s: float) -> int:
+    """Number of blocks in one drive; a drive shorter than a block is one block."""
+    return max(1, int(rows * dt_s / (block_s * (1.0 + GUARD_SHARE)) + 1e-9))
 
 
-def blocks_of(ticks: Sequence[int], dt_s: float) -> Blocks:
-    """Blocks of drives of so many rows; a drive that is shorter than a block is one by itself."""
-    found: list[tuple[int, int, int, int]] = []
-    block_s = block_s_of(ticks, dt_s)
+def cut_blocks(ticks: Sequence[int], dt_s: float) -> Blocks:
+    """Cut drives into blocks; a drive shorter than a block is one block.
+
+    Args:
+        ticks: number of rows of each drive.
+        dt_s: time between two rows.
+    """
+    blocks: list[tuple[int, int, int, int]] = []
+    block_s = block_length_s(ticks, dt_s)
     for drive, rows in enumerate(ticks):
-        count = _count_of(rows, dt_s, block_s)
+        count = _count_drive_blocks(rows, dt_s, block_s)
         edges = np.linspace(0, rows, count + 1).round().astype(int)
-        guard = round(GUARD_S * block_s / BLOCK_S / dt_s) if count > 1 else 0
+        guard = round(BLOCK_CRITERIA.guard_s * block_s / BLOCK_CRITERIA.block_s / dt_s) if count > 1 else 0
         for i in range(count):
-            found.append((TURN[len(found) % len(TURN)], int(edges[i]), int(edges[i + 1]) - guard, drive))
-    return Blocks(*(np.array(column, dtype=np.int64) for column in zip(*found, strict=True)))
+            role = ROLE_CYCLE[len(blocks) % len(ROLE_CYCLE)]
+            blocks.append((role, int(edges[i]), int(edges[i + 1]) - guard, drive))
+    return Blocks(*(np.array(column, dtype=np.int64) for column in zip(*blocks, strict=True)))
 
 
-def block_at(blocks: Blocks, drive: int, rows: Array) -> Array:
-    """The block of each row of a drive; GUARD between two."""
-    found = np.full(len(rows), GUARD, dtype=np.int64)
+def find_block_indices(blocks: Blocks, drive: int, rows: Array) -> Array:
+    """The block of each row of a drive, (n_rows,); GUARD between two blocks."""
+    indices = np.full(len(rows), GUARD, dtype=np.int64)
     for i in np.flatnonzero(blocks.drives == drive):
-        found[(rows >= blocks.begins[i]) & (rows < blocks.ends[i])] = i
-    return found
+        indices[(rows >= blocks.begins[i]) & (rows < blocks.ends[i])] = i
+    return indices

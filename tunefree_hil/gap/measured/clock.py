@@ -1,7 +1,8 @@
-"""What the clocks say: commands on the wire against their echoes, tick by tick, without any model of the car.
+"""Commands on the bus against their echoes, tick by tick, without any model of the car.
 
-An echo is the command that the by-wire unit obeys. Delayed and held commands are still commands: each echo must lie
-between those that were sent about a transport earlier. One that does not was never sent, or its frame was lost.
+An echo is the command that the by-wire unit obeys. A delayed or held command is still one that was sent, so each echo
+has to lie between the commands that were sent about one transport delay before. Where it does not, its frame was lost
+or changed.
 """
 
 from __future__ import annotations
@@ -10,59 +11,76 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tunefree_hil.gap.measured.chain import Opened
-from tunefree_hil.gap.measured.observability import OUTPUTS
+from tunefree_hil.gap.measured.chain import MeasuredDrive
+from tunefree_hil.gap.measured.observability import OUTPUT_FIELDS
 from tunefree_hil.gap.model.graph import CHANNELS
-from tunefree_hil.learn.actuators.samples import ECHOES, tolerance
-from tunefree_hil.learn.drives.runs import every_of, throughout
+from tunefree_hil.learn.actuators.samples import ECHOES, rounding_tolerance
+from tunefree_hil.learn.drives.runs import sample_interval_ticks, true_throughout
 
 Array = np.ndarray
 
-LONGEST_S = 0.8
-SLACK = 2  # ticks to either side of the transport: bus, queue and phase of the frames; of slow commands more
-MOST_STRANGE = 0.01  # of the echoes
-LEAST_MOVED = 20  # echoes that changed: fewer say nothing of a delay
+
+class EchoCriteria(NamedTuple):
+    """How an echo is checked (docs/reference/gap_criteria.md)."""
+
+    max_delay_s: float = 0.8  # searched
+    slack_ticks: int = 2  # to either side of the delay: bus, queue, phase of the frames; of slow commands more
+    max_unexplained_share: float = 0.01  # of the echoes
+    min_changes: int = 20  # echoes that changed: fewer do not determine a delay
 
 
-class Echo(NamedTuple):
-    """A channel's echo. late_s: from wire to echo; strange: share of echoes that no sent command explains."""
+ECHO_CRITERIA = EchoCriteria()
+
+
+class CommandEcho(NamedTuple):
+    """The echo of a channel's commands.
+
+    Args:
+        channel: name.
+        delay_s: from command to echo.
+        unexplained_share: share of the echoes that no sent command explains.
+        rows: number of echoes.
+    """
 
     channel: str
-    late_s: float
-    strange: float
+    delay_s: float
+    unexplained_share: float
     rows: int
 
     @property
-    def broken(self) -> bool:
-        """Whether commands were lost or changed on their way."""
-        return self.strange > MOST_STRANGE
+    def is_broken(self) -> bool:
+        """Whether commands are lost or changed on their way."""
+        return self.unexplained_share > ECHO_CRITERIA.max_unexplained_share
 
 
-def echoes(opened: Opened) -> list[Echo]:
-    """Of all channels that are commanded on the wire and echoed, and that moved."""
-    found = []
+def check_echoes(drive: MeasuredDrive) -> list[CommandEcho]:
+    """The echoes of all channels that are commanded on the bus and echoed, and that move."""
+    echoes = []
     for i, channel in enumerate(CHANNELS):
-        wire = opened.signals.get(f"command.{OUTPUTS[channel]}")
-        echo = opened.signals.get(f"report.{ECHOES[channel]}")
-        if wire is None or echo is None:
+        command = drive.signals.get(f"command.{OUTPUT_FIELDS[channel]}")
+        echo = drive.signals.get(f"report.{ECHOES[channel]}")
+        if command is None or echo is None:
             continue
         # until the next command an echo stands, while the straight line between commands goes on
-        slack = SLACK + round(every_of(wire.fresh)) - 1
-        # what was sent in a gap of the recording nobody knows, and whether it was obeyed
-        sure = throughout(wire.there, round(LONGEST_S / opened.dt_s) + slack, slack)
-        rows = np.flatnonzero(echo.fresh & opened.follows[:, i] & sure)
+        slack = ECHO_CRITERIA.slack_ticks + round(sample_interval_ticks(command.fresh)) - 1
+        # in a gap of the recording it is not known what was sent, nor whether it was obeyed
+        max_delay = round(ECHO_CRITERIA.max_delay_s / drive.dt_s)
+        is_known = true_throughout(command.is_valid, max_delay + slack, slack)
+        rows = np.flatnonzero(echo.fresh & drive.command_active[:, i] & is_known)
         values = echo.values[rows]
-        moved = np.abs(np.diff(values, prepend=values[:1])) > tolerance(echo.values)
-        if moved.sum() >= LEAST_MOVED:
-            found.append(_echo(channel, wire.values, values, rows, moved, slack, opened.dt_s))
-    return found
+        has_changed = np.abs(np.diff(values, prepend=values[:1])) > rounding_tolerance(echo.values)
+        if has_changed.sum() < ECHO_CRITERIA.min_changes:
+            continue
+        delays = np.arange(max_delay)
+        delay = _find_delay(command.values, values[has_changed], rows[has_changed], delays)
+        window = np.clip(rows[:, None] - delay + np.arange(-slack, slack + 1), 0, len(command.values) - 1)
+        sent, tolerance = command.values[window], rounding_tolerance(values)
+        is_unexplained = (values < sent.min(axis=1) - tolerance) | (values > sent.max(axis=1) + tolerance)
+        echoes.append(CommandEcho(channel, delay * drive.dt_s, float(np.mean(is_unexplained)), len(rows)))
+    return echoes
 
 
-def _echo(channel: str, wire: Array, values: Array, rows: Array, moved: Array, slack: int, dt_s: float) -> Echo:
-    shifts = np.arange(round(LONGEST_S / dt_s))
-    missed = [float(np.mean(np.abs(wire[rows[moved] - s] - values[moved]))) for s in shifts]
-    best = int(np.argmin(missed))
-    at = np.clip(rows[:, None] - best + np.arange(-slack, slack + 1), 0, len(wire) - 1)
-    near, off = wire[at], tolerance(values)
-    strange = (values < near.min(axis=1) - off) | (values > near.max(axis=1) + off)
-    return Echo(channel, best * dt_s, float(np.mean(strange)), len(rows))
+def _find_delay(command: Array, changed: Array, rows: Array, delays: Array) -> int:
+    """The delay, ticks, at which the commands are closest to the changed echoes at `rows`."""
+    errors = [float(np.mean(np.abs(command[rows - delay] - changed))) for delay in delays]
+    return int(np.argmin(errors))

@@ -1,6 +1,5 @@
-"""What a drive holds, in the quantities by which effects say what they need to be seen at all (base/contracts.py).
-
-Whether logs hold enough to be asked for a name: long enough, and driven.
+"""How much a drive excites each effect, in the quantities that effects name (base/contracts.py); and whether logs are
+long enough, with enough driving.
 """
 
 from __future__ import annotations
@@ -14,178 +13,199 @@ from tunefree_hil.base.contracts import QUANTITIES, Effect
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.config.schema import VehicleSpec
-from tunefree_hil.gap.measured.blocks import (
-    BLOCK_S,
-    FEWEST,
-    FEWEST_DRIVEN,
-    GUARD_S,
-    SHORTEST_S,
-    Blocks,
-    block_s_of,
-    blocks_of,
-)
-from tunefree_hil.gap.measured.chain import Opened
-from tunefree_hil.gap.measured.observability import OUTPUTS
-from tunefree_hil.gap.measured.targets import LEAST_MPS
+from tunefree_hil.gap.measured.blocks import BLOCK_CRITERIA, GUARD_SHARE, Blocks, block_length_s, cut_blocks
+from tunefree_hil.gap.measured.chain import MeasuredDrive
+from tunefree_hil.gap.measured.observability import OUTPUT_FIELDS
+from tunefree_hil.gap.measured.targets import TARGET_CRITERIA
 from tunefree_hil.gap.model.graph import CHANNELS
-from tunefree_hil.learn.drives.runs import runs
+from tunefree_hil.learn.drives.runs import find_runs
 
 Array = np.ndarray
 
-MOVING_MPS = 2.0
-WITHIN_S = 0.5
-PEDAL_STEP, STEER_STEP, STEER_TURN = 0.03, 0.02, 0.01  # duty; shares of the steering limit
-STRAIGHT_MPS2, CURVE_MPS2 = 0.3, 0.5
-BRAKED_MPS = 3.0
-OFF_REST = 0.005  # duty
-CURVE, LEFT, RIGHT = "curve_s", "left_s", "right_s"  # of several drives one may hold the one side, another the other
+
+class ExcitationCriteria(NamedTuple):
+    """How the quantities are measured; a pedal's numbers are duty (docs/reference/gap_criteria.md)."""
+
+    min_moving_mps: float = 2.0
+    move_window_s: float = 0.5  # within which a command's move has to happen
+    min_pedal_move: float = 0.03
+    min_steer_move: float = 0.02  # of the steering limit
+    min_steer_turn: float = 0.01  # of the steering limit, back from the last extreme
+    max_straight_mps2: float = 0.3  # lateral acceleration
+    min_curve_mps2: float = 0.5  # lateral acceleration
+    min_braking_mps: float = 3.0  # loss of speed in one braking
+    min_pedal: float = 0.005  # above rest
 
 
-class Excited(NamedTuple):
-    """Of an effect: the least of what it needs that the drive holds, as a share (1: just enough). lacks: in words."""
+class DrivingCriteria(NamedTuple):
+    """When logs suffice."""
+
+    min_log_s: float = BLOCK_CRITERIA.min_blocks * BLOCK_CRITERIA.min_block_s * (1.0 + GUARD_SHARE)
+    min_named_share: float = 0.05  # of the time, from which on a cause of not driving is named
+
+
+EXCITATION_CRITERIA, DRIVING_CRITERIA = ExcitationCriteria(), DrivingCriteria()
+CURVE, LEFT, RIGHT = "curve_s", "left_s", "right_s"  # one drive may have the left curves, another the right ones
+SUMMED = {name for name in QUANTITIES if name.endswith(("_s", "_moves", "_reversals")) or name == "brakings"}
+
+
+class Excitation(NamedTuple):
+    """How much drives excite an effect.
+
+    Args:
+        score: the least share of what the effect needs (1: just enough).
+        is_sufficient: whether all that it needs is there.
+        shortages: what is missing, as texts.
+    """
 
     score: float
-    enough: bool
-    lacks: tuple[str, ...]
+    is_sufficient: bool
+    shortages: tuple[str, ...]
 
 
-def excitation(effects: Mapping[str, Effect], held: Mapping[str, float]) -> dict[str, Excited]:
-    """Of every effect; one without needs is always seen."""
-    found = {}
+def assess_excitation(effects: Mapping[str, Effect], available: Mapping[str, float]) -> dict[str, Excitation]:
+    """The excitation of each effect; that of one without needs is always sufficient.
+
+    available: each of QUANTITIES, from measure_quantities.
+    """
+    excitations = {}
     for name, effect in effects.items():
-        shares = {need.quantity: held[need.quantity] / need.least for need in effect.needs if need.least > 0.0}
+        shares = {need.quantity: available[need.quantity] / need.least for need in effect.needs if need.least > 0.0}
         least = {need.quantity: need.least for need in effect.needs}
-        lacks = tuple(
-            f"{held[quantity]:.3g} {QUANTITIES[quantity]}, {least[quantity]:g} are needed"
+        shortages = tuple(
+            f"{available[quantity]:.3g} {QUANTITIES[quantity]}, {least[quantity]:g} are needed"
             for quantity, share in shares.items()
             if share < 1.0
         )
         score = min(shares.values(), default=1.0)
-        found[name] = Excited(float(score), not lacks, lacks)
-    return found
+        excitations[name] = Excitation(float(score), not shortages, shortages)
+    return excitations
 
 
-def held_by(drives: Sequence[Opened], vehicle: VehicleSpec) -> dict[str, float]:
-    """Each of QUANTITIES, over all drives: times and counts summed up, of curves each side by
-    itself, spans and highest values the most of any.
+def measure_quantities(drives: Sequence[MeasuredDrive], vehicle: VehicleSpec) -> dict[str, float]:
+    """Each of QUANTITIES over all drives.
+
+    Times and counts are summed, of curves each side by itself; spans and greatest values are the most of any drive.
     """
-    some = [_held_by(one, vehicle) for one in drives]
-    summed = {name for name in QUANTITIES if name.endswith(("_s", "_moves", "_reversals")) or name == "brakings"}
-    found = {name: (sum if name in summed else max)(one[name] for one in some) for name in QUANTITIES if name != CURVE}
-    return {**found, CURVE: min(sum(one[side] for one in some) for side in (LEFT, RIGHT))}
+    parts = [_measure_drive(drive, vehicle) for drive in drives]
+    quantities = {
+        name: (sum if name in SUMMED else max)(part[name] for part in parts) for name in QUANTITIES if name != CURVE
+    }
+    return {**quantities, CURVE: min(sum(part[side] for part in parts) for side in (LEFT, RIGHT))}
 
 
-def _held_by(opened: Opened, vehicle: VehicleSpec) -> dict[str, float]:
-    x, dt_s, rest = opened.inputs, opened.dt_s, vehicle.nominal.rest_pedal_frac
+def _measure_drive(drive: MeasuredDrive, vehicle: VehicleSpec) -> dict[str, float]:
+    c, x, dt_s, rest = EXCITATION_CRITERIA, drive.inputs, drive.dt_s, vehicle.nominal.rest_pedal_frac
     limit = max(vehicle.limits.steer_rad, 1e-6)
     throttle, brake, steer = x.commands[:, 0], x.commands[:, 1], x.commands[:, 2] / limit
-    speed, within = x.speed_mps / opened.pace, max(round(WITHIN_S / dt_s), 1)
-    moving = opened.moving & (speed > MOVING_MPS)
-    side = speed * x.yaw_rate_radps  # of a model car as of a road car that drives alike
-    idle = (throttle < rest + OFF_REST) & (brake < rest + OFF_REST)
+    speed, window = x.speed_mps / drive.size_scale, max(round(c.move_window_s / dt_s), 1)
+    is_moving = drive.is_moving & (speed > c.min_moving_mps)
+    lateral = speed * x.yaw_rate_radps  # of a model car as of a road car that drives alike
+    is_coasting = (throttle < rest + c.min_pedal) & (brake < rest + c.min_pedal)
     measure: dict[str, Callable[[], float]] = {
-        "moving_s": lambda: dt_s * moving.sum(),
-        "top_speed_mps": lambda: float(speed[opened.moving].max(initial=0.0)),
-        "speed_span_mps": lambda: _span(speed[moving]),
-        "straight_s": lambda: dt_s * (moving & (abs(side) < STRAIGHT_MPS2)).sum(),
-        LEFT: lambda: dt_s * (moving & (side > CURVE_MPS2)).sum(),
-        RIGHT: lambda: dt_s * (moving & (side < -CURVE_MPS2)).sum(),
-        "lateral_accel_mps2": lambda: float(opened.pace * abs(side[moving]).max(initial=0.0)),
-        "steer_moves": lambda: _moves(steer, STEER_STEP, within),
-        "steer_reversals": lambda: _turns(steer, STEER_TURN),
+        "moving_s": lambda: dt_s * is_moving.sum(),
+        "top_speed_mps": lambda: float(speed[drive.is_moving].max(initial=0.0)),
+        "speed_span_mps": lambda: _span(speed[is_moving]),
+        "straight_s": lambda: dt_s * (is_moving & (abs(lateral) < c.max_straight_mps2)).sum(),
+        LEFT: lambda: dt_s * (is_moving & (lateral > c.min_curve_mps2)).sum(),
+        RIGHT: lambda: dt_s * (is_moving & (lateral < -c.min_curve_mps2)).sum(),
+        "lateral_accel_mps2": lambda: float(drive.size_scale * abs(lateral[is_moving]).max(initial=0.0)),
+        "steer_moves": lambda: _count_moves(steer, c.min_steer_move, window),
+        "steer_reversals": lambda: _count_reversals(steer, c.min_steer_turn),
         "steer_span_frac": lambda: _span(steer),
-        "throttle_moves": lambda: _moves(throttle, PEDAL_STEP, within),
+        "throttle_moves": lambda: _count_moves(throttle, c.min_pedal_move, window),
         "throttle_span_frac": lambda: _span(throttle),
-        "throttle_s": lambda: dt_s * (throttle > rest + OFF_REST).sum(),
-        "brake_moves": lambda: _moves(brake, PEDAL_STEP, within),
+        "throttle_s": lambda: dt_s * (throttle > rest + c.min_pedal).sum(),
+        "brake_moves": lambda: _count_moves(brake, c.min_pedal_move, window),
         "brake_span_frac": lambda: _span(brake),
-        "brakings": lambda: _brakings(brake > rest + OFF_REST, speed),
-        "coast_s": lambda: dt_s * (moving & idle).sum(),
+        "brakings": lambda: _count_brakings(brake > rest + c.min_pedal, speed),
+        "coast_s": lambda: dt_s * (is_moving & is_coasting).sum(),
     }
-    return {name: float(told()) for name, told in measure.items()}
+    return {name: float(value()) for name, value in measure.items()}
 
 
 def _span(values: Array) -> float:
     return float(np.ptp(values)) if len(values) else 0.0
 
 
-def _moves(values: Array, step: float, within: int) -> float:
+def _count_moves(values: Array, step: float, window: int) -> float:
     """Separate changes by a step within so many rows."""
-    if len(values) <= within:
+    if len(values) <= window:
         return 0.0
-    big = np.abs(values[within:] - values[:-within]) >= step
-    return float(len(runs(big, 1)))
+    is_large = np.abs(values[window:] - values[:-window]) >= step
+    return float(len(find_runs(is_large, 1)))
 
 
-def _turns(values: Array, by: float) -> float:
-    """How often a signal turns back by so much."""
-    count, way, furthest = 0, 0, values[0] if len(values) else 0.0
+def _count_reversals(values: Array, turn: float) -> float:
+    """How often a signal comes back by `turn` from its last extreme."""
+    count, direction, extreme = 0, 0, values[0] if len(values) else 0.0
     for value in values[::2].tolist():
-        if way * (value - furthest) > 0.0 or way == 0:
-            if way == 0 and abs(value - furthest) > by:
-                way = 1 if value > furthest else -1
-                furthest = value
-            elif way:
-                furthest = value
-        elif abs(value - furthest) > by:
-            count, way, furthest = count + 1, -way, value
+        if direction * (value - extreme) > 0.0 or direction == 0:
+            if direction == 0 and abs(value - extreme) > turn:
+                direction = 1 if value > extreme else -1
+                extreme = value
+            elif direction:
+                extreme = value
+        elif abs(value - extreme) > turn:
+            count, direction, extreme = count + 1, -direction, value
     return float(count)
 
 
-def _brakings(braked: Array, speed: Array) -> float:
-    """Stretches of braking that take BRAKED_MPS off the speed."""
-    return float(sum(speed[begin] - speed[end - 1] >= BRAKED_MPS for begin, end in runs(braked, 1)))
+def _count_brakings(is_braking: Array, speed: Array) -> float:
+    """Stretches of braking that take min_braking_mps off the speed."""
+    runs = find_runs(is_braking, 1)
+    return float(sum(speed[begin] - speed[end - 1] >= EXCITATION_CRITERIA.min_braking_mps for begin, end in runs))
 
 
-LEAST_TOLD = 0.05  # of the time, that a cause is named
-LEAST_S = FEWEST * SHORTEST_S * (1.0 + GUARD_S / BLOCK_S)  # that a question's logs have to hold
+def require_enough_driving(drives: Sequence[MeasuredDrive]) -> None:
+    """Refuse logs that cannot be diagnosed.
 
-
-def refuse_untold(drives: Sequence[Opened]) -> None:
-    """Raises InputError for logs that are too short, and for a car that stands: its few moving rows would be all that
-    is fitted to.
+    Raises:
+        InputError: the logs are too short, or the car hardly drives: its few moving rows would be all that is fitted.
     """
-    ticks, dt_s = [one.ticks for one in drives], drives[0].dt_s
-    blocks, block_s = blocks_of(ticks, dt_s), block_s_of(ticks, dt_s)
-    if blocks.count < FEWEST:
-        held = f"{blocks.count} blocks of {block_s:.3g} s"
+    ticks, dt_s = [drive.ticks for drive in drives], drives[0].dt_s
+    blocks, block_s = cut_blocks(ticks, dt_s), block_length_s(ticks, dt_s)
+    if blocks.count < BLOCK_CRITERIA.min_blocks:
         raise InputError(
-            f"the logs hold {held}; {FEWEST} are needed to fit, to choose and to prove",
+            f"the logs hold {blocks.count} blocks of {block_s:.3g} s; {BLOCK_CRITERIA.min_blocks} are needed for fit, "
+            "selection and holdout",
             code="too_short",
             key="LOG",
-            hint=f"record {LEAST_S:.0f} s or more; twice that tells more",
+            hint=f"record {DRIVING_CRITERIA.min_log_s:.0f} s or more; twice that tells more",
         )
-    driven = sum(_driven(one, blocks, i) for i, one in enumerate(drives))
-    if driven < FEWEST_DRIVEN:
+    driven = sum(_count_driven_blocks(drive, blocks, i) for i, drive in enumerate(drives))
+    if driven < BLOCK_CRITERIA.min_driven_blocks:
         raise InputError(
-            f"the car moves above walking pace in {driven} stretches of {block_s:.3g} s, as far as the logs say; "
-            f"{FEWEST_DRIVEN} are needed{_why(drives)}",
+            f"the car moves above walking pace in {driven} blocks of {block_s:.3g} s, as far as the logs show; "
+            f"{BLOCK_CRITERIA.min_driven_blocks} are needed{_describe_idle_time(drives)}",
             code="standing",
             key="LOG",
-            hint=f"drive for {LEAST_S:.0f} s or more, in gear, with the by-wire unit obeying; a report that falls "
-            "silent is worse than none: a log that has it nowhere is read without it",
+            hint=f"drive for {DRIVING_CRITERIA.min_log_s:.0f} s or more, in gear, with by-wire enabled; leave out a "
+            "report with long gaps: a log without it is read as well",
         )
 
 
-def _why(drives: Sequence[Opened]) -> str:
-    """What takes most of the time away from driving, the greatest first, in words; '' where nothing does."""
+def _describe_idle_time(drives: Sequence[MeasuredDrive]) -> str:
+    """What takes most of the time away from driving, the longest first; '' if nothing does."""
     seconds: dict[str, float] = {}
-    for one in drives:
-        source = "ins.speed_mps" if one.inputs.by_ins else "report.speed_mps"
-        names = [source, *(f"report.{OUTPUTS[channel]}" for channel in CHANNELS)]
-        causes = {f"{name} is silent": ~one.signals[name].there for name in names if name in one.signals}
-        causes["the car stands"] = one.inputs.speed_mps <= LEAST_MPS * one.pace
-        causes["it is in no forward gear"] = one.inputs.gear < GEAR_DRIVE
-        for words, rows in causes.items():
-            seconds[words] = seconds.get(words, 0.0) + float(rows.sum()) * one.dt_s
-    whole = sum(one.ticks * one.dt_s for one in drives)
-    most = sorted((some, words) for words, some in seconds.items() if some > LEAST_TOLD * whole)[::-1]
-    said = ", ".join(f"{words} for {some:.0f} s" for some, words in most)
-    return f" (of {whole:.0f} s {said})" if said else ""
+    for drive in drives:
+        source = "ins.speed_mps" if drive.inputs.uses_ins_speed else "report.speed_mps"
+        names = [source, *(f"report.{OUTPUT_FIELDS[channel]}" for channel in CHANNELS)]
+        causes = {f"{name} is silent": ~drive.signals[name].is_valid for name in names if name in drive.signals}
+        causes["the car stands"] = drive.inputs.speed_mps <= TARGET_CRITERIA.min_speed_mps * drive.size_scale
+        causes["it is in no forward gear"] = drive.inputs.gear < GEAR_DRIVE
+        for text, rows in causes.items():
+            seconds[text] = seconds.get(text, 0.0) + float(rows.sum()) * drive.dt_s
+    total_s = sum(drive.ticks * drive.dt_s for drive in drives)
+    min_s = DRIVING_CRITERIA.min_named_share * total_s
+    longest = sorted((cause_s, text) for text, cause_s in seconds.items() if cause_s > min_s)[::-1]
+    causes_text = ", ".join(f"{text} for {cause_s:.0f} s" for cause_s, text in longest)
+    return f" (of {total_s:.0f} s {causes_text})" if causes_text else ""
 
 
-def _driven(one: Opened, blocks: Blocks, drive: int) -> int:
+def _count_driven_blocks(drive: MeasuredDrive, blocks: Blocks, index: int) -> int:
     """Blocks of a drive in which the car drives most of the time."""
-    moves, mine = one.moving & (one.inputs.speed_mps > LEAST_MPS * one.pace), blocks.drives == drive
-    ends = zip(blocks.begins[mine], blocks.ends[mine], strict=True)
-    return sum(bool(moves[begin:end].mean() > 0.5) for begin, end in ends)
+    is_driving = drive.is_moving & (drive.inputs.speed_mps > TARGET_CRITERIA.min_speed_mps * drive.size_scale)
+    is_of_drive = blocks.drives == index
+    ends = zip(blocks.begins[is_of_drive], blocks.ends[is_of_drive], strict=True)
+    return sum(bool(is_driving[begin:end].mean() > 0.5) for begin, end in ends)

@@ -1,97 +1,111 @@
-"""Which stretches of drives are kept for the proof: every fourth, but not the only one in which a drive goes so far.
+"""Which blocks are the holdout: every fourth, but not one that alone reaches an extreme of the inputs.
 
-What is missing of a car may show at the ends only of what it is asked for: a stop of the steering, an engine's power, a
-tyre's grip. Where the one turn that reaches such an end is kept for the proof, nobody who searches can see it, and
-nothing seems to be missing. So that block changes places with a neighbour, unless that one holds the end of something
-else. What a drive was asked for decides, never what a model misses of it.
+An effect may show only at an extreme of what a car is asked for: a steering stop, the engine's power, the tyres' grip.
+If the only turn that reaches it is in the holdout, the search cannot find the effect. Such a block therefore changes
+places with a neighbour, unless that neighbour holds another extreme. Only the inputs decide, never the model's errors.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from tunefree_hil.gap.measured.blocks import PROOF, Blocks, blocks_of
-from tunefree_hil.gap.measured.chain import Opened, is_driven
+from tunefree_hil.gap.measured.blocks import HOLDOUT, Blocks, cut_blocks
+from tunefree_hil.gap.measured.chain import MeasuredDrive, is_replayable
 
 Array = np.ndarray
 
-AS_FAR = 0.8  # of the way from the least to the most: who sees that much of an end sees most of what acts there
-CHANGE_S = 0.2  # over which a command's change is taken: long beside a tick, short beside a turn of the wheel
+
+class ExtremeCriteria(NamedTuple):
+    """When an extreme is covered without the holdout (docs/reference/gap_criteria.md)."""
+
+    min_coverage: float = 0.8  # of the way from the least to the most of all blocks
+    rate_window_s: float = 0.2  # over which a command's change is taken: long against a tick, short against a turn
 
 
-def dealt(drives: Sequence[Opened]) -> Blocks:
-    """The blocks of drives, with what each is for."""
-    blocks = blocks_of([one.ticks for one in drives], drives[0].dt_s)
+EXTREME_CRITERIA = ExtremeCriteria()
+
+
+def assign_holdout_blocks(drives: Sequence[MeasuredDrive]) -> Blocks:
+    """Cut drives into blocks and assign their roles."""
+    blocks = cut_blocks([drive.ticks for drive in drives], drives[0].dt_s)
     parts = [
         (drives[drive], slice(begin, end))
         for drive, begin, end in zip(blocks.drives, blocks.begins, blocks.ends, strict=True)
     ]
-    whole = np.array([is_driven(*one) for one in parts])
-    farthest = np.stack([asked_at_most(*one) for one in parts])
-    return blocks._replace(roles=seen_at_their_ends(blocks, farthest, whole))
+    replayable = np.array([is_replayable(*part) for part in parts])
+    extremes = np.stack([find_block_extremes(*part) for part in parts])
+    return blocks._replace(roles=cover_extremes(blocks, extremes, replayable))
 
 
-def seen_at_their_ends(blocks: Blocks, farthest: Array, whole: Array) -> Array:
-    """Roles [b], as many of each as before. farthest [b, k]: how far each block goes in each respect; nan where it does
-    not say. whole [b]: whether it can be run as a whole (chain.is_driven): another one proves nothing, and changes
-    places last.
+def cover_extremes(blocks: Blocks, extremes: Array, replayable: Array) -> Array:
+    """Swap roles so that the fit and selection blocks cover the extremes.
+
+    Args:
+        blocks: blocks with the roles of ROLE_CYCLE.
+        extremes: (n_blocks, k), greatest value of each quantity; NaN where a block does not show it.
+        replayable: (n_blocks,), whether a block can be replayed as a whole; others prove nothing and are swapped last.
+
+    Returns:
+        (n_blocks,) roles, as many of each as before.
     """
-    roles, reach = blocks.roles.copy(), _reach(farthest)
-    for k in range(reach.shape[1]):
-        if _is_covered(roles, reach)[k] or reach[:, k].max(initial=0.0) <= 0.0:
+    roles, scaled = blocks.roles.copy(), _scale_extremes(extremes)
+    for k in range(scaled.shape[1]):
+        if _find_covered(roles, scaled)[k] or scaled[:, k].max(initial=0.0) <= 0.0:
             continue
-        top = int(np.argmax(reach[:, k]))
-        for other in _neighbours(roles, blocks, top, whole):
+        top = int(np.argmax(scaled[:, k]))
+        for partner in _order_partners(roles, blocks, top, replayable):
             swapped = roles.copy()
-            swapped[[top, other]] = roles[[other, top]]
-            if (_is_covered(swapped, reach) >= _is_covered(roles, reach)).all():  # no other end is lost by it
+            swapped[[top, partner]] = roles[[partner, top]]
+            if (_find_covered(swapped, scaled) >= _find_covered(roles, scaled)).all():  # no other extreme is lost
                 roles = swapped
                 break
     return roles
 
 
-def _reach(farthest: Array) -> Array:
-    """[b, k]: shares of the way from the least to the most of all blocks; 0 where a block says nothing."""
-    known = np.isfinite(farthest)
-    least = np.where(known, farthest, np.inf).min(axis=0)
-    span = np.where(known, farthest, -np.inf).max(axis=0) - least
-    moves = np.isfinite(span) & (span > 0.0)
-    return np.where(known & moves, (farthest - least) / np.where(moves, span, 1.0), 0.0)
+def _scale_extremes(extremes: Array) -> Array:
+    """(n_blocks, k): shares of the way from the least to the most of all blocks; 0 where a block shows nothing."""
+    is_known = np.isfinite(extremes)
+    least = np.where(is_known, extremes, np.inf).min(axis=0)
+    span = np.where(is_known, extremes, -np.inf).max(axis=0) - least
+    varies = np.isfinite(span) & (span > 0.0)
+    return np.where(is_known & varies, (extremes - least) / np.where(varies, span, 1.0), 0.0)
 
 
-def _is_covered(roles: Array, reach: Array) -> Array:
-    """[k]: whether those that are fitted on or chosen by go nearly as far as any."""
-    most: Array = reach[roles != PROOF].max(axis=0, initial=0.0)
-    return most >= AS_FAR
+def _find_covered(roles: Array, scaled: Array) -> Array:
+    """(k,): whether fit and selection blocks reach nearly as far as any block."""
+    most: Array = scaled[roles != HOLDOUT].max(axis=0, initial=0.0)
+    return most >= EXTREME_CRITERIA.min_coverage
 
 
-def _neighbours(roles: Array, blocks: Blocks, block: int, whole: Array) -> list[int]:
-    """Blocks that are not kept for the proof: whole ones first, of these the same drive's, of these the nearest."""
-    here = blocks.drives[block]
-    searched = np.flatnonzero(roles != PROOF).tolist()
-    return sorted(searched, key=lambda one: (not whole[one], blocks.drives[one] != here, abs(one - block)))
+def _order_partners(roles: Array, blocks: Blocks, block: int, replayable: Array) -> list[int]:
+    """Fit and selection blocks to swap with: replayable ones first, then the same drive's, then the nearest."""
+    drive = blocks.drives[block]
+    partners = np.flatnonzero(roles != HOLDOUT).tolist()
+    return sorted(partners, key=lambda i: (not replayable[i], blocks.drives[i] != drive, abs(i - block)))
 
 
-def asked_at_most(opened: Opened, rows: slice) -> Array:
-    """[k]: what a block is asked for at the most, where a limit may lie in it: commands and how fast they change, as
-    far as they act; speed; what the engine has to give (throttle times speed); what the tyres have to (the square of
-    the speed times the steering angle).
+def find_block_extremes(drive: MeasuredDrive, rows: slice) -> Array:
+    """The greatest values in a block, (k,), of quantities in which a limit may lie; NaN where a block shows nothing.
+
+    Of each command its size and its change, as far as commands act; throttle times speed, which is the engine's power;
+    the square of the speed times the steering angle, which is the tyres' force; speed.
     """
-    x = opened.inputs
-    speed, moving = x.speed_mps[rows], opened.moving[rows]
-    back = max(round(CHANGE_S / opened.dt_s), 1)
-    found = []
+    x = drive.inputs
+    speed, is_moving = x.speed_mps[rows], drive.is_moving[rows]
+    back = max(round(EXTREME_CRITERIA.rate_window_s / drive.dt_s), 1)
+    extremes = []
     for i in range(3):
-        follows = moving & (opened.follows[rows, i] > 0.5)
+        acts = is_moving & (drive.command_active[rows, i] > 0.5)
         signed = x.commands[rows, i]
         command, change = np.abs(signed), np.abs(signed[back:] - signed[:-back])
-        beyond = command - np.abs(x.commands[:, i]).min()  # a pedal at rest gives nothing
-        found += [_most(command, follows), _most(change, follows[back:] & follows[:-back])]
-        found += [_most(one, follows) for one in ((beyond * speed,), (), (speed**2 * command,))[i]]
-    return np.array([*found, _most(speed, moving)])
+        beyond_rest = command - np.abs(x.commands[:, i]).min()  # a pedal at rest gives nothing
+        extremes += [_max_of_rows(command, acts), _max_of_rows(change, acts[back:] & acts[:-back])]
+        extremes += [_max_of_rows(load, acts) for load in ((beyond_rest * speed,), (), (speed**2 * command,))[i]]
+    return np.array([*extremes, _max_of_rows(speed, is_moving)])
 
 
-def _most(values: Array, rows: Array) -> float:
+def _max_of_rows(values: Array, rows: Array) -> float:
     return float(values[rows].max()) if rows.any() else np.nan

@@ -1,9 +1,8 @@
-"""A measured signal on every tick: its values, where a frame brought one, and where there was a gap.
+"""A measured signal on every tick: values, ticks with a new value, gaps; and sensors at the end of their range.
 
-Sensors at their stop: many equal values at one end of what a signal says, hardly any next to it.
-
-Such a signal says nothing of the motion where it stands, and would be taken for a scale or a limit of the car.
-Pedals and steering are left out: what an actuator's stop does is an effect of the catalogue.
+A sensor at the end of its range has many equal values there and hardly any next to them. It does not follow the motion,
+and would be taken for a scale or a limit of the car. Pedals and steering are not checked: what the end of an actuator's
+range does is an effect of the catalogue.
 """
 
 from __future__ import annotations
@@ -13,169 +12,206 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tunefree_hil.gap.estimation.noise import told_noise
-from tunefree_hil.gap.model.history import ahead
+from tunefree_hil.gap.estimation.noise import estimate_sensor_noise
+from tunefree_hil.gap.model.history import shift_earlier
 from tunefree_hil.learn.drives.drive import INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES, Drive
-from tunefree_hil.learn.drives.runs import every_of, runs, there_of
-from tunefree_hil.learn.drives.smoothing import between_fresh
+from tunefree_hil.learn.drives.runs import covered_rows, find_runs, sample_interval_ticks
+from tunefree_hil.learn.drives.smoothing import interpolate_fresh
 from tunefree_hil.learn.drives.validity import is_on_demand
 
 Array = np.ndarray
 
-SLOW_TICKS = 3  # from value to value, from which a signal lies on straight lines that are seen
-COVERS = 0.5  # of what the chassis says: an INS that says less is no second opinion of a drive
-INS = "ins."
+
+class SignalCriteria(NamedTuple):
+    """How signals are read (docs/reference/gap_criteria.md)."""
+
+    min_interpolated_ticks: int = 3  # between two values, from which on the straight lines between them matter
+    min_ins_coverage: float = 0.5  # of the chassis's rows: an INS that covers less is no second opinion
+
+
+class SensorLimitCriteria(NamedTuple):
+    """When a sensor is at the end of its range (docs/reference/gap_criteria.md)."""
+
+    min_run_rows: int = 8  # equal values in a row
+    min_runs: int = 2
+    pile_up_ratio: float = 5.0  # to the next values together: noise and rounding give less
+    neighbour_values: int = 3  # next to the end
+
+
+SIGNAL_CRITERIA, SENSOR_LIMIT_CRITERIA = SignalCriteria(), SensorLimitCriteria()
+INS_PREFIX = "ins."
+CHECKED_SENSORS = (
+    "report.accel_mps2",
+    "report.lateral_accel_mps2",
+    "report.yaw_rate_radps",
+    "ins.accel_mps2",
+    "ins.yaw_rate_radps",
+)
 
 
 class Signal(NamedTuple):
-    """A measured signal on every tick, straight lines between fresh values; the INS's as much earlier as it is late.
+    """A measured signal on every tick, straight lines between new values; the INS's is moved by its delay.
 
-    there: bool [n], not within a gap. told: the values in the rows in which they came (moved by parts of a row, they
-    are means of two, and quieter). late: rows by which `values` were moved, parts of a row too. every: rows from one
-    value to the next.
+    Args:
+        values: (ticks,).
+        fresh: (ticks,), whether a new value came.
+        is_valid: (ticks,), not within a gap.
+        received: (ticks,), the values where they came; `values` moved by a fraction of a row are means of two of them,
+            with less noise.
+        delay_rows: by which `values` are moved, also a fraction.
+        interval_rows: from one new value to the next.
     """
 
     values: Array
     fresh: Array
-    there: Array
-    told: Array
-    late: float = 0.0
-    every: float = 1.0
+    is_valid: Array
+    received: Array
+    delay_rows: float = 0.0
+    interval_rows: float = 1.0
 
     @property
     def noise(self) -> float:
-        """Standard deviation of the sensor's white noise, or of the wire's rounding where that is more."""
-        return told_noise(self.told, np.flatnonzero(self.fresh & self.there))
+        """Standard deviation of the sensor's white noise, or of the resolution error where that is larger."""
+        return estimate_sensor_noise(self.received, np.flatnonzero(self.fresh & self.is_valid))
 
-    def as_told(self, values: Array, rows: Array) -> Array:
-        """What another signal [n] was when this one's sensor looked that told something in these rows."""
-        return np.interp(rows - self.late, np.arange(len(values)), values)
+    def sample_at(self, values: Array, rows: Array) -> Array:
+        """Another signal, (ticks,), when this sensor measured what came at `rows`."""
+        return np.interp(rows - self.delay_rows, np.arange(len(values)), values)
 
-    def as_seldom(self, values: Array) -> Array:
-        """Another signal [n], on the straight lines that this one lies on: what is simulated on every tick and held
-        against what was measured ten times a second.
-        """
-        if self.every < SLOW_TICKS:
+    def resample(self, values: Array) -> Array:
+        """Another signal, (ticks,), on straight lines between this one's new values."""
+        if self.interval_rows < SIGNAL_CRITERIA.min_interpolated_ticks:
             return values
         ticks = np.arange(len(values))
-        seen = np.flatnonzero(self.fresh) - self.late
-        return np.interp(ticks, seen, np.interp(seen, ticks, values))
+        sampled = np.flatnonzero(self.fresh) - self.delay_rows
+        return np.interp(ticks, sampled, np.interp(sampled, ticks, values))
 
 
-def signals_of(drive: Drive, late: float) -> dict[str, Signal]:
-    """Signals by field name. late: rows by which the INS is late."""
-    return {name: one for name in drive.fields if (one := signal_of(drive, name, late)) is not None}
+def read_signals(drive: Drive, ins_delay_rows: float) -> dict[str, Signal]:
+    """All signals of a drive by field name."""
+    signals = {name: read_signal(drive, name, ins_delay_rows) for name in drive.fields}
+    return {name: signal for name, signal in signals.items() if signal is not None}
 
 
-def well_covered(signals: Mapping[str, Signal], name: str) -> tuple[dict[str, Signal], tuple[str, ...]]:
-    """(signals without an INS that says little of a drive and the chassis says the same, what was left out in words).
+def drop_sparse_ins(signals: Mapping[str, Signal], name: str) -> tuple[dict[str, Signal], tuple[str, ...]]:
+    """Leave out an INS that covers little of a drive where the chassis measures the same.
 
-    Without a speed of its own an INS is left out whole, but for a yaw rate that nobody else tells.
+    Without its speed all of the INS is left out, but for a yaw rate that the chassis does not measure.
+
+    Args:
+        signals: by field name.
+        name: of the drive.
+
+    Returns:
+        The remaining signals, and what was left out as texts.
     """
     speed, (yaw, chassis_yaw) = INS_FIRST_SPEEDS[0], INS_FIRST_YAW_RATES
-    if says_little(signals, *INS_FIRST_SPEEDS):
-        out = {one for one in signals if one.startswith(INS) and (one != yaw or chassis_yaw in signals)}
-        what = ("a speed", speed, "it")
-    elif says_little(signals, *INS_FIRST_YAW_RATES):
-        out, what = {yaw}, ("a yaw rate", yaw, "that")
+    if is_ins_sparse(signals, *INS_FIRST_SPEEDS):
+        dropped = {key for key in signals if key.startswith(INS_PREFIX) and (key != yaw or chassis_yaw in signals)}
+        share = signals[speed].is_valid.mean()
+        text = f"{name}: the INS gives a speed in {share:.0%} of it only, so the INS is left out"
+    elif is_ins_sparse(signals, *INS_FIRST_YAW_RATES):
+        dropped, share = {yaw}, signals[yaw].is_valid.mean()
+        text = f"{name}: the INS gives a yaw rate in {share:.0%} of it only, so that is left out"
     else:
         return dict(signals), ()
-    share = signals[what[1]].there.mean()
-    words = f"{name}: the INS says {what[0]} in {share:.0%} of it only, so {what[2]} is left out"
-    return {key: one for key, one in signals.items() if key not in out}, (words,)
+    return {key: signal for key, signal in signals.items() if key not in dropped}, (text,)
 
 
-def says_little(signals: Mapping[str, Signal], by_ins: str, by_chassis: str) -> bool:
-    """Whether an INS says something in less than COVERS of what the chassis says it in."""
-    if by_ins not in signals or by_chassis not in signals:
+def is_ins_sparse(signals: Mapping[str, Signal], ins_field: str, chassis_field: str) -> bool:
+    """Whether the INS covers much less of a drive than the chassis."""
+    if ins_field not in signals or chassis_field not in signals:
         return False
-    return bool(signals[by_ins].there.sum() < COVERS * signals[by_chassis].there.sum())
+    covered = signals[ins_field].is_valid.sum()
+    return bool(covered < SIGNAL_CRITERIA.min_ins_coverage * signals[chassis_field].is_valid.sum())
 
 
-def signal_of(drive: Drive, name: str, late: float) -> Signal | None:
-    """A field of a drive; None for one that says next to nothing, or that nobody measured or sent."""
+def read_signal(drive: Drive, name: str, ins_delay_rows: float) -> Signal | None:
+    """A field of a drive as a signal; None for one with hardly any values, or that is no report, INS or command."""
     values, fresh = drive.fields[name], drive.fresh[name] & np.isfinite(drive.fields[name])
-    if not name.startswith(("report.", INS, "command.")) or fresh.sum() < 2:
+    if not name.startswith(("report.", INS_PREFIX, "command.")) or fresh.sum() < 2:
         return None
     if name.endswith("heading_rad"):
         values = values.copy()
         values[fresh] = np.unwrap(values[fresh])
-    one = as_told(values, fresh, drive.dt_s)
-    if name.startswith(INS) and late:
-        there = ahead(one.there.astype(float), late) > 0.999
-        return one._replace(values=ahead(one.values, late), there=there, late=late)
-    return one
+    signal = signal_from_values(values, fresh, drive.dt_s)
+    if name.startswith(INS_PREFIX) and ins_delay_rows:
+        is_valid = shift_earlier(signal.is_valid.astype(float), ins_delay_rows) > 0.999
+        moved = shift_earlier(signal.values, ins_delay_rows)
+        return signal._replace(values=moved, is_valid=is_valid, delay_rows=ins_delay_rows)
+    return signal
 
 
-def as_told(values: Array, fresh: Array, dt_s: float) -> Signal:
-    """Of values [n] that are fresh now and then, twice at least."""
-    told = fresh & np.isfinite(values)
-    between = between_fresh(values, told)
-    return Signal(between, told, there_of(told, dt_s), between, every=every_of(told))
+def signal_from_values(values: Array, fresh: Array, dt_s: float) -> Signal:
+    """A signal from values, (ticks,), of which at least two are fresh."""
+    fresh = fresh & np.isfinite(values)
+    interpolated = interpolate_fresh(values, fresh)
+    is_valid = covered_rows(fresh, dt_s)
+    return Signal(interpolated, fresh, is_valid, interpolated, interval_rows=sample_interval_ticks(fresh))
 
 
-def carried(signals: Mapping[str, Signal], names: tuple[str, ...], ticks: int) -> Array:
-    """bool [n]: where the first of some signals that there is has no gap; everywhere where there is none of them, or it
-    is sent on demand: then it pauses for most of a drive, again and again, and what was said last holds.
+def find_valid_command_rows(signals: Mapping[str, Signal], names: tuple[str, ...], ticks: int) -> Array:
+    """(ticks,): where the first of these signals that exists has no gap.
+
+    True everywhere if none exists, or if it is sent on demand: then it pauses for most of a drive, and its last value
+    holds.
     """
     for name in names:
         if name in signals:
-            there = signals[name].there
-            return np.ones(ticks, dtype=bool) if is_on_demand(there) else there
+            is_valid = signals[name].is_valid
+            return np.ones(ticks, dtype=bool) if is_on_demand(is_valid) else is_valid
     return np.ones(ticks, dtype=bool)
 
 
-SENSORS = (
-    "report.accel_mps2", "report.lateral_accel_mps2", "report.yaw_rate_radps", "ins.accel_mps2", "ins.yaw_rate_radps"
-)  # fmt: skip
-LEAST_RUN = 8  # fresh values in a row that are one and the same
-LEAST_RUNS = 2
-PILED = 5.0  # times as often as the next values together: noise and rounding make no such end
-NEXT = 3  # values next to the end
+class SensorLimit(NamedTuple):
+    """The end of a sensor's range.
 
-
-class Stop(NamedTuple):
-    """A sensor's stop: the value, how many fresh values stand there, as a share of all."""
+    Args:
+        field: of the sensor.
+        value: at the end.
+        share: of the values that are there.
+    """
 
     field: str
     value: float
     share: float
 
     @property
-    def words(self) -> str:
-        """For people."""
-        return f"{self.field} stands at its stop of {self.value:.4g} in {self.share:.1%} of its values"
+    def text(self) -> str:
+        """The limit as a sentence."""
+        return f"{self.field} is at the end of its range, {self.value:.4g}, in {self.share:.1%} of its values"
 
 
-def stops_of(drive: Drive) -> list[Stop]:
-    """Of all sensors of a drive that are at a stop somewhere."""
-    found = []
-    for field in SENSORS:
+def find_sensor_limits(drive: Drive) -> list[SensorLimit]:
+    """The ends of all ranges that the sensors of a drive reach."""
+    limits = []
+    for field in CHECKED_SENSORS:
         values = drive.get(field)
         if values is not None:
-            some = values[drive.fresh[field] & np.isfinite(values)]
-            found += [Stop(field, end, share) for end, share in _ends(some)]
-    return found
+            received = values[drive.fresh[field] & np.isfinite(values)]
+            limits += [SensorLimit(field, end, share) for end, share in _find_limits(received)]
+    return limits
 
 
-def without(drive: Drive, stops: list[Stop]) -> Drive:
-    """The drive as if it did not have these signals."""
-    gone = {stop.field for stop in stops}
+def drop_signals(drive: Drive, limits: list[SensorLimit]) -> Drive:
+    """The drive without the sensors that have these limits."""
+    dropped = {limit.field for limit in limits}
     return drive._replace(
-        fields={name: values for name, values in drive.fields.items() if name not in gone},
-        fresh={name: rows for name, rows in drive.fresh.items() if name not in gone},
+        fields={name: values for name, values in drive.fields.items() if name not in dropped},
+        fresh={name: rows for name, rows in drive.fresh.items() if name not in dropped},
     )
 
 
-def _ends(some: Array) -> list[tuple[float, float]]:
-    """(value, share) of each end at which values pile up. A stand is no stop: nought is left out."""
-    levels, counts = np.unique(some, return_counts=True)
-    if len(levels) < 4 * NEXT:
+def _find_limits(values: Array) -> list[tuple[float, float]]:
+    """(value, share) of each end at which values pile up; zero is left out, which is a standstill."""
+    c = SENSOR_LIMIT_CRITERIA
+    levels, counts = np.unique(values, return_counts=True)
+    if len(levels) < 4 * c.neighbour_values:
         return []
-    found = []
-    for end, beside in ((0, slice(1, 1 + NEXT)), (-1, slice(-1 - NEXT, -1))):
+    limits = []
+    for end, neighbours in ((0, slice(1, 1 + c.neighbour_values)), (-1, slice(-1 - c.neighbour_values, -1))):
         value = float(levels[end])
-        piled = counts[end] > PILED * counts[beside].sum()
-        if value != 0.0 and piled and len(runs(some == value, LEAST_RUN)) >= LEAST_RUNS:
-            found.append((value, float(counts[end]) / len(some)))
-    return found
+        is_piled_up = counts[end] > c.pile_up_ratio * counts[neighbours].sum()
+        if value != 0.0 and is_piled_up and len(find_runs(values == value, c.min_run_rows)) >= c.min_runs:
+            limits.append((value, float(counts[end]) / len(values)))
+    return limits

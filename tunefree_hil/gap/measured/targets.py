@@ -1,12 +1,9 @@
-"""What is compared of a drive, link by link: the same linear functional of what was measured and what was simulated.
+"""What is compared of a drive, link by link: the same linear functional of the measured and the simulated signals.
 
-Differences between two sensors are compared as differences, so that what the car model gets wrong cancels out of the
-links between sensors.
+Two sensors of the same quantity are compared by their difference, so that the car model's errors cancel out.
 
-The signals of a drive under names that measured and simulated ones share, smoothed and sloped alike.
-
-`travel` is the summed-up rate of speed of the simulation, and the speed of the measurement: its slope over a short
-window is the acceleration of either.
+Both sides have the same column names and the same smoothing. `travel` is the running sum of the simulated rate of
+speed, and the measured speed: its slope over a short window is the acceleration of either.
 """
 
 from __future__ import annotations
@@ -20,35 +17,51 @@ from scipy.ndimage import convolve1d
 from scipy.signal import savgol_coeffs
 
 from tunefree_hil.base.contracts import Link
-from tunefree_hil.gap.measured.chain import Opened
-from tunefree_hil.gap.measured.observability import OUTPUTS
+from tunefree_hil.gap.measured.chain import MeasuredDrive
+from tunefree_hil.gap.measured.observability import OUTPUT_FIELDS
 from tunefree_hil.gap.measured.signals import Signal
-from tunefree_hil.gap.model.graph import CHANNELS, Inputs
-from tunefree_hil.gap.model.kernels import SHOWN
-from tunefree_hil.learn.drives.smoothing import quantum_of
+from tunefree_hil.gap.model.graph import CHANNELS, DriveInputs
+from tunefree_hil.gap.model.kernels import SIMULATED_FIELDS
+from tunefree_hil.learn.drives.smoothing import estimate_quantum
 
 Array = np.ndarray
 
-EVERY_S = 0.05
-ACT_EVERY_S = 0.02
-LEAST_MPS = 1.5  # below it creep, stick and standing still are no car that a single track describes
-LEAST_ROWS = 200  # of all drives of a question; of one its share of these, but not fewer than FEWEST_ROWS
-FEWEST_ROWS = 40
-# In tighter turns the front tyres work against each other, as far as the linkage does not turn each as its own circle
-# asks. What that scrubs off the speed, t²/L² C δ⁴ / m, no single track has: 0.016 m/s² here, 0.06 at 0.33 rad.
-TIGHT_RAD = 0.24
-MOSTLY = 0.5  # of the rows must be gentler; a car that does nothing else is taken as it is
-STILL = 1e-9  # of a signal's largest value: what moves less is rounding of numbers
-FLICKER = 2.0  # steps of the wire: a report that moves no more than that stands
-OUT = len(CHANNELS)  # columns of SHOWN that are outputs
+
+class TargetCriteria(NamedTuple):
+    """Which rows are compared (docs/reference/gap_criteria.md)."""
+
+    interval_s: float = 0.05  # between two rows
+    output_interval_s: float = 0.02  # between two rows of an actuator's report
+    window_s: float = 0.21  # of the smoothing polynomials; delays of a few hundredths of a second remain visible
+    min_speed_mps: float = 1.5  # below it a car creeps, sticks or stands, which a single-track model does not describe
+    min_rows: int = 200  # of all drives together; of one drive its share of these, but at least min_drive_rows
+    min_drive_rows: int = 40
+    # In tighter turns the front tyres work against each other as far as the linkage does not turn each for its own
+    # circle. The speed that this costs, t²/L² C δ⁴ / m, is in no single-track model: 0.016 m/s² here, 0.06 at 0.33 rad.
+    max_gentle_rad: float = 0.24
+    min_gentle_share: float = 0.5  # of the rows; a car that drives tight turns only is taken as it is
+    standstill_share: float = 1e-9  # of a signal's greatest value: a smaller span is rounding of numbers
+    flicker_steps: float = 2.0  # resolution steps of the bus: a report with a smaller span stands still
+
+
+TARGET_CRITERIA = TargetCriteria()
+N_OUTPUTS = len(CHANNELS)  # columns of SIMULATED_FIELDS that are outputs
 
 
 class Target(NamedTuple):
-    """One thing that is compared. rows [m]: of the drive; valid [m]; measured [m]; dt_s between two rows.
+    """One thing that is compared in one drive.
 
-    quantum: what the wire rounds to, as far as the functional lets it through. size: deviation of the signal that it is
-    about (of a difference of two sensors, of what both sense), above 0: what never moves is compared with nothing.
-    noise: of the sensors that it is made of, as far as the functional lets it through.
+    Args:
+        name: of the target.
+        link: that it belongs to.
+        unit: of `measured`, `quantum`, `size`, `noise`.
+        rows: (n_rows,) indices into the drive.
+        valid: (n_rows,), whether the row counts.
+        measured: (n_rows,).
+        dt_s: time between two rows.
+        quantum: resolution of the bus, as far as the functional lets it through.
+        size: deviation of the signal (of a difference of two sensors, of what both sense), above 0.
+        noise: of the sensors, as far as the functional lets it through.
     """
 
     name: str
@@ -63,187 +76,268 @@ class Target(NamedTuple):
     noise: float = 0.0
 
 
-Functional = Callable[["Columns"], Array]
+class SignalColumns:
+    """The signals of a drive, simulated or measured, by the names of SIMULATED_FIELDS, and `travel`."""
+
+    def __init__(self, columns: dict[str, Array], dt_s: float) -> None:
+        self.columns, self.dt_s = columns, dt_s
+        self.window = max(round(TARGET_CRITERIA.window_s / dt_s) | 1, 5)
+
+    def __getitem__(self, name: str) -> Array:
+        return self.columns[name]
+
+    def mean(self, values: Array) -> Array:
+        """The smoothed signal."""
+        return convolve1d(values, _smoothing_taps(self.window, 0, self.dt_s), mode="nearest")
+
+    def slope(self, values: Array) -> Array:
+        """The rate of the smoothed signal, per s."""
+        return convolve1d(values, _smoothing_taps(self.window, 1, self.dt_s), mode="nearest")
 
 
-def _rate(c: Columns) -> Array:
+Functional = Callable[[SignalColumns], Array]
+
+
+def _speed_rate(c: SignalColumns) -> Array:
     return c.slope(c["travel"])
 
 
-def _yaw(c: Columns) -> Array:
+def _ins_yaw_rate(c: SignalColumns) -> Array:
     return c.mean(c["ins_yaw_rate_radps"])
 
 
-def _own_yaw(c: Columns) -> Array:
+def _report_yaw_rate(c: SignalColumns) -> Array:
     return c.mean(c["yaw_rate_radps"])
 
 
-def _beyond_turning(c: Columns) -> Array:
-    """Lateral acceleration less speed times yaw rate: what side slip and gravity leave."""
+def _lateral_excess(c: SignalColumns) -> Array:
+    """Lateral acceleration less speed times yaw rate: side slip and gravity."""
     return c.mean(c["lateral_accel_mps2"] - c["ins_speed_mps"] * c["ins_yaw_rate_radps"])
 
 
-def _lateral(c: Columns) -> Array:
+def _lateral_accel(c: SignalColumns) -> Array:
     return c.mean(c["lateral_accel_mps2"])
 
 
-def _wheels(c: Columns) -> Array:
+def _wheel_speed_error(c: SignalColumns) -> Array:
     return c.mean(c["speed_mps"] - c["ins_speed_mps"])
 
 
-def _turns(c: Columns) -> Array:
+def _yaw_rate_error(c: SignalColumns) -> Array:
     return c.mean(c["yaw_rate_radps"] - c["ins_yaw_rate_radps"])
 
 
-def _felt(c: Columns) -> Array:
+def _accel_error(c: SignalColumns) -> Array:
     return c.mean(c["accel_mps2"]) - c.slope(c["travel"])
 
 
-MOTION = Link.REPORT_TO_MOTION
+MOTION_LINK = Link.REPORT_TO_MOTION
 PEDALS, STEERING = frozenset({"throttle", "brake"}), frozenset({"steer"})
 
 
-class Planned(NamedTuple):
-    """A target to be had. needed: fields that must be measured; better: fields in whose presence another one is better;
-    by: channels of which it must be known what they did; gentle: not asked for in tight turns, as long as most of a
-    drive is none.
+class TargetSpec(NamedTuple):
+    """A target that a drive may have.
+
+    Args:
+        name, link, unit, functional: of the target.
+        required: fields that have to be measured.
+        superseded_by: fields in whose presence another target is better.
+        channels: channels that must not be unknown.
+        excludes_tight_turns: whether rows in tight turns do not count, as long as most rows are not in one.
     """
 
     name: str
     link: Link
     unit: str
     functional: Functional
-    needed: tuple[str, ...] = ()
-    better: tuple[str, ...] = ()
-    by: frozenset[str] = frozenset()
-    gentle: bool = False
+    required: tuple[str, ...] = ()
+    superseded_by: tuple[str, ...] = ()
+    channels: frozenset[str] = frozenset()
+    excludes_tight_turns: bool = False
 
 
-PLANNED = (
-    Planned("rate_of_speed", MOTION, "m/s2", _rate, by=PEDALS, gentle=True),
-    Planned("yaw_rate", MOTION, "rad/s", _yaw, ("ins.yaw_rate_radps",), by=STEERING),
-    Planned("yaw_rate", MOTION, "rad/s", _own_yaw, ("report.yaw_rate_radps",), ("ins.yaw_rate_radps",), STEERING),
-    Planned("lateral_beyond_turning", MOTION, "m/s2", _beyond_turning,
-            ("report.lateral_accel_mps2", "ins.speed_mps", "ins.yaw_rate_radps"), by=STEERING),
-    Planned("lateral_accel", MOTION, "m/s2", _lateral, ("report.lateral_accel_mps2",),
-            ("ins.speed_mps", "ins.yaw_rate_radps"), STEERING),
-    Planned("wheel_vs_ins", Link.WHEEL_VS_INS, "m/s", _wheels, ("report.speed_mps", "ins.speed_mps")),
-    Planned("yaw_vs_ins", Link.YAW_VS_INS, "rad/s", _turns, ("report.yaw_rate_radps", "ins.yaw_rate_radps")),
-    Planned("accel_vs_dvdt", Link.ACCEL_VS_DVDT, "m/s2", _felt, ("report.accel_mps2",)),
-)  # fmt: skip
+TARGET_SPECS = (
+    TargetSpec("rate_of_speed", MOTION_LINK, "m/s2", _speed_rate, channels=PEDALS, excludes_tight_turns=True),
+    TargetSpec("yaw_rate", MOTION_LINK, "rad/s", _ins_yaw_rate, ("ins.yaw_rate_radps",), channels=STEERING),
+    TargetSpec(
+        "yaw_rate",
+        MOTION_LINK,
+        "rad/s",
+        _report_yaw_rate,
+        ("report.yaw_rate_radps",),
+        superseded_by=("ins.yaw_rate_radps",),
+        channels=STEERING,
+    ),
+    TargetSpec(
+        "lateral_beyond_turning",
+        MOTION_LINK,
+        "m/s2",
+        _lateral_excess,
+        ("report.lateral_accel_mps2", "ins.speed_mps", "ins.yaw_rate_radps"),
+        channels=STEERING,
+    ),
+    TargetSpec(
+        "lateral_accel",
+        MOTION_LINK,
+        "m/s2",
+        _lateral_accel,
+        ("report.lateral_accel_mps2",),
+        superseded_by=("ins.speed_mps", "ins.yaw_rate_radps"),
+        channels=STEERING,
+    ),
+    TargetSpec("wheel_vs_ins", Link.WHEEL_VS_INS, "m/s", _wheel_speed_error, ("report.speed_mps", "ins.speed_mps")),
+    TargetSpec(
+        "yaw_vs_ins", Link.YAW_VS_INS, "rad/s", _yaw_rate_error, ("report.yaw_rate_radps", "ins.yaw_rate_radps")
+    ),
+    TargetSpec("accel_vs_dvdt", Link.ACCEL_VS_DVDT, "m/s2", _accel_error, ("report.accel_mps2",)),
+)
 
 
-SENSED: dict[str, Callable[[Inputs], Array]] = {  # what both sensors of a difference sense
+SENSED_QUANTITIES: dict[str, Callable[[DriveInputs], Array]] = {  # what both sensors of a difference sense
     "wheel_vs_ins": lambda x: x.speed_mps,
     "yaw_vs_ins": lambda x: x.yaw_rate_radps,
-    "accel_vs_dvdt": lambda x: x.rate_mps2,
+    "accel_vs_dvdt": lambda x: x.speed_rate_mps2,
     "lateral_beyond_turning": lambda x: x.speed_mps * x.yaw_rate_radps,
 }
 
 
-class Compared:
-    """All targets of a drive, with the functionals that give them. share: of a question's rows, what the drive has."""
+class DriveComparison:
+    """All targets of a drive, and the residuals of a simulation at them."""
 
-    def __init__(self, opened: Opened, share: float = 1.0) -> None:
-        self.opened, self._least = opened, max(LEAST_ROWS * share, FEWEST_ROWS)
+    def __init__(self, drive: MeasuredDrive, share: float = 1.0) -> None:
+        """Find the targets that a drive has. share: of the rows of all drives, those of this drive."""
+        self.drive = drive
+        self._min_rows = max(TARGET_CRITERIA.min_rows * share, TARGET_CRITERIA.min_drive_rows)
         self._functionals: list[Functional] = []
         self.targets: list[Target] = []
-        self._before: tuple[Array, list[Array]] | None = None  # the newest: often only the outputs differ from it
-        columns = measured_columns(opened)
+        self._latest: tuple[Array, list[Array]] | None = None  # often only the outputs of the next one differ
+        columns = build_measured_columns(drive)
         for i, channel in enumerate(CHANNELS):
             self._add_channel(i, channel, columns)
-        for plan in PLANNED:
-            worse = plan.better and opened.has(*plan.better)
-            if opened.has(*plan.needed) and not worse and not plan.by & opened.unknown:
-                self._add(plan, columns)
+        for spec in TARGET_SPECS:
+            is_superseded = spec.superseded_by and drive.has_signals(*spec.superseded_by)
+            if drive.has_signals(*spec.required) and not is_superseded and not spec.channels & drive.unknown_channels:
+                self._add_target(spec, columns)
 
-    def of(self, shown: Array) -> list[Array]:
-        """Simulated minus measured, target by target, at their rows."""
-        columns, before = simulated_columns(shown, self.opened), self._before
-        same = before is not None and np.array_equal(shown[:, OUT:], before[0][:, OUT:])
-        found = []
+    def residuals(self, simulated: Array) -> list[Array]:
+        """Simulated minus measured, by target, (n_rows,).
+
+        simulated: (ticks, len(SIMULATED_FIELDS)).
+        """
+        columns, latest = build_simulated_columns(simulated, self.drive), self._latest
+        has_same_motion = latest is not None and np.array_equal(simulated[:, N_OUTPUTS:], latest[0][:, N_OUTPUTS:])
+        residuals = []
         for i, (target, functional) in enumerate(zip(self.targets, self._functionals, strict=True)):
-            known = same and before is not None and target.name not in CHANNELS
-            found.append(before[1][i] if known and before else functional(columns)[target.rows] - target.measured)
-        self._before = (shown, found)
-        return found
+            if has_same_motion and latest is not None and target.name not in CHANNELS:
+                residuals.append(latest[1][i])
+            else:
+                residuals.append(functional(columns)[target.rows] - target.measured)
+        self._latest = (simulated, residuals)
+        return residuals
 
-    def leave_out(self, names: Collection[str]) -> None:
-        """Compare none of these any more."""
-        kept = [i for i, target in enumerate(self.targets) if target.name not in names]
-        self.targets = [self.targets[i] for i in kept]
-        self._functionals, self._before = [self._functionals[i] for i in kept], None
+    def drop_targets(self, names: Collection[str]) -> None:
+        """Compare these targets no longer."""
+        remaining = [i for i, target in enumerate(self.targets) if target.name not in names]
+        self.targets = [self.targets[i] for i in remaining]
+        self._functionals, self._latest = [self._functionals[i] for i in remaining], None
 
-    def _add(self, plan: Planned, columns: Columns) -> None:
-        opened, functional = self.opened, plan.functional
-        good = opened.moving & (opened.inputs.speed_mps > LEAST_MPS * opened.pace)
-        for field in plan.needed:
-            good &= opened.signals[field].there
-        if plan.gentle:
-            gentle = good & (np.abs(opened.bend) < TIGHT_RAD)
-            good = gentle if gentle.sum() > MOSTLY * good.sum() else good
-        good = _inside(good, 2 * columns.window)
-        rows = np.arange(0, opened.ticks, max(round(EVERY_S / opened.dt_s), 1))
-        if good[rows].sum() < self._least:
+    def _add_target(self, spec: TargetSpec, columns: SignalColumns) -> None:
+        drive, functional = self.drive, spec.functional
+        interval = max(round(TARGET_CRITERIA.interval_s / drive.dt_s), 1)
+        rows = np.arange(0, drive.ticks, interval)
+        valid = _erode(self._valid_ticks(spec), 2 * columns.window)[rows]
+        if valid.sum() < self._min_rows:
             return
         measured = functional(columns)[rows]
-        sensed = SENSED[plan.name](opened.inputs)[rows] if plan.name in SENSED else measured
-        size = _size(sensed[good[rows]])
+        sensed = SENSED_QUANTITIES[spec.name](drive.inputs)[rows] if spec.name in SENSED_QUANTITIES else measured
+        size = _signal_deviation(sensed[valid])
         if size > 0.0:
-            every_s = max(round(EVERY_S / opened.dt_s), 1) * opened.dt_s
-            noise = functional(noisier(columns, opened))[rows] - measured
-            loud = float(np.std(noise[good[rows]]))
-            known = (rows, good[rows], measured, every_s, 0.0, size, loud)
-            self.targets.append(Target(plan.name, plan.link, plan.unit, *known))
+            noise = functional(add_sensor_noise(columns, drive))[rows] - measured
+            self.targets.append(
+                Target(
+                    name=spec.name,
+                    link=spec.link,
+                    unit=spec.unit,
+                    rows=rows,
+                    valid=valid,
+                    measured=measured,
+                    dt_s=interval * drive.dt_s,
+                    quantum=0.0,
+                    size=size,
+                    noise=float(np.std(noise[valid])),
+                )
+            )
             self._functionals.append(functional)
 
-    def _add_channel(self, i: int, channel: str, columns: Columns) -> None:
-        opened, field = self.opened, OUTPUTS[channel]
-        report = opened.signals.get(f"report.{field}")
+    def _valid_ticks(self, spec: TargetSpec) -> Array:
+        """(ticks,): the car drives, all signals are valid, and it is in no tight turn if these are excluded."""
+        drive = self.drive
+        valid = drive.is_moving & (drive.inputs.speed_mps > TARGET_CRITERIA.min_speed_mps * drive.size_scale)
+        for field in spec.required:
+            valid &= drive.signals[field].is_valid
+        if not spec.excludes_tight_turns:
+            return valid
+        gentle = valid & (np.abs(drive.kinematic_steer_rad) < TARGET_CRITERIA.max_gentle_rad)
+        return gentle if gentle.sum() > TARGET_CRITERIA.min_gentle_share * valid.sum() else valid
+
+    def _add_channel(self, i: int, channel: str, columns: SignalColumns) -> None:
+        drive, field = self.drive, OUTPUT_FIELDS[channel]
+        report = drive.signals.get(f"report.{field}")
         if report is None:
             return
         rows = np.flatnonzero(report.fresh)
-        rows = rows[:: max(round(ACT_EVERY_S / (opened.dt_s * max(float(np.median(np.diff(rows))), 1.0))), 1)]
-        good = opened.follows[rows, i] & report.there[rows]
-        if good.sum() < self._least:
+        fresh_interval = max(float(np.median(np.diff(rows))), 1.0)
+        rows = rows[:: max(round(TARGET_CRITERIA.output_interval_s / (drive.dt_s * fresh_interval)), 1)]
+        valid = drive.command_active[rows, i] & report.is_valid[rows]
+        if valid.sum() < self._min_rows:
             return
         measured = columns[field][rows]
-        every_s = float(np.median(np.diff(rows))) * opened.dt_s
-        unit = "rad" if channel == "steer" else "1"
-        quantum = quantum_of(measured)
-        # an output that stands tells nothing, unless it is asked to move: then that is what it is held against
-        size = _size(measured[good], FLICKER * quantum) or _size(opened.inputs.commands[rows, i][good])
+        quantum = estimate_quantum(measured)
+        # an output that stands still is compared only if it is commanded to move: the command is the signal then
+        size = _signal_deviation(measured[valid], TARGET_CRITERIA.flicker_steps * quantum) or _signal_deviation(
+            drive.inputs.commands[rows, i][valid]
+        )
         if size > 0.0:
-            link = Link.COMMAND_TO_REPORT
-            self.targets.append(Target(channel, link, unit, rows, good, measured, every_s, quantum, size))
+            self.targets.append(
+                Target(
+                    name=channel,
+                    link=Link.COMMAND_TO_REPORT,
+                    unit="rad" if channel == "steer" else "1",
+                    rows=rows,
+                    valid=valid,
+                    measured=measured,
+                    dt_s=float(np.median(np.diff(rows))) * drive.dt_s,
+                    quantum=quantum,
+                    size=size,
+                )
+            )
             self._functionals.append(lambda c: c[field])
 
 
-def too_few(drives: Sequence[Compared]) -> set[str]:
-    """Targets of which all drives of a question together have fewer rows than LEAST_ROWS."""
+def find_sparse_targets(drives: Sequence[DriveComparison]) -> set[str]:
+    """Targets of which all drives together have too few rows."""
     rows: dict[str, int] = {}
-    for target in (target for one in drives for target in one.targets):
+    for target in (target for drive in drives for target in drive.targets):
         rows[target.name] = rows.get(target.name, 0) + int(target.valid.sum())
-    return {name for name, many in rows.items() if many < LEAST_ROWS}
+    return {name for name, count in rows.items() if count < TARGET_CRITERIA.min_rows}
 
 
-def _size(values: Array, flicker: float = 0.0) -> float:
-    """Deviation of a signal; 0 for one that stands."""
-    still = max(STILL * float(np.abs(values).max()), 1e-12, flicker)
-    return float(np.std(values)) if np.ptp(values) > still else 0.0
+def _signal_deviation(values: Array, flicker: float = 0.0) -> float:
+    """Standard deviation of a signal; 0 for one that stands still."""
+    standstill = max(TARGET_CRITERIA.standstill_share * float(np.abs(values).max()), 1e-12, flicker)
+    return float(np.std(values)) if np.ptp(values) > standstill else 0.0
 
 
-def _inside(good: Array, by: int) -> Array:
-    """Rows at least `by` away from one that is not good."""
-    kernel = np.ones(2 * by + 1)
-    bad = np.convolve(~good, kernel, "same") > 0.5
-    bad[:by] = bad[-by:] = True
-    return ~bad
+def _erode(valid: Array, margin: int) -> Array:
+    """Rows at least `margin` away from one that is not valid."""
+    kernel = np.ones(2 * margin + 1)
+    invalid = np.convolve(~valid, kernel, "same") > 0.5
+    invalid[:margin] = invalid[-margin:] = True
+    return ~invalid
 
 
-WINDOW_S = 0.21  # of the polynomials; delays of a few hundredths still show through it
-COLUMN = {name: i for i, name in enumerate(SHOWN)}
-FIELDS = {
+COLUMN_INDEX = {name: i for i, name in enumerate(SIMULATED_FIELDS)}
+FIELD_BY_COLUMN = {
     "speed_mps": "report.speed_mps",
     "yaw_rate_radps": "report.yaw_rate_radps",
     "accel_mps2": "report.accel_mps2",
@@ -254,76 +348,60 @@ FIELDS = {
 
 
 @cache
-def _taps(window: int, derivative: int, dt_s: float) -> Array:
-    """Of a parabola fitted to a window; at the ends of a drive, where none fits, nothing is compared."""
+def _smoothing_taps(window: int, derivative: int, dt_s: float) -> Array:
+    """Of a parabola fitted to a window; the ends of a drive, where none fits, are not compared."""
     return np.asarray(savgol_coeffs(window, 2, deriv=derivative, delta=dt_s))
 
 
 @cache
-def _under_slope(window: int) -> Array:
-    """The weights [window] that a slope (a parabola's) gives the rates whose sum it is the slope of."""
+def _slope_weights(window: int) -> Array:
+    """(window,): the weights that a parabola's slope gives the rates whose sum it is the slope of."""
     taps = np.cumsum(savgol_coeffs(window, 2, deriv=1, use="dot"))[:-1]
     return -0.5 * np.convolve(taps, [1.0, 1.0])
 
 
-class Columns:
-    """The signals of a drive, simulated or measured, by the names of SHOWN; `travel` beside them."""
-
-    def __init__(self, columns: dict[str, Array], dt_s: float) -> None:
-        self.columns, self.dt_s = columns, dt_s
-        self.window = max(round(WINDOW_S / dt_s) | 1, 5)
-
-    def __getitem__(self, name: str) -> Array:
-        return self.columns[name]
-
-    def mean(self, values: Array) -> Array:
-        """Smoothed."""
-        return convolve1d(values, _taps(self.window, 0, self.dt_s), mode="nearest")
-
-    def slope(self, values: Array) -> Array:
-        """Rate per s of the smoothed signal."""
-        return convolve1d(values, _taps(self.window, 1, self.dt_s), mode="nearest")
-
-
-def measured_columns(opened: Opened) -> Columns:
-    """What was measured, as far as it was."""
-    found = {name: opened.signals[field].values for name, field in FIELDS.items() if field in opened.signals}
-    source = "ins.speed_mps" if opened.inputs.by_ins else "report.speed_mps"
-    found["travel"] = opened.signals[source].values
+def build_measured_columns(drive: MeasuredDrive) -> SignalColumns:
+    """The measured signals of a drive."""
+    columns = {name: drive.signals[field].values for name, field in FIELD_BY_COLUMN.items() if field in drive.signals}
+    source = "ins.speed_mps" if drive.inputs.uses_ins_speed else "report.speed_mps"
+    columns["travel"] = drive.signals[source].values
     for i, name in enumerate(CHANNELS):
-        found[OUTPUTS[name]] = opened.inputs.outputs[:, i]
-    return Columns(found, opened.dt_s)
+        columns[OUTPUT_FIELDS[name]] = drive.inputs.outputs[:, i]
+    return SignalColumns(columns, drive.dt_s)
 
 
-def noisier(columns: Columns, opened: Opened) -> Columns:
-    """What was measured with as much white noise again as each sensor has, as often as it speaks: what comes seldom is
-    no quieter for lying between two values on a straight line. The draw is the same each time.
+def add_sensor_noise(columns: SignalColumns, drive: MeasuredDrive) -> SignalColumns:
+    """The measured signals with the white noise of each sensor added once more, at its own samples.
+
+    A slow signal is no quieter for lying on straight lines between its samples. The draw is the same each time.
     """
-    rng, found = np.random.default_rng(1), dict(columns.columns)
-    for name, field in FIELDS.items():
-        if field in opened.signals:
-            found[name] = columns[name] + _noise_like(opened.signals[field], rng)
-    found["travel"] = found["ins_speed_mps" if opened.inputs.by_ins else "speed_mps"]
-    return Columns(found, opened.dt_s)
+    rng, noisy = np.random.default_rng(1), dict(columns.columns)
+    for name, field in FIELD_BY_COLUMN.items():
+        if field in drive.signals:
+            noisy[name] = columns[name] + _draw_noise(drive.signals[field], rng)
+    noisy["travel"] = noisy["ins_speed_mps" if drive.inputs.uses_ins_speed else "speed_mps"]
+    return SignalColumns(noisy, drive.dt_s)
 
 
-def _noise_like(signal: Signal, rng: np.random.Generator) -> Array:
-    """[n]: white in what was told, and moved as that was; nothing of a signal that is all gaps."""
-    at = np.flatnonzero(signal.fresh & signal.there)
-    if not len(at):
+def _draw_noise(signal: Signal, rng: np.random.Generator) -> Array:
+    """(ticks,): white at the samples, interpolated as the signal is; zero for a signal without valid samples."""
+    samples = np.flatnonzero(signal.fresh & signal.is_valid)
+    if not len(samples):
         return np.zeros(len(signal.values))
-    return np.interp(np.arange(len(signal.values)), at - signal.late, signal.noise * rng.standard_normal(len(at)))
+    draws = signal.noise * rng.standard_normal(len(samples))
+    return np.interp(np.arange(len(signal.values)), samples - signal.delay_rows, draws)
 
 
-def simulated_columns(shown: Array, opened: Opened) -> Columns:
-    """What the graph showed."""
-    found = {name: shown[:, i] for name, i in COLUMN.items()}
-    rate = shown[:, COLUMN["ins_accel_mps2" if opened.inputs.by_ins else "rate_mps2"]]
-    found["travel"] = np.cumsum(rate) * opened.dt_s
-    for name, field in (*FIELDS.items(), ("travel", "ins.speed_mps" if opened.inputs.by_ins else "report.speed_mps")):
-        window = opened.derived.get(field, 1)
-        if window > 1:  # what was made of a pose is a slope over several values: so is what it is held against
-            found[name] = convolve1d(found[name], _under_slope(window), mode="nearest")
-        elif field in opened.signals:
-            found[name] = opened.signals[field].as_seldom(found[name])
-    return Columns(found, opened.dt_s)
+def build_simulated_columns(simulated: Array, drive: MeasuredDrive) -> SignalColumns:
+    """The simulated signals, with the sampling of the measured ones."""
+    columns = {name: simulated[:, i] for name, i in COLUMN_INDEX.items()}
+    rate = simulated[:, COLUMN_INDEX["ins_accel_mps2" if drive.inputs.uses_ins_speed else "rate_mps2"]]
+    columns["travel"] = np.cumsum(rate) * drive.dt_s
+    speed = "ins.speed_mps" if drive.inputs.uses_ins_speed else "report.speed_mps"
+    for name, field in (*FIELD_BY_COLUMN.items(), ("travel", speed)):
+        window = drive.derived_ticks.get(field, 1)
+        if window > 1:  # a rate made of a pose is a slope over several values: so is the simulated one
+            columns[name] = convolve1d(columns[name], _slope_weights(window), mode="nearest")
+        elif field in drive.signals:
+            columns[name] = drive.signals[field].resample(columns[name])
+    return SignalColumns(columns, drive.dt_s)

@@ -1,293 +1,265 @@
-"""When a name is given, when several, and when none: the rules, on models that are fitted already.
+"""The thresholds of the selection, and the criteria that a candidate's score fails.
 
-A name needs evidence and the blocks' agreement, and must make a difference that matters: numbers alone make anything
-significant. Who else may be meant where one counts: gap/selection/equivalence.py.
+A name needs evidence and the agreement of the blocks, and has to explain enough of a signal: with enough rows anything
+is significant. After each threshold stands the commit of the exam that first ran with it (docs/results/gap_exam.md);
+where there is none, it is derived. docs/reference/gap_criteria.md lists them all.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
-import numpy as np
-
-from tunefree_hil.gap.diagnostics.lack_of_fit import Left
-from tunefree_hil.gap.estimation.evidence import (
-    LEAST_NATS,
-    Paired,
-    log_evidence,
-    paired,
-    predictive,
-    stretched,
-    stretches,
-)
-from tunefree_hil.gap.estimation.intervals import distance
-from tunefree_hil.gap.workers.worker import Modelled
-
-Array = np.ndarray
-
-LEAST_SHRINK = 0.05  # of a target's error without any effect: less is no gap that anybody would repair
-FURTHER_SHRINK = 0.1  # of that as well, by a further effect: what the first one's form misses of its cause is none
-PLAIN = 0.4  # of that, where no link is broken: who is missing explains most of what is missed, a mismatch a part
-PLAIN_NATS = 60.0  # of evidence: more is no mismatch's, by what cars without any effect came to
-SURE = 0.5  # with the doubt between blocks: at least half of that
-MATTERS = 0.004  # of the signal: what an effect explains there, root mean square; less is nobody's worry
-MOST_WORSE = 0.05  # of any target's: what explains one thing by spoiling another explains nothing
-NEARLY_ALL, SPARED = 0.9, 0.2  # of a target surely explained: then it may be so much, of another that hardly is missed
-MAY_GROW = 0.5  # of a target's mean square, where the model misses it as usual: its form is off, whoever is beside it
-SPOILT = 0.1  # of what is explained, each by its signal: recalibration trades so much between signals by itself
-HALF = 0.5  # of a target's error: who misses less than that of what the best misses there knows its noise better
-MOST_LEFT = 0.25  # of what could be explained of a target before: more, and the name was not it
-BY_A_HAIR = 0.8  # of every bar: who misses none by more is no name, but a name's rival
-RARE = 0.3  # of that, without the block that gains most: what two blocks hold clearly is no chance
-ALL_OF_IT = 0.95  # of a broken target's error: what one block alone holds, and explains so well, is no chance either
-FELT = 1.0  # squares, all blocks together, that an effect moves by itself: less is nothing that a target feels
-NOISY = 3.0  # standard deviations between blocks: a further effect that gains less is the noise of the first one's fit
+from tunefree_hil.gap.estimation.evidence import MIN_EVIDENCE_NATS, PairedComparison
+from tunefree_hil.gap.selection.reasons import Criterion, Reason
+from tunefree_hil.gap.workers.worker import FitSummary
 
 NO_NUMBERS: Mapping[str, float] = {}
+OF_OTHER_SIGNALS = (Criterion.DEGRADATION, Criterion.BROKEN_DEGRADATION)
 
 
-class Weighed(NamedTuple):
-    """A candidate against the model that it is added to. evidence: nats. target: where it gains most clearly; shrink:
-    by how much the error there gets less, as a share of what it is without any effect, (value, low, high); rest: the
-    same of all blocks but the one that gains most. worst: by how much the mean square grows where it grows most, as a
-    share; worst_missed: the same of targets that are broken as it is. further: beside some. unbroken: recalibration
-    alone misses no more of the target than a model may.
+class SelectionCriteria(NamedTuple):
+    """Thresholds for naming one effect. Evidence and gains in nats, the others as shares (1 is all of it)."""
 
-    others: names that explain as much in its place; known once a search is done (search.py). placed: evidence of all
-    who were asked there, itself among them. shrinks: by target, what `shrink` is of its own; empty where nobody asked.
+    # Evidence over the base model, and gain on held-out blocks. A likelihood ratio of 400.
+    min_evidence_nats: float = MIN_EVIDENCE_NATS
+    # Evidence above what a model mismatch reaches: 6 nats on clean logs of development (n = 47), 28 on clean cars of
+    # the exam of fb4a7b1 (n = 300). e315ffe
+    plain_evidence_nats: float = 60.0
+    # A further effect: gain over its deviation between blocks. Less is noise of the first effect's fit. 206fe92
+    min_gain_noise_ratio: float = 3.0
+    # RMS explained, of the signal. Less does not matter to a simulation. 206fe92
+    min_explained_share: float = 0.004
+    # Share of its signal's error that a first effect removes. Less is not worth a repair. 206fe92
+    min_error_reduction: float = 0.05
+    # The same of a further effect: what the misfit of the first one's form leaves is less. 206fe92
+    min_further_error_reduction: float = 0.1
+    # The same where no link is broken: a real effect explains most of the error, a mismatch a part. a34517a
+    plain_error_reduction: float = 0.4
+    # Lower 95 % bound over blocks, as a share of the reduction required. 206fe92
+    min_bound_share: float = 0.5
+    # Instead of that bound: the reduction without the best block. What two blocks show clearly is no chance. 206fe92
+    min_other_blocks_reduction: float = 0.3
+    # Reduction from which on a single block is enough: a stop that one manoeuvre reaches. a34517a
+    full_error_reduction: float = 0.95
+    # Growth of another signal's mean square error. 206fe92
+    max_degradation: float = 0.05
+    # The same where the candidate surely removes nearly all of its own error and the other link is not broken. 41825b8
+    max_degradation_if_nearly_full: float = 0.2
+    # Lower 95 % bound of the reduction from which on that is so. 41825b8
+    nearly_full_reduction: float = 0.9
+    # The same of a signal that the model misses on its calibration logs too: the plant's form is off. 6ac729d
+    max_baseline_degradation: float = 0.5
+    # Growth below this share of what the candidate explains does not count: recalibration trades as much. 206fe92
+    min_degradation_share: float = 0.1
+    # Factor on all thresholds for a borderline candidate: no name, but an equivalent. 206fe92
+    borderline_scale: float = 0.8
+    # Squared distance from neutral that a target has to feel, in variances of its noise: one.
+    min_affected_squares: float = 1.0
+    # RMS error, of the best candidate's, below which a target's noise is taken from that candidate instead. d0a8c99
+    noise_source_share: float = 0.5
+
+
+class EquivalenceCriteria(NamedTuple):
+    """Thresholds for calling two candidates indistinguishable; shares, but for the last one."""
+
+    # Reduction of the best candidate's signal, of the best one's own. Less is an effect on another signal. d0a8c99
+    min_shared_reduction: float = 0.25
+    # Lead in gain, of the best one's gain. No model is more exact than that. 206fe92
+    close_gain_share: float = 0.03
+    # Excitation score below which effects that are easily confused are equivalents: half of what is needed. 206fe92
+    low_excitation_score: float = 0.5
+    # Evidence that such an effect needs, of the named one's. 206fe92
+    confused_evidence_share: float = 0.7
+    # Evidence of a set of weak candidates, nats; no holdout can confirm a set. Three times the least. e315ffe
+    min_weak_set_nats: float = 3.0 * MIN_EVIDENCE_NATS
+
+
+class RejectionCriteria(NamedTuple):
+    """Thresholds for rejecting effects that were selected; shares, but for the third one."""
+
+    # Of what could be explained of a signal before, what may be left. 206fe92
+    max_unexplained_share: float = 0.25
+    # Of what the effects explain of a signal, what a parameter that differs between blocks may move of it. 206fe92
+    max_inconsistency_share: float = 0.25
+    # An effect that cancels one of the calibration: deviations within which nothing is left of the two. d0a8c99
+    cancellation_sigmas: float = 3.0
+    # The same as a share of it: the form of the effect in its place is not quite the car's. d0a8c99
+    cancellation_share: float = 0.1
+
+
+class BaselineCriteria(NamedTuple):
+    """Thresholds for what a model misses on its own calibration logs."""
+
+    # Misfit over that on the calibration logs which is still the same: another drive shakes more, or less. e404040
+    max_misfit_factor: float = 2.0
+    # Deviations from neutral that the calibration logs may leave open, the effect being taken as known. 6ac729d
+    known_sigmas: float = 2.0
+    # Deviations of both values together from which on an effect has another value than then. d0a8c99
+    new_value_sigmas: float = 4.0
+
+
+class GradeCriteria(NamedTuple):
+    """Thresholds for a hill that a calibration took for rolling resistance."""
+
+    # Standard deviation of the logarithm of a rolling resistance, over tyres and roads of one kind of car. e404040
+    rolling_log_sigma: float = 0.35
+    # Log likelihood by which a rolling resistance excludes a hill, nats: a ratio of 7.
+    min_exclusion_nats: float = 2.0
+    # Share of an offset by which it may differ from one log to the next and be the same hill. e404040
+    same_offset_share: float = 0.1
+
+
+class SearchLimits(NamedTuple):
+    """Effort of the search; none of these decides on a name."""
+
+    max_effects: int = 3
+    refined_at_once: int = 4  # candidates that are fitted on together before they are compared
+    first_refined_share: float = 0.5  # of the best one's evidence, from which on a candidate is fitted on
+    refined_share: float = 0.8  # the same once the best ones are fitted on
+
+
+CRITERIA, EQUIVALENCE, REJECTION = SelectionCriteria(), EquivalenceCriteria(), RejectionCriteria()
+BASELINE, GRADE_CRITERIA, SEARCH = BaselineCriteria(), GradeCriteria(), SearchLimits()
+
+
+class Reduction(NamedTuple):
+    """Share of an error that is removed, with its 95 % interval over blocks."""
+
+    value: float
+    low: float
+    high: float
+
+
+class CandidateScore(NamedTuple):
+    """A candidate effect scored against the model that it was added to.
+
+    Args:
+        evidence: log evidence over that base model, nats.
+        gain: predictive log likelihood over it on held-out blocks, nats.
+        target: the signal where it reduces the error most clearly.
+        error_reduction: share of the recalibrated error there that it removes.
+        degradation, broken_degradation: largest growth of another signal's mean square error, as a share; the second
+            of signals whose link is broken.
+        is_relevant: it moves a signal, and explains `min_explained_share` of it.
+        is_further: the base model has other candidates in it.
+        other_blocks_reduction: the error reduction without the block that gains most.
+        equivalents: names that explain as much in its place; known once the search is done.
+        evidence_in_place: evidence of all candidates that were tried there, this one included.
+        is_unbroken: recalibration alone leaves the target's link unbroken.
+        error_reductions: the reduction by target.
+        explained_share: RMS explained of the target, as a share of the signal.
     """
 
     name: str
-    model: Modelled
+    model: FitSummary
     evidence: float
-    gain: Paired
+    gain: PairedComparison
     target: str
-    shrink: tuple[float, float, float]
-    worst: float
-    matters: bool
-    further: bool = False
-    rest: float = 0.0
-    others: tuple[str, ...] = ()
-    placed: Mapping[str, float] = NO_NUMBERS
-    unbroken: bool = False
-    worst_missed: float = 0.0
-    shrinks: Mapping[str, float] = NO_NUMBERS
+    error_reduction: Reduction
+    degradation: float
+    is_relevant: bool
+    is_further: bool = False
+    other_blocks_reduction: float = 0.0
+    equivalents: tuple[str, ...] = ()
+    evidence_in_place: Mapping[str, float] = NO_NUMBERS
+    is_unbroken: bool = False
+    broken_degradation: float = 0.0
+    error_reductions: Mapping[str, float] = NO_NUMBERS
+    explained_share: float = 0.0
 
     @property
-    def counts(self) -> bool:
-        """Whether this is a name: evidence and blocks agree, and it matters, in more blocks than one: a noise that is
-        the same for all of them makes of one block's gain a little in each.
+    def is_accepted(self) -> bool:
+        """Whether it may be named."""
+        return not failed_criteria(self)
+
+    @property
+    def is_borderline(self) -> bool:
+        """Whether it may be named, or fails by at most a fifth: a set without it would be too sure."""
+        return not failed_criteria(self, scale=CRITERIA.borderline_scale)
+
+    @property
+    def is_weak(self) -> bool:
+        """Whether only the holdout blocks can confirm it: no link is broken, and any mismatch has a candidate that
+        explains a part of it with little evidence.
         """
-        return self._passes(1.0)
-
-    @property
-    def nearly(self) -> bool:
-        """Whether it is a name, or misses being one by a hair: a set in which it is not would be too sure."""
-        return self._passes(BY_A_HAIR)
-
-    @property
-    def faint(self) -> bool:
-        """Whether nothing but the name itself says that anything is missing, and that not plainly: any mismatch of a
-        model has somebody who explains a part of it, and little evidence. Only a proof can bear such a name out.
-        """
-        return self.unbroken and self.shrink[0] < PLAIN and self.evidence < PLAIN_NATS
-
-    @property
-    def spoils(self) -> bool:
-        """Whether it is plainly there and kept from being a name by what it makes worse alone: so are two that hide
-        each other, each beside the model without the other.
-        """
-        plain = self.evidence > PLAIN_NATS and self.shrink[0] > PLAIN
-        return plain and not self.counts and self._replace(worst=0.0, worst_missed=0.0).counts
-
-    @property
-    def _all_of_it(self) -> bool:
-        """Whether it explains all that is missed where a link is broken: of a stop that one manoeuvre reaches nobody
-        else comes near to that.
-        """
-        return not self.unbroken and self.shrink[0] > ALL_OF_IT
-
-    def _passes(self, bar: float) -> bool:
-        """Whether it is above all bars, each taken so many times."""
-        least, shrink = bar * LEAST_NATS, FURTHER_SHRINK if self.further else LEAST_SHRINK
-        if self.further and self.unbroken:
-            shrink = PLAIN
-        plain = bar * PLAIN_NATS if self.further else least  # beside a first one any mismatch has somebody, as in faint
-        sure = self.evidence > plain and self.gain.total > least and self.gain.low > 0.0
-        if self.further and not self._all_of_it:
-            sure = sure and self.gain.total > bar * NOISY * self.gain.noise
         return (
-            sure
-            and self.matters
-            and self.shrink[0] > bar * shrink
-            and (self.shrink[1] > bar * SURE * shrink or self.rest > bar * RARE or self._all_of_it)
-            and self.worst < (SPARED if self.shrink[1] > NEARLY_ALL else MOST_WORSE) / bar
-            and self.worst_missed < MOST_WORSE / bar
+            self.is_unbroken
+            and self.error_reduction.value < CRITERIA.plain_error_reduction
+            and self.evidence < CRITERIA.plain_evidence_nats
         )
 
-
-def weigh(
-    candidates: Mapping[str, Modelled], start: Modelled, null: Modelled, sizes: Mapping[str, float], blocks: Array,
-    broken: Collection[str] | None = None, usually: Collection[str] = (),
-) -> list[Weighed]:  # fmt: skip
-    """All candidates, the best first; by the noise that the best of them leaves. sizes: of each target's signal;
-    broken: targets that recalibration alone leaves broken (locate.look); None: nobody has looked. usually: those of
-    them that the model misses of its own logs as well: they speak against nobody who makes them a little worse.
-
-    Who is the best is asked by the noise of each, and of start by the same: the noise's own logarithm counts once for
-    every row that stands for itself, and where that number differs the unit of a signal would decide. By the noise of
-    `start` alone a bias would hide who takes it away: its rows all say the same, as one. So would that of the best in a
-    target which is another one's: there it is by the noise of whoever explains most of it.
-    """
-    if not candidates:
-        return []
-
-    def over_start(one: Modelled) -> float:
-        """Nats over the start, both by the noise that this one leaves."""
-        base = stretched(start.fitted, stretches(one.fitted))
-        return log_evidence(one.fitted, blocks) - log_evidence(base, blocks)
-
-    by = _noise_of(candidates, max(candidates, key=lambda name: over_start(candidates[name])), blocks)
-    base = start._replace(fitted=stretched(start.fitted, by))
-    found = [
-        _weighed(
-            name, felt(one, blocks, name), one._replace(fitted=stretched(one.fitted, by)), base, null, sizes, blocks,
-            broken, usually,
+    @property
+    def degrades_others(self) -> bool:
+        """Whether it is plainly there, and fails only by the signals that it degrades: two effects that hide each other
+        are like that, each without the other.
+        """
+        is_plain = (
+            self.evidence > CRITERIA.plain_evidence_nats and self.error_reduction.value > CRITERIA.plain_error_reduction
         )
-        for name, one in candidates.items()
-    ]  # fmt: skip
-    return sorted(found, key=lambda one: (not one.counts, -one.evidence))
+        harmless = self._replace(degradation=0.0, broken_degradation=0.0)
+        return is_plain and not self.is_accepted and harmless.is_accepted
+
+    @property
+    def explains_all(self) -> bool:
+        """Whether it removes all of a broken link's error: one block is enough then."""
+        return not self.is_unbroken and self.error_reduction.value > CRITERIA.full_error_reduction
 
 
-def _weighed(
-    name: str, own: Sequence[str], one: Modelled, start: Modelled, null: Modelled, sizes: Mapping[str, float],
-    blocks: Array, broken: Collection[str] | None, usually: Collection[str],
-) -> Weighed:  # fmt: skip
-    """A candidate and what it is added to, both by the same noise. own: targets that feel it (by its own)."""
-    model, base = one.fitted, start.fitted
-    gains = {t: float((predictive(model, blocks, [t]) - predictive(base, blocks, [t])).sum()) for t in model.sums}
-    shrinks = {t: shrink(start, one, t, blocks, null) for t in model.sums}
-    worth = [t for t in own if gains[t] > LEAST_NATS and _explained(start, one, t, sizes, blocks) > MATTERS]
-    target = max(worth, key=lambda t: shrinks[t][1]) if worth else max(own or gains, key=lambda t: gains[t])
-    explained = _explained(start, one, target, sizes, blocks)
-    worse = _worse(one, start, own, max(MATTERS, SPOILT * explained), sizes, blocks)
-    worse = {t: grown for t, grown in worse.items() if t not in usually or grown > MAY_GROW}
-    worse = {t: grown for t, grown in worse.items() if broken is None or t in broken or gains[t] < 0.0}
-    return Weighed(
-        name, one, log_evidence(model, blocks) - log_evidence(base, blocks), paired(model, base, blocks),
-        target, shrinks[target], max(worse.values(), default=0.0), bool(own) and explained > MATTERS,
-        bool(base.free), shrink_of_the_rest(start, one, target, blocks, null),
-        unbroken=broken is not None and target not in broken,
-        worst_missed=max((grown for t, grown in worse.items() if broken is None or t in broken), default=0.0),
-        shrinks={t: value for t, (value, _, _) in shrinks.items()},
-    )  # fmt: skip
+def failed_criteria(
+    score: CandidateScore, criteria: SelectionCriteria = CRITERIA, scale: float = 1.0
+) -> tuple[Criterion, ...]:
+    """The criteria that a score fails; empty where it may be named.
 
-
-def _worse(
-    one: Modelled, start: Modelled, own: Sequence[str], least: float, sizes: Mapping[str, float], blocks: Array
-) -> dict[str, float]:
-    """Of the targets that it feels those of which it misses more than the start, by more than `least` of the signal:
-    by how much their mean square grows.
+    Args:
+        scale: factor on every threshold; below 1 it is easier to pass.
     """
-    return {t: _grown(start, one, t, blocks) for t in own if _explained(one, start, t, sizes, blocks) > least}
+    return tuple(reason.criterion for reason in failed_reasons(score, criteria, scale))
 
 
-def _noise_of(candidates: Mapping[str, Modelled], best: str, blocks: Array) -> dict[str, float]:
-    """How much residuals hang together, by target: of the best, or of who misses less than half of what that misses."""
-    by = stretches(candidates[best].fitted)
-    for target in by:
-        least = min(candidates, key=lambda name: _mean_square(candidates[name], target, blocks))
-        if _mean_square(candidates[least], target, blocks) < HALF**2 * _mean_square(candidates[best], target, blocks):
-            by[target] = min(by[target], stretches(candidates[least].fitted)[target])
-    return by
-
-
-def felt(model: Modelled, blocks: Array, name: str = "") -> list[str]:
-    """Targets that feel, in these blocks, a model's effects, or the one of that name. What recalibration, coming to
-    rest elsewhere beside an effect, takes from the others or gives them is no merit of the effect and no fault.
-    """
-    fitted = model.fitted
-    behind = range(len(fitted.keys) - len(fitted.free), len(fitted.keys))  # own parameters are the last keys
-    own = [
-        (i, one) for i, one in zip(behind, fitted.free, strict=True) if not name or one.key.partition(".")[0] == name
+def failed_reasons(
+    score: CandidateScore, criteria: SelectionCriteria = CRITERIA, scale: float = 1.0
+) -> tuple[Reason, ...]:
+    """The same with the numbers compared. A number that is NaN fails."""
+    c, reduction = criteria, _required_reduction(score, criteria)
+    least = scale * c.min_evidence_nats
+    evidence = scale * c.plain_evidence_nats if score.is_further else least
+    value, bound = score.error_reduction.value, score.error_reduction.low
+    bound_limit, other_limit = scale * c.min_bound_share * reduction, scale * c.min_other_blocks_reduction
+    in_blocks = bound > bound_limit or score.other_blocks_reduction > other_limit or score.explains_all
+    is_nearly_full = bound > c.nearly_full_reduction
+    growth = (c.max_degradation_if_nearly_full if is_nearly_full else c.max_degradation) / scale
+    noise = scale * c.min_gain_noise_ratio * score.gain.std
+    compared = [
+        (Criterion.EVIDENCE, score.evidence > evidence, score.evidence, evidence),
+        (Criterion.HOLDOUT_GAIN, score.gain.total > least, score.gain.total, least),
+        (Criterion.HOLDOUT_GAIN_BOUND, score.gain.low > 0.0, score.gain.low, 0.0),
+        (
+            Criterion.GAIN_NOISE,
+            not score.is_further or score.explains_all or score.gain.total > noise,
+            score.gain.total,
+            noise,
+        ),
+        (Criterion.EXPLAINED_SHARE, score.is_relevant, score.explained_share, c.min_explained_share),
+        (Criterion.ERROR_REDUCTION, value > scale * reduction, value, scale * reduction),
+        (Criterion.SINGLE_BLOCK, in_blocks, bound, bound_limit),
+        (Criterion.DEGRADATION, score.degradation < growth, score.degradation, growth),
+        (
+            Criterion.BROKEN_DEGRADATION,
+            score.broken_degradation < c.max_degradation / scale,
+            score.broken_degradation,
+            c.max_degradation / scale,
+        ),
     ]
-    way = {i: distance(one, float(fitted.z[i])) for i, one in own}
-    found = []
-    for target, one in fitted.sums.items():
-        curve = np.einsum("bii->i", one.curve[blocks]) / one.colour.stretch
-        moved = [curve[c] * way[int(i)] ** 2 for c, i in enumerate(one.columns) if int(i) in way]
-        if max(moved, default=0.0) > FELT:
-            found.append(target)
-    return found
+    return tuple(
+        Reason(criterion, score.name, number, limit, key="" if criterion in OF_OTHER_SIGNALS else score.target)
+        for criterion, has_passed, number, limit in compared
+        if not has_passed
+    )
 
 
-def _grown(before: Modelled, after: Modelled, target: str, blocks: Array) -> float:
-    """By how much a target's mean square grows, tick by tick, as a share of what it is."""
-    was, now = (float(one.squares[target][0][blocks].sum()) for one in (before, after))
-    return now / was - 1.0 if was > 0.0 else 0.0
-
-
-def _explained(before: Modelled, after: Modelled, target: str, sizes: Mapping[str, float], blocks: Array) -> float:
-    """What a model takes off another one's misses of a target, root mean square, as a share of the signal."""
-    less = _mean_square(before, target, blocks) - _mean_square(after, target, blocks)
-    return max(less, 0.0) ** 0.5 / max(sizes[target], 1e-12)
-
-
-def _mean_square(model: Modelled, target: str, blocks: Array) -> float:
-    sums, counts = model.squares[target]
-    return float(sums[blocks].sum() / max(counts[blocks].sum(), 1.0))
-
-
-def shrink(
-    before: Modelled, after: Modelled, target: str, blocks: Array, null: Modelled | None = None, seed: int = 1
-) -> tuple[float, float, float]:
-    """By how much a target's error shrinks (root mean square), as a share of the null's (else of `before`'s), with its
-    95 % interval over blocks: tick by tick or of means over a second, whichever is surer. Most of what a noisy sensor
-    misses from tick to tick no model takes away, and what a car goes astray by within a block is in the means.
-    """
-    some = (before, after, before if null is None else null)
-    views = [shrunk([one.squares[target] for one in some], blocks, seed)]
-    if target in before.slow:
-        views.append(shrunk([one.slow[target] for one in some], blocks, seed))
-    return max(views, key=lambda one: one[1])
-
-
-def shrink_of_the_rest(before: Modelled, after: Modelled, target: str, blocks: Array, null: Modelled) -> float:
-    """By how much a target's error shrinks, tick by tick, in all blocks but the one that gains most."""
-    was, now, whole = (one.squares[target][0][blocks] for one in (before, after, null))
-    rest = np.arange(len(blocks)) != int(np.argmax(was - now))
-    left = [float(np.sqrt(one[rest].sum())) for one in (was, now, whole)]
-    return (left[0] - left[1]) / left[2] if left[2] > 0.0 else 0.0
-
-
-def shrunk(some: Sequence[tuple[Array, Array]], blocks: Array, seed: int = 1) -> tuple[float, float, float]:
-    """(value, low, high) of one view. some: sums and counts by block, before, after, and of what it is a share."""
-    sums = np.stack([sums[blocks] for sums, _ in some])
-    if sums[2].sum() <= 0.0:
-        return 0.0, 0.0, 0.0
-    drawn = np.random.default_rng(seed).integers(0, len(blocks), (1000, len(blocks)))
-    before, after, whole = np.sqrt(np.column_stack([sums.sum(axis=1), sums[:, drawn].sum(axis=2)]))
-    shares = (before - after) / np.maximum(whole, 1e-150)
-    low, high = np.quantile(shares[1:], [0.025, 0.975])
-    return float(shares[0]), float(low), float(high)
-
-
-def worked_on(null: Modelled, repaired: Modelled, sizes: Mapping[str, float], blocks: Array) -> dict[str, float]:
-    """The targets of which effects explain what matters, and how much of each signal: there they are answerable for
-    what is left. They have to feel the effects, and to be missed by LEAST_SHRINK less: recalibration that comes to
-    rest elsewhere beside an effect takes a little from any target or gives it.
-    """
-    explained = {
-        name: _explained(null, repaired, name, sizes, blocks) for name in felt(repaired, blocks) if name in sizes
-    }
-    return {
-        name: share
-        for name, share in explained.items()
-        if share > MATTERS and shrink(null, repaired, name, blocks)[0] >= LEAST_SHRINK
-    }
-
-
-def left_share(before: Left, after: Left) -> float:
-    """Of what anything could have explained of a target, the part that still can be."""
-    return max(after.explained, 0.0) / before.explained if before.explained > 0.0 else 0.0
+def _required_reduction(score: CandidateScore, c: SelectionCriteria) -> float:
+    """Share of the error that a candidate has to remove: more beside another, as any mismatch has a candidate."""
+    if not score.is_further:
+        return c.min_error_reduction
+    return c.plain_error_reduction if score.is_unbroken else c.min_further_error_reduction

@@ -1,308 +1,257 @@
-"""The search over effects: one, then further ones beside it, then each without the others, then others in its place.
+"""The stepwise search over effects, and the search again without those that are not new.
 
-Forward: the best effect that counts (decide.py) is added and all are asked again. Backward: one that does not count
-beside the others is taken out again. Settled: each that stays is held against everybody else in its place, the others
-staying; who explains as much there is its rival. A model that others are compared with is fitted on until nothing is
-gained: what a search finds of the rest on its way would else be counted as the merit of whoever is asked next.
-
-What of a search's steps is news, and whether that is what is missing; the search again, without what is none.
+Forward: the best accepted candidate is added, and all others are scored beside it. Backward: an effect that is no
+longer accepted beside the later ones is taken out. Settle: each effect that stays is compared with all candidates in
+its place; those that explain as much are its equivalents. Models that are compared are fitted on until nothing is
+gained: else what the fit gains for the other effects would count for the candidate.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Collection, Generator, Mapping, Sequence
 
 import numpy as np
 
-from tunefree_hil.gap.diagnostics.lack_of_fit import Left
-from tunefree_hil.gap.diagnostics.residual_tests import Looked, look
-from tunefree_hil.gap.estimation.evidence import LEAST_NATS, judged, log_evidence, stretched, stretches
-from tunefree_hil.gap.selection.baseline_misfit import Usual, parted, seen_alone
-from tunefree_hil.gap.selection.confounding import taken_back, with_hill
-from tunefree_hil.gap.selection.criteria import PLAIN_NATS, Weighed, left_share, weigh, worked_on
-from tunefree_hil.gap.selection.equivalence import outdone, rivals
-from tunefree_hil.gap.selection.verdict import not_it, wavers
-from tunefree_hil.gap.workers.pool import Team
-from tunefree_hil.gap.workers.worker import Modelled, Question
+from tunefree_hil.gap.estimation.evidence import (
+    MIN_EVIDENCE_NATS,
+    correlation_rows_by_target,
+    log_evidence,
+    with_correlation_rows,
+)
+from tunefree_hil.gap.progress import SearchProgress, SearchStage
+from tunefree_hil.gap.selection.baseline_misfit import BaselineMisfit
+from tunefree_hil.gap.selection.criteria import CRITERIA, SEARCH, CandidateScore
+from tunefree_hil.gap.selection.equivalence import find_better_rejected, find_equivalents
+from tunefree_hil.gap.selection.model_misfit import ModelMisfit, SearchContext
+from tunefree_hil.gap.selection.reasons import Reason
+from tunefree_hil.gap.selection.rejection import SelectionOutcome, reject_effects
+from tunefree_hil.gap.selection.scoring import Comparison, score_candidates
+from tunefree_hil.gap.workers.worker import FitSummary, OpenProblem
 
 Array = np.ndarray
 
-MOST_EFFECTS = 3
-CONTENDERS = 4  # fitted on before they are compared: those whose evidence is nearest to the best
-NEAR = 0.5  # of the best one's evidence
-WITHIN = 0.8  # of it, once the best are fitted on: whoever is as near as that is fitted on too
 
+def select_effects(
+    context: SearchContext, scores: list[CandidateScore], recalibrated: ModelMisfit, baseline: BaselineMisfit
+) -> Generator[SearchProgress, None, tuple[list[CandidateScore], SelectionOutcome]]:
+    """Repeat the search, each time without effects that the calibration logs had already, until none of these is left:
+    what is not new must not hide what is.
 
-def weighed(
-    team: Team, question: Question, names: Sequence[str], start: Modelled | None, blocks: Array,
-    known: Mapping[str, Modelled] | None = None,
-) -> list[Weighed]:  # fmt: skip
-    """Suspects beside `start` (None: the null), fitted and weighed; those that matter fitted on first. known: models
-    that are weighed with them, fitted on already.
+    Args:
+        scores: every candidate scored alone.
+        recalibrated: what the model without effects leaves.
+
+    Returns:
+        the candidates scored alone in the last round, and its outcome.
     """
-    begin, known = question.null if start is None else start, known or {}
-    found, done = {**team.fit(names, start), **known}, set(known)
-    some = _fitted_on(team, question, found, begin, blocks, done)
-    if some and some[0].evidence > PLAIN_NATS:
-        left = [name for name in names if name in found and name not in done]
-        found |= _fuller(found, team.fit(left, start, some[0].model), some[0].model, blocks)
-        some = _fitted_on(team, question, found, begin, blocks, done)
-    return some
+    known_names, known = set[str](), tuple[Reason, ...]()
+    while True:
+        asked = context._replace(problem=_without_candidates(context.problem, known_names))
+        alone = [score for score in scores if score.name not in known_names]
+        found = yield from search_forward(asked, alone)
+        steps = yield from search_backward(asked, found)
+        steps, alone = yield from settle_steps(asked, alone, steps, shortened=len(steps) < len(found))
+        yield SearchProgress(SearchStage.REMAINDER, "what is left unexplained")
+        outcome = reject_effects(asked, steps, alone, recalibrated, baseline)
+        known += outcome.known
+        if not outcome.known_names:
+            return alone, outcome._replace(known=known)
+        known_names |= set(outcome.known_names)
 
 
-def _fitted_on(
-    team: Team, question: Question, found: dict[str, Modelled], begin: Modelled, blocks: Array, done: set[str]
-) -> list[Weighed]:
-    """All that were found, weighed, those that matter fitted on first: in `found`, and added to `done`."""
-    some, share = _weigh(question, found, begin, blocks), WITHIN if done else NEAR
-    while near := _near(some, share, done):
-        found |= dict(zip(near, team.fit_on([found[name] for name in near]), strict=True))
-        some = _weigh(question, found, begin, blocks)
-        share = WITHIN
-        done |= set(near)
-    return some
+def _without_candidates(problem: OpenProblem, names: Collection[str]) -> OpenProblem:
+    return problem._replace(candidates=tuple(one for one in problem.candidates if one.name not in names))
 
 
-def _fuller(
-    found: Mapping[str, Modelled], again: Mapping[str, Modelled], best: Modelled, blocks: Array
-) -> dict[str, Modelled]:
-    """Of those asked again the ones that explain more than they did, by the noise that the best leaves. By that of a
-    start that lacks a constant force no grid tells who takes it away: its rows all say the same, as one, and a coarse
-    grid's first point is as good as any.
-    """
-    by = stretches(best.fitted)
-    worth = {
-        name: [log_evidence(stretched(one.fitted, by), blocks) for one in (found[name], other)]
-        for name, other in again.items()
-    }
-    return {name: again[name] for name, (was, now) in worth.items() if now > was}
-
-
-def _weigh(question: Question, models: Mapping[str, Modelled], start: Modelled, blocks: Array) -> list[Weighed]:
-    return weigh(models, start, question.null, question.sizes, blocks, question.broken, question.usually)
-
-
-def _near(some: Sequence[Weighed], share: float, done: set[str]) -> list[str]:
-    """The next ones that are to be fitted on: who matters and has so much of the best one's evidence; the best one in
-    any case: whose search took one step only (team.py) is a little off still, and what that leaves in every row alike
-    passes for noise, in which nothing has evidence.
-    """
-    worth = sorted((one for one in some if one.matters), key=lambda one: -one.evidence)
-    if not worth:
+def search_forward(
+    context: SearchContext, alone: list[CandidateScore]
+) -> Generator[SearchProgress, None, list[CandidateScore]]:
+    """Add one effect after another, each scored beside those before it and fitted with them."""
+    first = _first_step(alone)
+    if first is None:
         return []
-    least = max(share * worth[0].evidence, LEAST_NATS)
-    left = [one.name for one in worth if (one is worth[0] or one.evidence > least) and one.name not in done]
-    return left[:CONTENDERS]
-
-
-def forward(team: Team, question: Question, first: list[Weighed], blocks: Array) -> Generator[str, None, list[Weighed]]:
-    """Effects one after the other, each beside those before it, refitted with them."""
-    lead = _lead(first)
-    if lead is None:
-        return []
-    steps = [lead]
-    while len(steps) < MOST_EFFECTS:
-        names = [one.name for one in question.suspects if one.name not in {step.name for step in steps}]
-        yield f"beside {', '.join(step.name for step in steps)}"
-        more = weighed(team, question, names, steps[-1].model, blocks)
-        if not more or not more[0].counts or outdone(more):
+    steps = [first]
+    while len(steps) < SEARCH.max_effects:
+        taken = {step.name for step in steps}
+        names = [candidate.name for candidate in context.problem.candidates if candidate.name not in taken]
+        yield SearchProgress(
+            SearchStage.FURTHER_EFFECTS, f"further effects beside {', '.join(step.name for step in steps)}"
+        )
+        scores = fit_and_score(context, names, steps[-1].model)
+        if not scores or not scores[0].is_accepted or find_better_rejected(scores):
             break
-        again = _against_the_rest(team, question, more[0], more[0].name, blocks)
-        if not again.counts:
+        score = _score_beside_others(context, scores[0])
+        if not score.is_accepted:
             break
-        steps.append(again._replace(others=tuple(rivals(more, blocks)), placed=_evidences(more)))
-    return steps if lead.counts or len(steps) > 1 else []
+        steps.append(_with_equivalents(score, find_equivalents(scores, context.blocks), scores))
+    return steps if first.is_accepted or len(steps) > 1 else []
 
 
-def _lead(first: Sequence[Weighed]) -> Weighed | None:
-    """Who is asked for others beside it: the best that counts. Where somebody has more evidence, or nobody counts, the
-    one with the most, if nothing but what it spoils speaks against it: a late INS and a gyro that is filtered hide each
-    other, and are found together or not at all (backward: each has to count beside the other).
+def _first_step(alone: Sequence[CandidateScore]) -> CandidateScore | None:
+    """The candidate that others are tried beside; None where none qualifies.
+
+    It is the best accepted one. Where a rejected one has more evidence, or none is accepted, it is the one with the
+    most evidence, if it fails only by the signals that it degrades: two effects that hide each other (a late INS, a
+    filtered gyro) are found together or not at all.
     """
-    if not first:
+    if not alone:
         return None
-    if first[0].counts and not outdone(first):
-        return first[0]
-    most = max(first, key=lambda one: one.evidence)
-    return most if most.spoils else None
+    if alone[0].is_accepted and not find_better_rejected(alone):
+        return alone[0]
+    strongest = max(alone, key=lambda score: score.evidence)
+    return strongest if strongest.degrades_others else None
 
 
-def _against_the_rest(team: Team, question: Question, step: Weighed, name: str, blocks: Array) -> Weighed:
-    """A step, weighed against its own model without one of its effects, the rest fitted on from there.
-
-    What a search finds of the rest on its way is no merit of the effect: a limit that no drive touches stays without.
-    """
-    rest = team.fit_without(step.model, [name])[name]
-    return _weigh(question, {step.name: step.model}, rest, blocks)[0]
-
-
-def backward(
-    team: Team, question: Question, steps: list[Weighed], blocks: Array
-) -> Generator[str, None, list[Weighed]]:
-    """Take out effects that no longer count beside those found later. Where one was, what is known of rivals is not
-    known any more.
-    """
+def search_backward(
+    context: SearchContext, steps: list[CandidateScore]
+) -> Generator[SearchProgress, None, list[CandidateScore]]:
+    """Take out effects that are no longer accepted beside those found later."""
     if len(steps) < 2:
         return steps
-    yield "each without the others"
+    yield SearchProgress(SearchStage.ELIMINATION, "each effect without the others")
     last, stay = steps[-1].model, steps
     for name in [step.name for step in steps]:
-        if len(stay) == 1 or (name == steps[-1].name and len(stay) == len(steps)):  # the newest counts beside all
+        # The newest was accepted beside all the others
+        if len(stay) == 1 or (name == steps[-1].name and len(stay) == len(steps)):
             break
-        rest = team.fit_without(last, [name])[name]
-        if not _weigh(question, {name: last}, rest, blocks)[0].counts:
+        rest = context.pool.fit_without_effects(last, [name])[name]
+        if not _score(context, {name: last}, rest)[0].is_accepted:
             last, stay = rest, [step for step in stay if step.name != name]
     return [*stay[:-1], stay[-1]._replace(model=last)]
 
 
-def settled(
-    team: Team, question: Question, first: list[Weighed], steps: list[Weighed], blocks: Array, fresh: bool = False
-) -> Generator[str, None, tuple[list[Weighed], list[Weighed]]]:
-    """(steps, each with the names that explain as much in its place; all suspects alone, weighed with the one step).
+def settle_steps(
+    context: SearchContext, alone: list[CandidateScore], steps: list[CandidateScore], shortened: bool = False
+) -> Generator[SearchProgress, None, tuple[list[CandidateScore], list[CandidateScore]]]:
+    """Find the equivalents of each effect, and of a single effect the best candidate at its values.
 
-    fresh: whether one was taken out, so that the newest has to be asked for its rivals again. A single effect that was
-    found beside another is weighed among all suspects alone, with the values that it has now; who is best there is it.
+    Args:
+        alone: every candidate scored alone.
+        shortened: an effect was taken out, so that the equivalents of the newest have to be found again.
+
+    Returns:
+        the effects with their equivalents; the candidates scored alone, a single effect among them as it is now.
     """
     if not steps:
-        return [], first
+        return [], alone
     if len(steps) == 1:
-        if first[0].name != steps[0].name:
-            models = {one.name: one.model for one in first} | {steps[0].name: steps[0].model}
-            first = _weigh(question, models, question.null, blocks)
-        if not first[0].counts or outdone(first):
-            return [], first
-        return [first[0]._replace(others=tuple(rivals(first, blocks)), placed=_evidences(first))], first
-    found, last = [], steps[-1].model
-    for step in steps if fresh else steps[:-1]:
-        yield f"each without the others, and any in the place of {step.name}"
-        found.append(_in_its_place(team, question, steps, step, blocks))
-    found += steps[len(found) :]
-    return [*found[:-1], found[-1]._replace(model=last)], first
+        if alone[0].name != steps[0].name:
+            models = {score.name: score.model for score in alone} | {steps[0].name: steps[0].model}
+            alone = _score(context, models, context.problem.recalibrated)
+        if not alone[0].is_accepted or find_better_rejected(alone):
+            return [], alone
+        return [_with_equivalents(alone[0], find_equivalents(alone, context.blocks), alone)], alone
+    settled, last = [], steps[-1].model
+    for step in steps if shortened else steps[:-1]:
+        yield SearchProgress(SearchStage.ELIMINATION, f"each candidate in the place of {step.name}")
+        settled.append(_score_in_place(context, steps, step))
+    settled += steps[len(settled) :]
+    return [*settled[:-1], settled[-1]._replace(model=last)], alone
 
 
-def _in_its_place(team: Team, question: Question, steps: list[Weighed], step: Weighed, blocks: Array) -> Weighed:
-    """A step of several weighed against all suspects that are not among them, beside the rest of the steps."""
-    last = steps[-1].model
-    rest = team.fit_without(last, [step.name])[step.name]
-    names = [one.name for one in question.suspects if one.name not in {one.name for one in steps}]
-    some = weighed(team, question, names, rest, blocks, {step.name: last})
-    own = next(one for one in some if one.name == step.name)
-    equal = [some[0].name, *rivals(some, blocks)] if some[0].counts else []
-    return own._replace(others=tuple(name for name in equal if name != step.name), placed=_evidences(some))
+def fit_and_score(
+    context: SearchContext,
+    names: Sequence[str],
+    start: FitSummary | None = None,
+    known: Mapping[str, FitSummary] | None = None,
+) -> list[CandidateScore]:
+    """Fit candidates beside a model and score them, the best first; the strongest are fitted on to their end.
 
-
-def _evidences(some: Sequence[Weighed]) -> dict[str, float]:
-    return {one.name: one.evidence for one in some}
-
-
-class Seen(NamedTuple):
-    """Of a model: what it leaves to be explained, by target; every target, the most broken first."""
-
-    left: dict[str, Left]
-    looked: list[Looked]
-
-
-class Sifted(NamedTuple):
-    """A search's steps that are news, in the model `repaired`, which leaves `after`; still: every target with all the
-    steps in the model. amiss: why the news is not what is missing; words: why other steps are not named; old: which of
-    them are no news; no_news: that, in words.
+    Args:
+        start: the model that they are added to; None: the recalibrated one.
+        known: models that are fitted on already, to be scored with them.
     """
-
-    news: list[Weighed]
-    repaired: Modelled
-    after: Seen
-    still: list[Looked]
-    amiss: str
-    words: tuple[str, ...]
-    no_news: tuple[str, ...] = ()
-    old: tuple[str, ...] = ()
-
-
-def looked_at(team: Team, question: Question, model: Modelled, blocks: Array) -> Seen:
-    """What a model leaves, and what is broken with it in place."""
-    (left,), (bursts,) = (team.ask(what, [model.fitted], blocks) for what in ("left_by", "bursts_of"))
-    return Seen(left, look(left, question.kinds, question.sizes, bursts))
+    pool, base, known = context.pool, context.problem.recalibrated if start is None else start, known or {}
+    models, refined = {**pool.fit_candidates(names, start), **known}, set(known)
+    scores = _refine_best(context, models, base, refined)
+    if scores and scores[0].evidence > CRITERIA.plain_evidence_nats:
+        rest = [name for name in names if name in models and name not in refined]
+        best = scores[0].model
+        models |= _improved_fits(models, pool.fit_candidates(rest, start, best), best, context.blocks)
+        scores = _refine_best(context, models, base, refined)
+    return scores
 
 
-def marked(question: Question, looked: Sequence[Looked], usual: Usual) -> Question:
-    """The question with what recalibration alone leaves broken, and which of that is missed as usual."""
-    broken = [one for one in looked if one.broken]
-    as_usual = frozenset(one.signal for one in broken if usual.as_usual(one))
-    return question._replace(broken=frozenset(one.signal for one in broken), usually=as_usual)
+def _refine_best(
+    context: SearchContext, models: dict[str, FitSummary], base: FitSummary, refined: set[str]
+) -> list[CandidateScore]:
+    """Score all models, and fit the strongest on until no other comes near; updates `models` and `refined`."""
+    scores = _score(context, models, base)
+    share = SEARCH.refined_share if refined else SEARCH.first_refined_share
+    while names := _refinement_candidates(scores, share, refined):
+        models |= dict(zip(names, context.pool.refine_fits([models[name] for name in names]), strict=True))
+        scores = _score(context, models, base)
+        share = SEARCH.refined_share
+        refined |= set(names)
+    return scores
 
 
-def searched(
-    team: Team, question: Question, every: list[Weighed], before: Seen, usual: Usual
-) -> Generator[str, None, tuple[list[Weighed], Sifted]]:
-    """(suspects alone, what was found of them). every: all suspects alone; before: of the null. Who is no news is asked
-    no more, and the others once again, without it: what the own logs had as well is to hide nobody who came later.
+def _refinement_candidates(scores: Sequence[CandidateScore], share: float, refined: set[str]) -> list[str]:
+    """The next candidates to be fitted on: those with a share of the best one's evidence, and the best one in any case.
+
+    After one step of the search the best is still a little off, and an error that is the same in every row counts as
+    noise, in which nothing has evidence.
     """
-    old, words, blocks = set[str](), tuple[str, ...](), judged(question.blocks)
-    while True:
-        asked = question._replace(suspects=tuple(one for one in question.suspects if one.name not in old))
-        first = [one for one in every if one.name not in old]
-        steps = yield from forward(team, asked, first, blocks)
-        stay = yield from backward(team, asked, steps, blocks)
-        stay, first = yield from settled(team, asked, first, stay, blocks, fresh=len(stay) < len(steps))
-        yield "what is left"
-        found = _sifted(team, asked, stay, first, before, usual)
-        words += found.no_news
-        if not found.old:
-            return first, found._replace(no_news=words)
-        old |= set(found.old)
+    relevant = sorted((score for score in scores if score.is_relevant), key=lambda score: -score.evidence)
+    if not relevant:
+        return []
+    best = relevant[0]
+    least = max(share * best.evidence, MIN_EVIDENCE_NATS)
+    names = [
+        score.name for score in relevant if (score is best or score.evidence > least) and score.name not in refined
+    ]
+    return names[: SEARCH.refined_at_once]
 
 
-def _sifted(
-    team: Team, question: Question, steps: Sequence[Weighed], first: Sequence[Weighed], before: Seen, usual: Usual
-) -> Sifted:
-    """What of a search's steps is news, and whether that is it. before: of the null."""
-    model, blocks = team.setting.model, judged(question.blocks)
-    repaired = steps[-1].model if steps else question.null
-    after = looked_at(team, question, repaired, blocks) if steps else before
-    still = after.looked
-    explained = any(one.broken for one in before.looked) and not any(one.broken for one in still)
-    news, no_news = parted(steps, repaired.fitted, usual, blocks, explained=explained)
-    old = tuple(one.name for one in steps if one not in news)
-    news, hidden = seen_alone(news, steps, first)
-    news = with_hill(news, repaired.fitted, usual, model)
-    amiss = _amiss(team, question, repaired, news, before, after, usual) if news else ""
-    if len(news) < len(steps):
-        repaired = _without(team, question, repaired, steps, news)
-        after = looked_at(team, question, repaired, blocks)
-    news, undone = taken_back(news, first, repaired.fitted, model, blocks)
-    return Sifted(news, repaired, after, still, amiss, (*undone, *hidden), no_news, old)
+def _improved_fits(
+    models: Mapping[str, FitSummary], again: Mapping[str, FitSummary], best: FitSummary, blocks: Array
+) -> dict[str, FitSummary]:
+    """Those of the models fitted again that explain more than before, by the noise that the best one leaves.
 
-
-def _amiss(
-    team: Team, question: Question, repaired: Modelled, steps: Sequence[Weighed], before: Seen, after: Seen,
-    usual: Usual,
-) -> str:  # fmt: skip
-    """Why what was found is not what is missing, in words; '' where nothing speaks against it. before: of the null;
-    after: of the model with all that was found, of which `steps` are to be named.
+    By the noise of a start that lacks a constant force no grid finds its cause: the error is the same in every row.
     """
-    blocks = judged(question.blocks)
-    worked = worked_on(question.null, repaired, question.sizes, blocks)
-    left = {name: left_share(before.left[name], one) for name, one in after.left.items()}
+    rows = correlation_rows_by_target(best.fit)
+    evidence = {
+        name: [log_evidence(with_correlation_rows(model.fit, rows), blocks) for model in (models[name], other)]
+        for name, other in again.items()
+    }
+    return {name: again[name] for name, (before, after) in evidence.items() if after > before}
 
-    def moved(key: str, by: float) -> dict[str, float]:
-        found = team.ask("moved_by", repaired.fitted, key, by)
-        return {target: rms / question.sizes[target] for target, rms in found.items()}
 
-    days = question.blocks.drives[blocks]
-    return not_it(before.looked, after.looked, left, worked, usual) or wavers(
-        steps, repaired, blocks, days, after.looked, worked, moved
+def _score(context: SearchContext, models: Mapping[str, FitSummary], base: FitSummary) -> list[CandidateScore]:
+    problem = context.problem
+    against = Comparison(
+        base=base,
+        recalibrated=problem.recalibrated,
+        signal_scales=problem.signal_scales,
+        blocks=context.blocks,
+        broken=problem.broken_targets,
+        within_baseline=problem.targets_within_baseline,
     )
+    return score_candidates(models, against)
 
 
-def _without(
-    team: Team, question: Question, model: Modelled, steps: Sequence[Weighed], stay: Sequence[Weighed]
-) -> Modelled:
-    """A model without those of its steps that do not stay, the rest fitted on."""
-    if not stay:
-        return question.null
-    stays = {step.name for step in stay}
-    for step in steps:
-        if step.name not in stays:
-            model = team.fit_without(model, [step.name])[step.name]
-    return model
+def _score_beside_others(context: SearchContext, step: CandidateScore) -> CandidateScore:
+    """Score a step against its own model without its effect, fitted on from there.
+
+    So what the fit gains for the other effects does not count for this one.
+    """
+    rest = context.pool.fit_without_effects(step.model, [step.name])[step.name]
+    return _score(context, {step.name: step.model}, rest)[0]
+
+
+def _score_in_place(context: SearchContext, steps: list[CandidateScore], step: CandidateScore) -> CandidateScore:
+    """Score one of several steps among all other candidates, beside the rest of the steps."""
+    last = steps[-1].model
+    rest = context.pool.fit_without_effects(last, [step.name])[step.name]
+    taken = {other.name for other in steps}
+    names = [candidate.name for candidate in context.problem.candidates if candidate.name not in taken]
+    scores = fit_and_score(context, names, rest, {step.name: last})
+    score = next(score for score in scores if score.name == step.name)
+    equal = [scores[0].name, *find_equivalents(scores, context.blocks)] if scores[0].is_accepted else []
+    return _with_equivalents(score, [name for name in equal if name != step.name], scores)
+
+
+def _with_equivalents(score: CandidateScore, names: Sequence[str], scores: Sequence[CandidateScore]) -> CandidateScore:
+    """A score with its equivalents, and the evidence of all candidates that were tried in its place."""
+    return score._replace(equivalents=tuple(names), evidence_in_place={other.name: other.evidence for other in scores})

@@ -1,15 +1,12 @@
-"""The whole car of a model folder, run over a recording: recorded commands in, on its own wherever it is not told.
+"""Free runs over a recording: the whole simulated vehicle of a model folder, driven by the recorded commands alone.
 
-Actuators, effects, chassis, sensors are the bench's own (plant/vehicle.py `assemble`), so that what is proved is what a
-bench drives. In rows that are held the chassis is told the measured motion; in the others it runs free, without being
-put right. Noise is left out: it is the measurement's.
+Actuators, effects, chassis and sensors are put together as on the bench (plant/vehicle.py, `assemble`), so that what is
+proved is what a bench drives. Where rows are held, the chassis is set to the measured motion; elsewhere it runs free.
+Sensor noise is left out, as it is in the measurement.
 
-Whether a car forgets within WARM_S what it did before, so that a drive may be begun anew so long before a block.
-
-Free runs over blocks that choose (gap/validation/update_selection.py) drive no more of a recording than they must. What is behind a dead time
-or a lag is forgotten after a few of them; play and dry friction keep where they last came from, brakes their heat, a
-learned cell what it likes. Nothing is taken on trust: every part is driven far to one side and far to the other, then
-held at rest, and must say the same.
+A run over some blocks may begin anew before each of them, if the vehicle forgets within WARM_UP_S what it did before.
+Dead times and lags do; play and dry friction keep their side, brakes their heat, and a learned cell may keep anything.
+So every part is tested: it is driven far to either side, then held at rest, and has to come to the same.
 """
 
 from __future__ import annotations
@@ -24,10 +21,10 @@ from tunefree_hil.base.contracts import Latency, Port, make_effect
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import Command, Disturbance, Ins, Motion, Report
 from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
-from tunefree_hil.gap.measured.chain import Opened, commanded
-from tunefree_hil.gap.model.graph import CHANNELS, channel_spec, is_unheard
-from tunefree_hil.gap.model.history import ahead
-from tunefree_hil.learn.evaluation.free_run import plant_of
+from tunefree_hil.gap.measured.chain import MeasuredDrive, find_commanded_channels
+from tunefree_hil.gap.model.graph import CHANNELS, channel_spec_from_model, is_inert_port
+from tunefree_hil.gap.model.history import shift_earlier
+from tunefree_hil.learn.evaluation.free_run import open_plant
 from tunefree_hil.learn.evaluation.motion import actuator_params
 from tunefree_hil.plant.actuation.actuators import ActuatorParams, actuator
 from tunefree_hil.plant.measurement.sensors import noise_table
@@ -36,172 +33,211 @@ from tunefree_hil.plant.vehicle import Body, assemble, first_output, for_episode
 
 Array = np.ndarray
 
-REPORTED = tuple(f"report.{name}" for name in Report._fields)
-PLACED = tuple(f"ins.{name}" for name in Ins._fields)
-STILL_MPS = 0.05  # of a measured speed, of a road car: less is a wheel that rattles, and brakes would stop it each tick
-COURSE_S, LEAST_WAY_M = 4.0, 2.0  # places tell a course over such a time, once they are so far apart
+REPORT_SIGNALS = tuple(f"report.{name}" for name in Report._fields)
+INS_SIGNALS = tuple(f"ins.{name}" for name in Ins._fields)
+RECORDS = {Port.REPORT: Report, Port.INS: Ins}
+SENSOR_PORTS = (Port.REPORT, Port.INS)
+STANDSTILL_MPS = 0.05  # measured speed of a standing road car: its wheel sensors rattle, and brakes would act each tick
+COURSE_S, MIN_PATH_M = 4.0, 2.0  # positions give a course by means over this time, once they are so far apart
+WARM_UP_S = 3.0  # after that a lag of 0.4 s keeps 5e-4 of what was before; most lags are a few hundredths
+DISTURBED_S, DISTURBANCE = 3.0, 0.5  # how long and how far (duty, rad, or 1 of a report) a part is driven before
+MAX_REMAINDER = 1e-3  # share of the difference that may be left after WARM_UP_S
 
 
-class Car(NamedTuple):
-    """A model folder's car. late_s: by which its own effects make reports and INS late, (reports, INS). forgets:
-    whether nothing of it remembers longer than a few seconds what it did (gap/validation/free_run.py).
+class FreeRunCar(NamedTuple):
+    """The simulated vehicle of a model folder.
+
+    Args:
+        body: the assembled vehicle.
+        observe: sets the chassis to a measured motion.
+        sensor_delay_s: by how much the model's own effects delay reports and INS.
+        has_short_memory: nothing in it remembers what it did more than WARM_UP_S ago.
     """
 
     body: Body
     observe: Any
-    rest: float
-    late_s: tuple[float, float]
-    forgets: bool
+    rest_pedal_frac: float
+    sensor_delay_s: tuple[float, float]
+    has_short_memory: bool
 
 
-def car_of(model: ModelSpec, vehicle: VehicleSpec, opened: Opened, more: Sequence[EffectSpec] = ()) -> Car:
-    """The car for a recording; `more`: effects behind the model's own, as a bench file has them.
+def assemble_car(
+    model: ModelSpec, vehicle: VehicleSpec, drive: MeasuredDrive, day_effects: Sequence[EffectSpec] = ()
+) -> FreeRunCar:
+    """The vehicle for one recording.
 
-    A car that is asked for an acceleration is driven by two pedals (gap/model/graph.py), as it is searched; what a bench
-    would not hear is left out. A channel whose commands acted nowhere in a recording (a person drove) has no actuator:
-    the reported output is what acts. An INS that is late by the vehicle's folder is no part of the car: recordings are
-    put right by that (gap/measured/chain.py).
+    A vehicle that is controlled by acceleration is driven by two pedals (gap/model/graph.py), as in the search. Effects
+    that a bench would not apply are left out. A channel whose commands acted nowhere in the recording (a person drove)
+    has no actuator: the reported output acts. A delay of the INS in the vehicle folder is not part of the vehicle, as
+    recordings are corrected for it.
+
+    Args:
+        day_effects: effects behind the model's own, as a bench file has them.
     """
-    rest, plant = vehicle.nominal.rest_pedal_frac, plant_of(model)
+    rest, plant = vehicle.nominal.rest_pedal_frac, open_plant(model)
     channels = {}
-    for name, acts in zip(CHANNELS, commanded(opened), strict=True):
+    for name, acts in zip(CHANNELS, find_commanded_channels(drive), strict=True):
         idle = 0.0 if name == "steer" else rest
-        channels[name] = (
-            actuator_params(channel_spec(model, name), idle, idle) if acts else ActuatorParams(rest=idle, initial=idle)
-        )
-    made = [_made(spec, rest) for spec in (*model.effects, *more)]
-    effects = [(port, one) for port, one in made if not is_unheard(model, port)]
-    body = assemble(plant, model.plant.params, channels, effects=effects, rest_frac=(rest, rest), dt_s=opened.dt_s)
+        if acts:
+            channels[name] = actuator_params(channel_spec_from_model(model, name), idle, idle)
+        else:
+            channels[name] = ActuatorParams(rest=idle, initial=idle)
+    made = [_make_effect(spec, rest) for spec in (*model.effects, *day_effects)]
+    effects = [(port, effect) for port, effect in made if not is_inert_port(model, port)]
+    body = assemble(plant, model.plant.params, channels, effects=effects, rest_frac=(rest, rest), dt_s=drive.dt_s)
     biased = for_episode(body, body.block.params.chassis.start, noise_table({}, model.bias, 0, 0))
-    late = [sum(made.params.delay_s for port, made in effects if port is where and _is_late(made)) for where in _ENDS]
-    parts_of_it = [*effects, *((None, actuator(one)) for one in channels.values())]
-    forgets = chassis_forgets(model.plant.kind, biased.block.params.chassis) and all(
-        is_forgotten(one, port, 0.0 if port is not None and port.value.startswith("steer") else rest, opened.dt_s)
-        for port, one in parts_of_it
+    delays = [
+        sum(effect.params.delay_s for port, effect in effects if port is sensor and _is_latency(effect))
+        for sensor in SENSOR_PORTS
+    ]
+    all_parts = [*effects, *((None, actuator(channel)) for channel in channels.values())]
+    has_short_memory = chassis_forgets(model.plant.kind, biased.block.params.chassis) and all(
+        forgets_disturbance(
+            part, port, 0.0 if port is not None and port.value.startswith("steer") else rest, drive.dt_s
+        )
+        for port, part in all_parts
     )
-    return Car(biased, plant.observe, rest, (late[0], late[1]), forgets)
+    return FreeRunCar(biased, plant.observe, rest, (delays[0], delays[1]), has_short_memory)
 
 
-_ENDS = (Port.REPORT, Port.INS)
+def _is_latency(effect: Any) -> bool:
+    return isinstance(effect, Block) and isinstance(effect.params, Latency)
 
 
-def _is_late(made: Any) -> bool:
-    return isinstance(made, Block) and isinstance(made.params, Latency)
-
-
-def _made(spec: EffectSpec, rest: float) -> tuple[Port, Any]:
+def _make_effect(spec: EffectSpec, rest: float) -> tuple[Port, Any]:
     effect = parts.load("tunefree_hil.effects", spec.name, "EFFECT")
-    pedal = effect.port.value.startswith(("throttle", "brake"))
-    return effect.port, make_effect(effect, spec.params, rest=rest if pedal else 0.0, name=spec.name)
+    is_pedal = effect.port.value.startswith(("throttle", "brake"))
+    return effect.port, make_effect(effect, spec.params, rest=rest if is_pedal else 0.0, name=spec.name)
 
 
-def run_over(car: Car, opened: Opened, held: Array, *, brief: bool = False) -> Mapping[str, Array]:
-    """What the car says in every row of a recording, by record field ('report.speed_mps', 'ins.x_m'), [n] each.
+def simulate_recording(
+    car: FreeRunCar, drive: MeasuredDrive, held: Array, *, skip_forgotten: bool = False
+) -> Mapping[str, Array]:
+    """Simulate a recording, by its commands.
 
-    held: bool [n], rows at which the chassis is told what was measured. What a run says that comes to no number is NaN,
-    to the end. brief: of a car that forgets, no more is driven than rows that are not held and what warms it up before
-    them; NaN elsewhere.
+    Args:
+        held: rows (n_rows,), bool, in which the chassis is set to the measured motion.
+        skip_forgotten: of a car with a short memory, simulate only the rows that are not held, and the warm-up before
+            them.
+
+    Returns:
+        (n_rows,) by record field ('report.speed_mps', 'ins.x_m'); NaN where nothing was simulated, and to the end where
+        the simulation diverges.
     """
-    told, motions, gears = _told(car, opened)
-    body, dt_s = car.body, opened.dt_s
-    start = body.block.params.chassis.start._replace(speed_mps=float(opened.inputs.speed_mps[0]))
+    recorded = _recorded_inputs(car, drive)
+    body, dt_s = car.body, drive.dt_s
+    start = body.block.params.chassis.start._replace(speed_mps=float(drive.inputs.speed_mps[0]))
     body = for_episode(body, start, body.block.params.sensors.noise)
     state, _ = first_output(body, dt_s)
     step, params, observe = body.block.step, body.block.params, car.observe
-    nobody, road = Driver(car.rest, car.rest), Disturbance(0.0, 1.0)
-    rows, seen = np.full((opened.ticks, len(REPORTED) + len(PLACED)), np.nan), held.tolist()
-    driven = needed(held, dt_s) if brief and car.forgets else np.ones(opened.ticks, dtype=bool)
-    for k in np.flatnonzero(driven[1:]).tolist():
+    no_driver, road = Driver(car.rest_pedal_frac, car.rest_pedal_frac), Disturbance(0.0, 1.0)
+    rows, is_held = np.full((drive.ticks, len(REPORT_SIGNALS) + len(INS_SIGNALS)), np.nan), held.tolist()
+    has_gaps = skip_forgotten and car.has_short_memory
+    simulated = rows_to_simulate(held, dt_s) if has_gaps else np.ones(drive.ticks, dtype=bool)
+    for k in np.flatnonzero(simulated[1:]).tolist():
         k += 1
-        if seen[k - 1]:
-            state = state._replace(chassis=observe(state.chassis, motions[k - 1]))
-        command = Command._make((*told[k], gears[k], np.nan, np.nan))
+        if is_held[k - 1]:
+            state = state._replace(chassis=observe(state.chassis, recorded.motions[k - 1]))
+        command = Command._make((*recorded.commands[k], recorded.gears[k], np.nan, np.nan))
         try:
-            state, out = step(params, state, BodyInput(command, nobody, road), dt_s)
-        except (ArithmeticError, ValueError):  # Python's mathematics refuse what a compiled car says no number to
+            state, out = step(params, state, BodyInput(command, no_driver, road), dt_s)
+        except (ArithmeticError, ValueError):  # Python raises where compiled code returns NaN
             break
         rows[k] = (*out.measurement.report, *out.measurement.ins)
     rows[0] = rows[min(1, len(rows) - 1)]
-    return dict(zip((*REPORTED, *PLACED), rows.T, strict=True))
+    return dict(zip((*REPORT_SIGNALS, *INS_SIGNALS), rows.T, strict=True))
 
 
-def _told(car: Car, opened: Opened) -> tuple[list[list[float]], list[Motion], list[float]]:
-    """(commands, measured motions, gears) of the rows; what a late report says of the past is put back there."""
-    x = opened.inputs
-    by_report, by_ins = (late / x.dt_s for late in car.late_s)
-    columns = [ahead(x.commands[:, i], by_report) if x.echoed[i] else x.commands[:, i] for i in range(3)]
-    speed = np.where(np.abs(x.speed_mps) < STILL_MPS * opened.pace, 0.0, x.speed_mps)
-    motion = np.column_stack([*pose_of(opened), speed, x.side_speed_mps, x.yaw_rate_radps, x.rate_mps2])
-    motion = ahead(motion, by_ins if x.by_ins else by_report)
+class _RecordedInputs(NamedTuple):
+    """What a recording gives to each row of a simulation."""
+
+    commands: list[list[float]]
+    motions: list[Motion]
+    gears: list[float]
+
+
+def _recorded_inputs(car: FreeRunCar, drive: MeasuredDrive) -> _RecordedInputs:
+    """The inputs of each row; what a delayed report says of the past is moved back there."""
+    x = drive.inputs
+    report_ticks, ins_ticks = (delay_s / x.dt_s for delay_s in car.sensor_delay_s)
+    columns = [shift_earlier(x.commands[:, i], report_ticks) if x.is_echoed[i] else x.commands[:, i] for i in range(3)]
+    speed = np.where(np.abs(x.speed_mps) < STANDSTILL_MPS * drive.size_scale, 0.0, x.speed_mps)
+    motion = np.column_stack([*measured_pose(drive), speed, x.side_speed_mps, x.yaw_rate_radps, x.speed_rate_mps2])
+    motion = shift_earlier(motion, ins_ticks if x.uses_ins_speed else report_ticks)
     motions = [Motion._make((*row[:6], 0.0, 0.0, row[6], 0.0, 0.0, 0.0, 0.0)) for row in motion.tolist()]
-    return np.stack(columns, axis=1).tolist(), motions, x.gear.tolist()
+    return _RecordedInputs(np.stack(columns, axis=1).tolist(), motions, x.gear.tolist())
 
 
-def pose_of(opened: Opened) -> tuple[Array, Array, Array]:
-    """(x, y, heading) of the rear axle as measured. Without an INS that says them they are summed up from speed and yaw
-    rate, about an origin of their own; where places were measured and no heading, it is the way that the places go.
+class MeasuredPose(NamedTuple):
+    """Of the rear axle, (n_rows,) each."""
+
+    x_m: Array
+    y_m: Array
+    heading_rad: Array
+
+
+def measured_pose(drive: MeasuredDrive) -> MeasuredPose:
+    """The measured pose. Without an INS it is the integral of speed and yaw rate, from an origin of its own; where
+    positions were measured and no heading, that heading is turned into the direction in which the positions move.
     """
-    speed, dt_s = opened.inputs.speed_mps, opened.dt_s
-    placed = opened.has("ins.x_m", "ins.y_m")
-    if opened.has("ins.heading_rad"):
-        heading = opened.signals["ins.heading_rad"].values
+    speed, dt_s = drive.inputs.speed_mps, drive.dt_s
+    has_position = drive.has_signals("ins.x_m", "ins.y_m")
+    if drive.has_signals("ins.heading_rad"):
+        heading = drive.signals["ins.heading_rad"].values
     else:
-        heading = np.cumsum(opened.inputs.yaw_rate_radps) * dt_s
-        heading = heading + (_turned(opened, heading) if placed else 0.0)
-    if placed:
-        return opened.signals["ins.x_m"].values, opened.signals["ins.y_m"].values, heading
-    return np.cumsum(speed * np.cos(heading)) * dt_s, np.cumsum(speed * np.sin(heading)) * dt_s, heading
+        heading = np.cumsum(drive.inputs.yaw_rate_radps) * dt_s
+        heading = heading + (_heading_offset(drive, heading) if has_position else 0.0)
+    if has_position:
+        return MeasuredPose(drive.signals["ins.x_m"].values, drive.signals["ins.y_m"].values, heading)
+    return MeasuredPose(np.cumsum(speed * np.cos(heading)) * dt_s, np.cumsum(speed * np.sin(heading)) * dt_s, heading)
 
 
-def _turned(opened: Opened, heading: Array) -> Array:
-    """By how much a summed-up heading is turned against the way that the measured places go, rad [n]; means over
-    COURSE_S, weighted by distance. The rear axle, whose places they are, goes where the car heads but for its slip.
+def _heading_offset(drive: MeasuredDrive, heading: Array) -> Array:
+    """Angle from an integrated heading to the course of the measured positions, rad (n_rows,); means over COURSE_S,
+    weighted by distance. The positions are the rear axle's, which moves where the vehicle heads but for its slip.
     """
-    x_m, y_m = (opened.signals[name].values for name in ("ins.x_m", "ins.y_m"))
-    way = (np.gradient(x_m) + 1j * np.gradient(y_m)) * opened.moving
-    window = max(min(round(COURSE_S / opened.dt_s), opened.ticks), 1)
-    mean = np.convolve(way * np.exp(-1j * heading), np.ones(window), "same")
-    clear = np.flatnonzero(np.abs(mean) > LEAST_WAY_M)
+    x_m, y_m = (drive.signals[name].values for name in ("ins.x_m", "ins.y_m"))
+    path = (np.gradient(x_m) + 1j * np.gradient(y_m)) * drive.is_moving
+    window = max(min(round(COURSE_S / drive.dt_s), drive.ticks), 1)
+    mean = np.convolve(path * np.exp(-1j * heading), np.ones(window), "same")
+    clear = np.flatnonzero(np.abs(mean) > MIN_PATH_M)
     if not len(clear):
-        return np.zeros(opened.ticks)
-    return np.interp(np.arange(opened.ticks), clear, np.unwrap(np.angle(mean[clear])))
+        return np.zeros(drive.ticks)
+    return np.interp(np.arange(drive.ticks), clear, np.unwrap(np.angle(mean[clear])))
 
 
-WARM_S = 3.0  # a lag of 0.4 s has 5e-4 left of where it was then; most are a few hundredths
-AWAY_S, AWAY = 3.0, 0.5  # how long and how far (duty, rad; 1 of what is reported) it is driven before
-SAME = 1e-3  # of the difference before: what is left of it after WARM_S
-FRAMES = {Port.REPORT: Report, Port.INS: Ins}
+def forgets_disturbance(part: Any, port: Port | None, rest: float, dt_s: float) -> bool:
+    """Whether an effect (as `make_effect` makes it) or a channel (port None) forgets what it did before.
 
-
-def is_forgotten(made: Any, port: Port | None, rest: float, dt_s: float) -> bool:
-    """Whether an effect (what make_effect gave) or a channel (port None) forgets. Body changes are the chassis's."""
-    if not isinstance(made, Block):
+    A change of the body is the chassis's (`chassis_forgets`).
+    """
+    if not isinstance(part, Block):
         return True
-    record = FRAMES.get(port) if port is not None else None
-    said = []
-    for side in (-AWAY, AWAY):
-        away, still = (_value(record, one) for one in (rest + side, rest))
-        state = made.init(made.params, dt_s)
-        out: Any = still
-        for x, ticks in ((away, round(AWAY_S / dt_s)), (still, round(WARM_S / dt_s))):
+    record = RECORDS.get(port) if port is not None else None
+    outputs = []
+    for side in (-DISTURBANCE, DISTURBANCE):
+        disturbed, resting = (_constant_input(record, value) for value in (rest + side, rest))
+        state = part.init(part.params, dt_s)
+        output: Any = resting
+        for x, ticks in ((disturbed, round(DISTURBED_S / dt_s)), (resting, round(WARM_UP_S / dt_s))):
             for _ in range(ticks):
-                state, out = made.step(made.params, state, x, dt_s)
-        said.append(np.asarray(out, dtype=float))
-    return bool(np.abs(said[0] - said[1]).max() <= SAME * 2.0 * AWAY)
+                state, output = part.step(part.params, state, x, dt_s)
+        outputs.append(np.asarray(output, dtype=float))
+    return bool(np.abs(outputs[0] - outputs[1]).max() <= MAX_REMAINDER * 2.0 * DISTURBANCE)
 
 
 def chassis_forgets(kind: str, params: ChassisParams) -> bool:
-    """Whether a chassis that is told its motion has no other past: the physics, as long as its brakes do not fade."""
+    """Whether a chassis has no memory beyond its motion: the physics plant, as long as its brakes do not fade."""
     return kind == "physics" and params.constants.brake_loss_per_j == 0.0
 
 
-def needed(held: np.ndarray, dt_s: float) -> np.ndarray:
-    """Rows of a drive [n] that are free, or no more than WARM_S before one that is."""
-    reach = round(WARM_S / dt_s)
+def rows_to_simulate(held: Array, dt_s: float) -> Array:
+    """Rows (n_rows,), bool, that are free, or at most WARM_UP_S before one that is."""
+    reach = round(WARM_UP_S / dt_s)
     ahead = np.concatenate([np.cumsum(~held), np.full(reach + 1, int((~held).sum()))])
     before = np.concatenate([[0], ahead[: len(held)][:-1]])
     return ahead[reach : reach + len(held)] > before
 
 
-def _value(record: Any, value: float) -> Any:
+def _constant_input(record: Any, value: float) -> Any:
     return value if record is None else record(*(value,) * len(record._fields))

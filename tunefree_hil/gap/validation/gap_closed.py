@@ -1,9 +1,8 @@
-"""What a proof says: the gap by signal before, recalibrated, repaired and at its floor, and how much of it was closed.
+"""What the holdout says: the gap by signal before, recalibrated, repaired and at its floor, and the share closed.
 
-The floor is what would be missed if nothing were lacking: the sensor's noise, and what the model's calibration missed
-of drives that it was not fitted on (its card). Beside it, and never in it, stands of what the repaired model misses the
-part that nothing foretells (gap/diagnostics/lack_of_fit.py): by it any repair after which nothing is foretold would have closed all
-there was. Intervals draw whole blocks.
+The floor is the error of a model that lacks nothing: the sensor's noise, and what the calibration missed of drives that
+it was not fitted on (the model's card). Beside it, and never part of it, stands the unpredictable part of what the
+repaired model misses (gap/diagnostics/lack_of_fit.py). Intervals are bootstraps of whole blocks.
 """
 
 from __future__ import annotations
@@ -15,43 +14,59 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.config.schema import ModelSpec
-from tunefree_hil.gap.diagnostics.residual_tests import FAR, GROSS
-from tunefree_hil.gap.measured.chain import Opened
-from tunefree_hil.gap.measured.observability import OUTPUTS
-from tunefree_hil.gap.model.card import held_out_of
-from tunefree_hil.gap.validation.holdout import HEADING, HUGE, POSITION, UNITS, Proof
+from tunefree_hil.gap.diagnostics.residual_tests import LINK_CRITERIA
+from tunefree_hil.gap.measured.chain import MeasuredDrive
+from tunefree_hil.gap.measured.observability import OUTPUT_FIELDS
+from tunefree_hil.gap.model.card import read_holdout_errors
+from tunefree_hil.gap.validation.holdout import DIVERGED_SQUARE, HEADING, POSITION, UNITS, HoldoutResult
 
 Array = np.ndarray
 
-DRAWS = 1000
-MOST_WORSE = 0.02  # of a signal's error, that a repair may add
-LEAST_OPEN = 0.02  # of the floor: less left by recalibration is no gap
-MANY = 1000.0  # times worse, as far as it is told
-WORST = -10.0  # share: a repair that makes ten times worse what was open, or that comes to no number, is told as that
-CLEARLY = 0.8  # of a signal's error: recalibration that leaves no more is worth a calibration
-NOT_SUMMED = (
-    "report.throttle_frac", "report.brake_frac", "report.steer_rad", "report.yaw_rate_radps", "ins.yaw_rate_radps"
-)  # fmt: skip
-BY_CARD = {  # what a calibration's card says of free runs on held-out windows, by signal
-    "report.speed_mps": ("speed_mps",), "ins.speed_mps": ("speed_mps",), "report.yaw_rate_radps": ("yaw_rate_radps",),
-    "ins.yaw_rate_radps": ("yaw_rate_radps",), "report.lateral_accel_mps2": ("lateral_accel_mps2",),
-    HEADING: ("heading_rad",), POSITION: ("x_m", "y_m"),
-}  # fmt: skip
+N_DRAWS = 1000  # of the bootstrap
+MAX_GROWTH = 0.02  # share of a signal's error that a repair may add
+MIN_OPEN_GAP = 0.02  # in units of the floor: less left by recalibration is no gap
+MAX_FACTOR = 1000.0  # times worse or of the signal, that is reported
+MIN_CLOSED_SHARE = -10.0  # reported for a repair that makes ten times worse what was open, or that diverges
+MAX_IMPROVED_SHARE = 0.8  # of a signal's error: recalibration that leaves less is worth a calibration
+DIRECT_SIGNALS = (  # that a free run does not integrate
+    "report.throttle_frac",
+    "report.brake_frac",
+    "report.steer_rad",
+    "report.yaw_rate_radps",
+    "ins.yaw_rate_radps",
+)
+CARD_KEYS_BY_SIGNAL = {  # keys of the card's errors in free runs on held-out windows
+    "report.speed_mps": ("speed_mps",),
+    "ins.speed_mps": ("speed_mps",),
+    "report.yaw_rate_radps": ("yaw_rate_radps",),
+    "ins.yaw_rate_radps": ("yaw_rate_radps",),
+    "report.lateral_accel_mps2": ("lateral_accel_mps2",),
+    HEADING: ("heading_rad",),
+    POSITION: ("x_m", "y_m"),
+}
+SPEED_TARGETS, YAW_TARGETS = ("rate_of_speed",), ("steer", "yaw_rate")
+TARGETS_BY_SIGNAL = {  # targets whose residual tells what of a signal is still predictable
+    "report.throttle_frac": ("throttle",),
+    "report.brake_frac": ("brake",),
+    "report.steer_rad": ("steer",),
+    "report.speed_mps": (*SPEED_TARGETS, "wheel_vs_ins"),
+    "ins.speed_mps": SPEED_TARGETS,
+    "report.yaw_rate_radps": (*YAW_TARGETS, "yaw_vs_ins"),
+    "ins.yaw_rate_radps": YAW_TARGETS,
+    "report.accel_mps2": (*SPEED_TARGETS, "accel_vs_dvdt"),
+    "report.lateral_accel_mps2": (*YAW_TARGETS, "lateral_beyond_turning", "lateral_accel"),
+    HEADING: YAW_TARGETS,
+    POSITION: (*YAW_TARGETS, *SPEED_TARGETS),
+}
 
-_SPEED, _YAW = ("rate_of_speed",), ("yaw_rate",)
-HANGS_ON = {  # by signal: targets whose residual tells what could still be explained of it
-    "report.throttle_frac": ("throttle",), "report.brake_frac": ("brake",), "report.steer_rad": ("steer",),
-    "report.speed_mps": (*_SPEED, "wheel_vs_ins"), "ins.speed_mps": _SPEED,
-    "report.yaw_rate_radps": ("steer", *_YAW, "yaw_vs_ins"), "ins.yaw_rate_radps": ("steer", *_YAW),
-    "report.accel_mps2": (*_SPEED, "accel_vs_dvdt"),
-    "report.lateral_accel_mps2": ("steer", *_YAW, "lateral_beyond_turning", "lateral_accel"),
-    HEADING: ("steer", *_YAW), POSITION: ("steer", *_YAW, *_SPEED),
-}  # fmt: skip
 
+class SignalGap(NamedTuple):
+    """RMS errors of a signal on the holdout; the field names are keys of gap.json's `signals`.
 
-class Gap(NamedTuple):
-    """A signal: RMS by variant (None where there is none), and the floor. unforetold: of what is missed after the
-    repair the part that nothing foretells (None where that was not looked at).
+    Args:
+        before, recalibrated, after: by variant; None where it was not run.
+        floor: the error of a model that lacks nothing.
+        unforetold: the unpredictable part of `after`; None where that was not assessed.
     """
 
     before: float
@@ -62,154 +77,173 @@ class Gap(NamedTuple):
     unforetold: float | None = None
 
 
-def floors_of(proof: Proof, model: ModelSpec) -> dict[str, float]:
-    """By signal: the sensor's noise, and what the model's own calibration missed of drives that it did not see."""
-    held_out, found = held_out_of(model), {}
-    by_report = {f"report.{OUTPUTS[name]}": rms for name, (rms, _) in held_out.actuators.items() if name in OUTPUTS}
-    for signal in proof.counts:
-        missed = [held_out.motion[key] for key in BY_CARD.get(signal, ()) if key in held_out.motion]
-        if signal in by_report:
-            missed = [by_report[signal]]
-        found[signal] = math.sqrt(proof.noise[signal] ** 2 + sum(one * one for one in missed))
-    return found
+def error_floors(result: HoldoutResult, model: ModelSpec) -> dict[str, float]:
+    """By signal: the sensor's noise and the calibration's errors on its own holdout, added in squares."""
+    card, floors = read_holdout_errors(model), {}
+    actuators = {
+        f"report.{OUTPUT_FIELDS[name]}": rms for name, (rms, _) in card.actuators.items() if name in OUTPUT_FIELDS
+    }
+    for signal in result.counts:
+        errors = [card.motion[key] for key in CARD_KEYS_BY_SIGNAL.get(signal, ()) if key in card.motion]
+        if signal in actuators:
+            errors = [actuators[signal]]
+        floors[signal] = math.sqrt(result.noise[signal] ** 2 + sum(error * error for error in errors))
+    return floors
 
 
-def unforetold(foretold: Mapping[str, float]) -> dict[str, float]:
-    """By signal, of what the repaired model misses the part (of the RMS) that nothing foretells. foretold: shares of
-    squares by target (gap/measured/targets.py); of several targets that a signal hangs on, the one that is foretold best. A
-    signal of which no target was looked at is left out.
+def unpredictable_shares(predictable: Mapping[str, float]) -> dict[str, float]:
+    """By signal, the share of the repaired model's RMS error that is not predictable; only signals with a target.
+
+    Args:
+        predictable: by target (gap/measured/targets.py), the predictable share of the squares. Of several targets of a
+            signal the most predictable one counts.
     """
     best = {
-        signal: max((foretold[name] for name in targets if name in foretold), default=None)
-        for signal, targets in HANGS_ON.items()
+        signal: max((predictable[name] for name in targets if name in predictable), default=None)
+        for signal, targets in TARGETS_BY_SIGNAL.items()
     }
-    return {signal: math.sqrt(1.0 - one) for signal, one in best.items() if one is not None}
+    return {signal: math.sqrt(1.0 - share) for signal, share in best.items() if share is not None}
 
 
-def gaps_of(proof: Proof, floors: Mapping[str, float], left: Mapping[str, float]) -> dict[str, Gap]:
-    """By signal, what was missed. left: of `unforetold`. The floor is never above what any variant reaches."""
-    found = {}
-    for signal in proof.counts:
-        rms = {name: proof.rms(name, signal) for name in proof.squares}
+def signal_gaps(
+    result: HoldoutResult, floors: Mapping[str, float], unpredictable: Mapping[str, float]
+) -> dict[str, SignalGap]:
+    """The errors by signal; a floor is never above what any variant reaches.
+
+    Args:
+        unpredictable: of `unpredictable_shares`.
+    """
+    gaps = {}
+    for signal in result.counts:
+        rms = {name: result.rms(name, signal) for name in result.squared_errors}
         after = rms.get("after")
-        rest = None if after is None or signal not in left else left[signal] * after
+        rest = None if after is None or signal not in unpredictable else unpredictable[signal] * after
         floor = min(floors[signal], *rms.values())
-        found[signal] = Gap(rms["before"], rms.get("recalibrated"), after, floor, UNITS[signal], rest)
-    return found
+        gaps[signal] = SignalGap(rms["before"], rms.get("recalibrated"), after, floor, UNITS[signal], rest)
+    return gaps
 
 
-def explained_frac(
-    proof: Proof, floors: Mapping[str, float], left: Mapping[str, float] | None = None, seed: int = 1
+def closed_share(
+    result: HoldoutResult, floors: Mapping[str, float], unpredictable: Mapping[str, float] | None = None, seed: int = 1
 ) -> dict[str, float] | None:
-    """(recalibrated - after) / (recalibrated - floor), with a 95 % interval; None where recalibration leaves nothing,
-    never below WORST.
-    left (of `unforetold`): what nothing foretells is taken for floor too, so that it is of what could be explained.
+    """(recalibrated - after) / (recalibrated - floor), with its 95 % interval; at least MIN_CLOSED_SHARE.
 
-    Of the signals that are measured and not summed up over time, in units of their floors: the root mean square of each
-    block, its mean over blocks, so that one in which every model is far off does not decide alone, and over the signals
-    the root mean square. A floor is what many drives miss on average: it is no floor of a single block, of which chance
-    makes some worse and others better, and so it is held against that mean.
+    A signal's error is in units of its floor: the RMS of each block, its mean over blocks (so that a block in which
+    every model is far off does not decide alone), and the RMS over the signals, without heading and position, which are
+    sums of the others. A floor is a mean over many drives, so it is compared with the mean and not block by block.
+
+    Args:
+        unpredictable: of `unpredictable_shares`: that part counts as floor too. The share is then of what could be
+            explained.
+
+    Returns:
+        value, low, high; None where recalibration leaves no gap, or no block was run.
     """
-    signals = [name for name in proof.counts if name not in (HEADING, POSITION) and floors[name] > 0.0]
-    if not signals or not proof.blocks:
+    signals = [name for name in result.counts if name not in (HEADING, POSITION) and floors[name] > 0.0]
+    if not signals or not result.n_blocks:
         return None
-    was, now = (_by_block(proof, name, signals, floors) for name in ("recalibrated", "after"))
-    share = np.array([(left or {}).get(name, 0.0) for name in signals])
-    rows = np.random.default_rng(seed).integers(0, proof.blocks, (DRAWS, proof.blocks))
-    every, open_ = _share(was, now, share)
-    every = max(every, WORST)
-    low, high = np.quantile([_share(was[:, some], now[:, some], share)[0] for some in rows], [0.025, 0.975])
-    if open_ <= LEAST_OPEN and every > -LEAST_OPEN:
+    before, after = (_block_rms(result, name, signals, floors) for name in ("recalibrated", "after"))
+    shares = np.array([(unpredictable or {}).get(name, 0.0) for name in signals])
+    draws = np.random.default_rng(seed).integers(0, result.n_blocks, (N_DRAWS, result.n_blocks))
+    value, open_gap = _closed_above_floor(before, after, shares)
+    value = max(value, MIN_CLOSED_SHARE)
+    drawn = [_closed_above_floor(before[:, draw], after[:, draw], shares)[0] for draw in draws]
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    if open_gap <= MIN_OPEN_GAP and value > -MIN_OPEN_GAP:
         return None
-    return {"value": every, "low": max(float(low), WORST), "high": max(float(high), WORST)}
+    return {"value": value, "low": max(float(low), MIN_CLOSED_SHARE), "high": max(float(high), MIN_CLOSED_SHARE)}
 
 
-def _share(was: Array, now: Array, share: Array) -> tuple[float, float]:
-    """(of what is open above the floor the part that is closed, what is open, in floors); of a repair that only spoils,
-    of what was there. was, now: [signals, blocks]; share [signals]: of what is missed, what counts as floor too.
+def _closed_above_floor(before: Array, after: Array, unpredictable: Array) -> tuple[float, float]:
+    """(closed share of the gap above the floor, the gap in floors). Without a gap the share is of the error.
+
+    Args:
+        before, after: errors (n_signals, n_blocks).
+        unpredictable: share (n_signals,) of the error that counts as floor too.
     """
-    before, after = was.mean(axis=1), now.mean(axis=1)
-    reached = np.minimum(before, after)
-    least = np.minimum(reached, np.maximum(1.0, share * reached))
-    whole, left, floor = (float(np.sqrt((one**2).mean())) for one in (before, after, least))
-    open_ = whole - floor
-    return (whole - left) / (open_ if open_ > LEAST_OPEN else max(whole, LEAST_OPEN)), open_
+    was, now = before.mean(axis=1), after.mean(axis=1)
+    reached = np.minimum(was, now)
+    least = np.minimum(reached, np.maximum(1.0, unpredictable * reached))
+    whole, left, floor = (float(np.sqrt((errors**2).mean())) for errors in (was, now, least))
+    open_gap = whole - floor
+    return (whole - left) / (open_gap if open_gap > MIN_OPEN_GAP else max(whole, MIN_OPEN_GAP)), open_gap
 
 
-def _by_block(proof: Proof, variant: str, signals: Sequence[str], floors: Mapping[str, float]) -> Array:
-    """[signals, blocks]: RMS in units of the floors; where a signal was not measured, its mean of the other blocks."""
+def _block_rms(result: HoldoutResult, variant: str, signals: Sequence[str], floors: Mapping[str, float]) -> Array:
+    """RMS (n_signals, n_blocks) in units of the floors; its mean over the other blocks where a signal is missing."""
     rows = []
-    for one in signals:
-        counts = proof.counts[one]
-        rms = np.sqrt(proof.squares[variant][one] / np.maximum(counts, 1.0)) / floors[one]
-        seen = counts > 0.0
-        rows.append(np.where(seen, rms, rms[seen].mean() if seen.any() else 0.0))
+    for signal in signals:
+        counts = result.counts[signal]
+        rms = np.sqrt(result.squared_errors[variant][signal] / np.maximum(counts, 1.0)) / floors[signal]
+        is_measured = counts > 0.0
+        rows.append(np.where(is_measured, rms, rms[is_measured].mean() if is_measured.any() else 0.0))
     return np.stack(rows)
 
 
-def worse_signals(proof: Proof, floors: Mapping[str, float], seed: int = 1) -> dict[str, float]:
-    """Signals that the repair makes worse than the model was, beyond MOST_WORSE, its noise and chance: by how much."""
-    chance, found = np.random.default_rng(seed), {}
-    draws = chance.integers(0, max(proof.blocks, 1), (DRAWS, max(proof.blocks, 1)))
-    for signal, counts in proof.counts.items():
-        before, after = proof.squares["before"][signal], proof.squares["after"][signal]
-        was, now = proof.rms("before", signal), proof.rms("after", signal)
-        if ((after >= HUGE) & (before < HUGE)).any():  # it comes to no number there: no chance does that
-            found[signal] = MANY
+def find_worse_signals(result: HoldoutResult, floors: Mapping[str, float], seed: int = 1) -> dict[str, float]:
+    """Signals that the repair makes worse by more than MAX_GROWTH, their floor and chance: by how much."""
+    rng, worse = np.random.default_rng(seed), {}
+    draws = rng.integers(0, max(result.n_blocks, 1), (N_DRAWS, max(result.n_blocks, 1)))
+    for signal, counts in result.counts.items():
+        before, after = result.squared_errors["before"][signal], result.squared_errors["after"][signal]
+        was, now = result.rms("before", signal), result.rms("after", signal)
+        if ((after >= DIVERGED_SQUARE) & (before < DIVERGED_SQUARE)).any():  # a run that diverges is no chance
+            worse[signal] = MAX_FACTOR
             continue
-        if now <= (1.0 + MOST_WORSE) * was or now <= floors[signal] or not counts.sum():
+        if now <= (1.0 + MAX_GROWTH) * was or now <= floors[signal] or not counts.sum():
             continue
-        more = (after - (1.0 + MOST_WORSE) ** 2 * before)[draws].sum(axis=1)
-        if float(np.quantile(more, 0.025)) > 0.0:
-            found[signal] = min(now / was - 1.0, MANY) if was > 0.0 else MANY
-    return found
+        excess = (after - (1.0 + MAX_GROWTH) ** 2 * before)[draws].sum(axis=1)
+        if float(np.quantile(excess, 0.025)) > 0.0:
+            worse[signal] = min(now / was - 1.0, MAX_FACTOR) if was > 0.0 else MAX_FACTOR
+    return worse
 
 
-def grown(proof: Proof, floors: Mapping[str, float]) -> dict[str, float]:
-    """Signals that are worse by more than MOST_WORSE and their noise, be it by chance: by how much."""
-    rms = {one: (proof.rms("before", one), proof.rms("after", one)) for one in proof.counts}
+def find_grown_signals(result: HoldoutResult, floors: Mapping[str, float]) -> dict[str, float]:
+    """Signals that are worse by more than MAX_GROWTH and above their floor, by chance or not: by how much."""
+    rms = {signal: (result.rms("before", signal), result.rms("after", signal)) for signal in result.counts}
     return {
-        one: min(now / was - 1.0, MANY) if was > 0.0 else MANY
-        for one, (was, now) in rms.items()
-        if now > (1.0 + MOST_WORSE) * was and now > floors[one]
+        signal: min(now / was - 1.0, MAX_FACTOR) if was > 0.0 else MAX_FACTOR
+        for signal, (was, now) in rms.items()
+        if now > (1.0 + MAX_GROWTH) * was and now > floors[signal]
     }
 
 
-def gross(gaps: Mapping[str, Gap], sizes: Mapping[str, float]) -> dict[str, float]:
-    """Signals of which so much is missed, even with recalibration, that no car that anybody has calibrated does it
-    (gap/diagnostics/residual_tests.py), far above their floors: by how much of the signal, at most MANY. sizes: deviation of each signal
-    over whole drives; what has none there is not looked at.
+def find_gross_misses(gaps: Mapping[str, SignalGap], sizes: Mapping[str, float]) -> dict[str, float]:
+    """Signals that are missed grossly, far above their floor, even with recalibration: by which share of the signal.
+
+    No calibrated model misses that much (gap/diagnostics/residual_tests.py).
+
+    Args:
+        sizes: of the signals to be looked at, the deviation over whole drives.
     """
-    found = {}
+    gross = {}
     for name, size in sizes.items():
-        one = gaps.get(name)
-        if one is None or size <= 0.0:
+        gap = gaps.get(name)
+        if gap is None or size <= 0.0:
             continue
-        least = one.before if one.recalibrated is None else min(one.before, one.recalibrated)
-        if least > GROSS * size and least**2 > FAR * one.floor**2:
-            found[name] = min(least / size, MANY)
-    return found
+        least = gap.before if gap.recalibrated is None else min(gap.before, gap.recalibrated)
+        if least > LINK_CRITERIA.max_gross_share * size and least**2 > LINK_CRITERIA.min_noise_ratio * gap.floor**2:
+            gross[name] = min(least / size, MAX_FACTOR)
+    return gross
 
 
-def sizes_of(drives: Sequence[Opened]) -> dict[str, float]:
-    """Deviation over all drives of what a free run does not sum up over time, and was measured: what actuators report,
-    and yaw rates.
-    """
-    said: dict[str, list[Array]] = {}
-    for opened in drives:
-        for name in NOT_SUMMED:
-            if opened.has(name) and name not in opened.derived:
-                one = opened.signals[name]
-                said.setdefault(name, []).append(one.values[one.fresh & one.there & opened.moving])
-    return {name: float(np.std(whole)) for name, some in said.items() if len(whole := np.concatenate(some))}
+def signal_sizes(drives: Sequence[MeasuredDrive]) -> dict[str, float]:
+    """Deviation over all drives of the measured DIRECT_SIGNALS."""
+    values: dict[str, list[Array]] = {}
+    for drive in drives:
+        for name in DIRECT_SIGNALS:
+            if drive.has_signals(name) and name not in drive.derived_ticks:
+                signal = drive.signals[name]
+                values.setdefault(name, []).append(signal.values[signal.fresh & signal.is_valid & drive.is_moving])
+    return {name: float(np.std(whole)) for name, parts in values.items() if len(whole := np.concatenate(parts))}
 
 
-def better_by_recalibration(gaps: Mapping[str, Gap]) -> dict[str, tuple[float, float]]:
-    """Signals that recalibration alone takes CLEARLY nearer to the measurement: RMS before and after it."""
+def improved_by_recalibration(gaps: Mapping[str, SignalGap]) -> dict[str, tuple[float, float]]:
+    """Signals that recalibration alone takes clearly nearer to the measurement: RMS before and after it."""
     return {
-        name: (one.before, one.recalibrated)
-        for name, one in gaps.items()
-        if one.recalibrated is not None
-        and one.recalibrated < CLEARLY * one.before
-        and one.before**2 - one.recalibrated**2 > one.floor**2
+        name: (gap.before, gap.recalibrated)
+        for name, gap in gaps.items()
+        if gap.recalibrated is not None
+        and gap.recalibrated < MAX_IMPROVED_SHARE * gap.before
+        and gap.before**2 - gap.recalibrated**2 > gap.floor**2
     }

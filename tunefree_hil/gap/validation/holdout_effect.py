@@ -1,4 +1,4 @@
-"""What an effect does to its own signal on blocks that prove, held against what it does on those that judged it."""
+"""What an effect does to its own signal on the holdout blocks, compared with the blocks that it was fitted on."""
 
 from __future__ import annotations
 
@@ -7,44 +7,61 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tunefree_hil.gap.selection.criteria import shrunk
-from tunefree_hil.gap.workers.worker import Modelled
+from tunefree_hil.gap.selection.scoring import bootstrap_reduction
+from tunefree_hil.gap.workers.worker import FitSummary
 
 Array = np.ndarray
 
-HARDLY = 0.1  # of the error on blocks that judged, root mean square: less is next to nothing beside what it is about
+# RMS on the holdout blocks, as a share of that on the fitted ones, below which the holdout does not reach the effect
+MIN_REFERENCE_SHARE = 0.1
 
 
-class Own(NamedTuple):
-    """seen, unseen: by how much an effect shrinks a target's error on the blocks that judged it and on those that
-    prove, as a share of the null's; NaN where those have nothing of the target. stirs: share of the null's squares by
-    which it changes any block that proves, for better or worse: who stirs nothing is not shown there. Where the null
-    misses hardly anything on them, shares are of HARDLY of what it misses elsewhere: a stop that they do not reach.
+class HoldoutEffect(NamedTuple):
+    """What an effect does to the signal that shows it best; shares of the recalibrated error, NaN where not measured.
+
+    Where recalibration misses next to nothing on the holdout blocks (a stop that they do not reach), shares are of
+    MIN_REFERENCE_SHARE of its error elsewhere.
+
+    Args:
+        fit_error_reduction: share of the RMS that the effect removes on the blocks that it was fitted on.
+        holdout_error_reduction: the same on the holdout blocks.
+        effect_energy: share of the squares there that the effect changes, for better or worse.
     """
 
-    seen: float
-    unseen: float
-    stirs: float
+    fit_error_reduction: float
+    holdout_error_reduction: float
+    effect_energy: float
 
 
-NOT_LOOKED = Own(math.nan, math.nan, math.nan)
+NOT_MEASURED = HoldoutEffect(math.nan, math.nan, math.nan)
 
 
-def own(before: Modelled, after: Modelled, null: Modelled, target: str, blocks: Array, proof: Array) -> Own:
-    """Of the effect that `after` has and `before` has not. Tick by tick or by means of a second, whichever is surer on
-    the blocks that judged (decide.shrink); on those that prove the same.
+class ComparedModels(NamedTuple):
+    """The model without an effect and with it, and the model without any."""
+
+    before: FitSummary
+    after: FitSummary
+    recalibrated: FitSummary
+
+
+def measure_holdout_effect(models: ComparedModels, target: str, blocks: Array, holdout: Array) -> HoldoutEffect:
+    """Measure the effect that `models.after` has and `models.before` has not.
+
+    Row by row or by means over a second, whichever is surer on the fitted blocks; the same then on the holdout blocks.
+
+    Args:
+        blocks, holdout: the fitted blocks, and the holdout blocks.
     """
-    some = (before, after, null)
-    views = [[one.squares[target] for one in some]]
-    if target in before.slow:
-        views.append([one.slow[target] for one in some])
-    view = max(views, key=lambda one: shrunk(one, blocks)[1])
-    was, now, whole = (sums[proof] for sums, _ in view)
-    seen = shrunk(view, blocks)[0]
+    views = [[model.squared_residuals[target] for model in models]]
+    if target in models.before.averaged_squared_residuals:
+        views.append([model.averaged_squared_residuals[target] for model in models])
+    view = max(views, key=lambda squares: bootstrap_reduction(squares, blocks).low)
+    was, now, whole = (sums[holdout] for sums, _ in view)
+    fit_reduction = bootstrap_reduction(view, blocks).value
     if not whole.sum() > 0.0:
-        return Own(seen, math.nan, math.nan)
+        return HoldoutEffect(fit_reduction, math.nan, math.nan)
     sums, counts = view[2]
-    elsewhere = float(sums[blocks].sum() / max(counts[blocks].sum(), 1.0))  # mean square
-    share_of = max(float(whole.sum()), HARDLY**2 * elsewhere * float(counts[proof].sum()))
-    less = math.sqrt(was.sum() / share_of) - math.sqrt(now.sum() / share_of)
-    return Own(seen, less, float(np.abs(was - now).sum()) / share_of)
+    fitted_square = float(sums[blocks].sum() / max(counts[blocks].sum(), 1.0))
+    reference = max(float(whole.sum()), MIN_REFERENCE_SHARE**2 * fitted_square * float(counts[holdout].sum()))
+    reduction = math.sqrt(was.sum() / reference) - math.sqrt(now.sum() / reference)
+    return HoldoutEffect(fit_reduction, reduction, float(np.abs(was - now).sum()) / reference)

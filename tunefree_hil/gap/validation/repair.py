@@ -1,10 +1,9 @@
-"""A model with what it lacked: effects that were found, and what recalibration moved, as an ordinary model folder.
+"""The repaired model: a model folder with the effects that were found and the updates of recalibration.
 
-What was found goes into [[effects]] with interval and provenance. What recalibration moved goes into the model's own
-numbers where they mean the same, into [[effects]] where they do not. What is of one day only (slope, wind, grip, a
-sensor's bias or scale: drifts.UNWRITTEN) and how well frames are stamped is written nowhere: the next drive has its
-own. The grip is an exception as far as the model's own logs had it (`moved`): so much stands for the form of its tyres,
-which is the car's.
+Effects go into [[effects]] with interval and provenance. What recalibration moved goes into the model's own numbers
+where these mean the same, and into [[effects]] where they do not. What is of the day (slope, wind, grip, a sensor's
+bias or scale: UNWRITTEN_EFFECTS) and the clocks are written nowhere, as the next drive has its own. The grip that the
+calibration logs had is an exception (`apply_own_numbers`): it stands for the form of the tyres, which is the car's.
 """
 
 from __future__ import annotations
@@ -25,178 +24,207 @@ from tunefree_hil.config.schema import (
     VehicleSpec,
     value_of,
 )
-from tunefree_hil.gap.estimation.calibration_priors import own_numbers_of
-from tunefree_hil.gap.estimation.nuisance import RECALIBRATED, RISE, UNWRITTEN
-from tunefree_hil.gap.model.card import OWN_NUMBERS, card_of
-from tunefree_hil.gap.model.graph import ACCEL, BEND, LINKAGE, PEDALS, effects, is_by_accel, scaled
-from tunefree_hil.gap.result import Kept
-from tunefree_hil.gap.selection.baseline_misfit import KEY, OWN_MISSED
-from tunefree_hil.learn.evaluation.free_run import plant_of
-from tunefree_hil.learn.model_folder import CARD_FILE, OWN_EFFECTS, data_of, write_beside
+from tunefree_hil.gap.estimation.calibration_priors import read_calibration_prior
+from tunefree_hil.gap.estimation.nuisance import BRAKE_RISE, RECALIBRATED, UNWRITTEN_EFFECTS
+from tunefree_hil.gap.model.card import CALIBRATION_PRIORS_KEY, load_model_card
+from tunefree_hil.gap.model.graph import (
+    ACCEL,
+    LINKAGE_BEND_KEY,
+    LINKAGE_BEND_PARAM,
+    PEDALS,
+    is_acceleration_controlled,
+    load_catalogue,
+    scale_plant_params,
+)
+from tunefree_hil.gap.result import SearchResult
+from tunefree_hil.gap.selection.baseline_misfit import BASELINE_KEY, UNEXPLAINED_KEY
+from tunefree_hil.learn.evaluation.free_run import open_plant
+from tunefree_hil.learn.model_folder import CALIBRATION_EFFECTS, CARD_FILE, model_toml_from_spec, write_model_copy
 from tunefree_hil.plant.actuation.acceleration_interface import FULL_MPS2
 from tunefree_hil.plant.constants import LEAST
 
-ADDED = ("dead_time_s", "offset")  # numbers of a channel that recalibration adds to; the others it multiplies
-LEAST_CHANGE = 1e-9  # of a number: less is none
-GAINS = {  # effects that are a factor on a constant of the single track
+ADDITIVE_FIELDS = ("dead_time_s", "offset")  # of a channel, that recalibration adds to; it multiplies the others
+MIN_CHANGE = 1e-9  # share of a number below which it is the same
+CONSTANT_BY_GAIN = {  # effects that scale a constant of the single-track model
     "brake_gain": "brake_force_n_per_frac",
     "front_stiffness": "front_stiffness_n_per_rad",
     "rear_stiffness": "rear_stiffness_n_per_rad",
 }
-SEED = 1  # of the draws behind intervals (gap/estimation/evidence.py)
-HEAD = "# Written by tunefree_hil gap out of {model}; {card} says from which logs.\n"
+SEED = 1  # of the bootstrap (gap/estimation/evidence.py)
+FILE_HEAD = "# Written by tunefree_hil gap from {model}; {card} lists the logs.\n"
 
 Params = dict[str, float]
 S = TypeVar("S", bound=Spec)
 
 
 class Change(NamedTuple):
-    """A number of the model that is another now. key: as in model.toml; before, after: None where there is none."""
+    """A number of the model that changed. key: as in model.toml; before, after: None where there is none."""
 
     key: str
     before: float | None
     after: float | None
 
 
-class Repaired(NamedTuple):
-    """model: what is to be written. day: effects of the day, which are not. changes: against the model before."""
+class RepairedModel(NamedTuple):
+    """model: as it is written. day: effects of the day, which are not. changes: against the model before."""
 
     model: ModelSpec
     day: tuple[EffectSpec, ...]
     changes: tuple[Change, ...]
 
 
-def repaired(
+def repair_model(
     model: ModelSpec, vehicle: VehicleSpec, values: Mapping[str, float], found: Sequence[EffectSpec] = ()
-) -> Repaired:
-    """A model moved to `values` (keys as gap/model/graph.py takes them), with the effects `found` in it."""
-    names = {one.name for one in found}
-    moved = _by_effect(values, names)
-    day = tuple(EffectSpec(name=name, params=moved.pop(name)) for name in UNWRITTEN if name in moved)
-    plant = plant_of(model)
+) -> RepairedModel:
+    """Move a model to the values of a fit, and add effects.
+
+    Args:
+        values: keys as gap/model/graph.py takes them.
+        found: the effects that were found.
+    """
+    names = {effect.name for effect in found}
+    moved = _moved_effects(values, names)
+    day = tuple(EffectSpec(name=name, params=moved.pop(name)) for name in UNWRITTEN_EFFECTS if name in moved)
+    plant = open_plant(model)
     base = {**plant.defaults, **model.plant.params}
-    params = scaled(model.plant.params, plant.defaults, values)
-    if BEND in params:
-        params[BEND] += values.get(LINKAGE, 0.0)
+    params = scale_plant_params(model.plant.params, plant.defaults, values)
+    if LINKAGE_BEND_PARAM in params:
+        params[LINKAGE_BEND_PARAM] += values.get(LINKAGE_BEND_KEY, 0.0)
     if model.plant.kind == "physics":
-        _fold(params, moved, vehicle.nominal.rest_pedal_frac, names)
+        _fold_into_constants(params, moved, vehicle.nominal.rest_pedal_frac, names)
     own = {key: value for key, value in params.items() if key in model.plant.params or _differs(base[key], value)}
-    moves = by_channel(model, values)
-    channels = {name: _channel(name, spec, moves) for name, spec in model.actuators.items()}
-    more = [EffectSpec(name=name, params=one, provenance=RECALIBRATED) for name, one in moved.items()]
-    behind = sorted([*found, *more], key=lambda one: one.name)  # as the graph has them in series
-    made = _with(model, plant=_with(model.plant, params=own), actuators=channels, effects=[*model.effects, *behind])
-    return Repaired(made, day, changes_of(model, made))
+    channel_values = merge_pedal_moves(model, values)
+    channels = {name: _move_channel(name, spec, channel_values) for name, spec in model.actuators.items()}
+    updates = [EffectSpec(name=name, params=effect, provenance=RECALIBRATED) for name, effect in moved.items()]
+    added = sorted([*found, *updates], key=lambda effect: effect.name)  # the order of the graph's series
+    repaired = _replace_fields(
+        model,
+        plant=_replace_fields(model.plant, params=own),
+        actuators=channels,
+        effects=[*model.effects, *added],
+    )
+    return RepairedModel(repaired, day, list_changes(model, repaired))
 
 
-def moved(model: ModelSpec, vehicle: VehicleSpec) -> ModelSpec:
-    """A model with the numbers that its own logs say. Raises InputError for a card that is none."""
-    own, known = own_numbers_of(model), effects()
-    if not own.keys:
+def apply_own_numbers(model: ModelSpec, vehicle: VehicleSpec) -> ModelSpec:
+    """A model with the numbers that its calibration logs say.
+
+    Raises:
+        InputError: the model's card cannot be read.
+    """
+    prior, catalogue = read_calibration_prior(model), load_catalogue()
+    if not prior.keys:
         return model
     values = {}
-    for key, off in zip(own.keys, own.off.tolist(), strict=True):
+    for key, offset in zip(prior.keys, prior.offset.tolist(), strict=True):
         name, _, parameter = key.partition(".")
-        values[key] = off + (known[name].neutral[parameter] if name in known else 0.0)
-    made = repaired(model, vehicle, values)
-    throughout = [_with(one, provenance=RECALIBRATED) for one in made.day]
-    return _with(made.model, effects=[*made.model.effects, *throughout])
+        values[key] = offset + (catalogue[name].neutral[parameter] if name in catalogue else 0.0)
+    made = repair_model(model, vehicle, values)
+    day = [_replace_fields(effect, provenance=RECALIBRATED) for effect in made.day]
+    return _replace_fields(made.model, effects=[*made.model.effects, *day])
 
 
-def found_effects(kept: Kept, log_hash: str, version: str) -> list[EffectSpec]:
-    """What was found, with interval and provenance."""
+def effect_specs(result: SearchResult, log_hash: str, version: str) -> list[EffectSpec]:
+    """The effects that were found, with interval and provenance."""
     provenance = {"log": log_hash, "seed": SEED, "version": version}
     return [
         EffectSpec(
-            name=one["name"],
-            params={key: value["value"] for key, value in one["params"].items()},
-            interval={key: _ends(value) for key, value in one["params"].items() if _ends(value)},
+            name=effect["name"],
+            params={key: estimate["value"] for key, estimate in effect["params"].items()},
+            interval={key: _interval(estimate) for key, estimate in effect["params"].items() if _interval(estimate)},
             provenance=provenance,
         )
-        for one in kept.answer["effects"]
+        for effect in result.answer["effects"]
     ]
 
 
-def write_repaired(folder: Path, model: ModelSpec, made: ModelSpec, story: Mapping[str, Any]) -> ModelSpec:
-    """Write the folder whole or not at all, beside what else the model's folder holds; the model as it is loaded.
+def write_repaired_model(folder: Path, model: ModelSpec, repaired: ModelSpec, story: Mapping[str, Any]) -> ModelSpec:
+    """Write the repaired model's folder in one piece, with the other files of the model's folder, and load it.
 
-    story: what card.json says of the repair. What the old model missed of its own logs is not this one's any more.
-    Raises InputError for a folder that is there already.
+    Args:
+        story: `repair` of card.json. What the old model missed of its calibration logs is left out of the card.
+
+    Raises:
+        InputError: the folder exists.
     """
-    data = data_of(made)
+    data = model_toml_from_spec(repaired)
     data["plant"]["card"] = CARD_FILE
-    head = HEAD.format(model=Path(model.folder).name, card=CARD_FILE)
-    card = {key: said for key, said in card_of(model).items() if key not in (KEY, OWN_EFFECTS, OWN_MISSED, OWN_NUMBERS)}
-    write_beside(folder, model, head, data, card | {"repair": story})
+    head = FILE_HEAD.format(model=Path(model.folder).name, card=CARD_FILE)
+    outdated = (BASELINE_KEY, CALIBRATION_EFFECTS, UNEXPLAINED_KEY, CALIBRATION_PRIORS_KEY)
+    card = {key: entry for key, entry in load_model_card(model).items() if key not in outdated}
+    write_model_copy(folder, model, head, data, card | {"repair": story})
     return load_model(folder)
 
 
-def _ends(value: Mapping[str, Any]) -> list[float]:
-    return [value["low"], value["high"]] if value["low"] is not None and value["high"] is not None else []
+def _interval(estimate: Mapping[str, Any]) -> list[float]:
+    low, high = estimate["low"], estimate["high"]
+    return [low, high] if low is not None and high is not None else []
 
 
-def _by_effect(values: Mapping[str, float], found: set[str]) -> dict[str, Params]:
-    """Parameters of effects of the catalogue that recalibration moved, by effect."""
-    known, moved = effects(), {}
+def _moved_effects(values: Mapping[str, float], found: set[str]) -> dict[str, Params]:
+    """Parameters of catalogue effects that recalibration moved, by effect; without the effects that were found."""
+    catalogue, moved = load_catalogue(), {}
     for key, value in values.items():
         name, _, parameter = key.partition(".")
-        if name in known and name not in found and value != known[name].neutral[parameter]:
+        if name in catalogue and name not in found and value != catalogue[name].neutral[parameter]:
             moved.setdefault(name, {})[parameter] = value
     return moved
 
 
-def _fold(params: Params, moved: dict[str, Params], rest: float, found: set[str]) -> None:
-    """Put into the single track's constants what means the same there; takes it out of `moved`."""
-    if "throttle_gain" in moved:  # g (duty - rest) is a pedal whose zero and full lie at another place
+def _fold_into_constants(params: Params, moved: dict[str, Params], rest: float, found: set[str]) -> None:
+    """Move effects that mean the same as a constant of the single-track model from `moved` into `params`."""
+    if "throttle_gain" in moved:  # g (duty - rest): zero and full of the pedal lie elsewhere
         gain = moved.pop("throttle_gain")["gain_frac"]
         for key in ("throttle_zero_frac", "throttle_full_frac"):
             params[key] = rest + (params[key] - rest) / gain
-    if "brake_gain" in moved and RISE in params:  # it is of the duty, which counts twice there
-        params[RISE] = max(params[RISE] * moved["brake_gain"]["gain_frac"], LEAST[RISE])
-    for name, key in GAINS.items():
+    if "brake_gain" in moved and BRAKE_RISE in params:  # the gain is of the duty, which enters this constant twice
+        params[BRAKE_RISE] = max(params[BRAKE_RISE] * moved["brake_gain"]["gain_frac"], LEAST[BRAKE_RISE])
+    for name, key in CONSTANT_BY_GAIN.items():
         if name in moved:
             params[key] *= moved.pop(name)["gain_frac"]
     if "rolling_resistance" in moved:
         params["rolling_frac"] *= 1.0 + moved.pop("rolling_resistance")["extra_frac"]
     if "aero_drag" in moved:
         params["drag_area_m2"] += moved.pop("aero_drag")["drag_area_m2"]
-    if "steer_gain" in moved and "steer_offset" not in found:  # an offset is behind the gain, and has its value there
+    if "steer_gain" in moved and "steer_offset" not in found:  # an offset is behind the gain
         gain = moved.pop("steer_gain")["gain_frac"]
         params["steer_ratio"] /= gain
         if "steer_offset" in moved:
             moved["steer_offset"]["offset_rad"] /= gain
 
 
-def by_channel(model: ModelSpec, values: Mapping[str, float]) -> Mapping[str, float]:
-    """`values` with what a search moved of the two pedals of a car that is asked for an acceleration as its channel's.
+def merge_pedal_moves(model: ModelSpec, values: Mapping[str, float]) -> Mapping[str, float]:
+    """Values with the moves of the two pedals merged into the channel of an acceleration-controlled vehicle.
 
-    What a pedal adds or takes is an acceleration of that share of FULL_MPS2; times and gains are one for both, and so
-    the mean of what was moved of either. A pedal that was not moved counts: its commands were in the logs, too.
+    A pedal's offset is an acceleration of that share of FULL_MPS2. Times and gains are the mean of both pedals; a pedal
+    that was not moved counts too, as its commands were in the logs.
     """
-    if not is_by_accel(model):
+    if not is_acceleration_controlled(model):
         return values
-    found = {key: value for key, value in values.items() if not key.startswith(tuple(f"actuator.{p}." for p in PEDALS))}
+    merged = {
+        key: value for key, value in values.items() if not key.startswith(tuple(f"actuator.{p}." for p in PEDALS))
+    }
     for field in ActuatorSpec.__struct_fields__:
         throttle, brake = (values.get(f"actuator.{pedal}.{field}", 0.0) for pedal in PEDALS)
-        by = FULL_MPS2 * (throttle - brake) if field == "offset" else 0.5 * (throttle + brake)
-        if by:
-            found[f"actuator.{ACCEL}.{field}"] = by
-    return found
+        move = FULL_MPS2 * (throttle - brake) if field == "offset" else 0.5 * (throttle + brake)
+        if move:
+            merged[f"actuator.{ACCEL}.{field}"] = move
+    return merged
 
 
-def _channel(name: str, spec: ActuatorSpec, values: Mapping[str, float]) -> ActuatorSpec:
-    """A channel's numbers moved, each with an interval as wide as it was."""
+def _move_channel(name: str, spec: ActuatorSpec, values: Mapping[str, float]) -> ActuatorSpec:
+    """Move a channel's numbers, and their intervals with them."""
     moved: dict[str, Number] = {}
     for field in spec.__struct_fields__:
         by = values.get(f"actuator.{name}.{field}", 0.0)
         if by:
-            moved[field] = _moved(getattr(spec, field), by, field)
-    return _with(spec, **moved)
+            moved[field] = _move_number(getattr(spec, field), by, field)
+    return _replace_fields(spec, **moved)
 
 
-def _moved(number: Number, by: float, field: str) -> Number:
+def _move_number(number: Number, by: float, field: str) -> Number:
     def move(value: float) -> float:
-        if field not in ADDED:
+        if field not in ADDITIVE_FIELDS:
             return value * math.exp(by)
         return max(value + by, 0.0) if field == "dead_time_s" else value + by
 
@@ -205,27 +233,27 @@ def _moved(number: Number, by: float, field: str) -> Number:
     return move(number)
 
 
-def changes_of(model: ModelSpec, made: ModelSpec) -> tuple[Change, ...]:
-    """What is another number in a model that was made of another, effects last."""
-    base, found = {**plant_of(model).defaults, **model.plant.params}, []
-    for key, after in made.plant.params.items():
+def list_changes(model: ModelSpec, repaired: ModelSpec) -> tuple[Change, ...]:
+    """The numbers in which a repaired model differs, effects last."""
+    base, changes = {**open_plant(model).defaults, **model.plant.params}, list[Change]()
+    for key, after in repaired.plant.params.items():
         if _differs(base[key], after):
-            found.append(Change(f"plant.params.{key}", base[key], after))
-    for name, spec in made.actuators.items():
+            changes.append(Change(f"plant.params.{key}", base[key], after))
+    for name, spec in repaired.actuators.items():
         for field in spec.__struct_fields__:
             before, after = value_of(getattr(model.actuators[name], field)), value_of(getattr(spec, field))
             if _differs(before, after):
-                found.append(Change(f"actuators.{name}.{field}", before, after))
-    for one in made.effects[len(model.effects) :]:
-        found += [Change(f"effects.{one.name}.{key}", None, value) for key, value in one.params.items()]
-    return tuple(found)
+                changes.append(Change(f"actuators.{name}.{field}", before, after))
+    for effect in repaired.effects[len(model.effects) :]:
+        changes += [Change(f"effects.{effect.name}.{key}", None, value) for key, value in effect.params.items()]
+    return tuple(changes)
 
 
 def _differs(before: float, after: float) -> bool:
-    return abs(after - before) > LEAST_CHANGE * max(abs(before), abs(after)) if math.isfinite(before) else False
+    return abs(after - before) > MIN_CHANGE * max(abs(before), abs(after)) if math.isfinite(before) else False
 
 
-def _with(spec: S, **changes: Any) -> S:
-    """The same spec with other values in some fields."""
+def _replace_fields(spec: S, **changes: Any) -> S:
+    """A spec with other values in some fields."""
     fields = {name: getattr(spec, name) for name in spec.__struct_fields__}
     return type(spec)(**{**fields, **changes})

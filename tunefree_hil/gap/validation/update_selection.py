@@ -1,8 +1,8 @@
-"""Which of what recalibration moved pays: on free runs over the blocks that choose, never over those that prove.
+"""Which of recalibration's updates improve free runs, on the selection blocks; the holdout is not used.
 
-A search moves all nuisances together (gap/estimation/nuisance.py), link by link and told the motion. What that buys there may cost
-elsewhere, in a signal that has nothing to do with what was found; so the groups of nuisances - along the car, across
-it, its sensors - are left out in turn, and one that does not pay stays as it was. Effects found are never left out.
+A search moves all nuisances together (gap/estimation/nuisance.py), link by link, from the measured motion. What that
+gains there may cost elsewhere. So each group of updates (along the vehicle, across it, its sensors) is left out in
+turn, and one that does not improve the free runs is reverted. Effects that were found are never left out.
 """
 
 from __future__ import annotations
@@ -15,108 +15,120 @@ from scipy.special import stdtrit
 
 from tunefree_hil.base.contracts import Port
 from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
-from tunefree_hil.gap.estimation.nuisance import BY_KEY
-from tunefree_hil.gap.measured.blocks import CHOICE
-from tunefree_hil.gap.measured.chain import Opened
-from tunefree_hil.gap.model.graph import LINKAGE, effects
-from tunefree_hil.gap.validation.gap_closed import floors_of
-from tunefree_hil.gap.validation.holdout import HEADING, POSITION, Proof, Variant, prove
-from tunefree_hil.gap.validation.repair import repaired
+from tunefree_hil.gap.estimation.nuisance import DRIFT_BY_KEY
+from tunefree_hil.gap.measured.blocks import SELECTION
+from tunefree_hil.gap.measured.chain import MeasuredDrive
+from tunefree_hil.gap.model.graph import LINKAGE_BEND_KEY, load_catalogue
+from tunefree_hil.gap.validation.gap_closed import error_floors
+from tunefree_hil.gap.validation.holdout import HEADING, POSITION, HoldoutResult, Variant, run_holdout
+from tunefree_hil.gap.validation.repair import repair_model
 
 Array = np.ndarray
 
 ALONG, ACROSS, SENSORS = "along", "across", "sensors"
 GROUPS = (ALONG, ACROSS, SENSORS)
-STEERS = (Port.STEER_A, Port.STEER_OUT, Port.STEER_B)
-# Beside the rows of gap/estimation/nuisance.py that say so: what shows in how the car turns and in what it feels sideways
-SIDEWAYS = {"plant.yaw_inertia_kgm2", "plant.front_axle_m", "plant.wheelbase_m", LINKAGE}
-# By how much one block's gain differs from another's (logarithms of errors, summed over the signals), and how many
-# blocks that counts for beside those that there are: two blocks that happen to agree know no scatter.
-SCATTER, WORTH = 0.3, 4
-SURE = 0.975
-TINY = 1e-30  # square: of a signal without noise
+STEER_PORTS = (Port.STEER_A, Port.STEER_OUT, Port.STEER_B)
+# Lateral numbers that have no row in gap/estimation/nuisance.py
+LATERAL_KEYS = {"plant.yaw_inertia_kgm2", "plant.front_axle_m", "plant.wheelbase_m", LINKAGE_BEND_KEY}
+# Prior of the scatter of a block's gain (log errors, summed over signals), and the blocks that it counts for: two
+# blocks that agree by chance have no scatter of their own
+PRIOR_SCATTER, PRIOR_BLOCKS = 0.3, 4
+CONFIDENCE = 0.975  # one-sided: the lower bound of a 95 % interval
+MIN_SQUARE = 1e-30  # added to the floor of a signal without noise
 
 
-class Paid(NamedTuple):
-    """values: keys as gap/model/graph.py takes them, without what did not pay. left: the groups that stay as they were."""
+class KeptUpdates(NamedTuple):
+    """values: keys as gap/model/graph.py takes them, without reverted groups. dropped_groups: the reverted ones."""
 
     values: dict[str, float]
-    left: tuple[str, ...]
+    dropped_groups: tuple[str, ...]
 
 
-def that_pays(
-    model: ModelSpec, vehicle: VehicleSpec, values: Mapping[str, float], found: Sequence[EffectSpec],
-    drives: Sequence[Opened],
-) -> Paid:  # fmt: skip
-    """Values of a fit without the groups of nuisances that do not pay; with all where no block that chooses is whole.
+def select_updates(
+    model: ModelSpec,
+    vehicle: VehicleSpec,
+    values: Mapping[str, float],
+    found: Sequence[EffectSpec],
+    drives: Sequence[MeasuredDrive],
+) -> KeptUpdates:
+    """Revert the groups of updates that do not improve free runs; none where no selection block can be run.
 
-    found: the effects that were found; what belongs to them stays.
+    Args:
+        values: of a fit, with all updates.
+        found: the effects that were found; their values stay.
     """
-    groups = groups_of(values, {one.name for one in found})
-    now, left = dict(values), list[str]()
-    run = chosen_runs(model, vehicle, now, found, drives) if groups else None
-    if run is None or not run.blocks:
-        return Paid(now, ())
-    floors = floors_of(run, model)
+    groups = update_groups(values, {effect.name for effect in found})
+    kept, dropped = dict(values), list[str]()
+    run = run_selection_blocks(model, vehicle, kept, found, drives) if groups else None
+    if run is None or not run.n_blocks:
+        return KeptUpdates(kept, ())
+    floors = error_floors(run, model)
     for group, keys in groups.items():
-        without = {key: value for key, value in now.items() if key not in keys}
-        other = chosen_runs(model, vehicle, without, found, drives)
-        if not pays(gained(run, other, floors)):
-            now, run = without, other
-            left.append(group)
-    return Paid(now, tuple(left))
+        without = {key: value for key, value in kept.items() if key not in keys}
+        other = run_selection_blocks(model, vehicle, without, found, drives)
+        if not is_improvement(error_gains(run, other, floors)):
+            kept, run = without, other
+            dropped.append(group)
+    return KeptUpdates(kept, tuple(dropped))
 
 
-def groups_of(values: Mapping[str, float], found: set[str]) -> dict[str, set[str]]:
-    """Keys of nuisances that were moved and that a model can have, by group, in the order of GROUPS."""
-    some: dict[str, set[str]] = {group: set() for group in GROUPS}
-    known = effects()
+def update_groups(values: Mapping[str, float], found: set[str]) -> dict[str, set[str]]:
+    """Keys that recalibration moved and that a model can have, by group, in the order of GROUPS.
+
+    found: names of effects that were found; their keys are in no group.
+    """
+    groups: dict[str, set[str]] = {group: set() for group in GROUPS}
+    catalogue = load_catalogue()
     for key, value in values.items():
         name, _, parameter = key.partition(".")
-        neutral = known[name].neutral[parameter] if name in known else 0.0
+        effect = catalogue.get(name)
+        neutral = effect.neutral[parameter] if effect else 0.0
         if name != "clock" and name not in found and value != neutral:
-            some[_group_of(key, known[name].port if name in known else None)].add(key)
-    return {group: keys for group, keys in some.items() if keys}
+            groups[_update_group(key, effect.port if effect else None)].add(key)
+    return {group: keys for group, keys in groups.items() if keys}
 
 
-def _group_of(key: str, port: Port | None) -> str:
+def _update_group(key: str, port: Port | None) -> str:
     if port in (Port.REPORT, Port.INS):
         return SENSORS
-    turns = key in SIDEWAYS or (key in BY_KEY and BY_KEY[key].sideways)
-    if port in STEERS or key.startswith("actuator.steer.") or turns:
+    is_lateral = key in LATERAL_KEYS or (key in DRIFT_BY_KEY and DRIFT_BY_KEY[key].is_lateral)
+    if port in STEER_PORTS or key.startswith("actuator.steer.") or is_lateral:
         return ACROSS
     return ALONG
 
 
-def chosen_runs(
-    model: ModelSpec, vehicle: VehicleSpec, values: Mapping[str, float], found: Sequence[EffectSpec],
-    drives: Sequence[Opened],
-) -> Proof:  # fmt: skip
-    """Free runs over the blocks that choose; the one variant is called ''."""
-    made = repaired(model, vehicle, values, found)
-    return prove({"": Variant(made.model, made.day)}, vehicle, drives, role=CHOICE, brief=True)
+def run_selection_blocks(
+    model: ModelSpec,
+    vehicle: VehicleSpec,
+    values: Mapping[str, float],
+    found: Sequence[EffectSpec],
+    drives: Sequence[MeasuredDrive],
+) -> HoldoutResult:
+    """Free runs of one model over the selection blocks; its variant is called ''."""
+    made = repair_model(model, vehicle, values, found)
+    return run_holdout({"": Variant(made.model, made.day)}, vehicle, drives, role=SELECTION, skip_forgotten=True)
 
 
-def pays(gains: Array) -> bool:
-    """Whether gains of blocks are above chance: their mean beyond its doubt of 95 %, by Student's t. These blocks were
-    fitted on too, so that what is not clear on them is nothing.
+def is_improvement(gains: Array) -> bool:
+    """Whether gains (n_blocks,) are above chance: their mean above its 95 % interval by Student's t.
+
+    These blocks were fitted on as well, so that what is not clear on them does not count.
     """
     count = len(gains)
-    freedom = WORTH + count - 1
-    variance = (WORTH * SCATTER**2 + float(((gains - gains.mean()) ** 2).sum())) / freedom
-    return float(gains.mean()) > float(stdtrit(freedom, SURE)) * float(np.sqrt(variance / count))
+    freedom = PRIOR_BLOCKS + count - 1
+    variance = (PRIOR_BLOCKS * PRIOR_SCATTER**2 + float(((gains - gains.mean()) ** 2).sum())) / freedom
+    return float(gains.mean()) > float(stdtrit(freedom, CONFIDENCE)) * float(np.sqrt(variance / count))
 
 
-def gained(one: Proof, other: Proof, floors: Mapping[str, float]) -> Array:
-    """By how much the first run is nearer to what was measured, [blocks]: the logarithm of the other's error over its
-    own, summed over the signals. An error counts with the floor beside it, so that what lies below that hardly does.
-    Heading and position are left out: they are sums of the others.
+def error_gains(run: HoldoutResult, other: HoldoutResult, floors: Mapping[str, float]) -> Array:
+    """By how much a run is nearer to the measurement than another, (n_blocks,): log of the ratio of their errors,
+    summed over the signals without heading and position, which are sums of the others. The floor is added to an error.
     """
-    total = np.zeros(one.blocks)
-    for signal, counts in one.counts.items():
+    total = np.zeros(run.n_blocks)
+    for signal, counts in run.counts.items():
         if signal not in (HEADING, POSITION):
-            least = (floors[signal] ** 2 + TINY) * counts
-            mine, theirs = (run.squares[""][signal] for run in (one, other))
+            least = (floors[signal] ** 2 + MIN_SQUARE) * counts
+            own, others = (result.squared_errors[""][signal] for result in (run, other))
             rows = counts > 0.0
-            total[rows] += 0.5 * np.log((theirs + least)[rows] / (mine + least)[rows])
+            total[rows] += 0.5 * np.log((others + least)[rows] / (own + least)[rows])
     return total

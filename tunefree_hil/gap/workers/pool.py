@@ -1,109 +1,149 @@
-"""The processes that share a question: each has it open, suspects are dealt out among them."""
+"""Worker processes that share a problem: each has it open, and the candidates are divided among them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from typing import Any, TypeVar
+from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
-from tunefree_hil.gap.estimation.grid import Start
-from tunefree_hil.gap.estimation.residuals import Setting
-from tunefree_hil.gap.workers.worker import Modelled, Question
-from tunefree_hil.learn.compiled_process import Worker
+from tunefree_hil.gap.estimation.grid import StartPoint
+from tunefree_hil.gap.estimation.least_squares import Fit
+from tunefree_hil.gap.estimation.residuals import ProblemSpec
+from tunefree_hil.gap.workers import worker
+from tunefree_hil.gap.workers.worker import FitSummary, OpenProblem
+from tunefree_hil.learn.compiled_process import CompiledProcess
 
 T = TypeVar("T")
+P = ParamSpec("P")
 
-MODULE = "tunefree_hil.gap.workers.worker"
-HOPELESS = 1.0  # squares that the best point of a grid gains: who gains less is not fitted
-LEFT_OUT = 0.01  # nor who gains less than that of what the best one's best point gains
-SCREEN = 0.15  # who gains less than that gets one step: the truth, even midway between two points, gains more
+TOKEN = "gap"  # the name under which the processes open the problem
 
 
-class Team:
-    """Processes that have the same question open. dropped: who could not be asked at all, with the reason; moves: what
-    each suspect alone moves of any target at the most (scan.Start). thorough: whether all suspects are fitted, however
-    little they gain.
+class ScreeningCriteria(NamedTuple):
+    """Which candidates are fitted, by the gain of their best grid point; sources: docs/reference/gap_criteria.md.
+
+    Args:
+        min_gain: squared residuals, in units of the noise; a candidate that gains less is not fitted
+        min_share_of_best: nor is one that gains less than this share of the best candidate's gain
+        full_fit_share: a candidate below this share of the best gain gets one step only; the right effect gains more,
+            even midway between two grid points
     """
 
-    def __init__(self, setting: Setting, workers: int = 2, *, thorough: bool = False) -> None:
-        self.setting = setting
-        self.thorough = thorough
-        self.workers = [Worker() for _ in range(workers)]
-        self.token = "gap"
-        self.dropped: dict[str, str] = {}
-        self.moves: dict[str, float] = {}
+    min_gain: float = 1.0
+    min_share_of_best: float = 0.01
+    full_fit_share: float = 0.15
 
-    def open(self) -> Question:
-        """Open it in all of them."""
-        return self._all([("open_question", self.token, self.setting)] * len(self.workers))[0]
 
-    def fit(self, names: Sequence[str], start: Modelled | None, noise: Modelled | None = None) -> dict[str, Modelled]:
-        """Suspects beside `start`, shared out: all grids first; who is far behind the best there gets one step only, or
-        none where there is nothing that it gains. noise: the model whose noise says what is gained (None: start's).
+CRITERIA = ScreeningCriteria()
+
+
+class WorkerPool:
+    """Processes that have the same problem open.
+
+    Args:
+        spec: the problem
+        workers: number of processes
+        fits_all: fit all candidates fully, however little they gain
+
+    Attributes:
+        impossible_candidates: effects of which no value gives a possible car, with the reason
+        max_effect_shares: largest RMS change that each candidate alone makes to a target, as a share of its signal
+    """
+
+    def __init__(self, spec: ProblemSpec, workers: int = 2, *, fits_all: bool = False) -> None:
+        self.spec = spec
+        self.fits_all = fits_all
+        self.workers = [CompiledProcess() for _ in range(workers)]
+        self.impossible_candidates: dict[str, str] = {}
+        self.max_effect_shares: dict[str, float] = {}
+
+    def open(self) -> OpenProblem:
+        """Open the problem in all processes."""
+        return self._run_all(worker.open_problem, [(self.spec,)] * len(self.workers))[0]
+
+    def fit_candidates(
+        self, names: Sequence[str], start: FitSummary | None, noise_source: FitSummary | None = None
+    ) -> dict[str, FitSummary]:
+        """Fit candidates, each by itself: first all grids, then fits of those that may compete with the best.
+
+        Args:
+                start: the model that they are added to; None for the recalibrated one
+            noise_source: the model whose noise is used; None for `start`
+
+        Returns: the fits by candidate, without those that gain nothing or are impossible
         """
-        model, by = (None if one is None else one.fitted for one in (start, noise))
-        begins: dict[str, Start] = {}
-        for some, lost in self._all([("scan_suspects", self.token, share, model, by) for share in self._shares(names)]):
-            begins |= some
-            self._drop(lost, model is None)
-        if start is None and noise is None:
-            self.moves |= {name: one.moves for name, one in begins.items()}
-        best = max((one.gain for one in begins.values()), default=0.0)
-        order = sorted(begins, key=lambda name: -begins[name].worth)
-        least, bar = (
-            (-math.inf, 0.0) if self.thorough else (max(HOPELESS, LEFT_OUT * best), max(HOPELESS, SCREEN * best))
-        )
-        asked = [name for name in order if begins[name].worth > least]
-        shares = [{name: begins[name] for name in share} for share in self._shares(asked)]
-        found: dict[str, Modelled] = {}
-        for some, lost in self._all([("fit_suspects", self.token, share, model, bar, by) for share in shares]):
-            found |= some
-            self._drop(lost, model is None)
-        return found
+        base, source = (None if summary is None else summary.fit for summary in (start, noise_source))
+        starts: dict[str, StartPoint] = {}
+        calls = [(share, base, source) for share in self._split(names)]
+        for share_starts, impossible in self._run_all(worker.scan_candidates, calls):
+            starts |= share_starts
+            self._record_impossible(impossible, base)
+        if start is None and noise_source is None:
+            self.max_effect_shares |= {name: point.max_effect_share for name, point in starts.items()}
+        min_gain, full_fit_gain = self._screening_gains(starts)
+        order = sorted(starts, key=lambda name: -starts[name].priority)
+        fitted = [name for name in order if starts[name].priority > min_gain]
+        shares = [{name: starts[name] for name in share} for share in self._split(fitted)]
+        fits: dict[str, FitSummary] = {}
+        calls = [(share, base, full_fit_gain, source) for share in shares]
+        for share_fits, impossible in self._run_all(worker.fit_candidates, calls):
+            fits |= share_fits
+            self._record_impossible(impossible, base)
+        return fits
 
-    def _drop(self, lost: Mapping[str, str], alone: bool) -> None:
-        """Who is no car beside another effect was a car alone, and was asked."""
-        if alone:
-            self.dropped |= lost
+    def _screening_gains(self, starts: Mapping[str, StartPoint]) -> tuple[float, float]:
+        """Gains above which a candidate is fitted at all, and above which it is fitted fully."""
+        if self.fits_all:
+            return -math.inf, 0.0
+        best = max((point.gain for point in starts.values()), default=0.0)
+        min_gain = max(CRITERIA.min_gain, CRITERIA.min_share_of_best * best)
+        return min_gain, max(CRITERIA.min_gain, CRITERIA.full_fit_share * best)
 
-    def fit_on(self, models: Sequence[Modelled]) -> list[Modelled]:
-        """Models fitted on until nothing is gained, in their order."""
-        shares = self._shares(list(range(len(models))))
-        calls = [("fitted_on", self.token, [models[i].fitted for i in share]) for share in shares]
-        found: dict[int, Modelled] = {}
-        for share, some in zip(shares, self._all(calls), strict=True):
-            found |= dict(zip(share, some, strict=True))
-        return [found[i] for i in range(len(models))]
+    def _record_impossible(self, impossible: Mapping[str, str], base: Fit | None) -> None:
+        """Record candidates that are impossible alone; beside another effect, a possible one may become impossible."""
+        if base is None:
+            self.impossible_candidates |= impossible
 
-    def fit_without(self, model: Modelled, names: Sequence[str]) -> dict[str, Modelled]:
-        """A model without each of its effects `names`, the rest fitted on."""
-        found: dict[str, Modelled] = {}
-        for some in self._all([("fitted_without", self.token, model.fitted, share) for share in self._shares(names)]):
-            found |= some
-        return found
+    def refine_fits(self, models: Sequence[FitSummary]) -> list[FitSummary]:
+        """Refine models until nothing is gained; in their order."""
+        shares = self._split(list(range(len(models))))
+        calls = [([models[i].fit for i in share],) for share in shares]
+        refined: dict[int, FitSummary] = {}
+        for share, summaries in zip(shares, self._run_all(worker.refine_fits, calls), strict=True):
+            refined |= dict(zip(share, summaries, strict=True))
+        return [refined[i] for i in range(len(models))]
 
-    def _shares(self, some: Sequence[T]) -> list[list[T]]:
-        return [list(some[i :: len(self.workers)]) for i in range(len(self.workers))]
+    def fit_without_effects(self, model: FitSummary, names: Sequence[str]) -> dict[str, FitSummary]:
+        """The model without each of these effects, by effect, the rest refitted."""
+        fits: dict[str, FitSummary] = {}
+        for share in self._run_all(worker.fit_without_effects, [(model.fit, share) for share in self._split(names)]):
+            fits |= share
+        return fits
 
-    def ask(self, function: str, *args: Any) -> Any:
-        """Ask the first."""
-        return self.workers[0].result(MODULE, function, self.token, *args)
+    def _split(self, items: Sequence[T]) -> list[list[T]]:
+        return [list(items[i :: len(self.workers)]) for i in range(len(self.workers))]
+
+    def ask(self, function: Callable[Concatenate[str, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """Call a function of gap/workers/worker.py, without its token, in the first process."""
+        return self.workers[0].wait_for_result(function, TOKEN, *args, **kwargs)
 
     def close(self) -> None:
         """End the processes."""
-        for worker in self.workers:
-            worker.end()
+        for process in self.workers:
+            process.shut_down()
 
-    def _all(self, calls: Sequence[tuple[Any, ...]]) -> list[Any]:
-        pool = ThreadPoolExecutor(len(self.workers))
+    def _run_all(self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> list[Any]:
+        """Call a function of gap/workers/worker.py in each process, with its arguments; the results in their order."""
+        threads = ThreadPoolExecutor(len(self.workers))
         try:
-            todo = [pool.submit(one.result, MODULE, *call) for one, call in zip(self.workers, calls, strict=True)]
-            for one in wait(todo, return_when=FIRST_EXCEPTION).done:
-                one.result()  # raises where it failed, whoever else is still at work
-            return [one.result() for one in todo]
+            pairs = zip(self.workers, calls, strict=True)
+            todo = [threads.submit(process.wait_for_result, function, TOKEN, *args) for process, args in pairs]
+            for future in wait(todo, return_when=FIRST_EXCEPTION).done:
+                future.result()  # raises at once where it failed, while others still compute
+            return [future.result() for future in todo]
         except BaseException:
-            self.close()  # nobody waits for what the others still compute
+            self.close()  # the other results are not needed
             raise
         finally:
-            pool.shutdown()
+            threads.shutdown()

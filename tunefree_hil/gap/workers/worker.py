@@ -1,7 +1,8 @@
-"""What a process of learn/compiled_process.py is asked in a search for a name: one question kept open, models fitted one by one.
+"""Functions that run in a worker process: one problem stays open there, and its models are fitted one after the other.
 
-A question is opened once per process (graph compiled, recalibration fitted, its slopes taken); several processes open
-the same one and share the suspects. What goes back to whoever asks is small: no residuals.
+Each process opens the problem once: it compiles the simulation, fits the recalibrated model and computes its Jacobian.
+Several processes open the same problem and share the candidates. What is sent back is small: fits without residuals.
+Every function takes the token under which its problem was opened.
 """
 
 from __future__ import annotations
@@ -12,220 +13,293 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.gap.diagnostics.lack_of_fit import Left, leftovers
-from tunefree_hil.gap.diagnostics.residual_tests import Burst, Region, Shape, burst_of, regions, shape_of, windows_of
-from tunefree_hil.gap.estimation.calibration_priors import after_own, own_numbers_of
-from tunefree_hil.gap.estimation.candidates import Suspect, doubted, suspects_of
-from tunefree_hil.gap.estimation.gauss_newton import fit_candidate, fit_null, fit_on, fit_without
-from tunefree_hil.gap.estimation.grid import Scan, Start
-from tunefree_hil.gap.estimation.least_squares import Fitted, Problem, Slopes
-from tunefree_hil.gap.estimation.nuisance import Nuisance, correlation, doubts_of, held_of, nuisances, related_of
-from tunefree_hil.gap.estimation.residuals import Kind, Setting, Work, apart
+from tunefree_hil.gap.diagnostics.lack_of_fit import LackOfFit, measure_lack_of_fit
+from tunefree_hil.gap.diagnostics.residual_tests import (
+    Burst,
+    Region,
+    Shape,
+    TargetRows,
+    cut_windows,
+    find_regions,
+    fit_shape,
+    measure_burst,
+)
+from tunefree_hil.gap.estimation.calibration_priors import apply_calibration_prior, read_calibration_prior
+from tunefree_hil.gap.estimation.candidates import Candidate, add_parameter_sigmas, build_candidates
+from tunefree_hil.gap.estimation.gauss_newton import fit_candidate, fit_recalibration, fit_without_effect, refine_fit
+from tunefree_hil.gap.estimation.grid import GridScan, StartPoint
+from tunefree_hil.gap.estimation.least_squares import Fit, Jacobian, LeastSquaresProblem
+from tunefree_hil.gap.estimation.nuisance import (
+    Nuisance,
+    build_nuisances,
+    prior_correlation,
+    read_constant_correlations,
+    read_constant_sigmas,
+    read_drift_share,
+)
+from tunefree_hil.gap.estimation.residuals import ProblemSpec, ResidualModel, TargetProperties, rms_difference
 from tunefree_hil.gap.measured.blocks import Blocks
 
 Array = np.ndarray
 
-AVERAGED_S = 1.0  # long beside a sensor's noise, short beside a block
-NOT_SLOW: dict[str, tuple[Array, Array]] = {}
+AVERAGING_S = 1.0  # long compared with sensor noise, short compared with a block
+NO_SQUARES: dict[str, tuple[Array, Array]] = {}
 
 
-class Modelled(NamedTuple):
-    """A fitted model as it is sent: without residuals, with their squares and counts by target and block [b].
+class FitSummary(NamedTuple):
+    """A fitted model as it is sent: without residuals.
 
-    slow: the same of means over AVERAGED_S, in which noise is next to nothing and what a drive goes astray by is left.
+    Args:
+        fit: the model
+        squared_residuals: by target, sums of squares and numbers of rows by block, each of shape (n_blocks,)
+        averaged_squared_residuals: the same of means over AVERAGING_S, which are nearly free of noise
     """
 
-    fitted: Fitted
-    squares: dict[str, tuple[Array, Array]]
-    slow: dict[str, tuple[Array, Array]] = NOT_SLOW
+    fit: Fit
+    squared_residuals: dict[str, tuple[Array, Array]]
+    averaged_squared_residuals: dict[str, tuple[Array, Array]] = NO_SQUARES
 
 
-class Question(NamedTuple):
-    """What a question is, once opened. sizes: by target the deviation of what was measured. broken: targets that
-    recalibration alone leaves broken (locate.look); None: nobody has looked. usually: those of them that the model
-    misses as usual (usual.py). drifting: what recalibration may move.
+class OpenProblem(NamedTuple):
+    """A problem once it is opened.
+
+    Args:
+        recalibrated: the model without effects
+        blocks: blocks of all drives, with their roles
+        target_properties: by target
+        signal_scales: by target, standard deviation of the measured signal
+        candidates: effects that may explain what is missed
+        untestable_effects: the others, with the reason
+        broken_targets: targets that recalibration alone leaves broken; None before that was assessed
+        targets_within_baseline: of these, the ones that the model misses on its own logs as well
+        nuisances: what recalibration may move
     """
 
-    null: Modelled
+    recalibrated: FitSummary
     blocks: Blocks
-    kinds: dict[str, Kind]
-    sizes: dict[str, float]
-    suspects: tuple[Suspect, ...]
-    cannot: dict[str, str]
-    broken: frozenset[str] | None = None
-    usually: frozenset[str] = frozenset()
-    drifting: tuple[Nuisance, ...] = ()
+    target_properties: dict[str, TargetProperties]
+    signal_scales: dict[str, float]
+    candidates: tuple[Candidate, ...]
+    untestable_effects: dict[str, str]
+    broken_targets: frozenset[str] | None = None
+    targets_within_baseline: frozenset[str] = frozenset()
+    nuisances: tuple[Nuisance, ...] = ()
 
 
-class _Open:
-    def __init__(self, setting: Setting) -> None:
-        self.work = Work(setting)
-        doubts = doubts_of(setting.model)
-        held = held_of(setting.model, setting.drives[0].pace)
-        drifting = nuisances(self.work.graph, setting.model, doubts, held)
-        own, correlated = own_numbers_of(setting.model), correlation(drifting, related_of(setting.model))
-        drifting, correlated = after_own(drifting, correlated, own)
-        self.problem = Problem(self.work, drifting, correlated, known=bool(own.keys))
-        self.null, self.slopes = fit_null(self.problem)
-        some, self.cannot = suspects_of(self.work.graph, setting.model, setting.vehicle, setting.drives)
-        self.suspects = {one.name: doubted(one, drifting, doubts) for one in some}
-        self._scan: tuple[Any, Scan] | None = None
+class _ProblemState:
+    """An open problem in its process."""
 
-    def again(self, model: Fitted) -> Fitted:
-        """A model that came back, with its residuals."""
-        return model._replace(residuals=self.work.residuals(model.values))
+    def __init__(self, spec: ProblemSpec) -> None:
+        self.residual_model = ResidualModel(spec)
+        constant_sigmas = read_constant_sigmas(spec.model)
+        drift_share = read_drift_share(spec.model, spec.drives[0].size_scale)
+        nuisances = build_nuisances(self.residual_model.graph, spec.model, constant_sigmas, drift_share)
+        prior = read_calibration_prior(spec.model)
+        correlation = prior_correlation(nuisances, read_constant_correlations(spec.model))
+        nuisances, correlation = apply_calibration_prior(nuisances, correlation, prior)
+        self.problem = LeastSquaresProblem(
+            self.residual_model, nuisances, correlation, has_calibration_prior=bool(prior.keys)
+        )
+        self.recalibrated, self.jacobian = fit_recalibration(self.problem)
+        candidates, self.untestable_effects = build_candidates(
+            self.residual_model.graph, spec.model, spec.vehicle, spec.drives
+        )
+        self.candidates = {
+            candidate.name: add_parameter_sigmas(candidate, nuisances, constant_sigmas) for candidate in candidates
+        }
+        self._scan: tuple[Any, GridScan] | None = None
 
-    def slopes_at(self, model: Fitted) -> Slopes:
-        """Slopes of all its keys."""
-        if not model.free:
-            return self.slopes
-        which = list(range(len(model.keys)))
-        return self.problem.slopes(model.keys, model.z, model.free, which, model.residuals)
+    def restore_residuals(self, fit: Fit) -> Fit:
+        """A fit that was sent, with its residuals."""
+        return fit._replace(residuals=self.residual_model.simulate_residuals(fit.values))
 
-    def scan_beside(self, model: Fitted | None, noise: Fitted | None) -> Scan:
-        """Of candidates beside a model (None: the null), under the noise of another (None: its own); the newest is
-        kept: grids come first, fits after them.
+    def jacobian_at(self, fit: Fit) -> Jacobian:
+        """The Jacobian of all its keys."""
+        if not fit.free:
+            return self.jacobian
+        columns = list(range(len(fit.keys)))
+        return self.problem.jacobian(fit.keys, fit.z, fit.free, columns, fit.residuals)
+
+    def grid_scan(self, start: Fit | None, noise_source: Fit | None) -> GridScan:
+        """Grids of candidates that are added to a model; the latest is kept, as fits follow grids.
+
+        Args:
+            start: the model; None for the recalibrated one
+            noise_source: the model whose noise is used; None for `start`
         """
-        key = tuple(() if one is None else (one.keys, tuple(one.z)) for one in (model, noise))
+        key = tuple(() if fit is None else (fit.keys, tuple(fit.z)) for fit in (start, noise_source))
         if self._scan is None or self._scan[0] != key:
-            start = self.null if model is None else self.again(model)
-            self._scan = (key, Scan(self.problem, start, self.slopes_at(start), noise))
+            base = self.recalibrated if start is None else self.restore_residuals(start)
+            self._scan = (key, GridScan(self.problem, base, self.jacobian_at(base), noise_source))
         return self._scan[1]
 
 
-_questions: dict[str, _Open] = {}
+_open_problems: dict[str, _ProblemState] = {}
 
 
-def open_question(token: str, setting: Setting) -> Question:
-    """Open a question under a name of the caller's; any other is forgotten. Raises InputError where nothing can be
-    compared.
-    """
-    _questions.clear()
-    one = _questions[token] = _Open(setting)
-    work = one.work
-    if not work.kinds:
+def open_problem(token: str, spec: ProblemSpec) -> OpenProblem:
+    """Open a problem under a token, and close any other. Raises: InputError if the logs have nothing to compare."""
+    _open_problems.clear()
+    state = _open_problems[token] = _ProblemState(spec)
+    model = state.residual_model
+    if not model.target_properties:
         raise InputError(
             "the logs hold nothing that could be compared with a simulation",
             code="nothing_to_compare",
             key="LOG",
             hint="drive for a minute or more, above walking pace, with reports of actuators and motion",
         )
-    sizes = {name: work.size(name) for name in work.kinds}
-    found = tuple(one.suspects.values())
-    drifting = tuple(one.problem.nuisances.values())
-    return Question(_sent(work, one.null), work.blocks, work.kinds, sizes, found, one.cannot, drifting=drifting)
+    return OpenProblem(
+        recalibrated=_summarise(model, state.recalibrated),
+        blocks=model.blocks,
+        target_properties=model.target_properties,
+        signal_scales={name: model.signal_scale(name) for name in model.target_properties},
+        candidates=tuple(state.candidates.values()),
+        untestable_effects=state.untestable_effects,
+        nuisances=tuple(state.problem.nuisances.values()),
+    )
 
 
-def scan_suspects(
-    token: str, names: Sequence[str], start: Fitted | None, noise: Fitted | None
-) -> tuple[dict[str, Start], dict[str, str]]:
-    """(where each suspect's search beside `start` (None: the null) begins, and what it gains there under the noise of
-    another model (None: of `start`); those of which no value makes a car, with the reason).
+def scan_candidates(
+    token: str, names: Sequence[str], start: Fit | None, noise_source: Fit | None
+) -> tuple[dict[str, StartPoint], dict[str, str]]:
+    """Find the start value of each candidate.
+
+    Args:
+        start: the model that they are added to; None for the recalibrated one
+        noise_source: the model whose noise is used; None for `start`
+
+    Returns: start points by candidate; and the reason for each candidate of which no value gives a possible car
     """
-    one, found, lost = _questions[token], {}, {}
-    scan = one.scan_beside(start, noise)
+    state, starts, impossible = _open_problems[token], {}, {}
+    scan = state.grid_scan(start, noise_source)
     for name in names:
         try:
-            found[name] = scan.best(one.suspects[name].free)
-        except InputError as error:  # outside what the body allows everywhere on its grid: then it is not this
-            lost[name] = error.message
-    return found, lost
+            starts[name] = scan.find_start(state.candidates[name].free)
+        except InputError as error:  # the vehicle model allows no point of its grid
+            impossible[name] = error.message
+    return starts, impossible
 
 
-def fit_suspects(
-    token: str, begins: Mapping[str, Start], start: Fitted | None, hopeless: float, noise: Fitted | None
-) -> Generator[int, None, tuple[dict[str, Modelled], dict[str, str]]]:
-    """(each suspect by itself beside `start`, from where its search begins; those that left what makes a car, with the
-    reason); yields how many are done. hopeless: a gain below which one step is enough.
+def fit_candidates(
+    token: str, starts: Mapping[str, StartPoint], start: Fit | None, min_gain: float, noise_source: Fit | None
+) -> Generator[int, None, tuple[dict[str, FitSummary], dict[str, str]]]:
+    """Fit each candidate by itself; yields how many are done.
+
+    Args:
+        starts: start points by candidate
+        start: the model that they are added to; None for the recalibrated one
+        min_gain: a candidate that gains less gets one step only
+        noise_source: the model whose noise is used; None for `start`
+
+    Returns: fits by candidate; and the reason for each candidate that left what is a possible car
     """
-    one = _questions[token]
-    scan = one.scan_beside(start, noise)
-    found, lost = {}, {}
-    for done, (name, begin) in enumerate(begins.items()):
+    state = _open_problems[token]
+    scan = state.grid_scan(start, noise_source)
+    fits, impossible = {}, {}
+    for done, (name, begin) in enumerate(starts.items()):
         yield done
         try:
-            found[name] = _sent(one.work, fit_candidate(scan, name, one.suspects[name].free, begin, hopeless))
-        except InputError as error:  # a step over the edge of what makes a car
-            lost[name] = error.message
-    return found, lost
+            fit = fit_candidate(scan, name, state.candidates[name].free, begin, min_gain)
+            fits[name] = _summarise(state.residual_model, fit)
+        except InputError as error:  # a step left what is a possible car
+            impossible[name] = error.message
+    return fits, impossible
 
 
-def fitted_on(token: str, models: Sequence[Fitted]) -> list[Modelled]:
-    """Models fitted on until nothing is gained: what others are to be weighed beside, or against."""
-    one = _questions[token]
-    return [_sent(one.work, fit_on(one.problem, one.again(model))) for model in models]
+def refine_fits(token: str, fits: Sequence[Fit]) -> list[FitSummary]:
+    """Refine models until nothing is gained, before others are compared with them."""
+    state = _open_problems[token]
+    return [_summarise(state.residual_model, refine_fit(state.problem, state.restore_residuals(fit))) for fit in fits]
 
 
-def fitted_without(token: str, model: Fitted, names: Sequence[str]) -> dict[str, Modelled]:
-    """A model without each of some of its effects, the rest fitted on."""
-    one = _questions[token]
-    return {name: _sent(one.work, fit_without(one.problem, model, name)) for name in names}
+def fit_without_effects(token: str, fit: Fit, names: Sequence[str]) -> dict[str, FitSummary]:
+    """The model without each of these effects, by effect, the rest refitted."""
+    state = _open_problems[token]
+    return {name: _summarise(state.residual_model, fit_without_effect(state.problem, fit, name)) for name in names}
 
 
-def left_by(token: str, models: Sequence[Fitted], blocks: Array) -> list[dict[str, Left]]:
-    """What each model leaves that could be explained by anything."""
-    work = _questions[token].work
-    targets = [compared.targets for compared in work.compared]
-    drives = work.setting.drives
-    return [leftovers(drives, targets, work.residuals(model.values), work.block, blocks) for model in models]
-
-
-def seen_of(token: str, model: Fitted, target: str) -> tuple[list[Region], Shape | None]:
-    """Where in a drive a target is missed, and what that looks like; blocks that prove are not looked at."""
-    work = _questions[token].work
-    residual = work.residuals(model.values)[target]
-    shape = shape_of(residual, work.measured(target), work.seen(target), work.kinds[target].dt_s)
-    return regions(work, target, residual), shape
-
-
-def moved_by(token: str, model: Fitted, key: str, by: float) -> dict[str, float]:
-    """What another value of one of a model's free parameters moves of each target where it may be looked at, root mean
-    square, in its unit. by: to either side, in u; the mean of both, or the one that makes a car.
-    """
-    work, found = _questions[token].work, list[dict[str, float]]()
-    i = model.keys.index(key)
-    free = next(one for one in model.free if one.key == key)
-    was = work.residuals(model.values)
-    for u in (model.z[i] - by, model.z[i] + by):
-        try:
-            now = work.residuals({**model.values, key: free.value(float(np.clip(u, free.least, free.most)))})
-        except InputError:
-            continue
-        found.append({name: apart(some, now[name], work.seen(name)) for name, some in was.items()})
-    return {name: float(np.mean([one[name] for one in found])) for name in was} if found else {}
-
-
-def bursts_of(token: str, models: Sequence[Fitted], blocks: Array) -> list[dict[str, Burst]]:
-    """How loud each model's misses get where they are loudest, by target."""
-    work = _questions[token].work
+def assess_lack_of_fit(token: str, fits: Sequence[Fit], blocks: Array) -> list[dict[str, LackOfFit]]:
+    """What could still be explained of each model's residuals, by target."""
+    model = _open_problems[token].residual_model
+    targets = [comparison.targets for comparison in model.comparisons]
     return [
-        {
-            name: burst_of(some, work.measured(name), work.valid(name), work.block[name], blocks, work.kinds[name].dt_s)
-            for name, some in work.residuals(model.values).items()
-        }
-        for model in models
+        measure_lack_of_fit(
+            model.spec.drives, targets, model.simulate_residuals(fit.values), model.target_blocks, blocks
+        )
+        for fit in fits
     ]
 
 
-def _sent(work: Work, model: Fitted) -> Modelled:
-    squares, slow = {}, {}
-    for name, some in model.residuals.items():
-        rows = max(round(AVERAGED_S / work.kinds[name].dt_s), 1)
-        squares[name] = _squares(work, name, some, 1)
-        slow[name] = _squares(work, name, some, rows)
-    return Modelled(model._replace(residuals={}), squares, slow)
+def describe_residual(token: str, fit: Fit, target: str) -> tuple[list[Region], Shape | None]:
+    """Where in the drives a target is missed, and the shape of its residual, outside holdout blocks."""
+    model = _open_problems[token].residual_model
+    residual = model.simulate_residuals(fit.values)[target]
+    dt_s = model.target_properties[target].dt_s
+    shape = fit_shape(residual, model.measured_values(target), model.non_holdout_rows(target), dt_s)
+    return find_regions(model, target, residual), shape
 
 
-def _squares(work: Work, name: str, residual: Sequence[Array], rows: int) -> tuple[Array, Array]:
-    """(sums of squares, counts) by block [b] of means over so many rows."""
-    sums, counts = np.zeros(work.blocks.count), np.zeros(work.blocks.count)
-    for one, valid, block in zip(residual, work.valid(name), work.block[name], strict=True):
-        means, at = windows_of(one, valid, block, rows)
-        np.add.at(sums, at, means.mean(axis=1) ** 2)
-        np.add.at(counts, at, 1.0)
+def measure_sensitivity(token: str, fit: Fit, key: str, delta_u: float) -> dict[str, float]:
+    """RMS change of each target, in its unit, when one free parameter moves, outside holdout blocks.
+
+    Args:
+        delta_u: change to either side, in u; the result is the mean of both, or of the one that is a possible car
+    """
+    model, changes = _open_problems[token].residual_model, list[dict[str, float]]()
+    i = fit.keys.index(key)
+    free = next(parameter for parameter in fit.free if parameter.key == key)
+    reference = model.simulate_residuals(fit.values)
+    for u in (fit.z[i] - delta_u, fit.z[i] + delta_u):
+        value = free.value_from_u(float(np.clip(u, free.u_min, free.u_max)))
+        try:
+            residuals = model.simulate_residuals({**fit.values, key: value})
+        except InputError:
+            continue
+        changes.append(
+            {
+                name: rms_difference(pieces, residuals[name], model.non_holdout_rows(name))
+                for name, pieces in reference.items()
+            }
+        )
+    return {name: float(np.mean([change[name] for change in changes])) for name in reference} if changes else {}
+
+
+def find_bursts(token: str, fits: Sequence[Fit], blocks: Array) -> list[dict[str, Burst]]:
+    """The largest short residuals of each model, by target."""
+    model = _open_problems[token].residual_model
+    return [
+        {
+            name: measure_burst(
+                TargetRows(residual, model.measured_values(name), model.valid_rows(name), model.target_blocks[name]),
+                blocks,
+                model.target_properties[name].dt_s,
+            )
+            for name, residual in model.simulate_residuals(fit.values).items()
+        }
+        for fit in fits
+    ]
+
+
+def close_problem(token: str) -> bool:
+    """Close a problem. Returns: whether it was open."""
+    return _open_problems.pop(token, None) is not None
+
+
+def _summarise(model: ResidualModel, fit: Fit) -> FitSummary:
+    squared, averaged = {}, {}
+    for name, residual in fit.residuals.items():
+        window_rows = max(round(AVERAGING_S / model.target_properties[name].dt_s), 1)
+        squared[name] = _block_squares(model, name, residual, 1)
+        averaged[name] = _block_squares(model, name, residual, window_rows)
+    return FitSummary(fit._replace(residuals={}), squared, averaged)
+
+
+def _block_squares(model: ResidualModel, name: str, residual: Sequence[Array], window_rows: int) -> tuple[Array, Array]:
+    """Sums of squared window means, and numbers of windows, by block, each of shape (n_blocks,)."""
+    sums, counts = np.zeros(model.blocks.count), np.zeros(model.blocks.count)
+    for values, valid, block in zip(residual, model.valid_rows(name), model.target_blocks[name], strict=True):
+        windows, window_blocks = cut_windows(values, valid, block, window_rows)
+        np.add.at(sums, window_blocks, windows.mean(axis=1) ** 2)
+        np.add.at(counts, window_blocks, 1.0)
     return sums, counts
-
-
-def forget(token: str) -> Any:
-    """Close a question."""
-    return _questions.pop(token, None) is not None

@@ -1,4 +1,4 @@
-"""Coverage of drives that a person drives: counted from logs, or live from a bus that is only listened to."""
+"""Coverage of a human driver's drives: counted from logs, or live from a bus, without sending."""
 
 from __future__ import annotations
 
@@ -11,111 +11,111 @@ from tunefree_hil.base.errors import BenchError, InputError, PeerGone
 from tunefree_hil.base.events import Event
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.dbc.codec import Codec, Snapshot
-from tunefree_hil.bus.link import Link
+from tunefree_hil.bus.link import BusLink
 from tunefree_hil.bus.open import open_link, resolve_bus
-from tunefree_hil.collect.cells import NONE, cell_of, targets_of
-from tunefree_hil.collect.coverage import Coverage, map_lines
-from tunefree_hil.collect.envelope import envelope_of
-from tunefree_hil.collect.features import eyes_of, lacking, look
+from tunefree_hil.collect.cells import NO_CELL, classify_cell, make_target_cells
+from tunefree_hil.collect.coverage import Coverage, coverage_map_lines
+from tunefree_hil.collect.envelope import envelope_from_vehicle
+from tunefree_hil.collect.features import describe_missing_reports, read_signals, signal_sources
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.jobs.collect.picture import draw_map
-from tunefree_hil.jobs.collect.plan import MOST, some_driven
+from tunefree_hil.jobs.collect.plan import MAX_VALUES, require_driven_cells
 from tunefree_hil.jobs.preconditions import require_number
 from tunefree_hil.jobs.run_folder import write_json
 from tunefree_hil.learn.drives.read import read_drives
 from tunefree_hil.nodes.exchange import can_key
-from tunefree_hil.nodes.measurement_decoder import MISSING_S, Hearing
+from tunefree_hil.nodes.measurement_decoder import MISSING_S, MeasurementDecoder
 
 LOOK_S = 0.2
 TELL_S = 1.0
 INTERRUPTED = 130
-OVERFLOW = "rx_overflow"  # frames were lost: a run of frames ends there, the watch goes on
+OVERFLOW = "rx_overflow"  # frames were lost: the current run of frames ends, the watch continues
 
 
-class Wish(NamedTuple):
-    """The command line of a watch."""
+class WatchOptions(NamedTuple):
+    """Options of `collect --watch` and of counting logs."""
 
     vehicle: str
     bus: str
     session: str
     quota_s: float
-    top_mps: float | None
-    seconds: float | None
-    out: Path | None
+    top_mps: float | None = None
+    seconds: float | None = None
+    out: Path | None = None
 
 
-def coverage_for(vehicle: VehicleSpec, wish: Wish) -> Coverage:
-    """Empty coverage of a person's driving: backwards too, where the vehicle does that.
+def make_coverage(vehicle: VehicleSpec, options: WatchOptions) -> Coverage:
+    """Empty coverage for a human driver, with reverse where the vehicle allows it.
 
-    Raises InputError for a number of the command line that is none, and for a speed at which no cell is left.
+    Raises InputError for an option out of range, and for a speed limit that leaves no cell.
     """
-    require_number("--quota-s", wish.quota_s, most=MOST["quota_s"])
-    require_number("--top-mps", wish.top_mps, most=MOST["top_mps"])
-    require_number("--seconds", wish.seconds, most=MOST["drive_s"])
-    envelope = envelope_of(vehicle)
-    targets = targets_of(envelope, wish.top_mps, reverse_mps=vehicle.limits.reverse_mps)
-    some_driven(targets, envelope, wish.top_mps)
-    return Coverage(vehicle, targets, wish.quota_s, vehicle.tick_ms * 1e-3)
+    require_number("--quota-s", options.quota_s, maximum=MAX_VALUES["quota_s"])
+    require_number("--top-mps", options.top_mps, maximum=MAX_VALUES["top_mps"])
+    require_number("--seconds", options.seconds, maximum=MAX_VALUES["drive_s"])
+    envelope = envelope_from_vehicle(vehicle)
+    targets = make_target_cells(envelope, options.top_mps, reverse_mps=vehicle.limits.reverse_mps)
+    require_driven_cells(targets, envelope, options.top_mps)
+    return Coverage(vehicle, targets, options.quota_s, vehicle.tick_ms * 1e-3)
 
 
-def from_logs(logs: Sequence[Path], wish: Wish) -> Iterator[Event]:
-    """Count logs. Exit status 0 whatever is missing: that is what was asked for."""
-    vehicle = load_vehicle(wish.vehicle)
-    coverage, codec = coverage_for(vehicle, wish), Codec(vehicle)
-    yield from (Event("warning", words) for words in lacking(vehicle))
+def count_logs(logs: Sequence[Path], options: WatchOptions) -> Iterator[Event]:
+    """Count logs. The exit status is 0 even if cells are missing."""
+    vehicle = load_vehicle(options.vehicle)
+    coverage, codec = make_coverage(vehicle, options), Codec(vehicle)
+    yield from (Event("warning", text) for text in describe_missing_reports(vehicle))
     for i, log in enumerate(logs):
         for drive in read_drives([log], codec):
             coverage.add(drive.get)
         data = {"label": "log", "done": i + 1, "total": len(logs)}
         yield Event("progress", f"{log}: {_state(coverage)}", data)
-    yield from _end(coverage, wish)
+    yield from _end(coverage, options)
 
 
-def watch(wish: Wish) -> Iterator[Event]:
-    """Listen to a bus and count, until all is full, the time is over or Ctrl-C. It never sends a frame."""
-    vehicle = load_vehicle(wish.vehicle)
-    coverage, codec = coverage_for(vehicle, wish), Codec(vehicle)
-    choice = resolve_bus(wish.bus, wish.session)
+def watch(options: WatchOptions) -> Iterator[Event]:
+    """Listen to a bus and count until all cells are full, the time is over or Ctrl-C. Never sends a frame."""
+    vehicle = load_vehicle(options.vehicle)
+    coverage, codec = make_coverage(vehicle, options), Codec(vehicle)
+    choice = resolve_bus(options.bus, options.session)
     if choice.kind == "virtual":
         hint = "--bus tfhub --session NAME, or --bus socketcan:can0"
-        raise InputError("a virtual bus does not leave its process", code="one_process", key="--bus", hint=hint)
+        raise InputError("a virtual bus works inside one process only", code="one_process", key="--bus", hint=hint)
     fd = any(message.fd for message in (*codec.telemetry, *codec.commands))
     link = open_link(choice, "vehicle", name="watch", role="observer", fd=fd)
     stopped = {}
     try:
-        yield Event("note", f"listening only, on {choice.vehicle_address}; drive, the map says what is missing")
-        yield from (Event("warning", words) for words in lacking(vehicle))
-        yield from _listen(Ears(vehicle, codec, coverage), link, wish)
-    except KeyboardInterrupt:  # how a person ends it; what was seen is shown all the same
+        yield Event("note", f"listening on {choice.vehicle_address}, without sending; the map shows what is missing")
+        yield from (Event("warning", text) for text in describe_missing_reports(vehicle))
+        yield from _listen(LiveCounter(vehicle, codec, coverage), link, options)
+    except KeyboardInterrupt:  # the usual way to end; the result is shown
         stopped = {"exit": INTERRUPTED}
     finally:
         link.close()
-    yield from _end(coverage, wish, stopped)
+    yield from _end(coverage, options, stopped)
 
 
-class Ears:
-    """Frames as they come -> ticks of a recording -> counts."""
+class LiveCounter:
+    """Counts the ticks of received frames."""
 
     def __init__(self, vehicle: VehicleSpec, codec: Codec, coverage: Coverage) -> None:
         self.codec, self.coverage = codec, coverage
-        self._eyes = eyes_of(vehicle)
+        self._sources = signal_sources(vehicle)
         self._command_keys = {message.key for message in codec.commands}
         self._restart()
 
     def _restart(self) -> None:
-        self._hearing = Hearing(self.codec, self.coverage.dt_s)
+        self._hearing = MeasurementDecoder(self.codec, self.coverage.dt_s)
         self._commands = Snapshot(self.codec)
         self._zero_s: float | None = None
         self._tick, self._waiting = 0, []
-        self.coverage.counter.pause()
+        self.coverage.counter.end_run()
 
     def pause(self) -> None:
-        """Frames were lost."""
-        self.coverage.counter.pause()
+        """End the current run after a loss of frames."""
+        self.coverage.counter.end_run()
 
-    def hear(self, frames: Sequence[CanFrame]) -> None:
-        """Take in frames in the order of the bus; their stamps say the tick. A clock that goes back begins anew."""
+    def add_frames(self, frames: Sequence[CanFrame]) -> None:
+        """Add frames in the order of the bus; their time stamps give the tick. A clock that jumps back restarts it."""
         for frame in frames:
             if can_key(frame) not in self.codec.by_id:
                 continue
@@ -126,11 +126,11 @@ class Ears:
                 self._restart()
                 self._zero_s, tick = frame.time_s, 0
             if tick > self._tick:
-                self._close(tick)
+                self._count_ticks(tick)
             self._waiting.append(frame)
 
-    def _close(self, tick: int) -> None:
-        """The ticks before `tick` are complete: see them. A silence that is too long breaks the run."""
+    def _count_ticks(self, tick: int) -> None:
+        """Count the complete ticks before `tick`. A gap that is too long ends the run."""
         commands = self._command_keys
         self._hearing.hear(self._tick, [frame for frame in self._waiting if can_key(frame) not in commands])
         for frame in self._waiting:
@@ -138,37 +138,44 @@ class Ears:
             if message.key in commands and self.codec.fits(message, frame.data):
                 self._commands.hear(message, frame.data)
         self._waiting = []
-        silent = tick - self._tick
-        seen = cell_of(self.coverage.bands, look(self._eyes, self._hearing.measurement(), self._commands.command()))
-        for _ in range(min(silent, round(MISSING_S / self.coverage.dt_s))):
-            self.coverage.counter.see(seen)
-        if silent > round(MISSING_S / self.coverage.dt_s):
-            self.coverage.counter.see(NONE)
+        elapsed = tick - self._tick
+        cell = classify_cell(
+            self.coverage.bands, read_signals(self._sources, self._hearing.measurement(), self._commands.command())
+        )
+        for _ in range(min(elapsed, round(MISSING_S / self.coverage.dt_s))):
+            self.coverage.counter.count_frame(cell)
+        if elapsed > round(MISSING_S / self.coverage.dt_s):
+            self.coverage.counter.count_frame(NO_CELL)
         self._tick = tick
 
 
-def _listen(ears: Ears, link: Link, wish: Wish) -> Iterator[Event]:
-    started = told = time.monotonic()
-    coverage = ears.coverage
-    while coverage.counter.missing and (wish.seconds is None or time.monotonic() - started < wish.seconds):
+def _listen(counter: LiveCounter, link: BusLink, options: WatchOptions) -> Iterator[Event]:
+    started = shown = time.monotonic()
+    coverage = counter.coverage
+    while coverage.counter.missing and (options.seconds is None or time.monotonic() - started < options.seconds):
         try:
-            ears.hear(link.receive(LOOK_S))
+            counter.add_frames(link.receive(LOOK_S))
         except PeerGone as error:
             yield Event("note", error.message)
         except BenchError as error:
             yield Event("warning", error.message)
             if error.code != OVERFLOW:
-                return  # there is nothing more to hear
-            ears.pause()
-        if time.monotonic() - told >= TELL_S:
-            told = time.monotonic()
-            data = {"label": "cells", "done": coverage.full, "total": coverage.wanted, "block": map_lines(coverage)}
+                return  # the link is lost
+            counter.pause()
+        if time.monotonic() - shown >= TELL_S:
+            shown = time.monotonic()
+            data = {
+                "label": "cells",
+                "done": coverage.full,
+                "total": coverage.wanted,
+                "block": coverage_map_lines(coverage),
+            }
             yield Event("progress", _state(coverage), data)
 
 
-def _end(coverage: Coverage, wish: Wish, more: Mapping[str, Any] | None = None) -> Iterator[Event]:
-    figures = [_write(coverage, wish.out)] if wish.out is not None else []
-    yield from (Event("line", line) for line in map_lines(coverage))
+def _end(coverage: Coverage, options: WatchOptions, more: Mapping[str, Any] | None = None) -> Iterator[Event]:
+    figures = [_write(coverage, options.out)] if options.out is not None else []
+    yield from (Event("line", line) for line in coverage_map_lines(coverage))
     missing = coverage.missing()
     sentence = f"{_state(coverage)}; missing: {'; '.join(missing[:4])}" if missing else _state(coverage)
     sentence += f" and {len(missing) - 4} more" if len(missing) > 4 else ""
@@ -179,7 +186,7 @@ def _end(coverage: Coverage, wish: Wish, more: Mapping[str, Any] | None = None) 
 
 
 def _write(coverage: Coverage, out: Path) -> str:
-    """coverage.json and the picture."""
+    """Write coverage.json and the figure."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "coverage.json", coverage.as_dict())
     title = f"{coverage.vehicle.name}: {_state(coverage)}"
@@ -187,4 +194,4 @@ def _write(coverage: Coverage, out: Path) -> str:
 
 
 def _state(coverage: Coverage) -> str:
-    return f"{coverage.full} of {coverage.wanted} cells full, {coverage.had_s:.0f} of {coverage.needed_s:.0f} s"
+    return f"{coverage.full} of {coverage.wanted} cells full, {coverage.collected_s:.0f} of {coverage.needed_s:.0f} s"

@@ -1,4 +1,4 @@
-"""What a collection is asked for, its run folder, and the files that its drives are told by."""
+"""Options of a collection, its run folder, and the files of its drives."""
 
 from __future__ import annotations
 
@@ -10,27 +10,35 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, load
 from tunefree_hil.bench.load import whole_vehicle
-from tunefree_hil.collect.cells import Target, fastest_mps
+from tunefree_hil.collect.cells import TargetCell, max_planned_speed_mps
 from tunefree_hil.collect.coverage import Coverage
-from tunefree_hil.collect.envelope import Envelope, envelope_of, side_needed_m
-from tunefree_hil.collect.plan import DrivePlan, as_dict, driven_targets
+from tunefree_hil.collect.envelope import Envelope, area_side_for_speed_m, envelope_from_vehicle
+from tunefree_hil.collect.plan import DrivePlan, plan_as_dict, plannable_cells
 from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.find import available, find
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import VehicleSpec
-from tunefree_hil.jobs.preconditions import VEHICLE, require_model_of, require_number
-from tunefree_hil.jobs.run_folder import SCHEMA, RunFolder, open_run, unfinished, versions, write_json, write_text
+from tunefree_hil.jobs.preconditions import VEHICLE_IS, require_model_of_vehicle, require_number
+from tunefree_hil.jobs.run_folder import (
+    SCHEMA,
+    RunFolder,
+    find_unfinished,
+    library_versions,
+    open_run,
+    write_json,
+    write_text,
+)
 
-DRIVE_S = 110.0  # after so long a drive begins to stop, unless told otherwise
-MOST = {"quota_s": 1e6, "area_m": 1e6, "top_mps": 1e3, "drive_s": 1e6}  # eleven days; more is a slip
-SPARE_S = 60.0  # longest from there to standstill; the ECU's course ends then
-FIRST = "drive-001"
-HOLDS_A_DRIVE = 7  # the first hold of each drive is another one
+DRIVE_S = 110.0  # default time after which a drive begins to stop
+MAX_VALUES = {"quota_s": 1e6, "area_m": 1e6, "top_mps": 1e3, "drive_s": 1e6}  # larger values are typing errors
+STOP_MARGIN_S = 60.0  # longest time from there to standstill; then the ECU's course ends
+FIRST_DRIVE = "drive-001"
+HOLD_NUMBERS_A_DRIVE = 7  # so that the first hold of each drive differs
 DEFAULT_ROOT = Path("runs")
 
 
-class Asked(NamedTuple):
-    """The command line of `collect`. out: this collection's own folder, None for a new one under runs/."""
+class CollectOptions(NamedTuple):
+    """Options of `collect`. out: run folder of this collection, None for a new one under runs/."""
 
     bench: Path | None = None
     vehicle: str | None = None
@@ -47,8 +55,8 @@ class Asked(NamedTuple):
     drive_s: float = DRIVE_S
 
 
-class Start(NamedTuple):
-    """Where a drive begins: pose of the rear axle's middle."""
+class StartPose(NamedTuple):
+    """Start of a drive: pose of the middle of the rear axle."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -60,128 +68,142 @@ def drive_name(number: int) -> str:
     return f"drive-{number:03d}"
 
 
-def vehicle_and_model(asked: Asked) -> tuple[VehicleSpec, str, list[Any]]:
-    """(vehicle, model as a path, effects of the bench file) that are to be driven. Raises InputError.
+class CollectSetup(NamedTuple):
+    """What is driven. model: path of the model folder. effects: of the bench file."""
 
-    A bench file stands for its verify_model, which is its vehicle; --model names another one.
+    vehicle: VehicleSpec
+    model: str
+    effects: list[Any]
+
+
+def resolve_setup(options: CollectOptions) -> CollectSetup:
+    """Vehicle, model and effects to drive. Of a bench file its verify_model is used, unless --model is given.
+
+    Raises InputError for a missing or contradictory option.
     """
-    if asked.bench is not None:
-        if asked.vehicle is not None:
-            raise InputError("a bench file and --vehicle are given", code="usage", key="--vehicle", hint="give one")
-        bench = load(asked.bench)
-        name = asked.model or bench.spec.verify_model or bench.spec.model
+    if options.bench is not None:
+        if options.vehicle is not None:
+            message = "a bench file and --vehicle are both given"
+            raise InputError(message, code="usage", key="--vehicle", hint="give one of them")
+        bench = load(options.bench)
+        name = options.model or bench.spec.verify_model or bench.spec.model
         effects = plain(bench.spec.effects)
-        return bench.vehicle, str(find("model", name, bench.file).parent), effects
-    if asked.vehicle is None:
+        return CollectSetup(bench.vehicle, str(find("model", name, bench.file).parent), effects)
+    if options.vehicle is None:
         hint = "collect BENCH, or collect --vehicle DIR --model MODEL"
-        raise InputError("nothing to drive is named", code="usage", key="BENCH", hint=hint)
-    vehicle = whole_vehicle(asked.vehicle)
-    if asked.model is None:
+        raise InputError("no vehicle or bench file is given", code="usage", key="BENCH", hint=hint)
+    vehicle = whole_vehicle(options.vehicle)
+    if options.model is None:
         known = [name for name in available("model") if load_model(name).vehicle == vehicle.name]
         raise InputError(
-            "no model is named",
+            "no model is given",
             code="usage",
             key="--model",
-            hint=f"of {vehicle.name} there are {', '.join(known) or 'none'}",
+            hint=f"models of {vehicle.name}: {', '.join(known) or 'none'}",
         )
-    return vehicle, str(find("model", asked.model).parent), []
+    return CollectSetup(vehicle, str(find("model", options.model).parent), [])
 
 
-def require_room(vehicle: VehicleSpec, asked: Asked) -> None:
-    """Raise InputError where the area is too small for the speeds asked, or a number is none; it says how large."""
-    for name, most in MOST.items():
-        require_number("--" + name.replace("_", "-"), getattr(asked, name), most=most)
-    envelope = envelope_of(vehicle)
-    bands = some_driven(driven_targets(vehicle, asked.top_mps), envelope, asked.top_mps)
+def require_area(vehicle: VehicleSpec, options: CollectOptions) -> None:
+    """Raise InputError where an option is out of range, or the area is too small for the speeds."""
+    for name, maximum in MAX_VALUES.items():
+        require_number("--" + name.replace("_", "-"), getattr(options, name), maximum=maximum)
+    envelope = envelope_from_vehicle(vehicle)
+    bands = require_driven_cells(plannable_cells(vehicle, options.top_mps), envelope, options.top_mps)
     speed = max(1.05 * one.low_mps for one in bands)
-    needed = side_needed_m(envelope, speed)
-    if asked.area_m < needed:
-        slower = max(envelope_of(vehicle).speed_mps * 0.25, 1.0)
+    needed = area_side_for_speed_m(envelope, speed)
+    if options.area_m < needed:
+        slower = max(envelope_from_vehicle(vehicle).speed_mps * 0.25, 1.0)
         raise InputError(
-            f"{asked.area_m:g} m are too small for {speed:.3g} m/s: a square of {math.ceil(needed)} m is needed",
+            f"{options.area_m:g} m is too small for {speed:.3g} m/s: a square of {math.ceil(needed)} m is needed",
             code="area_too_small",
             key="--area-m",
             hint=f"--area-m {math.ceil(needed)}, or leave out the fast cells: --top-mps {slower:.3g} needs "
-            f"{math.ceil(side_needed_m(envelope, slower))} m",
+            f"{math.ceil(area_side_for_speed_m(envelope, slower))} m",
         )
 
 
-def some_driven(targets: Sequence[Target], envelope: Envelope, top_mps: float | None) -> list[Target]:
-    """Those that are driven. Raises InputError where --top-mps leaves none."""
+def require_driven_cells(targets: Sequence[TargetCell], envelope: Envelope, top_mps: float | None) -> list[TargetCell]:
+    """The cells that are driven. Raises InputError where --top-mps leaves none."""
     driven = [one for one in targets if not one.excluded]
     if not driven:
-        top, hint = fastest_mps(envelope, top_mps), f"give at least {0.5 * fastest_mps(envelope):.3g}"
-        raise InputError(f"no cell is driven at {top:.3g} m/s at most", code="too_slow", key="--top-mps", hint=hint)
+        top, hint = (
+            max_planned_speed_mps(envelope, top_mps),
+            f"give at least {0.5 * max_planned_speed_mps(envelope):.3g}",
+        )
+        raise InputError(
+            f"no cell can be driven with at most {top:.3g} m/s", code="too_slow", key="--top-mps", hint=hint
+        )
     return driven
 
 
-def record_of(vehicle: VehicleSpec, model: str, asked: Asked, effects: list[Any]) -> dict[str, Any]:
-    """What run.json says, and what must agree for a collection to go on."""
-    found = load_model(model)
-    require_model_of(found, vehicle, hint="name a model of this vehicle", needed=VEHICLE)
+def run_record(vehicle: VehicleSpec, model: str, options: CollectOptions, effects: list[Any]) -> dict[str, Any]:
+    """Record for run.json; it must agree for a collection to continue."""
+    spec = load_model(model)
+    require_model_of_vehicle(spec, vehicle, hint="name a model of this vehicle", needed=VEHICLE_IS)
     return {
         "command": "collect",
         "vehicle": vehicle.name,
         "model": Path(model).name,
-        "realtime": asked.realtime,
-        "quota_s": asked.quota_s,
-        "area_m": asked.area_m,
-        "top_mps": asked.top_mps,
-        "seed": asked.seed,
-        "drive_s": asked.drive_s,
+        "realtime": options.realtime,
+        "quota_s": options.quota_s,
+        "area_m": options.area_m,
+        "top_mps": options.top_mps,
+        "seed": options.seed,
+        "drive_s": options.drive_s,
         "effects": effects,
-        "hashes": {"vehicle": vehicle.hash, "model": found.hash},
+        "hashes": {"vehicle": vehicle.hash, "model": spec.hash},
     }
 
 
-def open_folder(vehicle: VehicleSpec, asked: Asked, record: dict[str, Any]) -> RunFolder:
-    """The run folder: the one that is to go on, else a new one. Raises InputError where `out` holds another run."""
+def open_folder(vehicle: VehicleSpec, options: CollectOptions, record: dict[str, Any]) -> RunFolder:
+    """The run folder to continue, else a new one. Raises InputError where `out` contains another run."""
     name = f"collect-{vehicle.name}"
-    if asked.out is None:
-        return unfinished(DEFAULT_ROOT, name, record) or RunFolder.create(DEFAULT_ROOT, name, record)
-    if (asked.out / "run.json").is_file():
-        run = open_run(asked.out)
-        other = sorted(key for key, value in record.items() if run.record.get(key) != value)
-        if other:
+    if options.out is None:
+        return find_unfinished(DEFAULT_ROOT, name, record) or RunFolder.create(DEFAULT_ROOT, name, record)
+    if (options.out / "run.json").is_file():
+        run = open_run(options.out)
+        differing = sorted(key for key, value in record.items() if run.record.get(key) != value)
+        if differing:
             raise InputError(
-                f"holds a run with another {', '.join(other)}",
+                f"contains a run with another {', '.join(differing)}",
                 code="other_run",
-                file=str(asked.out),
+                file=str(options.out),
                 hint="give another --out, or the same options as before",
             )
         return run
-    if asked.out.is_dir() and any(asked.out.iterdir()):
-        hint = "give a folder that is new, empty, or holds this collection"
-        raise InputError("is not empty and holds no run", code="not_a_run", file=str(asked.out), hint=hint)
-    asked.out.mkdir(parents=True, exist_ok=True)
-    run = RunFolder(asked.out, {"schema": SCHEMA, "versions": versions(), "complete": False, **record})
+    if options.out.is_dir() and any(options.out.iterdir()):
+        hint = "give a folder that is new, empty, or contains this collection"
+        raise InputError("is not empty and not a run folder", code="not_a_run", file=str(options.out), hint=hint)
+    options.out.mkdir(parents=True, exist_ok=True)
+    run = RunFolder(options.out, {"schema": SCHEMA, "versions": library_versions(), "complete": False, **record})
     write_json(run.path / "run.json", run.record)
     return run
 
 
-def prepare(run: RunFolder, vehicle: VehicleSpec, model: str, asked: Asked, effects: list[Any]) -> Bench:
-    """Write the bench file that the nodes read, with its first scenario; what it holds, read."""
+def write_bench(run: RunFolder, vehicle: VehicleSpec, model: str, options: CollectOptions, effects: list[Any]) -> Bench:
+    """Write and load the bench file of the nodes, with its first scenario."""
     scenarios = run.path / "scenarios"
     scenarios.mkdir(exist_ok=True)
     (run.path / "logs").mkdir(exist_ok=True)
-    if not (scenarios / f"{FIRST}.toml").is_file():
-        write_scenario(scenarios / f"{FIRST}.toml", 1, Start(), asked.seed, asked.drive_s)
+    if not (scenarios / f"{FIRST_DRIVE}.toml").is_file():
+        write_scenario(scenarios / f"{FIRST_DRIVE}.toml", 1, StartPose(), options.seed, options.drive_s)
     bench = {
         "schema": "tunefree.bench/1",
         "vehicle": vehicle.folder,
         "model": str(Path(model).resolve()),
-        "scenarios": [FIRST],
+        "scenarios": [FIRST_DRIVE],
         "weights": "default",
-        "seed": asked.seed,
+        "seed": options.seed,
         "effects": effects,
     }
     write_text(run.path / "bench.toml", to_toml(bench))
     return load(run.path / "bench.toml")
 
 
-def write_scenario(path: Path, number: int, start: Start, seed: int, drive_s: float) -> None:
-    """The scenario of a drive: the ECU's side of it, a car that stands where the last drive ended, and time."""
-    still = {"t_s": [0.0, drive_s + SPARE_S], "value": [0.0, 0.0]}
+def write_scenario(path: Path, number: int, start: StartPose, seed: int, drive_s: float) -> None:
+    """Write the scenario of a drive for the ECU: a car at standstill where the last drive ended."""
+    still = {"t_s": [0.0, drive_s + STOP_MARGIN_S], "value": [0.0, 0.0]}
     data = {
         "schema": "tunefree.scenario/1",
         "name": drive_name(number),
@@ -197,24 +219,24 @@ def write_scenario(path: Path, number: int, start: Start, seed: int, drive_s: fl
 def write_plan(
     run: RunFolder,
     number: int,
-    asked: Asked,
-    start: Start,
+    options: CollectOptions,
+    start: StartPose,
     centre: tuple[float, float] | None,
     coverage: Coverage,
     stretches: tuple[int, int],
 ) -> Path:
-    """Scenario and plan of a drive; the scenario's path. The same logs give the same files, byte for byte."""
+    """Write scenario and plan of a drive. Returns the path of the scenario. The same logs give identical files."""
     path = run.path / "scenarios" / f"{drive_name(number)}.toml"
-    write_scenario(path, number, start, asked.seed, asked.drive_s)
+    write_scenario(path, number, start, options.seed, options.drive_s)
     plan = DrivePlan(
-        asked.quota_s,
-        asked.area_m,
-        asked.top_mps,
+        options.quota_s,
+        options.area_m,
+        options.top_mps,
         centre,
         tuple(coverage.counter.have),
-        HOLDS_A_DRIVE * (number - 1),
-        asked.drive_s,
+        HOLD_NUMBERS_A_DRIVE * (number - 1),
+        options.drive_s,
         stretches,
     )
-    write_json(path.with_suffix(".json"), as_dict(plan))
+    write_json(path.with_suffix(".json"), plan_as_dict(plan))
     return path

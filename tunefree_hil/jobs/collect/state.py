@@ -1,4 +1,4 @@
-"""How far a collection has come: a run folder, and what its logs cover. The logs are all the state there is."""
+"""State of a collection: a run folder and the coverage of its logs, which are the only state."""
 
 from __future__ import annotations
 
@@ -9,40 +9,40 @@ import numpy as np
 
 from tunefree_hil.bench import Bench
 from tunefree_hil.collect.coverage import Coverage
-from tunefree_hil.collect.envelope import Beyond, beyond, envelope_of
-from tunefree_hil.collect.gentle_driving import TOGETHER
-from tunefree_hil.collect.plan import driven_stretches, driven_targets
-from tunefree_hil.jobs.collect.plan import Asked, Start, drive_name
+from tunefree_hil.collect.envelope import EnvelopeExcess, envelope_from_vehicle, measure_excess
+from tunefree_hil.collect.gentle_driving import MAX_STRETCHES_A_DRIVE, GentleStretch
+from tunefree_hil.collect.plan import plannable_cells, plannable_stretches
+from tunefree_hil.jobs.collect.plan import CollectOptions, StartPose, drive_name
 from tunefree_hil.jobs.run_folder import RunFolder, write_json
 from tunefree_hil.learn.drives.drive import Drive
 from tunefree_hil.learn.drives.read import read_drives
 
-IDLE_DRIVES = 3  # so many drives one after the other that fill less than LEAST_GAIN of a quota
-LEAST_GAIN = 0.05
+IDLE_DRIVES = 3  # consecutive drives with less than MIN_GAIN after which the collection ends
+MIN_GAIN = 0.05  # gained seconds of a drive, as a share of the quota of a cell
 
 
-class Driven(NamedTuple):
-    """A drive that lies in logs/: how long, what it left of the envelope, where it began and ended."""
+class CollectedDrive(NamedTuple):
+    """A drive in logs/: duration, gained seconds, envelope excess, start and end pose."""
 
     name: str
     seconds: float
     gained_s: float
-    beyond: Beyond
-    start: Start
-    end: Start
+    beyond: EnvelopeExcess
+    start: StartPose
+    end: StartPose
 
 
 class Collection:
-    """A run folder and what its logs cover."""
+    """A run folder and the coverage of its logs."""
 
-    def __init__(self, run: RunFolder, bench: Bench, asked: Asked) -> None:
-        self.run, self.bench, self.asked = run, bench, asked
+    def __init__(self, run: RunFolder, bench: Bench, options: CollectOptions) -> None:
+        self.run, self.bench, self.options = run, bench, options
         vehicle = bench.vehicle
-        self.envelope = envelope_of(vehicle)
-        self.coverage = Coverage(vehicle, driven_targets(vehicle, asked.top_mps), asked.quota_s, bench.dt_s)
-        self.stretches = driven_stretches(vehicle, asked.quota_s, asked.drive_s, asked.area_m, asked.top_mps)
-        self.gentle = 0  # stretches that have been driven
-        self.driven: list[Driven] = []
+        self.envelope = envelope_from_vehicle(vehicle)
+        self.coverage = Coverage(vehicle, plannable_cells(vehicle, options.top_mps), options.quota_s, bench.dt_s)
+        self.stretches = plannable_stretches(vehicle, options.quota_s, options.drive_s, options.area_m, options.top_mps)
+        self.gentle_count = 0  # number of stretches driven
+        self.driven: list[CollectedDrive] = []
 
     @property
     def logs(self) -> Path:
@@ -51,12 +51,12 @@ class Collection:
 
     @property
     def centre(self) -> tuple[float, float] | None:
-        """Middle of the area: where the first drive began; None before it."""
+        """Middle of the area: the start of the first drive; None before it."""
         return (self.driven[0].start.x_m, self.driven[0].start.y_m) if self.driven else None
 
     @property
     def simulated_s(self) -> float:
-        """Of all drives."""
+        """Duration of all drives."""
         return sum(one.seconds for one in self.driven)
 
     @property
@@ -66,48 +66,50 @@ class Collection:
 
     @property
     def next_stretches(self) -> tuple[int, int]:
-        """[first, end) of the gentle stretches of the next drive: one before cells, more where there are none to fill.
+        """[first, end) of the gentle stretches of the next drive: one, or several where no cells are left.
 
-        So gentle driving is spread over all drives, and a split by drives leaves some of it on either side.
+        This distributes gentle driving over all drives, so that a split by drives has some of it on both sides.
         """
-        more = 1 if self.wants_cells else TOGETHER
-        return self.gentle, min(self.gentle + more, len(self.stretches))
+        more = 1 if self.wants_cells else MAX_STRETCHES_A_DRIVE
+        return self.gentle_count, min(self.gentle_count + more, len(self.stretches))
 
     @property
     def wants_more(self) -> bool:
-        """Whether another drive is to come."""
-        return self.wants_cells or self.gentle < len(self.stretches)
+        """Whether another drive is needed."""
+        return self.wants_cells or self.gentle_count < len(self.stretches)
 
     @property
-    def words(self) -> str:
-        """How far it has come."""
+    def progress_text(self) -> str:
+        """Progress as text."""
         full, driven_min = self.coverage.full, self.simulated_s / 60.0
-        words = f"{full} of {self.coverage.wanted} cells full after {driven_min:.1f} min of driving"
+        text = f"{full} of {self.coverage.wanted} cells full after {driven_min:.1f} min of driving"
         wanted = len(self.stretches)
-        return f"{words}, {self.gentle} of {wanted} stretches driven gently" if wanted else words
+        return f"{text}, {self.gentle_count} of {wanted} gentle stretches" if wanted else text
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the last drives filled next to nothing."""
+        """Whether the last IDLE_DRIVES drives gained almost nothing."""
         last = self.driven[-IDLE_DRIVES:]
-        least_s = LEAST_GAIN * self.asked.quota_s
+        least_s = MIN_GAIN * self.options.quota_s
         return len(last) == IDLE_DRIVES and all(one.gained_s < least_s for one in last)
 
-    def take_up(self) -> None:
-        """Count the logs that are there, as far as they follow one another."""
+    def count_existing(self) -> None:
+        """Count the existing logs, up to the first missing number."""
         while (self.logs / f"{drive_name(len(self.driven) + 1)}.log").is_file():
-            self.take(len(self.driven) + 1)
+            self.count_drive(len(self.driven) + 1)
 
-    def take(self, number: int) -> Driven:
+    def count_drive(self, number: int) -> CollectedDrive:
         """Count the log of a drive."""
         (drive,) = read_drives([self.logs / f"{drive_name(number)}.log"], self.bench.codec)
-        before, self.gentle = self.coverage.had_s, self.next_stretches[1]
+        before, self.gentle_count = self.coverage.collected_s, self.next_stretches[1]
         self.coverage.add(drive.get)
         start, end = _pose(drive, 0), _pose(drive, -1)
         centre = self.centre or (start.x_m, start.y_m)
-        out = beyond(drive.get, drive.dt_s, self.envelope, centre, self.asked.area_m)
-        seconds = drive.ticks * drive.dt_s
-        self.driven.append(Driven(drive_name(number), seconds, self.coverage.had_s - before, out, start, end))
+        out = measure_excess(drive.get, drive.dt_s, self.envelope, centre, self.options.area_m)
+        seconds = drive.n_rows * drive.dt_s
+        self.driven.append(
+            CollectedDrive(drive_name(number), seconds, self.coverage.collected_s - before, out, start, end)
+        )
         return self.driven[-1]
 
     def as_dict(self) -> dict[str, Any]:
@@ -116,9 +118,9 @@ class Collection:
             **self.coverage.as_dict(),
             "simulated_s": round(self.simulated_s, 3),
             "beyond_envelope_s": round(sum(one.beyond.total_s for one in self.driven), 3),
-            "area_m": self.asked.area_m,
+            "area_m": self.options.area_m,
             "centre_m": self.centre,
-            "gentle": [{**one._asdict(), "driven": number < self.gentle} for number, one in enumerate(self.stretches)],
+            "gentle": [_stretch_data(one, i < self.gentle_count) for i, one in enumerate(self.stretches)],
             "drives": [
                 {
                     "log": f"logs/{one.name}.log",
@@ -131,12 +133,23 @@ class Collection:
         }
 
     def write(self) -> None:
-        """coverage.json as it stands."""
+        """Write coverage.json."""
         write_json(self.run.path / "coverage.json", self.as_dict())
 
 
-def _pose(drive: Drive, row: int) -> Start:
-    """First (row 0) or last (row -1) pose that was heard."""
+def _stretch_data(stretch: GentleStretch, driven: bool) -> dict[str, Any]:
+    return {
+        "speed_mps": stretch.speed_mps,
+        "hold_s": stretch.hold_s,
+        "bent": stretch.is_curved,
+        "coast_s": stretch.coast_s,
+        "most_mps": stretch.max_mps,
+        "driven": driven,
+    }
+
+
+def _pose(drive: Drive, row: int) -> StartPose:
+    """First (row 0) or last (row -1) pose in the log."""
     values = [drive.get(f"ins.{name}") for name in ("x_m", "y_m", "heading_rad")]
     known = [value[np.isfinite(value)] if value is not None else np.zeros(0) for value in values]
-    return Start(*(round(float(value[row]), 4) if len(value) else 0.0 for value in known))
+    return StartPose(*(round(float(value[row]), 4) if len(value) else 0.0 for value in known))

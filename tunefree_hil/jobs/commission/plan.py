@@ -1,4 +1,4 @@
-"""What a commission is asked for, and where its stages keep what they make."""
+"""The options of a commission, its plan, and the folders of its stages."""
 
 from __future__ import annotations
 
@@ -17,33 +17,35 @@ from tunefree_hil.bench.load import whole_vehicle
 from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.load import load_bench, load_model
 from tunefree_hil.config.schema import BenchSpec, VehicleSpec
-from tunefree_hil.jobs.collect.plan import Asked as CollectAsked
-from tunefree_hil.jobs.collect.plan import require_room
-from tunefree_hil.jobs.command_text import given, pasted
+from tunefree_hil.jobs.collect.plan import CollectOptions, require_area
+from tunefree_hil.jobs.command_text import changed_options, shell_command
 from tunefree_hil.jobs.commission.settings import tuning_hash, verify_hash
 from tunefree_hil.jobs.commission.vehicle import VEHICLE, write_vehicle
 from tunefree_hil.jobs.identity import resolved_toml
-from tunefree_hil.jobs.learn.report_text import benches_of
+from tunefree_hil.jobs.learn.report_text import find_benches
 from tunefree_hil.jobs.run_folder import write_text
 
 ROOT = Path("runs")
-FOLDERS = {
+FOLDERS = {  # what each stage writes in the folder of the commission
     "collect": ("collect",),
     "calibrate": ("physics",),
     "learn": ("model", "model.part"),
     "map": ("map",),
     "tune": ("tune", "bench.toml", VEHICLE),
     "verify": ("report.md",),
-}  # what each stage writes in the commission's folder
+}
 NAMES = tuple(FOLDERS)  # of the stages, in their order
 BACKENDS = ("batch", "bus")
 
 
-class Asked(NamedTuple):
-    """The command line of `commission`. bench: None for the first bench file of this vehicle.
+class CommissionOptions(NamedTuple):
+    """The options of the command.
 
-    only, start_at: a stage that is to be done again, alone or with all that follow. least_covered: share of the cells;
-    most_error_m: after 10 s of free run; most_outside: share of the winner's ticks. They stop a commission.
+    bench: None for the first bench file of the vehicle.
+    only, start_at: A stage to restart, alone or with all that follow.
+    least_covered: Smallest share of full cells of the collection.
+    most_error_m: Largest error of the learned plant after 10 s of free run, m.
+    most_outside: Largest share of the winner's ticks outside the region that the logs cover.
     """
 
     vehicle: str
@@ -67,10 +69,15 @@ class Asked(NamedTuple):
     most_outside: float = 0.25
 
 
-class Plan(NamedTuple):
-    """asked, resolved. identity: what makes this commission this one; command: the same again, to be pasted."""
+class CommissionPlan(NamedTuple):
+    """The resolved options.
 
-    asked: Asked
+    template: The bench file with the scenarios.
+    identity: What must agree for a commission to be resumed.
+    command: The same command again, for a shell.
+    """
+
+    options: CommissionOptions
     vehicle: VehicleSpec
     template: BenchSpec
     folder: Path
@@ -78,18 +85,18 @@ class Plan(NamedTuple):
     command: str
 
     @property
-    def again(self) -> str:
-        """The first stage that is to be done again, '' for none."""
-        return self.asked.only or self.asked.start_at
+    def restart_stage(self) -> str:
+        """The first stage to restart, '' for none."""
+        return self.options.only or self.options.start_at
 
     @property
     def collected(self) -> Path:
-        """The collection's run folder."""
+        """Run folder of the collection."""
         return self.folder / "collect"
 
     @property
     def logs(self) -> list[Path]:
-        """The logs of the collection, in the order in which they were driven."""
+        """Logs of the collection, in the order in which they were driven."""
         return sorted((self.collected / "logs").glob("*.log"))
 
     @property
@@ -109,14 +116,14 @@ class Plan(NamedTuple):
 
     @property
     def bench(self) -> Path:
-        """The bench file that is tuned: the template's, on the learned plant and the learned map."""
+        """The bench file that is tuned: the template with the learned plant and the learned map."""
         return self.folder / "bench.toml"
 
     def write_bench(self) -> Path:
-        """Write `bench`, whole or not at all, and the vehicle's folder where the template has effects of its own."""
+        """Write `bench`, completely or not at all, and the vehicle folder where the template has effects."""
         data = tomllib.loads(resolved_toml(load(self.template.path)))
         data |= {"vehicle": str(Path(self.vehicle.folder).resolve()), "model": str(self.model.resolve())}
-        if data.pop("effects", None):  # they belong to the vehicle, and collect has driven it with them
+        if data.pop("effects", None):  # effects of the vehicle, which `collect` has driven with them
             data["verify_model"] = str(write_vehicle(self.folder / VEHICLE, self.template).resolve())
         data["controller"] = {
             **data.get("controller", {}),
@@ -126,128 +133,134 @@ class Plan(NamedTuple):
         return self.bench
 
     def set_aside(self, names: Sequence[str]) -> None:
-        """Rename what stages wrote to NAME-1, NAME-2, ...: nothing is lost."""
+        """Rename the results of stages to NAME-1, NAME-2, ...: nothing is deleted."""
         for path in (self.folder / part for name in names for part in FOLDERS[name]):
             if path.exists():
                 number = 1
-                while (other := path.with_name(f"{path.stem}-{number}{path.suffix}")).exists():
+                while (backup := path.with_name(f"{path.stem}-{number}{path.suffix}")).exists():
                     number += 1
-                path.rename(other)
+                path.rename(backup)
 
-    def tidy(self) -> None:
-        """Take away model folders that were being written when a process was killed (learn/model_folder.py)."""
+    def remove_partial_folders(self) -> None:
+        """Remove model folders that a killed process was writing (learn/model_folder.py)."""
         for path in self.folder.glob("part-*"):
             shutil.rmtree(path)
 
 
-def make_plan(asked: Asked) -> Plan:
-    """Read and check everything that can be, before hours are spent."""
-    vehicle = whole_vehicle(asked.vehicle)
-    template = _template(asked, vehicle)
-    bench = load(template.path)  # everything that it names
+def make_plan(options: CommissionOptions) -> CommissionPlan:
+    """Resolve and check the options as far as possible, before hours are spent. Raises InputError."""
+    vehicle = whole_vehicle(options.vehicle)
+    template = _template(options, vehicle)
+    bench = load(template.path)
     if not template.verify_model or not template.verify_scenarios:
         raise InputError(
-            "names no verify_model with verify_scenarios: there is no vehicle to commission",
+            "has no verify_model with verify_scenarios: there is no vehicle to commission",
             code="no_vehicle",
             file=template.path,
             key="verify_model",
             hint="the bench file's verify_model is the vehicle",
         )
-    require_options(asked)
-    _require_stages(asked, vehicle, template)
-    folder = asked.out or ROOT / f"commission-{vehicle.name}"
+    require_options(options)
+    _require_stages(options, vehicle, template)
+    folder = options.out or ROOT / f"commission-{vehicle.name}"
     identity = {
         "vehicle": vehicle.name,
         "vehicle_hash": vehicle.hash,
         "model_hash": load_model(template.verify_model, Path(template.path)).hash,
-        "effects": plain(template.effects),  # of the vehicle, as its model is
+        "effects": plain(template.effects),  # of the vehicle, like its model
         "bench": Path(template.path).name,
         "tuning_hash": tuning_hash(bench),
         "verify_hash": verify_hash(bench),
-        "set": asked.set_name or template.tune.set or "own",
-        "trials": asked.trials or template.tune.trials,
-        "kind": asked.kind,
-        "quota_s": asked.quota_s,
-        "area_m": asked.area_m,
-        "top_mps": asked.top_mps,
-        "minutes": asked.minutes,
-        "seed": asked.seed,
-        "backend": asked.backend,
+        "set": options.set_name or template.tune.set or "own",
+        "trials": options.trials or template.tune.trials,
+        "kind": options.kind,
+        "quota_s": options.quota_s,
+        "area_m": options.area_m,
+        "top_mps": options.top_mps,
+        "minutes": options.minutes,
+        "seed": options.seed,
+        "backend": options.backend,
     }
-    return Plan(asked, vehicle, template, folder, identity, again(asked))
+    return CommissionPlan(options, vehicle, template, folder, identity, format_command(options))
 
 
-def require_options(asked: Asked) -> None:
-    """Raises InputError for an option that no stage could use."""
+def require_options(options: CommissionOptions) -> None:
+    """Raise InputError for an option that no stage can use."""
     from tunefree_hil.jobs.learn.learn import KINDS
 
-    chosen = (
-        ("--only", asked.only, ("", *NAMES)),
-        ("--from", asked.start_at, ("", *NAMES)),
-        ("--backend", asked.backend, BACKENDS),
-        ("--kind", asked.kind, KINDS),
+    choices = (
+        ("--only", options.only, ("", *NAMES)),
+        ("--from", options.start_at, ("", *NAMES)),
+        ("--backend", options.backend, BACKENDS),
+        ("--kind", options.kind, KINDS),
     )
-    for key, value, known in chosen:
-        if value not in known:
-            hint = ", ".join(one for one in known if one)
-            raise InputError(f"there is no {value!r}", code="usage", key=key, hint=hint)
-    if asked.only and asked.start_at:
+    for key, value, allowed in choices:
+        if value not in allowed:
+            hint = ", ".join(name for name in allowed if name)
+            raise InputError(f"unknown value {value!r}", code="usage", key=key, hint=hint)
+    if options.only and options.start_at:
         raise InputError("--only and --from are both given", code="usage", key="--from", hint="give one of them")
     for key, value, most in (
-        ("--minutes", asked.minutes, math.inf),
-        ("--least-covered", asked.least_covered, 1.0),
-        ("--most-error-m", asked.most_error_m, math.inf),
-        ("--most-outside", asked.most_outside, 1.0),
+        ("--minutes", options.minutes, math.inf),
+        ("--least-covered", options.least_covered, 1.0),
+        ("--most-error-m", options.most_error_m, math.inf),
+        ("--most-outside", options.most_outside, 1.0),
     ):
         if value is not None and not (math.isfinite(value) and 0.0 <= value <= most):
             end = f" and at most {most:g}" if math.isfinite(most) else ""
-            raise InputError(f"{value:g} does not do", code="usage", key=key, hint=f"give a number from 0{end}")
+            raise InputError(f"{value:g} is not allowed", code="usage", key=key, hint=f"give a number from 0{end}")
 
 
-def _require_stages(asked: Asked, vehicle: VehicleSpec, template: BenchSpec) -> None:
-    """What the stages would refuse, some only after others have run: room, torch, set, bus, controller."""
-    from tunefree_hil.jobs.tune.options import Asked as TuneAsked
-    from tunefree_hil.jobs.tune.options import resolve_wish
+def _require_stages(options: CommissionOptions, vehicle: VehicleSpec, template: BenchSpec) -> None:
+    """Check what later stages would refuse only after the earlier ones: area, torch, set, bus, controller."""
+    from tunefree_hil.jobs.tune.options import TuneOptions, make_tune_plan
     from tunefree_hil.learn.training.torch_extra import require_torch
 
-    require_room(vehicle, collect_wish(asked, Path(template.path), None))
-    if find_spec("torch") is None:  # not imported: a collection needs none of it
+    require_area(vehicle, make_collect_options(options, Path(template.path), None))
+    if find_spec("torch") is None:  # not imported: it takes seconds
         require_torch("commission (its stages learn and map)")
-    resolve_wish(
-        TuneAsked(
-            bench=Path(template.path), trials=asked.trials, set_name=asked.set_name, bus=asked.bus,
-            bench_bus=asked.bench_bus, backend=asked.backend,
+    make_tune_plan(
+        TuneOptions(
+            bench=Path(template.path),
+            trials=options.trials,
+            set_name=options.set_name,
+            bus=options.bus,
+            bench_bus=options.bench_bus,
+            backend=options.backend,
         )
-    )  # fmt: skip
+    )
 
 
-def collect_wish(asked: Asked, bench: Path, out: Path | None) -> CollectAsked:
-    """What `collect` is asked for."""
-    return CollectAsked(
-        bench=bench, bus=asked.bus, bench_bus=asked.bench_bus, out=out, quota_s=asked.quota_s, area_m=asked.area_m,
-        top_mps=asked.top_mps, seed=asked.seed,
-    )  # fmt: skip
+def make_collect_options(options: CommissionOptions, bench: Path, out: Path | None) -> CollectOptions:
+    """The options of the stage collect."""
+    return CollectOptions(
+        bench=bench,
+        bus=options.bus,
+        bench_bus=options.bench_bus,
+        out=out,
+        quota_s=options.quota_s,
+        area_m=options.area_m,
+        top_mps=options.top_mps,
+        seed=options.seed,
+    )
 
 
-def _template(asked: Asked, vehicle: VehicleSpec) -> BenchSpec:
-    if asked.bench is None:
-        known = benches_of(vehicle)
-        if not known:
-            raise InputError(
-                f"there is no bench file of {vehicle.name}", code="no_bench", key="--bench",
-                hint="a bench file says which roads to drive: scenarios, verify_scenarios, verify_model",
-            )  # fmt: skip
-        return load_bench(known[0])
-    spec = load_bench(asked.bench)
+def _template(options: CommissionOptions, vehicle: VehicleSpec) -> BenchSpec:
+    """The bench file that was given, or the first one of the vehicle."""
+    if options.bench is None:
+        benches = find_benches(vehicle)
+        if not benches:
+            hint = "write a bench file with scenarios, verify_scenarios and verify_model"
+            raise InputError(f"there is no bench file of {vehicle.name}", code="no_bench", key="--bench", hint=hint)
+        return load_bench(benches[0])
+    spec = load_bench(options.bench)
     if Path(spec.vehicle).name != vehicle.name:
-        raise InputError(
-            f"is a bench of {spec.vehicle!r}, not of {vehicle.name!r}", file=spec.path, key="vehicle",
-            hint="give a bench file of this vehicle",
-        )  # fmt: skip
+        message = f"is a bench file of {spec.vehicle!r}, not of {vehicle.name!r}"
+        raise InputError(message, file=spec.path, key="vehicle", hint="give a bench file of this vehicle")
     return spec
 
 
-def again(asked: Asked) -> str:
-    """The command once more, without the stage that it was to do again."""
-    options = given(asked, leave=["vehicle", "only", "start_at"], called={"set_name": "set"})
-    return pasted("commission", asked.vehicle, **options)
+def format_command(options: CommissionOptions) -> str:
+    """The same command again, without the stage to restart."""
+    words = changed_options(options, skip=["vehicle", "only", "start_at"], option_names={"set_name": "set"})
+    return shell_command("commission", options.vehicle, **words)

@@ -1,4 +1,4 @@
-"""One page about a commission: what came out, what each stage came to and how long it took, limits, pictures."""
+"""The page about a commission: outcome, results and wall time of each stage, limits, pictures."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from tunefree_hil.jobs.commission import gates
-from tunefree_hil.jobs.commission.next_gap_command import disappointed, gap_command
-from tunefree_hil.jobs.commission.plan import NAMES, Plan
-from tunefree_hil.jobs.commission.record import Record
+from tunefree_hil.jobs.commission.next_gap_command import find_shortfall, make_gap_command, times_text
+from tunefree_hil.jobs.commission.plan import NAMES, CommissionPlan
+from tunefree_hil.jobs.commission.record import CommissionRecord
 from tunefree_hil.jobs.report_text import markdown_table
 from tunefree_hil.jobs.run_folder import write_text
-from tunefree_hil.jobs.tune.robustness import held_rows
+from tunefree_hil.jobs.tune.robustness import robustness_rows
 
 REPORT = "report.md"
 TITLES = {
@@ -21,16 +21,16 @@ TITLES = {
     "learn": "Learned plant",
     "map": "Open-loop map",
     "tune": "Search on the learned plant",
-    "verify": "On the vehicle, roads that no search saw",
+    "verify": "On the vehicle, in unseen scenarios",
 }
 HORIZONS = ("1", "3", "10", "30")  # s of free run
 
 
-def write_report(plan: Plan, record: Record) -> Path:
-    """Write report.md in the commission's folder, of what is done so far; pictures are linked where they lie."""
+def write_report(plan: CommissionPlan, record: CommissionRecord) -> Path:
+    """Write report.md in the folder of the commission, about the stages done so far; pictures are linked."""
     path, done = plan.folder / REPORT, record.done
     lines = [f"# {plan.vehicle.name}: from logs to verified gains", "", _outcome(record), ""]
-    lines += _lacks(plan, done)
+    lines += _gap_section(plan, done)
     lines += _times(record) + _limits(plan, record)
     for name in done:
         lines += _section(plan.folder, name, done[name]["result"], record.warnings(name))
@@ -39,7 +39,7 @@ def write_report(plan: Plan, record: Record) -> Path:
     return path
 
 
-def _outcome(record: Record) -> str:
+def _outcome(record: CommissionRecord) -> str:
     stopped, done = record.data.get("stopped"), record.done
     if stopped:
         return f"**Stopped after {stopped['stage']}: {stopped['reason']}.**"
@@ -50,73 +50,72 @@ def _outcome(record: Record) -> str:
 
 
 def _verdict(result: Mapping[str, Any]) -> str:
-    """`holds` of verify: better than every manual set, and to the end of every road: no word of how good that is."""
+    """The verdict of verify: whether the winner beats every manual vector and finishes every scenario."""
     if not result.get("holds"):
-        return "**The gains do not hold on the vehicle**"
-    again = int(result.get("replans") or 0)
-    if not again:
-        return "The gains hold on the vehicle"
-    times = "once" if again == 1 else f"{again} times"
-    return f"**On the vehicle the gains are better than every manual set, but re-plan {times}**"
+        return "**The gains fail the verification on the vehicle**"
+    replans = int(result.get("replans") or 0)
+    if not replans:
+        return "The gains pass the verification on the vehicle"
+    times = times_text(replans)
+    return f"**On the vehicle the gains are better than every manual vector, but re-plan {times}**"
 
 
-def _lacks(plan: Plan, done: Mapping[str, Any]) -> list[str]:
-    """What to paste where the plant was not like the vehicle."""
-    why = disappointed(done)
-    command = gap_command(plan) if why else ""
-    if not command:
+def _gap_section(plan: CommissionPlan, done: Mapping[str, Any]) -> list[str]:
+    """The `gap` command where the vehicle differs from the learned plant."""
+    shortfall = find_shortfall(done)
+    command = make_gap_command(plan) if shortfall else ""
+    if not shortfall or not command:
         return []
-    told = f"{why[0].upper()}{why[1:]}. This names what the learned plant lacks, and drives what tells it apart:"
-    return [told, "", "```", command, "```", ""]
+    text = f"{shortfall.text[0].upper()}{shortfall.text[1:]}. This command finds what the learned plant lacks:"
+    return [text, "", "```", command, "```", ""]
 
 
-def _times(record: Record) -> list[str]:
-    rows, whole_s = [], 0.0
+def _times(record: CommissionRecord) -> list[str]:
+    rows, total_s = [], 0.0
     for name in NAMES:
-        if record.begun(name):
-            whole_s += record.seconds(name)
-            how = "done" if record.result(name) is not None else "begun"
-            rows.append((TITLES[name], f"{record.seconds(name) / 60.0:.1f}", str(record.sessions(name)), how))
-    return markdown_table(
-        ("stage", "wall time, min", "sessions", ""), [*rows, ("all", f"{whole_s / 60.0:.1f}", "", "")]
-    )
+        if record.is_begun(name):
+            total_s += record.seconds(name)
+            state = "done" if record.result(name) is not None else "begun"
+            rows.append((TITLES[name], f"{record.seconds(name) / 60.0:.1f}", str(record.sessions(name)), state))
+    total = ("all", f"{total_s / 60.0:.1f}", "", "")
+    return markdown_table(("stage", "wall time, min", "sessions", ""), [*rows, total])
 
 
-def _limits(plan: Plan, record: Record) -> list[str]:
-    rows = gates.rows(plan, record.shown)
-    return markdown_table(("what", "limit", "reached"), rows) if rows else []
+def _limits(plan: CommissionPlan, record: CommissionRecord) -> list[str]:
+    rows = gates.list_limits(plan, record.done_or_stopped)
+    return markdown_table(("quantity", "limit", "reached"), rows) if rows else []
 
 
 def _section(folder: Path, name: str, result: Mapping[str, Any], warnings: Sequence[str]) -> list[str]:
     lines = [f"## {TITLES[name]}", "", f"{result.get('sentence', '')}.", ""]
     if warnings:
-        lines += [*(f"- {one}" for one in warnings), ""]
+        lines += [*(f"- {warning}" for warning in warnings), ""]
     if result.get("scores"):
-        ranked = sorted(result["scores"].items(), key=lambda one: one[1])
-        lines += markdown_table(("gains", "score"), [(key, f"{score:.3f}") for key, score in ranked])
+        scores = sorted(result["scores"].items(), key=lambda item: item[1])
+        lines += markdown_table(("gains", "score"), [(key, f"{score:.3f}") for key, score in scores])
     if result.get("best"):
-        found = result["best"]["parameters"].items()
-        lines += markdown_table(("gain", "found"), [(key, f"{value:.4g}") for key, value in found])
+        gains = result["best"]["parameters"].items()
+        lines += markdown_table(("gain", "value"), [(key, f"{value:.4g}") for key, value in gains])
     if result.get("held"):
-        lines += markdown_table(("gains", "score", "in a slower car", ""), held_rows(result["held"]))
+        lines += markdown_table(("gains", "score", "in a slower car", ""), robustness_rows(result["held"]))
     if result.get("free_run"):
         lines += _free_run(result["free_run"])
-    pictures = [Path(one) for one in result.get("figures", []) if (folder / one).is_file()]
+    pictures = [Path(figure) for figure in result.get("figures", []) if (folder / figure).is_file()]
     return lines + [f"![{path.stem}]({path.as_posix()})\n" for path in pictures]
 
 
 def _free_run(kinds: Mapping[str, Any]) -> list[str]:
-    """Position errors by kind, ground and horizon: mean, and 95 % of the starts."""
+    """Position errors by kind, ground and horizon: mean, and 95th percentile of the starts."""
     rows = []
     for kind, grounds in kinds.items():
         for ground in ("level", "hills"):
             row = grounds.get(ground)
             if row:
-                cells = [_error(row.get(one)) for one in HORIZONS]
+                cells = [_error_text(row.get(horizon)) for horizon in HORIZONS]
                 rows.append((kind, ground, str(row["starts"]), *cells))
-    return markdown_table(("plant", "ground", "starts", *(f"{one} s: m (95 %)" for one in HORIZONS)), rows)
+    return markdown_table(("plant", "ground", "starts", *(f"{horizon} s: m (95 %)" for horizon in HORIZONS)), rows)
 
 
-def _error(found: Mapping[str, Any] | None) -> str:
-    place = (found or {}).get("position_m") or {}
-    return "" if place.get("mean") is None else f"{place['mean']:.2f} ({place['p95']:.2f})"
+def _error_text(row: Mapping[str, Any] | None) -> str:
+    position = (row or {}).get("position_m") or {}
+    return "" if position.get("mean") is None else f"{position['mean']:.2f} ({position['p95']:.2f})"

@@ -1,4 +1,4 @@
-"""What the bench file of a commission says beside its options, as hashes: who edits it finds out what is now stale."""
+"""Hashes of what the bench file of a commission has beside its options: a change makes stages out of date."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from typing import Any
 
 from tunefree_hil.bench import Bench
 from tunefree_hil.config.dump import plain
-from tunefree_hil.jobs.identity import own_parts
+from tunefree_hil.jobs.identity import user_part_hashes
 from tunefree_hil.jobs.running.foreign import program_hashes
 
-OPTIONS = ("set", "trials")  # of [tune]: options of the commission, which stand in its identity by themselves
-LEARNED = "calibration"  # of [controller]: the commission puts its own map there
+OPTIONS = ("set", "trials")  # of [tune]: options of the commission, which are in its identity
+LEARNED = "calibration"  # of [controller]: replaced by the learned map
 
 
 def tuning_hash(bench: Bench) -> str:
-    """Of all that the search goes by: roads, weights, boxes, controller."""
+    """Hash of what the search depends on: scenarios, weights, ranges, controller."""
     spec = bench.spec
     tune = {key: value for key, value in plain(spec.tune).items() if key not in OPTIONS}
     controller = {key: value for key, value in plain(spec.controller).items() if key != LEARNED}
-    files = [program_hashes(bench), own_parts(bench, spec.model), plain(bench.weights) | {"path": ""}]
-    return _hash([tune, controller, spec.seed, plain(spec.faults), files, _roads(bench, spec.scenarios)])
+    files = [program_hashes(bench), user_part_hashes(bench, spec.model), plain(bench.weights) | {"path": ""}]
+    return _hash([tune, controller, spec.seed, plain(spec.faults), files, _scenario_hashes(bench, spec.scenarios)])
 
 
 def verify_hash(bench: Bench) -> str:
-    """Of the roads that the winner is verified on."""
-    return _hash(_roads(bench, bench.spec.verify_scenarios))
+    """Hash of the scenarios of the verification."""
+    return _hash(_scenario_hashes(bench, bench.spec.verify_scenarios))
 
 
-def _roads(bench: Bench, names: Iterable[str]) -> list[str]:
+def _scenario_hashes(bench: Bench, names: Iterable[str]) -> list[str]:
     return [bench.scenarios[name].hash for name in names]
 
 

@@ -1,4 +1,4 @@
-"""The stages of a commission: how each job is called, and how it goes on where it was cut off."""
+"""The stages of a commission: how each job is called, and how it resumes."""
 
 from __future__ import annotations
 
@@ -10,102 +10,122 @@ from typing import Any
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load
-from tunefree_hil.jobs.commission.plan import Plan, collect_wish
+from tunefree_hil.jobs.commission.plan import CommissionPlan, make_collect_options
 from tunefree_hil.jobs.run_folder import read_json
 
-SHOWN = (
-    "sentence", "figures", "holds", "scores", "outside", "margins", "minutes", "cells_full", "cells_wanted",
-    "simulated_s", "beyond_envelope_s", "missing", "run", "model", "map", "kind", "free_run", "reduction_percent",
-    "pedals", "best", "manual", "ratio", "held",
-)  # fmt: skip
+RESULT_KEYS = frozenset(
+    (
+        *("sentence", "figures", "holds", "scores", "outside", "margins", "minutes", "cells_full", "cells_wanted"),
+        *("simulated_s", "beyond_envelope_s", "missing", "run", "model", "map", "kind", "free_run"),
+        *("reduction_percent", "pedals", "best", "manual", "ratio", "held"),
+    )
+)
 
 
-def kept(result: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The part of a result that the report shows; the rest stands in the stage's own folder.
+def select_result(result: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The part of a result that the report needs; the rest is in the folder of the stage.
 
-    Pictures are named as seen from `folder`, the commission's, so that it may be moved. replans: of the winner, where
-    drives of it are told.
+    Args:
+        result: Data of the result event of a job.
+        folder: Of the commission. Paths of figures become relative to it, so that it can be moved.
+
+    Returns:
+        The data, with `replans` of the winner where its drives are in the result.
     """
-    from tunefree_hil.jobs.report_text import replans
+    from tunefree_hil.jobs.report_text import total_replans
     from tunefree_hil.jobs.tune.candidates import TUNED
 
-    found = {key: value for key, value in result.items() if key in SHOWN}
+    selected = {key: value for key, value in result.items() if key in RESULT_KEYS}
     tuned = (result.get("scenarios") or {}).get(TUNED)
-    found |= {"replans": replans(tuned)} if tuned else {}
-    pictures = [one for one in result.get("figures", []) if Path(one).suffix == ".png"]
-    return {**found, "figures": [Path(os.path.relpath(one, folder)).as_posix() for one in pictures]}
+    selected |= {"replans": total_replans(tuned)} if tuned else {}
+    figures = [figure for figure in result.get("figures", []) if Path(figure).suffix == ".png"]
+    return {**selected, "figures": [Path(os.path.relpath(figure, folder)).as_posix() for figure in figures]}
 
 
-def run_collect(plan: Plan) -> Iterator[Event]:
+def run_collect(plan: CommissionPlan) -> Iterator[Event]:
     """Guided collection on the vehicle."""
     from tunefree_hil.jobs.collect.collect import collect
 
-    return collect(collect_wish(plan.asked, Path(plan.template.path), plan.collected))
+    return collect(make_collect_options(plan.options, Path(plan.template.path), plan.collected))
 
 
-def run_calibrate(plan: Plan) -> Iterator[Event]:
-    """Actuators and physical constants; a folder whose result was never written down is made anew."""
+def run_calibrate(plan: CommissionPlan) -> Iterator[Event]:
+    """Actuators and physical constants; a folder without a stored result is made again."""
     from tunefree_hil.jobs.learn.calibrate import calibrate
+    from tunefree_hil.jobs.learn.options import CalibrateOptions
 
     plan.set_aside(["calibrate"])
-    return calibrate(plan.logs, plan.vehicle.folder, plan.physics, plan.asked.seed)
+    return calibrate(CalibrateOptions(plan.logs, plan.vehicle.folder, plan.physics, plan.options.seed))
 
 
-def run_learn(plan: Plan) -> Iterator[Event]:
-    """The plant, on the calibrated physics; a training that was cut off goes on, one that was done is not repeated."""
-    from tunefree_hil.jobs.learn.learn import Asked, finished, learn
+def run_learn(plan: CommissionPlan) -> Iterator[Event]:
+    """The plant, on the calibrated physics; an interrupted training resumes, a finished one is not repeated."""
+    from tunefree_hil.jobs.learn.learn import learn, report_result
+    from tunefree_hil.jobs.learn.options import LearnOptions
 
-    asked = plan.asked
-    wish = Asked(plan.logs, plan.vehicle.folder, plan.model, asked.kind, asked.seed, asked.minutes, plan.physics)
-    return finished(wish) if plan.model.exists() else learn(wish)
+    options = LearnOptions(
+        logs=plan.logs,
+        vehicle=plan.vehicle.folder,
+        out=plan.model,
+        kind=plan.options.kind,
+        seed=plan.options.seed,
+        minutes=plan.options.minutes,
+        physics=plan.physics,
+    )
+    return report_result(options) if plan.model.exists() else learn(options)
 
 
-def run_map(plan: Plan) -> Iterator[Event]:
-    """The open-loop map that the controller drives by."""
+def run_map(plan: CommissionPlan) -> Iterator[Event]:
+    """The open-loop map of the controller."""
     from tunefree_hil.jobs.learn.map import map_logs
+    from tunefree_hil.jobs.learn.options import MapOptions
 
     plan.set_aside(["map"])
     plan.map.mkdir(parents=True, exist_ok=True)
-    return map_logs(plan.logs, plan.vehicle.folder, plan.map, plan.asked.seed)
+    return map_logs(MapOptions(plan.logs, plan.vehicle.folder, plan.map, plan.options.seed))
 
 
-def run_tune(plan: Plan) -> Iterator[Event]:
-    """The search on the learned plant; verification is a stage of its own."""
-    from tunefree_hil.jobs.tune.options import Asked
+def run_tune(plan: CommissionPlan) -> Iterator[Event]:
+    """The search on the learned plant; the verification is a stage of its own."""
+    from tunefree_hil.jobs.tune.options import TuneOptions
     from tunefree_hil.jobs.tune.tune import tune
 
-    asked = plan.asked
-    wish = Asked(
-        bench=plan.write_bench(), trials=asked.trials, set_name=asked.set_name, bus=asked.bus,
-        bench_bus=asked.bench_bus, out=plan.folder / "tune", resume=finished_tune(plan), verify=False,
-        backend=asked.backend,
-    )  # fmt: skip
-    return tune(wish)
+    options = TuneOptions(
+        bench=plan.write_bench(),
+        trials=plan.options.trials,
+        set_name=plan.options.set_name,
+        bus=plan.options.bus,
+        bench_bus=plan.options.bench_bus,
+        out=plan.folder / "tune",
+        resume=find_finished_tune(plan),
+        verify=False,
+        backend=plan.options.backend,
+    )
+    return tune(options)
 
 
-def run_verify(plan: Plan) -> Iterator[Event]:
-    """Winner and baselines on the vehicle, over the roads that the bench file names by now."""
-    from tunefree_hil.jobs.drive import own_session
-    from tunefree_hil.jobs.tune.folder import keep_bench
+def run_verify(plan: CommissionPlan) -> Iterator[Event]:
+    """Winner and baselines on the vehicle, in the scenarios that the bench file has now."""
+    from tunefree_hil.jobs.tune.folder import write_bench_file
+    from tunefree_hil.jobs.tune.options import VerifyOptions
     from tunefree_hil.jobs.tune.verify import verify
 
-    run = tune_run(plan)
-    keep_bench(run, load(plan.write_bench()))
-    return verify(run, bus=plan.asked.bus, bench_bus=plan.asked.bench_bus, join=False, session=own_session())
+    run = require_finished_tune(plan)
+    write_bench_file(run, load(plan.write_bench()))
+    return verify(VerifyOptions(run, plan.options.bus, plan.options.bench_bus))
 
 
-def tune_run(plan: Plan) -> Path:
+def require_finished_tune(plan: CommissionPlan) -> Path:
     """The newest run of the tune. Raises InputError where there is none."""
-    run = finished_tune(plan)
+    run = find_finished_tune(plan)
     if run is None:
-        raise InputError(
-            "holds no finished tune", code="stage_missing", file=str(plan.folder / "tune"), hint="--from tune does it"
-        )
+        hint = "--from tune repeats the stage"
+        raise InputError("has no finished tune", code="stage_missing", file=str(plan.folder / "tune"), hint=hint)
     return run
 
 
-def finished_tune(plan: Plan) -> Path | None:
-    """The newest run of the tune that came to its end; None where there is none, or it was cut off."""
+def find_finished_tune(plan: CommissionPlan) -> Path | None:
+    """The newest finished run of the tune, None without one."""
     runs = sorted(path.parent for path in (plan.folder / "tune").glob("*/run.json"))
-    whole = [run for run in runs if read_json(run / "run.json").get("complete")]
-    return whole[-1] if whole else None
+    finished = [run for run in runs if read_json(run / "run.json").get("complete")]
+    return finished[-1] if finished else None

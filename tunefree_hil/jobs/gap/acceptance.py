@@ -1,105 +1,214 @@
-"""Whether blocks that no fit has seen bear out what was named, and what is said where they do not.
+"""Decides on the holdout blocks whether the named effects stand, and whether a repaired model is kept.
 
-closes, everywhere: the share of the gap that the repair closes there (value, low, high of 95 %), None where there is no
-gap, or no block.
+`answer` is the content of gap.json. `gap_share` is the share of the gap that the repair closes in the holdout blocks
+(value, low and high end of the 95 % interval); None where there is no gap or no block.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
-from tunefree_hil.gap.result import NOWHERE, is_absorbed
-from tunefree_hil.gap.selection.criteria import PLAIN_NATS
-from tunefree_hil.gap.validation.gap_closed import LEAST_OPEN
-from tunefree_hil.jobs.gap.report_text import SHOWS, STIRS, is_unshown, listed, percent
+from tunefree_hil.gap.result import NO_LOCATION, may_be_absorbed
+from tunefree_hil.gap.selection.criteria import CRITERIA
+from tunefree_hil.gap.selection.reasons import Criterion, Reason, VerdictKind, reason_entry
+from tunefree_hil.gap.validation.gap_closed import MIN_OPEN_GAP
 
-LEAST_CLOSED = 2.0 / 3.0  # of the gap: who surely leaves a third of it stands in for something else
-SPEAKS_FOR = 0.3  # of the gap, surely closed: what a name needs that nothing else speaks for
-# Of its own signal's error, there: who takes off that much and surely closes something is plain, however few rows that
-# hang together say it. Asked only of a model that misses its own logs, whose own misses hold the rest of the gap open.
-MOSTLY = 0.8
-AGAIN = 0.5  # of what an effect takes off its own signal's error, on the blocks that prove: it is there as well
+NAMED = (VerdictKind.ONE.value, VerdictKind.SEVERAL.value)
 
 
-def is_borne_out(answer: Mapping[str, Any], closes: Mapping[str, float] | None) -> bool:
-    """Whether blocks that no fit has seen bear out what was named: the repair closes the gap there, or, of a plain name
-    (by its evidence), its own signal says so there.
+class AcceptanceCriteria(NamedTuple):
+    """Thresholds on the holdout blocks, all of them shares (docs/reference/gap_criteria.md)."""
+
+    min_upper_gap_share: float = 2.0 / 3.0  # upper bound of the closed share; below, a third of the gap surely stays
+    min_weak_gap_share: float = 0.3  # lower bound of the closed share, for an effect of weak evidence
+    min_baseline_reduction: float = 0.8  # of the own signal's error; stands for the evidence if the model is poor
+    min_repeated_share: float = 0.5  # error reduction there, of the reduction on the fitted blocks
+    min_error_share: float = 0.02  # of an error or of the gap; less may be chance
+    min_effect_energy: float = 0.05  # of the squared error; blocks that an effect changes by less do not show it
+    min_gap_share: float = 0.01  # of the gap; no model is written for less
+
+
+ACCEPTANCE = AcceptanceCriteria()
+
+
+class SignalEvidence(NamedTuple):
+    """Change of the signal that shows an effect best, each as a share of the error without the effect.
+
+    Attributes:
+        fit_reduction: Error reduction on the blocks that judged the effect.
+        holdout_reduction: Error reduction on the holdout blocks.
+        holdout_energy: Squared change by the effect on the holdout blocks.
     """
-    return closes_it(answer, closes) or (closes is not None and _is_there_too(answer, closes))
+
+    fit_reduction: float
+    holdout_reduction: float
+    holdout_energy: float
+
+    @property
+    def is_repeated(self) -> bool:
+        """Whether the effect reduces the error on the holdout blocks about as elsewhere."""
+        least = max(ACCEPTANCE.min_repeated_share * self.fit_reduction, ACCEPTANCE.min_error_share)
+        return self.holdout_reduction > least
 
 
-def closes_it(answer: Mapping[str, Any], closes: Mapping[str, float] | None) -> bool:
-    """Whether the repair closes something of the gap there, and as far as those blocks can tell most of it. Where no
-    link is broken, so that nothing but the name says that anything is missing, none of them may speak against it (those
-    that do not show the effect say nothing); a name that is faint even there (gap/selection/criteria.py) they have to speak for.
+def is_confirmed(answer: Mapping[str, Any], gap_share: Mapping[str, float] | None) -> bool:
+    """Whether the holdout blocks confirm the named effects: by the gap, or by the effects' own signals."""
+    return closes_gap(answer, gap_share) or (gap_share is not None and _is_confirmed_by_own_signals(answer, gap_share))
+
+
+def closes_gap(answer: Mapping[str, Any], gap_share: Mapping[str, float] | None) -> bool:
+    """Whether the repair closes some of the gap and, as far as the interval tells, most of it.
+
+    Where no link is broken, only the effect itself indicates that something is missing; then no block may contradict
+    it. An effect of weak evidence (gap/selection/criteria.py) needs support by the blocks even so.
     """
-    faint = any(one.get("faint") for one in answer["effects"])
-    if closes is None:
-        return not faint
-    if closes["high"] < LEAST_CLOSED:
+    is_weak = any(effect.get("faint") for effect in answer["effects"])
+    if gap_share is None:
+        return not is_weak
+    if gap_share["high"] < ACCEPTANCE.min_upper_gap_share:
         return False
-    if faint:
-        return closes["low"] > SPEAKS_FOR
-    broken = any(one["broken"] for one in answer["links"])
-    return closes["value"] > 0.0 and (broken or closes["low"] > -LEAST_OPEN)
+    if is_weak:
+        return gap_share["low"] > ACCEPTANCE.min_weak_gap_share
+    return gap_share["value"] > 0.0 and (has_broken_link(answer) or gap_share["low"] > -MIN_OPEN_GAP)
 
 
-def _is_there_too(answer: Mapping[str, Any], closes: Mapping[str, float]) -> bool:
-    """Whether plain effects do on the blocks that prove what they do elsewhere, each to the signal that shows it best,
-    where the whole car's free run may be the better for it; or whether those blocks do not show them at all.
+def _is_confirmed_by_own_signals(answer: Mapping[str, Any], gap_share: Mapping[str, float]) -> bool:
+    """Whether effects of plain evidence change their own signals on the holdout blocks as they do elsewhere.
 
-    A free run of a whole car sums up all that a model misses: a few blocks of it may not tell, or one that goes astray
-    for another reason, what is plain from row to row. One of a model that misses its own logs tells nothing: there the
-    effects have to show themselves on their own signals, and may do so by that alone.
+    A free run of the whole vehicle sums up everything that a model misses, so that few blocks, or one block that
+    diverges, may hide what is plain from row to row. A model that misses its own calibration logs (`as_usual`) shows
+    nothing in such a run: there the own signals alone decide.
     """
-    told = [[one.get(key) for key in ("shrink", "unseen_shrink", "unseen_stirs")] for one in answer["effects"]]
-    poor = bool(answer.get("as_usual")) and closes["low"] > SHOWS
-    plain = all(
-        (one.get("evidence") or 0.0) > PLAIN_NATS
-        or (poor and not one.get("faint") and (one.get("unseen_shrink") or 0.0) > MOSTLY)
-        for one in answer["effects"]
-    )
-    if not plain or any(one is None for some in told for one in some):
+    signals = [_signal_evidence(effect) for effect in answer["effects"]]
+    if not _has_plain_evidence(answer, gap_share) or None in signals:
         return False
-    if any(there < -SHOWS for _, there, _ in told):
+    known = [signal for signal in signals if signal is not None]
+    if any(signal.holdout_reduction < -ACCEPTANCE.min_error_share for signal in known):
         return False
     if answer.get("as_usual"):
-        return all(there > max(AGAIN * here, SHOWS) for here, there, _ in told)
-    if is_unshown(answer) or max(abs(one) for one in closes.values()) < SHOWS:
-        return abs(closes["value"]) < SHOWS and closes["low"] > -SPEAKS_FOR
-    return closes["high"] > LEAST_OPEN and all(
-        there > max(AGAIN * here, SHOWS) or stirs < STIRS for here, there, stirs in told
+        return all(signal.is_repeated for signal in known)
+    if is_absent_from_holdout(answer) or max(abs(share) for share in gap_share.values()) < ACCEPTANCE.min_error_share:
+        return (
+            abs(gap_share["value"]) < ACCEPTANCE.min_error_share and gap_share["low"] > -ACCEPTANCE.min_weak_gap_share
+        )
+    return gap_share["high"] > MIN_OPEN_GAP and all(
+        signal.is_repeated or signal.holdout_energy < ACCEPTANCE.min_effect_energy for signal in known
     )
 
 
-def taken_back(answer: Mapping[str, Any], closes: Mapping[str, float] | None, kind: str) -> dict[str, Any]:
-    """Keys of gap.json where the proof does not bear out what was found: it was chance, or stood in for something else,
-    and is not named. kind: of the model's plant.
+def _has_plain_evidence(answer: Mapping[str, Any], gap_share: Mapping[str, float]) -> bool:
+    """Whether every effect is plain by its log evidence, or, with a poor model, by nearly all of its signal's error."""
+    is_poor = bool(answer.get("as_usual")) and gap_share["low"] > ACCEPTANCE.min_error_share
+    return all(
+        (effect.get("evidence") or 0.0) > CRITERIA.plain_evidence_nats
+        or (
+            is_poor
+            and not effect.get("faint")
+            and (effect.get("unseen_shrink") or 0.0) > ACCEPTANCE.min_baseline_reduction
+        )
+        for effect in answer["effects"]
+    )
+
+
+def _signal_evidence(effect: Mapping[str, Any]) -> SignalEvidence | None:
+    """None where the holdout blocks hold nothing of the signal."""
+    fit, holdout, energy = (effect.get(key) for key in ("shrink", "unseen_shrink", "unseen_stirs"))
+    return None if fit is None or holdout is None or energy is None else SignalEvidence(fit, holdout, energy)
+
+
+def has_broken_link(answer: Mapping[str, Any]) -> bool:
+    """Whether recalibration alone leaves a link of the chain broken."""
+    return any(link["broken"] for link in answer["links"])
+
+
+def is_absent_from_holdout(answer: Mapping[str, Any]) -> bool:
+    """Whether the holdout blocks show none of the named effects, and so say nothing about them."""
+    energies = [effect.get("unseen_stirs") for effect in answer["effects"]]
+    return bool(energies) and all(energy is not None and energy < ACCEPTANCE.min_effect_energy for energy in energies)
+
+
+def has_no_gain(answer: Mapping[str, Any]) -> bool:
+    """Whether effects are named whose repair closes nothing on the holdout blocks."""
+    gap_share = answer.get("explained_frac")
+    return answer["verdict"] in NAMED and bool(gap_share) and gap_share["value"] < ACCEPTANCE.min_gap_share
+
+
+def needs_further_drive(answer: Mapping[str, Any]) -> bool:
+    """Whether there is a repaired model about which no holdout block says anything."""
+    gap_share = answer.get("explained_frac")
+    is_shown = bool(gap_share) and gap_share["value"] > ACCEPTANCE.min_error_share
+    return bool(answer.get("model")) and is_absent_from_holdout(answer) and not is_shown
+
+
+def is_within_baseline(answer: Mapping[str, Any]) -> bool:
+    """Whether no link is missed by more than on the model's calibration logs, and nothing else speaks for an effect."""
+    broken = {link["signal"] for link in answer["links"] if link["broken"]}
+    has_reason = any(entry["criterion"] == Criterion.WITHIN_BASELINE.value for entry in answer.get("reasons", ()))
+    return has_reason and bool(broken) and broken <= set(answer["as_usual"])
+
+
+def rejection_reason(answer: Mapping[str, Any], gap_share: Mapping[str, float] | None) -> Reason:
+    """Why the holdout blocks do not confirm the named effects."""
+    if gap_share is None:
+        return Reason(Criterion.NOT_MEASURED)
+    if gap_share["value"] <= 0.0:
+        return Reason(Criterion.GAP_NOT_CLOSED, value=gap_share["value"], limit=0.0)
+    if gap_share["high"] < ACCEPTANCE.min_upper_gap_share:
+        return Reason(Criterion.GAP_LEFT, value=gap_share["high"], limit=ACCEPTANCE.min_upper_gap_share)
+    is_weak = any(effect.get("faint") for effect in answer["effects"])
+    limit = ACCEPTANCE.min_weak_gap_share if is_weak else -MIN_OPEN_GAP
+    return Reason(Criterion.GAP_UNCERTAIN, value=gap_share["low"], limit=limit)
+
+
+def rejection_fields(
+    answer: Mapping[str, Any], gap_share: Mapping[str, float] | None, reason: Reason, kind: str
+) -> dict[str, Any]:
+    """Keys of gap.json that change where the named effects are rejected; `words` is made from `reason` elsewhere.
+
+    Args:
+        answer: The answer of the search.
+        gap_share: Closed share of the gap.
+        reason: Of `rejection_reason`.
+        kind: Kind of the model's plant.
     """
-    names = [one["name"] for one in answer["effects"]]
-    shrinks = [[one.get("shrink"), one.get("unseen_shrink")] for one in answer["effects"]]
-    words = f"{listed(names)} came nearest, and {_share_of(closes)} of the gap in stretches that no fit has seen"
-    broken = any(one["broken"] for one in answer["links"])
-    verdict = "none_of_these" if broken else "none_missing"
+    names = [effect["name"] for effect in answer["effects"]]
+    reductions = [[effect.get("shrink"), effect.get("unseen_shrink")] for effect in answer["effects"]]
+    is_broken = has_broken_link(answer)
+    verdict = (VerdictKind.NONE_OF_THESE if is_broken else VerdictKind.NONE_MISSING).value
     return {
-        **({} if broken else {"where": NOWHERE}),
+        **({} if is_broken else {"where": NO_LOCATION}),
         "verdict": verdict,
-        "absorbed": is_absorbed(verdict, kind),
+        "absorbed": may_be_absorbed(verdict, kind),
         "effects": [],
-        "words": [words],
+        "reasons": [reason_entry(reason._replace(name=name)) for name in names],
         "changes": [],
-        "taken_back": {"names": names, "explained_frac": closes and dict(closes), "shrinks": shrinks},
+        "taken_back": {"names": names, "explained_frac": gap_share and dict(gap_share), "shrinks": reductions},
         "explained_frac": None,
         "explicable_frac": None,
         "worse": [],
     }
 
 
-def _share_of(closes: Mapping[str, float] | None) -> str:
-    if closes is None:
-        return "nothing could be seen"
-    if closes["value"] <= 0.0:
-        return "closed nothing"
-    why = "leaves a third and more" if closes["high"] < LEAST_CLOSED else "is not sure to be any"
-    return f"closed {percent(closes)}, which {why},"
+def holdout_misfit_fields(answer: Mapping[str, Any], missed: Mapping[str, float], kind: str) -> dict[str, Any]:
+    """Keys of gap.json that change where only the holdout blocks miss more than any calibrated model does.
+
+    What these blocks hold alone, no search could find.
+
+    Args:
+        answer: The answer so far, in which nothing is missing.
+        missed: Misfit by signal, as a share of the signal.
+        kind: Kind of the model's plant.
+
+    Returns:
+        The keys without `words`; `missed_in_proof` has the worst signal first.
+    """
+    worst = dict(sorted(missed.items(), key=lambda item: -item[1]))
+    verdict = VerdictKind.NONE_OF_THESE.value
+    reasons = [reason_entry(Reason(Criterion.MISSED_IN_HOLDOUT, key=key, value=share)) for key, share in worst.items()]
+    return {
+        "verdict": verdict,
+        "absorbed": may_be_absorbed(verdict, kind),
+        "missed_in_proof": worst,
+        "reasons": [*reasons, *answer.get("reasons", ())],
+    }

@@ -1,4 +1,4 @@
-"""Asks the logs that a model was made from what it misses of them, for later logs to be held against that."""
+"""Analyses what a model misses of its own calibration logs, as the baseline for later logs."""
 
 from __future__ import annotations
 
@@ -13,192 +13,206 @@ import numpy as np
 
 from tunefree_hil.base.errors import TunefreeError
 from tunefree_hil.base.events import Event
-from tunefree_hil.jobs.progress import eta_of, told
+from tunefree_hil.jobs.progress import progress_data, relay_events
 from tunefree_hil.learn.model_folder import CARD_FILE, write_card, write_effects
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import EffectSpec, ModelSpec, VehicleSpec
-    from tunefree_hil.gap.calibration_logs import OwnLogs
-    from tunefree_hil.gap.measured.chain import Opened
-    from tunefree_hil.gap.pipeline import Named
-    from tunefree_hil.gap.selection.baseline_misfit import Usual
-    from tunefree_hil.gap.workers.worker import Question
+    from tunefree_hil.gap.calibration_logs import CalibrationLogs
+    from tunefree_hil.gap.measured.chain import MeasuredDrive
+    from tunefree_hil.gap.pipeline import Diagnosis
+    from tunefree_hil.gap.progress import SearchProgress
+    from tunefree_hil.gap.selection.baseline_misfit import BaselineMisfit
+    from tunefree_hil.gap.workers.worker import OpenProblem
     from tunefree_hil.learn.drives.drive import Drive
 
-LABEL = "what the model misses of its own logs"
-ASKED, BY_CALIBRATE = "own_logs_asked", "free_run_rms"  # of card.json
-MOST_S = 900.0  # of driving that is asked: what a model misses of its own logs shows in a quarter of an hour
+LABEL = "calibration logs"
+ANALYSED_KEY, CALIBRATED_KEY = "own_logs_asked", "free_run_rms"  # of card.json
+MAX_ANALYSED_S = 900.0  # of driving; more of it does not change the baseline
 T = TypeVar("T")
 
 
-def ask_own_logs(folder: Path, vehicle: VehicleSpec, drives: Sequence[Drive]) -> Generator[Event, None, None]:
-    """Add to a model's folder what its own logs say of it: to the card what explains them, or what is missed as usual,
-    and then to the model the sensors' own numbers. Nothing where the model comes near its logs, or they are too few to
-    tell; the card says that they were asked. A model that is cut off before is whole: later logs are held against
-    nothing then.
+def analyse_calibration_logs(
+    folder: Path, vehicle: VehicleSpec, drives: Sequence[Drive]
+) -> Generator[Event, None, None]:
+    """Add to a model's folder what its calibration logs show: effects or a baseline misfit in the card, and effects of
+    sensors and tyres in the model.
+
+    Nothing is added where the model agrees with its logs, or where they are too few. The card records that the analysis
+    is done. An interrupted model is complete, but has no baseline.
     """
-    _forget(folder)
+    _remove_previous_analysis(folder)
     try:
-        opened = _opened(drives, vehicle)
+        opened = _open_drives(drives, vehicle)
         if opened:
-            yield from _asked(folder, vehicle, opened)
-    except TunefreeError as error:  # whatever it is, the model is made
-        yield Event("note", f"{LABEL} is not told: {error.message}")
-    _added_to_card(folder, {ASKED: True})
+            yield from _analyse(folder, vehicle, opened)
+    except TunefreeError as error:  # the model is usable without the analysis
+        yield Event("note", f"{LABEL}: not analysed: {error.message}")
+    _add_to_card(folder, {ANALYSED_KEY: True})
 
 
-def _forget(folder: Path) -> None:
-    """What a search that was cut off had written already."""
+def _remove_previous_analysis(folder: Path) -> None:
+    """Remove what an interrupted analysis has written."""
     from tunefree_hil.config.load import load_model
-    from tunefree_hil.gap.model.card import OWN_NUMBERS
-    from tunefree_hil.gap.selection.baseline_misfit import KEY, OWN_MISSED, RESTLESS
-    from tunefree_hil.learn.model_folder import OWN_EFFECTS, OWN_LOGS
+    from tunefree_hil.gap.model.card import CALIBRATION_PRIORS_KEY
+    from tunefree_hil.gap.selection.baseline_misfit import BASELINE_KEY, INCONSISTENT_KEY, UNEXPLAINED_KEY
+    from tunefree_hil.learn.model_folder import CALIBRATION_EFFECTS, CALIBRATION_LOGS
 
     card = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
-    told = {KEY, RESTLESS, OWN_MISSED, OWN_EFFECTS, OWN_NUMBERS}
-    if told & set(card):
-        write_card(folder, {key: said for key, said in card.items() if key not in told})
+    keys = {BASELINE_KEY, INCONSISTENT_KEY, UNEXPLAINED_KEY, CALIBRATION_EFFECTS, CALIBRATION_PRIORS_KEY}
+    if keys & set(card):
+        write_card(folder, {key: entry for key, entry in card.items() if key not in keys})
     model = load_model(folder)
-    stay = [one for one in model.effects if one.provenance.get("by") != OWN_LOGS]
-    if len(stay) < len(model.effects):
-        write_effects(folder, model, stay)
+    kept_effects = [effect for effect in model.effects if effect.provenance.get("by") != CALIBRATION_LOGS]
+    if len(kept_effects) < len(model.effects):
+        write_effects(folder, model, kept_effects)
 
 
-def were_asked(folder: Path) -> bool:
-    """Whether a model's own logs were asked to the end."""
-    return bool(json.loads((folder / CARD_FILE).read_text(encoding="utf-8")).get(ASKED))
+def is_analysed(folder: Path) -> bool:
+    """Whether the calibration logs of a model are analysed completely."""
+    return bool(json.loads((folder / CARD_FILE).read_text(encoding="utf-8")).get(ANALYSED_KEY))
 
 
-def half_made(model: ModelSpec) -> Iterator[str]:
-    """A warning for a model of `calibrate` that was cut off while it asked its logs; nothing for every other."""
-    from tunefree_hil.gap.model.card import card_of
+def list_analysis_warnings(model: ModelSpec) -> Iterator[str]:
+    """A warning for a model of `calibrate` whose analysis was interrupted; nothing for any other model."""
+    from tunefree_hil.gap.model.card import load_model_card
 
-    card = card_of(model)
-    if BY_CALIBRATE in card and not card.get(ASKED) and "repair" not in card:
+    card = load_model_card(model)
+    if CALIBRATED_KEY in card and not card.get(ANALYSED_KEY) and "repair" not in card:
         yield (
-            f"{model.folder} was made without its own logs being asked (cut off, or by an older version), and what it "
-            "misses of them is not known: the same `calibrate` goes on with it"
+            f"the calibration logs of {model.folder} were not analysed (interrupted, or an older version), so its "
+            "baseline misfit is unknown: run the same `calibrate` again to continue"
         )
 
 
-def _opened(drives: Sequence[Drive], vehicle: VehicleSpec) -> list[Opened]:
-    """Those of the logs that say how the car moves; of many some, from all over them."""
-    from tunefree_hil.gap.measured.chain import open_chain, says_speed
-    from tunefree_hil.gap.measured.signals import stops_of, without
+def _open_drives(drives: Sequence[Drive], vehicle: VehicleSpec) -> list[MeasuredDrive]:
+    """The drives that hold a speed; a sample of them where there are many."""
+    from tunefree_hil.gap.measured.chain import build_measured_drive, has_speed
+    from tunefree_hil.gap.measured.signals import drop_signals, find_sensor_limits
 
-    found = [one for one in drives if says_speed(one, vehicle)]
-    return [open_chain(without(one, stops_of(one)), vehicle) for one in some_of(found)]
+    moving = [drive for drive in drives if has_speed(drive, vehicle)]
+    sample = sample_drives(moving)
+    return [build_measured_drive(drop_signals(drive, find_sensor_limits(drive)), vehicle) for drive in sample]
 
 
-def some_of(drives: Sequence[Drive]) -> list[Drive]:
-    """All of them, or of more than MOST_S those in which marks at even distances fall: long ones rather than short."""
-    ends_s = np.cumsum([one.ticks * one.dt_s for one in drives])
-    if not len(ends_s) or ends_s[-1] <= MOST_S:
+def sample_drives(drives: Sequence[Drive]) -> list[Drive]:
+    """All drives, or of more than MAX_ANALYSED_S those at evenly spaced times, which prefers long ones."""
+    ends_s = np.cumsum([drive.n_rows * drive.dt_s for drive in drives])
+    if not len(ends_s) or ends_s[-1] <= MAX_ANALYSED_S:
         return list(drives)
-    marks = max(math.floor(MOST_S * len(drives) / ends_s[-1]), 1)
-    hit = np.searchsorted(ends_s, (np.arange(marks) + 0.5) * ends_s[-1] / marks)
-    return [drives[i] for i in sorted({int(one) for one in hit})]
+    marks = max(math.floor(MAX_ANALYSED_S * len(drives) / ends_s[-1]), 1)
+    indices = np.searchsorted(ends_s, (np.arange(marks) + 0.5) * ends_s[-1] / marks)
+    return [drives[i] for i in sorted({int(index) for index in indices})]
 
 
-def _asked(folder: Path, vehicle: VehicleSpec, opened: Sequence[Opened]) -> Generator[Event, None, None]:
+def _analyse(folder: Path, vehicle: VehicleSpec, opened: Sequence[MeasuredDrive]) -> Generator[Event, None, None]:
     from tunefree_hil.config.load import load_model
-    from tunefree_hil.gap.calibration_logs import OwnLogs, explained, limits, limits_named
-    from tunefree_hil.gap.pipeline import look_first, name, restless_of
-    from tunefree_hil.gap.selection.baseline_misfit import NOTHING
+    from tunefree_hil.gap.calibration_logs import (
+        CalibrationLogs,
+        baseline_from_search,
+        find_vehicle_limits,
+        named_vehicle_limits,
+    )
+    from tunefree_hil.gap.pipeline import diagnose, find_inconsistent_gains, locate
+    from tunefree_hil.gap.selection.baseline_misfit import NO_BASELINE
 
-    asked = OwnLogs(load_model(folder), vehicle, opened)
-    first = yield from _with_progress("every link", look_first(*asked[:3]))
-    looked = first.looked[0]
-    _kept(folder, NOTHING._replace(restless=restless_of(first.question)))
-    if not looked.broken:
-        own = yield from _with_progress("limits of the car", limits(asked))
-        yield from _of_the_car(folder, asked, own)
-        if not own:
-            _numbers_kept(folder, first.question)
+    logs = CalibrationLogs(load_model(folder), vehicle, opened)
+    located = yield from _report_progress("all links", locate(*logs[:3]))
+    link = located.links_before[0]
+    _store_baseline(folder, NO_BASELINE._replace(inconsistent_gains=find_inconsistent_gains(located.problem)))
+    if not link.is_broken:
+        limits = yield from _report_progress("limits of the vehicle", find_vehicle_limits(logs))
+        yield from _add_vehicle_effects(folder, logs, limits)
+        if not limits:
+            _store_parameters(folder, located.problem)
         return
-    yield Event("note", f"{looked.missed}: the model's own logs are asked for what it lacks")
-    found = yield from _with_progress("what it lacks", name(*asked))
-    if any(one.broken for one in found.still):
-        yield from _poor(folder, asked)
+    yield Event("note", f"{link.text}: the calibration logs are searched for effects")
+    diagnosis = yield from _report_progress("effects", diagnose(*logs))
+    if any(after.is_broken for after in diagnosis.links_after):
+        yield from _analyse_poor_model(folder, logs)
         return
-    if own := limits_named(found, asked.model):
-        yield from _of_the_car(folder, asked, own)
+    if limits := named_vehicle_limits(diagnosis, logs.model):
+        yield from _add_vehicle_effects(folder, logs, limits)
         return
-    _kept(folder, explained(found))
-    if words := _named_words(found, asked.model):
-        yield Event("warning", f"what no calibration takes in is in these logs: {words}")
+    _store_baseline(folder, baseline_from_search(diagnosis))
+    if text := _describe_diagnosis(diagnosis, logs.model):
+        yield Event("warning", f"the calibration logs show an effect that the calibration cannot fit: {text}")
 
 
-def _of_the_car(folder: Path, asked: OwnLogs, own: Sequence[EffectSpec]) -> Generator[Event, None, None]:
-    """Limits of the car go into its model; what is missed beside them is asked once more."""
-    if own:
-        write_effects(folder, asked.model, [*asked.model.effects, *own])
-        yield Event("note", f"of the car, by its own logs: {', '.join(_words(one) for one in own)}")
-        yield from _asked(folder, asked.vehicle, asked.drives)
+def _add_vehicle_effects(
+    folder: Path, logs: CalibrationLogs, limits: Sequence[EffectSpec]
+) -> Generator[Event, None, None]:
+    """Add limits of the vehicle to its model, and analyse again."""
+    if limits:
+        write_effects(folder, logs.model, [*logs.model.effects, *limits])
+        effects = ", ".join(map(_describe_effect, limits))
+        yield Event("note", f"limits of the vehicle, from its calibration logs: {effects}")
+        yield from _analyse(folder, logs.vehicle, logs.drives)
 
 
-def _named_words(found: Named, model: ModelSpec) -> str:
-    """What explains the own logs, in words; '' where nobody is named."""
-    from tunefree_hil.gap.selection.confounding import HILL, OFFSET, may_be_hill
+def _describe_diagnosis(diagnosis: Diagnosis, model: ModelSpec) -> str:
+    """The effects that explain the calibration logs; '' where there are none."""
+    from tunefree_hil.gap.selection.confounding import ACCEL_BIAS, GRADE, may_be_grade
+    from tunefree_hil.gap.selection.reasons import VerdictKind
 
-    if found.verdict == "set":
-        return f"one of {', '.join(found.set)}, which they cannot tell apart"
-    named = [one.name for one in found.effects]
-    if not named:
+    if diagnosis.verdict.kind is VerdictKind.SET:
+        return f"one of {', '.join(diagnosis.set_names)}, which they cannot separate"
+    names = [effect.name for effect in diagnosis.effects]
+    if not names:
         return ""
-    if OFFSET in named and may_be_hill(found.repaired.fitted, model):
-        return f"{', '.join(named)}; {OFFSET} may as well be a {HILL} that all of them have"
-    return f"{', '.join(named)}; `gap` on them adds it where its proof bears it out"
+    if ACCEL_BIAS in names and may_be_grade(diagnosis.repaired.fit, model):
+        return f"{', '.join(names)}; {ACCEL_BIAS} may also be a {GRADE} that is common to all of them"
+    return f"{', '.join(names)}; `gap` on these logs adds it if the holdout blocks confirm it"
 
 
-def _poor(folder: Path, asked: OwnLogs) -> Generator[Event, None, None]:
-    """Of a model that misses its own logs for no reason in the catalogue: its sensors' and tyres' numbers, then what is
-    usual.
+def _analyse_poor_model(folder: Path, logs: CalibrationLogs) -> Generator[Event, None, None]:
+    """Of a model that misses its calibration logs for no reason in the catalogue: add effects of sensors and tyres, and
+    store the remaining misfit as the baseline.
     """
     from tunefree_hil.config.load import load_model
-    from tunefree_hil.gap.calibration_logs import sensors, tyres, usual
-    from tunefree_hil.gap.pipeline import look_first
-    from tunefree_hil.gap.selection.baseline_misfit import usual_words
-    from tunefree_hil.gap.validation.repair import moved
+    from tunefree_hil.gap.calibration_logs import find_sensor_effects, find_tyre_effects, measure_baseline_misfit
+    from tunefree_hil.gap.pipeline import locate
+    from tunefree_hil.gap.result_text import baseline_texts
+    from tunefree_hil.gap.validation.repair import apply_own_numbers
 
-    for what, search in (("its sensors", sensors), ("its tyres", tyres)):
-        asked = asked._replace(model=load_model(folder))
-        if found := (yield from _with_progress(what, search(asked))):
-            write_effects(folder, asked.model, [*asked.model.effects, *found])
-            yield Event("note", f"{what}, by its own logs: {', '.join(_words(one) for one in found)}")
-    asked = asked._replace(model=load_model(folder))
-    looked = yield from _with_progress("its numbers", look_first(*asked[:3]))
-    _numbers_kept(folder, looked.question)
-    asked = asked._replace(model=moved(load_model(folder), asked.vehicle))  # as a later `gap` has it
-    told = yield from _with_progress("what is usual", usual(asked))
-    _kept(folder, told)
-    yield from (Event("warning", f"{words}, for no reason in the catalogue") for words in usual_words(told))
-
-
-def _words(one: EffectSpec) -> str:
-    return f"{one.name} ({', '.join(f'{key} {value:.4g}' for key, value in one.params.items())})"
+    for label, search in (("sensors", find_sensor_effects), ("tyres", find_tyre_effects)):
+        logs = logs._replace(model=load_model(folder))
+        if effects := (yield from _report_progress(label, search(logs))):
+            write_effects(folder, logs.model, [*logs.model.effects, *effects])
+            yield Event("note", f"{label}, from the calibration logs: {', '.join(map(_describe_effect, effects))}")
+    logs = logs._replace(model=load_model(folder))
+    located = yield from _report_progress("parameters", locate(*logs[:3]))
+    _store_parameters(folder, located.problem)
+    logs = logs._replace(model=apply_own_numbers(load_model(folder), logs.vehicle))  # as `gap` loads it later
+    baseline = yield from _report_progress("baseline misfit", measure_baseline_misfit(logs))
+    _store_baseline(folder, baseline)
+    yield from (Event("warning", f"{words}, for no reason in the catalogue") for words in baseline_texts(baseline))
 
 
-def _with_progress(what: str, search: Generator[str, None, T]) -> Generator[Event, None, T]:
-    """A search with its stages as progress, which begins anew with each."""
-    began, label = time.monotonic(), f"{LABEL}: {what}"
-    return told(search, lambda stage: Event("progress", stage, {"label": label, **eta_of(stage, began)}))
+def _describe_effect(effect: EffectSpec) -> str:
+    return f"{effect.name} ({', '.join(f'{key} {value:.4g}' for key, value in effect.params.items())})"
 
 
-def _kept(folder: Path, usual: Usual) -> None:
-    """In the card."""
-    from tunefree_hil.gap.selection.baseline_misfit import as_data
-
-    _added_to_card(folder, as_data(usual))
-
-
-def _numbers_kept(folder: Path, question: Question) -> None:
-    from tunefree_hil.gap.calibration_logs import numbers_of
-    from tunefree_hil.gap.estimation.calibration_priors import as_data
-
-    _added_to_card(folder, as_data(numbers_of(question)))
+def _report_progress(step: str, search: Generator[SearchProgress, None, T]) -> Generator[Event, None, T]:
+    """The stages of a search as progress events; the remaining time starts anew with each search."""
+    began, label = time.monotonic(), f"{LABEL}: {step}"
+    return relay_events(search, lambda now: Event("progress", now.text, {"label": label, **progress_data(now, began)}))
 
 
-def _added_to_card(folder: Path, more: Mapping[str, Any]) -> None:
+def _store_baseline(folder: Path, baseline: BaselineMisfit) -> None:
+    """Write a baseline to the card."""
+    from tunefree_hil.gap.selection.baseline_misfit import card_entries
+
+    _add_to_card(folder, card_entries(baseline))
+
+
+def _store_parameters(folder: Path, problem: OpenProblem) -> None:
+    from tunefree_hil.gap.calibration_logs import prior_from_problem
+    from tunefree_hil.gap.estimation.calibration_priors import card_entry_from_prior
+
+    _add_to_card(folder, card_entry_from_prior(prior_from_problem(problem)))
+
+
+def _add_to_card(folder: Path, entries: Mapping[str, Any]) -> None:
     card = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
-    write_card(folder, {**card, **more})
+    write_card(folder, {**card, **entries})

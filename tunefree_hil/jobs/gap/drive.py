@@ -1,18 +1,17 @@
-"""`gap --drive`: where logs leave a set, the bench drives what separates it, and the question is asked again.
+"""`gap --drive`: where logs leave a set of effects, the bench drives what separates them, and `gap` runs again.
 
-At most ROUNDS times: the drives of a round go in beside the logs before them, as recordings of their own, and
-`round-N/` in the folder holds what was then answered. The folder's own gap.json and gap.md are those of the last round
-in the end; the first ones stay as gap-1.json and gap-1.md. Logs and rounds are all the state there is, so that a run
-that was cut off goes on with the drive or the search that it lost.
+There are at most MAX_ROUNDS rounds. The drives of a round are added to the logs as recordings of their own, and
+`round-N/` in the folder holds the answer of that round. gap.json and gap.md of the folder itself are those of the last
+round; the first ones are kept as gap-1.json and gap-1.md. Logs and rounds are the whole state, so that an interrupted
+run continues with the drive or the search that it lost.
 
-Drives stay inside what the model was made from: outside it misses things that have nothing to do with what is asked.
-And they may only decide between the names that there were: an answer beside them says that drives and logs do not go
-together, for whatever reason, and the set stands.
+Drives stay inside the region of the model's data: outside it the model misses things that have nothing to do with the
+question. And they may only decide between the effects of the set: any other answer means that drives and logs do not
+match, and the set stands.
 """
 
 from __future__ import annotations
 
-import shlex
 import shutil
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -20,195 +19,214 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.collect.bounds import bounds_of
+from tunefree_hil.collect.bounds import bounds_from_valid_region
 from tunefree_hil.effects import catalogue
-from tunefree_hil.gap.estimation.candidates import class_of
-from tunefree_hil.gap.experiment_design import MENU, Manoeuvre, plan_for, to_drive
-from tunefree_hil.jobs.command_text import given, option_words
+from tunefree_hil.gap.estimation.candidates import indistinguishable_effects
+from tunefree_hil.gap.experiment_design import MANOEUVRES, Manoeuvre, next_manoeuvres, plan_manoeuvre
 from tunefree_hil.jobs.gap.drive_bench import (
-    Job,
-    Wish,
-    drive_all,
-    jobs_of,
+    ManoeuvreJob,
+    drive_jobs,
     open_bench,
+    plan_jobs,
     require_same_bench,
     require_same_vehicle,
 )
-from tunefree_hil.jobs.gap.folder import ANSWER, LOCK, PAGE, Folder
-from tunefree_hil.jobs.gap.gap import Asked, gap, model_for
+from tunefree_hil.jobs.gap.folder import ANSWER, LOCK, PAGE, GapFolder
+from tunefree_hil.jobs.gap.gap import load_checked_model, run_gap
+from tunefree_hil.jobs.gap.options import GapDriveOptions, GapOptions
 from tunefree_hil.jobs.gap.report import write_page
-from tunefree_hil.jobs.gap.report_text import COMMAND, again, next_of
+from tunefree_hil.jobs.gap.report_text import CANNOT_TEST, SET, build_command, suggest_commands
 from tunefree_hil.jobs.run_folder import read_json
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
 
-ROUNDS = 3
-UNDECIDED = ("set", "cannot_test")
-DRIVES = "drives"  # folder of the bench, its logs in DRIVES/logs; and the key of gap.json that lists them
+MAX_ROUNDS = 3
+UNDECIDED = (SET, CANNOT_TEST)
+DRIVES_KEY = "drives"  # folder of the bench, with its logs in drives/logs; also the key of gap.json that lists them
 FIRST_ANSWER, FIRST_PAGE = "gap-1.json", "gap-1.md"
-OF_A_RUN = ("exit", "next")  # what a result says beside gap.json
+RESULT_KEYS = ("exit", "next")  # keys of a result that are not in gap.json
 
 
-class Driven(NamedTuple):
-    """How far it has come: all drives in their order, with the round of each; apart: rounds that fit no logs."""
+class DriveTask(NamedTuple):
+    """What all rounds share. resume: the command that continues after an interruption."""
+
+    options: GapOptions
+    drive_options: GapDriveOptions
+    vehicle: VehicleSpec
+    resume: str
+
+    @property
+    def resume_data(self) -> dict[str, Any]:
+        """Data of an event after which a result is stored."""
+        return {"resume": self.resume, "saved": True}
+
+
+class DriveHistory(NamedTuple):
+    """The drives so far, with the round of each. unfit_rounds: rounds whose drives do not match the logs."""
 
     rounds: list[int]
-    jobs: list[Job]
-    apart: set[int]
+    jobs: list[ManoeuvreJob]
+    unfit_rounds: set[int]
 
     @property
     def names(self) -> set[str]:
-        """Of the manoeuvres."""
-        return {one.manoeuvre.name for one in self.jobs}
+        """Names of the manoeuvres."""
+        return {job.manoeuvre.name for job in self.jobs}
 
     @property
     def logs(self) -> list[Path]:
-        """Their logs."""
-        return [one.log for one in self.jobs]
+        """Logs of the drives."""
+        return [job.log for job in self.jobs]
 
 
-def gap_drive(asked: Asked, wish: Wish) -> Iterator[Event]:
-    """Ask, and where it is a set (or nothing could be told) drive and ask again.
+def run_gap_with_drives(options: GapOptions, drive_options: GapDriveOptions) -> Iterator[Event]:
+    """Run `gap`; where the answer is a set, or nothing could be tested, drive and run it again.
 
-    Raises as `gap` does, InputError for a bench of another vehicle and for drives of another bench in the folder,
-    BenchError for a drive that does not come to its end.
+    Raises:
+        InputError: As `run_gap`; the bench is of another vehicle, or the folder holds drives of another bench.
+        BenchError: A drive does not come to its end.
     """
     from tunefree_hil.config.load import load_vehicle
-    from tunefree_hil.tune.store import alone
+    from tunefree_hil.tune.store import exclusive_lock
 
-    _require_names(asked)
-    vehicle = load_vehicle(asked.vehicle)
-    require_same_vehicle(wish, vehicle)
-    resume = with_drive(again(asked), wish)
-    answer = yield from _ask(asked, resume, saved=False)
-    if DRIVES in answer:
-        require_same_bench(wish, asked.out / DRIVES)
-    if DRIVES in answer or not to_drive(answer, (), catalogue()):
-        yield Event("result", "", {**answer, "next": following(asked, wish, answer, vehicle)})
+    _require_naming(options)
+    vehicle = load_vehicle(options.vehicle)
+    require_same_vehicle(drive_options, vehicle)
+    task = DriveTask(options, drive_options, vehicle, build_command(options, drive=drive_options))
+    answer = yield from _run_gap_again(options, task.resume, saved=False)
+    if DRIVES_KEY in answer:
+        require_same_bench(drive_options, options.out / DRIVES_KEY)
+    if DRIVES_KEY in answer or not next_manoeuvres(answer, (), catalogue()):
+        yield Event("result", "", {**answer, "next": suggest_drive_commands(task, answer)})
         return
-    with alone(asked.out / LOCK):
-        driven = Driven([], [], set())
-        last = yield from _rounds(asked, wish, answer, driven, resume, vehicle)
-        whole = {**last, DRIVES: _listed(driven)}
-        whole["next"] = following(asked, wish, whole, vehicle)
-        _keep(asked, whole, resume)
-    yield Event("result", "", whole)
+    with exclusive_lock(options.out / LOCK):
+        history = DriveHistory([], [], set())
+        last = yield from _drive_rounds(task, answer, history)
+        complete = {**last, DRIVES_KEY: _list_drives(history)}
+        complete["next"] = suggest_drive_commands(task, complete)
+        _store_answer(options, complete, task.resume)
+    yield Event("result", "", complete)
 
 
-def with_drive(command: str, wish: Wish) -> str:
-    """A `gap` command that drives as this one does."""
-    return f"{command} {shlex.join(option_words(drive=True, **given(wish, leave=['session'])))}"
+def suggest_drive_commands(task: DriveTask, answer: Mapping[str, Any]) -> list[str]:
+    """The commands to go on with: with the drives that match the logs, and with the same bench."""
+    options, drives = task.options, answer.get(DRIVES_KEY, ())
+    logs = [*options.logs, *(Path(drive["log"]) for drive in drives if drive.get("fits", True))]
+    return suggest_commands(options._replace(logs=logs), answer, task.vehicle, task.drive_options)
 
 
-def following(asked: Asked, wish: Wish, answer: Mapping[str, Any], vehicle: VehicleSpec) -> list[str]:
-    """Commands to go on with: with what was driven beside the logs and fits them, and with the bench that drives."""
-    logs = [*asked.logs, *(Path(one["log"]) for one in answer.get(DRIVES, ()) if one.get("fits", True))]
-    commands = next_of(asked._replace(logs=logs), answer, vehicle, str(wish.bench))
-    return [with_drive(one, wish) if one.startswith(COMMAND) else one for one in commands]
+def _require_naming(options: GapOptions) -> None:
+    if options.until == "locate":
+        message = "--until locate names no effects, so there is nothing to separate"
+        raise InputError(message, code="usage", key="--drive", hint="leave out --until")
 
 
-def _require_names(asked: Asked) -> None:
-    if asked.until == "locate":
-        raise InputError(
-            "nobody is named by --until locate, so there is nothing to tell apart", code="usage", key="--drive",
-            hint="leave out --until",
-        )  # fmt: skip
+def _run_gap_again(options: GapOptions, resume: str, *, saved: bool) -> Generator[Event, None, dict[str, Any]]:
+    """Run `gap`; its events name the command with `--drive`.
 
+    Args:
+        options: Options of this run of `gap`.
+        resume: The command that continues after an interruption.
+        saved: Whether a result of an earlier round is stored.
 
-def _ask(asked: Asked, resume: str, *, saved: bool) -> Generator[Event, None, dict[str, Any]]:
-    """The answer of `gap` with its exit status and what to do next; its events, which name the whole command. saved:
-    whether there is something to go on with whatever this one keeps.
+    Returns:
+        The answer with its exit status and the next commands.
     """
     answer = dict[str, Any]()
-    for event in gap(asked):
+    for event in run_gap(options):
         if event.kind == "result":
             answer = dict(event.data)
         else:
-            goes_on = {"resume": resume, "saved": saved or event.data.get("saved", True)}
-            yield event._replace(data={**event.data, **goes_on}) if saved or "resume" in event.data else event
+            more = {"resume": resume, "saved": saved or event.data.get("saved", True)}
+            yield event._replace(data={**event.data, **more}) if saved or "resume" in event.data else event
     return answer
 
 
-def _rounds(
-    asked: Asked, wish: Wish, answer: dict[str, Any], driven: Driven, resume: str, vehicle: VehicleSpec
+def _drive_rounds(
+    task: DriveTask, answer: dict[str, Any], history: DriveHistory
 ) -> Generator[Event, None, dict[str, Any]]:
-    """The last answer; `driven` is filled on the way."""
-    effects = catalogue()
-    run, bench = open_bench(wish, asked.out / DRIVES)
-    bounds = bounds_of(vehicle, model_for(asked.model, vehicle).valid)
-    beyond = {name for name, one in MENU.items() if plan_for(bench.vehicle, one, bench.dt_s, bounds) is None}
-    told = set[str]()
-    for number in range(1, ROUNDS + 1):
-        for one in to_drive(answer, driven.names | told, effects):
-            if one.name in beyond:
-                told.add(one.name)
-                yield Event("note", f"beyond the vehicle or the model's data, and so not driven: {one.words}")
-        jobs = jobs_of(run, bench, to_drive(answer, driven.names | beyond, effects), len(driven.jobs), bounds)
+    """Drive until the effects are separated, or nothing is left to drive; fills `history`. Returns: the last answer."""
+    options, effects = task.options, catalogue()
+    run, bench = open_bench(task.drive_options, options.out / DRIVES_KEY)
+    bounds = bounds_from_valid_region(task.vehicle, load_checked_model(options.model, task.vehicle).valid)
+    plans = {name: plan_manoeuvre(bench.vehicle, one, bench.dt_s, bounds) for name, one in MANOEUVRES.items()}
+    not_drivable = {name for name, plan in plans.items() if plan is None}
+    reported = set[str]()
+    for number in range(1, MAX_ROUNDS + 1):
+        for manoeuvre in next_manoeuvres(answer, history.names | reported, effects):
+            if manoeuvre.name in not_drivable:
+                reported.add(manoeuvre.name)
+                yield Event("note", f"not driven, as beyond the vehicle or the model's data: {manoeuvre.description}")
+        manoeuvres = next_manoeuvres(answer, history.names | not_drivable, effects)
+        jobs = plan_jobs(run, bench, manoeuvres, len(history.jobs), bounds)
         if not jobs:
             if answer["verdict"] in UNDECIDED:
-                yield Event("note", f"nothing more is to be driven that would tell: {answer['sentence']}")
+                yield Event("note", f"no further manoeuvre would separate the effects: {answer['sentence']}")
             return answer
-        going_on = {"resume": resume, "saved": True}
-        yield Event("note", _round_words(number, answer, [one.manoeuvre for one in jobs]), going_on)
-        for event in drive_all(run, bench, jobs, wish):
-            yield event._replace(data={**event.data, **going_on})
-        driven.jobs.extend(jobs)
-        driven.rounds.extend([number] * len(jobs))
+        yield Event("note", _describe_round(number, answer, [job.manoeuvre for job in jobs]), task.resume_data)
+        for event in drive_jobs(run, bench, jobs, task.drive_options):
+            yield event._replace(data={**event.data, **task.resume_data})
+        history.jobs.extend(jobs)
+        history.rounds.extend([number] * len(jobs))
         before = answer
-        more = asked._replace(logs=[*asked.logs, *driven.logs], out=asked.out / f"round-{number}")
-        answer = yield from _ask(more, resume, saved=True)
-        beside = beside_words(before, answer)
-        if beside:
-            driven.apart.add(number)
-            yield Event("warning", beside)
-            return {**before, "words": [*before["words"], beside]}
-        if answer["verdict"] == "cannot_test" and answer["words"] == before["words"]:
-            yield Event("note", "driving has changed nothing of why these logs cannot tell")
+        more = options._replace(logs=[*options.logs, *history.logs], out=options.out / f"round-{number}")
+        answer = yield from _run_gap_again(more, task.resume, saved=True)
+        if is_conflict(before, answer):
+            history.unfit_rounds.add(number)
+            text = describe_conflict(answer)
+            yield Event("warning", text)
+            return {**before, "words": [*before["words"], text]}
+        if answer["verdict"] == CANNOT_TEST and answer["words"] == before["words"]:  # the same obstacles
+            yield Event("note", "the drives did not change why these logs cannot tell")
             return answer
     return answer
 
 
-def beside_words(before: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
-    """That an answer is none of what a set left open, in words; '' where it decides that, or leaves it open."""
-    if before["verdict"] != "set" or answer["verdict"] == "cannot_test":
-        return ""
-    # The widest classes: what any log cannot tell from a name of the set is no other answer
-    told = frozenset[str]().union(*(class_of(name, has_lateral=False) for name in before["set"]))
-    names = [one["name"] for one in answer["effects"]]
-    is_open = answer["verdict"] == "set" and not told.isdisjoint(answer["set"])
-    if is_open or (names and told.issuperset(names)):
-        return ""
-    said = answer["sentence"]
-    return f"with what the bench drove it would be none of the set ({said}): drives and logs do not go together"
+def is_conflict(before: Mapping[str, Any], answer: Mapping[str, Any]) -> bool:
+    """Whether the answer with the drives is neither a decision within the set of before nor leaves it open."""
+    if before["verdict"] != SET or answer["verdict"] == CANNOT_TEST:
+        return False
+    # Effects that no log can tell from an effect of the set (the widest classes) are no other answer.
+    candidates = frozenset[str]().union(*(indistinguishable_effects(name, has_lateral=False) for name in before["set"]))
+    names = [effect["name"] for effect in answer["effects"]]
+    is_open = answer["verdict"] == SET and not candidates.isdisjoint(answer["set"])
+    return not (is_open or (bool(names) and candidates.issuperset(names)))
 
 
-def _round_words(number: int, answer: dict[str, Any], manoeuvres: Sequence[Manoeuvre]) -> str:
-    what = "; ".join(one.words for one in manoeuvres)
-    why = f" to tell {', '.join(answer['set'])} apart" if answer["set"] else f"; {answer['sentence']}"
-    return f"round {number} of {ROUNDS} at most: the bench drives {what}{why}"
+def describe_conflict(answer: Mapping[str, Any]) -> str:
+    """That drives and logs do not match."""
+    result = f"with the drives of the bench it would be none of the set ({answer['sentence']})"
+    return f"{result}: drives and logs do not match, and the set stands"
 
 
-def _listed(driven: Driven) -> list[dict[str, Any]]:
+def _describe_round(number: int, answer: Mapping[str, Any], manoeuvres: Sequence[Manoeuvre]) -> str:
+    drives = "; ".join(manoeuvre.description for manoeuvre in manoeuvres)
+    purpose = f" to separate {', '.join(answer['set'])}" if answer["set"] else f"; {answer['sentence']}"
+    return f"round {number} of at most {MAX_ROUNDS}: the bench drives {drives}{purpose}"
+
+
+def _list_drives(history: DriveHistory) -> list[dict[str, Any]]:
+    """Value of the key `drives` of gap.json."""
     return [
         {
             "round": number,
-            "manoeuvre": one.manoeuvre.name,
-            "words": one.manoeuvre.words,
-            "log": str(one.log),
-            "fits": number not in driven.apart,
+            "manoeuvre": job.manoeuvre.name,
+            "words": job.manoeuvre.description,
+            "log": str(job.log),
+            "fits": number not in history.unfit_rounds,
         }
-        for number, one in zip(driven.rounds, driven.jobs, strict=True)
+        for number, job in zip(history.rounds, history.jobs, strict=True)
     ]
 
 
-def _keep(asked: Asked, answer: dict[str, Any], resume: str) -> None:
-    """The last answer in the folder itself, the first one beside it; gap.json is written last."""
-    folder = Folder(asked.out)
-    if not read_json(asked.out / ANSWER).get(DRIVES):  # it is the first one; gap.json is replaced last of all
-        for now, first in ((ANSWER, FIRST_ANSWER), (PAGE, FIRST_PAGE)):
-            part = asked.out / f"{first}.part"
-            shutil.copyfile(asked.out / now, part)
-            part.replace(asked.out / first)
+def _store_answer(options: GapOptions, answer: dict[str, Any], resume: str) -> None:
+    """Write the last answer, and keep the first one beside it; gap.json is replaced last."""
+    folder = GapFolder(options.out)
+    if not read_json(options.out / ANSWER).get(DRIVES_KEY):  # it is still the first answer
+        for name, first_name in ((ANSWER, FIRST_ANSWER), (PAGE, FIRST_PAGE)):
+            part = options.out / f"{first_name}.part"
+            shutil.copyfile(options.out / name, part)
+            part.replace(options.out / first_name)
     write_page(folder.page, answer, answer["next"], resume)
-    folder.write_answer({key: value for key, value in answer.items() if key not in OF_A_RUN})
+    folder.write_answer({key: value for key, value in answer.items() if key not in RESULT_KEYS})

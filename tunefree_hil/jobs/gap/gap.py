@@ -1,7 +1,7 @@
-"""Finds what a model lacks that logs show: where they part, what it is, the model with it, and the proof.
+"""Finds what a model lacks according to logs: the location, the effects, the repaired model, and its verification.
 
-Reads logs, searches (gap/pipeline.py), repairs and proves; writes a folder of which `gap.json` comes last.
-What the search came to is kept, so that a run that was cut off after it goes on from there.
+Reads logs, searches (gap/pipeline.py), repairs and verifies, and writes a folder in which `gap.json` comes last. The
+result of the search is stored, so that a run that was interrupted after it continues from there.
 """
 
 from __future__ import annotations
@@ -10,252 +10,259 @@ import hashlib
 import time
 from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.gap.result import NOWHERE, Kept, keep
-from tunefree_hil.jobs.gap.calibration_logs import half_made
-from tunefree_hil.jobs.gap.folder import ANSWER, ANSWER_SCHEMA, Folder, held_folder, question_of, require_ours
-from tunefree_hil.jobs.gap.model_sanity import require_sound
+from tunefree_hil.gap.result import NO_LOCATION, SearchResult, make_search_result
+from tunefree_hil.jobs.gap.calibration_logs import list_analysis_warnings
+from tunefree_hil.jobs.gap.folder import (
+    ANSWER,
+    ANSWER_SCHEMA,
+    GapFolder,
+    lock_folder,
+    question_record,
+    require_gap_folder,
+)
+from tunefree_hil.jobs.gap.model_sanity import require_buildable_model
+from tunefree_hil.jobs.gap.options import GapInputs, GapOptions
 from tunefree_hil.jobs.gap.report import write_page
-from tunefree_hil.jobs.gap.report_text import again, next_of, remarks, sentence_of
-from tunefree_hil.jobs.learn.logs import read
-from tunefree_hil.jobs.preconditions import require_model_of
-from tunefree_hil.jobs.progress import eta_of, told
+from tunefree_hil.jobs.gap.report_text import build_command, describe_answer, list_remarks, suggest_commands
+from tunefree_hil.jobs.learn.logs import read_logs
+from tunefree_hil.jobs.preconditions import require_model_of_vehicle
+from tunefree_hil.jobs.progress import progress_data, relay_events
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import ModelSpec, VehicleSpec
-    from tunefree_hil.gap.measured.chain import Opened
+    from tunefree_hil.gap.measured.chain import MeasuredDrive
     from tunefree_hil.learn.drives.drive import Drive
 
-# What is too little to learn from may be enough to judge by; where it is not, the answer is that it cannot be told. A
-# steering that stays short of its command, or an echo that stands, is what somebody may ask about.
-EXCUSED = ("no_speed", "too_short", "one_speed", "no_braking", "short_of_command", "echo_stuck")
-UNSAID = ("short",)  # the search says it by its own measure
-CANNOT = ("too_short", "standing", "nothing_to_compare", "no_motion")
-UNPROVED = {"unseen_shrink": None, "unseen_stirs": None}  # of an effect: before the proof nobody has seen its blocks
+# Logs that are too little to learn from may be enough to judge by; if not, the verdict is cannot_test. A steering that
+# stays short of its command, or a stuck echo, may be the gap in question.
+TOLERATED = ("no_speed", "too_short", "one_speed", "no_braking", "short_of_command", "echo_stuck")
+UNREPORTED = ("short",)  # the search measures it itself
+UNANSWERABLE = ("too_short", "standing", "nothing_to_compare", "no_motion")
+BEFORE_HOLDOUT = {"unseen_shrink": None, "unseen_stirs": None}  # of an effect that is not verified yet
 T = TypeVar("T")
 
 
-class Asked(NamedTuple):
-    """What the command line says. workers: processes that share the search, which comes to the same with any number."""
+def run_gap(options: GapOptions) -> Iterator[Event]:
+    """Answer, and write `options.out`; an answer that is there already is returned.
 
-    logs: Sequence[Path]
-    vehicle: str
-    model: str
-    out: Path
-    older: Sequence[Path] = ()
-    until: str = "verify"
-    workers: int = 2
-
-
-class Material(NamedTuple):
-    """What an answer is made of. given: the model as it is in its folder; model: the same with what its own logs say of
-    it (gap/validation/repair.py, `moved`). left_out: logs of which nothing can be told, in words.
-    """
-
-    vehicle: VehicleSpec
-    given: ModelSpec
-    model: ModelSpec
-    drives: list[Drive]
-    older: list[Drive]
-    left_out: tuple[str, ...] = ()
-
-
-def gap(asked: Asked) -> Iterator[Event]:
-    """Answer, and write `asked.out`. A question that was answered is not asked again.
-
-    Raises InputError for logs that cannot be used, a model of another vehicle or one that makes no car, a folder that
-    holds something else.
+    Raises:
+        InputError: The logs cannot be used, the model is of another vehicle or cannot be built, or the folder holds
+            something else.
     """
     from tunefree_hil.config.load import load_vehicle
-    from tunefree_hil.gap.validation.repair import moved
+    from tunefree_hil.gap.validation.repair import apply_own_numbers
 
-    vehicle = load_vehicle(asked.vehicle)
-    model = model_for(asked.model, vehicle)
-    yield from (Event("warning", words) for words in half_made(model))
-    require_ours(asked.out)
-    drives = yield from _read(asked.logs, vehicle)
-    older = (yield from _read(asked.older, vehicle)) if asked.older else []
-    _require_others(drives, older)
-    yield from (Event("warning", words) for words in _other_car(drives, older))
-    drives, mute = _without_mute(drives, vehicle, all_may_go=False)
-    older, more = _without_mute(older, vehicle, all_may_go=True)
-    left_out = tuple(f"{name} says nothing of the speed, and is left out" for name in (*mute, *more))
-    yield from (Event("warning", words) for words in left_out)
-    material = Material(vehicle, model, moved(model, vehicle), drives, older, left_out)
-    with held_folder(asked.out, question_of(drives, older, vehicle, model)) as folder:
-        answer = folder.answer(asked.until)
+    vehicle = load_vehicle(options.vehicle)
+    model = load_checked_model(options.model, vehicle)
+    yield from (Event("warning", text) for text in list_analysis_warnings(model))
+    require_gap_folder(options.out)
+    drives = yield from _read_drives(options.logs, vehicle)
+    older = (yield from _read_drives(options.older, vehicle)) if options.older else []
+    _require_distinct_logs(drives, older)
+    yield from (Event("warning", text) for text in _compare_with_older_logs(drives, older))
+    drives, without_speed = _drop_logs_without_speed(drives, vehicle, may_drop_all=False)
+    older, older_without_speed = _drop_logs_without_speed(older, vehicle, may_drop_all=True)
+    excluded = tuple(f"{name} holds no speed and is left out" for name in (*without_speed, *older_without_speed))
+    yield from (Event("warning", text) for text in excluded)
+    inputs = GapInputs(vehicle, model, apply_own_numbers(model, vehicle), drives, older, excluded)
+    with lock_folder(options.out, question_record(drives, older, vehicle, model)) as folder:
+        answer = folder.load_answer(options.until)
         if answer is not None and answer["model"] and not Path(answer["model"]).is_dir():
-            yield Event("warning", f"{folder.path / ANSWER} names a model that is gone: it is made and proved again")
+            yield Event("warning", f"the model named in {folder.path / ANSWER} is gone: it is made and verified again")
             answer = None
         if answer is None:
-            answer = yield from _answered(asked, folder, material)
+            answer = yield from _produce_answer(options, folder, inputs)
     status = 1 if answer.get("worse") else 0
-    yield Event("result", "", {**answer, "exit": status, "next": next_of(asked, answer, vehicle)})
+    yield Event("result", "", {**answer, "exit": status, "next": suggest_commands(options, answer, vehicle)})
 
 
-def model_for(name: str, vehicle: VehicleSpec) -> ModelSpec:
-    """The model folder to be judged. Raises InputError for another vehicle's, for one of the vehicle as it was, and for
-    one that makes no car.
+def load_checked_model(name: str, vehicle: VehicleSpec) -> ModelSpec:
+    """Load a model folder. Raises InputError for a model of another vehicle (or its older files) and one that cannot be
+    built.
     """
     from tunefree_hil.config.load import load_model
 
     model = load_model(name)
-    require_model_of(model, vehicle, hint="name a model of the logs' vehicle")
-    require_sound(model, vehicle)
+    require_model_of_vehicle(model, vehicle, hint="name a model of the logs' vehicle")
+    require_buildable_model(model, vehicle)
     return model
 
 
-def _require_others(drives: Sequence[Drive], older: Sequence[Drive]) -> None:
-    """Raises InputError for a log that is there twice: one part of it would be fitted, and judge the other, which is
-    the same; and for an older log that is asked about: it would be held against its own repair.
-    """
+def _require_distinct_logs(drives: Sequence[Drive], older: Sequence[Drive]) -> None:
+    """Raise InputError for a log that is given twice: it would be fitted and judge that fit as well."""
     names: dict[str, str] = {}
-    for key, some in (("LOG", drives), ("--older", older)):
-        for one in some:
-            if one.log_hash in names:
-                raise InputError(
-                    f"it holds what {names[one.log_hash]} holds", code="same_log", file=one.path, key=key,
-                    hint="name every log once" if key == "LOG" else "name logs that are neither asked about nor named",
-                )  # fmt: skip
-            names[one.log_hash] = one.path
+    for key, group in (("LOG", drives), ("--older", older)):
+        for drive in group:
+            if drive.log_hash in names:
+                is_log = key == "LOG"
+                hint = "name every log once" if is_log else "leave out of --older what is given as LOG or twice"
+                message = f"has the same content as {names[drive.log_hash]}"
+                raise InputError(message, code="same_log", file=drive.path, key=key, hint=hint)
+            names[drive.log_hash] = drive.path
 
 
-def _other_car(drives: Sequence[Drive], older: Sequence[Drive]) -> Iterator[str]:
-    """What older logs do not share with those that are asked about: another car, or what came to it in between."""
+def _compare_with_older_logs(drives: Sequence[Drive], older: Sequence[Drive]) -> Iterator[str]:
+    """Differences of older logs that suggest another vehicle, or the effect itself."""
     from tunefree_hil.learn.checks.same_vehicle import check_same_vehicle
 
-    marked = [one._replace(name=f"{one.path} (--older)") for one in older]  # short names are those of a group
-    names = {one.name for one in marked}
-    for one in check_same_vehicle([*drives, *marked]):
-        if one.drive in names:
-            yield f"{one.words}, or the effect has come to this one in between"
+    marked = [drive._replace(name=f"{drive.path} (--older)") for drive in older]  # the same name may be in both groups
+    names = {drive.name for drive in marked}
+    for problem in check_same_vehicle([*drives, *marked]):
+        if problem.drive in names:
+            yield f"{problem.message}, or the effect has come to the vehicle in between"
 
 
-def _without_mute(
-    drives: Sequence[Drive], vehicle: VehicleSpec, *, all_may_go: bool
+def _drop_logs_without_speed(
+    drives: Sequence[Drive], vehicle: VehicleSpec, *, may_drop_all: bool
 ) -> tuple[list[Drive], tuple[str, ...]]:
-    """(drives that say something of the speed, names of the others). Where all of those that are asked about do not,
-    they stay: that they cannot tell is the answer then.
+    """Returns: the drives that hold a speed, and the names of the others.
+
+    Where no drive holds a speed and may_drop_all is False, all stay: the verdict is then cannot_test.
     """
-    from tunefree_hil.gap.measured.chain import says_speed
+    from tunefree_hil.gap.measured.chain import has_speed
 
-    says = [says_speed(one, vehicle) for one in drives]
-    if not (all_may_go or any(says)):
+    holds_speed = [has_speed(drive, vehicle) for drive in drives]
+    if not (may_drop_all or any(holds_speed)):
         return list(drives), ()
-    stay = [one for one, it in zip(drives, says, strict=True) if it]
-    return stay, tuple(one.name for one, it in zip(drives, says, strict=True) if not it)
+    names = tuple(drive.name for drive, holds in zip(drives, holds_speed, strict=True) if not holds)
+    return [drive for drive, holds in zip(drives, holds_speed, strict=True) if holds], names
 
 
-def _read(logs: Sequence[Path], vehicle: VehicleSpec) -> Generator[Event, None, list[Drive]]:
-    """The drives of logs, without signals that stand at a sensor's stop: these would be judged a wrong unit."""
-    return (yield from read(logs, vehicle, excused=EXCUSED, unsaid=UNSAID, mend=_without_stops))
+def _read_drives(logs: Sequence[Path], vehicle: VehicleSpec) -> Generator[Event, None, list[Drive]]:
+    """The drives of logs, without signals at a sensor's limit: the checks would take these for a wrong unit."""
+    return (
+        yield from read_logs(logs, vehicle, tolerated=TOLERATED, unreported=UNREPORTED, mend=_drop_saturated_signals)
+    )
 
 
-def _without_stops(drive: Drive) -> tuple[Drive, list[str]]:
-    from tunefree_hil.gap.measured.signals import stops_of, without
+def _drop_saturated_signals(drive: Drive) -> tuple[Drive, list[str]]:
+    from tunefree_hil.gap.measured.signals import drop_signals, find_sensor_limits
 
-    stops = stops_of(drive)
-    words = [f"{stop.words} and is left out: what shows in it alone is not told" for stop in stops]
-    return without(drive, stops) if stops else drive, words
+    limits = find_sensor_limits(drive)
+    texts = [f"{limit.text} and is left out: an effect that shows in it alone cannot be found" for limit in limits]
+    return drop_signals(drive, limits) if limits else drive, texts
 
 
-def _answered(asked: Asked, folder: Folder, material: Material) -> Generator[Event, None, dict[str, Any]]:
-    """The answer, written."""
+def _produce_answer(
+    options: GapOptions, folder: GapFolder, inputs: GapInputs
+) -> Generator[Event, None, dict[str, Any]]:
+    """Search (or load the search that is stored), repair, verify, and write the answer."""
     began = time.monotonic()
     try:
-        opened = yield from _opened(material)
-        found = folder.search(named=asked.until != "locate")
-        if found is None:
-            found = folder.keep((yield from _going_on(_searched(asked, material, opened), asked, saved=False)))
+        opened = yield from _open_drives(inputs)
+        diagnosis = folder.load_search(named=options.until != "locate")
+        if diagnosis is None:
+            search = _run_search(options, inputs, opened)
+            diagnosis = folder.store_search((yield from _add_resume_command(search, options, saved=False)))
         else:
-            began -= found.seconds  # what it took when it was made
+            began -= diagnosis.elapsed_s  # the time of the search when it was made
     except InputError as error:
-        if error.code not in CANNOT:
+        if error.code not in UNANSWERABLE:
             raise
-        answer = _whole(asked, material, _untold(error), time.monotonic() - began)
+        answer = _unanswerable_fields(error)
     else:
-        answer = yield from _going_on(_proved(asked, folder, material, opened, found, began), asked, saved=True)
-    answer["words"] = [*answer["words"], *material.left_out]
-    write_page(folder.page, answer, next_of(asked, answer, material.vehicle), again(asked))
+        rest = _repair_and_verify(options, folder, inputs, opened, diagnosis)
+        answer = yield from _add_resume_command(rest, options, saved=True)
+    answer = _complete_answer(options, inputs, answer, time.monotonic() - began)
+    answer["words"] = [*answer["words"], *inputs.excluded_logs]
+    write_page(folder.page, answer, suggest_commands(options, answer, inputs.vehicle), build_command(options))
     folder.write_answer(answer)
     return answer
 
 
-def _going_on(events: Generator[Event, None, T], asked: Asked, *, saved: bool) -> Generator[Event, None, T]:
-    """Events with the command that goes on where they are cut off, and whether anything is kept for it by then."""
-    more = {"resume": again(asked), "saved": saved}
-    return told(events, lambda event: event._replace(data={**event.data, **more}))
+def _add_resume_command(
+    events: Generator[Event, None, T], options: GapOptions, *, saved: bool
+) -> Generator[Event, None, T]:
+    """Add to events the command that continues after an interruption, and whether a result is stored by then."""
+    more = {"resume": build_command(options), "saved": saved}
+    return relay_events(events, lambda event: event._replace(data={**event.data, **more}))
 
 
-def _opened(material: Material) -> Generator[Event, None, list[Opened]]:
-    from tunefree_hil.gap.measured.chain import open_chain
+def _open_drives(inputs: GapInputs) -> Generator[Event, None, list[MeasuredDrive]]:
+    from tunefree_hil.gap.measured.chain import build_measured_drive
 
-    opened = [open_chain(drive, material.vehicle) for drive in material.drives]
-    yield from (Event("warning", words) for one in opened for words in one.unsure)
+    opened = [build_measured_drive(drive, inputs.vehicle) for drive in inputs.drives]
+    yield from (Event("warning", text) for drive in opened for text in drive.omissions)
     return opened
 
 
-def _searched(asked: Asked, material: Material, opened: list[Opened]) -> Generator[Event, None, Kept]:
+def _run_search(
+    options: GapOptions, inputs: GapInputs, opened: list[MeasuredDrive]
+) -> Generator[Event, None, SearchResult]:
     """The search, with its progress."""
-    from tunefree_hil.gap.pipeline import look_first, name
+    from tunefree_hil.gap.pipeline import diagnose, locate
 
-    began, looks = time.monotonic(), asked.until == "locate"
-    question = (material.model, material.vehicle, opened)
-    search = look_first(*question) if looks else name(*question, asked.workers)
-    found = yield from told(search, lambda stage: Event("progress", stage, {"label": "search", **eta_of(stage, began)}))
-    return keep(found, material.model.plant.kind, time.monotonic() - began, not looks)
+    began, is_named = time.monotonic(), options.until != "locate"
+    question = (inputs.model, inputs.vehicle, opened)
+    search = diagnose(*question, options.workers) if is_named else locate(*question)
+    diagnosis = yield from relay_events(
+        search, lambda now: Event("progress", now.text, {"label": "search", **progress_data(now, began)})
+    )
+    return make_search_result(diagnosis, inputs.model.plant.kind, time.monotonic() - began, is_named)
 
 
-def _untold(error: InputError) -> dict[str, Any]:
-    """The answer of logs that cannot tell."""
-    words = error.message + (f": {error.hint}" if error.hint else "")
+def _unanswerable_fields(error: InputError) -> dict[str, Any]:
+    """Keys of gap.json for logs on which nothing can be tested."""
     return {
-        "verdict": "cannot_test", "forced": None, "absorbed": False, "effects": [], "set": [], "separate_by": "",
-        "where": NOWHERE, "excitation": {}, "links": [], "lost": {}, "untold": {}, "not_suspected": {},
-        "candidates": [], "words": [words],
-    }  # fmt: skip
+        "verdict": "cannot_test",
+        "forced": None,
+        "absorbed": False,
+        "effects": [],
+        "set": [],
+        "separate_by": "",
+        "where": NO_LOCATION,
+        "excitation": {},
+        "links": [],
+        "lost": {},
+        "untold": {},
+        "not_suspected": {},
+        "candidates": [],
+        "words": [error.message + (f": {error.hint}" if error.hint else "")],
+    }
 
 
-def _proved(
-    asked: Asked, folder: Folder, material: Material, opened: list[Opened], found: Kept, began: float
+def _repair_and_verify(
+    options: GapOptions, folder: GapFolder, inputs: GapInputs, opened: list[MeasuredDrive], diagnosis: SearchResult
 ) -> Generator[Event, None, dict[str, Any]]:
-    """The answer with its repair and its proof, as far as they are asked for."""
+    """The answer with repair, verification and figures, as far as `--until` asks for them."""
     from tunefree_hil.jobs.gap import repair as gap_repair
-    from tunefree_hil.jobs.gap.closed_loop import replayed
-    from tunefree_hil.jobs.gap.report import draw
+    from tunefree_hil.jobs.gap.closed_loop import replay_drives
+    from tunefree_hil.jobs.gap.report_figures import draw_figures
 
-    answer = {**found.answer, "effects": [{**one, **UNPROVED} for one in found.answer["effects"]]}
-    yield from (Event("note", words) for words in (sentence_of(answer), *remarks(answer)))
-    proof = None
-    if asked.until in ("repair", "verify"):
-        mended = gap_repair.mend(folder, material, opened, found, log_hash_of(material))
-        answer |= gap_repair.as_data(mended)
-        if asked.until == "verify":
-            yield Event("note", "proof: free runs of the whole car over blocks that no fit has seen")
-            more, proof = yield from gap_repair.proved(folder, material, opened, found, mended)
-            answer |= {"effects": found.answer["effects"], **more}
+    effects = diagnosis.answer["effects"]
+    answer = {**diagnosis.answer, "effects": [{**effect, **BEFORE_HOLDOUT} for effect in effects]}
+    yield from (Event("note", text) for text in (describe_answer(answer), *list_remarks(answer)))
+    holdout = None
+    if options.until in ("repair", "verify"):
+        outcome = gap_repair.make_repair(folder, inputs, opened, diagnosis, combine_log_hashes(inputs))
+        answer |= gap_repair.repair_fields(outcome)
+        if options.until == "verify":
+            yield Event("note", "verification: free runs of the whole vehicle over the holdout blocks")
+            verified, holdout = yield from gap_repair.verify_repair(folder, inputs, opened, diagnosis, outcome)
+            answer |= {"effects": effects, **verified}
             if answer["model"]:
-                loop, why = yield from replayed(asked.logs, material, mended)
-                answer |= {"closed_loop": loop, "closed_loop_words": why}
-        elif mended.model is not None:
-            yield Event("warning", "the repaired model is not proved: without --until it is")
-    answer["figures"] = [str(path) for path in draw(folder.figures, answer, found, proof)]
-    return _whole(asked, material, answer, time.monotonic() - began)
+                closed_loop, reason = yield from replay_drives(options.logs, inputs, outcome)
+                answer |= {"closed_loop": closed_loop, "closed_loop_words": reason}
+        elif outcome.model is not None:
+            yield Event("warning", "the repaired model is not verified: leave out --until for that")
+    answer["figures"] = [str(path) for path in draw_figures(folder.figures, answer, diagnosis, holdout)]
+    return answer
 
 
-def log_hash_of(material: Material) -> str:
-    """Of one log its own, of several one over theirs."""
-    hashes = [drive.log_hash for drive in material.drives]
+def combine_log_hashes(inputs: GapInputs) -> str:
+    """The hash of a single log, or one hash over those of several logs."""
+    hashes = [drive.log_hash for drive in inputs.drives]
     return hashes[0] if len(hashes) == 1 else f"sha256:{hashlib.sha256(' '.join(hashes).encode()).hexdigest()}"
 
 
-def _whole(asked: Asked, material: Material, answer: dict[str, Any], seconds: float) -> dict[str, Any]:
-    """gap.json (interfaces 9)."""
-    whole = {
+def _complete_answer(options: GapOptions, inputs: GapInputs, answer: dict[str, Any], seconds: float) -> dict[str, Any]:
+    """Content of gap.json (docs/reference/files.md)."""
+    complete = {
         "schema": ANSWER_SCHEMA,
         "signals": {},
         "explained_frac": None,
@@ -264,12 +271,12 @@ def _whole(asked: Asked, material: Material, answer: dict[str, Any], seconds: fl
         "model": None,
         "figures": [],
         **answer,
-        "until": asked.until,
+        "until": options.until,
         "elapsed_s": round(seconds, 1),
-        "log_hash": log_hash_of(material),
-        "logs": [{"name": drive.name, "hash": drive.log_hash} for drive in material.drives],
-        "model_hash": f"sha256:{material.model.hash}",
-        "vehicle_hash": f"sha256:{material.vehicle.hash}",
+        "log_hash": combine_log_hashes(inputs),
+        "logs": [{"name": drive.name, "hash": drive.log_hash} for drive in inputs.drives],
+        "model_hash": f"sha256:{inputs.model.hash}",
+        "vehicle_hash": f"sha256:{inputs.vehicle.hash}",
         "version": __version__,
     }
-    return {**whole, "sentence": sentence_of(whole)}
+    return {**complete, "sentence": describe_answer(complete)}

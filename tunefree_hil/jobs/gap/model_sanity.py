@@ -1,6 +1,6 @@
-"""Whether a model can be a car at all: its plant, its effects and its card are made once before a log is read.
+"""Checks that a model can be built: its plant, effects and card are made once before a log is read.
 
-Whoever looks for what a model lacks makes them again deep inside, where nobody knows any more which key was wrong.
+Later, deep inside a search, an error could no longer name the file and the key that are wrong.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from tunefree_hil.plant.types import Plant
 
 EFFECTS = "tunefree_hil.effects"
-NO_SUCH_EFFECT = "unknown_part"  # base/parts.py
+UNKNOWN_PART = "unknown_part"  # base/parts.py
 
 
-def require_sound(model: ModelSpec, vehicle: VehicleSpec) -> None:
-    """Raises InputError that names model.toml (or the card) and the key of what makes no car."""
+def require_buildable_model(model: ModelSpec, vehicle: VehicleSpec) -> None:
+    """Raise InputError that names model.toml (or the card) and the key that is wrong."""
     file = f"{model.folder}/model.toml"
     try:
-        plant = _plant_of(model)
+        plant = _load_plant(model)
         require_constants(model.plant.kind, plant.defaults, model.plant.params)
         plant.make(model.plant.params, BodyChange())
         _require_effects(plant, model, vehicle, file)
@@ -35,34 +35,34 @@ def require_sound(model: ModelSpec, vehicle: VehicleSpec) -> None:
     _require_card(model)
 
 
-def _plant_of(model: ModelSpec) -> Plant:
-    """The plant, of a kind that can be told a measured motion; of the others a bench knows the names."""
+def _load_plant(model: ModelSpec) -> Plant:
+    """The plant, of a kind that can be set to a measured motion. Raises InputError for any other kind."""
     from tunefree_hil.bench.vehicle import load_plant
-    from tunefree_hil.learn.evaluation.free_run import plant_of
+    from tunefree_hil.learn.evaluation.free_run import open_plant
 
     load_plant(model.plant.kind)
-    return plant_of(model)
+    return open_plant(model)
 
 
 def _require_effects(plant: Plant, model: ModelSpec, vehicle: VehicleSpec, file: str) -> None:
-    """The model's own [[effects]], one after the other; those on the body on its plant."""
-    from tunefree_hil.gap.model.graph import is_unheard
+    """Make the model's [[effects]] one after the other, and the plant with those on the body."""
+    from tunefree_hil.gap.model.graph import is_inert_port
 
     change = BodyChange()
     for i, spec in enumerate(model.effects):
-        port, made = _made(spec, i, vehicle, file)
-        if isinstance(made, Block) or is_unheard(model, port):
+        port, made = _make_effect(spec, i, vehicle, file)
+        if isinstance(made, Block) or is_inert_port(model, port):
             continue
         try:
             change = made(change)
             plant.make(model.plant.params, change)
-        except InputError as error:  # it knows the effect, and not that it stands in this file
+        except InputError as error:  # it names the effect, but not its place in the file
             error.key = f"effects[{i}]"
             raise
 
 
-def _made(spec: EffectSpec, i: int, vehicle: VehicleSpec, file: str) -> tuple[Port, Any]:
-    """Effect number i of a file: its port and what it makes."""
+def _make_effect(spec: EffectSpec, i: int, vehicle: VehicleSpec, file: str) -> tuple[Port, Any]:
+    """Make effect number i of a file. Returns: its port, and the Block or change of the body."""
     from tunefree_hil.bench.vehicle import effects_of
     from tunefree_hil.config.find import nearest
 
@@ -70,11 +70,11 @@ def _made(spec: EffectSpec, i: int, vehicle: VehicleSpec, file: str) -> tuple[Po
     try:
         ((port, made),) = effects_of([spec], vehicle.nominal.rest_pedal_frac, file)
     except InputError as error:
-        error.key = error.key.replace("effects[0]", key, 1)  # it was the only one of its list
-        if error.code == NO_SUCH_EFFECT:
+        error.key = error.key.replace("effects[0]", key, 1)  # it was made as a list of one
+        if error.code == UNKNOWN_PART:
             error.key = f"{key}.name"
             if ":" not in spec.name:
-                hint = f"{nearest(spec.name, names(EFFECTS))} or 'path/to/file.py:EFFECT' for one of your own"
+                hint = f"{nearest(spec.name, names(EFFECTS))} or 'path/to/file.py:EFFECT' for a user effect"
                 raise InputError(
                     f"there is no effect {spec.name!r}", code=error.code, file=file, key=error.key, hint=hint
                 ) from error
@@ -83,10 +83,16 @@ def _made(spec: EffectSpec, i: int, vehicle: VehicleSpec, file: str) -> tuple[Po
 
 
 def _require_card(model: ModelSpec) -> None:
-    """All that is read of a card later."""
-    from tunefree_hil.gap.estimation.nuisance import doubts_of, held_of, related_of
-    from tunefree_hil.gap.model.card import held_out_of
-    from tunefree_hil.gap.selection.baseline_misfit import usual_of
+    """Read every entry of the card that is read later."""
+    from tunefree_hil.gap.estimation.nuisance import read_constant_correlations, read_constant_sigmas, read_drift_share
+    from tunefree_hil.gap.model.card import read_holdout_errors
+    from tunefree_hil.gap.selection.baseline_misfit import baseline_of_model
 
-    for read in (doubts_of, related_of, held_of, held_out_of, usual_of):
+    for read in (
+        read_constant_sigmas,
+        read_constant_correlations,
+        read_drift_share,
+        read_holdout_errors,
+        baseline_of_model,
+    ):
         read(model)

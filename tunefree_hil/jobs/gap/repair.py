@@ -1,223 +1,288 @@
-"""The repaired model of a `gap`, its proof, and older logs scored with it; what makes a signal worse is not saved."""
+"""Makes the repaired model of a `gap`, verifies it on the holdout blocks, and scores older logs with it."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
-from tunefree_hil.gap.measured.blocks import block_s_of
-from tunefree_hil.gap.result import is_absorbed
+from tunefree_hil.gap.measured.blocks import block_length_s
 from tunefree_hil.gap.validation.gap_closed import (
-    Gap,
-    better_by_recalibration,
-    explained_frac,
-    floors_of,
-    gaps_of,
-    gross,
-    grown,
-    sizes_of,
-    unforetold,
-    worse_signals,
+    SignalGap,
+    closed_share,
+    error_floors,
+    find_gross_misses,
+    find_grown_signals,
+    find_worse_signals,
+    improved_by_recalibration,
+    signal_gaps,
+    signal_sizes,
+    unpredictable_shares,
 )
-from tunefree_hil.gap.validation.holdout import Proof, Variant, prove
-from tunefree_hil.gap.validation.repair import Repaired, changes_of, found_effects, repaired, write_repaired
-from tunefree_hil.gap.validation.update_selection import Paid, chosen_runs, gained, groups_of, that_pays
-from tunefree_hil.jobs.gap.acceptance import closes_it, is_borne_out, taken_back
-from tunefree_hil.jobs.gap.report_text import CLOSES_NOTHING, UNJUDGED, is_unshown, missed_words
+from tunefree_hil.gap.validation.holdout import HoldoutResult, Variant, run_holdout
+from tunefree_hil.gap.validation.repair import (
+    RepairedModel,
+    effect_specs,
+    list_changes,
+    repair_model,
+    write_repaired_model,
+)
+from tunefree_hil.gap.validation.update_selection import (
+    KeptUpdates,
+    error_gains,
+    run_selection_blocks,
+    select_updates,
+    update_groups,
+)
+from tunefree_hil.jobs.gap.acceptance import (
+    ACCEPTANCE,
+    closes_gap,
+    holdout_misfit_fields,
+    is_absent_from_holdout,
+    is_confirmed,
+    rejection_fields,
+    rejection_reason,
+)
+from tunefree_hil.jobs.gap.report_text import NOT_DRIVABLE, describe_holdout_misfit, describe_rejection
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import EffectSpec, ModelSpec
-    from tunefree_hil.gap.measured.chain import Opened
-    from tunefree_hil.gap.result import Kept
-    from tunefree_hil.jobs.gap.folder import Folder
-    from tunefree_hil.jobs.gap.gap import Material
+    from tunefree_hil.gap.measured.chain import MeasuredDrive
+    from tunefree_hil.gap.result import SearchResult
+    from tunefree_hil.jobs.gap.folder import GapFolder
+    from tunefree_hil.jobs.gap.options import GapInputs
 
 
-class Mended(NamedTuple):
-    """null: the model recalibrated; made: with what was found, None where nothing was; model: as written and loaded.
-    left: groups of numbers (gap/validation/update_selection.py) that recalibration moved and that stay as they were, as that did not pay.
+class RepairOutcome(NamedTuple):
+    """What a repair makes.
+
+    Attributes:
+        recalibrated: The recalibrated model without effects.
+        repaired: The same with the effects; None where no effect was found.
+        model: The repaired model as written and loaded again.
+        reverted_groups: Groups of parameters (gap/validation/update_selection.py) that keep their values, as moving
+            them does not improve the free runs.
     """
 
-    null: Repaired
-    made: Repaired | None
+    recalibrated: RepairedModel
+    repaired: RepairedModel | None
     model: ModelSpec | None
-    left: tuple[str, ...] = ()
+    reverted_groups: tuple[str, ...] = ()
 
 
-def mend(folder: Folder, material: Material, opened: list[Opened], found: Kept, log_hash: str) -> Mended:
-    """Write the repaired model where something was found. One that a cut-off run left is made anew. Either model has of
-    what recalibration moved only what pays on the blocks that choose.
+def make_repair(
+    folder: GapFolder, inputs: GapInputs, opened: list[MeasuredDrive], diagnosis: SearchResult, log_hash: str
+) -> RepairOutcome:
+    """Write the repaired model where effects were found; a model left by an interrupted run is replaced.
+
+    Both models keep only those recalibrated parameters that improve the free runs on the selection blocks.
     """
-    model, vehicle = material.model, material.vehicle
-    paid = that_pays(model, vehicle, found.null, (), opened)
-    null = repaired(model, vehicle, paid.values)
-    if not found.names:
-        return Mended(null, None, None, paid.left)
-    effects = found_effects(found, log_hash, __version__)
-    paid = _as_open(that_pays(model, vehicle, found.repaired, effects, opened), paid, material, found, effects, opened)
-    made = repaired(model, vehicle, paid.values, effects)
-    made = made._replace(changes=changes_of(material.given, made.model))
-    for place in (folder.model, *folder.path.glob(f"part-*-{folder.model.name}")):  # a killed run's, half written
-        shutil.rmtree(place, ignore_errors=True)
-    story = {
-        "logs": [{"name": one.name, "hash": one.log_hash} for one in material.drives],
+    model, vehicle = inputs.model, inputs.vehicle
+    updates = select_updates(model, vehicle, diagnosis.recalibrated_values, (), opened)
+    recalibrated = repair_model(model, vehicle, updates.values)
+    if not diagnosis.names:
+        return RepairOutcome(recalibrated, None, None, updates.dropped_groups)
+    effects = effect_specs(diagnosis, log_hash, __version__)
+    updates = _select_updates_beside_effects(inputs, diagnosis, effects, opened, updates)
+    repaired = repair_model(model, vehicle, updates.values, effects)
+    repaired = repaired._replace(changes=list_changes(inputs.original_model, repaired.model))
+    for unfinished in (folder.model, *folder.path.glob(f"part-*-{folder.model.name}")):  # of an interrupted run
+        shutil.rmtree(unfinished, ignore_errors=True)
+    provenance = {
+        "logs": [{"name": drive.name, "hash": drive.log_hash} for drive in inputs.drives],
         "from_model": f"sha256:{model.hash}",
         "version": __version__,
-        "changes": _changes(made),
-        "does_not_pay": list(paid.left),
+        "changes": _change_rows(repaired),
+        "does_not_pay": list(updates.dropped_groups),
     }
-    return Mended(null, made, write_repaired(folder.model, model, made.model, story), paid.left)
+    written = write_repaired_model(folder.model, model, repaired.model, provenance)
+    return RepairOutcome(recalibrated, repaired, written, updates.dropped_groups)
 
 
-def _as_open(
-    mine: Paid, null: Paid, material: Material, found: Kept, effects: list[EffectSpec], opened: list[Opened]
-) -> Paid:
-    """What pays beside the effects, with those groups back that pay for recalibration alone, where they do no harm on
-    the blocks that choose. Else the repair were held against a model that has moved what it may not move itself.
+def _select_updates_beside_effects(
+    inputs: GapInputs,
+    diagnosis: SearchResult,
+    effects: list[EffectSpec],
+    opened: list[MeasuredDrive],
+    alone: KeptUpdates,
+) -> KeptUpdates:
+    """The updates that are kept beside the effects.
+
+    Groups that are kept without effects (`alone`) are kept here too, unless they make the selection blocks worse: the
+    repaired model must not be compared with a model that has moved more than it may move itself.
     """
-    groups = groups_of(found.repaired, {one.name for one in effects})
-    for group in [one for one in mine.left if one not in null.left]:
-        wider = {**mine.values, **{key: found.repaired[key] for key in groups[group]}}
-        runs = [
-            chosen_runs(material.model, material.vehicle, values, effects, opened) for values in (wider, mine.values)
-        ]
-        if gained(*runs, floors_of(runs[0], material.model)).mean() > 0.0:
-            mine = Paid(wider, tuple(one for one in mine.left if one != group))
-    return mine
+    model, vehicle = inputs.model, inputs.vehicle
+    updates = select_updates(model, vehicle, diagnosis.repaired_values, effects, opened)
+    groups = update_groups(diagnosis.repaired_values, {effect.name for effect in effects})
+    for group in [name for name in updates.dropped_groups if name not in alone.dropped_groups]:
+        wider = {**updates.values, **{key: diagnosis.repaired_values[key] for key in groups[group]}}
+        runs = [run_selection_blocks(model, vehicle, values, effects, opened) for values in (wider, updates.values)]
+        if error_gains(*runs, error_floors(runs[0], model)).mean() > 0.0:
+            updates = KeptUpdates(wider, tuple(name for name in updates.dropped_groups if name != group))
+    return updates
 
 
-def as_data(mended: Mended) -> dict[str, Any]:
-    """Keys of gap.json."""
-    left = {"does_not_pay": list(mended.left)}
-    if mended.made is None or mended.model is None:
-        return {"model": None, "changes": [], **left}
-    return {"model": mended.model.folder, "changes": _changes(mended.made), **left}
+def repair_fields(outcome: RepairOutcome) -> dict[str, Any]:
+    """Keys of gap.json for a model that is not verified yet."""
+    reverted = {"does_not_pay": list(outcome.reverted_groups)}
+    if outcome.repaired is None or outcome.model is None:
+        return {"model": None, "changes": [], **reverted}
+    return {"model": outcome.model.folder, "changes": _change_rows(outcome.repaired), **reverted}
 
 
-def _changes(made: Repaired) -> list[dict[str, Any]]:
-    return [one._asdict() for one in made.changes]
+def _change_rows(repaired: RepairedModel) -> list[dict[str, Any]]:
+    return [change._asdict() for change in repaired.changes]
 
 
-def proved(
-    folder: Folder, material: Material, opened: list[Opened], found: Kept, mended: Mended
-) -> Generator[Event, None, tuple[dict[str, Any], Proof]]:
-    """(keys of gap.json, the proof); the model is taken away again where it makes a signal worse."""
-    variants = {"before": Variant(material.given), "recalibrated": Variant(mended.null.model, mended.null.day)}
-    if mended.model is not None and mended.made is not None:
-        variants["after"] = Variant(mended.model, mended.made.day)
-    proof = prove(variants, material.vehicle, opened)
-    if not proof.blocks:
-        yield Event("warning", "no block that was kept for the proof is whole: the car stood, or signals are missing")
-        return (yield from _unproved(folder, material, found, mended)), proof
-    floors, left = floors_of(proof, material.model), unforetold(found.foretold)
-    gaps = gaps_of(proof, floors, left)
-    kind = material.model.plant.kind
+def verify_repair(
+    folder: GapFolder, inputs: GapInputs, opened: list[MeasuredDrive], diagnosis: SearchResult, outcome: RepairOutcome
+) -> Generator[Event, None, tuple[dict[str, Any], HoldoutResult]]:
+    """Run all models over the holdout blocks, and remove the repaired model where it makes a signal worse.
+
+    Returns:
+        The keys of gap.json, and the runs.
+    """
+    recalibrated = Variant(outcome.recalibrated.model, outcome.recalibrated.day)
+    variants = {"before": Variant(inputs.original_model), "recalibrated": recalibrated}
+    if outcome.model is not None and outcome.repaired is not None:
+        variants["after"] = Variant(outcome.model, outcome.repaired.day)
+    holdout = run_holdout(variants, inputs.vehicle, opened)
+    if not holdout.n_blocks:
+        yield Event("warning", "no holdout block is complete: the vehicle stood, or signals are missing")
+        return (yield from _score_without_holdout(folder, inputs, diagnosis, outcome)), holdout
+    floors, unpredictable = error_floors(holdout, inputs.model), unpredictable_shares(diagnosis.predictable_shares)
+    gaps = signal_gaps(holdout, floors, unpredictable)
     data: dict[str, Any] = {
-        "signals": {name: one._asdict() for name, one in gaps.items()},
-        "proof_blocks": proof.blocks,
-        "block_s": round(block_s_of([one.ticks for one in opened], opened[0].dt_s), 2),
-        "recalibration": _gained(gaps),
-        "from_own_logs": material.model != material.given,
+        "signals": {name: gap._asdict() for name, gap in gaps.items()},
+        "proof_blocks": holdout.n_blocks,
+        "block_s": round(block_length_s([drive.ticks for drive in opened], opened[0].dt_s), 2),
+        "recalibration": _recalibration_gain(gaps),
+        "from_own_logs": inputs.model != inputs.original_model,
     }
-    if mended.model is None:
-        return data | _missed_there({**found.answer, **data}, gaps, opened, kind), proof
-    older = yield from _older(material, mended.model)
-    closes = explained_frac(proof, floors)
+    if outcome.model is None:
+        return data | _holdout_misfit({**diagnosis.answer, **data}, gaps, opened, inputs), holdout
+    older = yield from _score_older_logs(inputs, outcome.model)
     data |= {
-        "explained_frac": closes,
-        "explicable_frac": explained_frac(proof, floors, left) if found.foretold else None,
+        "explained_frac": closed_share(holdout, floors),
+        "explicable_frac": closed_share(holdout, floors, unpredictable) if diagnosis.predictable_shares else None,
         "older": older,
     }
-    worse = worse_signals(proof, floors) | _worse_of(older)
-    if not is_borne_out(found.answer, closes):
-        data |= taken_back(found.answer, closes, kind)
-        yield Event("warning", f"taken back: {data['words'][0]}")
-        return _gone(folder, data | _missed_there({**found.answer, **data}, gaps, opened, kind)), proof
-    by_chance = {signal: by for signal, by in grown(proof, floors).items() if signal not in worse}
-    if not closes_it(found.answer, closes):  # its own signal's word is none for all the others
-        worse, by_chance = worse | by_chance, {}
-    data |= {"worse": _worse_words(worse), "grown": by_chance}
-    closes_nothing = closes is not None and closes["value"] < CLOSES_NOTHING and not is_unshown(found.answer)
-    return (_gone(folder, data) if worse or closes_nothing else data), proof
+    if not is_confirmed(diagnosis.answer, data["explained_frac"]):
+        data |= yield from _reject(folder, inputs, diagnosis, data["explained_frac"])
+        return data | _holdout_misfit({**diagnosis.answer, **data}, gaps, opened, inputs), holdout
+    worse = find_worse_signals(holdout, floors) | _worse_older_signals(older)
+    return _judge_worse_signals(folder, diagnosis, data, worse, find_grown_signals(holdout, floors)), holdout
 
 
-def _gone(folder: Folder, data: dict[str, Any]) -> dict[str, Any]:
-    """Keys of gap.json, the repaired model taken away."""
-    shutil.rmtree(folder.model)
-    return data | {"model": None}
-
-
-def _missed_there(
-    answer: Mapping[str, Any], gaps: Mapping[str, Gap], opened: list[Opened], kind: str
+def _judge_worse_signals(
+    folder: GapFolder,
+    diagnosis: SearchResult,
+    data: dict[str, Any],
+    worse: dict[str, float],
+    grown: Mapping[str, float],
 ) -> dict[str, Any]:
-    """Keys of gap.json where nothing seems to be missing and the blocks that prove miss more than any calibrated model
-    does: what they hold alone nobody could look for. kind: of the model's plant.
+    """Add the signals that are worse, and remove the model where there are any, or where it closes nothing.
+
+    Args:
+        folder: Folder of the answer.
+        diagnosis: Result of the search.
+        data: Keys of gap.json so far.
+        worse: Signals that are surely worse, and by which share.
+        grown: All signals whose error grew, be it by chance.
     """
-    missed = gross(gaps, sizes_of(opened)) if answer["verdict"] == "none_missing" else {}
+    answer, gap_share = diagnosis.answer, data["explained_frac"]
+    by_chance = {signal: share for signal, share in grown.items() if signal not in worse}
+    if not closes_gap(answer, gap_share):  # confirmed by its own signals alone: they do not speak for the others
+        worse, by_chance = worse | by_chance, {}
+    data |= {"worse": _describe_worse(worse), "grown": by_chance}
+    is_small = gap_share is not None and gap_share["value"] < ACCEPTANCE.min_gap_share
+    has_no_gain = is_small and not is_absent_from_holdout(answer)
+    return data | _remove_model(folder) if worse or has_no_gain else data
+
+
+def _remove_model(folder: GapFolder) -> dict[str, Any]:
+    """Remove the repaired model. Returns: the keys of gap.json that this changes."""
+    shutil.rmtree(folder.model)
+    return {"model": None}
+
+
+def _reject(
+    folder: GapFolder, inputs: GapInputs, diagnosis: SearchResult, gap_share: Mapping[str, float] | None
+) -> Generator[Event, None, dict[str, Any]]:
+    """Reject the named effects and remove the model with them. Returns: the keys of gap.json that this changes."""
+    reason = rejection_reason(diagnosis.answer, gap_share)
+    fields = rejection_fields(diagnosis.answer, gap_share, reason, inputs.model.plant.kind)
+    text = describe_rejection(diagnosis.names, reason, gap_share)
+    yield Event("warning", f"rejected: {text}")
+    return fields | {"words": [text]} | _remove_model(folder)
+
+
+def _holdout_misfit(
+    answer: Mapping[str, Any], gaps: Mapping[str, SignalGap], opened: list[MeasuredDrive], inputs: GapInputs
+) -> dict[str, Any]:
+    """Keys of gap.json that change where nothing seems to be missing but the holdout blocks are missed grossly."""
+    missed = find_gross_misses(gaps, signal_sizes(opened)) if answer["verdict"] == "none_missing" else {}
     if not missed:
         return {}
-    worst = dict(sorted(missed.items(), key=lambda one: -one[1]))
-    verdict, (_, *others) = "none_of_these", answer["words"] or [""]
-    words = [missed_words(worst), *others]
-    return {"verdict": verdict, "absorbed": is_absorbed(verdict, kind), "missed_in_proof": worst, "words": words}
+    fields = holdout_misfit_fields(answer, missed, inputs.model.plant.kind)
+    _, *further = answer["words"] or [""]
+    return fields | {"words": [describe_holdout_misfit(fields["missed_in_proof"]), *further]}
 
 
-def _unproved(
-    folder: Folder, material: Material, found: Kept, mended: Mended
+def _score_without_holdout(
+    folder: GapFolder, inputs: GapInputs, diagnosis: SearchResult, outcome: RepairOutcome
 ) -> Generator[Event, None, dict[str, Any]]:
-    """Keys of gap.json where nothing could be proved: a name that only a proof can bear out is none."""
+    """Keys of gap.json where no holdout block could be run: effects that need their confirmation are rejected."""
     data: dict[str, Any] = {"signals": {}, "explained_frac": None}
-    if mended.model is None:
+    if outcome.model is None:
         return data
-    if not is_borne_out(found.answer, None):
-        data |= taken_back(found.answer, None, material.model.plant.kind)
-        yield Event("warning", f"taken back: {data['words'][0]}")
-        return _gone(folder, data)
-    older = yield from _older(material, mended.model)
-    data |= {"older": older, "worse": _worse_words(_worse_of(older))}
-    return _gone(folder, data) if data["worse"] else data
+    if not is_confirmed(diagnosis.answer, None):
+        return data | (yield from _reject(folder, inputs, diagnosis, None))
+    older = yield from _score_older_logs(inputs, outcome.model)
+    data |= {"older": older, "worse": _describe_worse(_worse_older_signals(older))}
+    return data | _remove_model(folder) if data["worse"] else data
 
 
-def _worse_of(older: list[dict[str, Any]]) -> dict[str, float]:
-    """Signals of older logs that a repair makes worse, and by how much."""
-    return {f"{signal} of {one['name']}": by for one in older for signal, by in one["worse"].items()}
+def _worse_older_signals(older: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Signals of older logs that the repair makes worse, and by which share."""
+    return {f"{signal} of {log['name']}": share for log in older for signal, share in log["worse"].items()}
 
 
-def _worse_words(worse: Mapping[str, float]) -> list[str]:
-    return [f"{name} (by {100.0 * by:.0f} %)" for name, by in sorted(worse.items(), key=lambda one: -one[1])]
+def _describe_worse(worse: Mapping[str, float]) -> list[str]:
+    ordered = sorted(worse.items(), key=lambda item: -item[1])
+    return [f"{name} (by {100.0 * share:.0f} %)" for name, share in ordered]
 
 
-def _gained(gaps: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    better = better_by_recalibration(gaps)
-    return {name: {"before": before, "recalibrated": after} for name, (before, after) in better.items()}
+def _recalibration_gain(gaps: Mapping[str, SignalGap]) -> dict[str, dict[str, float]]:
+    improved = improved_by_recalibration(gaps)
+    return {name: {"before": before, "recalibrated": after} for name, (before, after) in improved.items()}
 
 
-def _older(material: Material, model: ModelSpec) -> Generator[Event, None, list[dict[str, Any]]]:
-    """Every older log by itself, the model as it was against the repaired one, both as a bench would drive them."""
-    from tunefree_hil.gap.measured.chain import open_chain
+def _score_older_logs(inputs: GapInputs, model: ModelSpec) -> Generator[Event, None, list[dict[str, Any]]]:
+    """Score every older log by itself with the original and the repaired model, both as a bench would drive them."""
+    from tunefree_hil.gap.measured.chain import build_measured_drive
 
-    found = []
-    for drive in material.older:
+    scores = []
+    variants = {"before": Variant(inputs.original_model), "after": Variant(model)}
+    for drive in inputs.older:
         yield Event("note", f"older log {drive.name}")
-        variants = {"before": Variant(material.given), "after": Variant(model)}
-        proof: Proof = prove(variants, material.vehicle, [open_chain(drive, material.vehicle)], whole=True)
-        if not proof.blocks:
-            yield Event("warning", f"older log {drive.name}: {UNJUDGED}")
-        floors = floors_of(proof, material.model)
+        holdout = run_holdout(variants, inputs.vehicle, [build_measured_drive(drive, inputs.vehicle)], role=None)
+        if not holdout.n_blocks:
+            yield Event("warning", f"older log {drive.name}: {NOT_DRIVABLE}")
+        floors = error_floors(holdout, inputs.model)
         signals = {
-            name: {"before": one.before, "after": one.after, "unit": one.unit}
-            for name, one in gaps_of(proof, floors, unforetold({})).items()
+            name: {"before": gap.before, "after": gap.after, "unit": gap.unit}
+            for name, gap in signal_gaps(holdout, floors, unpredictable_shares({})).items()
         }
-        found.append(
+        scores.append(
             {
                 "name": drive.name,
                 "hash": drive.log_hash,
-                "blocks": proof.blocks,
+                "blocks": holdout.n_blocks,
                 "signals": signals,
-                "worse": worse_signals(proof, floors),
+                "worse": find_worse_signals(holdout, floors),
             }
         )
-    return found
+    return scores

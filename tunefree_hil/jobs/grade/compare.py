@@ -1,47 +1,58 @@
-"""Compare runs: every metric side by side, by scenario and combined, figures, and conditions that fail a CI."""
+"""Compare runs: every metric by scenario and combined, figures, and conditions for CI."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.grade.checks import FAILED, REPLANS, SCORE, Condition, judge_condition, parse_condition
+from tunefree_hil.grade.checks import FAILED, REPLANS, SCORE, Condition, check_condition, parse_condition
 from tunefree_hil.grade.score import FINISHED
-from tunefree_hil.grade.table import by_aspect
+from tunefree_hil.grade.table import names_by_aspect
 from tunefree_hil.jobs.drive import DEFAULT_ROOT
-from tunefree_hil.jobs.grade.run_drives import RunDrives, read_run
-from tunefree_hil.jobs.report_text import early
+from tunefree_hil.jobs.grade.run_drives import ProfiledRun, read_run
+from tunefree_hil.jobs.report_text import early_end
 from tunefree_hil.jobs.run_folder import RunFolder, write_json
 
 SCHEMA = "tunefree.compare/1"
 COMBINED = "combined"
-SAME = 1e-9  # relative difference below which two values are called equal
-LEAST_PERCENT = 0.05  # below it a difference is not worth a word
-FAILS = 1  # exit status
+EQUAL_TOLERANCE = 1e-9  # relative difference up to which two values count as equal
+MIN_PERCENT = 0.05  # smaller differences are shown as 'about equal'
+EXIT_CONDITION_HOLDS = 1  # exit status
 DATE = re.compile(r"^\d{8}-\d{6}-")  # of a run folder
 
 Table = dict[str, list[float | None]]  # metric -> value of each run
 
 
+class MetricChange(Enum):
+    """How a value differs from the first run's; the value is the text shown. Lower is better."""
+
+    BETTER = "better"
+    WORSE = "worse"
+    EQUAL = "equal"
+    BOTH_MISSING = "not available in both"
+    MISSING = "not comparable"
+
+
 def compare(runs: Sequence[str], *, fail_if: Sequence[str], weights: str | None, out: Path | None) -> Iterator[Event]:
     """One line a metric on stdout, a block a scenario; compare.json and figures. Exit 1 when a condition holds."""
     if len(runs) < 2:
-        raise InputError("one run has nothing to be compared with", code="usage", key="RUN", hint="give two or more")
-    read, notes = _common(_labelled(_read_all(runs, weights)))
+        raise InputError("at least two runs are needed", code="usage", key="RUN", hint="give two or more runs")
+    read, notes = _select_common(_labelled(_read_all(runs, weights)))
     names = list(read[0].drives)
     conditions = [parse_condition(text, names) for text in fail_if]
     yield from (Event("note", f"{run.label}: {text}") for run, text in zip(read, runs, strict=True))
     yield from (Event("warning", note) for note in notes)
-    tables = {name: table_of([run.only([name]) for run in read]) for name in names}
-    tables[COMBINED] = table_of(read)
+    tables = {name: metric_table([run.only([name]) for run in read]) for name in names}
+    tables[COMBINED] = metric_table(read)
     for name, table in tables.items():
-        yield from (Event("line", line) for line in lines_of(name, [run.label for run in read], table))
-    findings = [one for condition in conditions for one in judge_condition(condition, _values(condition, read, tables))]
+        yield from (Event("line", line) for line in table_lines(name, [run.label for run in read], table))
+    findings = [one for condition in conditions for one in check_condition(condition, _values(condition, read, tables))]
     yield from (
         Event("line", f"{'FAIL' if one.holds else 'ok'}  {one.condition}: {one.run}: {one.words}") for one in findings
     )
@@ -61,21 +72,21 @@ def compare(runs: Sequence[str], *, fail_if: Sequence[str], weights: str | None,
     folder.finish()
     sentence = _sentence(read, tables[COMBINED])
     if failing:
-        sentence += f"; {len(failing)} of {len(findings)} conditions hold, first: {failing[0].words}"
-    exit_status = FAILS if failing else 0
+        sentence += f"; CHECK FAILED: {len(failing)} of {len(findings)} conditions hold, first: {failing[0].words}"
+    exit_status = EXIT_CONDITION_HOLDS if failing else 0
     yield Event("result", sentence, {"sentence": sentence, "exit": exit_status, "run": str(folder.path), **data})
 
 
-def _read_all(runs: Sequence[str], weights: str | None) -> list[RunDrives]:
-    """All judged by the weights that were named, or by the first run's."""
+def _read_all(runs: Sequence[str], weights: str | None) -> list[ProfiledRun]:
+    """Read all runs, graded by the given weights, or by those of the first run."""
     from tunefree_hil.config.load import load_weights
 
     first = read_run(runs[0], load_weights(weights) if weights else None)
     return [first, *(read_run(text, first.weights) for text in runs[1:])]
 
 
-def _labelled(read: list[RunDrives]) -> list[RunDrives]:
-    """Short labels that differ: the folder without its date, with the run's place where that is not enough."""
+def _labelled(read: list[ProfiledRun]) -> list[ProfiledRun]:
+    """Unique short labels: the folder name without its date, numbered where names repeat."""
     short = [DATE.sub("", run.label) for run in read]
     return [
         run._replace(label=f"{name} ({i + 1})" if short.count(name) > 1 else name)
@@ -83,70 +94,79 @@ def _labelled(read: list[RunDrives]) -> list[RunDrives]:
     ]
 
 
-def _common(read: list[RunDrives]) -> tuple[list[RunDrives], list[str]]:
-    """The scenarios that all runs drove, and what is left out. Raises InputError when there is none."""
-    notes, names = [], []
-    every = dict.fromkeys(name for run in read for name in run.drives)
-    for name in every:
+def _select_common(read: list[ProfiledRun]) -> tuple[list[ProfiledRun], list[str]]:
+    """Reduce the runs to their common scenarios, with notes on the rest. Raises InputError when there is none."""
+    absent, changed, names = [], [], []
+    notes = []
+    for name in dict.fromkeys(name for run in read for name in run.drives):
         lacking = [run.label for run in read if name not in run.drives]
         hashes = {run.drives[name].hash for run in read if name in run.drives} - {""}
         if lacking:
-            notes.append(f"{name} is left out: not driven in {', '.join(lacking)}")
+            absent.append(f"{name} is left out: not driven in {', '.join(lacking)}")
+            notes.append(absent[-1])
         elif len(hashes) > 1:
-            notes.append(f"{name} is left out: the runs drove different files of that name")
+            changed.append(f"{name} is left out: the runs drove different files of that name")
+            notes.append(changed[-1])
         else:
             names.append(name)
     if not names:
         drove = "; ".join(f"{run.label} drove {', '.join(run.drives)}" for run in read)
-        changed = [note for note in notes if "different files" in note]
         raise InputError(
-            f"the runs have no scenario in common: {'; '.join([drove, *changed])}",
+            f"the runs have no common scenario: {'; '.join([drove, *changed])}",
             code="nothing_common",
             hint="compare runs of the same bench file, or drive the missing scenario",
         )
-    return [run.only(names) for run in read], [*notes, *_unlike(read)]
+    return [run.only(names) for run in read], [*notes, *_setup_notes(read)]
 
 
-def _unlike(read: Sequence[RunDrives]) -> list[str]:
-    """What else differs than what is compared: another vehicle, another plant."""
+def _setup_notes(read: Sequence[ProfiledRun]) -> list[str]:
+    """Notes on other differences between the runs: vehicle and model."""
     notes = []
-    for what in ("vehicle", "model"):
-        found = {run.label: getattr(run, what) for run in read if getattr(run, what)}
-        if len(set(found.values())) > 1:
-            notes.append(f"not the same {what}: {', '.join(f'{label} {name}' for label, name in found.items())}")
+    for field in ("vehicle", "model"):
+        names = {run.label: getattr(run, field) for run in read if getattr(run, field)}
+        if len(set(names.values())) > 1:
+            notes.append(f"not the same {field}: {', '.join(f'{label} {name}' for label, name in names.items())}")
     return notes
 
 
-def table_of(read: Sequence[RunDrives]) -> Table:
+def metric_table(read: Sequence[ProfiledRun]) -> Table:
     """Score, re-plans, failed drives and all metrics, one value a run."""
     combined = [run.combined() for run in read]
     table: Table = {SCORE: [run.score() for run in read]}
     table[REPLANS] = [float(sum(drive.replans for drive in run.drives.values())) for run in read]
     table[FAILED] = [float(sum(drive.outcome != FINISHED for drive in run.drives.values())) for run in read]
-    for names in by_aspect().values():
+    for names in names_by_aspect().values():
         table |= {name: [values[name].value for values in combined] for name in names}
     return table
 
 
-def verdict(first: float | None, other: float | None) -> str:
-    """'better' or 'worse' than the first run by how much, 'equal', or that it cannot be told. Lower is better."""
-    if first is None or other is None:
-        return "neither has it" if first is None and other is None else "cannot be told"
-    if math.isclose(first, other, rel_tol=SAME, abs_tol=1e-12):
-        return "equal"
-    word = "better" if other < first else "worse"
-    if first <= 0.0:
-        return word
-    percent = 100.0 * (other / first - 1.0)
-    return f"{word} {percent:+.1f} %" if abs(percent) >= LEAST_PERCENT else "about equal"
+def compare_values(first: float | None, value: float | None) -> MetricChange:
+    """Change of a metric against the first run; less than MIN_PERCENT counts as equal."""
+    if first is None or value is None:
+        return MetricChange.BOTH_MISSING if first is None and value is None else MetricChange.MISSING
+    if math.isclose(first, value, rel_tol=EQUAL_TOLERANCE, abs_tol=1e-12):
+        return MetricChange.EQUAL
+    if first > 0.0 and abs(100.0 * (value / first - 1.0)) < MIN_PERCENT:
+        return MetricChange.EQUAL
+    return MetricChange.BETTER if value < first else MetricChange.WORSE
 
 
-def lines_of(name: str, labels: Sequence[str], table: Table) -> list[str]:
-    """A block of one scenario: a line a metric, a column a run, and words about each but the first."""
+def change_text(first: float | None, value: float | None) -> str:
+    """Text such as 'better -3.2 %' or 'equal'."""
+    change = compare_values(first, value)
+    if first is None or value is None:
+        return change.value
+    if change is MetricChange.EQUAL:
+        return "equal" if math.isclose(first, value, rel_tol=EQUAL_TOLERANCE, abs_tol=1e-12) else "about equal"
+    return f"{change.value} {100.0 * (value / first - 1.0):+.1f} %" if first > 0.0 else change.value
+
+
+def table_lines(name: str, labels: Sequence[str], table: Table) -> list[str]:
+    """Block of one scenario: a line a metric, a column a run, and the change of each run but the first."""
     widths = [max(10, len(label)) for label in labels]
     head = "  ".join(f"{label:>{width}}" for label, width in zip(labels, widths, strict=True))
-    lines = [f"{name}:", f"  {'':<32}{head}  (lower is better; words: against the first)"]
-    aspects = {name: aspect for aspect, names in by_aspect().items() for name in names}
+    lines = [f"{name}:", f"  {'':<32}{head}  (lower is better; change against the first run)"]
+    aspects = {name: aspect for aspect, names in names_by_aspect().items() for name in names}
     last = ""
     for metric, values in table.items():
         aspect = aspects.get(metric, "")
@@ -154,8 +174,8 @@ def lines_of(name: str, labels: Sequence[str], table: Table) -> list[str]:
             lines.append(f"  -- {aspect}")
             last = aspect
         cells = "  ".join(f"{_number(value):>{width}}" for value, width in zip(values, widths, strict=True))
-        words = ", ".join(verdict(values[0], value) for value in values[1:])
-        lines.append(f"  {metric:<32}{cells}  {words}")
+        changes = ", ".join(change_text(values[0], value) for value in values[1:])
+        lines.append(f"  {metric:<32}{cells}  {changes}")
     return lines
 
 
@@ -163,49 +183,48 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
 
 
-def _values(condition: Condition, read: Sequence[RunDrives], tables: Mapping[str, Table]) -> dict[str, float | None]:
-    """What a condition looks at, by run."""
+def _values(condition: Condition, read: Sequence[ProfiledRun], tables: Mapping[str, Table]) -> dict[str, float | None]:
+    """Values that a condition compares, by run."""
     values = tables[condition.scenario or COMBINED][condition.metric]
     return {run.label: value for run, value in zip(read, values, strict=True)}
 
 
-def _sentence(read: Sequence[RunDrives], table: Table) -> str:
-    """The combined scores, and in how many metrics the others are better or worse."""
+def _sentence(read: Sequence[ProfiledRun], table: Table) -> str:
+    """Combined scores, and the number of metrics that are better or worse than in the first run."""
     scores = table[SCORE]
     parts = [f"score {_number(scores[0])} ({read[0].label})"]
+    metrics = [values for name, values in table.items() if name not in (SCORE, REPLANS, FAILED)]
     for i, run in enumerate(read[1:], 1):
-        words = [
-            verdict(values[0], values[i]) for name, values in table.items() if name not in (SCORE, REPLANS, FAILED)
-        ]
-        better, worse = (sum(word.startswith(start) for word in words) for start in ("better", "worse"))
-        said = verdict(scores[0], scores[i])
-        parts.append(f"{_number(scores[i])} ({run.label}: {said}; {better} metrics better, {worse} worse)")
+        changes = [compare_values(values[0], values[i]) for values in metrics]
+        better, worse = changes.count(MetricChange.BETTER), changes.count(MetricChange.WORSE)
+        text = change_text(scores[0], scores[i])
+        parts.append(f"{_number(scores[i])} ({run.label}: {text}; {better} metrics better, {worse} worse)")
     return " -> ".join(parts) + f" over {len(read[0].drives)} scenarios"
 
 
-def _figures(folder: RunFolder, read: Sequence[RunDrives], tables: Mapping[str, Table]) -> list[str]:
+def _figures(folder: RunFolder, read: Sequence[ProfiledRun], tables: Mapping[str, Table]) -> list[str]:
     from tunefree_hil.figures.profile import write_highlights, write_profile
-    from tunefree_hil.figures.scenario import Drive, write_scenario
+    from tunefree_hil.figures.scenario import DrivePicture, write_scenario
 
     def by_run(table: Table) -> dict[str, dict[str, float | None]]:
         return {run.label: {name: values[i] for name, values in table.items()} for i, run in enumerate(read)}
 
     figures, combined = folder.figures(), by_run(tables[COMBINED])
-    over = f"over {len(read[0].drives)} scenarios{_failed_words(read)}"
+    over = f"over {len(read[0].drives)} scenarios{_failed_drives_text(read)}"
     written = [write_highlights(figures / "highlights.png", combined, f"Highlighted metrics {over}")]
     written.append(write_profile(figures / "profile.png", combined, f"All metrics {over}"))
     for name in read[0].drives:
         drives = []
         for run in read:
             drive = run.drives[name]
-            drives.append(Drive(run.label, drive.recording.columns, drive.score, early(drive.outcome)))
+            drives.append(DrivePicture(run.label, drive.recording.columns, drive.score, early_end(drive.outcome)))
         written.append(write_scenario(figures / f"{name}.png", name, drives))
         written.append(write_highlights(figures / f"{name}_highlights.png", by_run(tables[name]), name))
     return [str(path) for path in written]
 
 
-def _failed_words(read: Sequence[RunDrives]) -> str:
-    """A second line of a title: drives that did not reach their end, whose metrics are those of the part driven."""
+def _failed_drives_text(read: Sequence[ProfiledRun]) -> str:
+    """Second line of a title: drives that did not reach their end; their metrics are those of the driven part."""
     failed = {run.label: [name for name, drive in run.drives.items() if drive.outcome != FINISHED] for run in read}
-    words = [f"{label}: {', '.join(names)}" for label, names in failed.items() if names]
-    return f"\nnot driven to the end: {'; '.join(words)}" if words else ""
+    texts = [f"{label}: {', '.join(names)}" for label, names in failed.items() if names]
+    return f"\nnot driven to the end: {'; '.join(texts)}" if texts else ""

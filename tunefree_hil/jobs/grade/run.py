@@ -1,4 +1,4 @@
-"""Grade what was named: a log, or a run, whose drives' metrics are taken together (apollo_facts 6.1)."""
+"""Grade a log, or a run with the metrics of its drives combined."""
 
 from __future__ import annotations
 
@@ -9,43 +9,36 @@ from typing import Any
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_weights
-from tunefree_hil.grade.align import Align
 from tunefree_hil.grade.score import FINISHED
 from tunefree_hil.grade.table import PUBLISHED
-from tunefree_hil.jobs.grade.grade import grade_log, lines_of
-from tunefree_hil.jobs.grade.run_drives import RunDrives, read_run, split_run
+from tunefree_hil.jobs.grade.grade import GradeOptions, grade_log, metric_lines
+from tunefree_hil.jobs.grade.run_drives import ProfiledRun, read_run, split_run
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, write_json
 
 SCHEMA = "tunefree.grade_run/1"
 LOG = "vehicle.log"
-DEFAULT_WEIGHTS = "default"
 
 
-def grade_any(
-    text: str,
-    *,
-    vehicle: str | None,
-    path: str | None,
-    align: Align,
-    start_s: float | None,
-    weights: str | None,
-    out: Path | None,
-) -> Iterator[Event]:
-    """`grade_run` of a run, else `grade_log` of a log or of the log in an episode's folder.
+def grade_any(text: str, options: GradeOptions) -> Iterator[Event]:
+    """`grade_run` for a run, else `grade_log` for a log or the log in an episode's folder.
 
-    weights: None for the run's own, or for a log DEFAULT_WEIGHTS. Raises InputError for a run with options of a log.
+    Raises InputError for a run with options of a log.
     """
     if is_run(text):
-        given = {"--vehicle": vehicle, "--path": path, "--start-s": start_s, "--out": out}
-        for key, value in given.items():
+        log_options = {
+            "--vehicle": options.vehicle,
+            "--path": options.path,
+            "--start-s": options.start_s,
+            "--out": options.out,
+        }
+        for key, value in log_options.items():
             if value is not None:
                 hint = f"leave it out, or name the log: {text}/episodes/0/{LOG}"
-                raise InputError("is for a log; a run knows its own", code="usage", key=key, hint=hint)
-        return grade_run(text, weights=weights)
+                raise InputError("only allowed for a log, not for a run", code="usage", key=key, hint=hint)
+        return grade_run(text, weights=options.weights)
     log = Path(text)
     log = log / LOG if (log / LOG).is_file() else log
-    options = {"vehicle": vehicle, "path": path, "align": align, "start_s": start_s, "out": out}
-    return grade_log(log, weights=weights or DEFAULT_WEIGHTS, **options)
+    return grade_log(log, options)
 
 
 def is_run(text: str) -> bool:
@@ -58,8 +51,8 @@ def grade_run(text: str, *, weights: str | None) -> Iterator[Event]:
     """One line a metric on stdout, combined over the scenarios; grade.json and figures in the run folder."""
     read = read_run(text, load_weights(weights) if weights else None)
     combined = read.combined()
-    yield Event("note", f"{text}: {len(read.drives)} scenarios taken together: {', '.join(read.drives)}")
-    yield from (Event("line", line) for line in lines_of(combined))
+    yield Event("note", f"{text}: {len(read.drives)} scenarios combined: {', '.join(read.drives)}")
+    yield from (Event("line", line) for line in metric_lines(combined))
     yield Event("line", "scenarios")
     yield from (Event("line", line) for line in _scenarios(read))
     path, candidate = split_run(text)
@@ -68,25 +61,25 @@ def grade_run(text: str, *, weights: str | None) -> Iterator[Event]:
     data = _data(read)
     write_json(folder.path / f"grade{suffix}.json", {"schema": SCHEMA, **data})
     figure = _figure(folder, read, suffix)
-    had, failed = sum(combined[name].value is not None for name in PUBLISHED), _failed(read)
+    known, failed = sum(combined[name].value is not None for name in PUBLISHED), _failed(read)
     score = "no score" if data["score"] is None else f"score {data['score']:.3f} by weights {read.weights.name!r}"
     ended = f"; not driven to the end: {', '.join(failed)}" if failed else ""
-    sentence = f"{had} of {len(PUBLISHED)} metrics over {len(read.drives)} scenarios; {score}{ended}"
+    sentence = f"{known} of {len(PUBLISHED)} metrics available over {len(read.drives)} scenarios; {score}{ended}"
     yield Event("result", sentence, {"sentence": sentence, "run": str(folder.path), "figures": [figure], **data})
 
 
-def _failed(read: RunDrives) -> list[str]:
+def _failed(read: ProfiledRun) -> list[str]:
     return [name for name, drive in read.drives.items() if drive.outcome != FINISHED]
 
 
-def _scenarios(read: RunDrives) -> Iterator[str]:
+def _scenarios(read: ProfiledRun) -> Iterator[str]:
     for name, drive in read.drives.items():
         score = "-" if drive.score is None else f"{drive.score:.4g}"
         yield f"  {name:<32}{score:>10}  {drive.outcome}, {drive.replans} re-plans"
 
 
-def _data(read: RunDrives) -> dict[str, Any]:
-    """What grade.json and --json hold."""
+def _data(read: ProfiledRun) -> dict[str, Any]:
+    """Data of grade.json and --json."""
     return {
         "weights": read.weights.name,
         "score": read.score(),
@@ -104,7 +97,7 @@ def _data(read: RunDrives) -> dict[str, Any]:
     }
 
 
-def _figure(folder: RunFolder, read: RunDrives, suffix: str) -> str:
+def _figure(folder: RunFolder, read: ProfiledRun, suffix: str) -> str:
     from tunefree_hil.figures.profile import write_profile
 
     plain = {read.label: {name: value.value for name, value in read.combined().items()}}

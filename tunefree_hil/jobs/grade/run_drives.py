@@ -1,4 +1,4 @@
-"""The drives of a run folder, profiled: of a drive, of a tune's winner, of a verify, of a graded log.
+"""Read the drives of a run folder (drive, tune, verify, graded log) and profile them.
 
 A run is named by its folder; a tune or verify may be followed by `:NAME` for one of its baselines (the winner is
 `:tuned`): runs/x, runs/x:mrac_on, runs/x/verify, runs/x/verify:as_shipped.
@@ -15,21 +15,21 @@ from tunefree_hil.bench import Bench, load
 from tunefree_hil.config.load import load_weights
 from tunefree_hil.config.schema import WeightsSpec
 from tunefree_hil.episode.recording import Recording, load_recording
-from tunefree_hil.grade.profile import Value, combine_profiles, profile
-from tunefree_hil.grade.score import FINISHED, grade, vehicle_of
+from tunefree_hil.grade.profile import MetricValue, combine_profiles, profile_drive
+from tunefree_hil.grade.score import FINISHED, grade_drive, grade_vehicle_from_spec
 from tunefree_hil.grade.table import TABLE
 from tunefree_hil.jobs.drive import find_scenario
-from tunefree_hil.jobs.log.drive import beside_of
+from tunefree_hil.jobs.log.drive import read_extras
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, read_json
-from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors, winner_of
+from tunefree_hil.jobs.tune.candidates import TUNED, compute_baseline_vectors, read_winner
 
 
-class OneDrive(NamedTuple):
-    """One scenario of a run. score: None where there is none (a log that is not whole)."""
+class ProfiledDrive(NamedTuple):
+    """One scenario of a run. score: None for an incomplete log."""
 
     scenario: str
     hash: str  # of the scenario; '' where it is not known
-    values: dict[str, Value]
+    values: dict[str, MetricValue]
     score: float | None
     replans: int
     outcome: str
@@ -37,25 +37,25 @@ class OneDrive(NamedTuple):
     recording: Recording
 
 
-class RunDrives(NamedTuple):
-    """All scenarios of a run by name."""
+class ProfiledRun(NamedTuple):
+    """The scenarios of a run by name."""
 
     label: str
-    drives: dict[str, OneDrive]
+    drives: dict[str, ProfiledDrive]
     weights: WeightsSpec
     vehicle: str = ""
     model: str = ""  # of the plant; '' where there is none (a log)
 
-    def only(self, names: Sequence[str]) -> RunDrives:
+    def only(self, names: Sequence[str]) -> ProfiledRun:
         """The same run with these scenarios only."""
         return self._replace(drives={name: self.drives[name] for name in names})
 
-    def combined(self) -> dict[str, Value]:
-        """The metrics of all scenarios taken together (apollo_facts 6.1)."""
+    def combined(self) -> dict[str, MetricValue]:
+        """The metrics of all scenarios combined."""
         return combine_profiles([drive.values for drive in self.drives.values()])
 
     def score(self) -> float | None:
-        """Eq. 7 over the scenarios; None where one has no score."""
+        """Eq. 7 over the scenarios; None where a scenario has no score."""
         drives = self.drives.values()
         scores = [drive.score for drive in drives if drive.score is not None]
         if len(scores) < len(drives):
@@ -64,25 +64,25 @@ class RunDrives(NamedTuple):
         return weighed / sum(drive.planned_samples for drive in drives)
 
 
-def read_run(text: str, weights: WeightsSpec | None = None) -> RunDrives:
-    """A run's drives, judged by `weights`, or where None by its own. Raises InputError that names what is missing."""
+def read_run(text: str, weights: WeightsSpec | None = None) -> ProfiledRun:
+    """Read a run, graded by `weights` (None: its own). Raises InputError that names what is missing."""
     path, candidate = split_run(text)
     inside_verify = path.name == "verify" and not (path / "run.json").is_file()
     run = open_run(path.parent if inside_verify else path)
     if run.record.get("command") == "grade":
-        return _graded(run, weights)
+        return _read_graded_log(run, weights)
     _require_drives(run, candidate)
     bench = load(run.bench_file())
     weighing = weights or bench.weights
     source = RunFolder(run.path / "verify", run.record) if inside_verify else run
-    drives = [_read(source, bench, number, weighing) for number in _numbers(run, source, bench, candidate)]
+    drives = [_read_episode(source, bench, number, weighing) for number in _numbers(run, source, bench, candidate)]
     model = bench.spec.verify_model if inside_verify else str(run.record.get("model") or bench.spec.model)
     by_name = {drive.scenario: drive for drive in drives}
-    return RunDrives(_label(path, candidate), by_name, weighing, Path(bench.vehicle.folder).name, model)
+    return ProfiledRun(_label(path, candidate), by_name, weighing, Path(bench.vehicle.folder).name, model)
 
 
 def split_run(text: str) -> tuple[Path, str]:
-    """(folder, candidate) of what names a run: 'runs/x:mrac_on' unless a folder has that very name."""
+    """Folder and candidate of a run's name such as 'runs/x:mrac_on', unless a folder has exactly that name."""
     head, colon, name = text.rpartition(":")
     if colon and head and not Path(text).exists() and "/" not in name:
         return Path(head), name
@@ -96,20 +96,17 @@ def _label(path: Path, candidate: str) -> str:
 
 
 def _numbers(run: RunFolder, source: RunFolder, bench: Bench, candidate: str) -> list[int]:
-    """Numbers of the episodes that are meant: all of a drive, those of one candidate of a tune or verify.
-
-    A candidate's are found by their parameters, so that it does not matter in which order they were driven.
-    """
-    wanted = None if run.record.get("command") == "drive" else _parameters_of(run, bench, candidate or TUNED)
-    found = [number for number, parameters in _episodes(source) if wanted is None or parameters == wanted]
-    if not found:
+    """Episode numbers: all of a drive, those of one candidate of a tune or verify, found by their parameters."""
+    wanted = None if run.record.get("command") == "drive" else _candidate_parameters(run, bench, candidate or TUNED)
+    numbers = [number for number, parameters in _episodes(source) if wanted is None or parameters == wanted]
+    if not numbers:
         raise InputError(
-            f"holds no drive{f' of {candidate or TUNED}' if wanted else ''} with its columns",
+            f"contains no drive{f' of {candidate or TUNED}' if wanted else ''} with its columns",
             code="no_columns",
             file=str(source.path),
-            hint="was it cut off, or were its logs thrown away? drive it again",
+            hint="it was interrupted, or its logs were deleted; drive it again",
         )
-    return found
+    return numbers
 
 
 def _require_drives(run: RunFolder, candidate: str) -> None:
@@ -124,25 +121,25 @@ def _require_drives(run: RunFolder, candidate: str) -> None:
 
 
 def _episodes(source: RunFolder) -> list[tuple[int, dict[str, float]]]:
-    """(number, parameters) of the episodes that are whole and have their columns."""
-    whole = set(source.numbered("columns.npz"))
-    numbers = [number for number in source.numbered("episode.json") if number in whole]
+    """Number and parameters of the complete episodes that have their columns."""
+    whole = set(source.episodes_with("columns.npz"))
+    numbers = [number for number in source.episodes_with("episode.json") if number in whole]
     return [(number, read_json(source.episode(number) / "episode.json").get("parameters", {})) for number in numbers]
 
 
-def _parameters_of(run: RunFolder, bench: Bench, candidate: str) -> dict[str, float]:
+def _candidate_parameters(run: RunFolder, bench: Bench, candidate: str) -> dict[str, float]:
     """The complete vector of the winner or of a baseline."""
     if candidate == TUNED:
-        return winner_of(bench, run)
-    vectors = baseline_vectors(bench)
+        return read_winner(bench, run)
+    vectors = compute_baseline_vectors(bench)
     if candidate not in vectors:
         hint = f"one of {', '.join([TUNED, *vectors])}"
         raise InputError(f"has no candidate {candidate!r}", code="no_candidate", file=str(run.path), hint=hint)
     return vectors[candidate]
 
 
-def _read(run: RunFolder, bench: Bench, number: int, weights: WeightsSpec) -> OneDrive:
-    """One episode, profiled and graded by `weights`."""
+def _read_episode(run: RunFolder, bench: Bench, number: int, weights: WeightsSpec) -> ProfiledDrive:
+    """Profile and grade one episode by `weights`."""
     folder = run.path / "episodes" / str(number)
     stored = read_json(folder / "episode.json")
     scenario = find_scenario(bench, str(stored["scenario"]))
@@ -150,29 +147,35 @@ def _read(run: RunFolder, bench: Bench, number: int, weights: WeightsSpec) -> On
         raise InputError(
             "the scenario file changed since this drive", code="changed", file=scenario.path, hint="drive it again"
         )
-    recording, course, car = load_recording(folder / "columns.npz"), bench.course(scenario), vehicle_of(bench.vehicle)
-    beside = beside_of(folder)
-    graded = grade(recording, course, weights, car, scenario=scenario.name, error=beside.error or "")
-    values = profile(recording, course, car, against=weights.against, as_published=weights.as_published, beside=beside)
-    return OneDrive(
+    recording, course, car = (
+        load_recording(folder / "columns.npz"),
+        bench.course(scenario),
+        grade_vehicle_from_spec(bench.vehicle),
+    )
+    extras = read_extras(folder)
+    graded = grade_drive(recording, course, weights, car, scenario=scenario.name, error=extras.error or "")
+    values = profile_drive(
+        recording, course, car, against=weights.against, as_published=weights.as_published, extras=extras
+    )
+    return ProfiledDrive(
         scenario.name, scenario.hash, values, graded.score, graded.replans, graded.outcome, course.ticks, recording
     )
 
 
-def _graded(run: RunFolder, weights: WeightsSpec | None) -> RunDrives:
-    """The one drive of a graded log, as `grade` judged it."""
+def _read_graded_log(run: RunFolder, weights: WeightsSpec | None) -> ProfiledRun:
+    """The drive of a graded log, as recorded in grade.json."""
     data = read_json(run.path / "grade.json")
-    own = load_weights(str(run.record["weights"]))
-    if weights is not None and weights.name != own.name:
+    used = load_weights(str(run.record["weights"]))
+    if weights is not None and weights.name != used.name:
         raise InputError(
-            f"was graded by weights {own.name!r}, the first run by {weights.name!r}",
+            f"was graded by weights {used.name!r}, the first run by {weights.name!r}",
             code="other_weights",
             file=str(run.path),
             hint=f"grade it again with --weights {weights.name}",
         )
-    missing = Value(None, 0, "not in grade.json")
-    values = {name: Value(**data["metrics"][name]) if name in data["metrics"] else missing for name in TABLE}
-    drive = OneDrive(
+    missing = MetricValue(None, 0, "not in grade.json")
+    values = {name: MetricValue(**data["metrics"][name]) if name in data["metrics"] else missing for name in TABLE}
+    drive = ProfiledDrive(
         str(data["scenario"]),
         str(data.get("scenario_hash", "")),
         values,
@@ -183,4 +186,4 @@ def _graded(run: RunFolder, weights: WeightsSpec | None) -> RunDrives:
         load_recording(run.path / "episodes" / "0" / "columns.npz"),
     )
     vehicle = Path(str(run.record.get("vehicle", ""))).name
-    return RunDrives(_label(run.path, ""), {drive.scenario: drive}, own, vehicle)
+    return ProfiledRun(_label(run.path, ""), {drive.scenario: drive}, used, vehicle)

@@ -1,6 +1,6 @@
 """Calibrates a model on logs: by-wire actuators and physical constants, each with an interval, in a model folder.
 
-No torch. What the logs cannot show keeps the data sheet's value, widened, and is said.
+A parameter that the logs do not identify keeps the value of the data sheet with a wider interval, and is reported.
 """
 
 from __future__ import annotations
@@ -11,92 +11,116 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tunefree_hil.base.events import Event
-from tunefree_hil.jobs.gap.calibration_logs import ask_own_logs, were_asked
-from tunefree_hil.jobs.learn.calibration import STOPPED, Fitted, card_of, fit_all, said_of, split_of, write
-from tunefree_hil.jobs.learn.logs import read
-from tunefree_hil.jobs.learn.report_text import SEED, again, channel_words, closing
-from tunefree_hil.learn.compiled_process import Worker
-from tunefree_hil.learn.drives.drive import Drive, Split
-from tunefree_hil.learn.drives.road_slope import offset_words
-from tunefree_hil.learn.model_folder import require_new
+from tunefree_hil.jobs.command_text import changed_options, shell_command
+from tunefree_hil.jobs.gap.calibration_logs import analyse_calibration_logs, is_analysed
+from tunefree_hil.jobs.learn.calibration import (
+    SHORT_STEERING,
+    CalibrationFit,
+    build_card,
+    fit_calibration,
+    read_calibration_card,
+    split_drives_for_fit,
+    write_calibrated_model,
+)
+from tunefree_hil.jobs.learn.logs import read_logs
+from tunefree_hil.jobs.learn.options import CalibrateOptions
+from tunefree_hil.jobs.learn.report_text import describe_channel, summarise_calibration
+from tunefree_hil.learn.compiled_process import CompiledProcess
+from tunefree_hil.learn.drives.drive import Drive, DriveSplit
+from tunefree_hil.learn.drives.road_slope import describe_accel_offsets
+from tunefree_hil.learn.model_folder import require_new_folder
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
 
-Made = tuple[Fitted, Split]
+FitAndSplit = tuple[CalibrationFit, DriveSplit]
 FIGURES = "figures"
-# What is too little to learn from may be enough to calibrate a channel: the fit itself says what it lacks.
-LACKING = ("too_short", "one_speed", "no_braking", *STOPPED)
+# Logs that are too little to learn from may be enough to calibrate a channel; the fit reports what they lack.
+TOLERATED = ("too_short", "one_speed", "no_braking", *SHORT_STEERING)
 
 
-def calibrate(logs: Sequence[Path], vehicle: str, out: Path, seed: int = SEED) -> Iterator[Event]:
-    """Fit and write `out`. seed: of the choice of what is held out. A model of these very logs that was cut off while
-    it asked them is gone on with.
+def calibrate(options: CalibrateOptions) -> Iterator[Event]:
+    """Fit and write `options.out`, or continue a run on the same logs that was interrupted in their analysis.
 
-    Raises InputError for logs that cannot be used (another vehicle's, too short, no pairs of command and output,
-    commands that never move), and for a folder that is there already.
+    Raises:
+        InputError: The logs cannot be used (another vehicle, too short, no pairs of command and output, commands that
+            never move), or the folder is there already.
     """
     from tunefree_hil.config.load import load_vehicle
 
-    spec = load_vehicle(vehicle)
-    if not said_of(out) or were_asked(out):
-        require_new(out)
-    drives = yield from read(logs, spec, excused=LACKING)
-    made = None
-    if not _is_left(out, spec, drives, seed):
-        require_new(out)
-        made = yield from _made(out, spec, drives, seed)
-    goes_on = f"{out} is written; its own logs are asked now, and a later `gap` needs what they say"
-    yield Event("note", goes_on, {"resume": again(logs, vehicle, out, seed)})
-    if made is not None:
-        draw(out / FIGURES, *made)
-    yield from ask_own_logs(out, spec, drives)
+    out, vehicle = options.out, load_vehicle(options.vehicle)
+    if not read_calibration_card(out) or is_analysed(out):
+        require_new_folder(out)
+    drives = yield from read_logs(options.logs, vehicle, tolerated=TOLERATED)
+    fit_and_split = None
+    if not _is_interrupted(out, vehicle, drives, options.seed):
+        require_new_folder(out)
+        fit_and_split = yield from _fit_and_write(out, vehicle, drives, options.seed)
+    text = f"{out} is written; its calibration logs are analysed next, for a later `gap`"
+    yield Event("note", text, {"resume": build_command(options)})
+    if fit_and_split is not None:
+        draw_figures(out / FIGURES, *fit_and_split)
+    yield from analyse_calibration_logs(out, vehicle, drives)
     figures = [str(path) for path in sorted((out / FIGURES).glob("*.png"))]
-    card = said_of(out)
-    yield Event("result", "", {**card, "model": str(out), "figures": figures, **closing(out, spec, logs, card)})
+    card = read_calibration_card(out)
+    summary = summarise_calibration(out, vehicle, options.logs, card)
+    yield Event("result", "", {**card, "model": str(out), "figures": figures, **summary})
 
 
-def _is_left(out: Path, vehicle: VehicleSpec, drives: Sequence[Drive], seed: int) -> bool:
-    """Whether a folder is what a calibration of these very logs was cut off at."""
-    card = said_of(out)
-    if not card or were_asked(out):
+def build_command(options: CalibrateOptions) -> str:
+    """The same command again."""
+    return shell_command("calibrate", *options.logs, **changed_options(options, ["logs"]))
+
+
+def _is_interrupted(out: Path, vehicle: VehicleSpec, drives: Sequence[Drive], seed: int) -> bool:
+    """Whether a folder is left by an interrupted calibration on the same logs."""
+    card = read_calibration_card(out)
+    if not card or is_analysed(out):
         return False
-    same = [one["hash"] for one in card["logs"]] == [one.log_hash for one in drives]
-    return same and (card["vehicle_hash"], card["seed"]) == (f"sha256:{vehicle.hash}", seed)
+    has_same_logs = [log["hash"] for log in card["logs"]] == [drive.log_hash for drive in drives]
+    return has_same_logs and (card["vehicle_hash"], card["seed"]) == (f"sha256:{vehicle.hash}", seed)
 
 
-def _made(out: Path, spec: VehicleSpec, drives: Sequence[Drive], seed: int) -> Generator[Event, None, Made]:
-    """Write the model folder, its own logs not asked yet; what its pictures are drawn of."""
+def _fit_and_write(
+    out: Path, spec: VehicleSpec, drives: Sequence[Drive], seed: int
+) -> Generator[Event, None, FitAndSplit]:
+    """Write the model folder; its calibration logs are analysed later."""
     began = time.monotonic()
-    split = yield from split_of(drives, seed)
-    for words in offset_words(drives, spec):
-        yield Event("warning", words)
-    with Worker() as worker:
-        fitted = yield from fit_all(worker, split, spec)
+    split = yield from split_drives_for_fit(drives, seed)
+    for text in describe_accel_offsets(drives, spec):
+        yield Event("warning", text)
+    with CompiledProcess() as worker:
+        fitted = yield from fit_calibration(worker, split, spec)
     seconds = time.monotonic() - began
-    write(out, spec, fitted, split, card_of(drives, split, spec, fitted, seed, seconds))
+    write_calibrated_model(out, spec, fitted, split, build_card(drives, split, spec, fitted, seed, seconds))
     return fitted, split
 
 
-def draw(folder: Path, fitted: Fitted, split: Split) -> list[Path]:
-    """Both pictures."""
-    from tunefree_hil.figures.learning.calibrate import Channel, Growth, Stretch, write_channels, write_growth
+def draw_figures(folder: Path, fitted: CalibrationFit, split: DriveSplit) -> list[Path]:
+    """Draw the actuators, and the growth of the free-run error where parts were held out."""
+    from tunefree_hil.figures.learning.calibrate import (
+        ChannelFit,
+        ChannelTrace,
+        ErrorGrowth,
+        write_channels,
+        write_growth,
+    )
     from tunefree_hil.learn.physics.windows import TARGETS
 
     channels = [
-        Channel(name, channel_words(name, found).partition(": ")[2], [Stretch(*one) for one in fitted.traces[name]])
-        for name, found in fitted.actuators.items()
+        ChannelFit(name, describe_channel(fit), [ChannelTrace(*trace) for trace in fitted.traces[name]])
+        for name, fit in fitted.actuators.items()
     ]
     part = "held-out parts" if split.held_out else "the logs"
     paths = [write_channels(folder / "actuators.png", channels, f"By-wire actuators on {part}")]
-    judged = fitted.judged
-    if judged is not None:
-        growth = Growth(
-            judged.time_s,
-            {name: judged.before_at[:, i] for i, name in enumerate(TARGETS) if name in judged.before},
-            {name: judged.after_at[:, i] for i, name in enumerate(TARGETS) if name in judged.after},
-            judged.windows,
+    evaluation = fitted.evaluation
+    if evaluation is not None:
+        growth = ErrorGrowth(
+            evaluation.time_s,
+            {name: evaluation.before_by_time[:, i] for i, name in enumerate(TARGETS) if name in evaluation.before},
+            {name: evaluation.after_by_time[:, i] for i, name in enumerate(TARGETS) if name in evaluation.after},
+            evaluation.n_windows,
         )
-        title = f"Free runs on {judged.windows} windows that no fit has seen (RMS), recorded actuator outputs in"
+        title = f"Free runs on {evaluation.n_windows} held-out windows (RMS), recorded actuator outputs in"
         paths.append(write_growth(folder / "free_run.png", growth, title))
     return paths

@@ -1,7 +1,4 @@
-"""What a calibration fits on drives and writes: the channels, then the constants; a model folder with its card.
-
-`calibrate` is made of it, and `learn`, which calibrates where no physics is named.
-"""
+"""The calibration of `calibrate` and `learn`: fits by-wire channels, then constants, and writes a model folder."""
 
 from __future__ import annotations
 
@@ -13,115 +10,129 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.jobs.learn.report_text import channel_words, constant_words
-from tunefree_hil.jobs.progress import left_s, told
-from tunefree_hil.jobs.run_folder import versions
-from tunefree_hil.learn.actuators.identify import channels_of, in_motion, sources
-from tunefree_hil.learn.actuators.samples import ECHOES, Pairs, has_channel
-from tunefree_hil.learn.actuators.samples_from_motion import Law, suggested
-from tunefree_hil.learn.compiled_process import Worker
-from tunefree_hil.learn.data_sheet import asks_accel, channel_sheet, constants, fixed_params
-from tunefree_hil.learn.drives.drive import Drive, Part, Split
-from tunefree_hil.learn.drives.smoothing import noise_table_of, valid_region
+from tunefree_hil.jobs.learn.report_text import describe_channel, describe_constants
+from tunefree_hil.jobs.progress import left_s, relay_events
+from tunefree_hil.jobs.run_folder import library_versions
+from tunefree_hil.learn.actuators import identify
+from tunefree_hil.learn.actuators.identify import collect_channel, model_channels, restrict_to_motion
+from tunefree_hil.learn.actuators.samples import ECHOES, ChannelSamples, has_channel
+from tunefree_hil.learn.actuators.samples_from_motion import MotionLaw, suggest_plant_constants
+from tunefree_hil.learn.compiled_process import CompiledProcess
+from tunefree_hil.learn.data_sheet import (
+    is_accel_commanded,
+    make_constant_priors,
+    make_fixed_params,
+    read_channel_sheet,
+)
+from tunefree_hil.learn.drives.drive import Drive, DrivePart, DriveSplit
+from tunefree_hil.learn.drives.smoothing import estimate_noise_table, estimate_valid_region
 from tunefree_hil.learn.drives.split import split_drives
-from tunefree_hil.learn.drives.validity import those_that_say_all
-from tunefree_hil.learn.estimate import ActuatorFit, Value, as_data
-from tunefree_hil.learn.evaluation.plot_data import Judged
-from tunefree_hil.learn.model_folder import CARD_FILE, write_model
-from tunefree_hil.learn.physics.fit import PhysicsFit, is_clear
-from tunefree_hil.learn.physics.unknowns import EFFECTS, PLAIN
-from tunefree_hil.learn.physics.windows import Off, Windows, windows_of
+from tunefree_hil.learn.drives.validity import drop_incomplete_drives
+from tunefree_hil.learn.estimate import ActuatorFit, Estimate, data_from_estimates
+from tunefree_hil.learn.evaluation import plot_data
+from tunefree_hil.learn.evaluation.plot_data import ConstantComparison
+from tunefree_hil.learn.model_folder import CARD_FILE, ModelContent, write_model
+from tunefree_hil.learn.physics.fit import PhysicsFit, fit_physics, is_significant
+from tunefree_hil.learn.physics.unknowns import FITTED_EFFECTS, NO_IMPROVEMENT
+from tunefree_hil.learn.physics.windows import OutputCorrection, WindowSet, extract_windows
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
 
 CARD_SCHEMA = "tunefree.card/1"
-OWN_KEYS = {"kind", "logs", "vehicle_hash", "seed", "actuators", "constants", "windows", "free_run_rms"}  # of a card
-# A channel that stops before its command does is identified up to its stop (learn/actuators/samples.py)
-STOPPED = ("short_of_command",)
-LIBRARIES = ("numpy", "scipy", "numba")  # that the numbers come from
-WINDOWS_S, ENOUGH_WINDOWS = (8.0, 5.0, 3.0), 12  # lengths of free runs; several logs may be 5 s long each
+CARD_KEYS = {"kind", "logs", "vehicle_hash", "seed", "actuators", "constants", "windows", "free_run_rms"}  # of a card
+# A channel that stops short of its command is identified up to its stop (learn/actuators/samples.py).
+SHORT_STEERING = ("short_of_command",)
+LIBRARIES = ("numpy", "scipy", "numba")  # whose versions the card records
+WINDOWS_S, MIN_WINDOWS = (8.0, 5.0, 3.0), 12  # lengths of free runs, the longest with enough windows is taken
 
 
-class Fitted(NamedTuple):
-    """What the process beside this one found. traces: by channel, for the figure."""
+class CalibrationFit(NamedTuple):
+    """Result of a calibration. traces: by channel, for the figure."""
 
     actuators: dict[str, ActuatorFit]
     traces: dict[str, list[Any]]
     physics: PhysicsFit
-    judged: Judged | None
+    evaluation: ConstantComparison | None
 
 
-def split_of(drives: Sequence[Drive], seed: int) -> Generator[Event, None, Split]:
-    """What is fitted on and what judges it; where a drive is too short for both, all of it is fitted on. A drive that
-    says nothing of a channel of which others do is left out: it would be one at rest.
+def split_drives_for_fit(drives: Sequence[Drive], seed: int) -> Generator[Event, None, DriveSplit]:
+    """Split drives into training and held-out parts; where they are too short, everything is training.
+
+    A drive without a channel that other drives have is left out, as it would count as a channel at rest.
     """
-    drives, lacking = those_that_say_all(drives)
-    yield from (Event("warning", words) for words in lacking)
+    drives, omissions = drop_incomplete_drives(drives)
+    yield from (Event("warning", text) for text in omissions)
     try:
         split = split_drives(drives, seed=seed)
     except InputError as error:
         if error.code != "too_short":
             raise
-        parts = tuple(Part(drive, 0, drive.ticks) for drive in drives)
-        split = Split(parts, (), "nothing held out: the logs are too short; errors are those of the fit itself")
-        yield Event("warning", split.words)
-    yield Event("note", split.words)
+        parts = tuple(DrivePart(drive, 0, drive.n_rows) for drive in drives)
+        split = DriveSplit(parts, (), "nothing held out: the logs are too short; errors are those of the fit itself")
+        yield Event("warning", split.description)
+    yield Event("note", split.description)
     return split
 
 
-def fit_all(worker: Worker, split: Split, vehicle: VehicleSpec) -> Generator[Event, None, Fitted]:
-    """All channels, then the physical constants."""
+def fit_calibration(
+    worker: CompiledProcess, split: DriveSplit, vehicle: VehicleSpec
+) -> Generator[Event, None, CalibrationFit]:
+    """Fit all channels, then the physical constants, in another process."""
     actuators: dict[str, ActuatorFit] = {}
     traces: dict[str, list[Any]] = {}
-    laws: dict[str, Law] = {}
-    for channel in channels_of(vehicle):
-        training, held_out, law = sources(split, channel, vehicle)
+    laws: dict[str, MotionLaw] = {}
+    for channel in model_channels(vehicle):
+        training, held_out, law = collect_channel(split, channel, vehicle)
         laws |= {} if law is None else {channel: law}
-        sheet = channel_sheet(vehicle, channel)
-        echo = any(part.drive.get(f"report.{ECHOES[channel]}") is not None for part in split.training)
-        asked = worker.call("tunefree_hil.learn.actuators.identify", "fit", training, held_out, sheet, echo)
-        found = yield from _with_progress(asked, f"actuator {channel}")
-        found = in_motion(found, sheet) if law is not None else found
-        actuators[channel] = found
-        traces[channel] = _traced(worker, held_out if held_out.some else training, found, sheet.rest)
-        yield from _said(channel, found, has_channel([part.drive for part in split.training], channel))
+        sheet = read_channel_sheet(vehicle, channel)
+        has_echo = any(part.drive.get(f"report.{ECHOES[channel]}") is not None for part in split.training)
+        steps = worker.call(identify.fit, training, held_out, sheet, has_echo)
+        fit = yield from _report_progress(steps, f"actuator {channel}")
+        fit = restrict_to_motion(fit, sheet) if law is not None else fit
+        actuators[channel] = fit
+        traces[channel] = _compute_traces(worker, held_out if held_out.segments else training, fit, sheet.rest)
+        yield from _report_channel(channel, fit, has_channel([part.drive for part in split.training], channel))
     if not laws:
-        _refuse_blind(actuators, split.training)
-    windows, unseen = windows_in(split, vehicle, actuators)
-    seen = suggested(laws, fixed_params(vehicle)["mass_kg"])
-    known, fixed = constants(vehicle, seen), fixed_params(vehicle, seen)
-    brake_way = max(vehicle.limits.brake_frac - vehicle.nominal.rest_pedal_frac, 0.05)
-    asked = worker.call("tunefree_hil.learn.physics.fit", "fit", windows, fixed, known, brake_way)
-    physics = yield from _with_progress(asked, "physical constants")
-    for words in (*physics.words, *constant_words(physics)):
-        yield Event("note", words)
-    yield from _untold(physics.values)
-    judged = _judged(worker, unseen, physics, fixed | {name: one.value for name, one in known.items()})
-    return Fitted(actuators, traces, physics, judged)
+        _require_identified(actuators, split.training)
+    windows, held_out_windows = choose_windows(split, vehicle, actuators)
+    suggested = suggest_plant_constants(laws, make_fixed_params(vehicle)["mass_kg"])
+    priors, fixed = make_constant_priors(vehicle, suggested), make_fixed_params(vehicle, suggested)
+    brake_range = max(vehicle.limits.brake_frac - vehicle.nominal.rest_pedal_frac, 0.05)
+    steps = worker.call(fit_physics, windows, fixed, priors, brake_range)
+    physics = yield from _report_progress(steps, "physical constants")
+    for text in (*physics.notes, *describe_constants(physics)):
+        yield Event("note", text)
+    yield from _list_unidentified(physics.estimates)
+    evaluation = _evaluate_fit(
+        worker, held_out_windows, physics, fixed | {name: prior.value for name, prior in priors.items()}
+    )
+    return CalibrationFit(actuators, traces, physics, evaluation)
 
 
-def _untold(values: Mapping[str, Value]) -> Iterator[Event]:
-    """Constants that these logs do not tell, each with why; in one sentence those that this car does not need."""
-    untold = {name: value.why for name, value in values.items() if not value.known}
-    if plain := [name for name, why in untold.items() if why == PLAIN]:
-        yield Event("note", f"these logs are driven as well without {', '.join(plain)}")
-    for name, why in untold.items():
-        if why != PLAIN and name not in EFFECTS:
+def _list_unidentified(values: Mapping[str, Estimate]) -> Iterator[Event]:
+    """Report the constants that these logs do not identify, and why; those that the model does not need in one line."""
+    reasons = {name: value.why for name, value in values.items() if not value.known}
+    if unneeded := [name for name, why in reasons.items() if why == NO_IMPROVEMENT]:
+        yield Event("note", f"not needed to reproduce these logs: {', '.join(unneeded)}")
+    for name, why in reasons.items():
+        if why != NO_IMPROVEMENT and name not in FITTED_EFFECTS:
             yield Event("warning", f"{name}: {why}")
 
 
-def windows_in(split: Split, vehicle: VehicleSpec, channels: dict[str, ActuatorFit]) -> tuple[Windows, Windows]:
-    """Windows of the training and the held-out parts: as long as there are enough of them, else shorter."""
+def choose_windows(
+    split: DriveSplit, vehicle: VehicleSpec, channels: dict[str, ActuatorFit]
+) -> tuple[WindowSet, WindowSet]:
+    """Cut windows out of the training and the held-out parts: long ones where there are enough, else shorter ones."""
     for window_s in WINDOWS_S:
-        windows = windows_of(split.training, vehicle, window_s, channels)
-        if len(windows.some) >= ENOUGH_WINDOWS:
+        windows = extract_windows(split.training, vehicle, window_s, channels)
+        if len(windows.windows) >= MIN_WINDOWS:
             break
-    return windows, windows_of(split.held_out, vehicle, window_s, channels)
+    return windows, extract_windows(split.held_out, vehicle, window_s, channels)
 
 
-def _with_progress(asked: Generator[tuple[float, float], None, Any], label: str) -> Generator[Event, None, Any]:
-    """Steps of a fit as progress; what it returns."""
+def _report_progress(steps: Generator[tuple[float, float], None, Any], label: str) -> Generator[Event, None, Any]:
+    """The steps of a fit as progress events. Returns: what the fit returns."""
     began = time.monotonic()
 
     def event_of(step: tuple[float, float]) -> Event:
@@ -129,35 +140,31 @@ def _with_progress(asked: Generator[tuple[float, float], None, Any], label: str)
         eta_s = left_s(began, done / total)
         return Event("progress", "", {"label": label, "done": done, "total": total, "eta_s": eta_s})
 
-    return told(asked, event_of)
+    return relay_events(steps, event_of)
 
 
-def _traced(worker: Worker, pairs: Pairs, found: ActuatorFit, rest: float) -> list[Any]:
-    return (
-        worker.result("tunefree_hil.learn.evaluation.plot_data", "traces", pairs, found.params(rest))
-        if pairs.some
-        else []
-    )
+def _compute_traces(worker: CompiledProcess, samples: ChannelSamples, fit: ActuatorFit, rest: float) -> list[Any]:
+    return worker.wait_for_result(plot_data.make_traces, samples, fit.params(rest)) if samples.segments else []
 
 
-def _said(channel: str, found: ActuatorFit, commanded: bool) -> Iterator[Event]:
-    """One line of what was found, and a warning for what was not."""
-    yield Event("note", channel_words(channel, found))
-    if not commanded:
-        yield Event("warning", f"{channel}: no log holds a command of it; {found.words}")
+def _report_channel(channel: str, fit: ActuatorFit, is_commanded: bool) -> Iterator[Event]:
+    """One line with the result, and a warning for every parameter that is not identified."""
+    yield Event("note", f"{channel}: {describe_channel(fit)}")
+    if not is_commanded:
+        yield Event("warning", f"{channel}: no log holds its commands; {fit.report}")
         return
-    for name, value in found.numbers().items():
+    for name, value in fit.estimates().items():
         if not value.known:
             yield Event("warning", f"{channel} {name}: {value.why}")
 
 
-def _refuse_blind(actuators: dict[str, ActuatorFit], training: Sequence[Any]) -> None:
-    """Nothing at all was identified: these are no logs of a by-wire vehicle that somebody drove."""
-    if any(found.dead_time_s.known for found in actuators.values()):
+def _require_identified(actuators: dict[str, ActuatorFit], training: Sequence[Any]) -> None:
+    """Raise InputError where no channel was identified: these are not logs of a by-wire vehicle that was driven."""
+    if any(fit.dead_time_s.known for fit in actuators.values()):
         return
-    reasons = "; ".join(f"{channel}: {found.words}" for channel, found in actuators.items())
+    reasons = "; ".join(f"{channel}: {fit.report}" for channel, fit in actuators.items())
     raise InputError(
-        f"not one by-wire channel can be identified: {reasons}",
+        f"no by-wire channel can be identified: {reasons}",
         code="no_excitation",
         file=training[0].drive.name if training else "",
         key="LOG",
@@ -165,98 +172,103 @@ def _refuse_blind(actuators: dict[str, ActuatorFit], training: Sequence[Any]) ->
     )
 
 
-def _judged(worker: Worker, unseen: Windows, physics: PhysicsFit, before: dict[str, float]) -> Judged | None:
-    if not unseen.some:
+def _evaluate_fit(
+    worker: CompiledProcess, held_out: WindowSet, physics: PhysicsFit, before: dict[str, float]
+) -> ConstantComparison | None:
+    if not held_out.windows:
         return None
-    after = physics.params, physics.off()
-    return worker.result("tunefree_hil.learn.evaluation.plot_data", "judged", unseen.some, (before, Off()), after)
+    after = physics.params, physics.output_correction()
+    return worker.wait_for_result(plot_data.compare_constants, held_out.windows, (before, OutputCorrection()), after)
 
 
-def card_of(
-    drives: Sequence[Drive], split: Split, vehicle: VehicleSpec, fitted: Fitted, seed: int, seconds: float
+def build_card(
+    drives: Sequence[Drive], split: DriveSplit, vehicle: VehicleSpec, fitted: CalibrationFit, seed: int, seconds: float
 ) -> dict[str, Any]:
-    """card.json: what the model is made of and how good it is."""
-    judged = fitted.judged
+    """Content of card.json: the data of the model and its errors."""
+    evaluation = fitted.evaluation
     return {
         "schema": CARD_SCHEMA,
         "kind": "physics",
         "vehicle": vehicle.name,
         "vehicle_hash": f"sha256:{vehicle.hash}",
-        "logs": [{"name": one.name, "hash": one.log_hash, "seconds": one.ticks * one.dt_s} for one in drives],
+        "logs": [
+            {"name": drive.name, "hash": drive.log_hash, "seconds": drive.n_rows * drive.dt_s} for drive in drives
+        ],
         "seed": seed,
-        "split": split.words,
-        "versions": versions(LIBRARIES),
+        "split": split.description,
+        "versions": library_versions(LIBRARIES),
         "seconds": round(seconds, 1),
-        "actuators": {name: _channel_card(found) for name, found in fitted.actuators.items()},
-        "constants": as_data(fitted.physics.values),
-        "constants_together": fitted.physics.together,
-        "left_out": list(fitted.physics.words),
+        "actuators": {name: _channel_fields(fit) for name, fit in fitted.actuators.items()},
+        "constants": data_from_estimates(fitted.physics.estimates),
+        "constants_together": fitted.physics.correlation,
+        "left_out": list(fitted.physics.notes),
         "windows": {
-            "training": fitted.physics.windows,
-            "held_out": judged.windows if judged else 0,
-            "seconds": float(judged.time_s[-1]) if judged else None,
+            "training": fitted.physics.n_windows,
+            "held_out": evaluation.n_windows if evaluation else 0,
+            "seconds": float(evaluation.time_s[-1]) if evaluation else None,
         },
         "free_run_rms": {
-            "training": {"data_sheet": fitted.physics.before, "fitted": fitted.physics.after},
-            "held_out": {"data_sheet": judged.before, "fitted": judged.after} if judged else None,
+            "training": {"data_sheet": fitted.physics.rms_before, "fitted": fitted.physics.rms_after},
+            "held_out": {"data_sheet": evaluation.before, "fitted": evaluation.after} if evaluation else None,
         },
     }
 
 
-def said_of(folder: Path) -> dict[str, Any]:
-    """The card of a model as `calibrate` made it; empty for every other folder."""
+def read_calibration_card(folder: Path) -> dict[str, Any]:
+    """The card of a model made by `calibrate`; empty for any other folder."""
     path = folder / CARD_FILE
     try:
-        said = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+        card = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     except ValueError:
         return {}
-    is_own = isinstance(said, dict) and said.keys() >= OWN_KEYS and "repair" not in said
-    return said if is_own and said["kind"] == "physics" else {}
+    is_own = isinstance(card, dict) and card.keys() >= CARD_KEYS and "repair" not in card
+    return card if is_own and card["kind"] == "physics" else {}
 
 
-def _channel_card(found: ActuatorFit) -> dict[str, Any]:
-    more = {"order": found.order, "held_out_rms": found.error, "reports": found.rows, "words": found.words}
-    return {**as_data(found.numbers()), **more, "noise": found.noise, "quantum": found.quantum}
+def _channel_fields(fit: ActuatorFit) -> dict[str, Any]:
+    more = {"order": fit.order, "held_out_rms": fit.error, "reports": fit.rows, "words": fit.report}
+    return {**data_from_estimates(fit.estimates()), **more, "noise": fit.noise, "quantum": fit.quantum}
 
 
-def write(out: Path, vehicle: VehicleSpec, fitted: Fitted, split: Split, card: dict[str, Any]) -> None:
-    """The model folder, with the map that a controller drives it by."""
+def write_calibrated_model(
+    out: Path, vehicle: VehicleSpec, fitted: CalibrationFit, split: DriveSplit, card: dict[str, Any]
+) -> None:
+    """Write the model folder, with the map that a controller uses."""
     rest = vehicle.nominal.rest_pedal_frac
     params = fitted.physics.params
-    write_model(
-        out,
-        vehicle,
+    content = ModelContent(
         kind="physics",
         actuators=fitted.actuators,
         params=params,
-        valid=valid_region(split.training, rest),
-        noise=noise_table_of(split.training),
-        card=card,
-        calibration=calibration_of(vehicle, fitted),
+        valid=estimate_valid_region(split.training, rest),
+        noise=estimate_noise_table(split.training),
+        calibration=make_map_arrays(vehicle, fitted),
         effects=[
-            effect_of(name, value)
-            for name, value in fitted.physics.values.items()
-            if name in EFFECTS and is_clear(name, value)
+            effect_entry(name, value)
+            for name, value in fitted.physics.estimates.items()
+            if name in FITTED_EFFECTS and is_significant(name, value)
         ],
     )
+    write_model(out, vehicle, content, card)
 
 
-def calibration_of(vehicle: VehicleSpec, fitted: Fitted) -> dict[str, Any] | None:
-    """The arrays of calibration.npz; None for a car that shows no pedals, which there is no map of."""
-    from tunefree_hil.learn.open_loop_map.build import as_arrays, open_loop_map
+def make_map_arrays(vehicle: VehicleSpec, fitted: CalibrationFit) -> dict[str, Any] | None:
+    """The arrays of calibration.npz; None for a vehicle that is commanded an acceleration, which has no map."""
+    from tunefree_hil.learn.open_loop_map.build import arrays_from_triples, sample_plant_map
     from tunefree_hil.plant.single_track import PLANT
 
-    if asks_accel(vehicle):
+    if is_accel_commanded(vehicle):
         return None
     rest = vehicle.nominal.rest_pedal_frac
     pedals = {name: fitted.actuators[name].params(rest) for name in ("throttle", "brake")}
     brake = pedals["brake"]
-    idle = brake.dead_band + fitted.physics.off().brake_frac / max(brake.gain, 0.1)  # before the report and behind it
-    pedals["brake"] = brake._replace(dead_band=idle)
-    return as_arrays(open_loop_map(PLANT, fitted.physics.params, vehicle, pedals))
+    # Dead band before the reported output plus the one behind it.
+    dead_band = brake.dead_band + fitted.physics.output_correction().brake_frac / max(brake.gain, 0.1)
+    pedals["brake"] = brake._replace(dead_band=dead_band)
+    return arrays_from_triples(sample_plant_map(PLANT, fitted.physics.params, vehicle, pedals))
 
 
-def effect_of(name: str, value: Value) -> dict[str, Any]:
-    """The entry of [[effects]] for what lies between a reported output and the car."""
-    effect, parameter, _ = EFFECTS[name]
+def effect_entry(name: str, value: Estimate) -> dict[str, Any]:
+    """The entry of [[effects]] for a fitted difference between a reported output and the vehicle."""
+    effect, parameter, _ = FITTED_EFFECTS[name]
     return {"name": effect, "params": {parameter: value.value}, "interval": {parameter: [value.low, value.high]}}

@@ -1,4 +1,4 @@
-"""Learns a plant from logs: reads, checks, calibrates the physics, trains, judges in free run, writes a folder."""
+"""Learns a plant from logs: reads, checks, calibrates the physics, trains, evaluates in free run, writes a folder."""
 
 from __future__ import annotations
 
@@ -10,140 +10,161 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.gap.model.card import read_card
-from tunefree_hil.jobs.command_text import given, pasted
-from tunefree_hil.jobs.gap.calibration_logs import ask_own_logs, were_asked
+from tunefree_hil.jobs.command_text import changed_options, shell_command
+from tunefree_hil.jobs.gap.calibration_logs import analyse_calibration_logs, is_analysed
 from tunefree_hil.jobs.learn import calibration
-from tunefree_hil.jobs.learn.logs import read
-from tunefree_hil.jobs.preconditions import require_model_of, require_number
-from tunefree_hil.jobs.progress import told
-from tunefree_hil.learn.compiled_process import Worker
-from tunefree_hil.learn.drives.drive import Drive, Split
-from tunefree_hil.learn.drives.road_slope import offset_words
-from tunefree_hil.learn.evaluation.free_run import Judged
-from tunefree_hil.learn.evaluation.motion import Track, tracks_of
+from tunefree_hil.jobs.learn.logs import read_logs
+from tunefree_hil.jobs.learn.options import LearnOptions
+from tunefree_hil.jobs.preconditions import require_model_of_vehicle, require_number
+from tunefree_hil.jobs.progress import relay_events
+from tunefree_hil.learn.compiled_process import CompiledProcess
+from tunefree_hil.learn.drives.drive import Drive, DriveSplit
+from tunefree_hil.learn.drives.road_slope import describe_accel_offsets
+from tunefree_hil.learn.evaluation.free_run import FreeRunErrors
+from tunefree_hil.learn.evaluation.motion import MotionTrack, make_motion_tracks
 from tunefree_hil.learn.model_folder import (
+    CALIBRATION_EFFECTS,
     CARD_FILE,
-    OWN_EFFECTS,
-    Learned,
-    Training,
-    calibration_of,
-    card_of,
-    require_new,
-    write_learned,
+    LearnedModel,
+    LearningRecord,
+    TrainingRecord,
+    load_calibration,
+    make_card,
+    require_new_folder,
+    write_learned_model,
 )
-from tunefree_hil.learn.physics.unknowns import ROAD
+from tunefree_hil.learn.physics.unknowns import ROAD_SHARE
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import ModelSpec, VehicleSpec
-    from tunefree_hil.learn.training.learners import Wish
-    from tunefree_hil.learn.training.loop import Step, Trained
+    from tunefree_hil.learn.training.learners import TrainingPlan
+    from tunefree_hil.learn.training.loop import TrainingProgress, TrainingResult
 
 KINDS = ("hybrid", "lstm", "mlp", "rule_based", "paper")
-JUDGED_STARTS = 200
-LEAST_TRACK_S = 2.5
-MOST_MINUTES, MOST_SPACING_S = 1e6, 0.5  # two years; half a second
+FREE_RUN_STARTS = 200  # of the evaluation
+MIN_TRACK_S = 2.5  # shorter tracks are not used
+MAX_MINUTES, MAX_SPACING_S = 1e6, 0.5  # limits of the options: two years, half a second
 
 
-class Asked(NamedTuple):
-    """What the command line says. physics: a calibrated model folder, None to calibrate first, beside `out`."""
+class LearningData(NamedTuple):
+    """Drives of a vehicle, and the motion tracks of their training and held-out parts."""
 
-    logs: Sequence[Path]
-    vehicle: str
-    out: Path
-    kind: str = "hybrid"
-    seed: int = 1
-    minutes: float | None = None
-    physics: Path | None = None
-    sample_spacing_s: float = 0.01
-
-
-class Data(NamedTuple):
-    """What is learned from."""
-
+    vehicle: VehicleSpec
     drives: list[Drive]
-    split: Split
-    training: list[Track]
-    held_out: list[Track]
+    split: DriveSplit
+    training: list[MotionTrack]
+    held_out: list[MotionTrack]
 
 
-def learn(asked: Asked) -> Iterator[Event]:
-    """Write `asked.out`. A training that was cut off goes on where its checkpoint (<out>.part) was.
+def learn(options: LearnOptions) -> Iterator[Event]:
+    """Learn, and write `options.out`; an interrupted training continues from its checkpoint (<out>.part).
 
-    Raises InputError: torch missing, logs that cannot be learned from, a folder that is there already, physics of
-    another vehicle.
+    Raises:
+        InputError: torch is missing, the logs cannot be learned from, the folder is there already, or the physics is of
+            another vehicle.
     """
     from tunefree_hil.config.load import load_vehicle
 
-    _require(asked)
-    vehicle = load_vehicle(asked.vehicle)
-    require_new(asked.out)
-    if asked.physics is not None:
-        physics_in(asked.physics, vehicle)
+    _check_options(options)
+    vehicle = load_vehicle(options.vehicle)
+    require_new_folder(options.out)
+    if options.physics is not None:
+        load_physics(options.physics, vehicle)
     began = time.monotonic()
-    drives = yield from read(asked.logs, vehicle, excused=calibration.STOPPED)
-    split = yield from calibration.split_of(drives, asked.seed)
-    for words in offset_words(drives, vehicle):
-        yield Event("warning", words)
-    physics = yield from physics_of(asked, vehicle, drives, split)
-    share = road_share_of(Path(physics.folder), drives)
-    data = Data(drives, split, *(_tracks(parts, vehicle, share) for parts in (split.training, split.held_out)))
-    part = asked.out.with_name(asked.out.name + ".part")
-    arrays, map_arrays, training = None, calibration_of(physics), None
-    if asked.kind == "rule_based":
-        map_arrays = yield from _map(drives, vehicle, asked.seed)
+    physics, data = yield from _prepare_data(options, vehicle)
+    learned, training = yield from _learn_plant(options, physics, data)
+    errors = yield from _evaluate(learned, data)
+    record = LearningRecord(
+        kind=options.kind,
+        vehicle=vehicle,
+        physics=physics,
+        drives=data.drives,
+        split=data.split.description,
+        seed=options.seed,
+        seconds=time.monotonic() - began,
+        training=training,
+        evaluations=errors,
+    )
+    card = make_card(record) | read_own_effects(Path(physics.folder), data.drives)
+    write_learned_model(options.out, learned, card)
+    yield from report_result(options)
+
+
+def _prepare_data(
+    options: LearnOptions, vehicle: VehicleSpec
+) -> Generator[Event, None, tuple[ModelSpec, LearningData]]:
+    """Read and split the logs, and obtain the physics. Returns: the calibrated model, and the data."""
+    drives = yield from read_logs(options.logs, vehicle, tolerated=calibration.SHORT_STEERING)
+    split = yield from calibration.split_drives_for_fit(drives, options.seed)
+    for text in describe_accel_offsets(drives, vehicle):
+        yield Event("warning", text)
+    physics = yield from obtain_physics(options, vehicle, drives, split)
+    road_share = read_road_share(Path(physics.folder), drives)
+    tracks = [_make_tracks(parts, vehicle, road_share) for parts in (split.training, split.held_out)]
+    return physics, LearningData(vehicle, drives, split, *tracks)
+
+
+def _learn_plant(
+    options: LearnOptions, physics: ModelSpec, data: LearningData
+) -> Generator[Event, None, tuple[LearnedModel, TrainingRecord | None]]:
+    """Train the net, or learn the map of a rule-based plant. Returns: the plant, and how the training went."""
+    arrays, map_arrays, training = None, load_calibration(physics), None
+    if options.kind == "rule_based":
+        map_arrays = yield from _learn_map_arrays(data.drives, data.vehicle, options.seed)
     else:
-        trained, wish = yield from _trained(asked, vehicle, physics, data, part)
-        arrays, training = trained.arrays, _said(trained, wish)
-        if trained.stopped:
-            yield Event("warning", f"the training stopped after {trained.steps} steps: {trained.stopped}")
-    learned = Learned(asked.kind, vehicle, physics, arrays, map_arrays, asked.sample_spacing_s)
-    judged = yield from _judged(learned, data)
-    seconds = time.monotonic() - began
-    card = card_of(asked.kind, vehicle, physics, drives, split.words, asked.seed, seconds, training, judged)
-    card |= own_effects_of(Path(physics.folder), drives)
-    write_learned(asked.out, learned, card)
-    yield from finished(asked)
+        result, plan = yield from _train(options, physics, data)
+        arrays, training = result.arrays, _summarise_training(result, plan)
+        if result.stopped:
+            yield Event("warning", f"the training stopped after {result.steps} steps: {result.stopped}")
+    learned = LearnedModel(options.kind, data.vehicle, physics, arrays, map_arrays, options.sample_spacing_s)
+    return learned, training
 
 
-def finished(asked: Asked) -> Iterator[Event]:
-    """The result, out of the card of the folder that is there: also for who was cut off when it had been written."""
-    card = read_card(asked.out / CARD_FILE)
-    asked.out.with_name(asked.out.name + ".part").unlink(missing_ok=True)
-    figures = _drawn(asked, card)
-    yield Event("result", "", {**card, "model": str(asked.out), "figures": figures, **_ending(asked, card)})
+def report_result(options: LearnOptions) -> Iterator[Event]:
+    """The result, from the card of the folder that is there; also after an interruption behind its writing."""
+    card = read_card(options.out / CARD_FILE)
+    _checkpoint_path(options).unlink(missing_ok=True)
+    figures = _draw_figures(options, card)
+    yield Event(
+        "result", "", {**card, "model": str(options.out), "figures": figures, **_summarise_result(options, card)}
+    )
 
 
-def _require(asked: Asked) -> None:
-    """What can be said before an hour of logs is read."""
-    if asked.kind not in KINDS:
-        raise InputError(f"no kind {asked.kind!r}", code="unknown_kind", key="--kind", hint=", ".join(KINDS))
-    require_number("--minutes", asked.minutes, most=MOST_MINUTES, zero=True)
-    require_number("--sample-spacing", asked.sample_spacing_s, most=MOST_SPACING_S)
+def _checkpoint_path(options: LearnOptions) -> Path:
+    return options.out.with_name(options.out.name + ".part")
+
+
+def _check_options(options: LearnOptions) -> None:
+    """Check what can be checked before an hour of logs is read."""
+    if options.kind not in KINDS:
+        raise InputError(f"no kind {options.kind!r}", code="unknown_kind", key="--kind", hint=", ".join(KINDS))
+    require_number("--minutes", options.minutes, maximum=MAX_MINUTES, allow_zero=True)
+    require_number("--sample-spacing", options.sample_spacing_s, maximum=MAX_SPACING_S)
     from tunefree_hil.learn.training.torch_extra import require_torch
 
-    require_torch(f"learn --kind {asked.kind}")
+    require_torch(f"learn --kind {options.kind}")
 
 
-def physics_of(
-    asked: Asked, vehicle: VehicleSpec, drives: list[Drive], split: Split
+def obtain_physics(
+    options: LearnOptions, vehicle: VehicleSpec, drives: list[Drive], split: DriveSplit
 ) -> Generator[Event, None, ModelSpec]:
-    """The calibrated model: the one that was named, or one made now, kept beside `out` for the next time."""
-    folder = asked.physics or asked.out.with_name(asked.out.name + "-physics")
-    if asked.physics is None and not _is_of(folder, drives, asked.seed):
-        require_new(folder)
+    """Load the calibrated model that is named, or make one beside `out`."""
+    folder = options.physics or options.out.with_name(options.out.name + "-physics")
+    if options.physics is None and not _is_calibrated_on(folder, drives, options.seed):
+        require_new_folder(folder)
         began = time.monotonic()
-        with Worker() as worker:
-            fitted = yield from calibration.fit_all(worker, split, vehicle)
-        card = calibration.card_of(drives, split, vehicle, fitted, asked.seed, time.monotonic() - began)
-        calibration.write(folder, vehicle, fitted, split, card)
-    if asked.physics is None and not were_asked(folder):
-        yield from ask_own_logs(folder, vehicle, drives)
+        with CompiledProcess() as worker:
+            fitted = yield from calibration.fit_calibration(worker, split, vehicle)
+        card = calibration.build_card(drives, split, vehicle, fitted, options.seed, time.monotonic() - began)
+        calibration.write_calibrated_model(folder, vehicle, fitted, split, card)
+    if options.physics is None and not is_analysed(folder):
+        yield from analyse_calibration_logs(folder, vehicle, drives)
     yield Event("note", f"physics: {folder}")
-    return physics_in(folder, vehicle)
+    return load_physics(folder, vehicle)
 
 
-def physics_in(folder: Path, vehicle: VehicleSpec) -> ModelSpec:
-    """The calibrated model in a folder. Raises InputError where it is not one of this vehicle as it is today."""
+def load_physics(folder: Path, vehicle: VehicleSpec) -> ModelSpec:
+    """Load a calibrated model. Raises InputError where it is not of this vehicle with its current files."""
     from tunefree_hil.config.load import load_model
 
     model = load_model(folder)
@@ -156,120 +177,127 @@ def physics_in(folder: Path, vehicle: VehicleSpec) -> ModelSpec:
             key="--physics",
             hint=hint,
         )
-    require_model_of(model, vehicle, "--physics", hint=hint)
+    require_model_of_vehicle(model, vehicle, "--physics", hint=hint)
     return model
 
 
-def _is_of(folder: Path, drives: list[Drive], seed: int | None) -> bool:
-    """Whether a folder was calibrated on these very logs, and this split (None: whatever the split)."""
+def _is_calibrated_on(folder: Path, drives: list[Drive], seed: int | None) -> bool:
+    """Whether a folder was calibrated on the same logs, with the same seed of the split (None: any seed)."""
     if not (folder / CARD_FILE).is_file():
         return False
-    said = read_card(folder / CARD_FILE)
-    same = [one["hash"] for one in said.get("logs", [])] == [one.log_hash for one in drives]
-    return same and seed in (None, said.get("seed"))
+    card = read_card(folder / CARD_FILE)
+    has_same_logs = [log["hash"] for log in card.get("logs", [])] == [drive.log_hash for drive in drives]
+    return has_same_logs and seed in (None, card.get("seed"))
 
 
-def road_share_of(folder: Path, drives: list[Drive]) -> float:
-    """Of what the accelerometer of these logs says wherever the car heads, the part that is a slope; 0.0 where the
-    calibration does not know, or knew other logs.
+def read_road_share(folder: Path, drives: list[Drive]) -> float:
+    """The share of the constant part of the measured acceleration that is road slope and not sensor bias; 0.0 where the
+    calibration did not identify it, or had other logs.
     """
-    if not _is_of(folder, drives, None):
+    if not _is_calibrated_on(folder, drives, None):
         return 0.0
-    said = read_card(folder / CARD_FILE).get("constants", {}).get(ROAD, {})
-    return min(max(float(said["value"]), 0.0), 1.0) if said.get("known") else 0.0
+    entry = read_card(folder / CARD_FILE).get("constants", {}).get(ROAD_SHARE, {})
+    return min(max(float(entry["value"]), 0.0), 1.0) if entry.get("known") else 0.0
 
 
-def own_effects_of(folder: Path, drives: list[Drive]) -> dict[str, Any]:
-    """What explains these very logs beside the physics, as its card says it: a net that is taught by them has no other
-    sensors.
-    """
-    if not _is_of(folder, drives, None):
+def read_own_effects(folder: Path, drives: list[Drive]) -> dict[str, Any]:
+    """Effects of the calibration logs, from the card of the physics, for a net that is trained on the same logs."""
+    if not _is_calibrated_on(folder, drives, None):
         return {}
-    said = read_card(folder / CARD_FILE)
-    return {OWN_EFFECTS: said[OWN_EFFECTS]} if OWN_EFFECTS in said else {}
+    card = read_card(folder / CARD_FILE)
+    return {CALIBRATION_EFFECTS: card[CALIBRATION_EFFECTS]} if CALIBRATION_EFFECTS in card else {}
 
 
-def _tracks(parts: Sequence[Any], vehicle: VehicleSpec, road_share: float) -> list[Track]:
-    return tracks_of(parts, vehicle, round(LEAST_TRACK_S * 1000.0 / vehicle.tick_ms), road_share)
+def _make_tracks(parts: Sequence[Any], vehicle: VehicleSpec, road_share: float) -> list[MotionTrack]:
+    return make_motion_tracks(parts, vehicle, round(MIN_TRACK_S * 1000.0 / vehicle.tick_ms), road_share)
 
 
-def _trained(
-    asked: Asked, vehicle: VehicleSpec, physics: ModelSpec, data: Data, part: Path
-) -> Generator[Event, None, tuple[Trained, Wish]]:
-    """The training, with its progress."""
-    from tunefree_hil.learn.training.fit import fit
-    from tunefree_hil.learn.training.learners import Wish
+def _train(
+    options: LearnOptions, physics: ModelSpec, data: LearningData
+) -> Generator[Event, None, tuple[TrainingResult, TrainingPlan]]:
+    """Train, with progress events."""
+    from tunefree_hil.learn.training.fit import train_plant
+    from tunefree_hil.learn.training.learners import TrainingPlan
 
-    minutes = asked.minutes or 0.0
-    wish = Wish(asked.kind, asked.seed, sample_spacing_s=asked.sample_spacing_s, minutes=minutes)
-    steps = fit(wish, data.training, data.held_out, physics, vehicle.nominal.rest_pedal_frac, part)
-    resume = again(asked)
+    minutes = options.minutes or 0.0
+    plan = TrainingPlan(options.kind, options.seed, sample_spacing_s=options.sample_spacing_s, minutes=minutes)
+    checkpoint, rest_frac = _checkpoint_path(options), data.vehicle.nominal.rest_pedal_frac
+    steps = train_plant(plan, data.training, data.held_out, physics, rest_frac, checkpoint)
+    resume = build_command(options)
 
-    def event_of(step: Step) -> Event:
-        words = f"loss {step.loss:.3g}, held out {step.score:.3g} (untrained {step.first:.3g})"
+    def event_of(step: TrainingProgress) -> Event:
+        text = f"loss {step.loss:.3g}, held out {step.score:.3g} (untrained {step.untrained_score:.3g})"
         count = {"label": "step", "done": step.done, "total": step.total, "eta_s": step.eta_s, "resume": resume}
-        return Event("progress", words, count)
+        return Event("progress", text, count)
 
-    trained = yield from told(steps, event_of)
-    if trained.resumed:
-        yield Event("note", f"went on from {part}")
-    return trained, wish
-
-
-def _said(trained: Trained, wish: Wish) -> Training:
-    words = "position error at the end of the longest free run on held-out stretches, m"
-    if wish.kind in ("mlp", "paper"):
-        words = "one-step error on held-out stretches, of the labels' spread"
-    return Training(
-        {**wish._asdict(), "steps": trained.total}, words, trained.score, trained.first, trained.steps,
-        round(trained.seconds, 1), trained.looks, trained.stopped,
-    )  # fmt: skip
+    result = yield from relay_events(steps, event_of)
+    if result.is_resumed:
+        yield Event("note", f"continued from {checkpoint}")
+    return result, plan
 
 
-def _map(drives: list[Drive], vehicle: VehicleSpec, seed: int) -> Generator[Event, None, dict[str, Any]]:
-    """The open-loop map of the logs, as arrays of calibration.npz."""
-    from tunefree_hil.jobs.learn.map import learned_map
-    from tunefree_hil.learn.open_loop_map.build import gather
+def _summarise_training(result: TrainingResult, plan: TrainingPlan) -> TrainingRecord:
+    measure = "position error at the end of the longest free run on held-out stretches, m"
+    if plan.kind in ("mlp", "paper"):
+        measure = "one-step error on held-out stretches, of the labels' spread"
+    return TrainingRecord(
+        settings={**plan._asdict(), "steps": result.total},
+        score_words=measure,
+        score=result.score,
+        untrained=result.untrained_score,
+        steps=result.steps,
+        seconds=round(result.seconds, 1),
+        looks=result.evaluations,
+        stopped=result.stopped,
+    )
 
-    learned = yield from learned_map(gather(drives, vehicle), vehicle, seed)
+
+def _learn_map_arrays(drives: list[Drive], vehicle: VehicleSpec, seed: int) -> Generator[Event, None, dict[str, Any]]:
+    """Learn the open-loop map of the logs, as arrays of calibration.npz."""
+    from tunefree_hil.jobs.learn.map import learn_map_with_progress
+    from tunefree_hil.learn.open_loop_map.build import gather_samples
+
+    learned = yield from learn_map_with_progress(gather_samples(drives, vehicle), vehicle, seed)
     return {name: getattr(learned.table, name) for name in ("speed_mps", "accel_mps2", "command_frac")}
 
 
-def _judged(learned: Learned, data: Data) -> Generator[Event, None, dict[str, Judged]]:
-    """Free run of the physics and of what was learned, on held-out stretches, by the kernels: by kind."""
-    from tunefree_hil.learn.model_folder import judged_by_kernels
+def _evaluate(learned: LearnedModel, data: LearningData) -> Generator[Event, None, dict[str, FreeRunErrors]]:
+    """Compiled free runs of the physics and the learned plant on held-out parts, by kind."""
+    from tunefree_hil.learn.model_folder import evaluate_compiled
 
-    yield Event("note", "free run of what was learned, on what was held out")
+    yield Event("note", "evaluation: free runs on the held-out parts")
     try:
-        return judged_by_kernels(learned, data.held_out, JUDGED_STARTS)
+        return evaluate_compiled(learned, data.held_out, FREE_RUN_STARTS)
     except InputError as error:
         if error.code != "too_short":
             raise
-        yield Event("warning", f"not judged in free run: {error.message}")
+        yield Event("warning", f"not evaluated in free run: {error.message}")
         return {}
 
 
-def _drawn(asked: Asked, card: Mapping[str, Any]) -> list[str]:
+def _draw_figures(options: LearnOptions, card: Mapping[str, Any]) -> list[str]:
     from tunefree_hil.figures.learning.training import write_free_run
 
     if not card["free_run"]:
         return []
-    return [str(write_free_run(asked.out / "figures" / "free_run.png", card["free_run"]))]
+    return [str(write_free_run(options.out / "figures" / "free_run.png", card["free_run"]))]
 
 
-def _ending(asked: Asked, card: Mapping[str, Any]) -> dict[str, Any]:
-    """Sentence and next commands."""
-    sentence = f"{asked.kind} plant in {asked.out}"
-    row = (card["free_run"].get(asked.kind) or {}).get("level") or (card["free_run"].get(asked.kind) or {}).get("hills")
+def _summarise_result(options: LearnOptions, card: Mapping[str, Any]) -> dict[str, Any]:
+    """Sentence and next commands of the result."""
+    sentence = f"{options.kind} plant in {options.out}"
+    rows = card["free_run"].get(options.kind) or {}
+    row = rows.get("level") or rows.get("hills")
     if row and "10" in row:
-        sentence += f": {row['10']['position_m']['mean']:.2f} m off after 10 s of free run on held-out stretches"
+        sentence += f": {row['10']['position_m']['mean']:.2f} m off after 10 s of free run on held-out parts"
         reduced = card["reduction_percent"].get("10")
         if reduced:
-            less = reduced["value"]
-            sentence += f", {abs(less):.0f} % {'less' if less >= 0.0 else 'more'} than the fitted physics"
-    return {"status": "ok", "sentence": sentence, "next": [pasted("drive", "BENCH", model=asked.out)]}
+            percent = reduced["value"]
+            sentence += f", {abs(percent):.0f} % {'less' if percent >= 0.0 else 'more'} than the fitted physics"
+    return {"status": "ok", "sentence": sentence, "next": [shell_command("drive", "BENCH", model=options.out)]}
 
 
-def again(asked: Asked) -> str:
-    """The command that goes on."""
-    return pasted("learn", *asked.logs, **given(asked, ["logs"], {"sample_spacing_s": "sample_spacing"}))
+def build_command(options: LearnOptions) -> str:
+    """The same command again."""
+    changed = changed_options(options, ["logs"], {"sample_spacing_s": "sample_spacing"})
+    return shell_command("learn", *options.logs, **changed)

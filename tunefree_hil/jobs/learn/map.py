@@ -1,4 +1,4 @@
-"""Learns the open-loop map of a vehicle from logs: `calibration.npz`, and two pictures of it."""
+"""Learns the open-loop map of a vehicle from logs: `calibration.npz`, and two figures of it."""
 
 from __future__ import annotations
 
@@ -12,14 +12,22 @@ from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.base.open_loop_map import MAP_FILE
-from tunefree_hil.jobs.learn.logs import read
-from tunefree_hil.jobs.preconditions import require_model_of
-from tunefree_hil.jobs.progress import left_s, told
+from tunefree_hil.jobs.learn.logs import read_logs
+from tunefree_hil.jobs.learn.options import MapOptions
+from tunefree_hil.jobs.preconditions import require_model_of_vehicle
+from tunefree_hil.jobs.progress import left_s, relay_events
 from tunefree_hil.learn.drives.drive import Drive
-from tunefree_hil.learn.open_loop_map.build import Gathered, LearnedMap, Step, gather, learn_map
-from tunefree_hil.learn.open_loop_map.cells import cell_errors, rms
+from tunefree_hil.learn.open_loop_map.build import GatheredSamples, LearnedMap, MapProgress, gather_samples, learn_map
+from tunefree_hil.learn.open_loop_map.cells import compute_cell_errors, compute_rms
 from tunefree_hil.learn.open_loop_map.samples import PEDALS
-from tunefree_hil.learn.open_loop_map.table import BACKED, BEYOND, GAP, is_monotone, law_of, write_table
+from tunefree_hil.learn.open_loop_map.table import (
+    EXTRAPOLATED,
+    INTERPOLATED,
+    SUPPORTED,
+    is_monotone,
+    law_from_calibration,
+    write_table,
+)
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
@@ -28,39 +36,37 @@ if TYPE_CHECKING:
 SCHEMA = "tunefree.map/1"
 
 
-def map_logs(logs: Sequence[Path], vehicle: str, out: Path, seed: int = 1) -> Iterator[Event]:
-    """Read logs, train, write. out: a file ending in .npz, or a folder (a model's folder gets the map it drives by)."""
+def map_logs(options: MapOptions) -> Iterator[Event]:
+    """Read the logs, train the nets, and write the map."""
     from tunefree_hil.config.load import load_vehicle
-    from tunefree_hil.learn.training.map_nets import require_torch
+    from tunefree_hil.learn.training.map_nets import import_torch
 
-    require_torch()  # said before an hour of logs is read
-    spec = load_vehicle(vehicle)
-    target = target_of(out, spec)
-    drives = yield from read(logs, spec)
-    gathered = gather(drives, spec)
-    for words in gathered.words:
-        yield Event("note", words)
+    import_torch()  # raises before an hour of logs is read
+    vehicle = load_vehicle(options.vehicle)
+    target = resolve_target(options.out, vehicle)
+    drives = yield from read_logs(options.logs, vehicle)
+    gathered = gather_samples(drives, vehicle)
+    for note in gathered.notes:
+        yield Event("note", note)
     for delay in gathered.delays.values():
-        if not delay.found:
-            yield Event("warning", delay.words)
+        if not delay.is_identified:
+            yield Event("warning", delay.note)
     started = time.monotonic()
-    learned = yield from learned_map(gathered, spec, seed)
-    for pedal, choice in learned.choices.items():
-        if not choice.whole:
-            yield Event(
-                "warning", f"{pedal}: a training came to numbers that are not finite; the best net before it is kept"
-            )
-    data = report(learned, gathered, drives, spec, seed) | {"training_s": time.monotonic() - started}
-    data |= {"replaced_mps2": _replaced(target, learned)}
+    learned = yield from learn_map_with_progress(gathered, vehicle, options.seed)
+    for pedal, selection in learned.selections.items():
+        if not selection.is_complete:
+            yield Event("warning", f"{pedal}: a training diverged; the best net before that is kept")
+    data = build_report(learned, gathered, drives, vehicle, options.seed) | {"training_s": time.monotonic() - started}
+    data |= {"replaced_mps2": _replaced_map_error(target, learned)}
     write_table(target, learned.table, json.dumps(data))
-    figures = draw(learned, gathered, target)
+    figures = draw_figures(learned, gathered, target)
     if not (target.name == MAP_FILE and (target.parent / "model.toml").is_file()):
-        yield Event("note", f'a bench drives by it with: [controller] calibration = "{target}"')
-    yield Event("result", "", data | _ending(data, target, figures))
+        yield Event("note", f'to use it in a bench file: [controller] calibration = "{target}"')
+    yield Event("result", "", data | _summarise_result(data, target, figures))
 
 
-def target_of(out: Path, vehicle: VehicleSpec) -> Path:
-    """The file to write. Raises InputError for a model folder of another vehicle, or a file that is no .npz."""
+def resolve_target(out: Path, vehicle: VehicleSpec) -> Path:
+    """The file to write. Raises InputError for a model folder of another vehicle, or a file that is not .npz."""
     if out.suffix == ".npz":
         return out
     if out.is_file():
@@ -72,25 +78,27 @@ def target_of(out: Path, vehicle: VehicleSpec) -> Path:
 
         model = load_model(out)
         hint = "name a model folder of the same vehicle, or another folder"
-        require_model_of(model, vehicle, "--out", hint=hint, file=str(out))
+        require_model_of_vehicle(model, vehicle, "--out", hint=hint, file=str(out))
     return out / MAP_FILE
 
 
-def learned_map(gathered: Gathered, vehicle: VehicleSpec, seed: int) -> Generator[Event, None, LearnedMap]:
-    """The map of what was gathered, its nets as progress."""
+def learn_map_with_progress(
+    gathered: GatheredSamples, vehicle: VehicleSpec, seed: int
+) -> Generator[Event, None, LearnedMap]:
+    """Learn the map, with a progress event for each net."""
     began = time.monotonic()
 
-    def event_of(step: Step) -> Event:
+    def event_of(step: MapProgress) -> Event:
         eta_s = left_s(began, step.done / step.total)
-        return Event("progress", step.words, {"label": "net", "done": step.done, "total": step.total, "eta_s": eta_s})
+        return Event("progress", step.message, {"label": "net", "done": step.done, "total": step.total, "eta_s": eta_s})
 
-    return told(learn_map(gathered.samples, vehicle, seed), event_of)
+    return relay_events(learn_map(gathered.samples, vehicle, seed), event_of)
 
 
-def report(
-    learned: LearnedMap, gathered: Gathered, drives: Sequence[Drive], vehicle: VehicleSpec, seed: int
+def build_report(
+    learned: LearnedMap, gathered: GatheredSamples, drives: Sequence[Drive], vehicle: VehicleSpec, seed: int
 ) -> dict[str, Any]:
-    """What the map is made of and how good it is, as plain data."""
+    """The data of the map and its errors, as plain data."""
     support = learned.grid.support
     return {
         "schema": SCHEMA,
@@ -101,33 +109,33 @@ def report(
         "version": __version__,
         "samples": len(gathered.samples.speed_mps),
         "delay_s": {pedal: delay.seconds for pedal, delay in gathered.delays.items()},
-        "delay_found": {pedal: delay.found for pedal, delay in gathered.delays.items()},
-        "pedals": {pedal: _pedal_report(learned, pedal) for pedal in PEDALS},
+        "delay_found": {pedal: delay.is_identified for pedal, delay in gathered.delays.items()},
+        "pedals": {pedal: _build_pedal_report(learned, pedal) for pedal in PEDALS},
         "speed_mps": [float(learned.grid.speed_mps[0]), float(learned.grid.speed_mps[-1])],
         "accel_mps2": [float(learned.table.accel_mps2.min()), float(learned.table.accel_mps2.max())],
         "support": {
             word: float((support == value).mean())
-            for word, value in (("data", BACKED), ("gap", GAP), ("beyond", BEYOND))
+            for word, value in (("data", SUPPORTED), ("gap", INTERPOLATED), ("beyond", EXTRAPOLATED))
         },
         "points": len(learned.table.speed_mps),
         "monotone": is_monotone(learned.table),
     }
 
 
-def _pedal_report(learned: LearnedMap, pedal: str) -> dict[str, Any]:
-    choice = learned.choices[pedal]
+def _build_pedal_report(learned: LearnedMap, pedal: str) -> dict[str, Any]:
+    selection = learned.selections[pedal]
     return {
-        "hidden_units": choice.width,
-        "seeds": choice.net.width // choice.width,
-        "held_out_mps2": choice.held_out_mps2,
-        "by_width_mps2": {str(width): list(errors) for width, errors in choice.by_width.items()},
-        "cells": len(set(choice.points.cell.tolist())),
-        "samples": len(choice.points.cell),
+        "hidden_units": selection.width,
+        "seeds": selection.net.width // selection.width,
+        "held_out_mps2": selection.held_out_mps2,
+        "by_width_mps2": {str(width): list(errors) for width, errors in selection.by_width.items()},
+        "cells": len(set(selection.points.cell.tolist())),
+        "samples": len(selection.points.cell),
     }
 
 
-def _replaced(target: Path, learned: LearnedMap) -> float | None:
-    """How far off the map that is replaced is on the same cells, RMS in m/s2; None where there is none."""
+def _replaced_map_error(target: Path, learned: LearnedMap) -> float | None:
+    """RMS error in m/s2, on the same cells, of the map that is replaced; None where there is none."""
     from tunefree_hil.control.calibration_map import load
 
     if not target.is_file():
@@ -135,40 +143,42 @@ def _replaced(target: Path, learned: LearnedMap) -> float | None:
     try:
         before = load(target)
     except InputError:
-        return None  # it is replaced whatever it was
-    errors = [cell_errors(law_of(before, pedal), learned.choices[pedal].points) for pedal in PEDALS]
-    return rms(_joined(errors))
+        return None  # an unreadable file is replaced, too
+    errors = [
+        compute_cell_errors(law_from_calibration(before, pedal), learned.selections[pedal].points) for pedal in PEDALS
+    ]
+    return compute_rms(_concatenate(errors))
 
 
-def _joined(errors: Sequence[Any]) -> Any:
+def _concatenate(errors: Sequence[Any]) -> Any:
     import numpy as np
 
     return np.concatenate(errors)
 
 
-def draw(learned: LearnedMap, gathered: Gathered, target: Path) -> list[str]:
-    """The two figures, beside the file: what was collected (Fig. 4a), what came out (Fig. 4b)."""
+def draw_figures(learned: LearnedMap, gathered: GatheredSamples, target: Path) -> list[str]:
+    """Draw the samples (Fig. 4a of the paper) and the map (Fig. 4b), beside the file."""
     from tunefree_hil.figures.learning.map import write_map, write_map_data
 
-    picture = picture_of(learned, gathered)
+    picture = make_picture(learned, gathered)
     stem = target.with_suffix("")
     data = write_map_data(stem.with_name(f"{stem.name}_data.png"), picture)
     result = write_map(stem.with_name(f"{stem.name}_map.png"), picture)
     return [str(data), str(result)]
 
 
-def picture_of(learned: LearnedMap, gathered: Gathered) -> MapPicture:
-    """Plain arrays for the figures."""
+def make_picture(learned: LearnedMap, gathered: GatheredSamples) -> MapPicture:
+    """Arrays for the figures."""
     from tunefree_hil.figures.learning.map import MapPicture
 
     grid, samples = learned.grid, gathered.samples
     sign = samples.pedal
     command = samples.command_frac * (sign + (sign == 0.0))
-    kept = slice(None, None, max(1, len(command) // 20_000))
+    thin = slice(None, None, max(1, len(command) // 20_000))
     return MapPicture(
-        samples.speed_mps[kept],
-        command[kept],
-        samples.accel_mps2[kept],
+        samples.speed_mps[thin],
+        command[thin],
+        samples.accel_mps2[thin],
         grid.speed_mps,
         grid.command_frac,
         grid.accel_mps2,
@@ -177,10 +187,10 @@ def picture_of(learned: LearnedMap, gathered: Gathered) -> MapPicture:
     )
 
 
-def _ending(data: Mapping[str, Any], target: Path, figures: list[str]) -> dict[str, Any]:
+def _summarise_result(data: Mapping[str, Any], target: Path, figures: list[str]) -> dict[str, Any]:
     errors = ", ".join(
-        f"{pedal} {one['held_out_mps2']:.3f} m/s² with {one['hidden_units']} hidden units"
-        for pedal, one in data["pedals"].items()
+        f"{pedal} {entry['held_out_mps2']:.3f} m/s² with {entry['hidden_units']} hidden units"
+        for pedal, entry in data["pedals"].items()
     )
     low, high = data["speed_mps"]
     sentence = f"map of {data['points']} points from {low:g} to {high:g} m/s in {target}; on held-out cells {errors}"

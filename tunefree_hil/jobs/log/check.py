@@ -1,4 +1,4 @@
-"""Is a log of CAN frames whole? Counts, rates, gaps, counters, CRCs, what does not decode, what is foreign."""
+"""Check a log of CAN frames: counts, rates, gaps, counters, CRCs, frames that do not decode, foreign frames."""
 
 from __future__ import annotations
 
@@ -7,37 +7,37 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tunefree_hil.base.events import Event
-from tunefree_hil.jobs.log.files import by_channel, codec_for, cut_warning, open_log
+from tunefree_hil.jobs.log.files import codec_for_log, describe_cut, has_vehicle_channels, open_log
 
 if TYPE_CHECKING:
     from tunefree_hil.bus.dbc.codec import Codec
 
-HEAD = f"{'message':<24}{'id':>11}{'frames':>8}{'Hz':>8}{'wanted':>8}{'gap ms':>8}"
+HEAD = f"{'message':<24}{'id':>11}{'frames':>8}{'Hz':>8}{'nominal':>8}{'gap ms':>8}"
 HEAD += f"{'late':>6}{'lost':>6}{'short':>7}{'crc':>5}"
 
 
 def check(path: Path, vehicle: str | None) -> Iterator[Event]:
-    """One line a message on stdout, then what is wrong. Exit 1 when something is.
+    """One line a message on stdout, then the faults. Exit 1 on a fault.
 
-    Columns: rate and the period's rate, longest gap, gaps above 1.5 periods, frames lost by their counter, frames
-    shorter than the DBC says, frames whose CRC does not fit ('-': the folder names no profile to check it by).
+    Columns: measured and nominal rate, longest gap, gaps above 1.5 periods, frames lost by their counter, frames
+    shorter than in the DBC, frames with a wrong CRC ('-': the vehicle folder names no CRC profile).
     """
     from tunefree_hil.bus.recording.log_check import check_frames
 
-    codec, where = codec_for(path, vehicle)
+    codec, where = codec_for_log(path, vehicle)
     yield Event("note", f"{path}, read as {where}")
     log = open_log(path)
-    health = check_frames(log.frames(), codec, by_channel(log.frames(), codec))
+    health = check_frames(log.frames(), codec, has_vehicle_channels(log.frames(), codec))
     yield Event("line", HEAD)
     for row in health.messages:
         yield Event("line", _row(row, codec))
     for can_id, count in health.foreign.items():
         yield Event("line", f"{'(not in the DBC)':<24}{can_id & 0x1FFFFFFF:>#11x}{count:>8}")
-    problems = ([cut_warning(log)] if log.cut else []) + health.problems
+    problems = ([describe_cut(log)] if log.cut_line else []) + health.problems
     for problem in problems:
         yield Event("line", f"fault: {problem}")
-    holds = f"{len(problems)} faults" if len(problems) != 1 else "1 fault"
-    sentence = f"{health.frames} frames in {health.span_s:.2f} s: " + (holds if problems else "the log is whole")
+    faults = f"{len(problems)} faults" if len(problems) != 1 else "1 fault"
+    sentence = f"{health.frames} frames in {health.span_s:.2f} s: " + (faults if problems else "no faults")
     data = {"messages": health.messages, "foreign": health.foreign, "problems": problems, "vehicle": where}
     yield Event("result", "", {**data, "frames": health.frames, "sentence": sentence, "exit": 1 if problems else 0})
 

@@ -1,4 +1,4 @@
-"""A drive out of any log: columns against a reference, however much or little of the vehicle the log knows."""
+"""Extract the drive of a reference from a log: its columns, with or without positions."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from tunefree_hil.episode.candump import EXTENDED_BIT, LogFrame
 from tunefree_hil.episode.columns import columns_from_frames
 from tunefree_hil.episode.real_time import MOST_STEP_S, clock_jump, times_of
 from tunefree_hil.episode.recording import Recording
-from tunefree_hil.grade.align import Align, find_by_speed, longitudinal_only, place_course
-from tunefree_hil.grade.profile import Beside
-from tunefree_hil.grade.reference import Reference
+from tunefree_hil.grade.align import AlignMode, add_longitudinal_reference, find_start_by_speed, place_course
+from tunefree_hil.grade.profile import DriveExtras
+from tunefree_hil.grade.reference import ReferencePath
 from tunefree_hil.grade.score import GradeVehicle
-from tunefree_hil.jobs.log.files import by_channel
+from tunefree_hil.jobs.log.files import has_vehicle_channels
 from tunefree_hil.jobs.run_folder import read_json
 
 POSITION = {"x_m", "y_m", "heading_rad"}
-ODOMETRY = "station error by the integral of the reported speed: it runs with that signal's scale"
+ODOMETRY = "station error from the integral of the reported speed: it contains the scale error of that signal"
 
 
 class LogDrive(NamedTuple):
-    """columns against `course`, which lies in the log's coordinates; notes: how it was placed, what was not had.
+    """A drive against `course` in the log's coordinates. notes: alignment, and missing signals.
 
-    span_s: first and last time stamp of the part of the log that the rows are.
+    span_s: first and last time stamp of the drive in the log.
     """
 
     recording: Recording
@@ -41,61 +41,81 @@ class LogDrive(NamedTuple):
     span_s: tuple[float, float]
 
 
-def read_drive(
+def read_log_drive(
     frames: Sequence[LogFrame],
     codec: Codec,
     vehicle: GradeVehicle,
-    reference: Reference,
+    reference: ReferencePath,
     *,
-    align: Align,
+    align: AlignMode,
     start_s: float | None,
     folder: Path,
 ) -> LogDrive:
-    """The columns of the part of a log in which `reference` is driven. folder: where the log lies.
+    """Read the part of a log in which `reference` is driven.
 
-    With positions by the follower Block, run on the INS frames; without them the longitudinal ones only.
+    With positions, the follower computes the errors from the INS frames; without them only longitudinal errors.
+
+    Args:
+        start_s: Start given by the user, in seconds from the first frame; None to find it.
+        folder: Folder of the log.
     """
-    dt_s = codec.tick_ms * 1e-3
-    stamps = np.array([frame.time_s for frame in frames])
-    off_grid = float(np.abs(stamps / dt_s - np.round(stamps / dt_s)).max())
-    times = times_of(off_grid, float(stamps[0]), float(stamps.min()), dt_s, folder)
-    named = by_channel(frames, codec)
-
-    def columns(follower: Block, row: int, ticks: int) -> Recording:
-        zero_s = times.zero_s + row * dt_s
-        options = {"ticks": ticks, "zero_s": zero_s, "late_ticks": times.late_ticks, "by_channel": named}
-        return columns_from_frames(frames, codec, follower, dt_s, **options)
-
-    def span(row: int, ticks: int) -> tuple[float, float]:
-        return times.zero_s + row * dt_s, times.zero_s + (row + ticks) * dt_s
-
-    whole = columns(nobody(), 0, 0)
-    notes = [times.words] if times.late_ticks else []
+    reader = _ColumnReader(frames, codec, folder)
+    whole = reader.read(make_silent_follower(), 0, 0)
+    notes = [reader.times.words] if reader.times.late_ticks else []
     if whole.columns.keys() >= POSITION:
-        given = align if align != "auto" or not reference.world else "recorded"
+        given = align if align != "auto" or not reference.in_log_coordinates else "recorded"
         placed = place_course(whole, reference.course, align=given, start_s=start_s)
-        ticks = _ticks(whole, placed.row, placed.course)
-        found = columns(make_follower(placed.course, vehicle.rear_axle_m), placed.row, ticks)
-        if "speed_error_mps" in found.columns:
-            return LogDrive(found, placed.course, [*notes, placed.words], span(placed.row, ticks))
-    row, words = _start_without(whole, reference.course, start_s)
-    ticks = _ticks(whole, row, reference.course)
-    found = columns(nobody(), row, ticks)
-    notes += [words, "no INS frames with position and speed: nothing lateral can be had", ODOMETRY]
-    return LogDrive(longitudinal_only(found, reference.course), reference.course, notes, span(row, ticks))
+        ticks = _count_ticks(whole, placed.row, placed.course)
+        drive = reader.read(make_follower(placed.course, vehicle.rear_axle_m), placed.row, ticks)
+        if "speed_error_mps" in drive.columns:
+            return LogDrive(drive, placed.course, [*notes, placed.text], reader.span_s(placed.row, ticks))
+    row, text = _start_without_positions(whole, reference.course, start_s)
+    ticks = _count_ticks(whole, row, reference.course)
+    drive = add_longitudinal_reference(reader.read(make_silent_follower(), row, ticks), reference.course)
+    notes += [text, "no INS frames with position and speed: no lateral errors", ODOMETRY]
+    return LogDrive(drive, reference.course, notes, reader.span_s(row, ticks))
 
 
-def refuse_jump(frames: Sequence[LogFrame], log: Path) -> None:
-    """Raise InputError for a clock that jumps: the ticks between would be rows of the drive."""
+class _ColumnReader:
+    """Reads parts of a log as columns."""
+
+    def __init__(self, frames: Sequence[LogFrame], codec: Codec, folder: Path) -> None:
+        self._frames, self._codec = frames, codec
+        self._dt_s = dt_s = codec.tick_ms * 1e-3
+        stamps = np.array([frame.time_s for frame in frames])
+        off_grid = float(np.abs(stamps / dt_s - np.round(stamps / dt_s)).max())
+        self.times = times_of(off_grid, float(stamps[0]), float(stamps.min()), dt_s, folder)
+        self._by_channel = has_vehicle_channels(frames, codec)
+
+    def read(self, follower: Block, row: int, ticks: int) -> Recording:
+        """Columns of `ticks` rows from `row` on; 0 ticks: all."""
+        return columns_from_frames(
+            self._frames,
+            self._codec,
+            follower,
+            self._dt_s,
+            ticks=ticks,
+            zero_s=self.times.zero_s + row * self._dt_s,
+            late_ticks=self.times.late_ticks,
+            by_channel=self._by_channel,
+        )
+
+    def span_s(self, row: int, ticks: int) -> tuple[float, float]:
+        """First and last time stamp of some rows."""
+        return self.times.zero_s + row * self._dt_s, self.times.zero_s + (row + ticks) * self._dt_s
+
+
+def require_steady_clock(frames: Sequence[LogFrame], log: Path) -> None:
+    """Raise InputError for a clock that jumps."""
     steps = np.diff([frame.time_s for frame in frames])
     if len(steps) and float(np.abs(steps).max()) > MOST_STEP_S:
         k = int(np.abs(steps).argmax())
-        way = "back" if steps[k] < 0.0 else "ahead"
-        raise clock_jump(abs(float(steps[k])), frames[k + 1].time_s, way, log)
+        direction = "back" if steps[k] < 0.0 else "ahead"
+        raise clock_jump(abs(float(steps[k])), frames[k + 1].time_s, direction, log)
 
 
-def nobody() -> Block:
-    """A follower that has nothing to say."""
+def make_silent_follower() -> Block:
+    """A follower without output, for a log without positions."""
 
     def init(params: Any, dt_s: float) -> None:
         return None
@@ -106,10 +126,10 @@ def nobody() -> Block:
     return Block(init, step, Tracking())
 
 
-def manual_s(frames: Sequence[LogFrame], codec: Codec, span_s: tuple[float, float]) -> float:
-    """Seconds of a part of a log in which a report says that its by-wire channel is not enabled.
+def manual_driving_s(frames: Sequence[LogFrame], codec: Codec, span_s: tuple[float, float]) -> float:
+    """Seconds in a part of a log in which a by-wire channel is reported as not enabled.
 
-    0 where no report can say it. The source profiles rows in automatic mode only (apollo_facts 6.1).
+    0 where no message reports it. Apollo's control profiling uses rows in automatic mode only.
     """
     telemetry, messages = set(codec.telemetry), {}
     off: dict[str, bool] = {}
@@ -118,8 +138,8 @@ def manual_s(frames: Sequence[LogFrame], codec: Codec, span_s: tuple[float, floa
         key = (frame.can_id, frame.channel)
         if key not in messages:
             can_id, extended = frame.can_id & ~EXTENDED_BIT, bool(frame.can_id & EXTENDED_BIT)
-            found = codec.find(CanFrame(can_id, b"", extended=extended))
-            messages[key] = found if found in telemetry else None
+            decoded_by = codec.find(CanFrame(can_id, b"", extended=extended))
+            messages[key] = decoded_by if decoded_by in telemetry else None
         message = messages[key]
         enables = [state for state in message.states if state.condition == "enabled"] if message is not None else []
         if message is None or not enables or not codec.fits(message, frame.data):
@@ -131,8 +151,8 @@ def manual_s(frames: Sequence[LogFrame], codec: Codec, span_s: tuple[float, floa
     return total_s
 
 
-def beside_of(folder: Path) -> Beside:
-    """Compute times and the end of a drive of our own bench, from timing.npz and episode.json beside the log."""
+def read_extras(folder: Path) -> DriveExtras:
+    """Compute times and end of a drive from timing.npz and episode.json beside the log, where they exist."""
     timing, summary = folder / "timing.npz", folder / "episode.json"
     control_time_s = None
     if timing.is_file():
@@ -141,25 +161,25 @@ def beside_of(folder: Path) -> Beside:
     if control_time_s is not None and len(control_time_s) == 0:
         control_time_s = None
     error = str(read_json(summary).get("error", "")) if summary.is_file() else None
-    return Beside(control_time_s, error)
+    return DriveExtras(control_time_s, error)
 
 
-def _ticks(whole: Recording, row: int, course: Course) -> int:
-    """Rows to keep: to the end of the plan or of the log."""
-    left = min(course.ticks, whole.ticks - row)
-    if row < 0 or left < 1:
+def _count_ticks(whole: Recording, row: int, course: Course) -> int:
+    """Number of rows to the end of the plan or of the log. Raises InputError for a start outside the log."""
+    ticks = min(course.ticks, whole.ticks - row)
+    if row < 0 or ticks < 1:
         raise InputError(
-            f"the log lasts {whole.ticks * whole.dt_s:.1f} s and the start is at {row * whole.dt_s:.1f} s",
+            f"the start at {row * whole.dt_s:.1f} s is outside the log of {whole.ticks * whole.dt_s:.1f} s",
             code="bad_start",
             key="--start-s",
             hint="give seconds from the log's first frame",
         )
-    return left
+    return ticks
 
 
-def _start_without(whole: Recording, course: Course, start_s: float | None) -> tuple[int, str]:
-    """Row and words of the start in a log without positions."""
+def _start_without_positions(whole: Recording, course: Course, start_s: float | None) -> tuple[int, str]:
+    """Row of the start in a log without positions, and a text about it."""
     if start_s is not None:
-        return round(start_s / whole.dt_s), f"started at {start_s:g} s of the log as asked for"
+        return round(start_s / whole.dt_s), f"started at {start_s:g} s of the log (--start-s)"
     speed = whole.get("speed_mps")
-    return find_by_speed(np.full(whole.ticks, np.nan) if speed is None else speed, course, whole.dt_s)
+    return find_start_by_speed(np.full(whole.ticks, np.nan) if speed is None else speed, course, whole.dt_s)

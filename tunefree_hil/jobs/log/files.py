@@ -1,4 +1,4 @@
-"""Logs of any format as rows and frames, and the vehicle they are read as: what the `log` commands share."""
+"""Logs of any format as rows and frames, and the codec to decode them, for all `log` commands."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ if TYPE_CHECKING:
 KEPT_FLAGS = 31  # of a Row that a LogFrame has
 
 
-class Log(NamedTuple):
-    """A log that is read as often as one likes, never held as a whole.
+class LogFile(NamedTuple):
+    """A log that can be read repeatedly without loading it into memory.
 
-    format: its name. cut: of candump text what is left of a last line that was cut off, else ''; `frames` leaves that
-    line out, `rows` refuses it.
+    format: its name. cut_line: the incomplete last line of a candump text, else ''; `frames` leaves it out, `rows`
+    raises an error for it.
     """
 
     path: Path
     format: str
-    cut: str
+    cut_line: str
 
     def rows(self) -> Iterator[Row]:
-        """All of it. InputError for a log that is empty, cut off or foreign; an OSError where the disk fails."""
+        """All rows. Raises InputError for an empty, truncated or unknown log."""
         return self._rows(allow_cut=False)
 
     def frames(self) -> Iterator[LogFrame]:
-        """The frames without what only other formats ask for."""
+        """All frames, without the row data that only other formats use."""
         for row in self._rows(allow_cut=True):
             yield LogFrame(*row[:4], row[4] & KEPT_FLAGS)
 
@@ -41,55 +41,55 @@ class Log(NamedTuple):
         if self.format == CANDUMP:
             yield from read_rows(self.path, allow_cut=allow_cut)
             return
-        heard = False
-        for row in load_format(self.format).read(bag_of(self.path)):
-            heard = True
+        is_empty = True
+        for row in load_format(self.format).read(bag_folder(self.path)):
+            is_empty = False
             yield row
-        if not heard:
-            hint = "record it again, or export it anew"
-            message = "the log is empty: there is not one frame in it"
+        if is_empty:
+            hint = "record or export it again"
+            message = "the log is empty: it contains no frame"
             raise InputError(message, code="empty_log", file=str(self.path), hint=hint)
 
 
-def open_log(path: Path) -> Log:
-    """A log in any format, told by how it begins. InputError for one that is missing or has no byte."""
+def open_log(path: Path) -> LogFile:
+    """Open a log; its format is detected from its first bytes. Raises InputError for a missing or empty file."""
     name = format_of(path)
-    return Log(path, name, cut_line(path) if name == CANDUMP else "")
+    return LogFile(path, name, cut_line(path) if name == CANDUMP else "")
 
 
-def cut_warning(log: Log) -> str:
-    """What to say of a log whose last line was cut off; '' where it was not."""
-    return f"the log is cut off in its last line, which is left out: {log.cut[:60]!r}" if log.cut else ""
+def describe_cut(log: LogFile) -> str:
+    """Warning about an incomplete last line; '' where it is complete."""
+    return f"the last line of the log is incomplete and left out: {log.cut_line[:60]!r}" if log.cut_line else ""
 
 
-class Whole(NamedTuple):
-    """All frames at once; cut: what to say of the last line."""
+class LoadedLog(NamedTuple):
+    """All frames of a log; cut_warning: about an incomplete last line, or ''."""
 
     frames: list[LogFrame]
-    cut: str
+    cut_warning: str
 
 
-def load_log(path: Path) -> Whole:
-    """A whole log in memory, for what needs all of it (grading a drive)."""
+def load_log(path: Path) -> LoadedLog:
+    """Load a whole log into memory."""
     log = open_log(path)
-    return Whole(list(log.frames()), cut_warning(log))
+    return LoadedLog(list(log.frames()), describe_cut(log))
 
 
-def bag_of(path: Path) -> Path:
-    """A ROS 2 bag's folder, where one file of it is named."""
+def bag_folder(path: Path) -> Path:
+    """The folder of a ROS 2 bag where `path` is a file in it, else `path`."""
     inside = path.suffix in (".mcap", ".db3") and (path.parent / "metadata.yaml").is_file()
     return path.parent if inside else path
 
 
-def by_channel(frames: Iterable[LogFrame], codec: Codec) -> bool:
-    """Whether the log's channels are the folder's (Codec.has_channels); frames are looked at only until it is sure."""
+def has_vehicle_channels(frames: Iterable[LogFrame], codec: Codec) -> bool:
+    """Whether the log has the channel names of the vehicle folder (Codec.has_channels)."""
     return codec.has_channels(frame.channel for frame in frames)
 
 
-def codec_for(path: Path, vehicle: str | None) -> tuple[Codec, str]:
-    """The codec of the vehicle that was named, that lies beside the log, or that the log's run was made with.
+def codec_for_log(path: Path, vehicle: str | None) -> tuple[Codec, str]:
+    """Codec and folder of a log's vehicle: the named one, the one beside the log, or that of the log's run.
 
-    And its folder. Raises InputError when the vehicle is not known.
+    Raises InputError when the vehicle is not known.
     """
     from tunefree_hil.bus.dbc.codec import Codec
     from tunefree_hil.config.load import load_bench, load_vehicle
@@ -108,10 +108,10 @@ def codec_for(path: Path, vehicle: str | None) -> tuple[Codec, str]:
 
 def _bench_above(path: Path) -> Path:
     benches = [folder / "bench.toml" for folder in path.resolve().parents]
-    near = next((one for one in benches if one.is_file()), None)
+    near = next((file for file in benches if file.is_file()), None)
     if near is None:
         raise InputError(
-            "the log lies in no run folder, so its vehicle is not known",
+            "the log is not in a run folder, so its vehicle is not known",
             code="which_vehicle",
             key="--vehicle",
             file=str(path),

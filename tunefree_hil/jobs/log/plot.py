@@ -1,4 +1,4 @@
-"""Draws signals of a log over time."""
+"""Plot signals of a log over time."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import numpy as np
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.episode.candump import LogFrame
-from tunefree_hil.jobs.log.files import by_channel, codec_for, cut_warning, open_log
-from tunefree_hil.jobs.log.show import known_names, message_of, refuse_unknown
+from tunefree_hil.jobs.log.files import codec_for_log, describe_cut, has_vehicle_channels, open_log
+from tunefree_hil.jobs.log.show import find_message, known_names, require_known_signal
 
 if TYPE_CHECKING:
     from tunefree_hil.bus.dbc.codec import Codec, MessageMap
 
-GAP_PERIODS, GAP_S = 3.0, 0.05  # a silence is drawn as one from three periods on, but not below 50 ms
-# The end of a record field's name -> the unit that is shown.
+GAP_PERIODS, GAP_S = 3.0, 0.05  # a line is interrupted at a gap of three periods, at least 50 ms
+# suffix of a record field's name -> unit
 UNITS = {
     "_mps": "m/s",
     "_mps2": "m/s²",
@@ -35,47 +35,49 @@ def plot(path: Path, vehicle: str | None, signals: Sequence[str], out: Path | No
     """Write a PNG (default: beside the log) of record fields ('report.speed_mps') or signals ('MESSAGE.SIGNAL')."""
     from tunefree_hil.figures.signals import Series, write_signals
 
-    codec, where = codec_for(path, vehicle)
-    wanted = [chosen for name in signals for chosen in choose(name, codec)]
+    codec, where = codec_for_log(path, vehicle)
+    wanted = [chosen for name in signals for chosen in resolve_signals(name, codec)]
     if not wanted:
         raise InputError("no signal is named", code="no_signal", key="SIGNALS", hint="for example report.speed_mps")
     log = open_log(path)
-    if log.cut:
-        yield Event("warning", cut_warning(log))
+    if log.cut_line:
+        yield Event("warning", describe_cut(log))
     units = dbc_units(where)
-    found = series_of(log.frames(), codec, wanted, by_channel(log.frames(), codec))
-    series = [Series(name, unit_of(name, units), *found[name], _gap_s(name, codec)) for name in dict.fromkeys(wanted)]
-    silent = [one.name for one in series if not one.time_s.size]
+    collected = collect_series(log.frames(), codec, wanted, has_vehicle_channels(log.frames(), codec))
+    series = [
+        Series(name, signal_unit(name, units), *collected[name], _gap_s(name, codec)) for name in dict.fromkeys(wanted)
+    ]
+    silent = [row.name for row in series if not row.time_s.size]
     for name in silent:
-        yield Event("warning", f"{name} was never heard in this log")
+        yield Event("warning", f"{name} does not occur in this log")
     if len(silent) == len(series):
-        raise InputError("not one of the signals is in this log", code="never_heard", file=str(path), key="SIGNALS")
+        raise InputError("none of the signals occurs in this log", code="never_heard", file=str(path), key="SIGNALS")
     target = write_signals(out or path.with_suffix(".png"), f"{path.name}: {codec.name}", series)
     data = {"figure": str(target), "values": {one.name: int(one.values.size) for one in series}, "vehicle": where}
     yield Event("result", "", {**data, "sentence": f"{len(series) - len(silent)} signals drawn in {target}"})
 
 
-def choose(name: str, codec: Codec) -> list[str]:
-    """The full names that `name` means: GROUP.FIELD or MESSAGE.SIGNAL. InputError with the nearest name there is."""
-    refuse_unknown(name, known_names(codec), codec.name)
+def resolve_signals(name: str, codec: Codec) -> list[str]:
+    """Full names (GROUP.FIELD or MESSAGE.SIGNAL) for a name. Raises InputError with the nearest known name."""
+    require_known_signal(name, known_names(codec), codec.name)
     messages = list(codec.by_name.values())
     full = [f"{field.group}.{field.name}" for message in messages for field in message.fields]
     full += [f"{message.name}.{signal}" for message in messages for signal in message.signals]
-    return sorted({one for one in full if one == name or one.partition(".")[2] == name})
+    return sorted({known for known in full if known == name or known.partition(".")[2] == name})
 
 
-def series_of(
-    frames: Iterable[LogFrame], codec: Codec, wanted: Sequence[str], apart: bool = False
+def collect_series(
+    frames: Iterable[LogFrame], codec: Codec, wanted: Sequence[str], by_channel: bool = False
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Full name -> (stamps in s, values: SI for record fields, the DBC's unit for signals), in the log's order.
+    """Time stamps in s and values by full name: SI for record fields, the DBC's unit for signals.
 
-    apart: the log's channels are the vehicle's (log_files.by_channel).
+    by_channel: the log has the vehicle's channel names (files.has_vehicle_channels).
     """
     rows = {name: (array("d"), array("d")) for name in wanted}
     fields = {message.name: _values_of(message) for message in codec.by_name.values()}
     bearing = {message.name for message in codec.by_name.values() if _names_of(message) & rows.keys()}
     for frame in frames:
-        message = message_of(frame, codec, apart)
+        message = find_message(frame, codec, by_channel)
         if message is None or message.name not in bearing or not codec.fits(message, frame.data):
             continue
         decoded = codec.decode(message, frame.data)
@@ -96,8 +98,8 @@ def _values_of(message: MessageMap) -> dict[tuple[str, int], str]:
     return {(field.group, field.index): f"{field.group}.{field.name}" for field in message.fields}
 
 
-def unit_of(name: str, units: Mapping[str, str]) -> str:
-    """The unit in words: of a signal the DBC's, of a record field what its name says."""
+def signal_unit(name: str, units: Mapping[str, str]) -> str:
+    """Unit of a signal (from the DBC) or of a record field (from its name)."""
     if name in units:
         return units[name]
     ends = sorted((end for end in UNITS if name.endswith(end)), key=len)
@@ -105,7 +107,7 @@ def unit_of(name: str, units: Mapping[str, str]) -> str:
 
 
 def dbc_units(folder: str) -> dict[str, str]:
-    """MESSAGE.SIGNAL -> unit, as the DBC has it."""
+    """MESSAGE.SIGNAL -> unit, from the DBC."""
     from tunefree_hil.bus.dbc.network import read_network
     from tunefree_hil.config.load import load_vehicle
 
@@ -114,10 +116,10 @@ def dbc_units(folder: str) -> dict[str, str]:
 
 
 def _gap_s(name: str, codec: Codec) -> float:
-    """The silence from which the line of a signal is broken."""
-    mine = next(
+    """Gap at which the line of a signal is interrupted."""
+    source = next(
         message
         for message in codec.by_name.values()
         if name.startswith(f"{message.name}.") or name in _values_of(message).values()
     )
-    return max(GAP_S, GAP_PERIODS * mine.period_ticks * codec.tick_ms / 1000.0)
+    return max(GAP_S, GAP_PERIODS * source.period_ticks * codec.tick_ms / 1000.0)

@@ -1,4 +1,4 @@
-"""Prints a log decoded, and finds the signals that a person names."""
+"""Print a log decoded, and check signal names given by the user."""
 
 from __future__ import annotations
 
@@ -10,45 +10,45 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.episode.candump import ERROR, EXTENDED_BIT, RTR, LogFrame
-from tunefree_hil.jobs.log.files import by_channel, codec_for, cut_warning, open_log
+from tunefree_hil.jobs.log.files import codec_for_log, describe_cut, has_vehicle_channels, open_log
 
 if TYPE_CHECKING:
     from tunefree_hil.bus.dbc.codec import Codec, MessageMap
 
 
 def show(path: Path, vehicle: str | None, signals: Sequence[str]) -> Iterator[Event]:
-    """One line a frame on stdout: the DBC's physical values, then the record fields in SI.
+    """One line a frame on stdout: physical values of the DBC, then record fields in SI.
 
-    `signals`: signal names or record fields ('speed_mps', 'report.speed_mps'); frames without any are left out.
+    signals: signal names or record fields ('speed_mps', 'report.speed_mps'); frames without them are left out.
     """
-    codec, where = codec_for(path, vehicle)
+    codec, where = codec_for_log(path, vehicle)
     yield Event("note", f"{path}, read as {where}")
     known = known_names(codec)
     for name in signals:
-        refuse_unknown(name, known, codec.name)
+        require_known_signal(name, known, codec.name)
     log = open_log(path)
-    if log.cut:
-        yield Event("warning", cut_warning(log))
-    shown, count, apart = 0, 0, by_channel(log.frames(), codec)
+    if log.cut_line:
+        yield Event("warning", describe_cut(log))
+    shown, count, apart = 0, 0, has_vehicle_channels(log.frames(), codec)
     for frame in log.frames():
         count += 1
-        message = message_of(frame, codec, apart)
-        words = _decoded(frame, message, codec, signals)
-        if words:
+        message = find_message(frame, codec, apart)
+        text = _decoded(frame, message, codec, signals)
+        if text:
             shown += 1
             name = message.name if message is not None else "(foreign)"
-            yield Event("line", f"{frame.time_s:.6f} {frame.channel} {frame.can_id & 0x1FFFFFFF:03X} {name} {words}")
+            yield Event("line", f"{frame.time_s:.6f} {frame.channel} {frame.can_id & 0x1FFFFFFF:03X} {name} {text}")
     sentence = f"{shown} of {count} frames shown"
     yield Event("result", "", {"sentence": sentence, "frames": count, "shown": shown})
 
 
-def message_of(frame: LogFrame, codec: Codec, apart: bool) -> MessageMap | None:
-    """The message of a frame; None for a foreign one, an error or a remote frame. apart: log_files.by_channel."""
+def find_message(frame: LogFrame, codec: Codec, by_channel: bool) -> MessageMap | None:
+    """Message of a frame; None for a foreign, error or remote frame. by_channel: files.has_vehicle_channels."""
     if frame.flags & (ERROR | RTR):
         return None
     extended = bool(frame.can_id & EXTENDED_BIT)
-    heard = CanFrame(frame.can_id & ~EXTENDED_BIT, frame.data, extended)
-    return codec.find(heard, frame.channel if apart else "")
+    can_frame = CanFrame(frame.can_id & ~EXTENDED_BIT, frame.data, extended)
+    return codec.find(can_frame, frame.channel if by_channel else "")
 
 
 def known_names(codec: Codec) -> set[str]:
@@ -60,8 +60,8 @@ def known_names(codec: Codec) -> set[str]:
     return names | {field.name for field in fields} | {f"{field.group}.{field.name}" for field in fields}
 
 
-def refuse_unknown(name: str, known: set[str], vehicle: str) -> None:
-    """Raise InputError with the nearest name there is, unless `name` is one."""
+def require_known_signal(name: str, known: set[str], vehicle: str) -> None:
+    """Raise InputError with the nearest known name, unless `name` is known."""
     from tunefree_hil.config.find import nearest
 
     if name not in known:
@@ -69,7 +69,7 @@ def refuse_unknown(name: str, known: set[str], vehicle: str) -> None:
 
 
 def _decoded(frame: LogFrame, message: MessageMap | None, codec: Codec, wanted: Sequence[str]) -> str:
-    """'PO=0.15 report.throttle_frac=0.15', or '' where nothing was asked of this frame."""
+    """Text such as 'PO=0.15 report.throttle_frac=0.15', or '' where the frame has no wanted signal."""
     if message is None or not codec.fits(message, frame.data):
         return "" if wanted else frame.data.hex().upper() or "-"
     decoded = codec.decode(message, frame.data)

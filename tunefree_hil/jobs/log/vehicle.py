@@ -1,4 +1,4 @@
-"""The vehicle folder's table of an imported drive: its own fields, everything else absent, limits as driven."""
+"""Vehicle folder of an imported drive: the fields of the CSV, everything else absent, limits from the data."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def vehicle_table(spec: ImportSpec, drive: CsvDrive) -> dict[str, Any]:
-    """vehicle.toml as plain data: each column's field, everything else absent, limits as given or as driven."""
+    """vehicle.toml as plain data; limits as given, or from the data."""
     periods = {name: _period_ms(drive, name) for name in drive.columns}
     state_ms = [] if drive.enabled is None else [_rounded_ms(drive.time_s[np.isfinite(drive.enabled)])]
     tick_ms = math.gcd(*periods.values(), *state_ms)
@@ -28,7 +28,7 @@ def vehicle_table(spec: ImportSpec, drive: CsvDrive) -> dict[str, Any]:
         "dbc": ["vehicle.dbc"],
         "bitrate": 500_000,
         "tick_ms": 10 if tick_ms % 10 == 0 else tick_ms,
-        "absent": _absent(drive),
+        "absent": _absent_fields(drive),
     }
     if any(name.partition(".")[2] in WHEEL_FIELDS for name in drive.columns):
         table["data_bitrate"] = 2_000_000  # the four wheels need a CAN FD frame
@@ -53,30 +53,30 @@ def _period_ms(drive: CsvDrive, name: str) -> int:
     return _rounded_ms(drive.time_s[column.sent], column.spec.period_ms)
 
 
-def _rounded_ms(times: np.ndarray, said_ms: int = 0) -> int:
-    """The usual time between two values, or what is said: tens of ms from 8 ms on, whole ms below, at least 1."""
-    period_ms = said_ms or (1000.0 * float(np.median(np.diff(times))) if times.size > 1 else 100.0)
+def _rounded_ms(times: np.ndarray, given_ms: int = 0) -> int:
+    """Median time between two values, or the given one: rounded to 10 ms from 8 ms on, else to 1 ms, at least 1."""
+    period_ms = given_ms or (1000.0 * float(np.median(np.diff(times))) if times.size > 1 else 100.0)
     return max(1, round(period_ms / 10.0) * 10 if period_ms >= 8.0 else round(period_ms))
 
 
-def _absent(drive: CsvDrive) -> list[str]:
-    there = {name.partition(".")[::2] for name in drive.columns}
-    wheels = any(field in WHEEL_FIELDS for _, field in there)
+def _absent_fields(drive: CsvDrive) -> list[str]:
+    present = {name.partition(".")[::2] for name in drive.columns}
+    wheels = any(field in WHEEL_FIELDS for _, field in present)
     return [
         f"{group}.{name}"
         for group in GROUPS
         for name in field_names(group)
-        if (group, name) not in there and not (name == WHEELS and wheels)
+        if (group, name) not in present and not (name == WHEELS and wheels)
     ]
 
 
 def _limits(spec: ImportSpec, drive: CsvDrive) -> dict[str, Any]:
-    """As the mapping gives them; else the greatest values driven, or round figures, all said to be assumed."""
+    """Limits from the mapping; else the largest values in the data, or default values, marked as assumed."""
     if spec.limits is not None:
         return plain(spec.limits)
-    speed = _most(drive, "speed_mps", 1.0)
+    speed = _max_driven(drive, "speed_mps", 1.0)
     limits = {
-        "steer_rad": _most(drive, "steer_rad", 8.0),
+        "steer_rad": _max_driven(drive, "steer_rad", 8.0),
         "steer_rate_radps": 8.0,
         "throttle_frac": 1.0,
         "brake_frac": 1.0,
@@ -85,8 +85,8 @@ def _limits(spec: ImportSpec, drive: CsvDrive) -> dict[str, Any]:
     return {**limits, "assumed": list(limits)}
 
 
-def _most(drive: CsvDrive, field: str, otherwise: float) -> float:
-    """The greatest absolute value of a field in any group, rounded up to a tenth."""
-    found = [column.values[column.sent] for name, column in drive.columns.items() if name.endswith(f".{field}")]
-    most = max((float(np.abs(some).max()) for some in found if some.size), default=0.0)
-    return math.ceil(10.0 * most) / 10.0 if most > 0.0 else otherwise
+def _max_driven(drive: CsvDrive, field: str, default: float) -> float:
+    """Largest absolute value of a field in any group, rounded up to 0.1."""
+    columns = [column.values[column.sent] for name, column in drive.columns.items() if name.endswith(f".{field}")]
+    largest = max((float(np.abs(values).max()) for values in columns if values.size), default=0.0)
+    return math.ceil(10.0 * largest) / 10.0 if largest > 0.0 else default

@@ -1,7 +1,4 @@
-"""From an episode's logs to its columns, frame hash and grade.
-
-What the nodes of a drive noticed of each other's frames, from the episode's timing.npz.
-"""
+"""Read an episode's logs into columns, frame hash and grade, and its reception warnings from timing.npz."""
 
 from __future__ import annotations
 
@@ -18,15 +15,15 @@ from tunefree_hil.episode.columns import columns_from_placed, place_vehicle
 from tunefree_hil.episode.frame_hash import hash_of
 from tunefree_hil.episode.real_time import run_zero_s
 from tunefree_hil.episode.recording import Recording, save_recording
-from tunefree_hil.grade.score import ScenarioGrade, combine, grade, vehicle_of
+from tunefree_hil.grade.score import ScenarioGrade, combine_scores, grade_drive, grade_vehicle_from_spec
 from tunefree_hil.jobs.run_folder import write_json
 from tunefree_hil.nodes.reception import in_words
 from tunefree_hil.nodes.runner import Outcome
 from tunefree_hil.tune.trial import Evaluation
 
 
-class Episode(NamedTuple):
-    """One drive, read and graded. error_code: the number that was said, a controller's own as it said it."""
+class EpisodeResult(NamedTuple):
+    """One drive, read and graded. error_code: as sent on the bench channel; a foreign controller's own unchanged."""
 
     recording: Recording
     grade: ScenarioGrade
@@ -35,7 +32,7 @@ class Episode(NamedTuple):
     error_code: int = 0
 
 
-def harvest(
+def read_episode(
     bench: Bench,
     scenario: ScenarioSpec,
     values: Mapping[str, float],
@@ -44,7 +41,7 @@ def harvest(
     *,
     seed: int = 0,
     realtime: bool = False,
-) -> Episode:
+) -> EpisodeResult:
     """Read `folder/vehicle.log`, write columns.npz and episode.json beside it."""
     frames = read_candump(folder / "vehicle.log")
     codec = bench.codec
@@ -60,16 +57,16 @@ def harvest(
         late_ticks=1 if realtime else 0,
     )
     save_recording(recording, folder / "columns.npz")
-    graded = grade(
+    graded = grade_drive(
         recording,
         bench.course(scenario),
         bench.weights,
-        vehicle_of(bench.vehicle),
+        grade_vehicle_from_spec(bench.vehicle),
         scenario=scenario.name,
         error=outcome.error,
     )
     write_json(folder / "episode.json", _summary(scenario, seed, values, outcome, graded, hashed.hex))
-    return Episode(recording, graded, hashed.hex, dict(hashed.foreign), outcome.error_code)
+    return EpisodeResult(recording, graded, hashed.hex, dict(hashed.foreign), outcome.error_code)
 
 
 def _summary(
@@ -97,30 +94,30 @@ def _summary(
     }
 
 
-def evaluation_of(episodes: Mapping[str, Episode]) -> Evaluation:
-    """Eq. 7 over the episodes, and each grade as plain data."""
+def evaluation_from_episodes(episodes: Mapping[str, EpisodeResult]) -> Evaluation:
+    """Eq. 7 over the episodes, with each grade as plain data."""
     grades = [episode.grade for episode in episodes.values()]
-    kept = {name: {**episode.grade._asdict(), "frame_hash": episode.hash} for name, episode in episodes.items()}
-    return Evaluation(combine(grades), kept)
+    scenarios = {name: {**episode.grade._asdict(), "frame_hash": episode.hash} for name, episode in episodes.items()}
+    return Evaluation(combine_scores(grades), scenarios)
 
 
 ROLES = ("ecu", "controller")
-HEARD = "_heard_"
+RECEPTION_KEY = "_heard_"
 
 
-def heard_of(episode: Path) -> list[str]:
-    """A line for each message with which something was wrong, by who heard it; empty where all was well.
+def reception_warnings(episode: Path) -> list[str]:
+    """A text for each message that was received late, lost or damaged, by receiving node.
 
-    episode: folder of an episode. Without its timing.npz (a controller that is not ours keeps none) nothing is known.
+    episode: folder of an episode. Empty without its timing.npz, which a foreign controller does not write.
     """
     file = episode / "timing.npz"
     if not file.is_file():
         return []
     with np.load(file, allow_pickle=False) as data:
-        rows = {name: data[name].tolist() for name in data.files if HEARD in name}
+        rows = {name: data[name].tolist() for name in data.files if RECEPTION_KEY in name}
     return [
-        f"{role} heard {name.removeprefix(role + HEARD)}: {in_words(row)}"
+        f"{role} received {name.removeprefix(role + RECEPTION_KEY)}: {in_words(row)}"
         for role in ROLES
         for name, row in sorted(rows.items())
-        if name.startswith(role + HEARD)
+        if name.startswith(role + RECEPTION_KEY)
     ]

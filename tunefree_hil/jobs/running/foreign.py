@@ -1,4 +1,4 @@
-"""Somebody else's controller: any process that speaks the vehicle's DBC and bench.dbc (interfaces 7 and 8)."""
+"""Foreign controllers: any process that uses the vehicle's DBC and bench.dbc (docs/reference/bench_channel.md)."""
 
 from __future__ import annotations
 
@@ -14,86 +14,86 @@ from tunefree_hil.bench import Bench, part_values
 from tunefree_hil.bus.bench_channel import HELLO_WORDS, Role
 from tunefree_hil.config.schema import with_controller
 from tunefree_hil.control.parameters import NAMES
-from tunefree_hil.jobs.running.session import Session
+from tunefree_hil.jobs.running.session import BenchSession
 
 
-def with_command(bench: Bench, text: str) -> Bench:
-    """The bench with the controller program of `--controller 'CMD'`; '' leaves it as the bench file says.
+def with_controller_command(bench: Bench, text: str) -> Bench:
+    """The bench with the controller program of `--controller 'CMD'`; '' leaves the bench file's.
 
-    Words that name a file are the shell's: from the folder where one is, wherever the bench file lies.
+    File names in the command are relative to the current folder.
     """
     try:
         words = shlex.split(text)
     except ValueError as error:
         hint = "--controller 'PROGRAM ARGUMENT ...', quoted as for a shell"
         raise InputError(f"{text!r}: {error}", code="bad_command", key="--controller", hint=hint) from None
-    return replace(bench, spec=with_controller(bench.spec, _found(words, Path())))
+    return replace(bench, spec=with_controller(bench.spec, _resolve_paths(words, Path())))
 
 
-def program_of(bench: Bench) -> list[str] | None:
-    """The program to start instead of our controller, None for ours.
+def controller_program(bench: Bench) -> list[str] | None:
+    """The program to start instead of the built-in controller, None for that one.
 
-    A word that names a file beside the bench file ('../build/controller') is that file.
+    File names in the command ('../build/controller') are relative to the bench file.
     """
-    return _found(bench.spec.controller.command, Path(bench.file).parent) or None
+    return _resolve_paths(bench.spec.controller.command, Path(bench.file).parent) or None
 
 
 def program_hashes(bench: Bench) -> dict[str, str]:
-    """SHA-256 by name of the files of the controller's command: a program that was built anew is another one."""
-    files = [Path(word) for word in program_of(bench) or [] if os.path.isabs(word) and os.path.isfile(word)]
+    """SHA-256 of the files in the controller's command by name, so that a rebuilt program is detected."""
+    files = [Path(word) for word in controller_program(bench) or [] if os.path.isabs(word) and os.path.isfile(word)]
     return {path.name: f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}" for path in files}
 
 
-def _found(words: Sequence[str], folder: Path) -> list[str]:
-    """The words, those that name a file in `folder` by a path as absolute ones.
+def _resolve_paths(words: Sequence[str], folder: Path) -> list[str]:
+    """The words, with paths of files in `folder` made absolute.
 
-    A link stays one: of an environment's `python` it is the name by which it finds its packages.
+    Symbolic links are not resolved: the `python` of a virtual environment finds its packages by its own path.
     """
     return [os.path.abspath(folder / word) if "/" in word and (folder / word).is_file() else word for word in words]
 
 
-def joined_name(lanes: Sequence[Session]) -> str:
-    """What the controller of a bench that was joined calls itself."""
+def joined_controller_name(lanes: Sequence[BenchSession]) -> str:
+    """Name that the controller of a joined bench announces."""
     return lanes[0].runner.collector.name(Role.CONTROLLER)
 
 
-def own_names(names: Iterable[str]) -> list[str]:
-    """Those that are none of interfaces 7."""
+def foreign_parameter_names(names: Iterable[str]) -> list[str]:
+    """The names that are no parameters of the built-in controller (docs/reference/controller.md)."""
     return [name for name in names if name not in NAMES]
 
 
-def not_ours(bench: Bench, names: Iterable[str]) -> list[str]:
-    """Those that our controller does not have, its parts of the user's own included."""
+def unsupported_parameters(bench: Bench, names: Iterable[str]) -> list[str]:
+    """The names that neither the built-in controller nor the user's parts in it have."""
     parts = part_values(bench)
-    return [name for name in own_names(names) if name not in parts]
+    return [name for name in foreign_parameter_names(names) if name not in parts]
 
 
-def require_one(bench: Bench, names: Iterable[str], *, join: bool) -> None:
-    """Raise InputError where foreign parameters are searched and no foreign controller is to be had."""
+def require_foreign_controller(bench: Bench, names: Iterable[str], *, join: bool) -> None:
+    """Raise InputError where foreign parameters are tuned without a foreign controller."""
     if bench.spec.controller.command or join:
         return
-    if own := not_ours(bench, names):
+    if unsupported := unsupported_parameters(bench, names):
         raise InputError(
-            f"our controller has no parameter {', '.join(own)}",
+            f"the built-in controller has no parameter {', '.join(unsupported)}",
             code="unknown_parameter",
             file=bench.file,
             key="tune.parameters",
-            hint="name the program that has it: command = [...] in [controller]; drive and tune take it as "
-            "--controller 'CMD' too, or with --join the one that runs",
+            hint="name the program that has it: command = [...] in [controller], --controller 'CMD' of drive and tune, "
+            "or --join for a running one",
         )
 
 
-def require_announced(bench: Bench, lanes: Sequence[Session], names: Iterable[str]) -> None:
-    """Raise InputError where the controller did not announce a parameter that is searched."""
-    own = own_names(names)
-    announced = list(lanes[0].runner.announced().values()) if own else []
-    missing = [name for name in own if name not in announced]
+def require_announced(bench: Bench, lanes: Sequence[BenchSession], names: Iterable[str]) -> None:
+    """Raise InputError where the controller did not announce a tuned parameter."""
+    foreign = foreign_parameter_names(names)
+    announced = list(lanes[0].runner.announced().values()) if foreign else []
+    missing = [name for name in foreign if name not in announced]
     if missing:
-        hint = f"it announced {', '.join(announced)}: search some of those, or let it announce this one too"
+        hint = f"it announced {', '.join(announced)}: tune these, or make it announce the missing ones"
         raise InputError(
-            f"the controller announces no parameter {', '.join(missing)}",
+            f"the controller did not announce the parameter {', '.join(missing)}",
             code="not_announced",
             file=bench.file,
             key="tune.parameters",
-            hint=hint if announced else f"it announced none at all; it has to send {HELLO_WORDS}",
+            hint=hint if announced else f"it announced no parameters; it has to send {HELLO_WORDS}",
         )

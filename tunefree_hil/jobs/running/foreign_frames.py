@@ -1,4 +1,4 @@
-"""Names whoever commands the vehicle beside the controller, or reports beside the ECU: who, which id, how often."""
+"""Detect processes that send command frames beside the controller, or reports beside the ECU."""
 
 from __future__ import annotations
 
@@ -8,18 +8,17 @@ from contextlib import contextmanager
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.link import Owner
-from tunefree_hil.bus.tfhub.owner import Stranger
+from tunefree_hil.bus.tfhub.owner import ForeignSender
 
 ID_MASK = 0x1FFFFFFF
-MOST_NAMED = 5
+MAX_NAMED = 5
 
 
 @contextmanager
-def watched(owner: Owner | None, codec: Codec) -> Iterator[None]:
-    """An episode inside fails with 'foreign_commander' (or 'foreign_reporter') when a stranger sends a vehicle's id.
+def watch_foreign_frames(owner: Owner | None, codec: Codec) -> Iterator[None]:
+    """Fail an episode with 'foreign_commander' or 'foreign_reporter' when a foreign process sends a vehicle's id.
 
-    It counts for nothing then, whether or not its nodes noticed; what they said is the error's cause. A bench without a
-    hub of ours (`owner` None) does not know its senders.
+    The error of a node, if any, is its cause. Without an own hub (`owner` None) the senders are not known.
     """
     if owner is None:
         yield
@@ -29,38 +28,38 @@ def watched(owner: Owner | None, codec: Codec) -> Iterator[None]:
     try:
         yield
     except BenchError as error:
-        named = error_of(_asked(owner), commands)
-        if named is None:
+        foreign = foreign_frame_error(_foreign_senders(owner), commands)
+        if foreign is None:
             raise
-        raise named from error
-    named = error_of(owner.strangers(), commands)
-    if named is not None:
-        raise named
+        raise foreign from error
+    foreign = foreign_frame_error(owner.foreign_senders(), commands)
+    if foreign is not None:
+        raise foreign
 
 
-def _asked(owner: Owner) -> list[Stranger]:
-    """What the hub has seen; nothing where it was the hub that failed."""
+def _foreign_senders(owner: Owner) -> list[ForeignSender]:
+    """Foreign senders known to the hub; none where the hub failed."""
     try:
-        return owner.strangers()
+        return owner.foreign_senders()
     except BenchError:
         return []
 
 
-def error_of(found: Sequence[Stranger], commands: Collection[int]) -> BenchError | None:
-    """The error that names all strangers, commanders first; None where there is none."""
-    if not found:
+def foreign_frame_error(senders: Sequence[ForeignSender], commands: Collection[int]) -> BenchError | None:
+    """An error that names the foreign senders, commanders first; None where there are none."""
+    if not senders:
         return None
-    commanding = [one for one in found if one.can_id in commands]
+    commanding = [one for one in senders if one.can_id in commands]
     word = "commander" if commanding else "reporter"
     named = [
         f"foreign {'commander' if one.can_id in commands else 'reporter'} 0x{one.can_id & ID_MASK:03X} "
         f"from member {one.name} (pid {one.pid}), {one.count} {'frame' if one.count == 1 else 'frames'}"
-        for one in [*commanding, *(one for one in found if one not in commanding)]
+        for one in [*commanding, *(one for one in senders if one not in commanding)]
     ]
-    more = f"; and {len(named) - MOST_NAMED} more" if len(named) > MOST_NAMED else ""
+    more = f"; and {len(named) - MAX_NAMED} more" if len(named) > MAX_NAMED else ""
     return BenchError(
-        "; ".join(named[:MOST_NAMED]) + more,
+        "; ".join(named[:MAX_NAMED]) + more,
         code=f"foreign_{word}",
-        key=(commanding or list(found))[0].name,
+        key=(commanding or list(senders))[0].name,
         hint="end that process, or give the bench a bus of its own: --session NAME",
     )

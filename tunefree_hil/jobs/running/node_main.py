@@ -1,4 +1,4 @@
-"""How a process in the controller's place serves episodes: the controller's own, and the planner of a collection."""
+"""Main loop of a process in the controller's place: the built-in controller, or the planner of a collection."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tunefree_hil.nodes.controller import Assignment, ControllerPart
 from tunefree_hil.nodes.node import Node
 from tunefree_hil.nodes.timing import CycleTimes
 
-OURS = "lqr_pid_mrac"  # what our controller calls itself on the bench channel
+OURS = "lqr_pid_mrac"  # name of the built-in controller on the bench channel
 Assign = Callable[[bytes, Mapping[int, float]], Assignment]  # (hash of the scenario, parameters by index)
 
 
@@ -26,18 +26,21 @@ def serve_controller(
     bench_bus: str,
     session: str,
     realtime: bool,
-    own: Callable[[Bench], Iterable[str]] = lambda bench: (),
+    parameter_names: Callable[[Bench], Iterable[str]] = lambda bench: (),
 ) -> Iterator[Event]:
-    """Serve until the runner says end or the bus is gone.
+    """Serve episodes until the runner ends the node or the bus is lost.
 
-    `assign_for`: what gives each episode its Block. `command`: which of ours this is, in words to a person; `name`:
-    what drives, in its hello on the bench channel; `own`: the parameters that it announces there.
+    Args:
+        assign_for: Makes the function that assigns a Block to each episode.
+        command: Name of the command, for messages.
+        name: Name announced on the bench channel.
+        parameter_names: Additional parameters announced there.
     """
     parts = load(bench)
-    with open_exchange(parts, "controller", bus, bench_bus, session, realtime=realtime) as (exchange, clock, where):
-        yield Event("note", f"{command}: {parts.vehicle.name} on {where}")
+    with open_exchange(parts, "controller", bus, bench_bus, session, realtime=realtime) as (exchange, clock, bus_text):
+        yield Event("note", f"{command}: {parts.vehicle.name} on {bus_text}")
         times = CycleTimes(timing_folder())
-        assign, names = assign_for(parts), list(own(parts))
+        assign, names = assign_for(parts), list(parameter_names(parts))
         part = ControllerPart(parts.codec, needed_messages(parts.codec), assign, times, names=names)
         Node(part, exchange, name, clock, realtime).serve()
-    yield Event("result", "", {"sentence": f"{command}: told to end", "next": []})
+    yield Event("result", "", {"sentence": f"{command}: ended by the runner", "next": []})

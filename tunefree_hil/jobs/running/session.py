@@ -1,7 +1,7 @@
-"""A running bench: hub, ECU and controller as processes of their own, and a runner that conducts episodes over them.
+"""A running bench: hub, ECU and controller as separate processes, and a runner that conducts the episodes.
 
-Where the vehicle's frames run over SocketCAN a recorder writes the logs (bus/recording/recorder.py), and with the bench channel
-on a vcan link too there is no hub at all.
+On SocketCAN a recorder writes the logs (bus/recording/recorder.py); with the bench channel on a vcan link too there is
+no hub.
 """
 
 from __future__ import annotations
@@ -19,35 +19,42 @@ from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bench import load
 from tunefree_hil.bus.bench_channel import FAULT_ID, HELLO_ID, STATUS_ID, Role
 from tunefree_hil.bus.error_frames import error_words
-from tunefree_hil.bus.link import Link, Owner
+from tunefree_hil.bus.link import BusLink, Owner
 from tunefree_hil.bus.open import BusChoice, open_link
 from tunefree_hil.bus.recording.recorder_owner import BusTrouble, RecorderOwner
 from tunefree_hil.bus.socketcan.kernel_link import Claim
 from tunefree_hil.bus.tfhub.records import EFF_MASK
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.jobs.running.node_links import TIMING_VARIABLE, clock_of, usable_bus
+from tunefree_hil.jobs.running.node_links import TIMING_VARIABLE, hub_clock, resolve_process_bus
 from tunefree_hil.jobs.running.processes import Processes
-from tunefree_hil.jobs.running.session_parts import links_of, paths_for, places_of, start_recorder, uses_hub
+from tunefree_hil.jobs.running.session_parts import (
+    make_placeholders,
+    socketcan_links,
+    start_recorder,
+    uses_hub,
+    write_reference_paths,
+)
 from tunefree_hil.nodes.runner import Outcome, Runner
 
 START_LIMIT_S = 30.0
-JOIN_LIMIT_S = 10.0  # the nodes run already, or have just been started
-SLOW_VARIABLE = "TUNEFREE_START_LIMIT_S"  # a longer limit for a machine that starts Python slowly (an emulated one)
-MOST_NAMED = 8  # foreign ids in one line
-RUNNER_HEARS = (STATUS_ID, HELLO_ID, FAULT_ID)  # not every TICK and DONE: the runner is no part of the lockstep
+JOIN_LIMIT_S = 10.0  # for nodes that are running or have just been started
+SLOW_VARIABLE = "TUNEFREE_START_LIMIT_S"  # a longer limit for slow machines
+MAX_NAMED = 8  # foreign ids in one line
+RUNNER_IDS = (STATUS_ID, HELLO_ID, FAULT_ID)  # without TICK and DONE, as the runner is not part of the lockstep
 
 
-class Session:
-    """Context manager. `join`: the nodes run already (four terminals), only the runner is ours.
+class BenchSession:
+    """A bench as a context manager.
 
-    `controller_command`: starts this program instead of our controller, its {places} filled in (bench_parts.Places).
-    `controller_role`: which command of ours is the controller's process (`collector`: jobs/collector.py).
+    join: the nodes are already running; only the runner is started. controller_command: program of a foreign
+    controller, with placeholders (session_parts.CommandPlaceholders). controller_role: own command that runs as the
+    controller ('controller' or 'collector').
     """
 
     def __init__(
         self,
         bench_file: Path,
-        words: Path,
+        output_folder: Path,
         *,
         session: str,
         model: str = "",
@@ -68,35 +75,35 @@ class Session:
         self.jitted_ecu = jitted_ecu
         self.controller_command = controller_command
         self.controller_role = controller_role
-        self.choice: BusChoice = usable_bus(bus, session, bench_bus)
+        self.choice: BusChoice = resolve_process_bus(bus, session, bench_bus)
         self.bench_bus = bench_bus
-        if bus.startswith("tfhub:"):  # it names the session
+        if bus.startswith("tfhub:"):  # the address contains the session
             self.session = self.choice.bench_address.removeprefix("tfhub:").rpartition("/")[0]
-        # what `auto` found is settled: a link that comes or goes meanwhile must not part the nodes
+        # all nodes get the bus that `auto` resolved to, even if a link appears or disappears meanwhile
         self.bus_text = self.choice.vehicle_address if self.choice.kind == "socketcan" else "tfhub"
-        self.processes = Processes(words, core)
-        self.notes: list[str] = []  # what stood out on the bus, in words
-        self.links: list[Link] = []
+        self.processes = Processes(output_folder, core)
+        self.notes: list[str] = []  # observations on the bus, as text
+        self.links: list[BusLink] = []
         self.claims: list[Claim] = []
         self.owner: Owner | None = None
         self.recorder: RecorderOwner | None = None
 
-    def __enter__(self) -> Session:
+    def __enter__(self) -> BenchSession:
         self._open()
         return self
 
     def _open(self) -> None:
         try:
-            self.claims = [Claim(name) for name in links_of(self.choice)]
+            self.claims = [Claim(name) for name in socketcan_links(self.choice)]
             if not self.join:
                 self._start()
-            self.runner = self._conduct()
+            self.runner = self._open_runner()
         except BaseException:
             self.close()
             raise
 
     def reopen(self) -> None:
-        """End what is left of a bench that failed, and start it anew. Where the nodes are not ours, only join again."""
+        """Close a failed bench and start it again; with `join` only join again."""
         self.close()
         self._open()
 
@@ -106,64 +113,64 @@ class Session:
         self.close()
 
     @property
-    def _common(self) -> list[str]:
-        words = ["--session", self.session, "--bus", self.bus_text]
-        words += ["--bench-bus", self.bench_bus] if self.bench_bus else []
-        return [*words, "--realtime"] if self.realtime else words
+    def _common_arguments(self) -> list[str]:
+        arguments = ["--session", self.session, "--bus", self.bus_text]
+        arguments += ["--bench-bus", self.bench_bus] if self.bench_bus else []
+        return [*arguments, "--realtime"] if self.realtime else arguments
 
     def _start(self) -> None:
         if uses_hub(self.choice):
-            clock = clock_of(self.realtime)
+            clock = hub_clock(self.realtime)
             transport = ["--transport", "tcp"] if self.controller_command else []
-            words = ["hub", "--session", self.session, "--clock", clock, "--owned", *transport]
-            self.hub_pid = self.processes.start("hub", words)
+            arguments = ["hub", "--session", self.session, "--clock", clock, "--owned", *transport]
+            self.hub_pid = self.processes.start("hub", arguments)
         model = ["--model", self.model] if self.model else []
         timing = {TIMING_VARIABLE: str(self.processes.folder)}
-        # NUMBA_OPT=1: as fast a tick here, a quarter less to compile, 20 MB less to keep
+        # NUMBA_OPT=1: same speed for a single vehicle, 25 % less compile time, 20 MB less memory
         compiled = {"TUNEFREE_JIT": "1", "NUMBA_OPT": "1"} if self.jitted_ecu else {"TUNEFREE_JIT": "0"}
-        self.processes.start("ecu", ["ecu", str(self.bench_file), *model, *self._common], {**timing, **compiled})
+        self.processes.start(
+            "ecu", ["ecu", str(self.bench_file), *model, *self._common_arguments], {**timing, **compiled}
+        )
         if self.controller_command is None:
             plain = {"TUNEFREE_JIT": "0"}
-            words = [self.controller_role, str(self.bench_file), *self._common]
-            self.processes.start("controller", words, {**timing, **plain})
+            arguments = [self.controller_role, str(self.bench_file), *self._common_arguments]
+            self.processes.start("controller", arguments, {**timing, **plain})
 
     def _start_foreign(self, command: Sequence[str]) -> None:
-        """Start the controller of the user's own, once the addresses that it is told are there."""
+        """Start a foreign controller, after the hub has published its addresses."""
         bench = load(self.bench_file)
-        places = places_of(self.choice, self.session, Path(bench.vehicle.folder), self.realtime)
-        places = places._replace(paths=paths_for(command, bench, self.processes.folder / "paths"))
+        places = make_placeholders(self.choice, self.session, Path(bench.vehicle.folder), self.realtime)
+        places = places._replace(paths=write_reference_paths(command, bench, self.processes.folder / "paths"))
         self.processes.run("controller", places.fill(command), places.environment())
 
-    def _conduct(self) -> Runner:
+    def _open_runner(self) -> Runner:
         limit_s = _start_limit_s(START_LIMIT_S)
         if uses_hub(self.choice):
-            self.owner = self._patiently(self._own)
+            self.owner = self._own_when_ready(self._own_hub)
         if self.controller_command and not self.join:
             self._start_foreign(self.controller_command)
         if self.choice.kind == "socketcan":
             self.recorder = self._start_recorder(limit_s)
         keeper = self.recorder or self.owner
         assert keeper is not None
-        clock = clock_of(self.realtime)  # nodes and hub that run already may be those of the other kind of bench
-        bench = open_link(self.choice, "bench", name="runner", only=RUNNER_HEARS, clock=clock)
+        clock = hub_clock(self.realtime)  # checks that running nodes and hub have the same kind of clock
+        bench = open_link(self.choice, "bench", name="runner", only=RUNNER_IDS, clock=clock)
         self.links.append(bench)
         runner = Runner(bench, keeper, self._check)
         runner.meet(_start_limit_s(JOIN_LIMIT_S) if self.join else limit_s)
         if self.join:
-            self._refuse_another_model(runner.collector.name(Role.ECU))
+            self._require_model(runner.collector.name(Role.ECU))
         return runner
 
-    def _refuse_another_model(self, said: str) -> None:
-        """Raise InputError where the ECU that was joined drives another model than is wanted: all that follows would
-        be said of the wrong car.
-        """
+    def _require_model(self, model: str) -> None:
+        """Raise InputError where the joined ECU simulates another model than the wanted one."""
         wanted = self.model or load(self.bench_file).spec.model
-        if Path(said).name != Path(wanted).name:
+        if Path(model).name != Path(wanted).name:
             raise InputError(
-                f"the ecu of session {self.session} drives {said}, and {wanted} is to be driven",
+                f"the ecu of session {self.session} simulates {model}, but {wanted} is wanted",
                 code="other_model",
                 key="--join",
-                hint=f"start it with --model {wanted}, or leave --join out for a bench of your own",
+                hint=f"start it with --model {wanted}, or leave out --join to start a separate bench",
             )
 
     def _start_recorder(self, limit_s: float) -> RecorderOwner:
@@ -176,13 +183,13 @@ class Session:
             raise self.processes.explain(error) from error
 
     def _check(self) -> None:
-        """Raise for a process of ours that has ended, or for what the recorder told of the bus."""
+        """Raise for a process of this bench that has ended, or for trouble on the bus."""
         if self.recorder is not None:
             self.recorder.check()
         self.processes.check()
 
-    def _own(self) -> Owner:
-        """Own the hub; where we started one, that one. Raises InputError when somebody else's hub has the session."""
+    def _own_hub(self) -> Owner:
+        """Become the owner of the hub. Raises InputError when another bench's hub has the session."""
         owner = Owner(self.session, name="runner")
         if not self.join and owner.pid != self.hub_pid:
             owner.close()
@@ -190,11 +197,11 @@ class Session:
                 f"session {self.session} is in use by another hub, pid {owner.pid}",
                 code="session_in_use",
                 key="--session",
-                hint="join its bench with --join, or leave --session out for a bench of your own",
+                hint="join that bench with --join, or leave out --session to start a separate bench",
             )
         return owner
 
-    def _patiently(self, open_it: Callable[[], Owner]) -> Owner:
+    def _own_when_ready(self, open_it: Callable[[], Owner]) -> Owner:
         limit = time.monotonic() + _start_limit_s(START_LIMIT_S)
         while True:
             try:
@@ -212,35 +219,35 @@ class Session:
         parameters: Mapping[str, float],
         folder: Path,
     ) -> Outcome:
-        """One episode; `folder/vehicle.log` and `folder/bench.log` are written by hub or recorder.
+        """Drive one episode; hub or recorder write `folder/vehicle.log` and `folder/bench.log`.
 
-        parameters: by name, those of interfaces 7 and those that the controller announced.
+        parameters: by name, of the built-in controller and those that the controller announced.
         """
         logs = {"vehicle": folder / "vehicle.log", "bench": folder / "bench.log"}
         try:
             values = dict(sorted(self.runner.indexed(parameters).items()))
             outcome = self.runner.drive(bytes.fromhex(scenario.hash)[:6], seed, values, logs)
-            self._note_oddities(scenario.name)
+            self._note_foreign_frames(scenario.name)
             return outcome
         except BusTrouble:
             raise
-        except BenchError as error:  # a process that failed knows more of it than those who lost it
-            raise self._better(error) from error
+        except BenchError as error:  # the error of the failed process is more specific
+            raise self._most_specific_error(error) from error
 
-    def _better(self, error: BenchError) -> BenchError:
-        """The best of the reports of one loss: the recorder's of the bus, a failed process's, the one that came."""
-        explained = self.processes.explain(error)  # gives the recorder a moment too
+    def _most_specific_error(self, error: BenchError) -> BenchError:
+        """The most specific of several errors of one loss: the recorder's of the bus, a failed process's, `error`."""
+        explained = self.processes.explain(error)  # also gives the recorder time to report
         try:
             if self.recorder is not None:
                 self.recorder.check()
         except BusTrouble as trouble:
             return trouble
         except BenchError:
-            return explained  # the recorder is what was lost
+            return explained  # the recorder itself was lost
         return explained
 
-    def _note_oddities(self, scenario: str) -> None:
-        """Into `notes`: what the recorder heard beside the vehicle's frames. A hub's frames have their senders."""
+    def _note_foreign_frames(self, scenario: str) -> None:
+        """Add error frames, remote frames and foreign frames seen by the recorder to `notes`."""
         if self.recorder is None:
             return
         link = self.choice.vehicle_address.partition(":")[2]
@@ -250,11 +257,11 @@ class Session:
         if self.recorder.remote:
             self.notes.append(f"{scenario}: {self.recorder.remote} remote frames on {link}")
         if foreign:
-            ids = ", ".join(f"0x{key & EFF_MASK:03X} {count}" for key, count in sorted(foreign.items())[:MOST_NAMED])
+            ids = ", ".join(f"0x{key & EFF_MASK:03X} {count}" for key, count in sorted(foreign.items())[:MAX_NAMED])
             self.notes.append(f"{scenario}: {sum(foreign.values())} frames of other nodes on {link} ({ids} ...)")
 
     def close(self) -> None:
-        """End the nodes, the recorder and the hub; nothing of ours stays."""
+        """End the nodes, the recorder and the hub."""
         for link in self.links:
             link.close()
         self.links.clear()
@@ -268,16 +275,18 @@ class Session:
         self.claims.clear()
 
 
-def _start_limit_s(usual_s: float) -> float:
-    """How long a bench may take to come up."""
-    return float(os.environ.get(SLOW_VARIABLE, "") or usual_s)
+def _start_limit_s(default_s: float) -> float:
+    """Time limit for the start of a bench."""
+    return float(os.environ.get(SLOW_VARIABLE, "") or default_s)
 
 
 @contextmanager
-def open_lanes(count: int, bench_file: Path, words: Path, *, session: str, **more: Any) -> Iterator[list[Session]]:
-    """`count` benches side by side, each on a core of its own; `more` goes to each Session.
+def open_lanes(
+    count: int, bench_file: Path, output_folder: Path, *, session: str, **more: Any
+) -> Iterator[list[BenchSession]]:
+    """Run `count` benches in parallel, each on one CPU core; `more` goes to each BenchSession.
 
-    One lockstep bench is a chain of processes that wait for each other, so it fills one core and no more.
+    The processes of a lockstep bench wait for each other, so one bench uses one core.
     """
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
     with ExitStack() as stack:
@@ -285,13 +294,13 @@ def open_lanes(count: int, bench_file: Path, words: Path, *, session: str, **mor
         for i in range(count):
             core = cores[i % len(cores)] if count > 1 and cores else None
             name = f"{session}-{i}" if count > 1 else session
-            lanes.append(Session(bench_file, words / str(i), session=name, core=core, **more))
+            lanes.append(BenchSession(bench_file, output_folder / str(i), session=name, core=core, **more))
         for lane in lanes:
             stack.enter_context(lane)
         yield lanes
 
 
-def lanes_of(join: bool, bus: str) -> int:
-    """How many benches to run side by side: one a core, at most two; one where nodes or bus are given, or on vcan0."""
-    alone = join or bus not in ("auto", "tfhub") or usable_bus(bus, "lanes", "").kind != "tfhub"
+def choose_lane_count(join: bool, bus: str) -> int:
+    """Number of parallel benches: one a core, at most two; one where nodes or bus are given, or on vcan0."""
+    alone = join or bus not in ("auto", "tfhub") or resolve_process_bus(bus, "lanes", "").kind != "tfhub"
     return 1 if alone else max(1, min(2, os.cpu_count() or 1))

@@ -1,4 +1,4 @@
-"""What a session starts beside hub, ECU and our controller: the recorder of a SocketCAN link, a foreign controller."""
+"""Optional parts of a bench session: the recorder of a SocketCAN link, and a foreign controller."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import NamedTuple
 from tunefree_hil.base.own_python import own_python
 from tunefree_hil.bench import Bench
 from tunefree_hil.bus.open import BusChoice
-from tunefree_hil.bus.recording.recorder import Setup
+from tunefree_hil.bus.recording.recorder import RecorderSetup
 from tunefree_hil.bus.recording.recorder_owner import MODULE, RecorderOwner
 from tunefree_hil.bus.tfhub.address import read_hub
-from tunefree_hil.jobs.running.node_links import ids_of, sends_fd
+from tunefree_hil.jobs.running.node_links import message_ids, sends_fd
 from tunefree_hil.jobs.running.processes import Processes
-from tunefree_hil.jobs.scenarios import write_drive
+from tunefree_hil.jobs.scenarios import write_reference_drive
 
 
-class Places(NamedTuple):
-    """What a controller of the user's own needs to know: `{field}` in its command, TUNEFREE_FIELD in its environment.
+class CommandPlaceholders(NamedTuple):
+    """Values for a foreign controller: `{field}` in its command, TUNEFREE_FIELD in its environment.
 
-    bus, bench: `socketcan:NAME` or `tcp:127.0.0.1:PORT` (then token_file holds the hub's token). realtime: '1' or '0'.
-    paths: folder with the bench's reference drives (jobs/scenarios.py), '' unless the command asks for it.
+    bus, bench: `socketcan:NAME` or `tcp:127.0.0.1:PORT` (token_file then contains the hub's token). realtime: '1' or
+    '0'. paths: folder with the bench's reference drives (jobs/scenarios.py), '' unless the command contains {paths}.
     """
 
     vehicle: str
@@ -43,12 +43,12 @@ class Places(NamedTuple):
         return filled
 
     def environment(self) -> dict[str, str]:
-        """The same for whoever prefers it."""
+        """The same values as environment variables."""
         return {f"TUNEFREE_{name.upper()}": value for name, value in self._asdict().items()}
 
 
-def places_of(choice: BusChoice, session: str, vehicle: Path, realtime: bool) -> Places:
-    """Where a bench's channels are, as a program of any language opens them. BenchError where its hub is not there."""
+def make_placeholders(choice: BusChoice, session: str, vehicle: Path, realtime: bool) -> CommandPlaceholders:
+    """Addresses of a bench's channels for a foreign program. Raises BenchError where the hub is missing."""
     hub: Mapping[str, str] = {}
     token_file = ""
     if uses_hub(choice):
@@ -58,25 +58,25 @@ def places_of(choice: BusChoice, session: str, vehicle: Path, realtime: bool) ->
         text if text.startswith("socketcan:") else hub[channel]
         for channel, text in (("vehicle", choice.vehicle_address), ("bench", choice.bench_address))
     )
-    return Places(str(vehicle), bus, bench, token_file, session, "1" if realtime else "0")
+    return CommandPlaceholders(str(vehicle), bus, bench, token_file, session, "1" if realtime else "0")
 
 
-def paths_for(command: Sequence[str], bench: Bench, folder: Path) -> str:
-    """`folder` with the reference drives of all the bench's scenarios, where the command asks for {paths}; else ''."""
+def write_reference_paths(command: Sequence[str], bench: Bench, folder: Path) -> str:
+    """Write the reference drives of all scenarios where the command contains {paths}. Returns the folder, or ''."""
     if not any("{paths}" in word for word in command):
         return ""
     for scenario in bench.scenarios.values():
-        write_drive(bench.course(scenario), scenario.hash, folder)
+        write_reference_drive(bench.course(scenario), scenario.hash, folder)
     return str(folder.resolve())
 
 
 def uses_hub(choice: BusChoice) -> bool:
-    """Whether either channel runs over a hub of ours."""
+    """Whether either channel runs over a hub."""
     return choice.vehicle_address.startswith("tfhub:") or choice.bench_address.startswith("tfhub:")
 
 
-def links_of(choice: BusChoice) -> list[str]:
-    """Names of the SocketCAN links that a bench takes."""
+def socketcan_links(choice: BusChoice) -> list[str]:
+    """Names of the SocketCAN links of a bench."""
     texts = (choice.vehicle_address, choice.bench_address)
     return [text.partition(":")[2] for text in texts if text.startswith("socketcan:")]
 
@@ -84,21 +84,21 @@ def links_of(choice: BusChoice) -> list[str]:
 def start_recorder(
     processes: Processes, choice: BusChoice, bench: Bench, session: str, *, realtime: bool, patience_s: float
 ) -> RecorderOwner:
-    """A recorder of both channels as a process of this bench. BenchError where it does not come up."""
-    reports, commands = ids_of(bench)
-    setup = Setup(
+    """Start a recorder of both channels. Raises BenchError where it does not start."""
+    reports, commands = message_ids(bench)
+    setup = RecorderSetup(
         vehicle=choice.vehicle_address,
         bench=choice.bench_address,
         ids=(sorted(reports), sorted(commands)),
         tick_ns=0 if realtime else round(bench.dt_s * 1e9),
         fd=sends_fd(bench),
     )
-    ours, theirs = socket.socketpair()
-    with theirs:
-        command = own_python(MODULE, str(theirs.fileno()), session)
-        processes.run("recorder", command, pass_fds=(theirs.fileno(),))
+    own_end, recorder_end = socket.socketpair()
+    with recorder_end:
+        command = own_python(MODULE, str(recorder_end.fileno()), session)
+        processes.run("recorder", command, pass_fds=(recorder_end.fileno(),))
     try:
-        return RecorderOwner(ours, setup, patience_s)
+        return RecorderOwner(own_end, setup, patience_s)
     except BaseException:
-        ours.close()
+        own_end.close()
         raise

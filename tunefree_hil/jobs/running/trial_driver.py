@@ -1,4 +1,4 @@
-"""Drives sets of parameters over scenarios; reads and grades one episode while the next is driven."""
+"""Drive parameter sets over scenarios; one episode is read and graded while the next is driven."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bench import Bench
 from tunefree_hil.bus.bench_channel import ErrorCode
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.grade.score import GRADED
-from tunefree_hil.jobs.run_folder import RunFolder, drop_bulk
-from tunefree_hil.jobs.running.episode_results import Episode, harvest
-from tunefree_hil.jobs.running.foreign_frames import watched
-from tunefree_hil.jobs.running.session import Session
+from tunefree_hil.grade.score import GRADED_ENDS
+from tunefree_hil.jobs.run_folder import RunFolder, delete_logs
+from tunefree_hil.jobs.running.episode_results import EpisodeResult, read_episode
+from tunefree_hil.jobs.running.foreign_frames import watch_foreign_frames
+from tunefree_hil.jobs.running.session import BenchSession
 from tunefree_hil.nodes.runner import Outcome
 
 ROLES = ("ecu", "controller")
@@ -29,23 +29,23 @@ TIMING_LIMIT_S = 1.0
 
 
 class DriveJob(NamedTuple):
-    """One drive: its number in the run folder, what to drive, with which complete vector."""
+    """One drive: number in the run folder, scenario, and complete parameter vector."""
 
     k: int
     scenario: ScenarioSpec
     values: Mapping[str, float]
 
 
-class Track:
-    """Benches side by side ("lanes") and one run folder. Which lane drives a scenario changes nothing in its frames.
+class TrialDriver:
+    """Drives jobs on parallel benches ("lanes") into one run folder. The lane does not influence the frames.
 
-    `simulated_s`, `wall_s`, `frames` add up over all drives.
+    simulated_s, wall_s, frames: sums over all drives.
     """
 
     def __init__(
-        self, sessions: Session | Sequence[Session], bench: Bench, run: RunFolder, *, seed: int | None = None
+        self, sessions: BenchSession | Sequence[BenchSession], bench: Bench, run: RunFolder, *, seed: int | None = None
     ) -> None:
-        self.sessions = [sessions] if isinstance(sessions, Session) else list(sessions)
+        self.sessions = [sessions] if isinstance(sessions, BenchSession) else list(sessions)
         self.bench = bench
         self.run = run
         self.seed = seed
@@ -53,54 +53,56 @@ class Track:
         self.wall_s = 0.0
         self.frames = 0
         self._stopping = False
-        self._broken: list[Session] = []
+        self._broken: list[BenchSession] = []
         self._lanes = ThreadPoolExecutor(max_workers=len(self.sessions), thread_name_prefix="lane")
         self._reader = ThreadPoolExecutor(max_workers=1, thread_name_prefix="harvest")
 
     def close(self) -> None:
-        """End what is driven, wait for what is being read."""
+        """Stop the drives, and wait for the episode being read."""
         self._stopping = True
         for session in self.sessions:
-            with contextlib.suppress(BenchError):  # a lane whose bench is gone has ended already
+            with contextlib.suppress(BenchError):  # a lane that lost its bench has already ended
                 session.runner.stop()
         self._lanes.shutdown(wait=True, cancel_futures=True)
         self._reader.shutdown(wait=True, cancel_futures=True)
 
     @property
     def pace(self) -> dict[str, float]:
-        """Speed against real time and frames per second, all lanes together, for progress events."""
+        """Speed against real time and frames per second over all lanes, for progress events."""
         if self.wall_s <= 0.0:
             return {}
         return {"speed_x": self.simulated_s / self.wall_s, "frames_per_s": self.frames / self.wall_s}
 
-    def drive_all(
+    def drive_scenarios(
         self, values: Mapping[str, float], scenarios: Iterable[ScenarioSpec], first: int, *, keep: bool = True
-    ) -> dict[str, Episode]:
-        """Episodes first, first + 1, ...: each scenario with these parameters. keep=False drops logs and columns.
+    ) -> dict[str, EpisodeResult]:
+        """Drive each scenario with these parameters as episodes first, first + 1, ...; keep=False drops logs.
 
-        Raises BenchError when a drive ended for a reason that the parameters do not answer for.
+        Raises BenchError when a drive ended for a reason other than its parameters.
         """
         jobs = [DriveJob(k, scenario, values) for k, scenario in enumerate(scenarios, first)]
-        found = self.drive_some(jobs, keep=keep)
-        for one in found.values():
-            if isinstance(one, BenchError):
-                raise one
-        return {job.scenario.name: one for job in jobs if isinstance(one := found[job.k], Episode)}
+        results = self.drive_jobs(jobs, keep=keep)
+        for result in results.values():
+            if isinstance(result, BenchError):
+                raise result
+        return {job.scenario.name: episode for job in jobs if isinstance(episode := results[job.k], EpisodeResult)}
 
-    def drive_some(
+    def drive_jobs(
         self, jobs: Sequence[DriveJob], *, keep: bool = True, go_on: bool = False
-    ) -> dict[int, Episode | BenchError]:
-        """What became of each job by its number; the lanes share them. keep=False drops logs and columns.
+    ) -> dict[int, EpisodeResult | BenchError]:
+        """Drive jobs on all lanes. Returns the result or error of each job by its number.
 
-        go_on: a drive that fails ends its lane only; else it ends all, and those not begun have its error too.
+        Args:
+            keep: Keep logs and columns.
+            go_on: A failed drive ends its lane only; else it ends all lanes, and the remaining jobs get its error.
         """
-        self._mend()
+        self._reopen_broken()
         waiting = deque(sorted(jobs, key=lambda job: -self.bench.course(job.scenario).ticks))  # longest first
-        reading: dict[int, Future[Episode]] = {}
+        reading: dict[int, Future[EpisodeResult]] = {}
         failed: dict[int, BenchError] = {}
         started = time.monotonic()
 
-        def lane(session: Session) -> None:
+        def lane(session: BenchSession) -> None:
             while not self._stopping and (go_on or not failed):
                 try:
                     job = waiting.popleft()
@@ -113,10 +115,10 @@ class Track:
                     failed[job.k] = error
                     self._broken.append(session)
                     if session.realtime:
-                        gather_timing(session.processes.folder, folder, _timed(session))
+                        collect_timing(session.processes.folder, folder, _timed_roles(session))
                     return
                 if keep and not session.join:
-                    gather_timing(session.processes.folder, folder, _timed(session))
+                    collect_timing(session.processes.folder, folder, _timed_roles(session))
                 reading[job.k] = self._reader.submit(self._read, session.realtime, job, outcome, folder, keep)
 
         driving = [self._lanes.submit(lane, session) for session in self.sessions]
@@ -126,61 +128,60 @@ class Track:
         first = next(iter(failed.values()), BenchError("the drives were stopped", code="stopped"))
         return {job.k: failed.get(job.k) or (reading[job.k].result() if job.k in reading else first) for job in jobs}
 
-    def _mend(self) -> None:
-        """Start anew the benches that failed in the last drives: a lost node fails a trial, not the study."""
+    def _reopen_broken(self) -> None:
+        """Restart the benches that failed in the last drives: a lost node fails a trial, not the study."""
         while self._broken:
-            self._broken[0].reopen()  # where that fails it stays to be mended, and so do the others
+            self._broken[0].reopen()  # on failure it remains in the list, as do the others
             self._broken.pop(0)
 
-    def _drive(self, session: Session, scenario: ScenarioSpec, values: Mapping[str, float], folder: Path) -> Outcome:
+    def _drive(
+        self, session: BenchSession, scenario: ScenarioSpec, values: Mapping[str, float], folder: Path
+    ) -> Outcome:
         for role in ROLES:
             (session.processes.folder / f"timing-{role}.npz").unlink(missing_ok=True)
-        with watched(session.owner, self.bench.codec):
+        with watch_foreign_frames(session.owner, self.bench.codec):
             outcome = session.drive(scenario, self._seed_of(scenario), values, folder)
         self.simulated_s += outcome.ticks * self.bench.dt_s
         self.frames += sum(outcome.logged.values())
-        if outcome.error not in GRADED:
+        if outcome.error not in GRADED_ENDS:
             raise BenchError(
                 f"{scenario.name}: {ErrorCode(outcome.error_code).sentence} (tick {outcome.ticks})",
                 code=outcome.error,
                 file=str(folder),
-                hint=f"what the nodes said: {session.processes.folder}; the frames: {folder / 'vehicle.log'}",
+                hint=f"output of the nodes: {session.processes.folder}; frames: {folder / 'vehicle.log'}",
             )
         return outcome
 
     def _seed_of(self, scenario: ScenarioSpec) -> int:
         return scenario.noise_seed if self.seed is None else self.seed
 
-    def _read(self, realtime: bool, job: DriveJob, outcome: Outcome, folder: Path, keep: bool) -> Episode:
+    def _read(self, realtime: bool, job: DriveJob, outcome: Outcome, folder: Path, keep: bool) -> EpisodeResult:
         seed = self._seed_of(job.scenario)
-        episode = harvest(self.bench, job.scenario, job.values, outcome, folder, seed=seed, realtime=realtime)
+        episode = read_episode(self.bench, job.scenario, job.values, outcome, folder, seed=seed, realtime=realtime)
         if not keep:
-            drop_bulk(folder)
+            delete_logs(folder)
         return episode
 
 
-def _timed(session: Session) -> tuple[str, ...]:
-    """Who writes cycle times; a controller of the user's own does not."""
+def _timed_roles(session: BenchSession) -> tuple[str, ...]:
+    """Nodes that write cycle times; a foreign controller does not."""
     return ROLES[:1] if session.controller_command else ROLES
 
 
-def gather_timing(words: Path, folder: Path, roles: Sequence[str] = ROLES) -> dict[str, np.ndarray]:
-    """Put the nodes' cycle times of the last episode into `folder/timing.npz`; {'ecu_late_s': ..., ...}.
-
-    roles: those that write them.
-    """
-    found: dict[str, np.ndarray] = {}
+def collect_timing(output_folder: Path, folder: Path, roles: Sequence[str] = ROLES) -> dict[str, np.ndarray]:
+    """Collect the nodes' cycle times of the last episode into `folder/timing.npz`: {'ecu_late_s': ..., ...}."""
+    times: dict[str, np.ndarray] = {}
     limit = time.monotonic() + TIMING_LIMIT_S
     for role in roles:
-        path = words / f"timing-{role}.npz"
+        path = output_folder / f"timing-{role}.npz"
         while not path.is_file() and time.monotonic() < limit:
             time.sleep(0.01)
         if path.is_file():
             with np.load(path) as data:
-                found |= {f"{role}_{name}": data[name] for name in data.files}
-    if found:
+                times |= {f"{role}_{name}": data[name] for name in data.files}
+    if times:
         part = folder / "timing.npz.part"
         with part.open("wb") as file:
-            np.savez(file, allow_pickle=False, **found)
+            np.savez(file, allow_pickle=False, **times)
         shutil.move(part, folder / "timing.npz")
-    return found
+    return times

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from enum import StrEnum
 from typing import Any, NamedTuple, Protocol
 
 from tunefree_hil.base.errors import BenchError, NotValid
@@ -12,135 +13,153 @@ from tunefree_hil.bench import Bench
 from tunefree_hil.bench.batch import Batch, Driven, Job
 from tunefree_hil.bus.bench_channel import ErrorCode
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.grade.score import GRADED, ScenarioGrade, combine
-from tunefree_hil.jobs.run_folder import drop_bulk
-from tunefree_hil.jobs.running.episode_results import Episode, evaluation_of
+from tunefree_hil.grade.score import GRADED_ENDS, ScenarioGrade, combine_scores
+from tunefree_hil.jobs.run_folder import delete_logs
+from tunefree_hil.jobs.running.episode_results import EpisodeResult, evaluation_from_episodes
 from tunefree_hil.jobs.running.lateness import judge_realtime
-from tunefree_hil.jobs.running.trial_driver import DriveJob, Track
+from tunefree_hil.jobs.running.trial_driver import DriveJob, TrialDriver
 from tunefree_hil.tune.trial import Evaluation
 
-MOST_REPEATS = 5  # of one drive, before the machine is said not to be up to it
+MAX_REPEATS = 5  # of one drive that was late, before the machine counts as too slow
 
 
-class Candidate(NamedTuple):
-    """A complete vector to score. `group`: its place in the run folder, baselines first, then the slots."""
+class Medium(StrEnum):
+    """What candidates are driven with; the value of "over" in progress events."""
+
+    BUS = "bus"
+    REALTIME_BUS = "bus in real time"
+    BATCH = "batch"
+
+
+class VectorCandidate(NamedTuple):
+    """A complete vector to score. group: its position in the run folder, baselines first, then the slots."""
 
     group: int
     values: Mapping[str, float]
 
 
 class Evaluator(Protocol):
-    """Scores candidates over the scenarios of a bench file. `at_once`: how many it takes well in one call."""
+    """Scores candidates over the scenarios of a bench file. batch_size: suitable number of candidates in one call."""
 
-    at_once: int
-    over: str  # "bus", "bus in real time", "batch"
+    batch_size: int
+    medium: Medium
 
     @property
     def pace(self) -> dict[str, float]: ...
 
-    def evaluate(self, candidates: Sequence[Candidate]) -> list[Evaluation]: ...
+    def evaluate(self, candidates: Sequence[VectorCandidate]) -> list[Evaluation]: ...
 
 
-class BusEvaluator:
-    """Over the bus. One candidate: a lost node raises BenchError; of several, it costs the candidate that had it."""
+class RealtimeDriver:
+    """Drives jobs at 100 Hz of wall time; a drive that was not in real time is discarded and driven again.
 
-    def __init__(self, track: Track, scenarios: Sequence[ScenarioSpec], *, at_once: int = 1) -> None:
-        self.track = track
-        self.scenarios = list(scenarios)
-        self.at_once = at_once
-        self.over = "bus"
-
-    @property
-    def pace(self) -> dict[str, float]:
-        """Speed against real time and frames per second."""
-        return self.track.pace
-
-    def evaluate(self, candidates: Sequence[Candidate]) -> list[Evaluation]:
-        """The evaluation of each candidate."""
-        jobs = {one.group: self._jobs(one) for one in candidates}
-        found = self._drive([job for some in jobs.values() for job in some], go_on=len(candidates) > 1)
-        evaluations = []
-        for some in jobs.values():
-            errors = [error for job in some if isinstance(error := found[job.k], BenchError)]
-            if errors and len(candidates) == 1:
-                raise errors[0]
-            episodes = {job.scenario.name: one for job in some if isinstance(one := found[job.k], Episode)}
-            evaluations.append(_lost(errors[0]) if errors else evaluation_of(episodes))
-        return evaluations
-
-    def _jobs(self, candidate: Candidate) -> list[DriveJob]:
-        first = candidate.group * len(self.scenarios)
-        return [DriveJob(k, scenario, candidate.values) for k, scenario in enumerate(self.scenarios, first)]
-
-    def _drive(self, jobs: Sequence[DriveJob], *, go_on: bool) -> dict[int, Episode | BenchError]:
-        return self.track.drive_some(jobs, go_on=go_on)
-
-
-class RealtimeEvaluator(BusEvaluator):
-    """Over the bus at 100 Hz of wall time. A drive that was not real time is discarded and driven again.
-
-    `drives`: how many there were. `repeats`: how many were discarded, those of earlier sessions (argument) included.
-    Nobody else ever sees those.
+    drives: Number of drives. repeats: Number of discarded drives, those of earlier sessions included.
     """
 
-    def __init__(self, track: Track, scenarios: Sequence[ScenarioSpec], *, at_once: int = 1, repeats: int = 0) -> None:
-        super().__init__(track, scenarios, at_once=at_once)
-        self.over = "bus in real time"
+    def __init__(self, driver: TrialDriver, *, repeats: int = 0) -> None:
+        self.driver = driver
         self.drives = 0
-        self.repeats = self._before = repeats
+        self.repeats = self._earlier_repeats = repeats
 
-    @property
-    def pace(self) -> dict[str, float]:
-        """Also how many drives were discarded."""
-        return {**self.track.pace, "discarded": self.repeats}
-
-    def _drive(self, jobs: Sequence[DriveJob], *, go_on: bool) -> dict[int, Episode | BenchError]:
-        """Raises NotValid where a drive was not real time MOST_REPEATS + 1 times in a row."""
-        found: dict[int, Episode | BenchError] = {}
+    def drive_jobs(self, jobs: Sequence[DriveJob], *, go_on: bool) -> dict[int, EpisodeResult | BenchError]:
+        """Drive the jobs; results by job number. Raises NotValid where a drive was late MAX_REPEATS + 1 times."""
+        results: dict[int, EpisodeResult | BenchError] = {}
         todo, worst_ms = list(jobs), 0.0
-        for _ in range(1 + MOST_REPEATS):
-            again = self.track.drive_some(todo, go_on=go_on)
+        for _ in range(1 + MAX_REPEATS):
+            driven = self.driver.drive_jobs(todo, go_on=go_on)
             self.drives += len(todo)
-            verdicts = {k: self._verdict(k) for k, one in again.items() if _may_be_late(one)}
+            verdicts = {k: self._judge(k) for k, result in driven.items() if _may_be_late(result)}
             late = {k: _worst_ms(verdict) for k, verdict in verdicts.items() if not verdict["valid"]}
-            found |= {k: one for k, one in again.items() if k not in late}
+            results |= {k: result for k, result in driven.items() if k not in late}
             todo = [job for job in todo if job.k in late]
             if not todo:
-                return found
+                return results
             self.repeats += len(todo)
             worst_ms = late[todo[0].k]
             for job in todo:
-                drop_bulk(self.track.run.episode(job.k))
+                delete_logs(self.driver.run.episode(job.k))
         raise NotValid(
-            f"{todo[0].scenario.name} was not real time {1 + MOST_REPEATS} times in a row, {worst_ms:.0f} ms late; "
-            f"{self.repeats - self._before} of {self.drives} drives were discarded",
+            f"{todo[0].scenario.name} was not in real time {1 + MAX_REPEATS} times in a row, {worst_ms:.0f} ms late; "
+            f"{self.repeats - self._earlier_repeats} of {self.drives} drives were discarded",
             code="not_realtime",
-            hint="give the bench a machine with less to do, or tune in lockstep (without --realtime)",
+            hint="use a machine with less load, or tune in lockstep (without --realtime)",
         )
 
-    def _verdict(self, k: int) -> dict[str, Any]:
-        bench = self.track.bench
-        return judge_realtime(self.track.run, [k], bench.codec, draw=False, faults=bench.spec.faults)
+    def _judge(self, k: int) -> dict[str, Any]:
+        bench = self.driver.bench
+        return judge_realtime(self.driver.run, [k], bench.codec, draw=False, faults=bench.spec.faults)
 
 
 def _worst_ms(verdict: Mapping[str, Any]) -> float:
     return max((node["max_ms"] for node in verdict["nodes"].values()), default=math.nan)
 
 
-def _may_be_late(one: Episode | BenchError) -> bool:
-    """A drive that ended, be it because frames came too late for the vehicle; a lost node is no question of time."""
-    return isinstance(one, Episode) or one.code.upper() in ErrorCode.__members__
+def _may_be_late(result: EpisodeResult | BenchError) -> bool:
+    """Whether a drive ended, possibly because frames came too late for the vehicle; a lost node is another failure."""
+    return isinstance(result, EpisodeResult) or result.code.upper() in ErrorCode.__members__
+
+
+class BusEvaluator:
+    """Scores over the bus; with `realtime` at 100 Hz of wall time.
+
+    A lost node raises BenchError for a single candidate; of several candidates only the one that had it fails.
+    """
+
+    def __init__(
+        self,
+        driver: TrialDriver,
+        scenarios: Sequence[ScenarioSpec],
+        *,
+        batch_size: int = 1,
+        realtime: RealtimeDriver | None = None,
+    ) -> None:
+        self.driver = driver
+        self.scenarios = list(scenarios)
+        self.batch_size = batch_size
+        self.realtime = realtime
+        self.medium = Medium.BUS if realtime is None else Medium.REALTIME_BUS
+
+    @property
+    def pace(self) -> dict[str, float]:
+        """Speed against real time, frames per second, and in real time the number of discarded drives."""
+        discarded = {} if self.realtime is None else {"discarded": self.realtime.repeats}
+        return {**self.driver.pace, **discarded}
+
+    def evaluate(self, candidates: Sequence[VectorCandidate]) -> list[Evaluation]:
+        """The evaluation of each candidate."""
+        jobs = {candidate.group: self._jobs(candidate) for candidate in candidates}
+        driver = self.driver if self.realtime is None else self.realtime
+        all_jobs = [job for group_jobs in jobs.values() for job in group_jobs]
+        results = driver.drive_jobs(all_jobs, go_on=len(candidates) > 1)
+        evaluations = []
+        for group_jobs in jobs.values():
+            errors = [error for job in group_jobs if isinstance(error := results[job.k], BenchError)]
+            if errors and len(candidates) == 1:
+                raise errors[0]
+            episodes = {
+                job.scenario.name: episode for job in group_jobs if isinstance(episode := results[job.k], EpisodeResult)
+            }
+            evaluations.append(_failed_evaluation(errors[0]) if errors else evaluation_from_episodes(episodes))
+        return evaluations
+
+    def _jobs(self, candidate: VectorCandidate) -> list[DriveJob]:
+        first = candidate.group * len(self.scenarios)
+        return [DriveJob(k, scenario, candidate.values) for k, scenario in enumerate(self.scenarios, first)]
+
+
+def _failed_evaluation(error: BenchError) -> Evaluation:
+    return Evaluation(0.0, {}, error=f"{error.code}: {error.message}")
 
 
 class BatchEvaluator:
-    """In a compiled batch: the numbers of the bus without the bus."""
+    """Scores in a compiled batch: the numbers of the bus without the bus."""
 
-    def __init__(self, batch: Batch, bench: Bench, scenarios: Sequence[ScenarioSpec], *, at_once: int) -> None:
+    def __init__(self, batch: Batch, bench: Bench, scenarios: Sequence[ScenarioSpec], *, batch_size: int) -> None:
         self.batch = batch
         self.bench = bench
         self.scenarios = list(scenarios)
-        self.at_once = at_once
-        self.over = "batch"
+        self.batch_size = batch_size
+        self.medium = Medium.BATCH
         self._simulated_s = self._wall_s = 0.0
 
     @property
@@ -148,26 +167,23 @@ class BatchEvaluator:
         """Speed against real time; there are no frames."""
         return {"speed_x": self._simulated_s / self._wall_s} if self._wall_s else {}
 
-    def evaluate(self, candidates: Sequence[Candidate]) -> list[Evaluation]:
-        """The evaluation of each candidate; all drives of all of them are one batch."""
+    def evaluate(self, candidates: Sequence[VectorCandidate]) -> list[Evaluation]:
+        """The evaluation of each candidate; all drives are one batch."""
         started = time.monotonic()
-        driven = self.batch.drive([Job(one.values, scenario) for one in candidates for scenario in self.scenarios])
+        jobs = [Job(candidate.values, scenario) for candidate in candidates for scenario in self.scenarios]
+        drives = self.batch.drive(jobs)
         self._wall_s += time.monotonic() - started
-        self._simulated_s += sum(one.ticks for one in driven) * self.bench.dt_s
+        self._simulated_s += sum(drive.ticks for drive in drives) * self.bench.dt_s
         n = len(self.scenarios)
-        return [self._graded(driven[i * n : (i + 1) * n]) for i in range(len(candidates))]
+        return [self._evaluation(drives[i * n : (i + 1) * n]) for i in range(len(candidates))]
 
-    def _graded(self, driven: Sequence[Driven]) -> Evaluation:
-        kept: dict[str, Any] = {}
+    def _evaluation(self, drives: Sequence[Driven]) -> Evaluation:
+        scenarios: dict[str, Any] = {}
         grades: list[ScenarioGrade] = []
-        for scenario, one in zip(self.scenarios, driven, strict=True):
-            if one.error not in GRADED or one.grade is None:
-                code = ErrorCode[one.error.upper()]
-                raise BenchError(f"{scenario.name}: {code.sentence} (tick {one.ticks})", code=one.error)
-            grades.append(one.grade)
-            kept[scenario.name] = one.grade._asdict() | ({"frame_hash": one.hash} if one.hash else {})
-        return Evaluation(combine(grades), kept)
-
-
-def _lost(error: BenchError) -> Evaluation:
-    return Evaluation(0.0, {}, error=f"{error.code}: {error.message}")
+        for scenario, drive in zip(self.scenarios, drives, strict=True):
+            if drive.error not in GRADED_ENDS or drive.grade is None:
+                code = ErrorCode[drive.error.upper()]
+                raise BenchError(f"{scenario.name}: {code.sentence} (tick {drive.ticks})", code=drive.error)
+            grades.append(drive.grade)
+            scenarios[scenario.name] = drive.grade._asdict() | ({"frame_hash": drive.hash} if drive.hash else {})
+        return Evaluation(combine_scores(grades), scenarios)

@@ -1,4 +1,4 @@
-"""The run folder of a `tune`: an unfinished one of the same wish, the one to resume, or a new one."""
+"""The run folder of a `tune`: the one to resume, an unfinished one of the same settings, or a new one."""
 
 from __future__ import annotations
 
@@ -10,76 +10,86 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench
 from tunefree_hil.jobs.drive import DEFAULT_ROOT
 from tunefree_hil.jobs.identity import resolved_toml
-from tunefree_hil.jobs.run_folder import RunFolder, all_unfinished, open_run, remove_parts, write_text
-from tunefree_hil.jobs.tune.options import OPTIONS, Wish
-from tunefree_hil.tune.store import alone
+from tunefree_hil.jobs.run_folder import RunFolder, iterate_unfinished, open_run, remove_partial_files, write_text
+from tunefree_hil.jobs.tune.options import OPTIONS, TunePlan
+from tunefree_hil.tune.store import exclusive_lock
 
-HELD = "worker"
+LOCK = "worker"  # name of the lock in the run folder
 
 
 @contextmanager
-def run_folder_of(wish: Wish) -> Iterator[tuple[RunFolder, bool]]:
-    """(folder, whether it is an old one): the one to resume, an unfinished one of the same settings, or a new one.
+def open_run_folder(plan: TunePlan) -> Iterator[tuple[RunFolder, bool]]:
+    """Open the run folder and lock it: two processes would write the same episodes.
 
-    It is held as long as the `with` lasts: two processes would write the same episodes. Workers of a shared study on
-    one machine each hold a folder of their own. Raises InputError where another process holds it.
+    Workers of a shared study on one machine have a folder each.
+
+    Yields:
+        The folder, and whether it existed before.
+
+    Raises:
+        InputError: Another process has locked it.
     """
-    asked = wish.asked
-    name, root = f"tune-{asked.bench.stem}", asked.out or DEFAULT_ROOT
+    options = plan.options
+    name, root = f"tune-{options.bench.stem}", options.out or DEFAULT_ROOT
     with ExitStack() as stack:
-        if asked.resume is not None:
-            run: RunFolder | None = open_run(asked.resume)
-            _refuse_changed(run, wish)
-            stack.enter_context(alone(run.path / HELD))
+        if options.resume is not None:
+            run: RunFolder | None = open_run(options.resume)
+            _require_unchanged(run, plan)
+            stack.enter_context(exclusive_lock(run.path / LOCK))
         else:
-            run = _free(root, name, wish, stack)
+            run = _find_free_run(root, name, plan, stack)
         if run is not None:
-            remove_parts(run.path)
-            keep_bench(run.path, wish.bench)
-            run.note(**{OPTIONS: wish.options})  # of this command, which may say others than the one before
+            remove_partial_files(run.path)
+            write_bench_file(run.path, plan.bench)
+            # This command may have other options than the one before.
+            run.add_to_record(**{OPTIONS: plan.stored_options})
             yield run, True
             return
-        record = {**wish.record, OPTIONS: wish.options, "bench": str(asked.bench), "hashes": wish.identity["hashes"]}
+        record = {
+            **plan.run_record,
+            OPTIONS: plan.stored_options,
+            "bench": str(options.bench),
+            "hashes": plan.identity["hashes"],
+        }
 
         def prepare(path: Path) -> None:
-            stack.enter_context(alone(path / HELD))  # before another worker can find it
-            keep_bench(path, wish.bench)
+            stack.enter_context(exclusive_lock(path / LOCK))  # before another worker can open it
+            write_bench_file(path, plan.bench)
 
-        yield RunFolder.create(root, name, {**record, "seed": wish.settings.seed}, prepare), False
+        yield RunFolder.create(root, name, {**record, "seed": plan.settings.seed}, prepare), False
 
 
-def keep_bench(path: Path, bench: Bench) -> None:
-    """The bench file, resolved, into a run's folder: what `verify`, `replay` and `explain` of it go by. What scores
-    depend on is in the run's identity; what the winner is verified on is not, and may be another than before.
+def write_bench_file(path: Path, bench: Bench) -> None:
+    """Write the resolved bench file into a run folder, for `verify`, `replay` and `explain`.
+
+    What scores depend on is part of the identity of a run; what the winner is verified on is not, and may change.
     """
     write_text(path / "bench.toml", resolved_toml(bench))
 
 
-def _free(root: Path, name: str, wish: Wish, stack: ExitStack) -> RunFolder | None:
-    """An unfinished folder of the same settings; `stack` holds it from now on. Of those of a shared study one that no
-    living worker holds.
-    """
-    for run in all_unfinished(root, name, wish.record):
+def _find_free_run(root: Path, name: str, plan: TunePlan, stack: ExitStack) -> RunFolder | None:
+    """Find an unfinished folder of the same settings, which `stack` locks; of a shared study one that is not locked."""
+    for run in iterate_unfinished(root, name, plan.run_record):
         try:
-            stack.enter_context(alone(run.path / HELD))
+            stack.enter_context(exclusive_lock(run.path / LOCK))
             return run
         except InputError:
-            if not wish.shown:
+            if not plan.study_address:
                 raise
     return None
 
 
-def _refuse_changed(run: RunFolder, wish: Wish) -> None:
-    """Raise InputError where a run was made with other files, or its study is elsewhere."""
-    if run.record.get("identity") != wish.identity["identity"]:
+def _require_unchanged(run: RunFolder, plan: TunePlan) -> None:
+    """Raise InputError where the files of the run have changed, or its study is stored elsewhere."""
+    if run.record.get("identity") != plan.identity["identity"]:
         raise InputError(
-            "the files it was made with have changed since",
+            "the files of the run have changed",
             code="changed",
             file=str(run.path),
             key="identity",
-            hint="bring back the vehicle, model, scenarios and weights, or start a new run",
+            hint="restore the vehicle, model, scenarios and weights, or start a new run",
         )
-    before = run.record.get("study", "")
-    if before != wish.shown:
-        hint = f"--study {before}" if before else "leave out --study"
-        raise InputError(f"its study is in {before or 'its study.db'}", code="changed", key="--study", hint=hint)
+    stored = run.record.get("study", "")
+    if stored != plan.study_address:
+        hint = f"--study {stored}" if stored else "leave out --study"
+        raise InputError(f"its study is in {stored or 'its study.db'}", code="changed", key="--study", hint=hint)

@@ -1,11 +1,8 @@
-"""Margins of the winner and the baselines on the verify model: thousands of drives of changed cars in the batch.
+"""Margins of the winner and the baselines on the verify model: thousands of drives of varied cars in the batch.
 
-The batch drives what the bus would, bit for bit, in a small share of the time; the cars as they are, which `verify` has
-driven over the bus, are driven again and compared. docs/margins.md says what is driven and what verify.json holds.
-
-What margins come to: plain data for verify.json (docs/margins.md), and whether the winner has less of any.
-
-Margins as a sentence's end and as a table, from the data of margins_report.
+The batch gives the numbers of the bus, bit for bit, in a small share of the time. `verify` has driven the nominal car
+over the bus; it is driven again here and compared. docs/reference/margins.md lists the drives and the keys of
+verify.json. The margins as plain data, as the end of a sentence, and as a table.
 """
 
 from __future__ import annotations
@@ -28,78 +25,84 @@ from tunefree_hil.grade.margins import (
     DELAY,
     GAIN_DOWN,
     GAIN_UP,
-    INSIDE,
+    MAX_NEAR_NOMINAL,
+    NOMINAL,
     POINTS,
-    SAME,
-    WALKS,
-    Came,
-    Car,
+    SWEEPS,
+    CarVariant,
+    DriveOutcome,
+    FailureRate,
     Margin,
-    Rate,
-    Walk,
-    is_inside,
-    is_less,
-    rate_of,
-    rates,
-    said,
-    steering_of,
+    MarginSearch,
+    describe_variant,
+    failure_rate,
+    failure_rate_at_points,
+    is_near_nominal,
+    is_smaller_margin,
+    steering_activity,
 )
-from tunefree_hil.jobs.running.foreign import not_ours
+from tunefree_hil.jobs.running.foreign import unsupported_parameters
 from tunefree_hil.jobs.running.node_main import OURS
 from tunefree_hil.jobs.tune.candidates import TUNED
 
 EFFECTS = ("steer_dead_time", "steer_gain", "payload", "friction")
-ROUND = 128  # drives that are asked for together, at least, as long as there are so many
+MIN_DRIVES_PER_CALL = 128  # as long as so many drives are left
 
 Vectors = Mapping[str, Mapping[str, float]]
-Driving = dict[str, dict[Car, dict[str, Came]]]  # vector -> car -> scenario
+OutcomesByCar = dict[str, dict[CarVariant, dict[str, DriveOutcome]]]  # vector -> car -> scenario
 
 
-class Drives(Protocol):
-    """What drives jobs: a Batch, or a test's stand-in."""
+class JobDriver(Protocol):
+    """Drives jobs: a Batch, or a replacement in tests."""
 
     def drive(self, jobs: Sequence[Job]) -> list[Driven]: ...
 
 
-class Found(NamedTuple):
-    """What came out, and each vector's margins by the names of WALKS. scores: of the cars as they are.
+class MarginDrives(NamedTuple):
+    """Results of the drives.
 
-    missing: groups of POINTS that this model cannot have, with the reason.
+    driven: Outcomes by vector, car and scenario.
+    margins: By vector and name of SWEEPS.
+    scores: Of the nominal car, by vector and scenario.
+    missing: Groups of POINTS that the model cannot have, with the reason.
+    drives: Number of drives.
     """
 
-    driven: Driving
-    walked: dict[str, dict[str, Margin]]
+    driven: OutcomesByCar
+    margins: dict[str, dict[str, Margin]]
     scores: dict[str, dict[str, float]]
     missing: dict[str, str]
     drives: int
 
 
-def why_not(bench: Bench, joined: str | None = None) -> str:
-    """Why the batch cannot drive this bench, '' where it can. What it finds out itself is told as an error.
+def find_batch_obstacle(bench: Bench, joined: str | None = None) -> str:
+    """Why the batch cannot drive this bench, '' where it can. The batch raises an error for obstacles that it finds.
 
-    joined: what the controller of a joined bench calls itself, None where the bench's own was started.
+    Args:
+        bench: The bench.
+        joined: Name of the controller of a joined bench; None where the controller of the bench file was started.
     """
-    ours = "a batch knows our controller only"
+    ours = "the batch has only our controller"
     if bench.spec.controller.command:
         return f"{ours}, not {bench.spec.controller.command[0]}"
     if joined not in (None, OURS):
-        return f"{ours}, not {joined or 'a nameless one'}, which was joined"
-    if lacking := not_ours(bench, own_parameters(bench)):
-        return f"{ours}, which has no parameter {', '.join(lacking)}"
+        return f"{ours}, not {joined or 'the unnamed one'}, which was joined"
+    if unsupported := unsupported_parameters(bench, own_parameters(bench)):
+        return f"{ours}, which has no parameter {', '.join(unsupported)}"
     kinds = sorted({fault.kind for fault in bench.spec.faults if fault.kind != "driver_override"})
-    return f"a batch has no bus to put the bench file's faults on ({', '.join(kinds)})" if kinds else ""
+    return f"the batch has no bus for the faults of the bench file ({', '.join(kinds)})" if kinds else ""
 
 
 def find_margins(
     bench: Bench, model: str, vectors: Vectors, scenarios: Sequence[ScenarioSpec], joined: str | None = None
-) -> Generator[Event, None, Found | str]:
-    """All drives in a batch of their own. A bench or model that a batch cannot drive: the reason, as a warning too."""
-    reason = why_not(bench, joined)
+) -> Generator[Event, None, MarginDrives | str]:
+    """Make all drives in a batch of their own. Returns the reason where the batch cannot drive bench or model."""
+    reason = find_batch_obstacle(bench, joined)
     if not reason:
         try:
             with Batch(bench, model, extra_effects=EFFECTS) as batch:
-                words = f"margins: {model} in the batch; where it is not compiled yet, that takes a minute first"
-                yield Event("note", words)
+                text = f"margins: {model} in the batch; compiling it, where it is new, takes a minute"
+                yield Event("note", text)
                 return (yield from drive_margins(batch, bench, model, vectors, scenarios))
         except (InputError, BenchError) as error:
             reason = f"{error.code}: {error.message.splitlines()[0]}"
@@ -108,77 +111,80 @@ def find_margins(
 
 
 def drive_margins(
-    batch: Drives, bench: Bench, model: str, vectors: Vectors, scenarios: Sequence[ScenarioSpec]
-) -> Generator[Event, None, Found]:
-    """Drive all of POINTS, and each of WALKS as far as it goes, for every vector in all scenarios."""
-    search = _Search(batch, bench, model, vectors, scenarios)
-    search.drive([(next(iter(vectors)), SAME)])  # the first drive waits for the compiler: no part of the pace
+    batch: JobDriver, bench: Bench, model: str, vectors: Vectors, scenarios: Sequence[ScenarioSpec]
+) -> Generator[Event, None, MarginDrives]:
+    """Drive all of POINTS, and each of SWEEPS up to the margin, for every vector in all scenarios."""
+    search = _MarginSearch(batch, bench, model, vectors, scenarios)
+    search.drive([(next(iter(vectors)), NOMINAL)])  # not timed: the first drive waits for the compiler
     started, before = time.monotonic(), search.drives
-    while wanted := search.wanted():
-        search.drive(wanted)
+    while pairs := search.next_cars():
+        search.drive(pairs)
         each_s = (time.monotonic() - started) / (search.drives - before)
-        left = search.left()
+        left = search.max_drives_left()
         data = {"label": "margins", "done": search.drives, "total": search.drives + left, "eta_s": each_s * left}
-        yield Event("progress", search.said(), data)
-    walked = {name: {what: search.walks[name, what].found for what in WALKS} for name in vectors}
-    known = {name: {what: one for what, one in some.items() if one} for name, some in walked.items()}
-    return Found(search.driven, known, search.scores, search.missing, search.drives)
+        yield Event("progress", search.progress_text(), data)
+    margins = {
+        name: {sweep: margin for sweep in SWEEPS if (margin := search.sweeps[name, sweep].margin)} for name in vectors
+    }
+    return MarginDrives(search.driven, margins, search.scores, search.missing, search.drives)
 
 
-class _Search:
-    """What has been driven, and what is next."""
+class _MarginSearch:
+    """What was driven, and what to drive next."""
 
     def __init__(
-        self, batch: Drives, bench: Bench, model: str, vectors: Vectors, scenarios: Sequence[ScenarioSpec]
+        self, batch: JobDriver, bench: Bench, model: str, vectors: Vectors, scenarios: Sequence[ScenarioSpec]
     ) -> None:
         self.batch, self.vectors, self.scenarios = batch, vectors, list(scenarios)
-        self.driven: Driving = {name: {} for name in vectors}
+        self.driven: OutcomesByCar = {name: {} for name in vectors}
         self.scores: dict[str, dict[str, float]] = {name: {} for name in vectors}
-        self.walks = {(name, what): Walk(cars) for name in vectors for what, cars in WALKS.items()}
+        self.sweeps = {(name, sweep): MarginSearch(cars) for name in vectors for sweep, cars in SWEEPS.items()}
         self.missing: dict[str, str] = {}
         self.drives = 0
         self._mass_kg = 0.0
-        self._points = [SAME, *self._possible(bench, model)]
+        self._points = [NOMINAL, *self._buildable_cars(bench, model)]
 
-    def wanted(self) -> list[tuple[str, Car]]:
-        """The next car of each walk, filled up with the fixed ones; by car, so that vectors share what is built."""
-        ahead = {(name, car): None for (name, _), walk in self.walks.items() if (car := walk.ahead) is not None}
-        fixed = (one for one in self._fixed() if one not in ahead)
-        least = -(-ROUND // len(self.scenarios))
-        while len(ahead) < least and (one := next(fixed, None)) is not None:
-            ahead[one] = None
-        return sorted(ahead, key=lambda one: one[1])
+    def next_cars(self) -> list[tuple[str, CarVariant]]:
+        """The next car of each sweep, filled up with POINTS; sorted by car, so that vectors share what is built."""
+        pairs = {
+            (name, car): None for (name, _), sweep in self.sweeps.items() if (car := sweep.next_variant) is not None
+        }
+        points = (pair for pair in self._open_points() if pair not in pairs)
+        least = -(-MIN_DRIVES_PER_CALL // len(self.scenarios))
+        while len(pairs) < least and (pair := next(points, None)) is not None:
+            pairs[pair] = None
+        return sorted(pairs, key=lambda pair: pair[1])
 
-    def left(self) -> int:
-        """Drives that are still to be made at most."""
-        walking = sum(walk.left for walk in self.walks.values())
-        return len(self.scenarios) * (walking + sum(1 for _ in self._fixed()))
+    def max_drives_left(self) -> int:
+        """Upper limit of the drives that are left."""
+        sweeps = sum(sweep.remaining for sweep in self.sweeps.values())
+        return len(self.scenarios) * (sweeps + sum(1 for _ in self._open_points()))
 
-    def drive(self, pairs: Sequence[tuple[str, Car]]) -> None:
-        """All scenarios of these vectors with these cars."""
+    def drive(self, pairs: Sequence[tuple[str, CarVariant]]) -> None:
+        """Drive all scenarios with these vectors and cars."""
         jobs = [self._job(name, car, scenario) for name, car in pairs for scenario in self.scenarios]
-        answers = iter(self.batch.drive(jobs))
+        drives = iter(self.batch.drive(jobs))
         for name, car in pairs:
-            came = self.driven[name].setdefault(car, {})
+            outcomes = self.driven[name].setdefault(car, {})
             for scenario in self.scenarios:
-                one = next(answers)
-                came[scenario.name] = came_of(one)
-                if car == SAME and one.grade is not None:
-                    self.scores[name][scenario.name] = one.grade.score
+                drive = next(drives)
+                outcomes[scenario.name] = outcome_from_drive(drive)
+                if car == NOMINAL and drive.grade is not None:
+                    self.scores[name][scenario.name] = drive.grade.score
         self.drives += len(jobs)
-        for (name, _), walk in self.walks.items():
-            while (car := walk.ahead) is not None and car in self.driven[name]:
-                walk.tell(self.driven[name][car])
+        for (name, _), sweep in self.sweeps.items():
+            while (car := sweep.next_variant) is not None and car in self.driven[name]:
+                sweep.record_outcomes(self.driven[name][car])
 
-    def said(self) -> str:
-        """Words for the progress line."""
-        ended = sum(walk.found is not None for walk in self.walks.values())
-        return f"{self.drives} drives, {ended} of {len(self.walks)} margins found"
+    def progress_text(self) -> str:
+        """'1280 drives, 9 of 18 margins found'."""
+        ended = sum(sweep.margin is not None for sweep in self.sweeps.values())
+        return f"{self.drives} drives, {ended} of {len(self.sweeps)} margins found"
 
-    def _fixed(self) -> Iterator[tuple[str, Car]]:
+    def _open_points(self) -> Iterator[tuple[str, CarVariant]]:
         return ((name, car) for car in self._points for name in self.vectors if car not in self.driven[name])
 
-    def _job(self, name: str, car: Car, scenario: ScenarioSpec) -> Job:
+    def _job(self, name: str, car: CarVariant, scenario: ScenarioSpec) -> Job:
         effects: dict[str, dict[str, float]] = {}
         if car.steer_delay_s:
             effects["steer_dead_time"] = {"delay_s": car.steer_delay_s}
@@ -188,11 +194,11 @@ class _Search:
             effects["payload"] = {"mass_kg": (car.mass - 1.0) * self._mass_kg}
         if car.friction != 1.0:
             effects["friction"] = {"friction_frac": car.friction}
-        scale = {key: one for key, one in ((DEAD_TIME, car.dead_time), (LAG, car.lag)) if one != 1.0}
+        scale = {key: factor for key, factor in ((DEAD_TIME, car.dead_time), (LAG, car.lag)) if factor != 1.0}
         return Job(self.vectors[name], scenario, effects=effects, scale=scale)
 
-    def _possible(self, bench: Bench, model: str) -> Iterator[Car]:
-        """The cars of POINTS that can be made of this model; the reasons for the others into `missing`."""
+    def _buildable_cars(self, bench: Bench, model: str) -> Iterator[CarVariant]:
+        """The cars of POINTS that this model can be; the reasons for the others go into `missing`."""
         spec = model_of(bench, model)
         reasons: dict[str, str] = {}
         try:
@@ -211,196 +217,221 @@ class _Search:
                 yield from cars
 
 
-def came_of(driven: Driven) -> Came:
-    """A drive that the bench and not the parameters ended is named by its error, and is no good drive either."""
-    return Came(driven.grade.outcome, driven.grade.replans) if driven.grade else Came(driven.error, 0)
+def outcome_from_drive(driven: Driven) -> DriveOutcome:
+    """The outcome of a drive; where the bench ended it without a grade, the name of the error."""
+    return DriveOutcome(driven.grade.outcome, driven.grade.replans) if driven.grade else DriveOutcome(driven.error, 0)
 
 
 LIMITS = {
-    "inside_frac": INSIDE,
-    "delay_cap_s": WALKS[DELAY][-1].steer_delay_s,
-    "gain_up_cap": WALKS[GAIN_UP][-1].steer_gain,
-    "gain_down_cap": WALKS[GAIN_DOWN][-1].steer_gain,
+    "inside_frac": MAX_NEAR_NOMINAL,
+    "delay_cap_s": SWEEPS[DELAY][-1].steer_delay_s,
+    "gain_up_cap": SWEEPS[GAIN_UP][-1].steer_gain,
+    "gain_down_cap": SWEEPS[GAIN_DOWN][-1].steer_gain,
 }
-Steered = Mapping[str, Mapping[str, float] | None]  # vector -> what `steering_data` gives
+SteeringByVector = Mapping[str, Mapping[str, float] | None]  # by vector, from `measure_steering`
 
 
-def steering_data(recordings: Iterable[Recording]) -> dict[str, float] | None:
-    """RMS of the steering command's rate and its reversals a second over some drives; None without that column."""
-    known: list[NDArray[np.float64]] = []
+def measure_steering(recordings: Iterable[Recording]) -> dict[str, float] | None:
+    """RMS rate and reversals per second of the steering command over the drives; None without that column."""
+    commands: list[NDArray[np.float64]] = []
     dt_s = 0.0
     for recording in recordings:
         command, dt_s = recording.get("cmd_steer_rad"), recording.dt_s
         if command is not None:
-            known.append(command)
-    steering = steering_of(known, dt_s) if known else None
+            commands.append(command)
+    steering = steering_activity(commands, dt_s) if commands else None
     return steering._asdict() if steering else None
 
 
 def margin_data(
-    found: Found | str, steering: Steered, scores: Mapping[str, float], over_bus: Mapping[str, Mapping[str, float]]
+    result: MarginDrives | str,
+    steering: SteeringByVector,
+    scores: Mapping[str, float],
+    over_bus: Mapping[str, Mapping[str, float]],
 ) -> dict[str, Any]:
     """The value of "margins" in verify.json.
 
-    found: what the drives gave, or why there were none; scores: each vector's on the verify model; over_bus: the score
-    of each vector's scenarios there, which the batch must have hit.
+    Args:
+        found: Results of the drives, or the reason why there are none.
+        steering: From `measure_steering`, by vector.
+        scores: Score on the verify model, by vector.
+        over_bus: Score over the bus by vector and scenario, which the batch must reproduce.
     """
-    if isinstance(found, str):
-        vectors = {name: {**dict.fromkeys([*WALKS, "inside", "beyond"]), "points": []} for name in steering}
-        data: dict[str, Any] = {"reason": found, "against": None, "less": [], "missing": {}, "drives": 0}
+    if isinstance(result, str):
+        vectors = {name: {**dict.fromkeys([*SWEEPS, "inside", "beyond"]), "points": []} for name in steering}
+        data: dict[str, Any] = {"reason": result, "against": None, "less": [], "missing": {}, "drives": 0}
         data["same_as_bus"] = None
     else:
-        vectors = {name: _vector(found, name) for name in steering}
-        against = standing(scores, found)
-        data = {"reason": "", "against": against, "less": less_than(vectors[TUNED], vectors.get(against or ""))}
-        data |= {"missing": found.missing, "drives": found.drives, "same_as_bus": _same(found, over_bus)}
+        vectors = {name: _vector_data(result, name) for name in steering}
+        reference = select_reference_vector(scores, result)
+        smaller = find_smaller_margins(vectors[TUNED], vectors.get(reference or ""))
+        data = {"reason": "", "against": reference, "less": smaller}
+        data |= {"missing": result.missing, "drives": result.drives, "same_as_bus": _count_equal(result, over_bus)}
     data["vectors"] = {name: {**vectors[name], "steering": steering[name]} for name in steering}
     return {**data, "limits": LIMITS}
 
 
-def standing(scores: Mapping[str, float], found: Found) -> str | None:
-    """The manual vector to hold a winner's margins against: the best that drives the car as it is without a re-plan.
+def select_reference_vector(scores: Mapping[str, float], result: MarginDrives) -> str | None:
+    """The manual vector that the margins are compared with: the best one without a re-plan in the nominal car.
 
-    None where all manual vectors re-plan or fail. A vector that re-plans as it is has no delay margin to speak of.
+    None where all manual vectors re-plan or fail: a vector that re-plans in the nominal car has no delay margin.
     """
     manual = sorted((name for name in scores if name != TUNED), key=lambda name: scores[name])
-    return next((name for name in manual if found.walked[name][DELAY].value > 0.0), None)
+    return next((name for name in manual if result.margins[name][DELAY].value > 0.0), None)
 
 
-def less_than(tuned: Mapping[str, Any], manual: Mapping[str, Any] | None) -> list[dict[str, Any]]:
-    """What the winner has less of: [{"what", "tuned", "manual"}]; "inside": it fails more often within +/-20 %."""
+def find_smaller_margins(tuned: Mapping[str, Any], manual: Mapping[str, Any] | None) -> list[dict[str, Any]]:
+    """The margins that are smaller than the manual ones: [{"what", "tuned", "manual"}].
+
+    "inside": the winner fails more often with factors within +/-20 %.
+    """
     if manual is None:
         return []
-    found = []
-    for what in (DELAY, GAIN_UP, GAIN_DOWN):
-        mine, other = Margin(**tuned[what]), Margin(**manual[what])
-        if is_less(mine, other, down=what == GAIN_DOWN):
-            found.append({"what": what, "tuned": tuned[what], "manual": manual[what]})
+    smaller = []
+    for margin_name in (DELAY, GAIN_UP, GAIN_DOWN):
+        winner, reference = Margin(**tuned[margin_name]), Margin(**manual[margin_name])
+        if is_smaller_margin(winner, reference, down=margin_name == GAIN_DOWN):
+            smaller.append({"what": margin_name, "tuned": tuned[margin_name], "manual": manual[margin_name]})
     if tuned["inside"]["failed"] > manual["inside"]["failed"]:
-        found.append({"what": "inside", "tuned": tuned["inside"], "manual": manual["inside"]})
-    return found
+        smaller.append({"what": "inside", "tuned": tuned["inside"], "manual": manual["inside"]})
+    return smaller
 
 
-def _vector(found: Found, name: str) -> dict[str, Any]:
-    driven = found.driven[name]
-    data: dict[str, Any] = {what: margin._asdict() for what, margin in found.walked[name].items()}
-    data["inside"] = _rate(rates(driven, inside=True))
-    data["beyond"] = _rate(rates(driven, inside=False))
+def _vector_data(result: MarginDrives, name: str) -> dict[str, Any]:
+    driven = result.driven[name]
+    data: dict[str, Any] = {what: margin._asdict() for what, margin in result.margins[name].items()}
+    data["inside"] = _rate_data(failure_rate_at_points(driven, near_nominal=True))
+    data["beyond"] = _rate_data(failure_rate_at_points(driven, near_nominal=False))
     data["points"] = [
-        _point(group, car, driven[car])
-        for group, cars in POINTS.items() if group not in found.missing for car in cars
-    ]  # fmt: skip
+        _point_data(group, car, driven[car])
+        for group, cars in POINTS.items()
+        if group not in result.missing
+        for car in cars
+    ]
     return data
 
 
-def _point(group: str, car: Car, drives: Mapping[str, Came]) -> dict[str, Any]:
-    rate = rate_of(drives.values())
+def _point_data(group: str, car: CarVariant, drives: Mapping[str, DriveOutcome]) -> dict[str, Any]:
+    rate = failure_rate(drives.values())
     return {
         "group": group,
-        "what": said(car),
+        "what": describe_variant(car),
         "factors": {field: value for field, value in car._asdict().items() if field != "steer_delay_s"},
-        "inside": is_inside(car),
-        **_rate(rate),
-        "replanned": sum(not came.failed and not came.calm for came in drives.values()),
-        "failures": {scenario: came.outcome for scenario, came in drives.items() if came.failed},
+        "inside": is_near_nominal(car),
+        **_rate_data(rate),
+        "replanned": sum(not drive.is_failed and not drive.is_clean for drive in drives.values()),
+        "failures": {scenario: drive.outcome for scenario, drive in drives.items() if drive.is_failed},
     }
 
 
-def _rate(rate: Rate) -> dict[str, Any]:
+def _rate_data(rate: FailureRate) -> dict[str, Any]:
     return {"failed": rate.failed, "drives": rate.drives, "share": rate.share if rate.drives else None}
 
 
-def _same(found: Found, over_bus: Mapping[str, Mapping[str, float]]) -> dict[str, int]:
-    """Of the drives of the cars as they are: how many scores of the batch are those of the bus, bit for bit."""
-    pairs = [(found.scores[name].get(scenario), score) for name, some in over_bus.items()
-             for scenario, score in some.items()]  # fmt: skip
-    return {"equal": sum(mine == score for mine, score in pairs), "of": len(pairs)}
+def _count_equal(result: MarginDrives, over_bus: Mapping[str, Mapping[str, float]]) -> dict[str, int]:
+    """How many scores of the nominal car are equal in the batch and over the bus, bit for bit."""
+    pairs = [
+        (result.scores[name].get(scenario), score)
+        for name, scores in over_bus.items()
+        for scenario, score in scores.items()
+    ]
+    return {"equal": sum(batch == bus for batch, bus in pairs), "of": len(pairs)}
 
 
-LESS = {"delay": "delay margin", "gain_up": "steer gain margin upward", "gain_down": "steer gain margin downward",
-        "inside": "robustness within +/-20 %"}  # fmt: skip
+MARGIN_LABELS = {
+    "delay": "delay margin",
+    "gain_up": "steer gain margin upward",
+    "gain_down": "steer gain margin downward",
+    "inside": "robustness within +/-20 %",
+}
 HEAD = ("", "delay", "gain down", "gain up", "fails in +/-20 %", "beyond", "steering rate", "reversals")
-NONE = "-"
+NO_VALUE = "-"
 
 
-def margin_words(margins: Mapping[str, Any], tuned: str) -> str:
-    """'but with less delay margin than as_shipped: 60 ms against 110 ms', or both margins; '' where there are none.
+def margin_text(margins: Mapping[str, Any], tuned: str) -> str:
+    """The end of a sentence, such as 'but with less delay margin than as_shipped: 60 ms against 110 ms'.
 
-    A winner that fails within +/-20 %, where nothing should, is said to.
+    It names failures of the winner within +/-20 %; '' where there are no margins.
     """
     if margins["reason"]:
         return ""
-    less, against, mine = margins["less"], margins["against"], margins["vectors"][tuned]
-    if less:
-        words = "but with " + ", ".join(f"less {LESS[one['what']]} than {against}: {_pair(one)}" for one in less)
-    elif against is None:
-        words = f"delay margin {_delay(mine['delay'])}, and no manual vector drives all of them without a re-plan"
+    smaller, reference, winner = margins["less"], margins["against"], margins["vectors"][tuned]
+    if smaller:
+        parts = [f"less {MARGIN_LABELS[entry['what']]} than {reference}: {_pair_text(entry)}" for entry in smaller]
+        text = "but with " + ", ".join(parts)
+    elif reference is None:
+        text = f"delay margin {_delay_text(winner['delay'])}; no manual vector drives all scenarios without a re-plan"
     else:
-        words = f"delay margin {_delay(mine['delay'])} against {_delay(margins['vectors'][against]['delay'])}"
-        words += f" of {against}"
-    if mine["inside"]["failed"] and "inside" not in [one["what"] for one in less]:
-        words += f"; it FAILS {_rate_text(mine['inside'])} drives within +/-20 %"
-    return words
+        delay = _delay_text(margins["vectors"][reference]["delay"])
+        text = f"delay margin {_delay_text(winner['delay'])} against {delay} of {reference}"
+    if winner["inside"]["failed"] and "inside" not in [entry["what"] for entry in smaller]:
+        text += f"; it FAILS {_rate_text(winner['inside'])} drives within +/-20 %"
+    return text
 
 
 def margin_table(margins: Mapping[str, Any], tuned: str) -> list[str]:
-    """One line a vector, '<' beside what the winner has less of than manual; then where it fails, what is missing."""
-    vectors, less = margins["vectors"], {one["what"] for one in margins["less"]}
-    rows = [HEAD, *(_row(name, one, less if name == tuned else set()) for name, one in vectors.items())]
+    """One line a vector, '<' beside smaller margins than manual; then failures of the winner and missing groups."""
+    vectors, smaller = margins["vectors"], {entry["what"] for entry in margins["less"]}
+    rows = [HEAD, *(_row(name, vector, smaller if name == tuned else set()) for name, vector in vectors.items())]
     widths = [max(len(row[i]) for row in rows) for i in range(len(HEAD))]
-    lines = ["  ".join(f"{cell:>{width}}" if i else f"{cell:{width}}"
-                       for i, (cell, width) in enumerate(zip(row, widths, strict=True))) for row in rows]  # fmt: skip
-    if less:
-        lines.append(f"< marks what {tuned} has less of than {margins['against']}")
-    lines += _where(tuned, vectors[tuned]["points"])
+    lines = ["  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in rows]
+    if smaller:
+        lines.append(f"< marks margins of {tuned} that are smaller than those of {margins['against']}")
+    lines += _list_failures(tuned, vectors[tuned]["points"])
     lines += [f"{group}: not driven, {reason}" for group, reason in margins["missing"].items()]
     if margins["reason"]:
         lines.append(f"no margins: {margins['reason']}")
     return lines
 
 
-def _where(tuned: str, points: Sequence[Mapping[str, Any]]) -> list[str]:
-    """One line a scenario and end: with which cars."""
+def _list_failures(tuned: str, points: Sequence[Mapping[str, Any]]) -> list[str]:
+    """One line for each scenario and outcome, with the cars that it failed with."""
     cars: dict[tuple[str, str], list[str]] = {}
     for point in points:
         for key in point["failures"].items():
             cars.setdefault(key, []).append(point["what"])
-    return [f"{tuned} fails in {scenario} ({outcome}) with {'; '.join(some)}"
-            for (scenario, outcome), some in sorted(cars.items())]  # fmt: skip
+    return [
+        f"{tuned} fails in {scenario} ({outcome}) with {'; '.join(names)}"
+        for (scenario, outcome), names in sorted(cars.items())
+    ]
 
 
-def _row(name: str, one: Mapping[str, Any], less: set[str]) -> tuple[str, ...]:
-    cells = {"delay": _delay(one["delay"]), "gain_down": _gain(one["gain_down"]), "gain_up": _gain(one["gain_up"]),
-             "inside": _rate_text(one["inside"])}  # fmt: skip
-    marked = [text + (" <" if what in less else "") for what, text in cells.items()]
-    steering = one["steering"]
-    rate = f"{steering['rate_rms_radps']:.3f} rad/s" if steering else NONE
-    reversals = f"{steering['reversals_per_s']:.2f} /s" if steering else NONE
-    return (name, *marked, _rate_text(one["beyond"], share=True), rate, reversals)
+def _row(name: str, vector: Mapping[str, Any], smaller: set[str]) -> tuple[str, ...]:
+    cells = {
+        "delay": _delay_text(vector["delay"]),
+        "gain_down": _gain_text(vector["gain_down"]),
+        "gain_up": _gain_text(vector["gain_up"]),
+        "inside": _rate_text(vector["inside"]),
+    }
+    marked = [text + (" <" if what in smaller else "") for what, text in cells.items()]
+    steering = vector["steering"]
+    rate = f"{steering['rate_rms_radps']:.3f} rad/s" if steering else NO_VALUE
+    reversals = f"{steering['reversals_per_s']:.2f} /s" if steering else NO_VALUE
+    return (name, *marked, _rate_text(vector["beyond"], share=True), rate, reversals)
 
 
-def _pair(less: Mapping[str, Any]) -> str:
-    if less["what"] == "inside":
-        return f"{_rate_text(less['tuned'])} drives fail against {_rate_text(less['manual'])}"
-    show = _delay if less["what"] == "delay" else _gain
-    return f"{show(less['tuned'])} against {show(less['manual'])}"
+def _pair_text(entry: Mapping[str, Any]) -> str:
+    if entry["what"] == "inside":
+        return f"{_rate_text(entry['tuned'])} drives fail against {_rate_text(entry['manual'])}"
+    text = _delay_text if entry["what"] == "delay" else _gain_text
+    return f"{text(entry['tuned'])} against {text(entry['manual'])}"
 
 
-def _delay(margin: Mapping[str, Any] | None) -> str:
+def _delay_text(margin: Mapping[str, Any] | None) -> str:
     if margin is None:
-        return NONE
+        return NO_VALUE
     return f"{'>= ' if margin['at_least'] else ''}{1e3 * margin['value']:.0f} ms"
 
 
-def _gain(margin: Mapping[str, Any] | None) -> str:
-    """The factor at which it is no longer calm."""
+def _gain_text(margin: Mapping[str, Any] | None) -> str:
+    """The first factor with a re-plan or a failure."""
     if margin is None:
-        return NONE
-    beyond = "<= " if margin["value"] < 1.0 else ">= "
-    return f"{beyond if margin['at_least'] else ''}{margin['value']:.2f}"
+        return NO_VALUE
+    sign = "<= " if margin["value"] < 1.0 else ">= "
+    return f"{sign if margin['at_least'] else ''}{margin['value']:.2f}"
 
 
 def _rate_text(rate: Mapping[str, Any] | None, *, share: bool = False) -> str:
     if rate is None or not rate["drives"]:
-        return NONE
+        return NO_VALUE
     return f"{rate['failed']} of {rate['drives']}" + (f" ({100.0 * rate['share']:.0f} %)" if share else "")

@@ -1,4 +1,4 @@
-"""What a `tune` was asked for, and what that comes to: checked before any process starts."""
+"""The options of `tune`, as given and as resolved; all checks are made before a process starts."""
 
 from __future__ import annotations
 
@@ -8,30 +8,33 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, load, own_parameters, parameters_of, require_buildable
-from tunefree_hil.jobs.command_text import given, pasted
-from tunefree_hil.jobs.drive import own_session
-from tunefree_hil.jobs.identity import identity_of
+from tunefree_hil.jobs.command_text import changed_options, shell_command
+from tunefree_hil.jobs.drive import new_session_name
+from tunefree_hil.jobs.identity import compute_identity
 from tunefree_hil.jobs.run_folder import open_run
-from tunefree_hil.jobs.running.foreign import require_one, with_command
-from tunefree_hil.jobs.running.node_links import bus_for
-from tunefree_hil.jobs.running.session import lanes_of
-from tunefree_hil.jobs.tune.candidates import baseline_vectors, opening_of
-from tunefree_hil.tune.baselines import first_trial
-from tunefree_hil.tune.shared.server import address_of
-from tunefree_hil.tune.space import Space, resolve
-from tunefree_hil.tune.store import Settings, check_settings
+from tunefree_hil.jobs.running.foreign import require_foreign_controller, with_controller_command
+from tunefree_hil.jobs.running.node_links import resolve_vehicle_bus
+from tunefree_hil.jobs.running.session import choose_lane_count
+from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors, select_first_vector
+from tunefree_hil.tune.baselines import make_first_trial
+from tunefree_hil.tune.shared.server import parse_address
+from tunefree_hil.tune.space import Space, resolve_space
+from tunefree_hil.tune.store import StudySettings, check_settings
 
 OPTIONS = "options"  # key of run.json
 BATCH, BUS = "batch", "bus"
-BATCH_IN_FLIGHT = 8  # costs nothing in quality (opt_anchors B)
-SHARED_IN_FLIGHT = 0  # each worker asks when it is free
-USUAL: Mapping[str, Any] = {"scale": "log", "verify": True, "confirm": 3}
-MOST_SLOWER = 10.0  # what is written by mistake lies far beyond
+BATCH_IN_FLIGHT = 8  # does not make the result worse (docs/reference/design.md)
+SHARED_IN_FLIGHT = 0  # each worker takes a slot when it is free
+DEFAULTS: Mapping[str, Any] = {"scale": "log", "verify": True, "confirm": 3}
+MAX_SLOWER_FACTOR = 10.0  # larger values are typing errors
 
 
-class Asked(NamedTuple):
-    """The options of the command, as given. benches, in_flight 0: as the bench file and the machine suggest; None: not
-    said, so as the run that goes on has it, or else as the bench file or USUAL has it.
+class TuneOptions(NamedTuple):
+    """The options of the command, as given; field names are option names and keys of `options` in run.json.
+
+    None: Not given. A resumed run keeps its value; otherwise that of the bench file or of DEFAULTS.
+    benches, in_flight: 0 for the values that bench file and machine suggest.
+    session: '' for a session of its own.
     """
 
     bench: Path
@@ -56,195 +59,215 @@ class Asked(NamedTuple):
     confirm: int | None = None
 
 
-class Wish(NamedTuple):
-    """What was asked for, resolved. shown: the shared study's address without its password, '' for none."""
+class VerifyOptions(NamedTuple):
+    """The options of `verify`. session: '' for a session of its own."""
 
-    asked: Asked
+    run: Path
+    bus: str = "auto"
+    bench_bus: str = ""
+    join: bool = False
+    session: str = ""
+
+
+class TunePlan(NamedTuple):
+    """The resolved options.
+
+    vectors: Baselines by name.
+    study_address: Of a shared study, without the password; '' for a study in the run folder.
+    command: The same command again, for a shell.
+    """
+
+    options: TuneOptions
     bench: Bench
-    settings: Settings
+    settings: StudySettings
     identity: dict[str, Any]
     vectors: dict[str, dict[str, float]]
     trials: int
     benches: int
     session: str
-    shown: str
-    command: str  # the same command again, to be pasted
+    study_address: str
+    command: str
 
     @property
-    def record(self) -> dict[str, Any]:
-        """What makes a run of this wish this run: an unfinished one that agrees is gone on with."""
-        asked = self.asked
+    def run_record(self) -> dict[str, Any]:
+        """The part of run.json that must agree for an unfinished run to be continued."""
+        options = self.options
         return {
             "command": "tune",
             "identity": self.identity["identity"],
-            "settings": self.settings.described(),
-            "backend": asked.backend,
-            "realtime": asked.realtime,
-            "study": self.shown,
+            "settings": self.settings.as_data(),
+            "backend": options.backend,
+            "realtime": options.realtime,
+            "study": self.study_address,
         }
 
     @property
     def confirm(self) -> int:
-        """Of a batch, how many trials the bus drives again."""
-        return int(self.asked.confirm or USUAL["confirm"])
+        """How many trials of a batch are driven again over the bus."""
+        return int(self.options.confirm or DEFAULTS["confirm"])
 
     @property
-    def options(self) -> dict[str, Any]:
-        """What `--resume` goes on with where the command does not say otherwise: fields of Asked, in run.json too."""
-        asked, settings = self.asked, self.settings
+    def stored_options(self) -> dict[str, Any]:
+        """The options in run.json that `--resume` keeps where the command does not give them."""
+        options, settings = self.options, self.settings
         return {
             "trials": self.trials,
-            "set_name": asked.set_name,
+            "set_name": options.set_name,
             "sampler": settings.sampler,
             "seed": settings.seed,
-            "scale": asked.scale,
-            "verify": asked.verify,
-            "confirm": asked.confirm,
+            "scale": options.scale,
+            "verify": options.verify,
+            "confirm": options.confirm,
         }
 
 
-def resolve_wish(asked: Asked) -> Wish:
-    """Read, check and work out everything. Raises InputError that names what does not fit."""
-    asked = settled(_as_before(asked) if asked.resume else asked)
-    _refuse_contradictions(asked)
-    address = address_of(asked.study) if asked.study else None
-    bench = with_command(load(asked.bench), asked.controller)
+def make_tune_plan(options: TuneOptions) -> TunePlan:
+    """Resolve and check the options. Raises InputError."""
+    options = fill_defaults(_restore_options(options) if options.resume else options)
+    _require_compatible(options)
+    address = parse_address(options.study) if options.study else None
+    bench = with_controller_command(load(options.bench), options.controller)
     _require_slower(bench)
-    space = _space(bench, asked)
-    _require_buildable(bench, asked, space)
-    session = asked.session or own_session()
-    bus_for(bench, asked.bus, session, asked.bench_bus)
-    vectors = baseline_vectors(bench)
-    require_one(bench, space.names, join=asked.join)
-    identity = identity_of(bench, bench.spec.model, [bench.scenarios[name] for name in bench.spec.scenarios])
-    benches = _benches(asked)
-    settings = Settings(
+    space = _space(bench, options)
+    _require_buildable(bench, options, space)
+    session = options.session or new_session_name()
+    resolve_vehicle_bus(bench, options.bus, session, options.bench_bus)
+    vectors = compute_baseline_vectors(bench)
+    require_foreign_controller(bench, space.names, join=options.join)
+    identity = compute_identity(bench, bench.spec.model, [bench.scenarios[name] for name in bench.spec.scenarios])
+    benches = _benches(options)
+    settings = StudySettings(
         space=space,
-        seed=bench.spec.seed if asked.seed is None else asked.seed,
-        sampler=asked.sampler or bench.spec.tune.sampler,
+        seed=bench.spec.seed if options.seed is None else options.seed,
+        sampler=options.sampler or bench.spec.tune.sampler,
         bench_hash=identity["identity"],
-        first=first_trial(space, opening_of(vectors)),
-        in_flight=_in_flight(bench, asked, benches),
+        first=make_first_trial(space, select_first_vector(vectors)),
+        in_flight=_in_flight(bench, options, benches),
     )
-    check_settings(settings)  # before there is a run folder that nobody could go on with
-    shown = f"{address.shown}#{address.name}" if address else ""
-    trials = asked.trials or bench.spec.tune.trials
-    return Wish(asked, bench, settings, identity, vectors, trials, benches, session, shown, again(asked, shown))
+    check_settings(settings)  # now, since a run folder with such settings could not be resumed
+    study_address = f"{address.public}#{address.name}" if address else ""
+    return TunePlan(
+        options=options,
+        bench=bench,
+        settings=settings,
+        identity=identity,
+        vectors=vectors,
+        trials=options.trials or bench.spec.tune.trials,
+        benches=benches,
+        session=session,
+        study_address=study_address,
+        command=format_command(options, study_address),
+    )
 
 
-def _as_before(asked: Asked) -> Asked:
-    """A run that goes on does so in its own way, whatever the options' defaults are.
+def _restore_options(options: TuneOptions) -> TuneOptions:
+    """The options of a resumed run: those of the command, then those that the run was started with.
 
-    What the command says counts; a run of an earlier version has no `options`.
+    A run of an earlier version has no `options` in run.json.
     """
-    record = _tune_before(asked.resume) if asked.resume else {}
-    usual, options = Asked._field_defaults, record.get(OPTIONS, {})
-    return asked._replace(
-        **{name: value for name, value in options.items() if getattr(asked, name) == usual[name]},
-        backend=record.get("backend", asked.backend),
-        realtime=record.get("realtime", asked.realtime),
-        in_flight=record.get("settings", {}).get("in_flight", asked.in_flight),
+    record = _read_tune_record(options.resume) if options.resume else {}
+    not_given, stored = TuneOptions._field_defaults, record.get(OPTIONS, {})
+    return options._replace(
+        **{name: value for name, value in stored.items() if getattr(options, name) == not_given[name]},
+        backend=record.get("backend", options.backend),
+        realtime=record.get("realtime", options.realtime),
+        in_flight=record.get("settings", {}).get("in_flight", options.in_flight),
     )
 
 
-def settled(asked: Asked) -> Asked:
-    """What nobody said is as usual."""
-    return asked._replace(**{name: value for name, value in USUAL.items() if getattr(asked, name) is None})
+def fill_defaults(options: TuneOptions) -> TuneOptions:
+    """The options with DEFAULTS for those that were not given."""
+    return options._replace(**{name: value for name, value in DEFAULTS.items() if getattr(options, name) is None})
 
 
-def _tune_before(path: Path) -> dict[str, Any]:
-    """run.json of the tune in `path`. Raises InputError for any other run: its episodes would be overwritten."""
+def _read_tune_record(path: Path) -> dict[str, Any]:
+    """Read run.json of a tune. Raises InputError for any other run, whose episodes would be overwritten."""
     record = open_run(path).record
     command = record.get("command")
     if command != "tune":
         hint = "give the run folder of a tune, or leave --resume out for a new run"
-        raise InputError(
-            f"is a run of {command!r}: there is no search to go on with",
-            code="not_a_tune", file=str(path), key="--resume", hint=hint,
-        )  # fmt: skip
+        message = f"is a run of {command!r}: there is no search to resume"
+        raise InputError(message, code="not_a_tune", file=str(path), key="--resume", hint=hint)
     return record
 
 
-def _space(bench: Bench, asked: Asked) -> Space:
+def _space(bench: Bench, options: TuneOptions) -> Space:
     tune = bench.spec.tune
-    specs = [] if asked.set_name else tune.parameters
-    name = asked.set_name or ("" if specs else tune.set)
-    return resolve(name, specs, scale="" if asked.scale == "log" else asked.scale or "", file=bench.file)
+    specs = [] if options.set_name else tune.parameters
+    name = options.set_name or ("" if specs else tune.set)
+    return resolve_space(name, specs, scale="" if options.scale == "log" else options.scale or "", file=bench.file)
 
 
-def _refuse_contradictions(asked: Asked) -> None:
-    """Raise InputError for two options that cannot both be."""
-    given = {
-        "--backend batch": asked.backend == BATCH,
-        "--study": bool(asked.study),
-        "--join": asked.join,
-        "--benches": asked.benches > 1,
-        "--realtime": asked.realtime,
-        "--controller": bool(asked.controller),
-        "--bus": asked.bus not in ("auto", "tfhub"),
+def _require_compatible(options: TuneOptions) -> None:
+    """Raise InputError for two options that exclude each other."""
+    is_given = {
+        "--backend batch": options.backend == BATCH,
+        "--study": bool(options.study),
+        "--join": options.join,
+        "--benches": options.benches > 1,
+        "--realtime": options.realtime,
+        "--controller": bool(options.controller),
+        "--bus": options.bus not in ("auto", "tfhub"),
     }
-    pairs = {
-        ("--backend batch", "--realtime"): "a batch has no time of its own",
-        ("--backend batch", "--study"): "a batch is one process; workers share a study over the bus",
-        ("--backend batch", "--controller"): "a batch knows our controller only",
+    reasons = {
+        ("--backend batch", "--realtime"): "the batch does not run in real time",
+        ("--backend batch", "--study"): "the batch is one process; workers share a study over the bus",
+        ("--backend batch", "--controller"): "the batch has only our controller",
         ("--join", "--benches"): "there is one bench to join",
-        ("--join", "--realtime"): "whether joined nodes kept time cannot be read",
+        ("--join", "--realtime"): "the timing of joined nodes cannot be checked",
         ("--join", "--controller"): "the controller of a joined bench runs already",
         ("--bus", "--benches"): "each bench has a hub of its own",
     }
-    for (one, other), why in pairs.items():
-        if given[one] and given[other]:
-            raise InputError(f"{one} and {other}: {why}", code="usage", key=other, hint=f"leave out {one} or {other}")
+    for (first, second), reason in reasons.items():
+        if is_given[first] and is_given[second]:
+            hint = f"leave out {first} or {second}"
+            raise InputError(f"{first} and {second}: {reason}", code="usage", key=second, hint=hint)
 
 
-def _benches(asked: Asked) -> int:
-    """How many benches run side by side; real time wants the machine for itself."""
-    return asked.benches or (1 if asked.realtime else lanes_of(asked.join, asked.bus))
+def _benches(options: TuneOptions) -> int:
+    """Number of benches side by side; in real time one, which needs the whole machine."""
+    return options.benches or (1 if options.realtime else choose_lane_count(options.join, options.bus))
 
 
-def _in_flight(bench: Bench, asked: Asked, benches: int) -> int:
-    """Trials that are asked together: enough of them to keep every bench busy."""
-    if asked.study:
+def _in_flight(bench: Bench, options: TuneOptions, benches: int) -> int:
+    """Number of trials in a generation: enough to keep every bench busy."""
+    if options.study:
         return SHARED_IN_FLIGHT
-    wanted = asked.in_flight or bench.spec.tune.in_flight
-    if asked.backend == BATCH:
-        return wanted or BATCH_IN_FLIGHT
-    return wanted or -(-benches // len(bench.spec.scenarios))
+    in_flight = options.in_flight or bench.spec.tune.in_flight
+    if options.backend == BATCH:
+        return in_flight or BATCH_IN_FLIGHT
+    return in_flight or -(-benches // len(bench.spec.scenarios))
 
 
 def _require_slower(bench: Bench) -> None:
     slower = bench.spec.tune.slower
-    if not 1.0 <= slower <= MOST_SLOWER:
-        raise InputError(
-            f"{slower:g} does not do", code="bad_slower", file=bench.file, key="tune.slower",
-            hint=f"from 1 (the winner is the best grade alone) to {MOST_SLOWER:g}; 1.5 is the default",
-        )  # fmt: skip
+    if not 1.0 <= slower <= MAX_SLOWER_FACTOR:
+        hint = f"from 1 (no robustness check) to {MAX_SLOWER_FACTOR:g}; default: 1.5"
+        message = f"{slower:g} is not allowed"
+        raise InputError(message, code="bad_slower", file=bench.file, key="tune.slower", hint=hint)
 
 
-def _require_buildable(bench: Bench, asked: Asked, space: Space) -> None:
-    """Raise InputError for what a node could not build, now rather than after hours.
+def _require_buildable(bench: Bench, options: TuneOptions, space: Space) -> None:
+    """Raise InputError for what a node could not build, before hours are spent.
 
-    With MRAC on, whatever the bench file says, where it is searched, and where the manual baselines are driven: some
-    have it on.
+    Checked with MRAC on where MRAC is tuned or baselines are driven, some of which have it on.
     """
     values, spec = parameters_of(bench), bench.spec
     if not own_parameters(bench) or any(name.startswith("mrac.") for name in space.names):
         values["mrac.enable"] = 1.0
     scenarios = [bench.scenarios[name] for name in spec.scenarios]
-    require_buildable(bench, spec.model, scenarios, values, realtime=asked.realtime)
-    if asked.backend == BATCH and spec.controller.command:
-        raise InputError(
-            "a batch knows our controller only", code="usage", file=bench.file, key="controller.command",
-            hint="leave out --backend batch",
-        )  # fmt: skip
-    if asked.verify and spec.verify_model:
+    require_buildable(bench, spec.model, scenarios, values, realtime=options.realtime)
+    if options.backend == BATCH and spec.controller.command:
+        message, hint = "the batch has only our controller", "leave out --backend batch"
+        raise InputError(message, code="usage", file=bench.file, key="controller.command", hint=hint)
+    if options.verify and spec.verify_model:
         unseen = [bench.scenarios[name] for name in spec.verify_scenarios]
         require_buildable(bench, spec.verify_model, unseen, values)
 
 
-def again(asked: Asked, shown: str) -> str:
-    """The command once more; a password is left out of it."""
-    said = {name: value for name, value in asked._asdict().items() if value != USUAL.get(name)}
-    asked = Asked(**{**said, "study": shown or None})
-    options = given(asked, leave=["bench", "verify"], called={"set_name": "set"})
-    return pasted("tune", asked.bench, **options, no_verify=asked.verify is False)
+def format_command(options: TuneOptions, study_address: str) -> str:
+    """The same command again, without the password of a shared study."""
+    set_options = {name: value for name, value in options._asdict().items() if value != DEFAULTS.get(name)}
+    shown = TuneOptions(**{**set_options, "study": study_address or None})
+    words = changed_options(shown, skip=["bench", "verify"], option_names={"set_name": "set"})
+    return shell_command("tune", shown.bench, **words, no_verify=shown.verify is False)

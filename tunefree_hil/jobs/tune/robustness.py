@@ -1,10 +1,10 @@
-"""Hold: what a search found best, driven once more in a slower car; the winner is the best that keeps calm in both.
+"""Robustness check: the best trials are driven again in a slower car; the winner is the best one that passes.
 
-The slower car is the plant that was searched, dead times and lags of all its actuators times `[tune] slower`. With the
-default, 1.5, what holds has the least phase margin that textbooks allow, 30 degrees (docs/margins.md). The batch drives
-it, whatever drove the trials; what it needs is compiled for a search in the batch anyhow.
+The slower car is the plant of the search with dead times and lags of all actuators times `[tune] slower`. With 1.5, the
+default, a trial that passes has the smallest phase margin that textbooks allow, 30 degrees (docs/reference/margins.md).
+The batch drives the slower car, whatever drove the trials.
 
-Who won and who was passed over, from what jobs/tune/robustness.py found: plain data, a sentence's end, a table.
+The result as plain data, as the end of a sentence, and as a table.
 """
 
 from __future__ import annotations
@@ -21,237 +21,297 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, parameters_of
 from tunefree_hil.bench.batch import Batch, Driven, Job
 from tunefree_hil.bench.scaling import DEAD_TIME, LAG
-from tunefree_hil.grade.score import combine
+from tunefree_hil.grade.score import combine_scores
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder, read_json, write_json
-from tunefree_hil.jobs.tune.margins import ROUND, Drives, why_not
+from tunefree_hil.jobs.tune.margins import MIN_DRIVES_PER_CALL, JobDriver, find_batch_obstacle
 from tunefree_hil.tune.journal import slot_key
-from tunefree_hil.tune.robust_winner import Came, ahead, came_of, holds, mean_of, passed_over, ranked
-from tunefree_hil.tune.trial import Baseline, Scored, Trial
+from tunefree_hil.tune.robust_winner import (
+    DriveTotals,
+    drive_totals,
+    find_open_trials,
+    find_rejected_trials,
+    is_robust,
+    mean_score,
+    rank_trials,
+)
+from tunefree_hil.tune.trial import Baseline, ScoredStudy, Trial
 
 SCHEMA = "tunefree.held/1"
 FILE = "held.json"
-FEWEST = 2  # trials among which there is something to choose
+MIN_TRIALS = 2  # with fewer trials there is no choice
+MAX_SHOWN_TRIALS = 5  # rejected trials in a table
 
 
-class Held(NamedTuple):
-    """What the slower car said. came: by `slot_key` of a trial and by a baseline's name; reason: '' or why it said
-    nothing, and the winner is then the best by grade alone.
+class RobustnessResult(NamedTuple):
+    """Result of the robustness check.
+
+    factor: On dead times and lags; 1 where nothing was checked.
+    totals: In the slower car, by `slot_key` of a trial and by the name of a baseline.
+    reason: Why the slower car could not be driven, '' where it was; the winner is then the best score alone.
     """
 
     factor: float = 1.0
-    came: Mapping[str, Came] = {}
+    totals: Mapping[str, DriveTotals] = {}
     reason: str = ""
 
-    def ranked(self, trials: Sequence[Trial]) -> list[Trial]:
-        """The trials, the winner first."""
-        return ranked(trials, self.came)
+    def rank_trials(self, trials: Sequence[Trial]) -> list[Trial]:
+        """Sort the trials, the winner first."""
+        return rank_trials(trials, self.totals)
 
-    def plain(self) -> dict[str, Any]:
-        """As data that JSON can hold."""
-        return {**self._asdict(), "came": {key: one._asdict() for key, one in self.came.items()}}
-
-
-def held_of(data: Mapping[str, Any]) -> Held:
-    """What `plain` made data of."""
-    return Held(**{**data, "came": _came_of_all(data)})
+    def as_data(self) -> dict[str, Any]:
+        """JSON data, with the keys "factor", "came" (totals) and "reason"."""
+        return {"factor": self.factor, "came": _data_from_totals(self.totals), "reason": self.reason}
 
 
-def hold(
-    bench: Bench, run: RunFolder, study: Scored, vectors: Mapping[str, Mapping[str, float]], batch: Drives | None = None
-) -> Generator[Event, None, Held]:
-    """Drive what may win, and the baselines, in the slower car; kept in held.json of the run, and read from there.
+def robustness_from_data(data: Mapping[str, Any]) -> RobustnessResult:
+    """The inverse of `RobustnessResult.as_data`."""
+    return RobustnessResult(data["factor"], _totals_from_data(data), data["reason"])
 
-    batch: of the bench's own model; None for one of its own. Where a batch cannot drive this bench, the reason.
+
+def check_robustness(
+    bench: Bench,
+    run: RunFolder,
+    study: ScoredStudy,
+    vectors: Mapping[str, Mapping[str, float]],
+    batch: JobDriver | None = None,
+) -> Generator[Event, None, RobustnessResult]:
+    """Drive the trials that may win, and the baselines, in the slower car.
+
+    The totals are stored in held.json of the run, and read from there where they belong to the same trials.
+
+    Args:
+        bench: The bench of the search.
+        run: Run folder of the tune.
+        study: The scored trials.
+        vectors: Baselines by name.
+        batch: Batch of the model of the bench; None for a new one.
     """
     factor = bench.spec.tune.slower
-    if factor == 1.0 or len(study.trials()) < FEWEST:
-        return Held()
-    identity = trials_hash(study, factor)
-    reason = why_not(bench, run.record.get(JOINED))
-    known = None if reason else _kept(run, identity)
-    if known is not None:
-        return Held(factor, known)
+    if factor == 1.0 or len(study.trials()) < MIN_TRIALS:
+        return RobustnessResult()
+    trials_id = hash_trials(study, factor)
+    reason = find_batch_obstacle(bench, run.record.get(JOINED))
+    stored = None if reason else _read_totals(run, trials_id)
+    if stored is not None:
+        return RobustnessResult(factor, stored)
     if not reason:
         try:
             with ExitStack() as stack:
-                came = yield from drive_slower(batch or stack.enter_context(Batch(bench)), bench, study, vectors)
-            reason = _indifferent(bench, study, came)
+                totals = yield from drive_slower_car(batch or stack.enter_context(Batch(bench)), bench, study, vectors)
+            reason = _find_missing_actuators(bench, study, totals)
             if not reason:
-                held = Held(factor, came)
-                data = {"schema": SCHEMA, "of": identity, "slower": factor, "came": held.plain()["came"]}
+                data = {"schema": SCHEMA, "of": trials_id, "slower": factor, "came": _data_from_totals(totals)}
                 write_json(run.path / FILE, data)
-                return held
+                return RobustnessResult(factor, totals)
         except (InputError, BenchError) as error:
             reason = f"{error.code}: {error.message.splitlines()[0]}"
-    yield Event("warning", f"the winner is the best grade alone, no slower car was driven: {reason}")
-    return Held(factor, {}, reason)
+    yield Event("warning", f"no robustness check, the winner is the trial with the best score: {reason}")
+    return RobustnessResult(factor, {}, reason)
 
 
-def drive_slower(
-    batch: Drives, bench: Bench, study: Scored, vectors: Mapping[str, Mapping[str, float]]
-) -> Generator[Event, None, dict[str, Came]]:
-    """Baselines that are calm as they are, then trials by their grade, until no other can win."""
-    came: dict[str, Came] = {}
-    baselines = {name: vectors[name] for name, one in study.baselines().items() if _of(one).calm}
-    yield Event("note", f"now a slower car, {words_of(bench.spec.tune.slower)}: which of the best trials hold")
-    came |= _driven(batch, bench, baselines)
-    if not any(_of(one).calm for one in study.trials()):
-        yield Event("warning", "no trial drives all roads without a re-plan: none can hold, the best grade wins")
-    trials, began, at_once = study.trials(), time.monotonic(), -(-ROUND // len(bench.spec.scenarios))
-    while wanted := ahead(trials, came):
-        some = {slot_key(one.slot): parameters_of(bench, one.parameters) for one in wanted[:at_once]}
-        came |= _driven(batch, bench, some)
-        done, left = len(came) - len(baselines), len(ahead(trials, came))
+def drive_slower_car(
+    batch: JobDriver, bench: Bench, study: ScoredStudy, vectors: Mapping[str, Mapping[str, float]]
+) -> Generator[Event, None, dict[str, DriveTotals]]:
+    """Drive the baselines without re-plans, then the trials in the order of their scores, until no other can win."""
+    totals: dict[str, DriveTotals] = {}
+    baselines = {name: vectors[name] for name, base in study.baselines().items() if _nominal_totals(base).is_clean}
+    yield Event("note", f"robustness check of the best trials ({slower_car_text(bench.spec.tune.slower)})")
+    totals |= _drive_vectors(batch, bench, baselines)
+    if not any(_nominal_totals(trial).is_clean for trial in study.trials()):
+        message = "no trial drives all scenarios without a re-plan, so none can pass the robustness check"
+        yield Event("warning", f"{message}: the best score wins")
+    trials, began, batch_size = study.trials(), time.monotonic(), -(-MIN_DRIVES_PER_CALL // len(bench.spec.scenarios))
+    while open_trials := find_open_trials(trials, totals):
+        chosen = {slot_key(trial.slot): parameters_of(bench, trial.parameters) for trial in open_trials[:batch_size]}
+        totals |= _drive_vectors(batch, bench, chosen)
+        done, left = len(totals) - len(baselines), len(find_open_trials(trials, totals))
         eta_s = (time.monotonic() - began) / done * left
-        held = sum(holds(one, came) for one in trials)
-        data = {"label": "trial in the slower car", "done": done, "total": done + left, "eta_s": eta_s}
-        yield Event("progress", f"{held} of {done} hold", data)
-    return came
+        passed = sum(is_robust(trial, totals) for trial in trials)
+        data = {"label": "robustness check, trial", "done": done, "total": done + left, "eta_s": eta_s}
+        yield Event("progress", f"{passed} of {done} passed", data)
+    return totals
 
 
-def words_of(factor: float) -> str:
-    """'dead times and lags +50 %'."""
-    return f"dead times and lags {100.0 * (factor - 1.0):+.0f} %"
+def slower_car_text(factor: float) -> str:
+    """'delays and lags +50 %'."""
+    return f"delays and lags {100.0 * (factor - 1.0):+.0f} %"
 
 
-def _driven(batch: Drives, bench: Bench, vectors: Mapping[str, Mapping[str, float]]) -> dict[str, Came]:
-    """What each came to in all scenarios of the bench, in the slower car."""
+def _drive_vectors(
+    batch: JobDriver, bench: Bench, vectors: Mapping[str, Mapping[str, float]]
+) -> dict[str, DriveTotals]:
+    """Totals of each vector over all scenarios of the bench, in the slower car."""
     scenarios = [bench.scenarios[name] for name in bench.spec.scenarios]
     scale = {DEAD_TIME: bench.spec.tune.slower, LAG: bench.spec.tune.slower}
-    driven = batch.drive([Job(values, one, scale=scale) for values in vectors.values() for one in scenarios])
+    jobs = [Job(values, scenario, scale=scale) for values in vectors.values() for scenario in scenarios]
+    drives = batch.drive(jobs)
     n = len(scenarios)
-    return {name: _came(bench, driven[i * n : (i + 1) * n]) for i, name in enumerate(vectors)}
+    return {name: _total_drives(bench, drives[i * n : (i + 1) * n]) for i, name in enumerate(vectors)}
 
 
-def _came(bench: Bench, driven: Sequence[Driven]) -> Came:
-    """A drive that ended for a reason of the bench's counts as failed: no car may do that to a set that holds."""
-    grades = [one.grade for one in driven if one.grade is not None]
-    lost = len(driven) - len(grades)
+def _total_drives(bench: Bench, drives: Sequence[Driven]) -> DriveTotals:
+    """Totals of one vector; a drive that the bench ended without a grade counts as failed."""
+    grades = [drive.grade for drive in drives if drive.grade is not None]
+    lost = len(drives) - len(grades)
     if lost:
-        return Came(bench.weights.failure_score, sum(one.replans for one in grades), lost)
-    return came_of(combine(grades), {one.scenario: one._asdict() for one in grades})
+        return DriveTotals(bench.weights.failure_score, sum(grade.replans for grade in grades), lost)
+    return drive_totals(combine_scores(grades), {grade.scenario: grade._asdict() for grade in grades})
 
 
-def _of(one: Baseline | Trial) -> Came:
-    return came_of(one.score, one.scenarios)
+def _nominal_totals(scored: Baseline | Trial) -> DriveTotals:
+    return drive_totals(scored.score, scored.scenarios)
 
 
-def _indifferent(bench: Bench, study: Scored, came: Mapping[str, Came]) -> str:
-    """'' or that the slower car is the same car: some plants have no actuators of their own."""
-    pairs = [(one.score, came[key].score) for one in study.trials() if (key := slot_key(one.slot)) in came]
-    if pairs and all(score == slower for score, slower in pairs):
+def _find_missing_actuators(bench: Bench, study: ScoredStudy, totals: Mapping[str, DriveTotals]) -> str:
+    """A message where all scores are equal in both cars: some plants have no actuators of their own; else ''."""
+    scores = [(trial.score, totals[key].score) for trial in study.trials() if (key := slot_key(trial.slot)) in totals]
+    if scores and all(nominal == slower for nominal, slower in scores):
         return f"model {bench.spec.model} has no actuators that could be slower"
     return ""
 
 
-def trials_hash(study: Scored, factor: float) -> str:
-    """What an answer of the slower car belongs to: the trials with their scores, the baselines, the factor."""
-    trials = [[one.slot, one.score] for one in study.trials()]
-    words = json.dumps([study.settings.described(), trials, sorted(study.baselines()), factor], sort_keys=True)
-    return hashlib.sha256(words.encode()).hexdigest()
+def hash_trials(study: ScoredStudy, factor: float) -> str:
+    """An id of what a robustness result depends on: settings, trials with scores, baselines, factor."""
+    trials = [[trial.slot, trial.score] for trial in study.trials()]
+    text = json.dumps([study.settings.as_data(), trials, sorted(study.baselines()), factor], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _kept(run: RunFolder, identity: str) -> dict[str, Came] | None:
+def _read_totals(run: RunFolder, trials_id: str) -> dict[str, DriveTotals] | None:
     path = run.path / FILE
     if not path.is_file():
         return None
     data = read_json(path)
-    return _came_of_all(data) if data.get("of") == identity else None
+    return _totals_from_data(data) if data.get("of") == trials_id else None
 
 
-def _came_of_all(data: Mapping[str, Any]) -> dict[str, Came]:
-    return {key: Came(**one) for key, one in data["came"].items()}
+def _totals_from_data(data: Mapping[str, Any]) -> dict[str, DriveTotals]:
+    return {key: DriveTotals(**totals) for key, totals in data["came"].items()}
 
 
-SHOWN = 5  # trials that are passed over, in a table
+def _data_from_totals(totals: Mapping[str, DriveTotals]) -> dict[str, dict[str, Any]]:
+    return {key: one._asdict() for key, one in totals.items()}
 
 
-def held_data(held: Held, study: Scored, trials: Sequence[Trial]) -> dict[str, Any]:
-    """The value of "held" in a result. trials: those of which the winner is one (of a batch: that the bus confirmed).
+def robustness_data(result: RobustnessResult, study: ScoredStudy, trials: Sequence[Trial]) -> dict[str, Any]:
+    """The value of "held" in a result.
 
-    driven: trials that were driven in the slower car, of which `holding` hold. winner, passed_over (better than the
-    winner by grade alone), baselines: what each came to; `slower` is None for what was not driven there.
+    Keys: factor, reason, driven (number of trials in the slower car), holding (how many passed), and where any was
+    driven: winner, passed_over (trials with a better score than the winner), baselines.
+
+    Args:
+        result: Result of the robustness check.
+        study: All trials.
+        trials: Trials that may win; of a batch those that the bus confirmed.
     """
-    every = study.trials()
-    driven = [one for one in every if slot_key(one.slot) in held.came]
-    data: dict[str, Any] = {"factor": held.factor, "reason": held.reason, "driven": len(driven)}
-    data["holding"] = sum(holds(one, held.came) for one in driven)
+    all_trials = study.trials()
+    driven = [trial for trial in all_trials if slot_key(trial.slot) in result.totals]
+    data: dict[str, Any] = {"factor": result.factor, "reason": result.reason, "driven": len(driven)}
+    data["holding"] = sum(is_robust(trial, result.totals) for trial in driven)
     if driven:
-        data["winner"] = _row(held.ranked(trials)[0], held)
-        data["passed_over"] = [_row(one, held) for one in passed_over(every, held.came)]
-        data["baselines"] = {name: held.came[name]._asdict() for name in study.baselines() if name in held.came}
+        data["winner"] = _trial_data(result.rank_trials(trials)[0], result)
+        rejected = find_rejected_trials(all_trials, result.totals)
+        data["passed_over"] = [_trial_data(trial, result) for trial in rejected]
+        names = [name for name in study.baselines() if name in result.totals]
+        data["baselines"] = {name: result.totals[name]._asdict() for name in names}
     return data
 
 
-def held_words(data: Mapping[str, Any]) -> str:
-    """The end of a sentence: who is better by grade alone and why it was passed over; '' where there is nobody."""
+def _trial_data(trial: Trial, result: RobustnessResult) -> dict[str, Any]:
+    """A trial in both cars; `slower` is None where the slower car was not driven."""
+    totals = result.totals.get(slot_key(trial.slot))
+    return {
+        "key": slot_key(trial.slot),
+        "slot": trial.slot,
+        "score": trial.score,
+        "mean": mean_score(trial, result.totals),
+        "calm": drive_totals(trial.score, trial.scenarios).is_clean,
+        "slower": totals and totals._asdict(),
+        "holds": is_robust(trial, result.totals),
+    }
+
+
+def robustness_text(data: Mapping[str, Any]) -> str:
+    """The end of a sentence about `robustness_data`; '' where nothing was checked."""
     if data["reason"]:
-        return f"chosen by grade alone ({data['reason']})"
+        return f"no robustness check ({data['reason']}): chosen by score alone"
     if not data["driven"]:
         return ""
-    winner, car, parts = data["winner"], f"a car with {words_of(data['factor'])}", []
+    winner = data["winner"]
+    parts = [_passed_text(data)]
     if not winner["holds"]:
-        parts.append(f"NO trial holds in {car}, the winner {_came_words(winner)} there")
+        parts.append(f"the winner FAILED it: there it {_totals_text(winner)}")
     if data["passed_over"]:
         best, number = data["passed_over"][0], len(data["passed_over"])
-        others = f", like {number - 1} more of a better grade" if number > 1 else ""
-        words = f"{best['key']} scores {best['score']:.3f} and is passed over{others}: it {_came_words(best)}"
-        there = f" in {car}, the winner scores {winner['slower']['score']:.3f} there" if best["slower"] else ""
-        parts.append(words + there)
+        more = f" (and {number - 1} more with a better score)" if number > 1 else ""
+        text = f"{best['key']} has a better score ({best['score']:.3f}) but was rejected{more}: it {_totals_text(best)}"
+        if best["slower"]:
+            text += f" in the slower car, where the winner scores {winner['slower']['score']:.3f}"
+        parts.append(text)
     return "; ".join(parts)
 
 
-def held_table(data: Mapping[str, Any]) -> list[str]:
-    """Lines for a person: the winner, who was passed over, and the baselines, in both cars."""
-    rows = held_rows(data)
+def _passed_text(data: Mapping[str, Any]) -> str:
+    """'robustness check (delays and lags +50 %): 9 of 14 passed'."""
+    return f"robustness check ({slower_car_text(data['factor'])}): {data['holding']} of {data['driven']} passed"
+
+
+def robustness_table(data: Mapping[str, Any]) -> list[str]:
+    """Lines with the winner, the rejected trials and the baselines in both cars."""
+    rows = robustness_rows(data)
     if not rows:
         return []
-    width = max(len(row[0]) for row in rows)
-    head = f"{data['holding']} of {data['driven']} trials that were driven with {words_of(data['factor'])} hold there"
-    lines = [head, f"{'':{width}}  as it is  slower"]
-    lines += [f"{name:{width}}  {own:>8}  {slower:>6}  {verdict}" for name, own, slower, verdict in rows]
-    more = len(data["passed_over"]) - SHOWN
-    return [*lines, f"... {more} more of a better grade"] if more > 0 else lines
+    text = _passed_text(data)
+    width = max(len(row.name) for row in rows)
+    lines = [text[0].upper() + text[1:], f"{'':{width}}  nominal  slower"]
+    lines += [f"{row.name:{width}}  {row.nominal:>7}  {row.slower:>6}  {row.verdict}" for row in rows]
+    more = len(data["passed_over"]) - MAX_SHOWN_TRIALS
+    return [*lines, f"... {more} more with a better score"] if more > 0 else lines
 
 
-def held_rows(data: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
-    """(name, score as it is, score in the slower car, verdict), the winner first; none where nothing was driven."""
+class RobustnessRow(NamedTuple):
+    """A row of the table: name, scores in the nominal and in the slower car, verdict."""
+
+    name: str
+    nominal: str
+    slower: str
+    verdict: str
+
+
+def robustness_rows(data: Mapping[str, Any]) -> list[RobustnessRow]:
+    """The winner first; empty where nothing was driven."""
     if not data["driven"]:
         return []
-    rows = {f"{data['winner']['key']}, the winner": data["winner"]}
-    rows |= {one["key"]: one for one in data["passed_over"][:SHOWN]}
-    rows |= {
-        name: {"score": None, "slower": came, "holds": Came(**came).calm} for name, came in data["baselines"].items()
+    entries = {f"{data['winner']['key']}, the winner": data["winner"]}
+    entries |= {entry["key"]: entry for entry in data["passed_over"][:MAX_SHOWN_TRIALS]}
+    entries |= {
+        name: {"score": None, "slower": totals, "holds": DriveTotals(**totals).is_clean}
+        for name, totals in data["baselines"].items()
     }
     return [
-        (name, _shown(one["score"]), _shown((one["slower"] or {}).get("score")),
-         "holds" if one["holds"] else _came_words(one))
-        for name, one in rows.items()
-    ]  # fmt: skip
+        RobustnessRow(
+            name,
+            _score_text(entry["score"]),
+            _score_text((entry["slower"] or {}).get("score")),
+            "passed" if entry["holds"] else _totals_text(entry),
+        )
+        for name, entry in entries.items()
+    ]
 
 
-def _shown(score: float | None) -> str:
+def _score_text(score: float | None) -> str:
     return "" if score is None else f"{score:.3f}"
 
 
-def _row(trial: Trial, held: Held) -> dict[str, Any]:
-    came = held.came.get(slot_key(trial.slot))
-    return {
-        "key": slot_key(trial.slot), "slot": trial.slot, "score": trial.score, "mean": mean_of(trial, held.came),
-        "calm": came_of(trial.score, trial.scenarios).calm, "slower": came and came._asdict(),
-        "holds": holds(trial, held.came),
-    }  # fmt: skip
+def _totals_text(entry: Mapping[str, Any]) -> str:
+    """'re-plans 13 times and fails in 3 scenarios', or why else a trial did not win."""
+    totals = entry["slower"]
+    if totals is None:
+        return "re-plans or fails in the nominal car"
+    parts = [f"re-plans {_count_text(totals['replans'], 'time')}"] if totals["replans"] else []
+    parts += [f"fails in {_count_text(totals['failed'], 'scenario')}"] if totals["failed"] else []
+    return " and ".join(parts) or f"scores {totals['score']:.3f}"
 
 
-def _came_words(row: Mapping[str, Any]) -> str:
-    """'re-plans 13 times and fails in 3 scenarios', or what else keeps a set from winning."""
-    came = row["slower"]
-    if came is None:
-        return "re-plans or fails as it is"
-    parts = [f"re-plans {_counted(came['replans'], 'time')}"] if came["replans"] else []
-    parts += [f"fails in {_counted(came['failed'], 'scenario')}"] if came["failed"] else []
-    return " and ".join(parts) or f"scores {came['score']:.3f}"
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
+def _count_text(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"

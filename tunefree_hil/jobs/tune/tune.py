@@ -1,7 +1,7 @@
-"""Tune: baselines, the study, which trial holds, the winner on the verify model. Killed anywhere, the same goes on.
+"""Tune: baselines, trials, robustness check, verification of the winner. Killed anywhere, the same command resumes.
 
-Three ways (jobs/tune/evaluators.py): over the bus in lockstep, over the bus in real time, in a compiled batch whose
-best are confirmed over the bus. And two places of the study: the run folder, or a PostgreSQL that workers share.
+Three ways to score (jobs/tune/evaluators.py): over the bus in lockstep, over the bus in real time, in a compiled batch
+whose best trials are confirmed over the bus. Two places of the study: the run folder, or a shared PostgreSQL server.
 """
 
 from __future__ import annotations
@@ -11,262 +11,274 @@ from collections.abc import Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import is_heavy, model_of, parameters_of
 from tunefree_hil.bench.batch import Batch
-from tunefree_hil.jobs.command_text import pasted
-from tunefree_hil.jobs.learn.report_text import model_words
+from tunefree_hil.jobs.command_text import shell_command
+from tunefree_hil.jobs.learn.report_text import describe_model
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder
-from tunefree_hil.jobs.running.foreign import joined_name, program_of, require_announced
+from tunefree_hil.jobs.running.foreign import controller_program, joined_controller_name, require_announced
 from tunefree_hil.jobs.running.session import open_lanes
-from tunefree_hil.jobs.running.trial_driver import Track
-from tunefree_hil.jobs.tune.confirm import Confirmed, confirm, to_confirm
-from tunefree_hil.jobs.tune.evaluators import BatchEvaluator, BusEvaluator, Candidate, RealtimeEvaluator
-from tunefree_hil.jobs.tune.folder import run_folder_of
-from tunefree_hil.jobs.tune.options import BATCH, Asked, Wish, resolve_wish
-from tunefree_hil.jobs.tune.report import finish_report, is_kept
-from tunefree_hil.jobs.tune.robustness import Held, held_of, hold, trials_hash
-from tunefree_hil.jobs.tune.search import Search
+from tunefree_hil.jobs.running.trial_driver import TrialDriver
+from tunefree_hil.jobs.tune.confirm import ConfirmedStudy, confirm_over_bus, find_unconfirmed
+from tunefree_hil.jobs.tune.evaluators import BatchEvaluator, BusEvaluator, RealtimeDriver, VectorCandidate
+from tunefree_hil.jobs.tune.folder import open_run_folder
+from tunefree_hil.jobs.tune.options import BATCH, TuneOptions, TunePlan, VerifyOptions, make_tune_plan
+from tunefree_hil.jobs.tune.report import has_recordings, write_tune_report
+from tunefree_hil.jobs.tune.robustness import RobustnessResult, check_robustness, hash_trials, robustness_from_data
+from tunefree_hil.jobs.tune.search import TrialSearch
 from tunefree_hil.jobs.tune.verify import verify_winner
 from tunefree_hil.tune.journal import open_journal, slot_key
-from tunefree_hil.tune.shared.finalisation import WORKER, Ending
+from tunefree_hil.tune.shared.finalisation import WORKER, Finalisation
 from tunefree_hil.tune.shared.shared_study import SharedStudy, join_study
-from tunefree_hil.tune.shared.study_copy import mirror
+from tunefree_hil.tune.shared.study_copy import copy_study
 from tunefree_hil.tune.study import open_study
-from tunefree_hil.tune.trial import Scored, Trial
+from tunefree_hil.tune.trial import ScoredStudy, Trial
 
 JOURNAL = "trials.jsonl"
-HELD, VERIFIED = "held", "verified"  # what one worker of a shared study finds for all
+ROBUSTNESS, VERIFIED = "held", "verified"  # keys of the parts of a finalisation
 
 
-class Finished:
-    """What a way of tuning leaves for the end. ending: of a study that workers share, what one of them does for all."""
+class TuneOutcome(NamedTuple):
+    """A finished search.
 
-    def __init__(
-        self, study: Scored, held: Held, confirmed: Confirmed | None = None, ending: Ending | None = None
-    ) -> None:
-        self.study = study
-        self.held = held
-        self.confirmed = confirmed
-        self.ending = ending
+    confirmed: Of a batch, the study as confirmed over the bus.
+    finalisation: Of a shared study, what one worker does for all.
+    """
+
+    study: ScoredStudy
+    robustness: RobustnessResult
+    confirmed: ConfirmedStudy | None = None
+    finalisation: Finalisation | None = None
 
     @property
-    def verify(self) -> bool:
-        """Whether this process is the one to do it."""
-        return self.ending is None or (self.ending.ours and VERIFIED not in self.ending.kept)
+    def is_verifier(self) -> bool:
+        """Whether this process verifies the winner."""
+        return self.finalisation is None or (self.finalisation.is_ours and VERIFIED not in self.finalisation.parts)
 
 
-def tune(asked: Asked) -> Iterator[Event]:
-    """Baselines and trials on the bench file's model; the same command goes on where it was cut off.
+def tune(options: TuneOptions) -> Iterator[Event]:
+    """Run baselines and trials on the model of the bench file, and choose, report and verify the winner.
 
-    Exit 1 where batch and bus differ, 4 where real time could not be had.
+    Exit status 1 where batch and bus differ, 4 where the machine is too slow for real time.
     """
-    wish = resolve_wish(asked)
-    asked = wish.asked  # a run that goes on does so in its own way
-    with run_folder_of(wish) as (run, old):
-        words = f"{'goes on with' if old else 'run folder'} {run.path}"
-        yield Event("note", words, {"resume": wish.command})
-        yield Event("note", model_words(model_of(wish.bench, wish.bench.spec.model)))
-        if wish.shown:
-            yield Event("note", f"study: {wish.shown}; only each trial's score is reproducible, not their course")
+    plan = make_tune_plan(options)
+    with open_run_folder(plan) as (run, is_resumed):
+        text = f"{'resuming' if is_resumed else 'run folder'} {run.path}"
+        yield Event("note", text, {"resume": plan.command})
+        yield Event("note", describe_model(model_of(plan.bench, plan.bench.spec.model)))
+        if plan.study_address:
+            text = f"study: {plan.study_address}; the score of a trial is reproducible, the sequence of trials is not"
+            yield Event("note", text)
         with ExitStack() as stack:
-            way = _shared if asked.study else _batch if asked.backend == BATCH else _over_bus
-            finished = yield from way(wish, run, stack)
-            yield from _told(wish, run, finished)
+            if plan.options.study:
+                run_search = _tune_shared
+            else:
+                run_search = _tune_in_batch if plan.options.backend == BATCH else _tune_over_bus
+            outcome = yield from run_search(plan, run, stack)
+            yield from _finish(plan, run, outcome)
 
 
-def _told(wish: Wish, run: RunFolder, finished: Finished) -> Iterator[Event]:
-    """The report, the verification, and the run is complete."""
-    report = finish_report(wish.bench, run, finished.study, finished.held, finished.confirmed)
+def _finish(plan: TunePlan, run: RunFolder, outcome: TuneOutcome) -> Iterator[Event]:
+    """Report, verify, and mark the run as complete."""
+    report = write_tune_report(plan.bench, run, outcome.study, outcome.robustness, outcome.confirmed)
     yield from (Event("note", line) for line in report.lines)
     data, sentence = dict(report.data), report.sentence
-    if wish.asked.realtime:
+    if plan.options.realtime:
         data["discarded"] = run.record.get("discarded", 0)
-        sentence += f"; drives that were not real time, discarded and repeated: {data['discarded']}"
-    if _verifies(wish) and finished.verify:
-        data["verify"] = yield from _verified(wish, run, finished.ending)
-        sentence += f". On {wish.bench.spec.verify_model}, unseen: {data['verify']['sentence']}"
-    elif wish.asked.verify and _other_car(wish):
-        yield Event("warning", _not_verified(wish, run))
+        sentence += f"; drives not in real time, discarded and repeated: {data['discarded']}"
+    if _is_verified(plan) and outcome.is_verifier:
+        data["verify"] = yield from _verify(plan, run, outcome.finalisation)
+        sentence += f". On {plan.bench.spec.verify_model}, unseen scenarios: {data['verify']['sentence']}"
+    elif plan.options.verify and _joined_other_model(plan):
+        yield Event("warning", _not_verified_text(plan, run))
     run.finish(result={"sentence": sentence})
-    data["next"] = _next(wish, run)
+    data["next"] = _next_commands(plan, run)
     yield Event("result", sentence, {"sentence": sentence, "run": str(run.path), **data})
 
 
-def _verifies(wish: Wish) -> bool:
-    return bool(wish.asked.verify and wish.bench.spec.verify_model and not _other_car(wish))
+def _is_verified(plan: TunePlan) -> bool:
+    return bool(plan.options.verify and plan.bench.spec.verify_model and not _joined_other_model(plan))
 
 
-def _other_car(wish: Wish) -> bool:
-    """Whether the nodes that were joined go on as another car than the one to verify on."""
-    spec = wish.bench.spec
-    return wish.asked.join and bool(spec.verify_model) and spec.model != spec.verify_model
+def _joined_other_model(plan: TunePlan) -> bool:
+    """Whether the joined nodes simulate another model than the verify model."""
+    spec = plan.bench.spec
+    return plan.options.join and bool(spec.verify_model) and spec.model != spec.verify_model
 
 
-def _not_verified(wish: Wish, run: RunFolder) -> str:
-    """Why not, and how it is done."""
-    spec, session = wish.bench.spec, wish.session
-    ecu = pasted("ecu", run.path / "bench.toml", model=spec.verify_model, session=session)
-    verify = pasted("verify", run.path, join=True, session=session)
-    words = f"not verified: the ecu that was joined drives {spec.model}, and {spec.verify_model} is to be driven"
-    return f"{words}. End it, start `{ecu}`, then `{verify}`"
+def _not_verified_text(plan: TunePlan, run: RunFolder) -> str:
+    """The reason, and the commands that verify."""
+    spec, session = plan.bench.spec, plan.session
+    ecu = shell_command("ecu", run.path / "bench.toml", model=spec.verify_model, session=session)
+    verify = shell_command("verify", run.path, join=True, session=session)
+    reason = f"not verified: the joined ecu simulates {spec.model}, the verify model is {spec.verify_model}"
+    return f"{reason}. End the ecu, start `{ecu}`, then `{verify}`"
 
 
-def _verified(wish: Wish, run: RunFolder, ending: Ending | None) -> Generator[Event, None, dict[str, Any]]:
-    """The winner on the verify model; other workers are told that it is done."""
-    asked = wish.asked
-    found = yield from verify_winner(
-        wish.bench, run, bus=asked.bus, bench_bus=asked.bench_bus, session=wish.session, join=asked.join
-    )
-    if ending is not None:
-        yield from _warnings(ending.keep(**{VERIFIED: found["sentence"]}))
-    return found
+def _verify(
+    plan: TunePlan, run: RunFolder, finalisation: Finalisation | None
+) -> Generator[Event, None, dict[str, Any]]:
+    """Verify the winner; in a shared study store that it is done."""
+    options = plan.options
+    connection = VerifyOptions(run.path, options.bus, options.bench_bus, options.join, plan.session)
+    result = yield from verify_winner(plan.bench, run, connection)
+    if finalisation is not None:
+        yield from _as_warnings(finalisation.store_parts(**{VERIFIED: result["sentence"]}))
+    return result
 
 
-def _next(wish: Wish, run: RunFolder) -> list[str]:
-    """What to type next: commands that installation brought, so each works as it is pasted."""
-    replayed = [] if wish.asked.realtime else [pasted("replay", run.path, verify=True)]
-    return [pasted("verify", run.path), *replayed, pasted("explain", run.path)]
+def _next_commands(plan: TunePlan, run: RunFolder) -> list[str]:
+    """Commands to run next."""
+    replay = [] if plan.options.realtime else [shell_command("replay", run.path, verify=True)]
+    return [shell_command("verify", run.path), *replay, shell_command("explain", run.path)]
 
 
-def _over_bus(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, None, Finished]:
-    """The study in the run folder's study.db, told trial by trial."""
-    study = stack.enter_context(open_study(run.path / "study.db", wish.settings))
-    if len(study.baselines()) < len(wish.vectors) or len(study.trials()) < wish.trials:
-        with _on_lanes(wish, run) as evaluator:
-            yield Event("note", _said_of(wish, evaluator))
-            search = Search(wish.bench, run, evaluator, study, wish.vectors, wish.trials)
-            yield from search.baselines()
-            yield from search.trials()
-    held = yield from hold(wish.bench, run, study, wish.vectors)
-    yield from _winner_again(wish, run, held.ranked(study.trials())[0])
-    return Finished(study, held)
+def _tune_over_bus(plan: TunePlan, run: RunFolder, stack: ExitStack) -> Generator[Event, None, TuneOutcome]:
+    """The study is in study.db of the run folder, stored trial by trial."""
+    study = stack.enter_context(open_study(run.path / "study.db", plan.settings))
+    if len(study.baselines()) < len(plan.vectors) or len(study.trials()) < plan.trials:
+        with _open_evaluator(plan, run) as evaluator:
+            yield Event("note", _describe_lanes(plan, evaluator))
+            search = TrialSearch(plan, run, evaluator, study)
+            yield from search.score_baselines()
+            yield from search.run_trials()
+    robustness = yield from check_robustness(plan.bench, run, study, plan.vectors)
+    yield from _redrive_winner(plan, run, robustness.rank_trials(study.trials())[0])
+    return TuneOutcome(study, robustness)
 
 
-def _winner_again(wish: Wish, run: RunFolder, winner: Trial) -> Iterator[Event]:
-    """A winner that was not the best grade has no logs any more: it is driven again, for figures and `replay`.
+def _redrive_winner(plan: TunePlan, run: RunFolder, winner: Trial) -> Iterator[Event]:
+    """Drive the winner again where its logs were deleted, as its score was not the best; for figures and `replay`.
 
-    A bench that was joined is gone by now; the winner is then without.
+    Not with a joined bench, which has ended by now.
     """
-    if is_kept(wish.bench, run, winner.slot) or wish.asked.join:
+    if has_recordings(plan.bench, run, winner.slot) or plan.options.join:
         return
-    with _on_lanes(wish, run) as evaluator:
-        yield Event("note", f"{slot_key(winner.slot)} wins and is driven again, its logs were not kept")
-        values = parameters_of(wish.bench, winner.parameters)
-        (again,) = evaluator.evaluate([Candidate(len(wish.vectors) + winner.slot, values)])
-    if again.score != winner.score and not wish.asked.realtime:
-        yield Event("warning", f"driven again it scores {again.score!r}, the study has {winner.score!r}")
+    with _open_evaluator(plan, run) as evaluator:
+        yield Event("note", f"{slot_key(winner.slot)} wins and is driven again, as its logs were deleted")
+        values = parameters_of(plan.bench, winner.parameters)
+        (evaluation,) = evaluator.evaluate([VectorCandidate(len(plan.vectors) + winner.slot, values)])
+    if evaluation.score != winner.score and not plan.options.realtime:
+        yield Event("warning", f"driven again it scores {evaluation.score!r}, in the study {winner.score!r}")
 
 
-def _shared(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, None, Finished]:
+def _tune_shared(plan: TunePlan, run: RunFolder, stack: ExitStack) -> Generator[Event, None, TuneOutcome]:
     """One worker of a study in PostgreSQL. Workers begin with different baselines."""
-    study = stack.enter_context(join_study(wish.asked.study or "", wish.settings, run.path))
-    with _on_lanes(wish, run) as evaluator:
-        yield Event("note", _said_of(wish, evaluator))
-        search = Search(wish.bench, run, evaluator, study, wish.vectors, wish.trials)
-        names = list(wish.vectors)
-        turn = zlib.crc32(study.claims.worker.encode()) % len(names)
-        yield from search.baselines(names[turn:] + names[:turn])
-        yield from search.trials()
-    yield from _warnings(study.refresh())
-    mirror(run.path / "study.db", study, {})  # what reads a run's study (`explain`) needs no server
-    ending = stack.enter_context(Ending(study, trials_hash(study, wish.bench.spec.tune.slower)))
-    held = yield from _held_for_all(wish, run, study, ending)
-    if ending.ours:
-        yield from _winner_again(wish, run, held.ranked(study.trials())[0])
-    return Finished(study, held, ending=ending)
+    study = stack.enter_context(join_study(plan.options.study or "", plan.settings, run.path))
+    with _open_evaluator(plan, run) as evaluator:
+        yield Event("note", _describe_lanes(plan, evaluator))
+        search = TrialSearch(plan, run, evaluator, study)
+        names = list(plan.vectors)
+        first = zlib.crc32(study.leases.worker.encode()) % len(names)
+        yield from search.score_baselines(names[first:] + names[:first])
+        yield from search.run_trials()
+    yield from _as_warnings(study.refresh())
+    copy_study(run.path / "study.db", study, {})  # for `explain`, which then needs no server
+    finalisation = stack.enter_context(Finalisation(study, hash_trials(study, plan.bench.spec.tune.slower)))
+    robustness = yield from _share_robustness(plan, run, study, finalisation)
+    if finalisation.is_ours:
+        yield from _redrive_winner(plan, run, robustness.rank_trials(study.trials())[0])
+    return TuneOutcome(study, robustness, finalisation=finalisation)
 
 
-def _held_for_all(wish: Wish, run: RunFolder, study: SharedStudy, ending: Ending) -> Generator[Event, None, Held]:
-    """What the slower car said, found by one worker: by this one, or by another that is waited for."""
-    yield from _warnings(ending.look((HELD, VERIFIED) if _verifies(wish) else (HELD,)))
-    if HELD not in ending.kept:
-        found = yield from hold(wish.bench, run, study, wish.vectors)
-        yield from _warnings(ending.keep(**{HELD: found.plain()}))
-    elif ending.ours:
-        yield Event("note", f"who wins was found by worker {ending.kept[WORKER]}, which has not verified it")
+def _share_robustness(
+    plan: TunePlan, run: RunFolder, study: SharedStudy, finalisation: Finalisation
+) -> Generator[Event, None, RobustnessResult]:
+    """The robustness result of a shared study, from this worker or from another one that is waited for."""
+    wanted = (ROBUSTNESS, VERIFIED) if _is_verified(plan) else (ROBUSTNESS,)
+    yield from _as_warnings(finalisation.wait_for_parts(wanted))
+    if ROBUSTNESS not in finalisation.parts:
+        result = yield from check_robustness(plan.bench, run, study, plan.vectors)
+        yield from _as_warnings(finalisation.store_parts(**{ROBUSTNESS: result.as_data()}))
     else:
-        done = "verified the winner too" if VERIFIED in ending.kept else "verifies the winner, if it was asked to"
-        yield Event("note", f"who wins was found by worker {ending.kept[WORKER]}; it {done}")
-    return held_of(ending.kept[HELD])
+        text = f"the winner was determined by worker {finalisation.parts[WORKER]}"
+        if finalisation.is_ours:
+            text += ", which has not verified it"
+        else:
+            text += (
+                " and verified"
+                if VERIFIED in finalisation.parts
+                else ", which verifies it unless --no-verify was given"
+            )
+        yield Event("note", text)
+    return robustness_from_data(finalisation.parts[ROBUSTNESS])
 
 
-def _warnings(words: Iterator[str]) -> Iterator[Event]:
-    return (Event("warning", one) for one in words)
+def _as_warnings(messages: Iterator[str]) -> Iterator[Event]:
+    return (Event("warning", message) for message in messages)
 
 
-def _batch(wish: Wish, run: RunFolder, stack: ExitStack) -> Generator[Event, None, Finished]:
-    """The study in memory and in a list of generations; what may win and the baselines then over the bus."""
-    journal = open_journal(run.path / JOURNAL, wish.settings)
-    scenarios = [wish.bench.scenarios[name] for name in wish.bench.spec.scenarios]
-    if len(journal.baselines()) < len(wish.vectors) or len(journal.trials()) < wish.trials:
-        with Batch(wish.bench) as batch:
-            words = f"batch: {wish.settings.in_flight} trials in flight; a bench new to this machine is compiled first"
-            best = min(wish.confirm, wish.trials)
-            yield Event("note", f"{words}. In the end the bus confirms the winner ({best} trials) and the baselines")
-            evaluator = BatchEvaluator(batch, wish.bench, scenarios, at_once=max(len(wish.vectors), 1))
-            search = Search(wish.bench, run, evaluator, journal, wish.vectors, wish.trials)
-            yield from search.baselines()
-            yield from search.trials()
-            held = yield from hold(wish.bench, run, journal, wish.vectors, batch)
+def _tune_in_batch(plan: TunePlan, run: RunFolder, stack: ExitStack) -> Generator[Event, None, TuneOutcome]:
+    """The study is in trials.jsonl; the trials that may win and the baselines are confirmed over the bus."""
+    journal = open_journal(run.path / JOURNAL, plan.settings)
+    scenarios = [plan.bench.scenarios[name] for name in plan.bench.spec.scenarios]
+    if len(journal.baselines()) < len(plan.vectors) or len(journal.trials()) < plan.trials:
+        with Batch(plan.bench) as batch:
+            text = f"batch: {plan.settings.in_flight} trials in flight; a new bench is compiled first"
+            best = min(plan.confirm, plan.trials)
+            yield Event("note", f"{text}. Afterwards the {best} best trials and the baselines are driven over the bus")
+            evaluator = BatchEvaluator(batch, plan.bench, scenarios, batch_size=max(len(plan.vectors), 1))
+            search = TrialSearch(plan, run, evaluator, journal)
+            yield from search.score_baselines()
+            yield from search.run_trials()
+            robustness = yield from check_robustness(plan.bench, run, journal, plan.vectors, batch)
     else:
-        held = yield from hold(wish.bench, run, journal, wish.vectors)
-    mirror = stack.enter_context(ThreadPoolExecutor(1)).submit(journal.mirror, run.path / "study.db")
-    missing = to_confirm(journal, wish.confirm, held)
+        robustness = yield from check_robustness(plan.bench, run, journal, plan.vectors)
+    copying = stack.enter_context(ThreadPoolExecutor(1)).submit(journal.copy_to, run.path / "study.db")
+    missing = find_unconfirmed(journal, plan.confirm, robustness)
     if missing:
-        with _on_lanes(wish, run) as evaluator:
+        with _open_evaluator(plan, run) as evaluator:
             trials = sum(trial is not None for trial in missing.values())
-            words = f"now over the bus: {trials} of the batch's trials and {len(missing) - trials} baselines"
-            yield Event("note", f"{words}; {_said_of(wish, evaluator)}")
-            yield from confirm(wish.bench, journal, evaluator, wish.vectors, missing)
-    mirror.result()
-    journal.mirror(run.path / "study.db")
-    confirmed = Confirmed(journal)
-    return Finished(confirmed, held, confirmed)
+            text = f"confirmation over the bus: {trials} trials and {len(missing) - trials} baselines"
+            yield Event("note", f"{text}; {_describe_lanes(plan, evaluator)}")
+            yield from confirm_over_bus(plan.bench, journal, evaluator, plan.vectors, missing)
+    copying.result()
+    journal.copy_to(run.path / "study.db")
+    confirmed = ConfirmedStudy(journal)
+    return TuneOutcome(confirmed, robustness, confirmed)
 
 
-def _said_of(wish: Wish, evaluator: BusEvaluator) -> str:
-    benches = len(evaluator.track.sessions)
-    side = f"{benches} benches side by side" if benches > 1 else "1 bench"
-    words = f"bus: {evaluator.track.sessions[0].choice.why}; {side}"
-    flying = wish.settings.in_flight
-    if flying > 1 and wish.asked.backend != BATCH:
-        words += f", {flying} trials in flight: the same --benches and --in-flight give the same trials"
-    return words + (", real time" if wish.asked.realtime else "")
+def _describe_lanes(plan: TunePlan, evaluator: BusEvaluator) -> str:
+    """The bus, the number of benches, trials in flight, and real time."""
+    benches = len(evaluator.driver.sessions)
+    text = f"bus: {evaluator.driver.sessions[0].choice.why}; "
+    text += f"{benches} benches side by side" if benches > 1 else "1 bench"
+    in_flight = plan.settings.in_flight
+    if in_flight > 1 and plan.options.backend != BATCH:
+        text += f", {in_flight} trials in flight: the same --benches and --in-flight give the same trials"
+    return text + (", real time" if plan.options.realtime else "")
 
 
 @contextmanager
-def _on_lanes(wish: Wish, run: RunFolder) -> Iterator[BusEvaluator]:
-    """Benches over the bus, and what evaluates on them."""
-    asked, bench, model = wish.asked, wish.bench, wish.bench.spec.model
+def _open_evaluator(plan: TunePlan, run: RunFolder) -> Iterator[BusEvaluator]:
+    """Start the benches over the bus and evaluate on them."""
+    options, bench, model = plan.options, plan.bench, plan.bench.spec.model
     with open_lanes(
-        wish.benches,
+        plan.benches,
         Path(bench.file),
-        run.words(),
-        session=wish.session,
+        run.node_output(),
+        session=plan.session,
         model=model,
-        bus=asked.bus,
-        bench_bus=asked.bench_bus,
-        realtime=asked.realtime,
-        join=asked.join,
+        bus=options.bus,
+        bench_bus=options.bench_bus,
+        realtime=options.realtime,
+        join=options.join,
         jitted_ecu=is_heavy(bench, model),
-        controller_command=program_of(bench),
+        controller_command=controller_program(bench),
     ) as lanes:
-        require_announced(bench, lanes, wish.settings.space.names)
-        if asked.join:
-            run.note(**{JOINED: joined_name(lanes)})
-        track = Track(lanes, bench, run)
+        require_announced(bench, lanes, plan.settings.space.names)
+        if options.join:
+            run.add_to_record(**{JOINED: joined_controller_name(lanes)})
+        driver = TrialDriver(lanes, bench, run)
         scenarios = [bench.scenarios[name] for name in bench.spec.scenarios]
-        at_once = 1 if asked.backend == BATCH else max(1, wish.settings.in_flight)
-        evaluator = BusEvaluator(track, scenarios, at_once=at_once)
-        if asked.realtime:
-            repeats = run.record.get("discarded", 0)
-            evaluator = RealtimeEvaluator(track, scenarios, at_once=at_once, repeats=repeats)
+        batch_size = 1 if options.backend == BATCH else max(1, plan.settings.in_flight)
+        realtime = RealtimeDriver(driver, repeats=run.record.get("discarded", 0)) if options.realtime else None
         try:
-            yield evaluator
+            yield BusEvaluator(driver, scenarios, batch_size=batch_size, realtime=realtime)
         finally:
-            track.close()
-            if isinstance(evaluator, RealtimeEvaluator):
-                run.note(discarded=evaluator.repeats)
+            driver.close()
+            if realtime is not None:
+                run.add_to_record(discarded=realtime.repeats)

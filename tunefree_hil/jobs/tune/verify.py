@@ -1,6 +1,6 @@
-"""Verify: the winner and every baseline on the verify model, over scenarios that the tuner never saw.
+"""Verification: the winner and every baseline on the verify model, over scenarios that the search did not use.
 
-Over the bus first, which alone says who is better; then their margins, in the batch (jobs/tune/margins.py).
+Over the bus first, which decides which is better; then their margins in the batch (jobs/tune/margins.py).
 """
 
 from __future__ import annotations
@@ -13,147 +13,162 @@ from typing import Any
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, is_heavy, load
-from tunefree_hil.jobs.command_text import pasted
-from tunefree_hil.jobs.drive import own_session
-from tunefree_hil.jobs.learn.report_text import outside_data, outside_words
+from tunefree_hil.jobs.command_text import shell_command
+from tunefree_hil.jobs.drive import new_session_name
+from tunefree_hil.jobs.learn.report_text import describe_outside, measure_outside
 from tunefree_hil.jobs.progress import left_s
-from tunefree_hil.jobs.report_text import comparison, early, failures, table
+from tunefree_hil.jobs.report_text import candidate_table, comparison_text, early_end, failed_scenarios
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder, open_run, write_json
-from tunefree_hil.jobs.running.episode_results import Episode, evaluation_of
-from tunefree_hil.jobs.running.foreign import joined_name, program_of
-from tunefree_hil.jobs.running.session import lanes_of, open_lanes
-from tunefree_hil.jobs.running.trial_driver import Track
-from tunefree_hil.jobs.tune.candidates import TUNED, baseline_vectors, winner_of
-from tunefree_hil.jobs.tune.margins import find_margins, margin_data, margin_table, margin_words, steering_data
+from tunefree_hil.jobs.running.episode_results import EpisodeResult, evaluation_from_episodes
+from tunefree_hil.jobs.running.foreign import controller_program, joined_controller_name
+from tunefree_hil.jobs.running.session import choose_lane_count, open_lanes
+from tunefree_hil.jobs.running.trial_driver import TrialDriver
+from tunefree_hil.jobs.tune.candidates import TUNED, compute_baseline_vectors, read_winner
+from tunefree_hil.jobs.tune.margins import find_margins, margin_data, margin_table, margin_text, measure_steering
+from tunefree_hil.jobs.tune.options import VerifyOptions
 from tunefree_hil.tune.trial import Evaluation
 
-NOT_HOLDING = 1  # exit status
+EXIT_NOT_BETTER = 1  # exit status
+
+EpisodesByVector = dict[str, Mapping[str, EpisodeResult]]  # and by scenario
 
 
-def verify(run: Path, *, bus: str, bench_bus: str, join: bool, session: str) -> Iterator[Event]:
-    """Drive again what `tune` verified at its end. Exit 1 when the winner does not hold: when a manual set is better,
-    or a road is not driven to its end. That it holds says nothing of how good the best manual set is there.
+def verify(options: VerifyOptions) -> Iterator[Event]:
+    """Verify the winner of a finished tune again.
+
+    Exit status 1 where a manual vector is better, or a scenario is not driven to its end. A passed verification does
+    not mean that the best manual vector is good.
     """
-    folder = open_run(run)
-    if folder.record.get("command") != "tune":
-        raise InputError(
-            f"is a run of {folder.record.get('command')!r}", file=str(run), hint="give the run folder of a tune"
-        )
-    loaded = load(folder.bench_file())
-    found = yield from verify_winner(
-        loaded, folder, bus=bus, bench_bus=bench_bus, session=session or own_session(), join=join
-    )
-    data = {"exit": 0 if found["holds"] else NOT_HOLDING, "run": str(run), **found}
-    data["next"] = [pasted("replay", run, verify=True)]
-    yield Event("result", found["sentence"], data)
+    run = open_run(options.run)
+    command = run.record.get("command")
+    if command != "tune":
+        raise InputError(f"is a run of {command!r}", file=str(options.run), hint="give the run folder of a tune")
+    bench = load(run.bench_file())
+    connection = options._replace(session=options.session or new_session_name())
+    result = yield from verify_winner(bench, run, connection)
+    data = {"exit": 0 if result["holds"] else EXIT_NOT_BETTER, "run": str(options.run), **result}
+    data["next"] = [shell_command("replay", options.run, verify=True)]
+    yield Event("result", result["sentence"], data)
 
 
-def verify_winner(
-    bench: Bench, run: RunFolder, *, bus: str, bench_bus: str, session: str, join: bool = False
-) -> Generator[Event, None, dict[str, Any]]:
-    """The comparison as data; events on the way. Writes verify.json and figures of the run."""
+def verify_winner(bench: Bench, run: RunFolder, options: VerifyOptions) -> Generator[Event, None, dict[str, Any]]:
+    """Drive winner and baselines, and write verify.json and figures of the run.
+
+    Args:
+        bench: Its verify_model is driven over its verify_scenarios.
+        run: Run folder of the tune.
+        options: Bus and session; the field `run` is not used.
+
+    Returns:
+        The comparison, as in verify.json.
+    """
     model = bench.spec.verify_model
     if not model or not bench.spec.verify_scenarios:
-        raise InputError("names no verify_model with verify_scenarios", file=bench.file, key="verify_model")
-    vectors = {TUNED: winner_of(bench, run), **baseline_vectors(bench)}
+        raise InputError("has no verify_model with verify_scenarios", file=bench.file, key="verify_model")
+    vectors = {TUNED: read_winner(bench, run), **compute_baseline_vectors(bench)}
     with open_lanes(
-        lanes_of(join, bus),
+        choose_lane_count(options.join, options.bus),
         Path(bench.file),
-        run.words(),
-        session=session if join else f"{session}-verify",
+        run.node_output(),
+        session=options.session if options.join else f"{options.session}-verify",
         model=model,
-        bus=bus,
-        bench_bus=bench_bus,
-        join=join,
+        bus=options.bus,
+        bench_bus=options.bench_bus,
+        join=options.join,
         jitted_ecu=is_heavy(bench, model),
-        controller_command=program_of(bench),
+        controller_command=controller_program(bench),
     ) as lanes:
-        track = Track(lanes, bench, RunFolder(run.path / "verify", run.record))
-        columns = yield from _driven(track, bench, vectors)
-        joined = joined_name(lanes) if join else run.record.get(JOINED)
-    results = {name: evaluation_of(episodes) for name, episodes in columns.items()}
-    found = _compare(results)
-    for line in table({n: e.scenarios for n, e in results.items()}, found["scores"]):
+        driver = TrialDriver(lanes, bench, RunFolder(run.path / "verify", run.record))
+        episodes = yield from _drive_vectors(driver, bench, vectors)
+        joined = joined_controller_name(lanes) if options.join else run.record.get(JOINED)
+    data = _compare({name: evaluation_from_episodes(by_scenario) for name, by_scenario in episodes.items()})
+    for line in candidate_table(data["scenarios"], data["scores"]):
         yield Event("note", line)
-    found["margins"] = yield from _margins(bench, model, vectors, columns, results, joined)
-    # The model that was tuned on must know what the winner does on the vehicle.
-    winning = {name: episode.recording for name, episode in columns[TUNED].items()}
-    found["outside"] = outside_data(bench, bench.spec.model, winning)
-    more = (margin_words(found["margins"], TUNED), outside_words(found["outside"]))
-    found["sentence"] = "; ".join(words for words in (found["sentence"], *more) if words)
-    found["figures"] = _figures(run, columns, found)
-    write_json(run.path / "verify.json", {"schema": "tunefree.verify/1", **found})
-    return found
+    data["margins"] = yield from _report_margins(bench, vectors, episodes, data["scores"], joined)
+    # Whether the model that was tuned on has data for what the winner does on the vehicle.
+    recordings = {name: episode.recording for name, episode in episodes[TUNED].items()}
+    data["outside"] = measure_outside(bench, bench.spec.model, recordings)
+    parts = (data["sentence"], margin_text(data["margins"], TUNED), describe_outside(data["outside"]))
+    data["sentence"] = "; ".join(part for part in parts if part)
+    data["figures"] = _write_figures(run, episodes, data)
+    write_json(run.path / "verify.json", {"schema": "tunefree.verify/1", **data})
+    return data
 
 
-def _driven(
-    track: Track, bench: Bench, vectors: Mapping[str, Mapping[str, float]]
-) -> Generator[Event, None, dict[str, Mapping[str, Episode]]]:
-    """The episodes of every vector, by scenario. Closes the track."""
+def _drive_vectors(
+    driver: TrialDriver, bench: Bench, vectors: Mapping[str, Mapping[str, float]]
+) -> Generator[Event, None, EpisodesByVector]:
+    """The episodes of every vector; closes the driver."""
     scenarios = [bench.scenarios[name] for name in bench.spec.verify_scenarios]
-    columns: dict[str, Mapping[str, Episode]] = {}
+    episodes: EpisodesByVector = {}
     started = time.monotonic()
     try:
         for i, (name, values) in enumerate(vectors.items()):
-            columns[name] = track.drive_all(values, scenarios, i * len(scenarios))
+            episodes[name] = driver.drive_scenarios(values, scenarios, i * len(scenarios))
             eta_s = left_s(started, (i + 1) / len(vectors))
-            data = {"label": "verify", "done": i + 1, "total": len(vectors), "eta_s": eta_s, **track.pace}
-            score = evaluation_of(columns[name]).score
+            data = {"label": "verify", "done": i + 1, "total": len(vectors), "eta_s": eta_s, **driver.pace}
+            score = evaluation_from_episodes(episodes[name]).score
             yield Event("progress", f"{name} scores {score:.3f} on {bench.spec.verify_model}", data)
     finally:
-        track.close()
-    return columns
+        driver.close()
+    return episodes
 
 
-def _margins(
+def _report_margins(
     bench: Bench,
-    model: str,
     vectors: Mapping[str, Mapping[str, float]],
-    columns: Mapping[str, Mapping[str, Episode]],
-    results: Mapping[str, Evaluation],
+    episodes: EpisodesByVector,
+    scores: Mapping[str, float],
     joined: str | None,
 ) -> Generator[Event, None, dict[str, Any]]:
-    """The value of "margins" in verify.json, its table as notes; a warning where batch and bus differ."""
+    """The value of "margins" in verify.json; yields the table as notes, and a warning where batch and bus differ."""
     scenarios = [bench.scenarios[name] for name in bench.spec.verify_scenarios]
-    found = yield from find_margins(bench, model, vectors, scenarios, joined)
-    steering = {name: steering_data(one.recording for one in some.values()) for name, some in columns.items()}
-    over_bus = {name: {key: one.grade.score for key, one in some.items()} for name, some in columns.items()}
-    data = margin_data(found, steering, {name: one.score for name, one in results.items()}, over_bus)
+    margin_result = yield from find_margins(bench, bench.spec.verify_model, vectors, scenarios, joined)
+    steering = {
+        name: measure_steering(episode.recording for episode in by_scenario.values())
+        for name, by_scenario in episodes.items()
+    }
+    over_bus = {
+        name: {scenario: episode.grade.score for scenario, episode in by_scenario.items()}
+        for name, by_scenario in episodes.items()
+    }
+    data = margin_data(margin_result, steering, scores, over_bus)
     for line in margin_table(data, TUNED):
         yield Event("note", line)
     same = data["same_as_bus"]
     if same and same["equal"] < same["of"]:
-        yield Event("warning", f"batch and bus agree in {same['equal']} of {same['of']} scores of the car as it is")
+        yield Event("warning", f"batch and bus agree in {same['equal']} of {same['of']} scores of the nominal car")
     return data
 
 
-def _compare(results: Mapping[str, Evaluation]) -> dict[str, Any]:
-    tuned = results[TUNED]
-    others = {name: result for name, result in results.items() if name != TUNED}
-    manual = min(others, key=lambda name: others[name].score)
-    best = others[manual]
-    sentence = comparison(manual, best.scenarios, tuned.scenarios, (best.score, tuned.score))
+def _compare(evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
+    """The winner against the best baseline."""
+    tuned = evaluations[TUNED]
+    baselines = {name: evaluation for name, evaluation in evaluations.items() if name != TUNED}
+    manual = min(baselines, key=lambda name: baselines[name].score)
+    best = baselines[manual]
+    sentence = comparison_text(manual, best.scenarios, tuned.scenarios, (best.score, tuned.score))
     return {
         "sentence": sentence,
-        "holds": tuned.score < best.score and not failures(tuned.scenarios),
+        "holds": tuned.score < best.score and not failed_scenarios(tuned.scenarios),
         "manual": manual,
         "ratio": tuned.score / best.score,
-        "scores": {name: result.score for name, result in results.items()},
-        "scenarios": {name: result.scenarios for name, result in results.items()},
+        "scores": {name: evaluation.score for name, evaluation in evaluations.items()},
+        "scenarios": {name: evaluation.scenarios for name, evaluation in evaluations.items()},
     }
 
 
-def _figures(run: RunFolder, columns: Mapping[str, Mapping[str, Episode]], found: Mapping[str, Any]) -> list[str]:
-    from tunefree_hil.figures.scenario import Drive, write_scenario
+def _write_figures(run: RunFolder, episodes: EpisodesByVector, data: Mapping[str, Any]) -> list[str]:
+    from tunefree_hil.figures.scenario import DrivePicture, write_scenario
     from tunefree_hil.figures.tuning.margins import write_margins
 
-    manual, margins = found["manual"], found["margins"]
+    manual, margins = data["manual"], data["margins"]
     written = [] if margins["reason"] else [str(write_margins(run.figures() / "margins.png", margins, TUNED))]
-    for name in columns[TUNED]:
+    for name in episodes[TUNED]:
         drives = []
         for label, candidate in ((f"manual ({manual})", manual), (TUNED, TUNED)):
-            episode = columns[candidate][name]
-            graded = episode.grade
-            drives.append(Drive(label, episode.recording.columns, graded.score, early(graded.outcome)))
+            episode = episodes[candidate][name]
+            grade = episode.grade
+            drives.append(DrivePicture(label, episode.recording.columns, grade.score, early_end(grade.outcome)))
         written.append(str(write_scenario(run.figures() / f"verify_{name}.png", f"{name} (verify)", drives)))
     return written

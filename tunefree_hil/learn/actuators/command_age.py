@@ -1,63 +1,75 @@
-"""How long before its report a by-wire unit had got the command that it echoes, in a recording of real time.
+"""How old a command is when a by-wire unit's report echoes it, in a recording of real time.
 
-Who sends commands and who reports have clocks of their own, so that a report comes anywhere between two commands, in
-each recording elsewhere, and by and by elsewhere in one. The rows of a tick grid do not show that: there a command
-acts for the whole tick that ends with the report that echoes it first, so that a dead time comes out longer by what is
-left of the tick, and as much less sure as that differs.
+Commands and reports are sent by two clocks, so a report falls anywhere between two commands, and its place drifts. On
+the tick grid a command acts for the whole tick that ends with the report that echoes it first. That adds the rest of
+the tick to a dead time, and the spread of the ages to its uncertainty.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
-from tunefree_hil.learn.actuators.samples import CHANNELS, ECHOES, tolerance
-from tunefree_hil.learn.drives.decode import Column
+from tunefree_hil.learn.actuators.samples import CHANNELS, ECHOES, rounding_tolerance
+from tunefree_hil.learn.drives.decode import FieldSamples
 
 Array = np.ndarray
 
-EARLIER = 15  # commands before a report: what came before those is another one of the same value
-FEWEST = 20  # changed echoes that tell it
-NEAR, AGREEING = 1.5, 0.8  # periods of the commands from the middle age; the share of ages that are so near to it
-PLAIN = 2.0  # times what two roundings differ by: a change
+
+class CommandAgeCriteria(NamedTuple):
+    """When an echo shows the age of its command; every value is an engineering choice."""
+
+    max_commands_back: int = 15  # before a report; an older command of the same value is another one
+    min_changes: int = 20  # changed echoes with a known age
+    max_deviation_periods: float = 1.5  # of an age from the median, in periods of the commands
+    min_agreeing_share: float = 0.8  # of the ages, that deviate by less
+    min_change_tolerances: float = 2.0  # rounding tolerances that count as a change of the echo
 
 
-def command_ages(columns: Mapping[str, Column]) -> dict[str, Array]:
-    """By the field of the echo, 'report.steer_command_rad': seconds [m] of reports whose echo has just changed, where
-    the wire's commands and their echo tell enough of them.
+COMMAND_AGE = CommandAgeCriteria()
+
+
+def measure_command_ages(samples_by_field: Mapping[str, FieldSamples]) -> dict[str, Array]:
+    """Ages of commands in s at the reports that echo them first, by the field of the echo.
+
+    Returns:
+        'report.steer_command_rad' -> shape (n_changes,); channels whose log does not show the ages are absent.
     """
-    found = {}
-    for channel, echo in ECHOES.items():
-        sent, said = columns.get(f"command.{CHANNELS[channel]}"), columns.get(f"report.{echo}")
-        if sent is not None and said is not None and len(sent.time_s) > 1:
-            ages_s = changed_ages(sent, said)
-            near = _of_one(ages_s, NEAR * float(np.median(np.diff(np.sort(sent.time_s)))))
-            if near.sum() >= max(FEWEST, AGREEING * len(ages_s)):
-                found[f"report.{echo}"] = ages_s[near]
-    return found
+    ages_by_echo = {}
+    for channel, echo_name in ECHOES.items():
+        command = samples_by_field.get(f"command.{CHANNELS[channel]}")
+        echo = samples_by_field.get(f"report.{echo_name}")
+        if command is not None and echo is not None and len(command.time_s) > 1:
+            ages_s = changed_echo_ages(command, echo)
+            period_s = float(np.median(np.diff(np.sort(command.time_s))))
+            agrees = _agrees_with_median(ages_s, COMMAND_AGE.max_deviation_periods * period_s)
+            if agrees.sum() >= max(COMMAND_AGE.min_changes, COMMAND_AGE.min_agreeing_share * len(ages_s)):
+                ages_by_echo[f"report.{echo_name}"] = ages_s[agrees]
+    return ages_by_echo
 
 
-def _of_one(ages_s: Array, within_s: float) -> Array:
-    """Which of some ages [m] are about the middle one: an echo of which the command is long gone finds any other."""
-    return np.abs(ages_s - np.median(ages_s)) <= within_s if len(ages_s) else np.zeros(0, dtype=bool)
+def _agrees_with_median(ages_s: Array, max_deviation_s: float) -> Array:
+    """Which ages are near the median. An echo whose command is too old matches any other command of that value."""
+    return np.abs(ages_s - np.median(ages_s)) <= max_deviation_s if len(ages_s) else np.zeros(0, dtype=bool)
 
 
-def changed_ages(sent: Column, said: Column) -> Array:
-    """Seconds [m] from the newest command of its value to each report whose echo has just changed."""
-    sent, said = _in_order(sent), _in_order(said)
-    slack = tolerance(said.values)
-    changed = np.flatnonzero(np.abs(np.diff(said.values)) > PLAIN * slack) + 1
-    at_s, values = said.time_s[changed], said.values[changed]
-    newest = np.searchsorted(sent.time_s, at_s, side="right") - 1
+def changed_echo_ages(command: FieldSamples, echo: FieldSamples) -> Array:
+    """Seconds from the newest command of its value to each report whose echo has changed, shape (n_changes,)."""
+    command, echo = _sort_by_time(command), _sort_by_time(echo)
+    tolerance = rounding_tolerance(echo.values)
+    changed = np.flatnonzero(np.abs(np.diff(echo.values)) > COMMAND_AGE.min_change_tolerances * tolerance) + 1
+    report_s, values = echo.time_s[changed], echo.values[changed]
+    newest = np.searchsorted(command.time_s, report_s, side="right") - 1
     ages_s = np.full(len(changed), np.nan)
-    for back in range(EARLIER):
-        place = np.maximum(newest - back, 0)
-        same = (newest >= back) & np.isnan(ages_s) & (np.abs(sent.values[place] - values) <= slack)
-        ages_s[same] = at_s[same] - sent.time_s[place[same]]
+    for back in range(COMMAND_AGE.max_commands_back):
+        index = np.maximum(newest - back, 0)
+        matches = (newest >= back) & np.isnan(ages_s) & (np.abs(command.values[index] - values) <= tolerance)
+        ages_s[matches] = report_s[matches] - command.time_s[index[matches]]
     return ages_s[np.isfinite(ages_s)]
 
 
-def _in_order(column: Column) -> Column:
-    order = np.argsort(column.time_s, kind="stable")
-    return Column(column.time_s[order], column.values[order])
+def _sort_by_time(samples: FieldSamples) -> FieldSamples:
+    order = np.argsort(samples.time_s, kind="stable")
+    return FieldSamples(samples.time_s[order], samples.values[order])

@@ -1,4 +1,4 @@
-"""The unknowns of one by-wire channel, and its simulation by the very kernel that drives the bench (design D5)."""
+"""The unknowns of one by-wire channel, and its simulation by the kernel that drives the bench."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tunefree_hil.base.kernel import kept, kernel
-from tunefree_hil.learn.actuators.samples import Pair
-from tunefree_hil.learn.drives.smoothing import smooth
+from tunefree_hil.learn.actuators.samples import ActuatorSamples
+from tunefree_hil.learn.drives.smoothing import smooth_signal
 from tunefree_hil.plant.actuation.actuators import (
     ActuatorParams,
     ActuatorState,
@@ -22,120 +22,144 @@ from tunefree_hil.plant.actuation.actuators import (
 
 Array = np.ndarray
 
-MOST_DEAD_S, LEAST_LAG_S, MOST_LAG_S = 1.0, 5e-4, 3.0
-NEAR_LIMIT = 0.6  # of the rate limit: from here on a real drive may be limited already
-DEAD_UNIT_S, GAIN_UNIT, SPAN_UNIT = 0.02, 0.1, 0.05  # one unit of a scaled unknown (learn/robust_least_squares.py)
+
+class ModelBounds(NamedTuple):
+    """Search bounds of the unknowns; every value is an engineering choice."""
+
+    dead_time_s: tuple[float, float] = (0.0, 1.0)
+    lag_s: tuple[float, float] = (5e-4, 3.0)
+    natural_hz: tuple[float, float] = (0.1, 40.0)
+    damping: tuple[float, float] = (0.2, 5.0)
+    gain: tuple[float, float] = (0.2, 3.0)
+    asymmetry: tuple[float, float] = (-1.0, 1.0)
+    max_offset_share: float = 0.5  # of the commands' span
+    rate_limit_share: tuple[float, float] = (0.05, 50.0)  # of the output's peak rate
+    max_dead_band_share: float = 0.3  # of the commands' span
 
 
-class Shape(NamedTuple):
-    """Which unknowns there are: dead time, gain and offset always. order 0 has no lag at all.
+class RateLimitCriteria(NamedTuple):
+    """What counts as near a rate limit; every value is an engineering choice."""
 
-    uneven: order 1 whose lag upwards is e^u times, downwards e^-u times lag_s. The bench's actuator cannot do that; but
-    a fit that must not see it lays the difference into the dead time.
+    near_share: float = 0.6  # of the rate limit: from here on a real drive may already be limited
+    reached_share: float = 0.999  # of the rate limit: it is reached
+    peak_rate_reports: int = 3  # over which the output's peak rate is taken
+    peak_rate_quantile: float = 0.999
+
+
+BOUNDS = ModelBounds()
+RATE_LIMIT = RateLimitCriteria()
+# One unit of a scaled unknown (learn/robust_least_squares.py); where only ratios count, the value at unknown 0.
+DEAD_TIME_UNIT_S, GAIN_UNIT, SPAN_UNIT = 0.02, 0.1, 0.05
+LOG_REFERENCES = {"lag_s": 0.05, "natural_hz": 3.0, "damping": 1.0}
+
+
+class ActuatorStructure(NamedTuple):
+    """Which unknowns a model of a channel has beside dead time, gain and offset.
+
+    An asymmetric model of order 1 has a lag of lag_s * exp(asymmetry) upwards and lag_s * exp(-asymmetry) downwards.
+    The bench's actuator cannot do that, but without it a fit puts the difference into the dead time.
     """
 
-    order: int
-    limited: bool
-    banded: bool = False
-    uneven: bool = False
+    order: int  # 0: no lag
+    has_rate_limit: bool
+    has_dead_band: bool = False
+    is_asymmetric: bool = False
 
-    def names(self) -> tuple[str, ...]:
-        """The unknowns in the order in which they stand in a vector."""
+    def unknown_names(self) -> tuple[str, ...]:
+        """The unknowns in the order of a vector of them."""
         lag: tuple[str, ...] = ((), ("lag_s",), ("natural_hz", "damping"))[self.order]
-        more = ("rate_limit",) * self.limited + ("dead_band",) * self.banded + ("uneven",) * self.uneven
-        return ("dead_time_s", *lag, "gain", "offset", *more)
+        optional = ("rate_limit",) * self.has_rate_limit + ("dead_band",) * self.has_dead_band
+        return ("dead_time_s", *lag, "gain", "offset", *optional, *("asymmetry",) * self.is_asymmetric)
 
 
-class Way(NamedTuple):
-    """A channel's params, and how much its lag depends on the direction (Shape.uneven), 0 for not at all."""
+class ActuatorModel(NamedTuple):
+    """A channel's params, and how its lag depends on the direction (ActuatorStructure), 0 for not at all."""
 
     params: ActuatorParams
-    uneven: float = 0.0
+    asymmetry: float = 0.0
 
-    def even(self) -> Way:
-        """The actuator of the bench that comes nearest: its lag is the mean of both ways."""
-        return Way(self.params._replace(lag_s=self.params.lag_s * math.cosh(self.uneven)))
-
-
-class Scale(NamedTuple):
-    """What a channel's numbers are measured in: rest, span of its commands, a rate of its output, and doubt.
-
-    sigma: standard deviation of the report, from its noise and its rounding.
-    """
-
-    rest: float
-    span: float
-    rate: float
-    sigma: float
+    def symmetric_model(self) -> ActuatorModel:
+        """The nearest model that the bench can drive, whose lag is the mean of both directions."""
+        return ActuatorModel(self.params._replace(lag_s=self.params.lag_s * math.cosh(self.asymmetry)))
 
 
-# value = to_value(scaled), per unknown; logarithms where only ratios count
-_LOGS = {"lag_s": 0.05, "natural_hz": 3.0, "damping": 1.0}
-_LIMITS = {
-    "dead_time_s": (0.0, MOST_DEAD_S),
-    "lag_s": (LEAST_LAG_S, MOST_LAG_S),
-    "natural_hz": (0.1, 40.0),
-    "damping": (0.2, 5.0),
-    "gain": (0.2, 3.0),
-    "uneven": (-1.0, 1.0),
-}
+class ActuatorScale(NamedTuple):
+    """The units of a channel's numbers."""
+
+    rest: float  # command at rest
+    span: float  # of the commands
+    rate: float  # peak rate of the output, per s
+    sigma: float  # standard deviation of a reported output, from its noise and its quantisation
 
 
-def scaled(name: str, value: float, scale: Scale) -> float:
-    """The unknown that stands for a value."""
-    if name in _LOGS:
-        return math.log(value / _LOGS[name])
+def unknown_from_value(name: str, value: float, scale: ActuatorScale) -> float:
+    """The scaled unknown of a value."""
+    if name in LOG_REFERENCES:
+        return math.log(value / LOG_REFERENCES[name])
     if name == "rate_limit":
         return math.log(value / scale.rate)
-    if name == "uneven":
+    if name == "asymmetry":
         return value
     if name == "dead_time_s":
-        return value / DEAD_UNIT_S
+        return value / DEAD_TIME_UNIT_S
     return (value - 1.0) / GAIN_UNIT if name == "gain" else value / (SPAN_UNIT * scale.span)
 
 
-def value_at(name: str, unknown: float, scale: Scale) -> float:
-    """The value that an unknown stands for."""
-    if name in _LOGS:
-        return _LOGS[name] * math.exp(unknown)
+def value_from_unknown(name: str, unknown: float, scale: ActuatorScale) -> float:
+    """The value of a scaled unknown."""
+    if name in LOG_REFERENCES:
+        return LOG_REFERENCES[name] * math.exp(unknown)
     if name == "rate_limit":
         return scale.rate * math.exp(unknown)
-    if name == "uneven":
+    if name == "asymmetry":
         return unknown
     if name == "dead_time_s":
-        return unknown * DEAD_UNIT_S
+        return unknown * DEAD_TIME_UNIT_S
     return 1.0 + unknown * GAIN_UNIT if name == "gain" else unknown * SPAN_UNIT * scale.span
 
 
-def bounds(shape: Shape, scale: Scale) -> tuple[Array, Array]:
-    """(lowest, highest) unknowns."""
+def unknown_bounds(structure: ActuatorStructure, scale: ActuatorScale) -> tuple[Array, Array]:
+    """(lowest, highest) unknowns, each of shape (n_unknowns,)."""
+    low_rate_share, high_rate_share = BOUNDS.rate_limit_share
     limits = {
-        **_LIMITS,
-        "offset": (-0.5 * scale.span, 0.5 * scale.span),
-        "rate_limit": (0.05 * scale.rate, 50.0 * scale.rate),
-        "dead_band": (0.0, 0.3 * scale.span),
+        "dead_time_s": BOUNDS.dead_time_s,
+        "lag_s": BOUNDS.lag_s,
+        "natural_hz": BOUNDS.natural_hz,
+        "damping": BOUNDS.damping,
+        "gain": BOUNDS.gain,
+        "asymmetry": BOUNDS.asymmetry,
+        "offset": (-BOUNDS.max_offset_share * scale.span, BOUNDS.max_offset_share * scale.span),
+        "rate_limit": (low_rate_share * scale.rate, high_rate_share * scale.rate),
+        "dead_band": (0.0, BOUNDS.max_dead_band_share * scale.span),
     }
-    ends = [[scaled(name, end, scale) for end in limits[name]] for name in shape.names()]
+    ends = [[unknown_from_value(name, end, scale) for end in limits[name]] for name in structure.unknown_names()]
     return np.array([low for low, _ in ends]), np.array([high for _, high in ends])
 
 
-def vector(shape: Shape, values: dict[str, float], scale: Scale) -> Array:
-    """Unknowns at the values given, others neutral."""
-    neutral = {"gain": 1.0, "offset": 0.0, "dead_band": 0.0, "rate_limit": scale.rate, "damping": 1.0, "uneven": 0.0}
-    return np.array([scaled(name, {**neutral, **values}[name], scale) for name in shape.names()])
+def unknowns_from_values(structure: ActuatorStructure, values: dict[str, float], scale: ActuatorScale) -> Array:
+    """The unknowns of these values, shape (n_unknowns,); values that are not given are neutral."""
+    neutral = {"gain": 1.0, "offset": 0.0, "dead_band": 0.0, "rate_limit": scale.rate, "damping": 1.0, "asymmetry": 0.0}
+    merged = {**neutral, **values}
+    return np.array([unknown_from_value(name, merged[name], scale) for name in structure.unknown_names()])
 
 
-def params_at(shape: Shape, x: Array, scale: Scale, rate_limit: float = math.inf) -> Way:
-    """The channel at unknowns; rate_limit: of a shape that has none of its own."""
-    values = {name: float(value_at(name, float(one), scale)) for name, one in zip(shape.names(), x, strict=True)}
-    uneven = values.pop("uneven", 0.0)
+def model_from_unknowns(
+    structure: ActuatorStructure, x: Array, scale: ActuatorScale, rate_limit: float = math.inf
+) -> ActuatorModel:
+    """The model at unknowns x of shape (n_unknowns,). rate_limit: of a structure that has none of its own."""
+    names = structure.unknown_names()
+    values = {name: float(value_from_unknown(name, float(x_i), scale)) for name, x_i in zip(names, x, strict=True)}
+    asymmetry = values.pop("asymmetry", 0.0)
     values = {"rate_limit": float(rate_limit), **values}
-    return Way(ActuatorParams(order=2.0 if shape.order == 2 else 1.0, rest=scale.rest, **values), uneven)
+    order = 2.0 if structure.order == 2 else 1.0
+    return ActuatorModel(ActuatorParams(order=order, rest=scale.rest, **values), asymmetry)
 
 
 @kernel
-def respond(params: ActuatorParams, state: ActuatorState, down: Lag, commands: Any, outputs: Any, dt_s: float) -> int:
-    """Drive a channel with `commands`, one a tick, and write what it puts out; how many there were.
+def run_actuator(
+    params: ActuatorParams, state: ActuatorState, down: Lag, commands: Any, outputs: Any, dt_s: float
+) -> int:
+    """Drive a channel with one command a tick and write its outputs; returns how many there are.
 
     The lag is the state's own upwards, `down` downwards.
     """
@@ -153,76 +177,80 @@ def respond(params: ActuatorParams, state: ActuatorState, down: Lag, commands: A
     return len(commands)
 
 
-kept(respond)
+kept(run_actuator)
 
 
-def answered(way: Way, command: Array, dt_s: float) -> Array:
-    """Outputs [n] of the channel for commands [n], from rest on the first."""
-    start = way.params._replace(initial=float(command[0]))
-    up, down = (start._replace(lag_s=start.lag_s * math.exp(sign * way.uneven)) for sign in (1.0, -1.0))
+def simulate_commands(model: ActuatorModel, command: Array, dt_s: float) -> Array:
+    """Outputs of the channel for commands, both of shape (n_rows,), starting at rest on the first command."""
+    start = model.params._replace(initial=float(command[0]))
+    up, down = (start._replace(lag_s=start.lag_s * math.exp(sign * model.asymmetry)) for sign in (1.0, -1.0))
     outputs = np.empty(len(command))
-    respond(start, init_actuator(up, dt_s), init_actuator(down, dt_s).lag, command, outputs, dt_s)
+    run_actuator(start, init_actuator(up, dt_s), init_actuator(down, dt_s).lag, command, outputs, dt_s)
     return outputs
 
 
-def simulated(way: Way, pair: Pair) -> Array:
-    """Outputs [n] of the channel for a pair's commands, from rest on the first; filtered as the pair's output is."""
-    outputs = answered(way, pair.command, pair.dt_s)
-    return smooth_rate(outputs, pair.window, pair.dt_s) if pair.window else outputs
+def simulate_output(model: ActuatorModel, samples: ActuatorSamples) -> Array:
+    """Outputs for the commands of a segment, shape (n_rows,), filtered as its recorded output is."""
+    outputs = simulate_commands(model, samples.command, samples.dt_s)
+    return filter_rate(outputs, samples.filter_ticks, samples.dt_s) if samples.filter_ticks else outputs
 
 
-def smooth_rate(rate: Array, window: int, dt_s: float) -> Array:
-    """A rate as it looks when it is taken from its own integral by learn/drives/smoothing.py's filter."""
+def filter_rate(rate: Array, window: int, dt_s: float) -> Array:
+    """A rate as estimate_rate (learn/drives/smoothing.py) recovers it from the rate's own integral."""
     from scipy.signal import savgol_filter
 
     if len(rate) < window:
-        return smooth(rate, window)
+        return smooth_signal(rate, window)
     return np.asarray(savgol_filter(np.cumsum(rate) * dt_s, window, 2, deriv=1, delta=dt_s))
 
 
-def misses(way: Way, some: Sequence[Pair], sigma: float) -> Array:
-    """Simulated minus reported output wherever it counts, in sigmas."""
-    if not some:
+def output_residuals(model: ActuatorModel, segments: Sequence[ActuatorSamples], sigma: float) -> Array:
+    """Simulated minus reported output in the compared rows, in multiples of sigma; shape (n_compared,)."""
+    if not segments:
         return np.zeros(0)
-    return np.concatenate([(simulated(way, pair) - pair.output)[pair.counts] for pair in some]) / sigma
+    residuals = [(simulate_output(model, segment) - segment.output)[segment.is_compared] for segment in segments]
+    return np.concatenate(residuals) / sigma
 
 
-def rate_seen(some: Sequence[Pair]) -> float:
-    """The fastest change of the reported output that is not noise, per s: over three reports, all but a thousandth."""
+def estimate_peak_rate(segments: Sequence[ActuatorSamples]) -> float:
+    """The peak rate of the reported output per s, taken over several reports and without the fastest 0.1 %."""
     rates = [np.zeros(1)]
-    for pair in some:
-        ticks = np.flatnonzero(pair.counts)
-        if len(ticks) > 3:
-            rates.append(
-                np.abs(pair.output[ticks[3:]] - pair.output[ticks[:-3]]) / (ticks[3:] - ticks[:-3]) / pair.dt_s
-            )
-    return float(np.quantile(np.concatenate(rates), 0.999))
+    reports = RATE_LIMIT.peak_rate_reports
+    for segment in segments:
+        ticks = np.flatnonzero(segment.is_compared)
+        if len(ticks) > reports:
+            moves = np.abs(segment.output[ticks[reports:]] - segment.output[ticks[:-reports]])
+            rates.append(moves / (ticks[reports:] - ticks[:-reports]) / segment.dt_s)
+    return float(np.quantile(np.concatenate(rates), RATE_LIMIT.peak_rate_quantile))
 
 
-def at_limit(way: Way, pair: Pair, share: float) -> Array:
-    """Ticks [n] in which the simulated output moves at `share` of its rate limit, or faster."""
-    moves = np.abs(np.diff(simulated(way, pair._replace(window=0)), prepend=np.nan))
-    return moves >= share * way.params.rate_limit * pair.dt_s
+def rows_at_rate_limit(model: ActuatorModel, samples: ActuatorSamples, share: float) -> Array:
+    """Rows in which the simulated output moves at `share` of its rate limit or faster, shape (n_rows,)."""
+    moves = np.abs(np.diff(simulate_output(model, samples._replace(filter_ticks=0)), prepend=np.nan))
+    return moves >= share * model.params.rate_limit * samples.dt_s
 
 
-def seconds_at_limit(way: Way, some: Sequence[Pair]) -> float:
-    """For how long the simulated output moves as fast as it may."""
-    return float(sum(float(np.sum(at_limit(way, pair, 0.999))) * pair.dt_s for pair in some))
+def time_at_rate_limit_s(model: ActuatorModel, segments: Sequence[ActuatorSamples]) -> float:
+    """For how long the simulated output moves at its rate limit."""
+    share = RATE_LIMIT.reached_share
+    return float(sum(float(np.sum(rows_at_rate_limit(model, segment, share))) * segment.dt_s for segment in segments))
 
 
-def calm(way: Way, some: Sequence[Pair], before_s: float, after_s: float) -> list[Pair]:
-    """The same stretches, only compared where no rate limit was near, is, or will be within these times.
+def exclude_rate_limited(
+    model: ActuatorModel, segments: Sequence[ActuatorSamples], before_s: float, after_s: float
+) -> list[ActuatorSamples]:
+    """The segments, compared only in rows that are not near the rate limit within these times before and after.
 
-    What sets in before: a drive whose motor is still getting up to speed may have been told no more than its limit.
+    The time before a limit matters too: a motor that still speeds up may already have been given only its limit.
     """
-    found = []
-    for pair in some:
-        busy = at_limit(way, pair, NEAR_LIMIT)
-        rows, far = np.arange(len(busy)), 2 * len(busy)
-        last = np.maximum.accumulate(np.where(busy, rows, -far))
-        following = np.minimum.accumulate(np.where(busy, rows, far)[::-1])[::-1]
-        counts = pair.counts & (rows - last > round(after_s / pair.dt_s))
-        counts &= following - rows > round(before_s / pair.dt_s)
-        if counts.any():
-            found.append(pair._replace(counts=counts))
-    return found
+    calm_segments = []
+    for segment in segments:
+        is_near = rows_at_rate_limit(model, segment, RATE_LIMIT.near_share)
+        rows, far = np.arange(len(is_near)), 2 * len(is_near)
+        last = np.maximum.accumulate(np.where(is_near, rows, -far))
+        following = np.minimum.accumulate(np.where(is_near, rows, far)[::-1])[::-1]
+        is_compared = segment.is_compared & (rows - last > round(after_s / segment.dt_s))
+        is_compared &= following - rows > round(before_s / segment.dt_s)
+        if is_compared.any():
+            calm_segments.append(segment._replace(is_compared=is_compared))
+    return calm_segments

@@ -1,17 +1,12 @@
-"""Pairs of a by-wire channel's command and output, in one frame of time, tick by tick.
+"""Commands and outputs of a by-wire channel on one time base, tick by tick.
 
-A report that echoes the command beside the output has no transport between the two: the echo is the command that the
-actuator was given in the tick at whose end the output stands, just as `plant/actuation/actuators.py` has it. Between two such
-reports the command of the wire is taken, at the shift at which it agrees with the echo. Without an echo the command of
-the wire is moved by the bench's delays ([timing]: one tick each way, and one for the step itself).
+A report that carries the output and an echo of the command needs no transport correction: the echo is the command that
+the actuator had in the tick at whose end the output stands, as in `plant/actuation/actuators.py`. Between two such
+reports the command on the bus is used, shifted so that it agrees with the echo. Without an echo the command on the bus
+is delayed as on the bench ([timing]: one tick each way, and one for the step itself).
 
-The stops of a by-wire channel: outputs that no command moves any further.
-
-A wheel or a valve that stops before its command does is no wrong gain and no lag; what is identified of it has to be
-identified from what it could obey: its commands end at the one that reaches the stop. The stop itself is an effect of
-the catalogue, which `gap` names with its value.
-
-What acted on a car in each tick, as far as a drive says: commands moved to where they act, and reported outputs.
+A channel may stop before its command does. That is neither a wrong gain nor a lag, so commands are clipped at the one
+that reaches the stop before the channel is identified. The stop itself is an effect that `gap` names.
 """
 
 from __future__ import annotations
@@ -23,12 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from tunefree_hil.learn.drives.drive import Drive, Part
-from tunefree_hil.learn.drives.runs import runs
-from tunefree_hil.learn.drives.smoothing import between_fresh
+from tunefree_hil.learn.drives.drive import Array, Drive, DrivePart
+from tunefree_hil.learn.drives.runs import find_runs
+from tunefree_hil.learn.drives.smoothing import estimate_quantum, estimate_rate, interpolate_fresh, select_speed
 from tunefree_hil.plant.actuation.acceleration_interface import FULL_MPS2
-
-Array = np.ndarray
 
 CHANNELS = {
     "throttle": "throttle_frac",
@@ -44,315 +37,368 @@ ECHOES = {
     "accel": "accel_command_mps2",
     "steer_torque": "steer_torque_command_nm",
 }
-BENCH_TICKS = 3  # command, step, report
-LONGEST_SHIFT_S = 0.3  # between a command on the wire and its echo
-AGREEING_SHARE = 0.9  # of the changes of the echo that the wire must explain
-LONGEST_SILENCE_S = 0.2
-WARM_S = 1.0  # of a segment that is not compared: what went before it is not known
-LEAST_S = 3.0
+BENCH_TICKS = 3  # the delay on the bench: command, step, report
 NO_AGES = np.zeros(0)
-TOLD_S = 5e-4  # of a deviation of ages: less is how evenly frames come
-RATE_WINDOW_S = 0.5  # of the polynomial that gives the rate of the speed, where that is the output
 
 
-class Pair(NamedTuple):
-    """A stretch without a gap. command [n]: held during each tick; output [n]: at its end, NaN where none came.
+class SampleCriteria(NamedTuple):
+    """Which rows of a channel are compared; every value is an engineering choice."""
 
-    counts: bool [n], rows to compare. window: 0, or the ticks of the filter (learn/drives/smoothing.py) through which `output`
-    went; what is compared to it must go through it too.
-    """
+    max_echo_delay_s: float = 0.3  # from a command on the bus to its echo
+    min_agreeing_share: float = 0.9  # of the changes of the echo, that the command on the bus explains
+    max_silence_s: float = 0.2  # between two reports of the output
+    warm_up_s: float = 1.0  # at the start of a segment, not compared: the history is unknown
+    min_segment_s: float = 3.0
+    min_age_std_s: float = 5e-4  # of command ages; less is the jitter of the bus
+    rate_window_s: float = 0.5  # of the filter that gives the rate of the speed, where that is the output
+
+
+class StopCriteria(NamedTuple):
+    """A stop is one level at which the output rests while commands of several sizes ask for more."""
+
+    min_rest_s: float = 0.3  # of the output at the stop; longer than the lags of such channels
+    max_ripple_share: float = 0.01  # of the output's span, by which a resting output moves
+    min_excess_share: float = 0.05  # of the span, by which commands exceed the stop, and by which they differ there
+    min_total_rest_s: float = 0.5  # beyond min_rest_s, in all
+    min_stops: int = 2  # separate rests at the stop
+    min_steady_s: float = 0.6  # of a command and its output, for the gain at rest; longer than dead times
+    min_steady_rows: int = 20
+    min_steady_range_share: float = 0.2  # of the span, that the steady commands cover
+
+
+SAMPLES = SampleCriteria()
+STOPS = StopCriteria()
+
+
+class ActuatorSamples(NamedTuple):
+    """One segment of a channel without a gap; arrays of shape (n_rows,)."""
+
+    command: Array  # held during the tick
+    output: Array  # at the end of the tick, NaN where none was reported
+    is_compared: Array  # rows in which a simulated output is compared with `output`
+    dt_s: float
+    filter_ticks: int = 0  # length of the rate filter that gave `output`, 0 for none; a simulation passes it too
+
+
+class ChannelSamples(NamedTuple):
+    """All segments of a channel. command_age_std_s: of the command's age at its echo, 0 for commands on the ticks."""
+
+    channel: str
+    segments: tuple[ActuatorSamples, ...]
+    description: str  # where the commands come from
+    command_age_std_s: float = 0.0
+
+    @property
+    def n_rows(self) -> int:
+        """The number of compared rows."""
+        return sum(int(segment.is_compared.sum()) for segment in self.segments)
+
+
+class ChannelRecord(NamedTuple):
+    """Command and output of a channel over a whole drive, as in ActuatorSamples."""
 
     command: Array
     output: Array
-    counts: Array
-    dt_s: float
-    window: int = 0
+    is_fresh: Array
+    filter_ticks: int
+    source: str
 
 
-class Pairs(NamedTuple):
-    """All stretches of a channel; words: where the commands come from. apart_s: standard deviation of the time from a
-    command to the report that echoes it first (command_age.py); 0 where commands come with the ticks.
-    """
+class ChannelActuation(NamedTuple):
+    """What a channel's actuator does in each tick of a drive; arrays of shape (n_rows,)."""
 
-    channel: str
-    some: tuple[Pair, ...]
-    words: str
-    apart_s: float = 0.0
-
-    @property
-    def rows(self) -> int:
-        """Rows to compare."""
-        return sum(int(pair.counts.sum()) for pair in self.some)
+    command: Array
+    output: Array  # as recorded, interpolated; NaN where none is reported
+    follows_command: Array
 
 
-def pairs_of(parts: Iterable[Part], channel: str) -> Pairs:
-    """Command and output of a channel in `parts`; without stretches where the logs do not have both."""
-    found: list[Pair] = []
-    words: list[str] = []
+def collect_samples(parts: Iterable[DrivePart], channel: str) -> ChannelSamples:
+    """Command and output of a channel in `parts`; without segments where the logs do not have both."""
+    segments: list[ActuatorSamples] = []
+    sources: list[str] = []
     ages: list[Array] = []
     for part in parts:
         drive = part.drive
-        taken = _taken(drive, channel)
-        if taken is None:
+        record = _read_channel(drive, channel)
+        if record is None:
             continue
-        command, output, fresh, window, said = taken
-        words += [said] if said not in words else []
+        sources += [record.source] if record.source not in sources else []
         ages += [drive.command_ages.get(f"report.{ECHOES[channel]}", NO_AGES)]
-        for begin, end in stretches(drive, part, command, output, fresh):
-            counts = fresh[begin:end] & np.isfinite(output[begin:end])
-            counts[: round(WARM_S / drive.dt_s)] = False
-            if counts.any():
-                found.append(Pair(command[begin:end], output[begin:end], counts, drive.dt_s, window))
-    heard = np.concatenate([NO_AGES, *ages])
-    apart_s = float(heard.std()) if len(heard) else 0.0
-    if apart_s > TOLD_S:
-        words.append(f"commands come {1e3 * heard.mean():.1f} ms before that, deviation {1e3 * apart_s:.1f} ms")
-    return Pairs(channel, tuple(found), "; ".join(words), apart_s)
+        for begin, end in _find_segments(part, record):
+            is_compared = record.is_fresh[begin:end] & np.isfinite(record.output[begin:end])
+            is_compared[: round(SAMPLES.warm_up_s / drive.dt_s)] = False
+            if is_compared.any():
+                command, output = record.command[begin:end], record.output[begin:end]
+                segments.append(ActuatorSamples(command, output, is_compared, drive.dt_s, record.filter_ticks))
+    all_ages = np.concatenate([NO_AGES, *ages])
+    age_std_s = float(all_ages.std()) if len(all_ages) else 0.0
+    if age_std_s > SAMPLES.min_age_std_s:
+        mean_ms, std_ms = 1e3 * all_ages.mean(), 1e3 * age_std_s
+        sources.append(f"commands come {mean_ms:.1f} ms before it, standard deviation {std_ms:.1f} ms")
+    return ChannelSamples(channel, tuple(segments), "; ".join(sources), age_std_s)
 
 
-def up_to_stops(training: Pairs, held_out: Pairs) -> tuple[Pairs, Pairs]:
-    """Both with commands that end where the channel does (stops.py), which all of them show together."""
-    every = (*training.some, *held_out.some)
-    low, high = stops_of(every)
+def clip_to_stops(training: ChannelSamples, held_out: ChannelSamples) -> tuple[ChannelSamples, ChannelSamples]:
+    """Both with commands clipped at the channel's stops, which are found from all segments together."""
+    segments = (*training.segments, *held_out.segments)
+    low, high = find_stops(segments)
     if math.isinf(low) and math.isinf(high):
         return training, held_out
-    ends = commands_at(every, low, high)
-    said = stop_words(every, *ends)
+    ends = commands_at_outputs(segments, low, high)
+    stops = describe_stops(segments, *ends)
 
-    def ended(pairs: Pairs) -> Pairs:
-        return pairs._replace(some=tuple(within(one, *ends) for one in pairs.some), words=f"{pairs.words}; {said}")
+    def clip(samples: ChannelSamples) -> ChannelSamples:
+        clipped = tuple(clip_commands(segment, *ends) for segment in samples.segments)
+        return samples._replace(segments=clipped, description=f"{samples.description}; {stops}")
 
-    return ended(training), ended(held_out)
+    return clip(training), clip(held_out)
 
 
-def _taken(drive: Drive, channel: str) -> tuple[Array, Array, Array, int, str] | None:
-    """(command, output, where it is fresh, window, words) of a whole drive, or None."""
-    name = CHANNELS[channel]
-    output, wire = drive.get(f"report.{name}"), drive.get(f"command.{name}")
-    echo = drive.get(f"report.{ECHOES[channel]}")
-    if output is not None and channel != "accel":
-        fresh = drive.fresh[f"report.{name}"]
-        if echo is not None:
-            told = drive.fresh[f"report.{ECHOES[channel]}"]
-            return by_echo(echo, told, wire, drive.dt_s), output, fresh, 0, _echo_words(wire)
-        if wire is not None:
-            moved = shifted(wire, BENCH_TICKS)
-            return moved, output, fresh, 0, f"no echo: commands moved by {BENCH_TICKS} ticks, as the bench delays them"
+def _read_channel(drive: Drive, channel: str) -> ChannelRecord | None:
+    """A channel over a whole drive; None where the drive lacks the command or the output."""
+    name, echo_name = f"report.{CHANNELS[channel]}", f"report.{ECHOES[channel]}"
+    output, wire = drive.get(name), drive.get(f"command.{CHANNELS[channel]}")
+    echo = drive.get(echo_name)
+    if output is None and channel != "accel":
         return None
     if echo is not None:
-        command = by_echo(echo, drive.fresh[f"report.{ECHOES[channel]}"], wire, drive.dt_s)
+        command = command_from_echo(echo, drive.fresh[echo_name], wire, drive.dt_s)
+        source = "command and output from the same report"
+        source += "" if wire is None else ", the command on the bus between two reports"
+    elif wire is not None:
+        command = shift_later(wire, BENCH_TICKS)
+        source = f"no echo: commands are delayed by {BENCH_TICKS} ticks, as on the bench"
     else:
-        command = None if wire is None else shifted(wire, BENCH_TICKS)
-    return None if command is None or channel != "accel" else _by_motion(drive, command)
-
-
-def _echo_words(wire: Array | None) -> str:
-    return "command and output of the same report" + ("" if wire is None else ", the wire's commands between two")
-
-
-def _by_motion(drive: Drive, command: Array) -> tuple[Array, Array, Array, int, str] | None:
-    """The rate of the car's speed as the output of an acceleration channel."""
-    from tunefree_hil.learn.drives.smoothing import rate_of, speed_of
-
-    found = speed_of(drive)
-    if found is None:
         return None
-    speed, fresh = found
-    window = max(round(RATE_WINDOW_S / drive.dt_s) | 1, 5)
-    return command, rate_of(speed, fresh, window, drive.dt_s), fresh, window, "from motion: the rate of the speed"
+    if channel == "accel":
+        return _record_from_speed(drive, command)
+    return None if output is None else ChannelRecord(command, output, drive.fresh[name], 0, source)
 
 
-def by_echo(echo: Array, fresh: Array, wire: Array | None, dt_s: float) -> Array:
-    """The command of every tick: the echo where a report is fresh; between two the wire's, if it agrees with both.
+def _record_from_speed(drive: Drive, command: Array) -> ChannelRecord | None:
+    """With the rate of the car's speed as the output of an acceleration channel."""
+    selected = select_speed(drive)
+    if selected is None:
+        return None
+    speed, fresh = selected
+    window = max(round(SAMPLES.rate_window_s / drive.dt_s) | 1, 5)
+    rate = estimate_rate(speed, fresh, window, drive.dt_s)
+    return ChannelRecord(command, rate, fresh, window, "from the motion: the rate of the speed")
 
-    Where it does not (a ramp or a limit of the by-wire unit, a foot on the pedal) a straight line between the echoes.
+
+def command_from_echo(echo: Array, fresh: Array, wire: Array | None, dt_s: float) -> Array:
+    """The command of every tick: the echo in a fresh report, and between two reports the command on the bus.
+
+    The command on the bus is used where it agrees with both echoes. It does not where the by-wire unit ramps or limits
+    it, or where the driver presses a pedal; a straight line between the echoes takes its place.
+
+    Args:
+        echo, fresh: shape (n_rows,).
+        wire: the command on the bus in the tick in which it was sent, shape (n_rows,).
+        dt_s: length of a tick.
     """
     ticks = np.flatnonzero(fresh & np.isfinite(echo))
     if len(ticks) < 2 or len(ticks) == ticks[-1] - ticks[0] + 1:
         return echo.copy()
     command = np.where(np.isfinite(echo), np.interp(np.arange(len(echo)), ticks, echo[ticks]), np.nan)
-    shift = None if wire is None else shift_of(echo, wire, ticks, round(LONGEST_SHIFT_S / dt_s))
+    max_shift = round(SAMPLES.max_echo_delay_s / dt_s)
+    shift = None if wire is None else find_wire_shift(echo, wire, ticks, max_shift)
     if wire is None or shift is None:
         return command
-    moved = shifted(wire, shift)
-    agrees = np.abs(moved[ticks] - echo[ticks]) <= tolerance(echo[ticks])
-    place = np.clip(np.searchsorted(ticks, np.arange(len(echo)), side="right") - 1, 0, len(ticks) - 2)
-    use = agrees[place] & agrees[place + 1] & np.isfinite(moved) & np.isfinite(command)
-    use[ticks] = False
-    command[use] = moved[use]
+    shifted = shift_later(wire, shift)
+    agrees = np.abs(shifted[ticks] - echo[ticks]) <= rounding_tolerance(echo[ticks])
+    report = np.clip(np.searchsorted(ticks, np.arange(len(echo)), side="right") - 1, 0, len(ticks) - 2)
+    is_used = agrees[report] & agrees[report + 1] & np.isfinite(shifted) & np.isfinite(command)
+    is_used[ticks] = False
+    command[is_used] = shifted[is_used]
     return command
 
 
-def shift_of(echo: Array, wire: Array, ticks: Array, longest: int) -> int | None:
-    """By how many rows the wire must be moved to agree with the echo before and after each change; None if it cannot.
+def find_wire_shift(echo: Array, wire: Array, ticks: Array, max_shift: int) -> int | None:
+    """The delay in rows at which the command on the bus agrees with the echo before and after each change.
 
-    Where several shifts do (every change in the same half of a report's period), the one nearest to the bench's own.
+    Where several do (every change falls in the same half of a report's period), the one nearest to the bench's own.
+
+    Args:
+        echo, wire: shape (n_rows,).
+        ticks: rows of fresh echoes.
+        max_shift: the longest delay to try.
+
+    Returns:
+        None where no delay makes them agree.
     """
-    slack = tolerance(echo[ticks])
-    place = np.flatnonzero(np.abs(np.diff(echo[ticks])) > slack)
-    place = place[ticks[place] >= longest]
-    if not len(place):
+    tolerance = rounding_tolerance(echo[ticks])
+    changes = np.flatnonzero(np.abs(np.diff(echo[ticks])) > tolerance)
+    changes = changes[ticks[changes] >= max_shift]
+    if not len(changes):
         return BENCH_TICKS
-    both = np.concatenate([ticks[place], ticks[place + 1]])
-    shares = [float(np.mean(np.abs(wire[both - shift] - echo[both]) <= slack)) for shift in range(longest + 1)]
-    best = min(range(longest + 1), key=lambda shift: (-round(shares[shift], 3), abs(shift - BENCH_TICKS)))
-    return best if shares[best] >= AGREEING_SHARE else None
+    rows = np.concatenate([ticks[changes], ticks[changes + 1]])
+    shares = [float(np.mean(np.abs(wire[rows - shift] - echo[rows]) <= tolerance)) for shift in range(max_shift + 1)]
+    best = min(range(max_shift + 1), key=lambda shift: (-round(shares[shift], 3), abs(shift - BENCH_TICKS)))
+    return best if shares[best] >= SAMPLES.min_agreeing_share else None
 
 
-def tolerance(values: Array) -> float:
-    """What two roundings of one number may differ by: one and a half steps of the wire."""
-    from tunefree_hil.learn.drives.smoothing import quantum_of
-
-    return 1.5 * quantum_of(values) + 1e-9
+def rounding_tolerance(values: Array) -> float:
+    """By how much two roundings of one number may differ: one and a half quantisation steps."""
+    return 1.5 * estimate_quantum(values) + 1e-9
 
 
-def shifted(values: Array, rows: int) -> Array:
-    """The same signal `rows` rows later."""
-    moved = np.full_like(values, np.nan)
-    moved[rows:] = values[: len(values) - rows]
-    return moved
+def shift_later(values: Array, rows: int) -> Array:
+    """The same signal `rows` rows later; NaN at its beginning."""
+    shifted = np.full_like(values, np.nan)
+    shifted[rows:] = values[: len(values) - rows]
+    return shifted
 
 
-def stretches(drive: Drive, part: Part, command: Array, output: Array, fresh: Array) -> list[tuple[int, int]]:
-    """Rows [begin, end) of a part in which the channel obeys and nothing is silent for long."""
-    good = np.isfinite(command) & np.isfinite(output) & drive.enabled
-    silence = round(LONGEST_SILENCE_S / drive.dt_s)
-    heard = np.flatnonzero(fresh)
-    last = np.searchsorted(heard, np.arange(len(fresh)), side="right") - 1
-    age = np.where(last >= 0, np.arange(len(fresh)) - heard[np.maximum(last, 0)] if len(heard) else 0, silence + 1)
-    good &= age <= silence
-    return runs(good[part.begin : part.end], round(LEAST_S / drive.dt_s), part.begin)
+def _find_segments(part: DrivePart, record: ChannelRecord) -> list[tuple[int, int]]:
+    """Rows [begin, end) of a part in which by-wire control is enabled and the output is reported without a silence."""
+    drive = part.drive
+    is_good = np.isfinite(record.command) & np.isfinite(record.output) & drive.enabled
+    max_age = round(SAMPLES.max_silence_s / drive.dt_s)
+    reports, rows = np.flatnonzero(record.is_fresh), np.arange(len(record.is_fresh))
+    last = np.searchsorted(reports, rows, side="right") - 1
+    age = np.where(last >= 0, rows - reports[np.maximum(last, 0)] if len(reports) else 0, max_age + 1)
+    is_good &= age <= max_age
+    return find_runs(is_good[part.begin : part.end], round(SAMPLES.min_segment_s / drive.dt_s), part.begin)
 
 
 def has_channel(drives: Sequence[Drive], channel: str) -> bool:
-    """Whether any log has a command (or its echo) of this channel."""
+    """Whether any log has a command of this channel, or its echo."""
     names = (f"command.{CHANNELS[channel]}", f"report.{ECHOES[channel]}")
     return any(drive.get(name) is not None for drive in drives for name in names)
 
 
-HELD_S = 0.3  # for which the output stands still while its command asks for more: longer than lags of such channels
-EVEN = 0.01  # of what the outputs span: what stands still moves by no more, and all its stands are at one level
-BEYOND = 0.05  # of it: so much further goes the command, and so much do the commands differ that all end there
-REST_S, LEAST_RESTS, LEAST_RANGE = 2.0 * HELD_S, 20, 0.2  # longer than dead times; rows; of the span, of commands
-LEAST_HELD_S, LEAST_RUNS = 0.5, 2  # beyond HELD_S, altogether
-
-
-def stops_of(pairs: Sequence[Pair]) -> tuple[float, float]:
-    """(lowest, highest) output that a channel reaches, in its unit; without end where no stop shows itself."""
-    outputs = [pair.output[pair.counts] for pair in pairs]
-    span = float(np.ptp(np.concatenate(outputs))) if outputs else 0.0
+def find_stops(segments: Sequence[ActuatorSamples]) -> tuple[float, float]:
+    """(lowest, highest) output that the channel reaches, in its unit; infinite where the samples show no stop."""
+    span = _output_span(segments)
     if not span > 0.0:
         return -math.inf, math.inf
-    return -_highest(pairs, -1.0, span), _highest(pairs, 1.0, span)
+    return -_find_upper_stop(segments, -1.0, span), _find_upper_stop(segments, 1.0, span)
 
 
-def within(pair: Pair, low: float, high: float) -> Pair:
-    """A stretch whose commands end at these."""
-    return pair._replace(command=np.clip(pair.command, low, high))
+def _output_span(segments: Sequence[ActuatorSamples]) -> float:
+    outputs = [segment.output[segment.is_compared] for segment in segments]
+    return float(np.ptp(np.concatenate(outputs))) if outputs else 0.0
 
 
-def commands_at(pairs: Sequence[Pair], low: float, high: float) -> tuple[float, float]:
-    """The commands that reach these outputs, by the gain and offset of a channel where it is at rest: (low, high)."""
-    gain, offset = _at_rest(pairs, low, high)
+def clip_commands(segment: ActuatorSamples, low: float, high: float) -> ActuatorSamples:
+    """The segment with its commands clipped."""
+    return segment._replace(command=np.clip(segment.command, low, high))
+
+
+def commands_at_outputs(segments: Sequence[ActuatorSamples], low: float, high: float) -> tuple[float, float]:
+    """The commands (low, high) that reach these outputs, by the channel's gain and offset at rest."""
+    gain, offset = _fit_gain_at_rest(segments, low, high)
     return (low - offset) / gain, (high - offset) / gain
 
 
-def _at_rest(pairs: Sequence[Pair], low: float, high: float) -> tuple[float, float]:
-    """(gain, offset) of outputs that have come to rest, short of these stops, under commands that stand; (1, 0) where
-    hardly any do or all at one level.
-    """
-    outputs = [pair.output[pair.counts] for pair in pairs]
-    span = float(np.ptp(np.concatenate(outputs)))
-    found = list[Array]()
-    for pair in pairs:
-        rows, count, _ = _rows_of(pair, REST_S)
-        if count > len(rows):
+def _fit_gain_at_rest(segments: Sequence[ActuatorSamples], low: float, high: float) -> tuple[float, float]:
+    """(gain, offset) of outputs that rest between these stops under a constant command; (1, 0) where too few do."""
+    span = _output_span(segments)
+    steady = list[Array]()
+    for segment in segments:
+        windows = _compared_windows(segment, STOPS.min_steady_s)
+        if windows.length > len(windows.rows):
             continue
-        output, asked = (sliding_window_view(one[rows], count) for one in (pair.output, pair.command))
-        output = output[:, -max(count // 3, 2) :]  # what it has come to in the end
-        level = output.mean(axis=1)
-        rests = (np.ptp(output, axis=1) <= EVEN * span) & (np.ptp(asked, axis=1) <= EVEN * span)
-        rests &= (level > low + BEYOND * span) & (level < high - BEYOND * span)
-        found.append(np.stack([asked.mean(axis=1)[rests], level[rests]]))
-    command, output = np.concatenate(found, axis=1) if found else np.zeros((2, 0))
-    if len(command) < LEAST_RESTS or float(np.ptp(command)) < LEAST_RANGE * span:
+        output = sliding_window_view(segment.output[windows.rows], windows.length)
+        command = sliding_window_view(segment.command[windows.rows], windows.length)
+        output = output[:, -max(windows.length // 3, 2) :]  # at the end of the window, once it has settled
+        level, ripple = output.mean(axis=1), STOPS.max_ripple_share * span
+        is_steady = (np.ptp(output, axis=1) <= ripple) & (np.ptp(command, axis=1) <= ripple)
+        margin = STOPS.min_excess_share * span
+        is_steady &= (level > low + margin) & (level < high - margin)
+        steady.append(np.stack([command.mean(axis=1)[is_steady], level[is_steady]]))
+    commands, outputs = np.concatenate(steady, axis=1) if steady else np.zeros((2, 0))
+    if len(commands) < STOPS.min_steady_rows or float(np.ptp(commands)) < STOPS.min_steady_range_share * span:
         return 1.0, 0.0
-    gain, offset = (float(one) for one in np.polyfit(command, output, 1))
+    gain, offset = (float(coefficient) for coefficient in np.polyfit(commands, outputs, 1))
     return (gain, offset) if gain > 0.0 else (1.0, 0.0)
 
 
-def stop_words(pairs: Sequence[Pair], low: float, high: float) -> str:
-    """Where a channel stops, for people; '' where it does not. low, high: the commands that reach it."""
+def describe_stops(segments: Sequence[ActuatorSamples], low: float, high: float) -> str:
+    """A text on the commands (low, high) at which the channel stops, '' where it does not."""
     ends = " and ".join(f"{end:.4g}" for end in (low, high) if math.isfinite(end))
     if not ends:
         return ""
-    command = np.concatenate([pair.command[pair.counts] for pair in pairs])
+    command = np.concatenate([segment.command[segment.is_compared] for segment in segments])
     share = float(np.mean((command < low) | (command > high)))
-    return f"it stops at a command of {ends}, which {share:.1%} of its commands pass"
+    return f"it stops at a command of {ends}, which {share:.1%} of its commands exceed"
 
 
-def _rows_of(pair: Pair, wide_s: float) -> tuple[Array, int, float]:
-    """(rows that count, how many of them such a time holds: more than there are where nobody can tell, s from one to
-    the next).
-    """
-    rows = np.flatnonzero(pair.counts)
-    every_s = pair.dt_s * float(np.median(np.diff(rows))) if len(rows) > 1 else math.inf
-    return rows, max(round(wide_s / every_s), 2) if math.isfinite(every_s) else len(rows) + 1, every_s
+class _ComparedWindows(NamedTuple):
+    """The compared rows, how many of them a window holds (more than there are where unknown), their interval in s."""
+
+    rows: Array
+    length: int
+    interval_s: float
 
 
-def _highest(pairs: Sequence[Pair], sign: float, span: float) -> float:
-    """The highest of sign times the output, as far as that is a stop; else without end."""
-    top = max(float((sign * pair.output[pair.counts]).max()) for pair in pairs)
-    levels, commands, held_s, runs = list[Array](), list[Array](), 0.0, 0
-    for pair in pairs:
-        rows, count, every_s = _rows_of(pair, HELD_S)
-        if count > len(rows):
+def _compared_windows(segment: ActuatorSamples, window_s: float) -> _ComparedWindows:
+    rows = np.flatnonzero(segment.is_compared)
+    interval_s = segment.dt_s * float(np.median(np.diff(rows))) if len(rows) > 1 else math.inf
+    length = max(round(window_s / interval_s), 2) if math.isfinite(interval_s) else len(rows) + 1
+    return _ComparedWindows(rows, length, interval_s)
+
+
+def _find_upper_stop(segments: Sequence[ActuatorSamples], sign: float, span: float) -> float:
+    """The upper stop of `sign` times the output, infinite without one."""
+    highest = max(float((sign * segment.output[segment.is_compared]).max()) for segment in segments)
+    levels, commands, rest_s, n_stops = list[Array](), list[Array](), 0.0, 0
+    ripple, excess = STOPS.max_ripple_share * span, STOPS.min_excess_share * span
+    for segment in segments:
+        windows = _compared_windows(segment, STOPS.min_rest_s)
+        if windows.length > len(windows.rows):
             continue
-        outputs, asked = (sliding_window_view(sign * one[rows], count) for one in (pair.output, pair.command))
-        level, least = outputs.mean(axis=1), asked.min(axis=1)
-        stands = (np.ptp(outputs, axis=1) <= EVEN * span) & (level >= top - EVEN * span)
-        stands &= least >= level + BEYOND * span
-        levels.append(level[stands])
-        commands.append(least[stands])
-        held_s += float(stands.sum()) * every_s
-        runs += int(np.sum(np.diff(np.flatnonzero(stands), prepend=-count) >= count))
-    if held_s < LEAST_HELD_S or runs < LEAST_RUNS:
+        output = sliding_window_view(sign * segment.output[windows.rows], windows.length)
+        command = sliding_window_view(sign * segment.command[windows.rows], windows.length)
+        level, min_command = output.mean(axis=1), command.min(axis=1)
+        is_stopped = (np.ptp(output, axis=1) <= ripple) & (level >= highest - ripple)
+        is_stopped &= min_command >= level + excess
+        levels.append(level[is_stopped])
+        commands.append(min_command[is_stopped])
+        rest_s += float(is_stopped.sum()) * windows.interval_s
+        stopped_rows = np.flatnonzero(is_stopped)
+        n_stops += int(np.sum(np.diff(stopped_rows, prepend=-windows.length) >= windows.length))
+    if rest_s < STOPS.min_total_rest_s or n_stops < STOPS.min_stops:
         return math.inf
-    if float(np.ptp(np.concatenate(commands))) < BEYOND * span:
+    if float(np.ptp(np.concatenate(commands))) < excess:
         return math.inf
     return float(np.median(np.concatenate(levels)))
 
 
-def channel_of(drive: Drive, name: str, rest: float) -> tuple[Array, Array, Array]:
-    """(command, recorded output, obeyed) of a channel over a whole drive, as they act."""
-    asked, said = drive.get(f"command.{CHANNELS[name]}"), drive.get(f"report.{CHANNELS[name]}")
-    echo = drive.get(f"report.{ECHOES[name]}")
-    none = np.full(drive.ticks, np.nan)
-    output = none if said is None else between_fresh(said, drive.fresh[f"report.{CHANNELS[name]}"])
-    if asked is None and said is None:  # a vehicle without this pedal
-        return np.full(drive.ticks, rest), none, np.ones(drive.ticks, dtype=bool)
+def read_actuation(drive: Drive, channel: str, rest: float) -> ChannelActuation:
+    """Command and recorded output of a channel over a whole drive, at the ticks in which they act.
+
+    A vehicle without the channel has its command at `rest` throughout.
+    """
+    name, echo_name = f"report.{CHANNELS[channel]}", f"report.{ECHOES[channel]}"
+    wire, reported, echo = drive.get(f"command.{CHANNELS[channel]}"), drive.get(name), drive.get(echo_name)
+    missing = np.full(drive.n_rows, np.nan)
+    output = missing if reported is None else interpolate_fresh(reported, drive.fresh[name])
+    if wire is None and reported is None:
+        return ChannelActuation(np.full(drive.n_rows, rest), missing, np.ones(drive.n_rows, dtype=bool))
     if echo is not None:
-        command = by_echo(echo, drive.fresh[f"report.{ECHOES[name]}"], asked, drive.dt_s)
-        # a person at the wheel moves the output, and the echo of what is commanded may stay at rest
-        return command, output, np.isfinite(command) & (drive.enabled | ~np.isfinite(output))
-    if asked is None:
-        return none, output, np.zeros(drive.ticks, dtype=bool)
-    command = shifted(asked, BENCH_TICKS)
-    return command, output, np.isfinite(command) & drive.enabled
+        command = command_from_echo(echo, drive.fresh[echo_name], wire, drive.dt_s)
+        # a driver at the wheel moves the output, while the echo of the command may stay at rest
+        return ChannelActuation(command, output, np.isfinite(command) & (drive.enabled | ~np.isfinite(output)))
+    if wire is None:
+        return ChannelActuation(missing, output, np.zeros(drive.n_rows, dtype=bool))
+    command = shift_later(wire, BENCH_TICKS)
+    return ChannelActuation(command, output, np.isfinite(command) & drive.enabled)
 
 
-def accel_asked(drive: Drive) -> Array | None:
-    """The acceleration that acts in each tick as it was asked for, of a car that is driven so and shows no pedals."""
-    asked, echo = drive.get("command.accel_mps2"), drive.get(f"report.{ECHOES['accel']}")
+def read_accel_command(drive: Drive) -> Array | None:
+    """The commanded acceleration at the ticks in which it acts; None for a car whose log shows pedals."""
+    wire, echo = drive.get("command.accel_mps2"), drive.get(f"report.{ECHOES['accel']}")
     if any(drive.get(f"{group}.throttle_frac") is not None for group in ("command", "report")):
         return None
     if echo is not None:
-        return by_echo(echo, drive.fresh[f"report.{ECHOES['accel']}"], asked, drive.dt_s)
-    return None if asked is None else shifted(asked, BENCH_TICKS)
+        return command_from_echo(echo, drive.fresh[f"report.{ECHOES['accel']}"], wire, drive.dt_s)
+    return None if wire is None else shift_later(wire, BENCH_TICKS)
 
 
-def asked_pedals(asked: Array, enabled: Array, rest: float) -> list[tuple[Array, Array, Array]]:
-    """Throttle and brake as `channel_of` has them, of a car that is asked for an acceleration."""
-    none, obeyed = np.full(len(asked), np.nan), np.isfinite(asked) & enabled
-    throttle, brake = np.maximum(asked, 0.0), np.maximum(-asked, 0.0)
-    return [(rest + pedal / FULL_MPS2, none, obeyed) for pedal in (throttle, brake)]
+def pedals_from_accel_command(accel_command: Array, enabled: Array, rest: float) -> list[ChannelActuation]:
+    """Throttle and brake, as of read_actuation, of a car whose acceleration is commanded."""
+    missing, follows_command = np.full(len(accel_command), np.nan), np.isfinite(accel_command) & enabled
+    throttle, brake = np.maximum(accel_command, 0.0), np.maximum(-accel_command, 0.0)
+    return [ChannelActuation(rest + pedal / FULL_MPS2, missing, follows_command) for pedal in (throttle, brake)]

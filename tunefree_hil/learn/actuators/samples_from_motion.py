@@ -1,19 +1,16 @@
-"""Pairs of a channel that reports no output: what the car's motion says the output must have been.
+"""Samples of a channel whose output is not reported: the car's motion shows what the output must have been.
 
-Two laws of the plainest kind, fitted on the training parts with the command at the shift that leaves the least:
+Two simple laws are fitted to the training parts, with the command at the delay that leaves the smallest residual:
 
-    pedals     rate of speed = c0 + c1 v + c2 v^2 + g(command), g straight between KNOTS places in the commands; where
-               the other pedal is at rest, and has been for CALM_S. The pair is g(command) against what of the rate of
-               speed is not drag, both in m/s2.
+    pedals     rate of speed = c0 + c1 v + c2 v^2 + g(command), with g piecewise linear in the command, where the other
+               pedal has been released for some time. The samples are g(command) and the rate of speed without the
+               first three terms, both in m/s2.
     steer      road wheel angle by rolling = atan(wheelbase * yaw rate / v) = c0 + command / ratio.
-               The pair is the command against ratio * (the angle - c0), both in rad.
+               The samples are the command and ratio * (angle - c0), both in rad.
 
-Gain, offset and dead band of such a channel belong to the plant; dead time and lag are what it is there for. They hold
-the car's own answer too, so their intervals are wider than those of a reported output (learn/actuators/identify.py).
-
-Constants of the plant as the plain laws of learn/actuators/samples_from_motion.py suggest them: where a fit may begin.
-
-For a car whose folder states little and whose channels report nothing, and which may be a tenth of a road car's size.
+Gain, offset and dead band of such a channel belong to the plant; the samples give its dead time and lag. These include
+the car's own response, so their intervals are wider than those of a reported output (learn/actuators/identify.py).
+The laws also suggest constants of the plant, where a fit may start for a car whose folder states little.
 """
 
 from __future__ import annotations
@@ -27,234 +24,277 @@ import numpy as np
 
 from tunefree_hil.base.units import AIR_DENSITY_KGPM3, G_MPS2
 from tunefree_hil.config.schema import VehicleSpec
-from tunefree_hil.learn.actuators.model import smooth_rate
-from tunefree_hil.learn.actuators.samples import BENCH_TICKS, CHANNELS, RATE_WINDOW_S, WARM_S, Pair, Pairs, shifted
-from tunefree_hil.learn.drives.drive import INS_FIRST_YAW_RATES, Array, Drive, Part, first_told
-from tunefree_hil.learn.drives.runs import runs
-from tunefree_hil.learn.drives.smoothing import between_fresh, rate_of, speed_of, yaw_by_wheels
+from tunefree_hil.learn.actuators.model import filter_rate
+from tunefree_hil.learn.actuators.samples import (
+    BENCH_TICKS,
+    CHANNELS,
+    SAMPLES,
+    ActuatorSamples,
+    ChannelSamples,
+    shift_later,
+)
+from tunefree_hil.learn.drives.drive import INS_FIRST_YAW_RATES, Array, Drive, DrivePart, first_valid_field
+from tunefree_hil.learn.drives.runs import find_runs
+from tunefree_hil.learn.drives.smoothing import (
+    estimate_rate,
+    interpolate_fresh,
+    select_speed,
+    yaw_rate_from_wheels,
+)
 
 OTHER_PEDAL = {"throttle": "brake", "brake": "throttle"}
-SEEN_BY_MOTION = (*OTHER_PEDAL, "steer")
-AT_REST_FRAC, CALM_S = 0.01, 1.0
-KNOTS = 5
-LONGEST_SHIFT_S = 0.6
-STEADY_MPS2 = 0.2  # less counts as a speed that is held
-LEAST_ROWS = 500  # of moving car, for a law
-SLOW_SHARE = 0.1  # of the fastest 1 %: below it friction and a wheel that hardly turns say nothing
-LEAST_S = 3.0
-WORDS = "from motion: no output is reported"
+MOTION_CHANNELS = (*OTHER_PEDAL, "steer")
+MOTION_DESCRIPTION = "from the motion: no output is reported"
 
 
-class Law(NamedTuple):
-    """channel; coefficients; knots of the commands (pedals); the shift, in ticks, at which it was fitted.
+class MotionLawCriteria(NamedTuple):
+    """Settings of the laws; every value is an engineering choice."""
 
-    ratio: steering wheel (or whatever the command turns) per road wheel, 0 for a pedal. explained: share of the
-    variance of what is to be explained. slow_mps, top_mps: a tenth of the fastest driven, and that.
-    held: of the commands that held a speed the least but for a twentieth, the middle one, and the middle speed; or 0.
-    """
+    max_released_frac: float = 0.01  # above rest, up to which a pedal counts as released
+    min_released_s: float = 1.0  # for which the other pedal has been released
+    knots: int = 5  # of g
+    max_delay_s: float = 0.6  # of the command
+    delays: int = 20  # to try
+    max_steady_accel_mps2: float = 0.2  # at which the speed counts as held
+    min_rows: int = 500  # of a moving car
+    min_steady_rows: int = 100  # at a held speed
+    min_speed_share: float = 0.1  # of the top speed; below it friction and small angles dominate
+    top_speed_quantile: float = 0.99
+    min_divisor_mps: float = 0.05  # least speed that the yaw rate is divided by
+    min_segment_s: float = 3.0
+    min_inverse_ratio: float = 1e-6  # less has the wrong sign or no effect
+
+
+class SuggestionCriteria(NamedTuple):
+    """How constants of the plant follow from the laws; every value is an engineering choice."""
+
+    min_explained_share: float = 0.3  # of the variance of the rate of speed; a weaker law suggests nothing
+    drive_knee_frac: float = 0.5
+    zero_of_held_command: float = 0.8  # of the least command that held a speed, for the throttle's zero at most
+    zero_of_pull_away: float = 0.7  # of the way from the least command to the one that overcomes rolling resistance
+    fast_share: float = 0.7  # of the top speed, at which drag is taken
+    rolling_mps2: tuple[float, float] = (0.02, 3.0)  # bounds
+    min_drag_mps2: float = 0.02
+    force_ratio: float = 1.5  # of the drive force to the largest one that the law shows
+    power_ratio: float = 2.0  # of the drive power to force times top speed
+
+
+LAW = MotionLawCriteria()
+SUGGESTION = SuggestionCriteria()
+
+
+class HeldSpeed(NamedTuple):
+    """Throttle commands that held a speed, and that speed; all 0 where the law shows none."""
+
+    low_command: float = 0.0  # 5 % quantile
+    median_command: float = 0.0
+    median_speed_mps: float = 0.0
+
+
+class MotionLaw(NamedTuple):
+    """A fitted law of one channel."""
 
     channel: str
-    coefficients: Array
-    knots: Array
-    shift: int
-    ratio: float
-    explained: float
-    slow_mps: float
+    coefficients: Array  # c0, c1, c2 and the slopes of g (pedals), or c0 and 1 / ratio (steer)
+    knots: Array  # commands between which g is linear
+    command_delay_ticks: int
+    steer_ratio: float  # command per road wheel angle, 0 for a pedal
+    explained_share: float  # of the variance of what is explained
+    slow_mps: float  # slower rows are not used
     top_mps: float
-    held: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    held_speed: HeldSpeed = HeldSpeed()
 
 
-class _Signals(NamedTuple):
-    """Of a part, a value a tick: command as sent, speed, what is to be explained (through the filter), usable rows."""
+class _MotionSignals(NamedTuple):
+    """Signals of a part, each of shape (n_rows,)."""
 
-    command: Array
+    command: Array  # as sent
     speed: Array
-    effect: Array
-    fresh: Array
-    good: Array
+    effect: Array  # what the law explains, through the rate filter
+    is_fresh: Array
+    is_usable: Array
     dt_s: float
-    window: int
+    window: int  # ticks of the rate filter
 
 
-def law_of(parts: Sequence[Part], channel: str, vehicle: VehicleSpec) -> Law | None:
-    """The law of a channel that no report speaks of; None where the logs do not have what it takes."""
-    if channel not in SEEN_BY_MOTION or not parts:
+def fit_motion_law(parts: Sequence[DrivePart], channel: str, vehicle: VehicleSpec) -> MotionLaw | None:
+    """The law of a channel without a reported output; None where the logs do not show one."""
+    if channel not in MOTION_CHANNELS or not parts:
         return None
-    some = [one for one in (_signals(part, channel, vehicle) for part in parts) if one is not None]
-    if sum(int(one.good.sum()) for one in some) < LEAST_ROWS:
+    pieces = [piece for part in parts if (piece := _read_signals(part, channel, vehicle)) is not None]
+    if sum(int(piece.is_usable.sum()) for piece in pieces) < LAW.min_rows:
         return None
-    top_mps = float(np.quantile(np.concatenate([one.speed[one.good] for one in some]), 0.99))
-    slow_mps = SLOW_SHARE * top_mps
-    some = [one._replace(good=one.good & (one.speed > slow_mps)) for one in some]
-    commands = np.concatenate([one.command[one.good] for one in some])
-    if len(commands) < LEAST_ROWS or float(np.ptp(commands)) <= 0.0:
+    speeds = np.concatenate([piece.speed[piece.is_usable] for piece in pieces])
+    top_mps = float(np.quantile(speeds, LAW.top_speed_quantile))
+    slow_mps = LAW.min_speed_share * top_mps
+    pieces = [piece._replace(is_usable=piece.is_usable & (piece.speed > slow_mps)) for piece in pieces]
+    commands = np.concatenate([piece.command[piece.is_usable] for piece in pieces])
+    if len(commands) < LAW.min_rows or float(np.ptp(commands)) <= 0.0:
         return None
-    knots = np.zeros(0) if channel == "steer" else _knots(commands)
-    longest = round(LONGEST_SHIFT_S / some[0].dt_s)
-    found = [_fitted(some, channel, knots, shift, top_mps) for shift in range(0, longest + 1, max(longest // 20, 1))]
-    best = max((one for one in found if one is not None), key=lambda one: one.explained, default=None)
-    return best if best is None or channel != "throttle" else best._replace(held=_held(some))
+    knots = np.zeros(0) if channel == "steer" else _place_knots(commands)
+    start = MotionLaw(channel, np.zeros(0), knots, 0, 0.0, 0.0, slow_mps, top_mps)
+    max_delay = round(LAW.max_delay_s / pieces[0].dt_s)
+    delays = range(0, max_delay + 1, max(max_delay // LAW.delays, 1))
+    laws = [_fit_at_delay(pieces, start._replace(command_delay_ticks=delay)) for delay in delays]
+    best = max((law for law in laws if law is not None), key=lambda law: law.explained_share, default=None)
+    return best if best is None or channel != "throttle" else best._replace(held_speed=_find_held_speed(pieces))
 
 
-def _held(some: Sequence[_Signals]) -> tuple[float, float, float]:
-    """See Law.held."""
-    rows = [one.good & (np.abs(one.effect) < STEADY_MPS2) for one in some]
-    commands = np.concatenate([one.command[row] for one, row in zip(some, rows, strict=True)])
-    speeds = np.concatenate([one.speed[row] for one, row in zip(some, rows, strict=True)])
-    if len(commands) < LEAST_ROWS // 5:
-        return 0.0, 0.0, 0.0
-    return float(np.quantile(commands, 0.05)), float(np.median(commands)), float(np.median(speeds))
+def _find_held_speed(pieces: Sequence[_MotionSignals]) -> HeldSpeed:
+    rows = [piece.is_usable & (np.abs(piece.effect) < LAW.max_steady_accel_mps2) for piece in pieces]
+    commands = np.concatenate([piece.command[steady] for piece, steady in zip(pieces, rows, strict=True)])
+    speeds = np.concatenate([piece.speed[steady] for piece, steady in zip(pieces, rows, strict=True)])
+    if len(commands) < LAW.min_steady_rows:
+        return HeldSpeed()
+    return HeldSpeed(float(np.quantile(commands, 0.05)), float(np.median(commands)), float(np.median(speeds)))
 
 
-def pairs_by_motion(parts: Sequence[Part], law: Law, vehicle: VehicleSpec) -> Pairs:
-    """Stretches of command and output by a law, on the time of the commands as sent and BENCH_TICKS later."""
-    found: list[Pair] = []
+def samples_from_motion(parts: Sequence[DrivePart], law: MotionLaw, vehicle: VehicleSpec) -> ChannelSamples:
+    """Commands and outputs by a law; commands are delayed by BENCH_TICKS, as on the bench."""
+    segments: list[ActuatorSamples] = []
     for part in parts:
-        one = _signals(part, law.channel, vehicle)
-        if one is None:
+        signals = _read_signals(part, law.channel, vehicle)
+        if signals is None:
             continue
-        command, output = _pair(law, one)
-        good = one.good & np.isfinite(command) & np.isfinite(output)
-        for begin, end in runs(good, round(LEAST_S / one.dt_s)):
-            counts = one.fresh[begin:end] & (one.speed[begin:end] > law.slow_mps)
-            counts[: round(WARM_S / one.dt_s)] = False
-            if counts.any():
-                found.append(Pair(command[begin:end], output[begin:end], counts, one.dt_s, one.window))
-    return Pairs(law.channel, tuple(found), WORDS)
+        command, output = _command_and_output(law, signals)
+        is_good = signals.is_usable & np.isfinite(command) & np.isfinite(output)
+        for begin, end in find_runs(is_good, round(LAW.min_segment_s / signals.dt_s)):
+            is_compared = signals.is_fresh[begin:end] & (signals.speed[begin:end] > law.slow_mps)
+            is_compared[: round(SAMPLES.warm_up_s / signals.dt_s)] = False
+            if is_compared.any():
+                columns = command[begin:end], output[begin:end], is_compared
+                segments.append(ActuatorSamples(*columns, signals.dt_s, signals.window))
+    return ChannelSamples(law.channel, tuple(segments), MOTION_DESCRIPTION)
 
 
-def _signals(part: Part, channel: str, vehicle: VehicleSpec) -> _Signals | None:
-    drive, cut = part.drive, slice(part.begin, part.end)
-    asked, speed = drive.get(f"command.{CHANNELS[channel]}"), speed_of(drive)
-    if asked is None or speed is None or not np.isfinite(asked).any():
+def _read_signals(part: DrivePart, channel: str, vehicle: VehicleSpec) -> _MotionSignals | None:
+    drive, span = part.drive, slice(part.begin, part.end)
+    command, selected = drive.get(f"command.{CHANNELS[channel]}"), select_speed(drive)
+    if command is None or selected is None or not np.isfinite(command).any():
         return None
-    even, window = between_fresh(*speed), max(round(RATE_WINDOW_S / drive.dt_s) | 1, 5)
-    good = np.isfinite(asked) & np.isfinite(even) & drive.enabled
+    speed, window = interpolate_fresh(*selected), max(round(SAMPLES.rate_window_s / drive.dt_s) | 1, 5)
+    is_usable = np.isfinite(command) & np.isfinite(speed) & drive.enabled
     if channel in OTHER_PEDAL:
-        effect, fresh = rate_of(*speed, window, drive.dt_s), speed[1]
-        good &= _at_rest(drive, OTHER_PEDAL[channel], vehicle.nominal.rest_pedal_frac)
+        effect, fresh = estimate_rate(*selected, window, drive.dt_s), selected[1]
+        is_usable &= _is_released(drive, OTHER_PEDAL[channel], vehicle.nominal.rest_pedal_frac)
     else:
-        seen = _yaw_rate(drive, vehicle)
-        if seen is None or not vehicle.nominal.wheelbase_m:
+        measured = _select_yaw_rate(drive, vehicle)
+        if measured is None or not vehicle.nominal.wheelbase_m:
             return None
-        yaw, fresh = between_fresh(*seen), seen[1]
-        angle = np.arctan(vehicle.nominal.wheelbase_m * yaw / np.maximum(even, 0.05))
-        effect = smooth_rate(angle, window, drive.dt_s)
-    good &= np.isfinite(effect)
-    return _Signals(asked[cut], even[cut], effect[cut], fresh[cut], good[cut], drive.dt_s, window)
+        yaw_rate, fresh = interpolate_fresh(*measured), measured[1]
+        angle = np.arctan(vehicle.nominal.wheelbase_m * yaw_rate / np.maximum(speed, LAW.min_divisor_mps))
+        effect = filter_rate(angle, window, drive.dt_s)
+    is_usable &= np.isfinite(effect)
+    return _MotionSignals(command[span], speed[span], effect[span], fresh[span], is_usable[span], drive.dt_s, window)
 
 
-def _at_rest(drive: Drive, pedal: str, rest: float) -> Array:
-    """Where a pedal is not pressed, and has not been for CALM_S; everywhere where nothing is known of it."""
+def _is_released(drive: Drive, pedal: str, rest_frac: float) -> Array:
+    """Rows in which a pedal has been released for some time; all where the drive has no data of it."""
     for group in ("report", "command"):
         values = drive.get(f"{group}.{CHANNELS[pedal]}")
         if values is not None and np.isfinite(values).any():
-            pressed = np.nan_to_num(values) > rest + AT_REST_FRAC
-            reach = np.ones(max(round(CALM_S / drive.dt_s), 1))
-            return np.convolve(pressed, reach)[: len(pressed)] < 0.5
-    return np.ones(drive.ticks, dtype=bool)
+            is_pressed = np.nan_to_num(values) > rest_frac + LAW.max_released_frac
+            window = np.ones(max(round(LAW.min_released_s / drive.dt_s), 1))
+            return np.convolve(is_pressed, window)[: len(is_pressed)] < 0.5
+    return np.ones(drive.n_rows, dtype=bool)
 
 
-def _yaw_rate(drive: Drive, vehicle: VehicleSpec) -> tuple[Array, Array] | None:
-    name = first_told(drive, INS_FIRST_YAW_RATES)
-    return yaw_by_wheels(drive, vehicle.nominal) if name is None else (drive.fields[name], drive.fresh[name])
+def _select_yaw_rate(drive: Drive, vehicle: VehicleSpec) -> tuple[Array, Array] | None:
+    name = first_valid_field(drive, INS_FIRST_YAW_RATES)
+    return yaw_rate_from_wheels(drive, vehicle.nominal) if name is None else (drive.fields[name], drive.fresh[name])
 
 
-def _knots(commands: Array) -> Array:
-    """Places between which g is straight: evenly spread over the different commands that were given."""
+def _place_knots(commands: Array) -> Array:
+    """Knots of g, evenly spread over the different commands that were given."""
     values = np.unique(np.round(commands, 3))
-    return np.unique(np.quantile(values, np.linspace(0.0, 1.0, min(KNOTS, len(values)))))
+    return np.unique(np.quantile(values, np.linspace(0.0, 1.0, min(LAW.knots, len(values)))))
 
 
-def _columns(one: _Signals, channel: str, knots: Array, shift: int) -> Array:
-    """What the law is linear in, [n, m]; the command's part stands behind the first three (pedals) or one (steer)."""
-    moved = shifted(one.command, shift)
-    if channel == "steer":
-        return np.stack([np.ones(len(moved)), smooth_rate(np.nan_to_num(moved), one.window, one.dt_s)], axis=1)
-    bends = [smooth_rate(bend, one.window, one.dt_s) for bend in _bends(np.nan_to_num(moved), knots)]
-    return np.stack([np.ones(len(moved)), one.speed, one.speed * one.speed, *bends], axis=1)
+def _design_matrix(signals: _MotionSignals, law: MotionLaw) -> Array:
+    """What the law is linear in, shape (n_rows, n_coefficients)."""
+    command, ones = shift_later(signals.command, law.command_delay_ticks), np.ones(len(signals.command))
+    if law.channel == "steer":
+        return np.stack([ones, filter_rate(np.nan_to_num(command), signals.window, signals.dt_s)], axis=1)
+    ramps = _knot_ramps(np.nan_to_num(command), law.knots)
+    filtered = [filter_rate(ramp, signals.window, signals.dt_s) for ramp in ramps]
+    return np.stack([ones, signals.speed, signals.speed * signals.speed, *filtered], axis=1)
 
 
-def _bends(commands: Array, knots: Array) -> Iterator[Array]:
-    """Ramps that rise between two knots and are level outside: their sum is any line with bends at the knots."""
+def _knot_ramps(commands: Array, knots: Array) -> Iterator[Array]:
+    """Ramps that rise between two knots and are constant outside; any piecewise linear g is a sum of them."""
     for low, high in pairwise(knots):
         yield np.clip(commands - low, 0.0, high - low)
 
 
-def _fitted(some: Sequence[_Signals], channel: str, knots: Array, shift: int, top_mps: float) -> Law | None:
-    """Least squares at one shift. None where the command explains nothing, or its effect goes the wrong way."""
-    rows = [one.good & np.isfinite(shifted(one.command, shift)) for one in some]
-    left = np.concatenate([_columns(one, channel, knots, shift)[row] for one, row in zip(some, rows, strict=True)])
-    right = np.concatenate([one.effect[row] for one, row in zip(some, rows, strict=True)])
-    if len(right) < LEAST_ROWS:
+def _fit_at_delay(pieces: Sequence[_MotionSignals], law: MotionLaw) -> MotionLaw | None:
+    """Fit the coefficients at the law's delay. None where there are few rows or the command acts the wrong way."""
+    rows = [piece.is_usable & np.isfinite(shift_later(piece.command, law.command_delay_ticks)) for piece in pieces]
+    left = np.concatenate([_design_matrix(piece, law)[used] for piece, used in zip(pieces, rows, strict=True)])
+    right = np.concatenate([piece.effect[used] for piece, used in zip(pieces, rows, strict=True)])
+    if len(right) < LAW.min_rows:
         return None
-    found = np.linalg.lstsq(left, right, rcond=None)[0]
-    share = 1.0 - float(np.var(right - left @ found)) / max(float(np.var(right)), 1e-12)
-    ends = (share, SLOW_SHARE * top_mps, top_mps)
-    if channel == "steer":
-        slope = float(found[1])
-        return Law(channel, found, knots, shift, 1.0 / slope, *ends) if slope > 1e-6 else None
-    worth = float(found[3:] @ np.diff(knots))  # of the most that was commanded
-    right_way = worth > 0.0 if channel == "throttle" else worth < 0.0
-    return Law(channel, found, knots, shift, 0.0, *ends) if right_way else None
-
-
-def _pair(law: Law, one: _Signals) -> tuple[Array, Array]:
-    """(command, output), the command a bench's way later (learn/actuators/samples.py)."""
-    moved = shifted(one.command, BENCH_TICKS)
+    coefficients = np.linalg.lstsq(left, right, rcond=None)[0]
+    explained_share = 1.0 - float(np.var(right - left @ coefficients)) / max(float(np.var(right)), 1e-12)
+    law = law._replace(coefficients=coefficients, explained_share=explained_share)
     if law.channel == "steer":
-        return moved, law.ratio * (one.effect - law.coefficients[0])
-    c0, c1, c2, *bent = law.coefficients.tolist()
-    worth = np.stack(list(_bends(moved, law.knots)), axis=1) @ np.array(bent)
-    return worth, one.effect - c0 - c1 * one.speed - c2 * one.speed * one.speed
+        inverse_ratio = float(coefficients[1])
+        return law._replace(steer_ratio=1.0 / inverse_ratio) if inverse_ratio > LAW.min_inverse_ratio else None
+    full_effect = float(coefficients[3:] @ np.diff(law.knots))  # of the largest command
+    has_right_sign = full_effect > 0.0 if law.channel == "throttle" else full_effect < 0.0
+    return law if has_right_sign else None
 
 
-LEAST_EXPLAINED = 0.3  # of the rate of speed: a law that says less is no start
-KNEE, HOLDS = 0.5, 0.8  # the drive's knee; what of the least command that held a speed is taken for its zero
-FAST_SHARE = 0.7  # of the top speed, at which drag is taken
+def _command_and_output(law: MotionLaw, signals: _MotionSignals) -> tuple[Array, Array]:
+    command = shift_later(signals.command, BENCH_TICKS)
+    if law.channel == "steer":
+        return command, law.steer_ratio * (signals.effect - law.coefficients[0])
+    c0, c1, c2, *slopes = law.coefficients.tolist()
+    effect = np.stack(list(_knot_ramps(command, law.knots)), axis=1) @ np.array(slopes)
+    return effect, signals.effect - c0 - c1 * signals.speed - c2 * signals.speed * signals.speed
 
 
-def suggested(laws: Mapping[str, Law], mass_kg: float) -> dict[str, float]:
-    """Values by their names in [plant.params], for those constants that the laws say something of.
+def suggest_plant_constants(laws: Mapping[str, MotionLaw], mass_kg: float) -> dict[str, float]:
+    """Start values of plant constants by their names in [plant.params], where the laws show them.
 
-    creep_force_n is 0 where the laws show none: free, it would hold any car at the one speed that it mostly drove.
+    creep_force_n is 0 where the laws show none: a free one would hold any car at the speed that it drove most.
     """
-    found: dict[str, float] = {}
+    constants: dict[str, float] = {}
     if "steer" in laws:
-        found["steer_ratio"] = laws["steer"].ratio
+        constants["steer_ratio"] = laws["steer"].steer_ratio
     throttle = laws.get("throttle")
-    if throttle is not None and throttle.explained >= LEAST_EXPLAINED and len(throttle.knots) > 1:
-        found |= _along(throttle, mass_kg)
-    if laws and (throttle is None or throttle.explained < LEAST_EXPLAINED or throttle.coefficients[0] <= 0.0):
-        found["creep_force_n"] = 0.0
+    min_share = SUGGESTION.min_explained_share
+    if throttle is not None and throttle.explained_share >= min_share and len(throttle.knots) > 1:
+        constants |= _suggest_longitudinal_constants(throttle, mass_kg)
+    if laws and (throttle is None or throttle.explained_share < min_share or throttle.coefficients[0] <= 0.0):
+        constants["creep_force_n"] = 0.0
     brake = laws.get("brake")
-    if brake is not None and brake.explained >= LEAST_EXPLAINED and len(brake.knots) > 1:
-        worth = -float(brake.coefficients[3:] @ np.diff(brake.knots))
-        found["brake_force_n_per_frac"] = mass_kg * worth / float(brake.knots[-1] - brake.knots[0])
-    return found
+    if brake is not None and brake.explained_share >= min_share and len(brake.knots) > 1:
+        braking_mps2 = -float(brake.coefficients[3:] @ np.diff(brake.knots))
+        constants["brake_force_n_per_frac"] = mass_kg * braking_mps2 / float(brake.knots[-1] - brake.knots[0])
+    return constants
 
 
-def _along(law: Law, mass_kg: float) -> dict[str, float]:
-    """Rolling and drag from what no pedal pushes, drive from what the pedal is worth."""
-    still, slope, bend = (float(one) for one in law.coefficients[:3])
-    worth = np.concatenate([[0.0], np.cumsum(law.coefficients[3:] * np.diff(law.knots))])
-    rolling_mps2 = min(max(-still, 0.02), 3.0)
-    fast_mps = FAST_SHARE * law.top_mps
-    drag_mps2 = max(-(slope * fast_mps + bend * fast_mps * fast_mps), 0.02)
-    moves = float(np.interp(rolling_mps2, np.maximum.accumulate(worth), law.knots))  # where it begins to pull away
-    zero = float(law.knots[0]) + 0.7 * (moves - float(law.knots[0]))
-    force_n = 1.5 * mass_kg * max(float(worth.max()), rolling_mps2)
-    least, middle, speed_mps = law.held
-    if middle > 0.0:  # a start must at least hold the speed that the car held
-        zero = min(zero, HOLDS * least)
-        resisted = rolling_mps2 + drag_mps2 * (speed_mps / fast_mps) ** 2
-        share = (middle - zero) / max(1.0 - zero, 0.1)
-        force_n = mass_kg * resisted / max(1.0 - math.exp(-share / KNEE), 1e-3)
+def _suggest_longitudinal_constants(law: MotionLaw, mass_kg: float) -> dict[str, float]:
+    """Rolling resistance and drag from the terms without a command, the drive from the throttle's effect."""
+    c0, c1, c2 = (float(coefficient) for coefficient in law.coefficients[:3])
+    drive_mps2 = np.concatenate([[0.0], np.cumsum(law.coefficients[3:] * np.diff(law.knots))])
+    rolling_mps2 = min(max(-c0, SUGGESTION.rolling_mps2[0]), SUGGESTION.rolling_mps2[1])
+    fast_mps = SUGGESTION.fast_share * law.top_mps
+    drag_mps2 = max(-(c1 * fast_mps + c2 * fast_mps * fast_mps), SUGGESTION.min_drag_mps2)
+    pull_away_frac = float(np.interp(rolling_mps2, np.maximum.accumulate(drive_mps2), law.knots))
+    zero_frac = float(law.knots[0]) + SUGGESTION.zero_of_pull_away * (pull_away_frac - float(law.knots[0]))
+    force_n = SUGGESTION.force_ratio * mass_kg * max(float(drive_mps2.max()), rolling_mps2)
+    knee_frac, held_speed = SUGGESTION.drive_knee_frac, law.held_speed
+    if held_speed.median_command > 0.0:  # the start values must at least hold the speed that the car held
+        zero_frac = min(zero_frac, SUGGESTION.zero_of_held_command * held_speed.low_command)
+        resistance_mps2 = rolling_mps2 + drag_mps2 * (held_speed.median_speed_mps / fast_mps) ** 2
+        share = (held_speed.median_command - zero_frac) / max(1.0 - zero_frac, 0.1)
+        force_n = mass_kg * resistance_mps2 / max(1.0 - math.exp(-share / knee_frac), 1e-3)
     return {
         "rolling_frac": rolling_mps2 / G_MPS2,
         "drag_area_m2": mass_kg * drag_mps2 / (0.5 * AIR_DENSITY_KGPM3 * fast_mps * fast_mps),
-        "throttle_zero_frac": zero,
+        "throttle_zero_frac": zero_frac,
         "drive_force_n": force_n,
-        "drive_knee_frac": KNEE,
-        "drive_power_w": 2.0 * force_n * law.top_mps,
+        "drive_knee_frac": knee_frac,
+        "drive_power_w": SUGGESTION.power_ratio * force_n * law.top_mps,
     }

@@ -1,4 +1,4 @@
-"""The search for the shape and the numbers of one by-wire channel (learn/actuators/identify.py)."""
+"""The search for the structure and the numbers of one by-wire channel (learn/actuators/identify.py)."""
 
 from __future__ import annotations
 
@@ -9,175 +9,203 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.learn.actuators.model import (
-    Scale,
-    Shape,
-    Way,
-    bounds,
-    calm,
-    misses,
-    params_at,
-    rate_seen,
-    seconds_at_limit,
-    vector,
+    ActuatorModel,
+    ActuatorScale,
+    ActuatorStructure,
+    estimate_peak_rate,
+    exclude_rate_limited,
+    model_from_unknowns,
+    output_residuals,
+    time_at_rate_limit_s,
+    unknown_bounds,
+    unknowns_from_values,
 )
-from tunefree_hil.learn.actuators.samples import Pair, Pairs
+from tunefree_hil.learn.actuators.samples import ActuatorSamples, ChannelSamples
 from tunefree_hil.learn.data_sheet import ChannelSheet
-from tunefree_hil.learn.drives.smoothing import noise_of, quantum_of
-from tunefree_hil.learn.robust_least_squares import Least, solve
+from tunefree_hil.learn.drives.smoothing import estimate_noise, estimate_quantum
+from tunefree_hil.learn.robust_least_squares import RobustFit, SolverOptions, fit_robustly
 
 Array = np.ndarray
 
-DEAD_TIMES_S = (0.0, 0.02, 0.04, 0.07, 0.1, 0.14, 0.18, 0.25, 0.35, 0.5)
-LAGS_S = (0.01, 0.03, 0.06, 0.12, 0.25, 0.5)
-STARTS = 2  # of the grid's best that are followed
-BETTER = 0.995  # what a richer shape must bring the error down to
-LEAST_LIMIT_S = 0.2  # at its rate limit
-LEAST_CALM_ROWS = 500  # far from it
-ONSET_LAGS, CALM_LAGS = 2.0, 6.0  # for how many lags a limit shows before it is reached, and after
-BLOCK_S = 2.0
-ROBUST = 4.0
+GRID_DEAD_TIMES_S = (0.0, 0.02, 0.04, 0.07, 0.1, 0.14, 0.18, 0.25, 0.35, 0.5)
+GRID_LAGS_S = (0.01, 0.03, 0.06, 0.12, 0.25, 0.5)
 
 
-class Found(NamedTuple):
-    """A shape fitted: its error on held-out parts (or, without any, on its own) in sigmas."""
+class SearchCriteria(NamedTuple):
+    """Settings of the search; every value is an engineering choice."""
 
-    shape: Shape
-    least: Least
-    way: Way
-    error: float
-
-
-class Case(NamedTuple):
-    """What a search works on. blocks: of every row compared; rate_limit: of shapes that have none of their own."""
-
-    training: Sequence[Pair]
-    held_out: Sequence[Pair]
-    scale: Scale
-    blocks: Array
-    rate_limit: float = math.inf
+    starts: int = 2  # the best points of the grid, from which least squares start
+    max_error_ratio: float = 0.995  # to which a richer structure must bring the error down
+    min_limit_s: float = 0.2  # at the rate limit, for a structure with one
+    min_calm_rows: int = 500  # compared rows far from the rate limit, to fit without the others
+    onset_lags: float = 2.0  # multiples of the lag for which a rate limit shows before it is reached
+    release_lags: float = 6.0  # and after
+    block_s: float = 2.0  # rows of one block count as correlated (robust_least_squares.py)
+    soft_l1_sigmas: float = 4.0  # residuals beyond this weigh less
+    min_span_rate: float = 0.05  # of the span per s, the least peak rate
+    min_sigma_span: float = 1e-5  # of the span, the least standard deviation
 
 
-def case_of(training: Pairs, held_out: Pairs, sheet: ChannelSheet) -> Case:
-    """The pairs, and what their numbers are measured in."""
-    command = np.concatenate([pair.command for pair in training.some])
-    output = [pair.output[pair.counts] for pair in training.some]
-    quantum = quantum_of(np.concatenate(output))
-    noise = float(np.sqrt(np.mean([noise_of(one, quantum) ** 2 for one in output])))
+SEARCH = SearchCriteria()
+
+
+class SearchStart(NamedTuple):
+    """Where least squares start."""
+
+    dead_time_s: float
+    lag_s: float
+
+
+class StructureFit(NamedTuple):
+    """A fitted structure."""
+
+    structure: ActuatorStructure
+    solution: RobustFit
+    model: ActuatorModel
+    error: float  # RMS in sigmas on the held-out segments, or on the training segments where there are none
+
+
+class IdentificationCase(NamedTuple):
+    """The data of a search."""
+
+    training: Sequence[ActuatorSamples]
+    held_out: Sequence[ActuatorSamples]
+    scale: ActuatorScale
+    blocks: Array  # the block of every compared training row, shape (n_compared,)
+    rate_limit: float = math.inf  # of structures without one of their own
+
+
+def build_case(training: ChannelSamples, held_out: ChannelSamples, sheet: ChannelSheet) -> IdentificationCase:
+    """The samples of a channel with the scale of its numbers."""
+    command = np.concatenate([segment.command for segment in training.segments])
+    outputs = [segment.output[segment.is_compared] for segment in training.segments]
+    quantum = estimate_quantum(np.concatenate(outputs))
+    noise = float(np.sqrt(np.mean([estimate_noise(output, quantum) ** 2 for output in outputs])))
     span = float(np.ptp(command))
-    sigma = math.sqrt(noise * noise + quantum * quantum / 12.0 + (1e-5 * span) ** 2)
-    rate = max(rate_seen(training.some), 0.05 * span)
-    return Case(training.some, held_out.some, Scale(sheet.rest, span, rate, sigma), _blocks(training.some))
+    sigma = math.sqrt(noise * noise + quantum * quantum / 12.0 + (SEARCH.min_sigma_span * span) ** 2)
+    rate = max(estimate_peak_rate(training.segments), SEARCH.min_span_rate * span)
+    scale = ActuatorScale(sheet.rest, span, rate, sigma)
+    return IdentificationCase(training.segments, held_out.segments, scale, _assign_blocks(training.segments))
 
 
-def _blocks(some: Sequence[Pair]) -> Array:
-    """The block of every row compared: BLOCK_S of a stretch each."""
+def _assign_blocks(segments: Sequence[ActuatorSamples]) -> Array:
     blocks, first = [], 0
-    for pair in some:
-        mine = first + np.arange(len(pair.command)) // round(BLOCK_S / pair.dt_s)
-        first = int(mine[-1]) + 1
-        blocks.append(mine[pair.counts])
+    for segment in segments:
+        row_blocks = first + np.arange(len(segment.command)) // round(SEARCH.block_s / segment.dt_s)
+        first = int(row_blocks[-1]) + 1
+        blocks.append(row_blocks[segment.is_compared])
     return np.concatenate(blocks)
 
 
-def calmed(case: Case, limited: Found) -> Case | None:
-    """The same case without what happened near the rate limit, which is then known; None where too little is left.
+def without_rate_limited_rows(case: IdentificationCase, limited: StructureFit) -> IdentificationCase | None:
+    """The case without the rows near the rate limit, which is then fixed; None where too few rows are left.
 
-    What limits a real drive's rate differs from the bench's actuator while it sets in and ends; dead time and lag are
-    those of small commands.
+    Near its rate limit a real drive differs from the bench's actuator. Dead time and lag are those of small commands.
     """
-    params = limited.way.params
+    params = limited.model.params
     lag_s = params.lag_s if params.order == 1.0 else params.damping / (math.pi * max(params.natural_hz, 0.1))
-    times = ONSET_LAGS * lag_s, params.dead_time_s + CALM_LAGS * lag_s
-    training, held_out = calm(limited.way, case.training, *times), calm(limited.way, case.held_out, *times)
-    if sum(int(pair.counts.sum()) for pair in training) < LEAST_CALM_ROWS or (case.held_out and not held_out):
+    times_s = SEARCH.onset_lags * lag_s, params.dead_time_s + SEARCH.release_lags * lag_s
+    training = exclude_rate_limited(limited.model, case.training, *times_s)
+    held_out = exclude_rate_limited(limited.model, case.held_out, *times_s)
+    n_compared = sum(int(segment.is_compared.sum()) for segment in training)
+    if n_compared < SEARCH.min_calm_rows or (case.held_out and not held_out):
         return None
-    return Case(training, held_out, case.scale, _blocks(training), params.rate_limit)
+    return IdentificationCase(training, held_out, case.scale, _assign_blocks(training), params.rate_limit)
 
 
-def starts_of(case: Case) -> list[tuple[float, float]]:
-    """The best (dead time, lag) of a grid, with gain and offset neutral and the fastest rate seen as the limit."""
-    shape = Shape(1, True)
-    errors = []
-    for lag_s in LAGS_S:
-        for dead_s in DEAD_TIMES_S:
-            x = vector(shape, {"dead_time_s": dead_s, "lag_s": lag_s}, case.scale)
-            rows = misses(params_at(shape, x, case.scale), case.training, case.scale.sigma)
-            errors.append((float(np.mean(np.minimum(np.abs(rows), 1e6))), dead_s, lag_s))
-    return [(dead_s, lag_s) for _, dead_s, lag_s in sorted(errors)[:STARTS]]
+def search_start_grid(case: IdentificationCase) -> list[SearchStart]:
+    """The best points of a grid, with neutral gain and offset and the output's peak rate as the rate limit."""
+    points = []
+    for lag_s in GRID_LAGS_S:
+        for dead_time_s in GRID_DEAD_TIMES_S:
+            start = SearchStart(dead_time_s, lag_s)
+            residuals = _residuals_at_start(case, start)
+            points.append((float(np.mean(np.minimum(np.abs(residuals), 1e6))), start))
+    return [start for _, start in sorted(points)[: SEARCH.starts]]
 
 
-def disturbed(case: Case, start: tuple[float, float]) -> Case:
-    """The same case with what is left at a start taken as the doubt of a row: a car's motion also has other causes.
+def _residuals_at_start(case: IdentificationCase, start: SearchStart) -> Array:
+    structure = ActuatorStructure(1, True)
+    x = unknowns_from_values(structure, start._asdict(), case.scale)
+    return output_residuals(model_from_unknowns(structure, x, case.scale), case.training, case.scale.sigma)
 
-    The sensor's noise is far below them; against it every row would be an outlier, and the steps that tell most too.
+
+def scale_sigma_to_residuals(case: IdentificationCase, start: SearchStart) -> IdentificationCase:
+    """The case with the residuals at a start as sigma, because a car's motion has other causes too.
+
+    The noise of the sensor is far smaller. Measured by it every row would be an outlier, and most of all the steps of
+    the command, which show the most.
     """
-    shape = Shape(1, True)
-    x = vector(shape, {"dead_time_s": start[0], "lag_s": start[1]}, case.scale)
-    rows = misses(params_at(shape, x, case.scale), case.training, case.scale.sigma)
-    times = max(float(np.sqrt(np.mean(rows * rows))), 1.0)
-    return case._replace(scale=case.scale._replace(sigma=times * case.scale.sigma))
+    residuals = _residuals_at_start(case, start)
+    ratio = max(float(np.sqrt(np.mean(residuals * residuals))), 1.0)
+    return case._replace(scale=case.scale._replace(sigma=ratio * case.scale.sigma))
 
 
-def best_of(case: Case, shape: Shape, starts: Sequence[tuple[float, float]]) -> Found:
-    """The best fit of a shape over all starts."""
-    fits = [fitted(case, shape, values) for values in _start_values(shape, starts)]
-    return min(fits, key=lambda one: one.least.rms)
+def fit_from_starts(
+    case: IdentificationCase, structure: ActuatorStructure, starts: Sequence[SearchStart]
+) -> StructureFit:
+    """The best fit of a structure from all starts."""
+    fits = [fit_structure(case, structure, values) for values in _start_values(structure, starts)]
+    return min(fits, key=lambda fit: fit.solution.rms)
 
 
-def _start_values(shape: Shape, starts: Sequence[tuple[float, float]]) -> list[dict[str, float]]:
-    """Start values; of order 2 critically damped with the same delay, and with less dead time and a longer lag."""
-    if shape.order < 2:
-        return [{"dead_time_s": dead_s, "lag_s": lag_s} for dead_s, lag_s in starts]
-    found = []
-    for dead_s, lag_s in starts[:1]:
-        for less in (0.0, 0.5):
-            shorter = max(dead_s - less * lag_s, 0.0)
-            delay_s = dead_s - shorter + lag_s
-            found.append({"dead_time_s": shorter, "natural_hz": 1.0 / (math.pi * delay_s)})  # 2 lags of delay / 2 each
-    return found
+def _start_values(structure: ActuatorStructure, starts: Sequence[SearchStart]) -> list[dict[str, float]]:
+    """Of order 2: critically damped with the same delay, once with the dead time and once with less of it."""
+    if structure.order < 2:
+        return [start._asdict() for start in starts]
+    values = []
+    for start in starts[:1]:
+        for dead_time_lags in (0.0, 0.5):
+            dead_time_s = max(start.dead_time_s - dead_time_lags * start.lag_s, 0.0)
+            delay_s = start.dead_time_s - dead_time_s + start.lag_s  # of two equal lags, half of it each
+            values.append({"dead_time_s": dead_time_s, "natural_hz": 1.0 / (math.pi * delay_s)})
+    return values
 
 
-def fitted(case: Case, shape: Shape, values: dict[str, float]) -> Found:
-    """A shape fitted from these values on."""
+def fit_structure(case: IdentificationCase, structure: ActuatorStructure, values: dict[str, float]) -> StructureFit:
+    """Fit a structure by least squares, starting at these values."""
     scale = case.scale
-    low, high = bounds(shape, scale)
+    low, high = unknown_bounds(structure, scale)
 
     def residuals(x: Array) -> Array:
-        return misses(params_at(shape, x, scale, case.rate_limit), case.training, scale.sigma)
+        return output_residuals(model_from_unknowns(structure, x, scale, case.rate_limit), case.training, scale.sigma)
 
-    least = solve(residuals, vector(shape, values, scale), low, high, case.blocks, robust=ROBUST)
-    way = params_at(shape, least.x, scale, case.rate_limit)
-    return Found(shape, least, way, error_of(case, way))
-
-
-def error_of(case: Case, way: Way) -> float:
-    """Root mean square in sigmas on held-out parts, or on the training parts where nothing is held out."""
-    rows = misses(way, case.held_out or case.training, case.scale.sigma)
-    return float(np.sqrt(np.mean(rows * rows)))
+    start = unknowns_from_values(structure, values, scale)
+    solution = fit_robustly(residuals, start, (low, high), case.blocks, SolverOptions(SEARCH.soft_l1_sigmas))
+    model = model_from_unknowns(structure, solution.x, scale, case.rate_limit)
+    return StructureFit(structure, solution, model, rms_error(case, model))
 
 
-def choose(case: Case, candidates: Sequence[Found]) -> Found:
-    """The plainest shape that no richer one beats on held-out parts; a lag that the ticks cannot show is left out."""
+def rms_error(case: IdentificationCase, model: ActuatorModel) -> float:
+    """RMS of the residuals in sigmas on the held-out segments, or on the training segments where there are none."""
+    residuals = output_residuals(model, case.held_out or case.training, case.scale.sigma)
+    return float(np.sqrt(np.mean(residuals * residuals)))
+
+
+def choose_structure(case: IdentificationCase, candidates: Sequence[StructureFit]) -> StructureFit:
+    """The first structure that no later, richer one beats; without a lag if it is too short for the ticks to show."""
     usable = [
-        one for one in candidates if not one.shape.limited or seconds_at_limit(one.way, case.training) >= LEAST_LIMIT_S
+        fit
+        for fit in candidates
+        if not fit.structure.has_rate_limit or time_at_rate_limit_s(fit.model, case.training) >= SEARCH.min_limit_s
     ]
     best = usable[0]
-    for one in usable[1:]:
-        if one.error < BETTER * best.error:
-            best = one
+    for fit in usable[1:]:
+        if fit.error < SEARCH.max_error_ratio * best.error:
+            best = fit
     dt_s = case.training[0].dt_s
-    params = best.way.params
-    if best.shape.order == 1 and params.lag_s < dt_s:
-        dead_s = params.dead_time_s
-        shape = best.shape._replace(order=0, uneven=False)
-        sharp = [fitted(case, shape, {"dead_time_s": one}) for one in (dead_s, max(dead_s - dt_s, 0.0))]
-        least = min(sharp, key=lambda one: one.least.rms)
-        return least if least.error <= best.error / BETTER else best
+    params = best.model.params
+    if best.structure.order == 1 and params.lag_s < dt_s:
+        structure = best.structure._replace(order=0, is_asymmetric=False)
+        dead_times_s = (params.dead_time_s, max(params.dead_time_s - dt_s, 0.0))
+        fits = [fit_structure(case, structure, {"dead_time_s": dead_time_s}) for dead_time_s in dead_times_s]
+        without_lag = min(fits, key=lambda fit: fit.solution.rms)
+        return without_lag if without_lag.error <= best.error / SEARCH.max_error_ratio else best
     return best
 
 
-def explained(case: Case, way: Way) -> float:
-    """Share of the output's variance that the simulated channel explains."""
-    rows = misses(way, case.training, case.scale.sigma) * case.scale.sigma
-    output = np.concatenate([pair.output[pair.counts] for pair in case.training])
-    return 1.0 - float(np.mean(rows * rows)) / max(float(np.var(output)), 1e-12)
+def explained_variance_share(case: IdentificationCase, model: ActuatorModel) -> float:
+    """The share of the output's variance that the simulated channel explains."""
+    residuals = output_residuals(model, case.training, case.scale.sigma) * case.scale.sigma
+    output = np.concatenate([segment.output[segment.is_compared] for segment in case.training])
+    return 1.0 - float(np.mean(residuals * residuals)) / max(float(np.var(output)), 1e-12)

@@ -1,235 +1,294 @@
-"""What signals of a drive say of each other: units, signs, pedals, and signals that stand still (learn/checks/drive_checks.py)."""
+"""Whether the signals of a drive agree with each other: units, signs and pedals (learn/checks/drive_checks.py)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from tunefree_hil.config.import_schema import si_unit
 from tunefree_hil.episode.plausible import HIGHEST, HIGHEST_OF, Finding, check_units
 from tunefree_hil.episode.plausible_pairs import Pair, pairs_of
-from tunefree_hil.learn.checks.problem import Problem
-from tunefree_hil.learn.checks.stuck_signals import check_stuck
+from tunefree_hil.learn.checks.problem import LogProblem
+from tunefree_hil.learn.checks.stuck_signals import check_stuck_signals
 from tunefree_hil.learn.drives.drive import (
-    BRAKES,
+    BRAKE_FIELDS,
     CHASSIS_FIRST_SPEEDS,
-    THROTTLES,
-    TURNS,
+    STEER_FIELDS,
+    THROTTLE_FIELDS,
     Drive,
-    as_columns,
-    backwards,
-    first_of,
-    moving,
-    name_of,
+    csv_drive_from_drive,
+    first_field_name,
+    first_field_values,
+    moving_rows,
+    reversing_rows,
 )
-from tunefree_hil.learn.drives.smoothing import between_fresh
+from tunefree_hil.learn.drives.smoothing import interpolate_fresh
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import NominalSpec, VehicleSpec
 
 Array = np.ndarray
 
-STEERING = "steer_and_yaw_rate"
-# Of an unknown vehicle, only for the sign: a wheelbase in m and a steering ratio between a scale model's and a van's.
-STAND_IN = (1.0, 40.0)
-LEAST_TURNED = 0.05  # of the greatest angle: a wheel that is not centred may be turned the other way by less
-ONLY_TOLD = ("accel_and_speed",)  # a hill is in the one and not in the other
-PRESSED_FRAC, LET_GO_FRAC = 0.03, 0.01
-DELAY_S, WINDOW_S = 0.1, 0.5  # a pedal's effect is looked for from here on, over so long
-# A steering moves as its command where it goes at least WHOLE_MOVE of its way within MOVE_S, of the moves that are as
-# large as CLEAR_MOVE of the largest; for so long, and in such a share of them, no chance does it
 STEER = "report.steer_rad"
-MOVE_S, CLEAR_MOVE, WHOLE_MOVE, LEAST_OBEYED_S, OBEYED_SHARE = 0.1, 0.3, 0.67, 0.5, 0.05
-INSIDE, CLEAR_ANGLE, LEAST_INSIDE_S = 0.7, 0.2, 2.0  # of the largest angle that is reached; for so long in all
-LEAST_PRESSED_S, LEAST_APART_MPS2 = 1.0, 0.2
-LEAST_ACCEL_MPS2, LEAST_MOVED_FRAC, TURNED_FIT = 0.2, 0.03, -0.5  # standard deviations; a correlation
+STEERING_CHECK = "steer_and_yaw_rate"
+WARNING_CHECKS = ("accel_and_speed",)  # a hill changes only one of the two
+# Wheelbase in m and steering ratio of an unknown vehicle, between a scale model's and a van's: good enough for a sign.
+DEFAULT_WHEELBASE_M, DEFAULT_STEER_RATIO = 1.0, 40.0
 
 
-def check_motion(drive: Drive, vehicle: VehicleSpec) -> Iterator[Problem]:
-    """All of them for one drive. What hardly moves is not judged."""
-    yield from _ranges(drive)
-    yield from _pairs(drive, vehicle.nominal, vehicle.limits.steer_rad)
-    yield from _pedals(drive, vehicle.nominal.rest_pedal_frac)
-    yield from _accel_command(drive)
-    yield from check_stuck(drive)
+class ConsistencyCriteria(NamedTuple):
+    """When signals can be compared; every value is an engineering choice."""
+
+    min_steer_range_share: float = 0.05  # of the largest angle, to judge a sign: an offset may be as large
+    min_pressed_frac: float = 0.03  # above rest
+    max_released_frac: float = 0.01  # above rest
+    delay_s: float = 0.1  # until a pedal acts on the speed, or a steering command on the wheel
+    accel_window_s: float = 0.5  # over which the effect of a pedal is taken
+    min_pressed_s: float = 1.0  # in all
+    min_accel_difference_mps2: float = 0.2  # between the effects of two pedals
+    min_accel_std_mps2: float = 0.2  # standard deviation
+    min_pedal_std_frac: float = 0.03  # standard deviation
+    max_wrong_correlation: float = -0.5  # of a pedal with the acceleration
 
 
-def _ranges(drive: Drive) -> Iterator[Problem]:
-    """Values that no car shows: a unit that is not what vehicle.toml says."""
+class SteerTrackingCriteria(NamedTuple):
+    """When a reported steering angle follows its command at least sometimes; every value is an engineering choice."""
+
+    move_s: float = 0.1  # over which moves are compared
+    min_move_share: float = 0.3  # of the largest move of the command, that a compared one has
+    min_followed_share: float = 0.67  # of a command's move or angle, that the report must reach
+    min_followed_s: float = 0.5  # of moves that are followed, in all
+    min_followed_moves_share: float = 0.05  # of the compared moves; chance reaches fewer
+    max_inside_share: float = 0.7  # of the largest reported angle, up to which an angle is far inside
+    min_inside_share: float = 0.2  # of it, from which on an angle is compared
+    min_inside_s: float = 2.0  # in all
+
+
+CONSISTENCY = ConsistencyCriteria()
+STEER_TRACKING = SteerTrackingCriteria()
+
+
+def check_consistency(drive: Drive, vehicle: VehicleSpec) -> Iterator[LogProblem]:
+    """All problems of one drive. Signals that hardly move are not judged."""
+    yield from _check_ranges(drive)
+    yield from _check_pairs(drive, vehicle.nominal, vehicle.limits.steer_rad)
+    yield from _check_pedals(drive, vehicle.nominal.rest_pedal_frac)
+    yield from _check_accel_command(drive)
+    yield from check_stuck_signals(drive)
+
+
+def _check_ranges(drive: Drive) -> Iterator[LogProblem]:
+    """Values that no car has, which mean a wrong unit."""
     for name, values in drive.fields.items():
         field = name.partition(".")[2]
         highest = HIGHEST_OF.get(field, HIGHEST.get(si_unit(field)))
-        some = np.abs(values[drive.fresh[name] & np.isfinite(values)])
-        if highest is not None and some.size and some.max() > highest:
-            words = (
-                f"{drive.path}: {name} reaches {some.max():.4g}, where at most {highest:g} is expected; is its unit or "
+        sizes = np.abs(values[drive.fresh[name] & np.isfinite(values)])
+        if highest is not None and sizes.size and sizes.max() > highest:
+            message = (
+                f"{drive.path}: {name} reaches {sizes.max():.4g}, but at most {highest:g} is expected; check its unit "
+                "and scale in vehicle.toml"
             )
-            yield Problem("refuse", "units", drive.name, name, words + "scale in vehicle.toml wrong?")
+            yield LogProblem("refuse", "units", drive.name, name, message)
 
 
-def _findings(drive: Drive, nominal: NominalSpec, most_rad: float) -> Iterator[tuple[Pair, Finding, dict[str, str]]]:
-    """(what was compared, what came of it, fields that stood in for others) of all that could be judged."""
-    steer = name_of(drive, TURNS)
-    instead = {"report.steer_rad": steer} if steer and "report.steer_rad" not in drive.fields else {}
-    columns = as_columns(drive, instead)
-    known = bool(nominal.wheelbase_m and nominal.steer_ratio)
-    length_m, ratio = (nominal.wheelbase_m, nominal.steer_ratio) if known else STAND_IN
-    constants = (length_m, ratio, nominal.wheel_radius_m)
-    pairs = [one for one in pairs_of(*constants) if all(name in columns.columns for name in (*one.first, *one.second))]
-    found = [one for one in check_units(columns, *constants) if one.check != "range"]
-    for pair, finding in zip(pairs, found, strict=True):
-        if (
-            finding.holds is None
-            or finding.factor is None
-            or {*pair.first, *pair.second} <= {*instead, *instead.values()}
-        ):
+class _Comparison(NamedTuple):
+    """Two measurements of one quantity, their comparison, and the fields that stand in for others."""
+
+    pair: Pair
+    finding: Finding
+    substitutes: dict[str, str]
+
+
+def _compare_pairs(drive: Drive, nominal: NominalSpec, max_steer_rad: float) -> Iterator[_Comparison]:
+    """All comparisons that can be judged."""
+    steer = first_field_name(drive, STEER_FIELDS)
+    substitutes = {STEER: steer} if steer and STEER not in drive.fields else {}
+    columns = csv_drive_from_drive(drive, substitutes)
+    is_known = bool(nominal.wheelbase_m and nominal.steer_ratio)
+    wheelbase_m = nominal.wheelbase_m if is_known else DEFAULT_WHEELBASE_M
+    steer_ratio = nominal.steer_ratio if is_known else DEFAULT_STEER_RATIO
+    constants = (wheelbase_m, steer_ratio, nominal.wheel_radius_m)
+    pairs = [pair for pair in pairs_of(*constants) if all(name in columns.columns for name in _fields_of(pair))]
+    findings = [finding for finding in check_units(columns, *constants) if finding.check != "range"]
+    substituted = {*substitutes, *substitutes.values()}
+    for pair, finding in zip(pairs, findings, strict=True):
+        if finding.holds is None or finding.factor is None or set(_fields_of(pair)) <= substituted:
             continue
-        if (
-            pair.check == STEERING and not known
-        ):  # its size says nothing, and next to straight ahead not its sign either
-            if np.ptp(drive.fields[steer or "report.steer_rad"][moving(drive)]) < LEAST_TURNED * most_rad:
+        if pair.check == STEERING_CHECK and not is_known:
+            # the size means nothing for an unknown vehicle, and near straight ahead the sign means nothing either
+            steer_range = np.ptp(drive.fields[steer or STEER][moving_rows(drive)])
+            if steer_range < CONSISTENCY.min_steer_range_share * max_steer_rad:
                 continue
             finding = finding._replace(holds=finding.factor > 0.0)
-        yield pair, finding, instead
+        yield _Comparison(pair, finding, substitutes)
 
 
-def _pairs(drive: Drive, nominal: NominalSpec, most_rad: float) -> Iterator[Problem]:
-    """Fields that say the same thing twice and do not say the same. most_rad: the greatest steering angle."""
-    for pair, finding, instead in _findings(drive, nominal, most_rad):
-        factor = finding.factor
-        if finding.holds or factor is None:
-            continue
-        first, second = (" and ".join(instead.get(name, name) for name in some) for some in (pair.first, pair.second))
-        severity = "warn" if pair.check in ONLY_TOLD else "refuse"
-        field = instead.get(pair.first[0], pair.first[0])
-        if factor < 0.0:
-            words = (
-                f"{drive.path}: {second} goes the other way than {first} (factor {factor:.2f}), where the same way is "
-            )
-            words += "expected (ISO 8855: left and forward positive); turn the sign of one of them in vehicle.toml"
-            code = "steer_sign" if "steer" in first else "wrong_sign"
-            yield Problem(severity, code, drive.name, field, words)
-        else:
-            low, high = pair.allowed
-            words = f"{drive.path}: {second} is {factor:.3g} times what {first} makes one expect (allowed {low:.2g} to "
-            words += f"{high:.2g}); is a unit or scale in vehicle.toml wrong, or this the log of another vehicle?"
-            # a unit is wrong by as much everywhere; a wheel that stops before its command does may be the car itself
-            short = not instead and pair.second == (STEER,) and factor < low and _obeys_somewhere(drive, pair.first[0])
-            yield Problem(severity, "short_of_command" if short else "units", drive.name, field, words)
+def _fields_of(pair: Pair) -> tuple[str, ...]:
+    return (*pair.first, *pair.second)
 
 
-def _obeys_somewhere(drive: Drive, command: str) -> bool:
-    """Whether the reported steering goes about as far as its command does for some time: it stops, it is slow, or it
-    has play, where a wrong unit makes every move too small, and every angle.
+def _check_pairs(drive: Drive, nominal: NominalSpec, max_steer_rad: float) -> Iterator[LogProblem]:
+    """Fields that measure the same quantity and do not agree."""
+    for comparison in _compare_pairs(drive, nominal, max_steer_rad):
+        if not comparison.finding.holds and comparison.finding.factor is not None:
+            yield _describe_mismatch(drive, comparison, comparison.finding.factor)
+
+
+def _describe_mismatch(drive: Drive, comparison: _Comparison, factor: float) -> LogProblem:
+    pair, substitutes = comparison.pair, comparison.substitutes
+    first, second = (" and ".join(substitutes.get(name, name) for name in names) for names in (pair.first, pair.second))
+    field = substitutes.get(pair.first[0], pair.first[0])
+    low, high = pair.allowed
+    if factor < 0.0:
+        code = "steer_sign" if "steer" in first else "wrong_sign"
+        message = (
+            f"{drive.path}: {second} has the opposite sign of {first} (factor {factor:.2f}), but the same sign is "
+            "expected (ISO 8855: left and forward are positive); change the sign of one of them in vehicle.toml"
+        )
+    else:
+        # a wrong unit scales every move; a wheel that stops before its command does may be a property of the car
+        is_steer = not substitutes and pair.second == (STEER,)
+        is_short = is_steer and factor < low and _follows_command_sometimes(drive, pair.first[0])
+        code = "short_of_command" if is_short else "units"
+        message = (
+            f"{drive.path}: {second} is {factor:.3g} times what is expected from {first} (allowed {low:.2g} to "
+            f"{high:.2g}); check units and scales in vehicle.toml, and whether the log is of this vehicle"
+        )
+    return LogProblem("warn" if pair.check in WARNING_CHECKS else "refuse", code, drive.name, field, message)
+
+
+def _follows_command_sometimes(drive: Drive, command_name: str) -> bool:
+    """Whether the reported steering follows its command for some time: it stops, is slow, or has play.
+
+    With a wrong unit every move and every angle would be too small.
     """
-    asked, said = (between_fresh(drive.fields[name], drive.fresh[name]) for name in (command, STEER))
-    delay, window = round(DELAY_S / drive.dt_s), max(1, round(MOVE_S / drive.dt_s))
-    if drive.ticks <= 2 * (delay + window):
+    criteria = STEER_TRACKING
+    command, report = (interpolate_fresh(drive.fields[name], drive.fresh[name]) for name in (command_name, STEER))
+    delay, window = round(CONSISTENCY.delay_s / drive.dt_s), max(1, round(criteria.move_s / drive.dt_s))
+    if drive.n_rows <= 2 * (delay + window):
         return False
-    moved = (asked[window:] - asked[:-window])[: -delay or None]
-    went = (said[window:] - said[:-window])[delay:]
-    clear = np.abs(moved) > CLEAR_MOVE * np.nanmax(np.abs(moved), initial=0.0)
-    whole = went[clear] / moved[clear] > WHOLE_MOVE
-    moves = bool(whole.sum() * drive.dt_s > LEAST_OBEYED_S and whole.mean() > OBEYED_SHARE)
-    return moves or _reaches_small_angles(asked[: -delay or None], said[delay:], drive.dt_s)
+    command_move = (command[window:] - command[:-window])[: -delay or None]
+    report_move = (report[window:] - report[:-window])[delay:]
+    is_large = np.abs(command_move) > criteria.min_move_share * np.nanmax(np.abs(command_move), initial=0.0)
+    is_followed = report_move[is_large] / command_move[is_large] > criteria.min_followed_share
+    followed_s = is_followed.sum() * drive.dt_s
+    follows_moves = bool(
+        followed_s > criteria.min_followed_s and is_followed.mean() > criteria.min_followed_moves_share
+    )
+    return follows_moves or _reaches_small_angles(command[: -delay or None], report[delay:], drive.dt_s)
 
 
-def _reaches_small_angles(asked: Array, said: Array, dt_s: float) -> bool:
-    """Whether angles far inside of what is reached are about those that were asked for: a wheel that most of its
-    commands pass, makes few whole moves.
+def _reaches_small_angles(command: Array, report: Array, dt_s: float) -> bool:
+    """Whether angles far inside of the reported range match their command.
+
+    A wheel that is stopped by most of its commands makes few complete moves.
     """
-    reached = np.nanmax(np.abs(said), initial=0.0)
-    inside = np.isfinite(said) & (np.abs(asked) < INSIDE * reached) & (np.abs(asked) > CLEAR_ANGLE * reached)
-    if inside.sum() * dt_s <= LEAST_INSIDE_S:
+    criteria = STEER_TRACKING
+    largest = np.nanmax(np.abs(report), initial=0.0)
+    is_inside = np.isfinite(report) & (np.abs(command) < criteria.max_inside_share * largest)
+    is_inside &= np.abs(command) > criteria.min_inside_share * largest
+    if is_inside.sum() * dt_s <= criteria.min_inside_s:
         return False
-    return float(np.median(said[inside] / asked[inside])) > WHOLE_MOVE
+    return float(np.median(report[is_inside] / command[is_inside])) > criteria.min_followed_share
 
 
-def _pedals(drive: Drive, rest_frac: float) -> Iterator[Problem]:
-    """Whether the throttle speeds it up and the brake slows it down, by every source of both."""
+def _check_pedals(drive: Drive, rest_frac: float) -> Iterator[LogProblem]:
+    """Whether the throttle accelerates and the brake decelerates, by every source of both."""
     accel = _following_accel(drive)
     if accel is None:
         return
-    for throttle_name, brake_name in zip(THROTTLES, BRAKES, strict=True):
+    for throttle_name, brake_name in zip(THROTTLE_FIELDS, BRAKE_FIELDS, strict=True):
         throttle, brake = drive.get(throttle_name), drive.get(brake_name)
-        rows = _judged(drive, accel, by_command=throttle_name.startswith("command."))
         if throttle is None:
             continue
+        rows = _judged_rows(drive, accel, by_command=throttle_name.startswith("command."))
         if brake is None:
-            yield from _one_pedal(drive, throttle_name, throttle, accel, rows)
+            yield from _check_single_pedal(drive, throttle_name, accel, rows)
             continue
-        driven = (throttle > rest_frac + PRESSED_FRAC) & (brake < rest_frac + LET_GO_FRAC)
-        braked = (brake > rest_frac + PRESSED_FRAC) & (throttle < rest_frac + LET_GO_FRAC)
-        driven, braked = rows & _kept(driven, drive.dt_s), rows & _kept(braked, drive.dt_s)
-        if min(driven.sum(), braked.sum()) * drive.dt_s < LEAST_PRESSED_S:
+        pressed_frac, released_frac = (
+            rest_frac + CONSISTENCY.min_pressed_frac,
+            rest_frac + CONSISTENCY.max_released_frac,
+        )
+        is_driven = rows & _stays_pressed((throttle > pressed_frac) & (brake < released_frac), drive.dt_s)
+        is_braked = rows & _stays_pressed((brake > pressed_frac) & (throttle < released_frac), drive.dt_s)
+        if min(is_driven.sum(), is_braked.sum()) * drive.dt_s < CONSISTENCY.min_pressed_s:
             continue
-        by_throttle, by_brake = float(accel[driven].mean()), float(accel[braked].mean())
-        if by_throttle < by_brake - LEAST_APART_MPS2:
-            words = (
+        by_throttle, by_brake = float(accel[is_driven].mean()), float(accel[is_braked].mean())
+        if by_throttle < by_brake - CONSISTENCY.min_accel_difference_mps2:
+            message = (
                 f"{drive.path}: with {throttle_name} pressed the speed changes by {by_throttle:+.2f} m/s^2 and with "
+                f"{brake_name} by {by_brake:+.2f} m/s^2, but the throttle is expected to accelerate: swapped pedals; "
+                "swap them in vehicle.toml"
             )
-            words += (
-                f"{brake_name} by {by_brake:+.2f} m/s^2, where the throttle is expected to speed up: swapped pedals; "
-            )
-            yield Problem("refuse", "swapped_pedals", drive.name, throttle_name, words + "swap them in vehicle.toml")
+            yield LogProblem("refuse", "swapped_pedals", drive.name, throttle_name, message)
 
 
-def _one_pedal(drive: Drive, name: str, throttle: Array, accel: Array, rows: Array) -> Iterator[Problem]:
-    """A vehicle without a brake: more throttle must not mean slowing down."""
-    if rows.sum() * drive.dt_s < LEAST_PRESSED_S or np.std(throttle[rows]) < LEAST_MOVED_FRAC:
+def _check_single_pedal(drive: Drive, name: str, accel: Array, rows: Array) -> Iterator[LogProblem]:
+    """Of a vehicle without a brake: more throttle must not decelerate."""
+    throttle = drive.fields[name]
+    is_short = rows.sum() * drive.dt_s < CONSISTENCY.min_pressed_s
+    if is_short or np.std(throttle[rows]) < CONSISTENCY.min_pedal_std_frac:
         return
-    if np.std(accel[rows]) > LEAST_ACCEL_MPS2 and (fit := _correlation(throttle[rows], accel[rows])) < TURNED_FIT:
-        words = (
-            f"{drive.path}: the speed falls when {name} rises (correlation {fit:.2f}), where it is expected to rise; "
-        )
-        yield Problem(
-            "refuse", "swapped_pedals", drive.name, name, words + "is it the brake, or its sign turned round?"
-        )
+    if np.std(accel[rows]) > CONSISTENCY.min_accel_std_mps2:
+        remedy = "check whether it is the brake, or has the wrong sign"
+        yield from _refuse_wrong_correlation(drive, name, _correlation(throttle[rows], accel[rows]), remedy)
 
 
-def _accel_command(drive: Drive) -> Iterator[Problem]:
-    """Whether an acceleration that is asked for is one in the same direction."""
+def _check_accel_command(drive: Drive) -> Iterator[LogProblem]:
+    """Whether the vehicle accelerates in the direction of a commanded acceleration."""
     name, accel = "command.accel_mps2", _following_accel(drive)
-    asked = drive.get(name)
-    if asked is None or accel is None:
+    command = drive.get(name)
+    if command is None or accel is None:
         return
-    rows = _judged(drive, accel, by_command=True) & np.isfinite(asked)
-    if rows.sum() * drive.dt_s < LEAST_PRESSED_S or min(np.std(asked[rows]), np.std(accel[rows])) < LEAST_ACCEL_MPS2:
+    rows = _judged_rows(drive, accel, by_command=True) & np.isfinite(command)
+    if rows.sum() * drive.dt_s < CONSISTENCY.min_pressed_s:
         return
-    if (fit := _correlation(asked[rows], accel[rows])) < TURNED_FIT:
-        words = (
-            f"{drive.path}: the speed falls when {name} rises (correlation {fit:.2f}), where it is expected to rise; "
+    if min(np.std(command[rows]), np.std(accel[rows])) < CONSISTENCY.min_accel_std_mps2:
+        return
+    remedy = "change its sign in vehicle.toml"
+    yield from _refuse_wrong_correlation(drive, name, _correlation(command[rows], accel[rows]), remedy)
+
+
+def _refuse_wrong_correlation(drive: Drive, name: str, correlation: float, remedy: str) -> Iterator[LogProblem]:
+    if correlation < CONSISTENCY.max_wrong_correlation:
+        message = (
+            f"{drive.path}: the speed falls when {name} rises (correlation {correlation:.2f}), but it is expected to "
+            f"rise; {remedy}"
         )
-        yield Problem("refuse", "swapped_pedals", drive.name, name, words + "turn its sign in vehicle.toml")
+        yield LogProblem("refuse", "swapped_pedals", drive.name, name, message)
 
 
 def _following_accel(drive: Drive) -> Array | None:
-    """The speed's rate over WINDOW_S, from DELAY_S after each row; NaN at the end. None without a speed."""
-    speed = first_of(drive, CHASSIS_FIRST_SPEEDS)
+    """The rate of speed after the delay, shape (n_rows,), NaN at the end; None without a speed."""
+    speed = first_field_values(drive, CHASSIS_FIRST_SPEEDS)
     if speed is None:
         return None
-    delay, window = round(DELAY_S / drive.dt_s), max(1, round(WINDOW_S / drive.dt_s))
-    rate = np.full(drive.ticks, np.nan)
-    rows = max(0, drive.ticks - delay - window)
-    rate[:rows] = (speed[delay + window :][:rows] - speed[delay:][:rows]) / (window * drive.dt_s)
-    return rate
+    delay, window = _effect_rows(drive.dt_s)
+    accel = np.full(drive.n_rows, np.nan)
+    rows = max(0, drive.n_rows - delay - window)
+    accel[:rows] = (speed[delay + window :][:rows] - speed[delay:][:rows]) / (window * drive.dt_s)
+    return accel
 
 
-def _kept(pressed: Array, dt_s: float) -> Array:
-    """Rows from which on it stays pressed as long as its effect is looked at: a pedal that is soon changed for the
-    other one has the other one's effect.
-    """
-    rows = round(DELAY_S / dt_s) + max(1, round(WINDOW_S / dt_s))
-    count = np.concatenate(([0], np.cumsum(pressed)))
-    kept = np.zeros(len(pressed), dtype=bool)
-    kept[: max(0, len(pressed) - rows)] = count[rows + 1 :] - count[: -rows - 1] == rows + 1
-    return kept
+def _effect_rows(dt_s: float) -> tuple[int, int]:
+    """(rows until a pedal acts, rows over which its effect is taken)."""
+    return round(CONSISTENCY.delay_s / dt_s), max(1, round(CONSISTENCY.accel_window_s / dt_s))
 
 
-def _judged(drive: Drive, accel: Array, *, by_command: bool) -> Array:
-    rows = moving(drive) & ~backwards(drive) & np.isfinite(accel)
+def _stays_pressed(is_pressed: Array, dt_s: float) -> Array:
+    """Rows from which a pedal stays pressed until its effect is taken: the other pedal has its own effect."""
+    delay, window = _effect_rows(dt_s)
+    rows = delay + window
+    count = np.concatenate(([0], np.cumsum(is_pressed)))
+    stays = np.zeros(len(is_pressed), dtype=bool)
+    stays[: max(0, len(is_pressed) - rows)] = count[rows + 1 :] - count[: -rows - 1] == rows + 1
+    return stays
+
+
+def _judged_rows(drive: Drive, accel: Array, *, by_command: bool) -> Array:
+    rows = moving_rows(drive) & ~reversing_rows(drive) & np.isfinite(accel)
     return rows & drive.enabled if by_command else rows
 
 

@@ -1,195 +1,274 @@
-"""Whether something may be learned from these drives: all that would teach nonsense is found before training.
+"""Checks before anything is learned from drives: vehicle, frames, clock, and whether there is enough data.
 
-Of which vehicle they are, whether clock and frames are whole, whether they hold enough; what signals say of each other
-is in learn/checks/consistency.py.
+Whether the signals agree with each other is checked in learn/checks/consistency.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from tunefree_hil.learn.checks.consistency import check_motion
-from tunefree_hil.learn.checks.problem import Problem
+from tunefree_hil.learn.checks.consistency import check_consistency
+from tunefree_hil.learn.checks.problem import LogProblem
 from tunefree_hil.learn.checks.same_vehicle import check_same_vehicle
 from tunefree_hil.learn.drives.drive import (
-    BRAKES,
+    BRAKE_FIELDS,
     CHASSIS_FIRST_SPEEDS,
     MOVING_MPS,
-    THROTTLES,
-    TURNS,
+    STEER_FIELDS,
+    THROTTLE_FIELDS,
     Drive,
-    Reading,
-    first_of,
-    moving,
-    name_of,
+    LogSummary,
+    first_field_name,
+    first_field_values,
+    moving_rows,
 )
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import FieldSpec, VehicleSpec
 
-__all__ = ["Problem", "check_drives"]
+__all__ = ["LogProblem", "check_drives"]
 
 Array = np.ndarray
 
-SPEED = CHASSIS_FIRST_SPEEDS[0]  # the field that is named where the speed is at fault
-LEAST_MOVING_S, FEW_MOVING_S = 20.0, 300.0
-LEAST_SPREAD = 0.15  # of the speeds driven: from the slowest 5 % to the fastest 5 %, by the latter
-LEAST_BRAKING_S = 1.0
-PRESSED_FRAC, BRAKING_MPS2 = 0.02, -0.2
-MOST_MISSING = 0.5  # of the folder's chassis messages
-MOST_BAD = 0.2  # of a message's frames: short ones, or with a CRC that does not fit
-BACK_S = 0.05  # receivers put frames of a few ms out of order; a clock that goes back further was set
-SILENT_S, STOPPED_S = 0.2, 10.0
-LEAST_SHARE, LOW_SHARE, HIGH_SHARE = 0.7, 0.5, 1.7  # of the frames that a period makes one expect
-FAR = 5.0  # times that: no second vehicle makes it so
-FEW_FRAMES = 9  # of a message: so many are too few to tell its rate
+SPEED = CHASSIS_FIRST_SPEEDS[0]  # the field that is named for problems of the speed
+CUT_LOG = "cut the log in two there"
 
 
-def check_drives(drives: Sequence[Drive], vehicle: VehicleSpec) -> list[Problem]:
-    """All that is wrong, refusals first, in the order of the drives; empty where nothing is.
+class FrameCriteria(NamedTuple):
+    """Frames of a log against the vehicle folder; every value is an engineering choice."""
 
-    vehicle: the folder that the drives were read with. Drives that were not read from logs (learn/drives/read.py) have no
-    Reading; what their frames were like is then not judged.
+    max_missing_share: float = 0.5  # of the folder's chassis messages
+    max_bad_share: float = 0.2  # of a message's frames: too short, or with a wrong CRC or data id
+    min_rate_frames: int = 10  # of a message, to judge its rate; a log with fewer in all is useless
+    min_rate_share: float = 0.7  # of the frames expected by a message's period
+    rate_range: tuple[float, float] = (0.5, 1.7)  # median of these shares over all messages
+    max_rate_ratio: float = 5.0  # beyond it the clock has other units: a second vehicle does not explain it
+
+
+class ClockCriteria(NamedTuple):
+    """Steps of the clock; every value is an engineering choice."""
+
+    max_backward_s: float = 0.05  # receivers reorder frames by some ms
+    min_gap_s: float = 0.2
+    max_gap_s: float = 10.0
+    max_distance_error_share: float = 0.5  # of the distance by the speed, in a gap ...
+    max_distance_error_m: float = 1.0  # ... plus this
+
+
+class AmountCriteria(NamedTuple):
+    """How much data learning needs; every value is an engineering choice."""
+
+    min_moving_s: float = 20.0
+    few_moving_s: float = 300.0  # less is a warning
+    min_speed_range_share: float = 0.15  # of the 95 % quantile of the speed, from the 5 % quantile up to it
+    min_braking_s: float = 1.0
+    min_pressed_frac: float = 0.02  # of the brake, above rest
+    max_braking_mps2: float = -0.2  # of a commanded acceleration
+
+
+FRAMES = FrameCriteria()
+CLOCK = ClockCriteria()
+AMOUNT = AmountCriteria()
+
+
+def check_drives(drives: Sequence[Drive], vehicle: VehicleSpec) -> list[LogProblem]:
+    """All problems, refusals first, in the order of the drives.
+
+    Args:
+        drives: those that were not read from a log are not checked for frames and clock.
+        vehicle: the folder that the drives were read with.
     """
     if not drives:
-        return [Problem("refuse", "no_log", "", "", "no log was given: name at least one")]
-    found = [_scrap(drive, drive.reading) for drive in drives if drive.reading is not None and _is_scrap(drive.reading)]
-    whole = [drive for drive in drives if drive.reading is None or not _is_scrap(drive.reading)]
-    for drive in whole:
-        if drive.reading is not None:
-            found += _frames(drive, drive.reading, vehicle)
-            found += _clock(drive, drive.reading)
-        found += _numbers(drive)
-        found += check_motion(drive, vehicle)
-    found += check_same_vehicle(whole)
-    found += _enough(whole, vehicle) if whole else ()
+        return [LogProblem("refuse", "no_log", "", "", "no log was given: name at least one")]
+    problems, complete = [], []
+    for drive in drives:
+        if drive.log_summary is not None and _is_too_small(drive.log_summary):
+            problems.append(_too_small(drive, drive.log_summary))
+        else:
+            complete.append(drive)
+    for drive in complete:
+        if drive.log_summary is not None:
+            problems += _check_frames(drive, drive.log_summary, vehicle)
+            problems += _check_clock(drive, drive.log_summary)
+        problems += _check_numbers(drive)
+        problems += check_consistency(drive, vehicle)
+    problems += check_same_vehicle(complete)
+    problems += _check_amount(complete, vehicle) if complete else ()
     paths = {drive.name: drive.path for drive in drives}
-    found = [one._replace(file=paths.get(one.drive, "")) for one in found]
-    return sorted(found, key=lambda one: one.severity != "refuse")
+    problems = [problem._replace(file=paths.get(problem.drive, "")) for problem in problems]
+    return sorted(problems, key=lambda problem: problem.severity != "refuse")
 
 
-def _is_scrap(reading: Reading) -> bool:
-    """So few frames say nothing, not even whose they are; nor do those of an instant, a few of each message."""
-    instant = reading.span_s <= 0.0 and max(reading.heard.values(), default=0) <= FEW_FRAMES
-    return instant or reading.frames <= FEW_FRAMES
+def _is_too_small(summary: LogSummary) -> bool:
+    """Too few frames to recognise a vehicle, or an instant with a few frames of each message."""
+    most_frames = max(summary.frames_by_message.values(), default=0)
+    is_instant = summary.span_s <= 0.0 and most_frames < FRAMES.min_rate_frames
+    return is_instant or summary.frames < FRAMES.min_rate_frames
 
 
-def _scrap(drive: Drive, reading: Reading) -> Problem:
-    frames = f"{reading.frames} frame{'s' if reading.frames > 1 else ''}"
-    words = f"{drive.path} is too short: it holds {frames} in {reading.span_s:g} s, where at least "
-    words += f"{LEAST_MOVING_S:g} s of driving are expected; record more, or leave it out"
-    return Problem("refuse", "scrap", drive.name, "", words)
+def _too_small(drive: Drive, summary: LogSummary) -> LogProblem:
+    frames = f"{summary.frames} frame{'s' if summary.frames > 1 else ''}"
+    message = (
+        f"{drive.path} is too short: it has {frames} in {summary.span_s:g} s, but at least {AMOUNT.min_moving_s:g} s "
+        "of driving are expected; record more, or leave it out"
+    )
+    return LogProblem("refuse", "scrap", drive.name, "", message)
 
 
-# --- of this vehicle? ------------------------------------------------------------------------------------------------
+# --- frames ----------------------------------------------------------------------------------------------------------
 
 
-def _frames(drive: Drive, reading: Reading, vehicle: VehicleSpec) -> Iterator[Problem]:
-    """Ids, lengths, CRCs and rates against the folder."""
-    chassis, others = _fields_by_message(vehicle.report), _fields_by_message(vehicle.ins)
-    silent = [name for name in _due(vehicle, reading.span_s) if not reading.heard.get(name)]
-    missing = [name for name in chassis if name in silent]
-    if len(missing) > MOST_MISSING * len(chassis):
-        ids = ", ".join(f"0x{number & 0x1FFFFFFF:X}" for number in list(reading.foreign)[:6]) or "no foreign ones"
-        words = f"{drive.path}: {len(missing)} of the {len(chassis)} chassis messages of {vehicle.name} never come "
-        words += f"({', '.join(missing[:4])} ...; ids in their place: {ids}): the log of another vehicle is expected "
-        yield Problem("refuse", "other_vehicle", drive.name, "", words + "to be read with that one's folder")
-    else:
-        for name in [*missing, *(one for one in others if one in silent)]:
-            fields = (chassis | others)[name]
-            words = f"{drive.path}: {name} never comes, so {', '.join(fields)} cannot be used; record with that device"
-            yield Problem("warn", "missing", drive.name, fields[0], words)
-    for counts, what, why in (
-        (reading.short, "are shorter than the DBC says", "is it the DBC of this vehicle?"),
-        (reading.broken, "have a CRC or data id that does not fit", "are the data ids those of this vehicle?"),
+def _check_frames(drive: Drive, summary: LogSummary, vehicle: VehicleSpec) -> Iterator[LogProblem]:
+    """Ids, lengths, CRCs and rates against the vehicle folder."""
+    yield from _check_missing_messages(drive, summary, vehicle)
+    yield from _check_bad_frames(drive, summary, vehicle)
+    yield from _check_rates(drive, summary, vehicle)
+
+
+def _check_missing_messages(drive: Drive, summary: LogSummary, vehicle: VehicleSpec) -> Iterator[LogProblem]:
+    chassis, ins = _fields_by_message(vehicle.report), _fields_by_message(vehicle.ins)
+    absent = [name for name in _due_messages(vehicle, summary.span_s) if not summary.frames_by_message.get(name)]
+    missing = [name for name in chassis if name in absent]
+    if len(missing) > FRAMES.max_missing_share * len(chassis):
+        ids = ", ".join(f"0x{can_id & 0x1FFFFFFF:X}" for can_id in list(summary.unknown_ids)[:6]) or "none"
+        message = (
+            f"{drive.path}: {len(missing)} of the {len(chassis)} expected chassis messages of {vehicle.name} are "
+            f"missing ({', '.join(missing[:4])} ...; unknown ids in the log: {ids}); if the log is of another vehicle, "
+            "use its folder"
+        )
+        yield LogProblem("refuse", "other_vehicle", drive.name, "", message)
+        return
+    for name in [*missing, *(name for name in ins if name in absent)]:
+        fields = (chassis | ins)[name]
+        message = f"{drive.path}: {name} is missing, so {', '.join(fields)} cannot be used; record with that device"
+        yield LogProblem("warn", "missing", drive.name, fields[0], message)
+
+
+def _check_bad_frames(drive: Drive, summary: LogSummary, vehicle: VehicleSpec) -> Iterator[LogProblem]:
+    fields = _fields_by_message(vehicle.report) | _fields_by_message(vehicle.ins) | _fields_by_message(vehicle.command)
+    for counts, defect, remedy in (
+        (summary.short_frames, "are shorter than in the DBC", "check that it is the DBC of this vehicle"),
+        (summary.corrupt_frames, "have a wrong CRC or data id", "check the data ids of this vehicle"),
     ):
         for name, count in counts.items():
-            bad = count > MOST_BAD * reading.heard[name]
-            words = f"{drive.path}: {count} of {reading.heard[name]} frames of {name} {what} and are left out"
-            code = "other_vehicle" if bad else "bad_frames"
-            field = (chassis | others | _fields_by_message(vehicle.command)).get(name, [""])[0]
-            yield Problem("refuse" if bad else "warn", code, drive.name, field, f"{words}; {why}")
-    yield from _rates(drive, reading, vehicle)
+            total = summary.frames_by_message[name]
+            is_refused = count > FRAMES.max_bad_share * total
+            severity, code = ("refuse", "other_vehicle") if is_refused else ("warn", "bad_frames")
+            message = f"{drive.path}: {count} of {total} frames of {name} {defect} and are left out; {remedy}"
+            yield LogProblem(severity, code, drive.name, fields.get(name, [""])[0], message)
 
 
-def _due(vehicle: VehicleSpec, span_s: float) -> set[str]:
-    """Messages of which a frame is expected in so long: a log of an instant is no other vehicle's."""
-    fields = (*vehicle.report.values(), *vehicle.ins.values())
-    return {one.message for one in fields if one.period_ms * 1e-3 <= span_s}
+def _due_messages(vehicle: VehicleSpec, span_s: float) -> set[str]:
+    """Messages of which a frame is expected in this time; in an instant none is missing."""
+    specs = (*vehicle.report.values(), *vehicle.ins.values())
+    return {spec.message for spec in specs if spec.period_ms * 1e-3 <= span_s}
 
 
 def _fields_by_message(fields: dict[str, FieldSpec]) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
+    by_message: dict[str, list[str]] = {}
     for name, spec in fields.items():
-        found.setdefault(spec.message, []).append(name)
-    return found
+        by_message.setdefault(spec.message, []).append(name)
+    return by_message
 
 
-def _rates(drive: Drive, reading: Reading, vehicle: VehicleSpec) -> Iterator[Problem]:
-    """How many frames came of those that the periods make one expect."""
-    if reading.span_s <= 0.0:
+def _check_rates(drive: Drive, summary: LogSummary, vehicle: VehicleSpec) -> Iterator[LogProblem]:
+    """The number of frames of each message against its period."""
+    if summary.span_s <= 0.0:
         return
-    periods_s = {one.message: one.period_ms * 1e-3 for one in (*vehicle.report.values(), *vehicle.ins.values())}
-    heard = {name: reading.heard[name] for name in periods_s if reading.heard.get(name) and periods_s[name] > 0.0}
-    expected = {name: reading.span_s / periods_s[name] for name in heard}
-    # few frames tell a rate where many are expected, or where many came though few are
-    judged = [name for name in heard if max(heard[name], expected[name]) > FEW_FRAMES]
-    shares = {name: heard[name] / expected[name] for name in judged}
-    many = [share for name, share in shares.items() if heard[name] > FEW_FRAMES]
+    frames, few = summary.frames_by_message, FRAMES.min_rate_frames
+    specs = (*vehicle.report.values(), *vehicle.ins.values())
+    periods_s = {spec.message: spec.period_ms * 1e-3 for spec in specs}
+    received = [name for name in periods_s if frames.get(name) and periods_s[name] > 0.0]
+    expected = {name: summary.span_s / periods_s[name] for name in received}
+    # a few frames show a rate only where many are expected
+    shares = {name: frames[name] / expected[name] for name in received if max(frames[name], expected[name]) > few - 1}
     if not shares:
         return
-    usual = float(np.median(many or list(shares.values())))
-    if not LOW_SHARE <= usual <= HIGH_SHARE:
-        words = f"{drive.path}: messages come at {usual:.4g} times the rate that the periods of vehicle.toml make one "
-        far = not 1.0 / FAR <= usual <= FAR
-        why = "two vehicles in it (keep one channel), a clock in other units, or another vehicle?"
-        words += (
-            f"expect: {'a clock in other units (stamps are expected in seconds), or another vehicle?' if far else why}"
-        )
-        yield Problem("refuse", "wrong_rate", drive.name, "", words)
+    reliable = [share for name, share in shares.items() if frames[name] >= few]
+    median = float(np.median(reliable or list(shares.values())))
+    if not FRAMES.rate_range[0] <= median <= FRAMES.rate_range[1]:
+        yield _wrong_rate(drive, median)
         return
     for name, share in shares.items():
-        if share < LEAST_SHARE:
-            some = f"{heard[name]} frame{'s' if heard[name] > 1 else ''}" if heard[name] <= FEW_FRAMES else ""
-            words = f"{drive.path}: only {some or f'{100.0 * share:.0f} % of the frames'} of {name} came "
-            words += f"where its period of {1000.0 * periods_s[name]:g} ms makes one expect {expected[name]:.0f}; "
-            yield Problem("warn", "missing_frames", drive.name, "", words + "see `tunefree-hil log check`")
+        if share < FRAMES.min_rate_share:
+            count = f"{frames[name]} frame{'s' if frames[name] > 1 else ''}"
+            amount = count if frames[name] < few else f"{100.0 * share:.0f} % of the frames"
+            message = (
+                f"{drive.path}: only {amount} of {name} came, but {expected[name]:.0f} are expected by its period of "
+                f"{1000.0 * periods_s[name]:g} ms; see `tunefree-hil log check`"
+            )
+            yield LogProblem("warn", "missing_frames", drive.name, "", message)
 
 
-# --- is the clock one clock? -----------------------------------------------------------------------------------------
-
-
-def _clock(drive: Drive, reading: Reading) -> Iterator[Problem]:
-    name, path, cut = drive.name, drive.path, "cut the log in two there"
-    if reading.cut:
-        yield Problem("warn", "cut", name, "", f"{path}: the last line of the log is cut off and was left out")
-    if reading.span_s <= 0.0 and max(reading.heard.values(), default=0) > FEW_FRAMES:
-        words = (
-            f"{path}: the clock stands still: all {reading.frames} frames have one stamp, where each is expected to "
-        )
-        yield Problem("refuse", "clock_stands", name, "", words + "have the time it was heard; record with time stamps")
-    if reading.back_s > BACK_S:
-        words = f"{path}: the clock goes back by {reading.back_s:.3f} s at stamp {reading.back_at_s:.6f}, where it is "
-        yield Problem("refuse", "clock_jump", name, "", f"{words}expected to run on; {cut}")
-    if reading.ahead_s < SILENT_S:
-        return
-    there = f"{reading.ahead_s:.2f} s before stamp {reading.ahead_at_s:.6f}"
-    if reading.ahead_s > STOPPED_S:
-        words = f"{path}: no frame comes for {there}: the clock jumped ahead, or the recording was stopped; {cut}"
-        yield Problem("refuse", "clock_jump", name, "", words)
-    elif (apart := _way_does_not_fit(drive)) is not None:
-        words = f"{path}: no frame comes for {there}, in which {apart[0]:.1f} m were driven where {apart[1]:.1f} m are "
-        yield Problem("refuse", "clock_jump", name, "ins.x_m", f"{words}expected by the speed: a clock jump; {cut}")
+def _wrong_rate(drive: Drive, ratio: float) -> LogProblem:
+    if 1.0 / FRAMES.max_rate_ratio <= ratio <= FRAMES.max_rate_ratio:
+        causes = "the log holds two vehicles (keep one channel), has a clock in other units, or is of another vehicle"
     else:
-        yield Problem("warn", "gap", name, "", f"{path}: no frame comes for {there}: a gap, which is not learned from")
+        causes = "its clock has other units (stamps are expected in seconds), or it is of another vehicle"
+    message = (
+        f"{drive.path}: messages come at {ratio:.4g} times the rate that is expected by the periods in vehicle.toml; "
+        f"probably {causes}"
+    )
+    return LogProblem("refuse", "wrong_rate", drive.name, "", message)
 
 
-def _way_does_not_fit(drive: Drive) -> tuple[float, float] | None:
-    """(way between the positions at the ends of the longest silence, way by speed), where they are not the same."""
-    x, y, speed = drive.get("ins.x_m"), drive.get("ins.y_m"), first_of(drive, CHASSIS_FIRST_SPEEDS)
+# --- clock -----------------------------------------------------------------------------------------------------------
+
+
+def _check_clock(drive: Drive, summary: LogSummary) -> Iterator[LogProblem]:
+    name, path = drive.name, drive.path
+    if summary.is_truncated:
+        yield LogProblem("warn", "cut", name, "", f"{path}: the last line of the log is incomplete and was left out")
+    if summary.span_s <= 0.0 and max(summary.frames_by_message.values(), default=0) >= FRAMES.min_rate_frames:
+        message = (
+            f"{path}: the clock stands still: all {summary.frames} frames have one stamp, but each is expected to have "
+            "the time of its reception; record with time stamps"
+        )
+        yield LogProblem("refuse", "clock_stands", name, "", message)
+    if summary.max_backward_step_s > CLOCK.max_backward_s:
+        message = (
+            f"{path}: the clock goes back by {summary.max_backward_step_s:.3f} s at stamp "
+            f"{summary.backward_step_at_s:.6f}, but it is expected to go forward; {CUT_LOG}"
+        )
+        yield LogProblem("refuse", "clock_jump", name, "", message)
+    if summary.max_forward_step_s >= CLOCK.min_gap_s:
+        yield _check_gap(drive, summary)
+
+
+def _check_gap(drive: Drive, summary: LogSummary) -> LogProblem:
+    gap = f"there is no frame for {summary.max_forward_step_s:.2f} s before stamp {summary.forward_step_at_s:.6f}"
+    if summary.max_forward_step_s > CLOCK.max_gap_s:
+        message = f"{drive.path}: {gap}: the clock jumped ahead, or the recording was stopped; {CUT_LOG}"
+        return LogProblem("refuse", "clock_jump", drive.name, "", message)
+    distances = _gap_distances(drive)
+    if distances is None or not distances.disagree():
+        message = f"{drive.path}: {gap}; this gap is not used for learning"
+        return LogProblem("warn", "gap", drive.name, "", message)
+    message = (
+        f"{drive.path}: {gap}, and the position moves by {distances.by_position_m:.1f} m where "
+        f"{distances.by_speed_m:.1f} m are expected by the speed: the clock jumped; {CUT_LOG}"
+    )
+    return LogProblem("refuse", "clock_jump", drive.name, "ins.x_m", message)
+
+
+class _GapDistances(NamedTuple):
+    """The distance driven in a gap, by the positions at its ends and by the speed."""
+
+    by_position_m: float
+    by_speed_m: float
+
+    def disagree(self) -> bool:
+        """Whether the two differ by too much."""
+        max_error_m = CLOCK.max_distance_error_share * self.by_speed_m + CLOCK.max_distance_error_m
+        return abs(self.by_position_m - self.by_speed_m) > max_error_m
+
+
+def _gap_distances(drive: Drive) -> _GapDistances | None:
+    """Of the longest gap between two positions; None where position or speed is not recorded."""
+    x, y, speed = drive.get("ins.x_m"), drive.get("ins.y_m"), first_field_values(drive, CHASSIS_FIRST_SPEEDS)
     if x is None or y is None or speed is None:
         return None
     rows = np.flatnonzero(np.logical_or.reduce([drive.fresh["ins.x_m"], drive.fresh["ins.y_m"]]))
@@ -197,89 +276,112 @@ def _way_does_not_fit(drive: Drive) -> tuple[float, float] | None:
         return None
     longest = int(np.diff(rows).argmax())
     begin, end = int(rows[longest]), int(rows[longest + 1])
-    way = float(np.hypot(x[end] - x[begin], y[end] - y[begin]))
-    by_speed = float(abs(speed[begin] + speed[end]) / 2.0 * (end - begin) * drive.dt_s)
-    return (way, by_speed) if abs(way - by_speed) > 0.5 * by_speed + 1.0 else None
+    by_position_m = float(np.hypot(x[end] - x[begin], y[end] - y[begin]))
+    by_speed_m = float(abs(speed[begin] + speed[end]) / 2.0 * (end - begin) * drive.dt_s)
+    return _GapDistances(by_position_m, by_speed_m)
 
 
-def _numbers(drive: Drive) -> Iterator[Problem]:
-    """Values that are no finite number, where a frame brought them."""
+def _check_numbers(drive: Drive) -> Iterator[LogProblem]:
+    """Fresh values that are not finite."""
     for name, values in drive.fields.items():
-        bad = drive.fresh[name] & ~np.isfinite(values)
-        if bad.any():
-            first_s = float(np.flatnonzero(bad)[0]) * drive.dt_s
-            words = f"{drive.path}: {name} is no finite number in {int(bad.sum())} frames, the first {first_s:.2f} s "
-            words += "after the log's beginning, where measured values are expected; mend the sensor, or cut that out"
-            yield Problem("refuse", "not_a_number", drive.name, name, words)
+        is_bad = drive.fresh[name] & ~np.isfinite(values)
+        if is_bad.any():
+            first_s = float(np.flatnonzero(is_bad)[0]) * drive.dt_s
+            message = (
+                f"{drive.path}: {name} is not a finite number in {int(is_bad.sum())} frames, first {first_s:.2f} s "
+                "after the start of the log, but measured values are expected; repair the sensor, or cut this "
+                "stretch out"
+            )
+            yield LogProblem("refuse", "not_a_number", drive.name, name, message)
 
 
-# --- is there enough in them? ----------------------------------------------------------------------------------------
+# --- amount of data --------------------------------------------------------------------------------------------------
 
 
-def _enough(drives: Sequence[Drive], vehicle: VehicleSpec) -> Iterator[Problem]:
-    """Time, speeds, braking and inputs of all drives together."""
-    told = [drive for drive in drives if name_of(drive, CHASSIS_FIRST_SPEEDS) is not None]
-    speeds = [drive.fields[name_of(drive, CHASSIS_FIRST_SPEEDS) or ""][moving(drive)] for drive in told]
+def _check_amount(drives: Sequence[Drive], vehicle: VehicleSpec) -> Iterator[LogProblem]:
+    """Duration, speeds, braking and inputs of all drives together."""
+    with_speed = [drive for drive in drives if first_field_name(drive, CHASSIS_FIRST_SPEEDS) is not None]
+    speeds = [
+        drive.fields[first_field_name(drive, CHASSIS_FIRST_SPEEDS) or ""][moving_rows(drive)] for drive in with_speed
+    ]
+    logs = _name_logs(drives)
     if not speeds:
-        words = f"none of {_all(drives)} holds a speed ({' or '.join(CHASSIS_FIRST_SPEEDS)}), without which nothing "
-        yield Problem("refuse", "no_speed", "", SPEED, words + "can be learned; record the message that carries it")
+        message = (
+            f"{logs}: there is no speed ({' or '.join(CHASSIS_FIRST_SPEEDS)}), which all learning needs; record the "
+            "message that carries it"
+        )
+        yield LogProblem("refuse", "no_speed", "", SPEED, message)
         return
     speed = np.abs(np.concatenate(speeds))
-    driven_s = sum(len(some) * drive.dt_s for some, drive in zip(speeds, told, strict=True))
-    if driven_s < LEAST_MOVING_S:
-        words = f"{_all(drives)} hold {driven_s:.1f} s of driving above {MOVING_MPS:g} m/s: too short, at least "
-        yield Problem("refuse", "too_short", "", SPEED, f"{words}{LEAST_MOVING_S:g} s are expected; record more")
+    moving_s = sum(len(values) * drive.dt_s for values, drive in zip(speeds, with_speed, strict=True))
+    if moving_s < AMOUNT.min_moving_s:
+        message = (
+            f"{logs} hold {moving_s:.1f} s of driving above {MOVING_MPS:g} m/s: too short, at least "
+            f"{AMOUNT.min_moving_s:g} s are expected; record more"
+        )
+        yield LogProblem("refuse", "too_short", "", SPEED, message)
         return
-    if driven_s < FEW_MOVING_S:
+    if moving_s < AMOUNT.few_moving_s:
         verb = "holds" if len(drives) == 1 else "hold"
-        words = f"{_all(drives)} {verb} only {driven_s:.0f} s of driving; what is learned will be rough"
-        yield Problem("warn", "short", "", SPEED, words)
-    yield from _speeds(drives, speed)
-    yield from _braking(drives, vehicle)
-    yield from _inputs(drives)
+        message = f"{logs} {verb} only {moving_s:.0f} s of driving; the model will be rough"
+        yield LogProblem("warn", "short", "", SPEED, message)
+    yield from _check_speed_range(drives, speed)
+    yield from _check_braking(drives, vehicle)
+    yield from _check_inputs(drives)
 
 
-def _speeds(drives: Sequence[Drive], speed: Array) -> Iterator[Problem]:
-    low, high = (float(one) for one in np.quantile(speed, (0.05, 0.95)))
-    if high - low < LEAST_SPREAD * high:
-        words = f"{_all(drives)} are driven at one speed only (90 % of the time {low:.2f} to {high:.2f} m/s), where "
-        words += "several are expected; drive slower and faster too"
-        yield Problem("refuse", "one_speed", "", SPEED, words)
+def _check_speed_range(drives: Sequence[Drive], speed: Array) -> Iterator[LogProblem]:
+    low, high = (float(quantile) for quantile in np.quantile(speed, (0.05, 0.95)))
+    if high - low < AMOUNT.min_speed_range_share * high:
+        message = (
+            f"{_name_logs(drives)}: the vehicle drives at one speed only (90 % of the time {low:.2f} to {high:.2f} "
+            "m/s), but several speeds are expected; drive slower and faster too"
+        )
+        yield LogProblem("refuse", "one_speed", "", SPEED, message)
 
 
-def _braking(drives: Sequence[Drive], vehicle: VehicleSpec) -> Iterator[Problem]:
-    """Whether the brake, where the vehicle has one, was used while it moved."""
+def _check_braking(drives: Sequence[Drive], vehicle: VehicleSpec) -> Iterator[LogProblem]:
+    """Whether the brake of a vehicle that has one was used while it moved."""
     by_accel = "accel_mps2" in vehicle.command
     has_brake = "brake_frac" in vehicle.command or "brake_frac" in vehicle.report
     if not (by_accel or has_brake):
         return
-    rest, braked_s, field = vehicle.nominal.rest_pedal_frac, 0.0, "command.accel_mps2" if by_accel else BRAKES[0]
+    field = "command.accel_mps2" if by_accel else BRAKE_FIELDS[0]
+    pressed_frac, braking_s = vehicle.nominal.rest_pedal_frac + AMOUNT.min_pressed_frac, 0.0
     for drive in drives:
-        brake, accel = first_of(drive, BRAKES), drive.get("command.accel_mps2")
-        used = np.zeros(drive.ticks, dtype=bool)
+        brake, accel = first_field_values(drive, BRAKE_FIELDS), drive.get("command.accel_mps2")
+        is_braking = np.zeros(drive.n_rows, dtype=bool)
         if brake is not None:
-            used |= brake > rest + PRESSED_FRAC
+            is_braking |= brake > pressed_frac
         if accel is not None:
-            used |= accel < BRAKING_MPS2
-        braked_s += float((used & moving(drive)).sum()) * drive.dt_s
-    if braked_s < LEAST_BRAKING_S:
-        words = f"{_all(drives)} hold {braked_s:.1f} s of braking while driving ({field}), where at least "
-        words += f"{LEAST_BRAKING_S:g} s are expected; brake, gently and hard, from several speeds"
-        yield Problem("refuse", "no_braking", "", field, words)
+            is_braking |= accel < AMOUNT.max_braking_mps2
+        braking_s += float((is_braking & moving_rows(drive)).sum()) * drive.dt_s
+    if braking_s < AMOUNT.min_braking_s:
+        message = (
+            f"{_name_logs(drives)} hold {braking_s:.1f} s of braking while driving ({field}), but at least "
+            f"{AMOUNT.min_braking_s:g} s are expected; brake gently and hard, from several speeds"
+        )
+        yield LogProblem("refuse", "no_braking", "", field, message)
 
 
-def _inputs(drives: Sequence[Drive]) -> Iterator[Problem]:
-    """Whether anything says how it was driven and steered; and whether by-wire ever obeyed."""
-    drive_inputs = (*THROTTLES, "command.accel_mps2", "report.accel_command_mps2")
-    for fields, what in ((drive_inputs, "driven"), (TURNS, "steered")):
-        if all(first_of(drive, fields) is None for drive in drives):
-            words = f"{_all(drives)} do not say how the vehicle was {what} (none of {', '.join(fields)}); "
-            yield Problem("warn", "no_input", "", fields[0], words + "that part of it cannot be learned")
+def _check_inputs(drives: Sequence[Drive]) -> Iterator[LogProblem]:
+    """Whether pedals and steering are recorded, and whether by-wire control was ever enabled."""
+    drive_fields = (*THROTTLE_FIELDS, "command.accel_mps2", "report.accel_command_mps2")
+    for fields, action in ((drive_fields, "driven"), (STEER_FIELDS, "steered")):
+        if all(first_field_values(drive, fields) is None for drive in drives):
+            message = (
+                f"{_name_logs(drives)}: it is not recorded how the vehicle was {action} (none of {', '.join(fields)}); "
+                "that part of the model cannot be learned"
+            )
+            yield LogProblem("warn", "no_input", "", fields[0], message)
     for drive in drives:
         if not drive.enabled.any():
-            words = f"{drive.path}: by-wire control is never enabled, so commands say nothing of what followed; enable "
-            yield Problem("warn", "never_enabled", drive.name, "", words + "it, or let the reports alone be used")
+            message = (
+                f"{drive.path}: by-wire control is never enabled, so the commands had no effect; enable it, or use "
+                "the reports alone"
+            )
+            yield LogProblem("warn", "never_enabled", drive.name, "", message)
 
 
-def _all(drives: Sequence[Drive]) -> str:
+def _name_logs(drives: Sequence[Drive]) -> str:
     return drives[0].path if len(drives) == 1 else f"the {len(drives)} logs together"

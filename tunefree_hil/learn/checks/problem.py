@@ -1,4 +1,4 @@
-"""What may be wrong with logs that something is to be learned from: in words, and whether it forbids learning."""
+"""A problem of logs that a model is to be learned from, and the refusal of such logs."""
 
 from __future__ import annotations
 
@@ -10,33 +10,34 @@ from tunefree_hil.base.errors import InputError
 Severity = Literal["refuse", "warn"]
 
 
-class Problem(NamedTuple):
-    """One thing that is wrong. code: a constant word for machines; drive, field: where ('' where it is all of them).
-
-    words: one sentence with the log, the field, what was expected and what to do. file: that log as it was given.
-    """
+class LogProblem(NamedTuple):
+    """One problem. drive and field say where it is, '' where it concerns all of them."""
 
     severity: Severity
-    code: str
+    code: str  # a constant word for machines
     drive: str
     field: str
-    words: str
-    file: str = ""
+    message: str  # one sentence with the log, the field, what is expected, and what to do
+    file: str = ""  # the log as the user named it
 
 
-def require_good(problems: Iterable[Problem]) -> list[Problem]:
-    """The warnings among them. Raises one InputError with the words of all refusals."""
+def raise_refusals(problems: Iterable[LogProblem]) -> list[LogProblem]:
+    """The problems, if all of them are warnings.
+
+    Raises:
+        InputError: with the messages of all refusals.
+    """
     problems = list(problems)
-    refusals = [one for one in problems if one.severity == "refuse"]
+    refusals = [problem for problem in problems if problem.severity == "refuse"]
     if not refusals:
         return problems
     first = refusals[0]
-    listed = "\n".join(f"  {one.words}" for one in refusals)
-    count = "1 thing is" if len(refusals) == 1 else f"{len(refusals)} things are"
+    listed = "\n".join(f"  {refusal.message}" for refusal in refusals)
+    count = "1 problem" if len(refusals) == 1 else f"{len(refusals)} problems"
     raise InputError(
-        f"nothing is done with these logs, {count} wrong:\n{listed}",
+        f"these logs cannot be used because of {count}:\n{listed}",
         code=first.code,
         file=first.file or first.drive,
         key=first.field,
-        hint="mend what is named, or leave the log out",
+        hint="correct what is named, or leave the log out",
     )

@@ -1,176 +1,238 @@
-"""Whether several drives are of one vehicle: what does not depend on how it was driven is compared."""
+"""Whether several drives are of one vehicle, by what does not depend on how it was driven."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from tunefree_hil.learn.checks.problem import Problem, Severity
+from tunefree_hil.learn.checks.problem import LogProblem, Severity
 from tunefree_hil.learn.drives.drive import (
     CHASSIS_FIRST_SPEEDS,
     CHASSIS_FIRST_YAW_RATES,
-    TURNS,
+    STEER_FIELDS,
     Drive,
-    backwards,
-    first_of,
-    moving,
-    name_of,
+    first_field_name,
+    first_field_values,
+    moving_rows,
+    reversing_rows,
 )
-from tunefree_hil.learn.drives.validity import told
+from tunefree_hil.learn.drives.validity import valid_rows
 
 Array = np.ndarray
-Band = tuple[int, int, int]  # of speed, of steering, its side
-
-WINDOW_S = 1.0
-LEAST_TURN_RAD = 0.05  # in a window, that it counts
-LEAST_STEER = 0.1  # of the most that was steered: less is as much trim as steering
-FEWEST_WINDOWS = 3  # in a band
-OF_MEDIAN, SURE = 1.25, 2.0  # a middle one is so much less sure than a mean; deviations that are taken off
-BAND = 1.6  # a band reaches from a value to this many times it
-# From which ratio on it is told, and refused.
-STEERING_APART, WHEELS_APART = (1.3, 1.7), (1.05, 1.1)
-FEWEST_IDS, LEAST_SHARED = 5, 0.3  # foreign ids of a log, and how many of all of two logs' are in both
+Band = tuple[int, int, int]  # of the speed, of the steering angle, and the side
 
 
-def check_same_vehicle(drives: Sequence[Drive]) -> Iterator[Problem]:
-    """Every drive against the first that can be compared with it: steering, wheels, what else is on the bus."""
-    yield from _twice(drives)
-    yield from _foreign(drives)
-    steers = [np.abs(steer) for drive in drives if (steer := first_of(drive, TURNS)) is not None]
-    most_rad = max((float(np.nanmax(steer, initial=0.0)) for steer in steers), default=0.0)
-    steering = [_steering(drive, LEAST_STEER * most_rad) for drive in drives]
-    field = next((name for drive in drives if (name := name_of(drive, TURNS))), TURNS[0])
-    turns = _apart(drives, lambda i, j: _turning(steering[i], steering[j]), STEERING_APART)
-    yield from (_of_two(*pair, "turns", "steering angle", field) for pair in turns)
-    wheels = [_wheels(drive) for drive in drives]
-    rolls = _apart(drives, lambda i, j: _ratio(wheels[i], wheels[j]), WHEELS_APART)
-    yield from (_of_two(*pair, "drives", "turn of its wheels", "report.wheel_rl_radps") for pair in rolls)
+class RatioLimits(NamedTuple):
+    """Ratios between two drives, from which on they are told apart."""
+
+    warn: float
+    refuse: float
 
 
-def _twice(drives: Sequence[Drive]) -> Iterator[Problem]:
-    """One file named twice would be fitted on and prove what was fitted; a copy is only told, as splits know it."""
-    first: dict[str, Drive] = {}
+class SameVehicleCriteria(NamedTuple):
+    """Settings of the comparison; every value is an engineering choice."""
+
+    window_s: float = 1.0
+    min_turned_rad: float = 0.05  # in a window
+    min_steer_share: float = 0.1  # of the largest steering angle; less is mostly the offset of the wheel
+    min_windows: int = 3  # in a band
+    band_ratio: float = 1.6  # of the upper end of a band to its lower end
+    median_std_ratio: float = 1.25  # standard error of a median, in multiples of that of a mean (normal distribution)
+    doubt_sigmas: float = 2.0  # standard errors that are subtracted from a difference
+    steering: RatioLimits = RatioLimits(1.3, 1.7)
+    wheels: RatioLimits = RatioLimits(1.05, 1.1)
+    min_wheel_radps: float = 1.0
+    min_unknown_ids: int = 5  # in a log, for a comparison of the ids
+    min_shared_share: float = 0.3  # of the unknown ids of two logs, that are in both
+
+
+SAME_VEHICLE = SameVehicleCriteria()
+
+
+class _Quantity(NamedTuple):
+    """A ratio that a vehicle keeps: it `verb`s so much for the same `cause`."""
+
+    verb: str
+    cause: str
+    field: str
+
+
+class _Difference(NamedTuple):
+    """A drive that differs from another one by more than a limit."""
+
+    severity: Severity
+    ratio: float
+    drive: Drive
+    reference: Drive
+
+
+def check_same_vehicle(drives: Sequence[Drive]) -> Iterator[LogProblem]:
+    """Compare every drive with the first comparable one: steering, wheels, and the unknown ids on the bus."""
+    yield from _check_duplicates(drives)
+    yield from _check_unknown_ids(drives)
+    angles = [np.abs(steer) for drive in drives if (steer := first_field_values(drive, STEER_FIELDS)) is not None]
+    max_rad = max((float(np.nanmax(angle, initial=0.0)) for angle in angles), default=0.0)
+    responses = [_steering_response(drive, SAME_VEHICLE.min_steer_share * max_rad) for drive in drives]
+    field = next((name for drive in drives if (name := first_field_name(drive, STEER_FIELDS))), STEER_FIELDS[0])
+    quantity = _Quantity("turns", "steering angle", field)
+    differences = _compare(drives, lambda i, j: _turn_ratio(responses[i], responses[j]), SAME_VEHICLE.steering)
+    yield from (_as_problem(difference, quantity) for difference in differences)
+    radii = [_wheel_radius(drive) for drive in drives]
+    quantity = _Quantity("drives", "turn of its wheels", "report.wheel_rl_radps")
+    differences = _compare(drives, lambda i, j: _ratio(radii[i], radii[j]), SAME_VEHICLE.wheels)
+    yield from (_as_problem(difference, quantity) for difference in differences)
+
+
+def _check_duplicates(drives: Sequence[Drive]) -> Iterator[LogProblem]:
+    """A file that is named twice would be both fitted and held out. A copy is only reported: a split recognises it."""
+    first_by_hash: dict[str, Drive] = {}
     for drive in drives:
-        before = first.setdefault(drive.log_hash, drive) if drive.log_hash else drive
-        if before is drive:
+        first = first_by_hash.setdefault(drive.log_hash, drive) if drive.log_hash else drive
+        if first is drive:
             continue
-        if drive.reading is not None and Path(drive.path).resolve() == Path(before.path).resolve():
-            words = f"{drive.path} is named twice, where each log is expected once; leave one out"
-            yield Problem("refuse", "twice", drive.name, "", words)
-        elif before.name != drive.name:
-            words = f"{drive.path} is the same recording as {before.path}, where each is expected once; leave one out"
-            yield Problem("warn", "twice", drive.name, "", words)
+        if drive.log_summary is not None and Path(drive.path).resolve() == Path(first.path).resolve():
+            message = f"{drive.path} is named twice, but each log is expected once; name it once"
+            yield LogProblem("refuse", "twice", drive.name, "", message)
+        elif first.name != drive.name:
+            message = f"{drive.path} is the same recording as {first.path}, but each is expected once; leave one out"
+            yield LogProblem("warn", "twice", drive.name, "", message)
 
 
-def _foreign(drives: Sequence[Drive]) -> Iterator[Problem]:
-    """A vehicle's bus carries the same ids on every drive, those too that the folder does not know."""
-    ids = [set(drive.reading.foreign) if drive.reading is not None else set() for drive in drives]
-    many = [i for i, some in enumerate(ids) if len(some) >= FEWEST_IDS]
-    for i in many[1:]:
-        both, any_of = ids[many[0]] & ids[i], ids[many[0]] | ids[i]
-        if len(both) < LEAST_SHARED * len(any_of):
-            words = f"{drives[i].path} shares {len(both)} of {len(any_of)} ids that the folder does not know with "
-            words += f"{drives[many[0]].path}, where nearly all are expected: two vehicles? give the logs of one"
-            yield Problem("refuse", "two_vehicles", drives[i].name, "", words)
+def _check_unknown_ids(drives: Sequence[Drive]) -> Iterator[LogProblem]:
+    """The ids that the vehicle folder does not have are the same in every log of one vehicle."""
+    ids = [set(drive.log_summary.unknown_ids) if drive.log_summary is not None else set() for drive in drives]
+    comparable = [i for i, drive_ids in enumerate(ids) if len(drive_ids) >= SAME_VEHICLE.min_unknown_ids]
+    for i in comparable[1:]:
+        first = comparable[0]
+        shared, union = ids[first] & ids[i], ids[first] | ids[i]
+        if len(shared) < SAME_VEHICLE.min_shared_share * len(union):
+            message = (
+                f"{drives[i].path} shares only {len(shared)} of {len(union)} ids that the vehicle folder does not have "
+                f"with {drives[first].path}, but nearly all are expected: these are probably two vehicles; use the "
+                "logs of one"
+            )
+            yield LogProblem("refuse", "two_vehicles", drives[i].name, "", message)
 
 
-def _apart(
-    drives: Sequence[Drive], ratio_of: Callable[[int, int], float | None], limits: tuple[float, float]
-) -> Iterator[tuple[Severity, float, Drive, Drive]]:
-    """(severity, ratio, drive, the one that it is compared with: the first that can be) of those that are too unlike.
-    ratio_of: of two drives by number, None where they cannot be compared.
-    """
+def _compare(
+    drives: Sequence[Drive], ratio: Callable[[int, int], float | None], limits: RatioLimits
+) -> Iterator[_Difference]:
+    """Compare each drive with the first earlier one that has a ratio to it; yields those beyond a limit."""
     for i, drive in enumerate(drives):
-        ratios = ((before, ratio_of(i, before)) for before in range(i))
-        found = next(((before, ratio) for before, ratio in ratios if ratio is not None), None)
-        if found and (apart := max(found[1], 1.0 / found[1])) > limits[0]:
-            yield "refuse" if apart > limits[1] else "warn", found[1], drive, drives[found[0]]
+        ratios = ((j, ratio(i, j)) for j in range(i))
+        comparison = next(((j, value) for j, value in ratios if value is not None), None)
+        if comparison is None:
+            continue
+        j, value = comparison
+        factor = max(value, 1.0 / value)
+        if factor > limits.warn:
+            yield _Difference("refuse" if factor > limits.refuse else "warn", value, drive, drives[j])
 
 
-def _of_two(severity: Severity, ratio: float, drive: Drive, other: Drive, does: str, what: str, field: str) -> Problem:
-    words = f"{drive.path} {does} {ratio:.2f} times as much for the same {what} as {other.path} ({field}), where 1 is "
-    words += "expected: logs of two vehicles; give those of one"
-    return Problem(severity, "two_vehicles", drive.name, field, words)
+def _as_problem(difference: _Difference, quantity: _Quantity) -> LogProblem:
+    drive, reference = difference.drive, difference.reference
+    message = (
+        f"{drive.path} {quantity.verb} {difference.ratio:.2f} times as much for the same {quantity.cause} as "
+        f"{reference.path} ({quantity.field}), but about 1 is expected: these are probably two vehicles; use the "
+        "logs of one"
+    )
+    return LogProblem(difference.severity, "two_vehicles", drive.name, quantity.field, message)
 
 
-def _ratio(mine: float | None, other: float | None) -> float | None:
-    return None if mine is None or other is None else mine / other
+def _ratio(value: float | None, reference: float | None) -> float | None:
+    return None if value is None or reference is None else value / reference
 
 
-def _steering(drive: Drive, least_rad: float) -> dict[Band, Array]:
-    """Windows that turn enough, by band of speed and of steering to each side, each [n, 3]: logarithm of the yaw rate
-    by steering times speed, speed squared, steering angle.
+def _steering_response(drive: Drive, min_steer_rad: float) -> dict[Band, Array]:
+    """Windows that turn enough, by band of speed and of steering to each side.
 
-    A servo is not linear, tyres are not, and a wheel is never quite straight: only what was steered alike is compared.
+    Only similar steering is compared, because servos and tyres are not linear and a wheel is never exactly centred.
+
+    Returns:
+        Arrays of shape (n_windows, 3): log of yaw rate / (steering * speed), speed squared, steering angle.
     """
-    speed, steer, yaw = (first_of(drive, names) for names in (CHASSIS_FIRST_SPEEDS, TURNS, CHASSIS_FIRST_YAW_RATES))
-    if speed is None or steer is None or yaw is None:
+    sources = (CHASSIS_FIRST_SPEEDS, STEER_FIELDS, CHASSIS_FIRST_YAW_RATES)
+    speed, steer, yaw_rate = (first_field_values(drive, names) for names in sources)
+    if speed is None or steer is None or yaw_rate is None:
         return {}
-    whole = moving(drive) & ~backwards(drive) & np.isfinite(steer) & np.isfinite(yaw)
-    used = (name_of(drive, names) for names in (CHASSIS_FIRST_SPEEDS, TURNS, CHASSIS_FIRST_YAW_RATES))
-    whole &= told(drive, *(name for name in used if name))
-    v, wheel, turned = (_windows(np.where(whole, one, np.nan), drive.dt_s) for one in (np.abs(speed), steer, yaw))
-    good = np.isfinite(v) & (np.abs(turned) * WINDOW_S > LEAST_TURN_RAD) & (np.abs(wheel) > least_rad)
-    good &= turned * wheel > 0.0  # a turned sign is another fault
-    v, wheel, turned = v[good], wheel[good], turned[good]
-    rows = np.column_stack([np.log(turned / (wheel * v)), v * v, np.abs(wheel)])
+    is_usable = moving_rows(drive) & ~reversing_rows(drive) & np.isfinite(steer) & np.isfinite(yaw_rate)
+    names = (first_field_name(drive, names) for names in sources)
+    is_usable &= valid_rows(drive, *(name for name in names if name))
+    v, angle, rate = (
+        _window_means(np.where(is_usable, signal, np.nan), drive.dt_s) for signal in (np.abs(speed), steer, yaw_rate)
+    )
+    is_turning = np.abs(rate) * SAME_VEHICLE.window_s > SAME_VEHICLE.min_turned_rad
+    is_good = np.isfinite(v) & is_turning & (np.abs(angle) > min_steer_rad)
+    is_good &= rate * angle > 0.0  # a wrong sign is another problem
+    v, angle, rate = v[is_good], angle[is_good], rate[is_good]
+    rows = np.column_stack([np.log(rate / (angle * v)), v * v, np.abs(angle)])
     by_band: dict[Band, list[Array]] = {}
-    keys = zip(_bands(v), _bands(np.abs(wheel)), np.sign(wheel).astype(int).tolist(), strict=True)
-    for key, row in zip(keys, rows, strict=True):
-        by_band.setdefault(key, []).append(row)
-    return {key: np.array(some) for key, some in by_band.items() if len(some) >= FEWEST_WINDOWS}
+    bands = zip(_bands(v), _bands(np.abs(angle)), np.sign(angle).astype(int).tolist(), strict=True)
+    for band, row in zip(bands, rows, strict=True):
+        by_band.setdefault(band, []).append(row)
+    return {band: np.array(row) for band, row in by_band.items() if len(row) >= SAME_VEHICLE.min_windows}
 
 
-def _turning(mine: Mapping[Band, Array], other: Mapping[Band, Array]) -> float | None:
-    """By how much more one drive turns at the least, the middle one of the bands that both have; None without any.
-    Within a band a faster car turns less for the same angle, and more steering is worth less: what that comes to is
-    told by the windows of each drive and band among themselves, and taken off before two drives are compared. What is
-    left from window to window says how sure the middle one is.
+def _turn_ratio(response: Mapping[Band, Array], reference: Mapping[Band, Array]) -> float | None:
+    """By how much one drive turns more than another, at the least: the median over the bands that both have.
+
+    Within a band a faster car turns less for the same angle, and larger angles have less effect. These two slopes are
+    fitted within each drive and band and removed before the drives are compared. The scatter that remains between
+    windows gives the standard error of the median, of which some multiple is subtracted. None without a common band.
     """
-    common = sorted(mine.keys() & other.keys())
+    common = sorted(response.keys() & reference.keys())
     if not common:
         return None
-    centred = np.concatenate([rows - rows.mean(axis=0) for some in (mine, other) for rows in some.values()])
+    both = (response, reference)
+    centred = np.concatenate([rows - rows.mean(axis=0) for bands in both for rows in bands.values()])
     slopes = np.linalg.lstsq(centred[:, 1:], centred[:, 0], rcond=None)[0]
-    apart = [np.median(_even(mine[band], slopes)) - np.median(_even(other[band], slopes)) for band in common]
-    doubts = [np.concatenate([_from_middle(_even(some[band], slopes)) for band in common]) for some in (mine, other)]
-    doubt = OF_MEDIAN * float(np.hypot(*(one.std() / np.sqrt(len(one)) for one in doubts)))
-    middle = float(np.median(apart))
-    return float(np.exp(np.sign(middle) * max(abs(middle) - SURE * doubt, 0.0)))
+    differences = [
+        np.median(_without_slopes(response[band], slopes)) - np.median(_without_slopes(reference[band], slopes))
+        for band in common
+    ]
+    scatter = [
+        np.concatenate([_from_median(_without_slopes(bands[band], slopes)) for band in common]) for bands in both
+    ]
+    errors = (values.std() / np.sqrt(len(values)) for values in scatter)
+    doubt = SAME_VEHICLE.median_std_ratio * float(np.hypot(*errors))
+    median = float(np.median(differences))
+    return float(np.exp(np.sign(median) * max(abs(median) - SAME_VEHICLE.doubt_sigmas * doubt, 0.0)))
 
 
-def _even(rows: Array, slopes: Array) -> Array:
-    """Logarithms [n] of how much a drive turned, without what speed and steering do to that."""
+def _without_slopes(rows: Array, slopes: Array) -> Array:
+    """The logarithms of a steering response without the effect of speed and steering angle, shape (n_windows,)."""
     return rows[:, 0] - rows[:, 1:] @ slopes
 
 
-def _from_middle(values: Array) -> Array:
+def _from_median(values: Array) -> Array:
     return values - np.median(values)
 
 
 def _bands(values: Array) -> list[int]:
-    return np.floor(np.log(values) / np.log(BAND)).astype(int).tolist()
+    return np.floor(np.log(values) / np.log(SAME_VEHICLE.band_ratio)).astype(int).tolist()
 
 
-def _wheels(drive: Drive) -> float | None:
-    """Speed by the rear wheels' turn, while it moves."""
-    names = [f"report.{one}" for one in ("speed_mps", "wheel_rl_radps", "wheel_rr_radps")]
+def _wheel_radius(drive: Drive) -> float | None:
+    """Speed by the mean turn rate of the rear wheels, while the vehicle moves."""
+    names = [f"report.{name}" for name in ("speed_mps", "wheel_rl_radps", "wheel_rr_radps")]
     speed, left, right = (drive.get(name) for name in names)
     if speed is None or left is None or right is None:
         return None
-    turn = 0.5 * (left + right)
-    rows = moving(drive) & ~backwards(drive) & np.isfinite(turn) & (np.abs(turn) > 1.0) & told(drive, *names)
-    if rows.sum() * drive.dt_s < FEWEST_WINDOWS * WINDOW_S:
+    turn_rate = 0.5 * (left + right)
+    is_turning = np.isfinite(turn_rate) & (np.abs(turn_rate) > SAME_VEHICLE.min_wheel_radps)
+    rows = moving_rows(drive) & ~reversing_rows(drive) & is_turning & valid_rows(drive, *names)
+    if rows.sum() * drive.dt_s < SAME_VEHICLE.min_windows * SAME_VEHICLE.window_s:
         return None
-    gain = float(np.abs(speed[rows]).sum() / np.abs(turn[rows]).sum())
-    return gain if gain > 0.0 else None
+    radius_m = float(np.abs(speed[rows]).sum() / np.abs(turn_rate[rows]).sum())
+    return radius_m if radius_m > 0.0 else None
 
 
-def _windows(values: Array, dt_s: float) -> Array:
-    """Means over windows of WINDOW_S, one each half of it; NaN where a row of it is."""
-    half = max(1, round(WINDOW_S / dt_s / 2.0))
+def _window_means(values: Array, dt_s: float) -> Array:
+    """Means over windows that overlap by half; NaN where a row of the window is."""
+    half = max(1, round(SAME_VEHICLE.window_s / dt_s / 2.0))
     count = len(values) // half
     halves = values[: count * half].reshape(count, half).mean(axis=1)
     return 0.5 * (halves[1:] + halves[:-1])

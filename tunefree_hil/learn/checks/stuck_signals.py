@@ -1,4 +1,4 @@
-"""Signals that say the same value for seconds while what moves them moves (learn/checks/drive_checks.py)."""
+"""Signals that repeat one value for seconds while the quantity that drives them changes."""
 
 from __future__ import annotations
 
@@ -8,170 +8,192 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.learn.actuators.samples import ECHOES
-from tunefree_hil.learn.checks.problem import Problem
+from tunefree_hil.learn.checks.problem import LogProblem
 from tunefree_hil.learn.drives.drive import (
     CHASSIS_FIRST_SPEEDS,
     CHASSIS_FIRST_YAW_RATES,
-    TURNS,
+    STEER_FIELDS,
     Drive,
-    first_of,
-    moving,
-    name_of,
+    first_field_name,
+    first_field_values,
+    moving_rows,
 )
-from tunefree_hil.learn.drives.smoothing import quantum_of, rate_of
+from tunefree_hil.learn.drives.smoothing import estimate_quantum, estimate_rate
 
 Array = np.ndarray
 
-# An echo that stands tells of commands that never arrived: whoever looks for such a fault is not to be refused
+# A stuck echo may mean that commands did not arrive, which `gap` looks for: it has a code of its own.
 STUCK, ECHO_STUCK = "stuck", "echo_stuck"
-_ECHOES = frozenset(f"report.{name}" for name in ECHOES.values())
-STUCK_S, FEWEST_FRAMES = 2.0, 10
-SETTLED_S = 0.5  # at each end of a stretch, in which what moves the signal does not count: its answer comes late
-MOVED = 0.3  # of the mover's own range in the drive
-# Movers that no field is: made of several, or of the rate or the sum of one.
-TURNING, CORNERING, SPEEDING = "steering times speed", "yaw rate times speed", "the rate of the speed"
-WAY, TURNED = "the way by the speed", "the angle by the yaw rate"
-RATE_S = 0.5  # the rate of a speed is taken over so long
-LEVELS = 20  # different values: a sensor that says fewer is dead and not at its end
-POSE, HELD = ("ins.heading_rad", "ins.x_m"), 0.5
+ECHO_FIELDS = frozenset(f"report.{name}" for name in ECHOES.values())
+# Driving quantities that are computed from fields.
+STEERING_TIMES_SPEED, YAW_RATE_TIMES_SPEED = "steering times speed", "yaw rate times speed"
+SPEED_RATE, DISTANCE, TURNED_ANGLE = "the rate of the speed", "the distance by the speed", "the angle by the yaw rate"
+COMPUTED = (STEERING_TIMES_SPEED, YAW_RATE_TIMES_SPEED, SPEED_RATE, DISTANCE, TURNED_ANGLE)
+ACCELERATIONS = (YAW_RATE_TIMES_SPEED, SPEED_RATE)
+POSE_FIELDS = ("ins.heading_rad", "ins.x_m")
 
 
-class Mover(NamedTuple):
-    """What makes a signal move, best first, and how far it must have moved for the signal to follow.
+class StuckCriteria(NamedTuple):
+    """When a signal counts as stuck; every value is an engineering choice."""
 
-    share: so much of its own range in the drive it must have moved, too.
-    """
+    min_duration_s: float = 2.0
+    min_frames: int = 10
+    settling_s: float = 0.5  # at each end of the stretch, in which the driving quantity is not looked at: signals lag
+    rate_window_s: float = 0.5  # of the filter that gives the rate of the speed
+    min_signal_quanta: float = 2.0  # of an accelerometer, by which its driving quantity moves at least
+    min_speed_quanta: float = 4.0  # per rate_window_s, by which the rate of a coarse speed moves at least
+    min_levels: int = 20  # different values of a sensor that may stand at the end of its range; a dead one has fewer
+    max_frozen_pose_share: float = 0.5  # of the moving time
+
+
+CRITERIA = StuckCriteria()
+
+
+class DrivingSignal(NamedTuple):
+    """The quantity that moves a signal: fields, best first, or one of COMPUTED."""
 
     names: tuple[str, ...]
-    least: float
-    share: float = MOVED
+    min_range: float  # by which it must move for the signal to follow, in its own unit
+    min_range_share: float = 0.3  # the same as a share of its range in the whole drive
 
 
-_YAW = (TURNING,)
-_LONGITUDINAL = (Mover((SPEEDING,), 1.0),)
-_FOLLOWS: dict[str, tuple[Mover, ...]] = {
-    "report.steer_rad": (Mover(("report.steer_command_rad", "command.steer_rad"), 0.1),),
-    "report.steer_command_rad": (Mover(("command.steer_rad",), 0.1),),
-    "report.throttle_frac": (Mover(("report.throttle_command_frac", "command.throttle_frac"), 0.04),),
-    "report.throttle_command_frac": (Mover(("command.throttle_frac",), 0.04),),
-    "report.brake_frac": (Mover(("report.brake_command_frac", "command.brake_frac"), 0.04),),
-    "report.brake_command_frac": (Mover(("command.brake_frac",), 0.04),),
-    "report.steer_torque_nm": (Mover(("report.steer_torque_command_nm", "command.steer_torque_nm"), 0.0),),
-    "report.yaw_rate_radps": (Mover(("ins.yaw_rate_radps",), 0.1), Mover(_YAW, 5.0)),
-    "ins.yaw_rate_radps": (Mover(("report.yaw_rate_radps",), 0.1), Mover(_YAW, 5.0)),
-    "report.speed_mps": (Mover(("ins.speed_mps", "report.wheel_rl_radps"), 1.5),),
-    "ins.speed_mps": (Mover(("report.speed_mps",), 1.5),),
-    **{f"report.wheel_{at}_radps": (Mover(CHASSIS_FIRST_SPEEDS, 1.5),) for at in ("fl", "fr", "rl", "rr")},
+_YAW = (STEERING_TIMES_SPEED,)
+_LONGITUDINAL = (DrivingSignal((SPEED_RATE,), 1.0),)
+DRIVING_SIGNALS: dict[str, tuple[DrivingSignal, ...]] = {
+    "report.steer_rad": (DrivingSignal(("report.steer_command_rad", "command.steer_rad"), 0.1),),
+    "report.steer_command_rad": (DrivingSignal(("command.steer_rad",), 0.1),),
+    "report.throttle_frac": (DrivingSignal(("report.throttle_command_frac", "command.throttle_frac"), 0.04),),
+    "report.throttle_command_frac": (DrivingSignal(("command.throttle_frac",), 0.04),),
+    "report.brake_frac": (DrivingSignal(("report.brake_command_frac", "command.brake_frac"), 0.04),),
+    "report.brake_command_frac": (DrivingSignal(("command.brake_frac",), 0.04),),
+    "report.steer_torque_nm": (DrivingSignal(("report.steer_torque_command_nm", "command.steer_torque_nm"), 0.0),),
+    "report.yaw_rate_radps": (DrivingSignal(("ins.yaw_rate_radps",), 0.1), DrivingSignal(_YAW, 5.0)),
+    "ins.yaw_rate_radps": (DrivingSignal(("report.yaw_rate_radps",), 0.1), DrivingSignal(_YAW, 5.0)),
+    "report.speed_mps": (DrivingSignal(("ins.speed_mps", "report.wheel_rl_radps"), 1.5),),
+    "ins.speed_mps": (DrivingSignal(("report.speed_mps",), 1.5),),
+    **{f"report.wheel_{at}_radps": (DrivingSignal(CHASSIS_FIRST_SPEEDS, 1.5),) for at in ("fl", "fr", "rl", "rr")},
     "report.accel_mps2": _LONGITUDINAL,
     "ins.accel_mps2": _LONGITUDINAL,
-    "report.lateral_accel_mps2": (Mover((CORNERING,), 1.0),),
-    # sums grow as long as it drives: no share of theirs. What a gyro drifts on a straight road is far less than this.
-    "ins.heading_rad": (Mover((TURNED,), 0.5, 0.0),),
-    "ins.x_m": (Mover((WAY,), 5.0, 0.0),),  # and y: along one axis the other stands still
+    "report.lateral_accel_mps2": (DrivingSignal((YAW_RATE_TIMES_SPEED,), 1.0),),
+    # Integrals grow with the length of the drive, so no share of them. A gyro drifts by far less on a straight road.
+    "ins.heading_rad": (DrivingSignal((TURNED_ANGLE,), 0.5, 0.0),),
+    "ins.x_m": (DrivingSignal((DISTANCE,), 5.0, 0.0),),  # with y: along one axis the other does not change
 }
 
 
-def check_stuck(drive: Drive) -> Iterator[Problem]:
-    """The longest stretch of each signal that stands still, where it may not."""
-    for name, movers in _FOLLOWS.items():
+def check_stuck_signals(drive: Drive) -> Iterator[LogProblem]:
+    """For each stuck signal its longest stretch."""
+    for name, driving_signals in DRIVING_SIGNALS.items():
         if name in drive.fields:
-            found = next((one for mover in movers if (one := _stuck(drive, name, mover)) is not None), None)
-            if found is not None:
-                yield found
+            problems = (_check_signal(drive, name, driving) for driving in driving_signals)
+            problem = next((problem for problem in problems if problem is not None), None)
+            if problem is not None:
+                yield problem
 
 
-def _stuck(drive: Drive, name: str, mover: Mover) -> Problem | None:
-    by, moves = _moves(drive, mover.names)
-    if moves is None:
+def _check_signal(drive: Drive, name: str, driving: DrivingSignal) -> LogProblem | None:
+    source, values = _driving_values(drive, driving.names)
+    if values is None:
         return None
-    usable = np.isfinite(moves) & (drive.enabled if by.startswith("command.") else True)
-    if not usable.any():
+    is_usable = np.isfinite(values) & (drive.enabled if source.startswith("command.") else True)
+    if not is_usable.any():
         return None
-    least = max(mover.least, mover.share * float(np.ptp(moves[usable])))
-    values, settled = drive.fields[name], round(SETTLED_S / drive.dt_s)
-    felt = by in (CORNERING, SPEEDING)
-    if felt:  # the same quantity: on a coarse wire it moves within a step of it or two
-        least = max(least, 2.0 * quantum_of(values[drive.fresh[name]]))
-    if by == SPEEDING:  # and the rate of a coarse speed flickers by a step of that
-        speed = name_of(drive, CHASSIS_FIRST_SPEEDS) or ""
-        least = max(least, 4.0 * quantum_of(drive.fields[speed][drive.fresh[speed]]) / RATE_S)
-    for begin, end in _stands(drive, name, felt):
-        inner = slice(begin + settled, end - settled)
-        some = moves[inner][usable[inner]]
-        if some.size and np.ptp(some) > 0.0 and np.ptp(some) >= least:
-            begin_s, end_s = begin * drive.dt_s, end * drive.dt_s
-            words = (
-                f"{drive.path}: {name} is stuck at {values[begin]:.4g} from {begin_s:.2f} to {end_s:.2f} s while {by} "
+    min_range = max(driving.min_range, driving.min_range_share * float(np.ptp(values[is_usable])))
+    min_range = max(min_range, _quantisation_range(drive, name, source))
+    settling_rows = round(CRITERIA.settling_s / drive.dt_s)
+    for begin, end in _constant_stretches(drive, name, source):
+        inner = slice(begin + settling_rows, end - settling_rows)
+        moved = values[inner][is_usable[inner]]
+        if moved.size and np.ptp(moved) > 0.0 and np.ptp(moved) >= min_range:
+            message = (
+                f"{drive.path}: {name} is stuck at {drive.fields[name][begin]:.4g} from {begin * drive.dt_s:.2f} to "
+                f"{end * drive.dt_s:.2f} s while {source} changes by {np.ptp(moved):.3g}, and is expected to follow; "
+                "repair the sensor, or cut this stretch out"
             )
-            words += f"moves by {np.ptp(some):.3g}, where it is expected to follow; mend the sensor, or cut that out"
-            return Problem("refuse", ECHO_STUCK if name in _ECHOES else STUCK, drive.name, name, words)
+            return LogProblem("refuse", ECHO_STUCK if name in ECHO_FIELDS else STUCK, drive.name, name, message)
     return None
 
 
-def _stands(drive: Drive, name: str, felt: bool) -> list[tuple[int, int]]:
-    """Stretches in which a field stands that it should not.
+def _quantisation_range(drive: Drive, name: str, source: str) -> float:
+    """By how much a driving acceleration may move within the quantisation of an accelerometer and of the speed."""
+    min_range = 0.0
+    if source in ACCELERATIONS:
+        signal_quantum = estimate_quantum(drive.fields[name][drive.fresh[name]])
+        min_range = max(min_range, CRITERIA.min_signal_quanta * signal_quantum)
+    if source == SPEED_RATE:
+        speed = first_field_name(drive, CHASSIS_FIRST_SPEEDS) or ""
+        speed_quantum = estimate_quantum(drive.fields[speed][drive.fresh[speed]])
+        min_range = max(min_range, CRITERIA.min_speed_quanta * speed_quantum / CRITERIA.rate_window_s)
+    return min_range
 
-    felt: an accelerometer, which at the end of its range stands for as long as the car asks for more (gap/measured/signals.py
-    leaves that out). A pose is held where satellites are hidden, and the INS goes on by itself: it is stuck where it
-    stands for most of what was driven.
+
+def _constant_stretches(drive: Drive, name: str, source: str) -> list[tuple[int, int]]:
+    """Stretches in which a field keeps a value that it should not keep, longest first.
+
+    An accelerometer keeps the end of its range for as long as the car exceeds it (gap/measured/signals.py leaves this
+    out). An INS keeps its pose while satellites are hidden; it is stuck if it does so for most of the driving.
     """
-    values, fresh = _told(drive, name)
-    found = _still(values, fresh, round(STUCK_S / drive.dt_s))
-    if felt:
-        some = values[fresh & np.isfinite(values)]
-        ends = (some.min(), some.max()) if len(np.unique(some)) > LEVELS else ()
-        return [one for one in found if values[one[0]] not in ends]
-    if name in POSE:
-        moves = moving(drive)
-        return found if sum(moves[begin:end].sum() for begin, end in found) > HELD * moves.sum() else []
-    return found
+    values, fresh = _signal_values(drive, name)
+    stretches = _find_constant(values, fresh, round(CRITERIA.min_duration_s / drive.dt_s))
+    if source in ACCELERATIONS:
+        measured = values[fresh & np.isfinite(values)]
+        range_ends = (measured.min(), measured.max()) if len(np.unique(measured)) > CRITERIA.min_levels else ()
+        return [stretch for stretch in stretches if values[stretch[0]] not in range_ends]
+    if name in POSE_FIELDS:
+        is_moving = moving_rows(drive)
+        frozen_rows = sum(is_moving[begin:end].sum() for begin, end in stretches)
+        return stretches if frozen_rows > CRITERIA.max_frozen_pose_share * is_moving.sum() else []
+    return stretches
 
 
-def _told(drive: Drive, name: str) -> tuple[Array, Array]:
-    """What the field says and where it is fresh; of a position both axes, as one complex number."""
+def _signal_values(drive: Drive, name: str) -> tuple[Array, Array]:
+    """(values, fresh) of a field; both axes of a position as one complex number."""
     if name == "ins.x_m" and "ins.y_m" in drive.fields:
         fresh = drive.fresh["ins.x_m"] | drive.fresh["ins.y_m"]
         return drive.fields["ins.x_m"] + 1j * drive.fields["ins.y_m"], fresh
     return drive.fields[name], drive.fresh[name]
 
 
-def _moves(drive: Drive, names: tuple[str, ...]) -> tuple[str, Array | None]:
-    """(its name, its values) of the first mover that the drive has."""
-    if names[0] in (TURNING, CORNERING, SPEEDING, WAY, TURNED):
-        return names[0], _made(drive, names[0])
-    name = name_of(drive, names)
+def _driving_values(drive: Drive, names: tuple[str, ...]) -> tuple[str, Array | None]:
+    """(name, values) of the first driving quantity that the drive has."""
+    if names[0] in COMPUTED:
+        return names[0], _compute_driving_values(drive, names[0])
+    name = first_field_name(drive, names)
     return name or "", None if name is None else drive.fields[name]
 
 
-def _made(drive: Drive, mover: str) -> Array | None:
-    """A mover of several fields; None where the drive lacks one of them."""
-    speed, steer = first_of(drive, CHASSIS_FIRST_SPEEDS), first_of(drive, TURNS)
-    yaw = first_of(drive, CHASSIS_FIRST_YAW_RATES)
+def _compute_driving_values(drive: Drive, quantity: str) -> Array | None:
+    """One of COMPUTED, shape (n_rows,); None where the drive lacks a field that it needs."""
+    speed, steer = first_field_values(drive, CHASSIS_FIRST_SPEEDS), first_field_values(drive, STEER_FIELDS)
+    yaw_rate = first_field_values(drive, CHASSIS_FIRST_YAW_RATES)
     if speed is None:
         return None
-    if mover == SPEEDING:
-        name = name_of(drive, CHASSIS_FIRST_SPEEDS) or ""
-        return rate_of(speed, drive.fresh[name], 2 * round(RATE_S / drive.dt_s / 2.0) + 1, drive.dt_s)
-    if mover == WAY:
-        return np.cumsum(np.where(moving(drive), np.abs(speed), 0.0)) * drive.dt_s
-    if mover == TURNING:
+    if quantity == SPEED_RATE:
+        name = first_field_name(drive, CHASSIS_FIRST_SPEEDS) or ""
+        window = 2 * round(CRITERIA.rate_window_s / drive.dt_s / 2.0) + 1
+        return estimate_rate(speed, drive.fresh[name], window, drive.dt_s)
+    if quantity == DISTANCE:
+        return np.cumsum(np.where(moving_rows(drive), np.abs(speed), 0.0)) * drive.dt_s
+    if quantity == STEERING_TIMES_SPEED:
         return None if steer is None else steer * speed
-    if yaw is None:
+    if yaw_rate is None:
         return None
-    # of a car that stands a gyro drifts, and a heading is held
-    return (
-        yaw * speed if mover == CORNERING else np.cumsum(np.where(moving(drive), np.nan_to_num(yaw), 0.0)) * drive.dt_s
-    )
+    if quantity == YAW_RATE_TIMES_SPEED:
+        return yaw_rate * speed
+    # at standstill a gyro drifts, while a heading is held
+    return np.cumsum(np.where(moving_rows(drive), np.nan_to_num(yaw_rate), 0.0)) * drive.dt_s
 
 
-def _still(values: Array, fresh: Array, least_ticks: int) -> list[tuple[int, int]]:
-    """[first, last) rows of stretches in which fresh frames bring one and the same value, longest first."""
+def _find_constant(values: Array, fresh: Array, min_rows: int) -> list[tuple[int, int]]:
+    """Rows [begin, end) of stretches in which fresh frames repeat one value, longest first."""
     rows = np.flatnonzero(fresh)
     if not len(rows):
         return []
     changes = np.flatnonzero(np.diff(values[rows]) != 0.0) + 1
     firsts = np.concatenate([[0], changes])
     lasts = np.concatenate([changes, [len(rows)]]) - 1
-    long = (rows[lasts] - rows[firsts] >= least_ticks) & (lasts - firsts >= FEWEST_FRAMES)
-    found = [(int(rows[first]), int(rows[last]) + 1) for first, last in zip(firsts[long], lasts[long], strict=True)]
-    return sorted(found, key=lambda one: one[0] - one[1])
+    is_long = (rows[lasts] - rows[firsts] >= min_rows) & (lasts - firsts >= CRITERIA.min_frames)
+    stretches = [
+        (int(rows[first]), int(rows[last]) + 1) for first, last in zip(firsts[is_long], lasts[is_long], strict=True)
+    ]
+    return sorted(stretches, key=lambda stretch: stretch[0] - stretch[1])

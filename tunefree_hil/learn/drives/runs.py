@@ -1,4 +1,4 @@
-"""What flags say, one a tick: where they hold in a row, where they hold all about, and how far apart they are."""
+"""Runs of True in an array of flags, and the spacing of fresh values."""
 
 from __future__ import annotations
 
@@ -6,41 +6,49 @@ import numpy as np
 
 Array = np.ndarray
 
-SILENCE_S = 0.25  # beyond which a signal has a gap
+MAX_SILENCE_S = 0.25  # a signal that stays away for longer, beyond two of its intervals, has a gap
 
 
-def runs(flags: Array, least: int = 1, first: int = 0) -> list[tuple[int, int]]:
-    """Runs of True (flags: bool [n]) of at least `least` rows as [begin, end), counted from `first`."""
+def find_runs(flags: Array, min_rows: int = 1, first_row: int = 0) -> list[tuple[int, int]]:
+    """Runs of True as [begin, end).
+
+    Args:
+        flags: shape (n_rows,).
+        min_rows: shorter runs are left out.
+        first_row: the number of the first row.
+    """
     edges = np.diff(np.concatenate(([0], flags.astype(np.int8), [0])))
     begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return [(first + int(b), first + int(e)) for b, e in zip(begins, ends, strict=True) if e - b >= least]
+    return [
+        (first_row + int(begin), first_row + int(end))
+        for begin, end in zip(begins, ends, strict=True)
+        if end - begin >= min_rows
+    ]
 
 
-def throughout(flags: Array, before: int, behind: int) -> Array:
-    """bool [n]: rows with True from `before` rows before them to `behind` rows behind them; beyond both ends nothing
-    holds.
-    """
-    gaps = np.concatenate([[0], np.cumsum(~flags)])
+def true_throughout(flags: Array, rows_before: int, rows_after: int) -> Array:
+    """Rows around which all flags are True, shape (n_rows,); flags beyond both ends count as False."""
+    n_false = np.concatenate([[0], np.cumsum(~flags)])
     rows = np.arange(len(flags))
-    begin, end = rows - before, rows + behind + 1
-    inside = (begin >= 0) & (end <= len(flags))
-    found = np.zeros(len(flags), dtype=bool)
-    found[inside] = gaps[end[inside]] == gaps[begin[inside]]
-    return found
+    begin, end = rows - rows_before, rows + rows_after + 1
+    is_inside = (begin >= 0) & (end <= len(flags))
+    is_true = np.zeros(len(flags), dtype=bool)
+    is_true[is_inside] = n_false[end[is_inside]] == n_false[begin[is_inside]]
+    return is_true
 
 
-def every_of(fresh: Array) -> float:
-    """The usual number of ticks from one True to the next, which may be half a tick more; 1 where there are not two."""
+def sample_interval_ticks(fresh: Array) -> float:
+    """The median number of ticks between two fresh values, which may be half a tick; 1 for fewer than two values."""
     rows = np.flatnonzero(fresh)
     return max(float(np.median(np.diff(rows))), 1.0) if len(rows) > 1 else 1.0
 
 
-def there_of(fresh: Array, dt_s: float) -> Array:
-    """bool [n]: rows between two True that are no gap apart."""
+def covered_rows(fresh: Array, dt_s: float) -> Array:
+    """Rows between two fresh values with no gap between them, shape (n_rows,)."""
     rows = np.flatnonzero(fresh)
-    there = np.zeros(len(fresh), dtype=bool)
+    is_covered = np.zeros(len(fresh), dtype=bool)
     if len(rows):
-        there[rows[0] : rows[-1] + 1] = True
-    for i in np.flatnonzero(np.diff(rows) > 2.0 * every_of(fresh) + SILENCE_S / dt_s):
-        there[rows[i] + 1 : rows[i + 1]] = False
-    return there
+        is_covered[rows[0] : rows[-1] + 1] = True
+    for i in np.flatnonzero(np.diff(rows) > 2.0 * sample_interval_ticks(fresh) + MAX_SILENCE_S / dt_s):
+        is_covered[rows[i] + 1 : rows[i + 1]] = False
+    return is_covered

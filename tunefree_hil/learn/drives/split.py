@@ -1,189 +1,214 @@
-"""Which rows are learned from and which judge what was learned: never neighbours, never a gap inside.
+"""Splits drives into a training set and a held-out set, without neighbouring rows in both and without gaps inside.
 
-Whole drives are held out where there are three or more. With one or two, blocks of them are, with a guard on each side
-that nobody uses: rows next to each other are nearly the same measurement.
+Whole drives are held out where there are at least three recordings. Of one or two, blocks are held out, with an unused
+guard on each side, because neighbouring rows are nearly the same measurement.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.learn.drives.drive import Drive, Part, Split
-from tunefree_hil.learn.drives.runs import every_of, runs
+from tunefree_hil.learn.drives.drive import Array, Drive, DrivePart, DriveSplit
+from tunefree_hil.learn.drives.runs import find_runs, sample_interval_ticks
 
-Array = np.ndarray
 
-FEWEST_DRIVES = 3
-BLOCK_S = 20.0
-FEWEST_BLOCKS = 3  # of a drive that is cut; where it is too short for so many, its blocks are shorter
-SHORTEST_BLOCK_S = 5.0
-GUARD_S = 2.0
-LEAST_S = 1.0
-SLACK_S = 0.02  # beyond its period, after which a field that does not come has a gap
-HELD_OUT = 0.2
+class SplitCriteria(NamedTuple):
+    """Sizes of a split; every value is an engineering choice."""
+
+    held_out_share: float = 0.2  # of the time
+    min_recordings: int = 3  # from which on whole drives are held out
+    block_s: float = 20.0
+    min_blocks: int = 3  # of a drive that is cut; a shorter drive has shorter blocks
+    min_block_s: float = 5.0
+    guard_s: float = 2.0  # on each side of a held-out block
+    min_part_s: float = 1.0
+    max_lateness_s: float = 0.02  # beyond its period, after which a missing field has a gap
+
+
+SPLIT = SplitCriteria()
+
+
+class _Division(NamedTuple):
+    """Training and held-out parts before their gaps are cut out."""
+
+    training: list[DrivePart]
+    held_out: list[DrivePart]
+    description: str
 
 
 def split_drives(
     drives: Sequence[Drive],
     *,
-    held_out: float = HELD_OUT,
+    held_out: float = SPLIT.held_out_share,
     seed: int,
     needed: Sequence[str] = (),
-    least_s: float = LEAST_S,
-) -> Split:
-    """About a share `held_out` of the time to judge by, at least one drive (or block); the same for the same seed.
+    min_part_s: float = SPLIT.min_part_s,
+) -> DriveSplit:
+    """Hold out about a share of the time, at least one drive or block; the same for the same seed.
 
-    Recordings of the same bytes stay together (of one or two, only the first is used). needed: fields in whose gaps a
-    part ends (parts_of). Parts below least_s are dropped. Raises InputError where there is not enough to
-    hold anything out.
+    Recordings with the same bytes stay together; with one or two recordings only the first copy is used.
+
+    Args:
+        held_out: share of the time that is held out.
+        needed: fields in whose gaps a part ends (find_complete_parts).
+        min_part_s: shorter parts are left out.
+
+    Raises:
+        InputError: there is not enough data to hold any out.
     """
     if not 0.0 < held_out <= 0.5:
-        raise InputError(
-            f"{held_out:g} of the time cannot be held out", code="bad_share", key="held_out", hint="0.2 is usual"
-        )
-    chance = np.random.default_rng(seed)
+        message = f"the held-out share is {held_out:g}, but it must be above 0 and at most 0.5"
+        raise InputError(message, code="bad_share", key="held_out", hint=f"use {SPLIT.held_out_share:g}")
+    rng = np.random.default_rng(seed)
     recordings: dict[str, list[Drive]] = {}
     for i, drive in enumerate(drives):
         recordings.setdefault(drive.log_hash or f"made {i}", []).append(drive)
-    if len(recordings) >= FEWEST_DRIVES:
-        training, judging, words = _by_drive(list(recordings.values()), held_out, chance)
+    if len(recordings) >= SPLIT.min_recordings:
+        division = _split_by_drive(list(recordings.values()), held_out, rng)
     else:
-        training, judging, words = _by_block([some[0] for some in recordings.values()], held_out, chance)
-    split = Split(_whole(training, needed, least_s), _whole(judging, needed, least_s), f"{words} (seed {seed})")
-    _refuse_nothing(split, needed, least_s)
+        division = _split_by_block([copies[0] for copies in recordings.values()], held_out, rng)
+    split = DriveSplit(
+        _without_gaps(division.training, needed, min_part_s),
+        _without_gaps(division.held_out, needed, min_part_s),
+        f"{division.description} (seed {seed})",
+    )
+    _require_parts(split, needed, min_part_s)
     return split
 
 
-def parts_of(drive: Drive, needed: Sequence[str], least_s: float = LEAST_S) -> list[Part]:
-    """The stretches in which every needed field is there, at least least_s long; none where the drive lacks a field.
+def find_complete_parts(drive: Drive, needed: Sequence[str], min_part_s: float = SPLIT.min_part_s) -> list[DrivePart]:
+    """The stretches in which every needed field is present, at least min_part_s long; none where one is absent.
 
-    A field is there from its first frame on, until its period is over without a new one; a silence is a gap from
-    SLACK_S beyond the period on. The period is the usual distance between two of its frames in this drive. A value that
-    is no finite number is a gap too.
+    A frame counts for one period, which is the usual distance between two frames of the field in this drive. The next
+    frame may be late by SplitCriteria.max_lateness_s; after that there is a gap. A value that is not finite is a gap.
     """
-    good = np.ones(drive.ticks, dtype=bool)
+    is_complete = np.ones(drive.n_rows, dtype=bool)
     for name in needed:
-        good &= _there(drive, name)
-    return [Part(drive, begin, end) for begin, end in runs(good) if (end - begin) * drive.dt_s >= least_s - 1e-9]
+        is_complete &= _present_rows(drive, name)
+    min_s = min_part_s - 1e-9
+    return [
+        DrivePart(drive, begin, end) for begin, end in find_runs(is_complete) if (end - begin) * drive.dt_s >= min_s
+    ]
 
 
-def _there(drive: Drive, name: str) -> Array:
+def _present_rows(drive: Drive, name: str) -> Array:
     values, fresh = drive.get(name), drive.fresh.get(name)
-    there = np.zeros(drive.ticks, dtype=bool)
+    is_present = np.zeros(drive.n_rows, dtype=bool)
     if values is None or fresh is None:
-        return there
+        return is_present
     rows = np.flatnonzero(fresh)
     if not len(rows):
-        return there
-    period = round(every_of(fresh))
-    allowed = period + SLACK_S / drive.dt_s
-    following = np.append(rows[1:], drive.ticks)
+        return is_present
+    period = round(sample_interval_ticks(fresh))
+    allowed = period + SPLIT.max_lateness_s / drive.dt_s
+    following = np.append(rows[1:], drive.n_rows)
     until = np.where(following - rows > allowed + 1e-6, np.minimum(rows + period, following), following)
-    edges = np.zeros(drive.ticks + 1, dtype=np.int64)
+    edges = np.zeros(drive.n_rows + 1, dtype=np.int64)
     np.add.at(edges, rows, 1)
     np.add.at(edges, until, -1)
-    there[:] = np.cumsum(edges[:-1]) > 0
-    return there & np.isfinite(values)
+    is_present[:] = np.cumsum(edges[:-1]) > 0
+    return is_present & np.isfinite(values)
 
 
-def _by_drive(
-    recordings: list[list[Drive]], held_out: float, chance: np.random.Generator
-) -> tuple[list[Part], list[Part], str]:
-    """Drives in an order of chance are held out as long as that brings their time nearer to the share wanted."""
-    times = [sum(_duration_s(drive) for drive in some) for some in recordings]
-    wanted_s, held_s, held = held_out * sum(times), 0.0, set[int]()
-    for i in chance.permutation(len(recordings)).tolist():
-        if abs(held_s + times[i] - wanted_s) < abs(held_s - wanted_s):
-            held.add(i)
-            held_s += times[i]
-    if not held:  # each is longer than twice what is wanted
-        shortest = min(range(len(times)), key=times.__getitem__)
-        held, held_s = {shortest}, times[shortest]
-    training = [_all_of(drive) for i, some in enumerate(recordings) if i not in held for drive in some]
-    judging = [_all_of(drive) for i, some in enumerate(recordings) if i in held for drive in some]
-    share = 100.0 * held_s / max(sum(times), 1e-9)
+def _split_by_drive(recordings: list[list[Drive]], held_out: float, rng: np.random.Generator) -> _Division:
+    """Hold out drives in random order as long as that brings their time nearer to the share."""
+    durations_s = [sum(_duration_s(drive) for drive in copies) for copies in recordings]
+    wanted_s, chosen_s, chosen = held_out * sum(durations_s), 0.0, set[int]()
+    for i in rng.permutation(len(recordings)).tolist():
+        if abs(chosen_s + durations_s[i] - wanted_s) < abs(chosen_s - wanted_s):
+            chosen.add(i)
+            chosen_s += durations_s[i]
+    if not chosen:  # each recording is longer than twice the wanted time
+        shortest = min(range(len(durations_s)), key=durations_s.__getitem__)
+        chosen, chosen_s = {shortest}, durations_s[shortest]
+    training = [_whole_drive(drive) for i, copies in enumerate(recordings) if i not in chosen for drive in copies]
+    judging = [_whole_drive(drive) for i, copies in enumerate(recordings) if i in chosen for drive in copies]
+    share = 100.0 * chosen_s / max(sum(durations_s), 1e-9)
     names = ", ".join(part.drive.name for part in judging)
     count = f"{len(judging)} of {len(judging) + len(training)} drives"
-    return training, judging, f"{count} held out, {share:.0f} % of the time: {names}"
+    return _Division(training, judging, f"{count} held out, {share:.0f} % of the time: {names}")
 
 
-def _by_block(
-    drives: Sequence[Drive], held_out: float, chance: np.random.Generator
-) -> tuple[list[Part], list[Part], str]:
-    """Of each drive one block out of each group of neighbours, chosen by chance."""
-    training: list[Part] = []
-    judging: list[Part] = []
-    said = []
+def _split_by_block(drives: Sequence[Drive], held_out: float, rng: np.random.Generator) -> _Division:
+    """Hold out one random block of each group of neighbouring blocks of each drive."""
+    training: list[DrivePart] = []
+    judging: list[DrivePart] = []
+    counts = []
     for drive in drives:
         edges = _block_edges(drive)
         count = len(edges) - 1
         groups = np.array_split(np.arange(count), max(1, round(held_out * count)))
-        chosen = [int(chance.choice(group)) for group in groups]
-        judged = np.zeros(drive.ticks, dtype=bool)
+        chosen = [int(rng.choice(group)) for group in groups]
+        is_held_out = np.zeros(drive.n_rows, dtype=bool)
         for block in chosen:
-            judged[edges[block] : edges[block + 1]] = True
-        judging += [Part(drive, *span) for span in runs(judged)]
-        training += [Part(drive, *span) for span in runs(~_widened(judged, round(GUARD_S / drive.dt_s)))]
+            is_held_out[edges[block] : edges[block + 1]] = True
+        judging += [DrivePart(drive, *span) for span in find_runs(is_held_out)]
+        is_guarded = _widen(is_held_out, round(SPLIT.guard_s / drive.dt_s))
+        training += [DrivePart(drive, *span) for span in find_runs(~is_guarded)]
         block_s = float(edges[1] - edges[0]) * drive.dt_s
-        said.append(f"{len(chosen)} of {count} blocks of {block_s:.0f} s of {drive.name}")
-    guard = f"{GUARD_S:g} s on each side of them are not used"
+        counts.append(f"{len(chosen)} of {count} blocks of {block_s:.0f} s of {drive.name}")
+    guard = f"{SPLIT.guard_s:g} s on each side of them are not used"
     few = "one drive only" if len(drives) == 1 else f"{len(drives)} drives only"
-    return training, judging, f"{few}: {', '.join(said)} held out, {guard}; a drive of its own would judge harder"
+    return _Division(
+        training, judging, f"{few}: {', '.join(counts)} held out, {guard}; a separate drive would be a stricter test"
+    )
 
 
 def _block_edges(drive: Drive) -> list[int]:
-    """Rows at which blocks begin, and the end; the last block takes what is left over."""
+    """The first row of each block, and the number of rows; the last block takes the remainder."""
     duration_s = _duration_s(drive)
-    count = math.floor(duration_s / BLOCK_S + 1e-9)
-    block_s = BLOCK_S if count >= FEWEST_BLOCKS else duration_s / FEWEST_BLOCKS
-    if block_s < SHORTEST_BLOCK_S:
+    count = math.floor(duration_s / SPLIT.block_s + 1e-9)
+    block_s = SPLIT.block_s if count >= SPLIT.min_blocks else duration_s / SPLIT.min_blocks
+    if block_s < SPLIT.min_block_s:
+        min_s = SPLIT.min_blocks * SPLIT.min_block_s
         raise InputError(
             f"{drive.name} lasts {duration_s:.1f} s: too short to hold a part of it out",
             code="too_short",
             key=drive.name,
-            hint=f"record at least {FEWEST_BLOCKS * SHORTEST_BLOCK_S:g} s, or give {FEWEST_DRIVES} logs or more",
+            hint=f"record at least {min_s:g} s, or give at least {SPLIT.min_recordings} logs",
         )
-    count = max(count, FEWEST_BLOCKS)
-    return [round(i * block_s / drive.dt_s) for i in range(count)] + [drive.ticks]
+    count = max(count, SPLIT.min_blocks)
+    return [round(i * block_s / drive.dt_s) for i in range(count)] + [drive.n_rows]
 
 
-def _widened(rows: Array, by: int) -> Array:
-    """True also within `by` rows of what is True."""
-    wide = np.zeros(len(rows), dtype=bool)
-    for begin, end in runs(rows):
-        wide[max(0, begin - by) : end + by] = True
+def _widen(flags: Array, margin: int) -> Array:
+    """True also within `margin` rows of a True."""
+    wide = np.zeros(len(flags), dtype=bool)
+    for begin, end in find_runs(flags):
+        wide[max(0, begin - margin) : end + margin] = True
     return wide
 
 
-def _whole(parts: Sequence[Part], needed: Sequence[str], least_s: float) -> tuple[Part, ...]:
-    """The parts without the gaps of the fields needed."""
-    found = []
+def _without_gaps(parts: Sequence[DrivePart], needed: Sequence[str], min_part_s: float) -> tuple[DrivePart, ...]:
+    """The parts, cut where a needed field has a gap."""
+    pieces = []
     for part in parts:
-        for whole in parts_of(part.drive, needed, 0.0):
-            begin, end = max(part.begin, whole.begin), min(part.end, whole.end)
-            if end > begin and (end - begin) * part.drive.dt_s >= least_s - 1e-9:
-                found.append(Part(part.drive, begin, end))
-    return tuple(found)
+        for complete in find_complete_parts(part.drive, needed, 0.0):
+            begin, end = max(part.begin, complete.begin), min(part.end, complete.end)
+            if end > begin and (end - begin) * part.drive.dt_s >= min_part_s - 1e-9:
+                pieces.append(DrivePart(part.drive, begin, end))
+    return tuple(pieces)
 
 
-def _refuse_nothing(split: Split, needed: Sequence[str], least_s: float) -> None:
-    for parts, what in ((split.training, "learn from"), (split.held_out, "judge by")):
+def _require_parts(split: DriveSplit, needed: Sequence[str], min_part_s: float) -> None:
+    for parts, purpose in ((split.training, "training"), (split.held_out, "the held-out test")):
         if not parts:
-            fields = f" in which {', '.join(needed)} come without a gap" if needed else ""
+            fields = f" in which {', '.join(needed)} have no gap" if needed else ""
             raise InputError(
-                f"nothing is left to {what}: there is no stretch of {least_s:g} s{fields}",
+                f"no data is left for {purpose}: there is no stretch of {min_part_s:g} s{fields}",
                 code="too_short",
-                hint="record longer, or find out with `tunefree-hil log check` what is missing in the logs",
+                hint="record longer, or run `tunefree-hil log check` to see what is missing in the logs",
             )
 
 
-def _all_of(drive: Drive) -> Part:
-    return Part(drive, 0, drive.ticks)
+def _whole_drive(drive: Drive) -> DrivePart:
+    return DrivePart(drive, 0, drive.n_rows)
 
 
 def _duration_s(drive: Drive) -> float:
-    return drive.ticks * drive.dt_s
+    return drive.n_rows * drive.dt_s

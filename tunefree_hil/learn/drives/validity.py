@@ -1,24 +1,13 @@
-"""Where a drive says what is read of it: not behind a frame that was the last for long, nor before the first.
+"""Rows in which a drive's fields are valid, and the removal of spikes and of a frozen position.
 
-What a message said last holds on every tick (learn/drives/drive.py); in a gap of the recording, or once it has fallen silent,
-that is no measurement.
-
-Single values that no car can have come to: a frame that was written wrong, or read wrong, between two good ones.
-
-One of them is nothing to a mean and everything to a slope: a speed of 0 in one frame of ten thousand is a brake that
-nobody pressed. What sticks out of both of its neighbours by many times what the signal usually moves there is left out,
-as if its frame had not come. Commands and their echoes are left alone: a controller can ask for anything. So is an
-actuator's output that is told so seldom that a tap shows in one value. The first and the last value of a drive have one
-neighbour only, and stay.
-
-A pose that stands while the car drives: satellites are hidden, and the INS says again where it was.
-
-Less than half of the driving of it is no fault (learn/checks/stuck_signals.py); it is no measurement either.
+A field keeps the value of its last frame on every tick (drives/drive.py). In a gap of the recording, and after a
+message has stopped, that value is no measurement.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -28,184 +17,228 @@ from tunefree_hil.learn.drives.drive import (
     CHASSIS_FIRST_SPEEDS,
     INS_FIRST_SPEEDS,
     INS_FIRST_YAW_RATES,
+    Array,
     Drive,
-    first_of,
-    first_told,
+    first_field_values,
+    first_valid_field,
 )
-from tunefree_hil.learn.drives.runs import every_of, runs, there_of
-from tunefree_hil.learn.drives.smoothing import between_fresh, earlier, quantum_of
+from tunefree_hil.learn.drives.runs import covered_rows, find_runs, sample_interval_ticks
+from tunefree_hil.learn.drives.smoothing import estimate_quantum, interpolate_fresh, shift_earlier
 
-PAUSES = 3  # of a message, which is sent on demand then and not every so often
-COVERS = 0.5  # of a drive: what says less, with pauses, is sent on demand
-DRIVEN_BY = ("throttle", "brake", "steer")
-POSE = ("ins.heading_rad", "ins.x_m", "ins.y_m")
-
-
-def is_on_demand(there: Array) -> bool:
-    """Whether a message pauses for most of a drive, again and again: what it said last holds then. there: bool [n]."""
-    return int((np.diff(there.astype(int)) < 0).sum()) >= PAUSES and bool(there.mean() < COVERS)
+DRIVING_CHANNELS = ("throttle", "brake", "steer")
+POSITION_FIELDS = ("ins.x_m", "ins.y_m")
+POSE_FIELDS = ("ins.heading_rad", *POSITION_FIELDS)
+OUTPUT_FIELDS = ("report.throttle_frac", "report.brake_frac", "report.steer_rad")
+DISCRETE_FIELDS = ("report.gear",)  # no quantity that moves from value to value
 
 
-def told(drive: Drive, *names: str, late: int = 0) -> Array:
-    """bool [n]: rows in which every one of these fields is said. late: rows by which the INS speaks of the past."""
-    rows = np.ones(drive.ticks, dtype=bool)
-    for name in names:
+class OnDemandCriteria(NamedTuple):
+    """A message that is sent only on demand keeps its last value through its pauses."""
+
+    min_pauses: int = 3  # pauses in a drive; a message that stops once has failed
+    max_covered_share: float = 0.5  # of the drive's rows
+
+
+class SpikeCriteria(NamedTuple):
+    """A spike is one value that leaves both of its neighbours and comes back."""
+
+    min_height_steps: float = 25.0  # multiple of the usual step between values; white noise reaches 6 in 1e6 values
+    max_neighbour_share: float = 0.2  # of the height, by which the values around it may differ
+    step_window_values: int = 21  # values whose steps give the usual one
+    max_share: float = 0.01  # of a signal's values; a sensor with more spikes keeps them
+    min_values: int = 50  # shorter signals are not searched
+    max_output_interval_s: float = 0.03  # a tap of an actuator lasts longer; slower reports may show it in one value
+
+
+class FrozenPositionCriteria(NamedTuple):
+    """An INS without satellites repeats its position while the car drives on."""
+
+    min_duration_s: float = 1.0
+    min_distance_m: float = 1.0  # driven meanwhile, by the speed
+    min_frames: int = 4  # of a slow INS, that repeat the position
+
+
+ON_DEMAND = OnDemandCriteria()
+SPIKE = SpikeCriteria()
+FROZEN_POSITION = FrozenPositionCriteria()
+
+
+def is_on_demand(is_covered: Array) -> bool:
+    """Whether a message pauses often and for most of a drive. is_covered: shape (n_rows,), from covered_rows."""
+    pauses = int((np.diff(is_covered.astype(int)) < 0).sum())
+    return pauses >= ON_DEMAND.min_pauses and bool(is_covered.mean() < ON_DEMAND.max_covered_share)
+
+
+def valid_rows(drive: Drive, *fields: str, ins_delay_rows: int = 0) -> Array:
+    """Rows in which each of these fields was received recently.
+
+    Args:
+        ins_delay_rows: by how many rows the INS reports late; its validity moves back by as many.
+
+    Returns:
+        Shape (n_rows,).
+    """
+    is_valid = np.ones(drive.n_rows, dtype=bool)
+    for name in fields:
         if name not in drive.fresh:
-            continue  # a drive that was made row by row says everything in each
-        there = there_of(drive.fresh[name] & np.isfinite(drive.fields[name]), drive.dt_s)
-        if is_on_demand(there) and not name.startswith("ins."):
+            continue  # a drive that was made row by row has every field in each row
+        is_covered = covered_rows(drive.fresh[name] & np.isfinite(drive.fields[name]), drive.dt_s)
+        is_ins = name.startswith("ins.")
+        if is_on_demand(is_covered) and not is_ins:
             continue
-        rows &= (earlier(there.astype(float), late) > 0.5) if name.startswith("ins.") else there
-    return rows
+        is_valid &= (shift_earlier(is_covered.astype(float), ins_delay_rows) > 0.5) if is_ins else is_covered
+    return is_valid
 
 
-def motion_told(drive: Drive, late: int, placed: bool) -> Array:
-    """bool [n]: where speed and yaw rate are said, and the pose where it was measured."""
-    first = (first_told(drive, names) for names in (INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES))
-    return told(drive, *(name for name in first if name is not None), *(POSE if placed else ()), late=late)
+def motion_valid_rows(drive: Drive, ins_delay_rows: int, has_pose: bool) -> Array:
+    """Rows with a valid speed and yaw rate, and with a valid pose where `has_pose`; shape (n_rows,)."""
+    sources = (first_valid_field(drive, names) for names in (INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES))
+    fields = (*(name for name in sources if name is not None), *(POSE_FIELDS if has_pose else ()))
+    return valid_rows(drive, *fields, ins_delay_rows=ins_delay_rows)
 
 
-def between_poses(drive: Drive) -> list[Array]:
-    """Heading (continuous), x and y on every tick, between their frames a straight line: held they would be late."""
-    found = []
-    for name in POSE:
+def interpolate_pose(drive: Drive) -> list[Array]:
+    """Unwrapped heading, x and y on every tick, each of shape (n_rows,); NaN before their first frame.
+
+    A held value would be late by up to the interval of the frames.
+    """
+    pose = []
+    for name in POSE_FIELDS:
         values, fresh = drive.fields[name].copy(), drive.fresh[name] & np.isfinite(drive.fields[name])
-        if name == POSE[0]:
+        if name == POSE_FIELDS[0]:
             values[fresh] = np.unwrap(values[fresh])
-        even = between_fresh(values, fresh)
-        even[: int(np.argmax(fresh))] = np.nan
-        found.append(even)
-    return found
+        interpolated = interpolate_fresh(values, fresh)
+        interpolated[: int(np.argmax(fresh))] = np.nan
+        pose.append(interpolated)
+    return pose
 
 
-def acted_told(drive: Drive, obeyed: Sequence[Array]) -> Array:
-    """bool [n]: where it is said what acted. obeyed: for throttle, brake and steering where the command did."""
-    rows = np.ones(drive.ticks, dtype=bool)
-    for channel, by_command in zip(DRIVEN_BY, obeyed, strict=True):
-        said = f"report.{CHANNELS[channel]}"
-        recorded = told(drive, said) if said in drive.fields else np.ones(drive.ticks, dtype=bool)
-        rows &= np.where(by_command, _asked_told(drive, channel), recorded)
+def actuation_valid_rows(drive: Drive, is_by_command: Sequence[Array]) -> Array:
+    """Rows in which the inputs of the vehicle are known.
+
+    Args:
+        is_by_command: for throttle, brake and steering, rows in which the command acts and not the recorded output;
+            each of shape (n_rows,).
+    """
+    rows = np.ones(drive.n_rows, dtype=bool)
+    for channel, follows_command in zip(DRIVING_CHANNELS, is_by_command, strict=True):
+        output = f"report.{CHANNELS[channel]}"
+        has_output = valid_rows(drive, output) if output in drive.fields else np.ones(drive.n_rows, dtype=bool)
+        rows &= np.where(follows_command, _command_valid_rows(drive, channel), has_output)
     return rows
 
 
-def _asked_told(drive: Drive, channel: str) -> Array:
-    """By the echo where there is one; pedals of a car that is asked for an acceleration by that."""
+def _command_valid_rows(drive: Drive, channel: str) -> Array:
+    """By the echo of the command where there is one; pedals may be commanded through an acceleration."""
     names = [f"report.{ECHOES[channel]}", f"command.{CHANNELS[channel]}"]
     if channel != "steer":
         names += [f"report.{ECHOES['accel']}", f"command.{CHANNELS['accel']}"]
-    name = next((one for one in names if one in drive.fields), None)
-    return np.ones(drive.ticks, dtype=bool) if name is None else told(drive, name)
+    name = next((name for name in names if name in drive.fields), None)
+    return np.ones(drive.n_rows, dtype=bool) if name is None else valid_rows(drive, name)
 
 
-def those_that_say_all(drives: Sequence[Drive]) -> tuple[list[Drive], list[str]]:
-    """(drives that say something of every channel of which any of them does, the others in words)."""
-    said = [{one for one in DRIVEN_BY if _says(drive, one)} for drive in drives]
-    most = set[str]().union(*said)
-    if most not in said:  # none says all of them
+def drop_incomplete_drives(drives: Sequence[Drive]) -> tuple[list[Drive], list[str]]:
+    """(the drives with every channel that any drive has, a message for each other drive); all, if none has them all."""
+    channels = [{channel for channel in DRIVING_CHANNELS if _has_channel_values(drive, channel)} for drive in drives]
+    all_channels = set[str]().union(*channels)
+    if all_channels not in channels:
         return list(drives), []
-    words = [
-        f"{drive.path} says nothing of {' and '.join(sorted(most - mine))}, of which others do, and is left out"
-        for drive, mine in zip(drives, said, strict=True)
-        if mine != most
+    messages = [
+        f"{drive.path} is left out: it has no {' and '.join(sorted(all_channels - present))} data, the other logs do"
+        for drive, present in zip(drives, channels, strict=True)
+        if present != all_channels
     ]
-    return [drive for drive, mine in zip(drives, said, strict=True) if mine == most], words
+    return [drive for drive, present in zip(drives, channels, strict=True) if present == all_channels], messages
 
 
-def _says(drive: Drive, channel: str) -> bool:
+def _has_channel_values(drive: Drive, channel: str) -> bool:
     names = (f"command.{CHANNELS[channel]}", f"report.{CHANNELS[channel]}", f"report.{ECHOES[channel]}")
     return any(name in drive.fields and np.isfinite(drive.fields[name]).any() for name in names)
 
 
-Array = np.ndarray
+def remove_spikes(drive: Drive) -> tuple[Drive, dict[str, int]]:
+    """(the drive without spikes, their number by field). A removed value is not fresh and repeats the one before it.
 
-CALM = 0.2  # of how far a value sticks out: more do the values around it not differ, or the signal moves of itself
-FAR = 25.0  # times the usual step from value to value; of white noise the farthest of a million is at 6
-AROUND = 21  # values whose steps are the usual ones
-MOST_SHARE = 0.01  # of a signal's values: where more stick out, it is the sensor's own way
-LEAST_VALUES = 50
-STEPS = ("report.gear",)  # no quantity that moves from value to value
-OUTPUTS = ("report.throttle_frac", "report.brake_frac", "report.steer_rad")
-SELDOM_S = 0.03  # from value to value; a tap of an actuator takes longer
-
-
-def without_spikes(drive: Drive) -> tuple[Drive, dict[str, int]]:
-    """(drive, how many values of which field were left out of it). A value that is left out is not fresh any more."""
-    fields, fresh, found = dict(drive.fields), dict(drive.fresh), {}
-    for name in _asked(drive):
+    A spike hardly moves a mean but spoils a rate: one speed of 0 looks like an emergency stop. Commands and their
+    echoes are left alone, because a controller may command anything.
+    """
+    fields, fresh, counts = dict(drive.fields), dict(drive.fresh), {}
+    for name in _measured_fields(drive):
         rows = np.flatnonzero(drive.fresh[name] & np.isfinite(drive.fields[name]))
-        if name in OUTPUTS and len(rows) > 1 and float(np.median(np.diff(rows))) * drive.dt_s > SELDOM_S:
+        interval_s = drive.dt_s * float(np.median(np.diff(rows))) if len(rows) > 1 else 0.0
+        if name in OUTPUT_FIELDS and interval_s > SPIKE.max_output_interval_s:
             continue
         values = drive.fields[name][rows]
-        bad = rows[spikes(np.unwrap(values) if name.endswith("heading_rad") else values)]
-        if 0 < len(bad) <= max(1.0, MOST_SHARE * len(rows)):
+        spike_rows = rows[find_spikes(np.unwrap(values) if name.endswith("heading_rad") else values)]
+        if 0 < len(spike_rows) <= max(1.0, SPIKE.max_share * len(rows)):
             fresh[name] = drive.fresh[name].copy()
-            fresh[name][bad] = False
-            fields[name] = _held(drive.fields[name], drive.fresh[name], bad)
-            found[name] = len(bad)
-    return (drive._replace(fields=fields, fresh=fresh), found) if found else (drive, found)
+            fresh[name][spike_rows] = False
+            fields[name] = _repeat_previous(drive.fields[name], drive.fresh[name], spike_rows)
+            counts[name] = len(spike_rows)
+    return (drive._replace(fields=fields, fresh=fresh), counts) if counts else (drive, counts)
 
 
-def spikes(values: Array) -> Array:
-    """bool [n]: which values stick out of both of their neighbours by FAR times the steps around them, and overall,
-    while the two values before and the two behind stay where they were.
+def find_spikes(values: Array) -> Array:
+    """Which of some successive values are spikes, shape (n_values,). The first and the last value never are.
+
+    A spike lies far beyond both neighbours, while the two values before it and the two after it hardly move.
     """
-    bad = np.zeros(len(values), dtype=bool)
-    if len(values) < LEAST_VALUES:
-        return bad
+    is_spike = np.zeros(len(values), dtype=bool)
+    if len(values) < SPIKE.min_values:
+        return is_spike
     steps = np.abs(np.diff(values))
-    usual = np.maximum(median_filter(steps, AROUND, mode="nearest"), float(np.median(steps))) + quantum_of(values)
-    before, at, after = values[:-2], values[1:-1], values[2:]
-    out = np.maximum(at - np.maximum(before, after), np.minimum(before, after) - at)
-    beside = np.maximum(np.concatenate([[0.0], steps[:-2]]), np.concatenate([steps[2:], [0.0]]))
-    calm = np.maximum(np.abs(after - before), beside) < CALM * out
-    bad[1:-1] = calm & (out > FAR * np.maximum(usual[:-1], usual[1:]))
-    return bad
+    local_step = median_filter(steps, SPIKE.step_window_values, mode="nearest")
+    usual_step = np.maximum(local_step, float(np.median(steps))) + estimate_quantum(values)
+    previous, centre, following = values[:-2], values[1:-1], values[2:]
+    height = np.maximum(centre - np.maximum(previous, following), np.minimum(previous, following) - centre)
+    outer_step = np.maximum(np.concatenate([[0.0], steps[:-2]]), np.concatenate([steps[2:], [0.0]]))
+    is_calm = np.maximum(np.abs(following - previous), outer_step) < SPIKE.max_neighbour_share * height
+    is_spike[1:-1] = is_calm & (height > SPIKE.min_height_steps * np.maximum(usual_step[:-1], usual_step[1:]))
+    return is_spike
 
 
-def _asked(drive: Drive) -> Iterator[str]:
-    """The fields that somebody measured."""
+def _measured_fields(drive: Drive) -> Iterator[str]:
     echoes = {f"report.{name}" for name in ECHOES.values()}
     for name in drive.fields:
-        if name.startswith(("report.", "ins.")) and name not in echoes and name not in STEPS:
+        if name.startswith(("report.", "ins.")) and name not in echoes and name not in DISCRETE_FIELDS:
             yield name
 
 
-def _held(values: Array, fresh: Array, bad: Array) -> Array:
-    """A field in which each bad value, and what was held of it until the next frame, is the one before it."""
-    found, frames = values.copy(), np.flatnonzero(fresh)
-    for row in bad:
-        i = int(np.searchsorted(frames, row))
-        end = frames[i + 1] if i + 1 < len(frames) else len(values)
-        found[row:end] = found[row - 1]
-    return found
+def _repeat_previous(values: Array, fresh: Array, spike_rows: Array) -> Array:
+    """A field in which the value before each spike lasts until the next frame."""
+    repaired, frame_rows = values.copy(), np.flatnonzero(fresh)
+    for row in spike_rows:
+        i = int(np.searchsorted(frame_rows, row))
+        end = frame_rows[i + 1] if i + 1 < len(frame_rows) else len(values)
+        repaired[row:end] = repaired[row - 1]
+    return repaired
 
 
-PLACE = ("ins.x_m", "ins.y_m")
-HELD_S = 1.0
-LEAST_M = 1.0  # by its speed, that it is somewhere else by then
-FRAMES = 4  # of a slow INS, that say the same
-
-
-def without_place(drive: Drive) -> Drive:
-    """The drive as if nobody had said where it was."""
-    fields = {name: values for name, values in drive.fields.items() if name not in PLACE}
+def drop_position(drive: Drive) -> Drive:
+    """The drive without its position."""
+    fields = {name: values for name, values in drive.fields.items() if name not in POSITION_FIELDS}
     return drive._replace(fields=fields, fresh={name: drive.fresh[name] for name in fields})
 
 
-def without_held_pose(drive: Drive) -> tuple[Drive, float]:
-    """(the drive without its place in such stretches, how many seconds they are)."""
-    speed = first_of(drive, CHASSIS_FIRST_SPEEDS)
-    if speed is None or any(name not in drive.fields for name in PLACE):
+def drop_frozen_position(drive: Drive) -> tuple[Drive, float]:
+    """(the drive without its position where the INS repeats it while the car drives, for how many seconds).
+
+    An INS that does so for most of a drive is at fault and is refused (learn/checks/stuck_signals.py).
+    """
+    speed = first_field_values(drive, CHASSIS_FIRST_SPEEDS)
+    if speed is None or any(name not in drive.fields for name in POSITION_FIELDS):
         return drive, 0.0
-    stands = np.zeros(drive.ticks, dtype=bool)
-    still = np.all([np.diff(drive.fields[name], prepend=np.nan) == 0.0 for name in PLACE], axis=0)
-    least = max(round(HELD_S / drive.dt_s), round(FRAMES * every_of(drive.fresh[PLACE[0]])))
-    for begin, end in runs(still, least):
-        stands[begin:end] = float(np.nansum(np.abs(speed[begin:end]))) * drive.dt_s > LEAST_M
-    if not stands.any():
+    is_frozen = np.zeros(drive.n_rows, dtype=bool)
+    is_repeated = np.all([np.diff(drive.fields[name], prepend=np.nan) == 0.0 for name in POSITION_FIELDS], axis=0)
+    frame_rows = round(FROZEN_POSITION.min_frames * sample_interval_ticks(drive.fresh[POSITION_FIELDS[0]]))
+    min_rows = max(round(FROZEN_POSITION.min_duration_s / drive.dt_s), frame_rows)
+    for begin, end in find_runs(is_repeated, min_rows):
+        distance_m = float(np.nansum(np.abs(speed[begin:end]))) * drive.dt_s
+        is_frozen[begin:end] = distance_m > FROZEN_POSITION.min_distance_m
+    if not is_frozen.any():
         return drive, 0.0
     fields, fresh = dict(drive.fields), dict(drive.fresh)
-    for name in PLACE:
-        fields[name] = np.where(stands, np.nan, fields[name])
-        fresh[name] = fresh[name] & ~stands
-    return drive._replace(fields=fields, fresh=fresh), float(stands.sum()) * drive.dt_s
+    for name in POSITION_FIELDS:
+        fields[name] = np.where(is_frozen, np.nan, fields[name])
+        fresh[name] = fresh[name] & ~is_frozen
+    return drive._replace(fields=fields, fresh=fresh), float(is_frozen.sum()) * drive.dt_s

@@ -1,16 +1,14 @@
-"""Free run of a model folder against drives: what its plant says after 1, 3, 10, 30 s on recorded commands alone.
+"""Free-run errors of model folders: the plant simulates 1, 3, 10, 30 s of a drive from recorded commands alone.
 
-For a second the plant is told the measured motion at every tick, so that its memory fills; then it runs by itself. The
-commands go through the model's own actuators. On hills the road's slope is given (learn/evaluation/motion.py says from what). The
-kernels are those of ECU and batch; in a worker of learn/compiled_process.py they are compiled.
-
-Free-run errors as tables with intervals: level ground and hills apart, drives drawn again and again, not starts.
+For one second the plant receives the measured motion at every tick, so that its memory fills; then it runs freely. The
+commands pass the model's own actuators. On hills the slope is given (learn/evaluation/motion.py). Errors are tabulated
+with intervals over whole drives, since starts within a drive are correlated.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,54 +20,109 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import buffer, kernel, table
 from tunefree_hil.base.records import GEAR_DRIVE, Actuation, Disturbance, Motion
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
-from tunefree_hil.learn.data_sheet import rear_behind_m
+from tunefree_hil.learn.data_sheet import com_to_rear_axle_m
 from tunefree_hil.learn.drives.drive import Array
-from tunefree_hil.learn.evaluation.motion import Track, body_change, is_hill, outputs_of, starts_of, wrapped
+from tunefree_hil.learn.evaluation.motion import (
+    MotionTrack,
+    body_change,
+    find_starts,
+    is_hilly,
+    simulate_actuators,
+    wrap_angle,
+)
 from tunefree_hil.plant.types import ChassisInput, Plant
 
-WARM_S = 1.0
+WARM_UP_S = 1.0
 HORIZONS_S = (1.0, 3.0, 10.0, 30.0)
-NEEDED_S = 10.0  # a start without so much good road ahead is none; the longer horizons are taken where there is room
-HILL_AHEAD_S = 10.0
-EVERY_S = 1.0
-SEEN, TAKEN, SHOWN = 7, 4, 5  # numbers of a row in `ride`
+HILL_AHEAD_S = 10.0  # a start is on a hill where the road is not level for so long
+N_MEASURED, N_INPUTS, N_OUTPUTS = 7, 4, 5  # numbers in a row of the free-run kernel
+N_RESAMPLES = 1000
+MIN_BOOTSTRAP_DRIVES = 15  # with fewer drives the interval is Student's t
+MIN_DISTANCE_M = 1.0  # a start that moved less has no error per metre
+QUANTITIES = ("position_m", "heading_rad", "speed_mps")
 
 
-class Judged(NamedTuple):
-    """Errors of one model, a row a start, a column a horizon; NaN where the drive ends before.
+class EvaluationOptions(NamedTuple):
+    """Which starts are evaluated.
 
-    drives: where each start is from. metres: driven since the start. accel_mps2, yaw_rate_radps: one-step errors, RMS.
+    Attributes:
+        every_s: Spacing of the starts.
+        max_starts: At most so many, evenly spread; 0: all.
+        horizons_s: Times at which errors are taken.
+        min_free_s: Usable rows that a start must have ahead; longer horizons are taken where there is room.
+    """
+
+    every_s: float = 1.0
+    max_starts: int = 0
+    horizons_s: tuple[float, ...] = HORIZONS_S
+    min_free_s: float = 10.0
+
+
+DEFAULT_OPTIONS = EvaluationOptions()
+
+
+class FreeRunErrors(NamedTuple):
+    """Absolute errors of one model, shape (n_starts, n_horizons); NaN where the drive ends before.
+
+    Attributes:
+        kind: [plant] kind.
+        horizons_s: The columns.
+        drive_names: Drive of each start.
+        is_on_hill: Of each start.
+        position_m: Error.
+        heading_rad: Error.
+        speed_mps: Error.
+        distance_m: Driven since the start.
+        accel_mps2: RMS one-step error of the rate of speed.
+        yaw_rate_radps: RMS one-step error of the yaw rate.
     """
 
     kind: str
     horizons_s: tuple[float, ...]
-    drives: tuple[str, ...]
-    hill: Array
+    drive_names: tuple[str, ...]
+    is_on_hill: Array
     position_m: Array
     heading_rad: Array
     speed_mps: Array
-    metres: Array
+    distance_m: Array
     accel_mps2: float
     yaw_rate_radps: float
 
 
-class Rig(NamedTuple):
-    """A model's chassis, ready to run."""
+class RunnableModel(NamedTuple):
+    """The chassis of a model, ready to run. takes_commands: the plant has no actuators (kind paper)."""
 
     kind: str
     block: Any
-    ride: Callable[..., int]
+    run: Callable[..., int]
     model: ModelSpec
-    identity: bool  # the plant takes commands
+    takes_commands: bool
 
 
-def plant_of(model: ModelSpec) -> Plant:
-    """The plant of a model folder. Raises InputError for a kind that is no chassis to put a measured motion into."""
+class RunSpan(NamedTuple):
+    """Rows of a track for one free run: warm-up from `first_row`, then `free_rows` on its own."""
+
+    first_row: int
+    warm_up_rows: int
+    free_rows: int
+
+    @property
+    def rows(self) -> slice:
+        """Rows of the track."""
+        return slice(self.first_row, self.first_row + self.warm_up_rows + self.free_rows + 1)
+
+
+def open_plant(model: ModelSpec) -> Plant:
+    """The plant of a model folder.
+
+    Raises:
+        InputError: The kind is no chassis that accepts a measured motion.
+    """
     kind = model.plant.kind
     plant = parts.load("tunefree_hil.plant", "single_track" if kind == "physics" else kind, "PLANT")
     if plant.observe is None:
         raise InputError(
-            f"a plant of kind {kind!r} cannot be told a measured motion",
+            f"a plant of kind {kind!r} cannot take over a measured motion",
             code="no_free_run",
             file=f"{model.folder}/model.toml",
             key="plant.kind",
@@ -80,262 +133,313 @@ def plant_of(model: ModelSpec) -> Plant:
     return plant
 
 
-def rig_of(model: ModelSpec) -> Rig:
-    """The chassis of a model folder with the model's effects on the body."""
-    plant = plant_of(model)
+def make_runnable(model: ModelSpec) -> RunnableModel:
+    """The chassis of a model folder, with its effects on the body."""
+    plant = open_plant(model)
     block = plant.make(model.plant.params, body_change(model))
-    return Rig(model.plant.kind, block, make_ride(block.step, plant.observe), model, plant.actuators is not None)
+    run = make_free_run_loop(block.step, plant.observe)
+    return RunnableModel(model.plant.kind, block, run, model, plant.actuators is not None)
 
 
-def make_ride(step: Any, observe: Any) -> Callable[..., int]:
-    """The loop for a chassis: told the motion in rows 0 to `warm`, on its own from there."""
+@kernel
+def unpack_motion(measured: Any, i: int) -> Motion:
+    """The motion at a row of `measured` that begins at i: x, y, heading, speed, side speed, yaw rate, rate of speed."""
+    x_m, y_m, heading_rad = float(measured[i]), float(measured[i + 1]), float(measured[i + 2])
+    speed_mps, side_mps, yaw_rate_radps = float(measured[i + 3]), float(measured[i + 4]), float(measured[i + 5])
+    accel_mps2 = float(measured[i + 6])
+    return Motion(x_m, y_m, heading_rad, speed_mps, side_mps, yaw_rate_radps, 0.0, 0.0, accel_mps2, 0.0, 0.0, 0.0, 0.0)
+
+
+def make_free_run_loop(step: Any, observe: Any) -> Callable[..., int]:
+    """The loop over a chassis: measured motion in rows 0 to the end of the warm-up, then free."""
 
     @kernel
-    def ride(params: Any, state: Any, seen: Any, inputs: Any, warm: int, shown: Any, dt_s: float) -> int:
-        """seen: x, y, heading, speed, side speed, yaw rate, rate of speed; inputs: throttle, brake, steer, slope of the
-        step to a row; shown: x, y, heading, speed, yaw rate that the plant says of a row. Returns the rows."""
-        rows = len(inputs) // TAKEN
+    def free_run_kernel(
+        params: Any, state: Any, measured: Any, inputs: Any, warm_up_rows: int, outputs: Any, dt_s: float
+    ) -> int:
+        """Run over flat rows.
+
+        Args:
+            params: Of the chassis.
+            state: Of the chassis.
+            measured: Rows as for `unpack_motion`.
+            inputs: Throttle, brake, steer, slope during the step to a row.
+            warm_up_rows: The last row whose measured motion is used.
+            outputs: Receives x, y, heading, speed, yaw rate of a row.
+            dt_s: Tick.
+
+        Returns:
+            The number of rows.
+        """
+        rows = len(inputs) // N_INPUTS
         for k in range(1, rows):
-            if k - 1 <= warm:
-                at = (k - 1) * SEEN
-                state = observe(
-                    state,
-                    Motion(
-                        float(seen[at]), float(seen[at + 1]), float(seen[at + 2]), float(seen[at + 3]),
-                        float(seen[at + 4]), float(seen[at + 5]), 0.0, 0.0, float(seen[at + 6]), 0.0, 0.0, 0.0, 0.0,
-                    ),
-                )  # fmt: skip
-            at = k * TAKEN
-            act = Actuation(float(inputs[at]), float(inputs[at + 1]), float(inputs[at + 2]), GEAR_DRIVE)
-            state, motion = step(params, state, ChassisInput(act, Disturbance(float(inputs[at + 3]), 1.0)), dt_s)
-            at = k * SHOWN
-            shown[at] = motion.x_m
-            shown[at + 1] = motion.y_m
-            shown[at + 2] = motion.heading_rad
-            shown[at + 3] = motion.speed_mps
-            shown[at + 4] = motion.yaw_rate_radps
+            if k - 1 <= warm_up_rows:
+                state = observe(state, unpack_motion(measured, (k - 1) * N_MEASURED))
+            i = k * N_INPUTS
+            act = Actuation(float(inputs[i]), float(inputs[i + 1]), float(inputs[i + 2]), GEAR_DRIVE)
+            state, motion = step(params, state, ChassisInput(act, Disturbance(float(inputs[i + 3]), 1.0)), dt_s)
+            i = k * N_OUTPUTS
+            outputs[i] = motion.x_m
+            outputs[i + 1] = motion.y_m
+            outputs[i + 2] = motion.heading_rad
+            outputs[i + 3] = motion.speed_mps
+            outputs[i + 4] = motion.yaw_rate_radps
         return rows
 
-    return ride
+    return free_run_kernel
 
 
-def ridden(rig: Rig, track: Track, outputs: Array, first: int, warm: int, ahead: int, behind_m: float) -> Array:
-    """[warm + ahead + 1, SHOWN] of the rows from `first` on; row 0 is what was measured. outputs: as `outputs_of`."""
-    cut = slice(first, first + warm + ahead + 1)
-    measured = np.stack([track.x_m, track.y_m, track.heading_rad, track.speed_mps, track.yaw_rate_radps], axis=1)[cut]
-    side = behind_m * track.yaw_rate_radps[cut]  # of the centre of mass, the rear axle not slipping
-    seen = np.column_stack([measured[:, :4], side, measured[:, 4], track.accel_mps2[cut]])
-    inputs = np.column_stack([outputs[cut], track.grade_rad[cut]])
+def run_free(
+    runnable: RunnableModel, track: MotionTrack, actuator_outputs: Array, span: RunSpan, com_to_rear_m: float
+) -> Array:
+    """Free run over the rows of a span.
+
+    Args:
+        runnable: The model.
+        track: The measured motion.
+        actuator_outputs: As from `simulate_actuators`.
+        span: Rows of the track.
+        com_to_rear_m: Distance from the centre of mass to the rear axle.
+
+    Returns:
+        x, y, heading, speed, yaw rate, shape (n_rows, N_OUTPUTS); row 0 is measured.
+    """
+    rows = span.rows
+    motion = [track.x_m, track.y_m, track.heading_rad, track.speed_mps, track.yaw_rate_radps]
+    measured = np.stack(motion, axis=1)[rows]
+    side_speed = com_to_rear_m * track.yaw_rate_radps[rows]  # of the centre of mass, without slip at the rear axle
+    kernel_motion = np.column_stack([measured[:, :4], side_speed, measured[:, 4], track.accel_mps2[rows]])
+    inputs = np.column_stack([actuator_outputs[rows], track.grade_rad[rows]])
     start = Start(*(float(value) for value in measured[0, :4]))
-    params = rig.block.params._replace(start=start)
-    shown = buffer(len(measured) * SHOWN)
-    state = rig.block.init(params, track.dt_s)
-    rig.ride(params, state, table(seen.ravel()), table(inputs.ravel()), warm, shown, track.dt_s)
-    found = np.asarray(shown).reshape(-1, SHOWN)
-    found[0] = measured[0]
-    return found
+    params = runnable.block.params._replace(start=start)
+    outputs = buffer(len(measured) * N_OUTPUTS)
+    state = runnable.block.init(params, track.dt_s)
+    flat_motion, flat_inputs = table(kernel_motion.ravel()), table(inputs.ravel())
+    runnable.run(params, state, flat_motion, flat_inputs, span.warm_up_rows, outputs, track.dt_s)
+    simulated = np.asarray(outputs).reshape(-1, N_OUTPUTS)
+    simulated[0] = measured[0]
+    return simulated
 
 
-def judge(
+def evaluate_free_run(
     model: ModelSpec,
     vehicle: VehicleSpec,
-    tracks: Sequence[Track],
-    *,
-    every_s: float = EVERY_S,
-    most: int = 0,
-    horizons_s: tuple[float, ...] = HORIZONS_S,
-    needed_s: float = NEEDED_S,
-) -> Judged:
-    """The errors of a model over all starts of tracks, `every_s` apart; at most `most` of them, evenly spread (0: all).
+    tracks: Sequence[MotionTrack],
+    options: EvaluationOptions = DEFAULT_OPTIONS,
+) -> FreeRunErrors:
+    """Errors of a model over all starts of the tracks.
 
-    needed_s: good road that a start must have ahead. Raises InputError where there is no start.
+    Raises:
+        InputError: There is no start.
     """
-    rig = rig_of(model)
+    runnable = make_runnable(model)
     rest = vehicle.nominal.rest_pedal_frac
-    behind_m = rear_behind_m(vehicle.nominal)
-    some = _starts(tracks, every_s, needed_s, most)
-    outputs = {i: outputs_of(tracks[i], model, rest, rig.identity) for i in {i for i, _ in some}}
+    com_to_rear_m = com_to_rear_axle_m(vehicle.nominal)
+    starts = _select_starts(tracks, options)
+    outputs = {i: simulate_actuators(tracks[i], model, rest, runnable.takes_commands) for i in {i for i, _ in starts}}
     errors, one_step = [], []
-    for i, row in some:
+    for i, row in starts:
         track = tracks[i]
-        warm, ahead = round(WARM_S / track.dt_s), _room(track, row, max(horizons_s))
-        shown = ridden(rig, track, outputs[i], row - warm, warm, ahead, behind_m)
-        errors.append(_errors(track, shown[warm:], row, [round(one / track.dt_s) for one in horizons_s]))
-        one_step.append(_one_step(track, shown, row - warm, warm))
-    found = np.array(errors)  # [starts, 4, horizons]
-    missed = np.concatenate(one_step)
-    hill = np.array([is_hill(tracks[i], row, round(HILL_AHEAD_S / tracks[i].dt_s)) for i, row in some])
-    return Judged(
-        rig.kind, tuple(horizons_s), tuple(tracks[i].name for i, _ in some), hill,
-        found[:, 0], found[:, 1], found[:, 2], found[:, 3], *np.sqrt((missed**2).mean(axis=0)).tolist(),
-    )  # fmt: skip
+        warm_up_rows = round(WARM_UP_S / track.dt_s)
+        span = RunSpan(row - warm_up_rows, warm_up_rows, _good_rows_ahead(track, row, max(options.horizons_s)))
+        simulated = run_free(runnable, track, outputs[i], span, com_to_rear_m)
+        horizons = [round(horizon_s / track.dt_s) for horizon_s in options.horizons_s]
+        errors.append(_errors_at_horizons(track, simulated[warm_up_rows:], row, horizons))
+        one_step.append(_one_step_errors(track, simulated, span))
+    by_quantity = np.array(errors)  # shape (n_starts, 4, n_horizons)
+    accel_mps2, yaw_rate_radps = np.sqrt((np.concatenate(one_step) ** 2).mean(axis=0)).tolist()
+    on_hill = [is_hilly(tracks[i], row, round(HILL_AHEAD_S / tracks[i].dt_s)) for i, row in starts]
+    return FreeRunErrors(
+        kind=runnable.kind,
+        horizons_s=tuple(options.horizons_s),
+        drive_names=tuple(tracks[i].name for i, _ in starts),
+        is_on_hill=np.array(on_hill),
+        position_m=by_quantity[:, 0],
+        heading_rad=by_quantity[:, 1],
+        speed_mps=by_quantity[:, 2],
+        distance_m=by_quantity[:, 3],
+        accel_mps2=accel_mps2,
+        yaw_rate_radps=yaw_rate_radps,
+    )
 
 
-def _starts(tracks: Sequence[Track], every_s: float, needed_s: float, most: int) -> list[tuple[int, int]]:
+def _select_starts(tracks: Sequence[MotionTrack], options: EvaluationOptions) -> list[tuple[int, int]]:
     """(track, row) of every start."""
-    found = []
+    starts = []
     for i, track in enumerate(tracks):
-        warm, ahead = round(WARM_S / track.dt_s), round(needed_s / track.dt_s)
-        found += [(i, row) for row in starts_of(track, warm, ahead, max(round(every_s / track.dt_s), 1))]
-    if not found:
+        warm_up_rows, free_rows = round(WARM_UP_S / track.dt_s), round(options.min_free_s / track.dt_s)
+        spacing_rows = max(round(options.every_s / track.dt_s), 1)
+        starts += [(i, row) for row in find_starts(track, warm_up_rows, free_rows, spacing_rows)]
+    if not starts:
         raise InputError(
-            f"no drive has {WARM_S + needed_s:g} s without a gap, in drive gear and moving",
+            f"no drive has {WARM_UP_S + options.min_free_s:g} s without a gap, in drive gear and moving",
             code="too_short",
             key="LOG",
-            hint="record longer drives to judge by",
+            hint="record longer drives for the evaluation",
         )
-    if most and len(found) > most:
-        found = [found[k] for k in np.linspace(0, len(found) - 1, most).astype(int)]
-    return found
+    if options.max_starts and len(starts) > options.max_starts:
+        starts = [starts[k] for k in np.linspace(0, len(starts) - 1, options.max_starts).astype(int)]
+    return starts
 
 
-def _room(track: Track, row: int, horizon_s: float) -> int:
-    """Good rows ahead, up to the horizon."""
-    ahead = track.good[row : row + round(horizon_s / track.dt_s) + 1]
-    return int(np.argmin(ahead)) - 1 if not ahead.all() else len(ahead) - 1
+def _good_rows_ahead(track: MotionTrack, row: int, horizon_s: float) -> int:
+    """Usable rows ahead, up to the horizon."""
+    good = track.is_good[row : row + round(horizon_s / track.dt_s) + 1]
+    return int(np.argmin(good)) - 1 if not good.all() else len(good) - 1
 
 
-def _errors(track: Track, shown: Array, row: int, horizons: Sequence[int]) -> list[list[float]]:
-    """[position, heading, speed, metres] by horizon; shown: from the start on."""
-    found = [[np.nan] * len(horizons) for _ in range(4)]
-    steps = np.hypot(np.diff(track.x_m[row : row + len(shown)]), np.diff(track.y_m[row : row + len(shown)]))
+def _errors_at_horizons(track: MotionTrack, simulated: Array, row: int, horizons: Sequence[int]) -> list[list[float]]:
+    """Errors of position, heading and speed, and the distance, by horizon. simulated: from the start on."""
+    errors = [[np.nan] * len(horizons) for _ in range(4)]
+    cut = slice(row, row + len(simulated))
+    steps = np.hypot(np.diff(track.x_m[cut]), np.diff(track.y_m[cut]))
     for column, ahead in enumerate(horizons):
-        if ahead < len(shown):
-            x, y, heading, speed, _ = shown[ahead]
-            at = row + ahead
-            found[0][column] = float(np.hypot(x - track.x_m[at], y - track.y_m[at]))
-            found[1][column] = float(abs(wrapped(heading - track.heading_rad[at])))
-            found[2][column] = float(abs(speed - track.speed_mps[at]))
-            found[3][column] = float(steps[:ahead].sum())
-    return found
+        if ahead < len(simulated):
+            x, y, heading, speed, _ = simulated[ahead]
+            k = row + ahead
+            errors[0][column] = float(np.hypot(x - track.x_m[k], y - track.y_m[k]))
+            errors[1][column] = float(abs(wrap_angle(heading - track.heading_rad[k])))
+            errors[2][column] = float(abs(speed - track.speed_mps[k]))
+            errors[3][column] = float(steps[:ahead].sum())
+    return errors
 
 
-def _one_step(track: Track, shown: Array, first: int, warm: int) -> Array:
-    """[rows, 2]: errors of the rate of speed and the yaw rate one tick after a measured motion, memory filled."""
-    rows = np.arange(warm // 2, warm + 1)
-    at = first + rows
-    rate = (shown[rows, 3] - track.speed_mps[at - 1]) / track.dt_s
-    return np.stack([rate - track.accel_mps2[at], shown[rows, 4] - track.yaw_rate_radps[at]], axis=1)
+def _one_step_errors(track: MotionTrack, simulated: Array, span: RunSpan) -> Array:
+    """Errors of rate of speed and yaw rate one tick after a measured motion, shape (n_rows, 2).
 
-
-def judge_all(
-    models: Mapping[str, ModelSpec], vehicle: VehicleSpec, tracks: Sequence[Track], options: Mapping[str, Any]
-) -> Any:
-    """A generator for a worker: names as they are done; returns Judged by name. options: keywords of `judge`."""
-    found = {}
-    for name, model in models.items():
-        found[name] = judge(model, vehicle, tracks, **options)
-        yield name
-    return found
-
-
-def headings_of(
-    models: Mapping[str, ModelSpec], vehicle: VehicleSpec, track: Track, row: int, seconds: float
-) -> dict[str, Array]:
-    """What each model says of the heading from a start on, rad, a value a tick (the paper's Fig. 3b)."""
-    rest = vehicle.nominal.rest_pedal_frac
-    behind_m = rear_behind_m(vehicle.nominal)
-    warm, ahead, found = round(WARM_S / track.dt_s), _room(track, row, seconds), {}
-    for name, model in models.items():
-        rig = rig_of(model)
-        outputs = outputs_of(track, model, rest, rig.identity)
-        found[name] = ridden(rig, track, outputs, row - warm, warm, ahead, behind_m)[warm:, 2]
-    return found
-
-
-RESAMPLES = 1000
-MANY = 15  # drives from which on their bootstrap will do
-QUANTITIES = ("position_m", "heading_rad", "speed_mps")
-
-
-def table_of(judged: Judged, seed: int = 1) -> dict[str, Any]:
-    """Plain data: rows 'level' and 'hills' (None where there is no such start), and the one-step errors.
-
-    A row has the counts of starts and drives and by horizon ('10') for each quantity mean, its 95 % interval (None
-    where all starts are of one drive) and the 95th percentile, and position error per metre driven (mean over starts
-    that moved).
+    Rows are those of the second half of the warm-up, in which the memory is filled.
     """
-    found: dict[str, Any] = {
-        "kind": judged.kind,
-        "one_step": {"accel_mps2": judged.accel_mps2, "yaw_rate_radps": judged.yaw_rate_radps},
+    rows = np.arange(span.warm_up_rows // 2, span.warm_up_rows + 1)
+    k = span.first_row + rows
+    rate = (simulated[rows, 3] - track.speed_mps[k - 1]) / track.dt_s
+    return np.stack([rate - track.accel_mps2[k], simulated[rows, 4] - track.yaw_rate_radps[k]], axis=1)
+
+
+def evaluate_models(
+    models: Mapping[str, ModelSpec],
+    vehicle: VehicleSpec,
+    tracks: Sequence[MotionTrack],
+    options: EvaluationOptions = DEFAULT_OPTIONS,
+) -> Generator[str, None, dict[str, FreeRunErrors]]:
+    """Evaluate models in turn; yields each name when it is done, returns the errors by name."""
+    errors = {}
+    for name, model in models.items():
+        errors[name] = evaluate_free_run(model, vehicle, tracks, options)
+        yield name
+    return errors
+
+
+def run_headings(
+    models: Mapping[str, ModelSpec], vehicle: VehicleSpec, track: MotionTrack, row: int, seconds: float
+) -> dict[str, Array]:
+    """Heading of each model in a free run from a start, rad, one value a tick (Fig. 3b of the Baidu paper)."""
+    rest = vehicle.nominal.rest_pedal_frac
+    com_to_rear_m = com_to_rear_axle_m(vehicle.nominal)
+    warm_up_rows = round(WARM_UP_S / track.dt_s)
+    span = RunSpan(row - warm_up_rows, warm_up_rows, _good_rows_ahead(track, row, seconds))
+    headings = {}
+    for name, model in models.items():
+        runnable = make_runnable(model)
+        outputs = simulate_actuators(track, model, rest, runnable.takes_commands)
+        headings[name] = run_free(runnable, track, outputs, span, com_to_rear_m)[warm_up_rows:, 2]
+    return headings
+
+
+def table_from_errors(errors: FreeRunErrors, seed: int = 1) -> dict[str, Any]:
+    """Plain data: rows 'level' and 'hills' (None without such starts), and the one-step errors.
+
+    A row has the numbers of starts and drives, and by horizon ('10') and quantity the mean, its 95 % interval (None
+    where all starts are of one drive) and the 95th percentile; also the position error per metre driven.
+    """
+    data: dict[str, Any] = {
+        "kind": errors.kind,
+        "one_step": {"accel_mps2": errors.accel_mps2, "yaw_rate_radps": errors.yaw_rate_radps},
     }
-    for name, rows in (("level", ~judged.hill), ("hills", judged.hill)):
-        found[name] = _row(judged, rows, seed) if rows.any() else None
-    return found
+    for name, rows in (("level", ~errors.is_on_hill), ("hills", errors.is_on_hill)):
+        data[name] = _summarize_starts(errors, rows, seed) if rows.any() else None
+    return data
 
 
-def _row(judged: Judged, rows: Array, seed: int) -> dict[str, Any]:
-    drives = np.array(judged.drives)[rows]
+def _summarize_starts(errors: FreeRunErrors, rows: Array, seed: int) -> dict[str, Any]:
+    drives = np.array(errors.drive_names)[rows]
     row: dict[str, Any] = {"starts": int(rows.sum()), "drives": len(set(drives.tolist()))}
-    for column, seconds in enumerate(judged.horizons_s):
-        values = {name: getattr(judged, name)[rows, column] for name in QUANTITIES}
-        metres = judged.metres[rows, column]
+    for column, seconds in enumerate(errors.horizons_s):
+        values = {name: getattr(errors, name)[rows, column] for name in QUANTITIES}
+        distance_m = errors.distance_m[rows, column]
         with np.errstate(invalid="ignore"):
-            values["position_per_m"] = np.where(metres > 1.0, values["position_m"] / np.maximum(metres, 1.0), np.nan)
+            per_metre = values["position_m"] / np.maximum(distance_m, MIN_DISTANCE_M)
+            values["position_per_m"] = np.where(distance_m > MIN_DISTANCE_M, per_metre, np.nan)
         if np.isfinite(values["position_m"]).any():
-            row[f"{seconds:g}"] = {name: _spread(one, drives, seed) for name, one in values.items()}
+            row[f"{seconds:g}"] = {name: _summarize_values(value, drives, seed) for name, value in values.items()}
     return row
 
 
-def _spread(values: Array, drives: Array, seed: int) -> dict[str, Any]:
+def _summarize_values(values: Array, drives: Array, seed: int) -> dict[str, Any]:
     known = np.isfinite(values)
     if not known.any():
         return {"n": 0, "mean": None, "p95": None, "low": None, "high": None}
-    low, high = (None if math.isnan(one) else one for one in interval_of(values[known], drives[known], seed))
+    low, high = (None if math.isnan(end) else end for end in mean_interval(values[known], drives[known], seed))
     mean, p95 = float(values[known].mean()), float(np.percentile(values[known], 95))
     return {"n": int(known.sum()), "mean": mean, "p95": p95, "low": low, "high": high}
 
 
-def interval_of(values: Array, drives: Array, seed: int = 1) -> tuple[float, float]:
-    """95 % interval of the mean over whole drives: by their bootstrap, or of few by Student's t (`few_drives`)."""
-    totals, counts = _by_drive(values, drives)
-    if len(totals) < MANY:
-        return few_drives(totals, counts)
-    picks = np.random.default_rng(seed).integers(0, len(totals), (RESAMPLES, len(totals)))
+def mean_interval(values: Array, drives: Array, seed: int = 1) -> tuple[float, float]:
+    """95 % interval of the mean: bootstrap over whole drives; Student's t below MIN_BOOTSTRAP_DRIVES."""
+    totals, counts = _sum_by_drive(values, drives)
+    if len(totals) < MIN_BOOTSTRAP_DRIVES:
+        return ratio_interval(totals, counts)
+    picks = np.random.default_rng(seed).integers(0, len(totals), (N_RESAMPLES, len(totals)))
     means = totals[picks].sum(axis=1) / counts[picks].sum(axis=1)
     low, high = np.percentile(means, [2.5, 97.5])
     return float(low), float(high)
 
 
-def few_drives(parts: Array, wholes: Array) -> tuple[float, float]:
-    """95 % interval of sum(parts) / sum(wholes), one of each a drive, by Student's t: a bootstrap of a few drives, or
-    their least and most, holds the truth far too seldom. Of one drive nothing says how far others are off: NaN.
+def ratio_interval(parts: Array, wholes: Array) -> tuple[float, float]:
+    """95 % interval of sum(parts) / sum(wholes), one of each a drive, by Student's t.
+
+    A bootstrap of a few drives, or their range, contains the true value far too seldom.
+
+    Returns:
+        NaN for a single drive, which does not show the scatter between drives.
     """
     from scipy.stats import t as student
 
     n, ratio = len(parts), float(parts.sum() / wholes.sum())
     if n < 2:
         return math.nan, math.nan
-    left = parts - ratio * wholes
-    doubt = math.sqrt(n / (n - 1.0) * float(left @ left)) / abs(float(wholes.sum()))
-    reach = float(student.ppf(0.975, n - 1)) * doubt
-    least = 0.0 if (parts >= 0.0).all() else -math.inf  # of errors, which are not below 0
-    return max(ratio - reach, least), ratio + reach
+    residuals = parts - ratio * wholes
+    std_error = math.sqrt(n / (n - 1.0) * float(residuals @ residuals)) / abs(float(wholes.sum()))
+    half = float(student.ppf(0.975, n - 1)) * std_error
+    floor = 0.0 if (parts >= 0.0).all() else -math.inf  # errors are not negative
+    return max(ratio - half, floor), ratio + half
 
 
-def _by_drive(values: Array, drives: Array) -> tuple[Array, Array]:
-    """(sum, count) of each drive."""
-    _, place = np.unique(drives, return_inverse=True)
-    return np.bincount(place, weights=values), np.bincount(place).astype(np.float64)
+def _sum_by_drive(values: Array, drives: Array) -> tuple[Array, Array]:
+    """Sum and count of each drive."""
+    _, index = np.unique(drives, return_inverse=True)
+    return np.bincount(index, weights=values), np.bincount(index).astype(np.float64)
 
 
-def reduction(ours: Judged, other: Judged, seconds: float, *, hills: bool = False, seed: int = 1) -> dict[str, Any]:
-    """By how many percent the mean position error is smaller than another model's over the same starts.
+def error_reduction(
+    errors: FreeRunErrors, reference: FreeRunErrors, seconds: float, *, hills: bool = False, seed: int = 1
+) -> dict[str, Any]:
+    """Reduction of the mean position error against a reference model on the same starts, in percent.
 
-    With a 95 % interval (whole drives drawn, both models on the same ones) and the number of starts.
+    Returns:
+        'value', 'low', 'high' (95 % interval over whole drives, None for a single one), and 'n' starts.
     """
-    column = ours.horizons_s.index(seconds)
-    mine, theirs = ours.position_m[:, column], other.position_m[:, column]
-    rows = np.isfinite(mine) & np.isfinite(theirs) & (ours.hill == hills)
-    drives = np.array(ours.drives)[rows]
-    sums, _ = _by_drive(mine[rows], drives)
-    others, counts = _by_drive(theirs[rows], drives)
-    value = 100.0 * (1.0 - float(sums.sum()) / float(others.sum()))
-    if len(counts) < MANY:
-        ends = (100.0 * (1.0 - one) for one in few_drives(sums, others)[::-1])
-        low, high = (None if math.isnan(one) else one for one in ends)
+    column = errors.horizons_s.index(seconds)
+    position_m, reference_m = errors.position_m[:, column], reference.position_m[:, column]
+    rows = np.isfinite(position_m) & np.isfinite(reference_m) & (errors.is_on_hill == hills)
+    drives = np.array(errors.drive_names)[rows]
+    sums, _ = _sum_by_drive(position_m[rows], drives)
+    reference_sums, counts = _sum_by_drive(reference_m[rows], drives)
+    value = 100.0 * (1.0 - float(sums.sum()) / float(reference_sums.sum()))
+    if len(counts) < MIN_BOOTSTRAP_DRIVES:
+        ends = (100.0 * (1.0 - end) for end in ratio_interval(sums, reference_sums)[::-1])
+        low, high = (None if math.isnan(end) else end for end in ends)
         return {"value": value, "low": low, "high": high, "n": int(rows.sum())}
-    picks = np.random.default_rng(seed).integers(0, len(counts), (RESAMPLES, len(counts)))
-    drawn = 100.0 * (1.0 - sums[picks].sum(axis=1) / others[picks].sum(axis=1))
-    low, high = np.percentile(drawn, [2.5, 97.5])
+    picks = np.random.default_rng(seed).integers(0, len(counts), (N_RESAMPLES, len(counts)))
+    resampled = 100.0 * (1.0 - sums[picks].sum(axis=1) / reference_sums[picks].sum(axis=1))
+    low, high = np.percentile(resampled, [2.5, 97.5])
     return {"value": value, "low": float(low), "high": float(high), "n": int(rows.sum())}

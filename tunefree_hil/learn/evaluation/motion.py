@@ -1,7 +1,7 @@
-"""What a stretch of a drive says of the motion and of what caused it, aligned: the ground of training and free run.
+"""Aligned motion and commands of a stretch of a drive: the data of training and free runs.
 
-Row k of a track is one instant of the vehicle: its motion as reported in tick k, and the commands that acted during the
-step that led there (from row k - 1 to row k), in the frame of time of learn/actuators/samples.py.
+Row k of a track is one instant: the motion reported in tick k, and the commands that acted from row k - 1 to row k, in
+the time frame of learn/actuators/samples.py.
 """
 
 from __future__ import annotations
@@ -19,38 +19,93 @@ from tunefree_hil.base.kernel import Block, series
 from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec, VehicleSpec, value_of
-from tunefree_hil.learn.actuators.samples import accel_asked, asked_pedals, channel_of
-from tunefree_hil.learn.data_sheet import rear_behind_m
-from tunefree_hil.learn.drives.drive import INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES, Array, Drive, Part
-from tunefree_hil.learn.drives.road_slope import offset_of
-from tunefree_hil.learn.drives.runs import runs
-from tunefree_hil.learn.drives.smoothing import between_fresh, earlier, first_between_fresh, mean_noise, yaw_by_wheels
-from tunefree_hil.learn.drives.validity import DRIVEN_BY, POSE, acted_told, between_poses, motion_told
+from tunefree_hil.learn.actuators.samples import pedals_from_accel_command, read_accel_command, read_actuation
+from tunefree_hil.learn.data_sheet import com_to_rear_axle_m
+from tunefree_hil.learn.drives.drive import INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES, Array, Drive, DrivePart
+from tunefree_hil.learn.drives.road_slope import estimate_accel_offset
+from tunefree_hil.learn.drives.runs import find_runs
+from tunefree_hil.learn.drives.smoothing import (
+    estimate_mean_noise,
+    interpolate_first_field,
+    interpolate_fresh,
+    shift_earlier,
+    yaw_rate_from_wheels,
+)
+from tunefree_hil.learn.drives.validity import (
+    DRIVING_CHANNELS,
+    POSE_FIELDS,
+    actuation_valid_rows,
+    interpolate_pose,
+    motion_valid_rows,
+)
 from tunefree_hil.plant.actuation.acceleration_interface import pedals_of
 from tunefree_hil.plant.actuation.actuators import ActuatorParams, actuator
 
-WINDOW, ORDER = 51, 3  # Savitzky-Golay of the labels (apollo_facts 5.3)
-GRADE_ROWS = 201  # the accelerometer's view of the road is smoothed over these
-HILL_RAD = 0.015  # from here on a stretch counts as a hill; what a bias leaves (learn/drives/road_slope.py) is below it
-MOST_DOUBT_RAD = 0.5 * HILL_RAD  # of a slope: an accelerometer that shakes more than that says nothing about the road
-SLOW_MPS = 1.0  # below it an accelerometer says little about the road: stick, pitch, brakes
-SETTLED_S = 10.0  # for which an effect behind an actuator has had its first value, so that it begins as if for ever
+SMOOTHING_ROWS, SMOOTHING_ORDER = 51, 3  # Savitzky-Golay filter of the labels, as in Apollo's data pipeline
+SETTLING_S = 10.0  # an effect behind an actuator gets its first value for so long, so that it starts settled
 
 
-class Track(NamedTuple):
-    """A stretch without gaps. All arrays have a row a tick, unless said otherwise.
+class SlopeCriteria(NamedTuple):
+    """When an accelerometer shows a slope (docs/reference/learn_criteria.md).
 
-    heading_rad is continuous; accel_mps2 the rate of speed; speed, yaw rate and accel are Savitzky-Golay smoothed.
-    grade_rad: what the accelerometer says beyond the rate of speed, 0 on what counts as level. commands, recorded:
-    [n, 3] throttle, brake (duty), steer (rad): what was asked, and what the report says was put out (NaN where it says
-    nothing). obeyed: [n, 3] whether the command acted (else the recorded output is all there is). good: fit for use.
-    placed: whether position and heading were measured and not summed up from speed and yaw rate. asked_mps2: of a car
-    that is asked for an acceleration what was asked, [n]; its pedals in `commands` are those of plant/actuation/acceleration_interface.py.
+    Attributes:
+        filter_rows: Length of the moving mean.
+        min_hill_rad: Slope from which on a road counts as a hill; above what a sensor offset leaves.
+        max_noise_rad: Noise of the filtered slope above which the accelerometer is not used.
+        min_speed_mps: Below it stiction, pitch and brakes dominate the accelerometer.
+        min_usable_share: Share of usable rows in the moving mean.
+    """
+
+    filter_rows: int = 201
+    min_hill_rad: float = 0.015
+    max_noise_rad: float = 0.5 * 0.015
+    min_speed_mps: float = 1.0
+    min_usable_share: float = 0.25
+
+
+class StartCriteria(NamedTuple):
+    """Speeds at which a track is used.
+
+    Attributes:
+        min_speed_mps: Lowest speed of a usable row; noise around standstill is allowed.
+        min_mean_speed_mps: Mean speed ahead of a start.
+    """
+
+    min_speed_mps: float = -0.1
+    min_mean_speed_mps: float = 0.3
+
+
+SLOPE = SlopeCriteria()
+START = StartCriteria()
+
+
+class MotionTrack(NamedTuple):
+    """A stretch of a drive. Arrays have a row a tick; those of channels are throttle, brake (duty), steer (rad).
+
+    Attributes:
+        name: Drive.
+        log_hash: Of its log.
+        begin: Row of the drive.
+        dt_s: Tick.
+        speed_mps: Smoothed (Savitzky-Golay), like yaw rate and acceleration.
+        yaw_rate_radps: Smoothed.
+        accel_mps2: Rate of speed, smoothed.
+        heading_rad: Continuous.
+        x_m: Position of the rear axle.
+        y_m: Position of the rear axle.
+        grade_rad: Slope of the road by the accelerometer, 0 where it counts as level.
+        commands: Shape (n_rows, 3).
+        recorded: Reported outputs, shape (n_rows, 3), NaN where none are reported.
+        is_obeyed: Whether the command acted, shape (n_rows, 3); where not, only the recorded output is known.
+        is_good: Usable rows.
+        has_measured_pose: False: position and heading are integrated from speed and yaw rate.
+        accel_demand_mps2: Of a vehicle that takes an acceleration; its pedals in `commands` are those of
+            plant/actuation/acceleration_interface.py.
     """
 
     name: str
     log_hash: str
-    begin: int  # row of the drive
+    begin: int
     dt_s: float
     speed_mps: Array
     yaw_rate_radps: Array
@@ -61,74 +116,118 @@ class Track(NamedTuple):
     grade_rad: Array
     commands: Array
     recorded: Array
-    obeyed: Array
-    good: Array
-    placed: bool
-    asked_mps2: Array | None = None
+    is_obeyed: Array
+    is_good: Array
+    has_measured_pose: bool
+    accel_demand_mps2: Array | None = None
 
     @property
-    def rows(self) -> int:
-        """How many."""
+    def n_rows(self) -> int:
+        """Number of rows."""
         return len(self.speed_mps)
 
 
-def tracks_of(parts: Iterable[Part], vehicle: VehicleSpec, least_rows: int = 0, road_share: float = 0.0) -> list[Track]:
-    """A track of every part that is long enough (at least WINDOW rows).
+class _Motion(NamedTuple):
+    """Smoothed motion of a stretch."""
 
-    road_share: of what an accelerometer says wherever the car heads (learn/drives/road_slope.py) the part that is a slope. Raises
-    InputError where the vehicle reports no speed or no yaw rate at all.
+    speed: Array
+    yaw: Array
+    accel: Array
+
+
+class _Pose(NamedTuple):
+    heading: Array
+    x: Array
+    y: Array
+    is_measured: bool
+
+
+def make_motion_tracks(
+    parts: Iterable[DrivePart], vehicle: VehicleSpec, min_rows: int = 0, road_share: float = 0.0
+) -> list[MotionTrack]:
+    """A track of every part of at least `min_rows` and SMOOTHING_ROWS rows.
+
+    Args:
+        parts: Parts of drives.
+        vehicle: Vehicle folder.
+        min_rows: Least length.
+        road_share: Share of the constant accelerometer offset that is a slope (learn/drives/road_slope.py).
+
+    Raises:
+        InputError: No speed or no yaw rate is reported.
     """
-    least = max(least_rows, WINDOW)
-    return [track_of(part, vehicle, road_share) for part in parts if part.end - part.begin >= least]
+    shortest = max(min_rows, SMOOTHING_ROWS)
+    return [make_motion_track(part, vehicle, road_share) for part in parts if part.end - part.begin >= shortest]
 
 
-def track_of(part: Part, vehicle: VehicleSpec, road_share: float = 0.0) -> Track:
-    """One stretch; see Track, and tracks_of."""
+def make_motion_track(part: DrivePart, vehicle: VehicleSpec, road_share: float = 0.0) -> MotionTrack:
+    """The track of one part; see `make_motion_tracks`."""
     drive, cut = part.drive, slice(part.begin, part.end)
-    late = round(vehicle.ins_frame.latency_s / drive.dt_s)
-    driven = _first(drive, INS_FIRST_SPEEDS, late)[cut]
-    speed, accel = smooth(driven), smooth(driven, drive.dt_s)
-    yaw = smooth(_yaw_rate(drive, vehicle, late)[cut])
-    heading, x, y, placed = _pose(drive, cut, late, speed, yaw)
+    ins_delay_rows = round(vehicle.ins_frame.latency_s / drive.dt_s)
+    motion = _smoothed_motion(part, vehicle, ins_delay_rows)
+    pose = _pose_or_dead_reckoning(drive, cut, ins_delay_rows, motion)
     rest = vehicle.nominal.rest_pedal_frac
-    columns = [channel_of(drive, name, 0.0 if name == "steer" else rest) for name in DRIVEN_BY]
-    asked = accel_asked(drive)
-    if asked is not None:
-        columns[:2] = asked_pedals(asked, drive.enabled, rest)
-    commands, recorded, obeyed = (np.stack([one[i][cut] for one in columns], axis=1) for i in range(3))
-    usable = np.where(obeyed, commands, recorded)
-    good = np.isfinite(np.stack([speed, yaw, accel, heading, x, y], axis=1)).all(axis=1)
-    good &= np.isfinite(usable).all(axis=1) & (speed > -0.1)
-    good &= (motion_told(drive, late, placed) & acted_told(drive, [one[2] for one in columns]))[cut]
+    channels = [read_actuation(drive, name, 0.0 if name == "steer" else rest) for name in DRIVING_CHANNELS]
+    demand = read_accel_command(drive)
+    if demand is not None:
+        channels[:2] = pedals_from_accel_command(demand, drive.enabled, rest)
+    commands, recorded, is_obeyed = (np.stack([channel[i][cut] for channel in channels], axis=1) for i in range(3))
+    usable = np.where(is_obeyed, commands, recorded)
+    good = np.isfinite(np.stack([*motion, pose.heading, pose.x, pose.y], axis=1)).all(axis=1)
+    good &= np.isfinite(usable).all(axis=1) & (motion.speed > START.min_speed_mps)
+    is_valid = motion_valid_rows(drive, ins_delay_rows, pose.is_measured)
+    good &= (is_valid & actuation_valid_rows(drive, [channel[2] for channel in channels]))[cut]
     gear = drive.get("report.gear")
     if gear is not None and not np.isnan(gear).all():
         good &= gear[cut] == GEAR_DRIVE
-    grade = _grade(drive, cut, speed, yaw, accel, vehicle, (1.0 - road_share) * offset_of(drive, vehicle))
-    return Track(
-        drive.name, drive.log_hash, part.begin, drive.dt_s, np.maximum(speed, 0.0), yaw, accel, heading, x, y, grade,
-        commands, recorded, obeyed, good, placed, None if asked is None else asked[cut],
-    )  # fmt: skip
+    offset_g = (1.0 - road_share) * estimate_accel_offset(drive, vehicle)
+    return MotionTrack(
+        name=drive.name,
+        log_hash=drive.log_hash,
+        begin=part.begin,
+        dt_s=drive.dt_s,
+        speed_mps=np.maximum(motion.speed, 0.0),
+        yaw_rate_radps=motion.yaw,
+        accel_mps2=motion.accel,
+        heading_rad=pose.heading,
+        x_m=pose.x,
+        y_m=pose.y,
+        grade_rad=_estimate_grade(part, motion, vehicle, offset_g),
+        commands=commands,
+        recorded=recorded,
+        is_obeyed=is_obeyed,
+        is_good=good,
+        has_measured_pose=pose.is_measured,
+        accel_demand_mps2=None if demand is None else demand[cut],
+    )
 
 
-def smooth(values: Array, dt_s: float = 0.0) -> Array:
-    """Savitzky-Golay over the finite rows, or with dt_s its rate per s; NaN where fewer than WINDOW lie together."""
+def _smoothed_motion(part: DrivePart, vehicle: VehicleSpec, ins_delay_rows: int) -> _Motion:
+    drive, cut = part.drive, slice(part.begin, part.end)
+    speed = _first_signal(drive, INS_FIRST_SPEEDS, ins_delay_rows)[cut]
+    yaw = smooth_signal(_yaw_rate(drive, vehicle, ins_delay_rows)[cut])
+    return _Motion(smooth_signal(speed), yaw, smooth_signal(speed, drive.dt_s))
+
+
+def smooth_signal(values: Array, dt_s: float = 0.0) -> Array:
+    """Savitzky-Golay filter over finite rows, or with dt_s their rate per s; NaN in runs below SMOOTHING_ROWS."""
     from scipy.signal import savgol_filter
 
-    found = np.full(len(values), np.nan)
-    for begin, end in runs(np.isfinite(values)):
-        if end - begin >= WINDOW:
-            more = {"deriv": 1, "delta": dt_s} if dt_s else {}
-            found[begin:end] = savgol_filter(values[begin:end], WINDOW, ORDER, **more)
-    return found
+    smoothed = np.full(len(values), np.nan)
+    for begin, end in find_runs(np.isfinite(values)):
+        if end - begin >= SMOOTHING_ROWS:
+            derivative = {"deriv": 1, "delta": dt_s} if dt_s else {}
+            smoothed[begin:end] = savgol_filter(values[begin:end], SMOOTHING_ROWS, SMOOTHING_ORDER, **derivative)
+    return smoothed
 
 
-def _first(drive: Drive, names: Sequence[str], late: int) -> Array:
-    """The first field that says anything; what the INS says stands `late` rows too low and is moved up."""
-    even = first_between_fresh(drive, names, late)
+def _first_signal(drive: Drive, names: Sequence[str], ins_delay_rows: int) -> Array:
+    """The first of these fields with values; INS fields are shifted by the INS delay."""
+    even = interpolate_first_field(drive, names, ins_delay_rows)
     if even is not None:
         return even
     raise InputError(
-        f"the logs say nothing of {' or '.join(names)}",
+        f"the logs have no {' or '.join(names)}",
         code="no_motion",
         file=drive.name,
         key=names[0],
@@ -136,139 +235,158 @@ def _first(drive: Drive, names: Sequence[str], late: int) -> Array:
     )
 
 
-def _yaw_rate(drive: Drive, vehicle: VehicleSpec, late: int) -> Array:
-    """The INS's, the chassis's, or what the rear wheels make of it."""
-    wheels = yaw_by_wheels(drive, vehicle.nominal)
+def _yaw_rate(drive: Drive, vehicle: VehicleSpec, ins_delay_rows: int) -> Array:
+    """Of the INS or the chassis; from the rear wheels where neither reports it."""
+    wheels = yaw_rate_from_wheels(drive, vehicle.nominal)
     if wheels is not None and all(drive.get(name) is None for name in INS_FIRST_YAW_RATES):
-        return between_fresh(*wheels)
-    return _first(drive, INS_FIRST_YAW_RATES, late)
+        return interpolate_fresh(*wheels)
+    return _first_signal(drive, INS_FIRST_YAW_RATES, ins_delay_rows)
 
 
-def _pose(drive: Drive, cut: slice, late: int, speed: Array, yaw: Array) -> tuple[Array, Array, Array, bool]:
-    """(heading, x, y, measured): the INS's, smoothed, or summed up from speed and yaw rate where it has none."""
-    found = [drive.get(name) for name in POSE]
-    if all(one is not None and not np.isnan(one).all() for one in found):
-        heading, x, y = (earlier(one, late)[cut] for one in between_poses(drive))
-        return smooth(heading), smooth(x), smooth(y), True
+def _pose_or_dead_reckoning(drive: Drive, cut: slice, ins_delay_rows: int, motion: _Motion) -> _Pose:
+    """The smoothed pose of the INS, or speed and yaw rate integrated where it reports none."""
+    fields = [drive.get(name) for name in POSE_FIELDS]
+    if all(values is not None and not np.isnan(values).all() for values in fields):
+        heading, x, y = (shift_earlier(values, ins_delay_rows)[cut] for values in interpolate_pose(drive))
+        return _Pose(smooth_signal(heading), smooth_signal(x), smooth_signal(y), True)
+    speed, yaw = motion.speed, motion.yaw
     mean_yaw = 0.5 * (yaw[1:] + yaw[:-1])
     heading = np.concatenate([[0.0], np.cumsum(np.nan_to_num(mean_yaw) * drive.dt_s)])
     middle, along = 0.5 * (heading[1:] + heading[:-1]), np.nan_to_num(0.5 * (speed[1:] + speed[:-1])) * drive.dt_s
     x = np.concatenate([[0.0], np.cumsum(along * np.cos(middle))])
     y = np.concatenate([[0.0], np.cumsum(along * np.sin(middle))])
-    return heading, x, y, False
+    return _Pose(heading, x, y, False)
 
 
-def _grade(drive: Drive, cut: slice, speed: Array, yaw: Array, accel: Array, vehicle: VehicleSpec, own: float) -> Array:
-    """Slope of the road from specific force beyond the rate of speed; 0 where it is level, slow or not measured. own:
-    what the accelerometer says too much, in g.
+def _estimate_grade(part: DrivePart, motion: _Motion, vehicle: VehicleSpec, offset_g: float) -> Array:
+    """Slope of the road, rad: specific force beyond the rate of speed; 0 where level, slow or not measured.
+
+    Args:
+        part: Part of a drive.
+        motion: Of the part.
+        vehicle: Vehicle folder.
+        offset_g: Offset of the accelerometer, in g.
     """
-    said = drive.get("report.accel_mps2")
+    drive, cut, speed = part.drive, slice(part.begin, part.end), motion.speed
+    force = drive.get("report.accel_mps2")
     flat = np.zeros(len(speed))
-    if said is None or len(speed) < GRADE_ROWS:
+    if force is None or len(speed) < SLOPE.filter_rows:
         return flat
-    outwards_mps2 = rear_behind_m(vehicle.nominal) * yaw * yaw  # the centre of mass slides outwards at b * yaw rate
-    beyond = (said[cut] - accel + outwards_mps2) / G_MPS2
-    beyond -= own
-    usable = np.isfinite(beyond) & (speed > SLOW_MPS)
-    if mean_noise(np.where(usable, beyond, np.nan), drive.fresh["report.accel_mps2"][cut], GRADE_ROWS) > MOST_DOUBT_RAD:
+    outwards_mps2 = com_to_rear_axle_m(vehicle.nominal) * motion.yaw * motion.yaw  # at the centre of mass
+    sine = (force[cut] - motion.accel + outwards_mps2) / G_MPS2
+    sine -= offset_g
+    usable = np.isfinite(sine) & (speed > SLOPE.min_speed_mps)
+    fresh = drive.fresh["report.accel_mps2"][cut]
+    if estimate_mean_noise(np.where(usable, sine, np.nan), fresh, SLOPE.filter_rows) > SLOPE.max_noise_rad:
         return flat
-    weight = np.convolve(usable, np.ones(GRADE_ROWS), "same")
-    mean = np.convolve(np.where(usable, beyond, 0.0), np.ones(GRADE_ROWS), "same") / np.maximum(weight, 1.0)
+    weight = np.convolve(usable, np.ones(SLOPE.filter_rows), "same")
+    total = np.convolve(np.where(usable, sine, 0.0), np.ones(SLOPE.filter_rows), "same")
+    mean = total / np.maximum(weight, 1.0)
     slope = np.arcsin(np.clip(mean, -0.5, 0.5))
-    return np.where((weight > 0.25 * GRADE_ROWS) & (abs(slope) >= HILL_RAD), slope, flat)
+    is_hill = (weight > SLOPE.min_usable_share * SLOPE.filter_rows) & (abs(slope) >= SLOPE.min_hill_rad)
+    return np.where(is_hill, slope, flat)
 
 
 def actuator_params(spec: ActuatorSpec, rest: float, initial: float) -> ActuatorParams:
-    """The kernel's params of a channel of [actuators] that has held `initial` for ever."""
+    """Kernel parameters of a channel of [actuators], settled at the command `initial`."""
     values = {
         name: float(value_of(getattr(spec, name))) for name in spec.__struct_fields__ if name in ActuatorParams._fields
     }
     return ActuatorParams(**values)._replace(rest=rest, initial=initial)
 
 
-def outputs_of(track: Track, model: ModelSpec, rest: float, identity: bool = False) -> Array:
-    """[n, 3]: what the model's own actuators, and its effects before and behind them, make of the commands.
+def simulate_actuators(track: MotionTrack, model: ModelSpec, rest: float, takes_commands: bool = False) -> Array:
+    """Outputs of a model's actuators, with its effects before and behind them, shape (n_rows, 3).
 
-    Where the vehicle did not obey its commands (or had none) the recorded output stands for that of the actuator, and
-    has the effects behind it all the same. identity: a plant that takes commands (kind paper) has no actuators.
+    Where the vehicle did not obey its commands, the recorded output replaces that of the actuator; the effects behind
+    the actuator still apply.
+
+    Args:
+        track: The commands.
+        model: Model folder.
+        rest: Duty of a released pedal.
+        takes_commands: The plant takes commands and has no actuators (kind paper).
     """
-    found = np.stack(
-        [_as_felt(track, model, i, 0.0 if name == "steer" else rest) for i, name in enumerate(DRIVEN_BY)], axis=1
+    outputs = np.stack(
+        [
+            _recorded_outputs(track, model, i, 0.0 if name == "steer" else rest)
+            for i, name in enumerate(DRIVING_CHANNELS)
+        ],
+        axis=1,
     )
-    by_accel = track.asked_mps2 is not None and not identity
-    for column, name in enumerate(DRIVEN_BY):
+    by_accel = track.accel_demand_mps2 is not None and not takes_commands
+    for column, name in enumerate(DRIVING_CHANNELS):
         if by_accel and name != "steer":
             continue
         idle = 0.0 if name == "steer" else rest
-        for begin, end in runs(track.obeyed[:, column]):
+        for begin, end in find_runs(track.is_obeyed[:, column]):
             commands = track.commands[begin:end, column]
-            block = _channel_block(model, name, idle, float(commands[0]), identity)
-            found[begin:end, column] = _driven(block, commands, track.dt_s)
+            block = _make_channel_block(model, name, idle, float(commands[0]), takes_commands)
+            outputs[begin:end, column] = _run_block(block, commands, track.dt_s)
     if by_accel:
-        _by_accel(track, model, rest, found)
-    return found
+        _fill_pedals_from_accel(track, model, rest, outputs)
+    return outputs
 
 
-def _as_felt(track: Track, model: ModelSpec, column: int, idle: float) -> Array:
-    """[n]: the recorded outputs of a channel with the effects that lie between them and the car, where it did not obey.
-    These have had the first value for long.
-    """
-    found = np.array(track.recorded[:, column], dtype=np.float64)
-    if behind := _effects_at(model, f"{DRIVEN_BY[column]} B", idle):
-        before = math.ceil(SETTLED_S / track.dt_s)
-        for begin, end in runs(~track.obeyed[:, column] & np.isfinite(found)):
-            held = np.concatenate([np.full(before, found[begin]), found[begin:end]])
-            found[begin:end] = _driven(_in_series(behind), held, track.dt_s)[before:]
-    return found
+def _recorded_outputs(track: MotionTrack, model: ModelSpec, column: int, idle: float) -> Array:
+    """Recorded outputs of a channel, with the effects behind the actuator where the command was not obeyed."""
+    outputs = np.array(track.recorded[:, column], dtype=np.float64)
+    if behind := _load_effects_at(model, f"{DRIVING_CHANNELS[column]} B", idle):
+        n_settling = math.ceil(SETTLING_S / track.dt_s)
+        for begin, end in find_runs(~track.is_obeyed[:, column] & np.isfinite(outputs)):
+            inputs = np.concatenate([np.full(n_settling, outputs[begin]), outputs[begin:end]])
+            outputs[begin:end] = _run_block(_connect_in_series(behind), inputs, track.dt_s)[n_settling:]
+    return outputs
 
 
-def _by_accel(track: Track, model: ModelSpec, rest: float, found: Array) -> None:
-    """Fill in the pedals of a car that is asked for an acceleration: through its channel 'accel'."""
-    assert track.asked_mps2 is not None
-    for begin, end in runs(track.obeyed[:, 0]):
-        asked = track.asked_mps2[begin:end]
-        block = _channel_block(model, "accel", 0.0, float(asked[0]), False)
-        made = _driven(block, asked, track.dt_s)
-        found[begin:end, :2] = [pedals_of(accel_mps2, rest) for accel_mps2 in made]
+def _fill_pedals_from_accel(track: MotionTrack, model: ModelSpec, rest: float, outputs: Array) -> None:
+    """Fill in the pedals of a vehicle that takes an acceleration, through its channel 'accel'."""
+    assert track.accel_demand_mps2 is not None
+    for begin, end in find_runs(track.is_obeyed[:, 0]):
+        demand = track.accel_demand_mps2[begin:end]
+        block = _make_channel_block(model, "accel", 0.0, float(demand[0]), False)
+        accels = _run_block(block, demand, track.dt_s)
+        outputs[begin:end, :2] = [pedals_of(accel_mps2, rest) for accel_mps2 in accels]
 
 
 def body_change(model: ModelSpec) -> BodyChange:
-    """What the model's effects change of the body and its forces."""
+    """Changes of body and forces by the effects of a model."""
     change = BodyChange()
     for spec in model.effects:
-        made = make_effect(parts.load("tunefree_hil.effects", spec.name, "EFFECT"), spec.params, name=spec.name)
-        if not isinstance(made, Block):
-            change = made(change)
+        effect = make_effect(parts.load("tunefree_hil.effects", spec.name, "EFFECT"), spec.params, name=spec.name)
+        if not isinstance(effect, Block):
+            change = effect(change)
     return change
 
 
-def _channel_block(model: ModelSpec, name: str, rest: float, initial: float, identity: bool) -> Block:
+def _make_channel_block(model: ModelSpec, name: str, rest: float, initial: float, takes_commands: bool) -> Block:
     """Effects A, actuator, effects on its output, effects B of one channel, in series."""
-    before, ends, behind = (_effects_at(model, f"{name} {place}", rest) for place in ("A", "out A", "B"))
+    before, ends, behind = (_load_effects_at(model, f"{name} {place}", rest) for place in ("A", "out A", "B"))
     spec = model.actuators.get(name, ActuatorSpec())
-    own = ActuatorParams(rest=rest, initial=initial) if identity else actuator_params(spec, rest, initial)
-    return _in_series([*before, actuator(own), *ends, *behind])
+    ideal = ActuatorParams(rest=rest, initial=initial)
+    params = ideal if takes_commands else actuator_params(spec, rest, initial)
+    return _connect_in_series([*before, actuator(params), *ends, *behind])
 
 
-def _effects_at(model: ModelSpec, port: str, rest: float) -> list[Block]:
-    """The model's own effects at a port, in its order."""
-    found = []
+def _load_effects_at(model: ModelSpec, port: str, rest: float) -> list[Block]:
+    """The effects of a model at a port, in their order."""
+    blocks = []
     for spec in model.effects:
         effect = parts.load("tunefree_hil.effects", spec.name, "EFFECT")
-        made = make_effect(effect, spec.params, rest=rest, name=spec.name) if effect.port.value == port else None
-        if isinstance(made, Block):
-            found.append(made)
-    return found
+        block = make_effect(effect, spec.params, rest=rest, name=spec.name) if effect.port.value == port else None
+        if isinstance(block, Block):
+            blocks.append(block)
+    return blocks
 
 
-def _in_series(chain: Sequence[Block]) -> Block:
+def _connect_in_series(chain: Sequence[Block]) -> Block:
     block = chain[0]
-    for one in chain[1:]:
-        block = series(block, one)
+    for following in chain[1:]:
+        block = series(block, following)
     return block
 
 
-def _driven(block: Block, commands: Array, dt_s: float) -> list[float]:
+def _run_block(block: Block, commands: Array, dt_s: float) -> list[float]:
     step, params, outputs = block.step, block.params, []
     state = block.init(params, dt_s)
     for command in commands.tolist():
@@ -277,21 +395,21 @@ def _driven(block: Block, commands: Array, dt_s: float) -> list[float]:
     return outputs
 
 
-def starts_of(track: Track, warm_rows: int, ahead_rows: int, every_rows: int) -> list[int]:
-    """Rows at which a free run can begin: good from warm_rows before to ahead_rows behind, and moving."""
-    found = []
-    for begin, end in runs(track.good):
-        for row in range(begin + warm_rows, end - ahead_rows, every_rows):
-            if float(track.speed_mps[row : row + ahead_rows + 1].mean()) > 0.3:
-                found.append(row)
-    return found
+def find_starts(track: MotionTrack, warm_up_rows: int, free_rows: int, spacing_rows: int) -> list[int]:
+    """Rows at which a free run can begin: usable from `warm_up_rows` before to `free_rows` behind, and moving."""
+    starts = []
+    for begin, end in find_runs(track.is_good):
+        for row in range(begin + warm_up_rows, end - free_rows, spacing_rows):
+            if float(track.speed_mps[row : row + free_rows + 1].mean()) > START.min_mean_speed_mps:
+                starts.append(row)
+    return starts
 
 
-def is_hill(track: Track, row: int, ahead_rows: int) -> bool:
+def is_hilly(track: MotionTrack, row: int, free_rows: int) -> bool:
     """Whether the road ahead of a start is not level."""
-    return bool(np.any(track.grade_rad[row : row + ahead_rows + 1]))
+    return bool(np.any(track.grade_rad[row : row + free_rows + 1]))
 
 
-def wrapped(angle_rad: Array) -> Array:
+def wrap_angle(angle_rad: Array) -> Array:
     """The same angles within [-pi, pi)."""
     return (np.asarray(angle_rad) + math.pi) % (2.0 * math.pi) - math.pi

@@ -1,4 +1,4 @@
-"""What the figures of a calibration show, made where the kernels are compiled (learn/compiled_process.py)."""
+"""Data of the figures of a calibration, computed in the process with compiled kernels (learn/compiled_process.py)."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tunefree_hil.learn.actuators.model import Way, simulated
-from tunefree_hil.learn.actuators.samples import Pair, Pairs
-from tunefree_hil.learn.physics.windows import Off, Window, errors, rms_of
+from tunefree_hil.learn.actuators.model import ActuatorModel, simulate_output
+from tunefree_hil.learn.actuators.samples import ActuatorSamples, ChannelSamples
+from tunefree_hil.learn.physics.windows import FreeRunWindow, OutputCorrection, compute_errors, compute_target_rms
 from tunefree_hil.plant.actuation.actuators import ActuatorParams
 
 Array = np.ndarray
 
-LARGE_S, SMALL_S = 8.0, 2.5
+LONG_TRACE_S, SHORT_TRACE_S = 8.0, 2.5
 
 
-class Trace(NamedTuple):
-    """A stretch of a channel: stamps, command, reported output (NaN where none came), and what the fit puts out."""
+class ActuatorTrace(NamedTuple):
+    """A stretch of a channel: stamps, command, reported output (NaN where none came), simulated output."""
 
     time_s: Array
     command: Array
@@ -26,58 +26,71 @@ class Trace(NamedTuple):
     fit: Array
 
 
-class Judged(NamedTuple):
-    """Free runs on parts that no fit has seen. time_s [m]; rms by target over all windows at each time, [m, 6].
+class ConstantComparison(NamedTuple):
+    """Free-run errors on held-out parts with the data sheet's constants (before) and the fitted ones (after).
 
-    before, after: rms over everything by target, with the data sheet's constants and the fitted ones.
+    Attributes:
+        time_s: Shape (n_compared,).
+        before_by_time: RMS of each target over all windows at each time, shape (n_compared, 6).
+        after_by_time: Likewise.
+        before: RMS by target.
+        after: RMS by target.
+        n_windows: Number of windows.
     """
 
     time_s: Array
-    before_at: Array
-    after_at: Array
+    before_by_time: Array
+    after_by_time: Array
     before: dict[str, float]
     after: dict[str, float]
-    windows: int
+    n_windows: int
 
 
-def traces(pairs: Pairs, params: ActuatorParams) -> list[Trace]:
-    """A long stretch and a short one with as much going on as there is; none without pairs."""
-    if not pairs.some:
+def make_traces(samples: ChannelSamples, params: ActuatorParams) -> list[ActuatorTrace]:
+    """A long and a short stretch with as much movement as possible; none without samples."""
+    if not samples.segments:
         return []
-    found = []
-    for seconds in (LARGE_S, SMALL_S):
-        pair, begin = _liveliest(pairs.some, seconds)
-        span = slice(begin, begin + round(seconds / pair.dt_s))
-        output = np.where(pair.counts, pair.output, np.nan)
-        time_s = np.arange(len(pair.command)) * pair.dt_s
-        fit = simulated(Way(params), pair)
-        found.append(Trace(time_s[span], pair.command[span], output[span], fit[span]))
-    return found
+    traces = []
+    for seconds in (LONG_TRACE_S, SHORT_TRACE_S):
+        segment, begin = _find_liveliest(samples.segments, seconds)
+        span = slice(begin, begin + round(seconds / segment.dt_s))
+        output = np.where(segment.is_compared, segment.output, np.nan)
+        time_s = np.arange(len(segment.command)) * segment.dt_s
+        fit = simulate_output(ActuatorModel(params), segment)
+        traces.append(ActuatorTrace(time_s[span], segment.command[span], output[span], fit[span]))
+    return traces
 
 
-def _liveliest(some: Sequence[Pair], seconds: float) -> tuple[Pair, int]:
-    """(pair, row) where a stretch of so long has the most changes of direction and of value in it."""
-    best = (-1.0, some[0], 0)
-    for pair in some:
-        rows = round(seconds / pair.dt_s)
-        moves = np.abs(np.diff(pair.command, append=pair.command[-1]))
-        live = np.sqrt(moves) * pair.counts
-        total = np.concatenate([[0.0], np.cumsum(live)])
-        for begin in range(0, max(len(live) - rows, 1), max(rows // 4, 1)):
-            score = float(total[min(begin + rows, len(live))] - total[begin])
-            if score > best[0]:
-                best = (score, pair, begin)
-    return best[1], best[2]
+def _find_liveliest(segments: Sequence[ActuatorSamples], seconds: float) -> tuple[ActuatorSamples, int]:
+    """Segment and row at which a stretch of this length has the most command movement."""
+    best_score, best_segment, best_begin = -1.0, segments[0], 0
+    for segment in segments:
+        rows = round(seconds / segment.dt_s)
+        moves = np.abs(np.diff(segment.command, append=segment.command[-1]))
+        movement = np.sqrt(moves) * segment.is_compared
+        total = np.concatenate([[0.0], np.cumsum(movement)])
+        for begin in range(0, max(len(movement) - rows, 1), max(rows // 4, 1)):
+            score = float(total[min(begin + rows, len(movement))] - total[begin])
+            if score > best_score:
+                best_score, best_segment, best_begin = score, segment, begin
+    return best_segment, best_begin
 
 
-def judged(
-    some: Sequence[Window],
-    before: tuple[Mapping[str, float], Off],
-    after: tuple[Mapping[str, float], Off],
-) -> Judged | None:
-    """Both sets of constants, each with what lies before the car, in free run; None without windows."""
-    if not some:
+def compare_constants(
+    windows: Sequence[FreeRunWindow],
+    before: tuple[Mapping[str, float], OutputCorrection],
+    after: tuple[Mapping[str, float], OutputCorrection],
+) -> ConstantComparison | None:
+    """Free runs with two sets of constants and output corrections; None without windows."""
+    if not windows:
         return None
-    misses = [errors(params, off, some) for params, off in (before, after)]
-    growth = [np.sqrt(np.nanmean(one * one, axis=0)) if np.isfinite(one).any() else one[0] for one in misses]
-    return Judged(some[0].at * some[0].dt_s, growth[0], growth[1], rms_of(misses[0]), rms_of(misses[1]), len(some))
+    errors = [compute_errors(params, correction, windows) for params, correction in (before, after)]
+    by_time = [np.sqrt(np.nanmean(one * one, axis=0)) if np.isfinite(one).any() else one[0] for one in errors]
+    return ConstantComparison(
+        time_s=windows[0].rows * windows[0].dt_s,
+        before_by_time=by_time[0],
+        after_by_time=by_time[1],
+        before=compute_target_rms(errors[0]),
+        after=compute_target_rms(errors[1]),
+        n_windows=len(windows),
+    )

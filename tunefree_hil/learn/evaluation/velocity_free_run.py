@@ -1,29 +1,38 @@
-"""Free run in speed and yaw rate, model beside model: for cars whose position nobody measured.
+"""Free-run errors of speed and yaw rate, for vehicles whose position was not measured.
 
-The same starts for all, and beside them the plainest of guesses: the car keeps the speed and the yaw rate that it had.
+All models run from the same starts, beside the simplest prediction: speed and yaw rate stay as they were.
 """
 
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
-from tunefree_hil.learn.data_sheet import rear_behind_m
+from tunefree_hil.learn.data_sheet import com_to_rear_axle_m
 from tunefree_hil.learn.drives.drive import Array
-from tunefree_hil.learn.evaluation.free_run import WARM_S, ridden, rig_of
-from tunefree_hil.learn.evaluation.motion import Track, outputs_of, starts_of
+from tunefree_hil.learn.evaluation.free_run import WARM_UP_S, RunnableModel, RunSpan, make_runnable, run_free
+from tunefree_hil.learn.evaluation.motion import MotionTrack, find_starts, simulate_actuators
 
-SPEED, YAW = 3, 4  # of a row of `ridden`
-NAIVE = "keeps its speed"
+SPEED, YAW = 3, 4  # columns of `run_free`
+CONSTANT_SPEED = "keeps its speed"
 HORIZONS_S = (1.0, 3.0, 10.0)
 
 
-class Trace(NamedTuple):
-    """One free run as long as it goes: stamps from the start, s; speed and yaw rate measured, and by model, [n]."""
+class VelocityTrace(NamedTuple):
+    """One free run to its end; arrays of shape (n_rows,).
+
+    Attributes:
+        name: Drive.
+        time_s: Since the start.
+        speed_mps: Measured.
+        yaw_rate_radps: Measured.
+        speeds: By model.
+        yaw_rates: By model.
+    """
 
     name: str
     time_s: Array
@@ -33,89 +42,115 @@ class Trace(NamedTuple):
     yaw_rates: Mapping[str, Array]
 
 
-class Ahead(NamedTuple):
-    """Absolute errors by model, a row a start, a column a horizon; NaN where the stretch ends before.
+class VelocityErrors(NamedTuple):
+    """Absolute errors by model, shape (n_starts, n_horizons); NaN where the stretch ends before.
 
-    drives: where each start is from. traces: the longest runs, one a stretch.
+    Attributes:
+        horizons_s: The columns.
+        drive_names: Drive of each start.
+        speed_mps: By model.
+        yaw_rate_radps: By model.
+        traces: The longest run of each stretch.
     """
 
     horizons_s: tuple[float, ...]
-    drives: tuple[str, ...]
+    drive_names: tuple[str, ...]
     speed_mps: Mapping[str, Array]
     yaw_rate_radps: Mapping[str, Array]
-    traces: tuple[Trace, ...]
+    traces: tuple[VelocityTrace, ...]
 
 
-def look_ahead(
+def evaluate_velocities(
     models: Mapping[str, ModelSpec],
     vehicle: VehicleSpec,
-    tracks: Sequence[Track],
+    tracks: Sequence[MotionTrack],
     every_s: float = 0.5,
     horizons_s: tuple[float, ...] = HORIZONS_S,
-) -> Generator[str, None, Ahead]:
-    """Run all models from all starts; yields the stretches' names as they are done, for a worker.
+) -> Generator[str, None, VelocityErrors]:
+    """Run all models from all starts, `every_s` apart; yields the name of each stretch when it is done.
 
-    Raises InputError where no stretch has a start with room for the shortest horizon.
+    Raises:
+        InputError: No stretch has a start with room for the shortest horizon.
     """
-    drives: list[str] = []
-    traces: list[Trace] = []
-    errors: dict[str, list[Array]] = {name: [] for name in (*models, NAIVE)}
-    rigs = {name: rig_of(model) for name, model in models.items()}
-    behind_m = rear_behind_m(vehicle.nominal)
+    drive_names: list[str] = []
+    longest: list[VelocityTrace] = []
+    errors: dict[str, list[Array]] = {name: [] for name in (*models, CONSTANT_SPEED)}
+    runnables = {name: make_runnable(model) for name, model in models.items()}
     for track in tracks:
-        warm, least = round(WARM_S / track.dt_s), round(min(horizons_s) / track.dt_s)
-        rest = vehicle.nominal.rest_pedal_frac
-        outputs = {name: outputs_of(track, rig.model, rest, rig.identity) for name, rig in rigs.items()}
-        longest: Trace | None = None
-        for row in starts_of(track, warm, least, max(round(every_s / track.dt_s), 1)):
-            ahead = min(room(track, row), round(max(horizons_s) / track.dt_s))
-            runs = {
-                name: ridden(rig, track, outputs[name], row - warm, warm, ahead, behind_m)[warm:]
-                for name, rig in rigs.items()
-            }
-            one = traced(track, row, ahead, runs)
-            drives.append(track.name)
+        traces = _run_track(runnables, vehicle, track, every_s, horizons_s)
+        for trace in traces:
+            drive_names.append(track.name)
             for name in errors:
-                errors[name].append(_missed(one, name, horizons_s, track.dt_s))
-            longest = one if longest is None or len(one.time_s) > len(longest.time_s) else longest
-        traces += [] if longest is None else [longest]
+                errors[name].append(_trace_errors(trace, name, horizons_s, track.dt_s))
+        if traces:
+            longest.append(max(traces, key=lambda trace: len(trace.time_s)))
         yield track.name
-    if not drives:
+    if not drive_names:
         raise InputError(
-            f"no stretch has {WARM_S + min(horizons_s):g} s without a gap, moving and obeying",
+            f"no stretch has {WARM_UP_S + min(horizons_s):g} s without a gap, moving and obeying",
             code="too_short",
             key="LOG",
-            hint="record longer drives to judge by",
+            hint="record longer drives for the evaluation",
         )
-    found = {name: np.array(some) for name, some in errors.items()}  # [starts, 2, horizons]
-    return Ahead(
-        tuple(horizons_s), tuple(drives), {name: one[:, 0] for name, one in found.items()},
-        {name: one[:, 1] for name, one in found.items()}, tuple(traces),
-    )  # fmt: skip
+    by_model = {name: np.array(rows) for name, rows in errors.items()}  # shape (n_starts, 2, n_horizons)
+    return VelocityErrors(
+        horizons_s=tuple(horizons_s),
+        drive_names=tuple(drive_names),
+        speed_mps={name: array[:, 0] for name, array in by_model.items()},
+        yaw_rate_radps={name: array[:, 1] for name, array in by_model.items()},
+        traces=tuple(longest),
+    )
 
 
-def room(track: Track, row: int) -> int:
-    """Good rows behind a start."""
-    rest = track.good[row:]
-    return len(rest) - 1 if rest.all() else int(np.argmin(rest)) - 1
+def _run_track(
+    runnables: Mapping[str, RunnableModel],
+    vehicle: VehicleSpec,
+    track: MotionTrack,
+    every_s: float,
+    horizons_s: tuple[float, ...],
+) -> list[VelocityTrace]:
+    """The free runs of all models from each start of a stretch."""
+    warm_up_rows, min_rows = round(WARM_UP_S / track.dt_s), round(min(horizons_s) / track.dt_s)
+    rest = vehicle.nominal.rest_pedal_frac
+    com_to_rear_m = com_to_rear_axle_m(vehicle.nominal)
+    outputs = {
+        name: simulate_actuators(track, runnable.model, rest, runnable.takes_commands)
+        for name, runnable in runnables.items()
+    }
+    traces = []
+    for row in find_starts(track, warm_up_rows, min_rows, max(round(every_s / track.dt_s), 1)):
+        free_rows = min(good_rows_after(track, row), round(max(horizons_s) / track.dt_s))
+        span = RunSpan(row - warm_up_rows, warm_up_rows, free_rows)
+        runs = {
+            name: run_free(runnable, track, outputs[name], span, com_to_rear_m)[warm_up_rows:]
+            for name, runnable in runnables.items()
+        }
+        traces.append(make_trace(track, row, free_rows, runs))
+    return traces
 
 
-def traced(track: Track, row: int, ahead: int, runs: Mapping[str, Any]) -> Trace:
-    """Measured motion from a row on, and what models made of it: rows of `ridden` from the start on, by name."""
-    cut = slice(row, row + ahead + 1)
+def good_rows_after(track: MotionTrack, row: int) -> int:
+    """Usable rows behind a start."""
+    good = track.is_good[row:]
+    return len(good) - 1 if good.all() else int(np.argmin(good)) - 1
+
+
+def make_trace(track: MotionTrack, row: int, free_rows: int, runs: Mapping[str, Array]) -> VelocityTrace:
+    """Measured and simulated motion from a row on. runs: rows of `run_free` from the start on, by name."""
+    cut = slice(row, row + free_rows + 1)
     speed, yaw = track.speed_mps[cut], track.yaw_rate_radps[cut]
-    speeds = {name: run[:, SPEED] for name, run in runs.items()} | {NAIVE: np.full(ahead + 1, speed[0])}
-    yaws = {name: run[:, YAW] for name, run in runs.items()} | {NAIVE: np.full(ahead + 1, yaw[0])}
-    time_s = track.dt_s * np.arange(ahead + 1)
-    return Trace(track.name, time_s, speed, yaw, speeds, yaws)
+    speeds = {name: run[:, SPEED] for name, run in runs.items()} | {CONSTANT_SPEED: np.full(free_rows + 1, speed[0])}
+    yaws = {name: run[:, YAW] for name, run in runs.items()} | {CONSTANT_SPEED: np.full(free_rows + 1, yaw[0])}
+    time_s = track.dt_s * np.arange(free_rows + 1)
+    return VelocityTrace(track.name, time_s, speed, yaw, speeds, yaws)
 
 
-def _missed(one: Trace, name: str, horizons_s: Sequence[float], dt_s: float) -> Array:
-    """[2, horizons]: how far speed and yaw rate are off."""
-    found = np.full((2, len(horizons_s)), np.nan)
+def _trace_errors(trace: VelocityTrace, name: str, horizons_s: Sequence[float], dt_s: float) -> Array:
+    """Absolute errors of speed and yaw rate, shape (2, n_horizons)."""
+    errors = np.full((2, len(horizons_s)), np.nan)
     for column, seconds in enumerate(horizons_s):
         k = round(seconds / dt_s)
-        if k < len(one.time_s):
-            found[0, column] = abs(one.speeds[name][k] - one.speed_mps[k])
-            found[1, column] = abs(one.yaw_rates[name][k] - one.yaw_rate_radps[k])
-    return found
+        if k < len(trace.time_s):
+            errors[0, column] = abs(trace.speeds[name][k] - trace.speed_mps[k])
+            errors[1, column] = abs(trace.yaw_rates[name][k] - trace.yaw_rate_radps[k])
+    return errors

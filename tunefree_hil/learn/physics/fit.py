@@ -1,202 +1,262 @@
-"""Fits the physical constants of plant/single_track.py by free runs (design D5).
+"""Fits the physical constants of plant/single_track.py by free runs on recorded actuator outputs.
 
-Each window starts where the car was measured to be and runs free on the recorded actuator outputs; what counts is how
-far speed, yaw rate, heading, lateral acceleration and position then are from the measured ones. Masses and geometry
-stay the data sheet's: a fit sees forces per mass only. A constant that the windows do not tell much better than it was
-known before keeps its data sheet's value, widened.
+Each window starts at the measured motion; the errors of speed, yaw rate, heading, lateral acceleration and position are
+minimised. Masses and geometry stay at the data sheet, since motion shows forces per mass only. A constant whose
+uncertainty the windows hardly reduce keeps its prior value with a wide interval.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Generator, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.learn.data_sheet import Constant
-from tunefree_hil.learn.estimate import Value, together_with
+from tunefree_hil.learn.data_sheet import ConstantPrior
+from tunefree_hil.learn.estimate import Estimate, replace_value
 from tunefree_hil.learn.physics.unknowns import (
-    AT_LEAST,
-    BAND,
-    EFFECTS,
-    LAG,
-    OFFSET,
-    PLAIN,
-    ROAD,
-    SHAPES,
-    Problem,
-    Together,
-    deviations_left,
-    doubts_left,
-    shaped,
-    solved,
-    together,
+    BRAKE_DEAD_BAND,
+    FITTED_EFFECTS,
+    MIN_CONSTANTS,
+    NO_IMPROVEMENT,
+    POWERTRAIN_LAG,
+    ROAD_SHARE,
+    SHAPE_CONSTANTS,
+    STEER_OFFSET,
+    EstimateCorrelation,
+    PhysicsProblem,
+    add_shape_constants,
+    compute_interval_half_widths,
+    compute_remaining_uncertainty,
+    estimate_correlation,
+    solve_problem,
 )
-from tunefree_hil.learn.physics.windows import Off, Windows, rms_of
-from tunefree_hil.learn.robust_least_squares import Least
+from tunefree_hil.learn.physics.windows import OutputCorrection, WindowSet, compute_target_rms
+from tunefree_hil.learn.robust_least_squares import RobustFit
 
 Array = np.ndarray
+Progress = tuple[int, int]  # (steps done, steps in all)
 
-LEAST_WINDOWS = 6
-STEPS = 8  # that are told of a fit, however many there are
-KNOWN_SHARE = 0.5  # of the doubt before the fit that may be left after it
-HOPELESS = 0.95  # of it: nothing at all was learned
-WORSE = 1.5  # than with all constants free, from which on what was known before is not gone back to
-UNCLEAR = "the speed is missed by less with it, and these logs do not tell it from none"
-TOGETHER = "these logs tell it only together with the others: the best of all together"
+PROGRESS_STEPS = 8  # reported per fit, whatever the number of fits inside
+NOT_SIGNIFICANT = "it reduces the speed error, but these logs do not distinguish it from zero"
+ONLY_JOINTLY_KNOWN = "these logs identify it only together with the others: the best joint value"
+
+
+class FitCriteria(NamedTuple):
+    """When a constant counts as identified (docs/reference/learn_criteria.md).
+
+    Attributes:
+        min_windows: Windows needed for a fit.
+        max_remaining_share: Share of the prior uncertainty that may remain of an identified constant.
+        unidentifiable_share: Share from which on a constant is dropped at once; below it the worst goes first.
+        max_rms_ratio: Error with only the identified constants, over the error of the joint fit, above which the joint
+            values are kept.
+    """
+
+    min_windows: int = 6
+    max_remaining_share: float = 0.5
+    unidentifiable_share: float = 0.95
+    max_rms_ratio: float = 1.5
+
+
+CRITERIA = FitCriteria()
 
 
 class PhysicsFit(NamedTuple):
-    """params: [plant.params] in full. values: the fitted constants, and those of EFFECTS.
+    """Fitted constants.
 
-    before, after: root mean square of each target over the windows, data sheet and fit. together: of the doubts.
+    Attributes:
+        estimates: The constants, and those of FITTED_EFFECTS.
+        params: [plant.params] in full.
+        rms_before: Root mean square error of each target with the prior values.
+        rms_after: The same with the fitted ones.
+        n_windows: Number of windows.
+        notes: What was left out.
+        correlation: Of the estimates.
     """
 
-    values: dict[str, Value]
+    estimates: dict[str, Estimate]
     params: dict[str, float]
-    before: dict[str, float]
-    after: dict[str, float]
-    windows: int
-    words: tuple[str, ...]
-    together: Together = Together()
+    rms_before: dict[str, float]
+    rms_after: dict[str, float]
+    n_windows: int
+    notes: tuple[str, ...]
+    correlation: EstimateCorrelation = EstimateCorrelation()
 
-    def off(self) -> Off:
-        """What lies between outputs and car; only what is clear (is_clear) goes into a model."""
-        found = {name: self.values[name].value if is_clear(name, self.values[name]) else 0.0 for name in EFFECTS}
-        road = self.values.get(ROAD)
+    def output_correction(self) -> OutputCorrection:
+        """The significant effects between outputs and vehicle; others do not go into a model."""
+        values = {
+            name: self.estimates[name].value if is_significant(name, self.estimates[name]) else 0.0
+            for name in FITTED_EFFECTS
+        }
+        road = self.estimates.get(ROAD_SHARE)
         share = road.value if road is not None and road.known else 0.0
-        return Off(float(found[OFFSET]), float(found[BAND]), share, float(found[LAG]))
+        return OutputCorrection(
+            float(values[STEER_OFFSET]), float(values[BRAKE_DEAD_BAND]), share, float(values[POWERTRAIN_LAG])
+        )
 
 
-def is_clear(name: str, value: Value) -> bool:
-    """Whether one of EFFECTS is there: off zero by more than the doubt about it, and by more than a trifle."""
-    return value.known and (value.low > 0.0 or value.high < 0.0) and abs(value.value) > EFFECTS[name][2]
+class _Solution(NamedTuple):
+    """A fit of some unknowns. dropped: remaining share of uncertainty of those that are not identified."""
+
+    names: list[str]
+    fit: RobustFit
+    dropped: dict[str, float]
 
 
-def fit(
-    windows: Windows, fixed: Mapping[str, float], known: Mapping[str, Constant], brake_way: float
-) -> Generator[Any, None, PhysicsFit]:
-    """Fit what the windows show; yields (done, total). brake_way: duty from rest to the limit.
+def is_significant(name: str, estimate: Estimate) -> bool:
+    """Whether one of FITTED_EFFECTS differs from zero by more than its interval and more than is negligible."""
+    return (
+        estimate.known
+        and (estimate.low > 0.0 or estimate.high < 0.0)
+        and abs(estimate.value) > FITTED_EFFECTS[name].negligible
+    )
 
-    Raises InputError where there are too few windows.
+
+def fit_physics(
+    windows: WindowSet, fixed: Mapping[str, float], priors: Mapping[str, ConstantPrior], brake_way: float
+) -> Generator[Progress, None, PhysicsFit]:
+    """Fit what the windows show; yields (steps done, steps in all).
+
+    Args:
+        windows: Free-run windows.
+        fixed: [plant.params] that are not fitted.
+        priors: Of the constants to fit.
+        brake_way: Brake duty from rest to the limit.
+
+    Raises:
+        InputError: There are too few windows.
     """
-    if not windows.pedals and len(windows.some) < LEAST_WINDOWS:
-        return _unfitted(windows, fixed, known, brake_way)
-    if len(windows.some) < LEAST_WINDOWS:
+    if len(windows.windows) < CRITERIA.min_windows:
+        if not windows.has_pedals:
+            return _keep_priors(windows, fixed, priors, brake_way)
         raise InputError(
-            f"the logs hold {len(windows.some)} windows of free motion, {LEAST_WINDOWS} are needed"
-            + "".join(f"; {words}" for words in windows.words),
+            f"the logs hold {len(windows.windows)} windows of free motion, {CRITERIA.min_windows} are needed"
+            + "".join(f"; {note}" for note in windows.notes),
             code="too_short",
             key="LOG",
             hint="drive longer, on a level road and in drive gear, with reports of the actuators and of the speed",
         )
-    problem = Problem(windows, fixed, known, brake_way)
-    names = [name for name in problem.names if name not in SHAPES]
+    problem = PhysicsProblem(windows, fixed, priors, brake_way)
+    names = [name for name in problem.names if name not in SHAPE_CONSTANTS]
     x = np.zeros(len(names))
-    before = rms_of(problem.misses(problem.values(names, x)))
-    yield 0, STEPS
-    least = solved(problem, names, x, 25)
-    yield 1, STEPS
-    problem.rescale(problem.values(names, least.x))
-    least = solved(problem, names, least.x, 15)
-    yield 2, STEPS
-    names, least = shaped(problem, names, least)
-    yield 3, STEPS
-    found = yield from _known(problem, names, least, before, windows)
-    if LAG in names and not is_clear(LAG, found.values[LAG]):
-        # It stays out of the model, and fitted beside it the others would be those of another car.
-        others = [one for one in names if one != LAG]
-        least = solved(problem, others, np.delete(least.x, names.index(LAG)), 15)
-        found = yield from _known(problem, others, least, before, windows)
-        found.values[LAG] = _taken(problem, LAG, {})._replace(why=UNCLEAR)
-    yield STEPS, STEPS
-    return found
+    rms_before = compute_target_rms(problem.errors(problem.constants_from_unknowns(names, x)))
+    yield 0, PROGRESS_STEPS
+    fit = solve_problem(problem, names, x, 25)
+    yield 1, PROGRESS_STEPS
+    problem.rescale(problem.constants_from_unknowns(names, fit.x))
+    fit = solve_problem(problem, names, fit.x, 15)
+    yield 2, PROGRESS_STEPS
+    names, fit = add_shape_constants(problem, names, fit)
+    yield 3, PROGRESS_STEPS
+    result = yield from _estimate_constants(problem, names, fit, rms_before, windows.notes)
+    if POWERTRAIN_LAG in names and not is_significant(POWERTRAIN_LAG, result.estimates[POWERTRAIN_LAG]):
+        # The model will have no lag: fitted beside one, the other constants would be biased.
+        fewer = [name for name in names if name != POWERTRAIN_LAG]
+        fit = solve_problem(problem, fewer, np.delete(fit.x, names.index(POWERTRAIN_LAG)), 15)
+        result = yield from _estimate_constants(problem, fewer, fit, rms_before, windows.notes)
+        result.estimates[POWERTRAIN_LAG] = _keep_prior(problem, POWERTRAIN_LAG, {})._replace(why=NOT_SIGNIFICANT)
+    yield PROGRESS_STEPS, PROGRESS_STEPS
+    return result
 
 
-def _known(
-    problem: Problem, names: list[str], least: Least, before: dict[str, float], windows: Windows
-) -> Generator[tuple[int, int], None, PhysicsFit]:
-    """What a fit of all these constants makes known, and the car that follows from that."""
-    joint, jointly = problem.values(names, least.x), rms_of(problem.misses(problem.values(names, least.x)))
-    first = names, least
-    doubts = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
-    related = together(names, least, problem.stretches)
-    names, least, lost = yield from _told(problem, names, least)
-    values = problem.values(names, least.x if names else np.zeros(0))
-    after = rms_of(problem.misses(values))
-    if names and lost:  # held where they were known before, they would lend the others a certainty that nobody has
-        alone = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
-        doubts = {name: max(doubts[name], one) for name, one in alone.items()}
-    found = {name: _value(problem, names, least, name, doubts, lost) for name in problem.known}
-    if any(after[name] > WORSE * jointly[name] for name in after):  # what was known before is no car that drives so
-        values, after = joint, jointly
-        some = {name: one for name, one in found.items() if one.why != PLAIN}
-        found |= {name: together_with(one, joint[name], TOGETHER) for name, one in some.items()}
-        found |= _known_jointly(problem, *first)
-    return PhysicsFit(found, problem.params(values), before, after, len(windows.some), windows.words, related)
+def _estimate_constants(
+    problem: PhysicsProblem, names: list[str], fit: RobustFit, rms_before: dict[str, float], notes: tuple[str, ...]
+) -> Generator[Progress, None, PhysicsFit]:
+    """Estimates of all constants from a joint fit of `names`."""
+    joint = _Solution(names, fit, {})
+    joint_values = problem.constants_from_unknowns(names, fit.x)
+    joint_rms = compute_target_rms(problem.errors(joint_values))
+    half_widths = dict(zip(names, compute_interval_half_widths(fit, problem.stretches), strict=True))
+    correlation = estimate_correlation(names, fit, problem.stretches)
+    solution = yield from _drop_unidentified(problem, names, fit)
+    names, fit = solution.names, solution.fit
+    values = problem.constants_from_unknowns(names, fit.x if names else np.zeros(0))
+    rms_after = compute_target_rms(problem.errors(values))
+    if names and solution.dropped:  # constants held at their priors would narrow the intervals of the others
+        alone = dict(zip(names, compute_interval_half_widths(fit, problem.stretches), strict=True))
+        half_widths = {name: max(half_widths[name], half) for name, half in alone.items()}
+    estimates = {name: _make_estimate(problem, solution, name, half_widths) for name in problem.priors}
+    if any(rms_after[name] > CRITERIA.max_rms_ratio * joint_rms[name] for name in rms_after):
+        # The vehicle with the priors of the dropped constants does not drive like the measured one.
+        values, rms_after = joint_values, joint_rms
+        replaced = {name: estimate for name, estimate in estimates.items() if estimate.why != NO_IMPROVEMENT}
+        estimates |= {
+            name: replace_value(estimate, joint_values[name], ONLY_JOINTLY_KNOWN) for name, estimate in replaced.items()
+        }
+        estimates |= _estimate_jointly_known(problem, joint)
+    n_windows = len(problem.windows)
+    return PhysicsFit(estimates, problem.params(values), rms_before, rms_after, n_windows, notes, correlation)
 
 
-def _known_jointly(problem: Problem, names: list[str], least: Least) -> dict[str, Value]:
-    """Constants that the windows tell while all the others are free: they are no less known for one that is not."""
-    doubts = dict(zip(names, doubts_left(least, problem.stretches), strict=True))
-    left = dict(zip(names, deviations_left(least), strict=True))
-    return {name: _value(problem, names, least, name, doubts, {}) for name in names if left[name] <= KNOWN_SHARE}
+def _estimate_jointly_known(problem: PhysicsProblem, joint: _Solution) -> dict[str, Estimate]:
+    """Estimates of the constants that are identified while all others are free."""
+    half_widths = dict(zip(joint.names, compute_interval_half_widths(joint.fit, problem.stretches), strict=True))
+    remaining = dict(zip(joint.names, compute_remaining_uncertainty(joint.fit), strict=True))
+    return {
+        name: _make_estimate(problem, joint, name, half_widths)
+        for name in joint.names
+        if remaining[name] <= CRITERIA.max_remaining_share
+    }
 
 
-def _told(
-    problem: Problem, names: list[str], least: Least
-) -> Generator[tuple[int, int], None, tuple[list[str], Least, dict[str, float]]]:
-    """(constants that the windows tell, their fit, what is left of the doubt about each of the others): what they do
-    not tell is held where it was known before, and the rest fitted again.
-    """
-    lost: dict[str, float] = {}
+def _drop_unidentified(
+    problem: PhysicsProblem, names: list[str], fit: RobustFit
+) -> Generator[Progress, None, _Solution]:
+    """Set constants that are not identified to their priors and fit the rest again, until all are identified."""
+    dropped: dict[str, float] = {}
     while names:
-        left = deviations_left(least)
-        worst = np.flatnonzero((left > KNOWN_SHARE) & (left >= min(HOPELESS, float(left.max()))))
+        remaining = compute_remaining_uncertainty(fit)
+        threshold = min(CRITERIA.unidentifiable_share, float(remaining.max()))
+        worst = np.flatnonzero((remaining > CRITERIA.max_remaining_share) & (remaining >= threshold))
         if not len(worst):
             break
-        lost |= {names[i]: float(left[i]) for i in worst}  # all that are hopeless at once, else the worst alone
+        dropped |= {names[i]: float(remaining[i]) for i in worst}
         keep = [i for i in range(len(names)) if i not in worst]
         names = [names[i] for i in keep]
         if names:
-            least = solved(problem, names, least.x[keep], 10)
-        yield min(4 + len(lost), STEPS - 1), STEPS
-    return names, least, lost
+            fit = solve_problem(problem, names, fit.x[keep], 10)
+        yield min(4 + len(dropped), PROGRESS_STEPS - 1), PROGRESS_STEPS
+    return _Solution(names, fit, dropped)
 
 
-def _unfitted(
-    windows: Windows, fixed: Mapping[str, float], known: Mapping[str, Constant], brake_way: float
+def _keep_priors(
+    windows: WindowSet, fixed: Mapping[str, float], priors: Mapping[str, ConstantPrior], brake_way: float
 ) -> PhysicsFit:
-    """No pedal's output is reported and there is little else: all as it was known before."""
-    problem = Problem(windows._replace(some=()), fixed, known, brake_way)
-    values = problem.values((), np.zeros(0))
-    found = {name: _taken(problem, name, {}) for name in problem.known}
-    words = f"no pedal's output is reported, and only {len(windows.some)} free runs can be made: no constant is fitted"
-    return PhysicsFit(found, problem.params(values), {}, {}, 0, (words,))
+    """All constants at their priors: no pedal output is reported, and there are too few windows."""
+    problem = PhysicsProblem(windows._replace(windows=()), fixed, priors, brake_way)
+    values = problem.constants_from_unknowns((), np.zeros(0))
+    estimates = {name: _keep_prior(problem, name, {}) for name in problem.priors}
+    note = f"no pedal output is reported, and only {len(windows.windows)} free runs are possible: no constant is fitted"
+    return PhysicsFit(estimates, problem.params(values), {}, {}, 0, (note,))
 
 
-def _value(
-    problem: Problem, names: Sequence[str], least: Least, name: str, doubts: Mapping[str, float],
-    lost: Mapping[str, float],
-) -> Value:  # fmt: skip
-    if name in names:
-        x, half = float(least.x[names.index(name)]), float(doubts[name])
-        low = max(x - half, problem.least(name))
-        return Value(problem.value(name, x), problem.value(name, low), problem.value(name, x + half))
-    return _taken(problem, name, lost)
+def _make_estimate(
+    problem: PhysicsProblem, solution: _Solution, name: str, half_widths: Mapping[str, float]
+) -> Estimate:
+    if name not in solution.names:
+        return _keep_prior(problem, name, solution.dropped)
+    x, half = float(solution.fit.x[solution.names.index(name)]), float(half_widths[name])
+    low = max(x - half, problem.min_unknown(name))
+    return Estimate(
+        problem.constant_from_unknown(name, x),
+        problem.constant_from_unknown(name, low),
+        problem.constant_from_unknown(name, x + half),
+    )
 
 
-def _taken(problem: Problem, name: str, lost: Mapping[str, float]) -> Value:
-    constant = problem.known[name]
-    low, high = constant.ends()
-    low = max(low, AT_LEAST.get(name, -math.inf))
-    source = "data sheet" if constant.stated else "a plausible value"
-    if name in SHAPES and name in problem.names and name not in lost:  # tried, and left out again
-        return Value(constant.value, low, high, False, PLAIN)
-    if name in lost:
-        why = f"these logs leave {min(lost[name], 1.0):.0%} of the doubt there was"
+def _keep_prior(problem: PhysicsProblem, name: str, dropped: Mapping[str, float]) -> Estimate:
+    """The prior value of a constant, with the reason."""
+    prior = problem.priors[name]
+    low, high = prior.interval()
+    low = max(low, MIN_CONSTANTS.get(name, -math.inf))
+    source = "data sheet" if prior.is_stated else "a plausible value"
+    if name in SHAPE_CONSTANTS and name in problem.names and name not in dropped:
+        return Estimate(prior.value, low, high, False, NO_IMPROVEMENT)
+    if name in dropped:
+        why = f"these logs leave {min(dropped[name], 1.0):.0%} of the prior uncertainty"
     else:
         why = "the logs lack the outputs that move it"
-    return Value(constant.value, low, high, False, f"{why}; {source}")
+    return Estimate(prior.value, low, high, False, f"{why}; {source}")

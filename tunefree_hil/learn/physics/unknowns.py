@@ -1,12 +1,7 @@
-"""The constants of a car as unknowns of a fit: what each stands for, how far it may go, what the free runs miss.
+"""The least-squares problem of the physical constants: unknowns, residuals, shape constants, uncertainty.
 
-Which constants of a car's shape a fit takes in: those that its free runs need. How late it pushes is one of them.
-
-How well a fit of free runs knows a car's constants, where few stretches of a drive tell most of them.
-
-A window of a drive knows what its manoeuvre moves; windows one behind the other see the same manoeuvre, and share what
-the model's form lacks there. So whole stretches are taken as independent (learn/robust_least_squares.py takes each window as that),
-and what the fit itself took off their residuals is given back.
+Windows that follow each other see the same manoeuvre and share its model error. So stretches of several windows count
+as independent, and the residuals of a stretch are corrected for what the fit itself took off them.
 """
 
 from __future__ import annotations
@@ -19,235 +14,321 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import t as student
 
-from tunefree_hil.learn.data_sheet import Constant
-from tunefree_hil.learn.physics.windows import TARGETS, WIDTH, Off, Window, Windows, errors, rms_of
-from tunefree_hil.learn.robust_least_squares import INSIDE, WARM, Least, solve
+from tunefree_hil.learn.data_sheet import ConstantPrior
+from tunefree_hil.learn.physics.windows import (
+    N_TARGETS,
+    TARGETS,
+    FreeRunWindow,
+    OutputCorrection,
+    WindowSet,
+    compute_errors,
+    compute_target_rms,
+)
+from tunefree_hil.learn.robust_least_squares import (
+    COLD_START_MARGIN,
+    WARM_START_MARGIN,
+    RobustFit,
+    SolverOptions,
+    fit_robustly,
+)
 from tunefree_hil.plant.constants import LEAST
 
 Array = np.ndarray
 
-# No constants of the plant, but of effects (interfaces 4): the steering wheel's straight ahead, the brake's first
-# stretch that does nothing, and how much later and softer than its throttle says a car pushes, which no report shows.
-OFFSET, BAND, LAG = "steer_offset_rad", "brake_dead_band_frac", "powertrain_lag_s"
-OFFSET_DOUBT_RAD = 0.1
-BAND_DOUBT = 0.2  # of the brake's way
-LAG_DOUBT_S = 0.5  # engines and their gears: 0.1 to 0.5 s
-# The logs' and not the car's: of what their accelerometer says throughout, the part that is a slope.
-ROAD, ROAD_DOUBT = "road_share", 2.0
-# name -> (effect, its parameter, what is a trifle)
-EFFECTS = {
-    OFFSET: ("steer_offset", "offset_rad", 0.005),
-    BAND: ("brake_dead_band", "half_width_frac", 0.002),
-    LAG: ("powertrain_lag", "tau_s", 0.02),
+# Unknowns that are parameters of effects (docs/reference/effects.md) and not of the plant: no report shows them.
+STEER_OFFSET, BRAKE_DEAD_BAND, POWERTRAIN_LAG = "steer_offset_rad", "brake_dead_band_frac", "powertrain_lag_s"
+STEER_OFFSET_UNCERTAINTY_RAD = 0.1
+BRAKE_DEAD_BAND_UNCERTAINTY = 0.2  # share of the brake's way
+POWERTRAIN_LAG_UNCERTAINTY_S = 0.5  # engine and gearbox: 0.1 to 0.5 s
+# An unknown of the logs: the share of the constant accelerometer offset that is a slope of the road.
+ROAD_SHARE, ROAD_SHARE_UNCERTAINTY = "road_share", 2.0
+
+
+class FittedEffect(NamedTuple):
+    """The effect that an unknown stands for, its parameter, and the value below which it is negligible."""
+
+    effect: str
+    param: str
+    negligible: float
+
+
+FITTED_EFFECTS = {
+    STEER_OFFSET: FittedEffect("steer_offset", "offset_rad", 0.005),
+    BRAKE_DEAD_BAND: FittedEffect("brake_dead_band", "half_width_frac", 0.002),
+    POWERTRAIN_LAG: FittedEffect("powertrain_lag", "tau_s", 0.02),
 }
-LATERAL = ("front_stiffness_n_per_rad", "rear_stiffness_n_per_rad", "yaw_inertia_kgm2", "steer_ratio",
-           "linkage_bend", OFFSET)  # fmt: skip
-AT_LEAST = {BAND: 0.0, LAG: 0.0, "overrun_force_n": 0.0, **LEAST}
-FIRST_SCALE = {
-    "speed_mps": 0.2, "yaw_rate_radps": 0.01, "heading_rad": 0.02, "lateral_accel_mps2": 0.3, "x_m": 0.7, "y_m": 0.7,
-}  # fmt: skip
-PIECES = 4.0  # independent numbers that a window has to say of each target
-ROBUST = 3.0
-MOST = 6.0  # halves of a constant's doubt that a fit may go
-FLOOR = 0.02  # of the first scale: no target is believed better than that
+LATERAL_CONSTANTS = (
+    "front_stiffness_n_per_rad",
+    "rear_stiffness_n_per_rad",
+    "yaw_inertia_kgm2",
+    "steer_ratio",
+    "linkage_bend",
+    STEER_OFFSET,
+)
+MIN_CONSTANTS = {BRAKE_DEAD_BAND: 0.0, POWERTRAIN_LAG: 0.0, "overrun_force_n": 0.0, **LEAST}
+INITIAL_ERROR_SCALES = {
+    "speed_mps": 0.2,
+    "yaw_rate_radps": 0.01,
+    "heading_rad": 0.02,
+    "lateral_accel_mps2": 0.3,
+    "x_m": 0.7,
+    "y_m": 0.7,
+}
+# Fitted only where they reduce the speed error: otherwise they would only widen the intervals of the other constants.
+SHAPE_CONSTANTS = ("drive_corner", "overrun_force_n", "brake_rise_per_frac", POWERTRAIN_LAG)
+NO_IMPROVEMENT = "it reduces the squared speed error by less than a tenth, or by no more than chance"
 
 
-class Problem:
-    """Unknowns are the constants in units of half their doubt, 0 being what was known before."""
+class ProblemCriteria(NamedTuple):
+    """Weights and limits of the fit (docs/reference/learn_criteria.md).
+
+    Attributes:
+        independent_samples: Independent numbers that a window gives of each target.
+        soft_l1_scale: Scaled error from which on the loss grows linearly.
+        max_unknown: Limit of an unknown, in half uncertainties.
+        min_scale_share: Least error scale, as a share of the initial one.
+        min_error_reduction: Share of the squared speed error that a shape constant must take off.
+        windows_per_stretch: Consecutive windows that share a manoeuvre.
+        min_stretches: With fewer stretches each window counts as one.
+        min_residual_share: Least share of a stretch's residuals that the fit is taken to have left.
+    """
+
+    independent_samples: float = 4.0
+    soft_l1_scale: float = 3.0
+    max_unknown: float = 6.0
+    min_scale_share: float = 0.02
+    min_error_reduction: float = 0.1
+    windows_per_stretch: int = 3
+    min_stretches: int = 4
+    min_residual_share: float = 1e-6
+
+
+CRITERIA = ProblemCriteria()
+
+
+class PhysicsProblem:
+    """Free-run errors as a function of unknowns: the constants in half uncertainties, 0 being the prior value.
+
+    Attributes:
+        names: The unknowns that these windows can show.
+        priors: By name, of all unknowns.
+        scale: Error of each target that counts as 1, shape (6,).
+        is_measured: Which errors are measured, shape (n_windows * n_compared * 6,).
+        blocks: Window of each measured error.
+        stretches: Stretch of each measured error.
+    """
 
     def __init__(
-        self, windows: Windows, fixed: Mapping[str, float], known: Mapping[str, Constant], brake_way: float
+        self, windows: WindowSet, fixed: Mapping[str, float], known: Mapping[str, ConstantPrior], brake_way: float
     ) -> None:
-        self.some = windows.some
+        self.windows = windows.windows
         self.fixed = dict(fixed)
-        self.known = {
+        self.priors = {
             **known,
-            OFFSET: Constant(0.0, OFFSET_DOUBT_RAD, False, False),
-            BAND: Constant(0.0, BAND_DOUBT * brake_way, False, False),
-            LAG: Constant(0.0, LAG_DOUBT_S, False, False),
+            STEER_OFFSET: ConstantPrior(0.0, STEER_OFFSET_UNCERTAINTY_RAD, False, False),
+            BRAKE_DEAD_BAND: ConstantPrior(0.0, BRAKE_DEAD_BAND_UNCERTAINTY * brake_way, False, False),
+            POWERTRAIN_LAG: ConstantPrior(0.0, POWERTRAIN_LAG_UNCERTAINTY_S, False, False),
         }
-        if any(window.standing for window in self.some):
-            self.known[ROAD] = Constant(0.0, ROAD_DOUBT, False, False)
-        names = list(self.known)
-        if "brake_force_n_per_frac" not in known:  # no brake, or none that anybody sees
-            names.remove(BAND)
-        if "drive_force_n" not in known:  # asked for an acceleration: its channel has the lag of all that moves it
-            names.remove(LAG)
-        if not windows.steered:
-            names = [name for name in names if name not in LATERAL]
-        if not windows.pedals:
-            names = [name for name in names if name in LATERAL]
+        if any(window.sensed_slope for window in self.windows):
+            self.priors[ROAD_SHARE] = ConstantPrior(0.0, ROAD_SHARE_UNCERTAINTY, False, False)
+        names = list(self.priors)
+        if "brake_force_n_per_frac" not in known:  # no brake, or no brake signal
+            names.remove(BRAKE_DEAD_BAND)
+        if "drive_force_n" not in known:  # commanded by acceleration: the lag belongs to that channel
+            names.remove(POWERTRAIN_LAG)
+        if not windows.is_steered:
+            names = [name for name in names if name not in LATERAL_CONSTANTS]
+        if not windows.has_pedals:
+            names = [name for name in names if name in LATERAL_CONSTANTS]
         self.names = names
-        self.scale = np.array([FIRST_SCALE[name] for name in TARGETS])
-        seen = np.concatenate(
-            [np.isfinite(window.targets).ravel() for window in self.some] or [np.zeros(0, dtype=bool)]
+        self.scale = np.array([INITIAL_ERROR_SCALES[name] for name in TARGETS])
+        self.is_measured = np.concatenate(
+            [np.isfinite(window.targets).ravel() for window in self.windows] or [np.zeros(0, dtype=bool)]
         )
-        self.seen = seen
-        self.rows = len(self.some[0].at) if self.some else 0
-        self.blocks = np.repeat(np.arange(len(self.some)), self.rows * WIDTH)[seen]
-        self.stretches = np.repeat(stretches_of(self.some), self.rows * WIDTH)[seen]
+        self.n_compared = len(self.windows[0].rows) if self.windows else 0
+        errors_per_window = self.n_compared * N_TARGETS
+        self.blocks = np.repeat(np.arange(len(self.windows)), errors_per_window)[self.is_measured]
+        self.stretches = np.repeat(assign_stretches(self.windows), errors_per_window)[self.is_measured]
 
-    def value(self, name: str, unknown: float) -> float:
+    def constant_from_unknown(self, name: str, unknown: float) -> float:
         """The constant that an unknown stands for."""
-        constant = self.known[name]
-        if constant.logarithmic:
-            return constant.value * math.exp(0.5 * unknown * math.log(constant.doubt))
-        return constant.value + 0.5 * unknown * constant.doubt
+        prior = self.priors[name]
+        if prior.is_factor:
+            return prior.value * math.exp(0.5 * unknown * math.log(prior.uncertainty))
+        return prior.value + 0.5 * unknown * prior.uncertainty
 
-    def least(self, name: str) -> float:
-        """The least unknown of a constant."""
-        constant = self.known[name]
-        return max(2.0 * (AT_LEAST[name] - constant.value) / constant.doubt, -MOST) if name in AT_LEAST else -MOST
+    def min_unknown(self, name: str) -> float:
+        """Lower limit of an unknown."""
+        limit = -CRITERIA.max_unknown
+        if name not in MIN_CONSTANTS:
+            return limit
+        prior = self.priors[name]
+        return max(2.0 * (MIN_CONSTANTS[name] - prior.value) / prior.uncertainty, limit)
 
-    def values(self, names: Sequence[str], x: Array) -> dict[str, float]:
-        """All constants, those not in `names` as they were known before."""
-        found = {name: constant.value for name, constant in self.known.items()}
-        return found | {name: self.value(name, float(one)) for name, one in zip(names, x, strict=True)}
+    def constants_from_unknowns(self, names: Sequence[str], x: Array) -> dict[str, float]:
+        """All constants; those not in `names` at their prior values."""
+        constants = {name: prior.value for name, prior in self.priors.items()}
+        fitted = {name: self.constant_from_unknown(name, float(value)) for name, value in zip(names, x, strict=True)}
+        return constants | fitted
 
-    def params(self, values: Mapping[str, float]) -> dict[str, float]:
+    def params(self, constants: Mapping[str, float]) -> dict[str, float]:
         """[plant.params] in full."""
-        return self.fixed | {name: value for name, value in values.items() if name not in (*EFFECTS, ROAD)}
+        not_plant = (*FITTED_EFFECTS, ROAD_SHARE)
+        return self.fixed | {name: value for name, value in constants.items() if name not in not_plant}
 
-    def misses(self, values: Mapping[str, float]) -> Array:
-        """[windows, m, 6], not scaled."""
-        off = Off(float(values[OFFSET]), float(values[BAND]), float(values.get(ROAD, 0.0)), float(values[LAG]))
-        return errors(self.params(values), off, self.some)
+    def errors(self, constants: Mapping[str, float]) -> Array:
+        """Free-run errors, not scaled, shape (n_windows, n_compared, 6)."""
+        correction = OutputCorrection(
+            float(constants[STEER_OFFSET]),
+            float(constants[BRAKE_DEAD_BAND]),
+            float(constants.get(ROAD_SHARE, 0.0)),
+            float(constants[POWERTRAIN_LAG]),
+        )
+        return compute_errors(self.params(constants), correction, self.windows)
 
     def residuals(self, names: Sequence[str], x: Array) -> Array:
-        """Scaled so that each window has PIECES of each target to say; then what was known before."""
-        share = math.sqrt(PIECES / self.rows)
-        rows = (self.misses(self.values(names, x)) / self.scale).ravel()[self.seen] * share
+        """Scaled errors, each window weighted as `independent_samples` numbers of each target; then the priors."""
+        share = math.sqrt(CRITERIA.independent_samples / self.n_compared)
+        rows = (self.errors(self.constants_from_unknowns(names, x)) / self.scale).ravel()[self.is_measured] * share
         return np.concatenate([np.nan_to_num(rows, nan=1e3, posinf=1e3, neginf=-1e3), x])
 
-    def rescale(self, values: Mapping[str, float]) -> None:
-        """Take as 1 what is usual now: the root mean square error of each target."""
-        for name, error in rms_of(self.misses(values)).items():
-            self.scale[TARGETS.index(name)] = max(error, FLOOR * FIRST_SCALE[name])
+    def rescale(self, constants: Mapping[str, float]) -> None:
+        """Set the scale of each target to its root mean square error with these constants."""
+        for name, error in compute_target_rms(self.errors(constants)).items():
+            floor = CRITERIA.min_scale_share * INITIAL_ERROR_SCALES[name]
+            self.scale[TARGETS.index(name)] = max(error, floor)
 
 
-def solved(problem: Problem, names: Sequence[str], x: Array, most: int) -> Least:
-    """From x, as robustly as ROBUST says; near a solution already where x is one."""
-    high = np.full(len(names), MOST)
-    low = np.array([problem.least(name) for name in names])
-    robust = ROBUST * math.sqrt(PIECES / problem.rows)  # of a residual as it is scaled here
-    inside = WARM if x.any() else INSIDE
-    run = partial(problem.residuals, names)
-    return solve(run, x, low, high, problem.blocks, robust=robust, most=most, priors=len(names), inside=inside)
+def solve_problem(problem: PhysicsProblem, names: Sequence[str], x: Array, max_evaluations: int) -> RobustFit:
+    """Fit the unknowns `names` from x; x all 0 is a cold start."""
+    low = np.array([problem.min_unknown(name) for name in names])
+    options = SolverOptions(
+        soft_l1_scale=CRITERIA.soft_l1_scale * math.sqrt(CRITERIA.independent_samples / problem.n_compared),
+        max_evaluations=max_evaluations,
+        n_priors=len(names),
+        start_margin=WARM_START_MARGIN if x.any() else COLD_START_MARGIN,
+    )
+    bounds = low, np.full(len(names), CRITERIA.max_unknown)
+    return fit_robustly(partial(problem.residuals, names), x, bounds, problem.blocks, options)
 
 
-# Fitted where the speed's squares are then less by a share of PAYS, and by more than chance (one standard error) has it
-# from stretch to stretch. Where they explain nothing they would only take from the others what the logs know of them.
-SHAPES, PAYS = ("drive_corner", "overrun_force_n", "brake_rise_per_frac", LAG), 0.1
-PLAIN = "with it the squares of the missed speed are less by under a tenth, or by no more than chance"
+def add_shape_constants(problem: PhysicsProblem, plain: list[str], fit: RobustFit) -> tuple[list[str], RobustFit]:
+    """Add those SHAPE_CONSTANTS that reduce the speed error, and fit again.
 
-
-def shaped(problem: Problem, plain: list[str], least: Least) -> tuple[list[str], Least]:
-    """With those of SHAPES that pay. All at once first: where no power was found, there is no corner to find."""
-    tried = [one for one in SHAPES if one in problem.names]
+    All are tried together first, then each is left out in turn: the corner of the drive force, for one, only shows
+    where the power limit is fitted.
+    """
+    tried = [name for name in SHAPE_CONSTANTS if name in problem.names]
     if not tried:
-        return plain, least
+        return plain, fit
     names = [*plain, *tried]
-    found = solved(problem, names, np.zeros(len(names)), 25)
-    if not pays(_speed_squares(problem, plain, least.x), _speed_squares(problem, names, found.x)):
-        return plain, least
+    full = solve_problem(problem, names, np.zeros(len(names)), 25)
+    if not reduces_error(
+        _mean_squared_speed_errors(problem, plain, fit.x), _mean_squared_speed_errors(problem, names, full.x)
+    ):
+        return plain, fit
     for shape in tried:
-        fewer = [one for one in names if one != shape]
-        without = solved(problem, fewer, np.delete(found.x, names.index(shape)), 15)
-        if not pays(_speed_squares(problem, fewer, without.x), _speed_squares(problem, names, found.x)):
-            names, found = fewer, without
-    problem.rescale(problem.values(names, found.x))
-    return names, solved(problem, names, found.x, 15)
+        fewer = [name for name in names if name != shape]
+        without = solve_problem(problem, fewer, np.delete(full.x, names.index(shape)), 15)
+        if not reduces_error(
+            _mean_squared_speed_errors(problem, fewer, without.x), _mean_squared_speed_errors(problem, names, full.x)
+        ):
+            names, full = fewer, without
+    problem.rescale(problem.constants_from_unknowns(names, full.x))
+    return names, solve_problem(problem, names, full.x, 15)
 
 
-def pays(before: Array, after: Array) -> bool:
-    """Whether squares by stretch [s] are less by PAYS, and by more than one standard error. Of one stretch nobody knows
-    what chance does.
+def reduces_error(before: Array, after: Array) -> bool:
+    """Whether squared errors by stretch fall by min_error_reduction and by more than one standard error.
+
+    Returns:
+        False for a single stretch, which shows no scatter.
     """
     gain = before - after
     if len(gain) < 2:
         return False
-    chance = float(np.std(gain, ddof=1)) / math.sqrt(len(gain))
-    return float(gain.mean()) > max(PAYS * float(before.mean()), chance)
+    standard_error = float(np.std(gain, ddof=1)) / math.sqrt(len(gain))
+    return float(gain.mean()) > max(CRITERIA.min_error_reduction * float(before.mean()), standard_error)
 
 
-def _speed_squares(problem: Problem, names: Sequence[str], x: Array) -> Array:
-    """Mean square by which the speed is missed, by stretch that saw it."""
-    misses = problem.misses(problem.values(names, x))[:, :, TARGETS.index("speed_mps")]
-    at = stretches_of(problem.some)
-    by_stretch = (misses[at == one] ** 2 for one in np.unique(at))
-    return np.array([np.nanmean(one) for one in by_stretch if np.isfinite(one).any()])
+def _mean_squared_speed_errors(problem: PhysicsProblem, names: Sequence[str], x: Array) -> Array:
+    """Mean squared speed error of each stretch with a measured speed."""
+    errors = problem.errors(problem.constants_from_unknowns(names, x))[:, :, TARGETS.index("speed_mps")]
+    stretches = assign_stretches(problem.windows)
+    squares = (errors[stretches == stretch] ** 2 for stretch in np.unique(stretches))
+    return np.array([np.nanmean(square) for square in squares if np.isfinite(square).any()])
 
 
-STRETCH = 3  # windows one behind the other: they see one manoeuvre, and share what the model's form lacks there
-LEAST_STRETCHES = 4  # of which something can be told; of fewer each window is one
-LEAST_LEFT = 1e-6  # of a stretch's residuals that the fit can have left in them
-
-
-class Together(NamedTuple):
-    """What a fit does not know of some constants goes together: names [p], correlation [p, p] of what they are off by
-    (of the logarithm of what is a factor).
-    """
+class EstimateCorrelation(NamedTuple):
+    """Correlation of the errors of fitted constants (of the logarithm of a factor), shape (n_names, n_names)."""
 
     names: tuple[str, ...] = ()
     correlation: Array = np.zeros((0, 0))
 
 
-def deviations_left(least: Least) -> Array:
-    """What is left of each unknown's doubt (1 before the fit), with the windows' own scatter where that is wider."""
-    inner = np.linalg.pinv(least.jacobian.T @ least.jacobian, hermitian=True)
-    return np.maximum(np.sqrt(np.maximum(np.diag(inner), 0.0)), least.deviation)
+def compute_remaining_uncertainty(fit: RobustFit) -> Array:
+    """Uncertainty of each unknown after the fit (1 before), widened by the scatter between windows."""
+    covariance = np.linalg.pinv(fit.jacobian.T @ fit.jacobian, hermitian=True)
+    return np.maximum(np.sqrt(np.maximum(np.diag(covariance), 0.0)), fit.std_dev)
 
 
-def stretches_of(some: Sequence[Window]) -> Array:
-    """The stretch of each window [windows]: STRETCH of a drive, one behind the other; the window where they are few."""
-    found, stretch, held = np.zeros(len(some), dtype=int), -1, 0
-    for i, window in enumerate(some):
-        if i == 0 or window.name != some[i - 1].name or held == STRETCH:
-            stretch, held = stretch + 1, 0
-        found[i], held = stretch, held + 1
-    return found if stretch + 1 >= LEAST_STRETCHES else np.arange(len(some))
+def assign_stretches(windows: Sequence[FreeRunWindow]) -> Array:
+    """Stretch of each window: `windows_per_stretch` consecutive windows of a drive; one window each where few."""
+    stretches, stretch, count = np.zeros(len(windows), dtype=int), -1, 0
+    for i, window in enumerate(windows):
+        if i == 0 or window.name != windows[i - 1].name or count == CRITERIA.windows_per_stretch:
+            stretch, count = stretch + 1, 0
+        stretches[i], count = stretch, count + 1
+    return stretches if stretch + 1 >= CRITERIA.min_stretches else np.arange(len(windows))
 
 
-def doubts_left(least: Least, stretches: Array) -> Array:
-    """Half of each unknown's 95 % interval, in what was doubted before the fit (1: one standard deviation of that).
+def compute_interval_half_widths(fit: RobustFit, stretches: Array) -> Array:
+    """Half of each unknown's 95 % interval (1: one standard deviation of the prior).
 
-    What a fit leaves of a stretch's residuals is less than its error, and the more so the more it told the fit: taken
-    as they are, the few stretches that know the tyres would vouch for themselves. They are set right by what the fit
-    took off them (Bell and McCaffrey 2002), stretch by stretch (`stretches` [n], of each residual that is data).
+    The residuals of a stretch understate its error, the more so the more it determines the fit. They are corrected by
+    the leverage of the stretch (Bell and McCaffrey 2002, "Bias reduction in standard errors for linear regression with
+    multi-stage samples").
+
+    Args:
+        fit: The fit.
+        stretches: Stretch of each data residual, shape (n_data,).
     """
-    pulls = _pulls(least, stretches)
-    count = len(pulls)
-    scatter = np.sqrt(np.sum(pulls * pulls, axis=0) * (count / (count - 1)))
-    wide = float(student.ppf(0.975, count - 1)) * scatter
-    return np.minimum(np.maximum(wide, least.quantile * deviations_left(least)), least.quantile)
+    influences = _stretch_influences(fit, stretches)
+    count = len(influences)
+    scatter = np.sqrt(np.sum(influences * influences, axis=0) * (count / (count - 1)))
+    half = float(student.ppf(0.975, count - 1)) * scatter
+    return np.minimum(np.maximum(half, fit.quantile * compute_remaining_uncertainty(fit)), fit.quantile)
 
 
-def together(names: Sequence[str], least: Least, stretches: Array) -> Together:
-    """How the unknowns' doubts hang together: half as the fit's own curvature says, half as its stretches do. The first
-    knows which of them only their sum is known of; the second, of so few, also what goes together by chance.
+def estimate_correlation(names: Sequence[str], fit: RobustFit, stretches: Array) -> EstimateCorrelation:
+    """Correlation of the unknowns: the mean of that by the curvature of the fit and that between stretches.
+
+    The curvature shows which unknowns are only known as a sum. The few stretches show the model error, but also
+    correlation by chance.
     """
-    pulls = _pulls(least, stretches)
-    inner = np.linalg.pinv(least.jacobian.T @ least.jacobian, hermitian=True)
-    return Together(tuple(names), 0.5 * (_correlation(inner) + _correlation(pulls.T @ pulls)))
+    influences = _stretch_influences(fit, stretches)
+    covariance = np.linalg.pinv(fit.jacobian.T @ fit.jacobian, hermitian=True)
+    mean = 0.5 * (_correlation_from_covariance(covariance) + _correlation_from_covariance(influences.T @ influences))
+    return EstimateCorrelation(tuple(names), mean)
 
 
-def _correlation(covariance: Array) -> Array:
-    size = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
-    found = covariance / np.outer(size, size)
-    np.fill_diagonal(found, 1.0)
-    return found
+def _correlation_from_covariance(covariance: Array) -> Array:
+    std_dev = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    correlation = covariance / np.outer(std_dev, std_dev)
+    np.fill_diagonal(correlation, 1.0)
+    return correlation
 
 
-def _pulls(least: Least, stretches: Array) -> Array:
-    """By how much each stretch pulls the unknowns [stretches, p], its residuals as large as its errors are."""
-    inner = np.linalg.pinv(least.jacobian.T @ least.jacobian, hermitian=True)
-    root = np.linalg.cholesky(inner)
-    every = np.unique(stretches)
-    pulls = np.zeros((len(every), len(inner)))
-    for i, one in enumerate(every):
-        rows = np.flatnonzero(stretches == one)
-        here, miss = least.jacobian[rows], least.residuals[rows]
-        basis, size, _ = np.linalg.svd(here @ root, full_matrices=False)
-        more = 1.0 / np.sqrt(np.maximum(1.0 - size * size, LEAST_LEFT)) - 1.0
-        pulls[i] = inner @ (here.T @ (miss + basis @ (more * (basis.T @ miss))))
-    return pulls
+def _stretch_influences(fit: RobustFit, stretches: Array) -> Array:
+    """Shift of the unknowns by each stretch, with leverage-corrected residuals, shape (n_stretches, n_unknowns)."""
+    covariance = np.linalg.pinv(fit.jacobian.T @ fit.jacobian, hermitian=True)
+    root = np.linalg.cholesky(covariance)
+    labels = np.unique(stretches)
+    influences = np.zeros((len(labels), len(covariance)))
+    for i, label in enumerate(labels):
+        rows = np.flatnonzero(stretches == label)
+        jacobian, residuals = fit.jacobian[rows], fit.residuals[rows]
+        basis, size, _ = np.linalg.svd(jacobian @ root, full_matrices=False)
+        more = 1.0 / np.sqrt(np.maximum(1.0 - size * size, CRITERIA.min_residual_share)) - 1.0
+        influences[i] = covariance @ (jacobian.T @ (residuals + basis @ (more * (basis.T @ residuals))))
+    return influences

@@ -1,1 +1,1 @@
-"""Training with torch, the only place that imports it (design D6); what is trained runs without."""
+"""Training with torch, which only this package imports; trained plants run without it."""

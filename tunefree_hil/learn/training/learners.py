@@ -1,6 +1,6 @@
 """What is trained, and on what: free run for kinds hybrid and lstm, one step ahead for mlp and paper.
 
-A learner draws its batches from (seed, step) alone, so a training can be cut off and go on.
+A learner draws its batches from (seed, step) alone, so that a training can be interrupted and resumed.
 """
 
 from __future__ import annotations
@@ -18,75 +18,109 @@ from tunefree_hil.config.schema import ModelSpec
 from tunefree_hil.learn.drives.drive import Array
 from tunefree_hil.learn.evaluation.motion import body_change
 from tunefree_hil.learn.training.nets import CellNet, LayerNet
-from tunefree_hil.learn.training.physics import Physics
-from tunefree_hil.learn.training.rollout import CarriageRunner, HybridRunner, PhysicsRunner, Runner, errors_of
-from tunefree_hil.learn.training.teacher_forcing import GuidedRunner
-from tunefree_hil.learn.training.windows import ACCEL, YAW, Pool, begins, chances_of, drawn, spread, window_at
+from tunefree_hil.learn.training.physics import BatchedSingleTrack
+from tunefree_hil.learn.training.rollout import (
+    FreeRunner,
+    HybridRunner,
+    KinematicRunner,
+    PhysicsRunner,
+    compute_errors,
+)
+from tunefree_hil.learn.training.teacher_forcing import TeacherForcedRunner
+from tunefree_hil.learn.training.windows import (
+    ACCEL,
+    YAW,
+    TrackPool,
+    WindowBatch,
+    compute_draw_chances,
+    draw_rows,
+    find_window_starts,
+    make_windows,
+    spread_evenly,
+)
 
-WARM_S = 1.0
-BATCH = 256
-GUIDED_COST = 0.15  # of a tick of free run
-BLIND = (1,)  # yaw rate: what the cell says of it would come back as what it is told, and drift
-HELD_OUT_S = (10.0, 5.0, 3.0, 1.0)  # the longest that the held-out drives have room for
-HELD_OUT_WINDOWS, SCALE_WINDOWS = 256, 512
-FLOORS = (0.02, 0.003, 0.002, 0.02)  # m/s, rad/s, rad, m: what sensors can tell
-WEIGHTS = (1.0, 0.5, 1.0, 2.0)  # of speed, yaw rate, heading and position in the loss
-PEDALS = (2, 3)  # inputs
-FINER = 3.0  # their scale: finer than the spread that full throttle makes, for a pedal bites early
-LEAST_SPREAD = 1e-3  # of an input: one that never changed is not blown up
-LAST_PACE = 0.02  # of a rate, at the end of its cosine
-SMALL = 0.1  # unit errors from which on the loss grows with the error and not with its square: a mean is judged
+WARM_UP_S = 1.0
+BATCH_WINDOWS = 256
+BLIND_INPUTS = (1,)  # yaw rate: the cell's own output would feed back through it and drift
+HOLDOUT_LENGTHS_S = (10.0, 5.0, 3.0, 1.0)  # the longest for which the held-out drives have room
+HOLDOUT_SPACING_S = 0.5
+MAX_HOLDOUT_WINDOWS, MAX_SCALING_WINDOWS = 256, 512
+MIN_ERROR_UNITS = (0.02, 0.003, 0.002, 0.02)  # m/s, rad/s, rad, m: resolution of the sensors
+ERROR_QUANTILE = 0.67  # of the physics' errors over the windows: the unit of an error
+LOSS_WEIGHTS = (1.0, 0.5, 1.0, 2.0)  # of speed, yaw rate, heading and position
+PEDAL_INPUTS = (2, 3)
+PEDAL_SCALE_DIVISOR = 3.0  # finer than the spread, which full throttle dominates: a pedal acts early in its way
+MIN_INPUT_SPREAD = 1e-3  # an input that never changed is not magnified
+FINAL_RATE_SHARE = 0.02  # of the learning rate, at the end of its cosine
+QUADRATIC_LOSS_LIMIT = 0.1  # in error units; above, the loss grows linearly
+MIN_FREE_RUN_S = 3.0  # drives without room for it are refused; stages may be shorter than planned
+TEACHER_FORCING_COST = 0.15  # of a tick of free run
+TEACHER_FORCING_BATCH_SHARE = 0.25  # of a batch, since these windows are long
+FREE_RUN_RATE_SHARE = 0.05  # of the initial rate, where free run follows teacher forcing
+OUTPUT_QUANTILE = 0.995
 
 
-class Stage(NamedTuple):
-    """From `share` of the steps on: windows of `ahead_s` of free (or guided) run."""
+class CurriculumStage(NamedTuple):
+    """Windows of `ahead_s`, from `share` of the steps on."""
 
     share: float
     ahead_s: float
-    guided: bool = False
+    is_teacher_forced: bool = False
 
 
-class Span(NamedTuple):
-    """A stage on the data at hand. begins: the rows at which its windows can begin, with their chances of being drawn.
+class CurriculumSpan(NamedTuple):
+    """A stage on the data at hand.
 
-    batch: how many of them a step.
+    Attributes:
+        share: Of the steps, at which it begins.
+        ahead: Ticks of free run.
+        starts: Rows at which windows can begin.
+        chances: Of each start to be drawn.
+        batch: Windows a step.
+        is_teacher_forced: Physics and cell receive the measured motion.
     """
 
     share: float
     ahead: int
-    begins: Array
+    starts: Array
     chances: Array
     batch: int
-    guided: bool
+    is_teacher_forced: bool
 
 
-STAGES = {
-    "hybrid": (Stage(0.0, 10.0, True), Stage(0.96, 5.0)),
-    "lstm": (Stage(0.0, 1.0), Stage(0.2, 2.0), Stage(0.5, 3.0)),
+CURRICULA = {
+    "hybrid": (CurriculumStage(0.0, 10.0, True), CurriculumStage(0.96, 5.0)),
+    "lstm": (CurriculumStage(0.0, 1.0), CurriculumStage(0.2, 2.0), CurriculumStage(0.5, 3.0)),
 }
-SHORTEST_S = 3.0  # drives without room for that are refused; shorter stages than wished are not
-GUIDED_SHARE = 0.25  # of a batch: their windows are long
-AFTER_GUIDED = 0.05  # of the rate at which training began, where free run begins on what guided run has learned
 
 
-class Wish(NamedTuple):
-    """What decides a training. steps: of the optimiser (0: see `fit`); batch: windows (free run) a step."""
+class TrainingPlan(NamedTuple):
+    """Settings of a training. The field names are keys of card.json.
+
+    Attributes:
+        kind: [plant] kind.
+        seed: Of weights and batches.
+        steps: Of the optimiser; 0: by `minutes` or the default.
+        batch: Free-run windows a step.
+        sample_spacing_s: Of kind paper.
+        minutes: Processor time; 0: the default number of steps.
+    """
 
     kind: str
     seed: int
     steps: int = 0
-    batch: int = BATCH
+    batch: int = BATCH_WINDOWS
     sample_spacing_s: float = 0.01
     minutes: float = 0.0
 
 
 class Learner(Protocol):
-    """A network with its data."""
+    """A net with its data."""
 
     @property
     def net(self) -> nn.Module: ...
 
-    def plan(self, steps: int) -> None: ...
+    def set_steps(self, steps: int) -> None: ...
 
     def loss(self, step: int) -> Tensor: ...
 
@@ -94,151 +128,175 @@ class Learner(Protocol):
 
     def cost(self, step: int) -> float: ...
 
-    def pace(self, step: int) -> float: ...
+    def rate_share(self, step: int) -> float: ...
 
     def arrays(self) -> dict[str, Array]: ...
 
 
 class FreeRunLearner:
-    """Kinds hybrid and lstm: free run after a second of warm-up, over longer and longer windows.
+    """Kinds hybrid and lstm: free run after a warm-up, over longer and longer windows.
 
-    Errors are taken in units of what the fitted physics typically misses after the same time, so that every instant
-    and every quantity counts alike.
+    The unit of an error is what the fitted physics typically misses after the same time, so that all times and
+    quantities count alike.
     """
 
-    def __init__(self, wish: Wish, training: Pool, held_out: Pool, model: ModelSpec) -> None:
-        self.wish, self.training, self.held_out, self.steps = wish, training, held_out, max(wish.steps, 1)
-        self.warm = round(WARM_S / training.dt_s)
-        require_some(begins(training, self.warm, round(SHORTEST_S / training.dt_s)), training, "training")
-        self.spans = [self._span(stage) for stage in STAGES[wish.kind]]
-        self.held_begins, self.held_ahead = held_out_windows(held_out, self.warm)
-        physics = Physics(model.plant.params, training.dt_s, body_change(model))
+    def __init__(self, plan: TrainingPlan, training: TrackPool, held_out: TrackPool, model: ModelSpec) -> None:
+        self.plan, self.training, self.held_out, self.steps = plan, training, held_out, max(plan.steps, 1)
+        self.warm_up = round(WARM_UP_S / training.dt_s)
+        starts = find_window_starts(training, self.warm_up, round(MIN_FREE_RUN_S / training.dt_s))
+        require_rows(starts, training, "training")
+        self.spans = [self._span(stage) for stage in CURRICULA[plan.kind]]
+        self.held_out_starts, self.held_out_ahead = select_holdout_windows(held_out, self.warm_up)
+        physics = BatchedSingleTrack(model.plant.params, training.dt_s, body_change(model))
         base = PhysicsRunner(physics, training)
-        self.units = self._units(base)
-        self.net, self.runner, self.held_runner = self._made(physics, base, model.plant.params)
-        self.guided = GuidedRunner(base, self.net) if any(span.guided for span in self.spans) else None
+        self.units = self._error_units(base)
+        self.net: CellNet
+        self.runner: FreeRunner
+        self.held_out_runner: FreeRunner
+        if plan.kind == "hybrid":
+            self.net = self._make_hybrid_net(base)
+            self.runner = HybridRunner(base, self.net)
+            self.held_out_runner = HybridRunner(PhysicsRunner(physics, held_out), self.net)
+        else:
+            self.net = self._make_kinematic_net(model.plant.params)
+            self.runner = KinematicRunner(model.plant.params, self.net)
+            self.held_out_runner = KinematicRunner(model.plant.params, self.net)
+        is_forced = any(span.is_teacher_forced for span in self.spans)
+        self.teacher_forced = TeacherForcedRunner(base, self.net) if is_forced else None
 
-    def plan(self, steps: int) -> None:
-        """How many steps the training is to have (at least one): its stages are shares of them."""
+    def set_steps(self, steps: int) -> None:
+        """Set the number of steps of the training, at least one; its stages are shares of them."""
         self.steps = max(steps, 1)
 
     def loss(self, step: int) -> Tensor:
-        """Of the batch of a step."""
+        """Weighted errors of the batch of a step."""
         span = self._span_at(step)
-        runner = self.guided if span.guided and self.guided is not None else self.runner
-        some = drawn(span.begins, span.batch, self.wish.seed, step, span.chances)
-        window = window_at(some, self.warm, span.ahead)
-        errors = errors_of(runner.run(self.training, window), self.training, window)
+        forced = self.teacher_forced
+        runner = forced if span.is_teacher_forced and forced is not None else self.runner
+        starts = draw_rows(span.starts, span.batch, self.plan.seed, step, span.chances)
+        window = make_windows(starts, self.warm_up, span.ahead)
+        errors = compute_errors(runner.run(self.training, window), self.training, window)
+        limit = QUADRATIC_LOSS_LIMIT
         parts = [
-            weight * (torch.sqrt(SMALL**2 + (error / unit[: span.ahead]) ** 2) - SMALL).mean()
-            for weight, error, unit in zip(WEIGHTS, errors, self.units, strict=True)
+            weight * (torch.sqrt(limit**2 + (error / unit[: span.ahead]) ** 2) - limit).mean()
+            for weight, error, unit in zip(LOSS_WEIGHTS, errors, self.units, strict=True)
         ]
-        return torch.stack(parts).sum() / sum(WEIGHTS)
+        return torch.stack(parts).sum() / sum(LOSS_WEIGHTS)
 
     def score(self) -> float:
         """Mean position error at the end of the held-out windows, m."""
-        window = window_at(self.held_begins, self.warm, self.held_ahead)
+        window = make_windows(self.held_out_starts, self.warm_up, self.held_out_ahead)
         with torch.no_grad():
-            errors = errors_of(self.held_runner.run(self.held_out, window), self.held_out, window)
+            errors = compute_errors(self.held_out_runner.run(self.held_out, window), self.held_out, window)
         return float(errors.position_m[-1].mean())
 
     def cost(self, step: int) -> float:
-        """Ticks that a step takes, of free run."""
+        """Cost of a step, in ticks of free run."""
         span = self._span_at(step)
-        ticks = (self.warm + span.ahead) * (0.5 + 0.5 * span.batch / BATCH)  # half of a tick costs whatever the batch
-        return ticks * (GUIDED_COST if span.guided else 1.0)
+        batch_factor = 0.5 + 0.5 * span.batch / BATCH_WINDOWS  # half of a tick costs the same for every batch
+        ticks = (self.warm_up + span.ahead) * batch_factor
+        return ticks * (TEACHER_FORCING_COST if span.is_teacher_forced else 1.0)
 
-    def pace(self, step: int) -> float:
-        """Share of the first rate: a cosine over the guided stages, and one over those in free run."""
-        guided = self._span_at(step).guided
-        first = next(span.share for span in self.spans if span.guided == guided)
-        last = next((span.share for span in self.spans if span.share > first and span.guided != guided), 1.0)
+    def rate_share(self, step: int) -> float:
+        """Share of the initial rate: a cosine over teacher forcing, and one over free run."""
+        forced = self._span_at(step).is_teacher_forced
+        first = next(span.share for span in self.spans if span.is_teacher_forced == forced)
+        last = next((span.share for span in self.spans if span.share > first and span.is_teacher_forced != forced), 1.0)
         share = (step / self.steps - first) / (last - first)
-        return (AFTER_GUIDED if self.guided is not None and not guided else 1.0) * cosine(share)
+        initial = FREE_RUN_RATE_SHARE if self.teacher_forced is not None and not forced else 1.0
+        return initial * cosine_rate(share)
 
     def arrays(self) -> dict[str, Array]:
-        """Of plant.npz."""
+        """The arrays of plant.npz."""
         return self.net.arrays()
 
-    def _span(self, stage: Stage) -> Span:
-        """As long as is wished, or as the drives have room for."""
-        for seconds in (stage.ahead_s, *(shorter for shorter in HELD_OUT_S if shorter < stage.ahead_s)):
+    def _span(self, stage: CurriculumStage) -> CurriculumSpan:
+        """The stage, as long as planned, or as the drives have room for."""
+        for seconds in (stage.ahead_s, *(shorter for shorter in HOLDOUT_LENGTHS_S if shorter < stage.ahead_s)):
             ahead = round(seconds / self.training.dt_s)
-            some = begins(self.training, self.warm, ahead)
-            if len(some):
+            starts = find_window_starts(self.training, self.warm_up, ahead)
+            if len(starts):
                 break
-        batch = max(round(self.wish.batch * GUIDED_SHARE), 1) if stage.guided else self.wish.batch
-        chances = chances_of(self.training, some, self.warm, ahead)
-        return Span(stage.share, ahead, some, chances, batch, stage.guided)
+        batch = self.plan.batch
+        if stage.is_teacher_forced:
+            batch = max(round(batch * TEACHER_FORCING_BATCH_SHARE), 1)
+        chances = compute_draw_chances(self.training, starts, self.warm_up, ahead)
+        return CurriculumSpan(stage.share, ahead, starts, chances, batch, stage.is_teacher_forced)
 
-    def _span_at(self, step: int) -> Span:
+    def _span_at(self, step: int) -> CurriculumSpan:
         share = step / self.steps
         return [span for span in self.spans if share >= span.share][-1]
 
-    def _units(self, base: PhysicsRunner) -> list[Tensor]:
-        """[T, 1] for each error: two thirds of the windows' errors by physics are below it."""
+    def _error_units(self, base: PhysicsRunner) -> list[Tensor]:
+        """Unit of each error by time: a quantile of the physics' errors over the windows, shape (n_ticks, 1)."""
         longest = max(self.spans, key=lambda span: span.ahead)
-        window = window_at(spread(longest.begins, SCALE_WINDOWS), self.warm, longest.ahead)
-        errors = errors_of(base.run(self.training, window), self.training, window)
+        starts = spread_evenly(longest.starts, MAX_SCALING_WINDOWS)
+        window = make_windows(starts, self.warm_up, longest.ahead)
+        errors = compute_errors(base.run(self.training, window), self.training, window)
         return [
-            torch.quantile(error.abs(), 0.67, dim=1, keepdim=True).clamp(min=floor)
-            for error, floor in zip(errors, FLOORS, strict=True)
+            torch.quantile(error.abs(), ERROR_QUANTILE, dim=1, keepdim=True).clamp(min=floor)
+            for error, floor in zip(errors, MIN_ERROR_UNITS, strict=True)
         ]
 
-    def _made(
-        self, physics: Physics, base: PhysicsRunner, params: Mapping[str, float]
-    ) -> tuple[CellNet, Runner, Runner]:
-        """The net with its scaling and bounds, and its runners on both pools."""
-        pool, wish = self.training, self.wish
-        window = window_at(spread(begins(pool, self.warm, 1), SCALE_WINDOWS), self.warm, 1)
-        motion = pool.motion[window.rows[1 : self.warm + 1]]  # after each tick
-        if wish.kind == "hybrid":
-            features = base.features[window.rows[1 : self.warm + 1]].transpose(1, 2)
-            missed = (motion[..., ACCEL] - features[:, 5], motion[..., YAW] - features[:, 6])
-            bound = [_bound(missed[0], 2.0, 0.5, 4.0), _bound(missed[1], 2.0, 0.03, 0.5)]
-            mean, scale = scaling(features)
-            scale[list(PEDALS)] /= FINER
-            net = CellNet(mean, scale, bound, wish.seed, blind=BLIND)
-            return net, HybridRunner(base, net), HybridRunner(PhysicsRunner(physics, self.held_out), net)
-        bound = [_bound(motion[..., ACCEL], 1.5, 3.0, 12.0), _bound(motion[..., YAW], 1.5, 0.3, 3.0)]
-        runner = CarriageRunner(params, LayerNet(np.zeros(1), np.ones(1), bound, 0))
-        net = CellNet(*scaling(runner.features(pool, window, self.warm + 1)), bound, wish.seed, still=False)
-        return net, CarriageRunner(params, net), CarriageRunner(params, net)
+    def _make_hybrid_net(self, base: PhysicsRunner) -> CellNet:
+        """The cell of the residual, with its scaling and bounds."""
+        window = self._scaling_windows()
+        motion = self.training.motion[window.rows[1 : self.warm_up + 1]]  # after each tick
+        features = base.features[window.rows[1 : self.warm_up + 1]].transpose(1, 2)
+        residuals = (motion[..., ACCEL] - features[:, 5], motion[..., YAW] - features[:, 6])
+        bound = [_output_bound(residuals[0], 2.0, 0.5, 4.0), _output_bound(residuals[1], 2.0, 0.03, 0.5)]
+        mean, scale = compute_scaling(features)
+        scale[list(PEDAL_INPUTS)] /= PEDAL_SCALE_DIVISOR
+        return CellNet(mean, scale, bound, self.plan.seed, blind=BLIND_INPUTS)
+
+    def _make_kinematic_net(self, params: Mapping[str, float]) -> CellNet:
+        """The cell of kind lstm, with its scaling and bounds."""
+        window = self._scaling_windows()
+        motion = self.training.motion[window.rows[1 : self.warm_up + 1]]
+        bound = [_output_bound(motion[..., ACCEL], 1.5, 3.0, 12.0), _output_bound(motion[..., YAW], 1.5, 0.3, 3.0)]
+        runner = KinematicRunner(params, LayerNet(np.zeros(1), np.ones(1), bound, 0))
+        scaling = compute_scaling(runner.features(self.training, window, self.warm_up + 1))
+        return CellNet(*scaling, bound, self.plan.seed, zero_outputs=False)
+
+    def _scaling_windows(self) -> WindowBatch:
+        starts = find_window_starts(self.training, self.warm_up, 1)
+        return make_windows(spread_evenly(starts, MAX_SCALING_WINDOWS), self.warm_up, 1)
 
 
-def cosine(share: float) -> float:
-    """From 1 at share 0 to LAST_PACE at share 1."""
-    return LAST_PACE + (1.0 - LAST_PACE) * 0.5 * (1.0 + math.cos(math.pi * share))
+def cosine_rate(share: float) -> float:
+    """From 1 at share 0 to FINAL_RATE_SHARE at share 1."""
+    return FINAL_RATE_SHARE + (1.0 - FINAL_RATE_SHARE) * 0.5 * (1.0 + math.cos(math.pi * share))
 
 
-def held_out_windows(pool: Pool, warm: int) -> tuple[Array, int]:
-    """(rows at which windows begin, ticks of free run): the longest free run that the pool has room for."""
-    for seconds in HELD_OUT_S:
+def select_holdout_windows(pool: TrackPool, warm_up: int) -> tuple[Array, int]:
+    """Starts and free ticks of the longest windows for which the pool has room."""
+    for seconds in HOLDOUT_LENGTHS_S:
         ahead = round(seconds / pool.dt_s)
-        some = begins(pool, warm, ahead, every=round(0.5 / pool.dt_s))
-        if len(some):
-            return spread(some, HELD_OUT_WINDOWS), ahead
-    require_some(np.zeros(0), pool, "held-out")
-    raise AssertionError  # it has raised
+        starts = find_window_starts(pool, warm_up, ahead, every=round(HOLDOUT_SPACING_S / pool.dt_s))
+        if len(starts):
+            return spread_evenly(starts, MAX_HOLDOUT_WINDOWS), ahead
+    require_rows(np.zeros(0), pool, "held-out")
+    raise AssertionError  # require_rows has raised
 
 
-def scaling(features: Tensor) -> tuple[Array, Array]:
-    """(mean, scale) of features [T, I, B]."""
+def compute_scaling(features: Tensor) -> tuple[Array, Array]:
+    """Mean and scale of features, shape (n_ticks, n_inputs, n_windows)."""
     flat = features.transpose(1, 2).reshape(-1, features.shape[1])
-    return flat.mean(0).numpy(), flat.std(0).clamp(min=LEAST_SPREAD).numpy()
+    return flat.mean(0).numpy(), flat.std(0).clamp(min=MIN_INPUT_SPREAD).numpy()
 
 
-def _bound(values: Tensor, times: float, least: float, most: float) -> float:
-    high = float(np.quantile(values.abs().numpy(), 0.995))
-    return min(max(times * high, least), most)
+def _output_bound(values: Tensor, factor: float, low: float, high: float) -> float:
+    """A quantile of the absolute values times `factor`, within [low, high]."""
+    greatest = float(np.quantile(values.abs().numpy(), OUTPUT_QUANTILE))
+    return min(max(factor * greatest, low), high)
 
 
-def require_some(some: Array, pool: Pool, which: str) -> None:
-    """Raises InputError where `some` rows of a pool are none."""
-    if len(some) == 0:
+def require_rows(rows: Array, pool: TrackPool, which: str) -> None:
+    """Raise InputError where there are no rows."""
+    if len(rows) == 0:
         raise InputError(
             f"the {which} drives hold no stretch to learn from: {pool.seconds:.0f} s of them can be used, in pieces",
             code="too_short",
             key="LOG",
-            hint=f"stretches of at least {WARM_S + SHORTEST_S:g} s in drive gear, moving, with by-wire control",
+            hint=f"stretches of at least {WARM_UP_S + MIN_FREE_RUN_S:g} s in drive gear, moving, with by-wire control",
         )

@@ -1,4 +1,4 @@
-"""The loop of a training: seeded, cut off and taken up again anywhere, stopped where the held-out error says so."""
+"""The training loop: seeded, resumable at any step, stopped by the held-out error."""
 
 from __future__ import annotations
 
@@ -14,48 +14,92 @@ import torch
 from torch import Tensor
 
 from tunefree_hil.learn.drives.drive import Array
-from tunefree_hil.learn.training.learners import Learner, Wish
+from tunefree_hil.learn.training.learners import Learner, TrainingPlan
 
-RATES = {"hybrid": 1e-2, "lstm": 1e-2, "mlp": 1e-2, "paper": 5e-3}  # of Adam at the beginning
-LARGEST_GRADIENT = 1.0
-LOOKS, LEAST_STEPS = 40, 5  # at the held-out error over the whole training, and steps between two of them
-PATIENCE, CALM = 15, 0.5  # looks without a better one, at a pace below: above it a net only jumps about
-AVERAGED = 0.02  # of the steps: the weights looked at and kept are the mean over about so many
-LOST_TIMES, LOST_LOOKS = 5.0, 3  # so much worse than untrained, so often running: diverged
-SHOWN_S, KEPT_S = 1.0, 15.0  # between two words, two checkpoints
-THREADS = 1  # windows are narrow: more threads only wait for each other
+LEARNING_RATES = {"hybrid": 1e-2, "lstm": 1e-2, "mlp": 1e-2, "paper": 5e-3}  # initial, of Adam
+PROGRESS_INTERVAL_S, CHECKPOINT_INTERVAL_S = 1.0, 15.0
+N_THREADS = 1  # windows are narrow: more threads only wait for each other
 
 
-class Step(NamedTuple):
-    """How far a training is; score: the best held-out error so far."""
+class LoopCriteria(NamedTuple):
+    """How a training is evaluated and stopped (docs/reference/learn_criteria.md).
+
+    Attributes:
+        max_gradient_norm: Gradients are clipped to it.
+        max_evaluations: Evaluations of the held-out error over a training.
+        min_steps_between: Steps between two evaluations.
+        patience: Evaluations without a better one, below max_patience_rate, that end the training.
+        max_patience_rate: Share of the initial rate; above it the error still scatters.
+        averaging_share: The evaluated weights are the mean over about this share of all steps.
+        divergence_ratio: Held-out error over the untrained one that counts as divergence.
+        max_diverged: Consecutive diverged evaluations that end the training.
+    """
+
+    max_gradient_norm: float = 1.0
+    max_evaluations: int = 40
+    min_steps_between: int = 5
+    patience: int = 15
+    max_patience_rate: float = 0.5
+    averaging_share: float = 0.02
+    divergence_ratio: float = 5.0
+    max_diverged: int = 3
+
+
+CRITERIA = LoopCriteria()
+
+
+class TrainingProgress(NamedTuple):
+    """Progress of a training. score: best held-out error; untrained_score: before training."""
 
     done: int
     total: int
     loss: float
     score: float
-    first: float
+    untrained_score: float
     eta_s: float
 
 
-class Trained(NamedTuple):
-    """The best net that was seen. score, first: its held-out error, and the untrained one's.
+class TrainingResult(NamedTuple):
+    """The best net of a training.
 
-    steps: done, of `total`. stopped: '' or why.
+    Attributes:
+        arrays: Of plant.npz.
+        score: Its held-out error.
+        untrained_score: Held-out error before training.
+        steps: Done.
+        total: Planned.
+        seconds: Duration.
+        evaluations: (step, held-out error) pairs.
+        stopped: Why it ended early, or ''.
+        is_resumed: It continued from a checkpoint.
     """
 
     arrays: dict[str, Array]
     score: float
-    first: float
+    untrained_score: float
     steps: int
     total: int
     seconds: float
-    looks: tuple[tuple[int, float], ...]
+    evaluations: tuple[tuple[int, float], ...]
     stopped: str
-    resumed: bool
+    is_resumed: bool
 
 
-class _State:
-    """All that a checkpoint holds."""
+class TrainingState:
+    """What a checkpoint stores; the attribute names are its keys.
+
+    Attributes:
+        step: Steps done.
+        total: Steps planned.
+        best: Weights with the best held-out error.
+        mean: Running mean of the weights.
+        score: Best held-out error.
+        first: Held-out error before training.
+        since: Evaluations without a better one.
+        lost: Consecutive diverged evaluations.
+        seconds: Duration.
+        looks: (step, held-out error) pairs.
+    """
 
     def __init__(self, total: int) -> None:
         self.step, self.total = 0, total
@@ -67,108 +111,138 @@ class _State:
         self.looks: list[tuple[int, float]] = []
 
 
-def train(
-    learner: Learner, wish: Wish, total: int, part: Path | None = None, identity: str = ""
-) -> Generator[Step, None, Trained]:
-    """Train to the end, `total` steps, as which the learner is planned; a Step now and then.
+class _Training(NamedTuple):
+    """A training and where it is stored. checkpoint: None for none; identity: of data and settings."""
 
-    part: a checkpoint file; one of the same `identity` (data, settings) is taken up, another is written over before
-    the first step, so that a training cut off at any time goes on with the same `total`. A loss that is not finite, or
-    a held-out error far above the untrained net's, ends the training with the best net so far.
+    learner: Learner
+    plan: TrainingPlan
+    optimiser: torch.optim.Adam
+    state: TrainingState
+    checkpoint: Path | None
+    identity: str
+
+
+def run_training(
+    learner: Learner, plan: TrainingPlan, total: int, part: Path | None = None, identity: str = ""
+) -> Generator[TrainingProgress, None, TrainingResult]:
+    """Train for `total` steps, for which the learner is planned; yields progress about once a second.
+
+    A loss that is not finite, or a held-out error far above the untrained one, ends the training with the best net.
+
+    Args:
+        learner: Net and data.
+        plan: Settings.
+        total: Steps.
+        part: Checkpoint file. One of the same identity is resumed; another is overwritten before the first step, so
+            that a training can be interrupted at any time and go on with the same total.
+        identity: Of data and settings.
     """
-    torch.set_num_threads(THREADS)
-    optimiser = torch.optim.Adam(learner.net.parameters(), lr=RATES[wish.kind])
-    state, stopped = _State(total), ""
-    resumed = part is not None and _taken_up(part, identity, wish, learner, optimiser, state)
-    if part is not None and not resumed:
-        _keep(part, identity, wish, learner, optimiser, state)  # `total` may have come from a clock: once and for all
+    torch.set_num_threads(N_THREADS)
+    optimiser = torch.optim.Adam(learner.net.parameters(), lr=LEARNING_RATES[plan.kind])
+    state = TrainingState(total)
+    training = _Training(learner, plan, optimiser, state, part, identity)
+    is_resumed = _read_checkpoint(training)
+    if not is_resumed:
+        _write_checkpoint(training)  # `total` may come from a timing, which would differ next time
     if not state.looks:
-        _look(learner, state)
-    began, kept, shown = time.monotonic(), time.monotonic(), 0.0
-    spent_before = state.seconds
-    costs = [learner.cost(step) for step in range(total)]
-    cost_before = sum(costs[: state.step])
-    looks = looks_at(costs)
-    while state.step < total and not stopped:
-        loss, stopped = _one(learner, wish, optimiser, state.step)
-        if stopped:
-            break
-        state.step += 1
-        _average(learner, state)
-        if state.step in looks:
-            stopped = _look(learner, state, calm=learner.pace(state.step - 1) < CALM)
-        now = time.monotonic()
-        state.seconds = spent_before + now - began
-        if part is not None and now - kept >= KEPT_S:
-            _keep(part, identity, wish, learner, optimiser, state)
-            kept = now
-        if now - shown >= SHOWN_S:
-            shown = now
-            done = sum(costs[: state.step])
-            eta_s = (now - began) * (sum(costs) - done) / max(done - cost_before, 1.0)
-            yield Step(state.step, total, loss, state.score, state.first, eta_s)
+        _evaluate(learner, state)
+    stopped = yield from _run_steps(training)
     learner.net.load_state_dict(state.best)
-    return Trained(
-        learner.arrays(),
-        state.score,
-        state.first,
-        state.step,
-        total,
-        state.seconds,
-        tuple(state.looks),
-        stopped,
-        resumed,
+    return TrainingResult(
+        arrays=learner.arrays(),
+        score=state.score,
+        untrained_score=state.first,
+        steps=state.step,
+        total=total,
+        seconds=state.seconds,
+        evaluations=tuple(state.looks),
+        stopped=stopped,
+        is_resumed=is_resumed,
     )
 
 
-def planned_steps(part: Path | None, identity: str, wish: Wish) -> int:
-    """How many steps the training of a checkpoint was to have; 0 where there is none of this data and wish."""
+def _run_steps(training: _Training) -> Generator[TrainingProgress, None, str]:
+    """Run the steps that are left; returns '' or why the training stopped."""
+    learner, state = training.learner, training.state
+    began = saved = time.monotonic()
+    reported, seconds_before = 0.0, state.seconds
+    costs = [learner.cost(step) for step in range(state.total)]
+    cost_before = sum(costs[: state.step])
+    evaluation_steps = schedule_evaluations(costs)
+    while state.step < state.total:
+        loss, stopped = _run_step(training)
+        if stopped:
+            return stopped
+        state.step += 1
+        _average_weights(learner, state)
+        if state.step in evaluation_steps:
+            is_patient = learner.rate_share(state.step - 1) < CRITERIA.max_patience_rate
+            stopped = _evaluate(learner, state, is_patient=is_patient)
+        now = time.monotonic()
+        state.seconds = seconds_before + now - began
+        if now - saved >= CHECKPOINT_INTERVAL_S:
+            _write_checkpoint(training)
+            saved = now
+        if now - reported >= PROGRESS_INTERVAL_S:
+            reported = now
+            done = sum(costs[: state.step])
+            eta_s = (now - began) * (sum(costs) - done) / max(done - cost_before, 1.0)
+            yield TrainingProgress(state.step, state.total, loss, state.score, state.first, eta_s)
+        if stopped:
+            return stopped
+    return ""
+
+
+def read_planned_steps(part: Path | None, identity: str, plan: TrainingPlan) -> int:
+    """Planned steps of a checkpoint; 0 where there is none of this data and plan."""
     if part is None or not part.is_file():
         return 0
     data = torch.load(part, weights_only=True)
-    return int(data["total"]) if data["identity"] == identity and data["wish"] == list(wish) else 0
+    return int(data["total"]) if data["identity"] == identity and data["wish"] == list(plan) else 0
 
 
-def looks_at(costs: Sequence[float]) -> set[int]:
-    """Steps after which to look at the held-out error: evenly spread over the work, the last among them."""
-    each, since, found = sum(costs) / LOOKS, 0.0, {len(costs)}
+def schedule_evaluations(costs: Sequence[float]) -> set[int]:
+    """Steps after which the held-out error is evaluated: evenly spread over the cost, the last among them."""
+    spacing, since, steps = sum(costs) / CRITERIA.max_evaluations, 0.0, {len(costs)}
     for step, cost in enumerate(costs):
         since += cost
-        if since >= each and step + 1 - max(found - {len(costs)}, default=0) >= LEAST_STEPS:
-            found.add(step + 1)
+        if since >= spacing and step + 1 - max(steps - {len(costs)}, default=0) >= CRITERIA.min_steps_between:
+            steps.add(step + 1)
             since = 0.0
-    return found
+    return steps
 
 
-def _one(learner: Learner, wish: Wish, optimiser: torch.optim.Adam, step: int) -> tuple[float, str]:
-    """(loss, '' or why to stop) of one step."""
+def _run_step(training: _Training) -> tuple[float, str]:
+    """Loss of one step, and '' or why to stop."""
+    learner, plan, optimiser, step = training.learner, training.plan, training.optimiser, training.state.step
     for group in optimiser.param_groups:
-        group["lr"] = RATES[wish.kind] * learner.pace(step)
+        group["lr"] = LEARNING_RATES[plan.kind] * learner.rate_share(step)
     optimiser.zero_grad()
     loss = learner.loss(step)
     if not math.isfinite(loss.item()):
         return math.nan, "the loss is not a finite number any more"
     loss.backward()  # type: ignore[no-untyped-call]
-    norm = torch.nn.utils.clip_grad_norm_(learner.net.parameters(), LARGEST_GRADIENT)
+    norm = torch.nn.utils.clip_grad_norm_(learner.net.parameters(), CRITERIA.max_gradient_norm)
     if not math.isfinite(float(norm)):
-        return math.nan, "the slope of the loss is not a finite number any more"
+        return math.nan, "the gradient of the loss is not a finite number any more"
     optimiser.step()
     return loss.item(), ""
 
 
-def _average(learner: Learner, state: _State) -> None:
-    """Take a step's weights into their running mean: one step's by themselves jump about, and so would their choice."""
+def _average_weights(learner: Learner, state: TrainingState) -> None:
+    """Update the running mean of the weights, which scatters less than the weights of single steps."""
     for name, value in learner.net.named_parameters():
         if name in state.mean:
-            state.mean[name].lerp_(value.detach(), 1.0 / max(min(state.step, AVERAGED * state.total), 1.0))
+            rate = 1.0 / max(min(state.step, CRITERIA.averaging_share * state.total), 1.0)
+            state.mean[name].lerp_(value.detach(), rate)
         else:
             state.mean[name] = value.detach().clone()
 
 
-def _look(learner: Learner, state: _State, calm: bool = False) -> str:
-    """Look at the held-out error; '' or why to stop."""
-    own = {name: value.clone() for name, value in learner.net.state_dict().items()}
-    learner.net.load_state_dict(own | state.mean)
+def _evaluate(learner: Learner, state: TrainingState, is_patient: bool = False) -> str:
+    """Evaluate the held-out error of the mean weights; returns '' or why to stop."""
+    current = {name: value.clone() for name, value in learner.net.state_dict().items()}
+    learner.net.load_state_dict(current | state.mean)
     score = learner.score()
     state.looks.append((state.step, score))
     if not state.best:
@@ -177,39 +251,45 @@ def _look(learner: Learner, state: _State, calm: bool = False) -> str:
         state.score, state.since = score, 0
         state.best = {name: value.clone() for name, value in learner.net.state_dict().items()}
     else:
-        state.since += calm
-    learner.net.load_state_dict(own)
-    state.lost = state.lost + 1 if not score < LOST_TIMES * state.first else 0
-    if state.lost >= LOST_LOOKS:
+        state.since += is_patient
+    learner.net.load_state_dict(current)
+    state.lost = state.lost + 1 if not score < CRITERIA.divergence_ratio * state.first else 0
+    if state.lost >= CRITERIA.max_diverged:
         return f"it diverged: the held-out error is {score:.3g}, untrained it was {state.first:.3g}"
-    return "the held-out error gets no better" if state.since >= PATIENCE else ""
+    return "the held-out error gets no better" if state.since >= CRITERIA.patience else ""
 
 
-def _keep(part: Path, identity: str, wish: Wish, learner: Learner, optimiser: torch.optim.Adam, state: _State) -> None:
-    """Write the checkpoint, whole or not at all."""
+def _write_checkpoint(training: _Training) -> None:
+    """Write the checkpoint atomically."""
+    path, state = training.checkpoint, training.state
+    if path is None:
+        return
     data: dict[str, Any] = {
-        "identity": identity, "wish": list(wish), "net": learner.net.state_dict(), "optimiser": optimiser.state_dict(),
+        "identity": training.identity,
+        "wish": list(training.plan),
+        "net": training.learner.net.state_dict(),
+        "optimiser": training.optimiser.state_dict(),
         **{name: value for name, value in vars(state).items() if name != "looks"},
         "looks": [list(look) for look in state.looks],
-    }  # fmt: skip
-    out = io.BytesIO()
-    torch.save(data, out)
-    beside = part.with_name(part.name + ".new")
-    beside.write_bytes(out.getvalue())
-    os.replace(beside, part)
+    }
+    buffer = io.BytesIO()
+    torch.save(data, buffer)
+    new = path.with_name(path.name + ".new")
+    new.write_bytes(buffer.getvalue())
+    os.replace(new, path)
 
 
-def _taken_up(
-    part: Path, identity: str, wish: Wish, learner: Learner, optimiser: torch.optim.Adam, state: _State
-) -> bool:
-    """Fill all from a checkpoint; False where there is none of this training."""
-    if not part.is_file():
+def _read_checkpoint(training: _Training) -> bool:
+    """Restore net, optimiser and state; False where there is no checkpoint of this training."""
+    path, state = training.checkpoint, training.state
+    if path is None or not path.is_file():
         return False
-    data = torch.load(part, weights_only=True)
-    if data.pop("identity") != identity or data.pop("wish") != list(wish) or data["total"] != state.total:
+    data = torch.load(path, weights_only=True)
+    identity, plan = data.pop("identity"), data.pop("wish")
+    if identity != training.identity or plan != list(training.plan) or data["total"] != state.total:
         return False
-    learner.net.load_state_dict(data.pop("net"))
-    optimiser.load_state_dict(data.pop("optimiser"))
+    training.learner.net.load_state_dict(data.pop("net"))
+    training.optimiser.load_state_dict(data.pop("optimiser"))
     data["looks"] = [(int(step), float(score)) for step, score in data["looks"]]
     vars(state).update(data)
     return True

@@ -1,4 +1,4 @@
-"""The trained networks as torch modules: the cell and the layer of plant/learned/lstm_cell.py with their arrays in plant.npz."""
+"""Trainable versions of the nets of plant/learned/lstm_cell.py; parameters and buffers are the arrays of plant.npz."""
 
 from __future__ import annotations
 
@@ -11,28 +11,27 @@ from torch import Tensor, nn
 
 from tunefree_hil.learn.drives.drive import Array
 
-UNITS = 8  # of the cell (paper Table I)
-HIDDEN = 10  # of the mlp
+N_CELL_UNITS = 8  # of the cell (Baidu paper, Table I)
+N_HIDDEN_UNITS = 10  # of kind mlp
 
 
-class Ready(NamedTuple):
-    """Weights as a rollout wants them: scaling folded in, rows in the order input, forget, output gate, candidate."""
+class RolloutWeights(NamedTuple):
+    """Weights of a cell for a rollout: scaling folded in, rows in the order input, forget, output gate, candidate.
 
-    inputs: Tensor  # [4H, I]
-    hidden: Tensor  # [4H, H]
-    both: Tensor  # [4H, I + H]
-    bias: Tensor  # [4H, 1]
-    out: Tensor  # [2, H]
-    out_bias: Tensor  # [2, 1]
-    bound: Tensor  # [2, 1]
+    h: units of the cell, i: inputs.
+    """
+
+    inputs: Tensor  # (4h, i)
+    hidden: Tensor  # (4h, h)
+    both: Tensor  # (4h, i + h)
+    bias: Tensor  # (4h, 1)
+    out: Tensor  # (2, h)
+    out_bias: Tensor  # (2, 1)
+    bound: Tensor  # (2, 1)
 
 
 class CellNet(nn.Module):
-    """LSTM cell and linear layer to two outputs; parameters and buffers are named as the arrays of plant.npz.
-
-    relu: the rectifier in place of tanh in the cell. still: the outputs begin at 0. blind: inputs that the cell
-    does not look at, whose weights are 0 and stay so.
-    """
+    """LSTM cell and a linear layer with two bounded outputs."""
 
     mean: Tensor
     scale: Tensor
@@ -46,56 +45,82 @@ class CellNet(nn.Module):
         seed: int,
         *,
         relu: bool = False,
-        still: bool = True,
+        zero_outputs: bool = True,
         blind: Sequence[int] = (),
     ) -> None:
+        """Initialise the weights.
+
+        Args:
+            mean: Of the inputs.
+            scale: Of the inputs.
+            bound: Of the outputs.
+            seed: Of the weights.
+            relu: ReLU replaces tanh in the cell.
+            zero_outputs: The outputs start at 0.
+            blind: Inputs whose weights are 0 and stay 0.
+        """
         super().__init__()
-        draw = torch.Generator().manual_seed(seed)
-        inputs, spread = len(mean), 1.0 / math.sqrt(UNITS)
+        generator = torch.Generator().manual_seed(seed)
+        inputs, spread = len(mean), 1.0 / math.sqrt(N_CELL_UNITS)
 
-        def drawn(*shape: int) -> nn.Parameter:
-            return nn.Parameter((torch.rand(*shape, generator=draw, dtype=torch.float64) * 2.0 - 1.0) * spread)
+        def draw(*shape: int) -> nn.Parameter:
+            return nn.Parameter((torch.rand(*shape, generator=generator, dtype=torch.float64) * 2.0 - 1.0) * spread)
 
-        self.w_in, self.w_rec = drawn(4 * UNITS, inputs), drawn(4 * UNITS, UNITS)
+        self.w_in, self.w_rec = draw(4 * N_CELL_UNITS, inputs), draw(4 * N_CELL_UNITS, N_CELL_UNITS)
         if blind:
-            seen = torch.ones(inputs, dtype=torch.float64)
-            seen[list(blind)] = 0.0
-            self.w_in.data *= seen
-            self.w_in.register_hook(lambda slope: slope * seen)
-        bias = torch.zeros(4 * UNITS, dtype=torch.float64)
-        bias[UNITS : 2 * UNITS] = 1.0  # the forget gate begins open: memory lasts
+            mask = torch.ones(inputs, dtype=torch.float64)
+            mask[list(blind)] = 0.0
+            self.w_in.data *= mask
+            self.w_in.register_hook(lambda gradient: gradient * mask)
+        bias = torch.zeros(4 * N_CELL_UNITS, dtype=torch.float64)
+        bias[N_CELL_UNITS : 2 * N_CELL_UNITS] = 1.0  # the forget gate starts open
         self.bias = nn.Parameter(bias)
-        self.w_out = nn.Parameter(torch.zeros(2, UNITS, dtype=torch.float64)) if still else drawn(2, UNITS)
+        self.w_out = (
+            nn.Parameter(torch.zeros(2, N_CELL_UNITS, dtype=torch.float64)) if zero_outputs else draw(2, N_CELL_UNITS)
+        )
         self.b_out = nn.Parameter(torch.zeros(2, dtype=torch.float64))
         self.relu = relu
         for name, values in (("mean", mean), ("scale", scale), ("bound", bound)):
             self.register_buffer(name, torch.as_tensor(values, dtype=torch.float64))
 
-    def ready(self) -> Ready:
-        """Weights for a rollout; gradients pass."""
-        order = [*range(2 * UNITS), *range(3 * UNITS, 4 * UNITS), *range(2 * UNITS, 3 * UNITS)]
+    def rollout_weights(self) -> RolloutWeights:
+        """Weights for a rollout, with gradients."""
+        units = N_CELL_UNITS
+        order = [*range(2 * units), *range(3 * units, 4 * units), *range(2 * units, 3 * units)]
         scaled = self.w_in / self.scale
         bias = self.bias - scaled @ self.mean
         inputs, hidden = scaled[order], self.w_rec[order]
-        both = torch.cat([inputs, hidden], dim=1)
-        return Ready(
-            inputs, hidden, both, bias[order].unsqueeze(1), self.w_out, self.b_out.unsqueeze(1), self.bound.unsqueeze(1)
+        return RolloutWeights(
+            inputs=inputs,
+            hidden=hidden,
+            both=torch.cat([inputs, hidden], dim=1),
+            bias=bias[order].unsqueeze(1),
+            out=self.w_out,
+            out_bias=self.b_out.unsqueeze(1),
+            bound=self.bound.unsqueeze(1),
         )
 
-    def turn(self, gates: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
-        """(hidden, memory) after a step, each [H, B], from the sums of the gates [4H, B] in the order of Ready."""
-        opened = torch.sigmoid(gates[: 3 * UNITS])
-        shape = torch.relu if self.relu else torch.tanh
-        memory = opened[UNITS : 2 * UNITS] * memory + opened[:UNITS] * shape(gates[3 * UNITS :])
-        return opened[2 * UNITS :] * shape(memory), memory
+    def step(self, gates: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Hidden state and memory after a step, shape (n_units, n_windows).
 
-    def over(self, ready: Ready, features: Tensor) -> tuple[Tensor, Tensor]:
-        """(hidden, memory) [H, B] after known features [T, I, B], from 0."""
-        sums = ready.inputs @ features + ready.bias
-        hidden = torch.zeros(UNITS, features.shape[2], dtype=features.dtype)
+        Args:
+            gates: Sums of the gates in the order of RolloutWeights, shape (4 * n_units, n_windows).
+            memory: Before the step.
+        """
+        opening = torch.sigmoid(gates[: 3 * N_CELL_UNITS])
+        shape = torch.relu if self.relu else torch.tanh
+        memory = opening[N_CELL_UNITS : 2 * N_CELL_UNITS] * memory + opening[:N_CELL_UNITS] * shape(
+            gates[3 * N_CELL_UNITS :]
+        )
+        return opening[2 * N_CELL_UNITS :] * shape(memory), memory
+
+    def run(self, weights: RolloutWeights, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Hidden state and memory after known features, from 0. features: shape (n_ticks, n_inputs, n_windows)."""
+        sums = weights.inputs @ features + weights.bias
+        hidden = torch.zeros(N_CELL_UNITS, features.shape[2], dtype=features.dtype)
         memory = hidden
         for row in sums.unbind(0):
-            hidden, memory = self.turn(torch.addmm(row, ready.hidden, hidden), memory)
+            hidden, memory = self.step(torch.addmm(row, weights.hidden, hidden), memory)
         return hidden, memory
 
     def arrays(self) -> dict[str, Array]:
@@ -103,13 +128,13 @@ class CellNet(nn.Module):
         return {name: value.detach().numpy().copy() for name, value in self.state_dict().items()}
 
 
-def put_out(ready: Ready, hidden: Tensor) -> Tensor:
-    """The two outputs [2, B], bounded."""
-    return ready.bound * torch.tanh(torch.addmm(ready.out_bias, ready.out, hidden))
+def cell_outputs(weights: RolloutWeights, hidden: Tensor) -> Tensor:
+    """The two bounded outputs, shape (2, n_windows)."""
+    return weights.bound * torch.tanh(torch.addmm(weights.out_bias, weights.out, hidden))
 
 
 class LayerNet(nn.Module):
-    """One hidden layer of tanh and two bounded outputs; parameters and buffers named as in plant.npz."""
+    """One hidden layer of tanh and two bounded outputs."""
 
     mean: Tensor
     scale: Tensor
@@ -117,22 +142,22 @@ class LayerNet(nn.Module):
 
     def __init__(self, mean: Array, scale: Array, bound: Sequence[float], seed: int) -> None:
         super().__init__()
-        draw = torch.Generator().manual_seed(seed)
+        generator = torch.Generator().manual_seed(seed)
 
-        def drawn(*shape: int) -> nn.Parameter:
+        def draw(*shape: int) -> nn.Parameter:
             spread = math.sqrt(6.0 / sum(shape))
-            return nn.Parameter((torch.rand(*shape, generator=draw, dtype=torch.float64) * 2.0 - 1.0) * spread)
+            return nn.Parameter((torch.rand(*shape, generator=generator, dtype=torch.float64) * 2.0 - 1.0) * spread)
 
-        self.w1, self.w2 = drawn(HIDDEN, len(mean)), drawn(2, HIDDEN)
-        self.b1 = nn.Parameter(torch.zeros(HIDDEN, dtype=torch.float64))
+        self.w1, self.w2 = draw(N_HIDDEN_UNITS, len(mean)), draw(2, N_HIDDEN_UNITS)
+        self.b1 = nn.Parameter(torch.zeros(N_HIDDEN_UNITS, dtype=torch.float64))
         self.b2 = nn.Parameter(torch.zeros(2, dtype=torch.float64))
         for name, values in (("mean", mean), ("scale", scale), ("bound", bound)):
             self.register_buffer(name, torch.as_tensor(values, dtype=torch.float64))
 
     def forward(self, features: Tensor) -> Tensor:
-        """Outputs [2, B] for features [I, B]."""
-        taken = (features - self.mean.unsqueeze(1)) / self.scale.unsqueeze(1)
-        hidden = torch.tanh(torch.addmm(self.b1.unsqueeze(1), self.w1, taken))
+        """Outputs, shape (2, n_windows), for features of shape (n_inputs, n_windows)."""
+        scaled = (features - self.mean.unsqueeze(1)) / self.scale.unsqueeze(1)
+        hidden = torch.tanh(torch.addmm(self.b1.unsqueeze(1), self.w1, scaled))
         return self.bound.unsqueeze(1) * torch.tanh(torch.addmm(self.b2.unsqueeze(1), self.w2, hidden))
 
     def arrays(self) -> dict[str, Array]:

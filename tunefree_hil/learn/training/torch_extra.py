@@ -1,4 +1,4 @@
-"""torch is an extra: who needs it asks here, and a machine without it learns what to install."""
+"""The optional torch extra."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tunefree_hil.base.errors import InputError
 
 
 def require_torch(what: str = "learn") -> None:
-    """Raises InputError where torch cannot be imported. what: the command that wants it."""
+    """Raise InputError where torch cannot be imported. what: the command that needs it."""
     try:
         importlib.import_module("torch")
     except ImportError as error:

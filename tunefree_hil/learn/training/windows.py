@@ -1,4 +1,4 @@
-"""Windows out of many tracks at once: a warm-up on what was measured, and what free run is compared with."""
+"""Batches of windows out of many tracks: a warm-up on the measured motion, then free run to be compared with it."""
 
 from __future__ import annotations
 
@@ -11,27 +11,48 @@ from torch import Tensor
 
 from tunefree_hil.config.schema import ModelSpec
 from tunefree_hil.learn.drives.drive import Array
-from tunefree_hil.learn.drives.runs import runs
-from tunefree_hil.learn.evaluation.motion import Track, outputs_of
+from tunefree_hil.learn.drives.runs import find_runs
+from tunefree_hil.learn.evaluation.motion import MotionTrack, simulate_actuators
 
-EVERY_ROWS = 10  # a window can begin at each of these
-LEAST_MEAN_MPS = 0.3  # a car that stands teaches nothing
-SPEED, YAW, ACCEL, HEADING, X, Y = range(6)
-# Kinds of driving that windows are told apart by, as shares of the greatest of each: means over the window of speed,
-# pedals (throttle less brake) and turned wheel; finer where a pedal begins to bite.
-SPEED_KINDS = tuple(0.1 * i for i in range(1, 10))
-PEDAL_KINDS = (0.02, 0.05, 0.1, 0.15, 0.25, 0.5)
-WHEEL_KINDS = (0.04, 0.2, 0.5)
-GREATEST = 0.999  # quantile that is taken for the greatest
-EVEN = 0.5  # 0: every window alike; 1: every kind of driving alike
-FEW = 20  # windows, from which on a kind is no rarer
+START_SPACING_ROWS = 10
+SPEED, YAW, ACCEL, HEADING, X, Y = range(6)  # columns of TrackPool.motion
+# Edges of the classes of driving, as shares of the greatest value: means over the window of speed, pedals (throttle
+# less brake) and steering wheel; finer where a pedal begins to act.
+SPEED_CLASS_EDGES = tuple(0.1 * i for i in range(1, 10))
+PEDAL_CLASS_EDGES = (0.02, 0.05, 0.1, 0.15, 0.25, 0.5)
+STEER_CLASS_EDGES = (0.04, 0.2, 0.5)
 
 
-class Pool(NamedTuple):
-    """All tracks end to end. inputs [n, 3]: actuator outputs (duty, duty, rad at the wheel); commands: the same asked.
+class TrainingWindowCriteria(NamedTuple):
+    """How windows are selected and drawn (docs/reference/learn_criteria.md).
 
-    motion [n, 6]: speed, yaw rate, rate of speed, heading, x, y. extra [n, m]: what a learner adds. spans: rows
-    [begin, end) without a gap, good throughout.
+    Attributes:
+        min_mean_speed_mps: Mean speed of the free part; standstill teaches nothing.
+        greatest_quantile: Quantile that stands for the greatest value.
+        balancing_exponent: 0: every window alike; 1: every class of driving alike.
+        min_class_windows: A class with fewer windows is drawn as if it had so many.
+    """
+
+    min_mean_speed_mps: float = 0.3
+    greatest_quantile: float = 0.999
+    balancing_exponent: float = 0.5
+    min_class_windows: int = 20
+
+
+CRITERIA = TrainingWindowCriteria()
+
+
+class TrackPool(NamedTuple):
+    """All tracks end to end.
+
+    Attributes:
+        dt_s: Tick.
+        rest: Duty of a released pedal.
+        inputs: Actuator outputs (duty, duty, rad at the wheel), shape (n_rows, 3).
+        commands: The same as commanded.
+        motion: Columns SPEED to Y, shape (n_rows, 6).
+        grade_rad: Slope of the road.
+        spans: [begin, end) of usable rows without a gap.
     """
 
     dt_s: float
@@ -44,110 +65,122 @@ class Pool(NamedTuple):
 
     @property
     def seconds(self) -> float:
-        """Of driving that can be used."""
+        """Usable driving."""
         return sum(end - begin for begin, end in self.spans) * self.dt_s
 
 
-class Window(NamedTuple):
-    """Rows [T, ..., B] of B windows: row `warm` is where free run begins."""
+class WindowBatch(NamedTuple):
+    """Windows of one length. rows: of the pool, shape (n_ticks, n_windows); free run begins at row `warm_up`."""
 
-    rows: Tensor  # [T, B] of the pool
-    warm: int
+    rows: Tensor
+    warm_up: int
     ahead: int
 
 
-def pool_of(tracks: Sequence[Track], model: ModelSpec, rest: float) -> Pool:
-    """The pool of tracks (at least one, all of one tick), with the outputs of the model's own actuators."""
-    spans, at = [], 0
+def make_pool(tracks: Sequence[MotionTrack], model: ModelSpec, rest: float) -> TrackPool:
+    """The pool of tracks (at least one, all of one tick), with the outputs of the model's actuators."""
+    spans, offset = [], 0
     for track in tracks:
-        spans += [(at + begin, at + end) for begin, end in runs(track.good)]
-        at += track.rows
+        spans += [(offset + begin, offset + end) for begin, end in find_runs(track.is_good)]
+        offset += track.n_rows
     motion = [np.stack([t.speed_mps, t.yaw_rate_radps, t.accel_mps2, t.heading_rad, t.x_m, t.y_m], 1) for t in tracks]
-    outputs = [outputs_of(track, model, rest) for track in tracks]
-    # kind paper learns from what its effects make of the commands: they are run before it in the bench as well
-    asked = [outputs_of(track, model, rest, identity=True) for track in tracks]
-    return Pool(
-        tracks[0].dt_s, rest, _tensor(outputs), _tensor(asked), _tensor(motion),
-        _tensor([track.grade_rad for track in tracks]), tuple(spans),
-    )  # fmt: skip
+    outputs = [simulate_actuators(track, model, rest) for track in tracks]
+    # Kind paper takes commands: in the bench, too, the effects act on them before the plant.
+    commands = [simulate_actuators(track, model, rest, takes_commands=True) for track in tracks]
+    return TrackPool(
+        dt_s=tracks[0].dt_s,
+        rest=rest,
+        inputs=_tensor_from_arrays(outputs),
+        commands=_tensor_from_arrays(commands),
+        motion=_tensor_from_arrays(motion),
+        grade_rad=_tensor_from_arrays([track.grade_rad for track in tracks]),
+        spans=tuple(spans),
+    )
 
 
-def with_mirrored(pool: Pool) -> Pool:
-    """The pool, and behind it itself with left and right exchanged.
+def add_mirrored(pool: TrackPool) -> TrackPool:
+    """The pool, followed by itself with left and right exchanged.
 
-    A car is symmetric but for the offset that `calibrate` takes out of the steering: what is learned of a left turn
-    holds for the right one, and a straight wheel turns the car neither way.
+    A vehicle is symmetric but for the steering offset, which `calibrate` removes. So what is learned of a left turn
+    holds for a right turn, and a centred wheel turns the vehicle neither way.
     """
     rows = len(pool.inputs)
-    steered = torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64)
-    turned = torch.ones(6, dtype=torch.float64)
-    turned[[YAW, HEADING, Y]] = -1.0
+    steer_sign = torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64)
+    motion_sign = torch.ones(6, dtype=torch.float64)
+    motion_sign[[YAW, HEADING, Y]] = -1.0
     return pool._replace(
-        inputs=torch.cat([pool.inputs, pool.inputs * steered]),
-        commands=torch.cat([pool.commands, pool.commands * steered]),
-        motion=torch.cat([pool.motion, pool.motion * turned]),
+        inputs=torch.cat([pool.inputs, pool.inputs * steer_sign]),
+        commands=torch.cat([pool.commands, pool.commands * steer_sign]),
+        motion=torch.cat([pool.motion, pool.motion * motion_sign]),
         grade_rad=torch.cat([pool.grade_rad, pool.grade_rad]),
         spans=(*pool.spans, *((begin + rows, end + rows) for begin, end in pool.spans)),
     )
 
 
-def _tensor(parts: Sequence[Array]) -> Tensor:
-    return torch.nan_to_num(torch.from_numpy(np.concatenate(parts)).to(torch.float64))
+def _tensor_from_arrays(arrays: Sequence[Array]) -> Tensor:
+    return torch.nan_to_num(torch.from_numpy(np.concatenate(arrays)).to(torch.float64))
 
 
-def begins(pool: Pool, warm: int, ahead: int, every: int = EVERY_ROWS) -> Array:
-    """Rows at which a window of warm + ahead ticks can begin, its free part moving."""
+def find_window_starts(pool: TrackPool, warm_up: int, ahead: int, every: int = START_SPACING_ROWS) -> Array:
+    """Rows at which a window of warm_up + ahead ticks can begin, its free part in motion."""
     speed = pool.motion[:, SPEED].numpy()
     summed = np.concatenate([[0.0], np.cumsum(speed)])
-    found = []
+    starts = []
     for begin, end in pool.spans:
-        rows = np.arange(begin, end - warm - ahead, every)
-        mean = (summed[rows + warm + ahead] - summed[rows + warm]) / ahead
-        found.append(rows[mean > LEAST_MEAN_MPS])
-    return np.concatenate(found) if found else np.zeros(0, dtype=int)
+        rows = np.arange(begin, end - warm_up - ahead, every)
+        mean = (summed[rows + warm_up + ahead] - summed[rows + warm_up]) / ahead
+        starts.append(rows[mean > CRITERIA.min_mean_speed_mps])
+    return np.concatenate(starts) if starts else np.zeros(0, dtype=int)
 
 
-def window_at(first: Array, warm: int, ahead: int) -> Window:
-    """The windows that begin at the rows `first`."""
-    rows = torch.from_numpy(first).unsqueeze(0) + torch.arange(warm + ahead + 1).unsqueeze(1)
-    return Window(rows, warm, ahead)
+def make_windows(starts: Array, warm_up: int, ahead: int) -> WindowBatch:
+    """The windows that begin at the rows `starts`."""
+    rows = torch.from_numpy(starts).unsqueeze(0) + torch.arange(warm_up + ahead + 1).unsqueeze(1)
+    return WindowBatch(rows, warm_up, ahead)
 
 
-def drawn(some: Array, count: int, seed: int, step: int, chances: Array | None = None) -> Array:
-    """`count` of the rows, by lot that only seed and step decide: so a training can go on where it was cut off.
+def draw_rows(rows: Array, count: int, seed: int, step: int, chances: Array | None = None) -> Array:
+    """Draw `count` of the rows; only seed and step decide, so that a training can be resumed.
 
-    chances: of each row, in all 1; None for all alike.
+    Args:
+        rows: To draw from.
+        count: How many.
+        seed: Of the training.
+        step: Of the training.
+        chances: Of each row, summing to 1; None: all alike.
     """
-    lots = np.random.default_rng([seed, step])
-    return np.sort(lots.choice(some, count, replace=chances is not None or len(some) < count, p=chances))
+    rng = np.random.default_rng([seed, step])
+    return np.sort(rng.choice(rows, count, replace=chances is not None or len(rows) < count, p=chances))
 
 
-def chances_of(pool: Pool, some: Array, warm: int, ahead: int) -> Array:
-    """How often each window is to be drawn: the rarer its kind of driving is among all, the more often.
+def compute_draw_chances(pool: TrackPool, starts: Array, warm_up: int, ahead: int) -> Array:
+    """Chance of each window to be drawn: the rarer its class of driving, the greater.
 
-    Who collects decides how long each kind is driven; nobody knows how long the car will be driven so later. Between
-    both: a kind's share is the root of what it would be (EVEN).
+    The logs need not have the classes in the proportions of later use. A class's share is between that in the logs and
+    an equal one (balancing_exponent).
     """
-    kinds = kinds_of(pool, some, warm, ahead)
-    _, kind, counts = np.unique(kinds, axis=0, return_inverse=True, return_counts=True)
-    rare = np.maximum(counts[kind.reshape(-1)], FEW).astype(np.float64) ** -EVEN
-    return rare / rare.sum()
+    classes = classify_windows(pool, starts, warm_up, ahead)
+    _, label, counts = np.unique(classes, axis=0, return_inverse=True, return_counts=True)
+    n_windows = np.maximum(counts[label.reshape(-1)], CRITERIA.min_class_windows)
+    chances = n_windows.astype(np.float64) ** -CRITERIA.balancing_exponent
+    return chances / chances.sum()
 
 
-def kinds_of(pool: Pool, some: Array, warm: int, ahead: int) -> Array:
-    """[n, 3]: classes of speed, pedals and wheel of the windows that begin at the rows `some`, in their free part."""
-    over = (pool.inputs - torch.tensor([pool.rest, pool.rest, 0.0])).numpy()
-    driven = np.stack([pool.motion[:, SPEED].numpy(), over[:, 0] - over[:, 1], np.abs(over[:, 2])], axis=1)
-    summed = np.concatenate([np.zeros((1, 3)), np.cumsum(driven, axis=0)])
-    means = (summed[some + warm + ahead] - summed[some + warm]) / ahead
-    shares = means / np.maximum(np.quantile(np.abs(driven), GREATEST, axis=0), 1e-6)
-    pedals = (*(-edge for edge in reversed(PEDAL_KINDS)), *PEDAL_KINDS)
-    edges = (SPEED_KINDS, pedals, WHEEL_KINDS)
+def classify_windows(pool: TrackPool, starts: Array, warm_up: int, ahead: int) -> Array:
+    """Classes of speed, pedals and steering in the free part of each window, shape (n_windows, 3)."""
+    over_rest = (pool.inputs - torch.tensor([pool.rest, pool.rest, 0.0])).numpy()
+    pedals = over_rest[:, 0] - over_rest[:, 1]
+    signals = np.stack([pool.motion[:, SPEED].numpy(), pedals, np.abs(over_rest[:, 2])], axis=1)
+    summed = np.concatenate([np.zeros((1, 3)), np.cumsum(signals, axis=0)])
+    means = (summed[starts + warm_up + ahead] - summed[starts + warm_up]) / ahead
+    shares = means / np.maximum(np.quantile(np.abs(signals), CRITERIA.greatest_quantile, axis=0), 1e-6)
+    pedal_edges = (*(-edge for edge in reversed(PEDAL_CLASS_EDGES)), *PEDAL_CLASS_EDGES)
+    edges = (SPEED_CLASS_EDGES, pedal_edges, STEER_CLASS_EDGES)
     return np.stack([np.digitize(shares[:, i], edges[i]) for i in range(3)], axis=1)
 
 
-def spread(some: Array, count: int) -> Array:
+def spread_evenly(rows: Array, count: int) -> Array:
     """At most `count` of the rows, evenly spread."""
-    if len(some) <= count:
-        return some
-    return some[np.linspace(0, len(some) - 1, count).astype(int)]
+    if len(rows) <= count:
+        return rows
+    return rows[np.linspace(0, len(rows) - 1, count).astype(int)]

@@ -140,7 +140,15 @@ def _lag(params: ActuatorParams, dt_s: float, rest_s: float) -> Lag:
     if params.order == 2:
         whole = _free_motion(params, dt_s)
         part = _free_motion(params, dt_s - rest_s)
-        return Lag(1.0 - part[0], part[0] - whole[0], whole[1], -part[2], part[2] - whole[2], whole[3], most)
+        return Lag(
+            output_new=1.0 - part.a11,
+            output_old=part.a11 - whole.a11,
+            output_slope=whole.a12,
+            slope_new=-part.a21,
+            slope_old=part.a21 - whole.a21,
+            slope_slope=whole.a22,
+            most=most,
+        )
     if params.lag_s == 0.0:
         share = rest_s / dt_s  # no lag: the tick's mean, so that the answer is continuous in the dead time
         return Lag(1.0 - share, share, 0.0, 0.0, 0.0, 0.0, most)
@@ -149,8 +157,17 @@ def _lag(params: ActuatorParams, dt_s: float, rest_s: float) -> Lag:
     return Lag(1.0 - part_kept, part_kept - kept, 0.0, 0.0, 0.0, 0.0, most)
 
 
-def _free_motion(params: ActuatorParams, time_s: float) -> tuple[float, float, float, float]:
-    """exp(A t), A = [[0, 1], [-w^2, -2 d w]], as (a11, a12, a21, a22)."""
+class Transition(NamedTuple):
+    """A 2 x 2 matrix exp(A t) by rows."""
+
+    a11: float
+    a12: float
+    a21: float
+    a22: float
+
+
+def _free_motion(params: ActuatorParams, time_s: float) -> Transition:
+    """exp(A t) of A = [[0, 1], [-w^2, -2 d w]], the lag of second order without input."""
     natural = 2.0 * math.pi * params.natural_hz
     damped = params.damping * natural
     inner = natural * natural - damped * damped
@@ -163,7 +180,7 @@ def _free_motion(params: ActuatorParams, time_s: float) -> tuple[float, float, f
     else:
         ring = math.sqrt(-inner)
         cosine, sine = math.cosh(ring * time_s), math.sinh(ring * time_s) / ring
-    return (
+    return Transition(
         fade * (cosine + damped * sine),
         fade * sine,
         -fade * natural * natural * sine,

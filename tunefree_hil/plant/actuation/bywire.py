@@ -1,4 +1,4 @@
-"""The by-wire unit: enable, override, time-outs, counters, watchdog (apollo_facts 7.3).
+"""The by-wire unit: enable, override, time-outs, counters, watchdog (docs/reference/by_wire.md).
 
 One Block a vehicle: ByWireInput -> (applied Command, ByWireStatus). Faults (time-out, counter, watchdog) stay until a
 power cycle, which is `init`; CLEAR clears a latched override only. Reverse and park are taken at standstill only.
@@ -131,12 +131,12 @@ def find_cause(channel: ChannelState, first_code: float, may_not_drop: float) ->
 def settle(rules: ChannelRules, state: ChannelState, allowed: float, e2e: float) -> tuple[ChannelState, ChannelStatus]:
     """Decide whether the channel is enabled in this tick; the E2E status of its message is passed on."""
     enabled = 1.0 if allowed > 0.5 and state.wanted > 0.5 and state.age_ticks < rules.timeout_ticks else 0.0
-    kept = ChannelState(
+    new_state = ChannelState(
         state.value, state.wanted, state.ignore, enabled, state.override, state.timeout, state.counter_fault,
         0.0, state.age_ticks, state.driver_ticks, state.override_ticks,
     )  # fmt: skip
     driver = 1.0 if state.driver_ticks >= rules.driver_ticks else 0.0
-    return kept, ChannelStatus(enabled, state.override, driver, state.timeout, state.counter_fault, e2e)
+    return new_state, ChannelStatus(enabled, state.override, driver, state.timeout, state.counter_fault, e2e)
 
 
 @kernel
@@ -240,7 +240,7 @@ def step_bywire(
     light_input = light(params, state.light_input, driver.brake_frac)
     light_command = light(params, state.light_command, asked_frac)
     light_output = light(params, state.light_output, applied_frac)
-    kept = ByWireState(
+    new_state = ByWireState(
         throttle, brake, steer, gear, gear_override, cause, gear_wish, light_input, light_command, light_output,
         brake_frac, hold_rad,
     )  # fmt: skip
@@ -250,7 +250,7 @@ def step_bywire(
         throttle_status, brake_status, steer_status, gear_override, braking, cause,
         light_input, light_command, light_output, gear_wish, reject(gear, gear_wish, gear_override),
     )  # fmt: skip
-    return kept, ByWireOutput(command, status)
+    return new_state, ByWireOutput(command, status)
 
 
 def init_bywire(params: ByWireParams, dt_s: float) -> ByWireState:

@@ -1,4 +1,4 @@
-"""Words of the by-wire unit: what it hears, its rules, its status bits, its watchdog (apollo_facts 7.3)."""
+"""Words of the by-wire unit: what it hears, its rules, its status bits, its watchdog (docs/reference/by_wire.md)."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ class ChannelRules(NamedTuple):
 class ByWireParams(NamedTuple):
     """Rules of a unit in ticks; the defaults are for ticks of 10 ms (bench/vehicle.py works them out for others).
 
-    Source: apollo_facts 7.3; what it does not state is marked assumed. The unit heeds counters when check_counter is 1.
+    Source: docs/reference/by_wire.md; what it does not state is marked assumed. The unit heeds counters when check_counter is 1.
     first_gear: the lever at power-up.
     """
 
@@ -119,6 +119,6 @@ class ByWireParams(NamedTuple):
     watchdog_brake_frac: float = 0.30  # assumed
     standstill_mps: float = 0.1  # assumed
     check_counter: float = 1.0
-    light_on_frac: float = 0.22  # brake duty, with hysteresis (apollo_facts 7.4)
+    light_on_frac: float = 0.22  # brake duty, with hysteresis (docs/reference/by_wire.md)
     light_off_frac: float = 0.20
     first_gear: float = GEAR_DRIVE

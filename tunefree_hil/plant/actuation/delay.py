@@ -1,4 +1,4 @@
-"""A delay by whole ticks, for any record: the bench's report and command delay in lockstep (design D4)."""
+"""A delay by whole ticks, for any record: the bench's report and command delay in lockstep (docs/reference/bench_channel.md)."""
 
 from __future__ import annotations
 

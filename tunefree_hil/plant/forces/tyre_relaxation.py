@@ -40,10 +40,10 @@ AT_EASE = Axles(0.0, 0.0)
 
 @kernel
 def relaxed_rates(
-    p: SingleTrack, push: Push, grip: float, steer: tuple[float, float, float], now: Velocity, axles: Axles
+    p: SingleTrack, push: Push, grip: float, steer: tuple[float, float, float], velocity: Velocity, axles: Axles
 ) -> Rates:
     """Newton and Euler with the forces as they are; steer is road-wheel angle with its cosine and sine."""
-    speed, side, yaw = now.speed_mps, now.side_speed_mps, now.yaw_rate_radps
+    speed, side, yaw = velocity.speed_mps, velocity.side_speed_mps, velocity.yaw_rate_radps
     base_mps = max(speed, LOW_MPS)
     front_slip = steer[0] - math.atan((side + p.front_axle_m * yaw) / base_mps)
     rear_slip = -math.atan((side - p.rear_axle_m * yaw) / base_mps)
@@ -63,9 +63,9 @@ def solved(p: SingleTrack, speed: float, rate: Rates, step_s: float) -> Rates:
     """(1 - step_s * A)^-1 times the rates; A: their linear slopes by side speed, yaw rate and forces at that speed."""
     base_mps = max(speed, LOW_MPS)
     a, b = p.front_axle_m, p.rear_axle_m
-    way = step_s * base_mps / p.relaxation_m  # not 0: only called where there is a length
-    left = 1.0 / (1.0 + way)  # not 0: the way is not negative
-    front, rear = way * left * p.front_stiffness, way * left * p.rear_stiffness
+    step_lengths = step_s * base_mps / p.relaxation_m  # not 0: only called where there is a length
+    left = 1.0 / (1.0 + step_lengths)  # not 0: the way is not negative
+    front, rear = step_lengths * left * p.front_stiffness, step_lengths * left * p.rear_stiffness
     scale = step_s / base_mps
     turn = a * front - b * rear
     m11 = 1.0 + scale * (front + rear) * p.inverse_mass
@@ -89,16 +89,22 @@ def solved(p: SingleTrack, speed: float, rate: Rates, step_s: float) -> Rates:
 
 @kernel
 def relaxed_step(
-    p: SingleTrack, push: Push, grip: float, steer: tuple[float, float, float], was: Velocity, axles: Axles, dt_s: float
+    p: SingleTrack,
+    push: Push,
+    grip: float,
+    steer: tuple[float, float, float],
+    velocity: Velocity,
+    axles: Axles,
+    dt_s: float,
 ) -> tuple[Velocity, Axles]:
     """ROS2 over one step: new velocities (forward not below 0) and forces."""
-    gamma_s, speed = GAMMA * dt_s, was.speed_mps
-    start = relaxed_rates(p, push, grip, steer, was, axles)
+    gamma_s, speed = GAMMA * dt_s, velocity.speed_mps
+    start = relaxed_rates(p, push, grip, steer, velocity, axles)
     first = solved(p, speed, start, gamma_s)
     reached = Velocity(
         max(speed + dt_s * start.speed, 0.0),
-        was.side_speed_mps + dt_s * first.side,
-        was.yaw_rate_radps + dt_s * first.yaw,
+        velocity.side_speed_mps + dt_s * first.side,
+        velocity.yaw_rate_radps + dt_s * first.yaw,
     )
     grown = Axles(axles.front_n + dt_s * first.front, axles.rear_n + dt_s * first.rear)
     end = relaxed_rates(p, push, grip, steer, reached, grown)
@@ -109,8 +115,8 @@ def relaxed_step(
     second = solved(p, speed, twice, gamma_s)
     return Velocity(
         max(speed + 0.5 * dt_s * (start.speed + end.speed), 0.0),
-        was.side_speed_mps + dt_s * (1.5 * first.side + 0.5 * second.side),
-        was.yaw_rate_radps + dt_s * (1.5 * first.yaw + 0.5 * second.yaw),
+        velocity.side_speed_mps + dt_s * (1.5 * first.side + 0.5 * second.side),
+        velocity.yaw_rate_radps + dt_s * (1.5 * first.yaw + 0.5 * second.yaw),
     ), Axles(
         axles.front_n + dt_s * (1.5 * first.front + 0.5 * second.front),
         axles.rear_n + dt_s * (1.5 * first.rear + 0.5 * second.rear),

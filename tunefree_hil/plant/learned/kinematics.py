@@ -90,39 +90,41 @@ def over_rest(p: Carriage, act: Actuation) -> tuple[float, float]:
 
 
 @kernel
-def driven(p: Carriage, was: Motion, accel_mps2: float, yaw_rate_radps: float, x: ChassisInput, dt_s: float) -> Motion:
+def driven(
+    p: Carriage, motion: Motion, accel_mps2: float, yaw_rate_radps: float, x: ChassisInput, dt_s: float
+) -> Motion:
     """The motion a tick later, for an acceleration along level ground and a yaw rate at the tick's end.
 
     Standing, the car stays until at least PULL_AWAY_MPS2 is asked for; it never rolls back. Out of drive nothing drives
     it, so that it then stays.
     """
     grip = p.grip_mps2 * x.road.friction_frac
-    own = clamp(accel_mps2 * p.mass_frac, -grip, grip)
-    if x.actuation.gear < GEAR_DRIVE and own > 0.0:
-        own = 0.0  # the plant knows its creep only in drive
+    net_mps2 = clamp(accel_mps2 * p.mass_frac, -grip, grip)
+    if x.actuation.gear < GEAR_DRIVE and net_mps2 > 0.0:
+        net_mps2 = 0.0  # the plant knows its creep only in drive
     slope = G_MPS2 * math.sin(x.road.grade_rad + p.grade_rad)
-    air = was.speed_mps + p.head_wind_mps
-    against = p.drag_mps2 + (p.air_per_m * air * abs(air) - p.own_air_per_m * was.speed_mps * abs(was.speed_mps))
-    speed = was.speed_mps + dt_s * (own - slope - against)
-    if speed < 0.0 or (was.speed_mps <= 0.0 and own < PULL_AWAY_MPS2):
+    air = motion.speed_mps + p.head_wind_mps
+    against = p.drag_mps2 + (p.air_per_m * air * abs(air) - p.own_air_per_m * motion.speed_mps * abs(motion.speed_mps))
+    speed = motion.speed_mps + dt_s * (net_mps2 - slope - against)
+    if speed < 0.0 or (motion.speed_mps <= 0.0 and net_mps2 < PULL_AWAY_MPS2):
         speed = 0.0
     most = grip / max(speed, LEAST_MPS)
     yaw = clamp(yaw_rate_radps, -most, most) * clamp(speed / FADE_MPS, 0.0, 1.0)
     angle = x.actuation.steer_rad * p.inverse_ratio
-    now = Velocity(speed, p.rear_axle_m * yaw, yaw)
-    return moved(p, was, now, (slope, 0.0), (math.cos(angle), math.sin(angle)), dt_s)
+    velocity = Velocity(speed, p.rear_axle_m * yaw, yaw)
+    return moved(p, motion, velocity, (slope, 0.0), (math.cos(angle), math.sin(angle)), dt_s)
 
 
 @kernel
-def said_of(p: Carriage, accel_mps2: float, now: Motion, x: ChassisInput) -> float:
+def said_of(p: Carriage, accel_mps2: float, motion: Motion, x: ChassisInput) -> float:
     """The plant's own acceleration, as it takes it in again a tick later. Gravity, drag and payload are no part of it:
     a network that has always seen its own acceleration go on would go on with them, and they come on top once more.
     """
     grip = p.grip_mps2 * x.road.friction_frac
-    return clamp(accel_mps2, -grip, grip) if now.speed_mps > 0.0 else 0.0
+    return clamp(accel_mps2, -grip, grip) if motion.speed_mps > 0.0 else 0.0
 
 
 @kernel
-def seen_of(own_mps2: float, was: Motion, seen: Motion) -> float:
+def seen_of(own_mps2: float, motion: Motion, seen: Motion) -> float:
     """The same of a measured motion: what came on top in the tick before is taken off."""
-    return seen.speed_rate_mps2 + (own_mps2 - was.speed_rate_mps2)
+    return seen.speed_rate_mps2 + (own_mps2 - motion.speed_rate_mps2)

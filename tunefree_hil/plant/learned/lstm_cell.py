@@ -1,4 +1,4 @@
-"""One step of an LSTM cell, and of a layer of tanh, as kernels (design D6): the ECU and the batch run these.
+"""One step of an LSTM cell, and of a layer of tanh, as kernels (docs/reference/design.md): the ECU and the batch run these.
 
 tanh is a rational function of our own (the 13/6 form with its clamp, opt_anchors C.2), in float64 within 2e-7 of the
 real one; the sigmoid is made of it. Loops are explicit and sums run in one order, so plain Python and compiled code
@@ -82,9 +82,9 @@ def sigmoid(x: float) -> float:
 
 
 @kernel
-def take_in(net: Any, seen: Any, at: int, value: float) -> None:
+def take_in(net: Any, seen: Any, index: int, value: float) -> None:
     """Put input number `at` of a cell or a layer where its next step looks for it."""
-    seen[at] = (value - net.mean[at]) * net.inverse_scale[at]
+    seen[index] = (value - net.mean[index]) * net.inverse_scale[index]
 
 
 @kernel
@@ -95,25 +95,25 @@ def step_cell(net: Cell, state: CellState, relu: bool) -> None:
     """
     seen, memory, sums, weights = state.seen, state.memory, state.sums, net.weights
     width, taken = len(memory), len(seen)
-    first, at = taken - width, 0
+    first, offset = taken - width, 0
     for row in range(4 * width):
-        total = float(weights[at + taken])
+        total = float(weights[offset + taken])
         for i in range(taken):
-            total = total + weights[at + i] * seen[i]
+            total = total + weights[offset + i] * seen[i]
         sums[row] = total
-        at = at + taken + 1
+        offset = offset + taken + 1
     for j in range(width):
         candidate, keep = sums[2 * width + j], sigmoid(sums[width + j])
         if relu:
             candidate = candidate if candidate > 0.0 else 0.0
         else:
             candidate = rational_tanh(candidate)
-        held = keep * memory[j] + sigmoid(sums[j]) * candidate
-        memory[j] = held
+        cell_value = keep * memory[j] + sigmoid(sums[j]) * candidate
+        memory[j] = cell_value
         if relu:
-            shown = held if held > 0.0 else 0.0
+            shown = cell_value if cell_value > 0.0 else 0.0
         else:
-            shown = rational_tanh(held)
+            shown = rational_tanh(cell_value)
         seen[first + j] = sigmoid(sums[3 * width + j]) * shown
 
 
@@ -121,10 +121,10 @@ def step_cell(net: Cell, state: CellState, relu: bool) -> None:
 def cell_out(net: Cell, state: CellState, row: int) -> float:
     """Linear output number `row` of what the cell shows."""
     width = len(state.memory)
-    first, at = len(state.seen) - width, row * (width + 1)
-    total = float(net.out[at + width])
+    first, offset = len(state.seen) - width, row * (width + 1)
+    total = float(net.out[offset + width])
     for j in range(width):
-        total = total + net.out[at + j] * state.seen[first + j]
+        total = total + net.out[offset + j] * state.seen[first + j]
     return total
 
 
@@ -142,23 +142,23 @@ def clear_cell(state: CellState) -> None:
 def step_layer(net: Layer, state: LayerState) -> None:
     """The hidden layer of tanh on the inputs in state.seen."""
     seen, hidden, weights = state.seen, state.hidden, net.weights
-    taken, at = len(seen), 0
+    taken, offset = len(seen), 0
     for j in range(len(hidden)):
-        total = float(weights[at + taken])
+        total = float(weights[offset + taken])
         for i in range(taken):
-            total = total + weights[at + i] * seen[i]
+            total = total + weights[offset + i] * seen[i]
         hidden[j] = rational_tanh(total)
-        at = at + taken + 1
+        offset = offset + taken + 1
 
 
 @kernel
 def layer_out(net: Layer, state: LayerState, row: int) -> float:
     """Linear output number `row` of the hidden layer."""
     width = len(state.hidden)
-    at = row * (width + 1)
-    total = float(net.out[at + width])
+    offset = row * (width + 1)
+    total = float(net.out[offset + width])
     for j in range(width):
-        total = total + net.out[at + j] * state.hidden[j]
+        total = total + net.out[offset + j] * state.hidden[j]
     return total
 
 

@@ -76,20 +76,20 @@ def load_plant_file(path: Path, kind: str) -> PlantFile:
         raise InputError("no such file", code="no_plant_file", file=str(path), key="plant.file", hint=HINT)
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            found = {name: archive[name] for name in archive.files}
+            arrays = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         raise InputError(f"cannot be read: {error}", code="bad_plant_file", file=str(path), hint=HINT) from error
-    said = str(found.pop("kind", ""))
-    if said != kind:
+    kind_in_file = str(arrays.pop("kind", ""))
+    if kind_in_file != kind:
         raise InputError(
-            f"is of kind {said or 'nothing'!r}, model.toml says {kind!r}",
+            f"is of kind {kind_in_file or 'nothing'!r}, model.toml says {kind!r}",
             code="other_plant_kind",
             file=str(path),
             key="kind",
             hint="set [plant] kind to the file's, or name the file that belongs to the kind",
         )
-    inputs = tuple(str(name) for name in np.atleast_1d(found.pop("inputs", np.array([], dtype=str))))
-    plant = PlantFile(kind, inputs, found)
+    inputs = tuple(str(name) for name in np.atleast_1d(arrays.pop("inputs", np.array([], dtype=str))))
+    plant = PlantFile(kind, inputs, arrays)
     _refuse(plant, str(path))
     return plant
 

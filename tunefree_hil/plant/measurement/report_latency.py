@@ -1,7 +1,7 @@
-"""Frames that are late as a whole: what they say beside the measurement is as late (interfaces 4, report_latency).
+"""Delay of the by-wire unit's status bits when an effect delays the report frames: they travel in the same frames.
 
-The measurement's own delay is the effect's (a Block on Report); here are the status bits of the by-wire unit, which
-travel in the same frames. Between two ticks a bit is what it was: a part of a tick counts as a whole one.
+The delay of the measurement is the effect's own (effects/_latency.py). A bit has no value between two ticks, so a
+fraction of a tick counts as a whole tick.
 """
 
 from __future__ import annotations
@@ -12,81 +12,106 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.base.contracts import Latency, Port
 from tunefree_hil.base.kernel import Block, buffer, kernel
+from tunefree_hil.base.rows import next_row, pack_row
 from tunefree_hil.plant.actuation.bywire_types import ByWireStatus, ChannelStatus
 from tunefree_hil.plant.ports import Effects
 
-BITS, OTHERS = 6, 8  # of a channel; of the status beside the three channels
-WIDTH = 3 * BITS + OTHERS
+CHANNEL_WIDTH = len(ChannelStatus._fields)
+STATUS_WIDTH = 3 * CHANNEL_WIDTH + len(ByWireStatus._fields) - 3
 
 
-class LateState(NamedTuple):
-    """Rows of WIDTH numbers, one a tick, and the place of the oldest."""
+class StatusDelayState(NamedTuple):
+    """A ring of status rows, one a tick, and where the oldest begins."""
 
     rows: Any
     oldest: int
 
 
-def latency_of(effects: Effects) -> tuple[bool, float]:
-    """(whether there are effects that make the reports late, by how much in s all together)."""
-    blocks = [made for port, made in effects if port is Port.REPORT and isinstance(made, Block)]
+def report_latency(effects: Effects) -> tuple[bool, float]:
+    """Whether there are effects that delay the reports, and their total delay, s."""
+    blocks = [block for port, block in effects if port is Port.REPORT and isinstance(block, Block)]
     delays = [block.params.delay_s for block in blocks if isinstance(block.params, Latency)]
     return bool(delays), sum(delays)
 
 
-def init_late(delay_s: float, dt_s: float) -> LateState:
-    """Nothing has been said before tick 0: every bit is 0, as in ByWireStatus()."""
+def init_status_delay(delay_s: float, dt_s: float) -> StatusDelayState:
+    """The state before tick 0: every bit is 0, as in ByWireStatus()."""
     ticks = math.ceil(delay_s / dt_s - 1e-9)
-    return LateState(buffer((ticks + 1) * WIDTH), 0)
+    return StatusDelayState(buffer((ticks + 1) * STATUS_WIDTH), 0)
 
 
 @kernel
-def channel_at(rows: Any, at: int) -> ChannelStatus:
-    """A channel's bits."""
+def pack_status(rows: Any, start: int, status: ByWireStatus) -> int:
+    """Write a status to the row that begins at `start`; returns the index behind it."""
+    i = pack_row(rows, start, status.throttle)
+    i = pack_row(rows, i, status.brake)
+    i = pack_row(rows, i, status.steer)
+    rows[i] = status.gear_override
+    rows[i + 1] = status.watchdog_braking
+    rows[i + 2] = status.watchdog_cause
+    rows[i + 3] = status.light_input
+    rows[i + 4] = status.light_command
+    rows[i + 5] = status.light_output
+    rows[i + 6] = status.gear_wish
+    rows[i + 7] = status.gear_reject
+    return i + 8
+
+
+@kernel
+def unpack_channel(rows: Any, i: int) -> ChannelStatus:
+    """The bits of a channel that begin at `i`."""
     return ChannelStatus(
-        float(rows[at]), float(rows[at + 1]), float(rows[at + 2]), float(rows[at + 3]), float(rows[at + 4]),
-        float(rows[at + 5]),
-    )  # fmt: skip
+        enabled=float(rows[i]),
+        override=float(rows[i + 1]),
+        driver=float(rows[i + 2]),
+        timeout=float(rows[i + 3]),
+        counter_fault=float(rows[i + 4]),
+        e2e=float(rows[i + 5]),
+    )
 
 
 @kernel
-def step_late(state: LateState, x: ByWireStatus) -> tuple[LateState, ByWireStatus]:
-    """The status of as many ticks ago as there are rows, less one."""
-    rows, at = state.rows, state.oldest
-    for i in range(BITS):
-        rows[at + i] = x.throttle[i]
-        rows[at + BITS + i] = x.brake[i]
-        rows[at + 2 * BITS + i] = x.steer[i]
-    last = at + 3 * BITS
-    rows[last] = x.gear_override
-    rows[last + 1] = x.watchdog_braking
-    rows[last + 2] = x.watchdog_cause
-    rows[last + 3] = x.light_input
-    rows[last + 4] = x.light_command
-    rows[last + 5] = x.light_output
-    rows[last + 6] = x.gear_wish
-    rows[last + 7] = x.gear_reject
-    at = at + WIDTH
-    if at == len(rows):
-        at = 0
-    last = at + 3 * BITS
-    status = ByWireStatus(
-        channel_at(rows, at), channel_at(rows, at + BITS), channel_at(rows, at + 2 * BITS), float(rows[last]),
-        float(rows[last + 1]), float(rows[last + 2]), float(rows[last + 3]), float(rows[last + 4]),
-        float(rows[last + 5]), float(rows[last + 6]), float(rows[last + 7]),
-    )  # fmt: skip
-    return LateState(rows, at), status
+def unpack_status(rows: Any, start: int) -> ByWireStatus:
+    """The status in the row that begins at `start`."""
+    i = start + 3 * CHANNEL_WIDTH
+    return ByWireStatus(
+        throttle=unpack_channel(rows, start),
+        brake=unpack_channel(rows, start + CHANNEL_WIDTH),
+        steer=unpack_channel(rows, start + 2 * CHANNEL_WIDTH),
+        gear_override=float(rows[i]),
+        watchdog_braking=float(rows[i + 1]),
+        watchdog_cause=float(rows[i + 2]),
+        light_input=float(rows[i + 3]),
+        light_command=float(rows[i + 4]),
+        light_output=float(rows[i + 5]),
+        gear_wish=float(rows[i + 6]),
+        gear_reject=float(rows[i + 7]),
+    )
 
 
-def with_late_status(delay_step: Callable[..., Any], said: Callable[..., Any]) -> Callable[..., Any]:
-    """The step of a delay of what is `said` (a record of measurement and status), the status late before it.
+@kernel
+def delay_status(state: StatusDelayState, status: ByWireStatus) -> tuple[StatusDelayState, ByWireStatus]:
+    """Put in the status of this tick; returns the oldest one in the ring."""
+    pack_status(state.rows, state.oldest, status)
+    oldest = next_row(state.rows, state.oldest, STATUS_WIDTH)
+    return StatusDelayState(state.rows, oldest), unpack_status(state.rows, oldest)
 
-    Its state is (LateState, the delay's own).
+
+def delay_with_status(delay_step: Callable[..., Any], make_reports: Callable[..., Any]) -> Callable[..., Any]:
+    """The step of a report delay whose status bits are delayed by StatusDelayState as well.
+
+    Args:
+        delay_step: the step of the delay.
+        make_reports: the record of measurement and status that is delayed.
+
+    Returns:
+        The step; its state is (StatusDelayState, the delay's own state).
     """
 
     @kernel
     def step(params: Any, state: Any, x: Any, dt_s: float) -> tuple[Any, Any]:
-        late, status = step_late(state[0], x.status)
-        reports, now = delay_step(params, state[1], said(x.measurement, status), dt_s)
-        return (late, reports), now
+        status_state, status = delay_status(state[0], x.status)
+        delay_state, reports = delay_step(params, state[1], make_reports(x.measurement, status), dt_s)
+        return (status_state, delay_state), reports
 
     return step

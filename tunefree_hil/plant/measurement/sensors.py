@@ -79,29 +79,29 @@ def noise_table(sigma: Mapping[str, float], bias: Mapping[str, float], ticks: in
 
 
 @kernel
-def report_of(x: SensorInput, noise: Any, at: int) -> Report:
+def report_of(x: SensorInput, noise: Any, offset: int) -> Report:
     """The chassis reports; `at` is where this tick's noise begins."""
-    motion, out, told, driver = x.motion, x.actuation, x.command, x.driver
+    motion, out, command, driver = x.motion, x.actuation, x.command, x.driver
     return Report(
         driver.throttle_frac,
-        told.throttle_frac,
-        out.throttle_frac + noise[at],
+        command.throttle_frac,
+        out.throttle_frac + noise[offset],
         driver.brake_frac,
-        told.brake_frac,
-        out.brake_frac + noise[at + 1],
-        told.steer_rad,
-        out.steer_rad + noise[at + 2],
-        motion.speed_mps + noise[at + 3],
-        motion.wheel_fl_radps + noise[at + 4],
-        motion.wheel_fr_radps + noise[at + 5],
-        motion.wheel_rl_radps + noise[at + 6],
-        motion.wheel_rr_radps + noise[at + 7],
-        motion.accel_mps2 + noise[at + 8],
-        motion.lateral_accel_mps2 + noise[at + 9],
-        motion.yaw_rate_radps + noise[at + 10],
+        command.brake_frac,
+        out.brake_frac + noise[offset + 1],
+        command.steer_rad,
+        out.steer_rad + noise[offset + 2],
+        motion.speed_mps + noise[offset + 3],
+        motion.wheel_fl_radps + noise[offset + 4],
+        motion.wheel_fr_radps + noise[offset + 5],
+        motion.wheel_rl_radps + noise[offset + 6],
+        motion.wheel_rr_radps + noise[offset + 7],
+        motion.accel_mps2 + noise[offset + 8],
+        motion.lateral_accel_mps2 + noise[offset + 9],
+        motion.yaw_rate_radps + noise[offset + 10],
         out.gear,
-        told.accel_mps2,
-        told.steer_torque_nm,
+        command.accel_mps2,
+        command.steer_torque_nm,
         driver.steer_torque_nm,
     )
 
@@ -122,15 +122,15 @@ def ins_of(params: SensorParams, motion: Motion) -> Ins:
 
 
 @kernel
-def noisy_ins(ins: Ins, noise: Any, at: int) -> Ins:
+def noisy_ins(ins: Ins, noise: Any, offset: int) -> Ins:
     """The INS record with this tick's noise."""
     return Ins(
-        ins.x_m + noise[at + 11],
-        ins.y_m + noise[at + 12],
-        wrap_rad(ins.heading_rad + noise[at + 13]),
-        ins.speed_mps + noise[at + 14],
-        ins.accel_mps2 + noise[at + 15],
-        ins.yaw_rate_radps + noise[at + 16],
+        ins.x_m + noise[offset + 11],
+        ins.y_m + noise[offset + 12],
+        wrap_rad(ins.heading_rad + noise[offset + 13]),
+        ins.speed_mps + noise[offset + 14],
+        ins.accel_mps2 + noise[offset + 15],
+        ins.yaw_rate_radps + noise[offset + 16],
     )
 
 
@@ -144,20 +144,20 @@ def sensors(params: SensorParams, ins_ticks: int = 0) -> Block:
 
         @kernel
         def step_now(params: SensorParams, state: SensorState, x: SensorInput, dt_s: float) -> Any:
-            at = state.row * WIDTH
-            row = 0 if at + WIDTH >= len(params.noise) else state.row + 1
-            ins = noisy_ins(ins_of(params, x.motion), params.noise, at)
-            return SensorState(row, state.late), Measurement(report_of(x, params.noise, at), ins)
+            offset = state.row * WIDTH
+            row = 0 if offset + WIDTH >= len(params.noise) else state.row + 1
+            ins = noisy_ins(ins_of(params, x.motion), params.noise, offset)
+            return SensorState(row, state.late), Measurement(report_of(x, params.noise, offset), ins)
 
         return Block(init, step_now, params)
 
     @kernel
     def step(params: SensorParams, state: SensorState, x: SensorInput, dt_s: float) -> Any:
-        at = state.row * WIDTH
-        row = 0 if at + WIDTH >= len(params.noise) else state.row + 1
+        offset = state.row * WIDTH
+        row = 0 if offset + WIDTH >= len(params.noise) else state.row + 1
         late = state.late[1:] + (ins_of(params, x.motion),)
-        ins = noisy_ins(state.late[0], params.noise, at)
-        return SensorState(row, late), Measurement(report_of(x, params.noise, at), ins)
+        ins = noisy_ins(state.late[0], params.noise, offset)
+        return SensorState(row, late), Measurement(report_of(x, params.noise, offset), ins)
 
     return Block(init, step, params)
 

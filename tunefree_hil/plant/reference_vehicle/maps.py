@@ -1,4 +1,4 @@
-"""Pedal maps and gearbox of the reference vehicle, from the published tables (apollo_facts 2 and 7.4).
+"""Pedal maps and gearbox of the reference vehicle, from the published tables (docs/reference/apollo.md).
 
 Drive: the calibration table's accelerations less its coasting, as a force at 1736 kg, bilinear in speed and duty.
 Above 10 m/s, where the table ends, each duty keeps the power it has there. Coasting (creep below 2 m/s, engine drag
@@ -17,7 +17,7 @@ from tunefree_hil.base.kernel import kernel, table
 from tunefree_hil.base.maths import clamp, find_cell, lerp_table
 from tunefree_hil.base.units import AIR_DENSITY_KGPM3, G_MPS2
 
-MAP_MASS_KG = 1736.35  # the car that the tables describe (apollo_facts 7.4)
+MAP_MASS_KG = 1736.35  # the car that the tables describe (docs/reference/by_wire.md)
 MAP_REST_FRAC = 0.15  # its pedals' duty with no foot on them
 LAST_MPS = 10.0  # where the calibration table ends
 SPEEDS_MPS = (0.0, 0.4, 1.0, 2.0, 3.0, 5.0, 7.0, LAST_MPS)
@@ -119,14 +119,14 @@ def drive_force_n(maps: Maps, duty: float, speed_mps: float) -> float:
     grid, duties = maps.speed_mps, maps.duty
     columns = len(duties)
     speed = speed_mps if speed_mps < LAST_MPS else LAST_MPS
-    asked = clamp(duty, duties[0], duties[columns - 1])
-    i, j = find_cell(grid, speed), find_cell(duties, asked)
-    across = (asked - duties[j]) / (duties[j + 1] - duties[j])  # not 0: the duties ascend
+    duty_in_table = clamp(duty, duties[0], duties[columns - 1])
+    i, j = find_cell(grid, speed), find_cell(duties, duty_in_table)
+    across = (duty_in_table - duties[j]) / (duties[j + 1] - duties[j])  # not 0: the duties ascend
     along = (speed - grid[i]) / (grid[i + 1] - grid[i])  # not 0: the speeds ascend
-    at = i * columns + j
-    low = maps.drive_n[at] + across * (maps.drive_n[at + 1] - maps.drive_n[at])
-    at = at + columns
-    high = maps.drive_n[at] + across * (maps.drive_n[at + 1] - maps.drive_n[at])
+    cell = i * columns + j
+    low = maps.drive_n[cell] + across * (maps.drive_n[cell + 1] - maps.drive_n[cell])
+    cell = cell + columns
+    high = maps.drive_n[cell] + across * (maps.drive_n[cell + 1] - maps.drive_n[cell])
     force_n = float(low + along * (high - low))
     return force_n if speed_mps <= LAST_MPS else force_n * LAST_MPS / max(speed_mps, LAST_MPS)
 

@@ -1,8 +1,8 @@
-"""The end of a shared study: what one worker does for all when every slot is filled, claimed as a slot is.
+"""The finalisation of a shared study: what one worker does for all when every slot is filled.
 
-What it found is kept with the study, under the trials that it is about; other workers wait for it and go by it. A
-worker that dies at it is followed by one that waits, or by the next that is started: by the server's clock, not by who
-filled the last slot.
+It is leased as a slot is. Its results are stored with the study, together with an id of the trials that they are for;
+the other workers wait for them and use them. A worker that dies while it finalises is replaced, after its lease has
+expired on the server, by one that waits or by the next one that is started.
 """
 
 from __future__ import annotations
@@ -16,79 +16,84 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from tunefree_hil.tune.shared import server
 from tunefree_hil.tune.shared.shared_study import POLL_S, SharedStudy
-from tunefree_hil.tune.shared.slot_leases import Pulse
+from tunefree_hil.tune.shared.slot_leases import Heartbeat
 
-CLAIM = -1  # in the table of claims, beside the slots from 0 on
-WORKER = "worker"  # who found the first part
+FINALISATION_SLOT = -1  # in the table of leases; the slots begin at 0
+WORKER = "worker"  # key of the worker that stored the first part
+TRIALS_ID = "of"  # key
 R = TypeVar("R")
 
 
-class Ending:
-    """Context manager. After `look`: `kept`, the parts that are there; `ours`, whether the rest is ours to do."""
+class Finalisation:
+    """Context manager. After `wait_for_parts`: `parts` are stored, `is_ours` says that we do the missing ones."""
 
-    def __init__(self, study: SharedStudy, of: str) -> None:
+    def __init__(self, study: SharedStudy, trials_id: str) -> None:
         self.study = study
-        self.of = of
-        self.kept: dict[str, Any] = {}
-        self.ours = False
-        self._pulse: Pulse | None = None
+        self.trials_id = trials_id
+        self.parts: dict[str, Any] = {}
+        self.is_ours = False
+        self._heartbeat: Heartbeat | None = None
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Give the claim back: what is missing is somebody else's from now on."""
-        if self._pulse is None:
+        """Release the lease: another worker may do what is missing."""
+        if self._heartbeat is None:
             return
-        self._pulse.__exit__(None, None, None)
-        with contextlib.suppress(SQLAlchemyError):  # a server that is gone: the claim expires there by itself
-            self.study.claims.leave(CLAIM)
+        self._heartbeat.__exit__(None, None, None)
+        with contextlib.suppress(SQLAlchemyError):  # on a server that is unreachable the lease expires
+            self.study.leases.release(FINALISATION_SLOT)
 
-    def look(self, wanted: Sequence[str]) -> Generator[str, None, None]:
-        """Wait until all of `wanted` is there, what is missing is ours, or only later parts are left to another worker.
+    def wait_for_parts(self, wanted: Sequence[str]) -> Generator[str, None, None]:
+        """Wait until all parts are stored, until we do the missing ones, or until only later parts are missing.
 
-        Yields sentences for a person.
+        Args:
+            wanted: Names of the parts, in the order in which they are stored.
+
+        Yields:
+            Messages for the user.
         """
-        waiting = False
+        is_waiting = False
         while True:
-            yield from self._patiently(self._read)
-            if not self._missing(wanted):
+            yield from self._retry(self._read)
+            if not self._is_missing(wanted):
                 return
-            self.ours = yield from self._patiently(lambda: self._take(wanted))
-            if self.ours or wanted[0] in self.kept:
+            self.is_ours = yield from self._retry(lambda: self._acquire(wanted))
+            if self.is_ours or wanted[0] in self.parts:
                 return
-            if self._missing(wanted) and not waiting:
-                yield "all slots are filled; waiting for the worker that finds out who wins"
-                waiting = True
+            if self._is_missing(wanted) and not is_waiting:
+                yield "all slots are filled; waiting for the worker that determines the winner"
+                is_waiting = True
             time.sleep(POLL_S)
 
-    def keep(self, **parts: Any) -> Generator[str, None, None]:
-        """Store what was found; where another worker did so meanwhile, its answer counts."""
-        yield from self._patiently(lambda: self._keep(parts))
+    def store_parts(self, **parts: Any) -> Generator[str, None, None]:
+        """Store results; where another worker has stored a part meanwhile, its result is kept. Yields messages."""
+        yield from self._retry(lambda: self._store(parts))
 
-    def _missing(self, wanted: Sequence[str]) -> bool:
-        return any(part not in self.kept for part in wanted)
+    def _is_missing(self, wanted: Sequence[str]) -> bool:
+        return any(part not in self.parts for part in wanted)
 
     def _read(self) -> None:
-        stored = self.study.slots.ending()
-        self.kept = stored if stored.get("of") == self.of else {}
+        stored = self.study.shared_trials.read_finalisation()
+        self.parts = stored if stored.get(TRIALS_ID) == self.trials_id else {}
 
-    def _take(self, wanted: Sequence[str]) -> bool:
-        """Claim it, unless a living worker has it or has just done it."""
-        if not self.study.claims.take(CLAIM):
+    def _acquire(self, wanted: Sequence[str]) -> bool:
+        """Take the lease, unless a living worker has it or has just finished."""
+        if not self.study.leases.acquire(FINALISATION_SLOT):
             return False
         self._read()
-        if not self._missing(wanted):
-            self.study.claims.leave(CLAIM)
+        if not self._is_missing(wanted):
+            self.study.leases.release(FINALISATION_SLOT)
             return False
-        self._pulse = self.study.claims.alive(CLAIM).__enter__()
+        self._heartbeat = self.study.leases.keep_renewed(FINALISATION_SLOT).__enter__()
         return True
 
-    def _keep(self, parts: dict[str, Any]) -> None:
-        with server.one_at_a_time(self.study.claims.engine):
+    def _store(self, parts: dict[str, Any]) -> None:
+        with server.advisory_lock(self.study.leases.engine):
             self._read()
-            self.kept = {"of": self.of, WORKER: self.study.claims.worker, **parts, **self.kept}
-            self.study.slots.keep_ending(self.kept)
+            self.parts = {TRIALS_ID: self.trials_id, WORKER: self.study.leases.worker, **parts, **self.parts}
+            self.study.shared_trials.store_finalisation(self.parts)
 
-    def _patiently(self, work: Callable[[], R]) -> Generator[str, None, R]:
-        return (yield from server.patiently(work, self.study.address, self.study.patience_s))
+    def _retry(self, action: Callable[[], R]) -> Generator[str, None, R]:
+        return (yield from server.retry_while_unreachable(action, self.study.address, self.study.patience_s))

@@ -1,11 +1,12 @@
-"""A study in PostgreSQL with any number of workers, each with a bench of its own (design D13, D14).
+"""A study in PostgreSQL that any number of workers share, each with a bench of its own.
 
-A worker takes the next free slot (claims.py), begins it, evaluates, tells (slots.py). The slot of a worker that was
-killed is told FAIL and repeated, with the same parameters, by whoever is free next. What a slot is asked for depends on
-what was finished by then, so only each trial's score is reproducible, not the course of the study.
+A worker leases the next free slot (slot_leases.py), begins it, evaluates it and stores the score (shared_trials.py).
+The slot of a worker that was killed is failed and repeated, with the same parameters, by the next free worker. The
+parameters of a slot depend on what is finished by then, so the score of each trial is reproducible, the course of the
+study is not.
 
-A server that goes away in the middle costs nothing: the finished evaluation is kept in a file, told when the server is
-back, or by the next worker that is started with the same run folder.
+A lost server costs nothing: the finished evaluation is saved in a file and stored when the server is back, or by the
+next worker that is started with the same run folder.
 """
 
 from __future__ import annotations
@@ -24,29 +25,44 @@ from optuna.samplers import RandomSampler
 from tunefree_hil.base.errors import BenchError, TunefreeError
 from tunefree_hil.tune import store
 from tunefree_hil.tune.shared import server
-from tunefree_hil.tune.shared.shared_trials import Begun, Slots
-from tunefree_hil.tune.shared.slot_leases import GRACE_S, Claims
-from tunefree_hil.tune.trial import CUT_OFF, Baseline, EvaluateAll, Evaluation, Trial, check, lowest
-from tunefree_hil.tune.trial_loop import ASKED_AGAIN
+from tunefree_hil.tune.shared.shared_trials import Attempt, SharedTrials
+from tunefree_hil.tune.shared.slot_leases import GRACE_S, SlotLeases
+from tunefree_hil.tune.trial import (
+    INTERRUPTED,
+    Baseline,
+    EvaluateAll,
+    Evaluation,
+    Trial,
+    check_evaluation,
+    find_best_trial,
+)
+from tunefree_hil.tune.trial_loop import MAX_RETRIES
 
 PATIENCE_S = 120.0
 POLL_S = 1.0
-KEPT = "kept.json"
+SAVED = "kept.json"
 R = TypeVar("R")
-TrialOrWords = Trial | str
+TrialOrMessage = Trial | str
 
 
 class SharedStudy:
-    """One worker's view of a shared study. Make it with `join_study`. `trials` and `baselines` are as last read."""
+    """The view of one worker. Make it with `join_study`. `trials` and `baselines` are as last read from the server."""
 
-    def __init__(self, address: server.Address, slots: Slots, claims: Claims, folder: Path, patience_s: float) -> None:
+    def __init__(
+        self,
+        address: server.StudyAddress,
+        shared_trials: SharedTrials,
+        leases: SlotLeases,
+        folder: Path,
+        patience_s: float,
+    ) -> None:
         self.address = address
-        self.slots = slots
-        self.settings = slots.settings
-        self.claims = claims
+        self.shared_trials = shared_trials
+        self.settings = shared_trials.settings
+        self.leases = leases
         self.folder = folder
         self.patience_s = patience_s
-        self._known: list[Trial] = []
+        self._trials: list[Trial] = []
         self._baselines: dict[str, Baseline] = {}
         self._read()
 
@@ -57,168 +73,187 @@ class SharedStudy:
         self.close()
 
     def close(self) -> None:
-        """Let go of the server."""
-        self.slots.close()
-        self.claims.engine.dispose()
+        """Close the connections to the server."""
+        self.shared_trials.close()
+        self.leases.engine.dispose()
 
     def trials(self) -> list[Trial]:
         """The filled slots, in slot order, as last read."""
-        return list(self._known)
+        return list(self._trials)
 
     def best(self) -> Trial | None:
-        """The trial of the lowest score, as last read."""
-        return lowest(self._known)
+        """The trial with the lowest score, as last read."""
+        return find_best_trial(self._trials)
 
     def baselines(self) -> dict[str, Baseline]:
         """The baselines by name, as last read."""
         return dict(self._baselines)
 
     def refresh(self) -> Generator[str, None, None]:
-        """Read what other workers have done; yields what a person should know while the server is gone."""
-        yield from self._patiently(self._read)
+        """Read what other workers have stored; yields messages while the server is unreachable."""
+        yield from self._retry(self._read)
 
-    def keep_baseline(self, name: str, values: dict[str, float], evaluation: Evaluation) -> Generator[str, None, None]:
-        """Store a baseline's score, patiently."""
-        yield from self._patiently(lambda: self.slots.add_baseline(name, values, evaluation))
+    def store_baseline(self, name: str, values: dict[str, float], evaluation: Evaluation) -> Generator[str, None, None]:
+        """Store the score of a baseline; yields messages while the server is unreachable."""
+        yield from self._retry(lambda: self.shared_trials.stored.add_baseline(name, values, evaluation))
         yield from self.refresh()
 
-    def run_all(self, trials: int, evaluate: EvaluateAll) -> Generator[TrialOrWords, None, None]:
-        """Fill free slots until `trials` are filled, by whomever; yields own attempts, and sentences for a person.
+    def run_trials(self, trials: int, evaluate: EvaluateAll) -> Generator[TrialOrMessage, None, None]:
+        """Fill free slots until `trials` slots are filled by the workers together.
 
-        Raises BenchError when the bench failed a slot three times, or the server was gone for too long.
+        Yields:
+            The attempts of this worker, and messages for the user.
+
+        Raises:
+            BenchError: The bench failed one slot three times, or the server was unreachable for too long.
         """
-        yield from self._tell_kept()
-        waiting = False
+        yield from self._store_saved()
+        is_waiting = False
         while True:
             yield from self.refresh()
-            filled = {trial.slot for trial in self._known}
+            filled = {trial.slot for trial in self._trials}
             free = [slot for slot in range(trials) if slot not in filled]
             if not free:
                 return
-            slot = yield from self._patiently(lambda free=free: self._take(free))
+            slot = yield from self._retry(lambda free=free: self._acquire_slot(free))
             if slot is None:
-                if not waiting:
+                if not is_waiting:
                     yield f"{len(free)} slots are with other workers; waiting for them"
-                waiting = True
+                is_waiting = True
                 time.sleep(POLL_S)
                 continue
-            waiting = False
-            yield from self._fill(slot, evaluate)
+            is_waiting = False
+            yield from self._fill_slot(slot, evaluate)
 
-    def _take(self, free: list[int]) -> int | None:
-        """Claim the first of `free` that nobody alive has, and that was not filled meanwhile."""
+    def _acquire_slot(self, free: list[int]) -> int | None:
+        """Lease the first slot of `free` that no living worker has and that was not filled meanwhile."""
         for slot in free:
-            if self.claims.take(slot):
+            if self.leases.acquire(slot):
                 self._read()
-                if slot not in {trial.slot for trial in self._known}:
+                if slot not in {trial.slot for trial in self._trials}:
                     return slot
-                self.claims.leave(slot)
+                self.leases.release(slot)
         return None
 
-    def _fill(self, slot: int, evaluate: EvaluateAll) -> Generator[TrialOrWords, None, None]:
-        """Attempts at a slot that is ours, until one is told."""
-        with self.claims.alive(slot):
-            for attempt in range(1 + ASKED_AGAIN):
-                begun = yield from self._patiently(lambda: self.slots.begin(slot, self.claims.worker))
-                answer = yield from self._answer(begun, evaluate)
-                if isinstance(answer, Evaluation):
-                    self._keep(begun, answer)
-                    yield from self._tell_kept()
+    def _fill_slot(self, slot: int, evaluate: EvaluateAll) -> Generator[TrialOrMessage, None, None]:
+        """Attempts at a leased slot, until one succeeds."""
+        with self.leases.keep_renewed(slot):
+            for retry in range(1 + MAX_RETRIES):
+                attempt = yield from self._retry(lambda: self.shared_trials.begin(slot, self.leases.worker))
+                outcome = yield from self._evaluate(attempt, evaluate)
+                if isinstance(outcome, Evaluation):
+                    self._save(attempt, outcome)
+                    yield from self._store_saved()
                     return
-                text = f"{answer.code}: {answer.message}"
-                yield (yield from self._patiently(lambda begun=begun, text=text: self.slots.fail(begun, text)))
-                if attempt == ASKED_AGAIN or not isinstance(answer, BenchError):
-                    yield from self._patiently(lambda: self.claims.leave(slot))
-                    raise answer
+                text = f"{outcome.code}: {outcome.message}"
+                yield (
+                    yield from self._retry(lambda attempt=attempt, text=text: self.shared_trials.fail(attempt, text))
+                )
+                if retry == MAX_RETRIES or not isinstance(outcome, BenchError):
+                    yield from self._retry(lambda: self.leases.release(slot))
+                    raise outcome
 
-    def _answer(self, begun: Begun, evaluate: EvaluateAll) -> Generator[str, None, Evaluation | TunefreeError]:
-        """The evaluation, or what went wrong. An interruption or a bug goes through once FAIL was told."""
+    def _evaluate(self, attempt: Attempt, evaluate: EvaluateAll) -> Generator[str, None, Evaluation | TunefreeError]:
+        """The evaluation or its error. An interruption or a bug is passed on once the attempt is stored as failed."""
         try:
-            (evaluation,) = evaluate({begun.slot: dict(begun.parameters)})
-            check(evaluation, f"slot {begun.slot}")
-        except TunefreeError as problem:
-            return problem
+            (evaluation,) = evaluate({attempt.slot: dict(attempt.parameters)})
+            check_evaluation(evaluation, f"slot {attempt.slot}")
+        except TunefreeError as error:
+            return error
         except BaseException:
-            yield from self._patiently(lambda: self.slots.fail(begun, CUT_OFF))
-            yield from self._patiently(lambda: self.claims.leave(begun.slot))
+            yield from self._retry(lambda: self.shared_trials.fail(attempt, INTERRUPTED))
+            yield from self._retry(lambda: self.leases.release(attempt.slot))
             raise
         return evaluation
 
-    def _keep(self, begun: Begun, evaluation: Evaluation) -> None:
-        """Into a file before anything else: a finished evaluation is not lost to a server."""
-        data = {"begun": begun._asdict(), "score": evaluation.score, "scenarios": evaluation.scenarios}
-        part = self.folder / f"{KEPT}.part"
+    def _save(self, attempt: Attempt, evaluation: Evaluation) -> None:
+        """Save a finished evaluation in a file before it is stored, so that a lost server does not cost it."""
+        data = {"begun": attempt._asdict(), "score": evaluation.score, "scenarios": evaluation.scenarios}
+        part = self.folder / f"{SAVED}.part"
         part.write_text(json.dumps(data))
-        os.replace(part, self.folder / KEPT)
+        os.replace(part, self.folder / SAVED)
 
-    def _tell_kept(self) -> Generator[TrialOrWords, None, None]:
-        """Tell what the file holds, if it is there."""
-        path = self.folder / KEPT
+    def _store_saved(self) -> Generator[TrialOrMessage, None, None]:
+        """Store the saved evaluation, if there is one."""
+        path = self.folder / SAVED
         if not path.is_file():
             return
-        kept = json.loads(path.read_text())
-        begun, evaluation = Begun(**kept["begun"]), Evaluation(kept["score"], kept["scenarios"])
-        trial = yield from self._patiently(lambda: self._settle(begun, evaluation), f"the finished trial is in {path}")
+        data = json.loads(path.read_text())
+        attempt, evaluation = Attempt(**data["begun"]), Evaluation(data["score"], data["scenarios"])
+        note = f"the finished trial is in {path}"
+        trial = yield from self._retry(lambda: self._complete(attempt, evaluation), note)
         path.unlink()
-        yield trial or f"slot {begun.slot + 1} was filled by another worker meanwhile; ours is dropped"
+        yield trial or f"slot {attempt.slot + 1} was filled by another worker meanwhile; ours is dropped"
 
-    def _settle(self, begun: Begun, evaluation: Evaluation) -> Trial | None:
-        with server.one_at_a_time(self.claims.engine):
-            trial = self.slots.settle(begun, evaluation)
-        self.claims.leave(begun.slot)
+    def _complete(self, attempt: Attempt, evaluation: Evaluation) -> Trial | None:
+        with server.advisory_lock(self.leases.engine):
+            trial = self.shared_trials.complete(attempt, evaluation)
+        self.leases.release(attempt.slot)
         self._read()
         return trial
 
     def _read(self) -> None:
-        self._known = self.slots.trials()
-        self._baselines = self.slots.baselines()
+        self._trials = self.shared_trials.stored.trials()
+        self._baselines = self.shared_trials.stored.baselines()
 
-    def _patiently(self, work: Callable[[], R], kept: str = "") -> Generator[str, None, R]:
-        return (yield from server.patiently(work, self.address, self.patience_s, kept))
+    def _retry(self, action: Callable[[], R], note: str = "") -> Generator[str, None, R]:
+        return (yield from server.retry_while_unreachable(action, self.address, self.patience_s, note))
 
 
 def join_study(
     text: str,
-    settings: store.Settings,
+    settings: store.StudySettings,
     folder: Path,
     *,
     patience_s: float = PATIENCE_S,
     grace_s: float = GRACE_S,
 ) -> SharedStudy:
-    """The study at this address, made if it is not there; `folder` is where this worker keeps what it could not tell.
+    """Open the study at this address, or make it.
 
-    Raises InputError for a wrong address, a server that refuses, or a study of other settings; BenchError when the
-    server does not answer.
+    Args:
+        text: Address as on the command line.
+        settings: Settings that the study must have.
+        folder: Where this worker saves an evaluation that it could not store.
+        patience_s: How long a lost server is waited for, s.
+        grace_s: Age at which the lease of another worker expires, s.
+
+    Raises:
+        InputError: Wrong address, a server that refuses, or a study of other settings.
+        BenchError: The server does not answer.
     """
-    address = server.address_of(text)
+    address = server.parse_address(text)
     store.check_settings(settings)
     engine = server.open_engine(address)
-    claims = Claims(engine, address.name, grace_s=grace_s)
-    slots = None
+    leases = SlotLeases(engine, address.name, grace_s=grace_s)
+    shared_trials = None
     try:
-        slots = _at_once(server.patiently(lambda: _made(address, engine, claims, settings), address, 0.0))
-        store.refuse_differing(slots.settings.described(), settings, f"{address.shown} (study {address.name})")
-        return SharedStudy(address, slots, claims, folder, patience_s)
+        opening = server.retry_while_unreachable(lambda: _open_trials(address, engine, leases, settings), address, 0.0)
+        shared_trials = _run_without_waiting(opening)
+        where = f"{address.public} (study {address.name})"
+        store.require_same_settings(shared_trials.settings.as_data(), settings, where)
+        return SharedStudy(address, shared_trials, leases, folder, patience_s)
     except BaseException:
-        if slots is not None:
-            slots.close()
+        if shared_trials is not None:
+            shared_trials.close()
         engine.dispose()
         raise
 
 
-def _at_once(patient: Generator[str, None, R]) -> R:
-    """The answer of something patient that has no time to wait."""
+def _run_without_waiting(action: Generator[str, None, R]) -> R:
+    """The result of a retried action that has no time to wait."""
     try:
-        next(patient)
-    except StopIteration as done:
-        return done.value
-    raise AssertionError("it was not to wait")
+        next(action)
+    except StopIteration as end:
+        return end.value
+    raise AssertionError("it has no time to wait")
 
 
-def _made(address: server.Address, engine: sqlalchemy.Engine, claims: Claims, settings: store.Settings) -> Slots:
-    """Tables and study; a creation that was cut off is finished."""
-    with server.one_at_a_time(engine):
-        claims.create()
+def _open_trials(
+    address: server.StudyAddress, engine: sqlalchemy.Engine, leases: SlotLeases, settings: store.StudySettings
+) -> SharedTrials:
+    """Open tables and study, or make them; a creation that was cut off is completed."""
+    with server.advisory_lock(engine):
+        leases.create_table()
         storage = server.open_storage(address)
         study = optuna.create_study(
             study_name=address.name,
@@ -229,5 +264,5 @@ def _made(address: server.Address, engine: sqlalchemy.Engine, claims: Claims, se
         )
         if store.SETTINGS not in study.user_attrs:
             study.set_user_attr(store.VERSIONS, [optuna.__version__])
-            study.set_user_attr(store.SETTINGS, settings.described())
-        return Slots(study, storage)
+            study.set_user_attr(store.SETTINGS, settings.as_data())
+        return SharedTrials(study, storage)

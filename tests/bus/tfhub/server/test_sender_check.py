@@ -10,7 +10,7 @@ import pytest
 
 from tests.bus.tfhub_help import ThreadHub, eventually, thread_hub
 from tunefree_hil.base.records import CanFrame
-from tunefree_hil.bus.tfhub.owner import Stranger
+from tunefree_hil.bus.tfhub.owner import ForeignSender
 from tunefree_hil.bus.tfhub.pair import HubPair
 
 EFF = 0x80000000
@@ -32,9 +32,9 @@ def test_a_member_of_the_vehicle_channel_alone_is_a_stranger(hub: ThreadHub) -> 
         player.send_frames([CanFrame(0x60, b"a"), CanFrame(0x61, b""), CanFrame(0x62, b""), CanFrame(0x60, b"b")])
         player.send_frames([CanFrame(0x61, bytes(20), extended=True, fd=True)])
         routed(hub, 5)
-        found = hub.owner.strangers()
+        found = hub.owner.foreign_senders()
     pid = found[0].pid
-    assert found == [Stranger("player", pid, 0x60, 2), Stranger("player", pid, 0x61 | EFF, 1)]
+    assert found == [ForeignSender("player", pid, 0x60, 2), ForeignSender("player", pid, 0x61 | EFF, 1)]
 
 
 def test_a_process_on_both_channels_is_a_node(hub: ThreadHub) -> None:
@@ -42,7 +42,7 @@ def test_a_process_on_both_channels_is_a_node(hub: ThreadHub) -> None:
     with hub.member("ecu") as vehicle, hub.member("ecu", "bench"):
         vehicle.send_frames([CanFrame(0x60, b"")])
         routed(hub, 1)
-        assert hub.owner.strangers() == []
+        assert hub.owner.foreign_senders() == []
 
 
 def test_a_joint_connection_is_a_node(hub: ThreadHub) -> None:
@@ -50,7 +50,7 @@ def test_a_joint_connection_is_a_node(hub: ThreadHub) -> None:
     pair = HubPair(hub.vehicle, name="controller")
     pair.send([CanFrame(0x60, b"")], [])
     routed(hub, 1)
-    assert hub.owner.strangers() == []
+    assert hub.owner.foreign_senders() == []
     pair.close()
 
 
@@ -60,13 +60,13 @@ def test_remote_frames_are_no_commands_and_a_new_guard_forgets(hub: ThreadHub) -
         player.send(can.Message(arbitration_id=0x60, is_extended_id=False, is_remote_frame=True, dlc=2))
         player.send_frames([CanFrame(0x60, b"")])
         routed(hub, 2)
-        assert [one.count for one in hub.owner.strangers()] == [1]
+        assert [one.count for one in hub.owner.foreign_senders()] == [1]
         hub.owner.guard({0x60})
-        assert hub.owner.strangers() == []
+        assert hub.owner.foreign_senders() == []
         hub.owner.guard(set())
         player.send_frames([CanFrame(0x60, b"")])
         routed(hub, 3)
-        assert hub.owner.strangers() == []
+        assert hub.owner.foreign_senders() == []
 
 
 def test_what_was_sent_is_known_after_the_sender_has_gone(hub: ThreadHub) -> None:
@@ -74,4 +74,4 @@ def test_what_was_sent_is_known_after_the_sender_has_gone(hub: ThreadHub) -> Non
     with hub.member("gone") as player:
         player.send_frames([CanFrame(0x60, b"")])
         routed(hub, 1)
-    assert [one.name for one in hub.owner.strangers()] == ["gone"]
+    assert [one.name for one in hub.owner.foreign_senders()] == ["gone"]

@@ -203,7 +203,7 @@ class Connection:
 
 def _end_of_record(data: bytes, sent: int) -> int:
     """Where the record ends whose bytes are partly sent; `sent` when none is."""
-    at = 0
-    while at < sent:
-        at += data[at] | data[at + 1] << 8
-    return at
+    offset = 0
+    while offset < sent:
+        offset += data[offset] | data[offset + 1] << 8
+    return offset

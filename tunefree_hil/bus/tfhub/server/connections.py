@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from tunefree_hil.bus.tfhub.records import CHANNELS, DROPPED, as_other, only_these, pack_control
+from tunefree_hil.bus.tfhub.records import CHANNELS, DROPPED, mark_second_channel, pack_control, select_ids
 
 READ, WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
 KNOWN = 4  # bit of Peer.events: the board holds the connection, even when it waits for nothing from it
@@ -66,12 +66,12 @@ class Board:
 
     def watch(self, peer: Peer, events: int) -> None:
         """Have the selector report these events of a peer; 0: none, but the peer stays."""
-        now = peer.events & (READ | WRITE)
-        if events == now:
+        registered = peer.events & (READ | WRITE)
+        if events == registered:
             return
         if not events:
             self.selector.unregister(peer.sock)
-        elif now:
+        elif registered:
             self.selector.modify(peer.sock, events, peer)
         else:
             self.selector.register(peer.sock, events, peer)
@@ -90,9 +90,9 @@ class Board:
             if peer is sender and not peer.echo:
                 continue
             if peer.only:
-                kept = only_these(chunk, frames, peer.only)
-                if kept:
-                    self._give(peer, channel, b"".join(kept), len(kept))
+                selected = select_ids(chunk, frames, peer.only)
+                if selected:
+                    self._give(peer, channel, b"".join(selected), len(selected))
                 continue
             self._give(peer, channel, chunk, frames)
 
@@ -101,7 +101,7 @@ class Board:
         if peer.role == "observer":
             peer.give(chunk, frames, self.observer_bytes)
         else:
-            peer.give(chunk if peer.channel == channel else as_other(chunk, frames), frames)
+            peer.give(chunk if peer.channel == channel else mark_second_channel(chunk, frames), frames)
             if peer.owed > HIGH_BYTES:
                 self._hold(peer)
         self.dirty.add(peer)
@@ -141,9 +141,9 @@ class Board:
         """Read from the members of a channel exactly when nobody holds one of their channels."""
         for peer in self.peers:
             if peer.role == "member" and channel in peer.channels:
-                held = any(self.holders[one] for one in peer.channels)
-                peer.paused = held
-                self.watch(peer, (0 if held else READ) | (peer.events & WRITE))
+                is_held = any(self.holders[one] for one in peer.channels)
+                peer.paused = is_held
+                self.watch(peer, (0 if is_held else READ) | (peer.events & WRITE))
 
 
 HIGH_BYTES = 1 << 20  # a member that is owed this much stops its channel's senders
@@ -192,14 +192,14 @@ class Peer:
             self._make_room(ring_bytes)
 
     def _make_room(self, ring_bytes: int) -> None:
-        kept = [self.queue.popleft()] if self.begun else []
+        unfinished = [self.queue.popleft()] if self.begun else []
         while self.queue and self.owed > ring_bytes:
             chunk, frames = self.queue.popleft()
             self.owed -= len(chunk)
             self.dropped += frames
             if not frames:  # it was a notice of earlier drops: tell again
                 self.dropped_told = -1
-        self.queue.extendleft(kept)
+        self.queue.extendleft(unfinished)
 
     def flush(self) -> bool:
         """Write what the socket takes. True when nothing is left. OSError when the peer is gone."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bus.tfhub.records import CHANNELS, REPLY, RecordError, pack_control
 from tunefree_hil.bus.tfhub.server.log import CandumpLog
-from tunefree_hil.bus.tfhub.server.sender_check import Guard
+from tunefree_hil.bus.tfhub.server.sender_check import SenderCheck
 
 if TYPE_CHECKING:
     from tunefree_hil.bus.tfhub.server.hub import Hub
@@ -65,8 +65,8 @@ def _guard(hub: Hub, body: dict[str, Any]) -> list[dict[str, Any]]:
         ids = body["ids"]
         if not isinstance(ids, list) or not all(isinstance(can_id, int) for can_id in ids):
             raise RecordError("it asked to watch what are no ids")
-        hub.guard = Guard(frozenset(ids))
-    return hub.guard.seen()
+        hub.sender_check = SenderCheck(frozenset(ids))
+    return hub.sender_check.seen()
 
 
 def _stats(hub: Hub, body: dict[str, Any]) -> dict[str, Any]:

@@ -27,8 +27,8 @@ from tunefree_hil.bus.tfhub.records import (
     LEN_AT,
     LOG_NAMES,
     NUMBER,
-    OTHER,
     REQUEST,
+    SECOND_FRAME,
     STAMP,
     STAMP_AT,
     TIME_AT,
@@ -39,7 +39,7 @@ from tunefree_hil.bus.tfhub.records import (
 from tunefree_hil.bus.tfhub.server import control
 from tunefree_hil.bus.tfhub.server.connections import OBSERVER_BYTES, READ, WRITE, Board, Peer
 from tunefree_hil.bus.tfhub.server.log import CandumpLog
-from tunefree_hil.bus.tfhub.server.sender_check import VEHICLE, Guard
+from tunefree_hil.bus.tfhub.server.sender_check import VEHICLE, SenderCheck
 from tunefree_hil.bus.tfhub.session import Session
 
 READ_BYTES = 1 << 16
@@ -78,7 +78,7 @@ class Hub:
         self.sequence = 0
         self.logs: dict[str, CandumpLog] = {}
         self.lost: deque[str] = deque(maxlen=100)
-        self.guard = Guard()
+        self.sender_check = SenderCheck()
         self.ended = ""
         self.owner_deadline_s = 0.0 if standalone else time.monotonic() + reception.OWNER_PATIENCE_S
         self._time_ns = 0  # latest virtual time
@@ -154,23 +154,20 @@ class Hub:
 
     def _take(self, peer: Peer, end: int) -> int:
         """Check, number and stamp the records in the buffer up to `end`, and route them. How many bytes were whole."""
-        buffer = self._buffer
+        buffer, index, sequence = self._buffer, peer.index, self.sequence
         own_stamps = self.sender_clock and peer.stamps
         time_ns = self._time_ns if self.sender_clock else time.monotonic_ns()
-        index, sequence = peer.index, self.sequence
         offset = first = last = count = 0
         run = FRAME  # what the frames from `first` on are: of the peer's own channel, or OTHER
         while end - offset >= SIZE_KIND.size:
             size, kind = SIZE_KIND.unpack_from(buffer, offset)
-            if kind != run and (kind == FRAME or (kind == OTHER and peer.also)):
+            if kind != run and (kind == FRAME or (kind == SECOND_FRAME and peer.also)):
                 self._route(peer, first, offset, last, count, run)
                 run, first, count, sequence = kind, offset, 0, self.sequence
             if kind != run:
                 self._route(peer, first, offset, last, count, run)
-                _check_control(peer, kind, size)
-                if end - offset < size:
+                if not self._take_control(peer, offset, end):
                     return offset
-                self._control(peer, kind, bytes(self._view[offset : offset + size]))
                 if not peer.events:
                     return end
                 first = offset = offset + size
@@ -191,11 +188,18 @@ class Hub:
                 NUMBER.pack_into(buffer, offset + STAMP_AT, index, sequence)
             else:
                 STAMP.pack_into(buffer, offset + STAMP_AT, index, sequence, time_ns)
-            last = offset
-            offset += size
-            count += 1
+            last, offset, count = offset, offset + size, count + 1
         self._route(peer, first, offset, last, count, run)
         return offset
+
+    def _take_control(self, peer: Peer, offset: int, end: int) -> bool:
+        """Act on the control record at `offset`; False where it is not whole yet."""
+        size, kind = SIZE_KIND.unpack_from(self._buffer, offset)
+        _check_control(peer, kind, size)
+        if end - offset < size:
+            return False
+        self._control(peer, kind, bytes(self._view[offset : offset + size]))
+        return True
 
     def _route(self, peer: Peer, first: int, end: int, last: int, count: int, run: int) -> None:
         """Owe `count` stamped frames, the last of which begins at `last`, to all others of their channel."""
@@ -210,8 +214,8 @@ class Hub:
         peer.sent += count
         if self.sender_clock and peer.stamps:
             self._time_ns = TIME.unpack_from(self._buffer, last + TIME_AT)[0]
-        if self.guard.ids and channel == VEHICLE:
-            self.guard.watch(self.board.peers, peer, chunk)
+        if self.sender_check.ids and channel == VEHICLE:
+            self.sender_check.watch(self.board.peers, peer, chunk)
         self.board.deliver(peer, channel, chunk, count)
         log = self.logs.get(channel)
         if log is not None:

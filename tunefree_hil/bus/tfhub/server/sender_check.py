@@ -17,7 +17,7 @@ VEHICLE, BENCH = "vehicle", "bench"
 MOST = 1000  # pairs of member and id that are kept
 
 
-class Guard:
+class SenderCheck:
     """Counts frames with one of `ids` (EFF bit included) by sender; remote and error frames are none of them."""
 
     def __init__(self, ids: frozenset[int] = frozenset()) -> None:
@@ -28,10 +28,10 @@ class Guard:
         """Look at FRAME records that a member has sent on the vehicle channel."""
         if sender.also or is_node(peers, sender):
             return
-        at, end = 0, len(chunk)
-        while at < end:
-            can_id = ID.unpack_from(chunk, at + ID_AT)[0]
-            at += chunk[at] | chunk[at + 1] << 8
+        offset, end = 0, len(chunk)
+        while offset < end:
+            can_id = ID.unpack_from(chunk, offset + ID_AT)[0]
+            offset += chunk[offset] | chunk[offset + 1] << 8
             if can_id & NO_DATA:
                 continue
             key = (sender.name, sender.pid, can_id & (EFF_FLAG | EFF_MASK))
