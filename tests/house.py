@@ -1,4 +1,5 @@
-"""What the tests of the house share: the project's files, their imports, and the tables of docs/explanation/architecture.md.
+"""What the tests of the house share: the project's files, their imports, and the tables of
+docs/explanation/architecture.md.
 
 The document is the one list of floors, owners and allowed functions; these readers take it from there, so that a
 table nobody checks cannot exist.
@@ -98,7 +99,8 @@ def _named_by_string(call: ast.Call) -> Iterator[Import]:
 
 
 def floors() -> dict[str, int]:
-    """Folder -> floor, from the table of docs/explanation/architecture.md. Words in brackets are plans and do not count."""
+    """Folder -> floor, from the table of docs/explanation/architecture.md. Words in brackets are plans and do not
+    count."""
     table: dict[str, int] = {}
     for line in ARCHITECTURE.read_text(encoding="utf-8").splitlines():
         row = re.match(r"(\d)  (\S.*)", line)

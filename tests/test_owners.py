@@ -1,7 +1,7 @@
 """Each third-party library has one owner in the package (docs/explanation/architecture.md); tools/ and tests/ are free.
 
-Also: what a node's process imports is small. An un-jitted node takes 150 MB at most (docs/reference/design.md), and each of the
-libraries named here costs 45 MB or more.
+Also: what a node's process imports is small. An un-jitted node takes 150 MB at most (docs/reference/design.md), and
+each of the libraries named here costs 45 MB or more.
 """
 
 from __future__ import annotations

@@ -34,18 +34,18 @@ def test_the_tables_say_what_the_nodes_say(vehicle: str, data: st.DataObject) ->
     speaking = [message for message in codec.telemetry if message.states]
     params = bit_params(speaking)
     state = init_bits(params)
-    hearing, writer, signals = MeasurementDecoder(codec, 0.01), FrameWriter(codec), StatusSignals(codec)
+    decoder, writer, signals = MeasurementDecoder(codec, 0.01), FrameWriter(codec), StatusSignals(codec)
     proving = {message.name for message in speaking if message.unproven_frames}
-    hearing.hear(0, frames(writer, signals, ByWireStatus(), proving))
+    decoder.receive(0, frames(writer, signals, ByWireStatus(), proving))
     for k in range(1, 5):
         status = data.draw(STATUS)
         heard = data.draw(st.sets(st.sampled_from([message.name for message in speaking])))
-        hearing.hear(k, frames(writer, signals, status, heard))
+        decoder.receive(k, frames(writer, signals, status, heard))
         say_bits(params, state, status)
         for m, message in enumerate(speaking):
             if message.name in heard:
                 hear_bits(state, m)
-        assert vehicle_state(params, state) == hearing.state()
+        assert vehicle_state(params, state) == decoder.state()
 
 
 def test_nothing_heard_is_not_known() -> None:

@@ -112,7 +112,8 @@ def test_a_stopped_controller_is_named_by_the_vehicle_and_the_other_way_round(be
 
 
 def test_what_the_unit_tells_is_in_its_frames(bench: Bench) -> None:
-    """Watchdog with its source in both reports, brake lights, gear command (docs/reference/by_wire.md), as they go out."""
+    """Watchdog with its source in both reports, brake lights, gear command (docs/reference/by_wire.md), as they go
+    out."""
     rig, values, codec = InProcess(bench), parameters_of(bench), bench.codec
 
     def told(script: Sequence[FaultSpec], name: str, tick: int) -> dict[str, float]:

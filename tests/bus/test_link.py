@@ -21,7 +21,7 @@ from tunefree_hil.bus import link
 from tunefree_hil.bus import open as bus_open
 from tunefree_hil.bus.open import BusChoice, open_link, require_virtual_link, resolve_bus
 from tunefree_hil.bus.socketcan import kernel_link
-from tunefree_hil.bus.socketcan.kernel_link import LinkState, kernel_has_can, link_state
+from tunefree_hil.bus.socketcan.kernel_link import KernelLinkState, kernel_has_can, link_state
 
 DATA = [
     CanFrame(0x123, b"\x01\x02", time_s=0.01),
@@ -42,9 +42,9 @@ def no_can(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bus_open, "kernel_has_can", lambda: False)
 
 
-def fake_links(monkeypatch: pytest.MonkeyPatch, **states: LinkState) -> None:
+def fake_links(monkeypatch: pytest.MonkeyPatch, **states: KernelLinkState) -> None:
     monkeypatch.setattr(bus_open, "kernel_has_can", lambda: True)
-    monkeypatch.setattr(bus_open, "link_state", lambda name: states.get(name, LinkState(False, False, "")))
+    monkeypatch.setattr(bus_open, "link_state", lambda name: states.get(name, KernelLinkState(False, False, "")))
 
 
 def pair(hub: ThreadHub, kind: str) -> tuple[link.Link, link.Link]:
@@ -157,16 +157,16 @@ def test_a_bus_by_port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_auto(monkeypatch: pytest.MonkeyPatch) -> None:
-    good = LinkState(True, True, "vcan")
+    good = KernelLinkState(True, True, "vcan")
     fake_links(monkeypatch, vcan0=good)
     choice = resolve_bus("auto", "s")
     assert choice.kind == "socketcan" and choice.vehicle_address == "socketcan:vcan0"
     assert choice.bench_address.startswith("tfhub:") and "because it is up" in choice.why
     for state, word in [
-        (LinkState(False, False, ""), "there is no vcan0"),
-        (LinkState(True, False, "vcan"), "vcan0 is down"),
-        (LinkState(True, True, "veth"), "not a vcan link"),
-        (LinkState(True, True, ""), "not a vcan link"),
+        (KernelLinkState(False, False, ""), "there is no vcan0"),
+        (KernelLinkState(True, False, "vcan"), "vcan0 is down"),
+        (KernelLinkState(True, True, "veth"), "not a vcan link"),
+        (KernelLinkState(True, True, ""), "not a vcan link"),
     ]:
         fake_links(monkeypatch, vcan0=state)
         choice = resolve_bus("auto", "s")
@@ -184,9 +184,9 @@ def test_no_can_in_the_kernel_is_said_with_what_to_do(no_can: None) -> None:
 
 def test_only_what_the_kernel_calls_vcan_may_be_sent_on(monkeypatch: pytest.MonkeyPatch) -> None:
     states = {
-        "vcan0": LinkState(True, True, "veth"),
-        "can0": LinkState(True, True, ""),
-        "off": LinkState(True, False, "vcan"),
+        "vcan0": KernelLinkState(True, True, "veth"),
+        "can0": KernelLinkState(True, True, ""),
+        "off": KernelLinkState(True, False, "vcan"),
     }
     fake_links(monkeypatch, **states)
     for name in ("vcan0", "can0"):
@@ -216,7 +216,7 @@ def test_no_bus(text: str) -> None:
 
 
 def test_the_bench_channel(monkeypatch: pytest.MonkeyPatch) -> None:
-    fake_links(monkeypatch, vcan1=LinkState(True, True, "vcan"))
+    fake_links(monkeypatch, vcan1=KernelLinkState(True, True, "vcan"))
     choice = resolve_bus("virtual", "s", "socketcan:vcan1")
     assert choice == BusChoice("virtual", "virtual:s-vehicle", "socketcan:vcan1", choice.why)
     with pytest.raises(InputError, match="no channel"):
@@ -231,7 +231,7 @@ def test_the_loopback_link_is_there_and_is_no_vcan() -> None:
         pytest.skip("no rtnetlink on this system")
     assert link_state("lo").exists and link_state("lo").kind == ""
     for name in ("", "nosuchlink", "x" * 40, "../lo"):
-        assert link_state(name) == LinkState(False, False, "")
+        assert link_state(name) == KernelLinkState(False, False, "")
     with pytest.raises(InputError, match="lo is not a vcan link but hardware"):
         require_virtual_link("lo")
     with pytest.raises(InputError, match="not there"):
@@ -260,7 +260,7 @@ def test_a_link_that_is_only_named_vcan0_does_not_pass() -> None:
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
     if "kind=" not in done.stdout:
         pytest.skip(f"no network namespace with a veth pair here: {done.stderr.strip()}")
-    assert "LinkState(exists=True, up=True, kind='veth', mtu=1500" in done.stdout
+    assert "KernelLinkState(exists=True, up=True, kind='veth', mtu=1500" in done.stdout
     assert "InputError" in done.stdout and "vcan0 is not a vcan link but of kind veth" in done.stdout
 
 

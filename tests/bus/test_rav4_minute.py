@@ -40,17 +40,17 @@ def minute(shared_data: Path, codec: Codec) -> list[Heard]:
     log = shared_data / "comma2k19_rav4" / "drive.candump.log"
     if not log.is_file():
         pytest.skip(f"{log.name} of comma2k19_rav4 is not in the shared data")
-    return list(hear(codec, log))
+    return list(receive(codec, log))
 
 
-def hear(codec: Codec, log: Path) -> Iterator[Heard]:
+def receive(codec: Codec, log: Path) -> Iterator[Heard]:
     snapshot = Snapshot(codec)
     for line in log.read_text().splitlines():
         time_text, channel, can_id, data = LINE.fullmatch(line).groups()  # type: ignore[union-attr]
         frame = CanFrame(int(can_id, 16), bytes.fromhex(data), time_s=float(time_text))
         message = codec.find(frame, channel)
         if message is not None:
-            decoded = snapshot.hear(message, frame.data)
+            decoded = snapshot.receive(message, frame.data)
             yield Heard(message.name, frame.time_s, frame.data, decoded, snapshot.report(), snapshot.command())
 
 
@@ -136,7 +136,7 @@ def test_the_rolling_counter_rolls(minute: list[Heard], codec: Codec) -> None:
     """In order but for four pairs of frames that the recording has under one time stamp, the later one first."""
     check = CounterCheck(codec.by_name["STEERING_LKA"].counter_modulus)
     sent = [heard for heard in minute if heard.name == "STEERING_LKA"]
-    counted = [check.hear(heard.decoded["COUNTER"]) for heard in sent]
+    counted = [check.receive(heard.decoded["COUNTER"]) for heard in sent]
     assert Counter(one.order for one in counted) == {Order.FIRST: 1, Order.OK: 5987, Order.WRONG: 12}
     back = [i for i, one in enumerate(counted) if one.lost == 62]
     assert len(back) == 4 and all(sent[i].time_s == sent[i - 1].time_s for i in back)

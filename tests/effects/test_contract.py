@@ -1,4 +1,5 @@
-"""Every effect keeps the contract (docs/reference/effects.md): complete, neutral when it is, seen where its port says."""
+"""Every effect keeps the contract (docs/reference/effects.md): complete, neutral when it is, seen where its port
+says."""
 
 from __future__ import annotations
 

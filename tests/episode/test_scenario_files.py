@@ -25,7 +25,8 @@ UNSEEN = (
     "double_lane_change",
     "stop_from_12mps",
 )
-# docs/reference/apollo.md, with 15 % of the steering and half of the grip and the brakes to spare; 2 m/s2 only at low speed
+# docs/reference/apollo.md, with 15 % of the steering and half of the grip and the brakes to spare; 2 m/s2 only at low
+# speed
 MKZ = CourseLimits(0.85 / 5.0539, 0.85 * 8.55211 / 16.0 / 2.8448, 3.3, -2.5, 1.8, 21.0)
 DT_S = 0.01
 
@@ -70,7 +71,8 @@ def seconds_beyond(values: np.ndarray, limit: float) -> float:
 
 
 def test_the_tuning_set_is_harsh_enough() -> None:
-    """|kappa| >= 0.05 and |a_ref| >= 1 (docs/reference/apollo.md, harsh) for 1 s at least, in three scenarios at least."""
+    """|kappa| >= 0.05 and |a_ref| >= 1 (docs/reference/apollo.md, harsh) for 1 s at least, in three scenarios at
+    least."""
     courses = [build_course(scenario(name), DT_S) for name in PAPER]
     bends = [seconds_beyond(curvature_by_time(course), 0.05) for course in courses]
     pulls = [seconds_beyond(np.asarray(course.accel_mps2), 1.0) for course in courses]

@@ -138,7 +138,8 @@ def test_replans_and_early_ends_are_marked_on_every_panel() -> None:
 def test_what_was_not_recorded_is_said_not_drawn() -> None:
     bare = {name: DRIVES[1].columns[name] for name in ("t_s", "lateral_error_m")}
     bare["speed_mps"] = np.full(400, np.nan)
-    figure = scenario.draw_scenario("log", [scenario.DrivePicture("car", bare), scenario.DrivePicture("empty", {"t_s": []})])
+    drives = [scenario.DrivePicture("car", bare), scenario.DrivePicture("empty", {"t_s": []})]
+    figure = scenario.draw_scenario("log", drives)
     said = [text.get_text() for text in texts(figure) if "not recorded" in text.get_text()]
     assert len(said) == 5  # path, heading, speed, steering, and the title for the second drive
     assert not any("0.00" in text for text in said)
@@ -194,7 +195,8 @@ def test_many_parameters_show_the_three_that_matter_and_all_in_parallel() -> Non
 def test_weight_sees_slopes_and_valleys_but_not_noise() -> None:
     chance = np.random.default_rng(2)
     values, noise = chance.uniform(-1.0, 1.0, 300), chance.normal(size=300)
-    slope, valley = (scatter.variance_share(values, list(score)) for score in (values + 0.3 * noise, values**2 + 0.1 * noise))
+    scores = (values + 0.3 * noise, values**2 + 0.1 * noise)
+    slope, valley = (scatter.variance_share(values, list(score)) for score in scores)
     assert slope > 0.6 and valley > 0.4
     assert scatter.variance_share(values, list(noise)) < 0.06
     assert scatter.variance_share(values, [1.0] * 300) >= 0.0

@@ -214,14 +214,14 @@ def test_the_score_rises_with_each_metric(name: str, one: float, other: float) -
 
 
 def test_a_recording_that_stops_without_a_reason_is_not_graded() -> None:
-    with pytest.raises(InputError, match="'straight' was recorded for 150 ticks of 200"):
+    with pytest.raises(InputError, match="'straight': 150 of 200 ticks were recorded"):
         grade_drive(recording(150), COURSE, weights(), MKZ, scenario="straight")
     assert grade_drive(recording(195), COURSE, weights(), MKZ).outcome == "finished"
 
 
 def test_nothing_to_grade() -> None:
     bare = make_recording({"speed_mps": np.ones(200)}, DT_S)
-    with pytest.raises(InputError, match="not one of the weighted metrics"):
+    with pytest.raises(InputError, match="none of the weighted metrics"):
         grade_drive(bare, COURSE, weights(), MKZ)
 
 

@@ -256,7 +256,7 @@ def test_transmit_is_refused_on_a_link_that_is_not_vcan(
 
     for kind in ("can", "", "slcan"):
         monkeypatch.setattr(module, "kernel_has_can", lambda: True)
-        monkeypatch.setattr(module, "link_state", lambda name, kind=kind: kernel_link.LinkState(True, True, kind))
+        monkeypatch.setattr(module, "link_state", lambda name, kind=kind: kernel_link.KernelLinkState(True, True, kind))
         assert "safety gate" in said(*drive(tmp_path), "--bus", "socketcan:vcan0")
 
 

@@ -16,7 +16,7 @@ from tests.house import ROOT
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bus.socketcan import kernel_link
-from tunefree_hil.bus.socketcan.kernel_link import LinkState
+from tunefree_hil.bus.socketcan.kernel_link import KernelLinkState
 from tunefree_hil.jobs import machine
 from tunefree_hil.jobs.doctor import check_bench_file, check_vehicle_folder, doctor
 from tunefree_hil.jobs.machine import FAULT, NOTE, OK
@@ -159,15 +159,15 @@ def test_a_missing_entry_point_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.parametrize(
     ("state", "kind", "text", "remedy"),
     [
-        (LinkState(False, False, ""), NOTE, "there is no vcan0", "sudo ip link add dev vcan0 type vcan"),
-        (LinkState(True, False, "vcan"), NOTE, "vcan0 is down", "sudo ip link set up vcan0"),
-        (LinkState(True, True, "", 16, 10), NOTE, "hardware, mtu 16", "sudo ip link set vcan0 txqueuelen 1000"),
-        (LinkState(True, True, "", 72, 1000), NOTE, "never transmit", ""),
-        (LinkState(True, True, "vcan", 16, 1000), NOTE, "classic CAN only", "sudo ip link set vcan0 mtu 72"),
-        (LinkState(True, True, "vcan", 72, 1000), OK, "vcan, mtu 72 (classic CAN and CAN FD), txqueuelen 1000", ""),
+        (KernelLinkState(False, False, ""), NOTE, "there is no vcan0", "sudo ip link add dev vcan0 type vcan"),
+        (KernelLinkState(True, False, "vcan"), NOTE, "vcan0 is down", "sudo ip link set up vcan0"),
+        (KernelLinkState(True, True, "", 16, 10), NOTE, "hardware, mtu 16", "sudo ip link set vcan0 txqueuelen 1000"),
+        (KernelLinkState(True, True, "", 72, 1000), NOTE, "never transmit", ""),
+        (KernelLinkState(True, True, "vcan", 16, 1000), NOTE, "classic CAN only", "sudo ip link set vcan0 mtu 72"),
+        (KernelLinkState(True, True, "vcan", 72, 1000), OK, "vcan, mtu 72 (classic CAN and CAN FD), txqueuelen 1000", ""),
     ],
 )
-def test_a_can_link(state: LinkState, kind: str, text: str, remedy: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_can_link(state: KernelLinkState, kind: str, text: str, remedy: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernel_link, "link_state", lambda name: state)
     found = machine.check_can_link("vcan0")
     assert found.kind == kind and text in found.text
@@ -184,7 +184,7 @@ def test_can_links(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernel_link, "kernel_has_can", lambda: True)
     monkeypatch.setattr(kernel_link, "can_names", lambda: ["can0", "vcan0"])
     monkeypatch.setattr(
-        kernel_link, "link_state", lambda name: LinkState(name != "vcan1", True, "vcan"[: 4 * (name > "v")])
+        kernel_link, "link_state", lambda name: KernelLinkState(name != "vcan1", True, "vcan"[: 4 * (name > "v")])
     )
     told = {finding.text.split()[0]: finding.kind for finding in machine.check_can_links()}
     assert told == {"vcan0": OK, "the": NOTE, "can0": NOTE}

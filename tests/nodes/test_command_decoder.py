@@ -54,7 +54,7 @@ def broken(frame: CanFrame) -> CanFrame:
 
 def test_one_frame_feeds_three_channels_from_its_second_on(codec: Codec) -> None:
     road = Road(codec)
-    first, second = road.ears.hear([road.frame()]), road.ears.hear([road.frame()])
+    first, second = road.ears.receive([road.frame()]), road.ears.receive([road.frame()])
     assert [one.fresh for one in first[:3]] == [0.0, 0.0, 0.0], "invalid until proven"
     assert {one.e2e for one in first[:3]} == {float(E2eStatus.INITIAL)}
     assert [one.fresh for one in second[:3]] == [1.0, 1.0, 1.0]
@@ -66,18 +66,18 @@ def test_one_frame_feeds_three_channels_from_its_second_on(codec: Codec) -> None
 def test_a_broken_frame_is_not_fresh_and_says_why(codec: Codec) -> None:
     road = Road(codec)
     for _ in range(3):
-        road.ears.hear([road.frame()])
-    heard = road.ears.hear([broken(road.frame(0.9))])
+        road.ears.receive([road.frame()])
+    heard = road.ears.receive([broken(road.frame(0.9))])
     assert heard.throttle.fresh == heard.steer.fresh == 0.0
     assert heard.brake.e2e == E2eStatus.WRONG_CRC
-    assert road.ears.hear([road.frame()]).throttle.fresh == 1.0
+    assert road.ears.receive([road.frame()]).throttle.fresh == 1.0
 
 
 def test_a_copy_takes_nothing_away_from_its_original(codec: Codec) -> None:
     road = Road(codec)
-    road.ears.hear([road.frame()])
+    road.ears.receive([road.frame()])
     good = road.frame(0.4)
-    heard = road.ears.hear([good, good])
+    heard = road.ears.receive([good, good])
     assert heard.throttle.fresh == 1.0 and heard.throttle.value == pytest.approx(0.4, abs=3e-4)
     assert heard.throttle.e2e == E2eStatus.REPEATED and heard.throttle.counter_ok == 1.0
 
@@ -86,9 +86,9 @@ def test_bad_commands_for_100_ms_are_a_time_out(codec: Codec) -> None:
     """Frames come all the time, none is believed: the channel's time-out acts as in silence."""
     road = Road(codec)
     for _ in range(5):
-        status = road.status(road.ears.hear([road.frame()]))
+        status = road.status(road.ears.receive([road.frame()]))
     assert status.brake.enabled == 1.0 and status.brake.timeout == 0.0  # type: ignore[attr-defined]
-    timeouts = [road.status(road.ears.hear([broken(road.frame())])).brake.timeout for _ in range(12)]  # type: ignore[attr-defined]
+    timeouts = [road.status(road.ears.receive([broken(road.frame())])).brake.timeout for _ in range(12)]  # type: ignore[attr-defined]
     assert timeouts == [0.0] * 9 + [1.0] * 3
 
 
@@ -96,7 +96,7 @@ def test_the_vehicle_says_in_which_bits_it_tells(codec: Codec) -> None:
     road, state = Road(codec), codec.by_name["STATE"]
 
     def bits(frames: list[CanFrame]) -> tuple[float, float]:
-        found = set_bits(state, road.status(road.ears.hear(frames)))  # type: ignore[arg-type]
+        found = set_bits(state, road.status(road.ears.receive(frames)))  # type: ignore[arg-type]
         return found["BAD"], found["WHY"]
 
     assert bits([road.frame()]) == (1.0, 0.0), "not proven yet"

@@ -63,7 +63,7 @@ class Car:
     def tick(self, frames: list[CanFrame] | None = None) -> dict[str, dict[str, float]]:
         """Publish and step once; the decoded frames by message."""
         sent = self.part._publish(self.k, self.k)
-        heard = self.part._hear(self.exchange, self.k, self.commands() if frames is None else frames)
+        heard = self.part._receive(self.exchange, self.k, self.commands() if frames is None else frames)
         self.part._step(self.exchange, self.k, heard)
         self.k += 1
         return {self.codec.by_id[one.id].name: self.codec.decode(self.codec.by_id[one.id], one.data) for one in sent}
@@ -82,36 +82,36 @@ def car(tmp_path: Path) -> Car:
 
 
 def test_what_the_ears_hear(car: Car) -> None:
-    heard = CommandDecoder(car.codec).hear(car.commands())
+    heard = CommandDecoder(car.codec).receive(car.commands())
     assert heard.throttle.value == pytest.approx(0.2, abs=2e-5)
     assert heard.steer.value == pytest.approx(0.0, abs=1e-3)
     assert [(one.enable, one.clear, one.ignore, one.fresh) for one in heard[:3]] == [(1.0, 0.0, 0.0, 1.0)] * 3
     assert heard.gear == GEAR_DRIVE and heard.gear_clear == 0.0
-    assert CommandDecoder(car.codec).hear([]).brake.fresh == 0.0
+    assert CommandDecoder(car.codec).receive([]).brake.fresh == 0.0
 
 
 def test_the_ears_notice_a_counter_that_does_not_count(car: Car) -> None:
     ears = CommandDecoder(car.codec)
     first = car.commands()
-    assert ears.hear(first).brake.counter_ok == 1.0
-    assert ears.hear(first).brake.counter_ok == 0.0
+    assert ears.receive(first).brake.counter_ok == 1.0
+    assert ears.receive(first).brake.counter_ok == 0.0
     car.k += 1
-    assert ears.hear(car.commands()).brake.counter_ok == 1.0
+    assert ears.receive(car.commands()).brake.counter_ok == 1.0
 
 
 def test_a_clear_frame_of_four_bytes_says_nothing_of_the_counter(car: Car) -> None:
     ears = CommandDecoder(car.codec)
-    ears.hear(car.commands())
+    ears.receive(car.commands())
     message = car.codec.by_name["BRAKE_CMD"]
     clear = CanFrame(message.can_id, car.codec.encode(message, {}, {message.clear: 1.0}, 4))
-    heard = ears.hear([clear]).brake
+    heard = ears.receive([clear]).brake
     assert (heard.clear, heard.counter_ok, heard.enable) == (1.0, 1.0, 0.0)
 
 
 def test_a_command_that_is_too_short_is_no_command(car: Car) -> None:
     """GEAR_CMD may not be cut: a byte of it is noticed, and the gear stays unsaid."""
     ears, message = CommandDecoder(car.codec), car.codec.by_name["GEAR_CMD"]
-    assert not message.allow_truncated and ears.hear([CanFrame(message.can_id, b"")]).gear == GEAR_NONE
+    assert not message.allow_truncated and ears.receive([CanFrame(message.can_id, b"")]).gear == GEAR_NONE
     assert ears.reception.too_short == {"GEAR_CMD": 1}
 
 

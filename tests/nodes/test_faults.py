@@ -169,7 +169,7 @@ def test_two_faults_of_one_message_apply_in_the_order_of_the_file(codec: Codec) 
 def test_a_receiver_names_it(codec: Codec, kind: str, value: int, status: E2eStatus) -> None:
     receiver, seen = Receiver(codec.by_name["DRIVE"]), set()
     for k, frames in enumerate(send(codec, scripted(codec, kind, value))):
-        seen |= {receiver.hear(k, frame.data) for frame in frames}
+        seen |= {receiver.receive(k, frame.data) for frame in frames}
         if receiver.look(k):
             seen.add(receiver.status)
     assert status in seen

@@ -37,18 +37,18 @@ def enabled_frames(codec: Codec) -> list[CanFrame]:
 
 
 def test_nothing_heard_is_nan_and_unknown(codec: Codec) -> None:
-    hearing = MeasurementDecoder(codec, 0.01)
-    assert all(math.isnan(value) for record in hearing.measurement() for value in record)
-    assert hearing.state() == VehicleState()._replace(enabled=True)
-    assert not hearing.state().known
+    decoder = MeasurementDecoder(codec, 0.01)
+    assert all(math.isnan(value) for record in decoder.measurement() for value in record)
+    assert decoder.state() == VehicleState()._replace(enabled=True)
+    assert not decoder.state().known
 
 
 def test_values_are_kept_until_the_next(codec: Codec) -> None:
-    hearing = MeasurementDecoder(codec, 0.01)
+    decoder = MeasurementDecoder(codec, 0.01)
     report = Report()._replace(speed_mps=5.0, steer_rad=0.5)
-    hearing.hear(0, [frame(codec, "STEERING_REPORT", report=report)])
-    hearing.hear(1, [frame(codec, "GYRO", report=Report()._replace(yaw_rate_radps=0.1))])
-    heard = hearing.measurement()
+    decoder.receive(0, [frame(codec, "STEERING_REPORT", report=report)])
+    decoder.receive(1, [frame(codec, "GYRO", report=Report()._replace(yaw_rate_radps=0.1))])
+    heard = decoder.measurement()
     assert heard.report.speed_mps == pytest.approx(5.0, abs=0.01)
     assert heard.report.steer_rad == pytest.approx(0.5, abs=0.01)
     assert heard.report.yaw_rate_radps == pytest.approx(0.1, abs=0.001)
@@ -56,14 +56,14 @@ def test_values_are_kept_until_the_next(codec: Codec) -> None:
 
 
 def test_every_channel_must_say_enabled(codec: Codec) -> None:
-    hearing = MeasurementDecoder(codec, 0.01)
+    decoder = MeasurementDecoder(codec, 0.01)
     for name in ENABLED[:2]:
-        hearing.hear(0, [frame(codec, name, {"ENABLED": 1.0})])
-        assert not hearing.state().known
-    hearing.hear(0, [frame(codec, ENABLED[2], {"ENABLED": 0.0})])
-    assert hearing.state() == VehicleState(known=True, enabled=False)
-    hearing.hear(1, [frame(codec, ENABLED[2], {"ENABLED": 1.0})])
-    assert hearing.state() == VehicleState(known=True, enabled=True)
+        decoder.receive(0, [frame(codec, name, {"ENABLED": 1.0})])
+        assert not decoder.state().known
+    decoder.receive(0, [frame(codec, ENABLED[2], {"ENABLED": 0.0})])
+    assert decoder.state() == VehicleState(known=True, enabled=False)
+    decoder.receive(1, [frame(codec, ENABLED[2], {"ENABLED": 1.0})])
+    assert decoder.state() == VehicleState(known=True, enabled=True)
 
 
 @pytest.mark.parametrize(
@@ -81,27 +81,27 @@ def test_every_channel_must_say_enabled(codec: Codec) -> None:
     ],
 )
 def test_state_bits(codec: Codec, message: str, signal: str, value: float, condition: str) -> None:
-    hearing = MeasurementDecoder(codec, 0.01)
-    hearing.hear(0, enabled_frames(codec))
+    decoder = MeasurementDecoder(codec, 0.01)
+    decoder.receive(0, enabled_frames(codec))
     own = {"ENABLED": 1.0} if message in ENABLED else {}
-    hearing.hear(1, [frame(codec, message, {**own, signal: value})])
+    decoder.receive(1, [frame(codec, message, {**own, signal: value})])
     expected = VehicleState(known=True, enabled=True, override=condition == "override", fault=condition == "fault")
-    assert hearing.state() == expected
-    hearing.hear(2, [frame(codec, message, own)])
-    assert hearing.state() == VehicleState(known=True, enabled=True)
+    assert decoder.state() == expected
+    decoder.receive(2, [frame(codec, message, own)])
+    assert decoder.state() == VehicleState(known=True, enabled=True)
 
 
 def test_the_age_of_a_message(codec: Codec) -> None:
     """0.2 s, counted from tick 0 for what was never heard; the same payload again is heard too."""
     needed = {INS: ["INS_POS_LOCAL"], CHASSIS: ["STEERING_REPORT"]}
-    hearing = MeasurementDecoder(codec, 0.01)
+    decoder = MeasurementDecoder(codec, 0.01)
     same = frame(codec, "INS_POS_LOCAL")
     for k in range(0, 31, 10):
-        hearing.hear(k, [same, frame(codec, "STEERING_REPORT")])
-    assert hearing.missing(50, needed) is None
-    assert hearing.missing(51, needed) == (INS, ["INS_POS_LOCAL"])
-    hearing.hear(51, [same])
-    assert hearing.missing(51, needed) == (CHASSIS, ["STEERING_REPORT"])
+        decoder.receive(k, [same, frame(codec, "STEERING_REPORT")])
+    assert decoder.missing(50, needed) is None
+    assert decoder.missing(51, needed) == (INS, ["INS_POS_LOCAL"])
+    decoder.receive(51, [same])
+    assert decoder.missing(51, needed) == (CHASSIS, ["STEERING_REPORT"])
     assert MeasurementDecoder(codec, 0.01).missing(20, needed) is None
     assert MeasurementDecoder(codec, 0.01).missing(21, needed) == (INS, ["INS_POS_LOCAL"])
 
@@ -118,22 +118,22 @@ def test_a_slow_message_has_longer(codec: Codec, period: int, timeout: int, limi
     slow = copy(codec)
     changed = {"period_ticks": period, "timeout_ticks": timeout}
     slow.telemetry = tuple(replace(one, **changed) if one.name == "GYRO" else one for one in codec.telemetry)
-    hearing = MeasurementDecoder(slow, 0.01)
-    assert hearing.missing(limit, {CHASSIS: ["GYRO"]}) is None
-    assert hearing.missing(limit + 1, {CHASSIS: ["GYRO"]}) == (CHASSIS, ["GYRO"])
+    decoder = MeasurementDecoder(slow, 0.01)
+    assert decoder.missing(limit, {CHASSIS: ["GYRO"]}) is None
+    assert decoder.missing(limit + 1, {CHASSIS: ["GYRO"]}) == (CHASSIS, ["GYRO"])
 
 
 @given(st.data())
 def test_a_frame_of_any_length_ends_nothing(codec: Codec, data: st.DataObject) -> None:
     """Another node's frame with one of the vehicle's ids, cut off anywhere: the values are those before it."""
     message = data.draw(st.sampled_from(codec.telemetry))
-    hearing = MeasurementDecoder(codec, 0.01)
-    hearing.hear(0, [CanFrame(one.can_id, bytes(one.length), one.extended, one.fd) for one in codec.telemetry])
-    before = hearing.measurement(), hearing.state()
+    decoder = MeasurementDecoder(codec, 0.01)
+    decoder.receive(0, [CanFrame(one.can_id, bytes(one.length), one.extended, one.fd) for one in codec.telemetry])
+    before = decoder.measurement(), decoder.state()
     short = data.draw(st.binary(max_size=message.length - 1))
-    hearing.hear(1, [CanFrame(message.can_id, short, message.extended, message.fd)])
-    assert (hearing.measurement(), hearing.state()) == before and hearing.heard_at[message.name] == 0
-    assert hearing.reception.too_short == {message.name: 1}
+    decoder.receive(1, [CanFrame(message.can_id, short, message.extended, message.fd)])
+    assert (decoder.measurement(), decoder.state()) == before and decoder.heard_at[message.name] == 0
+    assert decoder.reception.too_short == {message.name: 1}
 
 
 @pytest.fixture
@@ -147,35 +147,35 @@ def protected(writer: FrameWriter, speed_mps: float, enabled: float = 1.0) -> Ca
 
 
 def test_a_protected_report_is_invalid_until_proven(little: Codec) -> None:
-    hearing, writer = MeasurementDecoder(little, 0.01), FrameWriter(little)
-    hearing.hear(0, [protected(writer, 3.0)])
-    assert math.isnan(hearing.measurement().report.speed_mps) and not hearing.state().known
-    hearing.hear(2, [protected(writer, 4.0)])
-    assert hearing.measurement().report.speed_mps == pytest.approx(4.0) and hearing.state().known
+    decoder, writer = MeasurementDecoder(little, 0.01), FrameWriter(little)
+    decoder.receive(0, [protected(writer, 3.0)])
+    assert math.isnan(decoder.measurement().report.speed_mps) and not decoder.state().known
+    decoder.receive(2, [protected(writer, 4.0)])
+    assert decoder.measurement().report.speed_mps == pytest.approx(4.0) and decoder.state().known
 
 
 def test_a_broken_or_repeated_report_changes_nothing(little: Codec) -> None:
-    hearing, writer = MeasurementDecoder(little, 0.01), FrameWriter(little)
+    decoder, writer = MeasurementDecoder(little, 0.01), FrameWriter(little)
     good = [protected(writer, 3.0) for _ in range(2)]
-    hearing.hear(0, good[:1])
-    hearing.hear(2, good[1:])
+    decoder.receive(0, good[:1])
+    decoder.receive(2, good[1:])
     other = protected(writer, 9.0, 0.0)
-    hearing.hear(4, [other._replace(data=other.data[:-1] + b"\x01")])
-    assert hearing.measurement().report.speed_mps == pytest.approx(3.0) and hearing.state().enabled
-    hearing.hear(6, good[1:])
-    assert hearing.heard_at["STATE"] == 2, "a repeated frame is no news"
+    decoder.receive(4, [other._replace(data=other.data[:-1] + b"\x01")])
+    assert decoder.measurement().report.speed_mps == pytest.approx(3.0) and decoder.state().enabled
+    decoder.receive(6, good[1:])
+    assert decoder.heard_at["STATE"] == 2, "a repeated frame is no news"
 
 
 def test_a_report_that_is_not_believed_for_0_2_s_is_missing_with_its_status(little: Codec) -> None:
     """Whether anybody asked for it or not."""
-    hearing, writer = MeasurementDecoder(little, 0.01), FrameWriter(little)
+    decoder, writer = MeasurementDecoder(little, 0.01), FrameWriter(little)
     needed: dict[str, list[str]] = {INS: [], CHASSIS: []}
     for k in range(0, 10, 2):
-        hearing.hear(k, [protected(writer, 3.0)])
+        decoder.receive(k, [protected(writer, 3.0)])
     for k in range(10, 30, 2):
         frame = protected(writer, 3.0)
-        hearing.hear(k, [frame._replace(data=bytes((frame.data[0] ^ 255,)) + frame.data[1:])])
-        assert hearing.missing(k, needed) is None
-    assert hearing.missing(29, needed) == (CHASSIS, ["STATE"])
-    assert hearing.why("STATE") == "STATE (wrong CRC)" and hearing.why("OTHER") == "OTHER"
-    assert hearing.reception.troubles()["STATE"][E2eStatus.WRONG_CRC] == 10
+        decoder.receive(k, [frame._replace(data=bytes((frame.data[0] ^ 255,)) + frame.data[1:])])
+        assert decoder.missing(k, needed) is None
+    assert decoder.missing(29, needed) == (CHASSIS, ["STATE"])
+    assert decoder.why("STATE") == "STATE (wrong CRC)" and decoder.why("OTHER") == "OTHER"
+    assert decoder.reception.troubles()["STATE"][E2eStatus.WRONG_CRC] == 10

@@ -27,7 +27,7 @@ def run(codec: Codec, name: str, counts: dict[int, int], ticks: int, *, lockstep
     for k in range(ticks):
         due = k % message.period_ticks == 0
         for _ in range(counts.get(k, int(due))):
-            reception.hear(message, writer.write(message, {}, {}, 0.0).data, k)
+            reception.receive(message, writer.write(message, {}, {}, 0.0).data, k)
         reception.end_tick(k)
     return reception
 
@@ -88,7 +88,7 @@ def test_a_protected_message_is_named_by_its_status(little: Codec) -> None:
     frames = [writer.write(message, {}, {}, 0.0).data for _ in range(8)]
     heard = []
     for k, data in enumerate([frames[0], frames[1], frames[1], b"\xaa" * 16, frames[2], frames[3], frames[3]]):
-        heard.append(reception.hear(message, data, 2 * k))
+        heard.append(reception.receive(message, data, 2 * k))
         reception.end_tick(2 * k)
     assert heard == [False, True, False, False, True, True, False], "the first one only says where the counter stands"
     words = [str(one) for one in reception.notices()]
@@ -105,7 +105,7 @@ def test_a_frame_that_is_too_short_is_noticed_counted_and_not_believed(codec: Co
     whole = bytes(message.length)
     heard = []
     for k, data in enumerate([whole, b"", whole[:-1], whole, whole + b"more"]):
-        heard.append(reception.hear(message, data, k))
+        heard.append(reception.receive(message, data, k))
         reception.end_tick(k)
     assert heard == [True, False, False, True, True]
     assert of(reception, "GYRO") == [(1, TOO_SHORT)]
@@ -116,7 +116,7 @@ def test_a_frame_that_is_too_short_is_noticed_counted_and_not_believed(codec: Co
 def test_short_frames_alone_are_silence_too(codec: Codec) -> None:
     message, reception = codec.by_name["GYRO"], Reception(codec.telemetry)
     for k in range(10):
-        reception.hear(message, b"" if k > 3 else bytes(message.length), k)
+        reception.receive(message, b"" if k > 3 else bytes(message.length), k)
         reception.end_tick(k)
     assert [what for _, what in of(reception, "GYRO")] == [TOO_SHORT, E2eStatus.NO_NEW_DATA.words]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ def test_the_first_trials_stand_for_themselves_and_the_others_for_the_rest() -> 
 
 
 def test_seconds_are_the_study_s_own(tmp_path: Path) -> None:
-    def evaluate(points: dict[int, dict[str, float]]) -> list[Evaluation]:
+    def evaluate(points: Mapping[int, dict[str, float]]) -> list[Evaluation]:
         time.sleep(0.2)
         return [
             Evaluation(bowl(values).score, {"a": {"outcome": "finished" if slot else "left_lane"}})

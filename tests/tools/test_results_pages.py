@@ -6,12 +6,23 @@ import csv
 import re
 
 from tests.house import ROOT
-from tools import make_results_page
+from tools import make_criteria_page, make_results_page
 
 
 def test_pages_are_generated_from_their_tables() -> None:
     for name, text in make_results_page.pages().items():
         assert (make_results_page.FOLDER / name).read_text(encoding="utf-8") == text, "run tools/make_results_page.py"
+
+
+def test_the_page_of_criteria_is_generated() -> None:
+    assert make_criteria_page.PAGE.read_text(encoding="utf-8") == make_criteria_page.page(), (
+        "run tools/make_criteria_page.py"
+    )
+
+
+def test_every_threshold_says_what_it_means() -> None:
+    silent = [(r.file, r.name, t.name) for r in make_criteria_page.records() for t in r.thresholds if not t.meaning]
+    assert silent == []
 
 
 def test_figures_name_measures_that_exist() -> None:

@@ -1,6 +1,7 @@
 """Sensors of a car of the exam on a bench: scales, biases, filters and delays on what its frames say.
 
-Steps of one tick on records with the fields of docs/reference/files.md (report.*, ins.*), by name alone: nothing of the bench's
+Steps of one tick on records with the fields of docs/reference/files.md (report.*, ins.*), by name alone: nothing of
+the bench's
 package is imported. `sensors.py` of the model folder (bench_folder.py) puts them where a bench has its effects. A delay
 takes straight lines between ticks, where the exam's own logs take them between milliseconds.
 """

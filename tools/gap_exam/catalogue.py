@@ -1,7 +1,7 @@
 """The effects that the exam hides: the 42 of docs/reference/effects.md, and eight kinds that are in no catalogue.
 
-Names, parameters, units, neutral values, places and links are those of docs/reference/effects.md; sizes are the exam's own: `small`
-is about what a driver's logs can just show, `large` what nobody would overlook.
+Names, parameters, units, neutral values, places and links are those of docs/reference/effects.md; sizes are the
+exam's own: `small` is about what a driver's logs can just show, `large` what nobody would overlook.
 """
 
 from __future__ import annotations
@@ -88,7 +88,8 @@ OUTSIDE: dict[str, Kind] = {  # in no catalogue, and never to be added to it
     "heat_derating": Kind("loss_per_mj", "1/MJ", "add", 0.15, 0.7, False, B, T, "free_mj", (0.1, 0.4)),
 }
 
-# No log of an ordinary drive can separate these (docs/reference/effects.md); this car's lateral_accel_mps2 is there, so the class
+# No log of an ordinary drive can separate these (docs/reference/effects.md); this car's lateral_accel_mps2 is there,
+# so the class
 # of side wind and road bank is none here.
 CLASSES: tuple[frozenset[str], ...] = (frozenset({"brake_drag", "rolling_resistance"}),)
 ALSO_LINKS: dict[str, tuple[str, ...]] = {"grade": ("accel_vs_dvdt",), "road_bank": ("accel_vs_dvdt",)}

@@ -1,6 +1,7 @@
 """The by-wire channels and what lies behind them: command -> reported output -> what the car feels, steps of 1 ms.
 
-Place A of an effect is before the reported output, place B behind it (docs/reference/effects.md). Pedals count above their rest.
+Place A of an effect is before the reported output, place B behind it (docs/reference/effects.md). Pedals count above
+their rest.
 """
 
 from __future__ import annotations

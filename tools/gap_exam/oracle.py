@@ -39,7 +39,8 @@ WIDE = {"drive_n": 0.5, "drive_bend": 0.5, "drive_w": 0.7, "brake_n": 0.5, "fron
         "throttle_dead_s": 9.0, "throttle_lag_s": 9.0, "brake_dead_s": 9.0, "brake_lag_s": 9.0,
         "brake_dead_band": 0.05}  # fmt: skip
 HIDDEN = ("steer_offset", "brake_dead_band")  # of a model's constants those that stand among the effects here
-# A calibration has these constants of every channel: dead time, rate limit, dead band, offset (docs/reference/files.md), and a lag
+# A calibration has these constants of every channel: dead time, rate limit, dead band, offset
+# (docs/reference/files.md), and a lag
 # behind the throttle
 EXACT = ("steer_dead_time", "steer_rate_limit", "steer_dead_band", "steer_offset", "steer_report_offset",
          "throttle_dead_time", "throttle_rate_limit", "powertrain_lag", "brake_dead_time",

@@ -74,7 +74,7 @@ class InProcess:
         parameters = self._assign.indexed(values)
         self.ecu.load(start, scenario.noise_seed, parameters)
         self.controller.load(start, scenario.noise_seed, parameters)
-        self.controller.hearing.reception.expect_every_period()  # as its own lockstep does
+        self.controller.decoder.reception.expect_every_period()  # as its own lockstep does
         between = _Between(self.controller, keep, until)
         self.ecu.lockstep(cast(Exchange, between), lambda message: False)
         code = between.failure or between.end.error_code

@@ -46,7 +46,9 @@ def _driven(bench: Bench, names: list[str], folder: Path, factor: float, grade_r
         file.write_text(tomli_w.dumps(_bench(bench, names, grade_rad)), encoding="utf-8")
         words = [f"{name}={value:.9g}" for name, value in scaled(parameters_of(bench), factor).items()]
         result = ended(
-            drive(DriveOptions(file, model=bench.spec.verify_model, bus="tfhub", seed=seed, out=folder, parameters=words))
+            drive(
+                DriveOptions(file, model=bench.spec.verify_model, bus="tfhub", seed=seed, out=folder, parameters=words)
+            )
         )
         logs = sorted(str(path) for path in Path(result["run"]).glob("episodes/*/vehicle.log"))
         done.write_text("\n".join(logs), encoding="utf-8")

@@ -44,9 +44,19 @@ LEAST_TRUTH_S = 0.02
 SMALL_S, FINE_S = 1.0, 1e-3  # length of a step response, and the reference vehicle's own step
 CHANNELS = ("throttle", "brake", "steer")
 SMALL = {"throttle": 0.02, "brake": 0.02, "steer": 0.02}
-COUNTED = ("learn/actuators/identify.py", "learn/actuators/model.py", "learn/actuators/search.py", "learn/actuators/identify.py",
-           "learn/robust_least_squares.py", "learn/actuators/samples.py", "learn/drives/read.py",
-           "learn/drives/decode.py", "learn/drives/smoothing.py", "learn/drives/split.py", "learn/data_sheet.py", "learn/estimate.py")  # fmt: skip
+COUNTED = (
+    "learn/actuators/identify.py",
+    "learn/actuators/model.py",
+    "learn/actuators/search.py",
+    "learn/robust_least_squares.py",
+    "learn/actuators/samples.py",
+    "learn/drives/read.py",
+    "learn/drives/decode.py",
+    "learn/drives/smoothing.py",
+    "learn/drives/split.py",
+    "learn/data_sheet.py",
+    "learn/estimate.py",
+)
 # [low, high] of what is drawn; shares of the published or chosen values of bench_configs/models/mkz_reference
 BOXES = {
     "steer_dead_time_s": (0.04, 0.18),
@@ -129,7 +139,9 @@ def _reached(block: Block, channel: str, base: float, step: float, rest: float) 
     raise ValueError(f"{channel} does not answer a step within {SMALL_S} s")
 
 
-def _one(bench: Bench, values: dict[str, float], seconds: float, number: int, worker: CompiledProcess) -> list[dict[str, Any]]:
+def _one(
+    bench: Bench, values: dict[str, float], seconds: float, number: int, worker: CompiledProcess
+) -> list[dict[str, Any]]:
     """Rows of one vehicle: driven, logged, read, split, identified."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "vehicle.log"

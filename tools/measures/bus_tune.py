@@ -83,7 +83,9 @@ def measure(
 def _timed(folder: Path, trials: int, benches: int, bench: Path) -> Timed:
     """Run or go on with the study."""
     folder.mkdir(parents=True, exist_ok=True)
-    asked = TuneOptions(bench, trials=trials, verify=False, benches=benches, out=folder, session=f"bus-tune-{os.getpid()}")
+    asked = TuneOptions(
+        bench, trials=trials, verify=False, benches=benches, out=folder, session=f"bus-tune-{os.getpid()}"
+    )
     old = _last_run(folder)
     speed_x = float("nan")
     for event in tune(asked if old is None else asked._replace(resume=old.path)):

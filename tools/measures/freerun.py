@@ -135,7 +135,11 @@ def unseen_tracks(logs: Sequence[Path], bench: Bench) -> list[MotionTrack]:
 
 
 def judged_on(
-    worker: CompiledProcess, models: Mapping[str, ModelSpec], bench: Bench, tracks: Sequence[MotionTrack], every_s: float
+    worker: CompiledProcess,
+    models: Mapping[str, ModelSpec],
+    bench: Bench,
+    tracks: Sequence[MotionTrack],
+    every_s: float,
 ) -> dict[str, FreeRunErrors]:
     """Free run of all models from the same starts; says which one is done."""
     options = EvaluationOptions(every_s=every_s)
@@ -147,7 +151,9 @@ def judged_on(
             return end.value
 
 
-def heading_on(worker: CompiledProcess, models: Mapping[str, ModelSpec], bench: Bench, tracks: Sequence[MotionTrack]) -> HeadingRun:
+def heading_on(
+    worker: CompiledProcess, models: Mapping[str, ModelSpec], bench: Bench, tracks: Sequence[MotionTrack]
+) -> HeadingRun:
     """The level start whose heading turns most in PICTURE_S. Raises InputError where no drive is that long."""
     best: tuple[float, MotionTrack, int] | None = None
     for track in tracks:
@@ -159,9 +165,7 @@ def heading_on(worker: CompiledProcess, models: Mapping[str, ModelSpec], bench: 
     if best is None:
         raise InputError(f"no unseen drive has {PICTURE_S:g} s to show", code="too_short", key="bench")
     _, track, row = best
-    kinds = worker.wait_for_result(
-        run_headings, dict(models), bench.vehicle, track, row, PICTURE_S
-    )
+    kinds = worker.wait_for_result(run_headings, dict(models), bench.vehicle, track, row, PICTURE_S)
     rows = len(next(iter(kinds.values())))
     time_s = track.dt_s * np.arange(rows, dtype=np.float64)
     return HeadingRun(

@@ -162,9 +162,7 @@ def folds_of(car: Car, place: Path, seed: int, minutes: float, every_s: float) -
         tracks = make_motion_tracks(split.held_out, vehicle)
         try:
             with CompiledProcess() as worker:
-                ahead = worker.wait_for_result(
-                    evaluate_velocities, models, vehicle, tracks, every_s
-                )
+                ahead = worker.wait_for_result(evaluate_velocities, models, vehicle, tracks, every_s)
         except InputError as error:
             print(f"{car.name}, {split.description}: {error.message}", file=sys.stderr)
             ahead = None

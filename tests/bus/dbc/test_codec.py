@@ -151,9 +151,9 @@ def test_commands_are_packed_as_published() -> None:
 
 def test_reports_are_read_as_published() -> None:
     snapshot = Snapshot(MKZ)
-    snapshot.hear(MKZ.by_name["BRAKE_REPORT"], bytes([0, 0, 255, 255, 0, 128, 0b1101_1000, 0b1000_0011]))
-    snapshot.hear(MKZ.by_name["STEERING_REPORT"], bytes([0x84, 0x03, 0x7C, 0xFC, 0xE8, 0x03, 0xF0, 1]))
-    snapshot.hear(MKZ.by_name["ACCEL"], bytes([100, 0, 0x38, 0xFF, 0, 0]))
+    snapshot.receive(MKZ.by_name["BRAKE_REPORT"], bytes([0, 0, 255, 255, 0, 128, 0b1101_1000, 0b1000_0011]))
+    snapshot.receive(MKZ.by_name["STEERING_REPORT"], bytes([0x84, 0x03, 0x7C, 0xFC, 0xE8, 0x03, 0xF0, 1]))
+    snapshot.receive(MKZ.by_name["ACCEL"], bytes([100, 0, 0x38, 0xFF, 0, 0]))
     report = snapshot.report()
     assert (report.brake_input_frac, report.brake_command_frac) == (0.0, 1.0)
     assert report.brake_frac == pytest.approx(0.5, abs=1e-5)
@@ -203,7 +203,7 @@ def test_values_are_clipped_to_the_declared_range(value: float, name: str) -> No
     limit = {"throttle_frac": (0.0, 1.0), "steer_rad": (-470.0 * DEG, 470.0 * DEG), "gear": (0.0, 5.0)}[name]
     snapshot = Snapshot(MKZ)
     for message in MKZ.commands:
-        snapshot.hear(message, MKZ.encode(message, {"command": Command()._replace(**{name: value})}, {}))
+        snapshot.receive(message, MKZ.encode(message, {"command": Command()._replace(**{name: value})}, {}))
     heard = getattr(snapshot.command(), name)
     assert limit[0] - 1e-9 <= heard <= limit[1] + 1e-9
     if not limit[0] <= value <= limit[1]:
@@ -214,7 +214,7 @@ def test_values_are_clipped_to_the_declared_range(value: float, name: str) -> No
 def test_a_heading_is_wrapped_not_clipped(heading_rad: float) -> None:
     message = MKZ.by_name["INS_VEL_YAW_LOCAL"]
     snapshot = Snapshot(MKZ)
-    snapshot.hear(message, MKZ.encode(message, {"ins": Ins()._replace(heading_rad=heading_rad)}, {}))
+    snapshot.receive(message, MKZ.encode(message, {"ins": Ins()._replace(heading_rad=heading_rad)}, {}))
     difference = snapshot.ins().heading_rad - heading_rad
     assert abs(math.sin(difference)) < 1e-4 and math.cos(difference) > 0.999
 
@@ -280,7 +280,7 @@ def test_take_gives_what_hear_gives(payload):
     for codec in CODECS.values():
         heard, taken = Snapshot(codec), Snapshot(codec)
         for message in (*codec.commands, *codec.telemetry):
-            heard.hear(message, payload[: message.length])
+            heard.receive(message, payload[: message.length])
             taken.take(message, payload[: message.length])
         for read in ("report", "ins", "command"):
             assert repr(getattr(heard, read)()) == repr(getattr(taken, read)())

@@ -31,7 +31,7 @@ BRAKE = CODEC.by_name["BRAKE_CMD"]
 def test_a_counter_in_order_is_always_ok(modulus: int, frames: int) -> None:
     check, counter = CounterCheck(modulus), 0
     for i in range(frames):
-        order = check.hear(float(counter)).order
+        order = check.receive(float(counter)).order
         assert order is (Order.FIRST if i == 0 else Order.OK)
         counter = next_counter(counter, modulus)
     assert counter == frames % modulus
@@ -47,14 +47,14 @@ def test_what_is_missing_is_counted(modulus: int, data: st.DataObject) -> None:
 
 def test_a_stuck_counter_is_noticed_and_counted_in_a_row() -> None:
     check = CounterCheck(256)
-    orders = [check.hear(value).order for value in (9, 9, 9, 10, 10)]
+    orders = [check.receive(value).order for value in (9, 9, 9, 10, 10)]
     assert orders == [Order.FIRST, Order.REPEATED, Order.REPEATED, Order.OK, Order.REPEATED]
     assert check.repeats == 1
 
 
 def test_a_restarted_sender_is_followed_again() -> None:
     check = CounterCheck(256)
-    orders = [check.hear(value).order for value in (200, 0, 1)]
+    orders = [check.receive(value).order for value in (200, 0, 1)]
     assert orders == [Order.FIRST, Order.WRONG, Order.OK]
 
 
@@ -92,12 +92,12 @@ def test_a_receiver_names_what_happened(profile: str, data: st.DataObject) -> No
     message = van_like(profile, max_delta)
     receiver = Receiver(message)
     start = data.draw(st.integers(0, 40))
-    assert receiver.hear(0, frame(message, start)) is E2eStatus.INITIAL and not receiver.believed
+    assert receiver.receive(0, frame(message, start)) is E2eStatus.INITIAL and not receiver.believed
     good = data.draw(st.integers(1, 20))
     for n in range(1, good + 1):
-        assert receiver.hear(n, frame(message, start + n)) is E2eStatus.OK and receiver.believed
+        assert receiver.receive(n, frame(message, start + n)) is E2eStatus.OK and receiver.believed
     step = data.draw(st.integers(0, message.counter_modulus - 1))
-    status = receiver.hear(good + 1, frame(message, start + good + step))
+    status = receiver.receive(good + 1, frame(message, start + good + step))
     if step == 0:
         assert status is E2eStatus.REPEATED
     elif step == 1:
@@ -113,12 +113,12 @@ def test_any_flipped_bit_is_a_wrong_crc_and_the_next_frame_is_believed(profile: 
     message = van_like(profile)
     receiver = Receiver(message)
     for n in range(before + 1):
-        receiver.hear(n, frame(message, n))
+        receiver.receive(n, frame(message, n))
     broken = bytearray(frame(message, before + 1))
     broken[bit // 8] ^= 1 << bit % 8
-    assert receiver.hear(before + 1, bytes(broken)) is E2eStatus.WRONG_CRC and not receiver.believed
+    assert receiver.receive(before + 1, bytes(broken)) is E2eStatus.WRONG_CRC and not receiver.believed
     # one period without a believed frame: the counter may have moved by one more
-    status = receiver.hear(before + 2, frame(message, before + 2))
+    status = receiver.receive(before + 2, frame(message, before + 2))
     assert status is E2eStatus.SOME_LOST and receiver.believed
 
 
@@ -128,51 +128,51 @@ def test_silence_is_told_and_a_long_one_must_be_proven_anew(profile: str, gap: i
     message = van_like(profile, period_ticks=period)
     receiver, heard, tick = Receiver(message), [], 0
     for n in range(3):
-        receiver.hear(n * period, frame(message, n))
+        receiver.receive(n * period, frame(message, n))
     for tick in range(2 * period + 1, (3 + gap) * period):
         if receiver.look(tick):
             heard.append(tick)
             assert receiver.status is E2eStatus.NO_NEW_DATA and not receiver.believed
     overdue = gap * period - 3  # ticks after the first one that is not grace any more
     assert len(heard) == (overdue // period + 1 if overdue >= 0 else 0)
-    status = receiver.hear(tick + 1, frame(message, 3 + gap))
+    status = receiver.receive(tick + 1, frame(message, 3 + gap))
     long = 1 + gap >= message.counter_modulus - 1
     assert status is (E2eStatus.INITIAL if long else E2eStatus.SOME_LOST)
-    assert receiver.hear(tick + 1 + period, frame(message, 4 + gap)) is E2eStatus.OK
+    assert receiver.receive(tick + 1 + period, frame(message, 4 + gap)) is E2eStatus.OK
 
 
 def test_a_wrong_sequence_is_a_new_start() -> None:
     message = van_like()
     receiver = Receiver(message)
     for n in range(5):
-        receiver.hear(n, frame(message, n))
-    assert receiver.hear(5, frame(message, 11)) is E2eStatus.WRONG_SEQUENCE
-    assert receiver.hear(6, frame(message, 12)) is E2eStatus.OK
+        receiver.receive(n, frame(message, n))
+    assert receiver.receive(5, frame(message, 11)) is E2eStatus.WRONG_SEQUENCE
+    assert receiver.receive(6, frame(message, 12)) is E2eStatus.OK
 
 
 def test_a_frozen_counter_is_not_believed_and_not_forgotten() -> None:
     message = van_like("P01")
     receiver = Receiver(message)
     for n in range(3):
-        receiver.hear(n, frame(message, n))
+        receiver.receive(n, frame(message, n))
     for n in range(3, 9):
-        assert receiver.hear(n, frame(message, 2)) is E2eStatus.REPEATED
-    assert receiver.hear(9, frame(message, 9)) is E2eStatus.SOME_LOST, "it went on counting meanwhile"
+        assert receiver.receive(n, frame(message, 2)) is E2eStatus.REPEATED
+    assert receiver.receive(9, frame(message, 9)) is E2eStatus.SOME_LOST, "it went on counting meanwhile"
     assert receiver.counts == [2, 1, 6, 0, 0, 0, 1]
 
 
 def test_counter_15_of_profile_1_is_nobodys() -> None:
     message = van_like("P01")
     receiver = Receiver(message)
-    receiver.hear(0, frame(message, 14))
+    receiver.receive(0, frame(message, 14))
     assert message.e2e is not None
-    assert receiver.hear(1, protect(message.e2e, bytes(8), 15)) is E2eStatus.WRONG_SEQUENCE
-    assert receiver.hear(2, frame(message, 15)) is E2eStatus.OK, "0 follows 14"
+    assert receiver.receive(1, protect(message.e2e, bytes(8), 15)) is E2eStatus.WRONG_SEQUENCE
+    assert receiver.receive(2, frame(message, 15)) is E2eStatus.OK, "0 follows 14"
 
 
 def test_a_short_protected_frame_has_a_wrong_crc() -> None:
     receiver = Receiver(van_like())
-    assert receiver.hear(0, frame(van_like(), 0)[:7]) is E2eStatus.WRONG_CRC
+    assert receiver.receive(0, frame(van_like(), 0)[:7]) is E2eStatus.WRONG_CRC
 
 
 def test_an_unprotected_counter_is_watched_and_its_values_are_taken() -> None:
@@ -180,15 +180,15 @@ def test_an_unprotected_counter_is_watched_and_its_values_are_taken() -> None:
     for tick, (count, status) in enumerate(
         [(250, E2eStatus.INITIAL), (251, E2eStatus.OK), (251, E2eStatus.REPEATED), (9, E2eStatus.WRONG_SEQUENCE)]
     ):
-        assert receiver.hear(tick, bytes(7) + bytes((count,))) is status and receiver.believed
-    assert receiver.hear(4, bytes(4)) is E2eStatus.OK, "a clear frame ends before the counter"
-    assert receiver.hear(5, bytes(7) + b"\x0a") is E2eStatus.OK
+        assert receiver.receive(tick, bytes(7) + bytes((count,))) is status and receiver.believed
+    assert receiver.receive(4, bytes(4)) is E2eStatus.OK, "a clear frame ends before the counter"
+    assert receiver.receive(5, bytes(7) + b"\x0a") is E2eStatus.OK
 
 
 def test_a_message_without_anything_is_believed() -> None:
     receiver = Receiver(CODEC.by_name["GYRO"])
-    assert receiver.hear(0, bytes(4)) is E2eStatus.OK and receiver.believed
-    assert receiver.hear(0, bytes(4)) is E2eStatus.OK
+    assert receiver.receive(0, bytes(4)) is E2eStatus.OK and receiver.believed
+    assert receiver.receive(0, bytes(4)) is E2eStatus.OK
 
 
 def test_recorded_frames_are_counted_by_status() -> None:

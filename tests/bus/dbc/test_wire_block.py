@@ -43,7 +43,7 @@ def over_the_bus(codec: Codec, group: str, sent: list[Any], phase: dict[str, int
     for k, record in enumerate(sent):
         for message in (*codec.commands, *codec.telemetry):
             if (k + phase[message.name]) % message.period_ticks == 0:
-                snapshot.hear(message, codec.encode(message, {group: record}, {}))
+                snapshot.receive(message, codec.encode(message, {group: record}, {}))
         heard.append(getattr(snapshot, group)())
     return heard
 

@@ -30,7 +30,7 @@ def test_written_frames_are_believed_one_after_the_other(vehicle: str, tmp_path:
         for n in range(600):
             tick = n * message.period_ticks
             frame = writer.write(message, RECORDS, {}, tick * 0.01)
-            assert receiver.hear(tick, frame.data) == (E2eStatus.OK if n else first)
+            assert receiver.receive(tick, frame.data) == (E2eStatus.OK if n else first)
             assert (frame.id, frame.fd, frame.time_s) == (message.can_id, message.fd, tick * 0.01)
             assert receiver.believed == (n >= message.unproven_frames)
 
@@ -59,8 +59,8 @@ def test_a_protected_message_is_never_cut_short(tmp_path: Path) -> None:
     little, mkz = codec_of("little_fd", tmp_path), codec_of("mkz_bywire", tmp_path)
     drive, brake = little.by_name["DRIVE"], mkz.by_name["BRAKE_CMD"]
     receiver, writer = Receiver(drive), FrameWriter(little)
-    receiver.hear(0, writer.write(drive, {}, {}, 0.0).data)
-    assert receiver.hear(1, writer.write_short(drive, {}, {"EN": 0.0}, 4, 0.0).data) is E2eStatus.OK
+    receiver.receive(0, writer.write(drive, {}, {}, 0.0).data)
+    assert receiver.receive(1, writer.write_short(drive, {}, {"EN": 0.0}, 4, 0.0).data) is E2eStatus.OK
     plain = FrameWriter(mkz)
     assert len(plain.write_short(brake, {}, {"CLEAR": 1.0}, 4, 0.0).data) == 4
     assert mkz.decode(brake, plain.write(brake, {}, {}, 0.0).data)["COUNT"] == 0

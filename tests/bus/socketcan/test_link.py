@@ -232,7 +232,7 @@ def test_a_node_whose_starter_is_gone_ends(sock: FakeSocket, monkeypatch: pytest
     alive = [True, False]
     link = link_of(sock, Options(alive=lambda: alive.pop(0)))
     assert link.receive(0.0) == []
-    with pytest.raises(BenchError, match="whoever started this node is gone") as caught:
+    with pytest.raises(BenchError, match="the process that started this node is gone") as caught:
         link.receive(0.0)
     assert caught.value.code == "starter_gone"
 

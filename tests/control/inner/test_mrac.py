@@ -90,7 +90,8 @@ def test_reference_faster_than_the_clamp_freezes_too():
 
 @pytest.mark.parametrize(("p", "published"), [(1e-4, 3.97), (1e-3, 2.08), (1e-2, 1.14), (1e-1, 1.85)])
 def test_tracking_figures_at_0_09(p, published):
-    # docs/reference/apollo.md gives neither window nor actuator discretisation; 10 to 30 s and backward Euler come within 5 %.
+    # docs/reference/apollo.md gives neither window nor actuator discretisation; 10 to 30 s and backward Euler come
+    # within 5 %.
     assert Drive(make(t_ref_s=0.09, p=p)).rms_percent(20.0, skip_s=10.0) == pytest.approx(published, rel=0.05)
 
 

@@ -100,8 +100,8 @@ def test_the_card_says_what_it_is_made_of(made: dict[str, Any]) -> None:
 @pytest.mark.slow
 def test_it_says_what_it_found_and_draws_it(made: dict[str, Any], tmp_path: Path) -> None:
     notes = [event.message for event in made["events"] if event.kind == "note"]
-    assert any(text.startswith("dead time 11") for text in notes)
-    (plain,) = (text for text in notes if text.startswith("these logs are driven as well without "))
+    assert any(text.startswith("steer: dead time 11") for text in notes)
+    (plain,) = (text for text in notes if text.startswith("not needed to reproduce these logs: "))
     warned = [event.message for event in made["events"] if event.kind == "warning"]
     assert "overrun_force_n" in plain and not any(text.startswith("overrun_force_n") for text in warned)
     steps = [event.data for event in made["events"] if event.kind == "progress"]
@@ -218,7 +218,7 @@ def still() -> Drive:
 @pytest.mark.slow
 def test_commands_that_never_move_are_one_clear_message() -> None:
     split = DriveSplit((whole(still()),), (), "")
-    with CompiledProcess() as worker, pytest.raises(InputError, match="not one by-wire channel") as caught:
+    with CompiledProcess() as worker, pytest.raises(InputError, match="no by-wire channel") as caught:
         list(fit_calibration(worker, split, VEHICLE))
     assert "constant" in caught.value.message and caught.value.file == "still.log" and "collect" in caught.value.hint
 

@@ -45,7 +45,7 @@ def test_drives_in_the_order_given_and_how_much_they_are(tmp_path: Path) -> None
     assert [drive.name for drive in found.drives] == ["b.log", "a.log"]
     assert found.said("note") == ["reading 2 logs of mkz_bywire", "1.0 minutes of driving"]
     (warning,) = found.said("warning")
-    assert "what is learned will be rough" in warning
+    assert "the model will be rough" in warning
     assert heard(logs[:1]).said("note") == ["reading 1 log of mkz_bywire", "0.5 minutes of driving"]
 
 

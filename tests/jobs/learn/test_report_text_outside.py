@@ -79,7 +79,7 @@ def test_a_drive_on_a_learned_model_is_flagged_where_it_leaves_its_region(kind: 
     done = ended("drive", write_bench(tmp_path), "--model", narrow(tmp_path / kind, kind))
     assert done.data["outside"]["share"] > 0.5 and set(done.data["outside"]["drives"]) == {"tiny"}
     assert "outside the valid region" in done.data["sentence"]
-    assert "outside the region that the model's data covered" in done.words
+    assert "outside the valid region of the model" in done.words
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus import open as bus_open
-from tunefree_hil.bus.socketcan.kernel_link import LinkState
+from tunefree_hil.bus.socketcan.kernel_link import KernelLinkState
 from tunefree_hil.jobs.running import node_links
 from tunefree_hil.jobs.running.node_links import (
     message_ids,
@@ -38,13 +38,13 @@ from tunefree_hil.jobs.running.node_links import (
 )
 
 
-def links(monkeypatch: pytest.MonkeyPatch, **states: LinkState) -> None:
+def links(monkeypatch: pytest.MonkeyPatch, **states: KernelLinkState) -> None:
     monkeypatch.setattr(bus_open, "kernel_has_can", lambda: True)
-    monkeypatch.setattr(bus_open, "link_state", lambda name: states.get(name, LinkState(False, False, "")))
+    monkeypatch.setattr(bus_open, "link_state", lambda name: states.get(name, KernelLinkState(False, False, "")))
 
 
 def test_auto_takes_vcan0_where_it_is_up_and_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    links(monkeypatch, vcan0=LinkState(True, True, "vcan"))
+    links(monkeypatch, vcan0=KernelLinkState(True, True, "vcan"))
     choice = resolve_process_bus("auto", "default", "")
     assert choice.kind == "socketcan" and "vcan0, because it is up" in choice.why
     links(monkeypatch)
@@ -52,7 +52,7 @@ def test_auto_takes_vcan0_where_it_is_up_and_says_why(monkeypatch: pytest.Monkey
 
 
 def test_auto_leaves_a_link_alone_that_carries_another_bench(monkeypatch: pytest.MonkeyPatch) -> None:
-    links(monkeypatch, vcan0=LinkState(True, True, "vcan"))
+    links(monkeypatch, vcan0=KernelLinkState(True, True, "vcan"))
     monkeypatch.setattr(bus_open, "holder", lambda name: 4711)
     choice = resolve_process_bus("auto", "default", "")
     assert choice.kind == "tfhub" and "vcan0 carries another bench, pid 4711" in choice.why
@@ -64,7 +64,7 @@ def test_one_process_buses_cannot_join_processes() -> None:
 
 
 def test_the_bench_channel_never_shares_the_vehicles_link(monkeypatch: pytest.MonkeyPatch) -> None:
-    links(monkeypatch, vcan0=LinkState(True, True, "vcan"), vcan1=LinkState(True, True, "vcan"))
+    links(monkeypatch, vcan0=KernelLinkState(True, True, "vcan"), vcan1=KernelLinkState(True, True, "vcan"))
     with pytest.raises(InputError, match="never shares it") as caught:
         resolve_process_bus("socketcan:vcan0", "s", "socketcan:vcan0")
     assert caught.value.key == "--bench-bus"
@@ -74,7 +74,7 @@ def test_the_bench_channel_never_shares_the_vehicles_link(monkeypatch: pytest.Mo
 
 
 def test_a_classic_link_is_refused_for_an_fd_vehicle_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    links(monkeypatch, vcan0=LinkState(True, True, "vcan", mtu=16))
+    links(monkeypatch, vcan0=KernelLinkState(True, True, "vcan", mtu=16))
     bench = load("bench_configs/mkz_steer.toml")
     assert resolve_vehicle_bus(bench, "socketcan:vcan0", "s", "").kind == "socketcan"
     monkeypatch.setattr(node_links, "sends_fd", lambda bench: True)
