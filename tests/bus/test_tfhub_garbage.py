@@ -34,7 +34,7 @@ def hub(tmp_path: Path) -> Iterator[ThreadHub]:
     [
         (b"\x00" * 40, "no records"),
         (b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", "no records"),
-        (records.pack_raw(1, b"x"), "as a stranger"),
+        (records.pack_raw(1, b"x"), "as an unidentified peer"),
         (records.pack_control(records.BYE), "may not send"),
         (records.pack_control(records.HELLO, {}), "no role"),
         (records.pack_control(records.REQUEST, {"op": "stats"}), "may not send"),
@@ -110,8 +110,8 @@ def test_a_frame_that_is_too_long_is_garbage(hub: ThreadHub) -> None:
 def test_hello_must_come_soon(hub: ThreadHub, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reception, "HELLO_PATIENCE_S", 0.1)
     with raw_connection(hub) as sock:
-        assert "did not say who it is" in last_word(sock)["message"]
-    assert any("did not say who it is" in line for line in hub.said)
+        assert "sent no hello within" in last_word(sock)["message"]
+    assert any("sent no hello within" in line for line in hub.said)
 
 
 def test_another_protocol_is_refused(hub: ThreadHub) -> None:

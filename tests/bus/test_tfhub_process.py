@@ -49,7 +49,7 @@ def test_a_standalone_hub_lives_until_a_signal(tmp_path: Path, number: signal.Si
             bus.send_frames([frame(1)])
         process.send_signal(number)
         assert process.wait(PATIENCE_S) == 0
-        assert f"{session} ends: it was told to ({number.name})" in process.stderr.read()
+        assert f"{session} ends: it was stopped by a signal ({number.name})" in process.stderr.read()
     assert not Path(session).exists()
 
 

@@ -22,6 +22,7 @@ from tunefree_hil.grade.metrics import (
     rms,
     samples_from_recording,
 )
+from tunefree_hil.grade.table import SUBSET_COLUMN
 
 MKZ = MetricScales(wheelbase_m=2.8448, steer_rad=8.2, steer_rate_radps=8.55, dt_s=0.01)
 ROWS = 6
@@ -163,7 +164,7 @@ def test_a_missing_column_gives_none_never_0(name: str) -> None:
     if isinstance(row, PeakMetric):
         needed = {row.error}
     elif isinstance(row, RmsMetric):
-        where = {"moving": "ref_speed_mps", "harsh accel": "ref_accel_mps2", "harsh curvature": "ref_curvature_1pm"}
+        where = SUBSET_COLUMN
         needed = {row.error, "ref_speed_mps", where[row.subset]} | (
             {"ref_curvature_1pm"} if "C" in row.divisors else set()
         )

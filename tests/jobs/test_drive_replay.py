@@ -159,12 +159,12 @@ SPOILT = {
     "log foreign": (write(LOG, "14:01 the train left\n"), ["vehicle.log:1", "not a candump log"]),
     "summary cut off": (cut(SUMMARY, 40), ["episode.json", "not readable JSON"]),
     "summary empty": (write(SUMMARY, "{}"), ["episode.json", "key frame_hash"]),
-    "summary missing": (remove(SUMMARY), ["episode.json", "cut off"]),
+    "summary missing": (remove(SUMMARY), ["episode.json", "interrupted"]),
     "record cut off": (cut("run.json", 40), ["run.json", "not readable JSON"]),
     "record missing": (remove("run.json"), ["no run.json"]),
     "record without versions": (write("run.json", '{"schema": "tunefree.run/1"}'), ["versions.tunefree_hil"]),
     "another schema": (write("run.json", '{"schema": "tunefree.run/9"}'), ["key schema", "'tunefree.run/9'"]),
-    "bench file missing": (remove("bench.toml"), ["no bench.toml", "cut off before it began"]),
+    "bench file missing": (remove("bench.toml"), ["no bench.toml", "interrupted at the start"]),
     "bench file cut off": (cut("bench.toml", 30), ["bench.toml"]),
 }
 

@@ -105,7 +105,7 @@ def test_a_log_with_a_silent_message_and_a_cut_end(tmp_path: Path, codec: Codec)
     assert result.data["exit"] == 1
     faults = [line for line in said if line.startswith("fault: ")]
     assert len(faults) >= 2
-    assert "incomplete" in faults[0] and f"fault: {silent} was never heard" in faults
+    assert "incomplete" in faults[0] and f"fault: {silent} was never received" in faults
 
 
 def test_the_run_folder_knows_the_vehicle(tmp_path: Path, codec: Codec) -> None:

@@ -26,7 +26,7 @@ WISH = Command(throttle_frac=0.2, brake_frac=0.15, steer_rad=0.0, gear=GEAR_DRIV
 
 
 class Car:
-    """An EcuPart that a test drives tick by tick; `hear` gives what its frames of a tick say."""
+    """An EcuPart that a test drives tick by tick; `receive` decodes its frames of a tick."""
 
     def __init__(self, folder: Path, more: str = "") -> None:
         self.folder = folder

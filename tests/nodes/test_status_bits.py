@@ -80,7 +80,7 @@ def test_signals_are_worked_out_when_the_status_changes(codec: Codec) -> None:
 
 
 def test_lights_gear_and_the_throttles_own_source_code(codec: Codec) -> None:
-    """BO, BC, BI; CMD and REJECT of the gear report; the watchdog's source in both reports (docs/reference/by_wire.md)."""
+    """Lights, CMD and REJECT of the gear report, the watchdog's source in both reports (docs/reference/by_wire.md)."""
     lit = ByWireStatus(light_input=1.0, light_output=1.0)
     assert active(codec, lit) == {"BRAKE_REPORT.BI", "BRAKE_REPORT.BO"}
     assert active(codec, ByWireStatus(light_command=1.0)) == {"BRAKE_REPORT.BC"}

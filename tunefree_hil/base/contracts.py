@@ -25,7 +25,8 @@ class Tunable(NamedTuple):
 
 
 class Port(Enum):
-    """Where an effect sits (docs/reference/effects.md). Scalar ports carry one float, BODY a record of the plant's own constants."""
+    """Where an effect sits (docs/reference/effects.md). Scalar ports carry one float, BODY a record of the plant's
+    own constants."""
 
     STEER_A = "steer A"  # inside the actuator: seen between command and output in the report
     STEER_B = "steer B"  # behind the report: seen only in motion
@@ -119,7 +120,8 @@ QUANTITIES: dict[str, str] = {
 
 
 class Link(Enum):
-    """The links of the chain from command to clock, each of which a log can show to be broken (docs/reference/effects.md)."""
+    """The links of the chain from command to clock, each of which a log can show to be broken
+    (docs/reference/effects.md)."""
 
     COMMAND_ECHO = "command_echo"
     COMMAND_TO_REPORT = "command_to_report"
@@ -131,7 +133,8 @@ class Link(Enum):
 
 
 class Effect(NamedTuple):
-    """An effect of the catalogue (docs/reference/effects.md). With `neutral` it is the identity bit for bit (-0.0 equals 0.0).
+    """An effect of the catalogue (docs/reference/effects.md). With `neutral` it is the identity bit for bit (-0.0
+    equals 0.0).
 
     make(params, rest) -> Block on its port's value (a float; a Report or an Ins on those two ports). `rest` is the
     port's value at rest: 0 for steering, the rest duty for a pedal; effects act on value - rest and start there.

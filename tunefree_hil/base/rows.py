@@ -23,6 +23,44 @@ def pack_row(rows: Any, start: int, record: Any) -> int:
 
 
 @kernel
+def pack_report(rows: Any, start: int, x: Report) -> int:
+    """Write a report, field by field: in a compiled loop faster than `pack_row`; returns the index behind it."""
+    rows[start] = x.throttle_input_frac
+    rows[start + 1] = x.throttle_command_frac
+    rows[start + 2] = x.throttle_frac
+    rows[start + 3] = x.brake_input_frac
+    rows[start + 4] = x.brake_command_frac
+    rows[start + 5] = x.brake_frac
+    rows[start + 6] = x.steer_command_rad
+    rows[start + 7] = x.steer_rad
+    rows[start + 8] = x.speed_mps
+    rows[start + 9] = x.wheel_fl_radps
+    rows[start + 10] = x.wheel_fr_radps
+    rows[start + 11] = x.wheel_rl_radps
+    rows[start + 12] = x.wheel_rr_radps
+    rows[start + 13] = x.accel_mps2
+    rows[start + 14] = x.lateral_accel_mps2
+    rows[start + 15] = x.yaw_rate_radps
+    rows[start + 16] = x.gear
+    rows[start + 17] = x.accel_command_mps2
+    rows[start + 18] = x.steer_torque_command_nm
+    rows[start + 19] = x.steer_torque_nm
+    return start + 20
+
+
+@kernel
+def pack_ins(rows: Any, start: int, x: Ins) -> int:
+    """Write an INS record, as `pack_report` does."""
+    rows[start] = x.x_m
+    rows[start + 1] = x.y_m
+    rows[start + 2] = x.heading_rad
+    rows[start + 3] = x.speed_mps
+    rows[start + 4] = x.accel_mps2
+    rows[start + 5] = x.yaw_rate_radps
+    return start + 6
+
+
+@kernel
 def next_row(rows: Any, start: int, width: int) -> int:
     """Where the row behind the one at `start` begins, in a ring of rows."""
     start = start + width

@@ -1,7 +1,7 @@
 """State bits from the by-wire unit's status to what the controller makes of them, as a kernel: no frames in between.
 
-The rules are those of nodes/status_bits.py (what a report says) and nodes/measurement_decoder.py (what that means), as tables of numbers;
-tests/batch/test_bits.py holds them against each other over random statuses.
+The rules are those of nodes/status_bits.py (what a report says) and nodes/measurement_decoder.py (what that means),
+as tables of numbers; tests/batch/test_bits.py holds them against each other over random statuses.
 """
 
 from __future__ import annotations

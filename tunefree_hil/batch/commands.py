@@ -1,7 +1,7 @@
 """From the controller's command to what the by-wire unit hears of it, as kernels: no frames in between.
 
-The rules are those of nodes/controller.py (which frames go out) and nodes/command_decoder.py (what the vehicle makes of them).
-Clear frames are left out: a drive that needs one is not the batch's (`episode.NEEDS_THE_BUS`).
+The rules are those of nodes/controller.py (which frames go out) and nodes/command_decoder.py (what the vehicle makes
+of them). Clear frames are left out: a drive that needs one is not the batch's (`episode.NEEDS_THE_BUS`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""One drive in one kernel: ECU, bus and controller tick by tick as the nodes go (docs/explanation/architecture.md, one tick).
+"""One drive in one kernel: ECU, bus and controller tick by tick as the nodes go (docs/explanation/architecture.md,
+one tick).
 
 It ends with the course, or at the tick at which the controller says a failure. Rows: what is on the bus and what the
 reference follower says of it, column by column, as episode/columns.py reads them off a log.

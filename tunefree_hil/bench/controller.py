@@ -69,8 +69,8 @@ def constants_of(vehicle: VehicleSpec) -> VehicleConstants:
 def require_in_box(name: str, value: float, *, file: str = "", key: str = "") -> None:
     """Raise InputError for a value that a person gave outside its published box; the shipped manual values may.
 
-    Compared as binary32, which is what the controller gets. Names that are not of docs/reference/controller.md have no box; their
-    values need only be sendable.
+    Compared as binary32, which is what the controller gets. Names that are not of docs/reference/controller.md have
+    no box; their values need only be sendable.
     """
     row, sendable = BY_NAME.get(name), math.isfinite(value) and abs(value) < LARGEST32
     if row is None:

@@ -299,16 +299,16 @@ def _first_missing(codec: Codec, dt_s: float, phases: Mapping[str, int]) -> tupl
 
     The bus loses nothing here, so that this depends on periods and phases alone.
     """
-    hearing, needed = MeasurementDecoder(codec, dt_s), needed_messages(codec)
+    decoder, needed = MeasurementDecoder(codec, dt_s), needed_messages(codec)
     sent = dict.fromkeys(phases, 0)
     longest = max((message.period_ticks for message in codec.telemetry), default=1)
-    for k in range(4 * longest + 2 * hearing.limit_ticks):
+    for k in range(4 * longest + 2 * decoder.limit_ticks):
         for message in codec.telemetry:
             if (k + phases[message.name]) % message.period_ticks == 0:
                 sent[message.name] += 1
                 if sent[message.name] > message.unproven_frames:
-                    hearing.heard_at[message.name] = k
-        late = hearing.missing(k, needed)
+                    decoder.heard_at[message.name] = k
+        late = decoder.missing(k, needed)
         if late is not None:
             return k, float(MISSING_CODES[late[0]])
     return -1, 0.0

@@ -43,7 +43,8 @@ def _find_file(bench: Bench, name: str) -> str:
 
 
 def part_values(bench: Bench) -> dict[str, float]:
-    """What the parts of our controller bring beyond docs/reference/controller.md (control/build.py). InputError names file and key."""
+    """What the parts of our controller bring beyond docs/reference/controller.md (control/build.py). InputError names
+    file and key."""
     try:
         return own_values(part_names(bench))
     except InputError as error:

@@ -1,8 +1,8 @@
-"""The bench channel (docs/reference/bench_channel.md, dbc/bench.dbc): how the processes agree on episodes, parameters and ticks.
+"""Messages of the bench channel (docs/reference/bench_channel.md, dbc/bench.dbc): episodes, parameters and ticks.
 
-A message is a NamedTuple; `encode` makes it a frame, `decode` makes a frame a message again, or None when it is none of
-ours. TICK and DONE are on the path of every tick, so the bytes are packed by `struct`; a test holds them against
-dbc/bench.dbc as cantools reads it, so that `cantools monitor` shows the same values.
+A message is a NamedTuple; `encode` makes it a frame, `decode` makes a frame a message again, or None for other frames.
+TICK and DONE pass in every tick, so `struct` packs the bytes; a test compares them with dbc/bench.dbc as
+cantools reads it, so that `cantools monitor` shows the same values.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ MAX_PARTS = 4095
 
 
 class DescribedCode(IntEnum):
-    """Base of the codes: each has a `sentence` for people."""
+    """Base of the codes: each has a `sentence` that explains it."""
 
     sentence: str
 
@@ -41,7 +41,7 @@ class DescribedCode(IntEnum):
 
 
 class Role(DescribedCode):
-    """Who speaks."""
+    """The sender's part in the bench."""
 
     RUNNER = 0, "conducts episodes"
     ECU = 1, "the simulated vehicle; owns time in lockstep"
@@ -77,7 +77,7 @@ class ErrorCode(DescribedCode):
     UNKNOWN_SCENARIO = 8, "no scenario file has the announced content hash"
     MISSING_COMMAND = 9, "the vehicle missed command frames of the controller"
     CONTROL_ERROR = 10, "the controller could not be built, or computed no command"
-    STOPPED = 11, "somebody stopped the episode"
+    STOPPED = 11, "the episode was stopped by request"
     FOREIGN_COMMAND = 12, "another node sends the vehicle's command ids"
     INTERNAL = 13, "a process failed; what it printed says why"
     CONTROLLER_OWN = 1000, "the controller's own error; what it printed says which"
@@ -90,7 +90,7 @@ class ErrorCode(DescribedCode):
         raise BenchError(
             f"a STATUS says ERROR {value}, which has no meaning",
             code="unknown_error",
-            hint=f"a controller's own errors are numbered from {int(cls.CONTROLLER_OWN)} on (docs/how-to/own_controller.md)",
+            hint=f"a controller's own errors start at {int(cls.CONTROLLER_OWN)} (docs/how-to/own_controller.md)",
         )
 
 
@@ -140,7 +140,7 @@ class Param(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """A fault began at `tick`. index: its number in the bench file's list, NOT_SCRIPTED where nobody asked for it."""
+    """A fault began at `tick`. index: its number in the bench file's list, NOT_SCRIPTED for a fault outside it."""
 
     role: int
     index: int
@@ -149,7 +149,7 @@ class Fault(NamedTuple):
 
 
 class Hello(NamedTuple):
-    """Chunk `part` of `parts` of what a role says of itself; see hello_messages."""
+    """Chunk `part` of `parts` of a role's announcement; see hello_messages."""
 
     role: int
     part: int
@@ -220,7 +220,7 @@ def _unpack_hello(data: bytes) -> Hello | None:
 
 
 def hello_messages(role: int, name: str, parameters: Sequence[str] | Mapping[int, str] = ()) -> list[Hello]:
-    """What a node says of itself: its name, and the parameters that it takes beside the list of docs/reference/controller.md.
+    """A node's announcement: its name, and its parameters beside the list of docs/reference/controller.md.
 
     parameters: names, numbered from FIRST_OWN_INDEX on, or {index: name}. Raises InputError when the text is too long.
     """
@@ -257,17 +257,17 @@ class HelloCollector:
         self._chunks[hello.role][hello.part] = hello.text
 
     def complete(self, role: int) -> bool:
-        """True when all of a role's text is here."""
+        """Whether a role's text has arrived completely."""
         return role in self._parts and len(self._chunks[role]) == self._parts[role]
 
     def name(self, role: int) -> str:
-        """The name a role gave itself; '' until its text is complete."""
+        """The name that a role announced; '' until its text is complete."""
         return self._lines(role)[0] if self.complete(role) else ""
 
     def parameters(self, role: int) -> dict[int, str]:
         """{index: name} of the parameters a role announced; empty until its text is complete.
 
-        Raises InputError for a line that is not 'INDEX NAME' with an index of its own range, or for one said twice.
+        Raises InputError for a line that is not 'INDEX NAME' with an index in the range, or that is repeated.
         """
         announced: dict[int, str] = {}
         lines = self._lines(role)[1:] if self.complete(role) else []
@@ -282,7 +282,7 @@ class HelloCollector:
         return announced
 
     def arrived(self, role: int) -> tuple[int, int]:
-        """(chunks that are here, chunks there are) of a role's text; (0, 0) where it said nothing yet."""
+        """(chunks received, chunks in all) of a role's text; (0, 0) before the first."""
         return len(self._chunks.get(role, ())), self._parts.get(role, 0)
 
     def _lines(self, role: int) -> list[str]:

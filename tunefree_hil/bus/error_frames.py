@@ -1,4 +1,4 @@
-"""Error frames of SocketCAN (linux/can/error.h): what the kernel or an adapter says of the bus, by name."""
+"""Error frames of SocketCAN (linux/can/error.h): bus states that the kernel or an adapter reports, by name."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ STATE_AT = 1
 
 
 def error_names(classes: int, data: bytes = b"") -> list[str]:
-    """The classes that an error frame's id names, and what its data says of the controller; ['no_class'] for none."""
+    """The classes in an error frame's id, and the states of the controller in its data; ['no_class'] for none."""
     names = [name for bit, name in ERROR_CLASSES.items() if classes & bit]
     if classes & CONTROLLER and len(data) > STATE_AT:
         names += [name for bit, name in CONTROLLER_STATES.items() if data[STATE_AT] & bit]
@@ -42,12 +42,12 @@ def error_names(classes: int, data: bytes = b"") -> list[str]:
 
 
 def note_error(errors: Counter[str], classes: int, data: bytes, bus: str) -> None:
-    """Count an error frame under each of its names. BenchError when it says that the bus is off."""
+    """Count an error frame under each of its names. BenchError for bus-off."""
     errors.update(error_names(classes, data))
     if classes & BUS_OFF:
         raise BenchError(f"{bus} is bus-off", code="bus_off", hint="wiring, bit rate, another node that disturbs?")
 
 
 def error_words(errors: Counter[str]) -> str:
-    """'bus_error 1, tx_passive 2': what was counted; '' for nothing."""
+    """'bus_error 1, tx_passive 2': the counts; '' for none."""
     return ", ".join(f"{name} {count}" for name, count in sorted(errors.items()))

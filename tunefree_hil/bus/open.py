@@ -26,7 +26,7 @@ USE_VIRTUAL = "use --bus tfhub, --bus virtual, or a vcan link"
 
 
 class BusChoice(NamedTuple):
-    """Which bus: `kind` tfhub | socketcan | virtual; an address for each channel; the reason, and where the bench is."""
+    """The bus: `kind` tfhub | socketcan | virtual; an address for each channel; the reason for the choice."""
 
     kind: str
     vehicle_address: str
@@ -41,7 +41,7 @@ class BusChoice(NamedTuple):
 
 
 def resolve_bus(text: str = "auto", session: str = "default", bench_bus: str = "") -> BusChoice:
-    """What `--bus TEXT` (and `--bench-bus`) mean here. InputError for what there is not or may not be used."""
+    """The bus that `--bus TEXT` (and `--bench-bus`) select. InputError where it does not exist or must not be used."""
     kind, _, rest = text.partition(":")
     if kind == "auto" and not rest:
         choice = _auto(session)
@@ -173,7 +173,7 @@ def alone_on(vehicle: BusLink) -> Links:
 
 
 def require_virtual_link(name: str) -> None:
-    """InputError unless the kernel says that this network link is of kind vcan; what it is called does not count."""
+    """InputError unless the kernel says that this network link is of kind vcan; its name does not count."""
     state = link_state(name)
     if state.exists and state.kind == "vcan":
         return
@@ -289,7 +289,7 @@ def _endpoint_of(text: str, channel: str) -> str:
 
 
 def _virtual(name: str, stamps: bool) -> can.BusABC:
-    """python-can's bus within this process, without what its configuration files say."""
+    """python-can's bus within this process, without its configuration files."""
     try:
         return can.Bus(name, interface="virtual", preserve_timestamps=stamps, ignore_config=True)
     except (can.CanError, OSError) as error:

@@ -1,1 +1,1 @@
-"""The TOML files: where they are (find), what they may say (schema, check), loaded into frozen specs (load)."""
+"""The TOML files: found (find), checked (schema, check) and loaded into frozen specs (load)."""

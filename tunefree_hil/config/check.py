@@ -27,7 +27,7 @@ PARAMETERS = (
     *("mrac.enable", "riccati", "mrac.clamp_s", "mrac.gamma", "look_ahead_m"),
 )
 CHANNELS = ("throttle", "brake", "steer", "accel", "steer_torque")  # that a model's [actuators] may have
-# What weights may name; grade/metrics.py says how each is computed.
+# Metrics that weights may name; grade/metrics.py computes them.
 METRICS = (
     *("station_err_std", "station_err_std_harsh", "speed_err_std", "speed_err_std_harsh"),
     *("lateral_err_std", "lateral_err_std_harsh", "heading_err_std", "heading_err_std_harsh"),
@@ -35,7 +35,7 @@ METRICS = (
     *("station_err_peak", "speed_err_peak", "lateral_err_peak", "heading_err_peak", "heading_err_rate_peak"),
     *("steer_rate_rms", "lateral_jerk_rms", "steering_control_usage"),
 )
-# Far beyond what anybody drives; a number above is a slip, and some would overflow where a course is built.
+# Far beyond any drive: a larger number is a mistake, and some would overflow where a course is built.
 MOST = {"speed": 1e3, "curvature": 1e3, "grade": 1.5, "friction": 1e3}  # m/s, 1/m, rad, 1
 MOST_START = {"along_m": 1e6, "lateral_m": 1e6, "heading_rad": 1e3, "speed_mps": 1e3}
 MOST_S, MOST_M = 86_400.0, 1e6
@@ -135,9 +135,9 @@ def check_bench(spec: BenchSpec) -> Problems:
 
 
 def is_foreign(name: str) -> bool:
-    """Whether a name can be that of somebody else's controller: 'group.name' of a group that is none of ours.
+    """Whether a name may belong to a foreign controller: 'group.name' of a group that is none of ours.
 
-    Whether that controller has it is known when it says hello (docs/reference/bench_channel.md).
+    Whether that controller has it is known after its HELLO (docs/reference/bench_channel.md).
     """
     group, dot, rest = name.partition(".")
     return bool(group and dot and rest) and group not in {known.partition(".")[0] for known in PARAMETERS}

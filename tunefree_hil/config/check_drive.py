@@ -1,4 +1,4 @@
-"""What a vehicle.toml lacks for the vehicle to be driven. A folder for reading logs may lack all of it."""
+"""Checks that a vehicle.toml has all that a drive needs. A folder for reading logs may lack it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a vehicle.toml says wrongly by itself, all at once; what it says wrongly of its DBC: bus/dbc/check_vehicle.py."""
+"""Checks a vehicle.toml by itself and lists all problems; against its DBC: bus/dbc/check_vehicle.py."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tunefree_hil.config.vehicle_numbers import check_numbers
 WHEELS = "wheel_speed_radps"
 CONDITIONS = ("enabled", "override", "driver", "fault", "timeout", "watchdog", "e2e", "brake_light", "gear_command",
               "gear_reject")  # fmt: skip
-# The causes that a condition knows; the others': plant/actuation/bywire_types.py, and names of the folder's own.
+# The causes of a condition; of the others: plant/actuation/bywire_types.py, and names of the folder.
 STATE_CAUSES = {
     "e2e": ("", "some_lost", "repeated", "wrong_sequence", "wrong_crc", "no_new_data", "initial"),
     "brake_light": ("input", "command", "output"),
@@ -91,7 +91,7 @@ def _signals(key: str, name: str, field: FieldSpec) -> Problems:
         yield ConfigProblem(f"{key}.scale", "it is 0", "SI value = physical value * scale + offset")
     if field.specific_force and key != "ins.accel_mps2":
         yield ConfigProblem(
-            f"{key}.specific_force", "only [ins.accel_mps2] may say it", "reports are specific force anyway"
+            f"{key}.specific_force", "only [ins.accel_mps2] may have it", "reports are specific force anyway"
         )
 
 

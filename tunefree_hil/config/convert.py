@@ -113,7 +113,7 @@ def _show(data: Any) -> str:
 
 
 def _expected(kind: Any) -> str:
-    """A type in words."""
+    """A type as text."""
     origin, inner = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and issubclass(kind, Spec):
         return "a table with " + ", ".join(field.name for field in fields(kind))

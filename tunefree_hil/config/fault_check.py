@@ -1,6 +1,6 @@
-"""What a [[faults]] table of a bench file says wrongly by itself; against its vehicle: bench/faults.py.
+"""Checks the [[faults]] tables of a bench file by themselves; against the vehicle: bench/faults.py.
 
-The kinds that disturb CRC and counter have CANoe's names: value, freeze, random, offset (anchors A7).
+The kinds that disturb CRC and counter have CANoe's names: value, freeze, random, offset.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ FRAME_KINDS = ("drop", "delay", "duplicate", "corrupt", *CRC_KINDS, *COUNTER_KIN
 FAULT_KINDS = (DRIVER, PEER, *FRAME_KINDS)  # a FAULT frame's code is the place here, from 0 on
 HANDS = ("throttle", "brake", "steer", "gear")  # channels of a driver
 PEERS = ("ecu", "controller")
-MOST_FRAMES, MOST_FAULTS, MOST_SEED = 200, 255, 65535  # DONE says the frames of a phase in one byte, FAULT its place
+MOST_FRAMES, MOST_FAULTS, MOST_SEED = 200, 255, 65535  # one byte of DONE counts the frames, one of FAULT the faults
 # What `value` means, lowest and highest; a kind that is not here has none.
 VALUES = {
     "delay": ("ticks", 1, 10_000),

@@ -1,4 +1,4 @@
-"""Where a named vehicle, model, scenario, weights or bench file is: a path, by the bench file, here, the checkout."""
+"""Finds a named vehicle, model, scenario, weights or bench file: beside the bench file, here, in the checkout."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 class Kind(NamedTuple):
-    """A kind of file: what people call it, the checkout's folder, and the file in a folder of its own ('' = none)."""
+    """A kind of file: its name in messages, the checkout's folder, and the file in a folder of its own ('' = none)."""
 
     word: str
     folder: str
@@ -33,8 +33,8 @@ def find(kind: str, name: str | Path, near: str | Path | None = None) -> Path:
     """The TOML file that `name` means: an explicit path (of the file or its folder), or a name.
 
     A name is looked for beside `near` (the bench file or its folder), in the working directory and in the checkout, as
-    `name`, `name.toml` or, for what has a folder of its own, `name/vehicle.toml`. Raises InputError that lists what
-    there is.
+    `name`, `name.toml` or, for what has a folder of its own, `name/vehicle.toml`. Raises InputError that lists the
+    existing ones.
     """
     for place in places(kind, near):
         for candidate in _candidates(KINDS[kind], place / _at_home(Path(name))):
@@ -64,7 +64,7 @@ def _candidates(kind: Kind, path: Path) -> list[Path]:
 
 
 def _at_home(path: Path) -> Path:
-    """'~' as the home folder; that of a user whom there is not stays as it is written, and is not found."""
+    """'~' as the home folder; that of an unknown user stays as it is written, and is not found."""
     try:
         return path.expanduser()
     except RuntimeError:
@@ -94,7 +94,7 @@ def available(kind: str, near: str | Path | None = None) -> list[str]:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """A hint: the name that was probably meant, or all there are."""
+    """A hint: the name that was probably meant, or all known ones."""
     known = sorted(known)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     return f"did you mean {close[0]}?" if close else f"there are {', '.join(known) or 'none'}"

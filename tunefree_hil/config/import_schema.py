@@ -1,4 +1,4 @@
-"""What a mapping file of `log import` may say ("tunefree.import/1"): which column of a CSV is which record field.
+"""Schema of a mapping file of `log import` ("tunefree.import/1"): which column of a CSV is which record field.
 
 Every unit comes from a closed list; its factor to SI stands beside it, so that a swapped unit can be named.
 """
@@ -62,7 +62,7 @@ FIELDS = tuple(f"{group}.{name}" for group, record in GROUPS.items() for name in
 
 
 class ClockSpec(Spec, frozen=True, kw_only=True):
-    """The column that says when. gap_s: from which silence on a gap is named; 0: three times the usual step."""
+    """The time column. gap_s: shortest silence that counts as a gap; 0: three times the usual step."""
 
     column: str
     unit: Literal["s", "ms", "us", "ns"] = "s"
@@ -87,7 +87,7 @@ class ColumnSpec(Spec, frozen=True, kw_only=True):
 
 
 class EnabledSpec(Spec, frozen=True, kw_only=True):
-    """The column that says whether the vehicle obeyed its commands: it did where the cell is `active`, else not."""
+    """The column that shows where the vehicle obeyed its commands: where the cell is `active`."""
 
     column: str
     active: float = 1.0

@@ -1,4 +1,4 @@
-"""What each key of the TOML files means, one line each: `doctor --schema NAME` (vehicle.toml's: vehicle_words.py)."""
+"""The meaning of each key of the TOML files (vehicle.toml: vehicle_key_meanings.py): `doctor --schema NAME`."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ _MODEL: dict[type[Spec], dict[str, str]] = {
     PlantSpec: {
         "kind": "physics, reference, hybrid, lstm, mlp, rule_based, paper, or 'path/to/file.py:EXPORT' of your own",
         "file": "file in this folder in which a learned plant lives; '' for the kind's usual one",
-        "card": "file in this folder that says what it was made from and how good it is; '' for none",
+        "card": "file in this folder with its origin and quality; '' for none",
         "params": "physical constants by name; those left out are the kind's own",
     },
     TimingSpec: {
@@ -161,7 +161,7 @@ _BENCH: dict[type[Spec], dict[str, str]] = {
         "choices": "the only values there are, instead of a box",
     },
     FaultSpec: {
-        "channel": "who: throttle, brake, steer or gear of driver_override, ecu or controller of peer_stop; else ''",
+        "channel": "throttle, brake, steer or gear of driver_override, ecu or controller of peer_stop; else ''",
         "message": "message that is disturbed where it is sent; '' for driver_override and peer_stop",
         "kind": "one of docs/reference/faults.md",
         "from_tick": "first tick of it",
@@ -176,9 +176,9 @@ _IMPORT: dict[type[Spec], dict[str, str]] = {
         "schema": SCHEMA,
         "name": "what the vehicle and the log are called",
         "source": "where the data are from, and their licence",
-        "clock": "the column that says when",
+        "clock": "the time column",
         "columns": "tables [[columns]]: which column is which record field",
-        "enabled": "the column that says whether the vehicle obeyed its commands; left out: nothing says it",
+        "enabled": "the column that shows whether the vehicle obeyed its commands; left out: not known",
         "delimiter": "between two cells",
         "decimal": "the decimal point of the numbers",
         "accept": "plausibility check that may fail -> why this drive is right all the same",
@@ -202,7 +202,7 @@ _IMPORT: dict[type[Spec], dict[str, str]] = {
     },
     EnabledSpec: {
         "column": "header of the column",
-        "active": "value of a cell that says that it obeyed",
+        "active": "value of a cell that means that it obeyed",
     },
 }
 

@@ -35,7 +35,7 @@ Name = str | Path
 def load_vehicle(name: Name, near: Name | None = None, check: bool = True) -> VehicleSpec:
     """A vehicle folder. `hash`: SHA-256 over vehicle.toml and its DBC files.
 
-    check=False leaves out what does not fit together, for `doctor`, which lists it with what the DBC says against it.
+    check=False skips the checks, for `doctor`, which lists their problems with those of the DBC.
     """
     path = find("vehicle", name, near)
     spec = convert(read_toml(path), VehicleSpec, path)
@@ -104,7 +104,7 @@ def json_schema(name: str) -> dict[str, Any]:
 
 
 def _hash(paths: Iterable[Path]) -> str:
-    """Hex SHA-256 over the files' bytes; one that is not there counts as empty (its user says so)."""
+    """Hex SHA-256 over the files' bytes; a missing one counts as empty (its user reports it)."""
     digest = hashlib.sha256()
     for path in paths:
         if path.is_file():

@@ -1,6 +1,6 @@
-"""What the TOML files may say (docs/reference/files.md): frozen structs, unknown keys refused.
+"""Schemas of the TOML files (docs/reference/files.md): frozen structs, unknown keys refused.
 
-Only shapes and types here; what must fit together is checked in `check.py` and `check_vehicle.py`, by file and key.
+Only shapes and types; `check.py` and `check_vehicle.py` check that values fit together, by file and key.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ __all__ = [
 ]
 
 
-# --- model.toml (docs/reference/files.md) -----------------------------------------------------------------------------------
+# --- model.toml (docs/reference/files.md) -----------------------------------------------------------------------------
 
 
 class Interval(Spec, frozen=True, kw_only=True):
@@ -75,7 +75,7 @@ Number = float | Interval
 
 
 class ActuatorSpec(Spec, frozen=True, kw_only=True):
-    """Dead time, lag of order 1 (lag_s) or 2 (natural_hz, damping), rate limit, dead band, gain, offset (docs/reference/design.md)."""
+    """Dead time, lag of order 1 (lag_s) or 2 (natural_hz, damping), rate limit, dead band, gain, offset."""
 
     dead_time_s: Number = 0.0
     order: Literal[1, 2] = 1
@@ -102,7 +102,7 @@ class TimingSpec(Spec, frozen=True, kw_only=True):
 
 
 class ValidSpec(Spec, frozen=True, kw_only=True):
-    """The region that the data covered: [low, high] each; what is left out is not checked (episode/validity_region.py).
+    """The region that the data covered: [low, high] each; an absent one is not checked (episode/validity_region.py).
 
     pedals: duty at the actuators' outputs, rest included, the brake's negative: [-most brake, most throttle].
     steer_rad: the steering wheel, the actuator's output.
@@ -116,7 +116,7 @@ class ValidSpec(Spec, frozen=True, kw_only=True):
 
 
 class EffectSpec(Spec, frozen=True, kw_only=True):
-    """An effect that was found and added, or a perturbation that a bench file asks for: one syntax."""
+    """An effect added by `gap`, or a perturbation of a bench file: one syntax."""
 
     name: str
     params: dict[str, float]
@@ -141,7 +141,7 @@ class ModelSpec(Spec, frozen=True, kw_only=True):
     hash: str = ""
 
 
-# --- scenario, weights, bench (docs/reference/files.md) ---------------------------------------------------------------------
+# --- scenario, weights, bench (docs/reference/files.md) ---------------------------------------------------------------
 
 
 class StartSpec(Spec, frozen=True, kw_only=True):
@@ -198,9 +198,7 @@ class ControllerSpec(Spec, frozen=True, kw_only=True):
     look_ahead_m: float = 0.0
     mrac_dead_zone: float = 0.5  # percent of the steering limit within which MRAC does not adapt; 0: as published
     calibration: str = ""  # another calibration.npz than the model's
-    parameters: dict[str, float] = field(
-        default_factory=dict
-    )  # by the names of docs/reference/controller.md, or its own ones
+    parameters: dict[str, float] = field(default_factory=dict)  # names: docs/reference/controller.md, or its own
     command: list[str] = field(default_factory=list)  # starts a controller of the user's own instead of ours
 
 

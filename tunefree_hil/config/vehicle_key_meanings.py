@@ -20,7 +20,7 @@ from tunefree_hil.config.vehicle_schema import (
     VehicleSpec,
 )
 
-ASSUMED = "why the source does not say this and what was taken instead; '' where it does"
+ASSUMED = "why the source does not state this and what was taken instead; '' where it does"
 ASSUMED_KEYS = "names of the keys of this table that no source states"
 CHANNEL = "name of the channel in logs, where the same id is on two buses; '' for any"
 TRUNCATED = "true: a frame shorter than the DBC says is decoded as far as it goes"
@@ -37,15 +37,15 @@ VEHICLE_WORDS: dict[type[Spec], dict[str, str]] = {
         "absent": "record fields that this vehicle does not have, such as 'report.gear'",
         "command": "tables [command.FIELD]: what the controller sends",
         "report": "tables [report.FIELD]: what the chassis reports; outputs of the actuators",
-        "ins": "tables [ins.FIELD]: what the navigation system says of the point in [ins_frame]",
+        "ins": "tables [ins.FIELD]: what the navigation system measures at the point in [ins_frame]",
         "extra": "tables [extra.MESSAGE]: messages without a record field that are sent all the same",
         "ins_frame": "axes, origin and point of the [ins] fields, and how old they are",
-        "state": "condition -> list of bits and codes in reports that say it",
-        "latency": "tables [latency.ACTUATOR]: what a data sheet says of throttle, brake, steer ...",
+        "state": "condition -> list of bits and codes in reports that show it",
+        "latency": "tables [latency.ACTUATOR]: data-sheet times of throttle, brake, steer ...",
         "override": "when the by-wire unit takes a driver's pedal or hand for a take-over",
         "limits": "what the vehicle can and may do",
         "nominal": "data-sheet constants of the body",
-        "manual_gains": "as_shipped: the gains of docs/reference/controller.md were shipped for this vehicle; else rule_based",
+        "manual_gains": "as_shipped: the gains of docs/reference/controller.md are this vehicle's; else rule_based",
     },
     FieldSpec: {
         "message": "name of the message in the DBC",
@@ -93,7 +93,7 @@ VEHICLE_WORDS: dict[type[Spec], dict[str, str]] = {
         "frame": "axes of the positions; ENU: x east, y north, heading 0 east and positive to the left",
         "origin": "'local', or [latitude, longitude] of the origin in degrees",
         "point": "the point whose position it is; only 'rear_axle' can be simulated",
-        "latency_s": "s by which the INS speaks of the past",
+        "latency_s": "delay of the INS, s",
         "assumed": ASSUMED,
     },
     StateSpec: {
@@ -101,7 +101,7 @@ VEHICLE_WORDS: dict[type[Spec], dict[str, str]] = {
         "signal": "name of the signal",
         "active": "value of the signal at which the condition holds",
         "effect": "what the unit then does: disable all channels, this channel, or only warn",
-        "bywire": "the by-wire channel that it speaks of: throttle, brake, steer, gear; '' for all",
+        "bywire": "the by-wire channel that it concerns: throttle, brake, steer, gear; '' for all",
         "cause": "which of the condition's causes this code means, such as 'throttle_timeout'; '' for any",
         "assumed": ASSUMED,
     },
@@ -118,7 +118,7 @@ VEHICLE_WORDS: dict[type[Spec], dict[str, str]] = {
         "accel_mps2": "[low, high]: strongest braking (below 0) and acceleration, m/s2",
         "lateral_accel_mps2": "largest acceleration to the side, m/s2",
         "speed_mps": "highest speed, m/s",
-        "reverse_mps": "how fast it drives backwards, m/s; 0: it does not, or nobody says so",
+        "reverse_mps": "highest speed backwards, m/s; 0: it does not, or is not known",
         "brake_rate_per_s": "fastest change of the brake demand that the unit makes, duty per s",
         "watchdog_brake_frac": "duty with which the unit's watchdog brakes, a share of 1",
         "assumed": ASSUMED_KEYS,
@@ -133,7 +133,7 @@ VEHICLE_WORDS: dict[type[Spec], dict[str, str]] = {
         "track_m": "between the middles of the rear wheels, m",
         "front_stiffness_n_per_rad": "cornering stiffness of the whole front axle, N/rad",
         "rear_stiffness_n_per_rad": "cornering stiffness of the whole rear axle, N/rad",
-        "rest_pedal_frac": "duty of a pedal that nobody touches, a share of 1; below the pedals' limits",
+        "rest_pedal_frac": "duty of a released pedal, a share of 1; below the pedals' limits",
         "assumed": ASSUMED_KEYS,
     },
     OverrideSpec: {

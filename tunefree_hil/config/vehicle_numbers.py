@@ -1,7 +1,7 @@
-"""What may stand in each numeric key of vehicle.toml's own tables.
+"""Ranges of the numeric keys of vehicle.toml's own tables.
 
-The upper ends are far above any vehicle: they catch slips of the unit (percent for a share, milliseconds for seconds)
-and numbers that would overflow where seconds are turned into ticks. What a field says of its signal (scale, period) is
+The upper ends are far above any vehicle: they catch wrong units (percent for a share, milliseconds for seconds)
+and numbers that would overflow where seconds are turned into ticks. Scale and period of a field are
 checked in check_vehicle.py, and against the DBC in bus/dbc/check_vehicle.py.
 """
 
@@ -126,7 +126,7 @@ def _together(spec: VehicleSpec) -> Problems:
     name = min(("throttle_frac", "brake_frac"), key=lambda name: getattr(spec.limits, name))
     limit = getattr(spec.limits, name)
     if 0.0 < limit <= rest <= 1.0:
-        hint = "give the duty of a pedal that nobody touches, below the limits of both pedals"
+        hint = "give the duty of a released pedal, below the limits of both pedals"
         yield ConfigProblem("nominal.rest_pedal_frac", f"{rest:g} is not below limits.{name} = {limit:g}", hint)
 
 

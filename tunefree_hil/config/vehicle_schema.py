@@ -1,4 +1,4 @@
-"""What vehicle.toml may say (docs/reference/files.md): frozen structs, unknown keys refused. The other files: schema.py."""
+"""Schema of vehicle.toml (docs/reference/files.md): frozen structs, unknown keys refused. Other files: schema.py."""
 
 from __future__ import annotations
 
@@ -57,23 +57,21 @@ class FieldSpec(Spec, frozen=True, kw_only=True):
 
 
 class StateSpec(Spec, frozen=True, kw_only=True):
-    """One bit or code in a report. `bywire` says which of the vehicle's by-wire channels it speaks of ('' = all)."""
+    """One bit or code in a report. `bywire`: the by-wire channel that it concerns ('' = all)."""
 
     message: str
     signal: str
     active: float = 1
     effect: Literal["disable_all", "disable_channel", "warn"] = "disable_all"
     bywire: Literal["", "throttle", "brake", "steer", "gear"] = ""
-    cause: str = (
-        ""  # watchdog codes: 'throttle_timeout', 'throttle_counter', ... (plant/actuation/bywire.py lists them)
-    )
+    cause: str = ""  # watchdog codes: 'throttle_timeout', 'throttle_counter', ... (plant/actuation/bywire.py)
     assumed: str = ""
 
 
 class ExtraSpec(Spec, frozen=True, kw_only=True):
     """A message that goes out on schedule and carries no record field, by its name in the DBC.
 
-    A message that only [state] speaks of needs no entry: its period is then the DBC's GenMsgCycleTime, or one tick.
+    A message that only [state] names needs no entry: its period is then the DBC's GenMsgCycleTime, or one tick.
     """
 
     kind: Literal["command", "telemetry"]
@@ -94,7 +92,7 @@ class InsFrameSpec(Spec, frozen=True, kw_only=True):
 
 
 class LatencySpec(Spec, frozen=True, kw_only=True):
-    """What a data sheet says of an actuator."""
+    """Data-sheet times of an actuator."""
 
     dead_time_s: float = 0.0
     rise_time_s: float = 0.0
@@ -109,7 +107,7 @@ class LimitsSpec(Spec, frozen=True, kw_only=True):
     accel_mps2: list[float] = field(default_factory=lambda: [-6.0, 2.0])  # low, high
     lateral_accel_mps2: float = 5.0
     speed_mps: float = 40.0
-    reverse_mps: float = 0.0  # how fast it drives backwards; 0: it does not, or nobody says so
+    reverse_mps: float = 0.0  # highest speed backwards; 0: it does not, or is not known
     brake_rate_per_s: float = (
         20.0  # the by-wire unit lets the brake demand change no faster (docs/reference/by_wire.md)
     )
@@ -118,7 +116,7 @@ class LimitsSpec(Spec, frozen=True, kw_only=True):
 
 
 class NominalSpec(Spec, frozen=True, kw_only=True):
-    """Data-sheet constants. Keys may be missing; what needs them says so. Stiffness is per AXLE."""
+    """Data-sheet constants. Keys may be missing; check_drive.py lists the needed ones. Stiffness is per AXLE."""
 
     mass_kg: float | None = None
     wheelbase_m: float | None = None

@@ -37,7 +37,8 @@ def load_parts(names: PartNames) -> list[Any]:
 
 
 def own_values(names: PartNames) -> dict[str, float]:
-    """The tunables that the parts bring beyond docs/reference/controller.md, in order (PARAM indices from 16 on): name -> value.
+    """The tunables that the parts bring beyond docs/reference/controller.md, in order (PARAM indices from 16 on):
+    name -> value.
 
     The value of a plain Block is that of its params; a Recipe has none yet, so it is the middle of the box.
     """
@@ -65,8 +66,8 @@ def build(
 ) -> Block:
     """The controller for one drive: x = cascade.Sight -> cascade.Decision.
 
-    `parameters` must name all of docs/reference/controller.md and the user's own, else InputError. `absent`: record fields that the
-    vehicle does not have, as 'report.speed_mps'.
+    `parameters` must name all of docs/reference/controller.md and the user's own, else InputError. `absent`: record
+    fields that the vehicle does not have, as 'report.speed_mps'.
     """
     names = names or PartNames()
     settings = settings or Settings()

@@ -1,4 +1,5 @@
-"""The open-loop map f_map of eq. 2: (acceleration wanted, speed) -> pedal command, brake negative (docs/reference/files.md)."""
+"""The open-loop map f_map of eq. 2: (acceleration wanted, speed) -> pedal command, brake negative
+(docs/reference/files.md)."""
 
 from __future__ import annotations
 

@@ -123,7 +123,8 @@ def chassis_speed_of(absent: Collection[str]) -> float:
 
 @kernel
 def speed_of(measurement: Measurement, chassis_speed: float) -> float:
-    """The speed that gains, map and bounds go by: the chassis's (docs/reference/apollo.md), the INS's where there is none."""
+    """The speed that gains, map and bounds go by: the chassis's (docs/reference/apollo.md), the INS's where there is
+    none."""
     return measurement.report.speed_mps if chassis_speed != 0.0 else measurement.ins.speed_mps
 
 

@@ -37,7 +37,8 @@ class FirstOrder(NamedTuple):
 
 
 def butterworth(cutoff_hz: float, dt_s: float) -> SecondOrder:
-    """Low-pass of second order, wc^2 / (s^2 + sqrt(2) wc s + wc^2), bilinear *without* pre-warp (docs/reference/apollo.md).
+    """Low-pass of second order, wc^2 / (s^2 + sqrt(2) wc s + wc^2), bilinear *without* pre-warp
+    (docs/reference/apollo.md).
 
     So its real -3 dB point lies a little below `cutoff_hz` (9.69 Hz for 10 Hz at 10 ms).
     """

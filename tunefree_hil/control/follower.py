@@ -1,12 +1,14 @@
-"""The reference follower (docs/reference/grading.md): where the vehicle is against the trajectory, and when that is planned anew.
+"""The reference follower (docs/reference/grading.md): where the vehicle is against the trajectory, and when that is
+planned anew.
 
 It runs in the controller at every tick and again wherever errors are worked out from INS frames. Signs and points as
-in docs/reference/files.md. Station runs along the original path throughout; the current trajectory is that path plus the lateral
-and speed offsets of the last re-plan, so it is the same until the first one.
+in docs/reference/files.md. Station runs along the original path throughout; the current trajectory is that path plus
+the lateral and speed offsets of the last re-plan, so it is the same until the first one.
 
-The heading error's rate is yaw rate - kappa v_ref (docs/reference/apollo.md) with the kappa of the foot and the v_ref of this
-time, as the columns of docs/reference/files.md go; shipped takes both at the foot. No look-up goes to the nearest row, as shipped
-ones do: feet are continuous, and times are read between rows.
+The heading error's rate is yaw rate - kappa v_ref (docs/reference/apollo.md) with the kappa of the foot and the v_ref
+of this
+time, as the columns of docs/reference/files.md go; shipped takes both at the foot. No look-up goes to the nearest
+row, as shipped ones do: feet are continuous, and times are read between rows.
 
 At the tick of a re-plan the errors are still against the trajectory that was too far away (they show why), from the
 next tick on they are against the new one.

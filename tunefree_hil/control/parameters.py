@@ -1,4 +1,5 @@
-"""The parameters of docs/reference/controller.md: index on the bench channel, name, box, unit and manual value; sets and baselines."""
+"""The parameters of docs/reference/controller.md: index on the bench channel, name, box, unit and manual value; sets
+and baselines."""
 
 from __future__ import annotations
 
@@ -74,7 +75,8 @@ BASELINES: dict[str, dict[str, float]] = {
 
 
 def study_values() -> dict[str, float]:
-    """A complete vector to start a study's trial from: manual gains, MRAC on, gamma 1, clamp 0.01 s (docs/reference/controller.md)."""
+    """A complete vector to start a study's trial from: manual gains, MRAC on, gamma 1, clamp 0.01 s
+    (docs/reference/controller.md)."""
     return {row.tunable.name: row.manual if row.fixed is None else row.fixed for row in PARAMETERS}
 
 
@@ -141,10 +143,12 @@ def check_complete(values: Mapping[str, float], own_names: tuple[str, ...] = ())
 
 
 def indices_of(own_names: Sequence[str] = ()) -> dict[str, int]:
-    """The PARAM index of every parameter by name: docs/reference/controller.md, then `own` in the order in which it is announced."""
+    """The PARAM index of every parameter by name: docs/reference/controller.md, then `own` in the order in which it
+    is announced."""
     return {name: index for index, name in [*enumerate(NAMES), *enumerate(own_names, FIRST_OWN_INDEX)]}
 
 
 def by_index(values: Mapping[int, float], own_names: Sequence[str] = ()) -> dict[str, float]:
-    """A vector by name from one by PARAM index; indices that are neither in docs/reference/controller.md nor of `own` are left out."""
+    """A vector by name from one by PARAM index; indices that are neither in docs/reference/controller.md nor of `own`
+    are left out."""
     return {name: float(values[index]) for name, index in indices_of(own_names).items() if index in values}

@@ -3,7 +3,8 @@
 No linear-algebra library: its order of operations may change from one version to the next, and gains must not.
 
 Two ways to the same equation P = Q + A'PA - A'PB (r + B'PB)^-1 B'PA:
-`recurse` is the plain recursion as shipped (docs/reference/apollo.md), which stops by tolerance or at 150 rounds; up to 12 m/s
+`recurse` is the plain recursion as shipped (docs/reference/apollo.md), which stops by tolerance or at 150 rounds; up
+to 12 m/s
 the cap stops it, so its gains are not those of the equation. `double` is structured doubling, one of whose rounds is
 worth all the recursion's rounds so far, and it goes on to rounding error.
 """

@@ -1,4 +1,5 @@
-"""The catalogue of effects (docs/reference/effects.md): a file here with an EFFECT is in it, and nothing else registers it.
+"""The catalogue of effects (docs/reference/effects.md): a file here with an EFFECT is in it, and nothing else
+registers it.
 
 ALIKE alone names effects: what no log tells apart is a fact about two of them. An effect on the body changes what
 plant/types.py can change.

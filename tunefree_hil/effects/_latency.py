@@ -12,7 +12,15 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.contracts import Block, Latency
 from tunefree_hil.base.kernel import buffer, kernel
 from tunefree_hil.base.records import Ins, Report
-from tunefree_hil.base.rows import INS_WIDTH, REPORT_WIDTH, interpolate_ins, interpolate_report, next_row, pack_row
+from tunefree_hil.base.rows import (
+    INS_WIDTH,
+    REPORT_WIDTH,
+    interpolate_ins,
+    interpolate_report,
+    next_row,
+    pack_ins,
+    pack_report,
+)
 from tunefree_hil.effects._signals import positive
 
 
@@ -48,8 +56,8 @@ def step_report(params: Latency, state: DelayLineState, x: Report, dt_s: float) 
     rows, share = state.rows, state.share
     if state.filled == 0:
         for k in range(len(rows) // REPORT_WIDTH):
-            pack_row(rows, k * REPORT_WIDTH, x)
-    pack_row(rows, state.place, x)
+            pack_report(rows, k * REPORT_WIDTH, x)
+    pack_report(rows, state.place, x)
     older = next_row(rows, state.place, REPORT_WIDTH)
     newer = next_row(rows, older, REPORT_WIDTH)
     return DelayLineState(rows, older, share, 1), interpolate_report(rows, older, newer, share)
@@ -65,8 +73,8 @@ def step_ins(params: Latency, state: DelayLineState, x: Ins, dt_s: float) -> tup
             back_m = (count - k) * dt_s * x.speed_mps
             x_m = x.x_m - back_m * math.cos(x.heading_rad)
             y_m = x.y_m - back_m * math.sin(x.heading_rad)
-            pack_row(rows, k * INS_WIDTH, Ins(x_m, y_m, x.heading_rad, x.speed_mps, x.accel_mps2, x.yaw_rate_radps))
-    pack_row(rows, state.place, x)
+            pack_ins(rows, k * INS_WIDTH, Ins(x_m, y_m, x.heading_rad, x.speed_mps, x.accel_mps2, x.yaw_rate_radps))
+    pack_ins(rows, state.place, x)
     older = next_row(rows, state.place, INS_WIDTH)
     newer = next_row(rows, older, INS_WIDTH)
     return DelayLineState(rows, older, share, 1), interpolate_ins(rows, older, newer, share)

@@ -1,4 +1,5 @@
-"""From a log to columns (docs/reference/files.md): vehicle frames and the scenario alone, so a real car's log gives the same ones.
+"""From a log to columns (docs/reference/files.md): vehicle frames and the scenario alone, so a real car's log gives
+the same ones.
 
 The errors are those of the reference follower, run again on the INS frames exactly as the controller ran it.
 """

@@ -1,4 +1,5 @@
-"""How a log's time stamps become ticks: in virtual time, and in real time beside the bench's own log (docs/reference/bench_channel.md)."""
+"""How a log's time stamps become ticks: in virtual time, and in real time beside the bench's own log
+(docs/reference/bench_channel.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""How much of a drive lies outside the region that a model's data covered ([valid] of model.toml, docs/reference/files.md).
+"""How much of a drive lies outside the region that a model's data covered ([valid] of model.toml,
+docs/reference/files.md).
 
 A learned plant says something everywhere, and means it only where it has seen the vehicle. A tick is outside where one
 quantity is: its mean over SMOOTH ticks, as noise is no drive, beyond its ends by more than MARGIN of their distance.

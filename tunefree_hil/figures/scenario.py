@@ -22,7 +22,8 @@ STRETCH_ABOVE = 5.0  # a path longer than this many times its width is drawn wit
 
 
 class DrivePicture(NamedTuple):
-    """One drive: `label` ("manual ...", "tuned ..." keep their colours), columns by the names of docs/reference/files.md.
+    """One drive: `label` ("manual ...", "tuned ..." keep their colours), columns by the names of
+    docs/reference/files.md.
 
     Columns have one row a tick and may be missing; t_s must be there. outcome: why it ended early, or empty.
     """

@@ -161,7 +161,7 @@ class Search(NamedTuple):
         return self.pool.spec.drives
 
 
-class Decision(NamedTuple):
+class DecidedVerdict(NamedTuple):
     """The verdict, the effects it is about with all their equivalents, and what the logs could have shown."""
 
     verdict: Verdict
@@ -230,7 +230,7 @@ def scan_candidates(search: Search) -> Generator[SearchProgress, None, list[Cand
     return fit_and_score(search.context, names)
 
 
-def decide(search: Search, alone: list[CandidateScore], outcome: SelectionOutcome) -> Decision:
+def decide(search: Search, alone: list[CandidateScore], outcome: SelectionOutcome) -> DecidedVerdict:
     """Complete the equivalents of the selected effects, and decide the verdict.
 
     Args:
@@ -248,11 +248,11 @@ def decide(search: Search, alone: list[CandidateScore], outcome: SelectionOutcom
         inconsistent_gains=baseline.excess_inconsistency(find_inconsistent_gains(search.problem)),
         baseline=baseline,
     )
-    return Decision(decide_verdict(findings), steps, excitation, bool(findings.changed_frames))
+    return DecidedVerdict(decide_verdict(findings), steps, excitation, bool(findings.changed_frames))
 
 
 def make_diagnosis(
-    search: Search, scores: list[CandidateScore], outcome: SelectionOutcome, decision: Decision
+    search: Search, scores: list[CandidateScore], outcome: SelectionOutcome, decision: DecidedVerdict
 ) -> Diagnosis:
     """Gather what belongs to a verdict. scores: every candidate scored alone."""
     pool, drives, links = search.pool, search.drives, search.recalibrated.links

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -66,12 +67,20 @@ def samples_from_recording(recording: Recording) -> MetricSamples:
     return MetricSamples(*(recording.get(name) for name in MetricSamples._fields))
 
 
+class Subset(Enum):
+    """Samples that an RMS metric counts."""
+
+    MOVING = "moving"
+    HARSH_ACCEL = "harsh accel"
+    HARSH_CURVATURE = "harsh curvature"
+
+
 class RmsMetric(NamedTuple):
     """RMS of error / (product of the letters of `divisors`: V, C, L, T) over the samples of `subset`."""
 
     error: str
     divisors: str
-    subset: str
+    subset: Subset
 
 
 class PeakMetric(NamedTuple):
@@ -124,16 +133,16 @@ def window_means(values: Array, ticks: int) -> Array:
 
 
 METRICS: dict[str, RmsMetric | PeakMetric | SeriesMetric] = {
-    "station_err_std": RmsMetric("station_error_m", "VT", "moving"),
-    "station_err_std_harsh": RmsMetric("station_error_m", "VT", "harsh accel"),
-    "speed_err_std": RmsMetric("speed_error_mps", "V", "moving"),
-    "speed_err_std_harsh": RmsMetric("speed_error_mps", "V", "harsh accel"),
-    "lateral_err_std": RmsMetric("lateral_error_m", "CVLT", "moving"),
-    "lateral_err_std_harsh": RmsMetric("lateral_error_m", "CVLT", "harsh curvature"),
-    "heading_err_std": RmsMetric("heading_error_rad", "CVT", "moving"),
-    "heading_err_std_harsh": RmsMetric("heading_error_rad", "CVT", "harsh curvature"),
-    "heading_err_rate_std": RmsMetric("heading_error_rate_radps", "CV", "moving"),
-    "heading_err_rate_std_harsh": RmsMetric("heading_error_rate_radps", "CV", "harsh curvature"),
+    "station_err_std": RmsMetric("station_error_m", "VT", Subset.MOVING),
+    "station_err_std_harsh": RmsMetric("station_error_m", "VT", Subset.HARSH_ACCEL),
+    "speed_err_std": RmsMetric("speed_error_mps", "V", Subset.MOVING),
+    "speed_err_std_harsh": RmsMetric("speed_error_mps", "V", Subset.HARSH_ACCEL),
+    "lateral_err_std": RmsMetric("lateral_error_m", "CVLT", Subset.MOVING),
+    "lateral_err_std_harsh": RmsMetric("lateral_error_m", "CVLT", Subset.HARSH_CURVATURE),
+    "heading_err_std": RmsMetric("heading_error_rad", "CVT", Subset.MOVING),
+    "heading_err_std_harsh": RmsMetric("heading_error_rad", "CVT", Subset.HARSH_CURVATURE),
+    "heading_err_rate_std": RmsMetric("heading_error_rate_radps", "CV", Subset.MOVING),
+    "heading_err_rate_std_harsh": RmsMetric("heading_error_rate_radps", "CV", Subset.HARSH_CURVATURE),
     "station_err_peak": PeakMetric("station_error_m", 1.0),
     "speed_err_peak": PeakMetric("speed_error_mps", 0.5),
     "lateral_err_peak": PeakMetric("lateral_error_m", 0.5),
@@ -147,7 +156,7 @@ METRICS: dict[str, RmsMetric | PeakMetric | SeriesMetric] = {
 # Apollo's code divides the heading error itself, not its rate, by C V
 MetricFormula = RmsMetric | PeakMetric | SeriesMetric
 AS_PUBLISHED: dict[str, MetricFormula] = {
-    "heading_err_rate_std_harsh": RmsMetric("heading_error_rad", "CV", "harsh curvature")
+    "heading_err_rate_std_harsh": RmsMetric("heading_error_rad", "CV", Subset.HARSH_CURVATURE)
 }
 
 
@@ -157,9 +166,9 @@ class MetricEvaluator:
     def __init__(self, samples: MetricSamples, scales: MetricScales) -> None:
         self.samples = samples
         self.scales = scales
-        self._masks: dict[str, Array | None] = {}
+        self._masks: dict[Subset, Array | None] = {}
         self._divisors: dict[str, Array | None] = {}
-        self._subset_divisors: dict[tuple[str, str], Array] = {}
+        self._subset_divisors: dict[tuple[str, Subset], Array] = {}
 
     def series(self, formula: RmsMetric | PeakMetric | SeriesMetric) -> Array | None:
         """Series whose RMS or peak is the metric, one value a counting sample; None where a column is missing.
@@ -182,7 +191,7 @@ class MetricEvaluator:
             self._subset_divisors[key] = divisor[mask]
         return error[mask] / self._subset_divisors[key]
 
-    def subset_mask(self, subset: str) -> Array | None:
+    def subset_mask(self, subset: Subset) -> Array | None:
         """Mask of the samples that count, shape (n_ticks,); None where a column is missing."""
         if subset not in self._masks:
             self._masks[subset] = _subset_mask(subset, self.samples)
@@ -246,11 +255,11 @@ def peak(error: Array, threshold: float) -> float | None:
     return float(np.abs(error).max()) / threshold
 
 
-def _subset_mask(subset: str, samples: MetricSamples) -> Array | None:
+def _subset_mask(subset: Subset, samples: MetricSamples) -> Array | None:
     """Samples with v_ref >= 0.03, |a_ref| >= 1 or |kappa_ref| >= 0.05; None where the column is missing."""
-    if subset == "moving":
+    if subset is Subset.MOVING:
         return None if samples.ref_speed_mps is None else samples.ref_speed_mps >= STOP_MPS
-    if subset == "harsh accel":
+    if subset is Subset.HARSH_ACCEL:
         return None if samples.ref_accel_mps2 is None else np.abs(samples.ref_accel_mps2) >= HARSH_ACCEL_MPS2
     return None if samples.ref_curvature_1pm is None else np.abs(samples.ref_curvature_1pm) >= HARSH_CURVATURE_1PM
 

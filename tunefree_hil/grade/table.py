@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 from tunefree_hil.grade import signals
-from tunefree_hil.grade.metrics import METRICS, MIN_SAMPLES, PeakMetric, RmsMetric, SeriesMetric
+from tunefree_hil.grade.metrics import METRICS, MIN_SAMPLES, PeakMetric, RmsMetric, SeriesMetric, Subset
 
 Aggregation = Literal["std", "peak", "share", "mean"]
 PERFORMANCE, SAFETY, COMFORT, EFFORT = "performance", "safety", "comfort", "effort"
@@ -36,14 +36,22 @@ class MetricRow(NamedTuple):
     ours: bool = False
 
 
-SUBSET_COLUMN = {"moving": "ref_speed_mps", "harsh accel": "ref_accel_mps2", "harsh curvature": "ref_curvature_1pm"}
+SUBSET_COLUMN = {
+    Subset.MOVING: "ref_speed_mps",
+    Subset.HARSH_ACCEL: "ref_accel_mps2",
+    Subset.HARSH_CURVATURE: "ref_curvature_1pm",
+}
 _DIVISOR_TEXT = {"V": "V", "C": "C", "L": "L", "T": "1 s"}
-_SUBSET_TEXT = {"moving": "v_ref >= 0.03", "harsh accel": "|a_ref| >= 1", "harsh curvature": "|kappa_ref| >= 0.05"}
+_SUBSET_TEXT = {
+    Subset.MOVING: "v_ref >= 0.03",
+    Subset.HARSH_ACCEL: "|a_ref| >= 1",
+    Subset.HARSH_CURVATURE: "|kappa_ref| >= 0.05",
+}
 
 # metrics that Apollo reports and does not weigh, in the form of METRICS
 RATE_FORMULAS: dict[str, RmsMetric | PeakMetric] = {
-    "lateral_err_rate_std": RmsMetric("lateral_error_rate_mps", "CVL", "moving"),
-    "lateral_err_rate_std_harsh": RmsMetric("lateral_error_rate_mps", "CVL", "harsh curvature"),
+    "lateral_err_rate_std": RmsMetric("lateral_error_rate_mps", "CVL", Subset.MOVING),
+    "lateral_err_rate_std_harsh": RmsMetric("lateral_error_rate_mps", "CVL", Subset.HARSH_CURVATURE),
     "lateral_err_rate_peak": PeakMetric("lateral_error_rate_mps", 0.5),
 }
 FORMULAS: dict[str, RmsMetric | PeakMetric | SeriesMetric] = {**METRICS, **RATE_FORMULAS}

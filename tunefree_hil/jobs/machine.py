@@ -19,6 +19,7 @@ MIN_PYTHON = (3, 11)
 MIN_FREE_GB = 1.0
 MIN_TRANSMIT_QUEUE = 100  # frames; hardware links have 10 by default, less than the burst of one tick
 REINSTALL = "make venv, or: pip install -e ."
+OF_AN_EXTRA = re.compile(r"extra\s*==")  # in the marker of an optional requirement
 EXTRAS = {"torch": "learn", "pytest": "test"}
 
 
@@ -58,7 +59,7 @@ def check_packages() -> Iterator[DoctorFinding]:
     except metadata.PackageNotFoundError:
         yield DoctorFinding(FAULT, "tunefree_hil is not installed", REINSTALL)
         return
-    names = [match[0] for line in required if (match := re.match(r"[\w.-]+", line)) and "extra ==" not in line]
+    names = [match[0] for line in required if (match := re.match(r"[\w.-]+", line)) and not OF_AN_EXTRA.search(line)]
     versions = {name: installed_version(name) for name in names}
     installed = [f"{name} {version}" for name, version in versions.items() if version]
     yield DoctorFinding(OK, ", ".join(installed), "")

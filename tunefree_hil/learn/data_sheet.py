@@ -16,7 +16,7 @@ PEDALS = ("throttle", "brake")
 
 
 class PriorCriteria(NamedTuple):
-    """How far a physical constant may be from its prior value. Reasons: docs/reference/learn_criteria.md.
+    """How far a physical constant may be from its prior value. Reasons: docs/results/learn_criteria.md.
 
     Attributes:
         motion_factor: Factor for values read off the motion by a plain law.

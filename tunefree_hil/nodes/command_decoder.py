@@ -1,4 +1,4 @@
-"""What the simulated by-wire vehicle makes of the command frames it hears."""
+"""Decodes command frames for the simulated by-wire vehicle."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from tunefree_hil.base.records import GEAR_NONE, CanFrame, Command
 from tunefree_hil.bus.dbc.codec import Codec, MessageMap
-from tunefree_hil.bus.dbc.integrity import BELIEVED, E2eStatus
+from tunefree_hil.bus.dbc.integrity import VALID_STATUSES, E2eStatus
 from tunefree_hil.nodes.exchange import can_key
 from tunefree_hil.nodes.reception import Reception
 from tunefree_hil.plant.actuation.bywire import Heard, HeardChannel
@@ -16,7 +16,7 @@ _COMMAND_INDEX = {"throttle": 0, "brake": 1, "steer": 2}
 
 
 class CommandDecoder:
-    """Command frames -> Heard. Keeps the counters, as each frame must count on from the last. One an episode."""
+    """Command frames -> Heard. Keeps the counters from frame to frame. One instance an episode."""
 
     def __init__(self, codec: Codec) -> None:
         self.codec = codec
@@ -30,12 +30,12 @@ class CommandDecoder:
             if channel in _COMMAND_INDEX
         ]
 
-    def hear(self, frames: Sequence[CanFrame]) -> Heard:
-        """The channels of one tick; a channel without a frame that can be believed is not fresh."""
+    def receive(self, frames: Sequence[CanFrame]) -> Heard:
+        """The channels of one tick; a channel without a valid frame is not fresh."""
         channels: dict[str, Any] = {}
         for frame in frames:
             message = self.codec.by_id[can_key(frame)]
-            if self.reception.hear(message, frame.data, self.tick):
+            if self.reception.receive(message, frame.data, self.tick):
                 self._take(message, frame.data, channels)
         self.reception.end_tick(self.tick)
         self.tick += 1
@@ -67,5 +67,5 @@ class CommandDecoder:
         """Put the E2E status of protected messages to their channels, whether a frame came or not."""
         for message, channel in self._protected:
             status = self.reception.status(message.name)
-            if status not in BELIEVED:
+            if status not in VALID_STATUSES:
                 channels[channel] = channels.get(channel, HeardChannel())._replace(e2e=float(status))

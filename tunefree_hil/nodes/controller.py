@@ -1,7 +1,7 @@
-"""The controller process: frames in, Block, frames out. Knows a vehicle folder, a course and parameters, nothing else.
+"""The controller process: frames in, Block, frames out. It takes a vehicle folder, a course and parameters.
 
-It runs unchanged on any bus. It stops commanding, and says why, when INS or chassis frames are missing for 0.2 s, when
-the driver takes over, when a by-wire channel faults, or when its own supervision ends the drive.
+It runs unchanged on any bus. It stops commanding, and reports why, when INS or chassis frames are missing for 0.2 s,
+when the driver takes over, when a by-wire channel faults, or when its own supervision ends the drive.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ ASKS_NOTHING = {"command": Command(*[0.0] * len(Command._fields))}  # a signal w
 
 
 class Assignment(NamedTuple):
-    """What one episode asks of the controller."""
+    """The controller's task in one episode."""
 
     block: Block
     ticks: int
@@ -74,7 +74,7 @@ class ControllerPart:
         self.task = self.assign(scenario, parameters)
         block = self.task.block
         self._state = block.init(block.params, self.task.dt_s)
-        self.hearing = MeasurementDecoder(self.codec, self.task.dt_s)
+        self.decoder = MeasurementDecoder(self.codec, self.task.dt_s)
         self.handshake = Handshake(limits_of(self.task.dt_s))
         self._failed = 0
         self._writer.restart()
@@ -83,7 +83,7 @@ class ControllerPart:
     def lockstep(self, exchange: Exchange, stopped: Callable[[Any], bool]) -> None:
         """One step for each full phase 0."""
         self.times.begin()
-        self.hearing.reception.expect_every_period()
+        self.decoder.reception.expect_every_period()
         for k in range(self.task.ticks):
             frames = exchange.await_phase(k, 0, stopped)
             if frames is None:
@@ -110,27 +110,27 @@ class ControllerPart:
         self._save()
 
     def cycle(self, k: int, frames: Sequence[CanFrame]) -> tuple[list[CanFrame], list[Any]]:
-        """One control cycle: the command frames to send, scripted faults and all, and what to say about it."""
+        """One control cycle: the command frames to send, with scripted faults, and the messages to announce."""
         reply, words = self._decide(k, frames)
         begun = [bc.Fault(self.role, fault.index, fault.code, k) for fault in self._faults.begun(k)]
         return self._faults.apply(k, reply, self.task.dt_s), [*begun, *words]
 
     def _decide(self, k: int, frames: Sequence[CanFrame]) -> tuple[list[CanFrame], list[bc.Status]]:
-        hearing = self.hearing
-        hearing.hear(k, frames)
-        for notice in hearing.reception.notices():
+        decoder = self.decoder
+        decoder.receive(k, frames)
+        for notice in decoder.reception.notices():
             self.say(f"controller: {notice}")
         if self._failed:
             return [], []
-        missing = hearing.missing(k, self.needed)
+        missing = decoder.missing(k, self.needed)
         if missing is not None:
-            late = ", ".join(hearing.why(name) for name in missing[1])
-            return [], [self._fail(k, MISSING_CODES[missing[0]], f"not heard for 0.2 s: {late}")]
-        stage = self.handshake.look(k, hearing.state())
+            late = ", ".join(decoder.why(name) for name in missing[1])
+            return [], [self._fail(k, MISSING_CODES[missing[0]], f"no valid frame for 0.2 s: {late}")]
+        stage = self.handshake.look(k, decoder.state())
         if stage in STAGE_CODES:
             return self._quiet_frames(k), [self._fail(k, STAGE_CODES[stage], stage.value)]
         block = self.task.block
-        sight = Sight(k, hearing.measurement())
+        sight = Sight(k, decoder.measurement())
         self._state, decision = block.step(block.params, self._state, sight, self.task.dt_s)
         words = []
         if decision.error_code:
@@ -138,11 +138,11 @@ class ControllerPart:
         return self._frames(k, decision.command), words
 
     def _save(self) -> None:
-        """Times and counts of the episode, and what was wrong with the frames in words."""
-        reception = self.hearing.reception
+        """Times and counts of the episode, and a summary of faulty frames."""
+        reception = self.decoder.reception
         self.times.save("controller", reception.troubles())
         if words := reception.summary():
-            self.say(f"controller: heard: {words}")
+            self.say(f"controller: received: {words}")
 
     def _fail(self, k: int, code: bc.ErrorCode, why: str) -> bc.Status:
         self._failed = int(code)
@@ -174,7 +174,7 @@ class ControllerPart:
         return self._writer.write_short(message, ASKS_NOTHING, {message.clear: 1.0}, length, k * self.task.dt_s)
 
     def _quiet_frames(self, k: int) -> list[CanFrame]:
-        """Commands without their enable bit: said once when the drive is lost, then silence."""
+        """Commands without their enable bit: sent once when the drive ends, then nothing."""
         return [self._frame(k, message, ASKS_NOTHING, 0.0, 0.0) for message in self.codec.commands if message.enable]
 
     def _frame(self, k: int, message: Any, records: dict[str, Any], enable: float, clear: float) -> CanFrame:

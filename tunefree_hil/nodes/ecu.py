@@ -37,7 +37,7 @@ class Vehicle(NamedTuple):
     phases: Mapping[str, int]  # tick of its period on which each message goes out
     driver: Callable[[int], Driver]  # the person in the seat, by tick
     faults: Sequence[ScriptedFault] = ()
-    ahead: bool = False  # the unit takes at each tick what was heard at the one before
+    ahead: bool = False  # the unit applies at each tick the commands of the tick before
 
 
 class EcuPart:
@@ -62,9 +62,9 @@ class EcuPart:
         self._failure = 0
 
     def load(self, scenario: bytes, seed: int, parameters: dict[int, float]) -> None:
-        """Put a vehicle at the scenario's start: power-up, nothing heard yet."""
+        """Put a vehicle at the scenario's start: power-up, no frame received yet."""
         self.car = self.assign(scenario, seed)
-        self._params, self._state, self._said = self.car.unit.start(self.car.body, self.car.dt_s)
+        self._params, self._state, self._output = self.car.unit.start(self.car.body, self.car.dt_s)
         self._decoder = CommandDecoder(self.codec)
         self._writer.restart()
         self._faults = FaultFilter(self.car.faults)
@@ -77,10 +77,10 @@ class EcuPart:
         car = self.car
         params, state, _ = car.unit.start(car.body, car.dt_s)
         car.unit.step(params, state, UnitInput(Heard(), car.driver(0), Disturbance()), car.dt_s)
-        self._params, self._state, self._said = car.unit.start(car.body, car.dt_s)
+        self._params, self._state, self._output = car.unit.start(car.body, car.dt_s)
 
     def lockstep(self, exchange: Exchange, stopped: Callable[[Any], bool]) -> None:
-        """Open tick after tick; end with the course, a failure that the controller says, or a request.
+        """Open tick after tick; end with the course, a failure of the controller, or a request.
 
         A vehicle that steps ahead does so while the controller computes; its frames are then ready when the tick ends.
         """
@@ -101,7 +101,7 @@ class EcuPart:
                 self._failure = self._failure or int(bc.ErrorCode.STOPPED)
                 break
             started = time.perf_counter()
-            heard = self._hear(exchange, k, arrived)
+            heard = self._receive(exchange, k, arrived)
             if not ahead:
                 frames = self._advance(exchange, k, heard)
             self.times.note(0.0, spent_s + time.perf_counter() - started)
@@ -120,7 +120,7 @@ class EcuPart:
         self.times.begin()
         self._stopped = stopped
         ticks = 0
-        exchange.announce(0, 0, self._publish(0, 0))  # announced too: whoever records counts frames by it
+        exchange.announce(0, 0, self._publish(0, 0))  # announced too: the recorder counts frames by it
         for k in range(self.car.course.ticks):
             deadline_s = zero_s + k * self.car.dt_s
             clock.sleep_until(deadline_s)
@@ -129,7 +129,7 @@ class EcuPart:
             exchange.announce(k, 0, self._publish(k, k + 1), bc.Tick(k))
             if exchange.interrupted(self._interrupt):
                 self._failure = self._failure or int(bc.ErrorCode.STOPPED)
-            self._step(exchange, k, self._hear(exchange, k, exchange.take_before(1, deadline_s)))
+            self._step(exchange, k, self._receive(exchange, k, exchange.take_before(1, deadline_s)))
             self.times.note(late_s, time.perf_counter() - started)
             ticks = k + 1
             if self._failure:
@@ -137,7 +137,7 @@ class EcuPart:
         self._end(exchange, ticks)
 
     def _interrupt(self, message: Any) -> bool:
-        """Note a failure the controller says (its DONE still comes); True where the runner asks to stop."""
+        """Note a failure of the controller (its DONE still comes); True where the runner requests a stop."""
         if isinstance(message, bc.Status) and message.role == bc.Role.CONTROLLER and message.state == bc.State.FAILED:
             self._failure = self._failure or message.error_code
             return False
@@ -148,12 +148,12 @@ class EcuPart:
         reception = self._decoder.reception
         self.times.save("ecu", reception.troubles())
         if words := reception.summary():
-            self.say(f"ecu: heard: {words}")
+            self.say(f"ecu: received: {words}")
         exchange.say(bc.Status(self.role, state, self._failure, ticks), k=ticks)
 
     def _publish(self, k: int, used_at: int) -> list[CanFrame]:
         """What is sent at tick k: the frames that are due at the tick that uses them."""
-        car, reported = self.car, self._said
+        car, reported = self.car, self._output
         records = {"report": reported.measurement.report, "ins": reported.measurement.ins}
         signals = self._signals.of(reported.status)
         stamp_s = k * car.dt_s
@@ -165,9 +165,9 @@ class EcuPart:
         ]
         return self._faults.apply(k, frames, car.dt_s)
 
-    def _hear(self, exchange: Exchange, k: int, frames: Sequence[CanFrame]) -> Heard:
-        """What the command frames of tick k say; what began or stood out at that tick is told."""
-        heard = self._decoder.hear(frames)
+    def _receive(self, exchange: Exchange, k: int, frames: Sequence[CanFrame]) -> Heard:
+        """Decode the command frames of tick k; announce faults that begin there, print notices."""
+        heard = self._decoder.receive(frames)
         for fault in self._faults.begun(k):
             exchange.say(bc.Fault(self.role, fault.index, fault.code, k), k=k)
         for notice in self._decoder.reception.notices():
@@ -178,8 +178,8 @@ class EcuPart:
         car = self.car
         road = Disturbance(float(car.course.grade_rad[k]), float(car.course.friction_frac[k]))
         x = UnitInput(heard, car.driver(k), road)
-        self._state, self._said = car.unit.step(self._params, self._state, x, car.dt_s)
-        cause = self._said.status.watchdog_cause
+        self._state, self._output = car.unit.step(self._params, self._state, x, car.dt_s)
+        cause = self._output.status.watchdog_cause
         if cause != self._cause:
             self._cause = cause
             self.say(f"ecu: tick {k}: watchdog: {cause_name(cause)}; brakes applied")

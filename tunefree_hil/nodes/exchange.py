@@ -1,8 +1,8 @@
-"""How a node exchanges frames with the others: phases in lockstep, deadlines in real time (docs/reference/bench_channel.md).
+"""Exchanges frames between nodes: phases in lockstep, deadlines in real time (docs/reference/bench_channel.md).
 
 A node holds two links: `vehicle` carries the frames of the DBC, `bench` carries TICK, DONE, STATUS and the like.
 A phase ends when the DONE that announces it *and* the n_tx frames it announced have arrived; the frames are then handed
-over in (id, sequence) order. Waiting has a hard limit and names who did not answer.
+over in (id, sequence) order. Waiting has a hard limit and names the missing node.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tunefree_hil.bus.link import BusLink
 from tunefree_hil.bus.recording.frame_attribution import PHASE_ROLES, can_key, digest
 
 HARD_LIMIT_S = 5.0
-SLICE_S = 0.5  # how often a waiting node looks at the other link: a lost peer is said on both
+SLICE_S = 0.5  # how often a waiting node looks at the other link: a lost peer is announced on both
 
 
 class Exchange:
@@ -42,8 +42,8 @@ class Exchange:
         self._send_both = send_both or self._send_apart
         self.ids_of_phase = ids_of_phase
         self.tick_s = tick_s
-        self.inbox: list[Any] = []  # bench messages that nobody has looked at yet
-        self.run_stamp_s = 0.0  # when STATUS RUN passed the bus: the same for all who heard it
+        self.inbox: list[Any] = []  # bench messages not read yet
+        self.run_stamp_s = 0.0  # when STATUS RUN passed the bus: the same for all receivers
         self.foreign: dict[int, int] = {}  # id -> count of frames that are in neither set
         self.heard = 0  # frames of the other node that were taken in real time
         self.refused = 0  # frames that a full transmit queue did not take in time (`drops`)
@@ -84,7 +84,7 @@ class Exchange:
         self.bench.send(bench_frames)
 
     def interrupted(self, interrupt: Callable[[Any], bool]) -> bool:
-        """Real time: whether a bench message that is here ends the episode; what follows it stays.
+        """Real time: whether a received bench message ends the episode; what follows it stays.
 
         A runner that does not wait has the next EPISODE and its PARAMs in the same batch.
         """
@@ -165,9 +165,9 @@ class Exchange:
         while len(waiting) < n_tx:
             self.sort_in(self.vehicle.receive(SLICE_S))
             if len(waiting) < n_tx and time.monotonic() > limit_s:
-                heard = ", ".join(f"0x{frame.id:X}" for frame in waiting) or "none"
+                ids = ", ".join(f"0x{frame.id:X}" for frame in waiting) or "none"
                 raise NoAnswer(
-                    f"tick {k}: the {PHASE_ROLES[phase]} announced {n_tx} frames, {len(waiting)} arrived ({heard})",
+                    f"tick {k}: the {PHASE_ROLES[phase]} announced {n_tx} frames, {len(waiting)} arrived ({ids})",
                     code="frames_missing",
                 )
         frames = list(waiting)

@@ -1,8 +1,8 @@
-"""Scripted faults at the bus: what a node sends, disturbed between encode and send.
+"""Scripted faults at the bus: frames of a node, disturbed between encode and send.
 
-So they work on every bus, the counts of DONE are those of what is really sent, and a drive with faults is as
-reproducible as one without: chance comes from (the fault's seed, tick) alone. A disturbed counter carries the CRC that
-fits it, a disturbed CRC the right counter, as CANoe's disturbances do (anchors A7).
+So they work on every bus, DONE counts the frames really sent, and a drive with faults is reproducible: random numbers
+depend on (the fault's seed, tick) alone. A disturbed counter carries the CRC that fits it, a disturbed CRC the right
+counter, as in CANoe.
 """
 
 from __future__ import annotations

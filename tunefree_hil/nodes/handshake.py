@@ -1,6 +1,6 @@
 """Taking over a by-wire vehicle: the controller's side of enable, clear and override (docs/reference/by_wire.md).
 
-    WAIT ── nothing latched ──> ENABLING ── every channel says enabled ──> ENGAGED ── override, fault, dropped ──> LOST
+    WAIT ── nothing latched ──> ENABLING ── every channel is enabled ──> ENGAGED ── override, fault, dropped ──> LOST
       └── override latched ──> CLEARING ──┘
 
 EN is set from the first command on; the vehicle must answer within ANSWER_LIMIT_S (20 looks of 20 ms in the source).
@@ -17,7 +17,7 @@ from tunefree_hil.base.kernel import kernel
 
 ANSWER_LIMIT_S = 0.4  # 20 x 20 ms
 CLEAR_EVERY_S = 0.05  # 20 Hz
-WHY_S = 0.06  # a channel that is not enabled any more: the report that says why may come this much later
+WHY_S = 0.06  # a channel that is not enabled any more: the report with the reason may come this much later
 
 
 class Stage(Enum):
@@ -38,7 +38,7 @@ ENDED = STAGES[NOT_ENABLED:]
 
 
 class VehicleState(NamedTuple):
-    """What the state bits of the reports say, all channels together. `known`: every enabled bit has been heard."""
+    """State bits of the reports, all channels together. `known`: every enabled bit has been received."""
 
     known: bool = False
     enabled: bool = False
@@ -63,7 +63,7 @@ class Limits(NamedTuple):
 
 
 def limits_of(tick_s: float) -> Limits:
-    """For a vehicle whose tick is so long."""
+    """Limits in ticks of this length."""
     return Limits(*(max(1, round(time_s / tick_s)) for time_s in (ANSWER_LIMIT_S, CLEAR_EVERY_S, WHY_S)))
 
 
@@ -104,7 +104,7 @@ def look(progress: Progress, tick: int, state: VehicleState, limits: Limits) -> 
 
 
 class Handshake:
-    """One engagement. `look(tick, state)` once a tick gives the stage; `enable`, `clear_now` say what to send."""
+    """One engagement. `look(tick, state)` once a tick gives the stage; `enable`, `clear_now`: frames to send."""
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits

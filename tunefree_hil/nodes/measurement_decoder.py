@@ -1,6 +1,6 @@
-"""What a node makes of the frames it hears: the latest records, the state bits, and how old each message is.
+"""Decodes report and INS frames: the latest records, the state bits, and the age of each message.
 
-A frame of a protected message that is not believed changes none of them, and does not count as heard.
+A frame of a protected message that fails its check changes none of them, and does not count as received.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from tunefree_hil.nodes.handshake import VehicleState
 from tunefree_hil.nodes.reception import Reception
 
 MISSING_S = 0.2  # 20 missed periods of localization in the source (docs/reference/apollo.md)
-SLOW = 2.5  # periods of a slow message, of which the first frame may not be believed
+SLOW = 2.5  # periods of a slow message, whose first frame may not be valid
 INS, CHASSIS = "ins", "chassis"
 
 
 class MeasurementDecoder:
-    """The vehicle as the controller hears it. One instance an episode."""
+    """The vehicle as the controller receives it. One instance an episode."""
 
     def __init__(self, codec: Codec, tick_s: float) -> None:
         self.codec = codec
@@ -40,18 +40,18 @@ class MeasurementDecoder:
         self._active: dict[str, frozenset[str]] = {}
         self._payload: dict[str, bytes] = {}
 
-    def hear(self, tick: int, frames: Iterable[CanFrame]) -> None:
+    def receive(self, tick: int, frames: Iterable[CanFrame]) -> None:
         """Take in frames that have arrived by tick `tick`."""
         for frame in frames:
             message = self.codec.by_id[can_key(frame)]
-            if not self.reception.hear(message, frame.data, tick):
+            if not self.reception.receive(message, frame.data, tick):
                 continue
             self.heard_at[message.name] = tick
             if self._payload.get(message.name) == frame.data:
                 continue  # nothing new in it
             self._payload[message.name] = frame.data
             if message.states:
-                self._note_bits(message, self.snapshot.hear(message, frame.data))
+                self._note_bits(message, self.snapshot.receive(message, frame.data))
             else:
                 self.snapshot.take(message, frame.data)
         self.reception.end_tick(tick)
@@ -80,13 +80,13 @@ class MeasurementDecoder:
         )
 
     def measurement(self) -> Measurement:
-        """The latest values heard; NaN where nothing has been."""
+        """The latest values received; NaN before the first."""
         return Measurement(self.snapshot.report(), self.snapshot.ins())
 
     def missing(self, tick: int, needed: Mapping[str, Iterable[str]]) -> tuple[str, list[str]] | None:
         """(group, messages) of the first group of which a message is not there, or None.
 
-        That is: not heard, or not believed, for 0.2 s, or as long as a slower message takes. `needed` names messages by
+        That is: no valid frame for 0.2 s, or as long as a slower message takes. `needed` names messages by
         group; protected ones all count.
         """
         for group, messages in needed.items():
@@ -100,7 +100,7 @@ class MeasurementDecoder:
         return None
 
     def why(self, name: str) -> str:
-        """A missing message in words, with its E2E status where it is protected."""
+        """A missing message as text, with its E2E status where it is protected."""
         return f"{name} ({self.reception.status(name).words})" if name in self._protected else name
 
 

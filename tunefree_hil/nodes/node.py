@@ -1,4 +1,4 @@
-"""What ECU and controller have in common: they say hello, load an episode when told, run it, say how it ended."""
+"""Common to ECU and controller: send HELLO, load an episode on request, run it, announce how it ended."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Part(Protocol):
 
 
 class Node:
-    """Serves episodes until the bus goes (which raises) or `end` is said."""
+    """Serves episodes until the bus goes (which raises) or the runner sends END."""
 
     def __init__(self, part: Part, exchange: Exchange, name: str, clock: Clock, realtime: bool = False) -> None:
         self.part = part
@@ -49,7 +49,7 @@ class Node:
             self.exchange.say(message)
 
     def serve(self) -> None:
-        """Say hello, then answer the runner for ever. Whatever ends that is said on the bench channel."""
+        """Send HELLO, then answer the runner for ever. The reason of an end is announced on the bench channel."""
         try:
             self.hello()
             gc.collect()
@@ -68,7 +68,7 @@ class Node:
                 self._answer(message)
 
     def _say_leaving(self) -> None:
-        """The others need not wait for us; where the bus itself is gone there is nobody to tell."""
+        """Announce the end, so that the others need not wait; where the bus itself is gone nothing can be sent."""
         with contextlib.suppress(BenchError):
             self.exchange.say(bc.Status(self.part.role, bc.State.END, bc.ErrorCode.INTERNAL, 0))
 
@@ -103,7 +103,7 @@ class Node:
         if self._episode is None:
             return
         self._episode, self._ready = None, False
-        gc.disable()  # a tick makes no cycles; what loading left was collected before it was said to be ready
+        gc.disable()  # a tick makes no cycles; loading's were collected before READY
         try:
             if self.realtime:
                 zero_s = self.exchange.run_stamp_s + lead_ms * 1e-3

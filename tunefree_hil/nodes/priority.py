@@ -1,6 +1,7 @@
 """What an ordinary Linux gives a process that must be punctual, where it is allowed: SCHED_FIFO, and memory that stays.
 
-Measured in docs/reference/bench_channel.md: with all cores busy an absolute sleep is 5.5 ms late at p99.9, under SCHED_FIFO 2.2 ms.
+Measured (docs/reference/bench_channel.md): with all cores busy an absolute sleep is 5.5 ms late at p99.9, under
+SCHED_FIFO 2.2 ms.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What a node notices of the frames it hears: E2E status, arrival and rate of every message, in words and counts.
+"""Supervises received frames: E2E status, arrival and rate of every message, as text and counts.
 
-Statuses are exact and never stop a drive by themselves; who needs a message decides what its status means. A frame
-that is too short to be decoded counts as none. Each kind of trouble of a message is said once an episode, at its first
-tick, and counted to the end.
+Statuses are exact and never stop a drive by themselves; the user of a message decides what its status means. A frame
+that is too short to be decoded counts as none. Each kind of trouble of a message gives one notice an episode, at its
+first tick, and is counted to the end.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from tunefree_hil.bus.dbc.message_map import MessageMap
 
 TOO_MANY = "more frames than are due"
 TOO_SHORT = "shorter than the DBC says"
-MOST_EXTRA = 2.0  # extra frames before it is said
+MOST_EXTRA = 2.0  # extra frames before a notice
 MOST_FREE = 3.0  # of those that come after a gap
 FORGOTTEN = 0.25  # a frame that comes alone makes up for this much
 UNREMARKABLE = (E2eStatus.OK, E2eStatus.INITIAL)
@@ -32,37 +32,37 @@ class Notice(NamedTuple):
         return f"tick {self.tick}: {self.message}: {self.problem}"
 
 
-class _Crowd:
-    """Frames of a message that came together with another one, which no sender means; a little forgets itself.
+class _ExtraFrames:
+    """Counts frames of a message that arrive together, which no sender intends; the count decays slowly.
 
-    What a gap held up comes all at once in real time: that many are free.
+    In real time frames that a gap delayed arrive at once: that many are not counted.
     """
 
     def __init__(self, period_ticks: int) -> None:
         self.period = max(period_ticks, 1)
         self.extra = 0.0
-        self.at = -1
+        self.last_tick = -1
 
-    def hear(self, tick: int) -> bool:
+    def receive(self, tick: int) -> bool:
         """Take in a frame; True where there are too many."""
-        gap = (tick - self.at) / self.period - 1.0
-        if tick == self.at:
+        gap = (tick - self.last_tick) / self.period - 1.0
+        if tick == self.last_tick:
             self.extra += 1.0
         elif gap > 0.0:
             self.extra = max(-MOST_FREE, self.extra - gap)
         else:
             self.extra -= max(-FORGOTTEN, min(FORGOTTEN, self.extra))
-        self.at = tick
+        self.last_tick = tick
         return self.extra > MOST_EXTRA
 
 
 class Reception:
-    """The messages of one direction, as one node hears them in one episode."""
+    """The messages of one direction, as one node receives them in one episode."""
 
     def __init__(self, messages: Iterable[MessageMap]) -> None:
         self.receivers = {message.name: Receiver(message) for message in messages}
         self._all = tuple(self.receivers.values())
-        self._crowds = {one.message.name: _Crowd(one.message.period_ticks) for one in self._all}
+        self._extra_frames = {one.message.name: _ExtraFrames(one.message.period_ticks) for one in self._all}
         self._seen: set[tuple[str, str]] = set()
         self._new: list[Notice] = []
         self.too_many: dict[str, int] = {}
@@ -73,23 +73,23 @@ class Reception:
         for receiver in self._all:
             receiver.expect_every_period()
 
-    def hear(self, message: MessageMap, data: bytes, tick: int) -> bool:
+    def receive(self, message: MessageMap, data: bytes, tick: int) -> bool:
         """Take in a frame that has arrived by `tick`; whether its values may be taken."""
         if message.e2e is None and not message.fits(data):  # of a protected one the CRC is wrong
             self.too_short[message.name] = self.too_short.get(message.name, 0) + 1
             self._notice(tick, message.name, TOO_SHORT)
             return False
         receiver = self.receivers[message.name]
-        status = receiver.hear(tick, data)
+        status = receiver.receive(tick, data)
         if status not in UNREMARKABLE:
             self._notice(tick, message.name, status.words)
-        if self._crowds[message.name].hear(tick):
+        if self._extra_frames[message.name].receive(tick):
             self.too_many[message.name] = self.too_many.get(message.name, 0) + 1
             self._notice(tick, message.name, TOO_MANY)
-        return receiver.believed
+        return receiver.is_valid
 
     def end_tick(self, tick: int) -> None:
-        """All frames of `tick` are heard: notice who is overdue."""
+        """End a tick: notice overdue messages."""
         for receiver in self._all:
             if receiver.look(tick):
                 self._notice(tick, receiver.message.name, E2eStatus.NO_NEW_DATA.words)

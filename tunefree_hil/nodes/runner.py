@@ -1,7 +1,7 @@
-"""Conducts episodes over the bench channel: who is there, what to drive, with which parameters, how it ended.
+"""Conducts episodes over the bench channel: waits for the nodes, sends episode and parameters, reports the end.
 
 The runner is no part of the lockstep: the ECU owns time, so a slow runner slows nothing. It looks at the bench channel
-every few milliseconds and calls a silence of 5 s by name.
+every few milliseconds and reports a silence of 5 s.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from tunefree_hil.nodes.exchange import HARD_LIMIT_S
 
 LOOK_S = 0.005
 LOAD_LIMIT_S = 120.0  # a jitted plant compiles while it loads
-SILENT_LIMIT_S = HARD_LIMIT_S + 2.0  # the node that waits says it first, and knows more
-LEAVING_LOOKS, LEAVING_LOOK_S = 8, 0.25  # a process that says it leaves still needs a moment to end
+SILENT_LIMIT_S = HARD_LIMIT_S + 2.0  # the waiting node reports it first, with more detail
+LEAVING_LOOKS, LEAVING_LOOK_S = 8, 0.25  # a process that announced its end still needs a moment
 LEAD_MS = 200  # real time: from RUN to tick 0
 
 
@@ -46,7 +46,7 @@ class FrameCounts(Protocol):
 
 
 class LogKeeper(Protocol):
-    """Who writes the logs and counts frames: a hub's owner (bus/tfhub/owner.py) or a recorder's (recorder_owner.py)."""
+    """Writes the logs and counts frames: a hub's owner (bus/tfhub/owner.py) or a recorder's (recorder_owner.py)."""
 
     def start_log(self, paths: Mapping[str, Any]) -> None: ...
 
@@ -65,20 +65,20 @@ class Runner:
         self.collector = bc.HelloCollector()
 
     def meet(self, limit_s: float = 30.0) -> None:
-        """Wait until an ECU and a controller are there. Raises NoAnswer that names who is missing."""
+        """Wait for an ECU and a controller. Raises NoAnswer that names the missing ones."""
         limit = time.monotonic() + limit_s
         needed = (bc.Role.ECU, bc.Role.CONTROLLER)
-        self._say(*bc.hello_messages(bc.Role.RUNNER, "runner", []))
+        self._send_messages(*bc.hello_messages(bc.Role.RUNNER, "runner", []))
         while not all(self.collector.complete(role) for role in needed):
-            for message in self._listen():
+            for message in self._receive():
                 if isinstance(message, bc.Hello):
                     self.collector.add(message)
             if time.monotonic() > limit:
                 raise self._missing_nodes_error([role for role in needed if not self.collector.complete(role)], limit_s)
-        self.announced()  # a text that cannot be read is said now
+        self.announced()  # raises for an unreadable text
 
     def _missing_nodes_error(self, missing: Sequence[bc.Role], limit_s: float) -> NoAnswer:
-        """Who said no HELLO, or not all of it; a controller of the user's own is told what it has to say."""
+        """The error for nodes without a complete HELLO, with what a controller of the user's own has to send."""
         message = f"no hello from {' and '.join(role.name.lower() for role in missing)} within {limit_s:g} s"
         is_here, all_of_it = self.collector.arrived(bc.Role.CONTROLLER)
         if bc.Role.CONTROLLER in missing and is_here:
@@ -89,7 +89,7 @@ class Runner:
         return NoAnswer(message, code="node_missing", hint=hint)
 
     def announced(self) -> dict[int, str]:
-        """{index: name} of the parameters that a controller of the user's own announced (docs/reference/controller.md)."""
+        """{index: name} of the parameters that a controller of the user's own announced."""
         return self.collector.parameters(bc.Role.CONTROLLER)
 
     def indexed(self, parameters: Mapping[str, float]) -> dict[int, float]:
@@ -120,14 +120,14 @@ class Runner:
         scenario: content hash, of which EPISODE carries 6 bytes. parameters: values from index 0 on, or by index
         (`indexed`). Raises BenchError, NoAnswer, PeerGone.
         """
-        self._say(bc.Episode(scenario[:6], seed))
+        self._send_messages(bc.Episode(scenario[:6], seed))
         values = parameters if isinstance(parameters, Mapping) else dict(enumerate(parameters))
-        self._say(*[bc.Param(index, len(values), value) for index, value in values.items()])
+        self._send_messages(*[bc.Param(index, len(values), value) for index, value in values.items()])
         self._await_ready()
         self.owner.start_log(logs)
         started = time.monotonic()
         try:
-            self._say(bc.Status(bc.Role.RUNNER, bc.State.RUN, 0, LEAD_MS))
+            self._send_messages(bc.Status(bc.Role.RUNNER, bc.State.RUN, 0, LEAD_MS))
             ticks, code = self._await_end()
         except HubSilent:
             raise  # it would not answer stop_log either
@@ -139,16 +139,16 @@ class Runner:
 
     def stop(self) -> None:
         """Ask the running episode to end."""
-        self._say(bc.Status(bc.Role.RUNNER, bc.State.STOP, 0, 0))
+        self._send_messages(bc.Status(bc.Role.RUNNER, bc.State.STOP, 0, 0))
 
     def end(self) -> None:
         """Ask the nodes to end themselves."""
-        self._say(bc.Status(bc.Role.RUNNER, bc.State.END, 0, 0))
+        self._send_messages(bc.Status(bc.Role.RUNNER, bc.State.END, 0, 0))
 
-    def _say(self, *messages: Any) -> None:
+    def _send_messages(self, *messages: Any) -> None:
         self.bench.send([bc.encode(message) for message in messages])
 
-    def _listen(self) -> list[Any]:
+    def _receive(self) -> list[Any]:
         time.sleep(LOOK_S)
         frames = self.bench.receive(0.0)
         self.check()
@@ -158,7 +158,7 @@ class Runner:
         limit = time.monotonic() + LOAD_LIMIT_S
         waiting = {bc.Role.ECU, bc.Role.CONTROLLER}
         while waiting:
-            for message in self._listen():
+            for message in self._receive():
                 self._refuse_leaving(message)
                 if isinstance(message, bc.Status) and message.role in waiting:
                     self._refuse_failed(message)
@@ -169,7 +169,7 @@ class Runner:
                 raise NoAnswer(f"{names} did not load the episode within {LOAD_LIMIT_S:g} s", code="no_answer")
 
     def _refuse_leaving(self, message: Any) -> None:
-        """Raise PeerGone when a node says that it leaves; where it is ours, with its own last words."""
+        """Raise PeerGone when a node announces its end; `check` raises its own message first, where we started it."""
         if isinstance(message, bc.Status) and message.state == bc.State.END:
             for _ in range(LEAVING_LOOKS):
                 time.sleep(LEAVING_LOOK_S)
@@ -179,27 +179,27 @@ class Runner:
                 name,
                 f"the {name} has left the bench",
                 code="node_lost",
-                hint="it says why where it runs; start it again, then the same command",
+                hint="its own output gives the reason; start it again, then repeat the command",
             )
 
     def _refuse_failed(self, message: bc.Status) -> None:
         if message.state != bc.State.FAILED:
             return
-        time.sleep(0.3)  # let the node print its own words and end; check() then quotes them
+        time.sleep(0.3)  # the node prints its error and ends; check() then quotes it
         self.check()
         role = bc.Role(message.role).name.lower()
         raise BenchError(
             f"the {role} cannot load this episode: {bc.error_text(message.error_code)}",
             code=bc.ErrorCode(message.error_code).name.lower(),
-            hint=f"the {role} says why in its own words, where it runs; do both have the same files?",
+            hint=f"the output of the {role} gives the reason; do both have the same files?",
         )
 
     def _await_end(self) -> tuple[int, int]:
-        """(ticks, error code) that the ECU ends with; a failure that the controller said first counts."""
+        """(ticks, error code) that the ECU ends with; a failure that the controller announced first counts."""
         watch = Silence(self.owner)
         code, ended = 0, None
         while ended is None:
-            for message in self._listen():
+            for message in self._receive():
                 self._refuse_leaving(message)
                 if not isinstance(message, bc.Status):
                     continue
@@ -211,8 +211,8 @@ class Runner:
         return ended.tick, code or ended.error_code or self._late_failure()
 
     def _late_failure(self) -> int:
-        """The controller's failure in the last tick, which in real time may be heard after the ECU's end; 0: none.
-        Left on the bus it would be taken for a failure to load the next episode.
+        """The controller's failure in the last tick, which in real time may arrive after the ECU's end; 0: none.
+        Left on the bus it would count as a failure to load the next episode.
         """
         time.sleep(LOOK_S)
         messages = [bc.decode(frame) for frame in self.bench.receive(0.0)]

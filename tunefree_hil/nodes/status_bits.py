@@ -1,4 +1,4 @@
-"""Between the by-wire unit's status and the state bits of the vehicle's frames, by the tables of vehicle.toml."""
+"""State bits of the vehicle's frames from the by-wire unit's status, by the tables of vehicle.toml."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from collections.abc import Mapping
 
 from tunefree_hil.base.records import GEAR_DRIVE, GEAR_LOW, GEAR_NEUTRAL, GEAR_PARK, GEAR_REVERSE
 from tunefree_hil.bus.dbc.codec import Codec
-from tunefree_hil.bus.dbc.integrity import BELIEVED, E2eStatus
+from tunefree_hil.bus.dbc.integrity import VALID_STATUSES, E2eStatus
 from tunefree_hil.bus.dbc.message_map import MessageMap, StateMap
 from tunefree_hil.plant.actuation.bywire import CAUSES, GEAR_REJECTS, ByWireStatus, ChannelStatus
 
 _CHANNELS = ("throttle", "brake", "steer")
 _FROM_STATUS = {"enabled": "enabled", "override": "override", "timeout": "timeout", "driver": "driver"}
-COUNTER_CAUSE = "watchdog"  # cause of a fault bit that says: this channel's counter does not count
-E2E = "e2e"  # condition: this channel's commands have the E2E status `cause` ('': none that is believed); or a cause
+COUNTER_CAUSE = "watchdog"  # cause of a fault bit: this channel's counter does not count
+E2E = "e2e"  # condition: this channel's commands have the E2E status `cause` ('': no valid one); or a cause
 
-# Conditions beside a channel's, and what their causes stand for.
+# Conditions without a channel, and the meaning of their causes.
 LIGHTS = {"input": "light_input", "command": "light_command", "output": "light_output"}
 GEARS = {"park": GEAR_PARK, "reverse": GEAR_REVERSE, "neutral": GEAR_NEUTRAL, "drive": GEAR_DRIVE, "low": GEAR_LOW}
 
@@ -52,9 +52,9 @@ def _channel_holds(state: StateMap, channel: ChannelStatus) -> bool:
     if state.condition == E2E and state.cause:
         return channel.e2e == E2eStatus[state.cause.upper()]
     if state.condition == E2E:
-        return channel.e2e not in BELIEVED
+        return channel.e2e not in VALID_STATUSES
     if state.condition == "fault" and state.cause == E2E:
-        return channel.e2e not in (*BELIEVED, E2eStatus.INITIAL)  # nothing is wrong before the first frame
+        return channel.e2e not in (*VALID_STATUSES, E2eStatus.INITIAL)  # nothing is wrong before the first frame
     if state.condition == "fault":
         return state.cause == COUNTER_CAUSE and channel.counter_fault > 0.5
     name = _FROM_STATUS.get(state.condition)
@@ -62,7 +62,7 @@ def _channel_holds(state: StateMap, channel: ChannelStatus) -> bool:
 
 
 class StatusSignals:
-    """State signals by message, worked out again only when the status changes."""
+    """State signals by message, computed again only when the status changes."""
 
     def __init__(self, codec: Codec) -> None:
         self._messages = codec.telemetry
@@ -78,5 +78,5 @@ class StatusSignals:
 
 
 def cause_name(code: float) -> str:
-    """The watchdog cause of a code, for people."""
+    """The name of a watchdog cause."""
     return next((name for name, value in CAUSES.items() if value == code), "unknown")

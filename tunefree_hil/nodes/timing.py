@@ -27,14 +27,14 @@ class CycleTimes:
         self.late_s.append(late_s)
         self.control_s.append(control_s)
 
-    def save(self, role: str, heard: Mapping[str, Sequence[int]] | None = None) -> None:
-        """Write under a temporary name, then rename. heard: counts by message (nodes/reception.py), as `heard_NAME`."""
+    def save(self, role: str, counts_by_message: Mapping[str, Sequence[int]] | None = None) -> None:
+        """Write under a temporary name, then rename. Counts (nodes/reception.py), as `heard_NAME`."""
         if self.folder is None:
             return
         path = self.folder / f"timing-{role}.npz"
         part = path.with_suffix(".part")
         with part.open("wb") as file:
             times = {"late_s": np.array(self.late_s), "control_time_s": np.array(self.control_s)}
-            counts = {f"heard_{name}": np.array(row) for name, row in (heard or {}).items()}
+            counts = {f"heard_{name}": np.array(row) for name, row in (counts_by_message or {}).items()}
             np.savez(file, allow_pickle=False, **times, **counts)
         os.replace(part, path)

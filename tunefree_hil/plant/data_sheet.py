@@ -32,7 +32,7 @@ DEFAULTS: dict[str, float] = {
     "creep_force_n": 1000.0,
     "creep_speed_mps": 2.0,  # at which creep has faded out
     "overrun_force_n": 0.0,  # held back by the engine or motor with the pedal at rest, above twice creep_speed_mps
-    "brake_force_n_per_frac": 56.6e3,  # 3412 Nm over 0.18 duty at the wheel radius (docs/reference/by_wire.md, smoothed)
+    "brake_force_n_per_frac": 56.6e3,  # 3412 Nm over 0.18 duty at the wheel radius, smoothed
     "brake_rise_per_frac": 0.0,  # share by which the brake pulls more than in proportion, per duty from rest
     "rolling_frac": 0.012,
     "drag_area_m2": 0.70,

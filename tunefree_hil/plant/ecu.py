@@ -1,4 +1,5 @@
-"""The whole vehicle as the bus sees it, as one Block: command delay, by-wire unit, body, report delay (docs/reference/bench_channel.md).
+"""The whole vehicle as the bus sees it, as one Block: command delay, by-wire unit, body, report delay
+(docs/reference/bench_channel.md).
 
 Where an effect makes the chassis reports late, the by-wire unit's bits, which are in the same frames, are as late.
 

@@ -1,4 +1,5 @@
-"""Plant kind `hybrid`: the single-track car with an LSTM that corrects its acceleration and yaw rate (docs/reference/design.md).
+"""Plant kind `hybrid`: the single-track car with an LSTM that corrects its acceleration and yaw rate
+(docs/reference/design.md).
 
 A tick of dt from motion (v, yaw rate r) with the physics' own lateral state (side speed, yaw rate):
 

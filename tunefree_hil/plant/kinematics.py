@@ -59,7 +59,17 @@ def moved(
 def with_velocity(motion: Motion, velocity: Velocity) -> Motion:
     """The same motion with other velocities."""
     return Motion(
-        motion.x_m, motion.y_m, motion.heading_rad, velocity.speed_mps, velocity.side_speed_mps, velocity.yaw_rate_radps, motion.accel_mps2,
-        motion.lateral_accel_mps2, motion.speed_rate_mps2, motion.wheel_fl_radps, motion.wheel_fr_radps, motion.wheel_rl_radps,
+        motion.x_m,
+        motion.y_m,
+        motion.heading_rad,
+        velocity.speed_mps,
+        velocity.side_speed_mps,
+        velocity.yaw_rate_radps,
+        motion.accel_mps2,
+        motion.lateral_accel_mps2,
+        motion.speed_rate_mps2,
+        motion.wheel_fl_radps,
+        motion.wheel_fr_radps,
+        motion.wheel_rl_radps,
         motion.wheel_rr_radps,
-    )  # fmt: skip
+    )

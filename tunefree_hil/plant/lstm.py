@@ -1,4 +1,5 @@
-"""Plant kind `lstm`: a state-carrying LSTM says acceleration and yaw rate, kinematics do the rest (plant/learned/kinematics.py).
+"""Plant kind `lstm`: a state-carrying LSTM says acceleration and yaw rate, kinematics do the rest
+(plant/learned/kinematics.py).
 
 Inputs at a tick's beginning: speed, throttle and brake duty over rest, steering-wheel angle (the actuators' outputs of
 this tick), its own acceleration (the rate of speed on level ground) and the yaw rate of the tick before. Outputs:

@@ -7,7 +7,8 @@ and the network itself must know dead times and lags. Samples are sample_spacing
 tick sees a window of its own from a cell at 0. Before the start the car rolled on at rest.
 
 Where samples are further apart than ticks, a tick goes its share of the way to what is said of the next sample, so that
-nothing is ahead of its time (the published code takes a label of 60 ms ahead for the next 10 ms: docs/reference/apollo.md).
+nothing is ahead of its time (the published code takes a label of 60 ms ahead for the next 10 ms:
+docs/reference/apollo.md).
 """
 
 from __future__ import annotations

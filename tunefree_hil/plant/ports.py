@@ -1,4 +1,4 @@
-"""Where effects go in: Blocks that put the effects of a port on a channel of a record (interfaces 4)."""
+"""Where effects go in: Blocks that put the effects of a port on a channel of a record (docs/reference/effects.md)."""
 
 from __future__ import annotations
 

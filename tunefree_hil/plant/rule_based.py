@@ -1,6 +1,7 @@
 """Plant kind `rule_based`: the open-loop map read forwards, and a kinematic bicycle (paper Fig. 3b's comparison).
 
-Its file is a calibration.npz (docs/reference/files.md: speed, acceleration, command, brake negative). Of the two pedals the one
+Its file is a calibration.npz (docs/reference/files.md: speed, acceleration, command, brake negative). Of the two
+pedals the one
 that is further from rest counts; acceleration is linear in the command within a speed and linear between speeds, held
 at the ends. Yaw rate = speed * tan(road-wheel angle) / wheelbase.
 """

@@ -183,7 +183,7 @@ def refuse_changes(kind: str, change: BodyChange, able: Set[str]) -> None:
     changed = [name for name in change._fields if name not in able and getattr(change, name) != getattr(still, name)]
     if changed:
         raise InputError(
-            f"a plant of kind {kind!r} has no physics that {', '.join(dict.fromkeys(CHANGES[name] for name in changed))}"
+            f"a plant of kind {kind!r} has no physics that {', '.join(dict.fromkeys(map(CHANGES.__getitem__, changed)))}"
             " could change",
             code="not_in_this_plant",
             key="effects",

@@ -92,10 +92,10 @@ def test_a_receiver_names_what_happened(profile: str, data: st.DataObject) -> No
     message = van_like(profile, max_delta)
     receiver = Receiver(message)
     start = data.draw(st.integers(0, 40))
-    assert receiver.receive(0, frame(message, start)) is E2eStatus.INITIAL and not receiver.believed
+    assert receiver.receive(0, frame(message, start)) is E2eStatus.INITIAL and not receiver.is_valid
     good = data.draw(st.integers(1, 20))
     for n in range(1, good + 1):
-        assert receiver.receive(n, frame(message, start + n)) is E2eStatus.OK and receiver.believed
+        assert receiver.receive(n, frame(message, start + n)) is E2eStatus.OK and receiver.is_valid
     step = data.draw(st.integers(0, message.counter_modulus - 1))
     status = receiver.receive(good + 1, frame(message, start + good + step))
     if step == 0:
@@ -104,7 +104,7 @@ def test_a_receiver_names_what_happened(profile: str, data: st.DataObject) -> No
         assert status is E2eStatus.OK
     else:
         assert status is (E2eStatus.SOME_LOST if step <= max_delta else E2eStatus.WRONG_SEQUENCE)
-    assert receiver.believed == (status in (E2eStatus.OK, E2eStatus.SOME_LOST))
+    assert receiver.is_valid == (status in (E2eStatus.OK, E2eStatus.SOME_LOST))
 
 
 @PROFILE
@@ -116,10 +116,10 @@ def test_any_flipped_bit_is_a_wrong_crc_and_the_next_frame_is_believed(profile: 
         receiver.receive(n, frame(message, n))
     broken = bytearray(frame(message, before + 1))
     broken[bit // 8] ^= 1 << bit % 8
-    assert receiver.receive(before + 1, bytes(broken)) is E2eStatus.WRONG_CRC and not receiver.believed
+    assert receiver.receive(before + 1, bytes(broken)) is E2eStatus.WRONG_CRC and not receiver.is_valid
     # one period without a believed frame: the counter may have moved by one more
     status = receiver.receive(before + 2, frame(message, before + 2))
-    assert status is E2eStatus.SOME_LOST and receiver.believed
+    assert status is E2eStatus.SOME_LOST and receiver.is_valid
 
 
 @PROFILE
@@ -132,7 +132,7 @@ def test_silence_is_told_and_a_long_one_must_be_proven_anew(profile: str, gap: i
     for tick in range(2 * period + 1, (3 + gap) * period):
         if receiver.look(tick):
             heard.append(tick)
-            assert receiver.status is E2eStatus.NO_NEW_DATA and not receiver.believed
+            assert receiver.status is E2eStatus.NO_NEW_DATA and not receiver.is_valid
     overdue = gap * period - 3  # ticks after the first one that is not grace any more
     assert len(heard) == (overdue // period + 1 if overdue >= 0 else 0)
     status = receiver.receive(tick + 1, frame(message, 3 + gap))
@@ -180,14 +180,14 @@ def test_an_unprotected_counter_is_watched_and_its_values_are_taken() -> None:
     for tick, (count, status) in enumerate(
         [(250, E2eStatus.INITIAL), (251, E2eStatus.OK), (251, E2eStatus.REPEATED), (9, E2eStatus.WRONG_SEQUENCE)]
     ):
-        assert receiver.receive(tick, bytes(7) + bytes((count,))) is status and receiver.believed
+        assert receiver.receive(tick, bytes(7) + bytes((count,))) is status and receiver.is_valid
     assert receiver.receive(4, bytes(4)) is E2eStatus.OK, "a clear frame ends before the counter"
     assert receiver.receive(5, bytes(7) + b"\x0a") is E2eStatus.OK
 
 
 def test_a_message_without_anything_is_believed() -> None:
     receiver = Receiver(CODEC.by_name["GYRO"])
-    assert receiver.receive(0, bytes(4)) is E2eStatus.OK and receiver.believed
+    assert receiver.receive(0, bytes(4)) is E2eStatus.OK and receiver.is_valid
     assert receiver.receive(0, bytes(4)) is E2eStatus.OK
 
 

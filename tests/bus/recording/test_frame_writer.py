@@ -32,7 +32,7 @@ def test_written_frames_are_believed_one_after_the_other(vehicle: str, tmp_path:
             frame = writer.write(message, RECORDS, {}, tick * 0.01)
             assert receiver.receive(tick, frame.data) == (E2eStatus.OK if n else first)
             assert (frame.id, frame.fd, frame.time_s) == (message.can_id, message.fd, tick * 0.01)
-            assert receiver.believed == (n >= message.unproven_frames)
+            assert receiver.is_valid == (n >= message.unproven_frames)
 
 
 def test_protection_changes_no_value(tmp_path: Path) -> None:

@@ -98,7 +98,7 @@ def test_a_report_that_was_never_heard(codec: Codec, clean: list[Frame]) -> None
     name = codec.telemetry[-1].name
     gone = positions(clean, codec, name)
     assert check_frames([frame for i, frame in enumerate(clean) if i not in gone], codec).problems == [
-        f"{name} was never heard"
+        f"{name} was never received"
     ]
 
 

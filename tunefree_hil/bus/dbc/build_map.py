@@ -1,4 +1,4 @@
-"""vehicle.toml's tables, field by field, turned round: MessageMaps, message by message."""
+"""Builds MessageMaps, message by message, from the tables of vehicle.toml, field by field."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def by_message(mapped: Iterable[Entry]) -> dict[tuple[str, str], list[Entry]]:
 
 
 def build_messages(spec: VehicleSpec, network: Mapping[str, Message]) -> list[MessageMap]:
-    """All messages the folder speaks of, in id order. The folder has passed check_vehicle."""
+    """All messages that the folder names, in id order. The folder has passed check_vehicle."""
     table = by_message(entries(spec))
     for name, extra in spec.extra.items():
         table.setdefault((name, extra.channel), [])
@@ -122,7 +122,7 @@ def _build(spec: VehicleSpec, message: Message, channel: str, members: list[Entr
 
 
 def _e2e(spec: VehicleSpec, name: str, members: list[Entry]) -> E2eSpec | None:
-    """A message's protection: what any of its fields, or its [extra] entry, says of it. None: nothing."""
+    """A message's protection: as declared by any of its fields, or its [extra] entry. None: none."""
     declared = [entry.spec.e2e for entry in members] + ([spec.extra[name].e2e] if name in spec.extra else [])
     chosen = [one for one in declared if one.profile != "none"] or [one for one in declared if one.counter]
     return chosen[0] if chosen else None
@@ -154,7 +154,7 @@ def _lowest_bit(signal: SignalMap, length: int) -> tuple[int, int]:
 
 
 def _modulus(protection: Protection | None, signals: Mapping[str, SignalMap], counter: str) -> int:
-    """At which value the counter rolls over; 0 where there is none."""
+    """The value at which the counter rolls over; 0 where there is none."""
     if protection is not None:
         return protection.modulus
     if not counter:

@@ -1,4 +1,4 @@
-"""What is wrong with a message's end-to-end protection: profile, data ids, and the signals that carry it."""
+"""Checks a message's end-to-end protection: profile, data ids, and the signals that carry it."""
 
 from __future__ import annotations
 

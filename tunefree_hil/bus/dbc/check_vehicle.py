@@ -1,6 +1,6 @@
-"""Everything that is wrong between a vehicle.toml and its DBC, at once (`doctor --vehicle`, and every codec).
+"""Checks a vehicle.toml against its DBC and lists all problems (`doctor --vehicle`, and every codec).
 
-What vehicle.toml says wrongly by itself is found by config/check_vehicle.py when it is loaded.
+config/check_vehicle.py checks vehicle.toml by itself when it is loaded.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def one_error(problems: list[InputError]) -> InputError:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """A hint: the name that was probably meant, or all there are."""
+    """A hint: the name that was probably meant, or all known ones."""
     known = sorted(known)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     return f"did you mean {close[0]}?" if close else f"there are {', '.join(known) or 'none'}"
@@ -125,7 +125,7 @@ class _Check:
                 key, f"{name} {defect}", f"record fields are read from integers of up to {MOST_BITS} bits"
             )
         elif signal.factor == 0 or signal.raw_low >= signal.raw_high:
-            yield self.problem(key, f"{name} can say one value only", "mend its factor or range in the DBC")
+            yield self.problem(key, f"{name} has one value only", "mend its factor or range in the DBC")
         elif entry.name == "heading_rad":
             steps = (signal.raw_high - signal.raw_low + 1.5) * abs(signal.factor * entry.spec.scale)
             if steps < 2.0 * math.pi:
@@ -159,7 +159,7 @@ class _Check:
             raw = (value - signal.offset) / signal.scale if signal.scale else math.nan
             if not low - 0.5 <= raw <= high + 0.5:
                 ends = f"{low * signal.scale + signal.offset:g} to {high * signal.scale + signal.offset:g}"
-                yield self.problem(where, f"{value:g} is outside what {name} can say", f"it says {ends}")
+                yield self.problem(where, f"{value:g} is outside the range of {name}", f"its range is {ends}")
 
     def _protection(self, key: str, name: str, e2e: E2eSpec, used: Iterable[str]) -> Iterator[InputError]:
         for problem in check_protection(f"{key}.e2e", e2e, self.network[name], set(used)):
@@ -181,7 +181,7 @@ class _Check:
                     )
 
     def _cycle(self, key: str, name: str) -> Iterator[InputError]:
-        """The period of a message that nothing but a state reads, which the DBC alone says."""
+        """The DBC's period of a message that only a state reads."""
         mapped = {entry.spec.message for entry in self.entries} | set(self.spec.extra)
         cycle_ms = self.network[name].cycle_time or 0
         if name not in mapped and cycle_ms % max(self.spec.tick_ms, 1):
@@ -206,7 +206,7 @@ class _Check:
         cycle_ms, period = self.network[name].cycle_time, period_ms(self.spec, self.network[name], members)
         if cycle_ms and period and cycle_ms != period:
             yield self.problem(
-                f"{first.key}.period_ms", f"{period}, but the DBC says {cycle_ms} of {name}", "give both the same"
+                f"{first.key}.period_ms", f"{period}, but the DBC has {cycle_ms} for {name}", "give both the same"
             )
         yield from self._shared_signals(name, members)
 
@@ -235,7 +235,7 @@ class _Check:
             for entry in members
             for role in ROLES
             if (signal := getattr(entry.spec, role)) and users.get(signal) != f"{entry.group}.{entry.name}"
-        }  # its own value as a role is said already
+        }  # its own value as a role is reported already
         states = {
             state.signal: f"state.{condition}[{i}]"
             for condition, listed in self.spec.state.items()

@@ -55,20 +55,20 @@ class Codec:
         self._by_channel = {(message.key, message.channel): message for message in messages}
 
     def find(self, frame: CanFrame, channel: str = "") -> MessageMap | None:
-        """The message of a frame heard on `channel` ('': any), or None where the folder speaks of no such frame."""
+        """The message of a frame received on `channel` ('': any), or None where the folder has no such frame."""
         key = frame.id | EXTENDED_FLAG if frame.extended else frame.id
         if not channel:
             return self.by_id.get(key)
         return self._by_channel.get((key, channel)) or self._by_channel.get((key, ""))
 
-    def has_channels(self, heard: Iterable[str]) -> bool:
-        """Whether a log's channel names are those of vehicle.toml, and so tell equal ids apart.
+    def has_channels(self, channels: Iterable[str]) -> bool:
+        """Whether a log's channel names are those of vehicle.toml, and so distinguish equal ids.
 
-        heard: one a frame, or one a name; taken only until all are found, not at all where the folder names none. The
-        bench's own logs have one channel whatever the folder says: they are not the folder's.
+        channels: one a frame, or one a name; read only until all are found, not at all where the folder names none. The
+        bench's logs have one channel whatever the folder names: they do not match.
         """
         missing = {message.channel for message in (*self.commands, *self.telemetry)} - {""}
-        return bool(missing) and any(not (missing.discard(channel) or missing) for channel in heard)
+        return bool(missing) and any(not (missing.discard(channel) or missing) for channel in channels)
 
     def encode(
         self,
@@ -200,7 +200,7 @@ def _read(plan: Plan, data: bytes) -> dict[str, float]:
 
 
 class Snapshot:
-    """The latest values heard of a vehicle; NaN where nothing has been heard."""
+    """The latest values received of a vehicle; NaN before the first."""
 
     def __init__(self, codec: Codec) -> None:
         self.codec = codec
@@ -211,18 +211,18 @@ class Snapshot:
         }
         self._direct = {m: steps for m in (*codec.commands, *codec.telemetry) if (steps := self._steps(m)) is not None}
 
-    def hear(self, message: MessageMap, data: bytes) -> dict[str, float]:
-        """Take in a payload; what `Codec.decode` says of it."""
+    def receive(self, message: MessageMap, data: bytes) -> dict[str, float]:
+        """Take in a payload; its signals as in `Codec.decode`."""
         decoded = self.codec.decode(message, data)
         for group, index, value in self.codec.values(message, decoded):
             self._groups[group][index] = value
         return decoded
 
     def take(self, message: MessageMap, data: bytes) -> None:
-        """Take in a payload; `hear` without the signals, bit for bit the same values and a third of the time."""
+        """Take in a payload; `receive` without the signals, bit for bit the same values and a third of the time."""
         steps = self._direct.get(message)
         if steps is None or len(data) < message.length:
-            self.hear(message, data)
+            self.receive(message, data)
             return
         little = int.from_bytes(data[: message.length], "little")
         for values, index, shift, mask, sign, factor, offset, term_scale, scale, field_offset in steps:
@@ -242,13 +242,13 @@ class Snapshot:
         return tuple(steps)
 
     def report(self) -> Report:
-        """The chassis as heard."""
+        """The latest chassis report."""
         return Report._make(self._groups["report"])
 
     def ins(self) -> Ins:
-        """The INS as heard."""
+        """The latest INS record."""
         return Ins._make(self._groups["ins"])
 
     def command(self) -> Command:
-        """The commands as heard."""
+        """The latest commands."""
         return Command._make(self._groups["command"])

@@ -1,6 +1,6 @@
-"""All frames of one message decoded at once: what Codec.decode and Codec.values say of each, bit for bit, in columns.
+"""Decodes all frames of one message at once into columns, bit for bit as Codec.decode and Codec.values do.
 
-For logs of an hour, whose six million frames are too many to be decoded one by one in Python.
+An hour of log has about six million frames: too many to decode one by one in Python.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from tunefree_hil.bus.dbc.message_map import MessageMap, SignalMap
 
 Array = np.ndarray
 
-PAD = 0xFF  # what Codec.decode takes bytes for that are not there
+PAD = 0xFF  # Codec.decode pads a short payload with it
 EXACT_BITS = 52  # integers below 2 to this are the same number in a double, and stay so through one multiplication
 _TABLES = {"P01": np.frombuffer(TABLE_1D, dtype=np.uint8), "P02": np.frombuffer(TABLE_2F, dtype=np.uint8)}
 _FLOATS = {16: (np.uint16, np.float16), 32: (np.uint32, np.float32), 64: (np.uint64, np.float64)}
@@ -33,7 +33,7 @@ class Payloads(NamedTuple):
 
 
 class Fields(NamedTuple):
-    """values: float64 [n, fields] in SI, in the order of message.fields; is_present: bool [n, fields], all bits in the frame."""
+    """values: float64 [n, fields] in SI, in the order of message.fields; is_present: bool [n, fields], in the frame."""
 
     values: Array
     is_present: Array
@@ -48,7 +48,7 @@ def payloads_of(frames: Sequence[bytes]) -> Payloads:
 
 
 def fit(message: MessageMap, payloads: Payloads) -> Payloads:
-    """The same payloads, each as long as the DBC says: excess bytes cut off, missing ones PAD."""
+    """The same payloads, each with the length of the DBC: excess bytes cut off, missing ones PAD."""
     data, length = payloads.data, message.length
     if data.shape[1] < length:
         wide = np.full((len(data), length), PAD, dtype=np.uint8)
@@ -76,7 +76,7 @@ def are_intact(message: MessageMap, payloads: Payloads) -> Array:
 
 
 def decode_fields(message: MessageMap, payloads: Payloads) -> Fields:
-    """The record fields of payloads of `fit`, those of Codec.values; where `is_present` is False a value means nothing."""
+    """The record fields of payloads of `fit`, as in Codec.values; where `is_present` is False a value is undefined."""
     shape = (len(payloads.size), len(message.fields))
     fields = Fields(np.empty(shape), np.ones(shape, dtype=bool))
     for place, (_, _, terms, scale, offset) in enumerate(message.plan.values):
@@ -96,7 +96,7 @@ def is_there(message: MessageMap, name: str, payloads: Payloads) -> Array:
 
 
 def decode_signal(message: MessageMap, name: str, payloads: Payloads) -> Array:
-    """float64 [n]: what Codec.decode says of a signal, raw where it has a role or a state."""
+    """float64 [n]: the value of a signal as in Codec.decode, raw where it has a role or a state."""
     signal = message.signals[name]
     if signal.is_float:
         return _float_values(signal, payloads.data)

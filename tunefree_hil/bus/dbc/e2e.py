@@ -1,6 +1,6 @@
 """End-to-end protection by AUTOSAR's profiles 1 and 2: what the CRC covers, and where CRC and counter stand.
 
-Written from the published profiles (anchors A6). Profile 1: CRC-8 of polynomial 0x1D over the data id's bytes (which of
+From AUTOSAR's E2E protocol specification. Profile 1: CRC-8 of polynomial 0x1D over the data id's bytes (which of
 them: the id mode) and all data but the CRC byte; the library's start and final values cancel out, so both are 0, not
 the 0xFF of catalogue CRC-8/SAE-J1850. Counter 0..14. Profile 2: polynomial 0x2F, start and final value 0xFF, over all
 data but the CRC byte and then the one of 16 data ids that the counter chooses. Counter 0..15.
@@ -73,7 +73,7 @@ def put_nibble(data: bytearray, place: Nibble, value: int) -> None:
 
 
 def crc_of(protection: Protection, data: bytes) -> int:
-    """The CRC that a payload must carry, whatever its CRC byte says now."""
+    """The CRC that a payload must carry, whatever its CRC byte is."""
     index, counter = protection.crc_at, read_nibble(data, protection.counter_at)
     covered = data[:index] + data[index + 1 :]
     if protection.profile == "P02":

@@ -1,8 +1,8 @@
-"""Whether a received frame may be believed: counters, CRCs, arrival. One implementation for ECU, controller and logs.
+"""Checks received frames: counters, CRCs, arrival. One implementation for ECU, controller and logs.
 
-A counter proves that a frame is fresh and in order, a CRC that it came through whole, a data id that it is from the
-right sender; none of them proves that its values are plausible. Statuses are AUTOSAR's (anchors A6). A protected
-message is invalid until proven: its first frame only says where the counter stands.
+A counter shows that a frame is fresh and in order, a CRC that it is intact, a data id that it is from the right
+sender; none of them shows that its values are plausible. Statuses are those of the AUTOSAR E2E protocol. The first
+frame of a protected message only initialises the counter, so its values are not used.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from tunefree_hil.bus.dbc.message_map import MessageMap
 
 __all__ = [
-    "BELIEVED",
     "PROFILES",
+    "VALID_STATUSES",
     "CounterCheck",
     "CounterStep",
     "E2eStatus",
@@ -41,7 +41,7 @@ class Order(Enum):
 
 
 class E2eStatus(IntEnum):
-    """What a receiver knows of a message's last frame, or of its absence. The numbers are the project's own."""
+    """E2E status of a message's last frame, or of its absence. The numbers are the project's own."""
 
     words: str
 
@@ -61,7 +61,7 @@ class E2eStatus(IntEnum):
 
 
 LATE_TICKS = 2  # after its period, at which a message is overdue: frames come a tick late in real time
-BELIEVED = (E2eStatus.OK, E2eStatus.SOME_LOST)  # the values of such a frame of a protected message are taken
+VALID_STATUSES = (E2eStatus.OK, E2eStatus.SOME_LOST)  # the values of such a frame of a protected message are used
 _OF_ORDER = {
     Order.FIRST: E2eStatus.INITIAL,
     Order.OK: E2eStatus.OK,
@@ -72,7 +72,7 @@ _OF_ORDER = {
 
 
 class CounterStep(NamedTuple):
-    """What a counter check says: the order, and how many frames are missing in between."""
+    """Result of a counter check: the order, and how many frames are missing in between."""
 
     order: Order
     lost: int
@@ -83,11 +83,11 @@ def next_counter(counter: int, modulus: int) -> int:
     return (counter + 1) % modulus
 
 
-def check_counter(last: int | None, heard: int, modulus: int, max_delta: int = 1) -> CounterStep:
-    """How `heard` follows `last` (None: nothing heard yet). max_delta: the widest step that still passes."""
+def check_counter(last: int | None, counter: int, modulus: int, max_delta: int = 1) -> CounterStep:
+    """How `counter` follows `last` (None: no frame yet). max_delta: the widest step that still passes."""
     if last is None:
         return CounterStep(Order.FIRST, 0)
-    delta = (heard - last) % modulus
+    delta = (counter - last) % modulus
     if delta == 0:
         return CounterStep(Order.REPEATED, 0)
     if delta == 1:
@@ -96,7 +96,7 @@ def check_counter(last: int | None, heard: int, modulus: int, max_delta: int = 1
 
 
 class CounterCheck:
-    """Watches one message's counter. A wrong step is a new start, as receivers take it after a sender's restart."""
+    """Watches one message's counter. A wrong step is a new start, as after a restart of the sender."""
 
     def __init__(self, modulus: int, max_delta: int = 1) -> None:
         self.modulus = modulus
@@ -104,22 +104,21 @@ class CounterCheck:
         self.last: int | None = None
         self.repeats = 0  # in a row
 
-    def hear(self, counter: float) -> CounterStep:
+    def receive(self, counter: float) -> CounterStep:
         """Take in the next frame's counter."""
-        heard = int(counter)
-        counted = check_counter(self.last, heard, self.modulus, self.max_delta)
+        value = int(counter)
+        counted = check_counter(self.last, value, self.modulus, self.max_delta)
         self.repeats = self.repeats + 1 if counted.order is Order.REPEATED else 0
-        self.last = heard
+        self.last = value
         return counted
 
 
 class Receiver:
-    """Watches one message over time, ticks of the vehicle's. `hear` each frame; `look` once a tick when all are heard.
+    """Watches one message over time, ticks of the vehicle's. `receive` each frame; `look` once at the end of a tick.
 
-    The step that the counter may make grows by one for each period in which no frame could be believed, as in
-    AUTOSAR's receiver; when it would allow any step, or after a wrong one, the counter is taken anew and the frame
-    after it is the first to be believed. A message without protection is believed; its counter, where it has one, is
-    watched all the same.
+    The step that the counter may make grows by one for each period without a valid frame, as in AUTOSAR's receiver;
+    when it would allow any step, or after a wrong one, the counter starts anew and the next frame is the first valid
+    one. A message without protection is always valid; its counter, where it has one, is still watched.
     """
 
     def __init__(self, message: MessageMap) -> None:
@@ -135,16 +134,16 @@ class Receiver:
         self._due_at = self._period + self._slack
 
     @property
-    def believed(self) -> bool:
-        """Whether the values of the frame just heard may be taken."""
-        return self.protection is None or self.status in BELIEVED
+    def is_valid(self) -> bool:
+        """Whether the values of the last frame may be used."""
+        return self.protection is None or self.status in VALID_STATUSES
 
     def expect_every_period(self) -> None:
         """From the beginning: a frame is overdue at the very tick at which it does not come. For lockstep."""
         self._due_at -= self._slack
         self._slack = 0
 
-    def hear(self, tick: int, data: bytes) -> E2eStatus:
+    def receive(self, tick: int, data: bytes) -> E2eStatus:
         """Take in a frame that has arrived by `tick`."""
         self._due_at = tick + self._period + self._slack
         self.status = status = E2eStatus.OK if self._plain else self._judge(tick, data)
@@ -161,20 +160,20 @@ class Receiver:
         return True
 
     def _judge(self, tick: int, data: bytes) -> E2eStatus:
-        heard, modulus, widest = self._read(data), self.message.counter_modulus, 1
-        if heard is None:
+        counter, modulus, widest = self._read(data), self.message.counter_modulus, 1
+        if counter is None:
             return E2eStatus.OK
-        if heard < 0:
+        if counter < 0:
             return E2eStatus.WRONG_CRC
         if self.protection is not None:
-            if heard >= modulus:  # 15 in profile 1: no sender counts so
+            if counter >= modulus:  # 15 in profile 1: no sender counts so
                 return E2eStatus.WRONG_SEQUENCE
             widest = self.message.e2e_max_delta + max(0, (tick - self._good_at) // self._period - 1)
             if widest >= modulus - 1:
                 self._last = None
-        order = check_counter(self._last, heard, modulus, widest).order
+        order = check_counter(self._last, counter, modulus, widest).order
         if order is not Order.REPEATED:
-            self._last, self._good_at = heard, tick
+            self._last, self._good_at = counter, tick
         return _OF_ORDER[order]
 
     def _read(self, data: bytes) -> int | None:
@@ -193,9 +192,9 @@ class Receiver:
 
 
 def check_e2e(message: MessageMap, frames: Iterable[tuple[float, bytes]], tick_s: float = 0.01) -> dict[str, int]:
-    """What a receiver would have said of recorded frames (time_s, payload) of one message: {status: frames}.
+    """E2E statuses of recorded frames (time_s, payload) of one message: {status: frames}.
 
-    Statuses by name in lower case ('ok', 'wrong_crc', ...), those that never came left out; 'no_new_data' counts
+    Statuses by name in lower case ('ok', 'wrong_crc', ...), those that never occurred left out; 'no_new_data' counts
     periods. Empty for a message with neither CRC nor counter.
     """
     if message.e2e is None and not message.counter:
@@ -208,6 +207,6 @@ def check_e2e(message: MessageMap, frames: Iterable[tuple[float, bytes]], tick_s
         tick = max(before, round((time_s - first_s) / tick_s))
         for silent in range(before, tick):
             receiver.look(silent)
-        receiver.hear(tick, data)
+        receiver.receive(tick, data)
         before = tick
     return {status.name.lower(): count for status in E2eStatus if (count := receiver.counts[status])}

@@ -1,4 +1,4 @@
-"""What the codec knows of a message: its bits, the record fields in it, the signals with a role. Plain data.
+"""The codec's data of a message: its bits, the record fields in it, the signals with a role.
 
 A signal's raw value r, an integer, means r * factor + offset in the DBC's unit; a field is the sum of its signals'
 scaled values, times `scale`, plus `offset`, in SI.
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from tunefree_hil.bus.dbc.e2e import Protection
 
-EXTENDED_FLAG = 0x8000_0000  # SocketCAN's EFF bit: tells the 29-bit id from the 11-bit id of the same number
+EXTENDED_FLAG = 0x8000_0000  # SocketCAN's EFF bit: distinguishes the 29-bit id from the 11-bit id of the same number
 TWO_PI = 6.283185307179586
 COMMAND, TELEMETRY = "command", "telemetry"
 # The by-wire channels that a record field belongs to, by the beginning of "group.name".
@@ -41,7 +41,7 @@ class SignalMap(NamedTuple):
     is_float: bool
     factor: float
     offset: float
-    raw_low: int  # what encode clips to: the declared range, or all that the bits can say
+    raw_low: int  # what encode clips to: the declared range, or the full range of the bits
     raw_high: int
     end_bit: int  # bits of payload that must be there for the signal to be whole
 
@@ -77,7 +77,7 @@ class FieldMap(NamedTuple):
 
 
 class StateMap(NamedTuple):
-    """One bit or code of a report that speaks of a condition of the by-wire system ([state] of vehicle.toml)."""
+    """One bit or code of a report for a condition of the by-wire system ([state] of vehicle.toml)."""
 
     condition: str
     signal: str
@@ -156,7 +156,7 @@ class MessageMap:
     states: tuple[StateMap, ...]
     signals: Mapping[str, SignalMap] = field(repr=False)
     plan: Plan = field(repr=False)
-    unproven_frames: int = 0  # first frames of an episode whose values nobody takes: 1 with end-to-end protection
+    unproven_frames: int = 0  # first frames of an episode whose values are not used: 1 with end-to-end protection
     e2e: Protection | None = None  # bus/dbc/e2e.py
     e2e_max_delta: int = 1  # the widest step of a protected counter that still passes
 

@@ -38,7 +38,7 @@ def _read(path: Path) -> Database:
     if not path.is_file():
         raise InputError("there is no such file", code="no_file", file=str(path), hint="see `dbc` in vehicle.toml")
     try:
-        # strict=False: overlapping signals are told by check_vehicle together with everything else
+        # strict=False: check_vehicle reports overlapping signals with all other problems
         return cast("Database", cantools.database.load_file(path, strict=False, database_format="dbc"))
     except (cantools.database.errors.UnsupportedDatabaseFormatError, UnicodeDecodeError) as error:
         raise InputError(
@@ -68,7 +68,7 @@ def signal_map(signal: Signal, length: int) -> SignalMap:
 
 
 def bit_range(signal: Signal) -> tuple[int, int]:
-    """The raw values that the bits can say."""
+    """The range of raw values of the bits."""
     if signal.is_signed:
         return -(1 << (signal.length - 1)), (1 << (signal.length - 1)) - 1
     return 0, (1 << signal.length) - 1
@@ -77,7 +77,7 @@ def bit_range(signal: Signal) -> tuple[int, int]:
 def raw_range(signal: Signal) -> tuple[int, int]:
     """The raw values that encode may send: the declared range where it is one that the bits can reach.
 
-    Ranges such as [0|65535] on a signed 16-bit signal are common slips; they are not believed, and the bits decide.
+    Ranges such as [0|65535] on a signed 16-bit signal are common mistakes; then the bits decide.
     """
     low, high = bit_range(signal)
     declared = declared_raw(signal)

@@ -1,4 +1,4 @@
-"""A DBC for data that never was on a bus: a message a record field, said to be invented in every comment.
+"""A DBC for data that never was on a bus: a message a record field, marked as invented in every comment.
 
 A signal has SIGNAL_BITS bits and a step of STEP in SI (1e-6 m, m/s, rad ...), signed: half a step of error, and a range
 of +-1.4e8, which holds map coordinates too. The four wheels share a CAN FD message, as vehicle.toml wants them.
@@ -45,9 +45,9 @@ def _stem(name: str) -> str:
 
 
 def dbc_text(fields: Sequence[str], source: str, units: Mapping[str, str], enabled: str = "") -> str:
-    """The DBC for these record fields. units: what a comment says of a field's column.
+    """The DBC for these record fields. units: a comment on each field's column.
 
-    enabled: what a comment says of the column for STATE, whether the vehicle obeyed; without it there is no such frame.
+    enabled: a comment on the column for STATE, whether the vehicle obeyed; without it there is no such frame.
     """
     messages: dict[str, list[str]] = {}
     for field in fields:

@@ -1,9 +1,9 @@
-"""What a record becomes on its way over the bus, as a Block: bit for bit encode, then decode (docs/reference/design.md).
+"""A record after its way over the bus, as a Block: bit for bit encode, then decode (docs/reference/design.md).
 
 Each field is quantised and clipped as its signals are, and held between the transmissions of its message, which goes
 out at every tick k at which (k + phase) % period_ticks is 0. Before its first transmission a field is NaN, as in a
-Snapshot; fields that the vehicle does not have stay NaN. Who receives a protected message takes no value from its first
-frames (MessageMap.unproven_frames); who reads the log does (`WireState.sent`).
+Snapshot; fields that the vehicle does not have stay NaN. A receiver takes no value from the first frames of a
+protected message (MessageMap.unproven_frames); a reader of the log does (`WireState.sent`).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class WireParams(NamedTuple):
 
 class WireState(NamedTuple):
     """Buffers: by field the ticks until its next transmission and how many are still not taken; by place in the record
-    what was last on the wire, and what the receiver has heard.
+    what was last on the wire, and the receiver's values.
     """
 
     wait_ticks: Any
@@ -53,7 +53,7 @@ class WireState(NamedTuple):
 
 @kernel
 def cross_bus(p: WireParams, i: int, value: float) -> float:
-    """What is heard when `value` is sent as field i."""
+    """The received value when `value` is sent as field i."""
     angle = float(p.raw_turn[i]) > 0.0
     if angle:
         value = wrap_turn(value, float(p.turn_low[i]))
@@ -79,7 +79,7 @@ def cross_bus(p: WireParams, i: int, value: float) -> float:
 
 @kernel
 def pass_on(p: WireParams, state: WireState, x: Any) -> None:
-    """Send the fields that are due; `state.heard` is then what the other side knows."""
+    """Send the fields that are due; `state.heard` then holds the receiver's values."""
     for i in range(len(p.index)):
         wait = float(state.wait_ticks[i])
         if wait <= 0.0:

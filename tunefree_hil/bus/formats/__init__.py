@@ -1,1 +1,1 @@
-"""Log formats other than candump text: one file a format, each with a rows.Format. `find.py` tells them apart."""
+"""Log formats other than candump text: one file a format, each with a rows.Format. `find.py` detects them."""

@@ -1,4 +1,4 @@
-"""Whether what was written reads back: two streams of frames side by side, memory only for what changed places."""
+"""Checks that a written log reads back: two streams of frames side by side; only moved frames take memory."""
 
 from __future__ import annotations
 

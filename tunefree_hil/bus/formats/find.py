@@ -1,4 +1,4 @@
-"""Which format a log has: by its first bytes where it is there, by its name where it is to be written."""
+"""The format of a log: by its first bytes when it is read, by its name when it is written."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _BEGINNINGS |= {b"timestamp,arbitration_id": "csv", b"Begin Trigger": "asc", b"/
 
 
 def format_of(path: Path) -> str:
-    """The format of a log that is there: a ROS 2 bag is a folder, others are known by how they begin.
+    """The format of an existing log: a ROS 2 bag is a folder, others are known by their first bytes.
 
-    What begins like nothing known is what its name says, else candump text, and that format's reader says what is wrong
-    with it. Raises InputError for a file that is missing or empty.
+    With unknown first bytes the suffix decides, else it is candump text, whose reader reports the problem. Raises
+    InputError for a file that is missing or empty.
     """
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
@@ -51,7 +51,7 @@ def format_of(path: Path) -> str:
 
 
 def format_for(path: Path, name: str = "") -> str:
-    """The format to write: `name`, or what the suffix says."""
+    """The format to write: `name`, or that of the suffix."""
     known = ", ".join([*CANDUMP_SUFFIXES[:1], *(suffixes[0] for _, _, _, suffixes in PLACES.values())])
     if name and name not in NAMES:
         hint = f"one of {', '.join(NAMES)}"

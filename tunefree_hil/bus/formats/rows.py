@@ -1,4 +1,4 @@
-"""One recorded frame as every log format gives and takes it, and what a format cannot hold, counted.
+"""One recorded frame, common to all log formats, and counts of what a format cannot store.
 
 python-can's `Message` is the go-between for the formats that python-can reads and writes.
 """
@@ -20,7 +20,7 @@ EXTENDED_BIT = 0x80000000
 ID_MASK = 0x1FFFFFFF
 TICK_S = 1e-6  # the stamps of two formats are the same when they differ by less
 LONGEST_LINE = 4096  # bytes; what is read of a text's end
-EXACT_S = 2e-9  # beyond the microsecond, and beyond what a double holds of an epoch time, a stamp needs nine decimals
+EXACT_S = 2e-9  # a stamp that differs more from its microsecond (and from double precision) needs nine decimals
 _CAN_NUMBER = re.compile(r"can(\d{1,5})")
 
 
@@ -46,7 +46,7 @@ class FormatLoss(NamedTuple):
 
 
 class Survey(NamedTuple):
-    """What a writer must know of all rows before the first: a log is read once for this, and never held as a whole.
+    """Facts about all rows that a writer needs before the first: a log is read once for them, never kept as a whole.
 
     channels: name -> frames, in the order of their first. backwards: stamps before the one in front of them. sent: a
     row has that flag. micro: no stamp is finer than a microsecond.
@@ -100,7 +100,7 @@ def survey(rows: Iterable[Row]) -> Survey:
 
 
 def is_micro(time_s: float) -> bool:
-    """Whether six decimals say this stamp as well as a double holds it."""
+    """Whether six decimals keep all digits that a double has of this stamp."""
     return abs(time_s - round(time_s, 6)) <= max(EXACT_S, math.ulp(time_s))
 
 
@@ -145,7 +145,7 @@ def hold_numbered(rows: Iterable[Row], seen: Survey, lost: Lost, highest: int) -
 
 
 def leave_out(rows: Iterable[Row], which: Callable[[Row], bool], text: str, lost: Lost) -> Iterator[Row]:
-    """Rows without those of which `which` is true."""
+    """Rows without those for which `which` is true; counts them."""
     for row in rows:
         if which(row):
             lost[text] += 1
@@ -164,7 +164,7 @@ def change(rows: Iterable[Row], changed: Callable[[Row], Row], text: str, lost: 
 
 
 def floor_ms(time_s: float) -> float:
-    """Rounded down to a whole millisecond: what file headers hold as the begin of a measurement."""
+    """Rounded down to a whole millisecond: the begin of a measurement in file headers."""
     return math.floor(time_s * 1000.0) / 1000.0
 
 
@@ -203,7 +203,7 @@ def row_of(message: can.Message) -> Row:
 
 
 def refuse_cut(path: Path) -> None:
-    """Raise InputError for a text whose last line has no end: what is left of it may read as another frame."""
+    """Raise InputError for a text whose last line has no end: its rest may read as another frame."""
     size = path.stat().st_size
     with path.open("rb") as file:
         file.seek(max(0, size - LONGEST_LINE))

@@ -1,12 +1,12 @@
-"""Whose frame, of which tick? What a recorder on SocketCAN works out, where a hub would know.
+"""Sender and tick of recorded frames on SocketCAN (docs/reference/bench_channel.md); a hub knows both.
 
-SocketCAN shows no sender and carries no virtual time. Interfaces 8 settle both: ids of commands count as the
-controller's (phase 1), the vehicle's other ids as the ECU's (phase 0), and DONE(k, phase, n_tx, digest) on the bench
+SocketCAN shows no sender and carries no virtual time. So ids of commands count as the controller's (phase 1), the
+vehicle's other ids as the ECU's (phase 0), and DONE(k, phase, n_tx, digest) on the bench
 channel claims the next n_tx frames of its phase, in the order in which they arrived. So the two channels, which are
-read from two sockets, may arrive interleaved in any way. The digest says whether the claimed frames are the announced
-ones: where they are not, somebody else sends these ids.
+read from two sockets, may arrive interleaved in any way. The digest shows whether the claimed frames are the announced
+ones: where they are not, another node sends these ids.
 
-In lockstep a claimed frame is stamped k ticks; one that nobody claims keeps its place in the log, with the tick of the
+In lockstep a claimed frame is stamped k ticks; an unclaimed one keeps its place in the log, with the tick of the
 frame before it. In real time stamps are the kernel's own and nothing waits for its claim.
 """
 
@@ -71,8 +71,8 @@ class Ledger:
         self.errors = 0
         self.remote = 0
         self.tick = 0  # the latest one that TICK or DONE named
-        self.ended = False  # the ECU said how it ended
-        self.claiming = True  # False once frames were lost: then nobody can tell whose the others are
+        self.ended = False  # the ECU has announced the end
+        self.claiming = True  # False once frames were lost: then the others have no certain tick
         self._phase_of = {key: phase for phase, ids in enumerate(ids_of_phase) for key in ids}
         self._tick_ns = tick_ns  # 0 in real time
         self._write = write
@@ -121,7 +121,7 @@ class Ledger:
         return MissingFrames(0, "", 0)
 
     def finish(self) -> None:
-        """Write what still waits for a claim; nobody will make one."""
+        """Write the frames that still wait for a claim."""
         while self._waiting:
             self._put(self._waiting.popleft())
 
@@ -158,7 +158,7 @@ class Ledger:
             f"foreign {word} at tick {done.k}: the frames that came with ids of the {PHASE_ROLES[done.phase]} ({ids}) "
             "are not those that it announced, so another node sends them on this bus",
             code=f"foreign_{word}",
-            hint="end the other controller, player or vehicle on this link; SocketCAN does not say which it is",
+            hint="end the other controller, player or vehicle on this link; SocketCAN does not show which it is",
         )
 
     def _hand_over(self) -> None:

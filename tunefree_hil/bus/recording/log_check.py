@@ -1,4 +1,4 @@
-"""Judges recorded frames by a vehicle's folder: rates, gaps, counters, CRCs, lengths, values, what is foreign."""
+"""Judges recorded frames by a vehicle's folder: rates, gaps, counters, CRCs, lengths, values, foreign ids."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LONG = 5.0  # periods; or the message's own time-out where that is longer
 
 
 class MessageHealth(NamedTuple):
-    """One message of the folder as heard.
+    """One message of the folder in a log.
 
     late: gaps above 1.5 periods. By its counter: lost, repeated, swapped (came after a later one). short: bytes lack.
     broken: CRC or data id do not fit; None where the folder has no profile to check them by. beyond: a value outside
@@ -40,7 +40,7 @@ class MessageHealth(NamedTuple):
 
 
 class _Counter:
-    """Follows a message's counter, and tells a frame that came out of order from frames that are lost."""
+    """Follows a message's counter, and distinguishes frames out of order from lost frames."""
 
     def __init__(self, modulus: int) -> None:
         self.modulus = modulus
@@ -48,22 +48,22 @@ class _Counter:
         self.lost = self.repeated = self.swapped = 0
         self._back = False  # the frame before went backwards too: then it is a new start, not a swap
 
-    def hear(self, heard: int) -> None:
+    def receive(self, counter: int) -> None:
         """Take in the counter of the next frame."""
-        counted = check_counter(self.last, heard, self.modulus)
+        counted = check_counter(self.last, counter, self.modulus)
         backwards = counted.lost + 1 > self.modulus // 2 and counted.order is not Order.FIRST
         if backwards and not self._back:
             self.swapped += 1
-            self.lost = max(0, self.lost - 1)  # here is the one that was missed
+            self.lost = max(0, self.lost - 1)  # the frame counted as lost has arrived
             self._back = True
             return
         self.repeated += counted.order is Order.REPEATED
         self.lost += 0 if backwards else counted.lost
-        self.last, self._back = heard, False
+        self.last, self._back = counter, False
 
 
 class LogHealth(NamedTuple):
-    """All messages in the folder's order, foreign ids with their counts, and what is wrong in words."""
+    """All messages in the folder's order, foreign ids with their counts, and the problems as text."""
 
     messages: list[MessageHealth]
     foreign: dict[int, int]
@@ -73,7 +73,7 @@ class LogHealth(NamedTuple):
 
 
 class _MessageCheck:
-    """What has been heard of one message."""
+    """Counts of one message."""
 
     def __init__(self, message: MessageMap, tick_s: float) -> None:
         self.message = message
@@ -86,7 +86,7 @@ class _MessageCheck:
         self.first_s = self.last_s = self.longest_gap_s = 0.0
         self.longest_at_s = 0.0
 
-    def hear(self, codec: Codec, time_s: float, data: bytes) -> None:
+    def receive(self, codec: Codec, time_s: float, data: bytes) -> None:
         """Take in one frame."""
         if self.frames:
             gap_s = time_s - self.last_s
@@ -100,23 +100,23 @@ class _MessageCheck:
         if not codec.fits(self.message, data):
             self.short += 1
         elif self.message.e2e is not None and not is_intact(self.message.e2e, data[: self.message.length]):
-            self.broken += 1  # what is in it says nothing, its counter neither
+            self.broken += 1  # neither its values nor its counter are usable
         else:
             self._look_into(codec.decode(self.message, data))
 
     def _look_into(self, decoded: Mapping[str, float]) -> None:
-        """Count on, and notice values that the DBC says there are not."""
+        """Count on, and note values outside the range of the DBC."""
         if self.message.counter in decoded:  # a truncated frame may end before it
             counted = int(decoded[self.message.counter])
             self.never += self.message.e2e is not None and counted >= self.message.counter_modulus
-            self.counter.hear(counted)
+            self.counter.receive(counted)
         for name, (low, high) in self.ranges.items():
             if name in decoded and not low <= decoded[name] <= high:
                 self.beyond[name] = self.beyond.get(name, 0) + 1
 
     def end(self, earliest_s: float, latest_s: float) -> None:
-        """The log is over: a report that fell silent, or came late, has a gap up to the log's end. Commands may begin
-        and end whenever somebody commands.
+        """End of the log: a report that stopped, or came late, has a gap up to the log's end. Commands may begin
+        and end at any time.
         """
         if not self.frames or self.message.kind == COMMAND:
             return
@@ -135,10 +135,10 @@ class _MessageCheck:
         return MessageHealth(*head, counter.lost, counter.repeated, counter.swapped, self.short, broken, beyond)
 
     def problems(self) -> list[str]:
-        """What is wrong with this message. Commands may be missing: a log can be made before anyone commands."""
+        """Problems of this message. Commands may be missing: a log can begin before the first command."""
         name, problems = self.message.name, []
         if not self.frames:
-            return [] if self.message.kind == COMMAND else [f"{name} was never heard"]
+            return [] if self.message.kind == COMMAND else [f"{name} was never received"]
         if self.longest_gap_s > self.limit_s:
             problems.append(f"{name} is silent for {self.longest_gap_s:.2f} s from {self.longest_at_s:.2f} s on")
         if self.short:
@@ -161,7 +161,7 @@ class _MessageCheck:
 
 
 def declared_ranges(message: MessageMap) -> dict[str, tuple[float, float]]:
-    """Physical (low, high) of the signals whose DBC declares less than their bits can say; half a step of slack."""
+    """Physical (low, high) of the signals whose DBC declares less than their bits allow; half a step of slack."""
     ranges = {}
     codes = {message.enable, message.clear, message.ignore, message.counter, message.checksum}
     codes |= {state.signal for state in message.states}
@@ -191,7 +191,7 @@ def check_frames(frames: Iterable[Frame], codec: Codec, by_channel: bool = False
             continue
         check = checks.get((can_id, channel)) or checks.get((can_id, ""))
         if check is not None:
-            check.hear(codec, time_s, data)
+            check.receive(codec, time_s, data)
         else:
             foreign[can_id] = foreign.get(can_id, 0) + 1
     for check in checks.values():

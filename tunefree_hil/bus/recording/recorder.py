@@ -1,11 +1,11 @@
-"""The recorder: hears a vehicle's SocketCAN link and the bench channel, and writes the logs of both.
+"""The recorder: reads a vehicle's SocketCAN link and the bench channel, and writes the logs of both.
 
-Over a hub the hub itself writes the logs. SocketCAN has no such middle, so whoever conducts episodes starts a recorder
-in a process of its own (recorder_process.py, recorder_owner.py): a runner that grades an episode for 50 ms would let a
-queue of the kernel overflow.
+A hub writes its logs itself. SocketCAN has no hub, so the runner starts a recorder in a process of its own
+(recorder_process.py, recorder_owner.py): while a runner grades an episode for 50 ms, a queue of the kernel would
+overflow.
 
-Trouble on the bus (frames lost, link down, bus-off, a foreign sender) is kept, the first of it, until the next episode;
-what was heard goes on into the log.
+Trouble on the bus (frames lost, link down, bus-off, a foreign sender) is kept, only the first, until the next episode;
+the log goes on.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NOT_WHOLE = ("rx_overflow", "link_down", "bus_error", "frames_missing")  # troub
 
 
 class RecorderSetup(NamedTuple):
-    """What the owner sends first. ids: (of reports, of commands), EFF bit included; tick_ns 0 in real time."""
+    """The owner's first message. ids: (of reports, of commands), EFF bit included; tick_ns 0 in real time."""
 
     vehicle: str
     bench: str
@@ -50,7 +50,7 @@ class Recorder:
         self.setup = setup
         self.vehicle = vehicle
         self.bench = bench
-        self.frames = {"vehicle": 0, "bench": 0}  # heard since it was started
+        self.frames = {"vehicle": 0, "bench": 0}  # received since it was started
         self.trouble: TunefreeError | None = None
         self.fds = (vehicle.fileno(), bench_fd)
         self._logs: dict[str, CandumpLog] = {}
@@ -66,7 +66,7 @@ class Recorder:
             self._require_all()
             self.frames["vehicle"] += len(raws)
             for raw in raws:
-                self._hear(raw)
+                self._receive_vehicle(raw)
             self._read_bench()
         except BenchError as error:
             if error.code == "hub_gone":
@@ -86,9 +86,9 @@ class Recorder:
         if self._logs:
             raise BenchError("a log is being written already", code="log_runs", hint="stop it first")
         left = MOST_OLD
-        while left > 0 and (heard := self.read()):
-            left -= heard
-        self.trouble = None  # what was told of frames that belong to no episode
+        while left > 0 and (n_frames := self.read()):
+            left -= n_frames
+        self.trouble = None  # of frames before the episode
         self._forgive()
         names = {"vehicle": self.vehicle.interface, "bench": self._bench_name}
         logs: dict[str, CandumpLog] = {}
@@ -104,7 +104,7 @@ class Recorder:
         self._ledger = Ledger((reports, commands), self.setup.tick_ns, self._write_vehicle)
 
     def stop(self) -> dict[str, Any]:
-        """Finish the logs: what was written and what stood out. Trouble of the end of it is noted too.
+        """Finish the logs: counts of frames, foreign ids and errors. Trouble at the end is noted too.
 
         Logs that lack frames keep their temporary names.
         """
@@ -144,7 +144,7 @@ class Recorder:
             raise failures[0]
 
     def _settle(self, ledger: Ledger) -> Ledger:
-        """Wait for what was announced and has not arrived; say what did not."""
+        """Wait for announced frames that have not arrived; note the missing ones."""
         looks = round(SETTLE_S / LOOK_S)
         while not ledger.settled and self.trouble is None and looks:
             looks -= 1
@@ -178,7 +178,7 @@ class Recorder:
             self.trouble = error
 
     def _require_all(self) -> None:
-        """Note frames that were lost in an episode, before what follows them is taken for something else."""
+        """Note frames that were lost in an episode, before later frames are attributed wrongly."""
         try:
             self.vehicle.require_all()
         except BenchError as error:
@@ -186,8 +186,8 @@ class Recorder:
                 self._ledger.claiming = False
                 self._note(error)
 
-    def _hear(self, raw: Raw) -> None:
-        """One frame of the vehicle channel, into the log whatever it is."""
+    def _receive_vehicle(self, raw: Raw) -> None:
+        """Log one frame of the vehicle channel, of any kind."""
         try:
             if self._ledger is not None:
                 self._ledger.vehicle(raw)
@@ -201,9 +201,9 @@ class Recorder:
         for frame in self.bench.receive(0.0):
             self.frames["bench"] += 1
             if self._ledger is not None:
-                self._hear_bench(self._ledger, frame, offset_ns)
+                self._receive_bench(self._ledger, frame, offset_ns)
 
-    def _hear_bench(self, ledger: Ledger, frame: CanFrame, offset_ns: int) -> None:
+    def _receive_bench(self, ledger: Ledger, frame: CanFrame, offset_ns: int) -> None:
         try:
             ledger.bench(bc.decode(frame))
         except BenchError as error:
@@ -225,7 +225,7 @@ class Recorder:
 
 
 def open_recorder(setup: RecorderSetup) -> Recorder:
-    """Open both links to listen; on a hub as a member, whom the hub waits for. BenchError, InputError as open_link."""
+    """Open both links to listen; on a hub as a member, for which the hub waits. BenchError, InputError as open_link."""
     vehicle = open_link(setup.vehicle, "vehicle", name="the recorder", role="observer", fd=setup.fd)
     assert isinstance(vehicle, SocketCanLink)
     try:

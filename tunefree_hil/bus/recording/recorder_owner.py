@@ -1,4 +1,4 @@
-"""Whoever conducts episodes over SocketCAN owns a recorder, as over a hub it owns the hub (tfhub/owner.py)."""
+"""The runner's end of a recorder process on SocketCAN; over a hub it is tfhub/owner.py."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ MODULE = "tunefree_hil.bus.recording.recorder_process"  # then the number of its
 
 
 class BusTrouble(BenchError):
-    """What a recorder told of the bus; it knows more than the nodes that lost the bus."""
+    """Trouble on the bus that a recorder has reported; it knows more than the nodes that lost the bus."""
 
 
 class RecorderStats(NamedTuple):
-    """`frames`: channel -> frames heard since the recorder was started."""
+    """`frames`: channel -> frames received since the recorder was started."""
 
     frames: dict[str, int]
 
@@ -32,7 +32,7 @@ class RecorderOwner:
     """The owner's end of the socket pair. `foreign`, `errors`, `remote`: what stood out in the last episode, by id,
     by name, and how many remote frames.
 
-    Every method raises BenchError where the recorder is gone, and the trouble that it tells of the bus, once.
+    Every method raises BenchError where the recorder is gone, and the trouble that it reports on the bus, once.
     """
 
     def __init__(self, control: socket.socket, setup: RecorderSetup, patience_s: float) -> None:
@@ -42,13 +42,13 @@ class RecorderOwner:
         self._control = control
         self._rest = b""
         self._troubles: list[dict[str, str]] = []
-        self._told: list[dict[str, str]] = []
+        self._reported: list[dict[str, str]] = []
         self._ask(setup._asdict(), patience_s)
 
     def start_log(self, paths: Mapping[str, str | PathLike[str]]) -> None:
         """Record from now on: {"vehicle": path, "bench": path}. Each file has its name only after stop_log."""
         self._troubles.clear()
-        self._told.clear()
+        self._reported.clear()
         whole = {channel: str(Path(fspath(path)).absolute()) for channel, path in paths.items()}
         self._ask({"op": "start", "paths": whole}, REPLY_S)
 
@@ -57,8 +57,8 @@ class RecorderOwner:
         counts = self._ask({"op": "stop"}, REPLY_S)
         self.foreign = {int(key, 16): count for key, count in counts["foreign"].items()}
         self.errors, self.remote = counts["errors"], counts["remote"]
-        if counts["trouble"] is not None and counts["trouble"] not in self._told:
-            self._tell(counts["trouble"])
+        if counts["trouble"] is not None and counts["trouble"] not in self._reported:
+            self._raise_trouble(counts["trouble"])
         return counts["frames"]
 
     def stats(self) -> RecorderStats:
@@ -66,19 +66,19 @@ class RecorderOwner:
         return RecorderStats(self._ask({"op": "stats"}, STATS_S)["frames"])
 
     def check(self) -> None:
-        """Raise the trouble that the recorder has told since the last look. Does not wait."""
+        """Raise the trouble that the recorder has reported since the last call. Does not wait."""
         self._take(0.0)
         while self._troubles:
             trouble = self._troubles.pop(0)
-            if trouble not in self._told:
-                self._tell(trouble)
+            if trouble not in self._reported:
+                self._raise_trouble(trouble)
 
     def close(self) -> None:
         """Give the recorder up; it ends."""
         self._control.close()
 
-    def _tell(self, trouble: dict[str, str]) -> None:
-        self._told.append(trouble)
+    def _raise_trouble(self, trouble: dict[str, str]) -> None:
+        self._reported.append(trouble)
         raise BusTrouble(**trouble)
 
     def _ask(self, request: dict[str, Any], patience_s: float) -> Any:
@@ -115,4 +115,4 @@ class RecorderOwner:
 
 
 def _gone() -> BenchError:
-    return BenchError("the recorder is gone", code="recorder_gone", hint="what it said stands beside the nodes' words")
+    return BenchError("the recorder is gone", code="recorder_gone", hint="its output stands beside that of the nodes")

@@ -1,9 +1,9 @@
-"""The recorder's process: obeys whoever conducts episodes, over a socket pair, in lines of JSON.
+"""The recorder's process: takes requests of its owner over a socket pair, in lines of JSON.
 
     python -m tunefree_hil.bus.recording.recorder_process FD [SESSION]
 
-SESSION is for whoever looks at a list of processes. First the owner sends the RecorderSetup, then requests: start (paths),
-stop, stats. Each gets one line, {"ok": ...} or {"error": ...}; trouble on the bus is told between them, once, as
+SESSION only shows in a list of processes. First the owner sends the RecorderSetup, then requests: start (paths), stop,
+stats. Each gets one line, {"ok": ...} or {"error": ...}; trouble on the bus is reported between them, once, as
 {"trouble": {...}}.
 """
 
@@ -24,7 +24,10 @@ LONGEST_LINE = 1 << 20
 
 
 def serve(control: socket.socket) -> None:
-    """Obey the owner at the other end of `control` until it goes. BenchError, InputError where a link does not open."""
+    """Serve the owner at the other end of `control` until it closes.
+
+    Raises BenchError, InputError where a link does not open.
+    """
     control.setblocking(True)
     with control.makefile("r", encoding="ascii", newline="\n") as lines:
         words = json.loads(lines.readline(LONGEST_LINE) or "null")
@@ -34,19 +37,19 @@ def serve(control: socket.socket) -> None:
         try:
             recorder = open_recorder(RecorderSetup(**words, ids=(reports, commands)))
         except TunefreeError as error:
-            _tell(control, {"error": error.as_dict()})
+            _send(control, {"error": error.as_dict()})
             raise
-        _tell(control, {"ok": {}})
+        _send(control, {"ok": {}})
         try:
             _record(recorder, control, lines)
         except (BrokenPipeError, ConnectionResetError):
-            return  # the owner went while it was told something
+            return  # the owner went during a reply
         finally:
             recorder.close()
 
 
 def _record(recorder: Recorder, control: socket.socket, lines: TextIO) -> None:
-    """Read the bus, tell trouble, answer; until the owner is gone."""
+    """Read the bus, report trouble, answer requests; until the owner is gone."""
     reported: TunefreeError | None = None
     poll = select.poll()
     for fd in (*recorder.fds, control.fileno()):
@@ -57,12 +60,12 @@ def _record(recorder: Recorder, control: socket.socket, lines: TextIO) -> None:
         recorder.read()
         if recorder.trouble is not None and recorder.trouble is not reported:
             reported = recorder.trouble
-            _tell(control, {"trouble": reported.as_dict()})
+            _send(control, {"trouble": reported.as_dict()})
         if control.fileno() in ready:
             line = lines.readline(LONGEST_LINE)
             if not line:
                 return
-            _tell(control, _answer(recorder, json.loads(line)))
+            _send(control, _answer(recorder, json.loads(line)))
             reported = recorder.trouble  # the answer holds what the end of a log brought to light
 
 
@@ -80,7 +83,7 @@ def _answer(recorder: Recorder, request: dict[str, Any]) -> dict[str, Any]:
         return {"error": error.as_dict()}
 
 
-def _tell(control: socket.socket, words: dict[str, Any]) -> None:
+def _send(control: socket.socket, words: dict[str, Any]) -> None:
     control.sendall(json.dumps(words).encode("ascii") + b"\n")
 
 

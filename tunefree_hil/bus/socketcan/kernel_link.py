@@ -1,4 +1,4 @@
-"""What the kernel says of a network link: its kind (vcan, or real hardware) by rtnetlink, never by its name."""
+"""State of a network link by the kernel: its kind (vcan, or real hardware) by rtnetlink, never by its name."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class Claim:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.bind(_claim_of(name))
-            self._socket.listen(4096)  # whoever asks for the holder is never accepted
+            self._socket.listen(4096)  # a connect() only reads the holder's credentials and is never accepted
         except OSError:
             self._socket.close()
             raise InputError(

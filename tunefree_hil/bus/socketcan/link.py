@@ -1,4 +1,4 @@
-"""A link of the kernel's SocketCAN (vcan0 of the bench; later, behind the gate, can0).
+"""A link of the kernel's SocketCAN, such as vcan0.
 
 python-can opens the socket and sets its options; reading and sending are ours, because python-can reads one frame with
 two system calls, has no drop counter and raises ENOBUFS at once.
@@ -6,10 +6,10 @@ two system calls, has no drop counter and raises ENOBUFS at once.
 - Stamps are the kernel's own, CLOCK_REALTIME in ns, made when the frame passed the link.
 - SO_RXQ_OVFL and SO_MEMINFO give the exact number of frames that did not fit this socket's queue; they are never lost
   silently: `receive` raises rx_overflow with the number.
-- A full transmit queue (ENOBUFS, EAGAIN) is asked again for `patience_s`. In lockstep nothing has a deadline, so it is
-  the hard limit and then an error. In real time it is half a period for reports and nothing for commands, and what was
-  not taken is dropped and counted in `refused`: a late command is worse than none.
-- A socket does not hear what it sent itself; every other socket of the machine does.
+- A full transmit queue (ENOBUFS, EAGAIN) is retried for `patience_s`. In lockstep there is no deadline, so that is the
+  hard limit and then an error. In real time it is half a period for reports and 0 for commands; frames not taken are
+  dropped and counted in `refused`: a late command is worse than none.
+- A socket does not receive its own frames; every other socket of the machine does.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ ANCILLARY = 128
 QUEUE_BYTES = 16 << 20  # about 20 000 frames; without root the kernel gives at most net.core.rmem_max
 MOST_AT_ONCE = 512  # frames that one receive hands over: in a flood its reader looks up for other things in between
 RETRY_S = 0.0002
-LOOK_S = 1.0  # how often a node of a bench without a hub asks whether whoever started it is there
+LOOK_S = 1.0  # how often a node without a hub checks that the process that started it is there
 MOST_FILTERS = 512  # linux/can/raw.h: CAN_RAW_FILTER_MAX
 FULL = (errno.ENOBUFS, errno.EAGAIN)
 DOWN = {errno.ENETDOWN: "went down", errno.ENXIO: "is gone", errno.ENODEV: "is gone", errno.EIO: "is gone"}
@@ -51,14 +51,14 @@ class Options(NamedTuple):
 
     may_send: bool = True
     fd: bool = False
-    patience_s: float = 5.0  # how long a full transmit queue is asked again
-    drops: bool = False  # what is not taken by then is dropped and kept in `refused`, else it is an error
+    patience_s: float = 5.0  # how long a full transmit queue is retried
+    drops: bool = False  # frames not taken by then are dropped and kept in `refused`, else it is an error
     only: Sequence[int] = ()
     alive: Callable[[], bool] | None = None
 
 
 class SocketCanLink:
-    """A BusLink (link.py) over one SocketCAN interface; `receive_raw` is for the recorder, which sees all there is."""
+    """A BusLink (link.py) over one SocketCAN interface; `receive_raw` is for the recorder, which reads all frames."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class SocketCanLink:
         self._sock = sock
         self._options = options
         self._close = close or sock.close
-        self._told_lost = 0
+        self._reported_lost = 0
         self._looked_s = time.monotonic()
         self._poll = select.poll()
         self._poll.register(sock.fileno(), select.POLLIN)
@@ -155,7 +155,7 @@ class SocketCanLink:
 
     def require_all(self) -> None:
         """Raise BenchError with the number of frames that were lost since the last call."""
-        lost, self._told_lost = self.lost - self._told_lost, self.lost
+        lost, self._reported_lost = self.lost - self._reported_lost, self.lost
         if lost:
             raise overflow(self.interface, self.name, lost)
 
@@ -167,8 +167,8 @@ class SocketCanLink:
         return self.lost
 
     def forgive(self) -> None:
-        """What was lost so far belongs to no episode."""
-        self._told_lost = self.count_lost()
+        """Do not report the losses so far: they belong to no episode."""
+        self._reported_lost = self.count_lost()
 
     def close(self) -> None:
         """See BusLink."""
@@ -186,7 +186,7 @@ class SocketCanLink:
         return time_ns
 
     def _count(self, drops: int) -> None:
-        """Follow the kernel's counter of 32 bits. A frame that waited brings the count of its arrival: old news."""
+        """Follow the kernel's counter of 32 bits. A frame that waited carries an older count, which is ignored."""
         news = (drops - self.lost) & COUNTER_MASK
         if news <= COUNTER_MASK >> 1:
             self.lost += news
@@ -213,7 +213,7 @@ class SocketCanLink:
             return
         self._looked_s = now_s
         if not self._options.alive():
-            raise BenchError("whoever started this node is gone", code="starter_gone")
+            raise BenchError("the process that started this node is gone", code="starter_gone")
 
     def _explain(self, error: OSError) -> BenchError:
         name = self.interface
@@ -256,7 +256,8 @@ def _enlarge(sock: socket.socket) -> None:
 def overflow(interface: str, receiver: str, lost: int) -> BenchError:
     """The error for frames that did not fit a receive queue."""
     return BenchError(
-        f"{lost} frame{'' if lost == 1 else 's'} of {interface} did not fit the receive queue of {receiver} and were lost",
+        f"{lost} frame{'' if lost == 1 else 's'} of {interface} did not fit the receive queue of {receiver} "
+        "and were lost",
         code="rx_overflow",
         hint="does another program flood this link (candump)? more room: sudo sysctl net.core.rmem_max=16777216",
     )
@@ -266,7 +267,7 @@ def realtime_offset_ns() -> int:
     """CLOCK_REALTIME - CLOCK_MONOTONIC: the kernel stamps with the first, nodes reckon with the second.
 
     Measured at each call, so that a step of the wall clock moves no more than the frames that wait at that moment;
-    the narrowest of three looks, so that being interrupted between the two clocks does not move it.
+    the narrowest of three measurements, so that an interruption between the two clocks does not move it.
     """
     best_ns, offset_ns = 1 << 62, 0
     for _ in range(3):

@@ -18,7 +18,10 @@ def main() -> int:
     parser.add_argument("--session", default="default", help="a name, or a directory of mode 0700")
     parser.add_argument("--tcp", action="store_true", help="loopback TCP with a token, instead of unix sockets")
     parser.add_argument(
-        "--clock", choices=("real", "sender"), default="real", help="who stamps: the hub, or lockstep members"
+        "--clock",
+        choices=("real", "sender"),
+        default="real",
+        help="source of the time stamps: the hub (real), or lockstep members (sender)",
     )
     parser.add_argument(
         "--standalone", "--no-owner", action="store_true", help="live until SIGINT, not until the owner goes"

@@ -38,7 +38,7 @@ class Address(NamedTuple):
 
 
 class HubInfo(NamedTuple):
-    """What `hub.json` says of a running hub. `addresses`: channel -> address text."""
+    """A running hub by its `hub.json`. `addresses`: channel -> address text."""
 
     session: str
     pid: int
@@ -48,7 +48,7 @@ class HubInfo(NamedTuple):
 
 
 def user_id() -> str:
-    """What tells users of one machine apart in the name of a session directory."""
+    """The user's part of the name of a session directory."""
     return str(os.getuid()) if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")
 
 

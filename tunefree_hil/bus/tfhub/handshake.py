@@ -29,7 +29,7 @@ USER_MISTAKES = ("duplicate_name", "wrong_token", "owned", "protocol")
 
 
 class Welcome(NamedTuple):
-    """What the hub said of itself and of us."""
+    """The hub's data of itself and of this peer."""
 
     protocol: int
     index: int
@@ -115,7 +115,7 @@ def _connect(address: Address) -> socket.socket:
 
 
 def _token(address: Address) -> str:
-    """The token for a TCP hub; '' where none is needed or known (the hub then says that it is wrong)."""
+    """The token for a TCP hub; '' where none is needed or known (the hub then refuses)."""
     if address.path or not address.token_file:
         return ""
     try:

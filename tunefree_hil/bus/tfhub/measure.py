@@ -60,7 +60,7 @@ def _quantile(values: list[float], share: float) -> float:
 
 @contextmanager
 def _peer(kind: str, hub: HubProcess, number: int = 0) -> Iterator[subprocess.Popen[bytes]]:
-    """A process of this module that plays one part, and ends when it is told STOP_ID."""
+    """A process of this module that plays one part, and ends on STOP_ID."""
     command = own_python("tunefree_hil.bus.tfhub.measure", kind, hub.vehicle, hub.bench, str(number))
     process = subprocess.Popen(command)
     try:
@@ -76,7 +76,7 @@ def _until(bus: HubBus, identifier: int, count: int) -> None:
     while count > 0:
         frames = bus.recv_frames(PATIENCE_S)
         if not frames:
-            raise TimeoutError(f"{bus.name} heard nothing for {PATIENCE_S} s")
+            raise TimeoutError(f"{bus.name} received nothing for {PATIENCE_S} s")
         count -= sum(frame.id == identifier for frame in frames)
 
 
@@ -114,7 +114,7 @@ def _burst(hub: HubProcess, count: int) -> float:
 def _ticks(hub: HubProcess, count: int) -> list[float]:
     """Times of ticks in us, over joint connections as the nodes have them: phase 0 here, phase 1 in another process.
 
-    A third process is on the bench channel and, as a runner, hears only what it asked for.
+    A third process is on the bench channel and, as a runner, receives only its ids.
     """
     pair = HubPair(hub.vehicle, name="ecu", stamps=True)
     times = []
@@ -140,7 +140,7 @@ def _gather(pair: HubPair, channel: int, identifier: int, count: int) -> None:
     while count > 0:
         frames = pair.receive(channel, PATIENCE_S)
         if not frames:
-            raise TimeoutError(f"{pair.name} heard nothing for {PATIENCE_S} s")
+            raise TimeoutError(f"{pair.name} received nothing for {PATIENCE_S} s")
         count -= sum(frame.id == identifier for frame in frames)
 
 

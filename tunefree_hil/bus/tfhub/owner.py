@@ -1,4 +1,4 @@
-"""The control connection: who owns a hub starts and stops its logs, reads its numbers, and ends it by going."""
+"""The control connection of a hub's owner: starts and stops logs, reads the counts; the hub ends when it closes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tunefree_hil.bus.tfhub.records import REPLY, REQUEST, body_of, pack_control
 from tunefree_hil.bus.tfhub.server.connection import Connection, ConnectionGone
 
 REPLY_S = 60.0  # a disk may be slow; a hub that is gone is noticed at once
-STATS_S = 5.0  # these need no disk: a hub that does not say them is stopped
+STATS_S = 5.0  # these need no disk: a hub that does not answer is stopped
 
 
 class PeerStats(NamedTuple):
@@ -82,11 +82,11 @@ class Owner:
         return HubStats(answer["session"], answer["clock"], answer["frames"], peers, **lists)
 
     def guard(self, ids: Iterable[int]) -> None:
-        """From now on notice these ids (EFF bit included) on the vehicle channel from anyone but the bench's nodes."""
+        """From now on count frames with these ids (EFF bit included) on the vehicle channel that no node has sent."""
         self._ask({"op": "guard", "ids": sorted(ids)})
 
     def foreign_senders(self) -> list[ForeignSender]:
-        """Who has sent the guarded ids since `guard` without being a node: one entry a member and id."""
+        """Senders of the guarded ids since `guard` that are no nodes: one entry a member and id."""
         return [ForeignSender(**one) for one in self._ask({"op": "guard"})]
 
     def close(self) -> None:

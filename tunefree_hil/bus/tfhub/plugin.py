@@ -47,7 +47,7 @@ class HubGone(BenchError, can.CanOperationError):
 
 
 class MemberGone(PeerGone, can.CanOperationError):
-    """A member of the bus is gone without a good-bye."""
+    """A member of the bus is gone without BYE."""
 
 
 class MayNotSend(InputError, can.CanOperationError):
@@ -60,8 +60,8 @@ class HubBus(can.BusABC):
     `channel`: an address of `address.py`, with options `?role=...&name=...&echo=yes&listen=no&stamps=yes&token_file=..`
     that may be keywords, too. `role` observer (default) or member. `stamps`: on a hub with the clock 'sender'
     this member's own time stamps are kept. `send` and `recv` raise HubGone; `recv` of a member raises MemberGone once
-    for each member that is lost, after what it had sent. `only`: the hub hands over only frames with these ids, to one
-    who wants little. `both`: this connection carries the other channel too; only `pair.py` reads that.
+    for each member that is lost, after what it had sent. `only`: the hub hands over only frames with these ids, for
+    a peer that needs few. `both`: this connection carries the other channel too; only `pair.py` reads that.
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class HubBus(can.BusABC):
         )
 
     def shutdown(self) -> None:
-        """Say good-bye; members are then not told of a loss."""
+        """Leave with BYE; members then get no notice of a loss."""
         if not self._is_shutdown:
             super().shutdown()
             self._connection.close()
@@ -216,7 +216,7 @@ class HubBus(can.BusABC):
     def _take_frames(self, frames: list[CanFrame]) -> None:
         """Move whole FRAME records from the buffer to `frames`, up to the first record of another type."""
         connection = self._connection
-        buffer, offset, end = connection.buffer, connection.at, len(connection.buffer)
+        buffer, offset, end = connection.buffer, connection.position, len(connection.buffer)
         while end - offset >= HEAD.size and buffer[offset + 2] == FRAME:
             size = buffer[offset] | buffer[offset + 1] << 8
             if end - offset < size:
@@ -230,7 +230,7 @@ class HubBus(can.BusABC):
                 extended = bool(raw.can_id & EFF_FLAG)
                 frames.append(CanFrame(raw.can_id & EFF_MASK, raw.data, extended, raw.fd, raw.time_ns / 1e9))
             offset += size
-        connection.skip(offset - connection.at)
+        connection.skip(offset - connection.position)
 
     def _wanted(self, frame: CanFrame) -> bool:
         return self._matches_filters(can.Message(arbitration_id=frame.id, is_extended_id=frame.extended))

@@ -1,4 +1,4 @@
-"""How peers come to a hub and go from it: hello, good-bye, and being lost, which all members are told."""
+"""Peers joining and leaving a hub: HELLO, BYE, and lost connections, which are announced to all members."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class JoinRefusal(NamedTuple):
 
 
 def accept(hub: Hub, listener: socket.socket, channel: str) -> None:
-    """Take a new connection; it has HELLO_PATIENCE_S to say who it is."""
+    """Take a new connection; it has HELLO_PATIENCE_S to send HELLO."""
     try:
         sock, _ = listener.accept()
     except OSError:  # it went before it was taken
@@ -50,28 +50,28 @@ def accept(hub: Hub, listener: socket.socket, channel: str) -> None:
 
 def patience_s(hub: Hub) -> float | None:
     """How long the hub may sleep: until the next deadline, None when there is none."""
-    if not hub.board.strangers and not hub.owner_deadline_s:
+    if not hub.board.unidentified and not hub.owner_deadline_s:
         return None
-    deadlines = [peer.deadline_s for peer in hub.board.strangers]
+    deadlines = [peer.deadline_s for peer in hub.board.unidentified]
     if hub.owner_deadline_s:
         deadlines.append(hub.owner_deadline_s)
     return max(0.0, min(deadlines) - time.monotonic())
 
 
 def enforce_deadlines(hub: Hub) -> None:
-    """Drop strangers, and end a hub whose owner never came."""
-    if not hub.board.strangers and not hub.owner_deadline_s:
+    """Drop connections without HELLO, and end a hub whose owner never came."""
+    if not hub.board.unidentified and not hub.owner_deadline_s:
         return
     now_s = time.monotonic()
-    for peer in list(hub.board.strangers):
+    for peer in list(hub.board.unidentified):
         if peer.deadline_s <= now_s:
-            drop(hub, peer, f"it did not say who it is within {HELLO_PATIENCE_S:g} s")
+            drop(hub, peer, f"it sent no hello within {HELLO_PATIENCE_S:g} s")
     if hub.owner_deadline_s and hub.owner_deadline_s <= now_s:
         hub.ended = f"no owner came within {OWNER_PATIENCE_S:g} s"
 
 
 def hello(hub: Hub, peer: Peer, body: dict[str, Any]) -> None:
-    """Let a peer in, or tell it why not. RecordError for a hello of the wrong form."""
+    """Admit a peer, or refuse it with a reason. RecordError for a malformed hello."""
     role, name, pid = body.get("role"), body.get("name"), body.get("pid")
     if role not in ROLES or not isinstance(name, str) or not isinstance(pid, int):
         raise RecordError("its hello has no role, name or pid")
@@ -163,62 +163,62 @@ def _refuse(hub: Hub, peer: Peer, refusal: JoinRefusal) -> None:
 def _send_refusal(hub: Hub, peer: Peer, refusal: JoinRefusal) -> None:
     """Send the reason, as far as the socket takes it, and close."""
     peer.give(pack_control(REFUSED, refusal._asdict()), 0)
-    with contextlib.suppress(OSError):  # it does not hear it any more
+    with contextlib.suppress(OSError):  # the connection is closed already
         peer.flush()
     hub.board.forget(peer)
 
 
 def farewell(hub: Hub, peer: Peer) -> None:
-    """A peer said good-bye."""
+    """Remove a peer that sent BYE."""
     hub.board.forget(peer)
     if peer.role == "owner":
-        _without_owner(hub, f"its owner {peer.name} said good-bye")
+        _end_ownership(hub, f"its owner {peer.name} left")
 
 
 def lose(hub: Hub, peer: Peer, why: str) -> None:
-    """A connection is gone without a good-bye."""
+    """Remove a peer whose connection closed without BYE."""
     hub.board.forget(peer)
     if peer.role == "owner":
-        _without_owner(hub, f"its owner {peer.name} is gone")
+        _end_ownership(hub, f"its owner {peer.name} is gone")
     elif peer.role:
-        _mourn(hub, peer, why)
+        _announce_loss(hub, peer, why)
 
 
 def drop(hub: Hub, peer: Peer, why: str) -> None:
-    """Throw out a peer that broke the rules; the others go on, and members are told."""
+    """Drop a peer that broke the protocol, and announce it to the members."""
     label = f"{peer.name} (pid {peer.pid})" if peer.role else f"a connection to {peer.channel}"
     hub.note(f"dropped {label}: {why}")
     hub.lost.append(f"{label} was dropped: {why}")
     _send_refusal(hub, peer, JoinRefusal("dropped", f"the hub dropped this connection: {why}", ""))
     if peer.role == "owner":
-        _without_owner(hub, f"its owner {peer.name} was dropped: {why}")
+        _end_ownership(hub, f"its owner {peer.name} was dropped: {why}")
     elif peer.role == "member":
-        _tell_members(hub, peer, f"the hub dropped it: {why}")
+        _notify_members(hub, peer, f"the hub dropped it: {why}")
 
 
-def _mourn(hub: Hub, peer: Peer, why: str) -> None:
-    """Note a loss, and tell the members once a process, though it may have a connection on each channel."""
-    if peer.mourned:
+def _announce_loss(hub: Hub, peer: Peer, why: str) -> None:
+    """Note a loss, and announce it once a process, which may have a connection on each channel."""
+    if peer.loss_announced:
         return
     hub.lost.append(f"{peer.role} {peer.name} (pid {peer.pid}): {why}")
     hub.note(f"lost {peer.role} {peer.name} (pid {peer.pid}): {why}")
     if peer.role == "member":
-        _tell_members(hub, peer, why)
+        _notify_members(hub, peer, why)
 
 
-def _tell_members(hub: Hub, lost: Peer, why: str) -> None:
+def _notify_members(hub: Hub, lost: Peer, why: str) -> None:
     record = pack_control(PEER_GONE, {"name": lost.name, "pid": lost.pid, "why": why}, sender=lost.index)
     for member in hub.board.peers:
         if member.role != "member":
             continue
         if member.name == lost.name and member.pid == lost.pid:
-            member.mourned = True
+            member.loss_announced = True
         elif member.listen:
             hub.board.owe(member, record)
 
 
-def _without_owner(hub: Hub, why: str) -> None:
-    """No owner: logs that nobody can stop are cut off, and a hub that was started for its owner ends."""
+def _end_ownership(hub: Hub, why: str) -> None:
+    """Abandon the logs, which only the owner can stop, and end a hub that was started for its owner."""
     for log in hub.logs.values():
         log.abandon()
     hub.logs = {}

@@ -1,4 +1,4 @@
-"""What passes between a hub and its peers, as bytes.
+"""The records between a hub and its peers, as bytes.
 
 Every record starts with the same 20 bytes, little-endian: length u16 (of the whole record), type u8, sender u8 (index
 that the hub gave; 0 = the hub), sequence u64 (one count over both channels), time u64 (ns). A FRAME record goes on with
@@ -21,7 +21,7 @@ PROTOCOL = 1
 TCP_BUFFER_BYTES = 1 << 17
 CHANNELS = ("vehicle", "bench")
 ENDPOINTS = {"vehicle": "veh", "bench": "bench"}  # channel -> last part of its address
-LOG_NAMES = {"vehicle": "can0", "bench": "bench"}  # channel -> its name in a log, unless told otherwise
+LOG_NAMES = {"vehicle": "can0", "bench": "bench"}  # channel -> its default name in a log
 
 # record types
 FRAME, HELLO, WELCOME, REFUSED, BYE, PEER_GONE, DROPPED, REQUEST, REPLY, END = range(1, 11)
@@ -69,7 +69,7 @@ class Raw(NamedTuple):
 def small_buffers(sock: socket.socket) -> None:
     """Keep a TCP connection's buffers in the kernel small: what waits belongs in the hub, where it is counted.
 
-    To be called before the socket connects or listens.
+    Call it before the socket connects or listens.
     """
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, TCP_BUFFER_BYTES)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, TCP_BUFFER_BYTES)

@@ -56,7 +56,7 @@ class Session:
         for listener in self.listeners.values():
             listener.close()
         if self.made_folder:
-            with contextlib.suppress(OSError):  # somebody keeps files of his own in it: then it stays
+            with contextlib.suppress(OSError):  # it holds other files: then it stays
                 self.folder.rmdir()
         if self._lock_fd >= 0:
             os.close(self._lock_fd)
@@ -159,7 +159,7 @@ def _make_private(folder: Path) -> bool:
 
 
 def _answers(path: Path) -> bool:
-    """True when somebody listens on a unix socket; a file left by a killed hub refuses."""
+    """True when a process listens on a unix socket; a file left by a killed hub refuses."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(1.0)
         try:

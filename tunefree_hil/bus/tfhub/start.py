@@ -24,7 +24,7 @@ class HubProcess(NamedTuple):
     process: subprocess.Popen[bytes]
     owner: Owner
     session: str
-    words: BinaryIO  # what it says on stderr
+    words: BinaryIO  # its stderr
 
     @property
     def vehicle(self) -> str:
@@ -83,7 +83,7 @@ def start_hub(
 
 
 def _wait_until_ready(process: subprocess.Popen[bytes], words: BinaryIO) -> None:
-    """Read the line that the hub writes when it listens; its own words become the error when it ends instead."""
+    """Read the line that the hub writes when it listens; its stderr becomes the error when it ends instead."""
     assert process.stdout is not None
     with process.stdout as stdout:
         if stdout.readline().strip() == READY:

@@ -250,7 +250,8 @@ def interpolate(params: LqrParams, speed_mps: float) -> Feedback:
 
 @kernel
 def feedforward(params: LqrParams, k: Feedback, speed_mps: float, curvature_1pm: float) -> float:
-    """delta_ff = L kappa + k_v v^2 kappa + K3 theta_ss (eq. 3) + K2 v sin(theta_ss) (docs/reference/controller.md), road-wheel rad.
+    """delta_ff = L kappa + k_v v^2 kappa + K3 theta_ss (eq. 3) + K2 v sin(theta_ss) (docs/reference/controller.md),
+    road-wheel rad.
 
     theta_ss = -lr kappa + lf m v^2 kappa / (c_r L) is the heading error of steady cornering: minus the side-slip at
     the centre of mass. The second term in it stands because the error rate is taken as v sin(heading error).
@@ -265,7 +266,8 @@ def feedforward(params: LqrParams, k: Feedback, speed_mps: float, curvature_1pm:
 def low_speed_lead_lag(
     params: LqrParams, inner: float, error_m: float, speed_mps: float, dt_s: float
 ) -> tuple[float, float]:
-    """(inner state, road-wheel rad) of the low-speed lead-lag (docs/reference/apollo.md; off by default, see LeadLag)."""
+    """(inner state, road-wheel rad) of the low-speed lead-lag (docs/reference/apollo.md; off by default, see
+    LeadLag)."""
     if params.lead_lag_weight == 0.0 or speed_mps >= LOW_SPEED_MPS:
         return inner, 0.0
     inner, boost_rad = first_order_step(params.lead_lag, inner, error_m)

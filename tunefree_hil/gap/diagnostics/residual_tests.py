@@ -9,7 +9,7 @@
   The loudest short windows are compared with the median window.
 - Shape: delay, gain and bias of the measured signal against the simulated one.
 
-The thresholds are explained in docs/reference/gap_criteria.md.
+The thresholds are explained in docs/results/criteria.md.
 """
 
 from __future__ import annotations

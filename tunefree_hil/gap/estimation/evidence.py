@@ -30,7 +30,7 @@ Array = np.ndarray
 
 N_FOLDS = 5
 BOOTSTRAP_DRAWS = 2000
-MIN_EVIDENCE_NATS = 6.0  # least evidence of an effect; docs/reference/gap_criteria.md
+MIN_EVIDENCE_NATS = 6.0  # least evidence of an effect; docs/results/criteria.md
 MAX_FOLD_STEP = 0.1  # of the prior's width that a free parameter may move in a fold: farther the Jacobian does not hold
 OUTSIDE_PRIOR_NATS = 20.0  # penalty of a parameter that is a whole width of its prior outside of it
 

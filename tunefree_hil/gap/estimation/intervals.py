@@ -26,7 +26,7 @@ Array = np.ndarray
 
 
 class IntervalCriteria(NamedTuple):
-    """Limits for intervals and consistency; sources: docs/reference/gap_criteria.md.
+    """Limits for intervals and consistency; sources: docs/results/criteria.md.
 
     Args:
         max_inconsistency_share: share of an effect's size by which its parameter may differ between blocks, because no

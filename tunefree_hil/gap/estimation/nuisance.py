@@ -6,7 +6,7 @@ priors. Most of them are parameters of catalogue effects near neutral, and mean 
 effect that is itself a candidate has no such prior.
 
 `DRIFTS` lists what drifts: how much, how well a calibration knows it, and whether it belongs to the day or to the car.
-The values are explained in docs/reference/gap_criteria.md.
+The values are explained in docs/results/criteria.md.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Nuisance(NamedTuple):
 
 
 class NuisanceCriteria(NamedTuple):
-    """Limits of the priors of nuisance parameters; sources: docs/reference/gap_criteria.md.
+    """Limits of the priors of nuisance parameters; sources: docs/results/criteria.md.
 
     Args:
         min_drift_share: share of the drift that recalibration may move of a model that reproduces its own logs. Larger

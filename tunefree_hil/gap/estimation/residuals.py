@@ -38,7 +38,7 @@ NON_FINITE_RESIDUAL = 1e6  # stands for a simulation that diverged
 
 
 class NoiseFloorCriteria(NamedTuple):
-    """Smallest noise that a residual is taken to have; sources: docs/reference/gap_criteria.md.
+    """Smallest noise that a residual is taken to have; sources: docs/results/criteria.md.
 
     Args:
         min_sensor_share: share of the sensor's own white noise

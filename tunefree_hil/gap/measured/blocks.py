@@ -16,7 +16,7 @@ Array = np.ndarray
 
 
 class BlockCriteria(NamedTuple):
-    """Lengths and numbers of blocks (docs/reference/gap_criteria.md)."""
+    """Lengths and numbers of blocks (docs/results/criteria.md)."""
 
     block_s: float = 8.0
     min_block_s: float = 5.0  # a residual is correlated over up to 4 s (gap/estimation/noise.py)

@@ -44,7 +44,7 @@ EMPTY: Mapping[str, int] = {}
 
 
 class ChainCriteria(NamedTuple):
-    """How a drive is split (docs/reference/gap_criteria.md)."""
+    """How a drive is split (docs/results/criteria.md)."""
 
     motion_window_s: float = 0.21  # of the polynomial through the measured motion that the chassis is set to
     min_curvature_speed_mps: float = 0.5  # slower wheels give no curvature
@@ -53,7 +53,7 @@ class ChainCriteria(NamedTuple):
 
 
 class PoseCriteria(NamedTuple):
-    """When the slopes of a pose are rates (docs/reference/gap_criteria.md)."""
+    """When the slopes of a pose are rates (docs/results/criteria.md)."""
 
     slope_values: int = 5  # under a slope: more would smooth away what a quick car does
     max_interval_s: float = 0.06  # between two values: a slope over more than a quarter of a second is no rate
@@ -198,7 +198,7 @@ def _collect_signals(drive: Drive, vehicle: VehicleSpec) -> _DriveSignals:
 
 def find_commanded_channels(drive: MeasuredDrive) -> Array:
     """(3,), of throttle, brake, steer: whether commands acted anywhere in a drive."""
-    return (drive.command_active > 0.5).any(axis=0)
+    return np.asarray((drive.command_active > 0.5).any(axis=0))
 
 
 def is_replayable(drive: MeasuredDrive, rows: slice) -> bool:

@@ -21,7 +21,7 @@ Array = np.ndarray
 
 
 class EchoCriteria(NamedTuple):
-    """How an echo is checked (docs/reference/gap_criteria.md)."""
+    """How an echo is checked (docs/results/criteria.md)."""
 
     max_delay_s: float = 0.8  # searched
     slack_ticks: int = 2  # to either side of the delay: bus, queue, phase of the frames; of slow commands more

@@ -24,7 +24,7 @@ Array = np.ndarray
 
 
 class ExcitationCriteria(NamedTuple):
-    """How the quantities are measured; a pedal's numbers are duty (docs/reference/gap_criteria.md)."""
+    """How the quantities are measured; a pedal's numbers are duty (docs/results/criteria.md)."""
 
     min_moving_mps: float = 2.0
     move_window_s: float = 0.5  # within which a command's move has to happen

@@ -19,7 +19,7 @@ Array = np.ndarray
 
 
 class ExtremeCriteria(NamedTuple):
-    """When an extreme is covered without the holdout (docs/reference/gap_criteria.md)."""
+    """When an extreme is covered without the holdout (docs/results/criteria.md)."""
 
     min_coverage: float = 0.8  # of the way from the least to the most of all blocks
     rate_window_s: float = 0.2  # over which a command's change is taken: long against a tick, short against a turn

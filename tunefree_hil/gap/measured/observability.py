@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 OUTPUT_FIELDS = {"throttle": "throttle_frac", "brake": "brake_frac", "steer": "steer_rad"}
 ACCEL_COMMANDS = ("command.accel_mps2", f"report.{ECHOES['accel']}")  # for both pedals
-MIN_ACTIVE_S = 4.0  # of a channel's commands, to judge its actuator (docs/reference/gap_criteria.md)
+MIN_ACTIVE_S = 4.0  # of a channel's commands, to judge its actuator (docs/results/criteria.md)
 NO_ACTIVE_COMMAND = "no command acted in these logs: by-wire was not enabled, or a person drove"
 
 

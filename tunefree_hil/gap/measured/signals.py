@@ -23,14 +23,14 @@ Array = np.ndarray
 
 
 class SignalCriteria(NamedTuple):
-    """How signals are read (docs/reference/gap_criteria.md)."""
+    """How signals are read (docs/results/criteria.md)."""
 
     min_interpolated_ticks: int = 3  # between two values, from which on the straight lines between them matter
     min_ins_coverage: float = 0.5  # of the chassis's rows: an INS that covers less is no second opinion
 
 
 class SensorLimitCriteria(NamedTuple):
-    """When a sensor is at the end of its range (docs/reference/gap_criteria.md)."""
+    """When a sensor is at the end of its range (docs/results/criteria.md)."""
 
     min_run_rows: int = 8  # equal values in a row
     min_runs: int = 2

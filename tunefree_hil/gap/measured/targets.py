@@ -28,7 +28,7 @@ Array = np.ndarray
 
 
 class TargetCriteria(NamedTuple):
-    """Which rows are compared (docs/reference/gap_criteria.md)."""
+    """Which rows are compared (docs/results/criteria.md)."""
 
     interval_s: float = 0.05  # between two rows
     output_interval_s: float = 0.02  # between two rows of an actuator's report

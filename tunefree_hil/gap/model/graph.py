@@ -368,7 +368,10 @@ def _replace_commands(columns: InputRow, commands: Array) -> InputRow:
 
 def _stack_inputs(columns: InputRow) -> Array:
     """Input rows, (n_rows, N_INPUTS)."""
-    return np.stack(columns, axis=1, dtype=np.float64)
+    rows = np.empty((len(columns.gear), N_INPUTS))
+    for i, column in enumerate(columns):
+        rows[:, i] = column
+    return rows
 
 
 def _fill_first_row(rows: Array) -> Array:

@@ -2,7 +2,7 @@
 
 A name needs evidence and the agreement of the blocks, and has to explain enough of a signal: with enough rows anything
 is significant. After each threshold stands the commit of the exam that first ran with it (docs/results/gap_exam.md);
-where there is none, it is derived. docs/reference/gap_criteria.md lists them all.
+where there is none, it is derived. docs/results/criteria.md lists them all.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ TOKEN = "gap"  # the name under which the processes open the problem
 
 
 class ScreeningCriteria(NamedTuple):
-    """Which candidates are fitted, by the gain of their best grid point; sources: docs/reference/gap_criteria.md.
+    """Which candidates are fitted, by the gain of their best grid point; sources: docs/results/criteria.md.
 
     Args:
         min_gain: squared residuals, in units of the noise; a candidate that gains less is not fitted

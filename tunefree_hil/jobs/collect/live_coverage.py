@@ -104,7 +104,7 @@ class LiveCounter:
         self._restart()
 
     def _restart(self) -> None:
-        self._hearing = MeasurementDecoder(self.codec, self.coverage.dt_s)
+        self._decoder = MeasurementDecoder(self.codec, self.coverage.dt_s)
         self._commands = Snapshot(self.codec)
         self._zero_s: float | None = None
         self._tick, self._waiting = 0, []
@@ -132,15 +132,15 @@ class LiveCounter:
     def _count_ticks(self, tick: int) -> None:
         """Count the complete ticks before `tick`. A gap that is too long ends the run."""
         commands = self._command_keys
-        self._hearing.hear(self._tick, [frame for frame in self._waiting if can_key(frame) not in commands])
+        self._decoder.receive(self._tick, [frame for frame in self._waiting if can_key(frame) not in commands])
         for frame in self._waiting:
             message = self.codec.by_id[can_key(frame)]
             if message.key in commands and self.codec.fits(message, frame.data):
-                self._commands.hear(message, frame.data)
+                self._commands.receive(message, frame.data)
         self._waiting = []
         elapsed = tick - self._tick
         cell = classify_cell(
-            self.coverage.bands, read_signals(self._sources, self._hearing.measurement(), self._commands.command())
+            self.coverage.bands, read_signals(self._sources, self._decoder.measurement(), self._commands.command())
         )
         for _ in range(min(elapsed, round(MISSING_S / self.coverage.dt_s))):
             self.coverage.counter.count_frame(cell)

@@ -18,7 +18,7 @@ NAMED = (VerdictKind.ONE.value, VerdictKind.SEVERAL.value)
 
 
 class AcceptanceCriteria(NamedTuple):
-    """Thresholds on the holdout blocks, all of them shares (docs/reference/gap_criteria.md)."""
+    """Thresholds on the holdout blocks, all of them shares (docs/results/criteria.md)."""
 
     min_upper_gap_share: float = 2.0 / 3.0  # upper bound of the closed share; below, a third of the gap surely stays
     min_weak_gap_share: float = 0.3  # lower bound of the closed share, for an effect of weak evidence

@@ -163,7 +163,7 @@ def _drive_in_process(bench: Bench, scenario: ScenarioSpec, folder: Path) -> int
     planner = ControllerPart(codec, needed_messages(codec), PlannerAssigner(bench), CycleTimes(), messages.append)
     ecu.load(start, scenario.noise_seed, {})
     planner.load(start, scenario.noise_seed, {})
-    planner.hearing.reception.expect_every_period()
+    planner.decoder.reception.expect_every_period()
     turn = InProcessExchange(planner)
     ecu.lockstep(cast(Exchange, turn), lambda message: False)
     write_candump(folder / "vehicle.log", turn.rows)

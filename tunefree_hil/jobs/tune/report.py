@@ -183,8 +183,8 @@ def write_scenario_figures(
         for label, (group, grades) in groups.items():
             path = _columns(bench, run, group, index)
             if path.is_file():
-                grade = grades[name]
-                drives.append(DrivePicture(label, load_recording(path).columns, grade["score"], early_end(grade["outcome"])))
+                score, end = grades[name]["score"], early_end(grades[name]["outcome"])
+                drives.append(DrivePicture(label, load_recording(path).columns, score, end))
         if len(drives) == len(groups):
             written.append(write_scenario(run.figures() / f"{name}.png", name, drives))
     return written

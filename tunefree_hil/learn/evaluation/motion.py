@@ -46,7 +46,7 @@ SETTLING_S = 10.0  # an effect behind an actuator gets its first value for so lo
 
 
 class SlopeCriteria(NamedTuple):
-    """When an accelerometer shows a slope (docs/reference/learn_criteria.md).
+    """When an accelerometer shows a slope (docs/results/learn_criteria.md).
 
     Attributes:
         filter_rows: Length of the moving mean.

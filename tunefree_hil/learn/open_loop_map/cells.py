@@ -25,7 +25,7 @@ AccelerationLaw = Callable[[Array, Array], Array]  # (speed, command) -> acceler
 
 
 class CellCriteria(NamedTuple):
-    """How samples are selected within a cell (docs/reference/learn_criteria.md).
+    """How samples are selected within a cell (docs/results/learn_criteria.md).
 
     Attributes:
         min_samples: A cell with fewer is dropped.

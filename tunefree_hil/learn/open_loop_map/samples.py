@@ -38,7 +38,7 @@ RIDGE = 1e-6
 
 
 class RowCriteria(NamedTuple):
-    """Which rows of a drive are used (docs/reference/learn_criteria.md).
+    """Which rows of a drive are used (docs/results/learn_criteria.md).
 
     Attributes:
         min_speed_mps: At standstill a brake has no visible effect; as in Apollo's data pipeline.
@@ -66,7 +66,7 @@ class RowCriteria(NamedTuple):
 
 
 class DataCriteria(NamedTuple):
-    """How much data the map needs (docs/reference/learn_criteria.md).
+    """How much data the map needs (docs/results/learn_criteria.md).
 
     Attributes:
         min_usable_s: Straight and level driving in all.

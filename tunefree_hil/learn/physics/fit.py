@@ -45,7 +45,7 @@ ONLY_JOINTLY_KNOWN = "these logs identify it only together with the others: the 
 
 
 class FitCriteria(NamedTuple):
-    """When a constant counts as identified (docs/reference/learn_criteria.md).
+    """When a constant counts as identified (docs/results/learn_criteria.md).
 
     Attributes:
         min_windows: Windows needed for a fit.
@@ -132,13 +132,7 @@ def fit_physics(
     if len(windows.windows) < CRITERIA.min_windows:
         if not windows.has_pedals:
             return _keep_priors(windows, fixed, priors, brake_way)
-        raise InputError(
-            f"the logs hold {len(windows.windows)} windows of free motion, {CRITERIA.min_windows} are needed"
-            + "".join(f"; {note}" for note in windows.notes),
-            code="too_short",
-            key="LOG",
-            hint="drive longer, on a level road and in drive gear, with reports of the actuators and of the speed",
-        )
+        raise _too_few_windows(windows)
     problem = PhysicsProblem(windows, fixed, priors, brake_way)
     names = [name for name in problem.names if name not in SHAPE_CONSTANTS]
     x = np.zeros(len(names))
@@ -160,6 +154,16 @@ def fit_physics(
         result.estimates[POWERTRAIN_LAG] = _keep_prior(problem, POWERTRAIN_LAG, {})._replace(why=NOT_SIGNIFICANT)
     yield PROGRESS_STEPS, PROGRESS_STEPS
     return result
+
+
+def _too_few_windows(windows: WindowSet) -> InputError:
+    return InputError(
+        f"the logs hold {len(windows.windows)} windows of free motion, {CRITERIA.min_windows} are needed"
+        + "".join(f"; {note}" for note in windows.notes),
+        code="too_short",
+        key="LOG",
+        hint="drive longer, on a level road and in drive gear, with reports of the actuators and of the speed",
+    )
 
 
 def _estimate_constants(

@@ -80,7 +80,7 @@ NO_IMPROVEMENT = "it reduces the squared speed error by less than a tenth, or by
 
 
 class ProblemCriteria(NamedTuple):
-    """Weights and limits of the fit (docs/reference/learn_criteria.md).
+    """Weights and limits of the fit (docs/results/learn_criteria.md).
 
     Attributes:
         independent_samples: Independent numbers that a window gives of each target.

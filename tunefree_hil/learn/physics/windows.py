@@ -44,7 +44,7 @@ ACCEL_FILTER_S = 0.5  # window of the rate of speed that is compared with the sp
 
 
 class FreeRunWindowCriteria(NamedTuple):
-    """Which rows and windows are used (docs/reference/learn_criteria.md).
+    """Which rows and windows are used (docs/results/learn_criteria.md).
 
     Attributes:
         max_silence_s: Longest gap between reports of an output or of the speed.
@@ -373,7 +373,7 @@ def run_single_track(
     outputs: Any,
     dt_s: float,
 ) -> int:
-    """Drive the single track with flat rows of (throttle, brake, steer, gear) from row 1 on.
+    """Drive the single track with flat rows of (throttle, brake, steer, gear) from row 1 on; returns their number.
 
     Args:
         params: Constants.
@@ -382,10 +382,6 @@ def run_single_track(
         inputs: Shape (n_rows * 4,).
         correction: Between outputs and vehicle.
         outputs: Receives TARGETS, shape (n_rows * 6,).
-        dt_s: Tick.
-
-    Returns:
-        The number of rows.
     """
     state, throttle_lag = start.state, start.throttle_lag
     road = Disturbance(start.grade_rad, 1.0)

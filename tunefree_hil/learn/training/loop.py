@@ -22,7 +22,7 @@ N_THREADS = 1  # windows are narrow: more threads only wait for each other
 
 
 class LoopCriteria(NamedTuple):
-    """How a training is evaluated and stopped (docs/reference/learn_criteria.md).
+    """How a training is evaluated and stopped (docs/results/learn_criteria.md).
 
     Attributes:
         max_gradient_norm: Gradients are clipped to it.

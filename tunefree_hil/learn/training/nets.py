@@ -31,7 +31,17 @@ class RolloutWeights(NamedTuple):
 
 
 class CellNet(nn.Module):
-    """LSTM cell and a linear layer with two bounded outputs."""
+    """LSTM cell and a linear layer with two bounded outputs.
+
+    Args:
+        mean: Of the inputs.
+        scale: Of the inputs.
+        bound: Of the outputs.
+        seed: Of the weights.
+        relu: ReLU replaces tanh in the cell.
+        zero_outputs: The outputs start at 0.
+        blind: Inputs whose weights are 0 and stay 0.
+    """
 
     mean: Tensor
     scale: Tensor
@@ -48,17 +58,6 @@ class CellNet(nn.Module):
         zero_outputs: bool = True,
         blind: Sequence[int] = (),
     ) -> None:
-        """Initialise the weights.
-
-        Args:
-            mean: Of the inputs.
-            scale: Of the inputs.
-            bound: Of the outputs.
-            seed: Of the weights.
-            relu: ReLU replaces tanh in the cell.
-            zero_outputs: The outputs start at 0.
-            blind: Inputs whose weights are 0 and stay 0.
-        """
         super().__init__()
         generator = torch.Generator().manual_seed(seed)
         inputs, spread = len(mean), 1.0 / math.sqrt(N_CELL_UNITS)

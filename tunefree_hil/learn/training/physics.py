@@ -171,7 +171,7 @@ class DifferentiableTick(torch.autograd.Function):
         return torch.from_numpy(after[:, 0].copy())
 
     @staticmethod
-    def backward(ctx: Any, *grads: Any) -> tuple[Tensor, None, None]:
+    def backward(ctx: Any, *grads: Any) -> tuple[Tensor | None, ...]:
         """Chain rule to the state; nothing else is trained."""
         return (ctx.jacobian * grads[0].unsqueeze(1)).sum(0), None, None
 

@@ -24,7 +24,7 @@ STEER_CLASS_EDGES = (0.04, 0.2, 0.5)
 
 
 class TrainingWindowCriteria(NamedTuple):
-    """How windows are selected and drawn (docs/reference/learn_criteria.md).
+    """How windows are selected and drawn (docs/results/learn_criteria.md).
 
     Attributes:
         min_mean_speed_mps: Mean speed of the free part; standstill teaches nothing.

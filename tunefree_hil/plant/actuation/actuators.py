@@ -1,4 +1,4 @@
-"""By-wire actuators: dead time, lag of order 1 or 2, rate limit, dead band, gain, offset (design D5).
+"""By-wire actuators: dead time, lag of order 1 or 2, rate limit, dead band, gain, offset (docs/reference/design.md).
 
 Between two ticks the command is held, so dead time (also a fraction of a tick) and lag are solved exactly; only the
 rate limit is applied to the step as a whole.

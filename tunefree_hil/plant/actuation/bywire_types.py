@@ -23,8 +23,8 @@ class HeardChannel(NamedTuple):
     """One channel's command frame of this tick; without a new one (fresh = 0) nothing else here counts.
 
     enable, clear, ignore, counter_ok are 0 or 1. A frame with clear = 1 is not held to the counter (DLC 4 frames).
-    e2e counts at every tick: the code of the message's E2E status (bus/dbc/integrity.py), 0 where all is well or nothing is
-    protected. A frame that is not believed is not fresh.
+    e2e counts at every tick: the code of the message's E2E status (bus/dbc/integrity.py), 0 where all is well or
+    nothing is protected. A frame that is not believed is not fresh.
     """
 
     value: float = 0.0
@@ -108,8 +108,8 @@ class ChannelRules(NamedTuple):
 class ByWireParams(NamedTuple):
     """Rules of a unit in ticks; the defaults are for ticks of 10 ms (bench/vehicle.py works them out for others).
 
-    Source: docs/reference/by_wire.md; what it does not state is marked assumed. The unit heeds counters when check_counter is 1.
-    first_gear: the lever at power-up.
+    Source: docs/reference/by_wire.md; what it does not state is marked assumed. The unit heeds counters when
+    check_counter is 1. first_gear: the lever at power-up.
     """
 
     throttle: ChannelRules = ChannelRules(override_level=0.30, high=0.80)

@@ -1,4 +1,5 @@
-"""A delay by whole ticks, for any record: the bench's report and command delay in lockstep (docs/reference/bench_channel.md)."""
+"""A delay by whole ticks, for any record: the bench's report and command delay in lockstep
+(docs/reference/bench_channel.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""One step of an LSTM cell, and of a layer of tanh, as kernels (docs/reference/design.md): the ECU and the batch run these.
+"""One step of an LSTM cell, and of a layer of tanh, as kernels (docs/reference/design.md): the ECU and the batch run
+these.
 
 tanh is a rational function of our own (the 13/6 form with its clamp, opt_anchors C.2), in float64 within 2e-7 of the
 real one; the sigmoid is made of it. Loops are explicit and sums run in one order, so plain Python and compiled code

@@ -1,6 +1,7 @@
 """The reference vehicle's own actuators: servo steering, pedals that press slower than they let go.
 
-Not the actuators of `plant/actuation/actuators.py`: the steering is a position servo whose motor needs time to get up to speed,
+Not the actuators of `plant/actuation/actuators.py`: the steering is a position servo whose motor needs time to get up
+to speed,
 and the pedals' lag depends on the direction. A model of dead time, one lag and a rate limit fits well, not exactly.
 """
 

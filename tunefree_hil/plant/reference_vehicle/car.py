@@ -14,7 +14,7 @@ from tunefree_hil.plant.types import filled, laden, more_drag_m2, rolling_share
 
 DEFAULTS: dict[str, float] = {
     **actuators.DEFAULTS,
-    "mass_kg": 1736.35,  # docs/reference/by_wire.md; the numbers below that no source states are a plausible car of this size
+    "mass_kg": 1736.35,  # by-wire kit; below, numbers without a source are plausible for a car of this size
     "wheelbase_m": 2.8498,
     "front_axle_m": 1.27,
     "yaw_inertia_kgm2": 3050.0,

@@ -1,4 +1,4 @@
-"""A peer's side of a connection to a hub: hello, bytes out, records in. `plugin.py` and `owner.py` stand on it."""
+"""A peer's side of a connection to a hub: hello, bytes out, records in. Used by `plugin.py` and `owner.py`."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ READ_BYTES = 1 << 16
 
 
 class ConnectionGone(Exception):
-    """The hub is gone; the text says how. Callers turn it into the error that their users expect."""
+    """The hub is gone; the text says why. Callers turn it into their own errors."""
 
 
 class Connection:
-    """One socket to a hub, after the hello. `buffer[at:]` holds received records that nobody has taken yet.
+    """One socket to a hub, after the hello. `buffer[position:]` holds received records that are not taken yet.
 
     One thread may send while another receives. InputError or BenchError from the constructor say why the hub is not
     there or did not let us in.
@@ -30,11 +30,11 @@ class Connection:
     def __init__(self, address: Address, hello: dict[str, Any], name: str = "") -> None:
         self.address = address
         self.buffer = bytearray()
-        self.at = 0
+        self.position = 0
         self.gone = ""  # why the hub is gone
-        self.careful = False  # never hold a whole record back, for those who wait on fileno()
+        self.careful = False  # never keep a whole record in the buffer: callers wait on fileno()
         self._unsent = b""
-        self.reading = threading.Lock()  # held by whoever changes `buffer` or `at`
+        self.reading = threading.Lock()  # taken to change `buffer` or `position`
         self._sending = threading.Lock()
         self.sock, self.welcome = join(address, hello, name)
         self.sock.setblocking(False)
@@ -45,9 +45,9 @@ class Connection:
     # --- out -----------------------------------------------------------------------------------------------------
 
     def send(self, data: bytes, timeout_s: float | None) -> bool:
-        """Write whole records; False when the hub did not take all of them in time (what is left of one is kept).
+        """Write whole records; False when the hub did not take all of them in time (the rest of a record is kept).
 
-        While the hub does not take them, what it sends is read, so that two full sides cannot wait for each other.
+        Meanwhile the records of the hub are read, so that two full sides cannot wait for each other.
         """
         with self._sending:
             if self.gone:
@@ -107,7 +107,7 @@ class Connection:
                 return False
 
     def fresh(self, timeout_s: float) -> bytes:
-        """Bytes straight from the socket, for a reader who takes all of them; b'' when others wait in the buffer.
+        """Bytes straight from the socket, for a reader that takes all of them; b'' when records wait in the buffer.
 
         Waits up to timeout_s. What it does not understand it gives back with `put_back`.
         """
@@ -128,9 +128,9 @@ class Connection:
 
     def whole_record(self) -> int:
         """The size of the record at `at` when all of it is there, else 0. ConnectionGone after the last one."""
-        have = len(self.buffer) - self.at
+        have = len(self.buffer) - self.position
         if have >= HEAD.size:
-            size = self.buffer[self.at] | self.buffer[self.at + 1] << 8
+            size = self.buffer[self.position] | self.buffer[self.position + 1] << 8
             if size <= have:
                 return size
         if self.gone:
@@ -139,32 +139,32 @@ class Connection:
 
     def kind(self) -> int:
         """The type of the record at `at`."""
-        return self.buffer[self.at + 2]
+        return self.buffer[self.position + 2]
 
     def take(self) -> bytes:
         """The record at `at`, taken out."""
         with self.reading:
-            size = self.buffer[self.at] | self.buffer[self.at + 1] << 8
-            record = bytes(self.buffer[self.at : self.at + size])
+            size = self.buffer[self.position] | self.buffer[self.position + 1] << 8
+            record = bytes(self.buffer[self.position : self.position + size])
             self.skip(size)
         return record
 
     def skip(self, size: int) -> None:
         """Take `size` bytes out; the caller holds `reading`."""
-        self.at += size
-        if self.at == len(self.buffer):
+        self.position += size
+        if self.position == len(self.buffer):
             self.buffer.clear()
-            self.at = 0
+            self.position = 0
 
     def _wanted(self) -> int:
         """Bytes to read so that no whole record is left behind in the buffer."""
-        have = len(self.buffer) - self.at
+        have = len(self.buffer) - self.position
         if have < HEAD.size:
             return CLASSIC.size - have
-        return (self.buffer[self.at] | self.buffer[self.at + 1] << 8) - have
+        return (self.buffer[self.position] | self.buffer[self.position + 1] << 8) - have
 
     def _read(self, most: int) -> None:
-        """One read; `gone` when there is nobody any more."""
+        """One read; sets `gone` when the peer has closed."""
         if self.gone:
             return
         try:
@@ -181,7 +181,7 @@ class Connection:
     # --- beginning and end ---------------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Say good-bye and wait a moment for the hub to close its side, so that nothing sent before is lost."""
+        """Send BYE and wait a moment for the hub to close its side, so that nothing sent before is lost."""
         if self.sock.fileno() < 0:
             return
         try:
@@ -190,7 +190,7 @@ class Connection:
             self.sock.settimeout(GOODBYE_S)
             while self.sock.recv(READ_BYTES):
                 pass
-        except (OSError, ConnectionGone):  # it went first: nothing is left to say
+        except (OSError, ConnectionGone):  # it closed first
             pass
         finally:
             self.sock.close()

@@ -1,6 +1,4 @@
-"""Who is connected to a hub, what each is still owed, and who holds the bus up.
-
-One connection as the hub sees it: who it is, what it still has to be given, and what happens when it does not read.
+"""The connections of a hub, the bytes queued for each, and the back-pressure of members that do not read.
 
 A member's queue only grows to HIGH_BYTES, because the hub then stops reading from the channel's senders (hub.py). An
 observer's queue is a ring: the oldest is dropped and counted.
@@ -26,7 +24,7 @@ class Board:
     def __init__(self, observer_bytes: int) -> None:
         self.observer_bytes = observer_bytes
         self.peers: list[Peer] = []
-        self.strangers: list[Peer] = []  # those of them that have not said who they are
+        self.unidentified: list[Peer] = []  # those of them that have not sent HELLO
         self.listeners: dict[str, list[Peer]] = {channel: [] for channel in CHANNELS}
         self.holders: dict[str, list[Peer]] = {channel: [] for channel in CHANNELS}  # members that do not keep up
         self.dirty: set[Peer] = set()
@@ -35,15 +33,15 @@ class Board:
     # --- coming and going ----------------------------------------------------------------------------------------
 
     def add(self, sock: socket.socket, channel: str, deadline_s: float) -> None:
-        """A new connection, a stranger still."""
+        """Add a new connection, before its HELLO."""
         peer = Peer(sock, channel, deadline_s)
         self.peers.append(peer)
-        self.strangers.append(peer)
+        self.unidentified.append(peer)
         self.watch(peer, READ)
 
     def admit(self, peer: Peer, welcome: bytes) -> None:
-        """A stranger has said who it is; it gets `welcome` first and then what it listens to."""
-        self.strangers.remove(peer)
+        """Admit a connection after its HELLO; it gets `welcome` first, then the frames of its channels."""
+        self.unidentified.remove(peer)
         self.owe(peer, welcome)
         for channel in peer.channels:
             if peer.listen:
@@ -52,14 +50,14 @@ class Board:
                 self.pause_senders(channel)
 
     def forget(self, peer: Peer) -> None:
-        """Close a connection and let go of everything that belonged to it."""
+        """Close a connection and remove all that belongs to it."""
         if peer.events & (READ | WRITE):
             self.selector.unregister(peer.sock)
         peer.events = 0
         peer.sock.close()
         self.peers.remove(peer)
         self.dirty.discard(peer)
-        for group in (self.strangers, *self.listeners.values()):
+        for group in (self.unidentified, *self.listeners.values()):
             if peer in group:
                 group.remove(peer)
         self._release(peer)
@@ -131,14 +129,14 @@ class Board:
                 self.pause_senders(channel)
 
     def _release(self, member: Peer) -> None:
-        """It keeps up again, or is gone."""
+        """The member keeps up again, or is gone."""
         for channel in member.channels:
             if member in self.holders[channel]:
                 self.holders[channel].remove(member)
                 self.pause_senders(channel)
 
     def pause_senders(self, channel: str) -> None:
-        """Read from the members of a channel exactly when nobody holds one of their channels."""
+        """Read from the members of a channel exactly when no member blocks one of their channels."""
         for peer in self.peers:
             if peer.role == "member" and channel in peer.channels:
                 is_held = any(self.holders[one] for one in peer.channels)
@@ -147,7 +145,7 @@ class Board:
 
 
 HIGH_BYTES = 1 << 20  # a member that is owed this much stops its channel's senders
-LOW_BYTES = 1 << 18  # and lets them go on from here
+LOW_BYTES = 1 << 18  # below this they are read again
 OBSERVER_BYTES = 1 << 20  # an observer is owed at most this
 WRITE_BYTES = 1 << 18  # at most this much is joined into one write
 
@@ -168,11 +166,11 @@ class Peer:
     also: str = ""  # the other channel, where this connection carries both (records.OTHER)
     only: frozenset[int] = frozenset()  # gets only frames with one of these ids; empty: all
     stamps: bool = False
-    mourned: bool = False  # its process's loss has been announced
-    rest: bytes = b""  # the beginning of a record whose end has not come yet
+    loss_announced: bool = False  # its process's loss has been announced
+    rest: bytes = b""  # the beginning of an incomplete record
     sent: int = 0
     dropped: int = 0
-    dropped_told: int = 0
+    dropped_reported: int = 0
     owed: int = 0  # bytes in the queue
     queue: deque[tuple[bytes | memoryview, int]] = field(default_factory=deque)
     begun: bool = False  # the queue's first chunk is partly written
@@ -197,16 +195,16 @@ class Peer:
             chunk, frames = self.queue.popleft()
             self.owed -= len(chunk)
             self.dropped += frames
-            if not frames:  # it was a notice of earlier drops: tell again
-                self.dropped_told = -1
+            if not frames:  # it was a notice of earlier drops: send a new one
+                self.dropped_reported = -1
         self.queue.extendleft(unfinished)
 
     def flush(self) -> bool:
         """Write what the socket takes. True when nothing is left. OSError when the peer is gone."""
         queue = self.queue
         while True:
-            if self.dropped != self.dropped_told and not self.begun:
-                self._tell_drops()
+            if self.dropped != self.dropped_reported and not self.begun:
+                self._queue_drop_notice()
             if not queue:
                 return True
             batch = queue[0][0] if len(queue) == 1 or self.begun else self._join()
@@ -222,11 +220,11 @@ class Peer:
             queue.popleft()
             self.begun = False
 
-    def _tell_drops(self) -> None:
+    def _queue_drop_notice(self) -> None:
         notice = pack_control(DROPPED, sequence=self.dropped)
         self.queue.appendleft((notice, 0))
         self.owed += len(notice)
-        self.dropped_told = self.dropped
+        self.dropped_reported = self.dropped
 
     def _join(self) -> bytes:
         """Make the first chunks of the queue one, up to WRITE_BYTES; its bytes."""

@@ -1,4 +1,4 @@
-"""What the owner of a hub may ask: logs and numbers. Requests and replies are JSON (records.REQUEST, REPLY)."""
+"""Requests of the owner of a hub: logs and counts. Requests and replies are JSON (records.REQUEST, REPLY)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def answer(hub: Hub, body: dict[str, Any]) -> bytes:
-    """The REPLY to one request: {"ok": ...} or {"error": ...}. RecordError for a request that there is not."""
+    """The REPLY to one request: {"ok": ...} or {"error": ...}. RecordError for an unknown request."""
     operations = {"start_log": _start_log, "stop_log": _stop_log, "stats": _stats, "guard": _guard}
     operation = operations.get(str(body.get("op")))
     if operation is None:
@@ -44,7 +44,7 @@ def _start_log(hub: Hub, body: dict[str, Any]) -> dict[str, Any]:
 
 
 def _stop_log(hub: Hub, body: dict[str, Any]) -> dict[str, int]:
-    """Frames by channel. Every log is closed before the first error is told."""
+    """Frames by channel. Every log is closed before the first error is raised."""
     if not hub.logs:
         raise BenchError("no log is being written", code="no_log", hint="start_log comes first")
     logs, hub.logs = hub.logs, {}
@@ -60,7 +60,7 @@ def _stop_log(hub: Hub, body: dict[str, Any]) -> dict[str, int]:
 
 
 def _guard(hub: Hub, body: dict[str, Any]) -> list[dict[str, Any]]:
-    """With "ids": watch these from now on, and forget what was seen. Without: what strangers have sent since."""
+    """With "ids": watch these from now on, and forget earlier counts. Without: the counts of foreign senders since."""
     if "ids" in body:
         ids = body["ids"]
         if not isinstance(ids, list) or not all(isinstance(can_id, int) for can_id in ids):

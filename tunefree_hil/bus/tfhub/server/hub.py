@@ -51,10 +51,10 @@ TIME = struct.Struct("<Q")
 
 
 class Hub:
-    """Routes two channels until it is told to stop, or (unless `standalone`) until its owner is gone.
+    """Routes two channels until `stop` is called, or (unless `standalone`) until its owner is gone.
 
-    `clock` 'real': stamps are CLOCK_MONOTONIC. 'sender': members that said so at hello stamp their own frames (virtual
-    time), all others get the latest of these. `note` is told, in a line, what a person should know.
+    `clock` 'real': stamps are CLOCK_MONOTONIC. 'sender': members that asked for it in HELLO stamp their own frames
+    (virtual time), all others get the latest of these. `note` gets messages for the user, one a line.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class Hub:
         reception.enforce_deadlines(self)
 
     def _read(self, peer: Peer) -> None:
-        """Take what a peer has sent; whoever sends bytes that are no records is dropped."""
+        """Take what a peer has sent; a peer that sends bytes that are no records is dropped."""
         start = len(peer.rest)
         if start:
             self._view[:start] = peer.rest
@@ -142,7 +142,7 @@ class Hub:
             reception.lose(self, peer, error.strerror or "connection lost")
             return
         if not got:
-            reception.lose(self, peer, "its connection closed without a good-bye")
+            reception.lose(self, peer, "its connection closed without BYE")
             return
         end = start + got
         try:
@@ -206,7 +206,7 @@ class Hub:
         if not count:
             return
         if peer.role != "member":
-            raise RecordError(f"it sent frames as {peer.role or 'a stranger'}")
+            raise RecordError(f"it sent frames as {peer.role or 'an unidentified peer'}")
         chunk = bytes(self._view[first:end])
         channel = peer.channel if run == FRAME else peer.also
         self.sequence += count
@@ -243,9 +243,9 @@ class Hub:
     # --- the end -------------------------------------------------------------------------------------------------
 
     def _write_failed(self, peer: Peer) -> None:
-        self._read(peer)  # it may have said good-bye before it closed
+        self._read(peer)  # it may have sent BYE before it closed
         if peer.events:
-            reception.lose(self, peer, "its connection closed without a good-bye")
+            reception.lose(self, peer, "its connection closed without BYE")
 
     def _close(self) -> None:
         for log in self.logs.values():

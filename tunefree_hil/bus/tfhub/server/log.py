@@ -47,7 +47,7 @@ def time_text(time_ns: int) -> str:
 class CandumpLog:
     """One log of one channel. `offset_ns` is added to every stamp (real clock: monotonic to wall time).
 
-    An error of the disk is kept in `failure`, never raised while recording: the bus goes on, `close` tells.
+    An error of the disk is kept in `failure`, never raised while recording: the bus goes on, `close` raises it.
     """
 
     def __init__(self, path: str, channel: str, offset_ns: int) -> None:

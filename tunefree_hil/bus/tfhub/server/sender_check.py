@@ -1,7 +1,7 @@
-"""Who sends a vehicle's ids without being a node of the bench: the hub alone knows the senders.
+"""Finds senders of a vehicle's ids that are no nodes of the bench; only the hub knows the sender of a frame.
 
 A node is on both channels, by one connection or by two of one process; a tool that plays frames onto the vehicle's
-channel is on that one only. Frames are counted, never held back: what the drive makes of them is the drive's.
+channel is on that one only. Frames are counted, never held back.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ def _take_signals(hub: Hub, standalone: bool) -> dict[int, Any]:
         return {}
 
     def end(number: int, _frame: object) -> None:
-        hub.stop(f"it was told to ({signal.Signals(number).name})")
+        hub.stop(f"it was stopped by a signal ({signal.Signals(number).name})")
 
     wanted: dict[int, Any] = {signal.SIGTERM: end, signal.SIGINT: end if standalone else signal.SIG_IGN}
     return {number: signal.signal(number, handler) for number, handler in wanted.items()}
