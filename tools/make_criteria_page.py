@@ -18,8 +18,7 @@ PAGE = ROOT / "docs" / "results" / "criteria.md"
 HEAD = """# Criteria: every threshold that decides something
 
 Made by `tools/make_criteria_page.py` from the records in the source. A commit behind a meaning is that of the exam that
-first ran with the value ([exams](gap_exam.md)); a row without a source is an engineering choice. Reasons for the values
-of calibration and learning: [learning](learn_criteria.md).
+first ran with the value ([exams](gap_exam.md)); a row without a source is an engineering choice.
 """
 
 

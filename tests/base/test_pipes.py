@@ -79,8 +79,8 @@ def test_it_has_our_environment_and_its_own_and_may_print(helper: Helper) -> Non
     assert helper.ask(("variable", "HEARD_FROM_US")) == "yes"
     assert helper.ask(("variable", "OURS")) == "its own" and os.environ["OURS"] == "ours"
     assert helper.ask(("print", "noise")) == "noise"
-    helper.say(("count", 3))
-    assert [helper.hear() for _ in range(3)] == [0, 1, 2]
+    helper.send_request(("count", 3))
+    assert [helper.receive_answer() for _ in range(3)] == [0, 1, 2]
 
 
 @pytest.mark.slow
@@ -106,9 +106,9 @@ class Unreadable:
 @pytest.mark.slow
 @pytest.mark.timeout(30)
 def test_a_request_that_cannot_be_read_ends_it_with_the_reason(helper: Helper) -> None:
-    helper.say(("echo", Unreadable()))
+    helper.send_request(("echo", Unreadable()))
     with pytest.raises(PeerGone, match="invalid literal for int"):
-        helper.hear()
+        helper.receive_answer()
 
 
 @pytest.mark.slow
@@ -116,9 +116,9 @@ def test_one_that_is_killed_is_named_by_the_signal(helper: Helper) -> None:
     helper.process.kill()
     helper.process.wait(SOON_S)
     with pytest.raises(PeerGone, match=r"has ended \(-9\)"):
-        helper.say(("print", "x"))
+        helper.send_request(("print", "x"))
     with pytest.raises(PeerGone, match=r"has ended \(-9\)"):
-        helper.hear()
+        helper.receive_answer()
 
 
 @pytest.mark.slow
@@ -136,7 +136,7 @@ def test_an_interrupted_message_is_not_gone_on_with(helper: Helper, half: str, m
 
 @pytest.mark.slow
 def test_it_ends_when_it_is_closed_and_is_closed_twice_in_peace(helper: Helper) -> None:
-    helper.say(("sleep", 60.0))
+    helper.send_request(("sleep", 60.0))
     helper.close()
     assert helper.process.returncode == -signal.SIGKILL
     helper.close()
@@ -145,6 +145,6 @@ def test_it_ends_when_it_is_closed_and_is_closed_twice_in_peace(helper: Helper) 
 @pytest.mark.slow
 def test_it_ends_in_the_middle_of_its_work_when_its_starter_is_gone(helper: Helper) -> None:
     assert helper.ask(("print", "awake")) == "awake"
-    helper.say(("sleep", 60.0))
+    helper.send_request(("sleep", 60.0))
     cast(BinaryIO, helper.process.stdin).close()
     assert helper.process.wait(SOON_S) == 0

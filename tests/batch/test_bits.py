@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from tests.house import ROOT
 from tunefree_hil.base.records import CanFrame
-from tunefree_hil.batch.bits import bit_params, hear_bits, init_bits, say_bits, vehicle_state
+from tunefree_hil.batch.bits import bit_params, init_bits, receive_bits, set_bits, vehicle_state
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.recording.frame_writer import FrameWriter
 from tunefree_hil.config.load import load_vehicle
@@ -41,10 +41,10 @@ def test_the_tables_say_what_the_nodes_say(vehicle: str, data: st.DataObject) ->
         status = data.draw(STATUS)
         heard = data.draw(st.sets(st.sampled_from([message.name for message in speaking])))
         decoder.receive(k, frames(writer, signals, status, heard))
-        say_bits(params, state, status)
+        set_bits(params, state, status)
         for m, message in enumerate(speaking):
             if message.name in heard:
-                hear_bits(state, m)
+                receive_bits(state, m)
         assert vehicle_state(params, state) == decoder.state()
 
 

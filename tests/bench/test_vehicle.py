@@ -17,7 +17,7 @@ from tunefree_hil.bench import Bench, VehicleFor, is_heavy, load
 from tunefree_hil.bench.vehicle import driver_script, effects_of
 from tunefree_hil.config.schema import EffectSpec, FaultSpec
 from tunefree_hil.nodes.ecu import Vehicle
-from tunefree_hil.plant.actuation.bywire import Heard
+from tunefree_hil.plant.actuation.bywire import ReceivedCommand
 from tunefree_hil.plant.ecu import UnitInput
 from tunefree_hil.plant.types import NOBODY
 
@@ -52,7 +52,7 @@ def test_only_the_seed_draws_the_noise(bench: Bench, tmp_path: Path) -> None:
         params, state, said = car.unit.start(car.body, car.dt_s)
         seen = [said.measurement]
         for k in range(20):
-            x = UnitInput(Heard(), car.driver(k), road_of(car, k))
+            x = UnitInput(ReceivedCommand(), car.driver(k), road_of(car, k))
             state, said = car.unit.step(params, state, x, car.dt_s)
             seen.append(said.measurement)
         return [repr(one) for one in seen]

@@ -12,7 +12,7 @@ from tunefree_hil.base.maths import clamp
 from tunefree_hil.base.records import GEAR_DRIVE, Command, Ins, Measurement, Report
 from tunefree_hil.collect.envelope import Envelope
 from tunefree_hil.collect.planner import ENDED, PlannerParams, make_planner
-from tunefree_hil.control.cascade import Sight
+from tunefree_hil.control.cascade import ControllerInput
 
 DT_S = 0.01
 
@@ -108,7 +108,7 @@ def drive(params: PlannerParams, car: Car, most_s: float = 180.0) -> tuple[list[
     state = block.init(block.params, DT_S)
     rows: list[Row] = []
     for k in range(round(most_s / DT_S)):
-        state, answer = block.step(block.params, state, Sight(k, car.measure()), DT_S)
+        state, answer = block.step(block.params, state, ControllerInput(k, car.measure()), DT_S)
         lateral = car.speed_mps * car.yaw_radps
         now = (car.x_m, car.y_m, car.speed_mps, lateral, car.steer_rad, car.throttle_frac, car.brake_frac)
         rows.append(Row(*now, answer.command, answer.mode, answer.cell))

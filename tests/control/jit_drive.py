@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from conftest import DT_S, Car, linear_map, make_course
 
 from tunefree_hil.control.build import build
-from tunefree_hil.control.cascade import Sight
+from tunefree_hil.control.cascade import ControllerInput
 from tunefree_hil.control.contract import LeadLag, Settings, VehicleConstants
 from tunefree_hil.control.parameters import BASELINES
 
@@ -53,7 +53,7 @@ def drive(name: str) -> str:
         noise = seed / 2147483648 - 0.5
         nudged = car._replace(x_m=car.x_m + 0.02 * noise, y_m=car.y_m + (0.7 if k == 600 else 0.02 * noise))
         seen = nudged._replace(x_m=float("inf")) if k == TICKS - 1 else nudged
-        state, decision = block.step(block.params, state, Sight(k, seen.measurement()), DT_S)
+        state, decision = block.step(block.params, state, ControllerInput(k, seen.measurement()), DT_S)
         numbers = flatten(decision)
         digest.update(struct.pack(f"<{len(numbers)}d", *(0.0 if number != number else number for number in numbers)))
         replans += decision.tracking.replan

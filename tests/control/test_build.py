@@ -10,7 +10,7 @@ import pytest
 from tunefree_hil.base import parts
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.control.build import PartNames, build, own_values
-from tunefree_hil.control.cascade import Sight
+from tunefree_hil.control.cascade import ControllerInput
 from tunefree_hil.control.contract import VehicleConstants
 from tunefree_hil.control.parameters import BASELINES, study_values
 
@@ -30,7 +30,7 @@ def drive(kit, block, ticks, start):
     """(decisions, seconds a tick) of a drive with perfect actuators."""
     state, car, decisions, spent = block.init(block.params, DT_S), start, [], 0.0
     for k in range(ticks):
-        sight = Sight(k, car.measurement())
+        sight = ControllerInput(k, car.measurement())
         began = time.perf_counter()
         state, decision = block.step(block.params, state, sight, DT_S)
         spent += time.perf_counter() - began

@@ -9,7 +9,7 @@ import pytest
 from tunefree_hil.base.records import GEAR_DRIVE, Ins, Measurement, Report
 from tunefree_hil.control import cascade
 from tunefree_hil.control.build import build
-from tunefree_hil.control.cascade import Sight
+from tunefree_hil.control.cascade import ControllerInput
 from tunefree_hil.control.contract import Settings, VehicleConstants
 from tunefree_hil.control.parameters import BASELINES, study_values
 
@@ -22,7 +22,9 @@ def block(kit):
 
 
 def see(tick=0, x=0.0, y=0.0, heading=0.0, speed=5.0, steer=0.0):
-    return Sight(tick, Measurement(Report(steer_rad=steer, speed_mps=speed), Ins(x, y, heading, speed, 0.0, 0.0)))
+    return ControllerInput(
+        tick, Measurement(Report(steer_rad=steer, speed_mps=speed), Ins(x, y, heading, speed, 0.0, 0.0))
+    )
 
 
 def first(block, sight):
@@ -123,5 +125,5 @@ def test_ins_speed_where_the_chassis_has_none(kit):
     with_chassis = build(BASELINES["as_shipped"], VehicleConstants(), kit.linear_map(), course)
     without = build(BASELINES["as_shipped"], VehicleConstants(), kit.linear_map(), course, absent=fields)
     sight = see(y=0.2, speed=4.5)
-    bare = Sight(0, sight.measurement._replace(report=Report()))
+    bare = ControllerInput(0, sight.measurement._replace(report=Report()))
     assert first(without, bare)[1].command[:5] == first(with_chassis, sight)[1].command[:5]

@@ -17,8 +17,8 @@ from tunefree_hil.bench import Bench, load
 from tunefree_hil.bench.simulator import with_effects
 from tunefree_hil.bench.vehicle import VehicleFor
 from tunefree_hil.config.schema import EffectSpec
-from tunefree_hil.plant.actuation.bywire import Heard, HeardChannel
-from tunefree_hil.plant.ecu import Said, UnitInput
+from tunefree_hil.plant.actuation.bywire import ReceivedChannel, ReceivedCommand
+from tunefree_hil.plant.ecu import ReportedState, UnitInput
 
 BENCHES = {"first": ROOT / "bench_configs" / "mkz_complete.toml", "other": BENCH}
 TICKS = 160
@@ -37,7 +37,7 @@ def typical(bench: Bench, name: str) -> dict[str, float]:
     return {key: prior_of(EFFECTS[name], key, known).typical for key in EFFECTS[name].neutral}
 
 
-def said(which: str, name: str, params: dict[str, float]) -> list[Said]:
+def said(which: str, name: str, params: dict[str, float]) -> list[ReportedState]:
     """What the frames say of rough driving from the first scenario's start; no effect where the name is ''."""
     bench = bench_of(which)
     rest, limits = bench.vehicle.nominal.rest_pedal_frac, bench.vehicle.limits
@@ -52,15 +52,15 @@ def said(which: str, name: str, params: dict[str, float]) -> list[Said]:
     found = [now]
     for k in range(TICKS):
         throttle, brake = (limits.throttle_frac, rest) if k < 90 else (rest, rest + 0.15)
-        steer = HeardChannel(0.8 * limits.steer_rad * math.sin(0.04 * k), 1.0, fresh=1.0)
-        heard = Heard(steer._replace(value=throttle), steer._replace(value=brake), steer)
+        steer = ReceivedChannel(0.8 * limits.steer_rad * math.sin(0.04 * k), 1.0, fresh=1.0)
+        heard = ReceivedCommand(steer._replace(value=throttle), steer._replace(value=brake), steer)
         state, now = car.unit.step(params_of, state, UnitInput(heard, car.driver(k), Disturbance()), bench.dt_s)
         found.append(now)
     return found
 
 
 @cache
-def without(which: str) -> list[Said]:
+def without(which: str) -> list[ReportedState]:
     return said(which, "", {})
 
 

@@ -10,7 +10,8 @@ from msgspec.structs import replace
 from tests.learn.made_drives import CHANNELS, made_drive
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec
-from tunefree_hil.gap.diagnostics.residual_tests import Region, Shape
+from tunefree_hil.gap.diagnostics.regions import Region
+from tunefree_hil.gap.diagnostics.residual_tests import Shape
 from tunefree_hil.gap.result import SearchResult
 from tunefree_hil.learn.drives.drive import Drive
 

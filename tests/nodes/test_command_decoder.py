@@ -12,7 +12,7 @@ from tunefree_hil.bus.recording.frame_writer import FrameWriter
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.nodes.command_decoder import CommandDecoder
 from tunefree_hil.nodes.status_bits import set_bits
-from tunefree_hil.plant.actuation.bywire import ByWireInput, ByWireParams, Heard, bywire
+from tunefree_hil.plant.actuation.bywire import ByWireInput, ByWireParams, ReceivedCommand, bywire
 from tunefree_hil.plant.vehicle import Driver
 
 ENABLED = 'signal = "EN", bywire = "throttle" }]'
@@ -42,7 +42,7 @@ class Road:
         command = {"command": Command(throttle_frac, 0.2, 0.1)}
         return self.writer.write(self.codec.by_name["DRIVE"], command, {"EN": 1.0}, 0.0)
 
-    def status(self, heard: Heard) -> object:
+    def status(self, heard: ReceivedCommand) -> object:
         seen = ByWireInput(heard, Driver(), 5.0, 0.0)
         self.state, out = self.unit.step(self.unit.params, self.state, seen, 0.01)
         return out.status

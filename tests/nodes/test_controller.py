@@ -19,7 +19,7 @@ from tunefree_hil.bench import needed_messages
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.load import load_vehicle
-from tunefree_hil.control.cascade import Decision, Sight
+from tunefree_hil.control.cascade import ControllerInput, Decision
 from tunefree_hil.nodes.controller import Assignment, ControllerPart
 from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.handshake import limits_of
@@ -32,7 +32,9 @@ PERIODIC = ("THROTTLE_CMD", "BRAKE_CMD", "STEERING_CMD", "GEAR_CMD")
 def stand_in(fail_at: int = -1, error: float = 0.0) -> Block:
     """A control law that always wishes WISH, and says `error` at one tick. Its state is the list of what it saw."""
 
-    def step(params: Any, state: list[Sight], x: Sight, dt_s: float) -> tuple[list[Sight], Decision]:
+    def step(
+        params: Any, state: list[ControllerInput], x: ControllerInput, dt_s: float
+    ) -> tuple[list[ControllerInput], Decision]:
         state.append(x)
         code = error if x.tick == fail_at else 0.0
         return state, Decision(WISH, Tracking(), 0.5, 0.0, 0.0, code)
@@ -229,7 +231,7 @@ def test_its_own_supervision_ends_the_drive(codec: Codec, code: bc.ErrorCode) ->
 
 
 def test_the_law_sees_the_tick_and_the_latest_values(codec: Codec) -> None:
-    seen: list[Sight] = []
+    seen: list[ControllerInput] = []
     block = stand_in()._replace(init=lambda params, dt_s: seen)
     seat = Seat(codec, block)
     seat.cycle(0)

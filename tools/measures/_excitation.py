@@ -15,7 +15,7 @@ from tunefree_hil.base.course import Tracking
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import GEAR_DRIVE, NAN, Command
 from tunefree_hil.config.schema import VehicleSpec
-from tunefree_hil.control.cascade import Decision, Sight
+from tunefree_hil.control.cascade import ControllerInput, Decision
 from tunefree_hil.nodes.controller import Assignment
 
 SLOW_MPS, FAST_MPS = 2.0, 12.0
@@ -71,12 +71,12 @@ def excited(process: InProcess, excitation: Excitation) -> None:
 
 
 def _block(excitation: Excitation) -> Block:
-    """Block Sight -> Decision."""
+    """Block ControllerInput -> Decision."""
 
     def init(params: Any, dt_s: float) -> bool:
         return False
 
-    def step(params: Any, braked: bool, x: Sight, dt_s: float) -> tuple[bool, Decision]:
+    def step(params: Any, braked: bool, x: ControllerInput, dt_s: float) -> tuple[bool, Decision]:
         time_s, speed = x.tick * dt_s, x.measurement.ins.speed_mps
         braking = speed > FAST_MPS or (braked and speed > SLOW_MPS)
         throttle, brake = excitation.pedals(time_s, braking)

@@ -22,7 +22,7 @@ from typing import Any
 
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bench import Bench, load, parameters_of
-from tunefree_hil.bus.link import Link
+from tunefree_hil.bus.link import BusLink
 from tunefree_hil.bus.open import open_link
 from tunefree_hil.bus.tfhub.start import start_hub
 from tunefree_hil.jobs.run_folder import RunFolder
@@ -106,7 +106,7 @@ def round_trips(link: str, runs: int, rounds: int) -> dict[str, list[float]]:
     return found
 
 
-def rate_of(bus: Link, rounds: int) -> float:
+def rate_of(bus: BusLink, rounds: int) -> float:
     """Round trips a second over a link whose frames come back."""
     started_s = time.perf_counter()
     for _ in range(rounds):
@@ -116,7 +116,7 @@ def rate_of(bus: Link, rounds: int) -> float:
 
 
 @contextmanager
-def _asker(address: str) -> Iterator[Link]:
+def _asker(address: str) -> Iterator[BusLink]:
     """A link whose frames come back from another process."""
     bus = open_link(address, name="asker", only=(READY_ID, ASK_ID))
     with subprocess.Popen([sys.executable, "-m", "tools.measures._over_vcan", "--echo", address]) as other:
@@ -131,7 +131,7 @@ def _asker(address: str) -> Iterator[Link]:
             bus.close()
 
 
-def _answer(bus: Link, missing: str) -> None:
+def _answer(bus: BusLink, missing: str) -> None:
     if not bus.receive(PATIENCE_S):
         raise TimeoutError(f"{missing}, for {PATIENCE_S:.0f} s")
 

@@ -1,1 +1,1 @@
-"""Floor 0: the words that every other floor shares. No I/O here."""
+"""Types and functions that all other packages share. No I/O here, except helper processes and files of parts."""

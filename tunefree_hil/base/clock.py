@@ -1,4 +1,4 @@
-"""Time is an argument: one Clock, injected (docs/reference/bench_channel.md)."""
+"""The clock of the package, passed as an argument (docs/reference/bench_channel.md)."""
 
 from __future__ import annotations
 

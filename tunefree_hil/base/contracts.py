@@ -1,4 +1,4 @@
-"""What each parts folder must export (style: the folder is the registry, the file name is the public name)."""
+"""The exports of each parts folder; the folder is the registry, the file name is the public name."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class Port(Enum):
     """Where an effect sits (docs/reference/effects.md). Scalar ports carry one float, BODY a record of the plant's
     own constants."""
 
-    STEER_A = "steer A"  # inside the actuator: seen between command and output in the report
-    STEER_B = "steer B"  # behind the report: seen only in motion
+    STEER_A = "steer A"  # inside the actuator: visible between command and output in the report
+    STEER_B = "steer B"  # after the report: visible in motion only
     THROTTLE_A = "throttle A"
     THROTTLE_B = "throttle B"
     BRAKE_A = "brake A"
     BRAKE_B = "brake B"
-    # at the actuator's end, behind its dead time and lag, and still before the report: limits of the motor itself
+    # at the actuator's output, after its dead time and lag and before the report: limits of the motor
     STEER_OUT = "steer out A"
     THROTTLE_OUT = "throttle out A"
     BRAKE_OUT = "brake out A"
@@ -43,11 +43,11 @@ class Port(Enum):
     INS = "ins"
 
 
-LEAST_BRAKE_GAIN = 0.3  # what fading leaves (docs/reference/effects.md)
+LEAST_BRAKE_GAIN = 0.3  # least gain after fading (docs/reference/effects.md)
 
 
 class BodyChange(NamedTuple):
-    """What effects on the body and on forces change of a car, whichever physics it is; the defaults change nothing.
+    """Changes of a car by effects on body and forces, for all plants; the defaults change nothing.
 
     Every plant applies it to its own constants when it is built: masses and grades are added, friction is a factor.
     The payload is point masses on the car's centre line: their sum, and their first and second moments about the
@@ -57,31 +57,31 @@ class BodyChange(NamedTuple):
     payload_kg: float = 0.0
     payload_moment_kgm: float = 0.0
     payload_inertia_kgm2: float = 0.0
-    friction_frac: float = 1.0  # factor on the road's friction, whatever the scenario says it is
+    friction_frac: float = 1.0  # factor on the scenario's friction
     grade_rad: float = 0.0  # added to the scenario's, up positive
     power_w: float = math.inf  # the driving force is at most this over the speed
-    brake_drag_n: float = 0.0  # against the motion, whatever the pedals say
-    brake_loss_per_mj: float = 0.0  # of the brakes' gain, for each MJ that they have dissipated since the start
+    brake_drag_n: float = 0.0  # against the motion, independent of the pedals
+    brake_loss_per_mj: float = 0.0  # share of the brake gain lost per MJ dissipated since the start
     front_stiffness_frac: float = 1.0  # factors on the axles' cornering stiffness
     rear_stiffness_frac: float = 1.0
-    relaxation_m: float = 0.0  # that the tyres roll further until their side force has grown
-    rolling_extra_frac: float = 0.0  # rolling resistance more, as a share of the car's own
-    drag_area_m2: float = 0.0  # more
+    relaxation_m: float = 0.0  # addition to the relaxation length
+    rolling_extra_frac: float = 0.0  # additional rolling resistance, as a share of the car's own
+    drag_area_m2: float = 0.0  # added
     head_wind_mps: float = 0.0  # against the car
-    side_force_n: float = 0.0  # wind's, to the left, at the centre of mass
+    side_force_n: float = 0.0  # of wind, to the left, at the centre of mass
     bank_rad: float = 0.0  # left side up
 
 
 class Latency(NamedTuple):
-    """Params of a Block that makes whole frames late: what else those frames carry, a vehicle makes as late."""
+    """Params of a Block that delays whole frames; the vehicle delays the rest of those frames as well."""
 
     delay_s: float
 
 
 class Prior(NamedTuple):
-    """Where `gap` looks for a parameter: between low and high on that scale; typical: a size that one meets.
+    """Search range of a parameter in `gap`: from low to high on that scale; typical: a usual size.
 
-    In the parameter's unit, or in multiples of the vehicle's own size `times`: "steer_rad" (its largest steering-wheel
+    In the parameter's unit, or in multiples of the vehicle's size `times`: "steer_rad" (its largest steering-wheel
     angle), "mass_kg" or "wheelbase_m".
     """
 
@@ -93,7 +93,7 @@ class Prior(NamedTuple):
 
 
 class Need(NamedTuple):
-    """What a drive must hold for an effect to show: at least `least` of one of QUANTITIES."""
+    """Excitation that a drive needs for an effect to be visible: at least `least` of one of QUANTITIES."""
 
     quantity: str
     least: float
@@ -116,11 +116,11 @@ QUANTITIES: dict[str, str] = {
     "brake_span_frac": "between the least and the most commanded brake",
     "brakings": "brakings by 3 m/s or more",
     "coast_s": "s above 2 m/s with both pedals at rest",
-}  # what a drive is asked for, with its unit
+}  # quantities of a drive, with their units
 
 
 class Link(Enum):
-    """The links of the chain from command to clock, each of which a log can show to be broken
+    """The links of the chain from command to clock, each of which can be checked in a log
     (docs/reference/effects.md)."""
 
     COMMAND_ECHO = "command_echo"
@@ -133,7 +133,7 @@ class Link(Enum):
 
 
 class Effect(NamedTuple):
-    """An effect of the catalogue (docs/reference/effects.md). With `neutral` it is the identity bit for bit (-0.0
+    """An effect of the catalogue (docs/reference/effects.md). With `neutral` it is the identity, bit for bit (-0.0
     equals 0.0).
 
     make(params, rest) -> Block on its port's value (a float; a Report or an Ins on those two ports). `rest` is the
@@ -141,10 +141,10 @@ class Effect(NamedTuple):
     For BODY, and for what needs the plant's own forces (power_limit, brake_fade, brake_drag), make(params, rest) ->
     (BodyChange) -> BodyChange, a plain function used when the plant is built.
 
-    A bench needs no more than that; the rest is for whoever looks for the effect in a log. symptom: what it looks like.
-    priors: one a parameter. impostors: names of effects that it is easily taken for. manoeuvre: what to drive so that
-    it is not. needs: what a drive must hold to show it at all. links: those that it breaks, the first above all; left
-    out, they follow from the port (`links_of`).
+    A bench needs only these; the rest is for identification from a log. symptom: its signature. priors: one a
+    parameter. impostors: names of effects with a similar signature. manoeuvre: drive that separates it from them.
+    needs: excitation that it needs. links: those that it changes, the main one first; by default those of the port
+    (`links_of`).
     """
 
     port: Port
@@ -177,12 +177,12 @@ def make_effect(effect: Effect, params: Mapping[str, float], *, rest: float = 0.
 
 
 def place_of(effect: Effect) -> str:
-    """'A' inside an actuator, before its report; 'B' behind a report; '' for body, reports and INS."""
+    """'A' inside an actuator, before its report; 'B' after a report; '' for body, reports and INS."""
     return effect.port.value[-1] if effect.port.value.endswith((" A", " B")) else ""
 
 
 def links_of(effect: Effect) -> tuple[Link, ...]:
-    """The links that an effect breaks, the first above all."""
+    """The links that an effect changes, the main one first."""
     if effect.links:
         return effect.links
     return (Link.COMMAND_TO_REPORT,) if place_of(effect) == "A" else (Link.REPORT_TO_MOTION,)
@@ -191,7 +191,7 @@ def links_of(effect: Effect) -> tuple[Link, ...]:
 def prior_of(effect: Effect, parameter: str, sizes: Mapping[str, float]) -> Prior:
     """The prior of a parameter in its own unit, for a vehicle of these sizes (keys as `Prior.times`).
 
-    Raises InputError for an effect that has none, and for a size that is not known.
+    Raises InputError for an effect without a prior, and for an unknown size.
     """
     prior = effect.priors.get(parameter)
     if prior is None:

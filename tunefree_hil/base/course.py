@@ -1,4 +1,4 @@
-"""A scenario made into numbers: what to drive (by time), and where (by station). Built by episode/scenario.py."""
+"""A scenario as tables: the plan by time, and the path by station. Built by episode/scenario.py."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ class Course(NamedTuple):
 
     By time, row k at k * dt_s, `ticks + 1` rows (look-ups beyond the end use the last row):
     station_m (path length driven), speed_mps, accel_mps2, and the road: grade_rad, friction_frac.
-    By station, row i at first_station_m + i * spacing_m: the path itself, prolonged straight on at both ends so that
-    the nose and the tail of the vehicle have something to project on. Station 0 is where the rear axle stands at t = 0.
+    By station, row i at first_station_m + i * spacing_m: the path itself, extended straight at both ends so
+    that every point of the vehicle has a projection. Station 0 is the position of the rear axle at t = 0.
     """
 
     dt_s: float
@@ -32,7 +32,7 @@ class Course(NamedTuple):
 
 
 class Start(NamedTuple):
-    """Where the vehicle stands at tick 0: rear axle's middle, and rolling at speed_mps in drive gear."""
+    """Start of the vehicle at tick 0: centre of the rear axle, rolling at speed_mps in drive gear."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -41,12 +41,12 @@ class Start(NamedTuple):
 
 
 class Tracking(NamedTuple):
-    """What the reference follower says at one tick; the columns of docs/reference/files.md of the same names.
+    """Output of the reference follower at one tick; the columns of the same names in docs/reference/files.md.
 
     ref_x/y/heading/curvature: the point of the current trajectory nearest to the centre of mass. ref_speed/accel: the
     current trajectory at this time. Lateral and heading error: vehicle - reference, at the centre of mass, left
     positive. Station and speed error: reference - vehicle, at the rear axle, positive = behind. `path_*`: the same
-    errors against the original path, whatever was re-planned.
+    errors against the original path, independent of re-plans.
     """
 
     ref_x_m: float = NAN

@@ -1,11 +1,11 @@
-"""Mistakes and failures, as a tree. Outcomes of a drive (diverged, left the lane) are data, not exceptions.
+"""The exceptions of the package. Outcomes of a drive (diverged, left the lane) are data, not exceptions.
 
 TunefreeError
-├── InputError      2   what the user gave does not fit: file, key, what was expected, what to do
-├── BenchError      3   the bench failed: a node lost, a time-out, a bus that refused
-│   ├── PeerGone        a peer of the bus is gone; carries its name
-│   └── NoAnswer        a peer is there but does not answer in time
-└── NotValid        4   finished, but the result must not be used (was not real time)
+├── InputError      2   the user's input is not valid: file, key, expectation, remedy
+├── BenchError      3   the bench failed: a node ended, a time-out, a bus error
+│   ├── PeerGone        a peer of the bus has ended; contains its name
+│   └── NoAnswer        a peer does not answer in time
+└── NotValid        4   finished, but the result must not be used (not real time)
 
 The number is the exit status (docs/reference/files.md).
 """
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 
 class TunefreeError(Exception):
-    """Base of all. `code` is a short constant word for machines, the rest is for a person."""
+    """Base of all. `code` is a short constant for programs, the rest is for the user."""
 
     exit_status = 1
 
@@ -37,7 +37,7 @@ class TunefreeError(Exception):
 
 
 class InputError(TunefreeError):
-    """What the user gave does not fit."""
+    """The user's input is not valid."""
 
     exit_status = 2
 
@@ -49,7 +49,7 @@ class BenchError(TunefreeError):
 
 
 class PeerGone(BenchError):
-    """A peer of the bus is gone. `peer` is the name it gave at hello."""
+    """A peer of the bus has ended. `peer` is the name in its hello."""
 
     def __init__(self, peer: str, message: str = "", **more: str) -> None:
         super().__init__(message or f"{peer} is gone from the bus", **more)

@@ -1,4 +1,4 @@
-"""What a job tells whoever runs it: the command line prints it, a terminal app draws it, a test lists it."""
+"""Events of a job for its caller: the command line, a terminal app or a test."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 
 class Event(NamedTuple):
-    """kind: 'note' (one line), 'warning', 'progress' (data: done, total, eta_s, ...), 'line' (a job's product, for
-    stdout), 'result' (the last one). data['resume'] of any event: the command that goes on after Ctrl-C.
+    """kind: 'note' (one line), 'warning', 'progress' (data: done, total, eta_s, ...), 'line' (output for
+    stdout), 'result' (the last one). data['resume'] of any event: the command that continues after Ctrl-C.
 
-    A result's data holds `sentence`, `next` (commands that work as pasted), `status` and whatever `--json` gives.
+    The data of a result: `sentence`, `next` (commands to paste), `status` and the content of `--json`.
     """
 
     kind: str

@@ -1,11 +1,11 @@
-"""The one contract for everything that moves through time: the Block (docs/reference/design.md).
+"""The Block: the interface of every dynamic part.
 
-`step(params, state, x, dt_s) -> (state, y)`: params are frozen, state is passed by hand, and after a step the old
-state is dead (a step may reuse the buffers it owns). The same source runs tick by tick on the bus as plain Python and,
-in a process started with TUNEFREE_JIT=1, compiled by numba. Both give the same bits, so kernels obey what
+`step(params, state, x, dt_s) -> (state, y)`: params are constant, the state is passed explicitly, and after a step
+the old state must not be used (its buffers may be reused). The same source runs on the bus as plain Python and, in a
+process started with TUNEFREE_JIT=1, compiled by numba. Both give the same bits, so kernels obey what
 tests/test_kernels.py checks: `math` functions only, no `**`, no `hypot`, no `fmod`, guarded divisions, explicit loops.
 
-TUNEFREE_JIT=1 compiles every kernel for itself; TUNEFREE_JIT=batch only what `compiled` wraps, with all that it calls.
+TUNEFREE_JIT=1 compiles every kernel; TUNEFREE_JIT=batch only those wrapped by `compiled`, with all kernels they call.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 def kernel(function: F) -> F:
     """Mark `function` as a kernel; where kernels are compiled, compile it.
 
-    Never `cache=True`: a cached caller would keep the old code of an edited callee.
+    Not with `cache=True`: a cached caller would keep the old code of an edited callee.
     """
     if not JITTED:
         function.__dict__["kernel"] = True
@@ -57,9 +57,9 @@ def buffer(length: int, fill: float = 0.0) -> Any:
 
 
 def compiled(function: F) -> F:
-    """`function`, a kernel, compiled with all that it calls in a batch's process, else as it is.
+    """In a batch process the kernel `function` compiled with all kernels that it calls, else `function`.
 
-    Its arguments may hold buffers, its answer numbers only: nothing in it counts references to arrays.
+    Its arguments may contain buffers, its result numbers only, as references to arrays are not counted.
     """
     if not BATCH:
         return function
@@ -78,17 +78,17 @@ def compiled(function: F) -> F:
 
 
 def compiler_errors() -> tuple[type[Exception], ...]:
-    """What a compiled kernel raises at its first call where the compiler does not take its code."""
+    """Exceptions of a compiled kernel at its first call if its code cannot be compiled."""
     from numba.core.errors import NumbaError
 
     return (NumbaError,)
 
 
 def kept(function: F) -> F:
-    """`function`, a kernel that Python calls, with what the compiler makes of it kept in the user's cache folder.
+    """The kernel `function`, called from Python, with its compiled code in the user's cache folder.
 
-    In a process started with TUNEFREE_JIT=1 only; where the cache does not have it, a process beside this one compiles
-    it, so that this one never has the compiler's memory.
+    Only with TUNEFREE_JIT=1. Code that is not in the cache is compiled in another process, so that this one does not
+    need the compiler's memory.
     """
     if JITTED:
         dispatcher = cast(Any, function)
@@ -97,7 +97,7 @@ def kept(function: F) -> F:
 
 
 def callees(function: Callable[..., Any]) -> list[Callable[..., Any]]:
-    """The kernels that a kernel calls, and they in turn, without itself: found by name in globals and closures."""
+    """The kernels that a kernel calls, directly or not, without itself: found by name in globals and closures."""
     callees: dict[Any, None] = {}
     todo: list[Any] = [function]
     while todo:

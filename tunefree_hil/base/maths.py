@@ -1,4 +1,4 @@
-"""Small kernels that several floors share."""
+"""Small kernels that several packages share."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The open-loop map that lies in a `calibration.npz`: triples of speed, acceleration and command (brake negative).
+"""The open-loop map in a `calibration.npz`: triples of speed, acceleration and command (brake negative).
 
 The controller reads it backwards (acceleration -> command), the plant `rule_based` forwards (command -> acceleration).
-Either way the triples are rows by speed: linear within a row, linear between rows, held at the ends.
+In both cases the triples are rows by speed: linear within a row, linear between rows, constant beyond the ends.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ UNREADABLE = (OSError, ValueError, TypeError, EOFError, RuntimeError, BadZipFile
 
 
 class Refusal(NamedTuple):
-    """What a reader's errors say: code and key of a file that is not there, code of one that is no map, the hint."""
+    """Errors of a reader: code and key of a missing file, code of a file that is no map, hint."""
 
     missing: str
     unfit: str
@@ -50,7 +50,7 @@ class SpeedRows(NamedTuple):
 
 
 def read_triples(path: Path, refusal: Refusal) -> Triples:
-    """The triples of a `calibration.npz`, at least one. Raises InputError that says what is wrong with the file."""
+    """The triples of a `calibration.npz`, at least one. Raises InputError for a file that is not valid."""
     if not path.is_file():
         code, key = refusal.missing, refusal.missing_key
         raise InputError("no such file", code=code, file=str(path), key=key, hint=refusal.hint)
@@ -71,7 +71,7 @@ def read_triples(path: Path, refusal: Refusal) -> Triples:
 
 
 def _columns(path: Path) -> dict[str, np.ndarray]:
-    """Those of KEYS that the file has."""
+    """The arrays of KEYS in the file."""
     with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
         return {key: np.asarray(archive[key], dtype=np.float64) for key in KEYS if key in archive.files}
 
@@ -81,9 +81,9 @@ def _unfit(message: str, path: Path, refusal: Refusal) -> InputError:
 
 
 def rows_by_speed(speed_mps: Sequence[float], keys: Sequence[float], value: Sequence[float]) -> SpeedRows:
-    """Rows of `value` over `at`; of a repeated (speed, at) pair the last one counts (docs/reference/apollo.md).
+    """Rows of `value` over `at`; of a repeated (speed, at) pair the last one is used (docs/reference/apollo.md).
 
-    Raises ValueError for columns that are not equally long, or empty.
+    Raises ValueError for columns of unequal length, or empty ones.
     """
     rows: dict[float, dict[float, float]] = {}
     for speed, place, row_value in zip(speed_mps, keys, value, strict=True):
@@ -101,7 +101,7 @@ def rows_by_speed(speed_mps: Sequence[float], keys: Sequence[float], value: Sequ
 
 @kernel
 def value_in_row(rows: SpeedRows, row: int, key: float) -> float:
-    """Linear within one speed, held at the ends."""
+    """Linear within one speed, constant beyond the ends."""
     places, values = rows.at, rows.value
     low, high = int(rows.first[row]), int(rows.first[row + 1]) - 1
     if key <= places[low]:
@@ -115,7 +115,7 @@ def value_in_row(rows: SpeedRows, row: int, key: float) -> float:
 
 @kernel
 def value_at(rows: SpeedRows, speed_mps: float, key: float) -> float:
-    """Linear between the two bracketing speeds, held at the ends."""
+    """Linear between the two bracketing speeds, constant beyond the ends."""
     speeds = rows.speed_mps
     last = len(speeds) - 1
     if speed_mps <= speeds[0]:

@@ -1,18 +1,18 @@
-"""The interpreter's command of a process of ours: what lies in a person's folder is not what it runs."""
+"""The command of a Python process of the package, which ignores modules in the working folder."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]  # the folder that the package lies in
+ROOT = Path(__file__).resolve().parents[2]  # the folder of the package
 
 
 def own_python(module: str, *words: str) -> list[str]:
-    """`python -m module words`, without the working folder among the places of modules.
+    """`python -m module words`, without the working folder in the module path.
 
-    `-m` alone would take a `can.py` or a `signal.py` of a person's folder for the library's, and a second checkout's
-    package for the installed one. In our checkout's own folder it stays: there the package need not be installed.
+    With it, a `can.py` or a `signal.py` of the user would hide the library's, and a second checkout the installed
+    package. In the checkout of this package it is kept, as the package need not be installed there.
     """
     return [sys.executable, *([] if _in_checkout() else ["-P"]), "-m", module, *words]
 
@@ -20,5 +20,5 @@ def own_python(module: str, *words: str) -> list[str]:
 def _in_checkout() -> bool:
     try:
         return Path.cwd() == ROOT
-    except FileNotFoundError:  # a folder that was removed under whoever works in it
+    except FileNotFoundError:  # the working folder was removed
         return False

@@ -14,7 +14,7 @@ from typing import Any
 
 from tunefree_hil.base.errors import InputError
 
-FAILURES = (  # of a file that is run: its grammar, what it imports, what it does
+FAILURES = (  # of running a file: syntax, imports, execution
     *(SyntaxError, ImportError, NameError, AttributeError, TypeError, ValueError, LookupError),
     *(ArithmeticError, AssertionError, RuntimeError, OSError),
 )
@@ -29,8 +29,8 @@ def names(package: str) -> list[str]:
 def load(package: str, name: str, export: str, kind: type | None = None) -> Any:
     """The constant `export` of the part `name` of `package`, or of the user's own 'path/to/file.py:EXPORT'.
 
-    Raises InputError that names the parts there are, or the line at which the user's file does not load, or what its
-    export is instead of a `kind`.
+    Raises InputError with the existing parts, the line at which the user's file fails, or the type of an export that
+    is not a `kind`.
     """
     if ":" in name:
         part = _from_path(name)
@@ -61,9 +61,9 @@ def _from_path(name: str) -> Any:
 
 @lru_cache
 def _module(path: Path, text: bytes) -> ModuleType:
-    """A user's file as a module, loaded again when its text is another one.
+    """A user's file as a module, loaded again only when its text has changed.
 
-    The compiler tells types by their classes: loaded each time, its params would be of another type each time.
+    The compiler distinguishes types by class: a new load would give new types and a new compilation.
     """
     spec = importlib.util.spec_from_file_location(f"tunefree_user_{path.stem}", path)
     if spec is None or spec.loader is None:
@@ -83,7 +83,7 @@ def _module(path: Path, text: bytes) -> ModuleType:
 
 
 def _line_in(path: Path, error: Exception) -> int:
-    """The last line of the user's file that an error came through."""
+    """The last line of the user's file in the traceback."""
     if isinstance(error, SyntaxError) and error.filename == str(path):
         return error.lineno or 1
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]

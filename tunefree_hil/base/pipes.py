@@ -1,7 +1,7 @@
-"""A helper process and the messages with it, over its standard input and output.
+"""A helper process, and messages over its standard input and output.
 
-A `Helper` is the starter's end, `serve` the helper's. A message is its length (8 bytes, little-endian) and a pickle:
-both ends are the same program on one machine.
+`Helper` is the side of the parent, `serve` that of the helper. A message is its length (8 bytes, little-endian) and
+a pickle, as both sides are the same program on one machine.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from tunefree_hil.base.errors import PeerGone
 from tunefree_hil.base.own_python import own_python
 
 LENGTH_BYTES = 8
-LAST_LINES = 12  # of what a helper printed, where it dies
-END_S = 5.0  # from its last sign of life to its exit status
+LAST_LINES = 12  # of the helper's output, quoted when it has ended
+END_S = 5.0  # from its last output to its exit status
 
 
 class Loss(NamedTuple):
-    """What the PeerGone of a lost helper says: `subject` begins its message ("the process that fits")."""
+    """Content of PeerGone for a lost helper; `subject` begins its message ("the process that fits")."""
 
     peer: str
     subject: str
@@ -38,13 +38,13 @@ class Loss(NamedTuple):
 class Helper:
     """A module of ours that runs as a process of its own and ends with this one. The module calls `serve`.
 
-    variables: what its environment has beside, or instead of, ours. `ask`, `say` and `hear` raise PeerGone, with the
-    end of what the process printed, where it is lost.
+    variables: added to, or instead of, those of this process. `ask`, `send_request` and `receive_answer` raise PeerGone
+    with the end of the output of the process, where it is lost.
     """
 
     def __init__(self, module: str, variables: Mapping[str, str], loss: Loss) -> None:
         self._loss = loss
-        self._words = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
+        self._words = tempfile.TemporaryFile()  # noqa: SIM115 - needed as long as the process
         self.process = subprocess.Popen(
             own_python(module),
             stdin=subprocess.PIPE,
@@ -56,23 +56,23 @@ class Helper:
         self._answers = cast(BinaryIO, self.process.stdout)
 
     def ask(self, message: Any) -> Any:
-        """Send it a request and wait for its one answer."""
+        """Send a request and wait for its only answer."""
         with self._whole():
             send(self._requests, message)
             return receive(self._answers)
 
-    def say(self, message: Any) -> None:
-        """Send it a request that has several answers; whoever does not `hear` them all closes it."""
+    def send_request(self, message: Any) -> None:
+        """Send a request with several answers; a caller that does not receive all of them closes the helper."""
         with self._whole():
             send(self._requests, message)
 
-    def hear(self) -> Any:
-        """Wait for its next answer."""
+    def receive_answer(self) -> Any:
+        """Wait for the next answer."""
         with self._whole():
             return receive(self._answers)
 
     def close(self) -> None:
-        """End the process, whatever it does."""
+        """End the process at once."""
         if self.process.poll() is None:
             self.process.kill()
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -83,13 +83,13 @@ class Helper:
 
     @contextlib.contextmanager
     def _whole(self) -> Iterator[None]:
-        """What was said or heard by halves cannot be gone on with."""
+        """Raise PeerGone for a message that was cut off; end the process on an interrupt."""
         try:
             yield
         except (EOFError, BrokenPipeError) as error:
             raise self._lost() from error
         except KeyboardInterrupt:
-            self.process.kill()  # half an answer may be under way: nobody can ask it again
+            self.process.kill()  # an answer may be incomplete, so no further request is possible
             raise
 
     def _lost(self) -> PeerGone:
@@ -109,25 +109,25 @@ def send(pipe: BinaryIO, message: Any) -> None:
 
 
 def receive(pipe: BinaryIO) -> Any:
-    """Read a message. Raises EOFError where the other side is gone."""
+    """Read a message. Raises EOFError when the other side has ended."""
     size = int.from_bytes(_exactly(pipe, LENGTH_BYTES), "little")
-    return pickle.loads(_exactly(pipe, size))  # from our own parent or child only
+    return pickle.loads(_exactly(pipe, size))  # from parent or child process only
 
 
 def serve() -> tuple[queue.SimpleQueue[Any], BinaryIO]:
-    """(requests as they come, where answers go) of a helper; from now on it ends at once when its parent does."""
-    # Unbuffered: the listening thread then holds no lock that the end of this process would wait for.
+    """(queue of requests, pipe for answers) of a helper; from now on it ends with its parent."""
+    # Unbuffered: the listening thread then holds no lock that would block the end of this process.
     requests = cast(BinaryIO, os.fdopen(os.dup(sys.stdin.fileno()), "rb", buffering=0))
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what anybody prints must not disturb the answers
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # printed text must not get into the answers
     todo: queue.SimpleQueue[Any] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(requests, todo), daemon=True).start()
     return todo, answers
 
 
 def _listen(pipe: BinaryIO, todo: queue.SimpleQueue[Any]) -> None:
-    """Hand on requests; the parent's end is ours, whatever is being worked on. So is a request that cannot be read:
-    nobody would answer it, and the parent would wait for ever.
+    """Queue requests; end this process with the parent, also during a request, and for a request that cannot be read,
+    as the parent would wait for its answer forever.
     """
     try:
         while True:

@@ -1,9 +1,9 @@
-"""The records that flow round the loop, in the order in which they flow.
+"""The records of the control loop, in the order of the signal flow.
 
 Units are in the names, SI. Axes ISO 8855: x forward, y left; yaw, steer and curvature positive to the left.
-`steer_rad` is the steering *wheel* angle; `road_wheel_rad` says so. Pedal fractions are duty as on the wire
-(MKZ: 0.15 at rest). A value that a vehicle does not have is NaN; which ones those are is known when a bench is built
-(`VehicleSpec.absent`), never guessed from the value.
+`steer_rad` is the steering *wheel* angle, `road_wheel_rad` that of the road wheels. Pedal fractions are duty as on
+the wire (MKZ: 0.15 at rest). A value that a vehicle does not have is NaN; these fields are known when a bench is built
+(`VehicleSpec.absent`).
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 
 NAN = math.nan
 
-# Gear codes inside the project; the vehicle folder's `scale` maps the wire's own codes.
+# Gear codes inside the project; the vehicle folder's `scale` maps the codes on the wire.
 GEAR_NONE, GEAR_PARK, GEAR_REVERSE, GEAR_NEUTRAL, GEAR_DRIVE, GEAR_LOW = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
 
 
 class Command(NamedTuple):
-    """What the controller asks the vehicle for; the fields of `[command.*]` in vehicle.toml, in this order."""
+    """Command of the controller to the vehicle; the fields of `[command.*]` in vehicle.toml, in this order."""
 
     throttle_frac: float = NAN
     brake_frac: float = NAN
@@ -29,14 +29,14 @@ class Command(NamedTuple):
 
 
 class Disturbance(NamedTuple):
-    """What the road does at this tick; drawn from the scenario before tick 0."""
+    """The road at this tick; read from the scenario before tick 0."""
 
     grade_rad: float = 0.0  # up positive
     friction_frac: float = 1.0
 
 
 class Actuation(NamedTuple):
-    """What the by-wire actuators put out; what the plant takes."""
+    """Output of the by-wire actuators, input of the plant."""
 
     throttle_frac: float
     brake_frac: float
@@ -45,9 +45,9 @@ class Actuation(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """True motion of the vehicle: pose of the rear axle's middle, velocities and specific force at the centre of mass.
+    """True motion of the vehicle: pose of the rear axle centre, velocities and specific force at the centre of mass.
 
-    accel_mps2, lateral_accel_mps2 are specific force as an accelerometer gives it (gravity included, a grade shows);
+    accel_mps2, lateral_accel_mps2 are specific force as an accelerometer measures it (gravity included);
     speed_rate_mps2 is the rate of the forward speed.
     """
 
@@ -67,7 +67,7 @@ class Motion(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What the chassis frames say; the fields of `[report.*]`, in this order (wheel_speed_radps is four fields)."""
+    """Content of the chassis frames; the fields of `[report.*]`, in this order (wheel_speed_radps is four fields)."""
 
     throttle_input_frac: float = NAN
     throttle_command_frac: float = NAN
@@ -92,7 +92,7 @@ class Report(NamedTuple):
 
 
 class Ins(NamedTuple):
-    """What the INS frames say; the fields of `[ins.*]`, in this order. Point and frame: `[ins_frame]`."""
+    """Content of the INS frames; the fields of `[ins.*]`, in this order. Point and frame: `[ins_frame]`."""
 
     x_m: float = NAN
     y_m: float = NAN
@@ -103,7 +103,7 @@ class Ins(NamedTuple):
 
 
 class Measurement(NamedTuple):
-    """All that a controller may know of the vehicle: its chassis reports and the INS."""
+    """Measurements for the controller: chassis reports and INS."""
 
     report: Report
     ins: Ins
@@ -114,7 +114,7 @@ WHEEL_FIELDS = ("wheel_fl_radps", "wheel_fr_radps", "wheel_rl_radps", "wheel_rr_
 
 
 class CanFrame(NamedTuple):
-    """One frame, below meaning. `time_s` is the bus's time stamp (virtual time in lockstep)."""
+    """One raw frame. `time_s` is the bus's time stamp (virtual time in lockstep)."""
 
     id: int
     data: bytes

@@ -1,4 +1,4 @@
-"""Conversion factors. SI inside; other units exist only at the edges (bus, config, cli, figures)."""
+"""Conversion factors. SI inside; other units only in bus, config, cli and figures."""
 
 import math
 

@@ -1,7 +1,7 @@
-"""State bits from the by-wire unit's status to what the controller makes of them, as a kernel: no frames in between.
+"""State bits from the by-wire unit's status to the controller's decoded state, as a kernel without frames.
 
-The rules are those of nodes/status_bits.py (what a report says) and nodes/measurement_decoder.py (what that means),
-as tables of numbers; tests/batch/test_bits.py holds them against each other over random statuses.
+The rules are those of nodes/status_bits.py (encoding) and nodes/measurement_decoder.py (decoding) as tables of numbers;
+tests/batch/test_bits.py compares both over random statuses.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from tunefree_hil.nodes.handshake import VehicleState
 from tunefree_hil.nodes.status_bits import COUNTER_CAUSE
 from tunefree_hil.plant.actuation.bywire import CAUSES, ByWireStatus, ChannelStatus
 
-NEVER, CAUSE, BRAKING, GEAR, CHANNEL = 0.0, 1.0, 2.0, 3.0, 4.0  # what a row looks at
-DISABLED, OVERRIDE, FAULT = 0, 1, 2  # what a message may say, three numbers a message
+NEVER, CAUSE, BRAKING, GEAR, CHANNEL = 0.0, 1.0, 2.0, 3.0, 4.0  # status that a row reads
+DISABLED, OVERRIDE, FAULT = 0, 1, 2  # flags of a message, three numbers a message
 CHANNELS = ("throttle", "brake", "steer")
 ANY = 3.0
 SIGNS = {"override": OVERRIDE, "fault": FAULT, "timeout": FAULT, "watchdog": FAULT}
@@ -32,20 +32,20 @@ class BitParams(NamedTuple):
     channel: Any
     field: Any  # of ChannelStatus, or the watchdog's code
     active: Any
-    said: Any  # what is read where `active` was written
+    read_back: Any  # value decoded where `active` was written
     sign: Any  # DISABLED, OVERRIDE, FAULT; -1: a warning only
-    rest: Any  # of a signal: what is read where no row holds
-    enables: Any  # of a message: 1 where its enable bits must have been heard
+    rest: Any  # of a signal: value decoded where no row is active
+    enables: Any  # of a message: 1 where its enable bits must have been received
 
 
 class BitState(NamedTuple):
-    """Buffers: what each message says now and what was heard of it (three a message), who was heard, scratch."""
+    """Buffers: current and received status of each message (three values each), received messages, scratch."""
 
-    now: Any
-    heard: Any
+    current: Any
+    received: Any
     known: Any
     value: Any
-    told: Any
+    decoded: Any
 
 
 def bit_params(messages: Sequence[MessageMap]) -> BitParams:
@@ -61,7 +61,7 @@ def bit_params(messages: Sequence[MessageMap]) -> BitParams:
         for state in message.states:
             read_back = _read_back(message, state.signal, state.active)
             column = float(first_signal[-1] + names.index(state.signal))
-            rows.append((column, *_looks_at(state), float(state.active), read_back, _sign(state)))
+            rows.append((column, *_status_source(state), float(state.active), read_back, _effect_index(state)))
         first_row.append(len(rows))
         first_signal.append(first_signal[-1] + len(names))
     columns = [table(row[i] for row in rows) for i in range(7)]
@@ -70,7 +70,7 @@ def bit_params(messages: Sequence[MessageMap]) -> BitParams:
 
 
 def init_bits(params: BitParams) -> BitState:
-    """Nothing heard yet."""
+    """Nothing received yet."""
     messages, signals = len(params.enables), max(len(params.rest), 1)
     three = 3 * max(messages, 1)
     return BitState(buffer(three), buffer(three), buffer(max(messages, 1)), buffer(signals), buffer(signals))
@@ -78,7 +78,7 @@ def init_bits(params: BitParams) -> BitState:
 
 @kernel
 def holds(kind: float, channel: float, field: float, status: ByWireStatus) -> bool:
-    """Whether what a row looks at holds."""
+    """Whether the status of a row is active."""
     if kind == CAUSE:
         return status.watchdog_cause == field
     if kind == BRAKING:
@@ -96,44 +96,44 @@ def holds(kind: float, channel: float, field: float, status: ByWireStatus) -> bo
 
 
 @kernel
-def say_bits(p: BitParams, state: BitState, status: ByWireStatus) -> None:
-    """What each message would say of a status: to be called when the status has changed."""
-    value, decoded = state.value, state.told
+def set_bits(p: BitParams, state: BitState, status: ByWireStatus) -> None:
+    """Set the flags of each message for a status; to be called when the status has changed."""
+    value, decoded = state.value, state.decoded
     for i in range(len(p.rest)):
         value[i], decoded[i] = float(p.rest[i]), 0.0
     for i in range(len(p.kind)):
         column = int(p.signal[i])
         if decoded[column] == 0.0 and holds(float(p.kind[i]), float(p.channel[i]), float(p.field[i]), status):
-            value[column], decoded[column] = float(p.said[i]), 1.0
+            value[column], decoded[column] = float(p.read_back[i]), 1.0
     for m in range(len(p.enables)):
         for j in range(3):
-            state.now[3 * m + j] = 0.0
+            state.current[3 * m + j] = 0.0
         for i in range(int(p.first_row[m]), int(p.first_row[m + 1])):
             sign = int(p.sign[i])
             if sign >= 0:
                 hit = value[int(p.signal[i])] == p.active[i]
-                if hit != (sign == DISABLED):  # an enabled bit speaks when it is not set
-                    state.now[3 * m + sign] = 1.0
+                if hit != (sign == DISABLED):  # an enable bit counts when it is not set
+                    state.current[3 * m + sign] = 1.0
 
 
 @kernel
-def hear_bits(state: BitState, m: int) -> None:
-    """The controller hears message m."""
+def receive_bits(state: BitState, m: int) -> None:
+    """The controller receives message m."""
     for j in range(3):
-        state.heard[3 * m + j] = float(state.now[3 * m + j])
+        state.received[3 * m + j] = float(state.current[3 * m + j])
     state.known[m] = 1.0
 
 
 @kernel
 def vehicle_state(p: BitParams, state: BitState) -> VehicleState:
-    """All that has been heard, together."""
+    """The state from all received messages."""
     known, disabled, override, fault = True, False, False, False
     for m in range(len(p.enables)):
         if p.enables[m] > state.known[m]:
             known = False
-        disabled = disabled or state.heard[3 * m + DISABLED] > 0.5
-        override = override or state.heard[3 * m + OVERRIDE] > 0.5
-        fault = fault or state.heard[3 * m + FAULT] > 0.5
+        disabled = disabled or state.received[3 * m + DISABLED] > 0.5
+        override = override or state.received[3 * m + OVERRIDE] > 0.5
+        fault = fault or state.received[3 * m + FAULT] > 0.5
     return VehicleState(known, not disabled, override, fault)
 
 
@@ -145,7 +145,7 @@ class StatusSource(NamedTuple):
     field: float
 
 
-def _looks_at(state: StateMap) -> StatusSource:
+def _status_source(state: StateMap) -> StatusSource:
     """The status that a condition of the vehicle folder reads."""
     if state.condition == "watchdog":
         if state.cause:
@@ -163,15 +163,15 @@ def _looks_at(state: StateMap) -> StatusSource:
     return StatusSource(CHANNEL, channel, float(ChannelStatus._fields.index(state.condition)))
 
 
-def _sign(state: StateMap) -> float:
-    """What a row tells the controller; -1 for nothing."""
+def _effect_index(state: StateMap) -> float:
+    """Index of the flag that a row sets; -1 for none."""
     if state.effect == "warn":
         return -1.0
     return float(DISABLED if state.condition == "enabled" else SIGNS.get(state.condition, -1))
 
 
 def _read_back(message: MessageMap, name: str, value: float) -> float:
-    """What the other side reads of a raw value written into a signal of its width."""
+    """The raw value that is decoded from a signal of this width."""
     signal = message.signals[name]
     sign = 1 << (signal.bits - 1) if signal.signed else 0
     return float(((int(value) & signal.mask) ^ sign) - sign)

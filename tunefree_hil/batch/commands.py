@@ -1,7 +1,7 @@
-"""From the controller's command to what the by-wire unit hears of it, as kernels: no frames in between.
+"""From the controller's command to the command received by the by-wire unit, as kernels without frames.
 
-The rules are those of nodes/controller.py (which frames go out) and nodes/command_decoder.py (what the vehicle makes
-of them). Clear frames are left out: a drive that needs one is not the batch's (`episode.NEEDS_THE_BUS`).
+The rules are those of nodes/controller.py (frames sent) and nodes/command_decoder.py (frames received). Clear frames
+are not modelled: a drive that needs one cannot run in the batch (`episode.NEEDS_THE_BUS`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from tunefree_hil.bus.dbc.codec import Codec, MessageMap
 from tunefree_hil.bus.dbc.integrity import E2eStatus
 from tunefree_hil.bus.dbc.message_map import FieldMap
 from tunefree_hil.bus.dbc.wire_block import WireParams, WireState, fields_of, transmit, wire
-from tunefree_hil.plant.actuation.bywire import Heard, HeardChannel
+from tunefree_hil.plant.actuation.bywire import ReceivedChannel, ReceivedCommand
 
 CHANNELS = ("throttle", "brake", "steer", "gear")
 PLACES = {"throttle": "throttle_frac", "brake": "brake_frac", "steer": "steer_rad", "gear": "gear"}
@@ -23,8 +23,8 @@ NOT_PROVEN = float(E2eStatus.INITIAL)
 
 
 class CommandParams(NamedTuple):
-    """By field of the wire: its message, and what is read where raw 0 is sent. By message: period, has an enable bit,
-    frames that are not believed, is protected. By channel of CHANNELS: its message and place in Command, -1 for none.
+    """By field of the wire: its message, and the value decoded from raw 0. By message: period, has an enable bit,
+    rejected first frames, is protected. By channel of CHANNELS: its message and place in Command, -1 for none.
     """
 
     wire: WireParams
@@ -99,35 +99,35 @@ def send_quiet(p: CommandParams, state: CommandState) -> None:
 
 @kernel
 def send_nothing(p: CommandParams, state: CommandState) -> None:
-    """Silence."""
+    """Send no frame."""
     for m in range(len(p.period_ticks)):
         state.fresh[m] = 0.0
 
 
 @kernel
-def heard_channel(p: CommandParams, state: CommandState, channel: int) -> HeardChannel:
-    """What the unit hears on a by-wire channel at this tick."""
+def received_channel(p: CommandParams, state: CommandState, channel: int) -> ReceivedChannel:
+    """The command received on a by-wire channel at this tick."""
     m = int(p.channel_message[channel])
     if m < 0:
-        return HeardChannel(0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+        return ReceivedChannel(0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
     believed = state.sent[m] > p.unproven[m]
     doubt = 0.0 if believed or p.protected[m] < 0.5 else NOT_PROVEN
     if not believed or state.fresh[m] < 0.5:
-        return HeardChannel(0.0, 0.0, 0.0, 0.0, 1.0, 0.0, doubt)
+        return ReceivedChannel(0.0, 0.0, 0.0, 0.0, 1.0, 0.0, doubt)
     place = int(p.channel_place[channel])
     value = float(state.wire.sent[place]) if place >= 0 else 0.0
     enabled = float(state.enabled[m]) if p.enable[m] > 0.5 else 1.0
-    return HeardChannel(value, enabled, 0.0, 0.0, 1.0, 1.0, doubt)
+    return ReceivedChannel(value, enabled, 0.0, 0.0, 1.0, 1.0, doubt)
 
 
 @kernel
-def heard_commands(p: CommandParams, state: CommandState) -> Heard:
-    """All that the unit hears at this tick."""
-    gear = heard_channel(p, state, 3)
-    return Heard(
-        heard_channel(p, state, 0),
-        heard_channel(p, state, 1),
-        heard_channel(p, state, 2),
+def received_command(p: CommandParams, state: CommandState) -> ReceivedCommand:
+    """All commands received at this tick."""
+    gear = received_channel(p, state, 3)
+    return ReceivedCommand(
+        received_channel(p, state, 0),
+        received_channel(p, state, 1),
+        received_channel(p, state, 2),
         gear.value if gear.fresh > 0.5 else GEAR_NONE,
         0.0,
     )
@@ -151,7 +151,7 @@ def _place_of(channel: str, messages: tuple[MessageMap, ...], start: int) -> int
 
 
 def _silent(field: FieldMap) -> float:
-    """The value read where every signal of a field is raw 0, as Codec.decode and values read it."""
+    """The value that Codec.decode and values give where every signal of a field is raw 0."""
     total = 0.0
     for term in field.terms:
         total += (0 * term.signal.factor + term.signal.offset) * term.scale

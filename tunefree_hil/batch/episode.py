@@ -1,8 +1,7 @@
-"""One drive in one kernel: ECU, bus and controller tick by tick as the nodes go (docs/explanation/architecture.md,
-one tick).
+"""One drive in one kernel: ECU, bus and controller tick by tick as in the nodes (docs/explanation/architecture.md).
 
-It ends with the course, or at the tick at which the controller says a failure. Rows: what is on the bus and what the
-reference follower says of it, column by column, as episode/columns.py reads them off a log.
+It ends with the course, or at the tick at which the controller fails. Rows: values on the bus and the output of the
+reference follower, column by column, as episode/columns.py reads them from a log.
 """
 
 from __future__ import annotations
@@ -12,20 +11,20 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.base.kernel import compiled, kernel
 from tunefree_hil.base.records import Disturbance, Ins, Measurement
-from tunefree_hil.batch.bits import BitParams, BitState, hear_bits, say_bits, vehicle_state
+from tunefree_hil.batch.bits import BitParams, BitState, receive_bits, set_bits, vehicle_state
 from tunefree_hil.batch.commands import (
     CommandParams,
     CommandState,
-    heard_commands,
+    received_command,
     send,
     send_nothing,
     send_quiet,
 )
 from tunefree_hil.bus.dbc.wire_block import WireParams, WireState, ins_heard, pass_on, report_heard
-from tunefree_hil.control.cascade import Sight
+from tunefree_hil.control.cascade import ControllerInput
 from tunefree_hil.nodes.handshake import CLEARING, NOT_ENABLED, Limits, Progress, look
 from tunefree_hil.plant.actuation.bywire import ByWireStatus
-from tunefree_hil.plant.ecu import Said, UnitInput
+from tunefree_hil.plant.ecu import ReportedState, UnitInput
 from tunefree_hil.plant.types import Driver
 
 NEEDS_THE_BUS = -1.0  # an override latched before the take-over: clear frames are not modelled here
@@ -34,8 +33,8 @@ WIDTH = 52
 
 
 class LinkParams(NamedTuple):
-    """The bus between the two. bits: of the messages with states, whose period, phase and frames that are not believed
-    stand beside. missing_tick: at which the controller misses a needed message (-1: never). By stage: its error code.
+    """The bus. bits: of the messages with states, with their periods, phases and numbers of rejected first frames.
+    missing_tick: at which the controller lacks a needed message (-1: never). stage_codes: error code by stage.
     """
 
     report: WireParams
@@ -52,7 +51,7 @@ class LinkParams(NamedTuple):
 
 
 class WireStates(NamedTuple):
-    """What is under way. bit_sent: frames so far of each message with states."""
+    """States of the bus. bit_sent: frames sent of each message with states."""
 
     report: WireState
     ins: WireState
@@ -62,7 +61,7 @@ class WireStates(NamedTuple):
 
 
 class Setting(NamedTuple):
-    """What a drive is set in: length, road by tick, and the person in the seat (rows of 6; the last one stays)."""
+    """Setting of a drive: length, road by tick, and driver (rows of 6; the last one is kept)."""
 
     ticks: int
     dt_s: float
@@ -71,7 +70,7 @@ class Setting(NamedTuple):
     driver: Any
 
 
-class Rider(NamedTuple):
+class ControllerStart(NamedTuple):
     """Params and first state of controller and follower."""
 
     control: Any
@@ -80,12 +79,12 @@ class Rider(NamedTuple):
     follower_state: Any
 
 
-class Ridden(NamedTuple):
-    """Params, first state and first words of the vehicle."""
+class VehicleStart(NamedTuple):
+    """Params, first state and first reports of the vehicle."""
 
     params: Any
     state: Any
-    said: Said
+    reported: ReportedState
 
 
 class End(NamedTuple):
@@ -97,7 +96,7 @@ class End(NamedTuple):
 
 @kernel
 def same_status(a: ByWireStatus, b: ByWireStatus) -> bool:
-    """Whether all bits that a report may say are the same."""
+    """Whether all bits of the reports are the same."""
     for i in range(6):
         if a.throttle[i] != b.throttle[i] or a.brake[i] != b.brake[i] or a.steer[i] != b.steer[i]:
             return False
@@ -110,17 +109,17 @@ def same_status(a: ByWireStatus, b: ByWireStatus) -> bool:
 
 @kernel
 def publish_bits(p: LinkParams, state: WireStates, tick: int) -> None:
-    """The state bits that go out and are heard at this tick."""
+    """Send and receive the state bits that are due at this tick."""
     for m in range(len(p.bit_period)):
         if int(tick + p.bit_phase[m]) % int(p.bit_period[m]) == 0:  # not 0: a period is a tick or more
             state.bit_sent[m] += 1.0
             if state.bit_sent[m] > p.bit_unproven[m]:
-                hear_bits(state.bits, m)
+                receive_bits(state.bits, m)
 
 
 @kernel
 def driver_at(rows: Any, tick: int) -> Driver:
-    """The person in the seat."""
+    """The driver's inputs."""
     start = min(tick, len(rows) // 6 - 1) * 6
     return Driver(
         float(rows[start]), float(rows[start + 1]), float(rows[start + 2]),
@@ -130,7 +129,7 @@ def driver_at(rows: Any, tick: int) -> Driver:
 
 @kernel
 def ins_sent(state: WireState) -> Ins:
-    """The INS as a log has it."""
+    """The INS record as sent on the bus."""
     s = state.sent
     return Ins(float(s[0]), float(s[1]), float(s[2]), float(s[3]), float(s[4]), float(s[5]))
 
@@ -147,27 +146,29 @@ def write_row(out: Any, rows: int, tick: int, link: WireStates, tracking: Any) -
 
 
 def make_episode(control: Callable[..., Any], unit: Callable[..., Any], follow: Callable[..., Any]) -> Any:
-    """The kernel of a structure: drive(p, link, setting, rider, car, out) -> End.
+    """The kernel of a structure: drive(p, link, setting, controller, car, out) -> End.
 
     control, unit, follow: steps of the controller, the vehicle (plant/ecu.py) and the reference follower. out: a
-    buffer of WIDTH * ticks numbers. The states in `link`, `rider` and `car` are used up.
+    buffer of WIDTH * ticks numbers. The states in `link`, `controller` and `car` are overwritten.
 
-    The follower of the columns is the controller's own as long as that has seen what the log has; from the first tick
-    at which it has not (a protected INS frame it did not take, a step it threw away) it runs beside it.
+    The columns come from the controller's own follower as long as its input is that of the log; from the first tick
+    at which it differs (a rejected INS frame, a discarded step) a second follower runs on the logged input.
     """
 
     @kernel
-    def drive(p: LinkParams, link: WireStates, setting: Setting, rider: Rider, car: Ridden, out: Any) -> End:
+    def drive(
+        p: LinkParams, link: WireStates, setting: Setting, controller: ControllerStart, car: VehicleStart, out: Any
+    ) -> End:
         rows, dt_s = setting.ticks, setting.dt_s
-        control_state, follower_state = rider.control_state, rider.follower_state
-        car_state, reported, status = car.state, car.said, car.said.status
+        control_state, follower_state = controller.control_state, controller.follower_state
+        car_state, reported, status = car.state, car.reported, car.reported.status
         progress = Progress(0, 0, False)
         apart = False
-        say_bits(p.bits, link.bits, status)
+        set_bits(p.bits, link.bits, status)
         for k in range(rows):
             if not same_status(reported.status, status):
                 status = reported.status
-                say_bits(p.bits, link.bits, status)
+                set_bits(p.bits, link.bits, status)
             pass_on(p.report, link.report, reported.measurement.report)
             pass_on(p.ins, link.ins, reported.measurement.ins)
             publish_bits(p, link, k)
@@ -176,36 +177,38 @@ def make_episode(control: Callable[..., Any], unit: Callable[..., Any], follow: 
             if k == p.missing_tick:
                 code = p.missing_code
                 send_nothing(p.command, link.command)
-                follower_state, tracking = follow(rider.follower, follower_state, (k, fix), dt_s)
+                follower_state, tracking = follow(controller.follower, follower_state, (k, fix), dt_s)
             else:
                 progress = look(progress, k, vehicle_state(p.bits, link.bits), p.limits)
                 if progress.stage >= NOT_ENABLED or progress.stage == CLEARING:
                     code = float(p.stage_codes[progress.stage])
                     send_quiet(p.command, link.command)
-                    follower_state, tracking = follow(rider.follower, follower_state, (k, fix), dt_s)
+                    follower_state, tracking = follow(controller.follower, follower_state, (k, fix), dt_s)
                 else:
-                    seen = Measurement(report_heard(link.report), ins_heard(link.ins))
+                    measurement = Measurement(report_heard(link.report), ins_heard(link.ins))
                     before = control_state
-                    control_state, decision = control(rider.control, control_state, Sight(k, seen), dt_s)
+                    control_state, decision = control(
+                        controller.control, control_state, ControllerInput(k, measurement), dt_s
+                    )
                     send(p.command, link.command, k, decision.command)
                     code = decision.error_code
                     tracking = decision.tracking
                     if not apart:
                         thrown_away = decision.accel_cmd_mps2 != decision.accel_cmd_mps2
-                        if thrown_away or not same_ins(seen.ins, fix):
+                        if thrown_away or not same_ins(measurement.ins, fix):
                             apart = True
                             follower_state = before[0]
                     if apart:
-                        follower_state, tracking = follow(rider.follower, follower_state, (k, fix), dt_s)
+                        follower_state, tracking = follow(controller.follower, follower_state, (k, fix), dt_s)
                     else:
                         follower_state = control_state[0]
             write_row(out, rows, k, link, tracking)
             if code != 0.0:
                 return End(k + 1, code)
             road = Disturbance(float(setting.grade_rad[k]), float(setting.friction_frac[k]))
-            heard = heard_commands(p.command, link.command)
+            received = received_command(p.command, link.command)
             car_state, reported = unit(
-                car.params, car_state, UnitInput(heard, driver_at(setting.driver, k), road), dt_s
+                car.params, car_state, UnitInput(received, driver_at(setting.driver, k), road), dt_s
             )
         return End(rows, 0.0)
 
@@ -214,7 +217,7 @@ def make_episode(control: Callable[..., Any], unit: Callable[..., Any], follow: 
 
 @kernel
 def same_ins(a: Ins, b: Ins) -> bool:
-    """Whether two fixes are the same, unheard fields (NaN) included."""
+    """Whether two fixes are the same; NaN (not received) equals NaN."""
     for i in range(6):
         unheard = a[i] != a[i] and b[i] != b[i]
         if a[i] != b[i] and not unheard:

@@ -1,4 +1,4 @@
-"""From a bench file to Blocks, codec and scenarios: the only place that knows every concrete choice."""
+"""From a bench file to Blocks, codec and scenarios; all concrete choices are made here."""
 
 from tunefree_hil.bench.check import require_buildable
 from tunefree_hil.bench.controller import (

@@ -1,11 +1,11 @@
-"""The compiled batch of a bench: many drives at once, bit for bit those of the bus (docs/reference/design.md).
+"""The compiled batch of a bench: many drives at once, bit for bit those of the bus.
 
     with Batch(bench, model, extra_effects=("steer_gain",)) as batch:
         driven = batch.drive([Job(values, scenario), Job(values, scenario, effects={"steer_gain": {"gain_frac": 1.1}})])
 
-The drives run in a process of its own that is started with TUNEFREE_JIT=batch (what kernels are is settled at import)
-and ends with this one. It compiles once for each structure: vehicle folder, kind of plant, names of effects, controller
-parts, delays. Parameters, scenarios, seeds and values of effects are data.
+The drives run in a separate process with TUNEFREE_JIT=batch (read at import), which ends with this one.
+It compiles once for each structure: vehicle folder, kind of plant, names of effects, controller parts, delays.
+Parameters, scenarios, seeds and values of effects are data.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tunefree_hil.bench.simulator import Job
 
 __all__ = ["Batch", "Driven", "Job"]
 
-COMPILED = {"TUNEFREE_JIT": "batch"}  # the environment of the process beside ours
+COMPILED = {"TUNEFREE_JIT": "batch"}  # environment of the batch process
 LOSS = Loss(
     "batch",
     "the batch's process",
@@ -32,10 +32,10 @@ LOSS = Loss(
 
 
 class Batch:
-    """Drives of a bench and a model (default: the bench's own). Raises InputError for what cannot be built.
+    """Drives of a bench and a model (default: the bench's own). Raises InputError for a bench that cannot be built.
 
-    extra_effects: names of effects behind those of model and bench file, neutral unless a Job gives them values.
-    threads: None is one a core. The first `drive` waits for the compiler, or reads what it left in the user's cache.
+    extra_effects: names of effects after those of model and bench file, neutral unless a Job gives them values.
+    threads: None is one a core. The first `drive` waits for the compiler, or loads the kernels from the user's cache.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class Batch:
     def drive(self, jobs: Sequence[Job], *, columns: bool = False) -> list[Driven]:
         """The drives, in the order of `jobs`; columns=True keeps their recordings.
 
-        Raises InputError for a job that cannot be built, PeerGone where the process is lost.
+        Raises InputError for a job that cannot be built, PeerGone when the process has ended.
         """
         return self._ask((list(jobs), columns)) if jobs else []
 

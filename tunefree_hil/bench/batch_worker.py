@@ -1,6 +1,6 @@
-"""The process behind a Batch: drives what it is asked to over its standard input, answers over its standard output.
+"""The process of a Batch: it reads requests from its standard input and writes results to its standard output.
 
-It is started with TUNEFREE_JIT=batch and ends at once when its input ends, which is when its parent does, however.
+It runs with TUNEFREE_JIT=batch and ends when its input is closed, which is also when its parent ends.
 The messages are those of base/pipes.py.
 """
 
@@ -16,12 +16,12 @@ from tunefree_hil.bus.dbc.codec import Codec
 
 
 def packed(bench: Bench) -> tuple[Any, ...]:
-    """What a bench is made of; its courses are built again, for a batch's tables are arrays."""
+    """Parts of a bench; its courses are built again, as tables of a batch are arrays."""
     return (bench.spec, bench.vehicle, bench.weights, dict(bench.scenarios), bench.dt_s)
 
 
 def unpacked(pack: tuple[Any, ...]) -> Bench:
-    """The bench again."""
+    """Build the bench."""
     spec, vehicle, weights, scenarios, dt_s = pack
     return Bench(spec, vehicle, Codec(vehicle), weights, scenarios, dt_s)
 

@@ -1,4 +1,4 @@
-"""Builds once, before any process starts, what the nodes will build: who started it is told of a mistake."""
+"""Builds the parts of the nodes once before any process starts, so that mistakes are found early."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from tunefree_hil.config.schema import ScenarioSpec
 def require_buildable(
     bench: Bench, model: str, scenarios: Sequence[ScenarioSpec], values: Mapping[str, float], *, realtime: bool = False
 ) -> None:
-    """Raise InputError for a model, effect, fault, controller part or scenario that cannot be had. About 0.1 s.
+    """Raise InputError for a model, effect, fault, controller part or scenario that cannot be built. About 0.1 s.
 
-    Somebody else's controller has no MRAC of ours: what that lacks of the vehicle is then no mistake.
+    An external controller has no MRAC, so the vehicle need not fulfil its needs.
     """
     if bench.spec.controller.command:
         values = {**values, "mrac.enable": 0.0}

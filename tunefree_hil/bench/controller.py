@@ -37,7 +37,7 @@ MAX_CACHED = 32  # gain tables, and path tables
 
 
 def constants_of(vehicle: VehicleSpec) -> VehicleConstants:
-    """What the controller believes of the vehicle. Raises InputError that names a missing data-sheet value."""
+    """The vehicle's constants for the controller. Raises InputError that names a missing data-sheet value."""
     nominal, limits = vehicle.nominal, vehicle.limits
     names = ("mass_kg", "wheelbase_m", "front_axle_m", "yaw_inertia_kgm2", "steer_ratio",
              "front_stiffness_n_per_rad", "rear_stiffness_n_per_rad")  # fmt: skip
@@ -67,10 +67,10 @@ def constants_of(vehicle: VehicleSpec) -> VehicleConstants:
 
 
 def require_in_box(name: str, value: float, *, file: str = "", key: str = "") -> None:
-    """Raise InputError for a value that a person gave outside its published box; the shipped manual values may.
+    """Raise InputError for a user's value outside its published box; the shipped manual values are allowed.
 
-    Compared as binary32, which is what the controller gets. Names that are not of docs/reference/controller.md have
-    no box; their values need only be sendable.
+    Compared as binary32, as the controller gets it. Names that are not in docs/reference/controller.md have no box;
+    their values must only be sendable.
     """
     row, sendable = BY_NAME.get(name), math.isfinite(value) and abs(value) < LARGEST32
     if row is None:
@@ -104,7 +104,7 @@ def require_in_box(name: str, value: float, *, file: str = "", key: str = "") ->
 def parameters_of(bench: Bench, chosen: Mapping[str, float] | None = None) -> dict[str, float]:
     """A complete vector (binary32): a study's fixed values, the bench file's, then `chosen`.
 
-    Raises InputError where the bench file gives a value outside its box; `chosen` is the caller's to check.
+    Raises InputError where the bench file gives a value outside its box; the caller checks `chosen`.
     """
     controller = bench.spec.controller
     require_in_box("look_ahead_m", controller.look_ahead_m, file=bench.file, key="controller.look_ahead_m")
@@ -121,7 +121,7 @@ def parameters_of(bench: Bench, chosen: Mapping[str, float] | None = None) -> di
 
 
 def settings_of(bench: Bench) -> Settings:
-    """What is neither tuned nor a constant of the vehicle."""
+    """The settings that are neither tuned nor constants of the vehicle."""
     return Settings(
         lane_half_width_m=bench.weights.lane_half_width_m,
         divergence_heading_rad=bench.weights.divergence_heading_rad,
@@ -151,7 +151,7 @@ def follower_of(bench: Bench, scenario: ScenarioSpec, values: Mapping[str, float
 class ControllerFor:
     """(scenario, parameters by index) -> Assignment. Gain tables of the last parameters and path tables are kept.
 
-    own: what the parts bring beyond docs/reference/controller.md, to be announced in this order.
+    own: parameters of the parts beyond docs/reference/controller.md, announced in this order.
     """
 
     def __init__(self, bench: Bench) -> None:
@@ -165,7 +165,7 @@ class ControllerFor:
         self._followers: dict[str, Block] = {}
 
     def indexed(self, values: Mapping[str, float]) -> dict[int, float]:
-        """A complete vector by PARAM index, as `__call__` wants it; what is not the controller's is left out."""
+        """A complete vector by PARAM index, for `__call__`, without names that are not the controller's."""
         complete = self.own | dict(values)
         return {index: complete[name] for name, index in indices_of(tuple(self.own)).items()}
 
@@ -199,7 +199,7 @@ class ControllerFor:
 
 
 def _make_room(cache: dict[Any, Any]) -> None:
-    """Forget the oldest of too many."""
+    """Drop the oldest entry above the limit."""
     if len(cache) >= MAX_CACHED:
         del cache[next(iter(cache))]
 

@@ -1,4 +1,4 @@
-"""The faults of a bench file against its vehicle: who disturbs what, and the person in the seat."""
+"""The faults of a bench file for its vehicle: by node, and the driver's."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tunefree_hil.nodes.faults import ScriptedFault
 from tunefree_hil.plant.types import REST_FRAC, Driver
 
 ECU, CONTROLLER = "ecu", "controller"
-HANDS = {  # a fault's channel -> what the driver does there; whatever the value, a moved lever is moved
+HANDS = {  # a fault's channel -> field of Driver; a lever is moved for any value
     "throttle": "throttle_frac",
     "brake": "brake_frac",
     "steer": "steer_torque_nm",
@@ -25,11 +25,11 @@ HANDS = {  # a fault's channel -> what the driver does there; whatever the value
 
 
 def faults_of(bench: Bench, role: str, script: Sequence[FaultSpec] | None = None) -> tuple[ScriptedFault, ...]:
-    """The faults that a node ('ecu' or 'controller') has to make: of the messages that it sends, and of itself.
+    """The faults that a node ('ecu' or 'controller') injects: in its messages and in itself.
 
     script: these instead of the bench file's.
 
-    Raises one InputError that lists every fault that the vehicle's messages cannot have, whoever sends them.
+    Raises one InputError that lists every fault that the vehicle's messages cannot have, of both nodes.
     """
     faults = bench.spec.faults if script is None else script
     problems = [problem for i, fault in enumerate(faults) for problem in _problems(bench, i, fault)]
@@ -52,7 +52,7 @@ def faults_of(bench: Bench, role: str, script: Sequence[FaultSpec] | None = None
 
 
 def sender_of(codec: Codec, fault: FaultSpec) -> str:
-    """Which node makes a fault: who sends the message; the driver sits in the ECU."""
+    """The node that injects a fault: the sender of the message; the ECU for the driver."""
     if fault.kind in FRAME_KINDS:
         return CONTROLLER if codec.by_name[fault.message].kind == COMMAND else ECU
     return ECU if fault.kind == DRIVER else fault.channel
@@ -87,7 +87,7 @@ def _problems(bench: Bench, i: int, fault: FaultSpec) -> list[InputError]:
 
 
 def driver_script(faults: Sequence[FaultSpec], rest_frac: float = REST_FRAC) -> Callable[[int], Driver]:
-    """The person in the seat by tick; rest_frac: duty of a pedal with no foot on it."""
+    """The driver by tick; rest_frac: duty of a released pedal."""
     hands = [fault for fault in faults if fault.kind == DRIVER]
 
     @lru_cache(maxsize=4)

@@ -1,4 +1,4 @@
-"""A bench file with everything it names, read and checked."""
+"""Reads and checks a bench file and the files that it names."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Bench:
 
 
 def load(path: Path | str) -> Bench:
-    """Read a bench file and what it names. Raises InputError that names file and key."""
+    """Read a bench file and the files that it names. Raises InputError that names file and key."""
     spec = load_bench(path)
     vehicle = whole_vehicle(spec.vehicle, spec.path)
     names = dict.fromkeys([*spec.scenarios, *spec.verify_scenarios])
@@ -59,7 +59,7 @@ def load(path: Path | str) -> Bench:
 def whole_vehicle(name: Path | str, near: Path | str | None = None) -> VehicleSpec:
     """A vehicle folder that can be driven.
 
-    Raises one InputError with all that is wrong with it: vehicle.toml by itself, against its DBC, and what it lacks.
+    Raises one InputError with all mistakes: in vehicle.toml, against its DBC, and missing entries.
     """
     vehicle = load_vehicle(name, near, check=False)
     problems = check_fields(vehicle)
@@ -73,7 +73,7 @@ def whole_vehicle(name: Path | str, near: Path | str | None = None) -> VehicleSp
 
 
 def _refuse_namesakes(spec: BenchSpec, scenarios: Mapping[str, ScenarioSpec]) -> None:
-    """Results are kept by the name that a scenario gives itself."""
+    """Results are stored by the name in the scenario."""
     known: dict[str, ScenarioSpec] = {}
     for scenario in scenarios.values():
         first = known.setdefault(scenario.name, scenario)
@@ -90,7 +90,7 @@ def _refuse_namesakes(spec: BenchSpec, scenarios: Mapping[str, ScenarioSpec]) ->
 def model_of(bench: Bench, name: str) -> ModelSpec:
     """A model folder of this bench's vehicle.
 
-    Raises InputError when it was made for another vehicle, or for this one as it was before its folder was changed.
+    Raises InputError when it was made for another vehicle, or before the folder of this one was changed.
     """
     model = load_model(name, bench.file)
     if model.vehicle != bench.vehicle.name:
@@ -106,7 +106,7 @@ def model_of(bench: Bench, name: str) -> ModelSpec:
 
 
 def require_current(model: ModelSpec, vehicle: VehicleSpec) -> None:
-    """Raises InputError for a model that was made when the vehicle's folder said something else."""
+    """Raises InputError for a model that was made before the vehicle's folder was changed."""
     if model.vehicle_hash and model.vehicle_hash.removeprefix("sha256:") != vehicle.hash:
         raise InputError(
             f"was made when the folder of vehicle {vehicle.name!r} said something else (it is "
@@ -129,7 +129,7 @@ def scenario_of_hash(bench: Bench, start: bytes) -> ScenarioSpec:
         try:
             scenario = load_scenario(name, bench.file)
         except InputError:
-            known.append(f"{name} (not readable)")  # not what was asked for, so not what is wrong here
+            known.append(f"{name} (not readable)")  # not the file asked for, so not an error here
             continue
         if scenario.hash.startswith(wanted):
             return scenario

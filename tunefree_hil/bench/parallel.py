@@ -14,10 +14,10 @@ from tunefree_hil.grade.score import GRADED_ENDS, ScenarioGrade, grade_drive, gr
 
 
 class Driven(NamedTuple):
-    """How a drive went. ticks: rows driven; error: '' when it was driven to its end, else the error's name.
+    """Result of a drive. ticks: rows driven; error: '' when it was driven to its end, else the error's name.
 
-    grade: None where the bench failed and not the parameters. recording: only where asked for. hash: no frames are
-    made here, so None.
+    grade: None where the bench failed and not the parameters. recording: only where requested. hash: None, as there
+    are no frames.
     """
 
     grade: ScenarioGrade | None
@@ -30,7 +30,7 @@ class Driven(NamedTuple):
 class Fleet:
     """Drives of a bench and a model, `threads` at once (None: one a core that this process may use).
 
-    Kernels let go of the interpreter's lock while they run, so that threads do use the cores.
+    Kernels release the interpreter's lock, so threads use the cores.
     """
 
     def __init__(self, bench: Bench, model: str, extra_effects: Sequence[str], threads: int | None = None) -> None:
@@ -39,14 +39,14 @@ class Fleet:
         self._pool = ThreadPoolExecutor(threads or len(os.sched_getaffinity(0)))
 
     def drive(self, jobs: Sequence[Job], *, columns: bool = False) -> list[Driven]:
-        """The drives, in the order of `jobs`. What one raises is raised when those before it are done: those under way
-        then go on to their end, those not begun are dropped.
+        """The drives, in the order of `jobs`. An exception is raised when the jobs before it are done; running
+        drives then end, drives that have not started are dropped.
         """
-        first = [self._one(job, columns) for job in jobs[:1]]  # it may compile: the others wait for that anyhow
+        first = [self._one(job, columns) for job in jobs[:1]]  # it may compile, and the others would wait for that
         return first + list(self._pool.map(lambda job: self._one(job, columns), jobs[1:]))
 
     def close(self) -> None:
-        """Let go of the threads."""
+        """End the threads."""
         self._pool.shutdown(cancel_futures=True)
 
     def _one(self, job: Job, columns: bool) -> Driven:

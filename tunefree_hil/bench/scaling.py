@@ -1,6 +1,6 @@
-"""A model whose actuators are quicker or slower than its folder says: other numbers, the same structure.
+"""A model with faster or slower actuators than in its folder.
 
-Effects can only add to a delay; a factor below 1 needs the model's own numbers. Nothing is compiled for another factor.
+Effects can only add to a delay; a factor below 1 changes the model's own numbers. Another factor needs no compilation.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ S = TypeVar("S", bound=Spec)
 def scaled(model: ModelSpec, scale: Mapping[str, float]) -> ModelSpec:
     """The model with the dead times and lags of all its actuators times scale["dead_time"] and scale["lag"].
 
-    Raises InputError for another name, a factor that is not above 0, or a plant that does not say which of its
-    parameters are these times.
+    Raises InputError for another name, a factor that is not above 0, or a plant that does not name its
+    parameters for these times.
     """
     for name, factor in scale.items():
         if name not in SCALES or not (math.isfinite(factor) and factor > 0.0):
@@ -45,9 +45,9 @@ def scaled(model: ModelSpec, scale: Mapping[str, float]) -> ModelSpec:
 
 
 def own_times(model: ModelSpec) -> dict[str, tuple[str, ...]] | None:
-    """Parameters of a plant with actuators of its own that are dead times and lags; None where [actuators] rules.
+    """Parameters of a plant with actuators of its own that are dead times and lags; None where [actuators] is used.
 
-    Raises InputError where the plant does not say.
+    Raises InputError where the plant does not name them.
     """
     plant = load_plant(model.plant.kind)
     if plant.actuators is None:

@@ -1,7 +1,7 @@
-"""The drives of a bench in this process, by the episode kernel of batch/: compiled where TUNEFREE_JIT=batch, else slow.
+"""The drives of a bench in this process, by the episode kernel of batch/: compiled with TUNEFREE_JIT=batch, else slow.
 
-Made once for a structure (vehicle folder, kind of plant, names of effects, controller parts, delays); everything else
-is data, so that nothing is compiled for another set of parameters, scenario, seed or value of an effect.
+It is made once for a structure (vehicle folder, kind of plant, names of effects, controller parts, delays). Parameters,
+scenario, seed and values of effects are data and need no compilation.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from tunefree_hil.batch.episode import (
     REPORT,
     TRACKING,
     WIDTH,
+    ControllerStart,
     End,
     LinkParams,
-    Ridden,
-    Rider,
     Setting,
+    VehicleStart,
     WireStates,
     make_episode,
 )
 from tunefree_hil.bench.controller import ControllerFor, needed_messages
 from tunefree_hil.bench.load import Bench, model_of
 from tunefree_hil.bench.scaling import scaled
-from tunefree_hil.bench.user_kernels import answer_of, own_of
+from tunefree_hil.bench.user_kernels import list_user_kernels, run_kernel
 from tunefree_hil.bench.vehicle import VehicleFor
 from tunefree_hil.bus.bench_channel import ErrorCode
 from tunefree_hil.bus.dbc.codec import Codec
@@ -53,13 +53,13 @@ from tunefree_hil.nodes.ecu import Vehicle
 from tunefree_hil.nodes.handshake import STAGES, Stage, limits_of
 from tunefree_hil.nodes.measurement_decoder import MeasurementDecoder
 
-KEPT_VEHICLES = 64  # one is a scenario's noise: 0.4 MB a minute's drive
+KEPT_VEHICLES = 64  # the noise of a scenario each: 0.4 MB for a drive of a minute
 
 
 class Job(NamedTuple):
     """One drive. values: a complete vector by name; seed: None is the scenario's own noise seed.
 
-    effects: values for the batch's `extra_effects`, by name; what is left out is neutral. scale: factors on the
+    effects: values for the batch's `extra_effects`, by name; those left out are neutral. scale: factors on the
     actuators' "dead_time" and "lag" (bench/scaling.py).
     """
 
@@ -84,12 +84,12 @@ class EpisodeSetup(NamedTuple):
     kernel: Any
     setting: Setting
     link: WireStates
-    rider: Rider
-    car: Ridden
+    controller: ControllerStart
+    car: VehicleStart
 
 
 class SimulatedDrive(NamedTuple):
-    """How a drive went. error: '' when it was driven to its end, else the error's name."""
+    """Result of a drive. error: '' when it was driven to its end, else the error's name."""
 
     recording: Recording
     ticks: int
@@ -97,9 +97,9 @@ class SimulatedDrive(NamedTuple):
 
 
 class Simulator:
-    """A bench, a model (default: the bench's own) and effects behind theirs, neutral unless a job says otherwise.
+    """A bench, a model (default: the bench's own) and effects after theirs, neutral unless a job gives values.
 
-    Safe in several threads. Raises InputError for what cannot be built, or not by a batch.
+    Thread-safe. Raises InputError for a bench that cannot be built, or not for a batch.
     """
 
     def __init__(self, bench: Bench, model: str = "", extra_effects: Sequence[str] = ()) -> None:
@@ -112,14 +112,14 @@ class Simulator:
         self._controllers = ControllerFor(self.bench)
         self._vehicle_makers: dict[Any, VehicleFor] = {}
         self._vehicles: dict[Any, Vehicle] = {}
-        self._starts: dict[int, tuple[Vehicle, Ridden]] = {}
+        self._starts: dict[int, tuple[Vehicle, VehicleStart]] = {}
         self._lock = threading.Lock()
         self._own = threading.local()
         self._base = self._vehicle_maker({}, {})
         self._driver = _driver_rows(self.bench, self._base)
         self._link = _link_params(self.bench, self._base.phases)
         self._wires = {group: wire(bench.codec, group, self._base.phases) for group in ("report", "ins", "command")}
-        self._not_ours = own_of(self.bench, self._base.model)
+        self._user_kernels = list_user_kernels(self.bench, self._base.model)
         self._kernel: Any = None
 
     def drive(self, job: Job) -> SimulatedDrive:
@@ -133,13 +133,13 @@ class Simulator:
         return SimulatedDrive(recording, end.ticks, ErrorCode(int(end.code)).name.lower() if end.code else "")
 
     def run(self, job: Job) -> EpisodeRun:
-        """Drive a job. The rows are overwritten by this thread's next drive."""
+        """Drive a job. This thread's next drive overwrites the rows."""
         with self._lock:
             task = self._assignment(job)
             vehicle = self._vehicle(job)
-            kernel, setting, link, rider, car = self._episode(task, vehicle)
+            kernel, setting, link, controller, car = self._episode(task, vehicle)
         out = self._rows(vehicle.course.ticks)
-        end = End._make(answer_of(kernel, (self._link, link, setting, rider, car, out), self._not_ours))
+        end = End._make(run_kernel(kernel, (self._link, link, setting, controller, car, out), self._user_kernels))
         if end.code == NEEDS_THE_BUS:
             raise InputError(
                 "an override is latched before the take-over: the batch does not drive that",
@@ -171,26 +171,28 @@ class Simulator:
         )
         setting = Setting(course.ticks, bench.dt_s, course.grade_rad, course.friction_frac, self._driver)
         follow = block.params.follower
-        rider = Rider(block.params, block.init(block.params, bench.dt_s), follow, follower.init(follow, bench.dt_s))
-        return EpisodeSetup(self._kernel, setting, link, rider, self._start_of(vehicle))
+        controller = ControllerStart(
+            block.params, block.init(block.params, bench.dt_s), follow, follower.init(follow, bench.dt_s)
+        )
+        return EpisodeSetup(self._kernel, setting, link, controller, self._start_of(vehicle))
 
-    def _start_of(self, vehicle: Vehicle) -> Ridden:
-        """The vehicle at tick 0, with buffers of its own: what it is made of is kept with its noise."""
+    def _start_of(self, vehicle: Vehicle) -> VehicleStart:
+        """The vehicle at tick 0 with its own buffers; its constants are cached with its noise."""
         key = id(vehicle)
         if key not in self._starts:
             if len(self._starts) >= KEPT_VEHICLES:
                 self._starts.pop(next(iter(self._starts)))
-            self._starts[key] = vehicle, Ridden(*vehicle.unit.start(vehicle.body, self.bench.dt_s))
+            self._starts[key] = vehicle, VehicleStart(*vehicle.unit.start(vehicle.body, self.bench.dt_s))
         start = self._starts[key][1]
         return start._replace(state=_fresh(start.state))
 
     def _assignment(self, job: Job) -> Assignment:
-        """The controller for a job; of it only the params count, the steps are the first one's."""
+        """The controller for a job; only its params are used, the steps are those of the first one."""
         self._know(job.scenario)
         return self._controllers(bytes.fromhex(job.scenario.hash)[:6], self._controllers.indexed(job.values))
 
     def _vehicle(self, job: Job) -> Vehicle:
-        """The vehicle at a job's start, with its noise; kept, as its noise is long to draw."""
+        """The vehicle at a job's start, with its noise; cached, as drawing noise takes long."""
         self._know(job.scenario)
         seed = job.scenario.noise_seed if job.seed is None else job.seed
         key = (job.scenario.hash, seed, _key(job.effects, job.scale))
@@ -202,7 +204,7 @@ class Simulator:
         return self._vehicles[key]
 
     def _with_base_steps(self, vehicle: Vehicle) -> Vehicle:
-        """The same vehicle stepped by the structure's own kernels: the numbers are its own, the code is shared."""
+        """The same vehicle with the kernels of the structure: own numbers, shared code."""
         base = self._base.body
         block = base.block._replace(params=vehicle.body.block.params)
         return vehicle._replace(unit=self._base.unit, body=base._replace(block=block))
@@ -230,7 +232,7 @@ class Simulator:
             self._scenarios[scenario.name if known is None else scenario.hash] = scenario
 
     def _require_no_faults(self) -> None:
-        """What the person in the seat does is driven; faults of frames and nodes need frames and nodes."""
+        """Faults of the driver are simulated; faults of frames and nodes need the bus."""
         for i, fault in enumerate(self.bench.spec.faults):
             if fault.kind != DRIVER:
                 raise InputError(
@@ -247,7 +249,7 @@ class Simulator:
 
 
 def with_effects(bench: Bench, extra: Sequence[EffectSpec]) -> Bench:
-    """The same bench with more effects behind its own."""
+    """The same bench with more effects after its own."""
     spec = bench.spec
     fields = {name: getattr(spec, name) for name in spec.__struct_fields__}
     return replace(bench, spec=type(spec)(**{**fields, "effects": [*spec.effects, *extra]}))
@@ -259,7 +261,7 @@ def _key(effects: Mapping[str, Mapping[str, float]], scale: Mapping[str, float])
 
 
 def _fresh(state: Any) -> Any:
-    """The same state with buffers of its own."""
+    """A copy of the state with its own buffers."""
     if isinstance(state, tuple):
         parts = map(_fresh, state)
         return type(state)._make(parts) if hasattr(state, "_make") else tuple(parts)  # type: ignore[attr-defined]
@@ -295,9 +297,9 @@ def _link_params(bench: Bench, phases: Mapping[str, int]) -> LinkParams:
 
 
 def _first_missing(codec: Codec, dt_s: float, phases: Mapping[str, int]) -> tuple[int, float]:
-    """(tick, error code) at which the controller misses a message that it needs; (-1, 0) where never.
+    """(tick, error code) at which the controller lacks a needed message; (-1, 0) for never.
 
-    The bus loses nothing here, so that this depends on periods and phases alone.
+    The bus loses no frames here, so this depends on periods and phases only.
     """
     decoder, needed = MeasurementDecoder(codec, dt_s), needed_messages(codec)
     sent = dict.fromkeys(phases, 0)

@@ -1,4 +1,4 @@
-"""What a user wrote, in the batch: it may be written in what the compiler does not take, and is told so by name."""
+"""Kernels of the user in the batch: an error of the compiler is reported with their names."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from tunefree_hil.bench.user_parts import part_names
 from tunefree_hil.config.schema import ModelSpec
 
 
-class Own(NamedTuple):
-    """A plant or a controller part from a file: 'path/to/file.py:EXPORT', and where it is named."""
+class UserKernel(NamedTuple):
+    """A plant or a controller part from a file: 'path/to/file.py:EXPORT', and the key that names it."""
 
     name: str
     file: str
     key: str
 
 
-def own_of(bench: Bench, model: ModelSpec) -> list[Own]:
-    """The plant and the parts that are not ours."""
-    plant = Own(model.plant.kind, f"{model.folder}/model.toml", "plant.kind")
-    parts = [Own(name, bench.file, f"controller.{key}") for key, name in part_names(bench)._asdict().items()]
-    return [one for one in (plant, *parts) if ":" in one.name]
+def list_user_kernels(bench: Bench, model: ModelSpec) -> list[UserKernel]:
+    """The plant and the controller parts of the user."""
+    plant = UserKernel(model.plant.kind, f"{model.folder}/model.toml", "plant.kind")
+    parts = [UserKernel(name, bench.file, f"controller.{key}") for key, name in part_names(bench)._asdict().items()]
+    return [kernel for kernel in (plant, *parts) if ":" in kernel.name]
 
 
-def answer_of(kernel: Callable[..., Any], args: tuple[Any, ...], user_kernels: Sequence[Own]) -> Any:
-    """`kernel(*args)`. Raises InputError where one with code of the user's cannot be compiled; ours can, so without
-    any the compiler's own words are a mistake of ours and pass.
+def run_kernel(kernel: Callable[..., Any], args: tuple[Any, ...], user_kernels: Sequence[UserKernel]) -> Any:
+    """Call `kernel(*args)`. Raises InputError where it cannot be compiled with the user's kernels; without any the
+    error of the compiler is raised.
     """
     if not user_kernels:
         return kernel(*args)

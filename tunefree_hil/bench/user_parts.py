@@ -1,4 +1,4 @@
-"""A controller of the user's own as a bench file says it: parts in Python beside ours, and parameters beyond ours."""
+"""A controller of the user in a bench file: parts in Python, and parameters beyond docs/reference/controller.md."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from tunefree_hil.control.parameters import BY_NAME, middle_of
 
 
 def own_parameters(bench: Bench) -> dict[str, float]:
-    """Parameters of the user's own controller: the bench file's value, else the middle of the box that it searches.
+    """Parameters of the user's own controller: the bench file's value, else the middle of the search box.
 
-    Of a program's, those that the bench file names; of parts in Python all, where it names none with their own value.
+    Of a program, those in the bench file; of parts in Python all, with their own values where the file has none.
     """
     given = {name: value for name, value in bench.spec.controller.parameters.items() if name not in BY_NAME}
     searched = [one for one in bench.spec.tune.parameters if one.name not in BY_NAME and one.name not in given]
@@ -27,7 +27,7 @@ def own_parameters(bench: Bench) -> dict[str, float]:
 
 
 def part_names(bench: Bench) -> PartNames:
-    """The parts of our controller; a user's file ('mine.py:CONTROLLER') is looked for beside the bench file first."""
+    """The controller parts; a user's file ('mine.py:CONTROLLER') is looked for beside the bench file first."""
     controller = bench.spec.controller
     return PartNames(
         *(_find_file(bench, name) for name in (controller.lateral, controller.longitudinal, controller.inner))
@@ -43,8 +43,7 @@ def _find_file(bench: Bench, name: str) -> str:
 
 
 def part_values(bench: Bench) -> dict[str, float]:
-    """What the parts of our controller bring beyond docs/reference/controller.md (control/build.py). InputError names
-    file and key."""
+    """Parameters of the parts beyond docs/reference/controller.md (control/build.py). InputError names file and key."""
     try:
         return own_values(part_names(bench))
     except InputError as error:
@@ -53,7 +52,7 @@ def part_values(bench: Bench) -> dict[str, float]:
 
 
 def _require_of_parts(bench: Bench, named: Sequence[str], own_names: Sequence[str]) -> None:
-    """Raise InputError for a parameter that no part has, where there are parts of the user's own."""
+    """Raise InputError for a parameter that no part has, where there are parts of the user."""
     unknown = [name for name in named if name not in own_names]
     if unknown and any(":" in part for part in part_names(bench)):
         raise InputError(

@@ -33,16 +33,16 @@ PLANTS = {  # [plant] kind -> file in plant/
     "rule_based": "rule_based",
     "paper": "paper",
 }
-TIMEOUT_S = 0.1  # of a channel whose command states none (docs/reference/by_wire.md)
-STEER_DRIVER_S = 0.02  # that a hand must be felt for; of the pedals vehicle.toml says it
+TIMEOUT_S = 0.1  # of a channel without one in vehicle.toml (docs/reference/by_wire.md)
+STEER_DRIVER_S = 0.02  # steering torque must last this long; vehicle.toml has the times of the pedals
 HEAVY = ("reference", "paper")  # kinds whose node runs compiled
 
 
 class VehicleFor:
     """(scenario, seed) -> Vehicle: the simulated vehicle at a scenario's start. Its step is made once.
 
-    model: the name of a model folder, or what was read of one. ahead: the ECU may step before the commands of the same
-    tick are there, where the bench delays them by a tick at least: they are then used a tick later either way.
+    model: the name of a model folder, or its content. ahead: the ECU may step before the commands of the same tick
+    arrive, where the bench delays them by at least a tick; the result is the same.
     """
 
     def __init__(self, bench: Bench, model: str | ModelSpec, *, realtime: bool = False, ahead: bool = False) -> None:
@@ -51,7 +51,7 @@ class VehicleFor:
         self.model_name = model if isinstance(model, str) else model.folder
         self.body = _body_of(bench, self.model)
         timing = self.model.timing
-        bus_ticks = 1 if realtime else 0  # real time: one tick each way is the bus's own
+        bus_ticks = 1 if realtime else 0  # real time: the bus itself is one tick each way
         if min(timing.command_ticks, timing.report_ticks) < bus_ticks:
             raise InputError(
                 "in real time a frame needs one tick each way",
@@ -66,8 +66,8 @@ class VehicleFor:
         waits = bus_ticks or int(self.ahead)  # ticks that a command waits outside the unit
         unit = make_unit(self.body, block, timing.command_ticks - waits, timing.report_ticks - bus_ticks)
         self.unit = unit._replace(step=kept(unit.step))
-        for alone in (self.body.eyes, self.body.seen):  # tick 0 calls them by themselves
-            kept(alone.step)
+        for part in (self.body.sensors, self.body.measurement_effects):  # tick 0 calls them alone
+            kept(part.step)
         self.phases = phases(bench.codec, timing.phase_seed)
 
     def __call__(self, scenario: bytes, seed: int) -> Vehicle:
@@ -130,9 +130,9 @@ def load_plant(kind: str) -> Plant:
 
 
 def plant_of(model: ModelSpec) -> Plant:
-    """The plant of a model folder: its kind, with what its file says where it lives in one.
+    """The plant of a model folder: its kind, with the content of its file if it has one.
 
-    Raises InputError for a file that does not fit the kind, and for one that the kind does not have.
+    Raises InputError for a file that does not fit the kind, and for a kind without a file.
     """
     plant = load_plant(model.plant.kind)
     if plant.open is not None:
@@ -180,7 +180,7 @@ def effects_of(specs: Sequence[EffectSpec], rest: float, file: str = "") -> list
 
 
 def bywire_params(bench: Bench) -> ByWireParams:
-    """Rules of the by-wire unit from the vehicle folder; what it does not state keeps the unit's defaults."""
+    """Rules of the by-wire unit from the vehicle folder; the rest are the unit's defaults."""
     vehicle = bench.vehicle
     limits, rest, rules, tick_s = (
         vehicle.limits,
@@ -221,5 +221,5 @@ def bywire_params(bench: Bench) -> ByWireParams:
         ),
         brake_ramp_per_tick=limits.brake_rate_per_s * tick_s,
         watchdog_brake_frac=limits.watchdog_brake_frac,
-        check_counter=1.0 if any(message.counter for message in bench.codec.commands) else 0.0,  # E2E's or a plain one
+        check_counter=1.0 if any(message.counter for message in bench.codec.commands) else 0.0,  # E2E or plain
     )

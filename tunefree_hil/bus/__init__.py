@@ -1,6 +1,6 @@
 """The bus: frames and their meaning.
 
-`HubBus` is what python-can finds by the entry point `tfhub`; it is imported when it is asked for, so that a hub's own
+python-can finds `HubBus` by the entry point `tfhub`; it is imported on demand, so that a hub's own
 process needs neither python-can nor cantools.
 """
 

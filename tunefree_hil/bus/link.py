@@ -18,7 +18,7 @@ from tunefree_hil.bus.tfhub.plugin import HubBus
 from tunefree_hil.bus.tfhub.records import EFF_MASK
 
 SEND_S = 10.0  # how long a send may wait while another member blocks the bus
-MOST_AT_ONCE = 4096  # frames that one receive of a foreign bus hands over, so that a flood cannot keep it for ever
+MOST_AT_ONCE = 4096  # frames of one receive of a foreign bus, so that a flood cannot keep it for ever
 
 
 class BusLink(Protocol):

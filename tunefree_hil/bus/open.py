@@ -281,7 +281,7 @@ def _folder(text: str) -> str:
 
 
 def _endpoint_of(text: str, channel: str) -> str:
-    """What HubBus takes: `text`, with the channel's endpoint when it names only a session."""
+    """The address for HubBus: `text`, with the channel's endpoint when it names only a session."""
     plain, options = address.split_options(text)
     if options or plain.startswith(("unix:", "tcp:")) or _folder(plain) != plain:
         return text

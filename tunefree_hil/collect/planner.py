@@ -5,9 +5,9 @@
 
 A drive begins with its gentle stretches (gentle_driving.py), then drives cells.
 
-step(params, state, Sight, dt_s) -> (state, PlannerOutput) is a pure function of tick, measurement and state. The
-planner stays inside the envelope by using shares of it, and inside the area by turning back while reaction, braking and
-turning still fit into the distance ahead.
+step(params, state, ControllerInput, dt_s) -> (state, PlannerOutput) is a pure function of tick, measurement and state.
+The planner stays inside the envelope by using shares of it, and inside the area by turning back while reaction, braking
+and turning still fit into the distance ahead.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from tunefree_hil.collect.pedals import (
     update_acceleration,
     update_push_caps,
 )
-from tunefree_hil.control.cascade import Sight
+from tunefree_hil.control.cascade import ControllerInput
 
 ENDED = 11.0  # bench_channel.ErrorCode.STOPPED: at standstill, nothing more to drive
 INITIAL_BRAKE_S, INITIAL_COAST_S = 1.0, 2.5  # a drive begins with the brake, then with both pedals released
@@ -82,7 +82,7 @@ def init(params: PlannerParams, dt_s: float) -> PlannerState:
     return PlannerState(CellCounter(params.need, params.have), params.area, command, hold_count=params.first_hold)
 
 
-def step(p: PlannerParams, s: PlannerState, x: Sight, dt_s: float) -> tuple[PlannerState, PlannerOutput]:
+def step(p: PlannerParams, s: PlannerState, x: ControllerInput, dt_s: float) -> tuple[PlannerState, PlannerOutput]:
     """One tick."""
     ins = x.measurement.ins
     signals = read_signals(p.sources, x.measurement, s.command)

@@ -1,4 +1,4 @@
-"""What must fit together in scenario, weights, bench and model files. Each check yields (key, message, hint)."""
+"""Checks of scenario, weights, bench and model files, beyond the types. Each yields `ConfigProblem`s."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def _profile(name: str, profile: ProfileSpec) -> Problems:
 
 
 def check_weights(spec: WeightsSpec) -> Problems:
-    """Weights are of metrics that there are, not negative and not all 0."""
+    """Weights are of known metrics, not negative and not all 0."""
     for name, weight in spec.metrics.items():
         if name not in METRICS:
             yield ConfigProblem(f"metrics.{name}", "no such metric", nearest(name, METRICS))

@@ -8,7 +8,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.problem import ConfigProblem, Problems
 from tunefree_hil.config.schema import VehicleSpec
 
-# Group -> fields, and what they are there for. The controller commands pedals and a steering wheel angle, and follows
+# Group -> fields, and their purpose. The controller commands pedals and a steering wheel angle, and follows
 # the path by the INS.
 FIELDS = {
     "command": (("throttle_frac", "brake_frac", "steer_rad"), "the controller commands it"),
@@ -35,11 +35,11 @@ def check_drive(spec: VehicleSpec) -> list[InputError]:
 
 
 def _fields(spec: VehicleSpec) -> Problems:
-    for group, (names, what_for) in FIELDS.items():
+    for group, (names, purpose) in FIELDS.items():
         for name in names:
             if name not in getattr(spec, group):
                 hint = f"map [{group}.{name}]; without it the folder is good for reading logs only"
-                yield ConfigProblem(f"{group}.{name}", f"the vehicle does not have it, and {what_for}", hint)
+                yield ConfigProblem(f"{group}.{name}", f"the vehicle does not have it, and {purpose}", hint)
 
 
 def _nominal(spec: VehicleSpec) -> Problems:

@@ -12,8 +12,10 @@ from tunefree_hil.config.schema import FieldSpec, VehicleSpec
 from tunefree_hil.config.vehicle_numbers import check_numbers
 
 WHEELS = "wheel_speed_radps"
-CONDITIONS = ("enabled", "override", "driver", "fault", "timeout", "watchdog", "e2e", "brake_light", "gear_command",
-              "gear_reject")  # fmt: skip
+CONDITIONS = (
+    *("enabled", "override", "driver", "fault", "timeout", "watchdog", "e2e"),
+    *("brake_light", "gear_command", "gear_reject"),
+)
 # The causes of a condition; of the others: plant/actuation/bywire_types.py, and names of the folder.
 STATE_CAUSES = {
     "e2e": ("", "some_lost", "repeated", "wrong_sequence", "wrong_crc", "no_new_data", "initial"),
@@ -36,7 +38,7 @@ ECHOES = {
     "steer_torque_command_nm": "steer_torque_nm",
     "steer_torque_nm": "steer_torque_nm",
 }
-MOST_MS = 3_600_000  # an hour: a period or time-out above it is a slip
+MOST_MS = 3_600_000  # an hour: a period or time-out above it is a mistake
 
 
 def field_names(group: str) -> list[str]:
@@ -117,7 +119,7 @@ def _periods(spec: VehicleSpec) -> Problems:
 
 
 def _presence(spec: VehicleSpec) -> Problems:
-    """A field is mapped or listed as absent, not both and not neither."""
+    """Each field is either mapped or listed as absent."""
     for group in GROUPS:
         mapped = getattr(spec, group)
         for name in field_names(group):

@@ -26,7 +26,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except tomllib.TOMLDecodeError as error:
-        hint = "mend that place; strings need quotes, tables [brackets]"
+        hint = "correct that place; strings need quotes, tables [brackets]"
         raise InputError(f"not TOML: {error}", code="not_toml", file=str(path), hint=hint) from error
     except UnicodeDecodeError as error:
         raise InputError(

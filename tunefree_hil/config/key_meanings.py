@@ -147,7 +147,7 @@ _BENCH: dict[type[Spec], dict[str, str]] = {
     TuneSpec: {
         "set": "a named set of parameters: mrac, lateral or complete; '' where `parameters` lists them",
         "parameters": "tables of the parameters that are searched, instead of `set`",
-        "trials": "how many sets of numbers are tried",
+        "trials": "number of parameter sets to try",
         "sampler": "how the next set is drawn: TPE each by itself, TPE together, or at random",
         "in_flight": "trials that are asked for together; 0: as suits bench and machine",
         "slower": "the winner also drives calmly with actuators so many times slower, 1 to 10; 1: best grade alone",
@@ -157,8 +157,8 @@ _BENCH: dict[type[Spec], dict[str, str]] = {
         "low": "lower end of its box; without low, high and choices the parameter's own box counts",
         "high": "upper end of its box",
         "scale": "log or linear, in which it is drawn",
-        "step": "distance of the values there are; left out: any value",
-        "choices": "the only values there are, instead of a box",
+        "step": "distance between values; left out: any value",
+        "choices": "the allowed values, instead of a box",
     },
     FaultSpec: {
         "channel": "throttle, brake, steer or gear of driver_override, ecu or controller of peer_stop; else ''",
@@ -167,7 +167,7 @@ _BENCH: dict[type[Spec], dict[str, str]] = {
         "from_tick": "first tick of it",
         "to_tick": "first tick after it",
         "value": "what it means for the kind: docs/reference/faults.md",
-        "seed": "of its chance, 0 to 65535",
+        "seed": "of its random numbers, 0 to 65535",
     },
 }
 
@@ -188,7 +188,7 @@ _IMPORT: dict[type[Spec], dict[str, str]] = {
     ClockSpec: {
         "column": "header of the column",
         "unit": "s, ms, us or ns",
-        "gap_s": "s of silence from which on a gap is named; 0: three times the usual step",
+        "gap_s": "shortest silence that counts as a gap, s; 0: three times the usual step",
     },
     ColumnSpec: {
         "column": "header of the column",

@@ -127,4 +127,4 @@ def _one_error(problems: list[InputError]) -> InputError:
     listed = "\n".join(f"  {problem.key}: {problem.message} ({problem.hint})" for problem in problems)
     first = problems[0]
     message = f"{len(problems)} things do not fit:\n{listed}"
-    return InputError(message, code=first.code, file=first.file, key=first.key, hint="mend them all")
+    return InputError(message, code=first.code, file=first.file, key=first.key, hint="correct them all")

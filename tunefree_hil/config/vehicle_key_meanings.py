@@ -23,7 +23,7 @@ from tunefree_hil.config.vehicle_schema import (
 ASSUMED = "why the source does not state this and what was taken instead; '' where it does"
 ASSUMED_KEYS = "names of the keys of this table that no source states"
 CHANNEL = "name of the channel in logs, where the same id is on two buses; '' for any"
-TRUNCATED = "true: a frame shorter than the DBC says is decoded as far as it goes"
+TRUNCATED = "true: a frame shorter than in the DBC is decoded as far as it goes"
 CONSTANTS = "other signals of the message, each held at a value (physical)"
 
 VEHICLE_WORDS: dict[type[Spec], dict[str, str]] = {
@@ -42,7 +42,7 @@ VEHICLE_WORDS: dict[type[Spec], dict[str, str]] = {
         "ins_frame": "axes, origin and point of the [ins] fields, and how old they are",
         "state": "condition -> list of bits and codes in reports that show it",
         "latency": "tables [latency.ACTUATOR]: data-sheet times of throttle, brake, steer ...",
-        "override": "when the by-wire unit takes a driver's pedal or hand for a take-over",
+        "override": "when a driver's pedal or hand counts as a take-over for the by-wire unit",
         "limits": "what the vehicle can and may do",
         "nominal": "data-sheet constants of the body",
         "manual_gains": "as_shipped: the gains of docs/reference/controller.md are this vehicle's; else rule_based",
@@ -64,7 +64,7 @@ VEHICLE_WORDS: dict[type[Spec], dict[str, str]] = {
         "constants": CONSTANTS,
         "e2e": "end-to-end protection of the message; left out: none",
         "timeout_ms": "ms without this command after which the unit gives up; 0: its usual time",
-        "specific_force": "true, of ins.accel_mps2 alone: gravity is in it, as an accelerometer has it",
+        "specific_force": "true, of ins.accel_mps2 alone: gravity is included, as an accelerometer measures it",
         "assumed": ASSUMED,
     },
     SignalSpec: {

@@ -1,4 +1,4 @@
-"""From a complete parameter vector to the controller Block. The one place that knows which part comes after which."""
+"""Builds the controller Block from a complete parameter vector and the controller parts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tunefree_hil.control.parameters import BY_NAME, check_complete, middle_of
 
 
 class PartNames(NamedTuple):
-    """Which part of each folder; 'path/to/file.py:CONTROLLER' for one's own."""
+    """The part of each folder; 'path/to/file.py:CONTROLLER' for a part of the user."""
 
     lateral: str = "lqr"
     longitudinal: str = "pid"
@@ -25,7 +25,7 @@ class PartNames(NamedTuple):
 
 
 def load_parts(names: PartNames) -> list[Any]:
-    """The CONTROLLER of each folder: lateral, longitudinal, inner. InputError has the key of one that is not there."""
+    """The CONTROLLER of each folder: lateral, longitudinal, inner. InputError has the key of a missing one."""
     loaded = []
     for folder, name in names._asdict().items():
         try:
@@ -37,10 +37,10 @@ def load_parts(names: PartNames) -> list[Any]:
 
 
 def own_values(names: PartNames) -> dict[str, float]:
-    """The tunables that the parts bring beyond docs/reference/controller.md, in order (PARAM indices from 16 on):
+    """The tunables of the parts beyond docs/reference/controller.md, in order (PARAM indices from 16 on):
     name -> value.
 
-    The value of a plain Block is that of its params; a Recipe has none yet, so it is the middle of the box.
+    The value for a plain Block is that of its params, for a Recipe the middle of the box.
     """
     values: dict[str, float] = {}
     for part in load_parts(names):
@@ -64,9 +64,9 @@ def build(
     rules: ReplanRules | None = None,
     absent: Iterable[str] = (),
 ) -> Block:
-    """The controller for one drive: x = cascade.Sight -> cascade.Decision.
+    """The controller for one drive: x = cascade.ControllerInput -> cascade.Decision.
 
-    `parameters` must name all of docs/reference/controller.md and the user's own, else InputError. `absent`: record
+    `parameters` must have all names of docs/reference/controller.md and of the user, else InputError. `absent`: record
     fields that the vehicle does not have, as 'report.speed_mps'.
     """
     names = names or PartNames()

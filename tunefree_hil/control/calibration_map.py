@@ -1,4 +1,4 @@
-"""The open-loop map f_map of eq. 2: (acceleration wanted, speed) -> pedal command, brake negative
+"""The open-loop map f_map of eq. 2: (demanded acceleration, speed) -> pedal command, brake negative
 (docs/reference/files.md)."""
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ REFUSAL = Refusal("no_calibration", "bad_calibration", "make one with tools/make
 def from_triples(
     speed_mps: Sequence[float], accel_mps2: Sequence[float], command_frac: Sequence[float]
 ) -> CalibrationMap:
-    """The map of triples; of a repeated (speed, acceleration) pair the last one counts.
+    """The map of triples; of a repeated (speed, acceleration) pair the last one is used.
 
-    Raises ValueError for columns that are not equally long, or empty.
+    Raises ValueError for columns of unequal length, or empty ones.
     """
     return rows_by_speed(speed_mps, accel_mps2, command_frac)
 
 
 def load(path: Path) -> CalibrationMap:
-    """The map of a `calibration.npz`. Raises InputError that says what is wrong with the file."""
+    """The map of a `calibration.npz`. Raises InputError for a file that is not valid."""
     return from_triples(*read_triples(path, REFUSAL))
 
 

@@ -1,6 +1,6 @@
 """The controller as one Block: follower, outer loops, inner loop, limits, supervision (paper, Fig. 5).
 
-`controller.step(params, state, Sight(tick, measurement), dt_s) -> (state, Decision)`; the parts: contract.py.
+`controller.step(params, state, ControllerInput(tick, measurement), dt_s) -> (state, Decision)`; the parts: contract.py.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from tunefree_hil.control.contract import Pedals, Settings, VehicleConstants, ch
 
 ERROR_DIVERGED = 1.0  # a number is not finite, or |heading error to the path| exceeds its bound
 ERROR_LEFT_LANE = 2.0  # |lateral error to the original path| exceeds half the lane
-FIRST_FRAMES_S = 0.2  # a needed value may be missing for so long (Apollo: 20 missed periods of 10 ms)
+FIRST_FRAMES_S = 0.2  # longest time without a needed value (Apollo: 20 missed periods of 10 ms)
 STOP_BRAKE_FRAC = 0.5  # brake duty of an emergency stop, as Apollo ships it
 
 
-class Sight(NamedTuple):
+class ControllerInput(NamedTuple):
     """Input of the controller at a tick."""
 
     tick: int
@@ -48,7 +48,7 @@ class Guard(NamedTuple):
     accel_high_mps2: float
     lane_half_width_m: float
     divergence_heading_rad: float
-    chassis_speed: float  # 1, or 0 where the vehicle reports no speed and the one of the INS is used
+    chassis_speed: float  # 1, or 0 where the vehicle reports no speed and that of the INS is used
 
 
 def make_guard(vehicle: VehicleConstants, settings: Settings, absent: frozenset[str] = frozenset()) -> Guard:
@@ -67,7 +67,7 @@ def make_guard(vehicle: VehicleConstants, settings: Settings, absent: frozenset[
 
 
 class CascadeParams(NamedTuple):
-    """Parameters of each part, and the bounds of the drive. The types of the parts' params depend on the bench."""
+    """Parameters of each part, and the bounds of the drive. The types depend on the bench."""
 
     follower: Any
     lateral: Any
@@ -78,7 +78,7 @@ class CascadeParams(NamedTuple):
 
 
 class CascadeState(NamedTuple):
-    """State of each part, and what the last complete tick left."""
+    """State of each part, and values of the last complete tick."""
 
     follower: Any
     lateral: Any
@@ -90,10 +90,10 @@ class CascadeState(NamedTuple):
 
 
 def assemble(follower: Block, lateral: Block, longitudinal: Block, inner: Block, limits: Block, guard: Guard) -> Block:
-    """Join the parts to one Block.
+    """Connect the parts to one Block.
 
     Returns:
-        The Block with x = Sight, y = Decision, params CascadeParams, state CascadeState.
+        The Block with x = ControllerInput, y = Decision, params CascadeParams, state CascadeState.
     """
     follower_step, lateral_step, longitudinal_step = follower.step, lateral.step, longitudinal.step
     inner_step, limit_step = inner.step, limits.step
@@ -110,7 +110,9 @@ def assemble(follower: Block, lateral: Block, longitudinal: Block, inner: Block,
         )
 
     @kernel
-    def step(params: CascadeParams, state: CascadeState, x: Sight, dt_s: float) -> tuple[CascadeState, Decision]:
+    def step(
+        params: CascadeParams, state: CascadeState, x: ControllerInput, dt_s: float
+    ) -> tuple[CascadeState, Decision]:
         measurement, guard = x.measurement, params.guard
         is_start = not state.has_completed_tick and x.tick * dt_s < FIRST_FRAMES_S
         speed_mps = speed_of(measurement, guard.chassis_speed)
@@ -173,8 +175,8 @@ def pose_sum(ins: Ins) -> float:
 def incomplete_decision(guard: Guard, tracking: Tracking, steer_rad: float, is_start: bool, total: float) -> Decision:
     """The decision where a needed number is not finite.
 
-    Before the first complete tick a NaN is a message that has not had its turn yet (periods and phases differ): the
-    vehicle rolls on. Otherwise it is divergence, and the vehicle is stopped.
+    Before the first complete tick a NaN is a message that was not yet due (periods and phases differ): the vehicle
+    rolls on. Otherwise it is divergence, and the vehicle is stopped.
 
     Args:
         steer_rad: the last steering command.

@@ -1,11 +1,11 @@
-"""What the controller parts are given, and what a file of `lateral/`, `longitudinal/`, `inner/` exports as CONTROLLER.
+"""Inputs of the controller parts, and the export CONTROLLER of a file of `lateral/`, `longitudinal/`, `inner/`.
 
-A part is either a `Recipe` (its constants are worked out from the vehicle when a bench is built: LQR gain table, MRAC
-start gains) or, shorter, a plain `Block` whose params are a NamedTuple with one field for each of its tunables.
+A part is a `Recipe` (its constants are computed from the vehicle when a bench is built: LQR gain table, MRAC start
+gains) or a plain `Block` whose params are a NamedTuple with one field for each of its tunables.
 
-    lateral       x = (Tracking, Measurement)                 -> steering-wheel angle wished, rad
+    lateral       x = (Tracking, Measurement)                 -> steering-wheel angle demand, rad
     longitudinal  x = (Tracking, Measurement)                 -> Pedals
-    inner         x = (steer wished rad, measured rad, m/s)   -> InnerAnswer
+    inner         x = (steer demand rad, measured rad, m/s)   -> InnerAnswer
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from tunefree_hil.base.records import Measurement
 
 
 class VehicleConstants(NamedTuple):
-    """What the controller believes of the vehicle (vehicle.toml: nominal, limits, latency). Stiffness is per AXLE.
+    """Vehicle constants of the controller (vehicle.toml: nominal, limits, latency). Stiffness is per AXLE.
 
-    The defaults are the MKZ of docs/reference/apollo.md. Pedals are duty as on the wire.
+    The defaults are the MKZ of docs/reference/apollo.md. Pedals are in duty as on the wire.
     """
 
     mass_kg: float = 2080.0
@@ -51,15 +51,15 @@ class VehicleConstants(NamedTuple):
 
 
 class Pedals(NamedTuple):
-    """Answer of a longitudinal part."""
+    """Output of a longitudinal part."""
 
     throttle_frac: float
     brake_frac: float
-    accel_mps2: float  # the acceleration that was asked for
+    accel_mps2: float  # demanded acceleration
 
 
 class InnerAnswer(NamedTuple):
-    """Answer of an inner part. status: 0, +/-1 bounded in size, +/-2 bounded in rate (docs/reference/apollo.md)."""
+    """Output of an inner part. status: 0, +/-1 limited in size, +/-2 limited in rate (docs/reference/apollo.md)."""
 
     steer_rad: float
     status: float
@@ -68,9 +68,9 @@ class InnerAnswer(NamedTuple):
 class LeadLag(NamedTuple):
     """Low-speed lead-lag G(s) = beta (tau s + 1)/(alpha tau s + 1) on -lateral error (docs/reference/apollo.md).
 
-    weight 0 switches it off, which is our default: as shipped (weight 1, alpha = beta = 1, tau = 0) it adds 1 rad of
-    road wheel per metre of error below 3 m/s, five times the K1 of any Q in the published box, is not in the paper's
-    eq. 3, and would hide from the tuner what its Q does at low speed.
+    weight 0, the default, switches it off: as shipped (weight 1, alpha = beta = 1, tau = 0) it adds 1 rad of road wheel
+    per metre of error below 3 m/s. That is five times the K1 of any Q in the published box, it is not in the paper's
+    eq. 3, and it would mask the effect of Q at low speed.
     """
 
     weight: float = 0.0
@@ -81,14 +81,14 @@ class LeadLag(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """What is neither tuned nor a constant of the vehicle. Defaults are the shipped ones (docs/reference/apollo.md)."""
+    """Settings, neither tuned nor constants of the vehicle. Defaults are those of Apollo (docs/reference/apollo.md)."""
 
     lead_lag: LeadLag = LeadLag()
     cutoff_hz: float = 10.0
-    hold_speed_mps: float = 0.081  # below, the steering command is held
+    hold_speed_mps: float = 0.081  # below it the steering command is held
     lane_half_width_m: float = 2.0
     divergence_heading_rad: float = 1.5707963267948966
-    mrac_form: str = "apollo"  # or "paper": eq. 5 and 6 with nothing round them
+    mrac_form: str = "apollo"  # or "paper": eq. 5 and 6 only
     mrac_order: int = 1
     mrac_natural_radps: float = 10.0  # reference model of order 2
     mrac_damping: float = 0.9
@@ -99,7 +99,7 @@ class Settings(NamedTuple):
 
 @dataclass(frozen=True)
 class Setup:
-    """All that a recipe may use. `values`: every parameter by name; `absent`: record fields the vehicle lacks."""
+    """Inputs of a recipe. `values`: every parameter by name; `absent`: record fields the vehicle lacks."""
 
     values: Mapping[str, float]
     vehicle: VehicleConstants
@@ -110,7 +110,7 @@ class Setup:
 
 
 class Recipe(NamedTuple):
-    """A part that is worked out at build time: make(setup) -> Block."""
+    """A part that is computed at build time: make(setup) -> Block."""
 
     make: Callable[[Setup], Block]
     tunables: tuple[Tunable, ...] = ()
@@ -123,13 +123,12 @@ def chassis_speed_of(absent: Collection[str]) -> float:
 
 @kernel
 def speed_of(measurement: Measurement, chassis_speed: float) -> float:
-    """The speed that gains, map and bounds go by: the chassis's (docs/reference/apollo.md), the INS's where there is
-    none."""
+    """The speed for gains, map and bounds: of the chassis (docs/reference/apollo.md), else of the INS."""
     return measurement.report.speed_mps if chassis_speed != 0.0 else measurement.ins.speed_mps
 
 
 def bind(part: Recipe | Block, setup: Setup) -> Block:
-    """The Block of a part with the values of `setup`; a plain Block's params get them by name (after the last dot)."""
+    """The Block of a part with the values of `setup`; params of a plain Block get them by name (after the last dot)."""
     if isinstance(part, Recipe):
         return part.make(setup)
     fields = {tunable.name.rpartition(".")[2]: tunable.name for tunable in part.tunables}

@@ -1,4 +1,4 @@
-"""Linear filters as kernels; their coefficients are worked out at build in plain maths (bilinear transform)."""
+"""Linear filters as kernels; coefficients are computed at build time (bilinear transform)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class SecondOrderState(NamedTuple):
 
 
 class FirstOrder(NamedTuple):
-    """w[k] = x[k] - a1 w[k-1], kept within +/- limit; y[k] = b0 w[k] + b1 w[k-1]."""
+    """w[k] = x[k] - a1 w[k-1], limited to +/- limit; y[k] = b0 w[k] + b1 w[k-1]."""
 
     b0: float
     b1: float
@@ -40,7 +40,7 @@ def butterworth(cutoff_hz: float, dt_s: float) -> SecondOrder:
     """Low-pass of second order, wc^2 / (s^2 + sqrt(2) wc s + wc^2), bilinear *without* pre-warp
     (docs/reference/apollo.md).
 
-    So its real -3 dB point lies a little below `cutoff_hz` (9.69 Hz for 10 Hz at 10 ms).
+    Its -3 dB point therefore lies slightly below `cutoff_hz` (9.69 Hz for 10 Hz at 10 ms).
     """
     warp = 0.5 * dt_s * 2.0 * math.pi * cutoff_hz
     square, lean = warp * warp, math.sqrt(2.0) * warp
@@ -72,6 +72,6 @@ def first_order(lead_lag: LeadLag, dt_s: float) -> FirstOrder:
 
 @kernel
 def first_order_step(filt: FirstOrder, inner: float, value: float) -> tuple[float, float]:
-    """(inner state, output): direct form II with its state kept within the limit."""
+    """(inner state, output): direct form II with a limited state."""
     output = clamp(value - filt.a1 * inner, -filt.limit, filt.limit)
     return output, filt.b0 * output + filt.b1 * inner

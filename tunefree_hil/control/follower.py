@@ -1,16 +1,14 @@
-"""The reference follower (docs/reference/grading.md): where the vehicle is against the trajectory, and when that is
-planned anew.
+"""The reference follower (docs/reference/grading.md): errors of the vehicle against the trajectory, and re-plans.
 
-It runs in the controller at every tick and again wherever errors are worked out from INS frames. Signs and points as
-in docs/reference/files.md. Station runs along the original path throughout; the current trajectory is that path plus
-the lateral and speed offsets of the last re-plan, so it is the same until the first one.
+It runs in the controller at every tick and again wherever errors are computed from INS frames. Signs and points as
+in docs/reference/files.md. Station always runs along the original path; the current trajectory is that path plus
+the lateral and speed offsets of the last re-plan, so before the first re-plan both are the same.
 
-The heading error's rate is yaw rate - kappa v_ref (docs/reference/apollo.md) with the kappa of the foot and the v_ref
-of this
-time, as the columns of docs/reference/files.md go; shipped takes both at the foot. No look-up goes to the nearest
-row, as shipped ones do: feet are continuous, and times are read between rows.
+The heading error's rate is yaw rate - kappa v_ref (docs/reference/apollo.md) with kappa at the projected point and
+v_ref at this time, as for the columns of docs/reference/files.md; Apollo takes both at the projected point. Apollo uses
+the nearest row of a table; here projections are continuous and times are interpolated between rows.
 
-At the tick of a re-plan the errors are still against the trajectory that was too far away (they show why), from the
+At the tick of a re-plan the errors are still against the old trajectory, which shows why it was re-planned; from the
 next tick on they are against the new one.
 """
 
@@ -23,7 +21,7 @@ from tunefree_hil.base.course import Course, Tracking
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.maths import is_finite, wrap_rad
 from tunefree_hil.base.records import NAN, Ins
-from tunefree_hil.control.path import Foot, Path, cell_of, heading_at, make_path, project
+from tunefree_hil.control.path import Path, ProjectedPoint, cell_of, heading_at, make_path, project
 from tunefree_hil.control.schedule import (
     Blend,
     Schedule,
@@ -44,13 +42,13 @@ PREVIEW_COS_FLOOR = 0.1
 
 
 class ReplanRules(NamedTuple):
-    """When and how a re-plan happens (docs/reference/grading.md)."""
+    """Conditions and form of a re-plan (docs/reference/grading.md)."""
 
     lateral_m: float = 0.5
     station_m: float = 2.5
     blend_s: float = 3.0
     hold_off_s: float = 1.0
-    blend_least_m: float = 6.0  # below 2 m/s: a 0.5 m offset is then left with less than half of full lock
+    blend_least_m: float = 6.0  # below 2 m/s: with less than half of full lock for an offset of 0.5 m
 
 
 class FollowerParams(NamedTuple):
@@ -64,7 +62,7 @@ class FollowerParams(NamedTuple):
 
 
 class FollowerState(NamedTuple):
-    """Cells of the last feet, and the trajectory in use."""
+    """Cells of the last projections, and the current trajectory."""
 
     rear_cell: int
     mass_cell: int
@@ -73,7 +71,7 @@ class FollowerState(NamedTuple):
 
 
 class Lane(NamedTuple):
-    """The current trajectory at the foot of the centre of mass, and the errors against it."""
+    """The current trajectory at the projection of the centre of mass, and the errors against it."""
 
     heading_rad: float
     curvature_1pm: float
@@ -87,7 +85,7 @@ class Lane(NamedTuple):
 def make_follower(
     course: Course, rear_axle_m: float, look_ahead_m: float = 0.0, rules: ReplanRules | None = None
 ) -> Block:
-    """Block: x = (tick, Ins) -> Tracking. A fix with a number that is not finite gives a Tracking of NaN."""
+    """Block: x = (tick, Ins) -> Tracking. An Ins with a number that is not finite gives a Tracking of NaN."""
     params = FollowerParams(make_path(course), make_schedule(course), rules or ReplanRules(), rear_axle_m, look_ahead_m)
     return Block(init, step, params)
 
@@ -109,18 +107,18 @@ def step(params: FollowerParams, state: FollowerState, x: tuple[Any, Ins], dt_s:
     cos, sin = math.cos(ins.heading_rad), math.sin(ins.heading_rad)
     mass_x_m = ins.x_m + params.rear_axle_m * cos
     mass_y_m = ins.y_m + params.rear_axle_m * sin
-    rear = project(params.path, state.rear_cell, ins.x_m, ins.y_m)
-    mass = project(params.path, state.mass_cell, mass_x_m, mass_y_m)
-    lane = lane_at(blend, mass, mass_x_m, mass_y_m, ins.heading_rad)
+    rear_axle_projection = project(params.path, state.rear_cell, ins.x_m, ins.y_m)
+    com_projection = project(params.path, state.mass_cell, mass_x_m, mass_y_m)
+    lane = lane_at(blend, com_projection, mass_x_m, mass_y_m, ins.heading_rad)
 
     plan_s = time_s - blend.shift_s
     ref_speed_mps, ref_accel_mps2 = reference_at(schedule, blend, rules.blend_s, time_s)
-    station_error_m = station_at(schedule, plan_s) + blend.station_m - rear.station_m
-    path_speed_mps = speed_along(rear, ins)
+    station_error_m = station_at(schedule, plan_s) + blend.station_m - rear_axle_projection.station_m
+    path_speed_mps = speed_along(rear_axle_projection, ins)
     preview_speed_mps, preview_accel_mps2 = reference_at(schedule, blend, rules.blend_s, time_s + PREVIEW_S)
     row, _ = row_at(schedule, plan_s)
-    remaining_m = schedule.stop_station_m[row] + blend.station_m - rear.station_m
-    turn_rad, ahead_1pm = look_ahead(params, blend, mass, lane, plan_s, ins.speed_mps)
+    remaining_m = schedule.stop_station_m[row] + blend.station_m - rear_axle_projection.station_m
+    turn_rad, ahead_1pm = look_ahead(params, blend, com_projection, lane, plan_s, ins.speed_mps)
 
     apart = abs(lane.lateral_error_m) > rules.lateral_m or abs(station_error_m) > rules.station_m
     replan = 0.0
@@ -128,7 +126,7 @@ def step(params: FollowerParams, state: FollowerState, x: tuple[Any, Ins], dt_s:
     if apart and time_s >= hold_until_s:
         replan = 1.0
         hold_until_s = time_s + rules.hold_off_s
-        blend = anchor(params, mass, lane, rear.station_m, path_speed_mps, plan_s, time_s)
+        blend = anchor(params, com_projection, lane, rear_axle_projection.station_m, path_speed_mps, plan_s, time_s)
     blend = roll_on(schedule, blend, rules.blend_s, time_s, dt_s)
 
     tracking = Tracking(
@@ -150,32 +148,32 @@ def step(params: FollowerParams, state: FollowerState, x: tuple[Any, Ins], dt_s:
         ahead_1pm,
         turn_rad,
         remaining_m,
-        mass.lateral_m,
+        com_projection.lateral_m,
         lane.path_heading_error_rad,
     )
-    return FollowerState(rear.cell, mass.cell, blend, hold_until_s), tracking
+    return FollowerState(rear_axle_projection.cell, com_projection.cell, blend, hold_until_s), tracking
 
 
 @kernel
-def lane_at(blend: Blend, mass: Foot, x_m: float, y_m: float, heading_rad: float) -> Lane:
+def lane_at(blend: Blend, com_projection: ProjectedPoint, x_m: float, y_m: float, heading_rad: float) -> Lane:
     """The current trajectory beside the centre of mass. Errors: vehicle - reference, left positive."""
-    path_heading_error_rad = wrap_rad(heading_rad - mass.heading_rad)
-    offset_m, slope, bend_1pm = lateral_blend(blend, mass.station_m)
-    lateral_m = mass.lateral_m - offset_m
+    path_heading_error_rad = wrap_rad(heading_rad - com_projection.heading_rad)
+    offset_m, slope, bend_1pm = lateral_blend(blend, com_projection.station_m)
+    lateral_m = com_projection.lateral_m - offset_m
     if offset_m == 0.0 and slope == 0.0 and bend_1pm == 0.0:
-        ref_x_m, ref_y_m = x_m + lateral_m * mass.sin, y_m - lateral_m * mass.cos
+        ref_x_m, ref_y_m = x_m + lateral_m * com_projection.sin, y_m - lateral_m * com_projection.cos
         return Lane(
-            mass.heading_rad,
-            mass.curvature_1pm,
+            com_projection.heading_rad,
+            com_projection.curvature_1pm,
             lateral_m,
             path_heading_error_rad,
             ref_x_m,
             ref_y_m,
             path_heading_error_rad,
         )
-    turn_rad, curvature_1pm = offset_curve(mass.curvature_1pm, offset_m, slope, bend_1pm)
+    turn_rad, curvature_1pm = offset_curve(com_projection.curvature_1pm, offset_m, slope, bend_1pm)
     error_m = lateral_m * math.cos(turn_rad)
-    heading = mass.heading_rad + turn_rad
+    heading = com_projection.heading_rad + turn_rad
     ref_x_m, ref_y_m = x_m + error_m * math.sin(heading), y_m - error_m * math.cos(heading)
     heading_error_rad = wrap_rad(path_heading_error_rad - turn_rad)
     return Lane(heading, curvature_1pm, error_m, heading_error_rad, ref_x_m, ref_y_m, path_heading_error_rad)
@@ -185,7 +183,7 @@ def lane_at(blend: Blend, mass: Foot, x_m: float, y_m: float, heading_rad: float
 def offset_curve(curvature_1pm: float, offset_m: float, slope: float, bend_1pm: float) -> tuple[float, float]:
     """(heading against the path, curvature) of a line at a varying offset from a path.
 
-    The path's curvature counts as constant over the blend, which leaves out offset times its change.
+    The path's curvature is taken as constant over the blend: offset times its change is neglected.
     """
     arc_scale = max(1.0 - curvature_1pm * offset_m, MIN_ARC_SCALE)
     turn_rad = math.atan(slope / arc_scale)
@@ -195,19 +193,19 @@ def offset_curve(curvature_1pm: float, offset_m: float, slope: float, bend_1pm: 
 
 
 @kernel
-def speed_along(rear: Foot, ins: Ins) -> float:
+def speed_along(rear_axle_projection: ProjectedPoint, ins: Ins) -> float:
     """Rate of the station: v cos(heading error) / (1 - kappa d) at the rear axle (docs/reference/apollo.md)."""
-    arc_scale = max(1.0 - rear.curvature_1pm * rear.lateral_m, MIN_ARC_SCALE)
-    return ins.speed_mps * math.cos(ins.heading_rad - rear.heading_rad) / arc_scale
+    arc_scale = max(1.0 - rear_axle_projection.curvature_1pm * rear_axle_projection.lateral_m, MIN_ARC_SCALE)
+    return ins.speed_mps * math.cos(ins.heading_rad - rear_axle_projection.heading_rad) / arc_scale
 
 
 @kernel
 def look_ahead(
-    params: FollowerParams, blend: Blend, mass: Foot, lane: Lane, plan_s: float, speed_mps: float
+    params: FollowerParams, blend: Blend, com_projection: ProjectedPoint, lane: Lane, plan_s: float, speed_mps: float
 ) -> tuple[float, float]:
     """(heading change, curvature) of the trajectory at the look-ahead point (docs/reference/apollo.md).
 
-    That point is where the plan will have gone in look_ahead / (max(|v|, 0.1) cos(heading error)) seconds.
+    That point is the position of the plan in look_ahead / (max(|v|, 0.1) cos(heading error)) seconds.
     """
     if params.look_ahead_m == 0.0:
         return 0.0, lane.curvature_1pm
@@ -219,7 +217,7 @@ def look_ahead(
         cos = PREVIEW_COS_FLOOR
     later_s = plan_s + params.look_ahead_m / (pace_mps * cos)
     run_m = station_at(params.schedule, later_s) - station_at(params.schedule, plan_s)
-    station_m = mass.station_m + run_m
+    station_m = com_projection.station_m + run_m
     heading_rad, curvature_1pm = heading_at(params.path, station_m)
     offset_m, slope, bend_1pm = lateral_blend(blend, station_m)
     turn_rad, bent_1pm = offset_curve(curvature_1pm, offset_m, slope, bend_1pm)
@@ -229,14 +227,14 @@ def look_ahead(
 @kernel
 def anchor(
     params: FollowerParams,
-    mass: Foot,
+    com_projection: ProjectedPoint,
     lane: Lane,
     station_m: float,
     speed_mps: float,
     plan_s: float,
     time_s: float,
 ) -> Blend:
-    """A new trajectory from the measured pose and speed; the plan's clock is set to where the vehicle is."""
+    """A new trajectory from the measured pose and speed; the time of the plan is set to the vehicle's position."""
     schedule, rules = params.schedule, params.rules
     new_plan_s = time_of(schedule, plan_s, station_m)
     plan_speed_mps, _ = plan_at(schedule, new_plan_s)
@@ -244,9 +242,9 @@ def anchor(
     length_m = rules.blend_s * rolling_mps
     if length_m < rules.blend_least_m:
         length_m = rules.blend_least_m
-    arc_scale = max(1.0 - mass.curvature_1pm * mass.lateral_m, MIN_ARC_SCALE)
+    arc_scale = max(1.0 - com_projection.curvature_1pm * com_projection.lateral_m, MIN_ARC_SCALE)
     cos = math.cos(lane.path_heading_error_rad)
-    slope = 0.0  # across the path or backwards: the offset only
+    slope = 0.0  # across the path or backwards: only the offset
     if cos > PREVIEW_COS_FLOOR:
         slope = arc_scale * math.sin(lane.path_heading_error_rad) / cos
     return Blend(
@@ -254,16 +252,16 @@ def anchor(
         time_s,
         rolling_mps - plan_speed_mps,
         station_m - station_at(schedule, new_plan_s),
-        mass.station_m,
+        com_projection.station_m,
         length_m,
-        mass.lateral_m,
+        com_projection.lateral_m,
         slope,
     )
 
 
 @kernel
 def roll_on(schedule: Schedule, blend: Blend, blend_s: float, time_s: float, dt_s: float) -> Blend:
-    """The blend a tick later: what the speed offset adds to the reference station."""
+    """The blend a tick later: the speed offset is integrated to the reference station."""
     if blend.speed_mps == 0.0 or time_s - blend.from_s >= blend_s:
         return blend
     plan_mps, _ = plan_at(schedule, time_s - blend.shift_s)
@@ -282,5 +280,5 @@ def roll_on(schedule: Schedule, blend: Blend, blend_s: float, time_s: float, dt_
 
 @kernel
 def undefined_tracking() -> Tracking:
-    """Nothing is known."""
+    """A Tracking of NaN."""
     return Tracking(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, 0.0, NAN, NAN, NAN, 0.0, NAN, NAN, NAN)

@@ -1,4 +1,4 @@
-"""What happens to the steering wish behind the inner loop, in the order of docs/reference/apollo.md.
+"""Limits of the steering demand after the inner loop, in the order of docs/reference/apollo.md.
 
 clamp to atan(a_lat L / v^2) -> low-pass -> clamp to the wheel's limit -> hold near standstill -> clamp of the rate.
 """
@@ -15,7 +15,7 @@ from tunefree_hil.control.filters import SecondOrder, SecondOrderState, butterwo
 
 
 class SteerBound(NamedTuple):
-    """How far the wheel may be turned at a speed."""
+    """Bound of the steering-wheel angle by speed."""
 
     lateral_accel_mps2: float
     wheelbase_m: float
@@ -45,7 +45,7 @@ def steer_bound_of(vehicle: VehicleConstants) -> SteerBound:
 
 
 def make(setup: Setup) -> Block:
-    """x = (steer wish rad, speed m/s) -> steer command rad. The rate is the vehicle's own (shipped: not limited)."""
+    """x = (steer demand rad, speed m/s) -> steer command rad. The rate limit is the vehicle's (Apollo: none)."""
     low_pass = butterworth(setup.settings.cutoff_hz, setup.dt_s)
     bound = steer_bound_of(setup.vehicle)
     return Block(

@@ -1,4 +1,4 @@
-"""What MRAC cannot do without: the measured steering angle, and the lag of the steering actuator by the data sheet."""
+"""Needs of MRAC: the measured steering angle, and the lag of the steering actuator in the data sheet."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ WITHOUT = "; without it set mrac.enable = 0 to drive (a tune has MRAC on, in its
 def require_needs(setup: Setup, tau_s: float) -> None:
     """Raise InputError for a vehicle on which MRAC cannot work. tau_s: the actuator's lag that the data sheet states.
 
-    With a lag of 0 the start gains change nothing and the clamp has no room, so that nothing is ever adapted: whoever
-    searched its parameters would search a plain. The paper's form knows neither start gains nor clamp.
+    With a lag of 0 the start gains have no effect and the clamp allows no change, so nothing is adapted and a search of
+    its parameters has no effect. The paper's form has neither start gains nor clamp.
     """
     if "report.steer_rad" in setup.absent:
         raise InputError(

@@ -13,7 +13,7 @@ from tunefree_hil.base.errors import InputError
 
 
 class Box(Protocol):
-    """Where a parameter may lie: a Tunable, or what a bench file says in [tune]."""
+    """Range of a parameter: a Tunable, or an entry of [tune] in a bench file."""
 
     @property
     def low(self) -> float: ...
@@ -29,7 +29,7 @@ class Box(Protocol):
 
 
 class Parameter(NamedTuple):
-    """One row. `manual`: the shipped MKZ value; `fixed`: its value in a study that does not tune it (None: manual)."""
+    """One row. `manual`: Apollo's MKZ value; `fixed`: its value in a study that does not tune it (None: manual)."""
 
     index: int
     tunable: Tunable
@@ -56,12 +56,12 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(15, Tunable("look_ahead_m", "m", 0.0, 5.0, "linear"), 0.0),
 )
 LARGEST32 = 3.4028234e38  # of PARAM's binary32 (docs/reference/bench_channel.md), rounded down
-FIRST_OWN_INDEX = 16  # a user's own controller announces its parameters from here on
+FIRST_OWN_INDEX = 16  # first index for parameters of a user's controller
 BY_NAME: dict[str, Parameter] = {row.tunable.name: row for row in PARAMETERS}
 NAMES: tuple[str, ...] = tuple(BY_NAME)
 SETS: dict[str, tuple[str, ...]] = {"mrac": NAMES[0:2], "lateral": NAMES[0:6], "complete": NAMES[0:11]}
 
-HALF_WHEELBASE_M = 1.4224  # the shipped look-ahead (docs/reference/apollo.md)
+HALF_WHEELBASE_M = 1.4224  # look-ahead as shipped (docs/reference/apollo.md)
 RICCATI_CODES = {"converged": 0.0, "apollo150": 1.0}
 
 _AS_SHIPPED = {row.tunable.name: row.manual for row in PARAMETERS}
@@ -93,12 +93,12 @@ def middle_of(box: Box) -> float:
 
 
 def round32(value: float) -> float:
-    """The nearest IEEE 754 binary32 number: what a PARAM frame carries (docs/reference/bench_channel.md)."""
+    """The nearest IEEE 754 binary32 number: as in a PARAM frame (docs/reference/bench_channel.md)."""
     return float(struct.unpack("<f", struct.pack("<f", value))[0])
 
 
 def box32(low: float, high: float) -> tuple[float, float]:
-    """The box rounded inward to binary32, so that rounding a point of it never leaves the box."""
+    """The box rounded inward to binary32, so that a rounded point of it is in the box."""
     inner_low, inner_high = round32(low), round32(high)
     if inner_low < low:
         inner_low = _step32(inner_low, upward=True)
@@ -114,7 +114,7 @@ def box32(low: float, high: float) -> tuple[float, float]:
 
 
 def _step32(value: float, *, upward: bool) -> float:
-    """The binary32 number next to `value`, which is one."""
+    """The next binary32 number after the binary32 number `value`."""
     if value == 0.0:
         tiny = struct.unpack("<f", struct.pack("<I", 1))[0]
         return tiny if upward else -tiny
@@ -124,7 +124,7 @@ def _step32(value: float, *, upward: bool) -> float:
 
 
 def check_complete(values: Mapping[str, float], own_names: tuple[str, ...] = ()) -> dict[str, float]:
-    """`values` as floats. Raises InputError unless it names every parameter (and `own`, a user's), and nothing else."""
+    """`values` as floats. Raises InputError unless it names exactly every parameter (and `own`, of the user)."""
     known = NAMES + own_names
     missing = [name for name in known if name not in values]
     unknown = [name for name in values if name not in known]

@@ -1,9 +1,9 @@
 """Projection of a point on the path table of a Course: local, continuous along the segment and across the nodes.
 
-Within a cell the path is the chord plus the bulge of its mean curvature, its heading is interpolated. A point's foot is
-where the interpolated tangent is square to the way to the point. That condition is the same seen from both cells at a
-node, so the foot moves on without a jump or a gap. The search starts at the last foot: where the path passes near
-itself (U-turn, slip road) the branch that is being driven is kept.
+Within a cell the path is the chord plus an arc of its mean curvature; its heading is interpolated. The projection of a
+point is where the interpolated tangent is perpendicular to the line to the point. At a node this condition is the same
+for both cells, so the projection is continuous. The search starts at the last projection: where the path passes near
+itself (U-turn, slip road) it stays on the branch being driven.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.course import Course
 from tunefree_hil.base.kernel import kernel, table
 
-WALK_M = 5.0  # a foot moves less than this in one tick; more would be another branch of the path
+WALK_M = 5.0  # longest search in one tick; further away is another branch of the path
 
 
 class Path(NamedTuple):
@@ -31,7 +31,7 @@ class Path(NamedTuple):
     walk_cells: int
 
 
-class Foot(NamedTuple):
+class ProjectedPoint(NamedTuple):
     """The point of the path nearest to a point, and how far to the left of it (tangent's normal) the point is."""
 
     cell: int
@@ -60,8 +60,8 @@ def make_path(course: Course) -> Path:
 
 
 @kernel
-def find_foot(path: Path, cell: int, x_m: float, y_m: float) -> tuple[int, float]:
-    """(cell, share of the cell) of the foot of a point, looked for from `cell` onwards and backwards."""
+def find_projection(path: Path, cell: int, x_m: float, y_m: float) -> tuple[int, float]:
+    """(cell, share of the cell) of the projection of a point, searched forwards and backwards from `cell`."""
     xs, ys, cos, sin = path.x_m, path.y_m, path.cos, path.sin
     last = len(xs) - 2
     along = (x_m - xs[cell]) * cos[cell] + (y_m - ys[cell]) * sin[cell]
@@ -78,7 +78,7 @@ def find_foot(path: Path, cell: int, x_m: float, y_m: float) -> tuple[int, float
         ahead = along
         along = (x_m - xs[cell]) * cos[cell] + (y_m - ys[cell]) * sin[cell]
     fall = along - ahead
-    share = 0.5  # beyond the centre of curvature the foot is not defined
+    share = 0.5  # beyond the centre of curvature the projection is not defined
     if fall > 1e-9:
         share = along / fall
     if share < 0.0 and cell > 0:
@@ -89,9 +89,9 @@ def find_foot(path: Path, cell: int, x_m: float, y_m: float) -> tuple[int, float
 
 
 @kernel
-def project(path: Path, cell: int, x_m: float, y_m: float) -> Foot:
-    """The foot of a point. Left of the path is positive; beyond the ends the path goes straight on."""
-    cell, share = find_foot(path, cell, x_m, y_m)
+def project(path: Path, cell: int, x_m: float, y_m: float) -> ProjectedPoint:
+    """The projection of a point. Left of the path is positive; beyond the ends the path is straight."""
+    cell, share = find_projection(path, cell, x_m, y_m)
     after = cell + 1
     first_curvature, first_heading = path.curvature_1pm[cell], path.heading_rad[cell]
     heading_rad = first_heading + share * (path.heading_rad[after] - first_heading)
@@ -105,7 +105,7 @@ def project(path: Path, cell: int, x_m: float, y_m: float) -> Foot:
         mean_1pm = 0.5 * (first_curvature + path.curvature_1pm[after])
         lateral_m += 0.5 * mean_1pm * path.spacing_m * path.spacing_m * share * (1.0 - share)
     station_m = path.first_station_m + (cell + share) * path.spacing_m
-    return Foot(cell, station_m, heading_rad, curvature_1pm, lateral_m, cos, sin)
+    return ProjectedPoint(cell, station_m, heading_rad, curvature_1pm, lateral_m, cos, sin)
 
 
 @kernel

@@ -1,12 +1,11 @@
 """Discrete algebraic Riccati equation for one input, in plain floats: loops over flat row-major buffers.
 
-No linear-algebra library: its order of operations may change from one version to the next, and gains must not.
+Without a linear-algebra library, as its order of operations may change between versions and gains must not.
 
-Two ways to the same equation P = Q + A'PA - A'PB (r + B'PB)^-1 B'PA:
-`recurse` is the plain recursion as shipped (docs/reference/apollo.md), which stops by tolerance or at 150 rounds; up
-to 12 m/s
-the cap stops it, so its gains are not those of the equation. `double` is structured doubling, one of whose rounds is
-worth all the recursion's rounds so far, and it goes on to rounding error.
+Two solvers of the same equation P = Q + A'PA - A'PB (r + B'PB)^-1 B'PA:
+`recurse` is the plain recursion as shipped (docs/reference/apollo.md), which stops by tolerance or after 150 rounds; up
+to 12 m/s the cap stops it, so its gains are not those of the equation. `double` is structured doubling: each round
+doubles the number of recursion rounds, and it converges to rounding error.
 """
 
 from __future__ import annotations
@@ -71,7 +70,7 @@ def solve(matrix: Any, right: Any, n: int, columns: int) -> bool:
                 swapped = right[pivot * columns + j]
                 right[pivot * columns + j] = right[best * columns + j]
                 right[best * columns + j] = swapped
-        scale = 1.0 / matrix[pivot * n + pivot]  # not 0: seen to above
+        scale = 1.0 / matrix[pivot * n + pivot]  # not 0: checked above
         for i in range(n):
             if i != pivot:
                 share = matrix[i * n + pivot] * scale
@@ -108,8 +107,8 @@ def recurse(
 ) -> int:
     """Plain recursion from P = Q into p; the rounds it took. work: n n, row: n.
 
-    As shipped it stops when the *largest* coefficient of the change is, in absolute value, within the tolerance (not
-    the largest absolute value), or after the last round.
+    As in Apollo it stops when the absolute value of the *largest* coefficient of the change (not the largest absolute
+    value) is within the tolerance, or after the last round.
     """
     for i in range(n * n):
         p[i] = q[i]
@@ -144,7 +143,7 @@ def recurse(
 def double(
     h: Any, a: Any, g: Any, n: int, rounds: int, tolerance: float, w: Any, v: Any, t: Any, left: Any, pair: Any
 ) -> int:
-    """Structured doubling: h starts as Q and becomes P; a, g = B B'/r are used up. The rounds it took.
+    """Structured doubling: h starts as Q and becomes P; a, g = B B'/r are overwritten. Returns the number of rounds.
 
     With W = (I + G H)^-1: A+ = A W A, G+ = G + A W G A', H+ = H + A' H W A. w, v, t, left: n n; pair: 2 n n.
     """
@@ -186,7 +185,7 @@ def double(
 
 
 class RiccatiBuffers(NamedTuple):
-    """Buffers that `converge` uses up: six of n n, one of 2 n n, one of n."""
+    """Buffers that `converge` overwrites: six of n n, one of 2 n n, one of n."""
 
     g: Any
     used: Any
@@ -210,7 +209,7 @@ def solve_gain(
 ) -> int:
     """K into gain, P into p, for flat A (n n), B (n), Q (n n) and the weight r of the one input; the rounds it took.
 
-    `shipped`: the recursion with its cap; else the converged solution. a, b, q are left as they are.
+    `shipped`: the recursion with its cap; else the converged solution. a, b, q are not changed.
     """
     if shipped:
         rounds = recurse(p, a, b, q, weight, n, SHIPPED_ROUNDS, SHIPPED_TOLERANCE, work.w, work.row)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.course import Course
 from tunefree_hil.base.kernel import kernel, table
 
-STOPPED_MPS = 1e-3  # a row slower than this that does not pull away is a stop (docs/reference/apollo.md)
+STOPPED_MPS = 1e-3  # a slower row without positive acceleration is a stop (docs/reference/apollo.md)
 PULL_AWAY_MPS2 = 0.01
 
 
@@ -23,7 +23,7 @@ class Schedule(NamedTuple):
 
 
 class Blend(NamedTuple):
-    """How the current trajectory departs from the planned one; all zero before the first re-plan.
+    """Offsets of the current trajectory from the planned one; all zero before the first re-plan.
 
     Time: the plan runs `shift_s` late. Speed: an offset that fades over the blend, whose integral is `station_m`.
     Place: a lateral offset, a quintic in station from (lateral_m, slope, 0) at from_station_m to 0 after length_m.
@@ -40,7 +40,7 @@ class Blend(NamedTuple):
 
 
 def make_schedule(course: Course) -> Schedule:
-    """The rows of a Course with the stops found; where no stop follows, the path's end takes its place."""
+    """The rows of a Course with the stops found; without a further stop, the end of the path."""
     place_m = course.first_station_m + (len(course.path_x_m) - 1) * course.spacing_m
     stops = []
     for k in range(len(course.station_m) - 1, -1, -1):
@@ -57,7 +57,7 @@ def no_blend() -> Blend:
 
 @kernel
 def row_at(schedule: Schedule, plan_s: float) -> tuple[int, float]:
-    """(row, share of the way to the next) at a time of the plan, held at the ends."""
+    """(row, share of the way to the next) at a time of the plan, limited to the ends."""
     last = len(schedule.station_m) - 1
     at = plan_s / schedule.dt_s
     if at <= 0.0:
@@ -70,7 +70,7 @@ def row_at(schedule: Schedule, plan_s: float) -> tuple[int, float]:
 
 @kernel
 def plan_at(schedule: Schedule, plan_s: float) -> tuple[float, float]:
-    """(speed, acceleration) of the plan at a time; the last row goes on for ever."""
+    """(speed, acceleration) of the plan at a time; after the end that of the last row."""
     row, share = row_at(schedule, plan_s)
     speed_mps, accel_mps2 = float(schedule.speed_mps[row]), float(schedule.accel_mps2[row])
     if share > 0.0:
@@ -96,8 +96,8 @@ def station_at(schedule: Schedule, plan_s: float) -> float:
 def time_of(schedule: Schedule, plan_s: float, station_m: float) -> float:
     """The time of the plan nearest to `plan_s` at which it is at `station_m`.
 
-    Going forward it does not pass a stop (a vehicle that overran its stop still waits there); going back it does.
-    Where the plan never gets there, the nearest it comes: the caller takes the rest as an offset of the station.
+    Forward it does not pass a stop (a vehicle that overran its stop still waits there), backward it does. Where the
+    plan does not reach the station, the nearest time: the caller uses the rest as an offset of the station.
     """
     rows, speeds = schedule.station_m, schedule.speed_mps
     last = len(rows) - 1
@@ -114,7 +114,7 @@ def time_of(schedule: Schedule, plan_s: float, station_m: float) -> float:
             beyond_s = ahead_m / speeds[last]
         return last * schedule.dt_s + beyond_s
     step_m = rows[row + 1] - rows[row]
-    if step_m <= ahead_m:  # at a stop, or past it: the wait goes on
+    if step_m <= ahead_m:  # at a stop or past it: keep waiting
         return plan_s if row == began else row * schedule.dt_s
     if ahead_m <= 0.0:
         return row * schedule.dt_s
@@ -136,7 +136,7 @@ def speed_blend(blend: Blend, blend_s: float, time_s: float) -> tuple[float, flo
 
 @kernel
 def reference_at(schedule: Schedule, blend: Blend, blend_s: float, time_s: float) -> tuple[float, float]:
-    """(speed, acceleration) of the current trajectory at a time. It never runs backwards."""
+    """(speed, acceleration) of the current trajectory at a time. The speed is not negative."""
     speed_mps, accel_mps2 = plan_at(schedule, time_s - blend.shift_s)
     offset_mps, rate_mps2 = speed_blend(blend, blend_s, time_s)
     speed_mps += offset_mps

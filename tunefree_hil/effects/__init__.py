@@ -1,8 +1,6 @@
-"""The catalogue of effects (docs/reference/effects.md): a file here with an EFFECT is in it, and nothing else
-registers it.
+"""The catalogue of effects (docs/reference/effects.md): every file here with an EFFECT belongs to it.
 
-ALIKE alone names effects: what no log tells apart is a fact about two of them. An effect on the body changes what
-plant/types.py can change.
+Only ALIKE names effects, as it concerns pairs of them. An effect on the body changes fields of BodyChange.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ from tunefree_hil.base.contracts import Effect
 
 
 class Alike(NamedTuple):
-    """Effects that no log of an ordinary drive tells apart, where the field `without` is absent ('': always)."""
+    """Effects that a log of an ordinary drive cannot distinguish, where the field `without` is absent ('': always)."""
 
     names: frozenset[str]
     without: str = ""
@@ -32,7 +30,7 @@ def catalogue() -> dict[str, Effect]:
 
 
 def class_of(name: str, absent: frozenset[str] = frozenset()) -> frozenset[str]:
-    """The names that count as this one for a vehicle without the fields `absent`; itself among them."""
+    """The names that are equivalent to this one for a vehicle without the fields `absent`, itself included."""
     for alike in ALIKE:
         if name in alike.names and (not alike.without or alike.without in absent):
             return alike.names

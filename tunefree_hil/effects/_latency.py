@@ -1,7 +1,7 @@
-"""Delay lines for whole records (Report, Ins), with straight lines between two ticks.
+"""Delay lines for whole records (Report, Ins), with linear interpolation between two ticks.
 
-A record that goes in at tick k comes out `delay_s` later. Before the first record the car rolled straight on as that
-record says. A gear is not interpolated: for a delay with a fraction of a tick the earlier gear counts.
+Before the first record the car rolled straight with the values of that record. A gear is not interpolated: for a delay
+with a fraction of a tick the earlier gear is used.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def _init(width: int) -> Any:
     def init(params: Latency, dt_s: float) -> DelayLineState:
         ticks = params.delay_s / dt_s
         whole = math.floor(ticks + 1e-9)
-        share = ticks - whole if ticks - whole > 1e-9 else 0.0  # 0.07 / 0.01 is not quite 7
+        share = ticks - whole if ticks - whole > 1e-9 else 0.0  # 0.07 / 0.01 is not exactly 7
         return DelayLineState(buffer((whole + 2) * width), 0, share, 0)
 
     return init

@@ -1,6 +1,6 @@
-"""Blocks on one signal put on a field of a Report; the other fields pass.
+"""Apply Blocks on one signal to a field of a Report; the other fields are unchanged.
 
-A step is wrapped once, however many effects are made of it: where kernels are compiled it is compiled once.
+A step is wrapped once for all its effects, so it is compiled once.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ Step = Callable[..., Any]
 
 
 @kernel
-def said(
+def replace_sensed(
     x: Report, steer: float, speed: float, wheels: tuple[float, float, float, float], accel: float, yaw: float
 ) -> Report:
-    """The report with other numbers for what the chassis' sensors say."""
+    """The report with other values of the chassis sensors."""
     return Report(
         x.throttle_input_frac, x.throttle_command_frac, x.throttle_frac, x.brake_input_frac, x.brake_command_frac,
         x.brake_frac, x.steer_command_rad, steer, speed, wheels[0], wheels[1], wheels[2], wheels[3], accel,
@@ -39,7 +39,7 @@ def _on_steer(inner: Step) -> Step:
     @kernel
     def step(params: Any, state: Any, x: Report, dt_s: float) -> tuple[Any, Report]:
         new, steer = inner(params, state, x.steer_rad, dt_s)
-        return new, said(x, steer, x.speed_mps, wheels_of(x), x.accel_mps2, x.yaw_rate_radps)
+        return new, replace_sensed(x, steer, x.speed_mps, wheels_of(x), x.accel_mps2, x.yaw_rate_radps)
 
     return step
 
@@ -49,7 +49,7 @@ def _on_accel(inner: Step) -> Step:
     @kernel
     def step(params: Any, state: Any, x: Report, dt_s: float) -> tuple[Any, Report]:
         new, accel = inner(params, state, x.accel_mps2, dt_s)
-        return new, said(x, x.steer_rad, x.speed_mps, wheels_of(x), accel, x.yaw_rate_radps)
+        return new, replace_sensed(x, x.steer_rad, x.speed_mps, wheels_of(x), accel, x.yaw_rate_radps)
 
     return step
 
@@ -59,7 +59,7 @@ def _on_yaw_rate(inner: Step) -> Step:
     @kernel
     def step(params: Any, state: Any, x: Report, dt_s: float) -> tuple[Any, Report]:
         new, yaw = inner(params, state, x.yaw_rate_radps, dt_s)
-        return new, said(x, x.steer_rad, x.speed_mps, wheels_of(x), x.accel_mps2, yaw)
+        return new, replace_sensed(x, x.steer_rad, x.speed_mps, wheels_of(x), x.accel_mps2, yaw)
 
     return step
 

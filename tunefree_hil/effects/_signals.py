@@ -1,4 +1,4 @@
-"""What effects on one signal have in common: dead time and lag as Blocks on a float, exact identities when neutral."""
+"""Blocks on a float for effects on one signal; they are exact identities when neutral."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def finite(name: str, value: float, most: float = math.inf) -> float:
 
 
 class DeadTimeState(NamedTuple):
-    """Delay line of the whole ticks and one more, its place, and the share of the tick that is left over."""
+    """Delay line of the whole ticks and one more, its index, and the remaining share of a tick."""
 
     line: Any
     place: int
@@ -37,7 +37,7 @@ class DeadTimeState(NamedTuple):
 
 @kernel
 def step_dead_time(params: Any, state: DeadTimeState, x: float, dt_s: float) -> tuple[DeadTimeState, float]:
-    """What went in `delay_s` ago; between two ticks a straight line."""
+    """The input `delay_s` ago, linear between two ticks."""
     line, place = state.line, state.place
     old = line[place]
     line[place] = x
@@ -49,7 +49,7 @@ def step_dead_time(params: Any, state: DeadTimeState, x: float, dt_s: float) -> 
 
 
 def dead_time(delay_s: float, rest: float) -> Block:
-    """Pure delay of a float that has been at `rest` for ever; delay_s = 0 is the identity."""
+    """Pure delay of a float that was at `rest` before tick 0; delay_s = 0 is the identity."""
 
     def init(params: tuple[float, float], dt_s: float) -> DeadTimeState:
         delay, first = params
@@ -60,7 +60,7 @@ def dead_time(delay_s: float, rest: float) -> Block:
 
 
 class LagState(NamedTuple):
-    """Output, and the share of the way to the input that one tick goes."""
+    """Output, and the share of the difference to the input covered in one tick."""
 
     output: float
     share: float
@@ -74,7 +74,7 @@ def step_lag(params: Any, state: LagState, x: float, dt_s: float) -> tuple[LagSt
 
 
 def lag(tau_s: float, rest: float) -> Block:
-    """First-order lag of a float that has been at `rest` for ever; tau_s = 0 is the identity."""
+    """First-order lag of a float that was at `rest` before tick 0; tau_s = 0 is the identity."""
 
     def init(params: tuple[float, float], dt_s: float) -> LagState:
         tau, first = params
@@ -84,7 +84,7 @@ def lag(tau_s: float, rest: float) -> Block:
 
 
 class SoftState(NamedTuple):
-    """Output, the newest input, and how far the output goes to the input before and along with the newest change."""
+    """Output, the newest input, and the weights of the previous input and of the newest change."""
 
     output: float
     before: float
@@ -94,7 +94,7 @@ class SoftState(NamedTuple):
 
 @kernel
 def step_soft(params: Any, state: SoftState, x: float, dt_s: float) -> tuple[SoftState, float]:
-    """First-order lag of an input that goes in straight lines from tick to tick, solved exactly."""
+    """First-order lag of an input that is linear between ticks, solved exactly."""
     if state.fresh >= 1.0:
         output = x
     else:
@@ -104,8 +104,9 @@ def step_soft(params: Any, state: SoftState, x: float, dt_s: float) -> tuple[Sof
 
 
 def soft(tau_s: float, rest: float) -> Block:
-    """First-order lag of a quantity of the car, which does not stand still over a tick as a command does (`lag` there
-    would be half a tick too early, and a lag fitted with it half a tick too long); tau_s = 0 is the identity.
+    """First-order lag of a continuous quantity of the car; tau_s = 0 is the identity.
+
+    `lag` is for commands, which are constant over a tick; here it would be half a tick too early.
     """
 
     def init(params: tuple[float, float], dt_s: float) -> SoftState:
@@ -131,7 +132,7 @@ def step_rate_limit(params: float, state: float, x: float, dt_s: float) -> tuple
 
 
 def rate_limit(name: str, rate: float, rest: float) -> Block:
-    """Rate limit of a float that has been at `rest` for ever; an infinite rate is the identity."""
+    """Rate limit of a float that was at `rest` before tick 0; an infinite rate is the identity."""
     if not rate > 0.0:
         raise InputError(f"{name} = {rate}", code="bad_effect_parameter", key=name, hint=f"{name} must be more than 0")
     return Block(lambda params, dt_s: rest, step_rate_limit, float(rate))
@@ -139,7 +140,7 @@ def rate_limit(name: str, rate: float, rest: float) -> Block:
 
 @kernel
 def step_play(params: float, state: float, x: float, dt_s: float) -> tuple[float, float]:
-    """Stays until the input is more than `params` away, then is dragged along at that distance."""
+    """Constant until the input is more than `params` away, then follows at that distance."""
     if x > state + params:
         y = x - params
     elif x < state - params:
@@ -152,7 +153,7 @@ def step_play(params: float, state: float, x: float, dt_s: float) -> tuple[float
 
 
 def play(name: str, half_width: float, rest: float) -> Block:
-    """Play of a float that stands in the middle of it at `rest`; half_width = 0 is the identity."""
+    """Backlash of a float, centred at `rest`; half_width = 0 is the identity."""
     return Block(lambda params, dt_s: rest, step_play, positive(name, half_width))
 
 
@@ -167,7 +168,7 @@ class SignalShape(NamedTuple):
 
 @kernel
 def step_shape(params: SignalShape, state: float, x: float, dt_s: float) -> tuple[float, float]:
-    """The curve; no memory. Neutral parts are left out, so that nothing is rounded."""
+    """The curve, without state. Neutral parts are left out to avoid rounding."""
     y = x
     over = y - params.rest
     if params.half_width > 0.0:
@@ -187,7 +188,7 @@ def step_shape(params: SignalShape, state: float, x: float, dt_s: float) -> tupl
 
 
 def shape(rest: float, *, half_width: float = 0.0, gain: float = 1.0, limit: float = math.inf) -> Block:
-    """A curve about `rest` as a Block on a float; the caller has checked the numbers."""
+    """A curve about `rest` as a Block on a float; the caller checks the numbers."""
     return Block(lambda params, dt_s: 0.0, step_shape, SignalShape(rest, half_width, gain, limit))
 
 
@@ -198,7 +199,7 @@ def step_offset(params: float, state: float, x: float, dt_s: float) -> tuple[flo
 
 
 def offset(name: str, value: float) -> Block:
-    """A constant on top of a float."""
+    """A constant added to a float."""
     return Block(lambda params, dt_s: 0.0, step_offset, finite(name, value))
 
 

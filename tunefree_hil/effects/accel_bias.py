@@ -1,4 +1,4 @@
-"""A longitudinal accelerometer that does not say 0 on level ground."""
+"""Bias of the longitudinal accelerometer."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tunefree_hil.effects._signals import offset
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on Report: bias_mps2 on top of the longitudinal acceleration."""
+    """Block on Report: bias_mps2 added to the longitudinal acceleration."""
     return on_accel(offset("bias_mps2", params["bias_mps2"]))
 
 

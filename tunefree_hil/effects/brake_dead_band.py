@@ -1,4 +1,4 @@
-"""A brake that is deaf to the first part of its reported duty."""
+"""A brake without effect in the first part of its reported duty."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dead time in the brake actuator: the reported duty follows its command later, by a shift."""
+"""Dead time in the brake actuator: the reported duty follows its command later."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tunefree_hil.effects._signals import dead_time
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on the brake duty; delay_s [s] comes on top of the actuator's own."""
+    """Block on the brake duty; delay_s [s] is added to the actuator's own."""
     return dead_time(params["delay_s"], rest)
 
 

@@ -1,4 +1,4 @@
-"""A brake that rubs: a force against the motion whatever the pedals say."""
+"""A dragging brake: a force against the motion, independent of the pedals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Brakes that fade: their gain falls with the energy that they have dissipated (no cooling, never below 0.3)."""
+"""Brake fade: the gain falls with the dissipated energy (no cooling, not below 0.3)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tunefree_hil.effects._signals import positive
 
 
 def make(params: dict[str, float], rest: float) -> Callable[[BodyChange], BodyChange]:
-    """Takes loss_per_mj of the brakes' gain for each MJ dissipated since the start."""
+    """Reduces the brakes' gain by loss_per_mj for each MJ dissipated since the start."""
     loss_per_mj = positive("loss_per_mj", params["loss_per_mj"])
 
     def fade(change: BodyChange) -> BodyChange:

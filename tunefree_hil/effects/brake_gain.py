@@ -1,4 +1,4 @@
-"""A brake that gives a factor more or less than its reported duty would."""
+"""A brake whose force differs by a factor from that of its reported duty."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tunefree_hil.effects._signals import positive, shape
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on the brake duty: gain_frac times what is above rest."""
+    """Block on the brake duty: gain_frac times the duty above rest."""
     return shape(rest, gain=positive("gain_frac", params["gain_frac"], zero=False))
 
 

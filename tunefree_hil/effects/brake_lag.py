@@ -1,4 +1,4 @@
-"""Lag in the brake actuator: the reported duty follows its command more softly."""
+"""Lag in the brake actuator: the reported duty follows its command more slowly."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tunefree_hil.effects._signals import lag
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on the brake duty; a first-order lag of tau_s [s] in front of the actuator's own."""
+    """Block on the brake duty; a first-order lag of tau_s [s] before the actuator's own."""
     return lag(params["tau_s"], rest)
 
 

@@ -1,4 +1,4 @@
-"""Less (or more) friction between tyre and road than the model thinks, on top of the scenario's."""
+"""Less (or more) friction between tyre and road than in the model, as a factor on the scenario's."""
 
 from __future__ import annotations
 

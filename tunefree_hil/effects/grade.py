@@ -1,4 +1,4 @@
-"""A slope that the scenario does not know."""
+"""A slope that is not in the scenario."""
 
 from __future__ import annotations
 

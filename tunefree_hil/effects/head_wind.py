@@ -1,4 +1,4 @@
-"""Wind against the car: its own drag area in air that moves."""
+"""Wind against the car, on its own drag area."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""INS frames that come late."""
+"""Delayed INS frames."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tunefree_hil.effects._latency import late_ins
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on Ins: what it said delay_s [s] ago, on top of the INS's own latency."""
+    """Block on Ins: the record of delay_s [s] ago, in addition to the INS's own latency."""
     return late_ins(params["delay_s"])
 
 

@@ -8,7 +8,7 @@ from tunefree_hil.base.contracts import BodyChange, Effect, Need, Port, Prior
 
 
 def make(params: dict[str, float], rest: float) -> Callable[[BodyChange], BodyChange]:
-    """Adds mass_kg (negative takes away), ahead_m ahead of the unladen centre of mass."""
+    """Adds mass_kg (negative removes mass), ahead_m ahead of the unladen centre of mass."""
     mass_kg, ahead_m = params["mass_kg"], params["ahead_m"]
 
     def load(change: BodyChange) -> BodyChange:

@@ -10,7 +10,7 @@ from tunefree_hil.base.errors import InputError
 
 
 def make(params: dict[str, float], rest: float) -> Callable[[BodyChange], BodyChange]:
-    """Caps the driving force at power_w over speed, an absolute limit; of two limits the lower counts."""
+    """Caps the driving force at power_w over speed, an absolute limit; of two limits the lower one is used."""
     power_w = params["power_w"]
     if not power_w > 0.0:
         raise InputError(f"power_w = {power_w}", code="bad_effect_parameter", key="power_w", hint="more than 0")

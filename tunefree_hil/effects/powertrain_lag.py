@@ -1,4 +1,4 @@
-"""Lag behind the reported throttle: the push comes more softly than the report says."""
+"""Lag between the reported throttle and the drive force."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Chassis reports that come late, all of them, echoes of commands and status bits included."""
+"""All chassis reports delayed, including echoes of commands and status bits."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tunefree_hil.effects._latency import late_report
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on Report: what was reported delay_s [s] ago; a vehicle makes the bits of these frames as late."""
+    """Block on Report: the report of delay_s [s] ago; the vehicle delays the bits of these frames as well."""
     return late_report(params["delay_s"])
 
 

@@ -1,4 +1,4 @@
-"""A road that falls off to one side: gravity pulls across, and the accelerometer feels it."""
+"""A banked road: lateral gravity, which the accelerometer measures."""
 
 from __future__ import annotations
 

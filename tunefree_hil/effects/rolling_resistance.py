@@ -10,7 +10,7 @@ from tunefree_hil.effects._signals import finite
 
 
 def make(params: dict[str, float], rest: float) -> Callable[[BodyChange], BodyChange]:
-    """Adds extra_frac of the car's own rolling resistance; -1 takes all of it away."""
+    """Adds extra_frac of the car's own rolling resistance; -1 removes all of it."""
     extra_frac = finite("extra_frac", params["extra_frac"])
     if extra_frac < -1.0:
         raise InputError(

@@ -1,11 +1,11 @@
-"""Wheel speed sensors, or a rolling radius, that are off: reported speed and wheel speeds are scaled."""
+"""Wrong wheel speed scale or rolling radius: reported speed and wheel speeds are scaled."""
 
 from __future__ import annotations
 
 from tunefree_hil.base.contracts import Block, Effect, Link, Need, Port, Prior
 from tunefree_hil.base.kernel import kernel
 from tunefree_hil.base.records import Report
-from tunefree_hil.effects._reports import said
+from tunefree_hil.effects._reports import replace_sensed
 from tunefree_hil.effects._signals import positive
 
 
@@ -18,7 +18,7 @@ def step(params: float, state: float, x: Report, dt_s: float) -> tuple[float, Re
         params * x.wheel_rl_radps,
         params * x.wheel_rr_radps,
     )
-    return state, said(x, x.steer_rad, params * x.speed_mps, wheels, x.accel_mps2, x.yaw_rate_radps)
+    return state, replace_sensed(x, x.steer_rad, params * x.speed_mps, wheels, x.accel_mps2, x.yaw_rate_radps)
 
 
 def make(params: dict[str, float], rest: float) -> Block:

@@ -7,7 +7,7 @@ from tunefree_hil.effects._signals import play
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on the steering-wheel angle [rad]: play of width_rad in all."""
+    """Block on the steering-wheel angle [rad]: backlash with a total width of width_rad."""
     return play("width_rad", 0.5 * params["width_rad"], rest)
 
 

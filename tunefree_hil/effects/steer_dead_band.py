@@ -1,4 +1,4 @@
-"""A steering actuator deaf to small angles: commands near straight on leave the report where it is."""
+"""A steering actuator with a dead band: it ignores small commands near straight ahead."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dead time in the steering actuator: the report's angle follows its command later, by a shift and not by a slope."""
+"""Dead time in the steering actuator: the reported angle follows its command later."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tunefree_hil.effects._signals import dead_time
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on the steering-wheel angle [rad]; delay_s [s] comes on top of the actuator's own."""
+    """Block on the steering-wheel angle [rad]; delay_s [s] is added to the actuator's own."""
     return dead_time(params["delay_s"], rest)
 
 

@@ -1,4 +1,4 @@
-"""Dry friction in the steering actuator: it sticks until the command has gone far enough, in each direction."""
+"""Dry friction in the steering actuator: it sticks until the command is far enough away."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tunefree_hil.effects._signals import play
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on the steering-wheel angle [rad]: sticks until the command is level_rad away, then trails it by that."""
+    """Block on the steering-wheel angle [rad]: sticks until the command is level_rad away, then follows at that distance."""
     return play("level_rad", params["level_rad"], rest)
 
 

@@ -1,4 +1,4 @@
-"""Another steering ratio behind the report: the car turns by a factor more or less than its reported angle says."""
+"""Another steering ratio after the report: the road-wheel angle is scaled relative to the reported angle."""
 
 from __future__ import annotations
 

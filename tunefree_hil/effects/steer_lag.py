@@ -1,4 +1,4 @@
-"""Lag in the steering actuator: the report's angle follows its command more softly."""
+"""Lag in the steering actuator: the reported angle follows its command more slowly."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tunefree_hil.effects._signals import lag
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on the steering-wheel angle [rad]; a first-order lag of tau_s [s] in front of the actuator's own."""
+    """Block on the steering-wheel angle [rad]; a first-order lag of tau_s [s] before the actuator's own."""
     return lag(params["tau_s"], rest)
 
 

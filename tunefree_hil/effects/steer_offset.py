@@ -1,4 +1,4 @@
-"""A steering linkage that is off centre behind the report."""
+"""Offset of the steering linkage after the report."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tunefree_hil.effects._signals import offset
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on the steering-wheel angle [rad]: offset_rad on top."""
+    """Block on the steering-wheel angle [rad]: offset_rad added."""
     return offset("offset_rad", params["offset_rad"])
 
 

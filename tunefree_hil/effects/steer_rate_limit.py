@@ -1,4 +1,4 @@
-"""A slower steering motor: the report's angle climbs no faster than a limit, however large the step."""
+"""A slower steering motor: the rate of the reported angle is limited."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tunefree_hil.effects._signals import rate_limit
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on the steering-wheel angle [rad]: behind the motor's lag: no faster than rate_radps, an absolute limit."""
+    """Block on the steering-wheel angle [rad]: after the motor's lag: at most rate_radps, an absolute limit."""
     return rate_limit("rate_radps", params["rate_radps"], rest)
 
 

@@ -1,4 +1,4 @@
-"""A steering sensor that is off centre: the report, not the wheels."""
+"""Offset of the steering sensor: in the report, not at the wheels."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tunefree_hil.effects._signals import offset
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on Report: offset_rad on top of the steering-wheel angle."""
+    """Block on Report: offset_rad added to the steering-wheel angle."""
     return on_steer(offset("offset_rad", params["offset_rad"]))
 
 

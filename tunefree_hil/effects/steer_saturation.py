@@ -1,4 +1,4 @@
-"""A steering actuator that reaches less far than its data sheet says."""
+"""A steering actuator with a smaller range than in its data sheet."""
 
 from __future__ import annotations
 

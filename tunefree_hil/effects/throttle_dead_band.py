@@ -1,4 +1,4 @@
-"""A drivetrain deaf to the first part of the reported throttle."""
+"""A drivetrain without effect in the first part of the reported throttle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A drivetrain that gives a factor more or less than the reported throttle would."""
+"""A drivetrain whose force differs by a factor from that of the reported throttle."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tunefree_hil.effects._signals import positive, shape
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on the throttle duty: gain_frac times what is above rest."""
+    """Block on the throttle duty: gain_frac times the duty above rest."""
     return shape(rest, gain=positive("gain_frac", params["gain_frac"], zero=False))
 
 

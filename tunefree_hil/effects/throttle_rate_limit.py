@@ -1,4 +1,4 @@
-"""A throttle actuator that climbs no faster than a limit."""
+"""A throttle actuator with a rate limit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tunefree_hil.effects._signals import rate_limit
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on the throttle duty: behind the actuator's lag: no faster than rate_per_s [1/s], an absolute limit."""
+    """Block on the throttle duty: after the actuator's lag: at most rate_per_s [1/s], an absolute limit."""
     return rate_limit("rate_per_s", params["rate_per_s"], rest)
 
 

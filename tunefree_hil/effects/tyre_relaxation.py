@@ -1,4 +1,4 @@
-"""Tyres that have to roll a way until they pull sideways: a lag of their side force by length over speed."""
+"""Relaxing tyres: the side force lags the slip by length over speed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tunefree_hil.effects._signals import positive
 
 
 def make(params: dict[str, float], rest: float) -> Callable[[BodyChange], BodyChange]:
-    """Adds length_m to what the tyres roll until their side force has followed their slip, on both axles."""
+    """Adds length_m to the relaxation length of both axles."""
     length_m = positive("length_m", params["length_m"])
 
     def soften(change: BodyChange) -> BodyChange:

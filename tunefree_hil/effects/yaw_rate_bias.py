@@ -1,4 +1,4 @@
-"""A gyro that does not say 0 when nothing turns."""
+"""Bias of the gyro."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tunefree_hil.effects._signals import offset
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on Report: bias_radps on top of the yaw rate."""
+    """Block on Report: bias_radps added to the yaw rate."""
     return on_yaw_rate(offset("bias_radps", params["bias_radps"]))
 
 

@@ -1,4 +1,4 @@
-"""A gyro behind a filter: the reported yaw rate is soft."""
+"""A low-pass filter on the reported yaw rate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A gyro whose scale is off."""
+"""Scale error of the gyro."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fast reader of candump text logs (`candump -L` / `-l`), ours and anybody's, and a writer.
+"""Fast reader of candump text logs (`candump -L` / `-l`), and a writer.
 
 A line: `(12.340000) vcan0 062#0011` ; FD `123##1AABB` (one flag digit); remote `123#R4`; error frames have bit 29 of
 the id set; 8 hex digits mean an extended id; ` R` or ` T` (sent) may follow.
@@ -15,7 +15,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.formats.rows import LONGEST_LINE, SENT, Row, Survey, survey
 
 FD, BRS, ESI, RTR, ERROR = 1, 2, 4, 8, 16  # flags; the first four as in docs/reference/bench_channel.md
-EXTENDED_BIT = 0x80000000  # SocketCAN's EFF: tells the 29-bit id from the 11-bit id of the same number
+EXTENDED_BIT = 0x80000000  # SocketCAN's EFF: marks a 29-bit id
 
 _ERROR_BIT = 0x20000000
 _ID_MASK = 0x1FFFFFFF
@@ -24,7 +24,7 @@ _LINE = rf"\((\d+\.\d+)\) +(\S+) +({_HEX}{{8}}|{_HEX}{{3}})#(#{_HEX})?({_HEX}*|[
 _LINES = re.compile(rf"^{_LINE}$", re.MULTILINE)
 _ONE_LINE = re.compile(_LINE)
 _SCREEN = re.compile(r"\s*(\(\S+\)\s+)?\S+\s+[0-9A-Fa-f]{3,8}\s+\[\d+\]")
-BLOCK_BYTES = 1 << 20  # of text that are parsed at once
+BLOCK_BYTES = 1 << 20  # of text parsed at once
 _HINT = "record with `candump -l CHANNEL`, or the bench's own vehicle.log"
 
 
@@ -42,34 +42,34 @@ def read_candump(path: Path, *, allow_cut: bool = False) -> list[LogFrame]:
     """All frames of a log, in the file's order.
 
     `allow_cut`: a last line that was cut off (a run that was killed) is left out instead of refused. Raises InputError
-    with file and line for a log that is missing, empty, cut off or no candump log at all.
+    with file and line for a log that is missing, empty, cut off or not a candump log.
     """
     return [frame for frame, _ in _parse(_blocks_of(path), str(path), allow_cut)]
 
 
 def read_rows(path: Path, *, allow_cut: bool = False) -> Iterator[Row]:
-    """As read_candump, one by one, with what only other formats ask for: direction, and a remote frame's length."""
+    """As read_candump, one by one, with the direction and the length of remote frames, for other formats."""
     for frame, groups in _parse(_blocks_of(path), str(path), allow_cut):
         flags = frame[4] | SENT if groups[5] == "T" else frame[4]
         yield Row(*frame[:4], flags, _requested_length(groups[4]) if flags & RTR else 0)
 
 
-def write_candump(path: Path, rows: Iterable[Row], seen: Survey | None = None) -> None:
+def write_candump(path: Path, rows: Iterable[Row], surveyed: Survey | None = None) -> None:
     """Write rows as a log that candump's own tools read (canplayer takes six or nine decimals).
 
-    Nine where a stamp is finer than a microsecond. Directions are written when a frame was sent. seen: of these rows;
-    without it they are gone through twice.
+    Nine where a stamp is finer than a microsecond. Directions are written when a frame was sent. surveyed: the survey
+    of these rows; without it they are read twice.
     """
-    if seen is None:
+    if surveyed is None:
         rows = list(rows)
-        seen = survey(rows)
-    digits = 6 if seen.micro else 9
+        surveyed = survey(rows)
+    digits = 6 if surveyed.micro else 9
     ids: dict[tuple[int, int], str] = {}
     with path.open("w", encoding="ascii", newline="\n") as file:
         for row in rows:
             key = row.can_id, row.flags & ERROR
             name = ids.get(key) or ids.setdefault(key, _digits(*key))
-            direction = (" T" if row.flags & SENT else " R") if seen.sent else ""
+            direction = (" T" if row.flags & SENT else " R") if surveyed.sent else ""
             file.write(f"({row.time_s:.{digits}f}) {row.channel} {name}#{_payload(row)}{direction}\n")
 
 
@@ -92,7 +92,7 @@ def _requested_length(text: str) -> int:
 
 
 def cut_line(path: Path) -> str:
-    """What is left of a last line that was cut off, '' where the log ends as it should."""
+    """The rest of a last line that was cut off, '' for a complete log."""
     size = path.stat().st_size
     with path.open("rb") as file:
         file.seek(max(0, size - LONGEST_LINE))
@@ -110,7 +110,7 @@ def _blocks_of(path: Path) -> Iterator[str]:
             whole, end, rest_of_piece = piece.rpartition(b"\n")
             block, rest = (rest + whole + end, rest_of_piece) if end else (b"", rest + piece)
             if len(rest) > LONGEST_LINE:
-                block, rest = block + rest, b""  # no log has such a line: what it is says the parser
+                block, rest = block + rest, b""  # no log has such a line: the parser reports it
             yield _ascii(block, done, path)
             done += len(block)
     yield _ascii(rest, done, path)
@@ -155,7 +155,7 @@ def _frames(found: list[tuple[str, ...]]) -> list[LogFrame]:
     """Make frames of the regular expression's groups. ValueError for an odd number of data digits."""
     ids = {digits: _identify(digits) for digits in {groups[2] for groups in found}}
     frames = []
-    from_hex, make = bytes.fromhex, tuple.__new__  # a named tuple's own way takes thrice as long
+    from_hex, make = bytes.fromhex, tuple.__new__  # the constructor of a named tuple takes three times as long
     for time, channel, digits, fd, data, _ in found:
         can_id, flags = ids[digits]
         if fd:
@@ -178,7 +178,7 @@ def _identify(digits: str) -> tuple[int, int]:
 
 
 def _explain(text: str, file: str, before: int, good: int) -> None:
-    """Raise the error of the first line that is not a frame; blank lines are no fault. before: lines ahead of text."""
+    """Raise the error of the first line that is not a frame; blank lines are allowed. before: lines before the text."""
     for number, line in enumerate(text.splitlines(), before + 1):
         if not line.strip() or _ONE_LINE.fullmatch(line):
             continue

@@ -1,7 +1,7 @@
-"""From a log to columns (docs/reference/files.md): vehicle frames and the scenario alone, so a real car's log gives
-the same ones.
+"""From a log to columns (docs/reference/files.md): from vehicle frames and the scenario only, so the log of a real
+car gives the same ones.
 
-The errors are those of the reference follower, run again on the INS frames exactly as the controller ran it.
+The errors come from the reference follower, run on the INS frames exactly as in the controller.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tunefree_hil.episode.recording import COMMAND_COLUMNS, REFERENCE_COLUMNS, R
 
 Array = np.ndarray
 
-# column -> where it comes from; the second is taken where the vehicle lacks the first
+# column -> record field; the second is used where the vehicle lacks the first
 SOURCES: dict[str, tuple[str, ...]] = {
     "out_throttle_frac": ("report.throttle_frac",),
     "out_brake_frac": ("report.brake_frac",),
@@ -52,13 +52,13 @@ def columns_from_frames(
 ) -> Recording:
     """The columns of one drive.
 
-    Row k holds the chassis and INS records as heard after phase 0 of tick k, the command of phase 1 of tick k (both
-    held until the next frame), and what `follower`, x = (tick, Ins) -> Tracking, says of them. Values not heard yet
-    are NaN; a column without one value is absent.
+    Row k holds the chassis and INS records received in phase 0 of tick k, the command of phase 1 of tick k (both
+    held until the next frame), and the output of `follower`, x = (tick, Ins) -> Tracking. Values not received yet are
+    NaN; a column without any value is absent.
 
     ticks: rows; 0 for as many as the log has. zero_s: time stamp of tick 0. late_ticks: by how many ticks a vehicle's
     frame is stamped before the tick that uses it: 0 in lockstep, 1 in real time, where cycle k uses what came before
-    its deadline. by_channel: the log's channel names are those of vehicle.toml, and tell equal ids apart.
+    its deadline. by_channel: the log's channel names are those of vehicle.toml, and distinguish equal ids.
     Raises InputError for a log without one frame of the vehicle.
     """
     placed = place_vehicle(frames, codec, dt_s, zero_s)
@@ -81,7 +81,7 @@ def columns_from_placed(
     late_ticks: int = 0,
     by_channel: bool = False,
 ) -> Recording:
-    """As columns_from_frames, of frames that `place_vehicle` has put in order."""
+    """As columns_from_frames, for frames ordered by `place_vehicle`."""
     buckets = _buckets(placed, codec, late_ticks)
     rows = ticks or max(k for k, _ in buckets) + 1
     latest = _LatestValues(codec, by_channel)
@@ -112,7 +112,7 @@ class _LatestValues:
         self._payloads: dict[MessageMap, bytes] = {}
 
     def update(self, frames: Sequence[LogFrame]) -> None:
-        """Take in the frames of one phase of one tick."""
+        """Decode the frames of one phase of one tick."""
         codec, messages, payloads = self._codec, self._messages, self._payloads
         for frame in frames:
             key = (frame.can_id, frame.channel)
@@ -120,13 +120,13 @@ class _LatestValues:
             if message is None or payloads.get(message) == frame.data or not codec.fits(message, frame.data):
                 continue
             if message.e2e is not None and not is_intact(message.e2e, frame.data[: message.length]):
-                continue  # nobody believes what has been corrupted on its way
+                continue  # a corrupted frame is rejected
             payloads[message] = frame.data
             for group, index, value in codec.values(message, codec.decode(message, frame.data)):
                 self.rows[group][index] = value
 
     def _find(self, key: tuple[int, str]) -> MessageMap | None:
-        """The message of (can_id, channel), remembered."""
+        """The message of (can_id, channel), cached."""
         can_id, channel = key
         bare = CanFrame(can_id & ~EXTENDED_BIT, b"", extended=bool(can_id & EXTENDED_BIT))
         self._messages[key] = self._codec.find(bare, channel if self._by_channel else "")
@@ -180,5 +180,5 @@ def assemble_columns(
                     instead[name] = source
                 break
     if np.isnan(columns["x_m"]).all():
-        del columns["replan"]  # nobody could have seen one
+        del columns["replan"]  # no re-plan can be known
     return make_recording(columns, dt_s, instead)

@@ -1,4 +1,4 @@
-"""Where two logs of the same drive part: the first tick, id and signal that differ (`replay --verify`)."""
+"""Compares two logs of the same drive: the first tick, id and signal that differ (`replay --verify`)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tunefree_hil.episode.frame_hash import PlacedFrame, place_frames
 class Divergence(NamedTuple):
     """The first difference. signal: its name, 'frame' (one log lacks it), 'flags' or 'data' (no signal differs).
 
-    first, second: what the two logs say, in the DBC's unit (raw where the signal has a role), or words.
+    first, second: the values of the two logs in the unit of the DBC (raw where the signal has a role), or text.
     """
 
     tick: int
@@ -26,7 +26,7 @@ class Divergence(NamedTuple):
     second: float | str
 
     def sentence(self) -> str:
-        """For a person."""
+        """The difference as text."""
         place = f"tick {self.tick}, {self.message} (0x{self.can_id & 0x1FFFFFFF:X}), {self.signal}"
         return f"{place}: {self.first} in the first log, {self.second} in the second"
 

@@ -1,4 +1,4 @@
-"""A test drive in a CSV, read by its mapping file into columns in SI. Nothing is filled, sorted or guessed."""
+"""A test drive in a CSV, read by its mapping file into columns in SI. Nothing is filled or sorted."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tunefree_hil.config.find import nearest
 from tunefree_hil.config.import_schema import CLOCK_UNITS, ColumnSpec, ImportSpec, to_si
 
 NO_VALUE = ("", "nan", "na", "n/a", "null", "none", "-")
-GAP_STEPS = 3.0  # usual steps between two rows from which a silence is a gap
+GAP_STEPS = 3.0  # a silence of this many usual steps is a gap
 
 
 class Gap(NamedTuple):
@@ -39,7 +39,7 @@ class Column(NamedTuple):
 class CsvDrive(NamedTuple):
     """time_s by row, the columns by record field ('report.speed_mps'), the gaps, the usual step between rows.
 
-    enabled: by row 1 where the vehicle obeyed, 0 where not, NaN where the cell is empty; None where nothing says it.
+    enabled: by row 1 where by-wire control was enabled, 0 where not, NaN for an empty cell; None without a column.
     """
 
     time_s: NDArray[np.float64]
@@ -54,7 +54,7 @@ class CsvDrive(NamedTuple):
 
 
 def read_csv_drive(path: Path, spec: ImportSpec) -> CsvDrive:
-    """Read all rows. InputError with file and line for what is no number, no row, or not in the order of time."""
+    """Read all rows. InputError with file and line for a bad number, a bad row, or times not in order."""
     lines, numbers = array("q"), array("d")
     try:
         for line, row in _cells(path, spec):
@@ -113,7 +113,7 @@ def _place(name: str, head: Sequence[str], path: Path, spec: ImportSpec) -> int:
 
 
 def _number(text: str, name: str, line: int, path: Path, spec: ImportSpec) -> float:
-    """A cell's number; NaN where it holds none. Infinities are refused."""
+    """A cell's number; NaN where it is empty. Infinities are refused."""
     text = text.strip()
     if text.lower() in NO_VALUE:
         return math.nan

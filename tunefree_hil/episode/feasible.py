@@ -1,4 +1,4 @@
-"""Can the vehicle drive this course at all? Checked before a drive, so that a score speaks of the controller."""
+"""Checks before a drive that the vehicle can drive the course, so that a score depends on the controller."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tunefree_hil.config.schema import ScenarioSpec, VehicleSpec
 
 
 class CourseLimits(NamedTuple):
-    """What a course may ask of a vehicle; infinite where nothing is known."""
+    """Limits of a vehicle for a course; infinite where unknown."""
 
     curvature_1pm: float = math.inf
     curvature_rate_1pmps: float = math.inf  # 1/m per second
@@ -44,7 +44,7 @@ def limits_of(vehicle: VehicleSpec) -> CourseLimits:
 
 
 def check_feasible(course: Course, limits: CourseLimits) -> list[str]:
-    """What the course asks beyond the limits: one sentence a quantity, with the time of its worst point. [] if none."""
+    """Violations of the limits: one sentence a quantity, with the time of its worst point. [] if none."""
     speed = np.asarray(course.speed_mps)
     accel = np.asarray(course.accel_mps2)
     curvature = curvature_by_time(course)
@@ -62,7 +62,7 @@ def check_feasible(course: Course, limits: CourseLimits) -> list[str]:
 
 
 def require_feasible(spec: ScenarioSpec, course: Course, limits: CourseLimits) -> None:
-    """Raise InputError that names the scenario's file and everything in it that the vehicle cannot do."""
+    """Raise InputError that names the scenario's file and every violation of the vehicle's limits."""
     problems = check_feasible(course, limits)
     if problems:
         raise InputError(

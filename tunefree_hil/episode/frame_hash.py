@@ -1,4 +1,4 @@
-"""The frame hash of an episode (docs/reference/bench_channel.md): two drives are the same when it is."""
+"""The frame hash of an episode (docs/reference/bench_channel.md): two drives are the same when it is the same."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class FrameHash(NamedTuple):
 
 
 class PlacedFrame(NamedTuple):
-    """A frame with its place in the episode; sorts as the hash is taken: tick, phase, SocketCAN id, sequence."""
+    """A frame with its place in the episode; sorted as in the hash: tick, phase, SocketCAN id, sequence."""
 
     k: int
     phase: int
@@ -58,12 +58,12 @@ def place_frames(
     placed: list[PlacedFrame] = []
     foreign: dict[int, int] = {}
     errors = 0
-    make = tuple.__new__  # a third of a named tuple's own time
+    make = tuple.__new__  # a third of the time of a named tuple's constructor
     for sequence, frame in enumerate(frames):
         can_id = frame.can_id
         if frame.flags & ERROR:
             errors += 1
-        elif can_id not in known or frame.flags & RTR:  # a node of this vehicle asks for nothing
+        elif can_id not in known or frame.flags & RTR:  # nodes of this vehicle send no remote frames
             foreign[can_id] = foreign.get(can_id, 0) + 1
         else:
             k = round((frame.time_s - zero_s) / tick_s)
@@ -87,7 +87,7 @@ def frame_hash(
 
 
 def hash_of(placed: Placed) -> FrameHash:
-    """SHA-256 over frames that have been put in order."""
+    """SHA-256 over ordered frames."""
     digest = hashlib.sha256(b"".join([pack(item) for item in placed.frames]))
     return FrameHash(digest.hexdigest(), len(placed.frames), placed.foreign, placed.errors)
 

@@ -1,8 +1,7 @@
 """A log in columns, piece by piece: stamps, names and payloads as arrays, with never more than one piece in memory.
 
-candump text is parsed a megabyte at a time; a text with anything in it that is not quite usual goes through the careful
-reader of episode/candump.py from there on, as logs of other formats go through theirs, so that what is wrong is said
-in the same words.
+candump text is parsed a megabyte at a time. From the first unusual line on, the careful reader of episode/candump.py is
+used, and for other formats their readers, so that errors have the same text.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ ROWS_AT_ONCE = 20_000
 _LABEL = re.compile(r" +(\S+) +([0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})")
 _LONGEST_LABEL, _LONGEST_STAMP, _MOST_BYTES = 60, 24, 64
 _ERROR_BIT, _ID_MASK = 0x20000000, 0x1FFFFFFF
-_NIBBLES = np.full(256, PAD, dtype=np.uint8)  # of a hex digit; PAD for what is none
+_NIBBLES = np.full(256, PAD, dtype=np.uint8)  # of a hex digit; PAD for other characters
 for _digit in b"0123456789abcdefABCDEF":
     _NIBBLES[_digit] = int(chr(_digit), 16)
 
@@ -36,8 +35,8 @@ for _digit in b"0123456789abcdefABCDEF":
 class Piece(NamedTuple):
     """Frames in the file's order, as columns of n rows.
 
-    name: which of `names` a frame has. flags: FD 1, RTR 8, ERROR 16 (episode/candump.py). done: how much of the file
-    has been read with it, 0 to 1; 0 where nobody knows.
+    name: which of `names` a frame has. flags: FD 1, RTR 8, ERROR 16 (episode/candump.py). done: share of the
+    file read so far, 0 to 1; 0 where unknown.
     """
 
     time_s: Array
@@ -49,7 +48,7 @@ class Piece(NamedTuple):
 
 
 def read_pieces(path: Path) -> Iterator[Piece]:
-    """All frames of a log of any format; a last line that was cut off is left out (candump.cut_line tells of it).
+    """All frames of a log of any format; a last line that was cut off is left out (candump.cut_line reports it).
 
     Raises InputError with file and line, as the format's reader does, where the log is missing, empty or foreign.
     """
@@ -72,7 +71,7 @@ def read_pieces(path: Path) -> Iterator[Piece]:
 
 
 def _rows_of(path: Path, kind: str) -> Iterator[Row]:
-    """The rows of a log that is no candump text. A ROS 2 bag's folder, where one file of it is named."""
+    """The rows of a log that is no candump text; for one file of a ROS 2 bag, those of its folder."""
     inside = path.suffix in (".mcap", ".db3") and (path.parent / "metadata.yaml").is_file()
     heard = False
     for row in load_format(kind).read(path.parent if inside else path):
@@ -94,7 +93,7 @@ def _pieces_of(rows: Iterable[Row]) -> Iterator[Piece]:
 
 
 def _texts(path: Path) -> Iterator[bytes]:
-    """Whole lines, about BLOCK_BYTES at once. What cannot be a line is given as it is, for the parser to refuse."""
+    """Whole lines, about BLOCK_BYTES at once. Other text is passed on, and the parser refuses it."""
     rest = b""
     with path.open("rb") as file:
         while piece := file.read(BLOCK_BYTES):
@@ -112,8 +111,8 @@ def _texts(path: Path) -> Iterator[bytes]:
 def parse_lines(text: bytes) -> Piece | None:
     """Whole lines of candump text; None where a line is not of the plain kind `(12.34) can0 123#0011`.
 
-    Data or error frames, FD, remote, an ` R` or ` T` or a carriage return at the end are plain. What this takes, the
-    careful parser takes too, and it says the same.
+    Data or error frames, FD, remote, an ` R` or ` T` or a carriage return at the end are plain. The careful
+    parser gives the same result for them.
     """
     codes = np.frombuffer(text, dtype=np.uint8)
     ends = np.flatnonzero(codes == ord("\n"))

@@ -1,9 +1,9 @@
 """Whether the columns of a test drive contradict each other: integrals compared, so that a swapped unit is caught.
 
-A speed's integral is the way between positions, a yaw rate's the change of heading, an acceleration's the change of
-speed. Compared over windows of WINDOW_S that hold no silence. Where two columns do not fit, every other unit of either
-is tried, and those that make them fit are named. Columns that hardly move, or do not follow each other at all (a
-correlation below LEAST_FIT under every unit), are not judged, and that is said.
+The integral of speed is the distance between positions, that of yaw rate the change of heading, that of acceleration
+the change of speed. They are compared over windows of WINDOW_S without a gap. Where two columns do not agree, every
+other unit of each is tried, and those with which they agree are named. Columns with little change, or without
+correlation (below LEAST_FIT with every unit), are reported as not judged.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from tunefree_hil.episode.csv_drive import Column, CsvDrive
 from tunefree_hil.episode.plausible_pairs import WINDOW_S, Array, Pair, Sample, pairs_of
 
 LEAST_WINDOWS = 4
-COUNTS = 0.1  # of the least movement, from which on one window's way counts: noise of a car that stands adds up
-LEAST_FIT = 0.6  # correlation from which two columns are taken to follow each other
-LIKELY = (0.8, 1.25)  # a factor in here makes another unit the likely one
+COUNTS = 0.1  # share of the least movement from which a window is used, against the sum of noise at standstill
+LEAST_FIT = 0.6  # least correlation of two related columns
+LIKELY = (0.8, 1.25)  # with a factor in this range another unit is likely
 # Greatest absolute SI values that a car (or a model of one) shows, by the end of the field's name.
 HIGHEST = {"mps": 120.0, "mps2": 60.0, "radps": 600.0, "frac": 1.5}
 HIGHEST_OF = {"yaw_rate_radps": 12.0, "heading_rad": 100.0, "steer_rad": 25.0, "steer_command_rad": 25.0}
 
 
 class Finding(NamedTuple):
-    """What one check says. holds: None where it could not be judged. factor: second by first, 1 where they agree."""
+    """Result of a check. holds: None where it could not be judged. factor: second by first, 1 where they agree."""
 
     check: str
     holds: bool | None
@@ -41,7 +41,7 @@ def check_units(
     steer_ratio: float | None = None,
     wheel_radius_m: float | None = None,
 ) -> list[Finding]:
-    """All checks that the drive's columns allow; with the car's constants also steering and wheels."""
+    """All checks for the drive's columns; with the car's constants also steering and wheels."""
     problems = list(_ranges(drive))
     for pair in pairs_of(wheelbase_m, steer_ratio, wheel_radius_m):
         if all(name in drive.columns for name in (*pair.first, *pair.second)):
@@ -149,7 +149,7 @@ def _judge(pair: Pair, drive: CsvDrive, by_first: float, by_second: float) -> Pa
 
 
 def _moved(windows: Array, least: float) -> float:
-    """All movement; of what has no sign beyond noise: that of a way looks like a way, where a sign would cancel it."""
+    """Sum of all movement; of quantities without a sign that beyond noise, as their noise does not cancel."""
     size = np.abs(windows)
     return float(size[size > COUNTS * least].sum() if (windows >= 0.0).all() else size.sum())
 

@@ -1,4 +1,4 @@
-"""Which columns of a test drive say the same thing twice, and how: integrals over windows (episode/plausible.py)."""
+"""Pairs of redundant columns of a test drive: integrals over windows (episode/plausible.py)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Pair(NamedTuple):
     allowed: tuple[float, float]
     least: float
     windows: Callable[[Sequence[Sample], Sequence[Sample], Array], tuple[Array, Array]]
-    centred: bool = False  # a constant offset (gravity, a sensor's bias) does not count
+    centred: bool = False  # a constant offset (gravity, a sensor's bias) is ignored
 
 
 def _integral(sample: Sample, edges: Array) -> Array:
@@ -70,7 +70,7 @@ def _steering(yaw: str, wheelbase_m: float, steer_ratio: float) -> Pair:
 
 
 def _rolling(wheel_radius_m: float) -> Pair:
-    """The way that four wheels roll against the speed's integral; slip and the radius are a few per cent."""
+    """The distance from four wheel speeds against the integral of speed; slip and the radius are a few per cent."""
 
     def windows(first: Sequence[Sample], second: Sequence[Sample], edges: Array) -> tuple[Array, Array]:
         ways = [wheel_radius_m * _integral(wheel, edges) for wheel in first]

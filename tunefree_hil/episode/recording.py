@@ -1,4 +1,4 @@
-"""What is kept of a drive: the columns of docs/reference/files.md, one row a tick, and `columns.npz` on disk."""
+"""The recording of a drive: the columns of docs/reference/files.md, one row a tick, and `columns.npz` on disk."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ VEHICLE_COLUMNS = (
 )
 COLUMNS = ("t_s", "tick", *REFERENCE_COLUMNS, *COMMAND_COLUMNS, *VEHICLE_COLUMNS, "replan")
 
-_INSTEAD = "instead"  # entry of the .npz beside the columns, only where there is something to say
+_INSTEAD = "instead"  # optional entry of the .npz beside the columns
 
 
 class Recording(NamedTuple):
-    """One drive. `columns`: name -> float64 array, all of one length; a column that could not be had is absent.
+    """One drive. `columns`: name -> float64 array, all of one length; a column without values is absent.
 
-    `instead`: column -> the record field that stood in for it, where the vehicle lacks its own ('ins.speed_mps').
+    `instead`: column -> the substitute record field, where the vehicle lacks its own ('ins.speed_mps').
     """
 
     columns: dict[str, Array]
@@ -64,14 +64,14 @@ class Recording(NamedTuple):
         return len(self.columns["tick"])
 
     def get(self, name: str) -> Array | None:
-        """A column, or None where it could not be had."""
+        """A column, or None where it is absent."""
         return self.columns.get(name)
 
 
 def make_recording(columns: dict[str, Array], dt_s: float, instead: dict[str, str] | None = None) -> Recording:
-    """A Recording in the order of COLUMNS, t_s and tick added, columns without one number left out.
+    """A Recording in the order of COLUMNS, t_s and tick added, columns without any number left out.
 
-    Raises ValueError for a name that is none of COLUMNS or for unequal lengths: mistakes of the caller.
+    Raises ValueError for a name that is not in COLUMNS and for unequal lengths.
     """
     unknown = sorted(set(columns) - set(COLUMNS))
     if unknown:
@@ -93,7 +93,7 @@ def make_recording(columns: dict[str, Array], dt_s: float, instead: dict[str, st
 
 
 def save_recording(recording: Recording, path: Path) -> None:
-    """Write columns.npz: whole or not at all. Raises BenchError when the disk refuses."""
+    """Write columns.npz atomically. Raises BenchError when it cannot be written."""
     entries = {"dt_s": np.array(recording.dt_s), **recording.columns}
     if recording.instead:
         entries[_INSTEAD] = np.array([f"{name}={text}" for name, text in sorted(recording.instead.items())])
@@ -110,7 +110,7 @@ def save_recording(recording: Recording, path: Path) -> None:
 
 
 def load_recording(path: Path) -> Recording:
-    """Read columns.npz. Raises InputError where there is none, or it is not one of ours."""
+    """Read columns.npz. Raises InputError for a missing file or another format."""
     if not path.is_file():
         raise InputError("there is no such file", code="no_columns", file=str(path))
     try:

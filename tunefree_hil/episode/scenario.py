@@ -1,8 +1,8 @@
-"""A scenario made into numbers: breakpoints of speed and curvature -> Course (docs/reference/files.md), and its start.
+"""From the breakpoints of a scenario to its Course (docs/reference/files.md) and its start.
 
 Speed and curvature are linear in time between breakpoints, so station (quadratic in time) and heading (cubic) are
-integrated exactly; x and y by Simpson's rule on half the spacing of the path table, with `math.sin/cos`, so that the
-tables do not depend on which array library built them.
+integrated exactly; x and y by Simpson's rule on half the spacing of the path table, with `math.sin/cos`, so the
+tables do not depend on an array library.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from tunefree_hil.config.schema import ProfileSpec, ScenarioSpec
 Array = np.ndarray
 
 SPACING_M = 0.1
-PROLONGED_M = 20.0  # straight on at both ends
-LEAST_ADVANCE_M = 1e-9  # below it a piece counts as standstill and takes no part in the path
+PROLONGED_M = 20.0  # straight extension at both ends
+LEAST_ADVANCE_M = 1e-9  # below it a piece is standstill and adds nothing to the path
 
 
 class ReferenceDrive(NamedTuple):
-    """The reference drive on the time grid where it is exact (ticks and breakpoints): arrays of equal length."""
+    """The reference drive on a time grid on which it is exact (ticks and breakpoints): arrays of equal length."""
 
     time_s: Array
     speed_mps: Array
@@ -38,9 +38,9 @@ def build_course(spec: ScenarioSpec, dt_s: float) -> Course:
     """The planned drive by time and its path by station, starting at the origin with heading 0.
 
     The number of ticks is the duration (last t_s of the speed) over dt_s, rounded down. accel_mps2 is the slope of the
-    piece that begins at the tick; the last row has that of the last piece. While the vehicle stands, the path does not
-    move on: a curvature that changes at standstill is a step in the path (check_feasible names it). Raises InputError
-    for profiles that do not fit and for negative speed.
+    piece that begins at the tick; the last row has that of the last piece. At standstill the path
+    does not advance: a change of curvature there is a step in the path (reported by check_feasible). Raises InputError
+    for profiles that are not valid and for negative speed.
     """
     _check_profiles(spec)
     duration_s = spec.speed.t_s[-1]
@@ -69,7 +69,7 @@ def build_course(spec: ScenarioSpec, dt_s: float) -> Course:
 
 
 def start_of(spec: ScenarioSpec, course: Course) -> Start:
-    """Where the rear axle stands at tick 0: from station 0 of the path `along_m` ahead and `lateral_m` to the left."""
+    """Position of the rear axle at tick 0: from station 0 of the path `along_m` ahead and `lateral_m` to the left."""
     i = round(-course.first_station_m / course.spacing_m)
     path_heading_rad = float(course.path_heading_rad[i])
     cosine, sine = math.cos(path_heading_rad), math.sin(path_heading_rad)
@@ -82,7 +82,7 @@ def start_of(spec: ScenarioSpec, course: Course) -> Start:
 
 
 def integrate(spec: ScenarioSpec) -> ReferenceDrive:
-    """Station and heading at every breakpoint: exact, for speed and curvature are linear between these."""
+    """Station and heading at every breakpoint: exact, as speed and curvature are linear between them."""
     time = np.union1d(spec.speed.t_s, spec.curvature.t_s)
     time = time[time <= spec.speed.t_s[-1]]
     speed = _sample(spec.speed, time, 0.0)
@@ -154,7 +154,7 @@ def _shape_at(drive: ReferenceDrive, station_m: Array) -> tuple[Array, Array]:
 
 
 def _simpson(values: list[float]) -> Array:
-    """Integral from the first node to each node, of values given at nodes and at the middles between them."""
+    """Integral from the first node to each node, from values at the nodes and midpoints."""
     f = np.array(values)
     return _running_sum(SPACING_M / 6.0 * (f[:-2:2] + 4.0 * f[1::2] + f[2::2]))
 
@@ -164,7 +164,7 @@ def _running_sum(steps: Array) -> Array:
 
 
 def _sample(profile: ProfileSpec | None, time_s: Array, otherwise: float) -> Array:
-    """A profile at the times: linear between breakpoints, flat outside them; `otherwise` where there is none."""
+    """A profile at the times: linear between breakpoints, flat outside them; `otherwise` without a profile."""
     if profile is None:
         return np.full(len(time_s), otherwise)
     return np.interp(time_s, profile.t_s, profile.value)
@@ -189,7 +189,7 @@ def _check_profiles(spec: ScenarioSpec) -> None:
 
 
 def _profile_problem(profile: ProfileSpec) -> str:
-    """What is wrong with a profile's breakpoints, or ''."""
+    """The error in the breakpoints of a profile, or ''."""
     time = np.asarray(profile.t_s, dtype=float)
     if len(time) != len(profile.value) or len(time) < 2:
         return f"{len(time)} times and {len(profile.value)} values; there must be as many, and two at least"

@@ -1,8 +1,7 @@
-"""How much of a drive lies outside the region that a model's data covered ([valid] of model.toml,
-docs/reference/files.md).
+"""Share of a drive outside the region of a model's data ([valid] of model.toml, docs/reference/files.md).
 
-A learned plant says something everywhere, and means it only where it has seen the vehicle. A tick is outside where one
-quantity is: its mean over SMOOTH ticks, as noise is no drive, beyond its ends by more than MARGIN of their distance.
+The output of a learned plant is reliable only within the region of its data. A tick is outside where the mean of one
+quantity over SMOOTH ticks (against noise) is beyond its limits by more than MARGIN of their distance.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ COLUMN_OF = {
 
 
 class Outside(NamedTuple):
-    """share: of the ticks, at which one quantity or more is outside; by: the same for each that ever is."""
+    """share: of the ticks with one quantity or more outside; by: the same for each quantity that is ever outside."""
 
     share: float
     by: dict[str, float]
@@ -34,7 +33,7 @@ class Outside(NamedTuple):
 
 
 def outside(recording: Recording, valid: ValidSpec) -> Outside | None:
-    """What of a drive is outside; None where model or recording has nothing to say about it."""
+    """The part of a drive outside; None where model or recording lack the data."""
     outside_by_key = {key: _beyond(recording, valid, key) for key in ValidSpec.__struct_fields__}
     beyond = {key: found for key, found in outside_by_key.items() if found is not None}
     if not beyond or not recording.ticks:
@@ -45,7 +44,7 @@ def outside(recording: Recording, valid: ValidSpec) -> Outside | None:
 
 
 def together(drives: Iterable[Outside | None]) -> Outside | None:
-    """Several drives as one; None where none of them says anything."""
+    """Several drives as one; None without any data."""
     known = [one for one in drives if one is not None]
     ticks = sum(one.ticks for one in known)
     if not ticks:
@@ -56,7 +55,7 @@ def together(drives: Iterable[Outside | None]) -> Outside | None:
 
 
 def _beyond(recording: Recording, valid: ValidSpec, key: str) -> Array | None:
-    """Ticks at which a quantity is outside its ends; None where it has none, or the recording lacks it."""
+    """Ticks at which a quantity is outside its limits; None without limits or without the quantity."""
     ends = getattr(valid, key)
     if ends is None:
         return None
@@ -68,19 +67,19 @@ def _beyond(recording: Recording, valid: ValidSpec, key: str) -> Array | None:
     throttle, brake = recording.get("out_throttle_frac"), recording.get("out_brake_frac")
     if throttle is None or brake is None:
         return None
-    # Where one pedal was never touched, the end on its side is the other's duty at rest.
+    # For an unused pedal the limit on its side is the rest duty of the other one.
     return _outside(throttle, -np.inf, abs(high) + margin) | _outside(brake, -np.inf, abs(low) + margin)
 
 
 def _outside(values: Array, low: float, high: float) -> Array:
-    """A value that is not known is not outside."""
+    """An unknown value is not outside."""
     mean = _mean(values)
     with np.errstate(invalid="ignore"):
         return (mean < low) | (mean > high)
 
 
 def _mean(values: Array) -> Array:
-    """Centred mean of the known values of SMOOTH ticks, fewer at the ends; NaN where none is known."""
+    """Centred mean of the known values of SMOOTH ticks, fewer at the ends; NaN without known values."""
     known = np.isfinite(values)
     sums = np.concatenate([[0.0], np.cumsum(np.where(known, values, 0.0))])
     counts = np.concatenate([[0.0], np.cumsum(known)])

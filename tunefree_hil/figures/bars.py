@@ -1,4 +1,4 @@
-"""The score of each scenario, manual against tuned: where the winner wins, and where it does not."""
+"""The score of each scenario, manual against tuned."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FAILURE_SCORE = 10.0  # docs/reference/grading.md; bars of failures are cut, or the others could not be told apart
+FAILURE_SCORE = 10.0  # docs/reference/grading.md; bars of failures are cut to keep the others readable
 HEIGHT_IN = 0.28  # of one bar
 
 
@@ -26,7 +26,7 @@ def write_bars(path: Path, scores: Mapping[str, Mapping[str, float]], failure: f
 def draw_bars(scores: Mapping[str, Mapping[str, float]], failure: float = FAILURE_SCORE) -> Figure:
     """Bars by scenario; scores: by label ("manual ...", "tuned ...", other baselines), then by scenario.
 
-    A scenario that a label lacks has no bar. Scores from `failure` on are failed drives: the bar is cut and says so.
+    A scenario that a label lacks has no bar. Scores from `failure` on are failed drives: the bar is cut and labelled.
     """
     labels = list(scores)
     scenarios = list(dict.fromkeys(name for label in labels for name in scores[label]))

@@ -1,4 +1,4 @@
-"""Several rows of scores, one dot each: tuned study by study against what it has to beat (docs/reference/design.md)."""
+"""Several rows of scores, one dot each: the tuned studies against baselines."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SPREAD = 0.32  # height of a row over which its dots are spread, so that equal scores do not hide one another
+SPREAD = 0.32  # height of a row over which its dots are spread, so that equal scores are visible
 WIDE = 6.0  # from this ratio of the largest to the smallest score on the axis is logarithmic
 
 
@@ -26,8 +26,8 @@ def write_dots(path: Path, rows: Mapping[str, Sequence[float]], label: str, best
 def draw_dots(rows: Mapping[str, Sequence[float]], what: str, best: str = "") -> Figure:
     """rows: scores by label, lower is better, drawn from the top; one score for a baseline, one a seed for a search.
 
-    A row of several has a bar at its median. `what`: the label of the axis. `best`: the row, of one score, that "tuned"
-    has to beat: a line through all rows.
+    A row of several has a bar at its median. `what`: the label of the axis. `best`: the row with the score to beat,
+    drawn as a line through all rows.
     """
     figure = style.new_figure(11.0, 2.3 + 0.55 * len(rows))
     axes = figure.add_subplot()
@@ -76,7 +76,7 @@ def _scale(axes: Axes, values: Sequence[float]) -> None:
 
 
 def _sentence(rows: Mapping[str, Sequence[float]], best: str) -> str:
-    """How the tuned row stands against the best single score."""
+    """Comparison of the tuned row with the best single score."""
     tuned = next((scores for label, scores in rows.items() if label.startswith("tuned")), None)
     if tuned is None or not best:
         return "Scores"

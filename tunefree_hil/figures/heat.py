@@ -1,4 +1,4 @@
-"""Where a score difference comes from: a table of scenarios by terms, coloured by who wins; its cells add up."""
+"""Composition of a score difference: a table of scenarios by terms, coloured by sign; its cells add up."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = "RdBu_r"  # blue: the winner is better; red: the other one; can be told apart by the colour-blind
+COLOURS = "RdBu_r"  # blue: the winner is better; red: the other one; suitable for colour blindness
 DARK = 0.62  # of the colour scale, above which the ink is white
 LEAST_IN = 9.0
 LEAST_PT = 10.5
-PT_PER_IN = 0.76  # of the figure's width: a wide table is shown smaller, so its words are larger
-WITHIN = 0.95  # share of the cells whose size the colour scale tells apart
+PT_PER_IN = 0.76  # of the figure's width: a wide table is shown smaller, so its text is larger
+WITHIN = 0.95  # share of the cells within the colour scale
 TOTAL = "sum"
 
 
@@ -31,7 +31,7 @@ def write_heat(path: Path, terms: Mapping[str, Mapping[str, float]], title: str)
 def draw_heat(terms: Mapping[str, Mapping[str, float]], title: str) -> Figure:
     """terms: by scenario, then by term, winner - other; in thousandths of the score.
 
-    Terms whose every cell would be shown as 0 are left out, and counted.
+    Terms with only cells that round to 0 are left out, and counted.
     """
     scenarios = list(terms)
     names = [name for name in terms[scenarios[0]] if any(_is_seen(terms[one][name]) for one in scenarios)]
@@ -65,7 +65,7 @@ def draw_heat(terms: Mapping[str, Mapping[str, float]], title: str) -> Figure:
 
 
 def _limit(sizes: np.ndarray) -> float:
-    """End of the colour scale: what few cells exceed, or one large cell would leave all others white."""
+    """End of the colour scale: few cells exceed it, as one large cell would make all others white."""
     known = sizes[sizes > 0.0]
     return float(np.quantile(known, WITHIN)) if known.size else 1.0
 
@@ -81,7 +81,7 @@ def _with_sums(cells: np.ndarray, sums: np.ndarray) -> np.ndarray:
 
 
 def _cell(value: float) -> str:
-    """Short enough for a cell; 0 where it would round to it."""
+    """Short text for a cell; 0 where it rounds to 0."""
     if abs(value) < 0.05:
         return "0"
     return f"{value:+.0f}" if abs(value) >= 99.5 else f"{value:+.1f}"

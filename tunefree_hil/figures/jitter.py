@@ -1,4 +1,4 @@
-"""How punctual a real-time run was: how late each tick was done, by node (docs/reference/bench_channel.md)."""
+"""Lateness of each tick of a real-time run, by node (docs/reference/bench_channel.md)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def write_jitter(path: Path, late_s: Mapping[str, Sequence[float]], limit_s: flo
 
 
 def draw_jitter(late_s: Mapping[str, Sequence[float]], limit_s: float) -> Figure:
-    """Histogram of lateness in ms, counts on a log scale so that a single late tick can be seen.
+    """Histogram of lateness in ms, counts on a log scale so that a single late tick is visible.
 
     late_s: by node, one value a tick, done minus deadline, seconds, negative is early. limit_s: what still counts as
     real time.

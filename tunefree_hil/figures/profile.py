@@ -28,7 +28,7 @@ Values = Mapping[str, Mapping[str, float | None]]  # label -> metric -> value
 SIDES = ((PERFORMANCE, LOCALISATION, DEAD_BAND), (SAFETY, COMFORT, EFFORT, LATENCY))
 BAR_IN = 0.19
 GAP_IN = 0.2
-HATCHES = ("", "//", "..", "xx", "\\\\", "++")  # labels are told apart without colour too
+HATCHES = ("", "//", "..", "xx", "\\\\", "++")  # labels can be distinguished without colour
 
 
 def write_profile(path: Path, values: Values, title: str) -> Path:
@@ -42,7 +42,7 @@ def write_highlights(path: Path, values: Values, title: str) -> Path:
 
 
 def draw_profile(values: Values, title: str) -> Figure:
-    """Bars of all metrics, a panel an aspect; what could not be had says so."""
+    """Bars of all metrics, a panel an aspect; missing values are labelled."""
     groups = names_by_aspect()
     row_in = BAR_IN * len(values) + GAP_IN
     height = 1.6 + max(sum(0.75 + row_in * len(groups[aspect]) for aspect in side) for side in SIDES)
@@ -57,7 +57,7 @@ def draw_profile(values: Values, title: str) -> Figure:
 
 
 def draw_highlights(values: Values, title: str) -> Figure:
-    """Bars of the source's nine highlighted metrics: four RMS, four peaks, compute time."""
+    """Bars of the paper's nine highlighted metrics: four RMS, four peaks, compute time."""
     figure = style.new_figure(11.0, 1.9 + (BAR_IN * 1.3 * len(values) + GAP_IN) * len(HIGHLIGHTED))
     _draw_panel(
         figure.add_subplot(),

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 DEG_PER_RAD = 180.0 / np.pi
 KPH_PER_MPS = 3.6
 REPLAN_M = 0.5  # the follower re-plans above this lateral error (docs/reference/grading.md)
-STRETCH_ABOVE = 5.0  # a path longer than this many times its width is drawn with a scale of its own for y
+STRETCH_ABOVE = 5.0  # a path longer than this many times its width has a separate scale for y
 
 
 class DrivePicture(NamedTuple):
@@ -100,7 +100,7 @@ def _replan_rows(drive: DrivePicture) -> NDArray[np.int64]:
 
 
 def _draw_path(axes: Axes, drives: Sequence[DrivePicture], series: Mapping[str, style.Look]) -> None:
-    """Seen from above; the reference is the current trajectory of the first drive that has one."""
+    """The path from above; the reference is the current trajectory of the first drive that has one."""
     lines = [(column(drive, "ref_x_m"), column(drive, "ref_y_m")) for drive in drives]
     reference = next(((x, y) for x, y in lines if x is not None and y is not None), None)
     if reference:
@@ -124,7 +124,7 @@ def _draw_path(axes: Axes, drives: Sequence[DrivePicture], series: Mapping[str, 
 
 
 def _scale(axes: Axes) -> str:
-    """One scale for x and y, unless the path is so slender that nothing would be seen; returns what to say of it."""
+    """One scale for x and y, unless the path is too narrow; returns a note about the scale."""
     width, height = np.diff(axes.get_xlim())[0], np.diff(axes.get_ylim())[0]
     if max(width, height) > STRETCH_ABOVE * min(width, height):
         return ", drawn larger than x" if width > height else ", drawn smaller than x"
@@ -150,7 +150,7 @@ def _draw_panel(axes: Axes, panel: Panel, drives: Sequence[DrivePicture], series
 
 
 def _draw_reference(axes: Axes, panel: Panel, drives: Sequence[DrivePicture]) -> None:
-    """The wished value where there is one, else zero; the re-plan limits where they are near."""
+    """The reference value where there is one, else zero; the re-plan limits where they are near."""
     longest = max(drives, key=lambda drive: len(drive.columns.get("t_s", ())))
     time_s = column(longest, "t_s")
     wished = column(longest, panel.reference) if panel.reference else None

@@ -1,4 +1,4 @@
-"""Signals of a log over time: a panel a unit, a line a signal, broken where nothing was heard."""
+"""Signals of a log over time: a panel a unit, a line a signal, interrupted where nothing was received."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PANEL_IN, MOST_IN = 2.4, 24.0  # height of a panel, of all
 
 
 class Series(NamedTuple):
-    """One signal: its name, its unit ('' = none), stamps and values, and the silence from which a line is broken."""
+    """One signal: its name, its unit ('' = none), stamps and values, and the gap from which a line is interrupted."""
 
     name: str
     unit: str
@@ -34,11 +34,11 @@ def write_signals(path: Path, title: str, series: Sequence[Series]) -> Path:
 
 
 def draw_signals(title: str, series: Sequence[Series]) -> Figure:
-    """Signals of one unit share a panel; time counts from the first stamp of all. Silences are shaded."""
+    """Signals of one unit share a panel; time counts from the first stamp of all. Gaps are shaded."""
     units = list(dict.fromkeys(one.unit for one in series))
     figure = style.new_figure(13.0, min(MOST_IN, 1.2 + PANEL_IN * len(units)))
-    heard = [one for one in series if one.time_s.size]
-    zero_s = min((float(one.time_s[0]) for one in heard), default=0.0)
+    received = [one for one in series if one.time_s.size]
+    zero_s = min((float(one.time_s[0]) for one in received), default=0.0)
     first: Axes | None = None
     for row, unit in enumerate(units):
         axes = figure.add_subplot(len(units), 1, row + 1, sharex=first)
@@ -52,14 +52,14 @@ def draw_signals(title: str, series: Sequence[Series]) -> Figure:
 
 
 def broken_at_gaps(series: Series) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(stamps, values) with a NaN in the middle of each silence, so that no line is drawn across it."""
+    """(stamps, values) with a NaN in the middle of each gap, so that no line is drawn across it."""
     gaps = gaps_of(series)
     middles = 0.5 * (series.time_s[gaps] + series.time_s[gaps + 1])
     return np.insert(series.time_s, gaps + 1, middles), np.insert(series.values, gaps + 1, np.nan)
 
 
 def gaps_of(series: Series) -> NDArray[np.int64]:
-    """Indices of the last values before a silence longer than gap_s."""
+    """Indices of the last values before a gap longer than gap_s."""
     return np.flatnonzero(np.diff(series.time_s) > series.gap_s)
 
 

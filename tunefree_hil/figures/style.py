@@ -1,8 +1,8 @@
-"""How all figures look. matplotlib is imported inside functions only, so that nobody pays who draws nothing.
+"""Style of all figures. matplotlib is imported inside functions only, which saves start-up time.
 
-Figures are objects on an Agg canvas; pyplot and its global state are not used. Sizes are chosen so that a picture shown
-at half its pixels can still be read. The colours are those of Okabe and Ito, which colour-blind people can tell apart;
-marker or dash differ too.
+Figures are objects on an Agg canvas; pyplot and its global state are not used. Sizes are chosen so that a picture is
+readable at half its pixels. The colours are those of Okabe and Ito, suitable for colour blindness; marker or dash differ
+too.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 
 def headline(figure: Figure, text: str) -> None:
-    """The figure's title: a sentence that says what is to be seen."""
+    """The figure's title: a sentence with its message."""
     figure.suptitle(text, fontsize=TITLE_PT, color=INK, fontweight="bold")
 
 
@@ -92,14 +92,14 @@ def line(axes: Axes, x: Any, y: Any, look: Look, label: str = "") -> None:
 
 
 def legend_below(figure: Figure, axes: Axes, columns: int) -> None:
-    """The legend of `axes` under everything, where it hides nothing."""
+    """The legend of `axes` under everything, so that it hides nothing."""
     handles, labels = axes.get_legend_handles_labels()
     if handles:
         figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=FONT_PT - 0.5, frameon=False)
 
 
 def number(value: float) -> str:
-    """Three figures, without an exponent where a person would write none."""
+    """Three figures, without an exponent where it is not needed."""
     if 999.5 <= abs(value) < 1e5:
         return f"{value:.0f}"
     if 1e-3 <= abs(value) < 1e3 or value == 0.0 or not math.isfinite(value):
@@ -118,12 +118,12 @@ def plain_numbers(axis: Axis, narrow: bool = False) -> None:
 
 
 def say_missing(axes: Axes, label: str) -> None:
-    """An empty panel says why it is empty."""
+    """Write into an empty panel why it is empty."""
     axes.text(0.5, 0.5, f"{label}: not recorded", transform=axes.transAxes, ha="center", va="center", fontsize=FONT_PT)
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write `figure` to `path` as PNG: to a temporary name first, then renamed."""
+    """Write `figure` to `path` as PNG: atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     figure.savefig(part, format="png", dpi=DPI)

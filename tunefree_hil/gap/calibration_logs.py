@@ -1,6 +1,6 @@
-"""What a model's own logs, from which it was calibrated, show: effects they contain, and what the model misses of them.
+"""What a model's calibration logs show: the effects in them, and what the model misses of them.
 
-Where catalogue effects explain all that a model misses of its own logs, a later search finds them by itself. Where they
+Where catalogue effects explain all that a model misses of these logs, a later search finds them by itself. Where they
 do not, the logs still determine the effects of the sensors (scale, offset, latency), because sensors are compared with
 each other whatever the car does. These become part of the model; what is still missed is its baseline misfit
 (gap/selection/baseline_misfit.py), which later logs are compared with.
@@ -36,7 +36,7 @@ from tunefree_hil.gap.selection.model_misfit import SearchContext, assess_model
 from tunefree_hil.gap.selection.search import fit_and_score
 from tunefree_hil.gap.workers.pool import WorkerPool
 from tunefree_hil.gap.workers.worker import FitSummary, OpenProblem
-from tunefree_hil.learn.estimate import NORMAL_QUANTILE_95
+from tunefree_hil.learn.estimate import HALF_WIDTH_95
 from tunefree_hil.learn.model_folder import CALIBRATION_LOGS
 
 Array = np.ndarray
@@ -50,7 +50,7 @@ UNINFORMATIVE_STD_U = (4.0 * np.pi) ** -0.5
 
 
 class CalibrationLogs(NamedTuple):
-    """A model with its own logs."""
+    """A model with its calibration logs."""
 
     model: ModelSpec
     vehicle: VehicleSpec
@@ -74,7 +74,7 @@ def baseline_from_search(diagnosis: Diagnosis) -> BaselineMisfit:
 def named_vehicle_limits(diagnosis: Diagnosis, model: ModelSpec) -> list[EffectSpec]:
     """VEHICLE_LIMITS that a search of the logs names with plain evidence, and the model does not have.
 
-    Later logs need not find them missing. A lower limit is still found: of two limits the lower one acts.
+    Once they are in the model, later logs do not show them as missing. A lower limit is still found, as it acts first.
     """
     plain = {
         effect.name
@@ -88,7 +88,7 @@ def named_vehicle_limits(diagnosis: Diagnosis, model: ModelSpec) -> list[EffectS
 def find_vehicle_limits(logs: CalibrationLogs) -> Generator[SearchProgress, None, list[EffectSpec]]:
     """Find VEHICLE_LIMITS in logs in which no link is broken, each limit by itself.
 
-    A later log may be at a limit from end to end.
+    A later log may be at a limit all the time, and could not show it.
     """
     yield SearchProgress(SearchStage.RECALIBRATION, "limits of the car")
     return _find_plain_effects(logs, VEHICLE_LIMITS)
@@ -97,7 +97,7 @@ def find_vehicle_limits(logs: CalibrationLogs) -> Generator[SearchProgress, None
 def find_tyre_effects(logs: CalibrationLogs) -> Generator[SearchProgress, None, list[EffectSpec]]:
     """Find TYRE_EFFECTS that show where the model comes near its logs, although it misses them elsewhere.
 
-    They would explain as much of each later log, and hide what is new there.
+    Otherwise they would explain as much of each later log, and hide what is new there.
     """
     yield SearchProgress(SearchStage.RECALIBRATION, "its tyres")
     return _find_plain_effects(logs, TYRE_EFFECTS, only_unbroken=True)
@@ -142,8 +142,8 @@ def _estimates_by_effect(model: FitSummary, blocks: Array) -> dict[str, dict[str
 def find_sensor_effects(logs: CalibrationLogs) -> Generator[SearchProgress, None, list[EffectSpec]]:
     """Find sensor effects whatever else the model misses: one after the other, each beside the earlier ones.
 
-    They need plain evidence, but not agreement of the blocks, none of which is explained. A sensor without a second one
-    would be compared with the model, which is wrong here; it is not tested.
+    They need plain evidence, but not agreement of the blocks, as the model explains none of them. A sensor without
+    a second one would be compared with the model, which is wrong here; it is not tested.
     """
     yield SearchProgress(SearchStage.RECALIBRATION, "its sensors")
     with closing(WorkerPool(logs.spec, logs.workers)) as pool:
@@ -169,7 +169,7 @@ def find_sensor_effects(logs: CalibrationLogs) -> Generator[SearchProgress, None
 
 def _effect_spec(name: str, params: Mapping[str, tuple[float, float]]) -> EffectSpec:
     """Entry of [[effects]]. params: value and standard deviation of each parameter."""
-    half_width = {key: NORMAL_QUANTILE_95 * std for key, (_, std) in params.items()}
+    half_width = {key: HALF_WIDTH_95 * std for key, (_, std) in params.items()}
     return EffectSpec(
         name=name,
         params={key: value for key, (value, _) in params.items()},
@@ -208,7 +208,7 @@ def measure_baseline_misfit(logs: CalibrationLogs) -> Generator[SearchProgress, 
 
 
 def prior_from_problem(problem: OpenProblem) -> CalibrationPrior:
-    """Prior of the recalibrated parameters, from an open problem of the model's own logs."""
+    """Prior of the recalibrated parameters, from an open problem of the model's calibration logs."""
     return prior_from_fit(problem.recalibrated.fit, problem.nuisances, non_holdout_blocks(problem.blocks))
 
 

@@ -1,9 +1,7 @@
 """From measured drives to a diagnosis: which effects the model lacks, with their values and the doubt about them.
 
 `diagnose` opens the problem (which recalibrates the model), looks at what recalibration leaves, scans all candidates
-one by one, selects effects stepwise, and decides the verdict. A name can be rejected by its score
-(selection/criteria.py), by what the selected effects explain (selection/rejection.py), by the verdict
-(selection/verdict.py), and later by the holdout blocks (jobs/gap/acceptance.py); every rejection is a `Reason`.
+one by one, selects effects stepwise, and decides the verdict. gap/__init__.py lists where a name can be rejected.
 `locate` stops before the candidates.
 """
 
@@ -28,7 +26,7 @@ from tunefree_hil.gap.estimation.intervals import (
 )
 from tunefree_hil.gap.estimation.residuals import ProblemSpec
 from tunefree_hil.gap.measured.chain import MeasuredDrive
-from tunefree_hil.gap.measured.clock import check_echoes
+from tunefree_hil.gap.measured.command_echo import check_echoes
 from tunefree_hil.gap.measured.excitation import (
     Excitation,
     assess_excitation,
@@ -42,7 +40,7 @@ from tunefree_hil.gap.selection.baseline_misfit import NO_BASELINE, BaselineMisf
 from tunefree_hil.gap.selection.criteria import CRITERIA, CandidateScore
 from tunefree_hil.gap.selection.equivalence import add_easily_confused, find_inseparable
 from tunefree_hil.gap.selection.model_misfit import ModelMisfit, SearchContext, assess_model, mark_broken_targets
-from tunefree_hil.gap.selection.reasons import Reason, Verdict, VerdictKind
+from tunefree_hil.gap.selection.reasons import NAMED, Reason, Verdict, VerdictKind
 from tunefree_hil.gap.selection.rejection import SelectionOutcome
 from tunefree_hil.gap.selection.scoring import explained_targets
 from tunefree_hil.gap.selection.search import fit_and_score, select_effects
@@ -66,8 +64,6 @@ from tunefree_hil.gap.workers.worker import FitSummary, OpenProblem
 
 Array = np.ndarray
 
-NAMED = (VerdictKind.ONE, VerdictKind.SEVERAL)
-
 
 class FoundEffect(NamedTuple):
     """An effect that the model lacks.
@@ -75,7 +71,7 @@ class FoundEffect(NamedTuple):
     Args:
         evidence: log evidence over the model without it, nats.
         is_weak: only the holdout blocks can confirm it.
-        holdout: what it does to the signal that shows it best; not to be shown before the proof.
+        holdout: what it does to the signal that shows it best; not to be shown before the verification.
     """
 
     name: str
@@ -91,9 +87,9 @@ class Diagnosis(NamedTuple):
     Args:
         verdict: its kind, the names of a set, and the reasons.
         effects: the effects of ONE and SEVERAL.
-        separate_by: the manoeuvre that tells the names of a set apart.
-        link, location: the link to blame, and the target that shows it best; None where nothing is broken or found.
-        links_before, links_after: every target with recalibration done, and with the search's effects in the model.
+        separate_by: the manoeuvre that separates the names of a set.
+        link, location: the link at fault, and the target that shows it best; None where nothing is broken or found.
+        links_before, links_after: every target after recalibration, and with the search's effects in the model.
         excitation: by effect, whether the logs could have shown it.
         candidates: every candidate scored alone, the best first.
         problem: the opened problem.
@@ -105,7 +101,7 @@ class Diagnosis(NamedTuple):
         rejected: why effects of the search were dropped, or are not new.
         unexplained_beside: broken targets that the named effects do not work on.
         day_sized: named effects no larger than a day's change.
-        inseparable: by named effect, those that no log of this car tells from it.
+        inseparable: by named effect, those that no log of this car separates from it.
         drive_differences: numbers of the day that differ between the drives, in standard deviations.
     """
 
@@ -157,7 +153,7 @@ class Search(NamedTuple):
 
     @property
     def drives(self) -> Sequence[MeasuredDrive]:
-        """The drives that are asked about."""
+        """The measured drives."""
         return self.pool.spec.drives
 
 
@@ -261,7 +257,7 @@ def make_diagnosis(
     location = _describe_location(pool, search.problem, links, steps)
     link = links_of(load_catalogue()[steps[0].name])[0] if steps else location.residual.link if location else None
     effects = _found_effects(search, steps, outcome.repaired) if verdict.kind in NAMED else ()
-    found = Diagnosis(
+    diagnosis = Diagnosis(
         verdict=verdict,
         effects=effects,
         link=Link.COMMAND_ECHO if decision.has_changed_frames else link,
@@ -281,16 +277,16 @@ def make_diagnosis(
         inseparable=find_inseparable(verdict.names, drives),
         drive_differences=_drive_differences(search, outcome.repaired),
     )
-    found = found._replace(separate_by=_separating_manoeuvre(found.set_names))
-    return _with_remarks(search, found, outcome) if effects else found
+    diagnosis = diagnosis._replace(separate_by=_separating_manoeuvre(diagnosis.set_names))
+    return _with_remarks(search, diagnosis, outcome) if effects else diagnosis
 
 
-def _with_remarks(search: Search, found: Diagnosis, outcome: SelectionOutcome) -> Diagnosis:
+def _with_remarks(search: Search, diagnosis: Diagnosis, outcome: SelectionOutcome) -> Diagnosis:
     """A diagnosis that names effects, with how small they are and what is missed beside them."""
     problem = search.problem
-    values = {effect.name: {key: one.value for key, one in effect.params.items()} for effect in found.effects}
+    values = {effect.name: {key: p.value for key, p in effect.params.items()} for effect in diagnosis.effects}
     explained = explained_targets(problem.recalibrated, outcome.repaired, problem.signal_scales, search.blocks)
-    return found._replace(
+    return diagnosis._replace(
         day_sized=find_day_sized(values),
         unexplained_beside=find_unexplained_beside(outcome.misfit.links, explained, search.baseline),
     )
@@ -357,13 +353,13 @@ def _describe_location(
     if not steps and not links[0].is_broken:
         return None
     target = steps[0].target if steps else links[0].signal
-    regions, shape = pool.ask(worker.describe_residual, problem.recalibrated.fit, target)
+    regions, shape = pool.call(worker.describe_residual, problem.recalibrated.fit, target)
     link = next(link for link in links if link.signal == target)
     return describe_misfit(link, shape, regions, problem.signal_scales[target])
 
 
 def _separating_manoeuvre(names: Sequence[str]) -> str:
-    """What tells the names of a set apart: the manoeuvre of the first one that has one."""
+    """What separates the names of a set: the manoeuvre of the first one that has one."""
     catalogue = load_catalogue()
     manoeuvres = (catalogue[name].manoeuvre for name in names if name in catalogue)
     return next((manoeuvre for manoeuvre in manoeuvres if manoeuvre), "")

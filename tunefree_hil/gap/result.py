@@ -1,7 +1,7 @@
-"""A search's result as data: the part of gap.json that it gives, and search.json, from which a cut-off run goes on.
+"""A search's result as data: the part of gap.json that it gives, and search.json, from which a stopped run continues.
 
-Repair, proof, page and pictures are made from this and the logs alone. Floats survive JSON bit for bit. The keys are in
-docs/reference/files.md.
+Repair, verification, page and figures are made from this and the logs alone. Floats survive JSON bit for bit. The keys
+are in docs/reference/files.md.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from tunefree_hil.gap.diagnostics.residual_tests import LinkResidual, Region, Shape
+from tunefree_hil.gap.diagnostics.regions import Region
+from tunefree_hil.gap.diagnostics.residual_tests import LinkResidual, Shape
 from tunefree_hil.gap.estimation.evidence import non_holdout_blocks
 from tunefree_hil.gap.estimation.intervals import AtBound, find_parameters_at_bound
 from tunefree_hil.gap.measured.excitation import Excitation
@@ -24,10 +25,10 @@ from tunefree_hil.gap.workers.worker import FitSummary
 from tunefree_hil.learn.model_folder import plain_data
 
 SCHEMA = "tunefree.gap_search/3"
-FEW_BLOCKS = 9  # searched, of a drive of a minute and three quarters; a shorter one has fewer
-MAX_REGIONS = 3  # listed, of those that stand out
+FEW_BLOCKS = 9  # that are searched, in a drive of 105 s; with fewer, a remark is added
+MAX_REGIONS = 3  # that are listed
 NO_LOCATION: dict[str, Any] = {"link": None, "signal": "", "regime": [], "card": ""}  # where nothing is missed
-PLANTS_WITHOUT_NET = ("physics", "reference")  # kinds of plants that have learned nothing from logs
+PLANTS_WITHOUT_NET = ("physics", "reference")  # kinds of plants without a trained network
 # Verdicts that hold only as far as the blocks could have shown anything else
 LIMITED_BY_BLOCKS = (VerdictKind.ONE, VerdictKind.SEVERAL, VerdictKind.SET, VerdictKind.NONE_MISSING)
 KEYS = {  # of search.json, by field of SearchResult
@@ -45,7 +46,7 @@ KEYS = {  # of search.json, by field of SearchResult
 
 
 class SearchResult(NamedTuple):
-    """What a search came to, as it is kept between sessions.
+    """The result of a search, as it is stored in search.json.
 
     Args:
         answer: as in gap.json.
@@ -53,7 +54,7 @@ class SearchResult(NamedTuple):
             with the effects.
         effect_keys: the keys that belong to the effects found.
         signal, regions, shape: of the target that shows it best; "" where nothing is broken and no effect was found.
-        elapsed_s: that the search took.
+        elapsed_s: duration of the search.
         has_candidates: candidates were tried.
         predictable_shares: by target, of what the model with the effects still misses, the share that is predictable.
     """
@@ -76,24 +77,24 @@ class SearchResult(NamedTuple):
 
     @property
     def names(self) -> list[str]:
-        """Of the effects that were found."""
+        """Names of the effects that were found."""
         return [effect["name"] for effect in self.answer["effects"]]
 
 
-def make_search_result(found: Diagnosis, kind: str, elapsed_s: float, has_candidates: bool = True) -> SearchResult:
-    """What is kept of a diagnosis.
+def make_search_result(diagnosis: Diagnosis, kind: str, elapsed_s: float, has_candidates: bool = True) -> SearchResult:
+    """What is stored of a diagnosis.
 
     Args:
         kind: of the model's plant.
         has_candidates: candidates were tried.
     """
-    location, answer = found.location, answer_entries(found, kind)
-    shares = {name: fit.explained / fit.total for name, fit in found.lack_of_fit_after.items() if fit.total > 0.0}
+    location, answer = diagnosis.location, answer_entries(diagnosis, kind)
+    shares = {name: fit.explained / fit.total for name, fit in diagnosis.lack_of_fit_after.items() if fit.total > 0.0}
     return SearchResult(
         answer=answer,
-        recalibrated_values=_values_of(found.problem.recalibrated),
-        repaired_values=_values_of(found.repaired),
-        effect_keys=tuple(free.key for free in found.repaired.fit.free),
+        recalibrated_values=_values_of(diagnosis.problem.recalibrated),
+        repaired_values=_values_of(diagnosis.repaired),
+        effect_keys=tuple(free.key for free in diagnosis.repaired.fit.free),
         signal="" if location is None else location.residual.signal,
         regions=() if location is None else location.regions,
         shape=None if location is None else location.shape,
@@ -103,16 +104,16 @@ def make_search_result(found: Diagnosis, kind: str, elapsed_s: float, has_candid
     )
 
 
-def as_json(kept: SearchResult) -> dict[str, Any]:
+def as_json(search: SearchResult) -> dict[str, Any]:
     """The table of search.json."""
-    return {"schema": SCHEMA, **plain_data({key: getattr(kept, field) for field, key in KEYS.items()})}
+    return {"schema": SCHEMA, **plain_data({key: getattr(search, field) for field, key in KEYS.items()})}
 
 
 def from_json(data: Mapping[str, Any]) -> SearchResult:
-    """The result that a table of search.json is of.
+    """The result in a table of search.json.
 
     Raises:
-        ValueError: no `as_json` of this version wrote it.
+        ValueError: it was not written by `as_json` of this version.
     """
     if data.get("schema") != SCHEMA:
         raise ValueError(f"schema is {data.get('schema')!r}, expected {SCHEMA!r}")
@@ -125,44 +126,47 @@ def from_json(data: Mapping[str, Any]) -> SearchResult:
             shape=None if shape is None else Shape(**shape),
         )
     except (KeyError, TypeError) as error:
-        raise ValueError(f"no whole search: {error}") from error
+        raise ValueError(f"incomplete search: {error}") from error
 
 
-def answer_entries(found: Diagnosis, kind: str = "physics") -> dict[str, Any]:
+def answer_entries(diagnosis: Diagnosis, kind: str = "physics") -> dict[str, Any]:
     """The keys of gap.json that a search gives; a number that is not finite is None. kind: of the model's plant.
 
     Where nothing is missing and no effect could have been seen, the verdict is that these logs cannot tell.
     """
-    untestable = _untestable_effects(found)
-    verdict = found.verdict.kind.value
+    untestable = _untestable_effects(diagnosis)
+    verdict = diagnosis.verdict.kind.value
     answer = {
         "verdict": verdict or None,
-        "forced": most_likely_name(found),
+        "forced": most_likely_name(diagnosis),
         "absorbed": may_be_absorbed(verdict, kind),
-        "effects": [_effect_entry(effect) for effect in found.effects],
-        "set": list(found.set_names),
-        "together": joint_effects(found),
-        "separate_by": found.separate_by,
-        "where": _location_entry(found),
+        "effects": [_effect_entry(effect) for effect in diagnosis.effects],
+        "set": list(diagnosis.set_names),
+        "together": joint_effects(diagnosis),
+        "separate_by": diagnosis.separate_by,
+        "where": _location_entry(diagnosis),
         "excitation": {
-            name: _excitation_entry(one, untestable.get(name, "")) for name, one in found.excitation.items()
+            name: _excitation_entry(excitation, untestable.get(name, ""))
+            for name, excitation in diagnosis.excitation.items()
         },
-        "links": [_link_entry(link) for link in found.links_before],
-        "as_usual": [link.signal for link in found.links_before if link.is_broken and found.baseline.is_within(link)],
-        "untold": untestable,
-        "lost": {link.value: reason for link, reason in found.unobservable_links.items()},
-        "not_suspected": dict(found.problem.untestable_effects),
-        "candidates": [_candidate_entry(score) for score in found.candidates],
-        "words": [
-            *diagnosis_texts(found),
-            *_few_blocks_texts(found),
-            *dict.fromkeys(found.unobservable_ports.values()),
+        "links": [_link_entry(link) for link in diagnosis.links_before],
+        "as_usual": [
+            link.signal for link in diagnosis.links_before if link.is_broken and diagnosis.baseline.is_within(link)
         ],
-        "reasons": [reason_entry(reason) for reason in (*found.verdict.reasons, *found.rejected)],
-        "moved": [bound.text for bound in _parameters_at_bound(found)],
+        "untold": untestable,
+        "lost": {link.value: reason for link, reason in diagnosis.unobservable_links.items()},
+        "not_suspected": dict(diagnosis.problem.untestable_effects),
+        "candidates": [_candidate_entry(score) for score in diagnosis.candidates],
+        "words": [
+            *diagnosis_texts(diagnosis),
+            *_few_blocks_texts(diagnosis),
+            *dict.fromkeys(diagnosis.unobservable_ports.values()),
+        ],
+        "reasons": [reason_entry(reason) for reason in (*diagnosis.verdict.reasons, *diagnosis.rejected)],
+        "moved": [bound.text for bound in _parameters_at_bound(diagnosis)],
     }
     is_blind = not any(entry["enough"] for entry in answer["excitation"].values())
-    return answer | (_blind_entries(answer) if found.verdict.kind is VerdictKind.NONE_MISSING and is_blind else {})
+    return answer | (_blind_entries(answer) if diagnosis.verdict.kind is VerdictKind.NONE_MISSING and is_blind else {})
 
 
 def _blind_entries(answer: Mapping[str, Any]) -> dict[str, Any]:
@@ -175,10 +179,10 @@ def _blind_entries(answer: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _untestable_effects(found: Diagnosis) -> dict[str, str]:
+def _untestable_effects(diagnosis: Diagnosis) -> dict[str, str]:
     """Effects that these logs cannot show, with the reason."""
-    unmoving = dict.fromkeys(found.unmoving, UNTESTABLE.format(share=CRITERIA.min_explained_share))
-    links, ports = found.unobservable_links, found.unobservable_ports
+    unmoving = dict.fromkeys(diagnosis.unmoving, UNTESTABLE.format(share=CRITERIA.min_explained_share))
+    links, ports = diagnosis.unobservable_links, diagnosis.unobservable_ports
     return {**unmoving, **find_untestable_effects(load_catalogue(), links, ports)}
 
 
@@ -225,48 +229,48 @@ def _effect_entry(effect: FoundEffect) -> dict[str, Any]:
     }
 
 
-def _location_entry(found: Diagnosis) -> dict[str, Any]:
-    location = found.location
+def _location_entry(diagnosis: Diagnosis) -> dict[str, Any]:
+    location = diagnosis.location
     regions = [] if location is None else [region.text for region in location.regions if region.stands_out]
     return {
-        "link": None if found.link is None else found.link.value,
+        "link": None if diagnosis.link is None else diagnosis.link.value,
         "signal": "" if location is None else location.residual.signal,
         "regime": regions[:MAX_REGIONS],
         "card": "" if location is None else location.text,
     }
 
 
-def _few_blocks_texts(found: Diagnosis) -> tuple[str, ...]:
-    """That the search saw few blocks, where the verdict stands on nothing else being seen."""
-    n_blocks = len(non_holdout_blocks(found.problem.blocks))
-    if n_blocks >= FEW_BLOCKS or found.verdict.kind not in LIMITED_BY_BLOCKS:
+def _few_blocks_texts(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """A remark that few blocks were searched, where the verdict depends on what else they could have shown."""
+    n_blocks = len(non_holdout_blocks(diagnosis.problem.blocks))
+    if n_blocks >= FEW_BLOCKS or diagnosis.verdict.kind not in LIMITED_BY_BLOCKS:
         return ()
     return (few_blocks_text(n_blocks),)
 
 
-def _parameters_at_bound(found: Diagnosis) -> list[AtBound]:
+def _parameters_at_bound(diagnosis: Diagnosis) -> list[AtBound]:
     """Numbers that recalibration would move further than a calibrated model may be off: something may be missing."""
-    return find_parameters_at_bound(found.repaired.fit, non_holdout_blocks(found.problem.blocks))
+    return find_parameters_at_bound(diagnosis.repaired.fit, non_holdout_blocks(diagnosis.problem.blocks))
 
 
-def joint_effects(found: Diagnosis) -> list[str]:
+def joint_effects(diagnosis: Diagnosis) -> list[str]:
     """Of a set that stands for several effects at once, those that fit best; each other name may stand in place of one
     of them. Empty where the set is one effect's.
     """
-    fitted = dict.fromkeys(free.key.partition(".")[0] for free in found.repaired.fit.free)
-    names = [name for name in fitted if name in found.set_names]
+    fitted = dict.fromkeys(free.key.partition(".")[0] for free in diagnosis.repaired.fit.free)
+    names = [name for name in fitted if name in diagnosis.set_names]
     return names if len(names) > 1 else []
 
 
-def most_likely_name(found: Diagnosis) -> str | None:
-    """The name to give if one had to be given; None where no candidate was tried."""
-    if found.effects:
-        return found.effects[0].name
-    return max(found.candidates, key=lambda score: score.evidence).name if found.candidates else None
+def most_likely_name(diagnosis: Diagnosis) -> str | None:
+    """The most likely name, whatever the verdict; None where no candidate was tried."""
+    if diagnosis.effects:
+        return diagnosis.effects[0].name
+    return max(diagnosis.candidates, key=lambda score: score.evidence).name if diagnosis.candidates else None
 
 
 def may_be_absorbed(verdict: str, kind: str) -> bool:
-    """Whether a learned plant may hide what is not found: logs that had it may have taught its net."""
+    """Whether a learned plant may hide what is not found: its training logs may have had the effect."""
     return kind not in PLANTS_WITHOUT_NET and verdict in ("none_missing", "none_of_these")
 
 

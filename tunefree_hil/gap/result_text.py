@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from tunefree_hil.gap.selection.reasons import Criterion, Reason, Verdict, VerdictKind
+from tunefree_hil.gap.selection.reasons import NAMED, Criterion, Reason, Verdict, VerdictKind
 
 if TYPE_CHECKING:
     from tunefree_hil.gap.measured.excitation import Excitation
@@ -13,24 +13,23 @@ if TYPE_CHECKING:
     from tunefree_hil.gap.selection.baseline_misfit import BaselineMisfit
 
 UNTESTABLE = "no value of it that a car has moves any compared signal by {share:.1%} of that signal"
-NAMED = (VerdictKind.ONE, VerdictKind.SEVERAL)
 
 
-def diagnosis_texts(found: Diagnosis) -> tuple[str, ...]:
-    """All that is to be told beside the verdict, in the order of gap.json's `words`."""
+def diagnosis_texts(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """All texts beside the verdict, in the order of gap.json's `words`."""
     return (
-        *verdict_texts(found.verdict, found.excitation),
-        *(f"{name}: so small a value may come and go from day to day" for name in found.day_sized),
-        *(f"{link.text} as well, and no named effect explains that" for link in found.unexplained_beside),
-        *equivalent_texts(found.inseparable),
-        *(reason_text(reason) for reason in found.rejected),
-        *baseline_texts(found.baseline),
-        *drive_difference_texts(found.drive_differences),
+        *verdict_texts(diagnosis.verdict, diagnosis.excitation),
+        *(f"{name}: so small a value may come and go from day to day" for name in diagnosis.day_sized),
+        *(f"{link.text} as well, and no named effect explains that" for link in diagnosis.unexplained_beside),
+        *equivalent_texts(diagnosis.inseparable),
+        *(reason_text(reason) for reason in diagnosis.rejected),
+        *baseline_texts(diagnosis.baseline),
+        *drive_difference_texts(diagnosis.drive_differences),
     )
 
 
 def verdict_texts(verdict: Verdict, excitation: Mapping[str, Excitation]) -> tuple[str, ...]:
-    """What stands behind a verdict. excitation: of each effect, what the logs lack to show it."""
+    """The reasons of a verdict. excitation: of each effect, what the logs lack to show it."""
     reasons = verdict.reasons
     if verdict.kind in NAMED:
         lacking = [f"{name}: {lack}" for name in verdict.names for lack in excitation[name].shortages]
@@ -51,7 +50,7 @@ def _set_text(reason: Reason, excited: Excitation) -> str:
 
 
 def reason_text(reason: Reason) -> str:
-    """One reason as a sentence; "" for a criterion of a candidate's score, which `failed_text` has."""
+    """One reason as a sentence; "" for a criterion that has no text."""
     make = TEXTS.get(reason.criterion)
     return make(reason) if make else ""
 
@@ -73,7 +72,7 @@ def _known(reason: Reason) -> str:
 
 TEXTS: Mapping[Criterion, Callable[[Reason], str]] = {
     Criterion.BETTER_REJECTED: lambda r: (
-        f"{r.name} would explain it, but {r.others[0]} explains more and fails a rule for names (docs/gap.md)"
+        f"{r.name} would explain it, but {r.others[0]} explains more and fails a criterion (docs/reference/gap.md)"
     ),
     Criterion.RESIDUAL_PEAK: lambda r: f"{_nearest(r)} {_missed(r)} all the same",
     Criterion.RESIDUAL_LEFT: lambda r: f"{_nearest(r)} leaves {r.value:.0%} of what could be explained of {r.key}",
@@ -92,7 +91,7 @@ TEXTS: Mapping[Criterion, Callable[[Reason], str]] = {
     Criterion.WEAK_SET: lambda r: (
         f"{', '.join((r.name, *r.others))} would each explain a part of what a calibrated model may miss"
     ),
-    Criterion.WEAK: lambda r: f"{r.name}: no link is broken, and only the holdout blocks can confirm it",
+    Criterion.WEAK: lambda r: f"{r.name}: its link is not broken, and only the holdout blocks can confirm it",
     Criterion.FRAMES_CHANGED: lambda r: (
         f"{r.value:.1%} of the {r.key} commands echoed were not sent at that time: frames are lost or changed"
     ),
@@ -107,12 +106,14 @@ TEXTS: Mapping[Criterion, Callable[[Reason], str]] = {
 
 
 def equivalent_texts(inseparable: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
-    """Of each named effect, those that no log of this car can tell from it."""
-    return tuple(f"{name}: no log of this car tells it from {', '.join(names)}" for name, names in inseparable.items())
+    """Of each named effect, those that no log of this car separates from it."""
+    return tuple(
+        f"{name}: no log of this car separates it from {', '.join(names)}" for name, names in inseparable.items()
+    )
 
 
 def baseline_texts(baseline: BaselineMisfit) -> tuple[str, ...]:
-    """That the model misses its own calibration logs."""
+    """A remark that the model misses its own calibration logs."""
     if not baseline.misfit:
         return ()
     name, share = max(baseline.misfit.items(), key=lambda item: item[1])
@@ -123,13 +124,13 @@ def drive_difference_texts(differences: Mapping[str, float]) -> tuple[str, ...]:
     """Numbers of the day that differ between the drives, by how many standard deviations."""
     return tuple(
         f"{key} differs by {sigmas:.1f} standard deviations between the drives, but has one value for all of them "
-        "here: ask about the drives one by one as well"
+        "here: search the drives one by one as well"
         for key, sigmas in differences.items()
     )
 
 
 def few_blocks_text(n_blocks: int) -> str:
-    """That a short recording shows little."""
+    """A remark that a short recording shows little."""
     return f"only {n_blocks} blocks were searched: what else may be missing hardly shows in so short a recording"
 
 

@@ -1,10 +1,10 @@
 """A helper process with compiled kernels, for fits that need millions of plant steps.
 
     with CompiledProcess() as process:
-        result = yield from process.call(fit_physics, windows, fixed, priors, brake_way)
+        result = yield from process.call(fit_physics, windows, fixed, priors, brake_travel)
 
-Whether kernels are compiled is decided at import (TUNEFREE_JIT), so such a fit needs a process of its own. It ends
-with this process.
+Whether kernels are compiled is decided at import (TUNEFREE_JIT), so such a fit needs another process. It ends with
+this process.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def make_request(function: Callable[..., Any], args: tuple[Any, ...]) -> CallReq
 
 
 def run_request(request: CallRequest) -> Generator[CallReply, None, None]:
-    """Make the call in this process; progress as it comes, then one result or error."""
+    """Make the call in this process; yields progress, then one result or error."""
     try:
         result = getattr(importlib.import_module(request.module), request.function)(*request.args)
         while inspect.isgenerator(result):
@@ -87,7 +87,7 @@ class CompiledProcess:
     def call(self, function: Callable[P, Result], *args: P.args, **_: P.kwargs) -> Generator[Any, None, Result]: ...
 
     def call(self, function: Callable[..., Any], *args: Any) -> Generator[Any, None, Any]:
-        """Call a module-level function in the process; what it yields is yielded here as it comes.
+        """Call a module-level function in the process; yields the values that it yields.
 
         Args:
             function: A function or generator function; its module is imported there by name.
@@ -103,8 +103,8 @@ class CompiledProcess:
         request = make_request(function, args)
         try:
             helper = self._start_helper()
-            helper.say(tuple(request))
-            while (reply := CallReply(*helper.hear())).kind == "progress":
+            helper.send_request(tuple(request))
+            while (reply := CallReply(*helper.receive_answer())).kind == "progress":
                 yield reply.value
         except BaseException:  # after an interrupted exchange the pipe holds replies to an earlier call
             self.close()

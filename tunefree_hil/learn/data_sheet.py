@@ -1,4 +1,4 @@
-"""Data sheet of a vehicle folder: starting values of fits, and values of what logs do not identify."""
+"""Data sheet of a vehicle folder: start values of fits, and values that logs do not identify."""
 
 from __future__ import annotations
 
@@ -16,26 +16,19 @@ PEDALS = ("throttle", "brake")
 
 
 class PriorCriteria(NamedTuple):
-    """How far a physical constant may be from its prior value. Reasons: docs/results/learn_criteria.md.
+    """How far a physical constant may be from its prior value (docs/results/criteria.md)."""
 
-    Attributes:
-        motion_factor: Factor for values read off the motion by a plain law.
-        ratio_factor: The same for the steering ratio.
-        linkage_bend_per_rad2: Steering linkage that departs from a single track. Parallel wheels give t^2/L^2 (1 + L/a)
-            = 0.2 to 0.4 (t: half the track, a: distance of the front axle); Ackermann steering gives 0.
-        brake_rise: Share by which the brake may pull more or less at full duty than in proportion.
-        overrun_mps2: Deceleration with released pedals: about 0.2 for engines, 0 to 2 for electric motors.
-        mass_exponent: Growth of the logarithm of a factor with that of the mass, beyond e times the default mass.
-        unstated_factor: Extra factor for values that the folder could state and does not.
-    """
-
-    motion_factor: float = 4.0
-    ratio_factor: float = 1.5
+    motion_factor: float = 4.0  # for values from a simple law of motion, which gives the order of magnitude only
+    ratio_factor: float = 1.5  # the same for the steering ratio, which follows from geometry and is closer
+    # steering linkage that departs from a single track; parallel wheels give t^2/L^2 (1 + L/a) = 0.2 to 0.4 (t: half
+    # the track, a: distance of the front axle), Ackermann steering 0
     linkage_bend_per_rad2: float = 0.4
-    brake_rise: float = 0.5
-    overrun_mps2: float = 0.7
+    brake_rise: float = 0.5  # share by which the brake force at full duty may differ from proportional
+    overrun_mps2: float = 0.7  # deceleration with released pedals: about 0.2 for engines, 0 to 2 for electric motors
+    # growth of the logarithm of a factor with that of the mass, beyond e times the default mass: the defaults are those
+    # of a road car
     mass_exponent: float = 0.3
-    unstated_factor: float = 1.5
+    unstated_factor: float = 1.5  # extra factor for values that the folder could state and does not
 
 
 PRIORS = PriorCriteria()
@@ -88,21 +81,21 @@ class ConstantPrior(NamedTuple):
 
 
 def is_accel_commanded(vehicle: VehicleSpec) -> bool:
-    """Whether a vehicle takes an acceleration and shows no pedals (plant/actuation/acceleration_interface.py)."""
+    """Whether a vehicle has commanded acceleration and no pedal signals (plant/actuation/acceleration_interface.py)."""
     pedals = "throttle_frac" in vehicle.command or "throttle_frac" in vehicle.report
     return "accel_mps2" in vehicle.command and not pedals
 
 
 def has_brake(vehicle: VehicleSpec) -> bool:
-    """Whether a vehicle folder has a brake of its own."""
+    """Whether a vehicle folder has a brake command or report."""
     return "brake_frac" in vehicle.command or "brake_frac" in vehicle.report
 
 
 def make_fixed_params(vehicle: VehicleSpec, motion_values: Mapping[str, float] | None = None) -> dict[str, float]:
-    """[plant.params] that are never fitted: masses, geometry, pedal rest; defaults where the folder is silent.
+    """[plant.params] that are never fitted: masses, geometry, pedal rest; defaults where the folder has none.
 
-    Drive and brake of a vehicle that takes an acceleration are fixed too, as are the brake of a vehicle without one and
-    the creep of a vehicle whose motion shows none.
+    Drive and brake of a vehicle with commanded acceleration are fixed too, as are the brake of a vehicle without one
+    and the creep of a vehicle whose motion shows none.
 
     Args:
         vehicle: Vehicle folder.
@@ -138,7 +131,7 @@ def make_constant_priors(
 
     Args:
         vehicle: Vehicle folder: [nominal] and [limits].
-        motion_values: Values read off the motion (learn/actuators/samples_from_motion.py), used where the folder does
+        motion_values: Values from the motion (learn/actuators/samples_from_motion.py), used where the folder does
             not state one.
     """
     fixed = make_fixed_params(vehicle, motion_values)

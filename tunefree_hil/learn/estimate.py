@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.plant.actuation.actuators import ActuatorParams
 
-NORMAL_QUANTILE_95 = 1.96  # half width of a 95 % interval in standard deviations
+HALF_WIDTH_95 = 1.96  # half width of a 95 % interval in standard deviations
 
 
 class Estimate(NamedTuple):

@@ -59,7 +59,7 @@ MODEL_TOML_HEADER = """\
 
 
 class ModelContent(NamedTuple):
-    """What goes into a model folder.
+    """Content of a model folder.
 
     Attributes:
         kind: [plant] kind.
@@ -87,9 +87,7 @@ class ModelContent(NamedTuple):
 def require_new_folder(folder: Path) -> None:
     """Raise InputError where `folder` exists and is not empty."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(
-            "it is there already", code="exists", file=str(folder), hint="choose another folder, or move it"
-        )
+        raise InputError("it exists already", code="exists", file=str(folder), hint="choose another folder, or move it")
 
 
 def write_model(folder: Path, vehicle: VehicleSpec, content: ModelContent, card: Mapping[str, Any]) -> Path:
@@ -331,11 +329,11 @@ def evaluate_compiled(
 
 
 class TrainingRecord(NamedTuple):
-    """How a training went. The field names are keys of card.json.
+    """Course of a training. The field names are keys of card.json.
 
     Attributes:
         settings: The training plan.
-        score_words: What the score is.
+        score_words: Meaning of the score.
         score: Held-out error of the best net.
         untrained: Held-out error before training.
         steps: Optimiser steps.
@@ -355,7 +353,7 @@ class TrainingRecord(NamedTuple):
 
 
 class LearningRecord(NamedTuple):
-    """What the card of a learned model is made of.
+    """Content of the card of a learned model.
 
     Attributes:
         kind: [plant] kind.
@@ -367,7 +365,7 @@ class LearningRecord(NamedTuple):
         seconds: Duration.
         training: None for kinds without one.
         evaluations: Free runs on held-out drives, by 'physics' and the kind; either may be missing. These drives also
-            decided when to stop; drives of no part in the training judge more strictly (tools/measure freerun).
+            stop the training; a stricter test needs other drives (tools/measure freerun).
     """
 
     kind: str

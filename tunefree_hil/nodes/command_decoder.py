@@ -10,7 +10,7 @@ from tunefree_hil.bus.dbc.codec import Codec, MessageMap
 from tunefree_hil.bus.dbc.integrity import VALID_STATUSES, E2eStatus
 from tunefree_hil.nodes.exchange import can_key
 from tunefree_hil.nodes.reception import Reception
-from tunefree_hil.plant.actuation.bywire import Heard, HeardChannel
+from tunefree_hil.plant.actuation.bywire import ReceivedChannel, ReceivedCommand
 
 _COMMAND_INDEX = {"throttle": 0, "brake": 1, "steer": 2}
 
@@ -30,7 +30,7 @@ class CommandDecoder:
             if channel in _COMMAND_INDEX
         ]
 
-    def receive(self, frames: Sequence[CanFrame]) -> Heard:
+    def receive(self, frames: Sequence[CanFrame]) -> ReceivedCommand:
         """The channels of one tick; a channel without a valid frame is not fresh."""
         channels: dict[str, Any] = {}
         for frame in frames:
@@ -40,7 +40,7 @@ class CommandDecoder:
         self.reception.end_tick(self.tick)
         self.tick += 1
         self._tell_status(channels)
-        return Heard(**channels) if channels else Heard()
+        return ReceivedCommand(**channels) if channels else ReceivedCommand()
 
     def _take(self, message: MessageMap, data: bytes, channels: dict[str, Any]) -> None:
         decoded = self.codec.decode(message, data)
@@ -52,9 +52,9 @@ class CommandDecoder:
             else:
                 channels[channel] = self._channel(message, decoded, values.get(_COMMAND_INDEX[channel], 0.0))
 
-    def _channel(self, message: MessageMap, decoded: Mapping[str, float], value: float) -> HeardChannel:
+    def _channel(self, message: MessageMap, decoded: Mapping[str, float], value: float) -> ReceivedChannel:
         repeated = message.e2e is None and self.reception.status(message.name) is E2eStatus.REPEATED
-        return HeardChannel(
+        return ReceivedChannel(
             float(value),
             float(decoded.get(message.enable, 0.0)) if message.enable else 1.0,
             float(decoded.get(message.clear, 0.0)) if message.clear else 0.0,
@@ -68,4 +68,4 @@ class CommandDecoder:
         for message, channel in self._protected:
             status = self.reception.status(message.name)
             if status not in VALID_STATUSES:
-                channels[channel] = channels.get(channel, HeardChannel())._replace(e2e=float(status))
+                channels[channel] = channels.get(channel, ReceivedChannel())._replace(e2e=float(status))

@@ -18,7 +18,7 @@ from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.dbc.message_map import MessageMap
 from tunefree_hil.bus.recording.frame_writer import FrameWriter
-from tunefree_hil.control.cascade import Sight
+from tunefree_hil.control.cascade import ControllerInput
 from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.faults import FaultFilter, ScriptedFault
 from tunefree_hil.nodes.handshake import Handshake, Stage, limits_of
@@ -130,7 +130,7 @@ class ControllerPart:
         if stage in STAGE_CODES:
             return self._quiet_frames(k), [self._fail(k, STAGE_CODES[stage], stage.value)]
         block = self.task.block
-        sight = Sight(k, decoder.measurement())
+        sight = ControllerInput(k, decoder.measurement())
         self._state, decision = block.step(block.params, self._state, sight, self.task.dt_s)
         words = []
         if decision.error_code:
@@ -158,8 +158,9 @@ class ControllerPart:
         ] + (self._clear_frames(k) if self.handshake.clear_now else [])
 
     def _clear_frames(self, k: int) -> list[CanFrame]:
-        """Where the vehicle takes short frames DLC 4: an 8-byte frame without a proper counter would trip its watchdog
-        (docs/reference/by_wire.md). Of others, and where the clear bit lies further behind, whole frames.
+        """Clear frames: of DLC 4 where the vehicle accepts them and the clear bit lies in them, else whole frames.
+
+        An 8-byte frame without a proper counter would trip the watchdog (docs/reference/by_wire.md).
         """
         return [
             self._short_clear(k, message)

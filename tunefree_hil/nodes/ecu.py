@@ -21,7 +21,7 @@ from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.faults import FaultFilter, ScriptedFault
 from tunefree_hil.nodes.status_bits import StatusSignals, cause_name
 from tunefree_hil.nodes.timing import CycleTimes
-from tunefree_hil.plant.actuation.bywire import Heard
+from tunefree_hil.plant.actuation.bywire import ReceivedCommand
 from tunefree_hil.plant.ecu import Unit, UnitInput
 from tunefree_hil.plant.types import Driver
 from tunefree_hil.plant.vehicle import Body
@@ -76,7 +76,7 @@ class EcuPart:
         """One step thrown away: where kernels are compiled, that is now and not in tick 0."""
         car = self.car
         params, state, _ = car.unit.start(car.body, car.dt_s)
-        car.unit.step(params, state, UnitInput(Heard(), car.driver(0), Disturbance()), car.dt_s)
+        car.unit.step(params, state, UnitInput(ReceivedCommand(), car.driver(0), Disturbance()), car.dt_s)
         self._params, self._state, self._output = car.unit.start(car.body, car.dt_s)
 
     def lockstep(self, exchange: Exchange, stopped: Callable[[Any], bool]) -> None:
@@ -87,7 +87,7 @@ class EcuPart:
         self.times.begin()
         self._stopped = stopped
         self._decoder.reception.expect_every_period()
-        ahead, heard, spent_s = self.car.ahead, Heard(), 0.0
+        ahead, heard, spent_s = self.car.ahead, ReceivedCommand(), 0.0
         frames = self._publish(0, 0)
         ticks = 0
         for k in range(self.car.course.ticks):
@@ -110,7 +110,7 @@ class EcuPart:
                 break
         self._end(exchange, ticks)
 
-    def _advance(self, exchange: Exchange, k: int, heard: Heard) -> list[CanFrame]:
+    def _advance(self, exchange: Exchange, k: int, heard: ReceivedCommand) -> list[CanFrame]:
         """The step of tick k, and the frames of the tick after it."""
         self._step(exchange, k, heard)
         return self._publish(k + 1, k + 1)
@@ -165,7 +165,7 @@ class EcuPart:
         ]
         return self._faults.apply(k, frames, car.dt_s)
 
-    def _receive(self, exchange: Exchange, k: int, frames: Sequence[CanFrame]) -> Heard:
+    def _receive(self, exchange: Exchange, k: int, frames: Sequence[CanFrame]) -> ReceivedCommand:
         """Decode the command frames of tick k; announce faults that begin there, print notices."""
         heard = self._decoder.receive(frames)
         for fault in self._faults.begun(k):
@@ -174,7 +174,7 @@ class EcuPart:
             self.say(f"ecu: {notice}")
         return heard
 
-    def _step(self, exchange: Exchange, k: int, heard: Heard) -> None:
+    def _step(self, exchange: Exchange, k: int, heard: ReceivedCommand) -> None:
         car = self.car
         road = Disturbance(float(car.course.grade_rad[k]), float(car.course.friction_frac[k]))
         x = UnitInput(heard, car.driver(k), road)

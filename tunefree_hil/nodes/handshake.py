@@ -4,8 +4,8 @@
       └── override latched ──> CLEARING ──┘
 
 EN is set from the first command on; the vehicle must answer within ANSWER_LIMIT_S (20 looks of 20 ms in the source).
-A lost engagement is never taken back by itself: that needs a new request. The steps are a kernel, `look`, so that a
-compiled batch takes the same ones; `Handshake` is what a node holds.
+A lost engagement is never resumed without a new request. The steps are a kernel, `look`, so that a
+compiled batch takes the same ones; a node uses `Handshake`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What an ordinary Linux gives a process that must be punctual, where it is allowed: SCHED_FIFO, and memory that stays.
+"""Real-time scheduling on an ordinary Linux, where it is allowed: SCHED_FIFO, and locked memory.
 
 Measured (docs/reference/bench_channel.md): with all cores busy an absolute sleep is 5.5 ms late at p99.9, under
 SCHED_FIFO 2.2 ms.
@@ -18,7 +18,7 @@ MCL_CURRENT, MCL_FUTURE = 1, 2  # asm-generic/mman.h
 
 @contextlib.contextmanager
 def punctual() -> Iterator[bool]:
-    """SCHED_FIFO while inside, where this user may: True when it was had. What was before comes back.
+    """SCHED_FIFO while inside, where this user may: True when it was granted. The old policy is restored.
 
     The kernel keeps 5 % of each core for others (sched_rt_runtime_us), so a node that hangs does not hang the machine.
     """
@@ -43,9 +43,9 @@ def _fifo() -> int | None:
 
 
 def lock_memory() -> bool:
-    """Keep all pages of this process in memory, those to come too; False where this user may not.
+    """Lock all pages of this process in memory, later ones too; False where this user may not.
 
-    Under a limit what comes could then fail to be had at all, so nothing is locked.
+    Under a limit a later allocation could then fail, so nothing is locked.
     """
     if not sys.platform.startswith("linux"):
         return False

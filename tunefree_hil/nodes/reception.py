@@ -17,7 +17,7 @@ TOO_MANY = "more frames than are due"
 TOO_SHORT = "shorter than the DBC says"
 MOST_EXTRA = 2.0  # extra frames before a notice
 MOST_FREE = 3.0  # of those that come after a gap
-FORGOTTEN = 0.25  # a frame that comes alone makes up for this much
+FORGOTTEN = 0.25  # reduction by a frame that arrives alone
 UNREMARKABLE = (E2eStatus.OK, E2eStatus.INITIAL)
 
 
@@ -99,7 +99,7 @@ class Reception:
         return self.receivers[name].status
 
     def notices(self) -> list[Notice]:
-        """What is new since the last call."""
+        """New notices since the last call."""
         new, self._new = self._new, []
         return new
 
@@ -113,7 +113,7 @@ class Reception:
         return totals
 
     def summary(self) -> str:
-        """What was wrong, message by message, in one line; '' when nothing was."""
+        """All troubles, message by message, in one line; '' for none."""
         return "; ".join(f"{name} {in_words(row)}" for name, row in self.troubles().items())
 
     def _notice(self, tick: int, name: str, problem: str) -> None:

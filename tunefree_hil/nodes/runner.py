@@ -1,6 +1,6 @@
 """Conducts episodes over the bench channel: waits for the nodes, sends episode and parameters, reports the end.
 
-The runner is no part of the lockstep: the ECU owns time, so a slow runner slows nothing. It looks at the bench channel
+The runner is no part of the lockstep: the ECU owns time, so a slow runner slows nothing. It reads the bench channel
 every few milliseconds and reports a silence of 5 s.
 """
 
@@ -56,7 +56,7 @@ class LogKeeper(Protocol):
 
 
 class Runner:
-    """One bench, one episode after the other. `check()` raises when a process of ours has died, or the bus is ill."""
+    """Runs episodes on one bench. `check()` raises when a process of ours has died, or the bus has a fault."""
 
     def __init__(self, bench: BusLink, owner: LogKeeper, check: Callable[[], None] = lambda: None) -> None:
         self.bench = bench
@@ -227,7 +227,7 @@ class HubSilent(NoAnswer):
 
 
 class Silence:
-    """Notices a bench on which nothing moves any more: the hub's or recorder's count of frames stands still."""
+    """Detects a silent bench: the hub's or recorder's count of frames does not change."""
 
     def __init__(self, owner: LogKeeper) -> None:
         self.owner = owner

@@ -1,4 +1,4 @@
-"""How long each cycle took and how late it began. Kept apart from the recording: neither is hashed nor compared."""
+"""Duration and lateness of each cycle. Kept apart from the recording: neither is hashed nor compared."""
 
 from __future__ import annotations
 

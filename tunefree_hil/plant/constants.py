@@ -1,4 +1,4 @@
-"""What constants no car has: one list for all plants that take [plant.params], whoever makes them."""
+"""Limits of the constants in [plant.params], the same for all plants."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from tunefree_hil.base.errors import InputError
 
-# What a car has some of, what it may have none of, and what is the front axle's share of something
+# Constants above 0, constants that may be 0, and shares of the front axle
 POSITIVE = (
     "mass_kg", "wheelbase_m", "front_axle_m", "yaw_inertia_kgm2", "front_stiffness_n_per_rad",
     "rear_stiffness_n_per_rad", "friction", "steer_ratio", "wheel_radius_m", "track_m", "throttle_full_frac",
@@ -20,20 +20,21 @@ NOT_BELOW_0 = (
     "steer_dead_time_s", "throttle_dead_time_s", "brake_dead_time_s", "height_m", "hold_s", "compliance_rad_per_n",
     "body_lag_s", "drive_lag_s", "hysteresis_frac", "idle_gain", "brake_gain", "brake_servo",
 )  # fmt: skip
-LEAST = {"brake_rise_per_frac": -0.5}  # a brake that pulls less the more it is pressed is none
+LEAST = {"brake_rise_per_frac": -0.5}  # below it more brake duty would brake less
 SHARES = ("roll_front_frac", "drive_front_frac", "brake_front_frac")
-FARTHER = {"wheelbase_m": "front_axle_m", "throttle_full_frac": "throttle_zero_frac"}  # than this one, always
+FARTHER = {"wheelbase_m": "front_axle_m", "throttle_full_frac": "throttle_zero_frac"}  # each above this one
 
 
 def require_constants(kind: str, defaults: Mapping[str, float], given: Mapping[str, float]) -> None:
-    """Raises InputError with the key of a constant that no car has. kind: of the plant; of a user's own only that knows
-    what its names mean, and nothing is refused. defaults: the plant's; given: [plant.params].
+    """Raises InputError with the key of a constant outside its limits.
+
+    kind: of the plant; a plant of the user's own is not checked. defaults: the plant's; given: [plant.params].
     """
     if ":" in kind:
         return
     values = {**defaults, **given}
     for name, value in given.items():
-        if not math.isfinite(value):  # files may say inf (config/convert.py): of a force times 0 it makes no number
+        if not math.isfinite(value):  # files may contain inf (config/convert.py); inf times 0 is NaN
             raise _wrong(name, f"{value:g} is no number of a car", "give a finite number")
         if name in POSITIVE and value <= 0.0:
             raise _wrong(name, f"expected more than 0, got {value:g}", "give the car's own, or leave it out")

@@ -1,4 +1,4 @@
-"""Constants of the single-track car: what the data sheet says, and what the step makes of it."""
+"""Constants of the single-track car: those of the data sheet, and those derived for the step."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ DEFAULTS: dict[str, float] = {
     "rear_stiffness_n_per_rad": 155494.663,
     "friction": 0.9,
     "steer_ratio": 16.0,
-    "linkage_bend": 0.0,  # share by which the road wheels turn less than the ratio says, per square of their angle
+    "linkage_bend": 0.0,  # share of the road-wheel angle that is lost, per square of the angle
     "wheel_radius_m": 0.335,
     "track_m": 1.5824,
     "rest_pedal_frac": 0.15,
-    "throttle_zero_frac": 0.165,  # duty at which the engine begins to answer (docs/reference/by_wire.md)
+    "throttle_zero_frac": 0.165,  # duty at which the drive force begins (docs/reference/by_wire.md)
     "throttle_full_frac": 0.80,
     "drive_force_n": 6500.0,  # at full throttle, standing
     "drive_knee_frac": 0.12,  # throttle share that gives 63 % of it
     "drive_power_w": 94.0e3,  # at full throttle
-    "drive_corner": 2.0,  # how sharply constant force turns into constant power: 2 softly, 20 at once
+    "drive_corner": 2.0,  # sharpness of the change from constant force to constant power: 2 smooth, 20 abrupt
     "creep_force_n": 1000.0,
-    "creep_speed_mps": 2.0,  # at which creep has faded out
-    "overrun_force_n": 0.0,  # held back by the engine or motor with the pedal at rest, above twice creep_speed_mps
+    "creep_speed_mps": 2.0,  # above it there is no creep
+    "overrun_force_n": 0.0,  # braking by engine or motor with the pedal at rest, above twice creep_speed_mps
     "brake_force_n_per_frac": 56.6e3,  # 3412 Nm over 0.18 duty at the wheel radius, smoothed
-    "brake_rise_per_frac": 0.0,  # share by which the brake pulls more than in proportion, per duty from rest
+    "brake_rise_per_frac": 0.0,  # share of the brake force beyond proportional, per duty from rest
     "rolling_frac": 0.012,
     "drag_area_m2": 0.70,
 }
 
 
 class SingleTrack(NamedTuple):
-    """Constants as the step uses them, laden; inverses are taken once."""
+    """Constants as the step uses them, laden; with inverses."""
 
     mass_kg: float
     inverse_mass: float
@@ -73,13 +73,13 @@ class SingleTrack(NamedTuple):
     rolling_n: float
     drag_kgpm: float
     grade_rad: float
-    power_w: float  # inf: no limit but the drive's own
+    power_w: float  # inf: the drive's own limit only
     brake_drag_n: float
     brake_loss_per_j: float
     head_wind_mps: float
-    side_n: float  # to the left, of wind and bank
-    bank_mps2: float  # gravity to the right, felt by an accelerometer as specific force to the left
-    relaxation_m: float  # 0: tyres that have their side force at once
+    side_n: float  # of wind and bank, to the left
+    bank_mps2: float  # gravity to the right, measured by an accelerometer as specific force to the left
+    relaxation_m: float  # 0: the side force follows the slip without lag
 
 
 def constants_of(params: Mapping[str, float], change: BodyChange) -> SingleTrack:

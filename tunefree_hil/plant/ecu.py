@@ -1,10 +1,10 @@
 """The whole vehicle as the bus sees it, as one Block: command delay, by-wire unit, body, report delay
 (docs/reference/bench_channel.md).
 
-Where an effect makes the chassis reports late, the by-wire unit's bits, which are in the same frames, are as late.
+An effect that delays the chassis reports delays the by-wire unit's bits as well, as they are in the same frames.
 
-What goes in at tick k are the command frames of tick k; what comes out is what the reports of tick k + 1 say. In real
-time one tick of each delay is the bus's own, so `make_unit` is then given one tick less.
+The input at tick k are the command frames of tick k; the output is the content of the reports of tick k + 1. In real
+time the bus itself is one tick of each delay, so `make_unit` then gets one tick less.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.records import Disturbance, Measurement
-from tunefree_hil.plant.actuation.bywire import ByWireInput, ByWireStatus, Heard
+from tunefree_hil.plant.actuation.bywire import ByWireInput, ByWireStatus, ReceivedCommand
 from tunefree_hil.plant.actuation.delay import init_delay, step_delay
 from tunefree_hil.plant.measurement.report_latency import delay_with_status, init_status_delay
 from tunefree_hil.plant.types import BodyInput, Driver
@@ -21,15 +21,15 @@ from tunefree_hil.plant.vehicle import Body, first_output
 
 
 class UnitInput(NamedTuple):
-    """One tick: the command frames, the person in the seat, the road."""
+    """One tick: received commands, driver, road."""
 
-    heard: Heard
+    received: ReceivedCommand
     driver: Driver
     road: Disturbance
 
 
-class Said(NamedTuple):
-    """What the vehicle's frames say."""
+class ReportedState(NamedTuple):
+    """Content of the vehicle's frames."""
 
     measurement: Measurement
     status: ByWireStatus
@@ -43,7 +43,7 @@ class UnitParams(NamedTuple):
 
 
 class UnitState(NamedTuple):
-    """States of the parts; speed_mps and steer_rad are what the by-wire unit senses itself."""
+    """States of the parts; speed_mps and steer_rad are the by-wire unit's own measurements."""
 
     commands: Any
     bywire: Any
@@ -54,11 +54,11 @@ class UnitState(NamedTuple):
 
 
 class EcuStart(NamedTuple):
-    """An episode at tick 0: params, state, and what the frames report."""
+    """An episode at tick 0: params, state, and the content of the first frames."""
 
     params: UnitParams
     state: UnitState
-    reported: Said
+    reported: ReportedState
 
 
 class Unit(NamedTuple):
@@ -72,10 +72,10 @@ class Unit(NamedTuple):
     def start(self, body: Body, dt_s: float) -> EcuStart:
         """The start of an episode; `body` comes from `for_episode`."""
         body_state, first = first_output(body, dt_s)
-        reported = Said(first.measurement, ByWireStatus())
+        reported = ReportedState(first.measurement, ByWireStatus())
         reports = init_delay(self.report_ticks)(reported, dt_s)
         state = UnitState(
-            init_delay(self.command_ticks)(Heard(), dt_s),
+            init_delay(self.command_ticks)(ReceivedCommand(), dt_s),
             self.bywire.init(self.bywire.params, dt_s),
             body_state,
             (init_status_delay(body.block.params.late_s, dt_s), reports) if body.late else reports,
@@ -86,19 +86,19 @@ class Unit(NamedTuple):
 
 
 def make_unit(body: Body, bywire: Block, command_ticks: int, report_ticks: int) -> Unit:
-    """The vehicle's step for the structure of `body`; its numbers come with `Unit.start`."""
+    """The vehicle's step for the structure of `body`; the numbers are given by `Unit.start`."""
     command_step, report_step = step_delay(command_ticks), step_delay(report_ticks)
     bywire_step, body_step = bywire.step, body.block.step
     if body.late:
-        report_step = delay_with_status(report_step, Said)
+        report_step = delay_with_status(report_step, ReportedState)
 
     @kernel
-    def step(params: UnitParams, state: UnitState, x: UnitInput, dt_s: float) -> tuple[UnitState, Said]:
-        commands, heard = command_step(0.0, state.commands, x.heard, dt_s)
-        seen = ByWireInput(heard, x.driver, state.speed_mps, state.steer_rad)
-        bywire_state, applied = bywire_step(params.bywire, state.bywire, seen, dt_s)
+    def step(params: UnitParams, state: UnitState, x: UnitInput, dt_s: float) -> tuple[UnitState, ReportedState]:
+        commands, received = command_step(0.0, state.commands, x.received, dt_s)
+        bywire_input = ByWireInput(received, x.driver, state.speed_mps, state.steer_rad)
+        bywire_state, applied = bywire_step(params.bywire, state.bywire, bywire_input, dt_s)
         body_state, out = body_step(params.body, state.body, BodyInput(applied.command, x.driver, x.road), dt_s)
-        reports, reported = report_step(0.0, state.reports, Said(out.measurement, applied.status), dt_s)
+        reports, reported = report_step(0.0, state.reports, ReportedState(out.measurement, applied.status), dt_s)
         speed_mps, steer_rad = out.motion.speed_mps, out.actuation.steer_rad
         return UnitState(commands, bywire_state, body_state, reports, speed_mps, steer_rad), reported
 

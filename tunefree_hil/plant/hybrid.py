@@ -1,5 +1,4 @@
-"""Plant kind `hybrid`: the single-track car with an LSTM that corrects its acceleration and yaw rate
-(docs/reference/design.md).
+"""Plant kind `hybrid`: the single-track car with an LSTM that corrects its acceleration and yaw rate.
 
 A tick of dt from motion (v, yaw rate r) with the physics' own lateral state (side speed, yaw rate):
 
@@ -7,10 +6,10 @@ A tick of dt from motion (v, yaw rate r) with the physics' own lateral state (si
     2. inputs:   v, r, throttle and brake duty over rest, steer (wheel, the actuator's output), (v' - v) / dt, r'
     3. residual: (a, w) = fade * bound * tanh(linear(cell(inputs))), fade = v' / 0.3 m/s within 0 and 1
     4. motion:   speed = max(v' + a dt, 0), yaw rate = r' + w, side speed = side' + rear_axle_m * w: the residual turns
-                 the car about its rear axle, whose slip stays the tyres' own; pose by the means of before and after
+                 the car about its rear axle and leaves that axle's slip unchanged; pose by mean velocities
     5. physics keeps speed, its own side' and r': the residual never drives the tyres' lateral state
 
-Weights all 0 are the single-track car, bit for bit. A car that physics stops stands.
+With all weights 0 it is the single-track car, bit for bit. Where the physics stops the car, it stands.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from tunefree_hil.base.records import Motion
 from tunefree_hil.plant.data_sheet import DEFAULTS, SingleTrack, constants_of
 from tunefree_hil.plant.forces.tyre_relaxation import AT_EASE, Axles
 from tunefree_hil.plant.kinematics import Velocity, moved, with_velocity
-from tunefree_hil.plant.learned.lstm_cell import Cell, CellState, bounded, cell_out, init_cell, step_cell, take_in
+from tunefree_hil.plant.learned.lstm_cell import Cell, CellState, bounded, cell_out, init_cell, put_input, step_cell
 from tunefree_hil.plant.learned.weights_file import cell_of, load_plant_file
 from tunefree_hil.plant.single_track import pushed
 from tunefree_hil.plant.types import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
@@ -44,8 +43,8 @@ class Hybrid(NamedTuple):
 
 
 class HybridState(NamedTuple):
-    """The corrected motion; side speed and yaw rate as the physics has them; brake energy; the cell; side forces where
-    tyres relax.
+    """The corrected motion; side speed and yaw rate of the physics; brake energy; the cell; side forces of relaxing
+    tyres.
     """
 
     motion: Motion
@@ -64,13 +63,13 @@ def step_hybrid(params: ChassisParams, state: HybridState, x: ChassisInput, dt_s
     velocity = Velocity(motion.speed_mps, state.side_speed_mps, state.yaw_rate_radps)
     after = pushed(p, velocity, state.braked_j, x, dt_s, state.axles)
     physics = after.velocity
-    take_in(net, cell.seen, 0, motion.speed_mps)
-    take_in(net, cell.seen, 1, motion.yaw_rate_radps)
-    take_in(net, cell.seen, 2, act.throttle_frac - p.rest_frac)
-    take_in(net, cell.seen, 3, act.brake_frac - p.rest_frac)
-    take_in(net, cell.seen, 4, act.steer_rad)
-    take_in(net, cell.seen, 5, (physics.speed_mps - motion.speed_mps) / dt_s)
-    take_in(net, cell.seen, 6, physics.yaw_rate_radps)
+    put_input(net, cell.inputs, 0, motion.speed_mps)
+    put_input(net, cell.inputs, 1, motion.yaw_rate_radps)
+    put_input(net, cell.inputs, 2, act.throttle_frac - p.rest_frac)
+    put_input(net, cell.inputs, 3, act.brake_frac - p.rest_frac)
+    put_input(net, cell.inputs, 4, act.steer_rad)
+    put_input(net, cell.inputs, 5, (physics.speed_mps - motion.speed_mps) / dt_s)
+    put_input(net, cell.inputs, 6, physics.yaw_rate_radps)
     step_cell(net, cell, False)
     fade = clamp(physics.speed_mps / FADE_MPS, 0.0, 1.0)
     speed = physics.speed_mps + dt_s * fade * bounded(net, 0, cell_out(net, cell, 0))
@@ -79,7 +78,7 @@ def step_hybrid(params: ChassisParams, state: HybridState, x: ChassisInput, dt_s
         velocity_new = Velocity(speed, physics.side_speed_mps + p.rear_axle_m * turn, physics.yaw_rate_radps + turn)
     else:
         velocity_new = Velocity(0.0, 0.0, 0.0)
-    new = moved(p, motion, velocity_new, after.felt_mps2, after.wheel, dt_s)
+    new = moved(p, motion, velocity_new, after.gravity_mps2, after.wheel, dt_s)
     braked_j = state.braked_j + dt_s * (0.5 * (motion.speed_mps + new.speed_mps)) * after.brake_n
     return HybridState(new, physics.side_speed_mps, physics.yaw_rate_radps, braked_j, cell, after.axles), new
 
@@ -92,9 +91,9 @@ def init_hybrid(params: ChassisParams, dt_s: float) -> HybridState:
 
 
 @kernel
-def observe_hybrid(state: HybridState, seen: Motion) -> HybridState:
-    """The state with the measured pose, speed and yaw rate as the motion; the physics' lateral state goes on."""
-    motion = with_velocity(seen, Velocity(seen.speed_mps, state.motion.side_speed_mps, seen.yaw_rate_radps))
+def observe_hybrid(state: HybridState, measured: Motion) -> HybridState:
+    """The state with the measured pose, speed and yaw rate as the motion; the physics' lateral state is kept."""
+    motion = with_velocity(measured, Velocity(measured.speed_mps, state.motion.side_speed_mps, measured.yaw_rate_radps))
     return HybridState(motion, state.side_speed_mps, state.yaw_rate_radps, state.braked_j, state.cell, state.axles)
 
 

@@ -1,4 +1,4 @@
-"""How a rigid car goes on: pose, wheels and specific forces out of new velocities, whichever plant gives these."""
+"""Kinematics of a rigid car: pose, wheel speeds and specific forces from new velocities, for all plants."""
 
 from __future__ import annotations
 
@@ -19,12 +19,17 @@ class Velocity(NamedTuple):
 
 @kernel
 def moved(
-    p: Any, motion: Motion, velocity: Velocity, felt_mps2: tuple[float, float], wheel: tuple[float, float], dt_s: float
+    p: Any,
+    motion: Motion,
+    velocity: Velocity,
+    gravity_mps2: tuple[float, float],
+    wheel: tuple[float, float],
+    dt_s: float,
 ) -> Motion:
-    """The motion after a tick that began as `was` and ended with the velocities `now`; the pose by their means.
+    """The motion after a tick that ends with the new velocities; the pose by mean velocities.
 
-    p: any constants with rear_axle_m, front_axle_m, half_track_m and inverse_radius. felt_mps2: what an accelerometer
-    feels of gravity forward and to the left. wheel: cosine and sine of the front wheels' angle.
+    p: any constants with rear_axle_m, front_axle_m, half_track_m and inverse_radius. gravity_mps2: gravity as
+    an accelerometer measures it, forward and to the left. wheel: cosine and sine of the front wheels' angle.
     """
     speed, side, yaw = velocity.speed_mps, velocity.side_speed_mps, velocity.yaw_rate_radps
     speed_was, side_was, yaw_was = motion.speed_mps, motion.side_speed_mps, motion.yaw_rate_radps
@@ -45,8 +50,8 @@ def moved(
         speed,
         side,
         yaw,
-        own_accel + felt_mps2[0],
-        (side - side_was) / dt_s + mean_speed * mean_yaw + felt_mps2[1],
+        own_accel + gravity_mps2[0],
+        (side - side_was) / dt_s + mean_speed * mean_yaw + gravity_mps2[1],
         speed_rate,
         (left * wheel[0] + swing) * p.inverse_radius,
         (right * wheel[0] + swing) * p.inverse_radius,

@@ -1,7 +1,6 @@
-"""Plant kind `lstm`: a state-carrying LSTM says acceleration and yaw rate, kinematics do the rest
-(plant/learned/kinematics.py).
+"""Plant kind `lstm`: an LSTM with state gives acceleration and yaw rate; plant/learned/kinematics.py the motion.
 
-Inputs at a tick's beginning: speed, throttle and brake duty over rest, steering-wheel angle (the actuators' outputs of
+Inputs at the start of a tick: speed, throttle and brake duty over rest, steering-wheel angle (the actuators' outputs of
 this tick), its own acceleration (the rate of speed on level ground) and the yaw rate of the tick before. Outputs:
 bound * tanh(linear), for this tick.
 """
@@ -15,8 +14,16 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.records import Motion
-from tunefree_hil.plant.learned.kinematics import DEFAULTS, Carriage, carriage_of, driven, over_rest, said_of, seen_of
-from tunefree_hil.plant.learned.lstm_cell import Cell, CellState, bounded, cell_out, init_cell, step_cell, take_in
+from tunefree_hil.plant.learned.kinematics import (
+    DEFAULTS,
+    Carriage,
+    carriage_of,
+    driven,
+    measured_own_accel,
+    over_rest,
+    own_accel,
+)
+from tunefree_hil.plant.learned.lstm_cell import Cell, CellState, bounded, cell_out, init_cell, put_input, step_cell
 from tunefree_hil.plant.learned.weights_file import cell_of, load_plant_file
 from tunefree_hil.plant.types import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
 
@@ -33,7 +40,7 @@ class CarAndNet(NamedTuple):
 
 
 class LstmState(NamedTuple):
-    """The motion, the acceleration on level ground behind it, and the cell."""
+    """The motion, its acceleration on level ground, and the cell."""
 
     motion: Motion
     own_mps2: float
@@ -41,26 +48,26 @@ class LstmState(NamedTuple):
 
 
 @kernel
-def take_in_car(net: Any, seen: Any, p: Carriage, motion: Motion, own_mps2: float, x: ChassisInput) -> None:
+def put_car_inputs(net: Any, inputs: Any, p: Carriage, motion: Motion, own_mps2: float, x: ChassisInput) -> None:
     """The inputs of kinds lstm and mlp."""
     throttle, brake = over_rest(p, x.actuation)
-    take_in(net, seen, 0, motion.speed_mps)
-    take_in(net, seen, 1, throttle)
-    take_in(net, seen, 2, brake)
-    take_in(net, seen, 3, x.actuation.steer_rad)
-    take_in(net, seen, 4, own_mps2)
-    take_in(net, seen, 5, motion.yaw_rate_radps)
+    put_input(net, inputs, 0, motion.speed_mps)
+    put_input(net, inputs, 1, throttle)
+    put_input(net, inputs, 2, brake)
+    put_input(net, inputs, 3, x.actuation.steer_rad)
+    put_input(net, inputs, 4, own_mps2)
+    put_input(net, inputs, 5, motion.yaw_rate_radps)
 
 
 @kernel
 def step_lstm(params: ChassisParams, state: LstmState, x: ChassisInput, dt_s: float) -> tuple[LstmState, Motion]:
     """One tick."""
     p, net, cell = params.constants.car, params.constants.net, state.cell
-    take_in_car(net, cell.seen, p, state.motion, state.own_mps2, x)
+    put_car_inputs(net, cell.inputs, p, state.motion, state.own_mps2, x)
     step_cell(net, cell, False)
     accel, yaw = bounded(net, 0, cell_out(net, cell, 0)), bounded(net, 1, cell_out(net, cell, 1))
     new = driven(p, state.motion, accel, yaw, x, dt_s)
-    return LstmState(new, said_of(p, accel, new, x), cell), new
+    return LstmState(new, own_accel(p, accel, new, x), cell), new
 
 
 def init_lstm(params: ChassisParams, dt_s: float) -> LstmState:
@@ -70,9 +77,9 @@ def init_lstm(params: ChassisParams, dt_s: float) -> LstmState:
 
 
 @kernel
-def observe_lstm(state: LstmState, seen: Motion) -> LstmState:
-    """The state with a measured motion in it."""
-    return LstmState(seen, seen_of(state.own_mps2, state.motion, seen), state.cell)
+def observe_lstm(state: LstmState, measured: Motion) -> LstmState:
+    """The state with the measured motion."""
+    return LstmState(measured, measured_own_accel(state.own_mps2, state.motion, measured), state.cell)
 
 
 def maker(kind: str, init: Callable[..., Any], step: Callable[..., Any], net: Any) -> Maker:

@@ -1,4 +1,4 @@
-"""Plant kind `mlp`: one hidden layer of tanh says acceleration and yaw rate, without memory; inputs as of kind lstm."""
+"""Plant kind `mlp`: one hidden layer of tanh gives acceleration and yaw rate, without memory; inputs of kind lstm."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.base.kernel import kernel
 from tunefree_hil.base.records import Motion
-from tunefree_hil.plant.learned.kinematics import DEFAULTS, driven, said_of, seen_of
+from tunefree_hil.plant.learned.kinematics import DEFAULTS, driven, measured_own_accel, own_accel
 from tunefree_hil.plant.learned.lstm_cell import Layer, LayerState, bounded, init_layer, layer_out, step_layer
 from tunefree_hil.plant.learned.weights_file import layer_of, load_plant_file
-from tunefree_hil.plant.lstm import maker, take_in_car
+from tunefree_hil.plant.lstm import maker, put_car_inputs
 from tunefree_hil.plant.types import ChassisInput, ChassisParams, Plant, rolling_motion, unopened
 
 
 class MlpState(NamedTuple):
-    """The motion, the acceleration on level ground behind it, and room for a step."""
+    """The motion, its acceleration on level ground, and the buffers of the layer."""
 
     motion: Motion
     own_mps2: float
@@ -26,11 +26,11 @@ class MlpState(NamedTuple):
 def step_mlp(params: ChassisParams, state: MlpState, x: ChassisInput, dt_s: float) -> tuple[MlpState, Motion]:
     """One tick."""
     p, net, layer = params.constants.car, params.constants.net, state.layer
-    take_in_car(net, layer.seen, p, state.motion, state.own_mps2, x)
+    put_car_inputs(net, layer.inputs, p, state.motion, state.own_mps2, x)
     step_layer(net, layer)
     accel, yaw = bounded(net, 0, layer_out(net, layer, 0)), bounded(net, 1, layer_out(net, layer, 1))
     new = driven(p, state.motion, accel, yaw, x, dt_s)
-    return MlpState(new, said_of(p, accel, new, x), layer), new
+    return MlpState(new, own_accel(p, accel, new, x), layer), new
 
 
 def init_mlp(params: ChassisParams, dt_s: float) -> MlpState:
@@ -40,9 +40,9 @@ def init_mlp(params: ChassisParams, dt_s: float) -> MlpState:
 
 
 @kernel
-def observe_mlp(state: MlpState, seen: Motion) -> MlpState:
-    """The state with a measured motion in it."""
-    return MlpState(seen, seen_of(state.own_mps2, state.motion, seen), state.layer)
+def observe_mlp(state: MlpState, measured: Motion) -> MlpState:
+    """The state with the measured motion."""
+    return MlpState(measured, measured_own_accel(state.own_mps2, state.motion, measured), state.layer)
 
 
 def plant_of(net: Layer) -> Plant:

@@ -1,14 +1,13 @@
-"""Plant kind `paper`: Table I's network as printed. An LSTM of 8 units with ReLU sees 20 samples over *time*, each
-throttle, brake and steering *command*, speed and acceleration; its linear layer says acceleration and yaw rate of the
-next sample.
+"""Plant kind `paper`: the network of Table I as printed. The inputs of an LSTM of 8 units with ReLU are 20 samples over
+time of throttle, brake and steering *command*, speed and acceleration; its linear layer gives acceleration and yaw rate
+of the next sample.
 
-Commands in: the actuators are identities here ([actuators] of model.toml is not used), so the report echoes commands
-and the network itself must know dead times and lags. Samples are sample_spacing_s apart, the newest at this tick; every
-tick sees a window of its own from a cell at 0. Before the start the car rolled on at rest.
+The actuators are identities ([actuators] of model.toml is not used), so the report echoes the commands and the network
+contains dead times and lags. Samples are sample_spacing_s apart, the newest at this tick; at every tick the cell starts
+from 0 and runs over the window. Before the start the car rolled with the pedals at rest.
 
-Where samples are further apart than ticks, a tick goes its share of the way to what is said of the next sample, so that
-nothing is ahead of its time (the published code takes a label of 60 ms ahead for the next 10 ms:
-docs/reference/apollo.md).
+Where samples are further apart than ticks, a tick covers its share of the change to the next sample, so that the output
+is not early (the published code uses a label 60 ms ahead for the next 10 ms: docs/reference/apollo.md).
 """
 
 from __future__ import annotations
@@ -23,13 +22,20 @@ from tunefree_hil.base.kernel import Block, buffer, kernel
 from tunefree_hil.base.maths import clamp
 from tunefree_hil.base.records import Actuation, Command, Motion
 from tunefree_hil.plant.learned.kinematics import DEFAULTS as CAR
-from tunefree_hil.plant.learned.kinematics import Carriage, carriage_of, driven, over_rest, said_of, seen_of
+from tunefree_hil.plant.learned.kinematics import (
+    Carriage,
+    carriage_of,
+    driven,
+    measured_own_accel,
+    over_rest,
+    own_accel,
+)
 from tunefree_hil.plant.learned.lstm_cell import Cell, CellState, cell_out, clear_cell, init_cell, step_cell
 from tunefree_hil.plant.learned.weights_file import cell_of, load_plant_file
 from tunefree_hil.plant.types import ChassisInput, ChassisParams, Plant, filled, rolling_motion, unopened
 
 SAMPLES = 20
-TAKEN = 5  # inputs of a sample
+SAMPLE_INPUTS = 5  # inputs of a sample
 DEFAULTS = {**CAR, "sample_spacing_s": 0.01}
 
 
@@ -44,8 +50,8 @@ class Paper(NamedTuple):
 
 
 class PaperState(NamedTuple):
-    """The motion and the acceleration on level ground behind it; the cell, for use within a step; samples by tick in a
-    ring, as the cell takes them; the place of the newest and the ticks from sample to sample."""
+    """The motion, its acceleration on level ground, the cell (used within a step), a ring of scaled samples, one a
+    tick, the index of the newest, and the ticks between samples."""
 
     motion: Motion
     own_mps2: float
@@ -57,21 +63,21 @@ class PaperState(NamedTuple):
 
 @kernel
 def keep_sample(net: Cell, past: Any, offset: int, sample: tuple[float, float, float, float, float]) -> None:
-    """Write a sample into the ring, as the cell takes it."""
-    for i in range(TAKEN):
+    """Write a sample into the ring, scaled."""
+    for i in range(SAMPLE_INPUTS):
         past[offset + i] = (sample[i] - net.mean[i]) * net.inverse_scale[i]
 
 
 @kernel
-def see_window(net: Cell, state: PaperState, place: int) -> None:
+def run_window(net: Cell, state: PaperState, place: int) -> None:
     """The cell from 0 over the samples up to `place`, oldest first."""
     cell, past = state.cell, state.past
-    length = len(past) // TAKEN
+    length = len(past) // SAMPLE_INPUTS
     clear_cell(cell)
     next_place = place + 1 if place + 1 < length else 0
     for _ in range(SAMPLES):
-        for i in range(TAKEN):
-            cell.seen[i] = past[next_place * TAKEN + i]
+        for i in range(SAMPLE_INPUTS):
+            cell.inputs[i] = past[next_place * SAMPLE_INPUTS + i]
         step_cell(net, cell, True)
         next_place = next_place + state.gap
         if next_place >= length:
@@ -80,7 +86,7 @@ def see_window(net: Cell, state: PaperState, place: int) -> None:
 
 @kernel
 def toward(net: Cell, cell: CellState, row: int, value: float, share: float) -> float:
-    """From `now` the share of the way to output `row`, within its bound."""
+    """`value` moved by a share of the difference to output `row`, which is within its bound."""
     most = float(net.bound[row])
     return value + share * (clamp(cell_out(net, cell, row), -most, most) - value)
 
@@ -91,40 +97,40 @@ def step_paper(params: ChassisParams, state: PaperState, x: ChassisInput, dt_s: 
     p, net, motion = params.constants.car, params.constants.net, state.motion
     throttle, brake = over_rest(p, x.actuation)
     place = state.place + 1
-    if place * TAKEN >= len(state.past):
+    if place * SAMPLE_INPUTS >= len(state.past):
         place = 0
     sample = (throttle, brake, x.actuation.steer_rad, motion.speed_mps, state.own_mps2)
-    keep_sample(net, state.past, place * TAKEN, sample)
-    see_window(net, state, place)
+    keep_sample(net, state.past, place * SAMPLE_INPUTS, sample)
+    run_window(net, state, place)
     share = 1.0 / max(float(state.gap), 1.0)
     accel = toward(net, state.cell, 0, state.own_mps2, share)
     yaw = toward(net, state.cell, 1, motion.yaw_rate_radps, share)
     new = driven(p, motion, accel, yaw, x, dt_s)
-    return PaperState(new, said_of(p, accel, new, x), state.cell, state.past, place, state.gap), new
+    return PaperState(new, own_accel(p, accel, new, x), state.cell, state.past, place, state.gap), new
 
 
 def init_paper(params: ChassisParams, dt_s: float) -> PaperState:
-    """Rolling straight at the start, as for ever before."""
+    """Rolling straight at the start and before."""
     constants = params.constants
     gap = max(round(constants.spacing_s / dt_s), 1)
     length = (SAMPLES - 1) * gap + 1
-    past = buffer(length * TAKEN)
-    for offset in range(0, length * TAKEN, TAKEN):
+    past = buffer(length * SAMPLE_INPUTS)
+    for offset in range(0, length * SAMPLE_INPUTS, SAMPLE_INPUTS):
         keep_sample(constants.net, past, offset, (0.0, 0.0, 0.0, float(params.start.speed_mps), 0.0))
     motion = rolling_motion(params.start, constants.wheel_radius_m)
     return PaperState(motion, 0.0, init_cell(constants.net), past, length - 1, gap)
 
 
 @kernel
-def observe_paper(state: PaperState, seen: Motion) -> PaperState:
-    """The state with a measured motion in it; the next step's sample is of it."""
-    own_mps2 = seen_of(state.own_mps2, state.motion, seen)
-    return PaperState(seen, own_mps2, state.cell, state.past, state.place, state.gap)
+def observe_paper(state: PaperState, measured: Motion) -> PaperState:
+    """The state with the measured motion, which the next sample uses."""
+    own_mps2 = measured_own_accel(state.own_mps2, state.motion, measured)
+    return PaperState(measured, own_mps2, state.cell, state.past, state.place, state.gap)
 
 
 @kernel
 def pass_command(params: float, state: float, x: Command, dt_s: float) -> tuple[float, Actuation]:
-    """Actuators that are identities."""
+    """Identity actuators."""
     return state, Actuation(x.throttle_frac, x.brake_frac, x.steer_rad, x.gear)
 
 

@@ -1,4 +1,4 @@
-"""Where effects go in: Blocks that put the effects of a port on a channel of a record (docs/reference/effects.md)."""
+"""Blocks that apply the effects of a port to a channel of a record (docs/reference/effects.md)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tunefree_hil.base.contracts import Port
 from tunefree_hil.base.kernel import Block, kernel, series
 from tunefree_hil.base.records import Actuation, Command, Measurement
 
-Effects = Sequence[tuple[Port, Any]]  # port, and what contracts.make_effect gave
+Effects = Sequence[tuple[Port, Any]]  # port, and the result of contracts.make_effect
 
 
 def _identity() -> Block:
@@ -22,7 +22,7 @@ def _identity() -> Block:
 
 def _chain(effects: Effects, port: Port) -> Block:
     """The effects of one port in series."""
-    blocks = [made for where, made in effects if where is port]
+    blocks = [made for effect_port, made in effects if effect_port is port]
     if not blocks:
         return _identity()
     chain = blocks[0]
@@ -32,8 +32,8 @@ def _chain(effects: Effects, port: Port) -> Block:
 
 
 def channels_of(effects: Effects, ports: tuple[Port, Port, Port], record: Any) -> Block:
-    """Block record -> record with effects on throttle, brake and steer; the rest of the record passes."""
-    if not any(where in ports for where, _ in effects):
+    """Block record -> record with effects on throttle, brake and steer; the rest of the record is unchanged."""
+    if not any(port in ports for port, _ in effects):
         return _identity()
     throttle, brake, steer = (_chain(effects, port) for port in ports)
     throttle_step, brake_step, steer_step = throttle.step, brake.step, steer.step
@@ -62,19 +62,20 @@ def channels_of(effects: Effects, ports: tuple[Port, Port, Port], record: Any) -
     return Block(init, on_command if is_command else on_actuation, (throttle.params, brake.params, steer.params))
 
 
-def upto_report(effects: Effects, own: Block) -> Block:
-    """Effects A and the actuators, Command -> Actuation; those on an actuator's output are behind its lag."""
-    ports, ends = (Port.THROTTLE_A, Port.BRAKE_A, Port.STEER_A), (Port.THROTTLE_OUT, Port.BRAKE_OUT, Port.STEER_OUT)
-    if any(where in ports for where, _ in effects):
-        own = series(channels_of(effects, ports, Command), own)
-    if any(where in ends for where, _ in effects):
-        own = series(own, channels_of(effects, ends, Actuation))
-    return own
+def upto_report(effects: Effects, actuators: Block) -> Block:
+    """Effects A and the actuators, Command -> Actuation; those on an actuator's output come after its lag."""
+    ports = (Port.THROTTLE_A, Port.BRAKE_A, Port.STEER_A)
+    output_ports = (Port.THROTTLE_OUT, Port.BRAKE_OUT, Port.STEER_OUT)
+    if any(port in ports for port, _ in effects):
+        actuators = series(channels_of(effects, ports, Command), actuators)
+    if any(port in output_ports for port, _ in effects):
+        actuators = series(actuators, channels_of(effects, output_ports, Actuation))
+    return actuators
 
 
-def seen_of(effects: Effects) -> Block:
+def make_measurement_effects(effects: Effects) -> Block:
     """Effects on the measurement, Measurement -> Measurement."""
-    if not any(where in (Port.REPORT, Port.INS) for where, _ in effects):
+    if not any(port in (Port.REPORT, Port.INS) for port, _ in effects):
         return _identity()
     report, ins = _chain(effects, Port.REPORT), _chain(effects, Port.INS)
     report_step, ins_step = report.step, ins.step

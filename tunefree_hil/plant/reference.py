@@ -1,9 +1,9 @@
-"""Plant kind `reference`: the stand-in for a measured car, with its awkward facts (docs/reference/design.md).
+"""Plant kind `reference`: the stand-in for a measured car, with effects that the other plants leave out.
 
 Two tracks with load transfer, unequal axles, relaxing tyres with combined slip, steering compliance, brake dead band,
 step and hysteresis, creep, power-limited drive with gear steps. Ten steps of 1 ms a tick: RK4 for velocities and tyre
-slips, Simpson's rule for the pose; pedals, gearbox and load transfer advance once a step. Actuators of its own.
-It shares rigid-body kinematics with `physics` and nothing else. It does not drive backwards; reverse coasts.
+slips, Simpson's rule for the pose; pedals, gearbox and load transfer advance once a step. It has its own
+actuators and shares only rigid-body kinematics with `physics`. It does not drive backwards; in reverse it coasts.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from tunefree_hil.plant.reference_vehicle.maps import (
 from tunefree_hil.plant.reference_vehicle.tyres import Chassis, Loads, Tyre, four_tyres, side_n
 from tunefree_hil.plant.types import ChassisInput, ChassisParams, Plant, rolling_motion
 
-PARKED_N = 1.0e6  # what a locked gearbox holds
+PARKED_N = 1.0e6  # holding force of a locked gearbox
 
 
 class Slips(NamedTuple):
-    """The seven numbers that RK4 advances, or their rates."""
+    """The seven states of RK4, or their rates."""
 
     speed: float
     side: float
@@ -49,7 +49,7 @@ class Slips(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What holds during one step."""
+    """Forces that are constant during one step."""
 
     front_left: Tyre
     front_right: Tyre
@@ -60,15 +60,15 @@ class Step(NamedTuple):
 
 
 class ReferenceState(NamedTuple):
-    """Motion, tyre slips, sprung mass, engine, gearbox, the brake pedal behind its play, and the brakes' heat."""
+    """Motion, tyre slips, sprung mass, engine, gearbox, brake duty after the hysteresis, and brake energy."""
 
     motion: Motion
     slips: Slips
     loads: Loads
     drive_n: float
     box: Gearbox
-    brake_frac: float  # in the tables' duty
-    braked_j: float  # what the brakes have dissipated
+    brake_frac: float  # duty of the tables
+    braked_j: float  # energy dissipated by the brakes
 
 
 @kernel
@@ -171,7 +171,7 @@ def step_reference(
 ) -> tuple[ReferenceState, Motion]:
     """One step of 1 ms."""
     p = params.constants
-    act, was = x.actuation, state.motion
+    act, motion_before = x.actuation, state.motion
     throttle = table_duty(act.throttle_frac, p.rest_frac, p.throttle_scale)
     brake = table_duty(act.brake_frac, p.rest_frac, p.brake_scale)
     brake_frac = state.brake_frac
@@ -182,19 +182,21 @@ def step_reference(
     left = 1.0 - p.brake_loss_per_j * state.braked_j
     brake_n = brake_force_n(p.maps, brake_frac) * (left if left > LEAST_BRAKE_GAIN else LEAST_BRAKE_GAIN)
     rolling_n = p.rolling_n + p.brake_drag_n
-    box = step_gearbox(p.maps, state.box, throttle, was.speed_mps, dt_s)
+    box = step_gearbox(p.maps, state.box, throttle, motion_before.speed_mps, dt_s)
     engine_n, drive_n = 0.0, 0.0
     if act.gear >= GEAR_DRIVE:
-        asked_n = drive_force_n(p.maps, throttle, was.speed_mps) * gear_factor(p.maps, box, was.speed_mps)
-        if asked_n * was.speed_mps > p.power_w:
-            asked_n = p.power_w / was.speed_mps  # not 0: the power above is not 0
+        asked_n = drive_force_n(p.maps, throttle, motion_before.speed_mps) * gear_factor(
+            p.maps, box, motion_before.speed_mps
+        )
+        if asked_n * motion_before.speed_mps > p.power_w:
+            asked_n = p.power_w / motion_before.speed_mps  # not 0: the power above is not 0
         drive_n = caught_up(state.drive_n, asked_n, p.drive_lag_s, dt_s)
-        engine_n = drive_n + idle_force_n(p.maps, was.speed_mps, brake, MAP_REST_FRAC)
+        engine_n = drive_n + idle_force_n(p.maps, motion_before.speed_mps, brake, MAP_REST_FRAC)
     elif act.gear == GEAR_PARK:
         brake_n = brake_n + PARKED_N
     slope = x.road.grade_rad + p.grade_rad
     slope_n = p.mass_kg * G_MPS2 * math.sin(slope)
-    if was.speed_mps <= 0.0 and engine_n - slope_n - p.wind_n <= brake_n + rolling_n:
+    if motion_before.speed_mps <= 0.0 and engine_n - slope_n - p.wind_n <= brake_n + rolling_n:
         return stand(p, state, drive_n, box, brake_frac, slope_n, dt_s)
 
     front_n = state.slips.front_left * p.front_stiffness + state.slips.front_right * p.front_stiffness
@@ -202,14 +204,14 @@ def step_reference(
     front_asked_n = 0.5 * (p.drive_front_frac * engine_n - p.brake_front_frac * brake_n)
     rear_asked_n = 0.5 * (1.0 - p.drive_front_frac) * engine_n - 0.5 * (1.0 - p.brake_front_frac) * brake_n
     fl, fr, rl, rr = four_tyres(p, state.loads, x.road.friction_frac, front_asked_n, rear_asked_n, angle)
-    held_n = engine_n - (fl.along_n + fr.along_n + rl.along_n + rr.along_n)  # a tyre that slips heats no brake
-    braked_j = state.braked_j + dt_s * was.speed_mps * clamp(held_n, 0.0, brake_n)
-    calm = 1.0 + was.speed_mps * was.speed_mps * 0.1
+    held_n = engine_n - (fl.along_n + fr.along_n + rl.along_n + rr.along_n)  # slip of a tyre does not heat the brake
+    braked_j = state.braked_j + dt_s * motion_before.speed_mps * clamp(held_n, 0.0, brake_n)
+    calm = 1.0 + motion_before.speed_mps * motion_before.speed_mps * 0.1
     forces = Step(fl, fr, rl, rr, slope_n + rolling_n, p.hold_s / calm)
     middle, slips = runge_kutta(p, forces, state.slips, dt_s)
     if slips.speed <= 0.0:
         return stand(p, state, drive_n, box, brake_frac, slope_n, dt_s)
-    motion = moved(p, was, forces, middle, slips, slope_n, dt_s)
+    motion = moved(p, motion_before, forces, middle, slips, slope_n, dt_s)
     loads = Loads(
         caught_up(state.loads.along_mps2, motion.accel_mps2, p.body_lag_s, dt_s),
         caught_up(state.loads.left_mps2, motion.lateral_accel_mps2 - p.side_wind_mps2, p.body_lag_s, dt_s),
@@ -246,11 +248,25 @@ def moved(p: Chassis, motion: Motion, forces: Step, middle: Slips, s: Slips, slo
 def stand(
     p: Chassis, state: ReferenceState, drive_n: float, box: Gearbox, brake_frac: float, slope_n: float, dt_s: float
 ) -> tuple[ReferenceState, Motion]:
-    """Standing still: nothing moves, the tyres are at ease, the body settles."""
-    was, felt = state.motion, slope_n * p.inverse_mass
-    motion = Motion(was.x_m, was.y_m, was.heading_rad, 0.0, 0.0, 0.0, felt, p.bank_mps2, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """Standing still: nothing moves, the tyres have no slip, the body settles."""
+    motion_before, gravity_mps2 = state.motion, slope_n * p.inverse_mass
+    motion = Motion(
+        motion_before.x_m,
+        motion_before.y_m,
+        motion_before.heading_rad,
+        0.0,
+        0.0,
+        0.0,
+        gravity_mps2,
+        p.bank_mps2,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
     loads = Loads(
-        caught_up(state.loads.along_mps2, felt, p.body_lag_s, dt_s),
+        caught_up(state.loads.along_mps2, gravity_mps2, p.body_lag_s, dt_s),
         caught_up(state.loads.left_mps2, p.bank_mps2 - p.side_wind_mps2, p.body_lag_s, dt_s),
     )
     at_ease = Slips(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

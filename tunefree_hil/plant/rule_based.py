@@ -1,9 +1,8 @@
-"""Plant kind `rule_based`: the open-loop map read forwards, and a kinematic bicycle (paper Fig. 3b's comparison).
+"""Plant kind `rule_based`: the open-loop map read forwards, and a kinematic bicycle (comparison of paper Fig. 3b).
 
-Its file is a calibration.npz (docs/reference/files.md: speed, acceleration, command, brake negative). Of the two
-pedals the one
-that is further from rest counts; acceleration is linear in the command within a speed and linear between speeds, held
-at the ends. Yaw rate = speed * tan(road-wheel angle) / wheelbase.
+Its file is a calibration.npz (docs/reference/files.md: speed, acceleration, command, brake negative). Of the two pedals
+the one further from rest is used; acceleration is linear in the command, linear between speeds, and constant beyond the
+ends. Yaw rate = speed * tan(road-wheel angle) / wheelbase.
 """
 
 from __future__ import annotations
@@ -57,15 +56,15 @@ def init_rule_based(params: ChassisParams, dt_s: float) -> Motion:
 
 
 @kernel
-def observe_rule_based(state: Motion, seen: Motion) -> Motion:
+def observe_rule_based(state: Motion, measured: Motion) -> Motion:
     """The measured motion is the state."""
-    return seen
+    return measured
 
 
 def load_map(path: Path) -> SpeedRows:
-    """The map of a calibration.npz, read forwards; of a repeated (speed, command) pair the last one counts.
+    """The map of a calibration.npz, read forwards; of a repeated (speed, command) pair the last one is used.
 
-    Raises InputError that says what is wrong with the file.
+    Raises InputError for a file that is not valid.
     """
     triples = read_triples(path, REFUSAL)
     return rows_by_speed(triples.speed_mps, triples.command_frac, triples.accel_mps2)

@@ -1,4 +1,4 @@
-"""Plant kind `physics`: a single-track car on data-sheet constants (the nominal model, docs/reference/design.md).
+"""Plant kind `physics`: a single-track car on data-sheet constants (the nominal model).
 
 Tyres that saturate, kinematic below walking pace, force balance along the car with a smooth power-limited drive map
 and a linear brake. One step a tick: an L-stable Rosenbrock method of order 2 (Verwer et al. 1999, ROS2) for side speed
@@ -25,7 +25,7 @@ BLEND_MPS = FULL_MPS - LOW_MPS
 
 
 class SingleTrackState(NamedTuple):
-    """The motion, what the brakes have dissipated, and side forces where tyres relax."""
+    """The motion, energy dissipated by the brakes, and side forces of relaxing tyres."""
 
     motion: Motion
     braked_j: float
@@ -33,12 +33,12 @@ class SingleTrackState(NamedTuple):
 
 
 class Advance(NamedTuple):
-    """A tick's work: velocities at its end, gravity felt forward and to the left, brake force, cosine and sine of the
-    front wheels, and side forces where tyres relax.
+    """Result of a tick: velocities at its end, gravity forward and to the left, brake force, cosine and sine of the
+    front wheels, and side forces of relaxing tyres.
     """
 
     velocity: Velocity
-    felt_mps2: tuple[float, float]
+    gravity_mps2: tuple[float, float]
     brake_n: float
     wheel: tuple[float, float]
     axles: Axles
@@ -96,7 +96,7 @@ def dynamic_step(
 
 @kernel
 def slow_speed(p: SingleTrack, push: Push, speed: float, dt_s: float) -> float:
-    """Forward speed without tyre forces, by Heun's method; it stops where the passive forces are the stronger."""
+    """Forward speed without tyre forces, by Heun's method; it stops where the passive forces are larger."""
     first = forward_n(p, push, speed) * p.inverse_mass
     reached = speed + dt_s * first
     if reached < 0.0:
@@ -109,7 +109,7 @@ def slow_speed(p: SingleTrack, push: Push, speed: float, dt_s: float) -> float:
 def pushed(
     p: SingleTrack, was: Velocity, braked_j: float, x: ChassisInput, dt_s: float, axles: Axles = AT_EASE
 ) -> Advance:
-    """What the forces of one tick make of the velocities; axles: side forces where tyres relax."""
+    """The velocities after the forces of one tick; axles: side forces of relaxing tyres."""
     push = push_of(p, x, braked_j)
     after = AT_EASE
     angle = x.actuation.steer_rad * p.inverse_ratio
@@ -129,8 +129,8 @@ def pushed(
         rolled = speed * sine / max(cosine, 0.1) * p.inverse_wheelbase
         yaw = share * yaw + (1.0 - share) * rolled
         side = share * side + (1.0 - share) * rolled * p.rear_axle_m
-    felt_mps2 = (push.slope_n * p.inverse_mass, p.bank_mps2)
-    return Advance(Velocity(speed, side, yaw), felt_mps2, push.brake_n, (cosine, sine), after)
+    gravity_mps2 = (push.slope_n * p.inverse_mass, p.bank_mps2)
+    return Advance(Velocity(speed, side, yaw), gravity_mps2, push.brake_n, (cosine, sine), after)
 
 
 @kernel
@@ -141,7 +141,7 @@ def step_single_track(
     p, motion = params.constants, memory.motion
     before = Velocity(motion.speed_mps, motion.side_speed_mps, motion.yaw_rate_radps)
     after = pushed(p, before, memory.braked_j, x, dt_s, memory.axles)
-    new = moved(p, motion, after.velocity, after.felt_mps2, after.wheel, dt_s)
+    new = moved(p, motion, after.velocity, after.gravity_mps2, after.wheel, dt_s)
     mean_speed = 0.5 * (motion.speed_mps + new.speed_mps)
     return SingleTrackState(new, memory.braked_j + dt_s * mean_speed * after.brake_n, after.axles), new
 
@@ -152,10 +152,10 @@ def init_single_track(params: ChassisParams, dt_s: float) -> SingleTrackState:
 
 
 @kernel
-def observe_single_track(state: SingleTrackState, seen: Motion) -> SingleTrackState:
-    """The state with the measured pose and speed in it; side speed and yaw rate go on as the tyres have made them."""
-    velocity = Velocity(seen.speed_mps, state.motion.side_speed_mps, state.motion.yaw_rate_radps)
-    return SingleTrackState(with_velocity(seen, velocity), state.braked_j, state.axles)
+def observe_single_track(state: SingleTrackState, measured: Motion) -> SingleTrackState:
+    """The state with the measured pose and speed in it; side speed and yaw rate are kept."""
+    velocity = Velocity(measured.speed_mps, state.motion.side_speed_mps, state.motion.yaw_rate_radps)
+    return SingleTrackState(with_velocity(measured, velocity), state.braked_j, state.axles)
 
 
 def make(params: Mapping[str, float], change: BodyChange) -> Block:

@@ -17,14 +17,14 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.records import Actuation, Command, Disturbance, Measurement, Motion
 
-REST_FRAC = 0.15  # pedal duty with nobody's foot on it (docs/reference/by_wire.md)
+REST_FRAC = 0.15  # duty of a released pedal (docs/reference/by_wire.md)
 
 
 class Driver(NamedTuple):
-    """The person in the seat, from a script: both pedals' duty, hand on the wheel, gear lever.
+    """The driver's inputs from a script: duty of both pedals, steering torque, gear lever.
 
-    steer_hold = 1 holds the wheel against the motor; gear_override = 1 moves the lever. fault_cause injects a watchdog
-    code of `bywire.CAUSES` that commands alone cannot cause (another module, a report time-out).
+    steer_hold = 1 holds the wheel against the motor; gear_override = 1 moves the lever. fault_cause injects a
+    watchdog code of `bywire.CAUSES` that commands cannot cause (another module, a report time-out).
     """
 
     throttle_frac: float = REST_FRAC
@@ -35,25 +35,25 @@ class Driver(NamedTuple):
     fault_cause: float = 0.0
 
 
-NOBODY = Driver()  # feet off the pedals
+NOBODY = Driver()  # both pedals released
 
 
 class ChassisInput(NamedTuple):
-    """What the chassis feels at one step."""
+    """Input of the chassis at one step."""
 
     actuation: Actuation
     road: Disturbance
 
 
 class ChassisParams(NamedTuple):
-    """Params of every chassis Block: its own constants (with `wheel_radius_m`, `half_track_m`), and where it starts."""
+    """Params of every chassis Block: its own constants (with `wheel_radius_m`, `half_track_m`), and its start."""
 
     constants: Any
     start: Start = Start()
 
 
 class BodyInput(NamedTuple):
-    """One tick of the vehicle: the command that the by-wire unit applies, the person in the seat, the road."""
+    """One tick of the vehicle: the command applied by the by-wire unit, the driver, the road."""
 
     command: Command
     driver: Driver
@@ -61,7 +61,7 @@ class BodyInput(NamedTuple):
 
 
 class BodyOutput(NamedTuple):
-    """After the tick: what the actuators put out, the true motion, and what is measured of it."""
+    """After the tick: output of the actuators, true motion, and measurement."""
 
     actuation: Actuation
     motion: Motion
@@ -69,16 +69,16 @@ class BodyOutput(NamedTuple):
 
 
 class Plant(NamedTuple):
-    """What a kind of plant exports as PLANT.
+    """The export PLANT of a plant kind.
 
     make(params, change) -> chassis Block on ChassisParams. actuators(params) -> Block Command -> Actuation for a
-    whole vehicle with actuators of its own, None where `[actuators]` of model.toml rules; dead_times and lags then name
-    the keys of [plant.params] that are their times. The whole vehicle is stepped `substeps` times a tick. `defaults`:
+    whole vehicle with its own actuators, else None (`[actuators]` of model.toml); dead_times and lags then name the
+    keys of [plant.params] that are their times. The whole vehicle is stepped `substeps` times a tick. `defaults`:
     every key that [plant.params] may set, with its default.
 
-    open(path) -> Plant: for a kind that lives in a file of the model folder (`file`, unless [plant] names another),
-    the same plant with what that file says; None where there is no file. observe(state, motion) -> state: the
-    chassis's state with a measured motion put in.
+    open(path) -> Plant: the plant with the content of its file in the model folder (`file`, unless [plant] names
+    another); None for a kind without a file. observe(state, motion) -> state: the chassis's state with a measured
+    motion.
     """
 
     make: Callable[[Mapping[str, float], BodyChange], Block]
@@ -93,7 +93,7 @@ class Plant(NamedTuple):
 
 
 def unopened(kind: str) -> Callable[[Mapping[str, float], BodyChange], Block]:
-    """`Plant.make` of a kind that is nothing without its file: says so."""
+    """`Plant.make` of a kind that needs its file: raises InputError."""
 
     def make(params: Mapping[str, float], change: BodyChange) -> Block:
         raise InputError(
@@ -116,7 +116,7 @@ class Laden(NamedTuple):
 
 
 def laden(mass_kg: float, wheelbase_m: float, front_axle_m: float, inertia_kgm2: float, change: BodyChange) -> Laden:
-    """The car with its payload on its centre line (parallel axes); without payload the numbers given, bit for bit."""
+    """The car with its payload on its centre line (parallel axes); without payload the given values, bit for bit."""
     total_kg = mass_kg + change.payload_kg
     shift_m = change.payload_moment_kgm / total_kg if total_kg > 0.0 else math.inf
     front_m = front_axle_m - shift_m
@@ -132,7 +132,7 @@ def laden(mass_kg: float, wheelbase_m: float, front_axle_m: float, inertia_kgm2:
 
 
 def more_drag_m2(own_m2: float, change: BodyChange) -> float:
-    """Drag area with what effects add to it; InputError where less than nothing is left."""
+    """Drag area with the additions of effects; InputError for a negative sum."""
     area_m2 = own_m2 + change.drag_area_m2
     if area_m2 < 0.0:
         raise InputError(
@@ -145,7 +145,7 @@ def more_drag_m2(own_m2: float, change: BodyChange) -> float:
 
 
 def rolling_share(change: BodyChange) -> float:
-    """Rolling resistance as a multiple of the car's own; InputError where less than nothing is left."""
+    """Rolling resistance as a multiple of the car's own; InputError for a negative sum."""
     share = 1.0 + change.rolling_extra_frac
     if share < 0.0:
         raise InputError(
@@ -178,12 +178,12 @@ CHANGES = {
 
 
 def refuse_changes(kind: str, change: BodyChange, able: Set[str]) -> None:
-    """InputError that names what was changed and is not in `able`, the fields of BodyChange that a kind can apply."""
-    still = BodyChange()
-    changed = [name for name in change._fields if name not in able and getattr(change, name) != getattr(still, name)]
+    """InputError for changed fields that are not in `able`, the fields of BodyChange that a kind can apply."""
+    neutral = BodyChange()._asdict()
+    changed = [name for name, value in change._asdict().items() if name not in able and value != neutral[name]]
     if changed:
         raise InputError(
-            f"a plant of kind {kind!r} has no physics that {', '.join(dict.fromkeys(map(CHANGES.__getitem__, changed)))}"
+            f"a plant of kind {kind!r} has no physics that {', '.join(dict.fromkeys(CHANGES[name] for name in changed))}"
             " could change",
             code="not_in_this_plant",
             key="effects",
@@ -192,7 +192,7 @@ def refuse_changes(kind: str, change: BodyChange, able: Set[str]) -> None:
 
 
 def filled(defaults: Mapping[str, float], given: Mapping[str, float], kind: str) -> dict[str, float]:
-    """`defaults` with what was given; InputError for a key there is not."""
+    """`defaults` updated with the given values; InputError for an unknown key."""
     unknown = sorted(set(given) - set(defaults))
     if unknown:
         raise InputError(
@@ -205,7 +205,7 @@ def filled(defaults: Mapping[str, float], given: Mapping[str, float], kind: str)
 
 
 def rolling_motion(start: Start, wheel_radius_m: float) -> Motion:
-    """Motion of a car that rolls straight on at `start` on level ground, wheels turning; the first of every chassis."""
+    """Motion of a car that rolls straight on level ground at `start`; the first motion of every chassis."""
     wheel_radps = start.speed_mps / wheel_radius_m
     wheels = (wheel_radps, wheel_radps, wheel_radps, wheel_radps)
     speeds = (start.speed_mps, 0.0, 0.0)

@@ -1,8 +1,8 @@
-"""A whole simulated vehicle out of actuators, chassis, sensors and effects.
+"""A whole simulated vehicle: actuators, chassis, sensors and effects.
 
 `assemble(...)` gives a Block BodyInput -> BodyOutput. Order of a tick: command, effects A, actuators, effects on
 their outputs, effects B, chassis, sensors; the measurement belongs to the state after the tick. `first_output` is tick
-0, before any step. Start and noise are params, so that one compiled body serves every episode (`for_episode`).
+0, before any step. Start and noise are params, so one compiled body is enough for every episode (`for_episode`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tunefree_hil.plant.actuation.acceleration_interface import actuators_by_acc
 from tunefree_hil.plant.actuation.actuators import ActuatorParams, actuators
 from tunefree_hil.plant.measurement.report_latency import report_latency
 from tunefree_hil.plant.measurement.sensors import SensorInput, SensorParams, noise_table, rolled_in, sensors
-from tunefree_hil.plant.ports import Effects, channels_of, seen_of, upto_report
+from tunefree_hil.plant.ports import Effects, channels_of, make_measurement_effects, upto_report
 from tunefree_hil.plant.types import BodyInput, BodyOutput, ChassisInput, Driver, Plant, rolling_motion
 
 
@@ -31,7 +31,7 @@ class BodyParams(NamedTuple):
     chassis: Any
     sensors: SensorParams
     ends: Any  # effects on Report and Ins
-    late_s: float  # by which the reports' frames are late, all effects together
+    late_s: float  # delay of the report frames by all effects
 
 
 class BodyState(NamedTuple):
@@ -45,13 +45,13 @@ class BodyState(NamedTuple):
 
 
 class Body(NamedTuple):
-    """An assembled vehicle: the Block, and what tick 0 needs besides."""
+    """An assembled vehicle: the Block, and the parts that tick 0 needs."""
 
     block: Block
     rest: Command
-    eyes: Block  # sensors
-    seen: Block  # effects on the measurement
-    late: bool = False  # whether an effect makes the reports' frames late
+    sensors: Block
+    measurement_effects: Block
+    late: bool = False  # whether an effect delays the report frames
 
 
 def assemble(
@@ -68,10 +68,10 @@ def assemble(
     """The vehicle of a model folder.
 
     plant: PLANT of `plant/single_track.py`, `plant/reference.py` or the user's own; params: [plant.params]; channels:
-    'throttle', 'brake', 'steer' of [actuators], or 'accel', 'steer' of a car that is asked for an acceleration (a
-    'steer_torque' beside them says nothing to a chassis); not used by a plant with its own. effects: (port, what
-    `contracts.make_effect` gave), in order; an effect behind another on the same port sees its output. rest_frac:
-    throttle and brake duty at rest. The INS stands on the rear axle. Raises InputError for parameters or ports that do
+    'throttle', 'brake', 'steer' of [actuators], or 'accel', 'steer' of a car with an acceleration command (a
+    'steer_torque' is ignored); not used by a plant with its own. effects: (port, result of `contracts.make_effect`);
+    on the same port each one gets the output of the one before. rest_frac: throttle and brake duty at rest. The INS is
+    at the rear axle. Raises InputError for parameters or ports that do
     not fit.
     """
     change = BodyChange()
@@ -86,15 +86,15 @@ def assemble(
         actuators_block = _own_actuators(channels or {}, rest_frac[0])
     front = upto_report(effects, actuators_block)
     behind = channels_of(effects, (Port.THROTTLE_B, Port.BRAKE_B, Port.STEER_B), Actuation)
-    seen = seen_of(effects)
+    measurement_effects = make_measurement_effects(effects)
     ins_ticks = round(ins_latency_s / dt_s)
     quiet = SensorParams(noise_table({}, {}, 0, 0), ins_specific_force=1.0 if ins_specific_force else 0.0)
-    eyes = sensors(quiet, ins_ticks)
+    sensor_block = sensors(quiet, ins_ticks)
     late, late_s = report_latency(effects)
-    block = _body(front, behind, chassis, eyes, seen, plant.substeps, ins_ticks, late_s)
+    block = _body(front, behind, chassis, sensor_block, measurement_effects, plant.substeps, ins_ticks, late_s)
     accel_mps2 = 0.0 if plant.actuators is None and "accel" in (channels or {}) else NAN
     rest = Command(rest_frac[0], rest_frac[1], 0.0, GEAR_DRIVE, accel_mps2, NAN)
-    return Body(block, rest, eyes, seen, late)
+    return Body(block, rest, sensor_block, measurement_effects, late)
 
 
 def for_episode(body: Body, start: Start, noise: Any = None) -> Body:
@@ -108,7 +108,7 @@ def for_episode(body: Body, start: Start, noise: Any = None) -> Body:
 def first_output(body: Body, dt_s: float, driver: Driver | None = None) -> tuple[Any, BodyOutput]:
     """(state, output) of tick 0: rolling straight at the start, actuators at rest; no step has been made.
 
-    driver: None is nobody, both pedals at the vehicle's own rest.
+    driver: None is both pedals at the vehicle's own rest.
     """
     driver = driver or Driver(body.rest.throttle_frac, body.rest.brake_frac)
     block = body.block
@@ -117,9 +117,9 @@ def first_output(body: Body, dt_s: float, driver: Driver | None = None) -> tuple
     motion = rolling_motion(params.chassis.start, params.chassis.constants.wheel_radius_m)
     actuation = Actuation(body.rest.throttle_frac, body.rest.brake_frac, 0.0, body.rest.gear)
     x = SensorInput(motion, actuation, body.rest, driver)
-    eye_state, seen = body.eyes.step(params.sensors, state.sensors, x, dt_s)
-    ends, seen = body.seen.step(params.ends, state.ends, seen, dt_s)
-    return state._replace(sensors=eye_state, ends=ends), BodyOutput(actuation, motion, seen)
+    sensor_state, measurement = body.sensors.step(params.sensors, state.sensors, x, dt_s)
+    ends, measurement = body.measurement_effects.step(params.ends, state.ends, measurement, dt_s)
+    return state._replace(sensors=sensor_state, ends=ends), BodyOutput(actuation, motion, measurement)
 
 
 def steady_accel(
@@ -132,10 +132,10 @@ def steady_accel(
     settle_s: float = 0.0,
     dt_s: float = 0.01,
 ) -> float:
-    """Rate of speed on a level, straight road with these pedal *outputs* held for `settle_s` and one step more.
+    """Rate of speed on a level, straight road with these pedal *outputs* held for `settle_s` and one more step.
 
-    The point (speed, command -> acceleration) of an open-loop map; actuators are left out. A chassis with lags of its
-    own needs settle_s > 0 (its speed is then no longer quite speed_mps), `physics` needs none.
+    The point (speed, command -> acceleration) of an open-loop map; actuators are left out. A chassis with its
+    own lags needs settle_s > 0 (its speed then differs slightly from speed_mps), `physics` does not.
     """
     block = plant.make(params, BodyChange())
     chassis = block.params._replace(start=Start(speed_mps=speed_mps))
@@ -165,15 +165,15 @@ def _body(
     front: Block,
     behind: Block,
     chassis: Block,
-    eyes: Block,
-    seen: Block,
+    sensor_block: Block,
+    measurement_effects: Block,
     substeps: int,
     ins_ticks: int,
     late_s: float,
 ) -> Block:
     """The parts as one Block; front, behind and chassis are stepped `substeps` times a tick, the rest once."""
     front_step, behind_step, chassis_step = front.step, behind.step, chassis.step
-    eyes_step, seen_step = eyes.step, seen.step
+    sensor_step, measurement_step = sensor_block.step, measurement_effects.step
 
     def init(params: BodyParams, dt_s: float) -> BodyState:
         small_s = dt_s / substeps
@@ -183,23 +183,24 @@ def _body(
             behind.init(params.behind, small_s),
             chassis.init(params.chassis, small_s),
             rolled_in(params.sensors, first, ins_ticks, dt_s),
-            seen.init(params.ends, dt_s),
+            measurement_effects.init(params.ends, dt_s),
         )
 
     @kernel
     def step(params: BodyParams, state: BodyState, x: BodyInput, dt_s: float) -> tuple[BodyState, BodyOutput]:
         small_s = dt_s / substeps  # not 0: whole number of steps a tick, at least 1
         front_state, out = front_step(params.front, state.front, x.command, small_s)
-        behind_state, felt = behind_step(params.behind, state.behind, out, small_s)
-        chassis_state, motion = chassis_step(params.chassis, state.chassis, ChassisInput(felt, x.road), small_s)
+        behind_state, applied = behind_step(params.behind, state.behind, out, small_s)
+        chassis_state, motion = chassis_step(params.chassis, state.chassis, ChassisInput(applied, x.road), small_s)
         for _ in range(1, substeps):
             front_state, out = front_step(params.front, front_state, x.command, small_s)
-            behind_state, felt = behind_step(params.behind, behind_state, out, small_s)
-            chassis_state, motion = chassis_step(params.chassis, chassis_state, ChassisInput(felt, x.road), small_s)
-        look = SensorInput(motion, out, x.command, x.driver)
-        eyes_state, seen_now = eyes_step(params.sensors, state.sensors, look, dt_s)
-        ends_state, measured = seen_step(params.ends, state.ends, seen_now, dt_s)
-        new = BodyState(front_state, behind_state, chassis_state, eyes_state, ends_state)
+            behind_state, applied = behind_step(params.behind, behind_state, out, small_s)
+            chassis_state, motion = chassis_step(params.chassis, chassis_state, ChassisInput(applied, x.road), small_s)
+        sensor_input = SensorInput(motion, out, x.command, x.driver)
+        sensor_state, measurement = sensor_step(params.sensors, state.sensors, sensor_input, dt_s)
+        effects_state, measured = measurement_step(params.ends, state.ends, measurement, dt_s)
+        new = BodyState(front_state, behind_state, chassis_state, sensor_state, effects_state)
         return new, BodyOutput(out, motion, measured)
 
-    return Block(init, step, BodyParams(front.params, behind.params, chassis.params, eyes.params, seen.params, late_s))
+    parts = (front, behind, chassis, sensor_block, measurement_effects)
+    return Block(init, step, BodyParams(*(part.params for part in parts), late_s))

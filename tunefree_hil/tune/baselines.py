@@ -1,7 +1,7 @@
 """Baselines that a tuned result is compared with: manual gains, and gains from textbook rules.
 
-The shipped baselines are complete vectors in `control/parameters.py`. Here: which of them a vehicle has, which one is
-the first trial of a study, and the vector `rule_based`, computed from a data sheet without any drive.
+The shipped baselines are complete vectors in `control/parameters.py`. This module selects those of a vehicle and the
+first trial of a study, and computes the vector `rule_based` from a data sheet, without any drive.
 
 `manual_gains` in vehicle.toml says whether the shipped gains were made for the vehicle. Where they were not, its manual
 gains are `rule_based`; those of the other vehicle are scored too, with look-ahead 0, and called borrowed.
@@ -56,7 +56,7 @@ class RuleInputs(NamedTuple):
 
 
 def complete_vector(tuned: Mapping[str, float]) -> dict[str, float]:
-    """The vector that is sent for a trial: the tuned values and those that a study fixes (MRAC on, gamma 1)."""
+    """The complete vector of a trial: the tuned values, and those that a study fixes (MRAC on, gamma 1)."""
     return {**study_values(), **tuned}
 
 
@@ -65,7 +65,7 @@ def list_manual_vectors(rule: Mapping[str, float], *, shipped: bool) -> dict[str
 
     Args:
         rule: Its `rule_based` vector.
-        shipped: Whether the shipped gains were made for it (`manual_gains = "as_shipped"` in vehicle.toml).
+        shipped: Whether the shipped gains were made for this vehicle (`manual_gains = "as_shipped"` in vehicle.toml).
     """
     if shipped:
         return {**{name: dict(values) for name, values in BASELINES.items()}, RULE_BASED: dict(rule)}

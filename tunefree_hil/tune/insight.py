@@ -1,4 +1,4 @@
-"""What the trials of a study show about its parameters: importance, values on an edge of the range, slices."""
+"""Analysis of the parameters of a study: importance, values on an edge of the range, points of slices."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def compute_importance(space: Space, trials: Sequence[Trial]) -> dict[str, Impor
 
 
 def _shares(space: Space, trials: Sequence[Trial]) -> dict[str, float]:
-    """The importances by PED-ANOVA, from the values that the sampler gets."""
+    """The importances by PED-ANOVA, from logarithms of the scores, as the sampler gets them."""
     storage = optuna.storages.InMemoryStorage()
     directions = [optuna.study.StudyDirection.MINIMIZE]
     study_id = storage.create_new_study(directions, "importance")

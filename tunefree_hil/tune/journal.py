@@ -1,8 +1,8 @@
 """A study in memory whose finished generations are appended to a file of the run folder, `trials.jsonl`.
 
-For evaluations that are faster than a database: SQLite takes 40 ms a trial, a trial in the batch less. Each line of the
-file is a JSON object, written at once; an incomplete line is ignored. The first line has the settings, the others
-generations, baselines and confirmations over the bus. `copy_to` copies the study to a study.db for optuna-dashboard.
+It is for evaluations that are faster than a database: SQLite takes 40 ms a trial, a trial in the batch less. Each line
+of the file is a JSON object, written at once. The first line has the settings, the others generations, baselines and
+confirmations over the bus. `copy_to` copies the study to a study.db for optuna-dashboard.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tunefree_hil.tune.trial import Baseline, Evaluation, Trial, check_evaluatio
 from tunefree_hil.tune.trial_loop import Outcomes, Points
 
 SCHEMA = "tunefree.trials/1"
-CONFIRMED = "confirmed "  # begins the key of a user attribute in the copy
+CONFIRMED = "confirmed "  # prefix of the key of a user attribute in the copy
 
 
 class Journal:
@@ -74,7 +74,7 @@ class Journal:
         return store.exclusive_lock(self.path)
 
     def begin(self, points: Points) -> None:
-        """Nothing is stored before there is a result: after a kill the same slots are suggested again."""
+        """Store nothing: after a kill the same slots are suggested again."""
 
     def end(self, begun: None, points: Points, outcomes: Outcomes) -> list[Trial]:
         """Append the generation to the file."""
@@ -100,7 +100,7 @@ class Journal:
         except ValueError as problem:
             raise _no_journal(self.path, str(problem)) from problem
         if not isinstance(header, dict) or header.get("schema") != SCHEMA:
-            raise _no_journal(self.path, "the schema in its first line is another one")
+            raise _no_journal(self.path, "its first line has an unknown schema")
         store.require_same_settings(header["settings"], self.settings, self.path)
         for line in lines:
             self._apply(line)

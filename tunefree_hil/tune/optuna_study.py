@@ -1,4 +1,4 @@
-"""The trials of one Optuna study, read and written as ours: filled slots, failed attempts, baselines."""
+"""Filled slots, failed attempts and baselines, read from and written to an Optuna study."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tunefree_hil.tune import store
 from tunefree_hil.tune.sampling import sampler_value_from_score
 from tunefree_hil.tune.trial import INTERRUPTED, Baseline, Evaluation, Trial, check_evaluation
 
-BASELINE = "baseline "  # begins the key of a user attribute of the study
+BASELINE = "baseline "  # prefix of the key of a user attribute of the study
 
 
 class StoredTrials:
@@ -36,7 +36,7 @@ class StoredTrials:
         return [by_slot[slot] for slot in sorted(by_slot)]
 
     def failures(self) -> list[Trial]:
-        """The failed attempts in the order in which they were made; an attempt that was cut off is "interrupted"."""
+        """The failed attempts in order of time; the error of one that was cut off is "interrupted"."""
         frozen_trials = self.optuna_study.get_trials(deepcopy=False, states=(TrialState.FAIL,))
         return [self.convert(frozen) for frozen in frozen_trials]
 
@@ -75,7 +75,7 @@ class StoredTrials:
             self.optuna_study.tell(frozen.number, state=TrialState.FAIL)
 
     def convert(self, frozen: FrozenTrial) -> Trial:
-        """Optuna's trial as ours. A trial whose process was killed during `ask` may lack parameters."""
+        """Convert a trial of Optuna. Parameters may be missing where the process was killed during `ask`."""
         attributes = frozen.user_attrs
         is_failed = frozen.state == TrialState.FAIL
         return Trial(

@@ -1,8 +1,8 @@
 """The rule that picks the winner: the best trial of those that also pass with slower actuators.
 
 A search adapts the gains to its plant, up to the edge of stability of that plant. Whether they transfer to the vehicle
-is checked with a second car: the same plant with slower actuators (docs/reference/margins.md). Pure functions of
-scores; jobs/tune/robustness.py drives the cars.
+is checked with a slower car: the same plant with slower actuators (docs/reference/margins.md). These are pure functions
+of scores; jobs/tune/robustness.py drives the cars.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ def _rank(trial: Trial, slower: SlowerTotals) -> tuple[RobustnessRank, float]:
 def find_open_trials(trials: Sequence[Trial], slower: SlowerTotals) -> list[Trial]:
     """Trials that may still win and must be driven in the slower car for that, the best score first.
 
-    A trial that re-plans or fails in the nominal car is not robust. A trial whose score is no better than the best mean
-    of a robust trial is taken not to win: its score in the slower car will not be better than in the nominal one.
+    A trial that re-plans or fails in the nominal car cannot win. Nor can one whose score is no better than the best
+    mean of a robust trial, on the assumption that its score in the slower car is not better than in the nominal one.
     """
     means = [mean for trial in trials if is_robust(trial, slower) and (mean := mean_score(trial, slower)) is not None]
     best = min(means, default=math.inf)

@@ -1,8 +1,8 @@
 """The next point of a search, as a pure function of the finished trials, the study seed and the slot.
 
-The sampler never sees the study file, because its content depends on kills: a kill leaves a RUNNING and later a FAIL
-trial, all later trials get a higher number, TPE orders its kernels (and so their weights, and ties between equal
-scores) by that number, and keeps away from RUNNING trials. The sampler gets a study in memory, rebuilt from the
+The sampler does not get the study file, because its content depends on kills. A kill leaves a RUNNING, later a FAIL
+trial, so all later trials have a higher number. TPE orders its kernels by that number (which affects their weights, and
+ties between equal scores) and keeps away from RUNNING trials. So the sampler gets a study in memory, rebuilt from the
 finished slots in slot order: the trial of slot n has number n, and only trials in flight are unfinished.
 """
 
@@ -97,17 +97,17 @@ def suggest_points(
     suggested: list[dict[str, float]] = []
     for slot in slots:
         memory.sampler = _make_sampler(sampler, derive_slot_seed(seed, slot), in_flight=bool(pending or suggested))
-        drawn = memory.ask(distributions).params
-        suggested.append({axis.name: axis.from_sampler(drawn[axis.name]) for axis in space.axes})
+        sampler_values = memory.ask(distributions).params
+        suggested.append({axis.name: axis.from_sampler(sampler_values[axis.name]) for axis in space.axes})
     return suggested
 
 
 def _make_sampler(name: str, seed: int, *, in_flight: bool = False) -> BaseSampler:
-    """A fresh sampler. Only arguments that Optuna 5 neither deprecates nor calls experimental."""
+    """A new sampler, with arguments that Optuna 5 neither deprecates nor calls experimental."""
     if name == "random":
         return RandomSampler(seed=seed)
     if name in SAMPLERS:
-        # Paper, Table III and III-B.2: independent or relative sampling; the liar while other trials are in flight.
+        # Paper, Table III and III-B.2: independent or relative sampling; constant liar with trials in flight.
         return TPESampler(seed=seed, multivariate=name == "tpe_relative", constant_liar=in_flight)
     raise InputError(
         f"no sampler {name!r}", code="unknown_sampler", key="tune.sampler", hint=f"use one of {', '.join(SAMPLERS)}"

@@ -81,7 +81,7 @@ class Space(NamedTuple):
         return tuple(axis.name for axis in self.axes)
 
     def clip(self, values: Mapping[str, float]) -> dict[str, float]:
-        """The values of all axes, each clipped on its own and rounded to binary32; other names are left out.
+        """The values of all axes, each clipped to its range and rounded to binary32; other names are left out.
 
         Raises InputError for an axis without a value.
         """
@@ -147,7 +147,7 @@ def resolve_space(
     Args:
         set_name: A name of SETS, or '' with a list of parameters.
         specs: Listed parameters; one without range and choices takes those of the table.
-        own: Parameters that the controller of a user announces, in addition to the table.
+        announced: Parameters that a foreign controller announces, in addition to the table.
         scale: "log" or "linear" overrides the scale of the parameters.
         file: Named in error messages.
 
@@ -200,7 +200,7 @@ def _choice_axis(name: str, choices: Sequence[float], step: float | None, file: 
 
 
 def _grid(parameter: SearchedParameter, step: float, box: tuple[float, float], file: str) -> tuple[float, ...]:
-    """low, low + step, ... as binary32 within `box`, the range of the parameter rounded inward."""
+    """low, low + step, ... as binary32 within `box`: the range of the parameter, rounded inward."""
     if not (math.isfinite(step) and step > 0.0):
         raise _wrong(file, parameter.name, f"has step {step:g}", "give a step above 0")
     steps = (parameter.high - parameter.low) / step

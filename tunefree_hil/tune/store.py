@@ -23,17 +23,17 @@ from tunefree_hil.tune.sampling import SAMPLERS
 from tunefree_hil.tune.space import Space, space_from_data
 
 STUDY_NAME = "tunefree"
-BUSY_S = 60.0  # how long to wait while another program, such as the dashboard, holds the file
+BUSY_S = 60.0  # longest wait while another program, such as the dashboard, has locked the file
 SETTINGS, VERSIONS = "settings", "optuna_versions"
 
 
 class StudySettings(NamedTuple):
     """What determines a study: with the same settings and Optuna version, slot n has the same parameters everywhere.
 
-    bench_hash: Of all that a score depends on (bench file, DBC, model, scenarios, weights).
+    bench_hash: Hash of all that a score depends on (bench file, DBC, model, scenarios, weights).
     first: Parameters of slot 0, inside the space; empty where the sampler chooses them.
     in_flight: Slots of a generation, which are tried together; their parameters depend on earlier generations only.
-        0: Workers of a shared study, each of which takes a slot when it is free; parameters depend on what is finished.
+        0: A shared study, in which each free worker takes a slot; its parameters depend on the trials finished by then.
     """
 
     space: Space
@@ -56,7 +56,7 @@ class StudySettings(NamedTuple):
 
 
 def check_settings(settings: StudySettings) -> None:
-    """Raise InputError for a seed, sampler or first trial that a study cannot have."""
+    """Raise InputError for settings that a study cannot have."""
     if settings.seed < 0:
         raise InputError(f"the seed is {settings.seed}", code="bad_seed", key="seed", hint="use 0 or more")
     if settings.sampler not in SAMPLERS:
@@ -67,7 +67,8 @@ def check_settings(settings: StudySettings) -> None:
     if settings.in_flight < 0:
         raise InputError(f"in_flight is {settings.in_flight}", code="bad_in_flight", key="tune.in_flight")
     if settings.first and settings.space.clip(settings.first) != settings.first:
-        raise InputError("the first trial lies outside the box", code="bad_parameter", hint="clip it with Space.clip")
+        message = "the first trial lies outside the search space"
+        raise InputError(message, code="bad_parameter", hint="clip it with Space.clip")
 
 
 class StudyFile(NamedTuple):

@@ -15,7 +15,7 @@ INTERRUPTED = "interrupted"  # the error of an attempt that was cut off
 class Evaluation(NamedTuple):
     """The score of one set of parameters: finite, not negative, lower is better.
 
-    scenarios: Plain JSON data by scenario (score, metrics, replans, error names ...), stored unchanged.
+    scenarios: Plain JSON data by scenario (score, metrics, replans ...), stored unchanged.
     error: Not empty where the bench failed (a lost node); the score is then invalid. Raising BenchError is equivalent.
     """
 
@@ -25,7 +25,7 @@ class Evaluation(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """A filled slot, or, with `error` and score NaN, a failed attempt. `number` is Optuna's and may be ahead of it."""
+    """A filled slot; with `error` and score NaN a failed attempt. `number` is Optuna's, which counts failures too."""
 
     slot: int
     number: int
@@ -36,7 +36,7 @@ class Trial(NamedTuple):
 
 
 class Baseline(NamedTuple):
-    """A set of parameters that was not searched for, scored and stored with the study."""
+    """Scored parameters for comparison, stored with the study; they do not come from the search."""
 
     parameters: dict[str, float]
     score: float

@@ -1,9 +1,9 @@
 """The loop of the tuner: suggest, evaluate, store (paper, III-B and Fig. 6), in slots that survive a kill.
 
-A trial fills a slot with a number of our own. Slots are suggested in generations of `settings.in_flight`; the
-parameters of a slot depend on the settings, its number and the generations before it, and on nothing else. A slot whose
-evaluation was cut off is suggested again with the same parameters. So a study that was killed and resumed has the
-trials of one that was not, provided that the evaluation depends on its argument alone.
+A trial fills a slot; slots are numbered independently of Optuna. They are suggested in generations of
+`settings.in_flight`; the parameters of a slot depend only on the settings, its number and the generations before it. A
+slot whose evaluation was cut off is suggested again with the same parameters. So a resumed study has the same trials as
+one that was not killed, provided that the evaluation depends on its argument alone.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def suggest_slots(settings: StudySettings, done: Sequence[Trial], slots: Sequenc
     # All slots of the generation up to the last one: the earlier ones are in flight with them.
     remaining = range(start + len(points), slots[-1] + 1)
     if remaining:
-        drawn = suggest_points(
+        suggested = suggest_points(
             settings.space,
             history,
             sampler=settings.sampler,
@@ -68,7 +68,7 @@ def suggest_slots(settings: StudySettings, done: Sequence[Trial], slots: Sequenc
             slots=remaining,
             pending=list(points.values()),
         )
-        points |= dict(zip(remaining, drawn, strict=True))
+        points |= dict(zip(remaining, suggested, strict=True))
     return {slot: points[slot] for slot in slots}
 
 
@@ -92,7 +92,7 @@ def run_generations(study: SlotStudy, trials: int, evaluate: EvaluateAll) -> Gen
     An interruption (Ctrl-C) is passed on after its slots were stored as failed.
 
     Args:
-        study: The study, which is locked meanwhile.
+        study: The study, locked during the search.
         trials: Number of slots to fill in all, earlier runs included.
         evaluate: Scores the parameters of the slots in flight.
 

@@ -35,7 +35,7 @@ def test_it_passes(field: str, unit: str | None, scale: float) -> None:
     [
         ("steer_rad", "deg", 1.0, "in deg, which scale = 1", "0.0174532925"),
         ("speed_mps", "km/h", 1.0, "speed in m/s", "0.277777778"),
-        ("speed_mps", "deg", 0.0174533, "speed_mps is a speed", "mend the DBC's unit"),
+        ("speed_mps", "deg", 0.0174533, "speed_mps is a speed", "correct the DBC's unit"),
         ("accel_mps2", "m/s", 1.0, "accel_mps2 is an acceleration", "another signal"),
         ("brake_frac", "%", 1.0, "share of 1", "0.01"),
         ("yaw_rate_radps", "DEG/S", 1.0, "rate of turn", "0.0174532925"),

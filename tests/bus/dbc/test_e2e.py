@@ -36,7 +36,7 @@ P02 = Protection("P02", IDS, "", 0, Nibble(1, 0))
     ("mode", "golden"), [("both", "cc00"), ("alternating", "ce00"), ("low", "ce00"), ("nibble", "2a10")]
 )
 def test_golden_vectors_of_profile_1(mode: str, golden: str) -> None:
-    """can_hil_anchors A6: eight zero bytes, data id 0x123, counter 0, by an implementation of others."""
+    """Eight zero bytes, data id 0x123, counter 0, by an implementation of others."""
     assert protect(p01(mode), bytes(8), 0).hex() == golden + "00" * 6
 
 

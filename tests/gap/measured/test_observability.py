@@ -22,7 +22,7 @@ from tunefree_hil.gap.measured.observability import (
 )
 from tunefree_hil.gap.measured.targets import DriveComparison
 from tunefree_hil.gap.model.graph import load_catalogue
-from tunefree_hil.gap.validation.holdout import HEADING, POSITION, _can_compare
+from tunefree_hil.gap.validation.block_runs import HEADING, POSITION, _can_compare
 from tunefree_hil.learn.drives.drive import Drive
 
 pytestmark = pytest.mark.slow

@@ -208,23 +208,23 @@ def test_moments_that_were_just_not_loud_in_the_own_logs_are_no_alarm_later(
 
 
 def test_what_is_missed_throughout_is_held_against_its_own_too() -> None:
-    known = BaselineMisfit({"yaw_rate": 0.05}, {}, frozenset(), total_share={"yaw_rate": 0.24})
+    known = BaselineMisfit({"yaw_rate": 0.05}, {}, frozenset(), gross_share={"yaw_rate": 0.24})
     one = BROKEN._replace(explainable_share=0.04, gross_share=0.26)
     assert known.is_within(one) and not known.is_within(one._replace(gross_share=0.5))
-    assert not known._replace(total_share={}).is_within(one)
+    assert not known._replace(gross_share={}).is_within(one)
 
 
 def test_loud_moments_of_the_own_logs_are_no_leave_for_what_could_be_explained() -> None:
     """A model that misses the moments of a signal, and little else of it: a tenfold share is news."""
     known = BaselineMisfit(
-        {"yaw_rate": 0.71}, {}, frozenset(), burst_share={"yaw_rate": 0.71}, explicable_share={"yaw_rate": 0.04}
+        {"yaw_rate": 0.71}, {}, frozenset(), burst_share={"yaw_rate": 0.71}, explainable_share={"yaw_rate": 0.04}
     )
     moments = BROKEN._replace(explainable_share=0.05, burst_share=0.8, gross_share=0.0)
     assert known.is_within(moments) and known.is_known(moments)
     tenfold = moments._replace(explainable_share=0.4)
     assert not known.is_within(tenfold) and not known.is_known(tenfold)
-    assert known._replace(explicable_share={}).is_within(tenfold), "a card of before does not tell the two apart"
-    little = known._replace(explicable_share={"yaw_rate": 0.0004})
+    assert known._replace(explainable_share={}).is_within(tenfold), "a card of before does not tell the two apart"
+    little = known._replace(explainable_share={"yaw_rate": 0.0004})
     assert little.is_within(moments._replace(explainable_share=0.9 * moments.tolerated_share)), (
         "of so little no link is broken"
     )
@@ -233,7 +233,7 @@ def test_loud_moments_of_the_own_logs_are_no_leave_for_what_could_be_explained()
 def test_what_is_left_elsewhere_is_what_is_more_than_usual() -> None:
     """Moments that are missed as usual neither speak against a name nor are quoted."""
     known = BaselineMisfit(
-        {"yaw_rate": 0.14}, {}, frozenset(), burst_share={"yaw_rate": 0.14}, explicable_share={"yaw_rate": 0.02}
+        {"yaw_rate": 0.14}, {}, frozenset(), burst_share={"yaw_rate": 0.14}, explainable_share={"yaw_rate": 0.02}
     )
     elsewhere = BROKEN._replace(explainable_share=0.05, burst_share=0.27, gross_share=0.0)
     assert not known.is_within(elsewhere)

@@ -397,7 +397,7 @@ def test_the_criterion_that_failed_is_named_with_its_numbers(change: dict[str, A
 def test_a_gain_that_is_no_number_fails(number: str) -> None:
     (score,) = weighed(right=spread(1.0))
     score = score._replace(gain=score.gain._replace(**{number: np.nan}), is_further=True)
-    failed = {"total": Criterion.HOLDOUT_GAIN, "low": Criterion.HOLDOUT_GAIN_BOUND, "std": Criterion.GAIN_NOISE}
+    failed = {"total": Criterion.PREDICTIVE_GAIN, "low": Criterion.PREDICTIVE_GAIN_BOUND, "std": Criterion.GAIN_NOISE}
     assert failed[number] in failed_criteria(score)
 
 

@@ -15,7 +15,7 @@ from tunefree_hil.base.contracts import Link
 from tunefree_hil.gap.diagnostics.residual_tests import LinkResidual
 from tunefree_hil.gap.estimation.intervals import block_inconsistency
 from tunefree_hil.gap.estimation.nuisance import DRIFT_SIGMAS
-from tunefree_hil.gap.measured.clock import CommandEcho
+from tunefree_hil.gap.measured.command_echo import CommandEcho
 from tunefree_hil.gap.measured.excitation import Excitation
 from tunefree_hil.gap.result_text import drive_difference_texts, equivalent_texts, reason_text, verdict_texts
 from tunefree_hil.gap.selection.baseline_misfit import NO_BASELINE, BaselineMisfit
@@ -102,7 +102,7 @@ def test_who_would_look_the_same_is_told_beside_a_name() -> None:
     assert "road_bank" in find_inseparable(["side_wind"], none)["side_wind"]
     assert find_inseparable(["side_wind"], [*none, *DRIVES]) == {}, "one log tells them apart, and that is enough"
     (words,) = equivalent_texts(find_inseparable(["steer_lag", "brake_drag"], DRIVES))
-    assert words == "brake_drag: no log of this car tells it from rolling_resistance"
+    assert words == "brake_drag: no log of this car separates it from rolling_resistance"
 
 
 def test_faint_rivals_are_no_set_as_no_proof_could_bear_one_out() -> None:
@@ -233,7 +233,7 @@ def test_only_what_is_missed_beyond_usual_is_quoted_and_the_worst_of_that_first(
     yaw = LinkResidual("yaw_rate", Link.REPORT_TO_MOTION, "rad/s", 0.2, 0.1, 0.2, 0.35, True, burst_share=0.25)
     speed = yaw._replace(signal="rate_of_speed", explainable_share=0.2, burst_share=0.39)
     usual = BaselineMisfit(
-        {}, {}, burst_share={"yaw_rate": 0.2, "rate_of_speed": 0.39}, explicable_share={"yaw_rate": 0.02}
+        {}, {}, burst_share={"yaw_rate": 0.2, "rate_of_speed": 0.39}, explainable_share={"yaw_rate": 0.02}
     )
     _, _, (words,) = as_tuple(decide_verdict(Findings([speed, yaw], baseline=usual)), {})
     assert words == "yaw_rate is missed by 35.0%, and no effect explains it"

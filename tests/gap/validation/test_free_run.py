@@ -14,8 +14,8 @@ from tunefree_hil.config.schema import EffectSpec, ModelSpec
 from tunefree_hil.gap.measured.blocks import SELECTION
 from tunefree_hil.gap.measured.chain import MeasuredDrive, build_measured_drive
 from tunefree_hil.gap.model.graph import load_catalogue
+from tunefree_hil.gap.validation.block_runs import BlockErrors, Variant, run_blocks
 from tunefree_hil.gap.validation.free_run import WARM_UP_S, assemble_car, forgets_disturbance, rows_to_simulate
-from tunefree_hil.gap.validation.holdout import HoldoutResult, Variant, run_holdout
 
 DT_S = 0.01
 
@@ -69,8 +69,8 @@ def test_a_car_that_keeps_something_is_known() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("model", [made_model(), with_effect("steer_lag", tau_s=0.2)])
 def test_brief_runs_say_of_the_blocks_what_whole_ones_say(model: ModelSpec) -> None:
-    def run(*, brief: bool) -> HoldoutResult:
-        return run_holdout({"": Variant(model)}, VEHICLE, [opened()], role=SELECTION, skip_forgotten=brief)
+    def run(*, brief: bool) -> BlockErrors:
+        return run_blocks({"": Variant(model)}, VEHICLE, [opened()], role=SELECTION, skip_forgotten=brief)
 
     whole, brief = run(brief=False), run(brief=True)
     assert whole.n_blocks == brief.n_blocks > 0

@@ -75,7 +75,7 @@ def test_a_brake_that_pulls_more_than_in_proportion_is_moved_as_its_effect_would
 
 def test_the_linkages_bend_is_a_constant_of_the_car() -> None:
     made = repair_model(made_model(), VEHICLE, {LINKAGE_BEND_KEY: 0.2}, [])
-    assert made.model.plant.params[LINKAGE_BEND_PARAM] == 0.2 and made.model.effects == [] and made.day == ()
+    assert made.model.plant.params[LINKAGE_BEND_PARAM] == 0.2 and made.model.effects == [] and made.day_effects == ()
     assert [(one.key, one.after) for one in made.changes] == [(f"plant.params.{LINKAGE_BEND_PARAM}", 0.2)]
 
 
@@ -83,7 +83,7 @@ def test_what_is_of_the_day_is_not_written() -> None:
     made = repair_model(
         made_model(), VEHICLE, {"grade.grade_rad": 0.001, "accel_bias.bias_mps2": 0.02, "clock.ins_s": 0.1}
     )
-    assert [one.name for one in made.day] == ["grade", "accel_bias"]
+    assert [one.name for one in made.day_effects] == ["grade", "accel_bias"]
     assert made.changes == () and made.model.effects == [] and made.model.plant == made_model().plant
 
 
@@ -113,7 +113,7 @@ def test_the_folder_is_a_normal_model_with_interval_and_provenance(tmp_path: Pat
     beside = {path.name for path in Path(model.folder).glob("*.npz")}
     assert beside and beside <= {path.name for path in (tmp_path / "model").iterdir()}
     assert [path.name for path in tmp_path.iterdir()] == ["model"]
-    with pytest.raises(InputError, match="there already"):
+    with pytest.raises(InputError, match="exists already"):
         write_repaired_model(tmp_path / "model", model, made.model, {})
 
 

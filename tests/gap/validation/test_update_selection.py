@@ -11,7 +11,7 @@ from tests.gap.made_answer import LATE_S, VEHICLE, late_drive, made_model
 from tunefree_hil.config.schema import EffectSpec
 from tunefree_hil.gap.measured.blocks import HOLDOUT, cut_blocks
 from tunefree_hil.gap.measured.chain import build_measured_drive
-from tunefree_hil.gap.validation.holdout import DIVERGED_SQUARE, POSITION, HoldoutResult
+from tunefree_hil.gap.validation.block_runs import DIVERGED_SQUARE, POSITION, BlockErrors
 from tunefree_hil.gap.validation.update_selection import (
     ACROSS,
     ALONG,
@@ -27,10 +27,10 @@ PULL = {"plant.drive_force_n": -0.06, "rolling_resistance.extra_frac": 0.2}  # s
 LATE = EffectSpec(name="steer_dead_time", params={"delay_s": LATE_S})
 
 
-def run(**errors: float) -> HoldoutResult:
+def run(**errors: float) -> BlockErrors:
     """RMS by signal, the same in three blocks of ten rows."""
     counts = {name: np.full(3, 10.0) for name in errors}
-    return HoldoutResult({"": {name: np.full(3, 10.0 * one * one) for name, one in errors.items()}}, counts, {}, ())
+    return BlockErrors({"": {name: np.full(3, 10.0 * one * one) for name, one in errors.items()}}, counts, {}, ())
 
 
 def test_every_number_that_was_moved_is_in_one_group() -> None:
@@ -87,7 +87,7 @@ def test_what_spoils_a_signal_stays_as_it_was(
     values: dict[str, float], found: list[EffectSpec], left: tuple[str, ...]
 ) -> None:
     paid = select_updates(made_model(), VEHICLE, values, found, [build_measured_drive(late_drive(), VEHICLE)])
-    assert paid.dropped_groups == left
+    assert paid.reverted_groups == left
     kept = {key for key in values if not (key in PULL or (ACROSS in left and key.startswith("actuator.steer")))}
     assert set(paid.values) == (kept if left else set(values))
 
@@ -104,4 +104,4 @@ def test_the_blocks_that_prove_are_not_looked_at() -> None:
         select_updates(made_model(), VEHICLE, {**STEERING, **PULL}, [], [build_measured_drive(one, VEHICLE)])
         for one in (drive, other)
     )
-    assert was == now and was.dropped_groups == (ALONG,)
+    assert was == now and was.reverted_groups == (ALONG,)

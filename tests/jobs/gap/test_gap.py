@@ -188,7 +188,7 @@ def test_a_copy_of_a_log_is_refused_as_it_would_prove_what_is_fitted_on_it(searc
 def test_a_folder_that_holds_something_else_is_refused_before_anything_is_read(search: Search, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine").write_text("kept")
-    with pytest.raises(InputError, match="there already"):
+    with pytest.raises(InputError, match="exists already"):
         next(run_gap(asked(tmp_path)))
     assert not (tmp_path / "out" / QUESTION).exists()
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from tests.gap.made_answer import VEHICLE, late_drive, made_kept, made_model
 from tunefree_hil.gap.measured.chain import build_measured_drive
+from tunefree_hil.gap.validation.block_runs import BlockTrace, Variant, run_blocks
 from tunefree_hil.gap.validation.gap_closed import error_floors, signal_gaps
-from tunefree_hil.gap.validation.holdout import BlockTrace, Variant, run_holdout
 from tunefree_hil.jobs.gap.report_figures import draw_figures, select_block
 
 T = np.linspace(0.0, 8.0, 81)
@@ -36,7 +36,7 @@ def test_where_it_is_not_known_what_the_steering_did_its_motion_is_not_drawn(tmp
     gone = {name: one for name, one in drive.fields.items() if "steer" not in name and "report.yaw" not in name}
     opened = build_measured_drive(drive._replace(fields=gone), VEHICLE)
     assert opened.unknown_channels == {"steer"}
-    proof = run_holdout({"before": Variant(made_model()), "recalibrated": Variant(made_model())}, VEHICLE, [opened])
+    proof = run_blocks({"before": Variant(made_model()), "recalibrated": Variant(made_model())}, VEHICLE, [opened])
     signals = {name: one._asdict() for name, one in signal_gaps(proof, error_floors(proof, made_model()), {}).items()}
     assert "ins.yaw_rate_radps" not in signals and proof.n_blocks
     kept = made_kept("none_missing")

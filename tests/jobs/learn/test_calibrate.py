@@ -113,7 +113,7 @@ def test_it_says_what_it_found_and_draws_it(made: dict[str, Any], tmp_path: Path
 
 def test_a_folder_that_is_there_is_refused_before_anything_is_read(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("kept")
-    with pytest.raises(InputError, match="there already"):
+    with pytest.raises(InputError, match="exists already"):
         list(job.calibrate(CalibrateOptions([tmp_path / "no.log"], "mkz_bywire", tmp_path)))
 
 
@@ -173,13 +173,13 @@ def test_cut_off_while_it_asks_its_own_logs_the_same_command_finishes_it(cut: Cu
             events.append(event)
     (resume,) = {one.data["resume"] for one in events if "resume" in one.data}
     assert resume == f"tunefree-hil calibrate a.log --vehicle {VEHICLE.folder} --out {out} --seed 3"
-    with pytest.raises(InputError, match="there already"):
+    with pytest.raises(InputError, match="exists already"):
         list(job.calibrate(asked._replace(seed=4)))  # another split's
     cut.dies.clear()
     data = list(job.calibrate(asked))[-1].data
     assert cut.made == ["new"] and cut.asked == [out, out] and data[ANALYSED_KEY] is True
     assert data["sentence"] == f"{out}: 1 of 1 channels and 1 of 1 constants from the logs"
-    with pytest.raises(InputError, match="there already"):
+    with pytest.raises(InputError, match="exists already"):
         next(iter(job.calibrate(asked)))  # it is whole
 
 

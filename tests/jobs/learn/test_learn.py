@@ -123,7 +123,7 @@ def test_other_refusals(asked: LearnOptions, tmp_path: Path) -> None:
         list(learn(asked._replace(physics=old)))
     (tmp_path / "model").mkdir()
     (tmp_path / "model" / "model.toml").write_text("mine")
-    with pytest.raises(InputError, match="there already"):
+    with pytest.raises(InputError, match="exists already"):
         list(learn(asked))
 
 

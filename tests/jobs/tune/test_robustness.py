@@ -153,7 +153,7 @@ def test_where_no_trial_holds_that_is_said_and_the_best_mean_wins(
     )
     data = robustness_data(result, journal, trials)
     assert result.rank_trials(trials)[0] == journal.best() and not data["passed_over"]
-    assert robustness_text(data).endswith("the winner FAILED it: there it re-plans 8 times and fails in 1 scenario")
+    assert robustness_text(data).endswith("the winner FAILED it: it re-plans 8 times and fails in 1 scenario")
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Baselines of a tune: driven as many in one call as the evaluator likes, repeated where the bench failed."""
+"""Baselines of a tune: up to the batch size of the evaluator in one call, repeated where the bench failed."""
 
 from __future__ import annotations
 

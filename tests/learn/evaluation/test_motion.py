@@ -23,7 +23,7 @@ from tunefree_hil.learn.evaluation.motion import (
     make_motion_track,
     make_motion_tracks,
     simulate_actuators,
-    smooth_signal,
+    smooth_motion_signal,
 )
 
 
@@ -66,16 +66,16 @@ def test_outputs_of_the_true_actuators_are_the_recorded_ones(track: MotionTrack,
 def test_labels_are_nearer_to_the_truth_than_what_was_measured(vehicle: VehicleSpec) -> None:
     time_s = np.arange(2000) * 0.01
     speed = 10.0 + 2.0 * np.sin(0.8 * time_s)
-    found = smooth_signal(speed + np.random.default_rng(1).normal(0.0, 0.02, len(speed)))
+    found = smooth_motion_signal(speed + np.random.default_rng(1).normal(0.0, 0.02, len(speed)))
     assert np.abs(found - speed).std() < 0.008
-    assert np.abs(smooth_signal(speed, 0.01) - 1.6 * np.cos(0.8 * time_s)).max() < 0.01
+    assert np.abs(smooth_motion_signal(speed, 0.01) - 1.6 * np.cos(0.8 * time_s)).max() < 0.01
 
 
 def test_what_is_too_short_to_smooth_is_nothing() -> None:
     values = np.ones(200)
     values[60] = np.nan
     values[100] = np.nan
-    found = smooth_signal(values)
+    found = smooth_motion_signal(values)
     assert np.isfinite(found[:60]).all() and np.isnan(found[60:101]).all() and np.isfinite(found[101:]).all()
 
 
@@ -122,7 +122,7 @@ def test_a_log_without_speed_is_refused(drive: Drive, vehicle: VehicleSpec) -> N
 def test_reports_stand_where_there_are_no_commands(drive: Drive, vehicle: VehicleSpec, truth: ModelSpec) -> None:
     fields = {name: value for name, value in drive.fields.items() if "command" not in name}
     track = make_motion_track(whole(drive._replace(fields=fields)), vehicle)
-    assert not track.is_obeyed.any() and np.array_equal(simulate_actuators(track, truth, REST), track.recorded)
+    assert not track.follows_command.any() and np.array_equal(simulate_actuators(track, truth, REST), track.recorded)
 
 
 def test_a_rate_limit_counts_behind_the_actuators_lag(track: MotionTrack, truth: ModelSpec) -> None:
@@ -164,7 +164,7 @@ def test_what_a_person_drives_has_the_effects_behind_the_actuators_as_well(
     recorded = track.recorded.copy()
     recorded[:150, 2] = np.nan
     recorded[:50, 0] = 0.5
-    person = track._replace(recorded=recorded, is_obeyed=np.zeros_like(track.is_obeyed))
+    person = track._replace(recorded=recorded, follows_command=np.zeros_like(track.follows_command))
     found = simulate_actuators(person, type(truth)(**{**fields, "effects": effects}), REST)
     assert np.isnan(found[:150, 2]).all() and np.allclose(found[150:, 2], recorded[150:, 2] + 0.05)
     assert np.array_equal(found[:, 1], recorded[:, 1])

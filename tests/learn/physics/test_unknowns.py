@@ -102,7 +102,7 @@ def test_only_of_what_was_tried_a_card_says_that_it_does_not_pay() -> None:
         next(fit_physics(some, make_fixed_params(VEHICLE), make_constant_priors(VEHICLE), 0.35))
     for name in SHAPE_CONSTANTS:
         value = end.value.value.estimates[name]
-        assert not value.known and value.why.startswith("the logs lack the outputs that move it"), name
+        assert not value.known and value.why.startswith("the logs lack the outputs that it needs"), name
 
 
 @pytest.mark.slow

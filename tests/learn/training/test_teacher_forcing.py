@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch")
 from tests.learn.training.made import REST, physics, track  # noqa: E402
 from tests.learn.training.test_rollout import stirred  # noqa: E402
 from tunefree_hil.learn.training.fit import make_learner  # noqa: E402
-from tunefree_hil.learn.training.learners import BLIND_INPUTS, FreeRunLearner, TrainingPlan  # noqa: E402
+from tunefree_hil.learn.training.learners import MASKED_INPUTS, FreeRunLearner, TrainingPlan  # noqa: E402
 from tunefree_hil.learn.training.nets import cell_outputs  # noqa: E402
 from tunefree_hil.learn.training.rollout import compute_errors  # noqa: E402
 from tunefree_hil.learn.training.teacher_forcing import TeacherForcedRunner  # noqa: E402
@@ -70,9 +70,9 @@ def test_training_reaches_the_net_in_every_stage_but_the_blind_input(learner: Fr
         learner.loss(step).backward()
         slope = learner.net.w_in.grad
         assert slope is not None and float(slope.abs().sum()) > 0.0
-        assert not slope[:, list(BLIND_INPUTS)].any()
+        assert not slope[:, list(MASKED_INPUTS)].any()
     fresh = make_learner(TrainingPlan("hybrid", 1, 5), learner.held_out, learner.held_out, physics())
-    assert not fresh.arrays()["w_in"][:, list(BLIND_INPUTS)].any()
+    assert not fresh.arrays()["w_in"][:, list(MASKED_INPUTS)].any()
 
 
 def test_the_pace_falls_within_guided_and_within_free_run(learner: FreeRunLearner) -> None:

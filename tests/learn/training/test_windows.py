@@ -16,7 +16,7 @@ from tunefree_hil.learn.training.windows import (  # noqa: E402
     TrackPool,
     add_mirrored,
     classify_windows,
-    compute_draw_chances,
+    compute_draw_probabilities,
     draw_rows,
     find_window_starts,
     make_pool,
@@ -51,10 +51,10 @@ def test_what_takes_commands_learns_from_what_its_effects_make_of_them(pool: Tra
 def test_a_kind_counts_by_the_root_of_its_share() -> None:
     some_pool = held([10.0, 10.0, 10.0, 10.0, 2.0])
     some = find_window_starts(some_pool, WARM, AHEAD)
-    chances = compute_draw_chances(some_pool, some, WARM, AHEAD)
-    assert chances.sum() == pytest.approx(1.0)
+    probabilities = compute_draw_probabilities(some_pool, some, WARM, AHEAD)
+    assert probabilities.sum() == pytest.approx(1.0)
     fast, slow = some < 11_000, some > 12_000
-    ratio = chances[slow].mean() / chances[fast].mean()
+    ratio = probabilities[slow].mean() / probabilities[fast].mean()
     assert ratio == pytest.approx(np.sqrt(fast.sum() / slow.sum()), rel=0.1)
 
 
@@ -62,14 +62,14 @@ def test_few_windows_of_a_kind_are_not_drawn_without_end() -> None:
     some_pool = held([10.0] * 9)
     some_pool.motion[-AHEAD - 40 :, SPEED] = 1.0
     some = find_window_starts(some_pool, WARM, AHEAD)
-    chances = compute_draw_chances(some_pool, some, WARM, AHEAD)
-    assert chances.max() / chances.min() <= np.sqrt(len(some) / CRITERIA.min_class_windows) * 1.001
+    probabilities = compute_draw_probabilities(some_pool, some, WARM, AHEAD)
+    assert probabilities.max() / probabilities.min() <= np.sqrt(len(some) / CRITERIA.min_class_windows) * 1.001
 
 
 def test_no_window_is_never_drawn_and_left_is_as_right(pool: TrackPool) -> None:
     both = add_mirrored(pool)
     some = find_window_starts(both, WARM, AHEAD)
-    assert compute_draw_chances(both, some, WARM, AHEAD).min() > 0.0
+    assert compute_draw_probabilities(both, some, WARM, AHEAD).min() > 0.0
     half = some[some < len(pool.inputs)]
     assert np.array_equal(
         classify_windows(both, half, WARM, AHEAD), classify_windows(both, half + len(pool.inputs), WARM, AHEAD)
@@ -79,10 +79,10 @@ def test_no_window_is_never_drawn_and_left_is_as_right(pool: TrackPool) -> None:
 
 def test_lots_are_the_same_again_and_follow_the_chances(pool: TrackPool) -> None:
     some = find_window_starts(pool, WARM, AHEAD)
-    chances = np.zeros(len(some))
-    chances[[3, 40]] = 0.25, 0.75
-    first, again = (draw_rows(some, 4000, 1, 7, chances) for _ in range(2))
+    probabilities = np.zeros(len(some))
+    probabilities[[3, 40]] = 0.25, 0.75
+    first, again = (draw_rows(some, 4000, 1, 7, probabilities) for _ in range(2))
     assert np.array_equal(first, again) and set(first) == {some[3], some[40]}
     assert np.mean(first == some[40]) == pytest.approx(0.75, abs=0.03)
-    assert not np.array_equal(first, draw_rows(some, 4000, 1, 8, chances))
+    assert not np.array_equal(first, draw_rows(some, 4000, 1, 8, probabilities))
     assert len(set(draw_rows(some, len(some), 1, 7))) == len(some)

@@ -12,8 +12,8 @@ from tunefree_hil.plant.actuation.bywire import (
     ByWireInput,
     ByWireOutput,
     ByWireParams,
-    Heard,
-    HeardChannel,
+    ReceivedChannel,
+    ReceivedCommand,
     bywire,
 )
 from tunefree_hil.plant.types import Driver
@@ -27,14 +27,14 @@ class Bench:
         self.state = self.block.init(params, 0.01)
         self.speed_mps, self.steer_rad = 5.0, 0.0
 
-    def tick(self, heard: Heard | None = None, driver: Driver | None = None, n: int = 1) -> ByWireOutput:
+    def tick(self, heard: ReceivedCommand | None = None, driver: Driver | None = None, n: int = 1) -> ByWireOutput:
         for _ in range(n):
             x = ByWireInput(heard or said(), driver or Driver(), self.speed_mps, self.steer_rad)
             self.state, self.out = self.block.step(self.block.params, self.state, x, 0.01)
         return self.out
 
 
-def said(throttle: float = 0.25, brake: float = 0.15, steer: float = 0.5, **more: Any) -> Heard:
+def said(throttle: float = 0.25, brake: float = 0.15, steer: float = 0.5, **more: Any) -> ReceivedCommand:
     """Fresh enabled frames; `more` changes a channel (throttle_ignore=1.0) or the record (gear=...)."""
     fields: dict[str, dict[str, float]] = {"throttle": {}, "brake": {}, "steer": {}}
     record = {}
@@ -45,13 +45,13 @@ def said(throttle: float = 0.25, brake: float = 0.15, steer: float = 0.5, **more
         else:
             record[key] = value
     channels = {
-        name: HeardChannel(**{"value": value, "enable": 1.0, "fresh": 1.0, **fields[name]})
+        name: ReceivedChannel(**{"value": value, "enable": 1.0, "fresh": 1.0, **fields[name]})
         for name, value in (("throttle", throttle), ("brake", brake), ("steer", steer))
     }
-    return Heard(**channels, **record)
+    return ReceivedCommand(**channels, **record)
 
 
-NOTHING = Heard()
+NOTHING = ReceivedCommand()
 
 
 def enabled(out: ByWireOutput) -> list[float]:

@@ -17,11 +17,11 @@ from tunefree_hil.plant.learned.lstm_cell import (
     init_cell,
     init_layer,
     layer_out,
+    put_input,
     rational_tanh,
     sigmoid,
     step_cell,
     step_layer,
-    take_in,
 )
 from tunefree_hil.plant.learned.weights_file import INPUTS, PlantFile, cell_of, layer_of
 
@@ -53,7 +53,7 @@ def ours(kind: str, a: dict[str, Array], inputs: Array, relu: bool) -> Array:
     outputs = []
     for x in inputs.tolist():
         for i, value in enumerate(x):
-            take_in(net, state.seen, i, value)
+            put_input(net, state.inputs, i, value)
         step_cell(net, state, relu)
         outputs.append([cell_out(net, state, 0), cell_out(net, state, 1)])
     return np.array(outputs)
@@ -94,7 +94,7 @@ def test_the_layer_is_the_textbooks() -> None:
     state = init_layer(net)
     for x in (a["mean"] + a["scale"] * np.random.default_rng(2).standard_normal((50, len(a["mean"])))).tolist():
         for i, value in enumerate(x):
-            take_in(net, state.seen, i, value)
+            put_input(net, state.inputs, i, value)
         step_layer(net, state)
         hidden = np.tanh(a["w1"] @ ((np.array(x) - a["mean"]) / a["scale"]) + a["b1"])
         expected = a["w2"] @ hidden + a["b2"]
@@ -108,7 +108,7 @@ def test_a_cleared_cell_is_a_new_one() -> None:
     step_cell(net, used, False)
     assert list(used.memory) != list(new.memory)
     clear_cell(used)
-    assert list(used.memory) == list(new.memory) and list(used.seen) == list(new.seen)
+    assert list(used.memory) == list(new.memory) and list(used.inputs) == list(new.inputs)
 
 
 @given(st.floats(-1e6, 1e6), st.integers(0, 1))

@@ -12,8 +12,15 @@ from tests.effects.shared import EFFECTS, same
 from tests.plant.drives import DT_S, car
 from tunefree_hil.base.course import Start
 from tunefree_hil.base.records import Disturbance
-from tunefree_hil.plant.actuation.bywire import ByWireParams, ByWireStatus, ChannelStatus, Heard, HeardChannel, bywire
-from tunefree_hil.plant.ecu import Said, UnitInput, make_unit
+from tunefree_hil.plant.actuation.bywire import (
+    ByWireParams,
+    ByWireStatus,
+    ChannelStatus,
+    ReceivedChannel,
+    ReceivedCommand,
+    bywire,
+)
+from tunefree_hil.plant.ecu import ReportedState, UnitInput, make_unit
 from tunefree_hil.plant.measurement.report_latency import (
     STATUS_WIDTH,
     delay_status,
@@ -30,7 +37,7 @@ CHANNEL = st.builds(ChannelStatus, BIT, BIT, BIT, BIT, BIT, st.sampled_from([0.0
 STATUS = st.builds(ByWireStatus, CHANNEL, CHANNEL, CHANNEL, BIT, BIT, st.integers(0, 13).map(float), BIT, BIT, BIT)
 
 
-def said(*latencies_s: float, report_ticks: int = 1) -> list[Said]:
+def said(*latencies_s: float, report_ticks: int = 1) -> list[ReportedState]:
     """What the frames of ticks 0..60 say: enabled from tick 5 on, disabled at 40, the foot on the brake in between."""
     effects = tuple((EFFECTS["report_latency"], {"delay_s": delay_s}) for delay_s in latencies_s)
     body = for_episode(car("physics", effects=effects), Start(speed_mps=8.0))
@@ -38,8 +45,8 @@ def said(*latencies_s: float, report_ticks: int = 1) -> list[Said]:
     params, state, now = unit.start(body, DT_S)
     found = [now]
     for k in range(60):
-        on = HeardChannel(0.2 + 0.002 * k, 1.0 if 5 <= k < 40 else 0.0, fresh=1.0)
-        heard = Heard(on, on, on._replace(value=math.sin(0.1 * k)), 4.0)
+        on = ReceivedChannel(0.2 + 0.002 * k, 1.0 if 5 <= k < 40 else 0.0, fresh=1.0)
+        heard = ReceivedCommand(on, on, on._replace(value=math.sin(0.1 * k)), 4.0)
         foot = Driver(brake_frac=0.2 if 20 < k < 30 else 0.15)
         state, now = unit.step(params, state, UnitInput(heard, foot, Disturbance()), DT_S)
         found.append(now)

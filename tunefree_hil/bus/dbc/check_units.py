@@ -1,4 +1,4 @@
-"""Does the scale of vehicle.toml turn the unit that the DBC states into SI? Units that are not known here pass."""
+"""Checks that the scale of vehicle.toml turns the DBC's unit into SI. Unknown units pass."""
 
 from __future__ import annotations
 
@@ -47,10 +47,13 @@ def check_unit(field: str, unit: str | None, scale: float) -> tuple[str, str] | 
         return None
     wanted = known.get(quantity)
     if wanted is None:
-        return f"it is in {unit}, and {field} is {QUANTITIES[quantity]}", "map another signal, or mend the DBC's unit"
+        return (
+            f"it is in {unit}, and {field} is {QUANTITIES[quantity]}",
+            "map another signal, or correct the DBC's unit",
+        )
     if math.isnan(wanted) or abs(abs(scale) / wanted - 1.0) <= TOLERANCE:
         return None
     return (
         f"it is in {unit}, which scale = {scale:g} does not make {QUANTITIES[quantity]}",
-        f"scale = {wanted:.9g}, negative where the wire's sign is the other one; or mend the DBC's unit",
+        f"scale = {wanted:.9g}, negative where the wire's sign is the other one; or correct the DBC's unit",
     )

@@ -39,7 +39,7 @@ def one_error(problems: list[InputError]) -> InputError:
         return problems[0]
     listed = "\n".join(f"  {problem.key}: {problem.message} ({problem.hint})" for problem in problems)
     return InputError(
-        f"{len(problems)} things do not fit:\n{listed}", code="vehicle", file=problems[0].file, hint="mend them all"
+        f"{len(problems)} things do not fit:\n{listed}", code="vehicle", file=problems[0].file, hint="correct them all"
     )
 
 
@@ -125,11 +125,11 @@ class _Check:
                 key, f"{name} {defect}", f"record fields are read from integers of up to {MOST_BITS} bits"
             )
         elif signal.factor == 0 or signal.raw_low >= signal.raw_high:
-            yield self.problem(key, f"{name} has one value only", "mend its factor or range in the DBC")
+            yield self.problem(key, f"{name} has one value only", "correct its factor or range in the DBC")
         elif entry.name == "heading_rad":
             steps = (signal.raw_high - signal.raw_low + 1.5) * abs(signal.factor * entry.spec.scale)
             if steps < 2.0 * math.pi:
-                yield self.problem(key, f"{name} reaches {steps:.3f} rad, less than one turn", "mend range or scale")
+                yield self.problem(key, f"{name} reaches {steps:.3f} rad, less than one turn", "correct range or scale")
 
     def _role_signal(self, entry: Entry, role: str, name: str) -> Iterator[InputError]:
         signal = self.network[entry.spec.message].get_signal_by_name(name)
@@ -259,18 +259,18 @@ class _Check:
             yield self.problem(where, "it is multiplexed", "multiplexed messages are not supported; map another one")
             return
         for first, second in overlaps(message):
-            yield self.problem(where, f"{first} and {second} overlap in the DBC", "mend their start bits or lengths")
+            yield self.problem(where, f"{first} and {second} overlap in the DBC", "correct their start bits or lengths")
         for signal in message.signals:
             end = signal_map(signal, message.length).end_bit
             if end > 8 * message.length:
                 yield self.problem(
                     where,
                     f"{signal.name} ends in byte {(end - 1) // 8}, the message has {message.length}",
-                    "mend the DBC",
+                    "correct the DBC",
                 )
             declared, (low, high) = declared_raw(signal), bit_range(signal)
             if signal.scale and declared is not None and (declared[0] > high or declared[1] < low):
-                yield self.problem(where, f"{signal.name} can never be in its [min|max]", "mend them in the DBC")
+                yield self.problem(where, f"{signal.name} can never be in its [min|max]", "correct them in the DBC")
         if (message.length > 8 or message.is_fd) and self.spec.data_bitrate is None:
             yield self.problem("data_bitrate", f"{message.name} is a CAN FD message", "give the bus's data bit rate")
 

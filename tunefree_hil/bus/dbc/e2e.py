@@ -1,11 +1,11 @@
-"""End-to-end protection by AUTOSAR's profiles 1 and 2: what the CRC covers, and where CRC and counter stand.
+"""End-to-end protection by AUTOSAR's profiles 1 and 2: the CRC's coverage, and the places of CRC and counter.
 
 From AUTOSAR's E2E protocol specification. Profile 1: CRC-8 of polynomial 0x1D over the data id's bytes (which of
 them: the id mode) and all data but the CRC byte; the library's start and final values cancel out, so both are 0, not
 the 0xFF of catalogue CRC-8/SAE-J1850. Counter 0..14. Profile 2: polynomial 0x2F, start and final value 0xFF, over all
 data but the CRC byte and then the one of 16 data ids that the counter chooses. Counter 0..15.
 
-Where the bytes stand comes from vehicle.toml (`e2e.crc`, `e2e.counter`, `e2e.nibble` name signals of the DBC).
+The places come from vehicle.toml (`e2e.crc`, `e2e.counter`, `e2e.nibble` name signals of the DBC).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Compiles a message's layout into the flat steps that encode and decode run through."""
+"""Compiles a message's layout into the flat steps of encode and decode."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def _constant_bits(signals: Mapping[str, SignalMap], constants: Mapping[str, flo
 
 
 def sort_terms(terms: Iterable[Term]) -> tuple[Term, ...]:
-    """Coarse first: encode gives each term what the ones before it left over."""
+    """Coarse terms first: encode gives each term the rest of those before it."""
     return tuple(sorted(terms, key=lambda term: -abs(term.signal.factor * term.scale)))
 
 

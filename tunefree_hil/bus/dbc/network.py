@@ -1,4 +1,4 @@
-"""Reads the DBC of a vehicle folder: messages, and what one signal's bits are."""
+"""Reads the DBC of a vehicle folder: messages, and the bits of a signal."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def _read(path: Path) -> Database:
         return cast("Database", cantools.database.load_file(path, strict=False, database_format="dbc"))
     except (cantools.database.errors.UnsupportedDatabaseFormatError, UnicodeDecodeError) as error:
         raise InputError(
-            f"this is no DBC: {error}", code="dbc", file=str(path), hint="mend the line it names"
+            f"this is no DBC: {error}", code="dbc", file=str(path), hint="correct the line it names"
         ) from error
 
 
 def signal_map(signal: Signal, length: int) -> SignalMap:
-    """Where a signal's bits are in a message of `length` bytes, and what they mean."""
+    """Place and scaling of a signal's bits in a message of `length` bytes."""
     big = signal.byte_order == "big_endian"
     first = 8 * (signal.start // 8) + 7 - signal.start % 8 if big else signal.start
     end = first + signal.length

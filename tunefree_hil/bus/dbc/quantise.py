@@ -1,4 +1,4 @@
-"""What writing a value into a signal does to it: wrap, scale, clip, round. Kernels, shared by codec and wire Block."""
+"""Quantises a value for a signal: wrap, scale, clip, round. Kernels, shared by codec and wire Block."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def rint(value: float) -> float:
 
 @kernel
 def wrap_turn(angle_rad: float, low_rad: float) -> float:
-    """The same angle within [low_rad, low_rad + 2 pi); NaN for what is no angle."""
+    """The same angle within [low_rad, low_rad + 2 pi); NaN for no angle."""
     if not abs(angle_rad) <= MOST_TURNS_RAD:
         return math.nan
     return angle_rad - TWO_PI * float(math.floor((angle_rad - low_rad) / TWO_PI))

@@ -152,7 +152,7 @@ STEPS = {"report": report_step, "ins": ins_step, "command": command_step}
 def wire(codec: Codec, group: str, phases: Mapping[str, int], period: bool = True) -> Block:
     """The Block of a group ('report', 'ins', 'command') on its record. phases: tick of its period, by message.
 
-    period=False: every message goes out at every tick, and only what quantising and clipping do is left.
+    period=False: every message goes out at every tick, so that only quantising and clipping remain.
     """
     fields = fields_of(codec, group)
     periods = [message.period_ticks if period else 1 for _, message in fields]

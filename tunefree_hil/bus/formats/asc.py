@@ -1,6 +1,6 @@
 """Vector's text log, .asc, by python-can's reader and writer.
 
-Four things are set right here: the writer's header has milliseconds without leading zeros and takes the first frame's
+Four things are corrected here: the writer's header has milliseconds without leading zeros and takes the first frame's
 stamp for the earliest; the reader takes an empty CAN FD frame for a remote one (rows.row_of), does not know its header
 behind a byte order mark, and ignores that stamps may be relative to the line before, which is refused. The begin in the
 header is local time, as the format has it.

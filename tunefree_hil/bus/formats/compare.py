@@ -42,7 +42,7 @@ class Proof:
                 self._seek(b, self._wanted, self._found)
 
     def _seek(self, row: Row, others: Waiting, waiting: Waiting) -> None:
-        """Pair a row with one of the other stream that waits, or let it wait."""
+        """Pair a row with one that waits in the other stream, or add it to the waiting rows."""
         content: Content = row[1:]
         times = others[content]
         place = bisect_left(times, row.time_s - TICK_S)

@@ -36,7 +36,7 @@ _BITS = {"fd": FD, "brs": BRS, "esi": ESI, "remote": RTR, "error": ERROR, "sent"
 
 
 def read(path: Path) -> Iterator[Row]:
-    """Frames in the file's order. InputError with the line that is none."""
+    """Frames in the file's order. InputError names a malformed line."""
     refuse_cut(path)
     try:
         with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
@@ -59,7 +59,7 @@ def _rows(lines: Iterator[list[str]], head: tuple[str, ...], path: Path) -> Iter
             yield _ours(values) if head == HEAD else _theirs(values)
         except (ValueError, binascii.Error) as error:
             raise InputError(
-                f"not a frame: {error}", code="bad_line", file=f"{path}:{number}", hint="delete or mend this line"
+                f"not a frame: {error}", code="bad_line", file=f"{path}:{number}", hint="delete or correct this line"
             ) from error
 
 

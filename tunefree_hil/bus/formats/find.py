@@ -62,7 +62,9 @@ def format_for(path: Path, name: str = "") -> str:
         raise InputError("a ROS 1 bag's name must end in .bag", code="unknown_format", key="OUT", hint=hint)
     if not format_name:
         hint = f"end its name with one of {known}, or say --format"
-        raise InputError(f"its format cannot be told from {path.name!r}", code="unknown_format", key="OUT", hint=hint)
+        raise InputError(
+            f"the name {path.name!r} does not show its format", code="unknown_format", key="OUT", hint=hint
+        )
     return format_name
 
 

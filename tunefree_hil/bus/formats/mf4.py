@@ -45,7 +45,7 @@ BLOCK = 20_000  # frames that are read or written at once
 DATES_FROM_S = 86400.0 * 365  # stamps below are no dates: the measurement then begins at 0
 HEADER_AT, COMMENT_AT, LEAST_BYTES = 64, 128, 168  # header block, its link to a comment, its end
 FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # by DLC
-logging.getLogger("asammdf").setLevel(logging.CRITICAL + 1)  # what it logs it raises, too
+logging.getLogger("asammdf").setLevel(logging.CRITICAL + 1)  # it raises what it logs
 _OPTIONS: dict[str, Any] = {"process_bus_logging": False}  # asammdf would decode it by DBCs inside the file
 _FAULTS = (  # what asammdf raises over broken files
     MdfException,

@@ -1,7 +1,7 @@
 """CAN topics of ROS bags (extra `rosbag`): ROS 1 `.bag` files, ROS 2 bags (a folder, or one `.mcap` or `.db3` file).
 
-Read: `can_msgs/Frame` (ros_canopen, ros2_socketcan, by-wire drivers) and `ros2_socketcan_msgs/FdFrame`, whatever the
-topics are called. Written: a topic /NAME/frames (and /NAME/fd_frames) for each channel. The message definitions are
+Read: `can_msgs/Frame` (ros_canopen, ros2_socketcan, by-wire drivers) and `ros2_socketcan_msgs/FdFrame`, on topics
+of any name. Written: a topic /NAME/frames (and /NAME/fd_frames) for each channel. The message definitions are
 those of the public packages. The stamp is the header's; the bag's own where a driver left that empty.
 """
 

@@ -1,6 +1,6 @@
 """One recorded frame, common to all log formats, and counts of what a format cannot store.
 
-python-can's `Message` is the go-between for the formats that python-can reads and writes.
+Rows of the formats that python-can reads and writes are converted from and to its `Message`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ FD, BRS, ESI, RTR, ERROR, SENT = 1, 2, 4, 8, 16, 32  # flags of a Row; the first
 EXTENDED_BIT = 0x80000000
 ID_MASK = 0x1FFFFFFF
 TICK_S = 1e-6  # the stamps of two formats are the same when they differ by less
-LONGEST_LINE = 4096  # bytes; what is read of a text's end
+LONGEST_LINE = 4096  # bytes read from the end of a text
 EXACT_S = 2e-9  # a stamp that differs more from its microsecond (and from double precision) needs nine decimals
 _CAN_NUMBER = re.compile(r"can(\d{1,5})")
 
@@ -74,7 +74,7 @@ class Lost(Counter[str]):
 class Format(NamedTuple):
     """read(path) -> rows in the file's order, one by one; write(path, rows, survey) takes what `hold` has given.
 
-    hold(rows, survey, lost) -> the rows as a file of the format gives them back; counts in `lost` what it does not.
+    hold(rows, survey, lost) -> the rows as a file of the format gives them back; counts in `lost` what it cannot store.
     """
 
     name: str
@@ -219,7 +219,7 @@ def refuse_cut(path: Path) -> None:
 
 
 def unreadable(path: Path, format_title: str, error: BaseException) -> InputError:
-    """A file that begins like the format and is not whole."""
+    """The error for a file that begins like the format and is damaged."""
     reason = str(error) or type(error).__name__
     return InputError(
         f"cannot be read as {format_title}: {reason}",

@@ -1,10 +1,9 @@
 """Sender and tick of recorded frames on SocketCAN (docs/reference/bench_channel.md); a hub knows both.
 
 SocketCAN shows no sender and carries no virtual time. So ids of commands count as the controller's (phase 1), the
-vehicle's other ids as the ECU's (phase 0), and DONE(k, phase, n_tx, digest) on the bench
-channel claims the next n_tx frames of its phase, in the order in which they arrived. So the two channels, which are
-read from two sockets, may arrive interleaved in any way. The digest shows whether the claimed frames are the announced
-ones: where they are not, another node sends these ids.
+vehicle's other ids as the ECU's (phase 0), and DONE(k, phase, n_tx, digest) on the bench channel claims the next n_tx
+frames of its phase, in order of arrival. So the two channels, read from two sockets, may be interleaved in any way. The
+digest shows whether the claimed frames are the announced ones: where they are not, another node sends these ids.
 
 In lockstep a claimed frame is stamped k ticks; an unclaimed one keeps its place in the log, with the tick of the
 frame before it. In real time stamps are the kernel's own and nothing waits for its claim.
@@ -40,7 +39,7 @@ def digest(frames: Iterable[CanFrame]) -> int:
 
 
 class _Entry:
-    """A vehicle frame on its way to the log. `phase` -1 for a frame that is none of the vehicle's."""
+    """A vehicle frame on its way to the log. `phase` -1 for a frame with another id."""
 
     __slots__ = ("k", "phase", "raw")
 
@@ -61,7 +60,7 @@ class MissingFrames(NamedTuple):
 class Ledger:
     """One episode. `write(frame)` gets the vehicle's frames, stamped, in the order in which they arrived.
 
-    `foreign` (id -> count), `errors` and `remote` count what is none of the vehicle's; it is written all the same.
+    `foreign` (id -> count), `errors` and `remote` count other frames; they are written too.
     """
 
     def __init__(
@@ -70,7 +69,7 @@ class Ledger:
         self.foreign: dict[int, int] = {}
         self.errors = 0
         self.remote = 0
-        self.tick = 0  # the latest one that TICK or DONE named
+        self.tick = 0  # of the latest TICK or DONE
         self.ended = False  # the ECU has announced the end
         self.claiming = True  # False once frames were lost: then the others have no certain tick
         self._phase_of = {key: phase for phase, ids in enumerate(ids_of_phase) for key in ids}
@@ -126,7 +125,7 @@ class Ledger:
             self._put(self._waiting.popleft())
 
     def _count(self, raw: Raw) -> int:
-        """Phase of a frame, -1 (and counted) for what is none of the vehicle's."""
+        """Phase of a frame, -1 (and counted) for one with another id."""
         if raw.can_id & ERR_FLAG:
             self.errors += 1
             return -1

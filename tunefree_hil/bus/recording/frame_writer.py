@@ -45,7 +45,7 @@ class FrameWriter:
         length: int,
         stamp_s: float,
     ) -> CanFrame:
-        """A frame that ends before its counter, which therefore stays. A protected message is never cut short."""
+        """A frame that ends before its counter, which then stays. A protected message is never shortened."""
         if message.e2e is not None:
             return self.write(message, records, signals, stamp_s)
         return self._frame(message, self.codec.encode(message, records, signals, length), stamp_s)

@@ -59,7 +59,7 @@ class Recorder:
         self._bench_name = setup.bench.rpartition(":")[2] if setup.bench.startswith("socketcan:") else "bench"
 
     def read(self) -> int:
-        """Take in what has arrived on both links; how many frames. Trouble is kept. BenchError when the hub is gone."""
+        """Read both links; returns the number of frames. Trouble is kept. BenchError when the hub is gone."""
         before = sum(self.frames.values())
         try:
             raws = self.vehicle.receive_raw(0.0)
@@ -82,7 +82,7 @@ class Recorder:
         return any(log.waiting for log in self._logs.values())
 
     def start(self, paths: dict[str, str]) -> None:
-        """Begin an episode; what came before belongs to none. BenchError when a file cannot be made."""
+        """Begin an episode; earlier frames belong to none. BenchError when a file cannot be made."""
         if self._logs:
             raise BenchError("a log is being written already", code="log_runs", hint="stop it first")
         left = MOST_OLD

@@ -29,8 +29,8 @@ class RecorderStats(NamedTuple):
 
 
 class RecorderOwner:
-    """The owner's end of the socket pair. `foreign`, `errors`, `remote`: what stood out in the last episode, by id,
-    by name, and how many remote frames.
+    """The owner's end of the socket pair. `foreign`, `errors`, `remote`: counts of the last episode: foreign
+    frames by id, error frames by name, remote frames.
 
     Every method raises BenchError where the recorder is gone, and the trouble that it reports on the bus, once.
     """
@@ -98,7 +98,7 @@ class RecorderOwner:
                 raise NoAnswer(words, code="no_answer")
 
     def _take(self, timeout_s: float) -> list[dict[str, Any]]:
-        """Replies that have come; troubles are kept aside."""
+        """Replies that have arrived; troubles are stored."""
         self._control.settimeout(timeout_s)
         try:
             data = self._control.recv(1 << 16)

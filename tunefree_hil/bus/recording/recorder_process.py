@@ -66,7 +66,7 @@ def _record(recorder: Recorder, control: socket.socket, lines: TextIO) -> None:
             if not line:
                 return
             _send(control, _answer(recorder, json.loads(line)))
-            reported = recorder.trouble  # the answer holds what the end of a log brought to light
+            reported = recorder.trouble  # the answer holds trouble found at the end of a log
 
 
 def _answer(recorder: Recorder, request: dict[str, Any]) -> dict[str, Any]:
@@ -89,7 +89,7 @@ def _send(control: socket.socket, words: dict[str, Any]) -> None:
 
 def main() -> int:
     """The process; its exit status."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the owner's to answer
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the owner handles Ctrl-C
     try:
         serve(socket.socket(fileno=int(sys.argv[1])))
     except TunefreeError as error:

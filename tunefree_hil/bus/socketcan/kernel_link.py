@@ -72,7 +72,7 @@ def can_names() -> list[str]:
     """Names of the kernel's CAN links (ARPHRD_CAN, 280), in order; [] where /sys is not there."""
     names = []
     for path in sorted(SYS_NET.glob("*/type")) if SYS_NET.is_dir() else []:
-        with suppress(OSError):  # it went while we looked
+        with suppress(OSError):  # it was removed meanwhile
             if path.read_text().strip() == ARPHRD_CAN:
                 names.append(path.parent.name)
     return names
@@ -86,7 +86,7 @@ def kernel_drops(name: str) -> int:
 
 
 class Claim:
-    """Holds a link for one bench of ours, so that two drives on one machine do not meet on it; ends with the process.
+    """Holds a link for one bench of ours, so that two drives on one machine do not share it; ends with the process.
 
     A name in the abstract unix namespace, which like the link itself belongs to the network namespace.
     Raises InputError that names the holder.

@@ -38,7 +38,7 @@ DROPS_AT, MEMINFO_BYTES = 8, 36  # linux/sock_diag.h: SK_MEMINFO_DROPS of nine u
 COUNTER_MASK = 0xFFFF_FFFF
 ANCILLARY = 128
 QUEUE_BYTES = 16 << 20  # about 20 000 frames; without root the kernel gives at most net.core.rmem_max
-MOST_AT_ONCE = 512  # frames that one receive hands over: in a flood its reader looks up for other things in between
+MOST_AT_ONCE = 512  # frames of one receive: in a flood its reader can do other work in between
 RETRY_S = 0.0002
 LOOK_S = 1.0  # how often a node without a hub checks that the process that started it is there
 MOST_FILTERS = 512  # linux/can/raw.h: CAN_RAW_FILTER_MAX
@@ -264,7 +264,7 @@ def overflow(interface: str, receiver: str, lost: int) -> BenchError:
 
 
 def realtime_offset_ns() -> int:
-    """CLOCK_REALTIME - CLOCK_MONOTONIC: the kernel stamps with the first, nodes reckon with the second.
+    """CLOCK_REALTIME - CLOCK_MONOTONIC: the kernel stamps with the first, nodes use the second.
 
     Measured at each call, so that a step of the wall clock moves no more than the frames that wait at that moment;
     the narrowest of three measurements, so that an interruption between the two clocks does not move it.

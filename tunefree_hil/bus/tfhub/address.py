@@ -1,7 +1,7 @@
-"""Where a hub is, as text: `unix:PATH`, `tcp:127.0.0.1:PORT`, or `SESSION/veh` and `SESSION/bench`.
+"""Addresses of hubs as text: `unix:PATH`, `tcp:127.0.0.1:PORT`, or `SESSION/veh` and `SESSION/bench`.
 
 SESSION is a name, or a directory, which holds the sockets and `hub.json`. Options may follow as in a URL, because stock
-tools cannot pass keywords everywhere: `default/veh?role=member&name=player`. Nothing but loopback is ever accepted.
+tools cannot pass keywords everywhere: `default/veh?role=member&name=player`. Only loopback addresses are accepted.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ OPTIONS = ("role", "name", "token_file", "listen", "echo", "stamps")
 
 
 class Address(NamedTuple):
-    """Where to connect: a unix path, or host and port with the file that holds the token."""
+    """An address: a unix path, or host and port with the file that holds the token."""
 
     path: str = ""
     host: str = ""
@@ -53,7 +53,7 @@ def user_id() -> str:
 
 
 def runtime_dir() -> Path:
-    """The folder in which sessions without a path of their own live."""
+    """The folder of sessions without a path of their own."""
     return Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir())
 
 
@@ -95,7 +95,7 @@ def loopback(host: str) -> str:
 def parse(text: str, token_file: str = "") -> Address:
     """The address that `text` (without options) names; a session is looked up in its hub.json.
 
-    InputError for what is no address or not loopback, BenchError where no hub runs in the session.
+    InputError for no address or one that is not loopback, BenchError where no hub runs in the session.
     """
     if text.startswith("unix:"):
         return Address(path=text.removeprefix("unix:").removeprefix("//"))
@@ -124,7 +124,7 @@ def endpoint(session: str, channel: str) -> str:
 
 
 def read_hub(session: str) -> HubInfo:
-    """What runs in a session. BenchError when nothing does."""
+    """The hub that runs in a session. BenchError where none runs."""
     file = session_dir(session) / HUB_FILE
     try:
         content = json.loads(file.read_text(encoding="utf-8"))

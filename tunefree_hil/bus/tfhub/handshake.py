@@ -1,4 +1,4 @@
-"""Connecting to a hub and saying hello; why a hub is not there or did not let us in."""
+"""Connecting to a hub with HELLO; errors for a missing hub or a refusal."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ def default_name() -> str:
 
 
 def join(address: Address, hello: dict[str, Any], name: str = "") -> tuple[socket.socket, Welcome]:
-    """A connected socket and the hub's answer to our hello. A name of our own must be free, a default one is made so.
+    """A connected socket and the hub's answer to our hello. A given name must be free, a default one gets a number.
 
-    InputError or BenchError say why there is none; nothing beyond the welcome has been read from the socket.
+    InputError or BenchError give the reason of a failure; nothing beyond the welcome has been read from the socket.
     """
     body = {"protocol": PROTOCOL, "name": name or default_name(), "fixed_name": bool(name), "pid": os.getpid()}
     sock = _connect(address)

@@ -1,6 +1,6 @@
-"""How fast a hub is, between real processes: round trips, a burst with three members, lockstep ticks.
+"""Measures a hub between real processes: round trips, a burst with three members, lockstep ticks.
 
-Numbers of one machine at one time: for `tools/measure hub`, never for a test to pass or fail by.
+For `tools/measure hub`; no test depends on these numbers.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ STATS_S = 5.0  # these need no disk: a hub that does not answer is stopped
 
 
 class PeerStats(NamedTuple):
-    """One peer of a hub. `dropped`: frames that an observer did not get; `owed_bytes`: what waits for it."""
+    """One peer of a hub. `dropped`: frames that an observer did not get; `owed_bytes`: its queue."""
 
     name: str
     channel: str
@@ -30,7 +30,7 @@ class PeerStats(NamedTuple):
 
 
 class HubStats(NamedTuple):
-    """`frames`: channel -> frames routed. `lost`: the latest losses. `held_by`: members the bus is waiting for."""
+    """`frames`: channel -> frames routed. `lost`: the latest losses. `held_by`: members for which the bus waits."""
 
     session: str
     clock: str
@@ -41,7 +41,7 @@ class HubStats(NamedTuple):
     log_failures: tuple[str, ...]
 
     def dropped(self) -> dict[str, int]:
-        """Observer -> frames that it did not get."""
+        """Observer -> frames that it missed."""
         return {peer.name: peer.dropped for peer in self.peers if peer.role == "observer"}
 
 
@@ -58,7 +58,7 @@ class Owner:
     """Open it soon after the hub was started: a hub (unless standalone) ends without one.
 
     `session`: as given to the hub. `wait_s`: how long to wait for a hub that is just starting. Every method raises
-    BenchError when the hub is gone, naming it.
+    BenchError when the hub is gone, and names it.
     """
 
     def __init__(self, session: str = "default", *, name: str = "", wait_s: float = 0.0) -> None:
@@ -120,7 +120,7 @@ class Owner:
 
 
 def _connect(session: str, name: str, wait_s: float) -> Connection:
-    """Connect, again and again for wait_s while no hub answers there."""
+    """Connect; retry for wait_s while no hub answers there."""
     deadline_s = time.monotonic() + wait_s
     while True:
         try:

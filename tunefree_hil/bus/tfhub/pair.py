@@ -1,4 +1,4 @@
-"""Both channels of a hub over one connection: half the wake-ups of two, which is what a lockstep tick is made of."""
+"""Both channels of a hub over one connection: half the wake-ups of two, which dominate a lockstep tick."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class HubPair:
         return frames
 
     def _sort(self, data: bytes) -> bool:
-        """Put whole records of classic data frames to their channels; False, and nothing done, for anything else."""
+        """Sort whole records of classic data frames by channel; False, and nothing done, for other bytes."""
         if len(data) % CLASSIC.size:
             return False
         by_channel: tuple[list[CanFrame], list[CanFrame]] = ([], [])
@@ -94,7 +94,7 @@ class HubPair:
         return True
 
     def _one_by_one(self, timeout_s: float) -> None:
-        """The slow path: FD, error and remote frames, records of other types, a record that has not come whole."""
+        """The slow path: FD, error and remote frames, records of other types, an incomplete record."""
         connection = self._connection
         try:
             while connection.fill(timeout_s):
@@ -122,5 +122,5 @@ class HubPair:
 
     @property
     def info(self) -> str:
-        """The bus in words."""
+        """The bus as text."""
         return self._bus.channel_info

@@ -1,9 +1,9 @@
-"""`HubBus`: what python-can opens as interface `tfhub`, and the fast path that our own nodes use.
+"""`HubBus`: python-can's interface `tfhub`, and the fast path of our own nodes.
 
     python -m can.logger -i tfhub -c default/veh             an observer: sees all, cannot stall the bus
     python -m can.player -i tfhub -c 'default/veh?role=member&listen=no' drive.log
 
-A member reads everything it is sent (or says listen=no): the bus waits for it.
+The bus waits for each member, so a member must read all frames (or set listen=no).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ FALSE_WORDS = ("0", "no", "false", "off")
 
 
 class HubGone(BenchError, can.CanOperationError):
-    """The hub is gone, or has thrown this peer out."""
+    """The hub is gone, or has dropped this peer."""
 
 
 class MemberGone(PeerGone, can.CanOperationError):
@@ -81,7 +81,7 @@ class HubBus(can.BusABC):
         only: Sequence[int] = (),
         **others: Any,
     ) -> None:
-        if others:  # python-can, its tools and its configuration files pass what some adapter needs: bit times, handles
+        if others:  # python-can, its tools and its configuration files pass options of adapters: bit times, handles
             LOG.info("no use for %s", ", ".join(sorted(others)))
         text, options = address.split_options(str(channel))
         self.role = _role(options.get("role", role), listen_only or state is can.BusState.PASSIVE)
@@ -97,7 +97,7 @@ class HubBus(can.BusABC):
         self._connection = Connection(where, hello, options.get("name", name))
         self.welcome = self._connection.welcome
         self.name = self.welcome.name
-        self.dropped = 0  # frames that this observer did not get, as the hub counted
+        self.dropped = 0  # frames that this observer missed, by the hub's count
         self.remote_frames = 0  # seen by recv_frames, which hands over data frames only
         self.error_frames: list[Raw] = []  # the latest of these, too
         self._offset_ns = self.welcome.epoch_offset_ns
@@ -105,7 +105,7 @@ class HubBus(can.BusABC):
         self.channel_info = f"tfhub {self.welcome.session}/{self.welcome.channel} as {self.role} {self.name}"
         super().__init__(channel, can_filters=can_filters)
 
-    # --- what python-can asks for --------------------------------------------------------------------------------
+    # --- interface of python-can ---------------------------------------------------------------------------------
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Transmit; waits while another member holds the bus. can.CanTimeoutError after `timeout` seconds."""
@@ -176,7 +176,7 @@ class HubBus(can.BusABC):
             self._transmit(pack_frames(frames, brs), timeout_s)
 
     def recv_frames(self, timeout_s: float | None) -> list[CanFrame]:
-        """All data frames that have come; waits up to timeout_s for the first. [] on time-out.
+        """All data frames that have arrived; waits up to timeout_s for the first. [] on time-out.
 
         Remote frames are counted, error frames kept in `error_frames`; neither is handed over as data.
         """

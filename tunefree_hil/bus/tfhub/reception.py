@@ -162,7 +162,7 @@ def _refuse(hub: Hub, peer: Peer, refusal: JoinRefusal) -> None:
 
 def _send_refusal(hub: Hub, peer: Peer, refusal: JoinRefusal) -> None:
     """Send the reason, as far as the socket takes it, and close."""
-    peer.give(pack_control(REFUSED, refusal._asdict()), 0)
+    peer.enqueue(pack_control(REFUSED, refusal._asdict()), 0)
     with contextlib.suppress(OSError):  # the connection is closed already
         peer.flush()
     hub.board.forget(peer)
@@ -214,7 +214,7 @@ def _notify_members(hub: Hub, lost: Peer, why: str) -> None:
         if member.name == lost.name and member.pid == lost.pid:
             member.loss_announced = True
         elif member.listen:
-            hub.board.owe(member, record)
+            hub.board.enqueue(member, record)
 
 
 def _end_ownership(hub: Hub, why: str) -> None:

@@ -2,7 +2,7 @@
 
 Every record starts with the same 20 bytes, little-endian: length u16 (of the whole record), type u8, sender u8 (index
 that the hub gave; 0 = the hub), sequence u64 (one count over both channels), time u64 (ns). A FRAME record goes on with
-the bytes of Linux' `struct can_frame` (16) or `struct canfd_frame` (72), so no flag of a frame is lost on the way.
+the bytes of Linux' `struct can_frame` (16) or `struct canfd_frame` (72), so no flag of a frame is lost.
 The other types carry JSON or nothing.
 """
 
@@ -50,7 +50,7 @@ NO_CLASS = 0x80  # bus error: what python-can writes for an error frame that nam
 
 
 class RecordError(ValueError):
-    """Bytes that are no record of ours."""
+    """Bytes that are no record."""
 
 
 class Raw(NamedTuple):
@@ -67,7 +67,7 @@ class Raw(NamedTuple):
 
 
 def small_buffers(sock: socket.socket) -> None:
-    """Keep a TCP connection's buffers in the kernel small: what waits belongs in the hub, where it is counted.
+    """Keep a TCP connection's buffers in the kernel small: frames wait in the hub, which counts them.
 
     Call it before the socket connects or listens.
     """
@@ -133,7 +133,7 @@ def pack_frames(frames: Iterable[CanFrame], brs: bool = True) -> bytes:
 
 
 def mark_second_channel(records: bytes, count: int) -> bytes:
-    """`count` FRAME records as OTHER records."""
+    """`count` FRAME records as SECOND_FRAME records."""
     marked = bytearray(records)
     if len(marked) == count * CLASSIC.size:
         marked[KIND_AT :: CLASSIC.size] = bytes([SECOND_FRAME]) * count
@@ -157,7 +157,7 @@ def select_ids(records: bytes, count: int, ids: frozenset[int]) -> list[bytes]:
 
 
 def plain_frames(data: bytes) -> list[CanFrame] | None:
-    """The frames of `data` when it is nothing but whole records of classic data frames, else None."""
+    """The frames of `data` where it holds only whole records of classic data frames, else None."""
     if not data or len(data) % CLASSIC.size:
         return None
     frames = []

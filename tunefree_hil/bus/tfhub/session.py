@@ -77,7 +77,7 @@ class Session:
 
     def _taken(self) -> InputError:
         pid = "unknown"
-        with contextlib.suppress(BenchError):  # it is just starting and has not written its file yet
+        with contextlib.suppress(BenchError):  # it is starting and has not written its file yet
             pid = str(read_hub(self.session).pid)
         return InputError(
             f"a hub named {self.session} already runs here, pid {pid}",
@@ -125,7 +125,7 @@ class Session:
         return HubInfo(self.session, os.getpid(), clock, addresses, token_file)
 
     def _write(self, name: str, text: str) -> None:
-        """A file of mode 0600 that is there complete or not at all."""
+        """A file of mode 0600 that appears only when it is complete."""
         part = self.folder / f"{name}.part"
         part.unlink(missing_ok=True)
         fd = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)

@@ -1,4 +1,4 @@
-"""Start a hub as a process of its own, and own it."""
+"""Starts a hub as a process of its own, and owns it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ END_S = 5.0
 
 
 class HubProcess(NamedTuple):
-    """A hub that runs for us. `vehicle`, `bench`: what HubBus and open_link take as address."""
+    """A hub that runs for us. `vehicle`, `bench`: addresses for HubBus and open_link."""
 
     process: subprocess.Popen[bytes]
     owner: Owner

@@ -1,14 +1,14 @@
 """Model-reference adaptive control of the steering actuator: eq. 5 and 6 of the paper, docs/reference/apollo.md.
 
 Inside this file signals are percent of the steering limit (the box of `mrac.p` presumes it), x = [angle, its rate].
-Form "apollo" is the shipped law (bounds, anti-windup, clamping rule), form "paper" is eq. 6 with nothing round it.
-The law knows no dead time: behind the data sheet's actuator the loop through Kx stands |Kx| of about 1.5 (test_mrac).
-mrac.clamp_s = 0.08 s keeps it below 0.54, 0.01 s lets it grow to 11, and in a tight turn a p of 1e-3 takes it there.
-On a straight road nothing but noise and sensor offsets drives eq. 6, and the gains drift for as long as it lasts.
-Settings.mrac_dead_zone takes an error that small for none (dead-zone modification: Peterson and Narendra 1982,
-Ioannou and Sun, Robust Adaptive Control, 8.4.3), continuously: a larger error counts for what is over it.
+Form "apollo" is the shipped law (bounds, anti-windup, clamping rule), form "paper" is eq. 6 only.
+The law has no dead time: with the actuator of the data sheet the loop is stable up to |Kx| of about 1.5 (test_mrac).
+mrac.clamp_s = 0.08 s keeps |Kx| below 0.54, 0.01 s allows 11, which a p of 1e-3 reaches in a tight turn.
+On a straight road only noise and sensor offsets drive eq. 6, and the gains drift.
+Settings.mrac_dead_zone ignores an error that small (dead-zone modification: Peterson and Narendra 1982,
+Ioannou and Sun, Robust Adaptive Control, 8.4.3), continuously: of a larger error the part above it is used.
 Model order 1 has the reference time constant `mrac.t_ref_s`; order 2 its natural frequency and damping from Settings.
-Start gains and clamp come from the actuator's lag by the data sheet, so MRAC is refused where none is stated.
+Start gains and clamp are computed from the actuator lag of the data sheet, without which MRAC is refused.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tunefree_hil.control.parameters import tunables_of
 
 RISE_PER_TAU = 2.2  # 10 to 90 % rise time of a first-order lag
 ADAPT_ABOVE_MPS = 0.2
-RATE_PERCENT_PER_S = 10000.0  # of the reference and the output, as shipped (the wheel's own rate is limited later)
+RATE_PERCENT_PER_S = 10000.0  # of the reference and the output, as in Apollo (the rate of the wheel is limited later)
 
 
 class Gains(NamedTuple):
@@ -69,7 +69,7 @@ class MracParams(NamedTuple):
 
 
 class MracState(NamedTuple):
-    """Gains and what the trapezoidal rule remembers of the last tick."""
+    """Gains, and values of the last tick for the trapezoidal rule."""
 
     begun: float
     gains: Gains
@@ -85,9 +85,9 @@ class MracState(NamedTuple):
 
 
 def make(setup: Setup) -> Block:
-    """x = (steer wish rad, measured steer rad, speed m/s) -> InnerAnswer; with mrac.enable = 0 the wish itself.
+    """x = (steer demand rad, measured steer rad, speed m/s) -> InnerAnswer; with mrac.enable = 0 the demand itself.
 
-    Raises InputError for a vehicle that it cannot work on (control/mrac_needs.py), and for settings that do not fit.
+    Raises InputError for a vehicle without its needs (control/mrac_needs.py), and for settings that are not valid.
     """
     values, vehicle, settings = setup.values, setup.vehicle, setup.settings
     enable = 1.0 if values["mrac.enable"] >= 0.5 else 0.0
@@ -121,18 +121,18 @@ def make(setup: Setup) -> Block:
 
 
 def actuator_tau_s(vehicle: VehicleConstants) -> float:
-    """The lag that the data sheet's dead and rise time stand for (MKZ: 0.1227 s)."""
+    """The lag for the dead time and rise time of the data sheet (MKZ: 0.1227 s)."""
     return (vehicle.steer_dead_time_s + vehicle.steer_rise_time_s) / RISE_PER_TAU
 
 
 def start_gains(t_ref_s: float, vehicle: VehicleConstants, settings: Settings) -> Gains:
-    """Gains that turn the assumed actuator into the reference model; (0, 0, 1), no change, in the paper's form."""
+    """Gains with which the assumed actuator is the reference model; (0, 0, 1), no change, in the paper's form."""
     if settings.mrac_form == "paper" or vehicle.steer_rise_time_s <= 0.0:
         return Gains(0.0, 0.0, 1.0)
     if settings.mrac_order == 1:
         ratio = actuator_tau_s(vehicle) / t_ref_s
         return Gains(1.0 - ratio, 0.0, ratio)
-    # Rise time gives 1.8 / t_r; damping 1 where no settling time is known.
+    # Natural frequency 1.8 / rise time; damping 1 without a settling time.
     natural = 1.8 / vehicle.steer_rise_time_s
     square = natural * natural
     wish, damping = settings.mrac_natural_radps, settings.mrac_damping
@@ -140,7 +140,7 @@ def start_gains(t_ref_s: float, vehicle: VehicleConstants, settings: Settings) -
 
 
 def first_order(t_ref_s: float, dt_s: float) -> Tustin:
-    """a = -1/T, b = 1/T. Raises InputError for a time constant that is none."""
+    """a = -1/T, b = 1/T. Raises InputError for a time constant that is not positive."""
     if t_ref_s <= 0.0:
         raise InputError(
             f"mrac.t_ref_s = {t_ref_s} is no time constant", code="bad_mrac", key="mrac.t_ref_s", hint="give it above 0"
@@ -236,7 +236,7 @@ def step(
 
 @kernel
 def beyond(error: float, dead_zone: float) -> float:
-    """Share of an error that is over the dead zone: 0 within it, 1 far out or where there is none."""
+    """Share of an error above the dead zone: 0 within it, 1 far above or without a dead zone."""
     size = abs(error)
     if size <= dead_zone:
         return 1.0 if dead_zone == 0.0 else 0.0
@@ -266,7 +266,7 @@ def adapt(
         last.x2 - half * (rate * pull + state.rate * state.pull),
         last.r - half * (command * pull + state.command * state.pull),
     )
-    # If either leaves its range both go back. A reference slower than the assumed actuator starts outside: frozen.
+    # If either leaves its range both are reset. A reference slower than the assumed actuator starts outside: frozen.
     outside = gains.x1 > 0.0 or gains.x1 < params.x_low or gains.r < 1.0 or gains.r > params.r_high
     if params.clamped != 0.0 and outside:
         return last

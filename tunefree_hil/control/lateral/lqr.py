@@ -1,7 +1,7 @@
 """Lateral LQR with feedforward: eq. 3 and 4 of the paper, docs/reference/apollo.md and docs/reference/controller.md.
 
 States X = [e_y, e_y', e_th, e_th'] at the centre of mass (vehicle - reference, left positive), input road-wheel angle.
-The gains are worked out at build for a row of speeds and interpolated.
+The gains are computed at build time for a list of speeds and interpolated.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from tunefree_hil.control.filters import FirstOrder, first_order, first_order_st
 from tunefree_hil.control.parameters import RICCATI_CODES, tunables_of
 
 SPEED_FLOOR_MPS = 0.1  # of the model (docs/reference/apollo.md)
-# Dense where the gains bend: at low speed, and at every kink of the gain scheduler.
+# Dense where the gains are not linear: at low speed, and at the nodes of the gain scheduler.
 NODES_MPS = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
 NODES_MPS += (5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 14.0, 16.0, 18.0, 20.0, 22.5, 25.0, 30.0, 40.0)
 # Gain scheduler: ratios by speed on Q1 and Q3 (docs/reference/apollo.md).
@@ -29,12 +29,12 @@ SCHEDULE_MPS = (4.0, 8.0, 12.0, 20.0, 25.0)
 LATERAL_RATIO = (1.0, 0.6, 0.2, 0.1, 0.05)
 HEADING_RATIO = (1.0, 0.6, 0.4, 0.2, 0.1)
 INPUT_WEIGHT = 1.0  # R
-LOW_SPEED_MPS = 3.0  # the lead-lag works below, faded over the window
+LOW_SPEED_MPS = 3.0  # the lead-lag is active below it and faded over the window
 LOW_SPEED_WINDOW_MPS = 1.0
 
 
 class LqrParams(NamedTuple):
-    """Gain tables over speed, and what the feedforward needs. Stiffness per axle."""
+    """Gain tables over speed, and constants of the feedforward. Stiffness per axle."""
 
     speed_mps: Any
     k1: Any
@@ -49,7 +49,7 @@ class LqrParams(NamedTuple):
     steer_ratio: float
     lead_lag_weight: float
     lead_lag: FirstOrder
-    chassis_speed: float  # 0: the vehicle reports no speed, the INS's is used
+    chassis_speed: float  # 0: the vehicle reports no speed, that of the INS is used
 
 
 class LqrState(NamedTuple):
@@ -68,7 +68,7 @@ class Feedback(NamedTuple):
 
 
 def make(setup: Setup) -> Block:
-    """x = (Tracking, Measurement) -> steering-wheel angle wished, rad, left positive."""
+    """x = (Tracking, Measurement) -> steering-wheel angle demand, rad, left positive."""
     values, vehicle = setup.values, setup.vehicle
     weights = (values["lqr.q1"], values["lqr.q2"], values["lqr.q3"], values["lqr.q4"])
     shipped = values["riccati"] == RICCATI_CODES["apollo150"]
@@ -115,7 +115,7 @@ class LateralModelConstants(NamedTuple):
 
 
 def lateral_model_constants(vehicle: VehicleConstants) -> LateralModelConstants:
-    """The constants of a vehicle that the model needs."""
+    """The constants of a vehicle for the model."""
     return LateralModelConstants(
         vehicle.front_stiffness_n_per_rad,
         vehicle.rear_stiffness_n_per_rad,
@@ -135,19 +135,19 @@ def fill_model(a: Any, b: Any, v: float, car: LateralModelConstants, dt_s: float
         minus: a buffer of 16 that is overwritten.
     """
     cf, cr, lf, lr = car.front_stiffness_n_per_rad, car.rear_stiffness_n_per_rad, car.front_axle_m, car.rear_axle_m
-    mass, inertia = car.mass_kg, car.yaw_inertia_kgm2
+    mass_kg, yaw_inertia_kgm2 = car.mass_kg, car.yaw_inertia_kgm2
     total, turning, damping = cf + cr, lr * cr - lf * cf, lf * lf * cf + lr * lr * cr
-    if v <= 0.0 or mass <= 0.0 or inertia <= 0.0:
+    if v <= 0.0 or mass_kg <= 0.0 or yaw_inertia_kgm2 <= 0.0:
         return
-    lateral = (0.0, -total / (mass * v), total / mass, turning / (mass * v))
-    heading = (0.0, turning / (inertia * v), -turning / inertia, -damping / (inertia * v))
+    lateral = (0.0, -total / (mass_kg * v), total / mass_kg, turning / (mass_kg * v))
+    heading = (0.0, turning / (yaw_inertia_kgm2 * v), -turning / yaw_inertia_kgm2, -damping / (yaw_inertia_kgm2 * v))
     continuous = (0.0, 1.0, 0.0, 0.0) + lateral + (0.0, 0.0, 0.0, 1.0) + heading
     for i in range(16):
         identity = 1.0 if i in (0, 5, 10, 15) else 0.0
         half = 0.5 * dt_s * continuous[i]
         minus[i], a[i] = identity - half, identity + half
     riccati.solve(minus, a, 4, 4)
-    b[0], b[1], b[2], b[3] = 0.0, dt_s * cf / mass, 0.0, dt_s * lf * cf / inertia
+    b[0], b[1], b[2], b[3] = 0.0, dt_s * cf / mass_kg, 0.0, dt_s * lf * cf / yaw_inertia_kgm2
 
 
 class GainBuffers(NamedTuple):
@@ -254,7 +254,7 @@ def feedforward(params: LqrParams, k: Feedback, speed_mps: float, curvature_1pm:
     road-wheel rad.
 
     theta_ss = -lr kappa + lf m v^2 kappa / (c_r L) is the heading error of steady cornering: minus the side-slip at
-    the centre of mass. The second term in it stands because the error rate is taken as v sin(heading error).
+    the centre of mass. Its second term follows from the error rate v sin(heading error).
     """
     square = speed_mps * speed_mps
     theta_ss = (params.rear_slip_s2pm * square - params.rear_axle_m) * curvature_1pm

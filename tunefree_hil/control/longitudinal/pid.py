@@ -1,8 +1,8 @@
 """Longitudinal control (eq. 2, docs/reference/apollo.md): station and speed PID in cascade, preview, open-loop map.
 
-Different from the shipped controller on purpose: a pedal at rest is the vehicle's rest duty, not 0, and the least that
-is pressed is that too (shipped 15.4 % and 14.5 %, of one car); the plan is read between its rows, not at the nearest;
-forward gear only, so no neutral and no mirrored rules; no gate on the steering. The slope term is off, as shipped.
+Deliberate differences from Apollo's controller: a pedal at rest is the vehicle's rest duty, not 0, which is also the
+least duty (Apollo: 15.4 % and 14.5 %, for one car); the plan is interpolated between its rows; forward gear only, so no
+neutral and no mirrored rules; no condition on the steering. The slope term is off, as in Apollo.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ SPEED_LIMIT_MPS = 2.0
 SWITCH_MPS = 3.0  # low-speed gains up to here
 INTEGRAL_LIMIT_MPS2 = 0.3
 STANDSTILL_MPS2 = -0.3
-STOPPED_ACCEL_MPS2 = 0.01  # a plan this flat ...
-STOPPED_SPEED_MPS = 0.2  # ... and this slow is a stop,
-STOPPED_REST_M = 0.3  # and so is this little way to go
+STOPPED_ACCEL_MPS2 = 0.01  # a plan with less acceleration ...
+STOPPED_SPEED_MPS = 0.2  # ... and less speed is a stop,
+STOPPED_REST_M = 0.3  # and so is less remaining distance
 
 
 class PidParams(NamedTuple):
@@ -38,11 +38,11 @@ class PidParams(NamedTuple):
     ki_high: float
     calibration: CalibrationMap
     rest_pedal_frac: float
-    chassis_speed: float  # 0: the vehicle reports no speed, the INS's is used
+    chassis_speed: float  # 0: the vehicle reports no speed, that of the INS is used
 
 
 class PidState(NamedTuple):
-    """The integral, already times Ki: a change of the gain set does not jump."""
+    """The integral, already times Ki: a change of the gain set causes no jump."""
 
     integral_mps2: float
 
@@ -88,7 +88,7 @@ def step(params: PidParams, state: PidState, x: tuple[Tracking, Measurement], dt
 
 @kernel
 def is_full_stop(tracking: Tracking) -> bool:
-    """The plan stands still in a moment, or there is no way left to go (docs/reference/apollo.md)."""
+    """Whether the plan is about to stop, or no distance remains (docs/reference/apollo.md)."""
     flat = abs(tracking.preview_accel_mps2) <= STOPPED_ACCEL_MPS2
     return (flat and abs(tracking.preview_speed_mps) <= STOPPED_SPEED_MPS) or (
         abs(tracking.path_remaining_m) < STOPPED_REST_M
@@ -97,9 +97,9 @@ def is_full_stop(tracking: Tracking) -> bool:
 
 @kernel
 def actuate(params: PidParams, speed_mps: float, accel_mps2: float) -> Pedals:
-    """Throttle or brake by the sign of the *acceleration* (docs/reference/apollo.md): coasting drag is not made use of.
+    """Throttle or brake by the sign of the *acceleration* (docs/reference/apollo.md): coasting drag is not used.
 
-    A pedal that is not in use is at rest, and none is ever below.
+    An unused pedal is at rest; no pedal is below rest.
     """
     rest_frac = params.rest_pedal_frac
     command_frac = lookup(params.calibration, speed_mps, accel_mps2)

@@ -24,14 +24,15 @@ class RegressionCriteria(NamedTuple):
     """Settings of the regression."""
 
     min_speed_mps: float = 1.0  # of a road car: 1/speed grows no further below it
-    clear_turn_rate: float = (
-        0.0125  # of the greatest steering angle, 1/s: from here on the direction of turning is clear
-    )
-    lags_s: tuple[float, ...] = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8)
-    shorter_lags_s: tuple[tuple[float, ...], ...] = ((0.0, 0.1, 0.4), (0.0, 0.2), (0.0,))  # tried where rows are few
-    min_rows_per_column: int = 10  # with fewer the weights are noise
-    ridges: tuple[float, ...] = (1e-3, 1e-2, 1e-1)  # of the row count, for features of unit deviation
-    n_folds: int = 4
+    # of the greatest steering angle, 1/s: from here on the direction of turning is clear
+    clear_turn_rate: float = 0.0125
+    lags_s: tuple[float, ...] = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8)  # ages of the inputs that are features of a residual
+    # tried in turn where rows are few
+    shorter_lags_s: tuple[tuple[float, ...], ...] = ((0.0, 0.1, 0.4), (0.0, 0.2), (0.0,))
+    min_rows_per_column: int = 10  # rows per feature; with fewer the weights are noise
+    # penalties that are tried, of the row count, for features of unit deviation
+    ridges: tuple[float, ...] = (1e-3, 1e-2, 1e-1)
+    n_folds: int = 4  # of the cross-validation over blocks
 
 
 REGRESSION = RegressionCriteria()

@@ -2,9 +2,7 @@
 
 - A link is broken if its residual has a part that some regression explains (lack_of_fit.py), short bursts, or a total
   error that no calibrated model has. Each is compared with the signal and with the sensor's noise.
-- Regions: the mean square of the residual in a range of a driving quantity, compared with the rest of the drive by a
-  block bootstrap. The false discovery rate over all regions is bounded (Benjamini and Hochberg 1995,
-  doi:10.1111/j.2517-6161.1995.tb02031.x).
+- Regions (regions.py): ranges of a driving quantity in which the residual is larger than in the rest of the drive.
 - Bursts: oscillations and drop-outs that no regression on the commands explains and that a mean over the drive hides.
   The loudest short windows are compared with the median window.
 - Shape: delay, gain and bias of the measured signal against the simulated one.
@@ -16,15 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from enum import Enum
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from tunefree_hil.base.contracts import Link
 from tunefree_hil.gap.diagnostics.lack_of_fit import LackOfFit
-from tunefree_hil.gap.estimation.residuals import ResidualModel, TargetProperties
-from tunefree_hil.gap.measured.chain import MeasuredDrive
+from tunefree_hil.gap.diagnostics.regions import Region
+from tunefree_hil.gap.estimation.residuals import TargetProperties
 
 Array = np.ndarray
 
@@ -41,22 +38,12 @@ class LinkCriteria(NamedTuple):
     min_noise_ratio: float = 10.0  # of mean squares, residual to sensor noise: from here on it is not noise
 
 
-class RegionCriteria(NamedTuple):
-    """How regions are cut and tested."""
-
-    n_draws: int = 400  # of the block bootstrap
-    false_discovery_rate: float = 0.1
-    min_rows: int = 60  # inside a region, and outside
-    n_bins: int = 3
-    min_bin_share: float = 0.02  # of the quantity's span: a pedal at rest varies by its noise
-
-
 class BurstCriteria(NamedTuple):
     """What a burst is; ratios are of mean squares."""
 
     window_s: float = 0.5  # half a period at 1 Hz
     loudest_share: float = 0.02  # of the windows: a second in a minute
-    min_windows: int = 50
+    min_windows: int = 50  # in all blocks; with fewer no burst is looked for
     min_movement_share: float = 0.05  # of the signal's deviation: a window that moves less has rounding errors only
     min_moving_windows: int = 10  # with fewer the median is that of all windows
     min_loud_ratio: float = 10.0  # of a loud window to the median window
@@ -67,20 +54,15 @@ class BurstCriteria(NamedTuple):
 class ShapeCriteria(NamedTuple):
     """From which size on a part of a shape is reported."""
 
-    max_lag_s: float = 0.8  # searched
-    min_delay_s: float = 0.01
-    min_gain_change: float = 0.02
+    max_lag_s: float = 0.8  # largest lag that is searched
+    min_delay_s: float = 0.01  # from here on a response is reported as late or early
+    min_gain_change: float = 0.02  # share by which a gain differs from 1
     min_bias_share: float = 0.02  # of the signal's deviation
     max_gain_change: float = 5.0  # a larger one is reported without its value
-    min_rows: int = 256
+    min_rows: int = 256  # valid rows of the longest drive; with fewer no shape is measured
 
 
-LINK_CRITERIA, REGION_CRITERIA, BURST_CRITERIA, SHAPE_CRITERIA = (
-    LinkCriteria(),
-    RegionCriteria(),
-    BurstCriteria(),
-    ShapeCriteria(),
-)
+LINK_CRITERIA, BURST_CRITERIA, SHAPE_CRITERIA = LinkCriteria(), BurstCriteria(), ShapeCriteria()
 
 
 class MisfitKind(Enum):
@@ -163,7 +145,7 @@ class MisfitDescription(NamedTuple):
 
 def assess_links(
     lack_of_fit: Mapping[str, LackOfFit],
-    kinds: Mapping[str, TargetProperties],
+    targets: Mapping[str, TargetProperties],
     sizes: Mapping[str, float],
     bursts: Mapping[str, Burst] | None = None,
 ) -> list[LinkResidual]:
@@ -171,34 +153,34 @@ def assess_links(
 
     Args:
         lack_of_fit: by target.
-        kinds: by target.
+        targets: by name.
         sizes: by target, deviation of the signal.
         bursts: by target; they do not count for a yaw rate from wheel speeds, in which every bump is loud.
     """
     bursts = bursts or {}
     residuals = [
-        _assess_link(name, fit, kinds[name], sizes[name], bursts.get(name)) for name, fit in lack_of_fit.items()
+        _assess_link(name, fit, targets[name], sizes[name], bursts.get(name)) for name, fit in lack_of_fit.items()
     ]
     return sorted(residuals, key=lambda residual: (not residual.is_broken, -residual.misfit_share))
 
 
-def _assess_link(name: str, fit: LackOfFit, kind: TargetProperties, size: float, burst: Burst | None) -> LinkResidual:
+def _assess_link(name: str, fit: LackOfFit, target: TargetProperties, size: float, burst: Burst | None) -> LinkResidual:
     explainable = max(fit.explained, 0.0)
     share = explainable**0.5 / max(size, 1e-12)
-    min_blocks = 1 if kind.link is Link.COMMAND_TO_REPORT else BURST_CRITERIA.min_blocks
-    loud = burst.signal_share(size, min_blocks) if burst is not None and not kind.is_yaw_from_wheels else 0.0
+    min_blocks = 1 if target.link is Link.COMMAND_TO_REPORT else BURST_CRITERIA.min_blocks
+    loud = burst.signal_share(size, min_blocks) if burst is not None and not target.is_yaw_from_wheels else 0.0
     tolerated = min(
-        max(LINK_CRITERIA.tolerated_share, kind.calibration_misfit / max(size, 1e-12)),
+        max(LINK_CRITERIA.tolerated_share, target.calibration_misfit / max(size, 1e-12)),
         LINK_CRITERIA.max_tolerated_share,
     )
-    is_far = fit.total > LINK_CRITERIA.min_noise_ratio * kind.noise**2 and not kind.is_yaw_from_wheels
-    beyond = fit.total - kind.noise**2 if is_far else 0.0
+    is_far = fit.total > LINK_CRITERIA.min_noise_ratio * target.noise**2 and not target.is_yaw_from_wheels
+    beyond = fit.total - target.noise**2 if is_far else 0.0
     gross = beyond**0.5 / max(size, 1e-12)
     is_explainable = share > tolerated and explainable > LINK_CRITERIA.min_explainable_share * fit.total
     return LinkResidual(
         signal=name,
-        link=kind.link,
-        unit=kind.unit,
+        link=target.link,
+        unit=target.unit,
         rms=fit.total**0.5,
         noise=max(fit.total - explainable, 0.0) ** 0.5,
         explainable_rms=explainable**0.5,
@@ -221,146 +203,6 @@ def describe_misfit(
     shape_text = "" if shape is None else shape.text(size)
     parts = [f"{residual.signal} ({residual.link.value})", *clear, *([shape_text] if shape_text else [])]
     return MisfitDescription(residual, shape, tuple(regions), ", ".join(parts))
-
-
-class Region(NamedTuple):
-    """A range of a driving quantity. The fields are keys of the stored search result.
-
-    Args:
-        quantity: name, with unit.
-        low, high: the range.
-        rms: of the residual inside.
-        bias: mean of the residual inside.
-        ratio: of the mean squares inside and outside.
-        ratio_low, ratio_high: 95 % interval of `ratio`.
-        stands_out: whether the ratio is above 1, with all regions tested at once.
-    """
-
-    quantity: str
-    low: float
-    high: float
-    rms: float
-    bias: float
-    ratio: float
-    ratio_low: float
-    ratio_high: float
-    stands_out: bool
-
-    @property
-    def text(self) -> str:
-        """The range as text."""
-        if self.quantity in SIDES:
-            return SIDES[self.quantity][0 if self.high <= 0.5 else 1]
-        return f"{self.quantity} {self.low:.3g} to {self.high:.3g}"
-
-
-SIDES = {
-    "steer side": ("steering to the right", "steering to the left"),
-    "steer way": ("steering wheel turning to the right", "steering wheel turning to the left"),
-}
-# Beginnings of quantities that say nothing about an actuator
-UNRELATED = {
-    "throttle": ("brake", "steer", "lateral", "energy"),
-    "brake": ("throttle", "steer", "lateral"),
-    "steer": ("throttle", "brake", "energy"),
-}
-
-
-class _Bin(NamedTuple):
-    """A range before it is tested; is_inside: (n_rows,)."""
-
-    quantity: str
-    low: float
-    high: float
-    is_inside: Array
-
-
-def find_regions(model: ResidualModel, target: str, residual: Sequence[Array], seed: int = 1) -> list[Region]:
-    """The regions of a target, those that stand out first.
-
-    Args:
-        model: drives and targets.
-        target: name.
-        residual: by drive, (n_rows,).
-        seed: of the bootstrap.
-    """
-    drives = [model.spec.drives[i] for i in model.drive_indices(target)]
-    rows, valid, block = model.drive_rows(target), model.non_holdout_rows(target), model.target_blocks[target]
-    parts = [_region_quantities(drive, drive_rows, target) for drive, drive_rows in zip(drives, rows, strict=True)]
-    keep = [v & (b >= 0) for v, b in zip(valid, block, strict=True)]
-    values = np.concatenate([r[k] for r, k in zip(residual, keep, strict=True)])
-    block_of_row = np.concatenate([b[k] for b, k in zip(block, keep, strict=True)])
-    bins = []
-    for name in parts[0]:
-        quantity = np.concatenate([part[name][k] for part, k in zip(parts, keep, strict=True)])
-        for low, high in _bin_edges(name, quantity):
-            is_inside = (quantity >= low) & (quantity <= high)
-            if REGION_CRITERIA.min_rows <= is_inside.sum() <= len(is_inside) - REGION_CRITERIA.min_rows:
-                bins.append(_Bin(name, low, high, is_inside))
-    return _test_regions(bins, values, block_of_row, seed)
-
-
-def _region_quantities(drive: MeasuredDrive, rows: Array, target: str) -> dict[str, Array]:
-    """Driving quantities by name, (n_rows,)."""
-    x = drive.inputs
-    throttle, brake, steer = x.outputs.T
-    work_j = np.cumsum(np.maximum(-x.speed_rate_mps2, 0.0) * x.speed_mps * (brake > np.median(brake) + 0.005)) * x.dt_s
-    quantities = {
-        "speed (m/s)": x.speed_mps,
-        "throttle (duty)": throttle,
-        "brake (duty)": brake,
-        "steering, either side (rad)": np.abs(steer),
-        "steer side": (steer > 0.0).astype(float),
-        "steer way": (np.gradient(steer) > 0.0).astype(float),
-        "lateral acceleration (m/s2)": np.abs(x.speed_mps * x.yaw_rate_radps),
-        "energy braked (J/kg)": work_j,
-        "time (s)": np.arange(drive.ticks) * x.dt_s,
-    }
-    unrelated = UNRELATED.get(target, ())
-    return {name: values[rows] for name, values in quantities.items() if not name.startswith(unrelated)}
-
-
-def _bin_edges(name: str, quantity: Array) -> list[tuple[float, float]]:
-    """The ranges of a quantity: its two sides, or quantiles that are far enough apart."""
-    if name in SIDES:
-        return [(0.0, 0.4), (0.6, 1.0)]
-    first, *inner, last = np.quantile(quantity, np.linspace(0.0, 1.0, REGION_CRITERIA.n_bins + 1)).tolist()
-    edges, min_width = [first], REGION_CRITERIA.min_bin_share * (last - first)
-    for edge in inner:
-        if edge - edges[-1] > min_width and last - edge > min_width:
-            edges.append(edge)
-    return list(pairwise([*edges, last])) if last > first else []
-
-
-def _test_regions(bins: Sequence[_Bin], values: Array, block_of_row: Array, seed: int) -> list[Region]:
-    """Bootstrap over blocks, then Benjamini-Hochberg over the bins."""
-    if not bins:
-        return []
-    rng = np.random.default_rng(seed)
-    blocks, index = np.unique(block_of_row, return_inverse=True)
-    draws = rng.integers(0, len(blocks), (REGION_CRITERIA.n_draws, len(blocks)))
-    counts = np.stack([np.bincount(draw, minlength=len(blocks)) for draw in draws])
-    square = values * values
-
-    def _sum_by_block(weights: Array) -> Array:
-        return np.bincount(index, weights=weights, minlength=len(blocks))
-
-    regions, p_values = [], []
-    for name, low, high, is_inside in bins:
-        sums = [_sum_by_block(w) for w in (square * is_inside, is_inside, square * ~is_inside, ~is_inside)]
-        drawn = (counts @ sums[0]) * np.maximum(counts @ sums[3], 1.0)
-        drawn = drawn / np.maximum((counts @ sums[1]) * (counts @ sums[2]), 1e-300)
-        ratio = float(square[is_inside].mean() / max(square[~is_inside].mean(), 1e-300))
-        ratio_low, ratio_high = (float(end) for end in np.quantile(drawn, [0.025, 0.975]))
-        p_values.append(float(np.mean(drawn <= 1.0)))
-        rms, bias = float(np.sqrt(square[is_inside].mean())), float(values[is_inside].mean())
-        regions.append(Region(name, low, high, rms, bias, ratio, ratio_low, ratio_high, False))
-    order = np.argsort(p_values)
-    limits = [REGION_CRITERIA.false_discovery_rate * (rank + 1) / len(order) for rank in range(len(order))]
-    passed = [rank for rank, i in enumerate(order) if p_values[i] <= limits[rank]]
-    standing_out = set(order[: passed[-1] + 1].tolist()) if passed else set()
-    regions = [region._replace(stands_out=i in standing_out) for i, region in enumerate(regions)]
-    return sorted(regions, key=lambda region: (not region.stands_out, -region.ratio))
 
 
 class Burst(NamedTuple):

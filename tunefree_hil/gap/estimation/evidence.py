@@ -106,8 +106,8 @@ def _log_likelihood(fit: Fit, name: str, blocks: Array, step: Array | None = Non
 def predictive_log_likelihood(fit: Fit, blocks: Array, targets: Sequence[str] | None = None) -> Array:
     """Log likelihood of each block, shape (n_blocks,), with free parameters fitted on the blocks of the other folds.
 
-    Nuisances stay where all blocks have put them, with or without effects: fitted anew in each fold, they would make
-    up most of the difference.
+    Nuisances keep their values from all blocks, with or without effects: fitted anew in each fold, they would make up
+    most of the difference.
 
     Args:
         targets: those that are counted; None for all

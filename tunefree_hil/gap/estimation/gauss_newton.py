@@ -38,19 +38,12 @@ Array = np.ndarray
 
 
 class StepCriteria(NamedTuple):
-    """When a fit ends.
+    """When a fit ends, in steps."""
 
-    Args:
-        max_candidate_steps: steps of a candidate
-        max_refine_steps: steps of a model that is refined
-        noise_update_steps: steps after which the noise is renewed only when nothing more is gained
-        min_cost_drop: a step that lowers the squared residuals by less is the last
-    """
-
-    max_candidate_steps: int = 8
-    max_refine_steps: int = 40
-    noise_update_steps: int = 3
-    min_cost_drop: float = 0.5
+    max_candidate_steps: int = 8  # of a candidate
+    max_refine_steps: int = 40  # of a model that is refined
+    noise_update_steps: int = 3  # from here on the noise is estimated anew only when nothing more is gained
+    min_cost_drop: float = 0.5  # squared residuals, in units of the noise: a step that gains less is the last
 
 
 CRITERIA = StepCriteria()

@@ -30,26 +30,17 @@ Array = np.ndarray
 
 
 class GridCriteria(NamedTuple):
-    """Resolution of the grids.
+    """Resolution of the grids."""
 
-    Args:
-        linear_points: points of a linear parameter that has no neutral value inside its prior
-        logarithmic_points: points of a logarithmic parameter
-        delay_step_s: smallest step of a delay: edges a few hundredths of a second too early or late are worse than
-            unmoved ones, and a coarser grid has no point from which a derivative leads to the minimum
-        delay_step_share: step of a delay, as a share of it
-        halvings: bisections between two grid points, to where a limit begins to act
-        refined_points: points between the neighbours of the best one: a delay's error varies over a tick
-        min_alternative_reduction: share of a target's mean square. A point that removes more is tried as well,
-            whatever its noise
-    """
-
-    linear_points: int = 12
-    logarithmic_points: int = 8
+    linear_points: int = 12  # of a linear parameter that has no neutral value inside its prior
+    logarithmic_points: int = 8  # of a logarithmic parameter
+    # smallest step of a delay: edges a few hundredths of a second too early or late are worse than unmoved ones, and a
+    # coarser grid has no point from which a derivative leads to the minimum
     delay_step_s: float = 0.015
-    delay_step_share: float = 0.1
-    halvings: int = 7
-    refined_points: int = 9
+    delay_step_share: float = 0.1  # step of a delay, as a share of it
+    halvings: int = 7  # bisections between two grid points, to where a limit begins to act
+    refined_points: int = 9  # between the neighbours of the best point: the error of a delay varies over a tick
+    # share of a target's mean square; a point that removes more is tried as well, whatever its noise
     min_alternative_reduction: float = 0.5
 
 

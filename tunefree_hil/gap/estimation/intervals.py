@@ -26,25 +26,18 @@ Array = np.ndarray
 
 
 class IntervalCriteria(NamedTuple):
-    """Limits for intervals and consistency; sources: docs/results/criteria.md.
+    """Limits for intervals and consistency (docs/results/criteria.md)."""
 
-    Args:
-        max_inconsistency_share: share of an effect's size by which its parameter may differ between blocks, because no
-            model is exact
-        frame_jitter_s: jitter of frames; no delay is more consistent than that
-        chance_level: probability below which blocks are taken to differ by chance only
-        max_drift_ratio: ratio of the scatter between blocks to the drift from day to day up to which a parameter is
-            consistent: a car with other pedals than its model reaches 1.1
-        form_share: standard deviation, as a share of the distance from neutral: no car has an effect exactly in the
-            form of the catalogue
-        at_bound_sigmas: standard deviations (of the 2 that are allowed) from which a nuisance is at its bound
-    """
-
+    # of an effect's size, by which its parameter may differ between blocks: no model is exact
     max_inconsistency_share: float = 0.05
-    frame_jitter_s: float = 0.002
-    chance_level: float = 0.999
+    frame_jitter_s: float = 0.002  # jitter of frames: no delay is more consistent than that
+    chance_level: float = 0.999  # quantile of chi squared, up to which blocks are taken to differ by chance only
+    # scatter between blocks over the drift from day to day, up to which a parameter is consistent; a car with other
+    # pedals than its model reaches 1.1
     max_drift_ratio: float = 1.5
+    # standard deviation, of the distance from neutral: no car has an effect exactly in the form of the catalogue
     form_share: float = 0.01
+    # standard deviations, of the 2 that are allowed, from which a nuisance is at its bound
     at_bound_sigmas: float = 1.8
 
 

@@ -5,7 +5,7 @@ is 0 and 1 at the ends of their priors. Residuals are whitened and in units of t
 is a negative log likelihood.
 
 Steps are minima of a convex quadratic within bounds, found by active sets. Nuisances may reach MAX_SIGMA each. Where
-the model's own logs were used as a prior (gap/estimation/calibration_priors.py), combinations of nuisances that are
+the calibration logs were used as a prior (gap/estimation/calibration_priors.py), combinations of nuisances that are
 known better than each of them are bounded as well: the joint bounds.
 """
 
@@ -144,7 +144,7 @@ class LeastSquaresProblem:
     Args:
         nuisances: what recalibration may move, in this order
         correlation: of their priors, shape (n_nuisances, n_nuisances); None for none
-        has_calibration_prior: the model's own logs are in the priors: then there are joint bounds
+        has_calibration_prior: the calibration logs are in the priors: then there are joint bounds
     """
 
     def __init__(

@@ -56,37 +56,26 @@ class Nuisance(NamedTuple):
 
 
 class NuisanceCriteria(NamedTuple):
-    """Limits of the priors of nuisance parameters; sources: docs/results/criteria.md.
+    """Limits of the priors of nuisance parameters (docs/results/criteria.md)."""
 
-    Args:
-        min_drift_share: share of the drift that recalibration may move of a model that reproduces its own logs. Larger
-            changes are looked for by name
-        exact_speed_rms_mps: speed error up to which a model reproduces its own logs: of `calibrate` over free runs of a
-            few seconds, of `learn` after 10 s on held-out stretches
-        calibration_sigma_factor: of a calibration's own deviation: these drives would not know the constant better
-        max_constant_sigma: largest doubt of a constant, as a share of it
-        drag_sigmas_to_zero: standard deviations from the drag area to zero, below which there is no car
-        min_dead_time_sigma_s: no channel's dead time is known better on another day
-        min_lag_sigma: the same of its lag, as a share
-        min_gain_sigma: of its gain, as a share
-        min_offset_sigma: of its offset, duty or rad
-        max_channel_sigma: largest share by which a channel's lag or gain may be off
-        max_bend_sigma: of the road wheels' linkage per rad², where it was not calibrated
-        min_bend_sigma: of the same, however well it was calibrated
-    """
-
+    # of the drift that recalibration may move of a model that reproduces its logs; larger changes are looked for by
+    # name
     min_drift_share: float = 0.25
+    # speed error up to which a model reproduces its logs: of `calibrate` over free runs of a few seconds, of
+    # `learn` after 10 s on held-out stretches
     exact_speed_rms_mps: float = 0.06
+    # of a calibration's own deviation: two equally good determinations differ by this
     calibration_sigma_factor: float = math.sqrt(2.0)
-    max_constant_sigma: float = 0.15
-    drag_sigmas_to_zero: float = 3.1
-    min_dead_time_sigma_s: float = 0.001
-    min_lag_sigma: float = 0.01
-    min_gain_sigma: float = 0.0005
-    min_offset_sigma: float = 5e-5
-    max_channel_sigma: float = 0.3
+    max_constant_sigma: float = 0.15  # largest doubt of a constant, as a share of it
+    drag_sigmas_to_zero: float = 3.1  # standard deviations from the drag area to zero, below which there is no car
+    min_dead_time_sigma_s: float = 0.001  # no channel's dead time is known better on another day
+    min_lag_sigma: float = 0.01  # the same of its lag, as a share
+    min_gain_sigma: float = 0.0005  # the same of its gain, as a share
+    min_offset_sigma: float = 5e-5  # the same of its offset, duty or rad
+    max_channel_sigma: float = 0.3  # largest share by which a channel's lag or gain may be off
+    # of the road wheels' linkage per rad², where it was not calibrated; half of its prior
     max_bend_sigma: float = 0.5 * PRIORS.linkage_bend_per_rad2
-    min_bend_sigma: float = 0.08
+    min_bend_sigma: float = 0.08  # of the same per rad², however well it was calibrated
 
 
 CRITERIA = NuisanceCriteria()
@@ -108,10 +97,8 @@ CONSTANT_SIGMAS: dict[str, float] = {
     "wheelbase_m": 0.008,
 }
 ABSOLUTE_CONSTANTS = {"throttle_zero_frac", BRAKE_RISE}  # their doubt is in their own unit, that of the others a share
-ZERO_ALLOWED = {
-    LINKAGE_BEND_PARAM,
-    BRAKE_RISE,
-}  # constants that may be zero: a calibration's deviation is in their own unit
+# Constants that may be zero: a calibration's deviation is in their own unit
+ZERO_ALLOWED = {LINKAGE_BEND_PARAM, BRAKE_RISE}
 # A calibration knows a combination of these constants much better than each of them. Where its card does not hold their
 # correlation, their doubt must not move one of them alone.
 JOINTLY_KNOWN = {
@@ -228,7 +215,7 @@ def read_constant_correlations(model: ModelSpec) -> dict[str, dict[str, float]]:
 
 
 def read_drift_share(model: ModelSpec, pace: float = 1.0) -> float:
-    """Share of the day-to-day drift that recalibration may move, by how well the model reproduces its own logs.
+    """Share of the day-to-day drift that recalibration may move, by how well the model reproduces its calibration logs.
 
     A model that does reproduce them (`exact_speed_rms_mps`) is right about its car throughout. One that misses more, or
     whose card does not tell, may move a larger share: what it misses there it will miss here, and that is no effect.

@@ -38,17 +38,11 @@ NON_FINITE_RESIDUAL = 1e6  # stands for a simulation that diverged
 
 
 class NoiseFloorCriteria(NamedTuple):
-    """Smallest noise that a residual is taken to have; sources: docs/results/criteria.md.
+    """Smallest noise that a residual is taken to have (docs/results/criteria.md)."""
 
-    Args:
-        min_sensor_share: share of the sensor's own white noise
-        min_signal_share: share of the signal's RMS: no model of a car is more exact than that at every instant
-        min_level_share: smallest scale of a wheel speed error, as a share of the speed: wheels are off by a share of
-            it, however steady the drive is
-    """
-
-    min_sensor_share: float = 0.3
-    min_signal_share: float = 0.002
+    min_sensor_share: float = 0.3  # of the sensor's own white noise
+    min_signal_share: float = 0.002  # of the signal's RMS: no model of a car is more exact than that at every instant
+    # smallest scale of a wheel speed error, of the speed: wheels are off by a share of it, however steady the drive
     min_level_share: float = 0.1
 
 

@@ -1,7 +1,7 @@
 """Blocks of drives and their roles: fit, selection (which parameters a repair moves) and holdout (used once).
 
 Neighbouring rows are nearly the same measurement, and what a drive shows changes over its time. So the blocks take
-turns over the whole drive (fit, selection, fit, holdout), with a guard behind each. Where all drives together are too
+turns over the whole drive (fit, selection, fit, holdout), with a guard after each. Where all drives together are too
 short for the least number of blocks, the blocks are shorter, but not below the least length.
 """
 
@@ -18,9 +18,9 @@ Array = np.ndarray
 class BlockCriteria(NamedTuple):
     """Lengths and numbers of blocks (docs/results/criteria.md)."""
 
-    block_s: float = 8.0
+    block_s: float = 8.0  # length of a block where the logs are long enough for min_blocks of them
     min_block_s: float = 5.0  # a residual is correlated over up to 4 s (gap/estimation/noise.py)
-    guard_s: float = 1.0  # behind a block of block_s; behind a shorter one in proportion
+    guard_s: float = 1.0  # after a block of block_s; after a shorter one in proportion
     min_blocks: int = 8  # two of them for the holdout, two for the selection
     min_driven_blocks: int = 7  # with a moving car: many recordings begin at rest, or driven by hand
 
@@ -36,7 +36,7 @@ class Blocks(NamedTuple):
 
     Args:
         roles: of each block.
-        begins, ends: first row, and the row behind the last one, of its drive.
+        begins, ends: first row, and the row after the last one, of its drive.
         drives: index of its drive.
     """
 

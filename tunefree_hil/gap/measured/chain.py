@@ -2,7 +2,7 @@
 
     command -> echo -> actuator -> reported output -> car -> chassis reports, INS
 
-Each link is judged by what was measured before it, so that a broken link does not break those behind it. For what a log
+Each link is judged by what was measured before it, so that a broken link does not break those after it. For what a log
 does not hold, each link has a reason (observability.py).
 
 An INS that gives pose but no speed or yaw rate (motion capture, a receiver with two antennas) has these made from the
@@ -55,11 +55,11 @@ class ChainCriteria(NamedTuple):
 class PoseCriteria(NamedTuple):
     """When the slopes of a pose are rates (docs/results/criteria.md)."""
 
-    slope_values: int = 5  # under a slope: more would smooth away what a quick car does
+    slope_values: int = 5  # values under a slope: more would smooth away what a quick car does
     max_interval_s: float = 0.06  # between two values: a slope over more than a quarter of a second is no rate
-    min_values: int = 20
-    typical_quantile: float = 0.99  # of the steps
-    jump_ratio: float = 5.0  # to a typical step: a longer one is no motion
+    min_values: int = 20  # of each field; with fewer there are no slopes
+    typical_quantile: float = 0.99  # of the steps, that counts as a typical step
+    jump_ratio: float = 5.0  # of a step to a typical one: a longer step is no motion
 
 
 CHAIN_CRITERIA, POSE_CRITERIA = ChainCriteria(), PoseCriteria()
@@ -332,7 +332,7 @@ def _hold_last_value(drive: Drive, name: str) -> Array:
 
 
 def _find_settled_rows(acts: Array, dt_s: float) -> Array:
-    """(ticks,): rows that lie settling_s behind the beginning of a stretch in which commands act."""
+    """(ticks,): rows that lie settling_s after the beginning of a stretch in which commands act."""
     settled = np.zeros(len(acts), dtype=bool)
     settling = round(CHAIN_CRITERIA.settling_s / dt_s)
     for begin, end in find_runs(acts, settling + 1):

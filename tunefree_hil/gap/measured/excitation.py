@@ -26,20 +26,21 @@ Array = np.ndarray
 class ExcitationCriteria(NamedTuple):
     """How the quantities are measured; a pedal's numbers are duty (docs/results/criteria.md)."""
 
-    min_moving_mps: float = 2.0
+    min_moving_mps: float = 2.0  # speed, scaled to that of a road car, from which on moves are counted
     move_window_s: float = 0.5  # within which a command's move has to happen
-    min_pedal_move: float = 0.03
-    min_steer_move: float = 0.02  # of the steering limit
+    min_pedal_move: float = 0.03  # change of a command that counts as a move
+    min_steer_move: float = 0.02  # the same of steering, of the steering limit
     min_steer_turn: float = 0.01  # of the steering limit, back from the last extreme
-    max_straight_mps2: float = 0.3  # lateral acceleration
-    min_curve_mps2: float = 0.5  # lateral acceleration
-    min_braking_mps: float = 3.0  # loss of speed in one braking
-    min_pedal: float = 0.005  # above rest
+    max_straight_mps2: float = 0.3  # lateral acceleration below which a car drives straight
+    min_curve_mps2: float = 0.5  # lateral acceleration above which it turns
+    min_braking_mps: float = 3.0  # loss of speed from which on a braking counts
+    min_pedal: float = 0.005  # above rest, from which on a pedal is pressed
 
 
 class DrivingCriteria(NamedTuple):
     """When logs suffice."""
 
+    # length of min_blocks blocks of the shortest length, with their guards
     min_log_s: float = BLOCK_CRITERIA.min_blocks * BLOCK_CRITERIA.min_block_s * (1.0 + GUARD_SHARE)
     min_named_share: float = 0.05  # of the time, from which on a cause of not driving is named
 
@@ -171,7 +172,7 @@ def require_enough_driving(drives: Sequence[MeasuredDrive]) -> None:
             "selection and holdout",
             code="too_short",
             key="LOG",
-            hint=f"record {DRIVING_CRITERIA.min_log_s:.0f} s or more; twice that tells more",
+            hint=f"record {DRIVING_CRITERIA.min_log_s:.0f} s or more; twice that shows more",
         )
     driven = sum(_count_driven_blocks(drive, blocks, i) for i, drive in enumerate(drives))
     if driven < BLOCK_CRITERIA.min_driven_blocks:

@@ -1,6 +1,6 @@
 """Which blocks are the holdout: every fourth, but not one that alone reaches an extreme of the inputs.
 
-An effect may show only at an extreme of what a car is asked for: a steering stop, the engine's power, the tyres' grip.
+An effect may show only at an extreme of the commands: a steering stop, the engine's power, the tyres' grip.
 If the only turn that reaches it is in the holdout, the search cannot find the effect. Such a block therefore changes
 places with a neighbour, unless that neighbour holds another extreme. Only the inputs decide, never the model's errors.
 """

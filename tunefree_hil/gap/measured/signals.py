@@ -33,9 +33,10 @@ class SensorLimitCriteria(NamedTuple):
     """When a sensor is at the end of its range (docs/results/criteria.md)."""
 
     min_run_rows: int = 8  # equal values in a row
-    min_runs: int = 2
-    pile_up_ratio: float = 5.0  # to the next values together: noise and rounding give less
-    neighbour_values: int = 3  # next to the end
+    min_runs: int = 2  # such runs at the end of the range
+    # rows with the last value, to those with the next values together: noise and rounding give less
+    pile_up_ratio: float = 5.0
+    neighbour_values: int = 3  # values next to the last one that it is compared to
 
 
 SIGNAL_CRITERIA, SENSOR_LIMIT_CRITERIA = SignalCriteria(), SensorLimitCriteria()

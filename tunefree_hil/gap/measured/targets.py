@@ -35,7 +35,7 @@ class TargetCriteria(NamedTuple):
     window_s: float = 0.21  # of the smoothing polynomials; delays of a few hundredths of a second remain visible
     min_speed_mps: float = 1.5  # below it a car creeps, sticks or stands, which a single-track model does not describe
     min_rows: int = 200  # of all drives together; of one drive its share of these, but at least min_drive_rows
-    min_drive_rows: int = 40
+    min_drive_rows: int = 40  # of one drive, however short it is
     # In tighter turns the front tyres work against each other as far as the linkage does not turn each for its own
     # circle. The speed that this costs, t²/L² C δ⁴ / m, is in no single-track model: 0.016 m/s² here, 0.06 at 0.33 rad.
     max_gentle_rad: float = 0.24

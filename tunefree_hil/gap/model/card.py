@@ -1,4 +1,4 @@
-"""The card in a model's folder: how the model was made (docs/learning.md)."""
+"""The card in a model's folder: how the model was made (docs/explanation/learning.md)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def load_model_card(model: ModelSpec) -> dict[str, Any]:
     """The card of a model; empty if the model names none.
 
     Raises:
-        InputError: the card is missing, or is none.
+        InputError: the card is missing or invalid.
     """
     if not model.plant.card or not model.folder:
         return {}
@@ -49,7 +49,7 @@ def read_card(path: Path) -> dict[str, Any]:
     """The table in a card's file.
 
     Raises:
-        InputError: the file is no card.
+        InputError: the file is no valid card.
     """
     try:
         card = json.loads(path.read_text(encoding="utf-8"))
@@ -61,7 +61,7 @@ def read_card(path: Path) -> dict[str, Any]:
 
 
 def card_error(path: Path, reason: object) -> InputError:
-    """The error for a file that is no card."""
+    """The error for a file that is no valid card."""
     return InputError(
         f"this is no card of a model: {reason}", code="bad_card", file=str(path), hint="calibrate the model again"
     )
@@ -71,7 +71,7 @@ def read_holdout_errors(model: ModelSpec) -> HoldoutErrors:
     """The holdout errors in a model's card.
 
     Raises:
-        InputError: the card is none.
+        InputError: the card is invalid.
     """
     card = load_model_card(model)
     try:

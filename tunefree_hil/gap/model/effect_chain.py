@@ -15,7 +15,7 @@ from tunefree_hil.base.records import Report
 Array = np.ndarray
 ChannelTriple = tuple[Any, Any, Any]  # of throttle, brake, steer
 
-# Ports of throttle, brake, steer: before the actuator, on its output, behind the report
+# Ports of throttle, brake, steer: before the actuator, on its output, after the report
 PORTS_A = (Port.THROTTLE_A, Port.BRAKE_A, Port.STEER_A)
 PORTS_OUT = (Port.THROTTLE_OUT, Port.BRAKE_OUT, Port.STEER_OUT)
 PORTS_B = (Port.THROTTLE_B, Port.BRAKE_B, Port.STEER_B)
@@ -75,7 +75,7 @@ def join_channel_chains(
     return params, (throttle.state(blocks, dt_s), brake.state(blocks, dt_s), steer.state(blocks, dt_s))
 
 
-NOT_AFFINE = "what it makes of a reported output is neither a factor nor an offset, so the output is not known"
+NOT_AFFINE = "it changes a reported output by more than a factor and an offset, so the output is not known"
 PROBE_TICKS = 3  # with the same report
 AFFINE_TOLERANCE = 1e-9  # of an output of 1: rounding
 

@@ -56,8 +56,8 @@ from tunefree_hil.plant.constants import LEAST
 
 Array = np.ndarray
 # Parameter values by key: 'steer_lag.tau_s' of an effect; 'plant.drive_force_n' and 'actuator.steer.lag_s', log of a
-# factor; 'clock.steer_s', by which the chassis feels an output later than its report says; 'clock.ins_s', by which the
-# INS is later than it says; LINKAGE_BEND_KEY, in addition to the plant's own parameter
+# factor; 'clock.steer_s', by which an output reaches the chassis later than its report; 'clock.ins_s', by which the
+# INS is later than its time stamp; LINKAGE_BEND_KEY, in addition to the plant's own parameter
 Values = Mapping[str, float]
 
 LINKAGE_BEND_KEY, LINKAGE_BEND_PARAM = "linkage.bend", "linkage_bend"
@@ -169,7 +169,7 @@ class EffectGraph:
     def simulate(self, x: DriveInputs, values: Values) -> Array:
         """Simulate a drive.
 
-        Where outputs were measured, the parts before and behind them do not influence each other: a half whose values
+        Where outputs were measured, the parts before and after them do not influence each other: a half whose values
         are those of a recent run is not simulated again.
 
         Returns:
@@ -195,7 +195,7 @@ class EffectGraph:
         return simulated
 
     def _affects_outputs(self, key: str, *, only: bool = False) -> bool:
-        """Whether a value changes reported outputs; only: and nothing behind them."""
+        """Whether a value changes reported outputs; only: and nothing after them."""
         name = key.partition(".")[0]
         if name == "actuator":
             return True
@@ -315,7 +315,7 @@ class EffectGraph:
         return np.stack([shift_earlier(command, delay) if echoed else command for command, echoed in columns], axis=1)
 
     def _vehicle_inputs(self, x: DriveInputs, blocks: dict[str, Block], values: Values, outputs: Array) -> InputRow:
-        """Columns (n_rows,) of the input rows; what a late or shifted report says is put back to when and what it was.
+        """Columns (n_rows,) of the input rows; late or shifted values of reports are corrected.
 
         outputs: of the actuators, for channels without a measured output.
         """

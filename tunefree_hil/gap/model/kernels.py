@@ -119,7 +119,7 @@ def is_pinned(rows: Any, start: int) -> bool:
 
 @kernel
 def pack_output(rows: Any, start: int, reported: Report, output: Actuation) -> int:
-    """Write an OutputRow; returns the index behind it."""
+    """Write an OutputRow; returns the index after it."""
     rows[start] = reported.throttle_frac
     rows[start + 1] = reported.brake_frac
     rows[start + 2] = reported.steer_rad
@@ -131,7 +131,7 @@ def pack_output(rows: Any, start: int, reported: Report, output: Actuation) -> i
 
 @kernel
 def pack_simulated(rows: Any, start: int, motion: Motion, report: Report, ins: Ins) -> int:
-    """Write a SimulatedRow without its outputs, which are the actuators'; returns the index behind it."""
+    """Write a SimulatedRow without its outputs, which are the actuators'; returns the index after it."""
     rows[start + 3] = motion.speed_rate_mps2
     rows[start + 4] = report.speed_mps
     rows[start + 5] = report.yaw_rate_radps

@@ -1,8 +1,8 @@
 """What a model misses on the logs that it was calibrated from, so that a later log is compared with that.
 
-Most models come near their own logs, and whatever a later log shows is new. A model of a shaking car of 2 kg does not,
-and misses each later log as it missed its own: that counts against no name, and an effect with the same value as in
-those logs is not new. `calibrate` asks the calibration logs once, and card.json keeps the result.
+Most models reproduce their calibration logs, and whatever a later log shows is new. A model of a shaking car of 2 kg
+misses each later log as it missed those: that counts against no name, and an effect with the same value as in those
+logs is not new. `calibrate` analyses the calibration logs once, and card.json keeps the result.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 # Keys of card.json
 BASELINE_KEY, INCONSISTENT_KEY, UNEXPLAINED_KEY = "usual", "restless", "own_missed"
-BURST_KEY, TOTAL_KEY, SHARE_KEY = "loud", "gross", "share"
+BURST_KEY, GROSS_KEY, SHARE_KEY = "loud", "gross", "share"
 PEDALS = ("throttle_gain.gain_frac", "brake_gain.gain_frac")  # the same force along the car shows in either
 
 Known = tuple[float, float]  # (value, standard deviation), both in the parameter's unit
@@ -34,13 +34,13 @@ class BaselineMisfit(NamedTuple):
 
     Args:
         misfit: by target, the share missed.
-        effects: value and deviation of each effect there, fitted alone, as far as the logs tell it.
+        effects: value and deviation of each effect there, fitted alone, as far as the logs determine it.
         broken: targets that are missed by more than a calibrated model may.
         explaining: effects that together explain the logs, so that nothing is broken.
         inconsistent_gains: gains that differ from block to block there, in standard deviations.
         misfit_unexplained: by target, the share missed without `explaining`.
-        burst_share, total_share, explicable_share: by target, the parts of the misfit that LinkResidual has, whether
-            they break a link or not. A card without the last has `misfit` in its place.
+        burst_share, total_share, explicable_share: by target, as in LinkResidual, whether they break a link or
+            not. A card without the last has `misfit` in its place.
     """
 
     misfit: Mapping[str, float]
@@ -50,8 +50,8 @@ class BaselineMisfit(NamedTuple):
     inconsistent_gains: Mapping[str, float] = {}
     misfit_unexplained: Mapping[str, float] = {}
     burst_share: Mapping[str, float] = {}
-    total_share: Mapping[str, float] = {}
-    explicable_share: Mapping[str, float] = {}
+    gross_share: Mapping[str, float] = {}
+    explainable_share: Mapping[str, float] = {}
 
     def excess_inconsistency(self, gains: Mapping[str, float]) -> dict[str, float]:
         """The gains that differ from block to block by more than twice what they did in the calibration logs."""
@@ -61,8 +61,8 @@ class BaselineMisfit(NamedTuple):
         return {key: sigmas for key, sigmas in gains.items() if sigmas > factor * known.get(key, 0.0)}
 
     def is_known(self, link: LinkResidual) -> bool:
-        """Whether no more of a target is missed than of the calibration logs, whatever explained it there: then it does
-        not count against an effect on another signal.
+        """Whether no more of a target is missed than of the calibration logs, with or without `explaining`: then it
+        does not count against an effect on another signal.
         """
         unexplained = self.misfit_unexplained.get(link.signal, 0.0)
         return self.is_within(link) or self.excess_over(link).misfit_share <= BASELINE.max_misfit_factor * unexplained
@@ -71,21 +71,21 @@ class BaselineMisfit(NamedTuple):
         """Whether no more of a target is missed than on the calibration logs; its predictable part, its bursts and the
         whole are each compared by itself.
         """
-        share = self.explicable_share.get(link.signal, self.misfit.get(link.signal, 0.0))
+        share = self.explainable_share.get(link.signal, self.misfit.get(link.signal, 0.0))
         return self.excess_over(link).misfit_share <= max(BASELINE.max_misfit_factor * share, link.tolerated_share)
 
     def burst_limit(self, target: str) -> float:
         """The share of a signal that its bursts have to miss to exceed the baseline."""
         return max(LINK_CRITERIA.max_burst_share, BASELINE.max_misfit_factor * self.burst_share.get(target, 0.0))
 
-    def total_limit(self, target: str) -> float:
+    def gross_limit(self, target: str) -> float:
         """The same of the whole misfit, predictable or not."""
-        return max(LINK_CRITERIA.max_gross_share, BASELINE.max_misfit_factor * self.total_share.get(target, 0.0))
+        return max(LINK_CRITERIA.max_gross_share, BASELINE.max_misfit_factor * self.gross_share.get(target, 0.0))
 
     def excess_over(self, link: LinkResidual) -> LinkResidual:
         """A link's residual without the bursts and without the whole where they are within the baseline."""
         burst = link.burst_share if link.burst_share > self.burst_limit(link.signal) else 0.0
-        total = link.gross_share if link.gross_share > self.total_limit(link.signal) else 0.0
+        total = link.gross_share if link.gross_share > self.gross_limit(link.signal) else 0.0
         return link._replace(burst_share=burst, gross_share=total)
 
 
@@ -103,13 +103,13 @@ def baseline_from_links(links: Sequence[LinkResidual], effects: Mapping[str, Map
         effects=effects,
         broken=frozenset(link.signal for link in links if link.is_broken),
         burst_share={link.signal: link.burst_share for link in links},
-        total_share={link.signal: link.gross_share for link in links},
-        explicable_share={link.signal: link.explainable_share for link in links},
+        gross_share={link.signal: link.gross_share for link in links},
+        explainable_share={link.signal: link.explainable_share for link in links},
     )
 
 
 def baseline_of_model(model: ModelSpec) -> BaselineMisfit:
-    """The baseline in a model's card; NO_BASELINE where it comes near its own logs, or was never asked.
+    """The baseline in a model's card; NO_BASELINE where it reproduces its calibration logs, or they were not analysed.
 
     Raises:
         InputError: the card cannot be read.
@@ -137,8 +137,8 @@ def baseline_from_card(card: Mapping[str, Any]) -> BaselineMisfit:
         inconsistent_gains=_numbers_from(card, INCONSISTENT_KEY),
         misfit_unexplained=_numbers_from(card, UNEXPLAINED_KEY),
         burst_share=_numbers_from(entry, BURST_KEY),
-        total_share=_numbers_from(entry, TOTAL_KEY),
-        explicable_share=_numbers_from(entry, SHARE_KEY),
+        gross_share=_numbers_from(entry, GROSS_KEY),
+        explainable_share=_numbers_from(entry, SHARE_KEY),
     )
 
 
@@ -155,8 +155,8 @@ def card_entries(baseline: BaselineMisfit) -> dict[str, Any]:
             "broken": sorted(baseline.broken),
             "effects": _estimate_entries(baseline.effects),
             BURST_KEY: dict(baseline.burst_share),
-            TOTAL_KEY: dict(baseline.total_share),
-            SHARE_KEY: dict(baseline.explicable_share),
+            GROSS_KEY: dict(baseline.gross_share),
+            SHARE_KEY: dict(baseline.explainable_share),
         }
     return entries
 

@@ -1,7 +1,7 @@
 """A hill and an accelerometer's offset, which a calibration cannot tell apart.
 
-A model made of drives up the same hill has the hill in its rolling resistance, and what the accelerometer says of the
-hill then looks like an offset. Only a rolling resistance that no tyre has excludes the hill.
+A model of drives up the same hill has the hill in its rolling resistance; what the accelerometer measures of the hill
+then looks like an offset. Only a rolling resistance that no tyre has excludes the hill.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ WITH_ROLLING = ("physics", "hybrid")  # kinds of plant that have a rolling resis
 def add_grade_equivalent(
     steps: Sequence[CandidateScore], fit: Fit, baseline: BaselineMisfit, model: ModelSpec
 ) -> list[CandidateScore]:
-    """Give an accelerometer's offset that the calibration logs had as well the hill as an equivalent.
+    """Make the hill an equivalent of an accelerometer's offset that the calibration logs had as well.
 
     Args:
         fit: the fit with all steps.

@@ -21,7 +21,7 @@ OF_OTHER_SIGNALS = (Criterion.DEGRADATION, Criterion.BROKEN_DEGRADATION)
 class SelectionCriteria(NamedTuple):
     """Thresholds for naming one effect. Evidence and gains in nats, the others as shares (1 is all of it)."""
 
-    # Evidence over the base model, and gain on held-out blocks. A likelihood ratio of 400.
+    # Evidence over the base model, and cross-validated gain. A likelihood ratio of 400.
     min_evidence_nats: float = MIN_EVIDENCE_NATS
     # Evidence above what a model mismatch reaches: 6 nats on clean logs of development (n = 47), 28 on clean cars of
     # the exam of fb4a7b1 (n = 300). e315ffe
@@ -54,14 +54,14 @@ class SelectionCriteria(NamedTuple):
     min_degradation_share: float = 0.1
     # Factor on all thresholds for a borderline candidate: no name, but an equivalent. 206fe92
     borderline_scale: float = 0.8
-    # Squared distance from neutral that a target has to feel, in variances of its noise: one.
+    # Squared change of a target by an effect that moves it, in variances of its noise: one.
     min_affected_squares: float = 1.0
-    # RMS error, of the best candidate's, below which a target's noise is taken from that candidate instead. d0a8c99
+    # RMS error of a target, of the best candidate's: a candidate with less gives the target's noise. d0a8c99
     noise_source_share: float = 0.5
 
 
 class EquivalenceCriteria(NamedTuple):
-    """Thresholds for calling two candidates indistinguishable; shares, but for the last one."""
+    """Thresholds for calling two candidates indistinguishable; shares, but for `min_weak_set_nats`."""
 
     # Reduction of the best candidate's signal, of the best one's own. Less is an effect on another signal. d0a8c99
     min_shared_reduction: float = 0.25
@@ -76,15 +76,15 @@ class EquivalenceCriteria(NamedTuple):
 
 
 class RejectionCriteria(NamedTuple):
-    """Thresholds for rejecting effects that were selected; shares, but for the third one."""
+    """Thresholds for rejecting effects that were selected; shares, but for `cancellation_sigmas`."""
 
     # Of what could be explained of a signal before, what may be left. 206fe92
     max_unexplained_share: float = 0.25
     # Of what the effects explain of a signal, what a parameter that differs between blocks may move of it. 206fe92
-    max_inconsistency_share: float = 0.25
-    # An effect that cancels one of the calibration: deviations within which nothing is left of the two. d0a8c99
+    max_moved_share: float = 0.25
+    # What is left of an effect of the calibration and one that cancels it: at most so many deviations. d0a8c99
     cancellation_sigmas: float = 3.0
-    # The same as a share of it: the form of the effect in its place is not quite the car's. d0a8c99
+    # The same as a share of the calibration's: its form is not quite the car's. d0a8c99
     cancellation_share: float = 0.1
 
 
@@ -111,9 +111,9 @@ class GradeCriteria(NamedTuple):
 
 
 class SearchLimits(NamedTuple):
-    """Effort of the search; none of these decides on a name."""
+    """Effort of the search; no candidate is rejected by these."""
 
-    max_effects: int = 3
+    max_effects: int = 3  # no further one is looked for
     refined_at_once: int = 4  # candidates that are fitted on together before they are compared
     first_refined_share: float = 0.5  # of the best one's evidence, from which on a candidate is fitted on
     refined_share: float = 0.8  # the same once the best ones are fitted on
@@ -136,7 +136,7 @@ class CandidateScore(NamedTuple):
 
     Args:
         evidence: log evidence over that base model, nats.
-        gain: predictive log likelihood over it on held-out blocks, nats.
+        gain: cross-validated log likelihood over it, nats.
         target: the signal where it reduces the error most clearly.
         error_reduction: share of the recalibrated error there that it removes.
         degradation, broken_degradation: largest growth of another signal's mean square error, as a share; the second
@@ -175,13 +175,13 @@ class CandidateScore(NamedTuple):
 
     @property
     def is_borderline(self) -> bool:
-        """Whether it may be named, or fails by at most a fifth: a set without it would be too sure."""
+        """Whether it may be named, or fails by at most a fifth; then it may be an equivalent, though not a name."""
         return not failed_criteria(self, scale=CRITERIA.borderline_scale)
 
     @property
     def is_weak(self) -> bool:
-        """Whether only the holdout blocks can confirm it: no link is broken, and any mismatch has a candidate that
-        explains a part of it with little evidence.
+        """Whether only the holdout blocks can confirm it: its link is not broken, and it explains a part of the error,
+        with little evidence, as some candidate does of any mismatch.
         """
         return (
             self.is_unbroken
@@ -191,8 +191,8 @@ class CandidateScore(NamedTuple):
 
     @property
     def degrades_others(self) -> bool:
-        """Whether it is plainly there, and fails only by the signals that it degrades: two effects that hide each other
-        are like that, each without the other.
+        """Whether its evidence is plain, and it fails only by the signals that it degrades, as each of two effects that
+        hide each other does alone.
         """
         is_plain = (
             self.evidence > CRITERIA.plain_evidence_nats and self.error_reduction.value > CRITERIA.plain_error_reduction
@@ -232,8 +232,8 @@ def failed_reasons(
     noise = scale * c.min_gain_noise_ratio * score.gain.std
     compared = [
         (Criterion.EVIDENCE, score.evidence > evidence, score.evidence, evidence),
-        (Criterion.HOLDOUT_GAIN, score.gain.total > least, score.gain.total, least),
-        (Criterion.HOLDOUT_GAIN_BOUND, score.gain.low > 0.0, score.gain.low, 0.0),
+        (Criterion.PREDICTIVE_GAIN, score.gain.total > least, score.gain.total, least),
+        (Criterion.PREDICTIVE_GAIN_BOUND, score.gain.low > 0.0, score.gain.low, 0.0),
         (
             Criterion.GAIN_NOISE,
             not score.is_further or score.explains_all or score.gain.total > noise,

@@ -1,4 +1,4 @@
-"""Which other candidates may be meant where one is accepted: names that these logs, or any logs, cannot tell apart."""
+"""Which other candidates explain as much as an accepted one: effects that these logs, or any logs, cannot separate."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = np.ndarray
 def find_better_rejected(scores: Sequence[CandidateScore]) -> CandidateScore | None:
     """The candidate that explains more of the best one's signal and is not accepted; None where there is none.
 
-    It needs 6 nats more evidence. If its blocks do not agree on that, it has to gain more on held-out blocks as well.
+    It needs 6 nats more evidence. If its blocks do not agree, it needs 6 nats more cross-validated gain as well.
     """
     best = scores[0]
     least = MIN_EVIDENCE_NATS
@@ -36,7 +36,7 @@ def find_better_rejected(scores: Sequence[CandidateScore]) -> CandidateScore | N
 
 
 def find_equivalents(scores: Sequence[CandidateScore], blocks: Array) -> list[str]:
-    """Names that the best candidate cannot be told from.
+    """Names of candidates that cannot be separated from the best one.
 
     These are candidates on the same signal that the blocks do not separate from it (paired test, Holm's correction);
     where no link is broken, those that explain as much with nearly the evidence; and, of candidates scored alone, those
@@ -85,7 +85,7 @@ def add_easily_confused(
     excitation: Mapping[str, Excitation],
     drives: Sequence[MeasuredDrive],
 ) -> CandidateScore:
-    """A step with its equivalents: one of each class that no log tells apart, none of the other steps.
+    """A step with its equivalents: one of each class that no log separates, none of the other steps.
 
     Where the drive hardly excites the effect, effects that are easily confused with it (`impostors` of the catalogue)
     are equivalents too, if they come near to its evidence.
@@ -109,12 +109,12 @@ def add_easily_confused(
 
 
 def find_inseparable(names: Sequence[str], drives: Sequence[MeasuredDrive]) -> dict[str, tuple[str, ...]]:
-    """Of each named effect, the effects that no log of this car tells from it and that are not named beside it."""
+    """Of each named effect, the effects that no log of this car separates from it and that are not named beside it."""
     has_lateral = has_lateral_acceleration(drives)
-    found = {name: tuple(sorted(indistinguishable_effects(name, has_lateral) - set(names))) for name in names}
-    return {name: others for name, others in found.items() if others}
+    inseparable = {name: tuple(sorted(indistinguishable_effects(name, has_lateral) - set(names))) for name in names}
+    return {name: others for name, others in inseparable.items() if others}
 
 
 def has_lateral_acceleration(drives: Sequence[MeasuredDrive]) -> bool:
-    """Whether one of the drives has a lateral accelerometer, which tells some effects apart."""
+    """Whether one of the drives has a lateral accelerometer, which separates some effects."""
     return any(drive.has_signals("report.lateral_accel_mps2") for drive in drives)

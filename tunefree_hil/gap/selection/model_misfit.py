@@ -34,8 +34,8 @@ class ModelMisfit(NamedTuple):
 
 def assess_model(pool: WorkerPool, problem: OpenProblem, model: FitSummary, blocks: Array) -> ModelMisfit:
     """What a model leaves in these blocks, and which links are broken with it."""
-    (lack_of_fit,) = pool.ask(worker.assess_lack_of_fit, [model.fit], blocks)
-    (bursts,) = pool.ask(worker.find_bursts, [model.fit], blocks)
+    (lack_of_fit,) = pool.call(worker.assess_lack_of_fit, [model.fit], blocks)
+    (bursts,) = pool.call(worker.find_bursts, [model.fit], blocks)
     return ModelMisfit(lack_of_fit, assess_links(lack_of_fit, problem.target_properties, problem.signal_scales, bursts))
 
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class VerdictKind(Enum):
-    """What a search came to. The value is the `verdict` of gap.json; NOT_SEARCHED is written as null."""
+    """The result of a search. The value is the `verdict` of gap.json; NOT_SEARCHED is written as null."""
 
     ONE = "one"
     SEVERAL = "several"
@@ -22,13 +22,16 @@ class VerdictKind(Enum):
     NOT_SEARCHED = ""
 
 
+NAMED = (VerdictKind.ONE, VerdictKind.SEVERAL)
+
+
 class Criterion(Enum):
     """What a candidate, a set, or a whole search failed. The value is the `criterion` of gap.json's `reasons`."""
 
     # A candidate's own score (criteria.py)
     EVIDENCE = "evidence"  # log evidence over its base model, nats
-    HOLDOUT_GAIN = "holdout_gain"  # summed log likelihood gained on held-out blocks, nats
-    HOLDOUT_GAIN_BOUND = "holdout_gain_bound"  # lower 95 % bound of that, nats
+    PREDICTIVE_GAIN = "holdout_gain"  # cross-validated log likelihood over its base model, nats
+    PREDICTIVE_GAIN_BOUND = "holdout_gain_bound"  # lower 95 % bound of that, nats
     GAIN_NOISE = "gain_noise"  # that gain against its standard deviation between blocks, nats
     EXPLAINED_SHARE = "explained_share"  # RMS explained, as a share of the signal
     ERROR_REDUCTION = "error_reduction"  # share of the signal's error that it removes
@@ -36,7 +39,6 @@ class Criterion(Enum):
     DEGRADATION = "degradation"  # growth of another signal's mean square error, share
     BROKEN_DEGRADATION = "broken_degradation"  # the same of a signal whose link is broken
     # The selected candidates (rejection.py)
-    BETTER_REJECTED = "better_rejected"  # a candidate that fails its own score explains clearly more
     RESIDUAL_PEAK = "residual_peak"  # its signal is still missed in moments or as a whole, share of the signal
     RESIDUAL_LEFT = "residual_left"  # share of what could be explained of its signal that is left
     LARGER_ELSEWHERE = "larger_elsewhere"  # another signal is missed by more than it explains, share of that signal
@@ -45,18 +47,19 @@ class Criterion(Enum):
     UNTESTED_IN_CALIBRATION = "untested_in_calibration"  # the calibration logs could not have shown it
     DEPENDENT = "dependent"  # gains nothing without an effect that is not new
     ABSORBED_BY_CALIBRATION = "absorbed_by_calibration"  # cancels an effect that the calibration had put in
+    # The verdict (verdict.py)
+    BETTER_REJECTED = "better_rejected"  # a candidate that fails its own score explains clearly more
     INDISTINGUISHABLE = "indistinguishable"  # other candidates explain these logs as well
     WEAK_SET = "weak_set"  # a set of weak candidates only, nats
     WEAK = "weak"  # named, and only the holdout blocks can confirm it
-    # The whole search (verdict.py)
     FRAMES_CHANGED = "frames_changed"  # commands were echoed that were never sent, share of the echoes
     UNEXPLAINED = "unexplained"  # a broken link that no effect explains, share of the signal
     WITHIN_BASELINE = "within_baseline"  # nothing is missed by more than on the model's calibration logs
     RECALIBRATION_INCONSISTENCY = "recalibration_inconsistency"  # a gain differs between blocks, standard deviations
     NOTHING_BROKEN = "nothing_broken"  # no link is broken
-    NOTHING_VISIBLE = "nothing_visible"  # these logs could have shown no effect
+    NOTHING_VISIBLE = "nothing_visible"  # these logs could have shown no effect (result.py)
     # The holdout blocks (jobs/gap/acceptance.py)
-    NOT_MEASURED = "not_measured"  # no holdout block could be run
+    NOT_MEASURED = "not_measured"  # no holdout block could be run, or there is no gap
     GAP_NOT_CLOSED = "gap_not_closed"  # the repair closes nothing there, share of the gap
     GAP_LEFT = "gap_left"  # upper bound of the closed share is too small
     GAP_UNCERTAIN = "gap_uncertain"  # lower bound of the closed share is too small
@@ -71,7 +74,7 @@ class Reason(NamedTuple):
         name: the effect that failed it; "" where it is no single effect's.
         value, limit: the number and the threshold that it was compared with, in the criterion's unit.
         others: further effects that the reason is about (equivalents, absorbed causes, what hides it).
-        key: the parameter or signal that the numbers are of.
+        key: the signal, parameter or effect that the numbers are of.
         link: the signal's residual, where the reason is one.
         detail: of KNOWN_TO_CALIBRATION, (parameter, value now, value in the calibration logs).
     """

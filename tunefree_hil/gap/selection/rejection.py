@@ -1,12 +1,12 @@
-"""Every place where the search's effects are rejected, in their order; each leaves a reason with its numbers.
+"""Every place where the selected effects are rejected, in their order; each gives a `Reason`.
 
 1. `split_known_effects`: the model's calibration logs had the effect already.
 2. `drop_dependent_effects`: it gains nothing without an effect that is not new.
 3. `find_residual_rejection`: it does not explain its own signal, or less than what is missed elsewhere.
 4. `find_inconsistency_rejection`: its value differs from block to block.
-5. `drop_absorbed_effects`: it only undoes what the calibration had put down to the wrong cause.
+5. `drop_absorbed_effects`: it only cancels an effect that the calibration put in for another cause.
 
-Before that a candidate may fail its score (criteria.py); after it the holdout blocks may reject what is named
+Before that a candidate may fail its score (criteria.py), after it the holdout blocks may reject a name
 (jobs/gap/acceptance.py).
 """
 
@@ -37,7 +37,7 @@ from tunefree_hil.gap.workers.worker import FitSummary
 
 Array = np.ndarray
 
-FROM_GAP = "log"  # key in the provenance of an effect that `gap` named, which was evidence and no calibration's guess
+FROM_GAP = "log"  # key in the provenance of effects that `gap` named; effects without it are the calibration's
 
 
 class ExplainedTargets(NamedTuple):
@@ -67,7 +67,7 @@ class SelectionOutcome(NamedTuple):
         repaired: the model with them.
         misfit: what that model leaves.
         links_with_all_steps: every target, with all effects of the search in the model.
-        rejection: why none of them is named all the same; None where nothing speaks against them.
+        rejection: why none of them is named; None where they may be.
         dropped: why single effects were dropped.
         known: why effects are not new.
         known_names: the effects that were left out because they are not new.
@@ -90,7 +90,7 @@ def reject_effects(
     recalibrated: ModelMisfit,
     baseline: BaselineMisfit,
 ) -> SelectionOutcome:
-    """Take out of a search's effects what is not new or not missing.
+    """Reject effects of a search that are not new or do not explain what is missing.
 
     Args:
         steps: the effects of the search, in its order.
@@ -138,7 +138,7 @@ def _find_inconsistency(
     pool, problem, blocks = context
 
     def moved_shares(key: str, std_u: float) -> dict[str, float]:
-        moved = pool.ask(worker.measure_sensitivity, repaired.fit, key, std_u)
+        moved = pool.call(worker.measure_sensitivity, repaired.fit, key, std_u)
         return {target: rms / problem.signal_scales[target] for target, rms in moved.items()}
 
     drives = problem.blocks.drives[blocks]
@@ -172,7 +172,7 @@ def split_known_effects(
 ) -> EffectSplit:
     """Drop effects that the model's calibration logs had as well, where the model misses those logs.
 
-    An effect on a signal that the model came near to is new, unless those logs plainly had as much of it.
+    An effect on a signal that the model does not miss there is new, unless those logs clearly had as much of it.
 
     Args:
         model: the fit with all effects.
@@ -182,8 +182,8 @@ def split_known_effects(
         return EffectSplit(list(steps))
     values, stay, reasons = estimates_across_blocks(model, blocks), list[CandidateScore](), list[Reason]()
     for step in steps:
-        is_asked = step.target in baseline.broken or _had_effect(step.name, baseline)
-        reason = _known_reason(step.name, values, baseline) if is_asked else None
+        may_be_known = step.target in baseline.broken or _had_effect(step.name, baseline)
+        reason = _known_reason(step.name, values, baseline) if may_be_known else None
         if reason is not None:
             reasons.append(reason)
         if explained or reason is None:
@@ -192,8 +192,8 @@ def split_known_effects(
 
 
 def _had_effect(name: str, baseline: BaselineMisfit) -> bool:
-    """Whether a parameter of the effect was off neutral in the calibration logs. Of a limit, whose neutral is infinite,
-    no number of deviations says so.
+    """Whether a parameter of the effect was off neutral in the calibration logs; limits, whose neutral value is
+    infinite, are not compared.
     """
     neutral, known = load_catalogue()[name].neutral, baseline.effects.get(name, {})
     finite = {key: estimate for key, estimate in known.items() if math.isfinite(neutral[key])}
@@ -228,7 +228,7 @@ def drop_dependent_effects(
 ) -> EffectSplit:
     """Drop all effects if some steps are not new and none of the others gains anything without those.
 
-    What is not new is not put into the model, so that these would show nothing of the model as it is.
+    What is not new is not put into the model, so the others would change nothing.
 
     Args:
         alone: every candidate scored alone.
@@ -254,10 +254,10 @@ def find_residual_rejection(
     explained: ExplainedTargets,
     baseline: BaselineMisfit = NO_BASELINE,
 ) -> Reason | None:
-    """Why effects do not explain what is missing; None where nothing speaks against them.
+    """Why effects do not explain what is missing; None where they do.
 
-    Signals that they work on have to be explained; what is missed elsewhere has to be less than what they explain. What
-    the model misses within its baseline does not count.
+    They have to explain the signals that they work on, and more than what is missed elsewhere. What the model misses
+    within its baseline does not count.
 
     Args:
         before, after: every target without the effects and with them.
@@ -287,9 +287,9 @@ def find_residual_rejection(
 
 def _is_peak_left(link: LinkResidual, before: LinkResidual, baseline: BaselineMisfit) -> bool:
     """Whether its bursts, or all of it whether predictable or not, are missed as before and beyond the baseline."""
-    burst_limit, total_limit = baseline.burst_limit(link.signal), baseline.total_limit(link.signal)
+    burst_limit, gross_limit = baseline.burst_limit(link.signal), baseline.gross_limit(link.signal)
     return _is_mostly_left(link.burst_share, before.burst_share, burst_limit) or _is_mostly_left(
-        link.gross_share, before.gross_share, total_limit
+        link.gross_share, before.gross_share, gross_limit
     )
 
 
@@ -302,7 +302,7 @@ def inconsistency_limits(links: Sequence[LinkResidual], explained: Mapping[str, 
     """By target, what an inconsistent parameter may move of its signal: what a calibrated model may miss, or a part of
     what the effects explain there (the effect's form is not quite the car's).
     """
-    share = REJECTION.max_inconsistency_share
+    share = REJECTION.max_moved_share
     return {link.signal: max(link.tolerated_share, share * explained.get(link.signal, 0.0)) for link in links}
 
 
@@ -311,7 +311,7 @@ def find_inconsistency_rejection(
     limits: Mapping[str, float],
     moved_shares: Callable[[str, float], Mapping[str, float]],
 ) -> Reason | None:
-    """The effect whose parameter differs from block to block by so much that it is no constant; None where none does.
+    """Why effects are rejected: one has a parameter that is no constant over the blocks. None where all are constant.
 
     Args:
         inconsistencies: by effect.
@@ -319,11 +319,11 @@ def find_inconsistency_rejection(
         moved_shares: (key, deviation in u) -> by target, the share of the signal that this moves.
     """
     limit = INTERVAL_CRITERIA.max_inconsistency_share
-    for name, found in inconsistencies.items():
-        if found.share > limit and any(
-            share > limits[target] for target, share in moved_shares(found.key, found.std_u).items()
+    for name, inconsistency in inconsistencies.items():
+        if inconsistency.share > limit and any(
+            share > limits[target] for target, share in moved_shares(inconsistency.key, inconsistency.std_u).items()
         ):
-            return Reason(Criterion.BLOCK_INCONSISTENCY, name, found.share, limit, key=name)
+            return Reason(Criterion.BLOCK_INCONSISTENCY, name, inconsistency.share, limit, key=name)
     return None
 
 
@@ -332,8 +332,8 @@ def drop_absorbed_effects(
 ) -> EffectSplit:
     """Drop an effect that cancels the same effect of the model's calibration, and would be no name alone.
 
-    A model made of drives across a banked road has a steering offset for it. Once the bank is named, that offset goes,
-    and its going is nothing that the model lacks.
+    A model of drives across a banked road has a steering offset for the bank. Once the bank is named, the opposite
+    offset is found beside it; the model does not lack that.
 
     Args:
         alone: every candidate scored alone.
@@ -360,17 +360,17 @@ def drop_absorbed_effects(
 
 def _calibrated_effects(model: ModelSpec) -> dict[str, list[Mapping[str, float]]]:
     """Parameters of the effects that a model's calibration put in, by effect."""
-    found: dict[str, list[Mapping[str, float]]] = {}
+    calibrated: dict[str, list[Mapping[str, float]]] = {}
     for effect in model.effects:
         # What the calibration logs say of the day is in no folder (validation/repair.py, `apply_own_numbers`)
         is_of_day = effect.provenance == RECALIBRATED and effect.name in UNWRITTEN_EFFECTS
         if FROM_GAP not in effect.provenance and not is_of_day:
-            found.setdefault(effect.name, []).append(effect.params)
-    return found
+            calibrated.setdefault(effect.name, []).append(effect.params)
+    return calibrated
 
 
 def _cancels_out(name: str, calibrated: Sequence[Mapping[str, float]], values: Mapping[str, Known]) -> bool:
-    """Whether the model's effects and the new one leave nothing together, and each by itself is one."""
+    """Whether the model's effects, which are not neutral, and the new one cancel."""
     sigmas, share = REJECTION.cancellation_sigmas, REJECTION.cancellation_share
     for parameter, neutral in load_catalogue()[name].neutral.items():
         if neutral not in (0.0, 1.0):  # of limits the lower one counts, and no other cancels it

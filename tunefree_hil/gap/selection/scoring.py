@@ -46,11 +46,11 @@ class Comparison(NamedTuple):
 
 
 def score_candidates(candidates: Mapping[str, FitSummary], against: Comparison) -> list[CandidateScore]:
-    """Score fitted candidates, the accepted ones first, of these the one with the most evidence.
+    """Score fitted candidates: the accepted ones first, in each part the one with the most evidence first.
 
-    All are scored by the noise of the best candidate; which one is the best is decided by each
-    candidate's own noise. By the noise of the base a bias would hide its cause, as it is the same in every row. For a
-    target that another candidate explains much better, that one's noise counts.
+    All are scored by the noise of the best candidate; which one is the best is decided by each candidate's own noise.
+    With the noise of the base, a bias would hide its cause, as it is the same in every row. For a target that another
+    candidate explains much better, that one's noise counts.
     """
     if not candidates:
         return []
@@ -107,7 +107,9 @@ def _score_candidate(name: str, affected: Sequence[str], model: FitSummary, agai
         is_further=bool(base_fit.free),
         other_blocks_reduction=reduction_in_other_blocks(base, model, target, blocks, recalibrated),
         is_unbroken=broken is not None and target not in broken,
-        broken_degradation=max((by for grown, by in growth.items() if broken is None or grown in broken), default=0.0),
+        broken_degradation=max(
+            (share for key, share in growth.items() if broken is None or key in broken), default=0.0
+        ),
         error_reductions={target: reduction.value for target, reduction in reductions.items()},
         explained_share=explained[target],
     )
@@ -122,8 +124,9 @@ def _counted_growth(
 ) -> dict[str, float]:
     """By how much the mean square of affected targets grows, as a share, as far as that counts against a candidate.
 
-    Growth does not count below a share of what the candidate explains; where the model misses the target on its
-    calibration logs as much; nor where the target's link is not broken and the held-out blocks do not speak against it.
+    Growth does not count below a share of what the candidate explains, or up to `max_baseline_degradation` where the
+    model misses the target on its calibration logs too, or where the target's link is not broken and its predictive
+    gain is not negative.
 
     Args:
         gains: by target, predictive log likelihood over the base.
@@ -137,16 +140,16 @@ def _counted_growth(
     }
     broken, within, limit = against.broken, against.within_baseline, CRITERIA.max_baseline_degradation
     return {
-        target: by
-        for target, by in growth.items()
-        if (target not in within or by > limit) and (broken is None or target in broken or gains[target] < 0.0)
+        target: share
+        for target, share in growth.items()
+        if (target not in within or share > limit) and (broken is None or target in broken or gains[target] < 0.0)
     }
 
 
 def _predictive_gain(fit: Fit, base: Fit, blocks: Array, target: str) -> float:
-    """Log likelihood of a target on held-out blocks over the base's."""
-    own, other = (predictive_log_likelihood(model, blocks, [target]) for model in (fit, base))
-    return float((own - other).sum())
+    """Cross-validated log likelihood of a target, over the base's."""
+    likelihoods, base_likelihoods = (predictive_log_likelihood(model, blocks, [target]) for model in (fit, base))
+    return float((likelihoods - base_likelihoods).sum())
 
 
 def _noise_rows(candidates: Mapping[str, FitSummary], best: str, blocks: Array) -> dict[str, float]:
@@ -169,7 +172,7 @@ def affected_targets(model: FitSummary, blocks: Array, name: str = "") -> list[s
     """
     fit = model.fit
     own_keys = range(len(fit.keys) - len(fit.free), len(fit.keys))  # the effects' parameters are the last keys
-    own = {
+    moves = {
         i: distance_to_neutral(free, float(fit.z[i]))
         for i, free in zip(own_keys, fit.free, strict=True)
         if not name or free.key.partition(".")[0] == name
@@ -177,7 +180,7 @@ def affected_targets(model: FitSummary, blocks: Array, name: str = "") -> list[s
     affected = []
     for target, equations in fit.equations.items():
         curvature = np.einsum("bii->i", equations.curvature[blocks]) / equations.noise.correlation_rows
-        squares = [curvature[c] * own[int(i)] ** 2 for c, i in enumerate(equations.columns) if int(i) in own]
+        squares = [curvature[c] * moves[int(i)] ** 2 for c, i in enumerate(equations.columns) if int(i) in moves]
         if max(squares, default=0.0) > CRITERIA.min_affected_squares:
             affected.append(target)
     return affected
@@ -185,8 +188,8 @@ def affected_targets(model: FitSummary, blocks: Array, name: str = "") -> list[s
 
 def _growth(before: FitSummary, after: FitSummary, target: str, blocks: Array) -> float:
     """By how much a target's mean square grows, row by row, as a share."""
-    was, now = (float(model.squared_residuals[target][0][blocks].sum()) for model in (before, after))
-    return now / was - 1.0 if was > 0.0 else 0.0
+    squares = [float(model.squared_residuals[target][0][blocks].sum()) for model in (before, after)]
+    return squares[1] / squares[0] - 1.0 if squares[0] > 0.0 else 0.0
 
 
 def _explained_share(before: FitSummary, after: FitSummary, target: str, against: Comparison) -> float:
@@ -223,9 +226,9 @@ def reduction_in_other_blocks(
     before: FitSummary, after: FitSummary, target: str, blocks: Array, recalibrated: FitSummary
 ) -> float:
     """By how much a target's RMS error shrinks, row by row, in all blocks but the one that gains most."""
-    was, now, whole = (model.squared_residuals[target][0][blocks] for model in (before, after, recalibrated))
-    rest = np.arange(len(blocks)) != int(np.argmax(was - now))
-    rms = [float(np.sqrt(squares[rest].sum())) for squares in (was, now, whole)]
+    squares = [model.squared_residuals[target][0][blocks] for model in (before, after, recalibrated)]
+    rest = np.arange(len(blocks)) != int(np.argmax(squares[0] - squares[1]))
+    rms = [float(np.sqrt(by_block[rest].sum())) for by_block in squares]
     return (rms[0] - rms[1]) / rms[2] if rms[2] > 0.0 else 0.0
 
 
@@ -248,7 +251,7 @@ def bootstrap_reduction(squares: Sequence[tuple[Array, Array]], blocks: Array, s
 def explained_targets(
     recalibrated: FitSummary, repaired: FitSummary, signal_scales: Mapping[str, float], blocks: Array
 ) -> dict[str, float]:
-    """The targets that a model's effects explain, each by how much of its signal: there they answer for what is left.
+    """The targets that a model's effects explain, each with the share of its signal that they explain.
 
     A target has to be affected and its error to shrink: beside an effect, recalibration moves any target a little.
     """
@@ -262,10 +265,10 @@ def explained_targets(
         target: share
         for target, share in shares.items()
         if share > CRITERIA.min_explained_share
-        and error_reduction(recalibrated, repaired, target, blocks)[0] >= CRITERIA.min_error_reduction
+        and error_reduction(recalibrated, repaired, target, blocks).value >= CRITERIA.min_error_reduction
     }
 
 
 def unexplained_share(before: LackOfFit, after: LackOfFit) -> float:
-    """Of what could have been explained of a target, the share that still can be."""
+    """Share of a target's explainable mean square that is left."""
     return max(after.explained, 0.0) / before.explained if before.explained > 0.0 else 0.0

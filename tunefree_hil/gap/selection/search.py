@@ -2,8 +2,8 @@
 
 Forward: the best accepted candidate is added, and all others are scored beside it. Backward: an effect that is no
 longer accepted beside the later ones is taken out. Settle: each effect that stays is compared with all candidates in
-its place; those that explain as much are its equivalents. Models that are compared are fitted on until nothing is
-gained: else what the fit gains for the other effects would count for the candidate.
+its place; those that explain as much are its equivalents. Models are refined before they are compared: else what the
+fit gains for the other effects would count for the candidate.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ Array = np.ndarray
 def select_effects(
     context: SearchContext, scores: list[CandidateScore], recalibrated: ModelMisfit, baseline: BaselineMisfit
 ) -> Generator[SearchProgress, None, tuple[list[CandidateScore], SelectionOutcome]]:
-    """Repeat the search, each time without effects that the calibration logs had already, until none of these is left:
-    what is not new must not hide what is.
+    """Repeat the search, each time without effects that the calibration logs had as well, until none of these is found:
+    an effect that is not new must not hide a new one.
 
     Args:
         scores: every candidate scored alone.
@@ -46,13 +46,13 @@ def select_effects(
     """
     known_names, known = set[str](), tuple[Reason, ...]()
     while True:
-        asked = context._replace(problem=_without_candidates(context.problem, known_names))
+        remaining = context._replace(problem=_without_candidates(context.problem, known_names))
         alone = [score for score in scores if score.name not in known_names]
-        found = yield from search_forward(asked, alone)
-        steps = yield from search_backward(asked, found)
-        steps, alone = yield from settle_steps(asked, alone, steps, shortened=len(steps) < len(found))
+        added = yield from search_forward(remaining, alone)
+        steps = yield from search_backward(remaining, added)
+        steps, alone = yield from settle_steps(remaining, alone, steps, shortened=len(steps) < len(added))
         yield SearchProgress(SearchStage.REMAINDER, "what is left unexplained")
-        outcome = reject_effects(asked, steps, alone, recalibrated, baseline)
+        outcome = reject_effects(remaining, steps, alone, recalibrated, baseline)
         known += outcome.known
         if not outcome.known_names:
             return alone, outcome._replace(known=known)
@@ -60,7 +60,7 @@ def select_effects(
 
 
 def _without_candidates(problem: OpenProblem, names: Collection[str]) -> OpenProblem:
-    return problem._replace(candidates=tuple(one for one in problem.candidates if one.name not in names))
+    return problem._replace(candidates=tuple(c for c in problem.candidates if c.name not in names))
 
 
 def search_forward(
@@ -72,8 +72,8 @@ def search_forward(
         return []
     steps = [first]
     while len(steps) < SEARCH.max_effects:
-        taken = {step.name for step in steps}
-        names = [candidate.name for candidate in context.problem.candidates if candidate.name not in taken]
+        selected = {step.name for step in steps}
+        names = [candidate.name for candidate in context.problem.candidates if candidate.name not in selected]
         yield SearchProgress(
             SearchStage.FURTHER_EFFECTS, f"further effects beside {', '.join(step.name for step in steps)}"
         )
@@ -123,14 +123,14 @@ def search_backward(
 def settle_steps(
     context: SearchContext, alone: list[CandidateScore], steps: list[CandidateScore], shortened: bool = False
 ) -> Generator[SearchProgress, None, tuple[list[CandidateScore], list[CandidateScore]]]:
-    """Find the equivalents of each effect, and of a single effect the best candidate at its values.
+    """Find the equivalents of each effect; a single one is scored again, and the best candidate takes its place.
 
     Args:
         alone: every candidate scored alone.
         shortened: an effect was taken out, so that the equivalents of the newest have to be found again.
 
     Returns:
-        the effects with their equivalents; the candidates scored alone, a single effect among them as it is now.
+        the effects with their equivalents; the candidates scored alone, a single effect with its last model.
     """
     if not steps:
         return [], alone
@@ -189,7 +189,7 @@ def _refine_best(
 def _refinement_candidates(scores: Sequence[CandidateScore], share: float, refined: set[str]) -> list[str]:
     """The next candidates to be fitted on: those with a share of the best one's evidence, and the best one in any case.
 
-    After one step of the search the best is still a little off, and an error that is the same in every row counts as
+    After one step of its fit the best one is still a little off, and an error that is the same in every row counts as
     noise, in which nothing has evidence.
     """
     relevant = sorted((score for score in scores if score.is_relevant), key=lambda score: -score.evidence)
@@ -204,18 +204,18 @@ def _refinement_candidates(scores: Sequence[CandidateScore], share: float, refin
 
 
 def _improved_fits(
-    models: Mapping[str, FitSummary], again: Mapping[str, FitSummary], best: FitSummary, blocks: Array
+    models: Mapping[str, FitSummary], refits: Mapping[str, FitSummary], best: FitSummary, blocks: Array
 ) -> dict[str, FitSummary]:
     """Those of the models fitted again that explain more than before, by the noise that the best one leaves.
 
-    By the noise of a start that lacks a constant force no grid finds its cause: the error is the same in every row.
+    With the noise of a base that lacks a constant force, no grid finds its cause: the error is the same in every row.
     """
     rows = correlation_rows_by_target(best.fit)
     evidence = {
-        name: [log_evidence(with_correlation_rows(model.fit, rows), blocks) for model in (models[name], other)]
-        for name, other in again.items()
+        name: [log_evidence(with_correlation_rows(model.fit, rows), blocks) for model in (models[name], refit)]
+        for name, refit in refits.items()
     }
-    return {name: again[name] for name, (before, after) in evidence.items() if after > before}
+    return {name: refits[name] for name, (before, after) in evidence.items() if after > before}
 
 
 def _score(context: SearchContext, models: Mapping[str, FitSummary], base: FitSummary) -> list[CandidateScore]:
@@ -244,8 +244,8 @@ def _score_in_place(context: SearchContext, steps: list[CandidateScore], step: C
     """Score one of several steps among all other candidates, beside the rest of the steps."""
     last = steps[-1].model
     rest = context.pool.fit_without_effects(last, [step.name])[step.name]
-    taken = {other.name for other in steps}
-    names = [candidate.name for candidate in context.problem.candidates if candidate.name not in taken]
+    selected = {other.name for other in steps}
+    names = [candidate.name for candidate in context.problem.candidates if candidate.name not in selected]
     scores = fit_and_score(context, names, rest, {step.name: last})
     score = next(score for score in scores if score.name == step.name)
     equal = [scores[0].name, *find_equivalents(scores, context.blocks)] if scores[0].is_accepted else []

@@ -1,4 +1,4 @@
-"""The verdict of a search: one name, several, a set, nothing, or something that the catalogue does not have."""
+"""The verdict of a search: one name, several, a set, nothing missing, or something that is not in the catalogue."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 from tunefree_hil.gap.diagnostics.residual_tests import LinkResidual
 from tunefree_hil.gap.estimation.nuisance import DRIFT_SIGMAS
-from tunefree_hil.gap.measured.clock import CommandEcho
+from tunefree_hil.gap.measured.command_echo import CommandEcho
 from tunefree_hil.gap.model.graph import load_catalogue
 from tunefree_hil.gap.selection.baseline_misfit import NO_BASELINE, BaselineMisfit
 from tunefree_hil.gap.selection.criteria import EQUIVALENCE, CandidateScore, failed_reasons
 from tunefree_hil.gap.selection.equivalence import find_better_rejected
 from tunefree_hil.gap.selection.reasons import Criterion, Reason, Verdict, VerdictKind
 
-DAY_SIGMAS = 2.0  # deviations of a day's change within which a value may be nothing but the day's
+DAY_SIGMAS = 2.0  # standard deviations of the change from day to day, within which a value may be that change
 
 
 def find_changed_frames(echoes: Sequence[CommandEcho]) -> tuple[Reason, ...]:
@@ -33,7 +33,7 @@ class Findings(NamedTuple):
         links: every target with recalibration done, the worst broken first.
         alone: every candidate scored alone, the best first.
         steps: the effects that the search selected, with their equivalents.
-        rejection: why `steps` are not what is missing; None where nothing speaks against them.
+        rejection: why `steps` are not what is missing; None where they may be named.
         changed_frames: of `find_changed_frames`.
         inconsistent_gains: gains that recalibration would move from block to block, in standard deviations.
         baseline: what the model misses on its calibration logs.
@@ -48,15 +48,15 @@ class Findings(NamedTuple):
     baseline: BaselineMisfit = NO_BASELINE
 
 
-def decide_verdict(found: Findings) -> Verdict:
-    """Decide by what a search found. An effect of several that has equivalents makes a set of all of them."""
-    steps = found.steps
-    if found.changed_frames:
-        return Verdict(VerdictKind.NONE_OF_THESE, (), found.changed_frames)
+def decide_verdict(findings: Findings) -> Verdict:
+    """Decide by the findings of a search. An effect of several that has equivalents makes a set of all of them."""
+    steps = findings.steps
+    if findings.changed_frames:
+        return Verdict(VerdictKind.NONE_OF_THESE, (), findings.changed_frames)
     if not steps:
-        return _nothing_found(found)
-    if found.rejection is not None:
-        return Verdict(VerdictKind.NONE_OF_THESE, (), (found.rejection,))
+        return _nothing_found(findings)
+    if findings.rejection is not None:
+        return Verdict(VerdictKind.NONE_OF_THESE, (), (findings.rejection,))
     names = tuple(step.name for step in steps)
     if not any(step.equivalents for step in steps):
         kind = VerdictKind.ONE if len(steps) == 1 else VerdictKind.SEVERAL
@@ -66,7 +66,7 @@ def decide_verdict(found: Findings) -> Verdict:
     if all(step.is_weak and step.evidence < EQUIVALENCE.min_weak_set_nats for step in steps):
         evidence = max(step.evidence for step in steps)
         weak_set = Reason(Criterion.WEAK_SET, members[0], evidence, EQUIVALENCE.min_weak_set_nats, others=members[1:])
-        beyond = links_beyond_baseline(found.links, found.baseline)
+        beyond = links_beyond_baseline(findings.links, findings.baseline)
         return _without_name(beyond[0] if beyond else None, weak_set)
     return Verdict(
         VerdictKind.SET,
@@ -82,13 +82,13 @@ def decide_location(links: Sequence[LinkResidual], changed_frames: tuple[Reason,
     return Verdict(VerdictKind.NOT_SEARCHED) if links[0].is_broken else _without_name(None)
 
 
-def _nothing_found(found: Findings) -> Verdict:
+def _nothing_found(findings: Findings) -> Verdict:
     """The verdict where no effect was selected; with the criteria that the strongest candidate fails."""
-    alone, inconsistent_gains = found.alone, found.inconsistent_gains
+    alone, inconsistent_gains = findings.alone, findings.inconsistent_gains
     strongest = max(alone, key=lambda score: score.evidence, default=None)
     failed = failed_reasons(strongest) if strongest is not None else ()
-    beyond = links_beyond_baseline(found.links, found.baseline)
-    worst = (beyond or found.links)[0]
+    beyond = links_beyond_baseline(findings.links, findings.baseline)
+    worst = (beyond or findings.links)[0]
     better = find_better_rejected(alone) if alone and alone[0].is_accepted else None
     if better is not None:
         best = alone[0]
@@ -107,7 +107,7 @@ def _nothing_found(found: Findings) -> Verdict:
 
 
 def _without_name(worst: LinkResidual | None, *reasons: Reason) -> Verdict:
-    """No name: something is missing where a link is broken, else nothing."""
+    """No name: something is missing where a link is broken (`worst`), else nothing."""
     if worst is None:
         return Verdict(VerdictKind.NONE_MISSING, (), (Reason(Criterion.NOTHING_BROKEN), *reasons))
     unexplained = Reason(

@@ -1,7 +1,7 @@
 """Free runs over a recording: the whole simulated vehicle of a model folder, driven by the recorded commands alone.
 
-Actuators, effects, chassis and sensors are put together as on the bench (plant/vehicle.py, `assemble`), so that what is
-proved is what a bench drives. Where rows are held, the chassis is set to the measured motion; elsewhere it runs free.
+Actuators, effects, chassis and sensors are put together as on the bench (plant/vehicle.py, `assemble`), so that a
+bench drives what is verified. Where rows are held, the chassis is set to the measured motion; elsewhere it runs free.
 Sensor noise is left out, as it is in the measurement.
 
 A run over some blocks may begin anew before each of them, if the vehicle forgets within WARM_UP_S what it did before.
@@ -38,10 +38,10 @@ INS_SIGNALS = tuple(f"ins.{name}" for name in Ins._fields)
 RECORDS = {Port.REPORT: Report, Port.INS: Ins}
 SENSOR_PORTS = (Port.REPORT, Port.INS)
 STANDSTILL_MPS = 0.05  # measured speed of a standing road car: its wheel sensors rattle, and brakes would act each tick
-COURSE_S, MIN_PATH_M = 4.0, 2.0  # positions give a course by means over this time, once they are so far apart
+COURSE_S, MIN_PATH_M = 4.0, 2.0  # window and least length of path from which positions give a course
 WARM_UP_S = 3.0  # after that a lag of 0.4 s keeps 5e-4 of what was before; most lags are a few hundredths
 DISTURBED_S, DISTURBANCE = 3.0, 0.5  # how long and how far (duty, rad, or 1 of a report) a part is driven before
-MAX_REMAINDER = 1e-3  # share of the difference that may be left after WARM_UP_S
+MAX_REMAINDER = 1e-3  # share of the difference between the two sides that may be left after WARM_UP_S
 
 
 class FreeRunCar(NamedTuple):
@@ -72,7 +72,7 @@ def assemble_car(
     recordings are corrected for it.
 
     Args:
-        day_effects: effects behind the model's own, as a bench file has them.
+        day_effects: effects after the model's own, as a bench file has them.
     """
     rest, plant = vehicle.nominal.rest_pedal_frac, open_plant(model)
     channels = {}
@@ -157,7 +157,7 @@ class _RecordedInputs(NamedTuple):
 
 
 def _recorded_inputs(car: FreeRunCar, drive: MeasuredDrive) -> _RecordedInputs:
-    """The inputs of each row; what a delayed report says of the past is moved back there."""
+    """The inputs of each row; values from delayed reports are moved back to when they were measured."""
     x = drive.inputs
     report_ticks, ins_ticks = (delay_s / x.dt_s for delay_s in car.sensor_delay_s)
     columns = [shift_earlier(x.commands[:, i], report_ticks) if x.is_echoed[i] else x.commands[:, i] for i in range(3)]

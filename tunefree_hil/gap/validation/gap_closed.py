@@ -1,4 +1,4 @@
-"""What the holdout says: the gap by signal before, recalibrated, repaired and at its floor, and the share closed.
+"""The gap on the holdout blocks: errors by signal, original, recalibrated, repaired and floor, and the share closed.
 
 The floor is the error of a model that lacks nothing: the sensor's noise, and what the calibration missed of drives that
 it was not fitted on (the model's card). Beside it, and never part of it, stands the unpredictable part of what the
@@ -18,15 +18,15 @@ from tunefree_hil.gap.diagnostics.residual_tests import LINK_CRITERIA
 from tunefree_hil.gap.measured.chain import MeasuredDrive
 from tunefree_hil.gap.measured.observability import OUTPUT_FIELDS
 from tunefree_hil.gap.model.card import read_holdout_errors
-from tunefree_hil.gap.validation.holdout import DIVERGED_SQUARE, HEADING, POSITION, UNITS, HoldoutResult
+from tunefree_hil.gap.validation.block_runs import DIVERGED_SQUARE, HEADING, POSITION, UNITS, BlockErrors
 
 Array = np.ndarray
 
 N_DRAWS = 1000  # of the bootstrap
 MAX_GROWTH = 0.02  # share of a signal's error that a repair may add
-MIN_OPEN_GAP = 0.02  # in units of the floor: less left by recalibration is no gap
-MAX_FACTOR = 1000.0  # times worse or of the signal, that is reported
-MIN_CLOSED_SHARE = -10.0  # reported for a repair that makes ten times worse what was open, or that diverges
+MIN_OPEN_GAP = 0.02  # in units of the floor: if recalibration leaves less, there is no gap
+MAX_FACTOR = 1000.0  # largest growth of an error, or misfit as a share of the signal, that is reported
+MIN_CLOSED_SHARE = -10.0  # least share that is reported: the gap is eleven times as large, or the run diverges
 MAX_IMPROVED_SHARE = 0.8  # of a signal's error: recalibration that leaves less is worth a calibration
 DIRECT_SIGNALS = (  # that a free run does not integrate
     "report.throttle_frac",
@@ -45,7 +45,7 @@ CARD_KEYS_BY_SIGNAL = {  # keys of the card's errors in free runs on held-out wi
     POSITION: ("x_m", "y_m"),
 }
 SPEED_TARGETS, YAW_TARGETS = ("rate_of_speed",), ("steer", "yaw_rate")
-TARGETS_BY_SIGNAL = {  # targets whose residual tells what of a signal is still predictable
+TARGETS_BY_SIGNAL = {  # targets whose residual shows how much of a signal is still predictable
     "report.throttle_frac": ("throttle",),
     "report.brake_frac": ("brake",),
     "report.steer_rad": ("steer",),
@@ -77,7 +77,7 @@ class SignalGap(NamedTuple):
     unforetold: float | None = None
 
 
-def error_floors(result: HoldoutResult, model: ModelSpec) -> dict[str, float]:
+def error_floors(result: BlockErrors, model: ModelSpec) -> dict[str, float]:
     """By signal: the sensor's noise and the calibration's errors on its own holdout, added in squares."""
     card, floors = read_holdout_errors(model), {}
     actuators = {
@@ -106,7 +106,7 @@ def unpredictable_shares(predictable: Mapping[str, float]) -> dict[str, float]:
 
 
 def signal_gaps(
-    result: HoldoutResult, floors: Mapping[str, float], unpredictable: Mapping[str, float]
+    result: BlockErrors, floors: Mapping[str, float], unpredictable: Mapping[str, float]
 ) -> dict[str, SignalGap]:
     """The errors by signal; a floor is never above what any variant reaches.
 
@@ -124,7 +124,7 @@ def signal_gaps(
 
 
 def closed_share(
-    result: HoldoutResult, floors: Mapping[str, float], unpredictable: Mapping[str, float] | None = None, seed: int = 1
+    result: BlockErrors, floors: Mapping[str, float], unpredictable: Mapping[str, float] | None = None, seed: int = 1
 ) -> dict[str, float] | None:
     """(recalibrated - after) / (recalibrated - floor), with its 95 % interval; at least MIN_CLOSED_SHARE.
 
@@ -161,15 +161,15 @@ def _closed_above_floor(before: Array, after: Array, unpredictable: Array) -> tu
         before, after: errors (n_signals, n_blocks).
         unpredictable: share (n_signals,) of the error that counts as floor too.
     """
-    was, now = before.mean(axis=1), after.mean(axis=1)
-    reached = np.minimum(was, now)
+    mean_before, mean_after = before.mean(axis=1), after.mean(axis=1)
+    reached = np.minimum(mean_before, mean_after)
     least = np.minimum(reached, np.maximum(1.0, unpredictable * reached))
-    whole, left, floor = (float(np.sqrt((errors**2).mean())) for errors in (was, now, least))
+    whole, left, floor = (float(np.sqrt((errors**2).mean())) for errors in (mean_before, mean_after, least))
     open_gap = whole - floor
     return (whole - left) / (open_gap if open_gap > MIN_OPEN_GAP else max(whole, MIN_OPEN_GAP)), open_gap
 
 
-def _block_rms(result: HoldoutResult, variant: str, signals: Sequence[str], floors: Mapping[str, float]) -> Array:
+def _block_rms(result: BlockErrors, variant: str, signals: Sequence[str], floors: Mapping[str, float]) -> Array:
     """RMS (n_signals, n_blocks) in units of the floors; its mean over the other blocks where a signal is missing."""
     rows = []
     for signal in signals:
@@ -180,31 +180,31 @@ def _block_rms(result: HoldoutResult, variant: str, signals: Sequence[str], floo
     return np.stack(rows)
 
 
-def find_worse_signals(result: HoldoutResult, floors: Mapping[str, float], seed: int = 1) -> dict[str, float]:
+def find_worse_signals(result: BlockErrors, floors: Mapping[str, float], seed: int = 1) -> dict[str, float]:
     """Signals that the repair makes worse by more than MAX_GROWTH, their floor and chance: by how much."""
     rng, worse = np.random.default_rng(seed), {}
     draws = rng.integers(0, max(result.n_blocks, 1), (N_DRAWS, max(result.n_blocks, 1)))
     for signal, counts in result.counts.items():
         before, after = result.squared_errors["before"][signal], result.squared_errors["after"][signal]
-        was, now = result.rms("before", signal), result.rms("after", signal)
+        rms_before, rms_after = result.rms("before", signal), result.rms("after", signal)
         if ((after >= DIVERGED_SQUARE) & (before < DIVERGED_SQUARE)).any():  # a run that diverges is no chance
             worse[signal] = MAX_FACTOR
             continue
-        if now <= (1.0 + MAX_GROWTH) * was or now <= floors[signal] or not counts.sum():
+        if rms_after <= (1.0 + MAX_GROWTH) * rms_before or rms_after <= floors[signal] or not counts.sum():
             continue
         excess = (after - (1.0 + MAX_GROWTH) ** 2 * before)[draws].sum(axis=1)
         if float(np.quantile(excess, 0.025)) > 0.0:
-            worse[signal] = min(now / was - 1.0, MAX_FACTOR) if was > 0.0 else MAX_FACTOR
+            worse[signal] = min(rms_after / rms_before - 1.0, MAX_FACTOR) if rms_before > 0.0 else MAX_FACTOR
     return worse
 
 
-def find_grown_signals(result: HoldoutResult, floors: Mapping[str, float]) -> dict[str, float]:
+def find_grown_signals(result: BlockErrors, floors: Mapping[str, float]) -> dict[str, float]:
     """Signals that are worse by more than MAX_GROWTH and above their floor, by chance or not: by how much."""
     rms = {signal: (result.rms("before", signal), result.rms("after", signal)) for signal in result.counts}
     return {
-        signal: min(now / was - 1.0, MAX_FACTOR) if was > 0.0 else MAX_FACTOR
-        for signal, (was, now) in rms.items()
-        if now > (1.0 + MAX_GROWTH) * was and now > floors[signal]
+        signal: min(rms_after / rms_before - 1.0, MAX_FACTOR) if rms_before > 0.0 else MAX_FACTOR
+        for signal, (rms_before, rms_after) in rms.items()
+        if rms_after > (1.0 + MAX_GROWTH) * rms_before and rms_after > floors[signal]
     }
 
 

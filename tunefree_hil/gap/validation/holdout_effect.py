@@ -56,12 +56,12 @@ def measure_holdout_effect(models: ComparedModels, target: str, blocks: Array, h
     if target in models.before.averaged_squared_residuals:
         views.append([model.averaged_squared_residuals[target] for model in models])
     view = max(views, key=lambda squares: bootstrap_reduction(squares, blocks).low)
-    was, now, whole = (sums[holdout] for sums, _ in view)
+    before, after, recalibrated = (sums[holdout] for sums, _ in view)
     fit_reduction = bootstrap_reduction(view, blocks).value
-    if not whole.sum() > 0.0:
+    if not recalibrated.sum() > 0.0:
         return HoldoutEffect(fit_reduction, math.nan, math.nan)
     sums, counts = view[2]
     fitted_square = float(sums[blocks].sum() / max(counts[blocks].sum(), 1.0))
-    reference = max(float(whole.sum()), MIN_REFERENCE_SHARE**2 * fitted_square * float(counts[holdout].sum()))
-    reduction = math.sqrt(was.sum() / reference) - math.sqrt(now.sum() / reference)
-    return HoldoutEffect(fit_reduction, reduction, float(np.abs(was - now).sum()) / reference)
+    reference = max(float(recalibrated.sum()), MIN_REFERENCE_SHARE**2 * fitted_square * float(counts[holdout].sum()))
+    reduction = math.sqrt(before.sum() / reference) - math.sqrt(after.sum() / reference)
+    return HoldoutEffect(fit_reduction, reduction, float(np.abs(before - after).sum()) / reference)

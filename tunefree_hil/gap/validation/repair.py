@@ -66,25 +66,25 @@ class Change(NamedTuple):
 
 
 class RepairedModel(NamedTuple):
-    """model: as it is written. day: effects of the day, which are not. changes: against the model before."""
+    """model: as it is written. day_effects: UNWRITTEN_EFFECTS, which are not. changes: against the model before."""
 
     model: ModelSpec
-    day: tuple[EffectSpec, ...]
+    day_effects: tuple[EffectSpec, ...]
     changes: tuple[Change, ...]
 
 
 def repair_model(
-    model: ModelSpec, vehicle: VehicleSpec, values: Mapping[str, float], found: Sequence[EffectSpec] = ()
+    model: ModelSpec, vehicle: VehicleSpec, values: Mapping[str, float], effects: Sequence[EffectSpec] = ()
 ) -> RepairedModel:
     """Move a model to the values of a fit, and add effects.
 
     Args:
         values: keys as gap/model/graph.py takes them.
-        found: the effects that were found.
+        effects: that were found.
     """
-    names = {effect.name for effect in found}
+    names = {effect.name for effect in effects}
     moved = _moved_effects(values, names)
-    day = tuple(EffectSpec(name=name, params=moved.pop(name)) for name in UNWRITTEN_EFFECTS if name in moved)
+    day_effects = tuple(EffectSpec(name=name, params=moved.pop(name)) for name in UNWRITTEN_EFFECTS if name in moved)
     plant = open_plant(model)
     base = {**plant.defaults, **model.plant.params}
     params = scale_plant_params(model.plant.params, plant.defaults, values)
@@ -92,22 +92,22 @@ def repair_model(
         params[LINKAGE_BEND_PARAM] += values.get(LINKAGE_BEND_KEY, 0.0)
     if model.plant.kind == "physics":
         _fold_into_constants(params, moved, vehicle.nominal.rest_pedal_frac, names)
-    own = {key: value for key, value in params.items() if key in model.plant.params or _differs(base[key], value)}
+    written = {key: value for key, value in params.items() if key in model.plant.params or _differs(base[key], value)}
     channel_values = merge_pedal_moves(model, values)
     channels = {name: _move_channel(name, spec, channel_values) for name, spec in model.actuators.items()}
     updates = [EffectSpec(name=name, params=effect, provenance=RECALIBRATED) for name, effect in moved.items()]
-    added = sorted([*found, *updates], key=lambda effect: effect.name)  # the order of the graph's series
+    added = sorted([*effects, *updates], key=lambda effect: effect.name)  # the order of the graph's series
     repaired = _replace_fields(
         model,
-        plant=_replace_fields(model.plant, params=own),
+        plant=_replace_fields(model.plant, params=written),
         actuators=channels,
         effects=[*model.effects, *added],
     )
-    return RepairedModel(repaired, day, list_changes(model, repaired))
+    return RepairedModel(repaired, day_effects, list_changes(model, repaired))
 
 
 def apply_own_numbers(model: ModelSpec, vehicle: VehicleSpec) -> ModelSpec:
-    """A model with the numbers that its calibration logs say.
+    """A model with the numbers that its calibration logs give.
 
     Raises:
         InputError: the model's card cannot be read.
@@ -120,8 +120,8 @@ def apply_own_numbers(model: ModelSpec, vehicle: VehicleSpec) -> ModelSpec:
         name, _, parameter = key.partition(".")
         values[key] = offset + (catalogue[name].neutral[parameter] if name in catalogue else 0.0)
     made = repair_model(model, vehicle, values)
-    day = [_replace_fields(effect, provenance=RECALIBRATED) for effect in made.day]
-    return _replace_fields(made.model, effects=[*made.model.effects, *day])
+    day_effects = [_replace_fields(effect, provenance=RECALIBRATED) for effect in made.day_effects]
+    return _replace_fields(made.model, effects=[*made.model.effects, *day_effects])
 
 
 def effect_specs(result: SearchResult, log_hash: str, version: str) -> list[EffectSpec]:
@@ -161,17 +161,17 @@ def _interval(estimate: Mapping[str, Any]) -> list[float]:
     return [low, high] if low is not None and high is not None else []
 
 
-def _moved_effects(values: Mapping[str, float], found: set[str]) -> dict[str, Params]:
+def _moved_effects(values: Mapping[str, float], effect_names: set[str]) -> dict[str, Params]:
     """Parameters of catalogue effects that recalibration moved, by effect; without the effects that were found."""
     catalogue, moved = load_catalogue(), {}
     for key, value in values.items():
         name, _, parameter = key.partition(".")
-        if name in catalogue and name not in found and value != catalogue[name].neutral[parameter]:
+        if name in catalogue and name not in effect_names and value != catalogue[name].neutral[parameter]:
             moved.setdefault(name, {})[parameter] = value
     return moved
 
 
-def _fold_into_constants(params: Params, moved: dict[str, Params], rest: float, found: set[str]) -> None:
+def _fold_into_constants(params: Params, moved: dict[str, Params], rest: float, effect_names: set[str]) -> None:
     """Move effects that mean the same as a constant of the single-track model from `moved` into `params`."""
     if "throttle_gain" in moved:  # g (duty - rest): zero and full of the pedal lie elsewhere
         gain = moved.pop("throttle_gain")["gain_frac"]
@@ -186,7 +186,7 @@ def _fold_into_constants(params: Params, moved: dict[str, Params], rest: float, 
         params["rolling_frac"] *= 1.0 + moved.pop("rolling_resistance")["extra_frac"]
     if "aero_drag" in moved:
         params["drag_area_m2"] += moved.pop("aero_drag")["drag_area_m2"]
-    if "steer_gain" in moved and "steer_offset" not in found:  # an offset is behind the gain
+    if "steer_gain" in moved and "steer_offset" not in effect_names:  # an offset is added after the gain
         gain = moved.pop("steer_gain")["gain_frac"]
         params["steer_ratio"] /= gain
         if "steer_offset" in moved:
@@ -216,17 +216,17 @@ def _move_channel(name: str, spec: ActuatorSpec, values: Mapping[str, float]) ->
     """Move a channel's numbers, and their intervals with them."""
     moved: dict[str, Number] = {}
     for field in spec.__struct_fields__:
-        by = values.get(f"actuator.{name}.{field}", 0.0)
-        if by:
-            moved[field] = _move_number(getattr(spec, field), by, field)
+        amount = values.get(f"actuator.{name}.{field}", 0.0)
+        if amount:
+            moved[field] = _move_number(getattr(spec, field), amount, field)
     return _replace_fields(spec, **moved)
 
 
-def _move_number(number: Number, by: float, field: str) -> Number:
+def _move_number(number: Number, amount: float, field: str) -> Number:
     def move(value: float) -> float:
         if field not in ADDITIVE_FIELDS:
-            return value * math.exp(by)
-        return max(value + by, 0.0) if field == "dead_time_s" else value + by
+            return value * math.exp(amount)
+        return max(value + amount, 0.0) if field == "dead_time_s" else value + amount
 
     if isinstance(number, Interval):
         return Interval(value=move(number.value), low=move(number.low), high=move(number.high))

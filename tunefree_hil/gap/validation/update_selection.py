@@ -1,7 +1,7 @@
 """Which of recalibration's updates improve free runs, on the selection blocks; the holdout is not used.
 
-A search moves all nuisances together (gap/estimation/nuisance.py), link by link, from the measured motion. What that
-gains there may cost elsewhere. So each group of updates (along the vehicle, across it, its sensors) is left out in
+A search moves all nuisances together (gap/estimation/nuisance.py), link by link, from the measured motion. That may
+make free runs worse. So each group of updates (along the vehicle, across it, its sensors) is left out in
 turn, and one that does not improve the free runs is reverted. Effects that were found are never left out.
 """
 
@@ -19,8 +19,8 @@ from tunefree_hil.gap.estimation.nuisance import DRIFT_BY_KEY
 from tunefree_hil.gap.measured.blocks import SELECTION
 from tunefree_hil.gap.measured.chain import MeasuredDrive
 from tunefree_hil.gap.model.graph import LINKAGE_BEND_KEY, load_catalogue
+from tunefree_hil.gap.validation.block_runs import HEADING, POSITION, BlockErrors, Variant, run_blocks
 from tunefree_hil.gap.validation.gap_closed import error_floors
-from tunefree_hil.gap.validation.holdout import HEADING, POSITION, HoldoutResult, Variant, run_holdout
 from tunefree_hil.gap.validation.repair import repair_model
 
 Array = np.ndarray
@@ -37,45 +37,45 @@ CONFIDENCE = 0.975  # one-sided: the lower bound of a 95 % interval
 MIN_SQUARE = 1e-30  # added to the floor of a signal without noise
 
 
-class KeptUpdates(NamedTuple):
-    """values: keys as gap/model/graph.py takes them, without reverted groups. dropped_groups: the reverted ones."""
+class UpdateSelection(NamedTuple):
+    """values: keys as gap/model/graph.py takes them, without those of `reverted_groups` (of GROUPS)."""
 
     values: dict[str, float]
-    dropped_groups: tuple[str, ...]
+    reverted_groups: tuple[str, ...]
 
 
 def select_updates(
     model: ModelSpec,
     vehicle: VehicleSpec,
     values: Mapping[str, float],
-    found: Sequence[EffectSpec],
+    effects: Sequence[EffectSpec],
     drives: Sequence[MeasuredDrive],
-) -> KeptUpdates:
+) -> UpdateSelection:
     """Revert the groups of updates that do not improve free runs; none where no selection block can be run.
 
     Args:
         values: of a fit, with all updates.
-        found: the effects that were found; their values stay.
+        effects: that were found; their values stay.
     """
-    groups = update_groups(values, {effect.name for effect in found})
-    kept, dropped = dict(values), list[str]()
-    run = run_selection_blocks(model, vehicle, kept, found, drives) if groups else None
+    groups = update_groups(values, {effect.name for effect in effects})
+    remaining, reverted = dict(values), list[str]()
+    run = run_selection_blocks(model, vehicle, remaining, effects, drives) if groups else None
     if run is None or not run.n_blocks:
-        return KeptUpdates(kept, ())
+        return UpdateSelection(remaining, ())
     floors = error_floors(run, model)
     for group, keys in groups.items():
-        without = {key: value for key, value in kept.items() if key not in keys}
-        other = run_selection_blocks(model, vehicle, without, found, drives)
-        if not is_improvement(error_gains(run, other, floors)):
-            kept, run = without, other
-            dropped.append(group)
-    return KeptUpdates(kept, tuple(dropped))
+        without = {key: value for key, value in remaining.items() if key not in keys}
+        reverted_run = run_selection_blocks(model, vehicle, without, effects, drives)
+        if not is_improvement(error_gains(run, reverted_run, floors)):
+            remaining, run = without, reverted_run
+            reverted.append(group)
+    return UpdateSelection(remaining, tuple(reverted))
 
 
-def update_groups(values: Mapping[str, float], found: set[str]) -> dict[str, set[str]]:
+def update_groups(values: Mapping[str, float], effect_names: set[str]) -> dict[str, set[str]]:
     """Keys that recalibration moved and that a model can have, by group, in the order of GROUPS.
 
-    found: names of effects that were found; their keys are in no group.
+    effect_names: of the effects that were found; their keys are in no group.
     """
     groups: dict[str, set[str]] = {group: set() for group in GROUPS}
     catalogue = load_catalogue()
@@ -83,7 +83,7 @@ def update_groups(values: Mapping[str, float], found: set[str]) -> dict[str, set
         name, _, parameter = key.partition(".")
         effect = catalogue.get(name)
         neutral = effect.neutral[parameter] if effect else 0.0
-        if name != "clock" and name not in found and value != neutral:
+        if name != "clock" and name not in effect_names and value != neutral:
             groups[_update_group(key, effect.port if effect else None)].add(key)
     return {group: keys for group, keys in groups.items() if keys}
 
@@ -101,12 +101,12 @@ def run_selection_blocks(
     model: ModelSpec,
     vehicle: VehicleSpec,
     values: Mapping[str, float],
-    found: Sequence[EffectSpec],
+    effects: Sequence[EffectSpec],
     drives: Sequence[MeasuredDrive],
-) -> HoldoutResult:
+) -> BlockErrors:
     """Free runs of one model over the selection blocks; its variant is called ''."""
-    made = repair_model(model, vehicle, values, found)
-    return run_holdout({"": Variant(made.model, made.day)}, vehicle, drives, role=SELECTION, skip_forgotten=True)
+    made = repair_model(model, vehicle, values, effects)
+    return run_blocks({"": Variant(made.model, made.day_effects)}, vehicle, drives, role=SELECTION, skip_forgotten=True)
 
 
 def is_improvement(gains: Array) -> bool:
@@ -120,7 +120,7 @@ def is_improvement(gains: Array) -> bool:
     return float(gains.mean()) > float(stdtrit(freedom, CONFIDENCE)) * float(np.sqrt(variance / count))
 
 
-def error_gains(run: HoldoutResult, other: HoldoutResult, floors: Mapping[str, float]) -> Array:
+def error_gains(run: BlockErrors, reference: BlockErrors, floors: Mapping[str, float]) -> Array:
     """By how much a run is nearer to the measurement than another, (n_blocks,): log of the ratio of their errors,
     summed over the signals without heading and position, which are sums of the others. The floor is added to an error.
     """
@@ -128,7 +128,7 @@ def error_gains(run: HoldoutResult, other: HoldoutResult, floors: Mapping[str, f
     for signal, counts in run.counts.items():
         if signal not in (HEADING, POSITION):
             least = (floors[signal] ** 2 + MIN_SQUARE) * counts
-            own, others = (result.squared_errors[""][signal] for result in (run, other))
+            run_squares, reference_squares = (result.squared_errors[""][signal] for result in (run, reference))
             rows = counts > 0.0
-            total[rows] += 0.5 * np.log((others + least)[rows] / (own + least)[rows])
+            total[rows] += 0.5 * np.log((reference_squares + least)[rows] / (run_squares + least)[rows])
     return total

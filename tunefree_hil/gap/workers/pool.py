@@ -21,17 +21,12 @@ TOKEN = "gap"  # the name under which the processes open the problem
 
 
 class ScreeningCriteria(NamedTuple):
-    """Which candidates are fitted, by the gain of their best grid point; sources: docs/results/criteria.md.
+    """Which candidates are fitted, by the gain of their best grid point (docs/results/criteria.md)."""
 
-    Args:
-        min_gain: squared residuals, in units of the noise; a candidate that gains less is not fitted
-        min_share_of_best: nor is one that gains less than this share of the best candidate's gain
-        full_fit_share: a candidate below this share of the best gain gets one step only; the right effect gains more,
-            even midway between two grid points
-    """
-
-    min_gain: float = 1.0
-    min_share_of_best: float = 0.01
+    min_gain: float = 1.0  # squared residuals, in units of the noise; a candidate that gains less is not fitted
+    min_share_of_best: float = 0.01  # nor is one that gains less than this share of the best gain
+    # of the best gain; a candidate below it gets one step only. The right effect gains more, even midway between two
+    # grid points
     full_fit_share: float = 0.15
 
 
@@ -68,7 +63,7 @@ class WorkerPool:
         """Fit candidates, each by itself: first all grids, then fits of those that may compete with the best.
 
         Args:
-                start: the model that they are added to; None for the recalibrated one
+            start: the model that they are added to; None for the recalibrated one
             noise_source: the model whose noise is used; None for `start`
 
         Returns: the fits by candidate, without those that gain nothing or are impossible
@@ -124,7 +119,7 @@ class WorkerPool:
     def _split(self, items: Sequence[T]) -> list[list[T]]:
         return [list(items[i :: len(self.workers)]) for i in range(len(self.workers))]
 
-    def ask(self, function: Callable[Concatenate[str, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
+    def call(self, function: Callable[Concatenate[str, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Call a function of gap/workers/worker.py, without its token, in the first process."""
         return self.workers[0].wait_for_result(function, TOKEN, *args, **kwargs)
 

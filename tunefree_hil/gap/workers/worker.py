@@ -14,16 +14,8 @@ import numpy as np
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.gap.diagnostics.lack_of_fit import LackOfFit, measure_lack_of_fit
-from tunefree_hil.gap.diagnostics.residual_tests import (
-    Burst,
-    Region,
-    Shape,
-    TargetRows,
-    cut_windows,
-    find_regions,
-    fit_shape,
-    measure_burst,
-)
+from tunefree_hil.gap.diagnostics.regions import Region, find_regions
+from tunefree_hil.gap.diagnostics.residual_tests import Burst, Shape, TargetRows, cut_windows, fit_shape, measure_burst
 from tunefree_hil.gap.estimation.calibration_priors import apply_calibration_prior, read_calibration_prior
 from tunefree_hil.gap.estimation.candidates import Candidate, add_parameter_sigmas, build_candidates
 from tunefree_hil.gap.estimation.gauss_newton import fit_candidate, fit_recalibration, fit_without_effect, refine_fit
@@ -71,7 +63,7 @@ class OpenProblem(NamedTuple):
         candidates: effects that may explain what is missed
         untestable_effects: the others, with the reason
         broken_targets: targets that recalibration alone leaves broken; None before that was assessed
-        targets_within_baseline: of these, the ones that the model misses on its own logs as well
+        targets_within_baseline: of these, the ones that the model misses on its calibration logs as well
         nuisances: what recalibration may move
     """
 
@@ -110,7 +102,7 @@ class _ProblemState:
         self._scan: tuple[Any, GridScan] | None = None
 
     def restore_residuals(self, fit: Fit) -> Fit:
-        """A fit that was sent, with its residuals."""
+        """A fit from another process, with its residuals simulated again."""
         return fit._replace(residuals=self.residual_model.simulate_residuals(fit.values))
 
     def jacobian_at(self, fit: Fit) -> Jacobian:
@@ -192,7 +184,7 @@ def fit_candidates(
         min_gain: a candidate that gains less gets one step only
         noise_source: the model whose noise is used; None for `start`
 
-    Returns: fits by candidate; and the reason for each candidate that left what is a possible car
+    Returns: fits by candidate; and the reason for each candidate whose fit leaves the possible cars
     """
     state = _open_problems[token]
     scan = state.grid_scan(start, noise_source)
@@ -202,7 +194,7 @@ def fit_candidates(
         try:
             fit = fit_candidate(scan, name, state.candidates[name].free, begin, min_gain)
             fits[name] = _summarise(state.residual_model, fit)
-        except InputError as error:  # a step left what is a possible car
+        except InputError as error:  # a step leaves the possible cars
             impossible[name] = error.message
     return fits, impossible
 

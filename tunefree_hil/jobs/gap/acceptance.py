@@ -36,7 +36,7 @@ class SignalEvidence(NamedTuple):
     """Change of the signal that shows an effect best, each as a share of the error without the effect.
 
     Attributes:
-        fit_reduction: Error reduction on the blocks that judged the effect.
+        fit_reduction: Error reduction on the blocks that the effect was fitted on.
         holdout_reduction: Error reduction on the holdout blocks.
         holdout_energy: Squared change by the effect on the holdout blocks.
     """
@@ -58,10 +58,11 @@ def is_confirmed(answer: Mapping[str, Any], gap_share: Mapping[str, float] | Non
 
 
 def closes_gap(answer: Mapping[str, Any], gap_share: Mapping[str, float] | None) -> bool:
-    """Whether the repair closes some of the gap and, as far as the interval tells, most of it.
+    """Whether the repair closes some of the gap and, within its interval, most of it; without a gap, only weak effects
+    are not confirmed.
 
-    Where no link is broken, only the effect itself indicates that something is missing; then no block may contradict
-    it. An effect of weak evidence (gap/selection/criteria.py) needs support by the blocks even so.
+    Where no link is broken, only the effect itself shows that something is missing; then the lower bound may not be
+    clearly negative. An effect of weak evidence (gap/selection/criteria.py) needs a clearly positive one.
     """
     is_weak = any(effect.get("faint") for effect in answer["effects"])
     if gap_share is None:
@@ -123,7 +124,7 @@ def has_broken_link(answer: Mapping[str, Any]) -> bool:
 
 
 def is_absent_from_holdout(answer: Mapping[str, Any]) -> bool:
-    """Whether the holdout blocks show none of the named effects, and so say nothing about them."""
+    """Whether the holdout blocks show none of the named effects."""
     energies = [effect.get("unseen_stirs") for effect in answer["effects"]]
     return bool(energies) and all(energy is not None and energy < ACCEPTANCE.min_effect_energy for energy in energies)
 
@@ -135,14 +136,14 @@ def has_no_gain(answer: Mapping[str, Any]) -> bool:
 
 
 def needs_further_drive(answer: Mapping[str, Any]) -> bool:
-    """Whether there is a repaired model about which no holdout block says anything."""
+    """Whether there is a repaired model whose effects no holdout block shows."""
     gap_share = answer.get("explained_frac")
     is_shown = bool(gap_share) and gap_share["value"] > ACCEPTANCE.min_error_share
     return bool(answer.get("model")) and is_absent_from_holdout(answer) and not is_shown
 
 
 def is_within_baseline(answer: Mapping[str, Any]) -> bool:
-    """Whether no link is missed by more than on the model's calibration logs, and nothing else speaks for an effect."""
+    """Whether no link is missed by more than on the model's calibration logs, and nothing else indicates an effect."""
     broken = {link["signal"] for link in answer["links"] if link["broken"]}
     has_reason = any(entry["criterion"] == Criterion.WITHIN_BASELINE.value for entry in answer.get("reasons", ()))
     return has_reason and bool(broken) and broken <= set(answer["as_usual"])

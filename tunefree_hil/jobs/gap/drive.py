@@ -3,11 +3,11 @@
 There are at most MAX_ROUNDS rounds. The drives of a round are added to the logs as recordings of their own, and
 `round-N/` in the folder holds the answer of that round. gap.json and gap.md of the folder itself are those of the last
 round; the first ones are kept as gap-1.json and gap-1.md. Logs and rounds are the whole state, so that an interrupted
-run continues with the drive or the search that it lost.
+run continues with the drive or the search that was interrupted.
 
-Drives stay inside the region of the model's data: outside it the model misses things that have nothing to do with the
-question. And they may only decide between the effects of the set: any other answer means that drives and logs do not
-match, and the set stands.
+Drives stay inside the region of the model's data: outside it the model has errors of its own. They
+may only decide between the effects of the set: any other answer means that drives and logs do not match, and the set
+stands.
 """
 
 from __future__ import annotations

@@ -58,17 +58,17 @@ class GapFolder(NamedTuple):
         """The stored result of the search; None where it has to be made.
 
         Args:
-            named: Whether effects are asked for. A search for effects has located, too.
+            named: Whether effects are wanted. A search for effects has the location, too.
         """
         try:
-            diagnosis = result.from_json(_read_table(self.path / SEARCH))
+            search = result.from_json(_read_table(self.path / SEARCH))
         except ValueError:
             return None  # absent, of another version, or edited
-        return diagnosis if diagnosis.has_candidates or not named else None
+        return search if search.has_candidates or not named else None
 
-    def store_search(self, diagnosis: SearchResult) -> SearchResult:
+    def store_search(self, search: SearchResult) -> SearchResult:
         """Store the result of a search. Returns: the same as it is read when a run continues."""
-        write_json(self.path / SEARCH, result.as_json(diagnosis))
+        write_json(self.path / SEARCH, result.as_json(search))
         return result.from_json(read_json(self.path / SEARCH))
 
     def load_answer(self, until: str) -> dict[str, Any] | None:

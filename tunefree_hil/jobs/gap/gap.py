@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from tunefree_hil.gap.measured.chain import MeasuredDrive
     from tunefree_hil.learn.drives.drive import Drive
 
-# Logs that are too little to learn from may be enough to judge by; if not, the verdict is cannot_test. A steering that
+# Logs that are too short to learn from may be enough to search; if not, the verdict is cannot_test. A steering that
 # stays short of its command, or a stuck echo, may be the gap in question.
 TOLERATED = ("no_speed", "too_short", "one_speed", "no_braking", "short_of_command", "echo_stuck")
 UNREPORTED = ("short",)  # the search measures it itself
@@ -94,7 +94,7 @@ def load_checked_model(name: str, vehicle: VehicleSpec) -> ModelSpec:
 
 
 def _require_distinct_logs(drives: Sequence[Drive], older: Sequence[Drive]) -> None:
-    """Raise InputError for a log that is given twice: it would be fitted and judge that fit as well."""
+    """Raise InputError for a log that is given twice: it would be fitted, and would test that fit as well."""
     names: dict[str, str] = {}
     for key, group in (("LOG", drives), ("--older", older)):
         for drive in group:
@@ -155,18 +155,18 @@ def _produce_answer(
     began = time.monotonic()
     try:
         opened = yield from _open_drives(inputs)
-        diagnosis = folder.load_search(named=options.until != "locate")
-        if diagnosis is None:
-            search = _run_search(options, inputs, opened)
-            diagnosis = folder.store_search((yield from _add_resume_command(search, options, saved=False)))
+        search = folder.load_search(named=options.until != "locate")
+        if search is None:
+            events = _run_search(options, inputs, opened)
+            search = folder.store_search((yield from _add_resume_command(events, options, saved=False)))
         else:
-            began -= diagnosis.elapsed_s  # the time of the search when it was made
+            began -= search.elapsed_s  # the time of the search when it was made
     except InputError as error:
         if error.code not in UNANSWERABLE:
             raise
         answer = _unanswerable_fields(error)
     else:
-        rest = _repair_and_verify(options, folder, inputs, opened, diagnosis)
+        rest = _repair_and_verify(options, folder, inputs, opened, search)
         answer = yield from _add_resume_command(rest, options, saved=True)
     answer = _complete_answer(options, inputs, answer, time.monotonic() - began)
     answer["words"] = [*answer["words"], *inputs.excluded_logs]
@@ -227,30 +227,30 @@ def _unanswerable_fields(error: InputError) -> dict[str, Any]:
 
 
 def _repair_and_verify(
-    options: GapOptions, folder: GapFolder, inputs: GapInputs, opened: list[MeasuredDrive], diagnosis: SearchResult
+    options: GapOptions, folder: GapFolder, inputs: GapInputs, opened: list[MeasuredDrive], search: SearchResult
 ) -> Generator[Event, None, dict[str, Any]]:
     """The answer with repair, verification and figures, as far as `--until` asks for them."""
     from tunefree_hil.jobs.gap import repair as gap_repair
     from tunefree_hil.jobs.gap.closed_loop import replay_drives
     from tunefree_hil.jobs.gap.report_figures import draw_figures
 
-    effects = diagnosis.answer["effects"]
-    answer = {**diagnosis.answer, "effects": [{**effect, **BEFORE_HOLDOUT} for effect in effects]}
+    effects = search.answer["effects"]
+    answer = {**search.answer, "effects": [{**effect, **BEFORE_HOLDOUT} for effect in effects]}
     yield from (Event("note", text) for text in (describe_answer(answer), *list_remarks(answer)))
     holdout = None
     if options.until in ("repair", "verify"):
-        outcome = gap_repair.make_repair(folder, inputs, opened, diagnosis, combine_log_hashes(inputs))
+        outcome = gap_repair.make_repair(folder, inputs, opened, search, combine_log_hashes(inputs))
         answer |= gap_repair.repair_fields(outcome)
         if options.until == "verify":
             yield Event("note", "verification: free runs of the whole vehicle over the holdout blocks")
-            verified, holdout = yield from gap_repair.verify_repair(folder, inputs, opened, diagnosis, outcome)
+            verified, holdout = yield from gap_repair.verify_repair(folder, inputs, opened, search, outcome)
             answer |= {"effects": effects, **verified}
             if answer["model"]:
                 closed_loop, reason = yield from replay_drives(options.logs, inputs, outcome)
                 answer |= {"closed_loop": closed_loop, "closed_loop_words": reason}
         elif outcome.model is not None:
             yield Event("warning", "the repaired model is not verified: leave out --until for that")
-    answer["figures"] = [str(path) for path in draw_figures(folder.figures, answer, diagnosis, holdout)]
+    answer["figures"] = [str(path) for path in draw_figures(folder.figures, answer, search, holdout)]
     return answer
 
 

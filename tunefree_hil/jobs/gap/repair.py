@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
 from tunefree_hil.gap.measured.blocks import block_length_s
+from tunefree_hil.gap.validation.block_runs import BlockErrors, Variant, run_blocks
 from tunefree_hil.gap.validation.gap_closed import (
     SignalGap,
     closed_share,
@@ -21,7 +22,6 @@ from tunefree_hil.gap.validation.gap_closed import (
     signal_sizes,
     unpredictable_shares,
 )
-from tunefree_hil.gap.validation.holdout import HoldoutResult, Variant, run_holdout
 from tunefree_hil.gap.validation.repair import (
     RepairedModel,
     effect_specs,
@@ -30,7 +30,7 @@ from tunefree_hil.gap.validation.repair import (
     write_repaired_model,
 )
 from tunefree_hil.gap.validation.update_selection import (
-    KeptUpdates,
+    UpdateSelection,
     error_gains,
     run_selection_blocks,
     select_updates,
@@ -73,19 +73,19 @@ class RepairOutcome(NamedTuple):
 
 
 def make_repair(
-    folder: GapFolder, inputs: GapInputs, opened: list[MeasuredDrive], diagnosis: SearchResult, log_hash: str
+    folder: GapFolder, inputs: GapInputs, opened: list[MeasuredDrive], search: SearchResult, log_hash: str
 ) -> RepairOutcome:
     """Write the repaired model where effects were found; a model left by an interrupted run is replaced.
 
     Both models keep only those recalibrated parameters that improve the free runs on the selection blocks.
     """
     model, vehicle = inputs.model, inputs.vehicle
-    updates = select_updates(model, vehicle, diagnosis.recalibrated_values, (), opened)
+    updates = select_updates(model, vehicle, search.recalibrated_values, (), opened)
     recalibrated = repair_model(model, vehicle, updates.values)
-    if not diagnosis.names:
-        return RepairOutcome(recalibrated, None, None, updates.dropped_groups)
-    effects = effect_specs(diagnosis, log_hash, __version__)
-    updates = _select_updates_beside_effects(inputs, diagnosis, effects, opened, updates)
+    if not search.names:
+        return RepairOutcome(recalibrated, None, None, updates.reverted_groups)
+    effects = effect_specs(search, log_hash, __version__)
+    updates = _select_updates_beside_effects(inputs, search, effects, opened, updates)
     repaired = repair_model(model, vehicle, updates.values, effects)
     repaired = repaired._replace(changes=list_changes(inputs.original_model, repaired.model))
     for unfinished in (folder.model, *folder.path.glob(f"part-*-{folder.model.name}")):  # of an interrupted run
@@ -95,32 +95,32 @@ def make_repair(
         "from_model": f"sha256:{model.hash}",
         "version": __version__,
         "changes": _change_rows(repaired),
-        "does_not_pay": list(updates.dropped_groups),
+        "does_not_pay": list(updates.reverted_groups),
     }
     written = write_repaired_model(folder.model, model, repaired.model, provenance)
-    return RepairOutcome(recalibrated, repaired, written, updates.dropped_groups)
+    return RepairOutcome(recalibrated, repaired, written, updates.reverted_groups)
 
 
 def _select_updates_beside_effects(
     inputs: GapInputs,
-    diagnosis: SearchResult,
+    search: SearchResult,
     effects: list[EffectSpec],
     opened: list[MeasuredDrive],
-    alone: KeptUpdates,
-) -> KeptUpdates:
+    alone: UpdateSelection,
+) -> UpdateSelection:
     """The updates that are kept beside the effects.
 
     Groups that are kept without effects (`alone`) are kept here too, unless they make the selection blocks worse: the
     repaired model must not be compared with a model that has moved more than it may move itself.
     """
     model, vehicle = inputs.model, inputs.vehicle
-    updates = select_updates(model, vehicle, diagnosis.repaired_values, effects, opened)
-    groups = update_groups(diagnosis.repaired_values, {effect.name for effect in effects})
-    for group in [name for name in updates.dropped_groups if name not in alone.dropped_groups]:
-        wider = {**updates.values, **{key: diagnosis.repaired_values[key] for key in groups[group]}}
+    updates = select_updates(model, vehicle, search.repaired_values, effects, opened)
+    groups = update_groups(search.repaired_values, {effect.name for effect in effects})
+    for group in [name for name in updates.reverted_groups if name not in alone.reverted_groups]:
+        wider = {**updates.values, **{key: search.repaired_values[key] for key in groups[group]}}
         runs = [run_selection_blocks(model, vehicle, values, effects, opened) for values in (wider, updates.values)]
         if error_gains(*runs, error_floors(runs[0], model)).mean() > 0.0:
-            updates = KeptUpdates(wider, tuple(name for name in updates.dropped_groups if name != group))
+            updates = UpdateSelection(wider, tuple(name for name in updates.reverted_groups if name != group))
     return updates
 
 
@@ -137,22 +137,22 @@ def _change_rows(repaired: RepairedModel) -> list[dict[str, Any]]:
 
 
 def verify_repair(
-    folder: GapFolder, inputs: GapInputs, opened: list[MeasuredDrive], diagnosis: SearchResult, outcome: RepairOutcome
-) -> Generator[Event, None, tuple[dict[str, Any], HoldoutResult]]:
+    folder: GapFolder, inputs: GapInputs, opened: list[MeasuredDrive], search: SearchResult, outcome: RepairOutcome
+) -> Generator[Event, None, tuple[dict[str, Any], BlockErrors]]:
     """Run all models over the holdout blocks, and remove the repaired model where it makes a signal worse.
 
     Returns:
         The keys of gap.json, and the runs.
     """
-    recalibrated = Variant(outcome.recalibrated.model, outcome.recalibrated.day)
+    recalibrated = Variant(outcome.recalibrated.model, outcome.recalibrated.day_effects)
     variants = {"before": Variant(inputs.original_model), "recalibrated": recalibrated}
     if outcome.model is not None and outcome.repaired is not None:
-        variants["after"] = Variant(outcome.model, outcome.repaired.day)
-    holdout = run_holdout(variants, inputs.vehicle, opened)
+        variants["after"] = Variant(outcome.model, outcome.repaired.day_effects)
+    holdout = run_blocks(variants, inputs.vehicle, opened)
     if not holdout.n_blocks:
         yield Event("warning", "no holdout block is complete: the vehicle stood, or signals are missing")
-        return (yield from _score_without_holdout(folder, inputs, diagnosis, outcome)), holdout
-    floors, unpredictable = error_floors(holdout, inputs.model), unpredictable_shares(diagnosis.predictable_shares)
+        return (yield from _score_without_holdout(folder, inputs, search, outcome)), holdout
+    floors, unpredictable = error_floors(holdout, inputs.model), unpredictable_shares(search.predictable_shares)
     gaps = signal_gaps(holdout, floors, unpredictable)
     data: dict[str, Any] = {
         "signals": {name: gap._asdict() for name, gap in gaps.items()},
@@ -162,23 +162,23 @@ def verify_repair(
         "from_own_logs": inputs.model != inputs.original_model,
     }
     if outcome.model is None:
-        return data | _holdout_misfit({**diagnosis.answer, **data}, gaps, opened, inputs), holdout
+        return data | _holdout_misfit({**search.answer, **data}, gaps, opened, inputs), holdout
     older = yield from _score_older_logs(inputs, outcome.model)
     data |= {
         "explained_frac": closed_share(holdout, floors),
-        "explicable_frac": closed_share(holdout, floors, unpredictable) if diagnosis.predictable_shares else None,
+        "explicable_frac": closed_share(holdout, floors, unpredictable) if search.predictable_shares else None,
         "older": older,
     }
-    if not is_confirmed(diagnosis.answer, data["explained_frac"]):
-        data |= yield from _reject(folder, inputs, diagnosis, data["explained_frac"])
-        return data | _holdout_misfit({**diagnosis.answer, **data}, gaps, opened, inputs), holdout
+    if not is_confirmed(search.answer, data["explained_frac"]):
+        data |= yield from _reject(folder, inputs, search, data["explained_frac"])
+        return data | _holdout_misfit({**search.answer, **data}, gaps, opened, inputs), holdout
     worse = find_worse_signals(holdout, floors) | _worse_older_signals(older)
-    return _judge_worse_signals(folder, diagnosis, data, worse, find_grown_signals(holdout, floors)), holdout
+    return _judge_worse_signals(folder, search, data, worse, find_grown_signals(holdout, floors)), holdout
 
 
 def _judge_worse_signals(
     folder: GapFolder,
-    diagnosis: SearchResult,
+    search: SearchResult,
     data: dict[str, Any],
     worse: dict[str, float],
     grown: Mapping[str, float],
@@ -187,14 +187,14 @@ def _judge_worse_signals(
 
     Args:
         folder: Folder of the answer.
-        diagnosis: Result of the search.
+        search: Result of the search.
         data: Keys of gap.json so far.
         worse: Signals that are surely worse, and by which share.
         grown: All signals whose error grew, be it by chance.
     """
-    answer, gap_share = diagnosis.answer, data["explained_frac"]
+    answer, gap_share = search.answer, data["explained_frac"]
     by_chance = {signal: share for signal, share in grown.items() if signal not in worse}
-    if not closes_gap(answer, gap_share):  # confirmed by its own signals alone: they do not speak for the others
+    if not closes_gap(answer, gap_share):  # confirmed by its own signals alone, which show nothing of the others
         worse, by_chance = worse | by_chance, {}
     data |= {"worse": _describe_worse(worse), "grown": by_chance}
     is_small = gap_share is not None and gap_share["value"] < ACCEPTANCE.min_gap_share
@@ -209,12 +209,12 @@ def _remove_model(folder: GapFolder) -> dict[str, Any]:
 
 
 def _reject(
-    folder: GapFolder, inputs: GapInputs, diagnosis: SearchResult, gap_share: Mapping[str, float] | None
+    folder: GapFolder, inputs: GapInputs, search: SearchResult, gap_share: Mapping[str, float] | None
 ) -> Generator[Event, None, dict[str, Any]]:
     """Reject the named effects and remove the model with them. Returns: the keys of gap.json that this changes."""
-    reason = rejection_reason(diagnosis.answer, gap_share)
-    fields = rejection_fields(diagnosis.answer, gap_share, reason, inputs.model.plant.kind)
-    text = describe_rejection(diagnosis.names, reason, gap_share)
+    reason = rejection_reason(search.answer, gap_share)
+    fields = rejection_fields(search.answer, gap_share, reason, inputs.model.plant.kind)
+    text = describe_rejection(search.names, reason, gap_share)
     yield Event("warning", f"rejected: {text}")
     return fields | {"words": [text]} | _remove_model(folder)
 
@@ -232,14 +232,14 @@ def _holdout_misfit(
 
 
 def _score_without_holdout(
-    folder: GapFolder, inputs: GapInputs, diagnosis: SearchResult, outcome: RepairOutcome
+    folder: GapFolder, inputs: GapInputs, search: SearchResult, outcome: RepairOutcome
 ) -> Generator[Event, None, dict[str, Any]]:
     """Keys of gap.json where no holdout block could be run: effects that need their confirmation are rejected."""
     data: dict[str, Any] = {"signals": {}, "explained_frac": None}
     if outcome.model is None:
         return data
-    if not is_confirmed(diagnosis.answer, None):
-        return data | (yield from _reject(folder, inputs, diagnosis, None))
+    if not is_confirmed(search.answer, None):
+        return data | (yield from _reject(folder, inputs, search, None))
     older = yield from _score_older_logs(inputs, outcome.model)
     data |= {"older": older, "worse": _describe_worse(_worse_older_signals(older))}
     return data | _remove_model(folder) if data["worse"] else data
@@ -268,7 +268,7 @@ def _score_older_logs(inputs: GapInputs, model: ModelSpec) -> Generator[Event, N
     variants = {"before": Variant(inputs.original_model), "after": Variant(model)}
     for drive in inputs.older:
         yield Event("note", f"older log {drive.name}")
-        holdout = run_holdout(variants, inputs.vehicle, [build_measured_drive(drive, inputs.vehicle)], role=None)
+        holdout = run_blocks(variants, inputs.vehicle, [build_measured_drive(drive, inputs.vehicle)], role=None)
         if not holdout.n_blocks:
             yield Event("warning", f"older log {drive.name}: {NOT_DRIVABLE}")
         floors = error_floors(holdout, inputs.model)

@@ -121,7 +121,7 @@ def _effect_lines(answer: Mapping[str, Any]) -> list[str]:
 
 
 def _describe_error_reduction(effect: Mapping[str, Any], is_verified: bool) -> str:
-    """On the blocks that judged the effect, and on the holdout blocks."""
+    """On the blocks that the effect was fitted on, and on the holdout blocks."""
     judged, holdout = effect.get("shrink"), effect.get("unseen_shrink")
     if judged is None:
         return ""
@@ -255,7 +255,7 @@ def _candidate_lines(answer: Mapping[str, Any]) -> list[str]:
         )
         for candidate in best
     ]
-    head = ("candidate", "evidence, nats", "on held-out blocks", "signal", "error reduction", "accepted")
+    head = ("candidate", "evidence, nats", "cross-validated, nats", "signal", "error reduction", "accepted")
     count = len(answer["candidates"])
     return [f"## The {len(best)} best of {count} candidates", "", *markdown_table(head, rows)]
 

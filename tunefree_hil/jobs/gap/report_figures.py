@@ -12,7 +12,7 @@ from tunefree_hil.jobs.gap.report_text import format_percent
 if TYPE_CHECKING:
     from tunefree_hil.figures.gap.gap_closed import SignalTrace
     from tunefree_hil.gap.result import SearchResult
-    from tunefree_hil.gap.validation.holdout import BlockTrace, HoldoutResult
+    from tunefree_hil.gap.validation.block_runs import BlockErrors, BlockTrace
 
 SIGNALS = {  # by target (gap/measured/targets.py): signals that show it; the first one that was measured is drawn
     "throttle": ("report.throttle_frac",),
@@ -33,20 +33,20 @@ MAX_PANELS = 3
 
 
 def draw_figures(
-    folder: Path, answer: Mapping[str, Any], diagnosis: SearchResult, holdout: HoldoutResult | None
+    folder: Path, answer: Mapping[str, Any], search: SearchResult, holdout: BlockErrors | None
 ) -> list[Path]:
     """Draw every figure for which there are data. Returns: the files written."""
-    paths = [*_draw_search(folder, answer, diagnosis)]
+    paths = [*_draw_search(folder, answer, search)]
     if holdout is not None and holdout.n_blocks:
-        paths += [*_draw_holdout(folder, answer, diagnosis, holdout)]
+        paths += [*_draw_holdout(folder, answer, search, holdout)]
     return paths
 
 
-def _draw_search(folder: Path, answer: Mapping[str, Any], diagnosis: SearchResult) -> Iterator[Path]:
+def _draw_search(folder: Path, answer: Mapping[str, Any], search: SearchResult) -> Iterator[Path]:
     from tunefree_hil.figures.gap.links import CandidateEvidence, RegionMisfit, write_evidence, write_regions
     from tunefree_hil.gap.estimation.evidence import MIN_EVIDENCE_NATS
 
-    if diagnosis.regions:
+    if search.regions:
         regions = [
             RegionMisfit(
                 label=region.text,
@@ -56,10 +56,10 @@ def _draw_search(folder: Path, answer: Mapping[str, Any], diagnosis: SearchResul
                 high=region.ratio_high,
                 stands_out=region.stands_out,
             )
-            for region in diagnosis.regions
+            for region in search.regions
         ]
-        unit = next((link["unit"] for link in answer["links"] if link["signal"] == diagnosis.signal), "")
-        title = f"Misfit of {diagnosis.signal} ({answer['where']['link']}) with recalibration alone"
+        unit = next((link["unit"] for link in answer["links"] if link["signal"] == search.signal), "")
+        title = f"Misfit of {search.signal} ({answer['where']['link']}) with recalibration alone"
         yield write_regions(folder / "where.png", regions, "" if unit == "1" else unit, title)
     candidates = [
         CandidateEvidence(entry["name"], entry["evidence"], entry["held_out"][0], entry["counts"])
@@ -74,7 +74,7 @@ def _draw_search(folder: Path, answer: Mapping[str, Any], diagnosis: SearchResul
 
 
 def _draw_holdout(
-    folder: Path, answer: Mapping[str, Any], diagnosis: SearchResult, holdout: HoldoutResult
+    folder: Path, answer: Mapping[str, Any], search: SearchResult, holdout: BlockErrors
 ) -> Iterator[Path]:
     from tunefree_hil.figures.gap.gap_closed import SignalErrors, write_errors, write_signature, write_traces
 
@@ -83,7 +83,7 @@ def _draw_holdout(
         for name, gap in answer["signals"].items()
     ]
     yield write_errors(folder / "shrink.png", errors, _gap_title(answer))
-    signals = SIGNALS.get(diagnosis.signal, ()) or tuple(answer.get("missed_in_proof") or ())
+    signals = SIGNALS.get(search.signal, ()) or tuple(answer.get("missed_in_proof") or ())
     block = select_block(holdout.traces, signals)
     first = [name for name in signals if name in block.measured][:1]
     further = [name for name in ALWAYS_SHOWN if name in block.measured and name not in first]
@@ -93,7 +93,7 @@ def _draw_holdout(
     if first and "after" in block.simulated:
         one_block = _join_traces([block], first[0], answer, REPAIR_VARIANTS)
         all_blocks = _join_traces(holdout.traces, first[0], answer, REPAIR_VARIANTS)
-        title = f"Residual without and with {' and '.join(diagnosis.names)}"
+        title = f"Residual without and with {' and '.join(search.names)}"
         yield write_signature(folder / "signature.png", one_block, all_blocks, title)
 
 

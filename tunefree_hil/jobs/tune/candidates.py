@@ -45,7 +45,7 @@ def read_winner(bench: Bench, run: RunFolder) -> dict[str, float]:
 def compute_baseline_vectors(bench: Bench) -> dict[str, dict[str, float]]:
     """The baselines of the vehicle by name; `rule_based` is computed from data sheet and actuators of the model.
 
-    With parameters of a foreign controller in the bench file there is one: the values of the bench file.
+    A foreign controller with parameters in the bench file has one baseline: the values of the bench file.
     """
     if own_parameters(bench):
         return {BENCH_VALUES: parameters_of(bench)}

@@ -1,4 +1,4 @@
-"""Confirmation: the best trials of a batch and the baselines are driven again over the bus: the bus decides."""
+"""Confirmation: the best trials of a batch and the baselines are driven over the bus, whose scores decide."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAX_NAMED_DIFFERENCES = 3  # in one line
 class ConfirmedScore(NamedTuple):
     """The score of a candidate in the batch and over the bus. Stored under its field names.
 
-    different: 'scenario: metric' of everything that is not equal.
+    different: 'scenario: metric' of each grade that is not equal.
     """
 
     batch: float
@@ -99,9 +99,9 @@ def _flat(drive: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def find_unconfirmed(journal: Journal, best: int, robustness: RobustnessResult) -> dict[str, Trial | None]:
-    """What is not confirmed yet: the `best` first trials of the ranking, and every baseline (None), by key."""
-    chosen = robustness.rank_trials(journal.trials())[:best]
-    keys: dict[str, Trial | None] = {slot_key(trial.slot): trial for trial in chosen}
+    """Unconfirmed candidates by key: the first `best` trials of the ranking, and every baseline (None)."""
+    best_trials = robustness.rank_trials(journal.trials())[:best]
+    keys: dict[str, Trial | None] = {slot_key(trial.slot): trial for trial in best_trials}
     keys |= dict.fromkeys(journal.baselines())
     return {key: trial for key, trial in keys.items() if key not in journal.confirmations()}
 

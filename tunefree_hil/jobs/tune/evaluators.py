@@ -20,11 +20,11 @@ from tunefree_hil.jobs.running.lateness import judge_realtime
 from tunefree_hil.jobs.running.trial_driver import DriveJob, TrialDriver
 from tunefree_hil.tune.trial import Evaluation
 
-MAX_REPEATS = 5  # of one drive that was late, before the machine counts as too slow
+MAX_REPEATS = 5  # of a late drive; then the machine is too slow
 
 
 class Medium(StrEnum):
-    """What candidates are driven with; the value of "over" in progress events."""
+    """How candidates are driven; the value of "over" in progress events."""
 
     BUS = "bus"
     REALTIME_BUS = "bus in real time"
@@ -64,23 +64,23 @@ class RealtimeDriver:
     def drive_jobs(self, jobs: Sequence[DriveJob], *, go_on: bool) -> dict[int, EpisodeResult | BenchError]:
         """Drive the jobs; results by job number. Raises NotValid where a drive was late MAX_REPEATS + 1 times."""
         results: dict[int, EpisodeResult | BenchError] = {}
-        todo, worst_ms = list(jobs), 0.0
+        pending, worst_ms = list(jobs), 0.0
         for _ in range(1 + MAX_REPEATS):
-            driven = self.driver.drive_jobs(todo, go_on=go_on)
-            self.drives += len(todo)
+            driven = self.driver.drive_jobs(pending, go_on=go_on)
+            self.drives += len(pending)
             verdicts = {k: self._judge(k) for k, result in driven.items() if _may_be_late(result)}
             late = {k: _worst_ms(verdict) for k, verdict in verdicts.items() if not verdict["valid"]}
             results |= {k: result for k, result in driven.items() if k not in late}
-            todo = [job for job in todo if job.k in late]
-            if not todo:
+            pending = [job for job in pending if job.k in late]
+            if not pending:
                 return results
-            self.repeats += len(todo)
-            worst_ms = late[todo[0].k]
-            for job in todo:
+            self.repeats += len(pending)
+            worst_ms = late[pending[0].k]
+            for job in pending:
                 delete_logs(self.driver.run.episode(job.k))
         raise NotValid(
-            f"{todo[0].scenario.name} was not in real time {1 + MAX_REPEATS} times in a row, {worst_ms:.0f} ms late; "
-            f"{self.repeats - self._earlier_repeats} of {self.drives} drives were discarded",
+            f"{pending[0].scenario.name} was not in real time {1 + MAX_REPEATS} times in a row, {worst_ms:.0f} ms "
+            f"late; {self.repeats - self._earlier_repeats} of {self.drives} drives were discarded",
             code="not_realtime",
             hint="use a machine with less load, or tune in lockstep (without --realtime)",
         )
@@ -95,14 +95,14 @@ def _worst_ms(verdict: Mapping[str, Any]) -> float:
 
 
 def _may_be_late(result: EpisodeResult | BenchError) -> bool:
-    """Whether a drive ended, possibly because frames came too late for the vehicle; a lost node is another failure."""
+    """Whether a drive ended by itself or by an error that late frames may cause; a lost node is no such error."""
     return isinstance(result, EpisodeResult) or result.code.upper() in ErrorCode.__members__
 
 
 class BusEvaluator:
     """Scores over the bus; with `realtime` at 100 Hz of wall time.
 
-    A lost node raises BenchError for a single candidate; of several candidates only the one that had it fails.
+    A lost node raises BenchError for a single candidate; of several only the evaluation of that candidate fails.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ def _failed_evaluation(error: BenchError) -> Evaluation:
 
 
 class BatchEvaluator:
-    """Scores in a compiled batch: the numbers of the bus without the bus."""
+    """Scores in a compiled batch, bit for bit as over the bus."""
 
     def __init__(self, batch: Batch, bench: Bench, scenarios: Sequence[ScenarioSpec], *, batch_size: int) -> None:
         self.batch = batch

@@ -34,7 +34,7 @@ MIN_GAIN_SHARE = 0.005  # of the winner's score: smallest gain of a better point
 
 
 class StudyAnalysis(NamedTuple):
-    """Results from the study of a run, without further drives. manual: the best baseline."""
+    """Analysis of the study of a run, without further drives. manual: the best baseline."""
 
     space: Space
     winner: Trial

@@ -41,7 +41,7 @@ def open_run_folder(plan: TunePlan) -> Iterator[tuple[RunFolder, bool]]:
         if run is not None:
             remove_partial_files(run.path)
             write_bench_file(run.path, plan.bench)
-            # This command may have other options than the one before.
+            # The options may differ from those of the earlier command.
             run.add_to_record(**{OPTIONS: plan.stored_options})
             yield run, True
             return
@@ -62,13 +62,13 @@ def open_run_folder(plan: TunePlan) -> Iterator[tuple[RunFolder, bool]]:
 def write_bench_file(path: Path, bench: Bench) -> None:
     """Write the resolved bench file into a run folder, for `verify`, `replay` and `explain`.
 
-    What scores depend on is part of the identity of a run; what the winner is verified on is not, and may change.
+    Its parts that scores depend on belong to the identity of a run; verify model and verify scenarios may change.
     """
     write_text(path / "bench.toml", resolved_toml(bench))
 
 
 def _find_free_run(root: Path, name: str, plan: TunePlan, stack: ExitStack) -> RunFolder | None:
-    """Find an unfinished folder of the same settings, which `stack` locks; of a shared study one that is not locked."""
+    """Find an unfinished folder of the same settings and lock it; skip locked ones of a shared study."""
     for run in iterate_unfinished(root, name, plan.run_record):
         try:
             stack.enter_context(exclusive_lock(run.path / LOCK))

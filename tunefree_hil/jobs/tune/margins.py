@@ -1,8 +1,8 @@
 """Margins of the winner and the baselines on the verify model: thousands of drives of varied cars in the batch.
 
 The batch gives the numbers of the bus, bit for bit, in a small share of the time. `verify` has driven the nominal car
-over the bus; it is driven again here and compared. docs/reference/margins.md lists the drives and the keys of
-verify.json. The margins as plain data, as the end of a sentence, and as a table.
+over the bus; its scores are compared with those of the batch. docs/reference/margins.md lists the drives and the keys
+of verify.json. The result is plain data, the end of a sentence, and a table.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from tunefree_hil.jobs.running.node_main import OURS
 from tunefree_hil.jobs.tune.candidates import TUNED
 
 EFFECTS = ("steer_dead_time", "steer_gain", "payload", "friction")
-MIN_DRIVES_PER_CALL = 128  # as long as so many drives are left
+MIN_DRIVES_PER_CALL = 128  # the last call may have fewer
 
 Vectors = Mapping[str, Mapping[str, float]]
 OutcomesByCar = dict[str, dict[CarVariant, dict[str, DriveOutcome]]]  # vector -> car -> scenario
@@ -64,7 +64,7 @@ class MarginDrives(NamedTuple):
     driven: Outcomes by vector, car and scenario.
     margins: By vector and name of SWEEPS.
     scores: Of the nominal car, by vector and scenario.
-    missing: Groups of POINTS that the model cannot have, with the reason.
+    missing: Groups of POINTS that cannot be made from the model, with the reason.
     drives: Number of drives.
     """
 
@@ -76,19 +76,19 @@ class MarginDrives(NamedTuple):
 
 
 def find_batch_obstacle(bench: Bench, joined: str | None = None) -> str:
-    """Why the batch cannot drive this bench, '' where it can. The batch raises an error for obstacles that it finds.
+    """Why the batch cannot drive this bench, '' where it can; other obstacles are errors of the batch itself.
 
     Args:
         bench: The bench.
         joined: Name of the controller of a joined bench; None where the controller of the bench file was started.
     """
-    ours = "the batch has only our controller"
+    limitation = "the batch has only our controller"
     if bench.spec.controller.command:
-        return f"{ours}, not {bench.spec.controller.command[0]}"
+        return f"{limitation}, not {bench.spec.controller.command[0]}"
     if joined not in (None, OURS):
-        return f"{ours}, not {joined or 'the unnamed one'}, which was joined"
+        return f"{limitation}, not {joined or 'the unnamed one'}, which was joined"
     if unsupported := unsupported_parameters(bench, own_parameters(bench)):
-        return f"{ours}, which has no parameter {', '.join(unsupported)}"
+        return f"{limitation}, which has no parameter {', '.join(unsupported)}"
     kinds = sorted({fault.kind for fault in bench.spec.faults if fault.kind != "driver_override"})
     return f"the batch has no bus for the faults of the bench file ({', '.join(kinds)})" if kinds else ""
 
@@ -96,7 +96,7 @@ def find_batch_obstacle(bench: Bench, joined: str | None = None) -> str:
 def find_margins(
     bench: Bench, model: str, vectors: Vectors, scenarios: Sequence[ScenarioSpec], joined: str | None = None
 ) -> Generator[Event, None, MarginDrives | str]:
-    """Make all drives in a batch of their own. Returns the reason where the batch cannot drive bench or model."""
+    """Make all drives in a new batch. Returns the reason where the batch cannot drive bench or model."""
     reason = find_batch_obstacle(bench, joined)
     if not reason:
         try:
@@ -114,14 +114,14 @@ def drive_margins(
     batch: JobDriver, bench: Bench, model: str, vectors: Vectors, scenarios: Sequence[ScenarioSpec]
 ) -> Generator[Event, None, MarginDrives]:
     """Drive all of POINTS, and each of SWEEPS up to the margin, for every vector in all scenarios."""
-    search = _MarginSearch(batch, bench, model, vectors, scenarios)
+    search = _MarginDriver(batch, bench, model, vectors, scenarios)
     search.drive([(next(iter(vectors)), NOMINAL)])  # not timed: the first drive waits for the compiler
-    started, before = time.monotonic(), search.drives
+    started, n_untimed = time.monotonic(), search.drives
     while pairs := search.next_cars():
         search.drive(pairs)
-        each_s = (time.monotonic() - started) / (search.drives - before)
-        left = search.max_drives_left()
-        data = {"label": "margins", "done": search.drives, "total": search.drives + left, "eta_s": each_s * left}
+        each_s = (time.monotonic() - started) / (search.drives - n_untimed)
+        n_left = search.max_drives_left()
+        data = {"label": "margins", "done": search.drives, "total": search.drives + n_left, "eta_s": each_s * n_left}
         yield Event("progress", search.progress_text(), data)
     margins = {
         name: {sweep: margin for sweep in SWEEPS if (margin := search.sweeps[name, sweep].margin)} for name in vectors
@@ -129,8 +129,8 @@ def drive_margins(
     return MarginDrives(search.driven, margins, search.scores, search.missing, search.drives)
 
 
-class _MarginSearch:
-    """What was driven, and what to drive next."""
+class _MarginDriver:
+    """The outcomes so far, and the choice of the next cars, for all vectors and sweeps."""
 
     def __init__(
         self, batch: JobDriver, bench: Bench, model: str, vectors: Vectors, scenarios: Sequence[ScenarioSpec]
@@ -145,18 +145,18 @@ class _MarginSearch:
         self._points = [NOMINAL, *self._buildable_cars(bench, model)]
 
     def next_cars(self) -> list[tuple[str, CarVariant]]:
-        """The next car of each sweep, filled up with POINTS; sorted by car, so that vectors share what is built."""
+        """The next car of each sweep, filled up with POINTS; sorted by car, for all vectors together."""
         pairs = {
             (name, car): None for (name, _), sweep in self.sweeps.items() if (car := sweep.next_variant) is not None
         }
         points = (pair for pair in self._open_points() if pair not in pairs)
-        least = -(-MIN_DRIVES_PER_CALL // len(self.scenarios))
-        while len(pairs) < least and (pair := next(points, None)) is not None:
+        min_pairs = -(-MIN_DRIVES_PER_CALL // len(self.scenarios))
+        while len(pairs) < min_pairs and (pair := next(points, None)) is not None:
             pairs[pair] = None
         return sorted(pairs, key=lambda pair: pair[1])
 
     def max_drives_left(self) -> int:
-        """Upper limit of the drives that are left."""
+        """Upper limit of the number of remaining drives."""
         sweeps = sum(sweep.remaining for sweep in self.sweeps.values())
         return len(self.scenarios) * (sweeps + sum(1 for _ in self._open_points()))
 
@@ -198,7 +198,7 @@ class _MarginSearch:
         return Job(self.vectors[name], scenario, effects=effects, scale=scale)
 
     def _buildable_cars(self, bench: Bench, model: str) -> Iterator[CarVariant]:
-        """The cars of POINTS that this model can be; the reasons for the others go into `missing`."""
+        """The cars of POINTS that can be made from this model; stores the reasons for the others in `missing`."""
         spec = model_of(bench, model)
         reasons: dict[str, str] = {}
         try:
@@ -252,7 +252,7 @@ def margin_data(
     """The value of "margins" in verify.json.
 
     Args:
-        found: Results of the drives, or the reason why there are none.
+        result: Results of the drives, or the reason why there are none.
         steering: From `measure_steering`, by vector.
         scores: Score on the verify model, by vector.
         over_bus: Score over the bus by vector and scenario, which the batch must reproduce.
@@ -385,7 +385,7 @@ def margin_table(margins: Mapping[str, Any], tuned: str) -> list[str]:
 
 
 def _list_failures(tuned: str, points: Sequence[Mapping[str, Any]]) -> list[str]:
-    """One line for each scenario and outcome, with the cars that it failed with."""
+    """One line for each scenario and outcome, with the cars that failed."""
     cars: dict[tuple[str, str], list[str]] = {}
     for point in points:
         for key in point["failures"].items():

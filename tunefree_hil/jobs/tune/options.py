@@ -33,8 +33,8 @@ class TuneOptions(NamedTuple):
     """The options of the command, as given; field names are option names and keys of `options` in run.json.
 
     None: Not given. A resumed run keeps its value; otherwise that of the bench file or of DEFAULTS.
-    benches, in_flight: 0 for the values that bench file and machine suggest.
-    session: '' for a session of its own.
+    benches, in_flight: 0 for values that follow from bench file and machine.
+    session: '' for a new session.
     """
 
     bench: Path
@@ -60,7 +60,7 @@ class TuneOptions(NamedTuple):
 
 
 class VerifyOptions(NamedTuple):
-    """The options of `verify`. session: '' for a session of its own."""
+    """The options of `verify`. session: '' for a new session."""
 
     run: Path
     bus: str = "auto"
@@ -144,7 +144,7 @@ def make_tune_plan(options: TuneOptions) -> TunePlan:
         first=make_first_trial(space, select_first_vector(vectors)),
         in_flight=_in_flight(bench, options, benches),
     )
-    check_settings(settings)  # now, since a run folder with such settings could not be resumed
+    check_settings(settings)  # before there is a run folder, which could not be resumed
     study_address = f"{address.public}#{address.name}" if address else ""
     return TunePlan(
         options=options,
@@ -248,9 +248,9 @@ def _require_slower(bench: Bench) -> None:
 
 
 def _require_buildable(bench: Bench, options: TuneOptions, space: Space) -> None:
-    """Raise InputError for what a node could not build, before hours are spent.
+    """Raise InputError for a model, controller or scenario that a node could not build, before the search starts.
 
-    Checked with MRAC on where MRAC is tuned or baselines are driven, some of which have it on.
+    MRAC is on in the check where it is tuned, or where baselines are driven, since some of them have it on.
     """
     values, spec = parameters_of(bench), bench.spec
     if not own_parameters(bench) or any(name.startswith("mrac.") for name in space.names):
@@ -261,8 +261,8 @@ def _require_buildable(bench: Bench, options: TuneOptions, space: Space) -> None
         message, hint = "the batch has only our controller", "leave out --backend batch"
         raise InputError(message, code="usage", file=bench.file, key="controller.command", hint=hint)
     if options.verify and spec.verify_model:
-        unseen = [bench.scenarios[name] for name in spec.verify_scenarios]
-        require_buildable(bench, spec.verify_model, unseen, values)
+        verify_scenarios = [bench.scenarios[name] for name in spec.verify_scenarios]
+        require_buildable(bench, spec.verify_model, verify_scenarios, values)
 
 
 def format_command(options: TuneOptions, study_address: str) -> str:

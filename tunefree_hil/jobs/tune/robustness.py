@@ -2,9 +2,9 @@
 
 The slower car is the plant of the search with dead times and lags of all actuators times `[tune] slower`. With 1.5, the
 default, a trial that passes has the smallest phase margin that textbooks allow, 30 degrees (docs/reference/margins.md).
-The batch drives the slower car, whatever drove the trials.
+The slower car is always driven in the batch.
 
-The result as plain data, as the end of a sentence, and as a table.
+The result is plain data, the end of a sentence, and a table.
 """
 
 from __future__ import annotations
@@ -120,15 +120,15 @@ def drive_slower_car(
     if not any(_nominal_totals(trial).is_clean for trial in study.trials()):
         message = "no trial drives all scenarios without a re-plan, so none can pass the robustness check"
         yield Event("warning", f"{message}: the best score wins")
-    trials, began, batch_size = study.trials(), time.monotonic(), -(-MIN_DRIVES_PER_CALL // len(bench.spec.scenarios))
+    trials, started, batch_size = study.trials(), time.monotonic(), -(-MIN_DRIVES_PER_CALL // len(bench.spec.scenarios))
     while open_trials := find_open_trials(trials, totals):
         chosen = {slot_key(trial.slot): parameters_of(bench, trial.parameters) for trial in open_trials[:batch_size]}
         totals |= _drive_vectors(batch, bench, chosen)
-        done, left = len(totals) - len(baselines), len(find_open_trials(trials, totals))
-        eta_s = (time.monotonic() - began) / done * left
-        passed = sum(is_robust(trial, totals) for trial in trials)
-        data = {"label": "robustness check, trial", "done": done, "total": done + left, "eta_s": eta_s}
-        yield Event("progress", f"{passed} of {done} passed", data)
+        n_driven, n_left = len(totals) - len(baselines), len(find_open_trials(trials, totals))
+        eta_s = (time.monotonic() - started) / n_driven * n_left
+        n_passed = sum(is_robust(trial, totals) for trial in trials)
+        data = {"label": "robustness check, trial", "done": n_driven, "total": n_driven + n_left, "eta_s": eta_s}
+        yield Event("progress", f"{n_passed} of {n_driven} passed", data)
     return totals
 
 
@@ -152,9 +152,9 @@ def _drive_vectors(
 def _total_drives(bench: Bench, drives: Sequence[Driven]) -> DriveTotals:
     """Totals of one vector; a drive that the bench ended without a grade counts as failed."""
     grades = [drive.grade for drive in drives if drive.grade is not None]
-    lost = len(drives) - len(grades)
-    if lost:
-        return DriveTotals(bench.weights.failure_score, sum(grade.replans for grade in grades), lost)
+    n_lost = len(drives) - len(grades)
+    if n_lost:
+        return DriveTotals(bench.weights.failure_score, sum(grade.replans for grade in grades), n_lost)
     return drive_totals(combine_scores(grades), {grade.scenario: grade._asdict() for grade in grades})
 
 
@@ -163,7 +163,7 @@ def _nominal_totals(scored: Baseline | Trial) -> DriveTotals:
 
 
 def _find_missing_actuators(bench: Bench, study: ScoredStudy, totals: Mapping[str, DriveTotals]) -> str:
-    """A message where all scores are equal in both cars: some plants have no actuators of their own; else ''."""
+    """A message where all scores are equal in both cars, since some plants have no actuators; else ''."""
     scores = [(trial.score, totals[key].score) for trial in study.trials() if (key := slot_key(trial.slot)) in totals]
     if scores and all(nominal == slower for nominal, slower in scores):
         return f"model {bench.spec.model} has no actuators that could be slower"
@@ -171,7 +171,7 @@ def _find_missing_actuators(bench: Bench, study: ScoredStudy, totals: Mapping[st
 
 
 def hash_trials(study: ScoredStudy, factor: float) -> str:
-    """An id of what a robustness result depends on: settings, trials with scores, baselines, factor."""
+    """An id of the inputs of a robustness result: settings, trials with scores, baselines, factor."""
     trials = [[trial.slot, trial.score] for trial in study.trials()]
     text = json.dumps([study.settings.as_data(), trials, sorted(study.baselines()), factor], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -190,7 +190,7 @@ def _totals_from_data(data: Mapping[str, Any]) -> dict[str, DriveTotals]:
 
 
 def _data_from_totals(totals: Mapping[str, DriveTotals]) -> dict[str, dict[str, Any]]:
-    return {key: one._asdict() for key, one in totals.items()}
+    return {key: key_totals._asdict() for key, key_totals in totals.items()}
 
 
 def robustness_data(result: RobustnessResult, study: ScoredStudy, trials: Sequence[Trial]) -> dict[str, Any]:
@@ -240,7 +240,7 @@ def robustness_text(data: Mapping[str, Any]) -> str:
     winner = data["winner"]
     parts = [_passed_text(data)]
     if not winner["holds"]:
-        parts.append(f"the winner FAILED it: there it {_totals_text(winner)}")
+        parts.append(f"the winner FAILED it: it {_totals_text(winner)}")
     if data["passed_over"]:
         best, number = data["passed_over"][0], len(data["passed_over"])
         more = f" (and {number - 1} more with a better score)" if number > 1 else ""
@@ -304,7 +304,7 @@ def _score_text(score: float | None) -> str:
 
 
 def _totals_text(entry: Mapping[str, Any]) -> str:
-    """'re-plans 13 times and fails in 3 scenarios', or why else a trial did not win."""
+    """'re-plans 13 times and fails in 3 scenarios', or another reason why a trial did not win."""
     totals = entry["slower"]
     if totals is None:
         return "re-plans or fails in the nominal car"

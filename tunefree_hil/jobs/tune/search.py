@@ -38,7 +38,7 @@ class TrialSearch:
         self._start_s, self._done_at_start = time.monotonic(), 0
 
     def score_baselines(self, order: list[str] | None = None) -> Iterator[Event]:
-        """Score the missing baselines, as many in one call as the evaluator likes.
+        """Score the missing baselines, up to the batch size of the evaluator in one call.
 
         A baseline that the bench failed is driven again; after three failures BenchError is raised.
 
@@ -114,29 +114,29 @@ class TrialSearch:
             yield self._progress(f"{trial.score:.3f} at {values}", "trial", done, self.total)
 
     def _delete_old_logs(self, slot: int) -> None:
-        """Delete the logs of the trial that is not the best any more: of this slot, or of the best before it."""
+        """Delete the logs of this slot, or those of the former best trial where this slot is the best now."""
         best = self.study.best()
         if best is None or self.evaluator.medium is Medium.BATCH:
             return
-        loser = self._best_slot if best.slot == slot else slot
+        obsolete_slot = self._best_slot if best.slot == slot else slot
         self._best_slot = best.slot
-        if loser is not None and loser != best.slot:
-            for k in episode_numbers(len(self.vectors) + loser, len(self.bench.spec.scenarios)):
+        if obsolete_slot is not None and obsolete_slot != best.slot:
+            for k in episode_numbers(len(self.vectors) + obsolete_slot, len(self.bench.spec.scenarios)):
                 delete_logs(self.run.episode(k))
 
     def _start_stage(self, done: int) -> None:
         self._start_s, self._done_at_start = time.monotonic(), done
 
     def _progress(self, message: str, label: str, done: int, total: int) -> Event:
-        """A progress event; the time left follows from the rate of this stage, all workers of a study together."""
+        """A progress event; the remaining time follows from the rate of this stage, of all workers together."""
         each_s = (time.monotonic() - self._start_s) / max(1, done - self._done_at_start)
-        left = total - done + (self.total - len(self.study.trials()) if label == "baseline" else 0)
+        n_left = total - done + (self.total - len(self.study.trials()) if label == "baseline" else 0)
         best, manual = self.study.best(), self.study.baselines()
         is_batch = self.evaluator.medium is Medium.BATCH
         data: dict[str, Any] = {"label": f"{label} in the batch" if is_batch else label, "done": done, "total": total}
         data["over"] = self.evaluator.medium.value
         if label == "trial" or not is_batch:  # the batch compiles during its baselines
-            data["eta_s"] = each_s * max(0, left)
+            data["eta_s"] = each_s * max(0, n_left)
         data |= self.evaluator.pace
         if data.get("discarded"):
             message += f"; drives not in real time, repeated so far: {data['discarded']:.0f}"

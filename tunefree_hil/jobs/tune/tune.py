@@ -45,7 +45,7 @@ class TuneOutcome(NamedTuple):
     """A finished search.
 
     confirmed: Of a batch, the study as confirmed over the bus.
-    finalisation: Of a shared study, what one worker does for all.
+    finalisation: Of a shared study, the work that one worker does for all.
     """
 
     study: ScoredStudy
@@ -153,7 +153,7 @@ def _tune_over_bus(plan: TunePlan, run: RunFolder, stack: ExitStack) -> Generato
 def _redrive_winner(plan: TunePlan, run: RunFolder, winner: Trial) -> Iterator[Event]:
     """Drive the winner again where its logs were deleted, as its score was not the best; for figures and `replay`.
 
-    Not with a joined bench, which has ended by now.
+    A joined bench is not available any more, so it is left out.
     """
     if has_recordings(plan.bench, run, winner.slot) or plan.options.join:
         return
@@ -172,8 +172,8 @@ def _tune_shared(plan: TunePlan, run: RunFolder, stack: ExitStack) -> Generator[
         yield Event("note", _describe_lanes(plan, evaluator))
         search = TrialSearch(plan, run, evaluator, study)
         names = list(plan.vectors)
-        first = zlib.crc32(study.leases.worker.encode()) % len(names)
-        yield from search.score_baselines(names[first:] + names[:first])
+        n_rotated = zlib.crc32(study.leases.worker.encode()) % len(names)
+        yield from search.score_baselines(names[n_rotated:] + names[:n_rotated])
         yield from search.run_trials()
     yield from _as_warnings(study.refresh())
     copy_study(run.path / "study.db", study, {})  # for `explain`, which then needs no server
@@ -187,7 +187,7 @@ def _tune_shared(plan: TunePlan, run: RunFolder, stack: ExitStack) -> Generator[
 def _share_robustness(
     plan: TunePlan, run: RunFolder, study: SharedStudy, finalisation: Finalisation
 ) -> Generator[Event, None, RobustnessResult]:
-    """The robustness result of a shared study, from this worker or from another one that is waited for."""
+    """The robustness result of a shared study, computed by this worker or awaited from another one."""
     wanted = (ROBUSTNESS, VERIFIED) if _is_verified(plan) else (ROBUSTNESS,)
     yield from _as_warnings(finalisation.wait_for_parts(wanted))
     if ROBUSTNESS not in finalisation.parts:
@@ -218,8 +218,10 @@ def _tune_in_batch(plan: TunePlan, run: RunFolder, stack: ExitStack) -> Generato
     if len(journal.baselines()) < len(plan.vectors) or len(journal.trials()) < plan.trials:
         with Batch(plan.bench) as batch:
             text = f"batch: {plan.settings.in_flight} trials in flight; a new bench is compiled first"
-            best = min(plan.confirm, plan.trials)
-            yield Event("note", f"{text}. Afterwards the {best} best trials and the baselines are driven over the bus")
+            n_confirmed = min(plan.confirm, plan.trials)
+            yield Event(
+                "note", f"{text}. Afterwards the {n_confirmed} best trials and the baselines are driven over the bus"
+            )
             evaluator = BatchEvaluator(batch, plan.bench, scenarios, batch_size=max(len(plan.vectors), 1))
             search = TrialSearch(plan, run, evaluator, journal)
             yield from search.score_baselines()

@@ -85,7 +85,7 @@ def verify_winner(bench: Bench, run: RunFolder, options: VerifyOptions) -> Gener
     for line in candidate_table(data["scenarios"], data["scores"]):
         yield Event("note", line)
     data["margins"] = yield from _report_margins(bench, vectors, episodes, data["scores"], joined)
-    # Whether the model that was tuned on has data for what the winner does on the vehicle.
+    # whether the data of the tuned model cover what the winner does on the vehicle
     recordings = {name: episode.recording for name, episode in episodes[TUNED].items()}
     data["outside"] = measure_outside(bench, bench.spec.model, recordings)
     parts = (data["sentence"], margin_text(data["margins"], TUNED), describe_outside(data["outside"]))
@@ -135,9 +135,12 @@ def _report_margins(
     data = margin_data(margin_result, steering, scores, over_bus)
     for line in margin_table(data, TUNED):
         yield Event("note", line)
-    same = data["same_as_bus"]
-    if same and same["equal"] < same["of"]:
-        yield Event("warning", f"batch and bus agree in {same['equal']} of {same['of']} scores of the nominal car")
+    equal_scores = data["same_as_bus"]
+    if equal_scores and equal_scores["equal"] < equal_scores["of"]:
+        yield Event(
+            "warning",
+            f"batch and bus agree in {equal_scores['equal']} of {equal_scores['of']} scores of the nominal car",
+        )
     return data
 
 

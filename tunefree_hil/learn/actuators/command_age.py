@@ -1,6 +1,6 @@
-"""How old a command is when a by-wire unit's report echoes it, in a recording of real time.
+"""The age of a command when a report of the by-wire unit first echoes it, in a recording of real time.
 
-Commands and reports are sent by two clocks, so a report falls anywhere between two commands, and its place drifts. On
+Commands and reports are timed by two clocks, so a report falls anywhere between two commands, at a time that drifts. On
 the tick grid a command acts for the whole tick that ends with the report that echoes it first. That adds the rest of
 the tick to a dead time, and the spread of the ages to its uncertainty.
 """
@@ -19,12 +19,12 @@ Array = np.ndarray
 
 
 class CommandAgeCriteria(NamedTuple):
-    """When an echo shows the age of its command; every value is an engineering choice."""
+    """When echoes show the ages of their commands; every value is an engineering choice."""
 
-    max_commands_back: int = 15  # before a report; an older command of the same value is another one
+    max_commands_back: int = 15  # that are searched before a report; older ones of this value are not its command
     min_changes: int = 20  # changed echoes with a known age
     max_deviation_periods: float = 1.5  # of an age from the median, in periods of the commands
-    min_agreeing_share: float = 0.8  # of the ages, that deviate by less
+    min_agreeing_share: float = 0.8  # of the ages, that deviate by at most this
     min_change_tolerances: float = 2.0  # rounding tolerances that count as a change of the echo
 
 
@@ -51,7 +51,7 @@ def measure_command_ages(samples_by_field: Mapping[str, FieldSamples]) -> dict[s
 
 
 def _agrees_with_median(ages_s: Array, max_deviation_s: float) -> Array:
-    """Which ages are near the median. An echo whose command is too old matches any other command of that value."""
+    """Which ages are near the median; others come from another command of the same value."""
     return np.abs(ages_s - np.median(ages_s)) <= max_deviation_s if len(ages_s) else np.zeros(0, dtype=bool)
 
 
@@ -63,9 +63,9 @@ def changed_echo_ages(command: FieldSamples, echo: FieldSamples) -> Array:
     report_s, values = echo.time_s[changed], echo.values[changed]
     newest = np.searchsorted(command.time_s, report_s, side="right") - 1
     ages_s = np.full(len(changed), np.nan)
-    for back in range(COMMAND_AGE.max_commands_back):
-        index = np.maximum(newest - back, 0)
-        matches = (newest >= back) & np.isnan(ages_s) & (np.abs(command.values[index] - values) <= tolerance)
+    for n_back in range(COMMAND_AGE.max_commands_back):
+        index = np.maximum(newest - n_back, 0)
+        matches = (newest >= n_back) & np.isnan(ages_s) & (np.abs(command.values[index] - values) <= tolerance)
         ages_s[matches] = report_s[matches] - command.time_s[index[matches]]
     return ages_s[np.isfinite(ages_s)]
 

@@ -1,9 +1,9 @@
 """Identifies a by-wire channel: dead time, lag of order 1 or 2, rate limit, dead band, gain and offset.
 
-The kernel that drives the bench is simulated on the recorded commands and compared with the recorded outputs: first a
+The actuator kernel of the bench is simulated with the recorded commands and compared with the recorded outputs: first a
 coarse grid of dead time and lag, then least squares. Order and rate limit follow from the error on held-out parts. If
-the rate limit was reached, dead time and lag are fitted again far from it. A value that the logs do not show is that of
-the data sheet, with a wider interval and the reason.
+the rate limit was reached, dead time and lag are fitted again far from it. A value that the logs do not identify is
+taken from the data sheet, with a wider interval and the reason.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ from tunefree_hil.learn.data_sheet import ChannelSheet, is_accel_commanded
 from tunefree_hil.learn.drives.drive import DriveSplit
 from tunefree_hil.learn.drives.smoothing import estimate_noise, estimate_quantum
 from tunefree_hil.learn.estimate import (
-    NORMAL_QUANTILE_95,
+    HALF_WIDTH_95,
     ActuatorFit,
     Estimate,
     make_exact_estimate,
     make_unidentified_estimate,
 )
 
-PEDAL_CHANNELS = ("throttle", "brake", "steer")
+PEDALS_AND_STEER = ("throttle", "brake", "steer")
 TIMES = ("dead_time_s", "lag_s")
 BASIC_STRUCTURES = (
     ActuatorStructure(1, False),
@@ -58,29 +58,29 @@ BASIC_STRUCTURES = (
     ActuatorStructure(2, False),
 )
 LIMITED_STRUCTURES = (ActuatorStructure(1, True), ActuatorStructure(2, True))
-MOTION_STRUCTURES = (ActuatorStructure(1, False), ActuatorStructure(2, False))  # the motion shows no more
+MOTION_STRUCTURES = (ActuatorStructure(1, False), ActuatorStructure(2, False))  # the motion identifies no more
 
 
 class IdentificationCriteria(NamedTuple):
-    """When the logs show a channel or one of its values; every value is an engineering choice."""
+    """When the logs identify a channel or one of its values; every value is an engineering choice."""
 
-    min_reports: int = 300
+    min_reports: int = 300  # of the output, that can be compared
     min_changes: int = 8  # of the command, each by min_change_share of its span
-    min_change_share: float = 0.02
-    change_interval_s: float = 0.2  # between two looks at the command: a ramp is a change too
+    min_change_share: float = 0.02  # of the span of the command: what counts as a change
+    change_interval_s: float = 0.2  # between two compared commands, so that a ramp is a change too
     min_span_steps: float = 5.0  # quantisation steps that the command covers
     min_explained_share: float = 0.5  # of the output's variance, by the command
     min_small_reports: int = 100  # with small commands, for a dead band
     small_share: float = 0.1  # of the span, that counts as a small command
     rest_share: float = 0.002  # of the span, that counts as at rest
     start_dead_band_share: float = 0.02  # of the span, where the fit of a dead band starts
-    time_resolution_ticks: float = 0.1  # half the narrowest interval of a time; less depends on the model's form
-    max_scaled_unknown: float = 200.0  # an interval that wide has no meaning
+    time_resolution_ticks: float = 0.1  # least half width of the interval of a time
+    max_scaled_unknown: float = 200.0  # limit of an interval; wider ones have no meaning
     max_dead_time_half_width_s: float = 0.1  # of the interval of a known dead time
     max_interval_ratio: float = 10.0  # of the ends of the interval of a known lag, frequency or damping ...
     min_wide_end: float = 0.1  # ... whose upper end exceeds this (s, Hz or 1)
     max_unknown_end: float = 1e3  # upper end of the interval of an unknown value
-    max_lag_share: float = 0.95  # of the longest lag in the search; a longer one is the car's own slow motion
+    max_lag_share: float = 0.95  # of the longest lag in the search; a longer one is slow motion of the car
 
 
 IDENTIFICATION = IdentificationCriteria()
@@ -123,7 +123,7 @@ def fit(
 ) -> Generator[Any, None, ActuatorFit]:
     """Identify one channel; yields (done, total) steps.
 
-    A channel that the logs do not excite, or whose output does not follow, is that of its data sheet.
+    A channel that is not excited, or whose output does not follow, gets the values of its data sheet.
 
     Args:
         has_echo: whether command and output come from the same report.
@@ -190,10 +190,10 @@ def _fit_dead_band(case: IdentificationCase, chosen: StructureFit) -> tuple[Stru
     params = {**chosen.model.params._asdict(), "asymmetry": chosen.model.asymmetry}
     values = {name: params[name] for name in chosen.structure.unknown_names()}
     start_band = IDENTIFICATION.start_dead_band_share * case.scale.span
-    banded = fit_structure(case, structure, {**values, "dead_band": start_band})
-    estimate = _estimate_unknown(banded, "dead_band", case.scale)
-    if estimate.low > 0.0 and banded.error < SEARCH.max_error_ratio * chosen.error:
-        return banded, estimate
+    with_dead_band = fit_structure(case, structure, {**values, "dead_band": start_band})
+    estimate = _estimate_unknown(with_dead_band, "dead_band", case.scale)
+    if estimate.low > 0.0 and with_dead_band.error < SEARCH.max_error_ratio * chosen.error:
+        return with_dead_band, estimate
     if estimate.high <= max_band:
         return chosen, Estimate(0.0, 0.0, max(estimate.high, 0.0), True, "the logs show none")
     reason = "small commands do not distinguish it from the offset; neutral value"
@@ -212,20 +212,20 @@ def _count_small_commands(case: IdentificationCase) -> int:
 
 
 def _as_actuator_fit(identified: _IdentifiedChannel, training: ChannelSamples) -> ActuatorFit:
-    """The values with their intervals as a model holds them."""
+    """The values with their intervals, in the form of a model."""
     case, chosen = identified.case, identified.chosen
     structure, sigma = chosen.structure, case.scale.sigma
     output = np.concatenate([segment.output[segment.is_compared] for segment in case.training])
     quantum = estimate_quantum(output)
     values = _estimate_values(case, chosen)
-    age_half_width_s = NORMAL_QUANTILE_95 * training.command_age_std_s
+    age_half_width_s = HALF_WIDTH_95 * training.command_age_std_s
     dead_time_s = clip_interval_at_zero(widen_interval(values["dead_time_s"], age_half_width_s))
     lag_s = values.get("lag_s", make_exact_estimate(0.0))
     if structure.order == 0:
         dead_time_s, lag_s = _times_without_lag(case, dead_time_s)
     elif structure.is_asymmetric:
         lag_s = _mean_lag(chosen, lag_s)
-    # the residuals do not have the corners of the output itself
+    # unlike the output, its residuals have no corners
     residuals = [output_residuals(chosen.model, [segment], 1.0) for segment in case.training]
     noise = math.sqrt(float(np.mean([estimate_noise(piece, quantum) ** 2 for piece in residuals])))
     model = chosen.model.symmetric_model()
@@ -273,7 +273,7 @@ def _times_without_lag(case: IdentificationCase, dead_time_s: Estimate) -> tuple
 
 
 def _mean_lag(chosen: StructureFit, lag_s: Estimate) -> Estimate:
-    """The one lag of the bench's actuator, for a channel with different lags upwards and downwards."""
+    """The lag for the bench's actuator, of a channel with different lags upwards and downwards."""
     asymmetry = chosen.model.asymmetry
     ratio = math.cosh(asymmetry)
     up_ms, down_ms = (1e3 * lag_s.value * math.exp(sign * asymmetry) for sign in (1.0, -1.0))
@@ -291,7 +291,7 @@ def _estimate_unknown(structure_fit: StructureFit, name: str, scale: ActuatorSca
 
 def model_channels(vehicle: VehicleSpec) -> list[str]:
     """The channels of a vehicle's model: the inputs of its plant, and all others that are commanded."""
-    needed = ("accel", "steer") if is_accel_commanded(vehicle) else PEDAL_CHANNELS
+    needed = ("accel", "steer") if is_accel_commanded(vehicle) else PEDALS_AND_STEER
     return [name for name in CHANNELS if name in needed or CHANNELS[name] in vehicle.command]
 
 
@@ -316,11 +316,11 @@ def excitation_problem(samples: ChannelSamples) -> str:
     command = np.concatenate([segment.command for segment in samples.segments])
     span = float(np.ptp(command))
     step = max(estimate_quantum(command), 1e-9)
-    sparse = [
+    compared_commands = [
         segment.command[:: max(round(criteria.change_interval_s / segment.dt_s), 1)] for segment in samples.segments
     ]
     min_change = criteria.min_change_share * span
-    n_changes = sum(int(np.sum(np.abs(np.diff(commands)) > min_change)) for commands in sparse)
+    n_changes = sum(int(np.sum(np.abs(np.diff(commands)) > min_change)) for commands in compared_commands)
     if span <= criteria.min_span_steps * step or n_changes < criteria.min_changes:
         low, high = float(command.min()), float(command.max())
         return f"its command is constant, or nearly so ({low:.4g} to {high:.4g}, {n_changes} changes)"
@@ -328,7 +328,7 @@ def excitation_problem(samples: ChannelSamples) -> str:
 
 
 def fit_from_data_sheet(sheet: ChannelSheet, reason: str) -> ActuatorFit:
-    """A channel by its data sheet, with wide intervals. reason: why the logs do not give it."""
+    """The data sheet values of a channel, with wide intervals. reason: why the logs do not identify it."""
     reason = f"{reason}; {'data sheet' if sheet.is_stated else 'neutral value, none is stated'}"
 
     def widened(value: float, low: float, high: float) -> Estimate:
@@ -337,14 +337,16 @@ def fit_from_data_sheet(sheet: ChannelSheet, reason: str) -> ActuatorFit:
     def widened_time(value: float) -> Estimate:
         return widened(value, 0.0, DATA_SHEET.max_time_ratio * value + DATA_SHEET.extra_time_s)
 
-    rate = sheet.rate_limit
+    rate_limit = sheet.rate_limit
     return ActuatorFit(
         dead_time_s=widened_time(sheet.dead_time_s),
         order=1,
         lag_s=widened_time(sheet.lag_s),
         natural_hz=make_exact_estimate(0.0),
         damping=make_exact_estimate(1.0),
-        rate_limit=widened(rate, DATA_SHEET.min_rate_ratio * rate if math.isfinite(rate) else 0.0, math.inf),
+        rate_limit=widened(
+            rate_limit, DATA_SHEET.min_rate_ratio * rate_limit if math.isfinite(rate_limit) else 0.0, math.inf
+        ),
         dead_band=widened(0.0, 0.0, DATA_SHEET.max_dead_band),
         gain=widened(1.0, 1.0 - DATA_SHEET.max_gain_error, 1.0 + DATA_SHEET.max_gain_error),
         offset=widened(0.0, -DATA_SHEET.max_offset, DATA_SHEET.max_offset),
@@ -386,10 +388,10 @@ def clip_interval_at_zero(estimate: Estimate) -> Estimate:
 
 
 def restrict_to_motion(channel: ActuatorFit, sheet: ChannelSheet) -> ActuatorFit:
-    """A channel that was identified from the motion alone keeps its times only.
+    """Keep only the times of a channel that was identified from the motion alone.
 
     The effect of a command belongs to the plant, and the lag may include the car's own response. If the motion shows
-    neither dead time nor lag, the channel is that of the data sheet.
+    neither dead time nor lag, all values are those of the data sheet.
     """
     if not _has_times(channel):
         return fit_from_data_sheet(sheet, "the motion hardly shows it, and no output is reported")
@@ -413,7 +415,7 @@ def restrict_to_motion(channel: ActuatorFit, sheet: ChannelSheet) -> ActuatorFit
 def _has_times(channel: ActuatorFit) -> bool:
     """Whether the motion shows a time of a channel.
 
-    A lag near the longest in the search does not count: a car whose command hardly moves changes as slowly by itself.
+    A lag near the longest in the search does not count: it may be slow motion of the car under a constant command.
     """
     lag = channel.lag_s if channel.order == 1 else channel.natural_hz
     max_lag_s = IDENTIFICATION.max_lag_share * BOUNDS.lag_s[1]

@@ -1,4 +1,4 @@
-"""The unknowns of one by-wire channel, and its simulation by the kernel that drives the bench."""
+"""The unknowns of one by-wire channel, and its simulation by the actuator kernel of the bench."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ class RateLimitCriteria(NamedTuple):
     near_share: float = 0.6  # of the rate limit: from here on a real drive may already be limited
     reached_share: float = 0.999  # of the rate limit: it is reached
     peak_rate_reports: int = 3  # over which the output's peak rate is taken
-    peak_rate_quantile: float = 0.999
+    peak_rate_quantile: float = 0.999  # of those rates: the fastest 0.1 % are left out
 
 
 BOUNDS = ModelBounds()
 RATE_LIMIT = RateLimitCriteria()
-# One unit of a scaled unknown (learn/robust_least_squares.py); where only ratios count, the value at unknown 0.
+# Step of a value per unit of its scaled unknown (learn/robust_least_squares.py); of a logarithmic one its value at 0.
 DEAD_TIME_UNIT_S, GAIN_UNIT, SPAN_UNIT = 0.02, 0.1, 0.05
 LOG_REFERENCES = {"lag_s": 0.05, "natural_hz": 3.0, "damping": 1.0}
 
@@ -57,7 +57,7 @@ class ActuatorStructure(NamedTuple):
     """Which unknowns a model of a channel has beside dead time, gain and offset.
 
     An asymmetric model of order 1 has a lag of lag_s * exp(asymmetry) upwards and lag_s * exp(-asymmetry) downwards.
-    The bench's actuator cannot do that, but without it a fit puts the difference into the dead time.
+    The actuator of the bench has one lag; but a fit with one lag puts the difference into the dead time.
     """
 
     order: int  # 0: no lag
@@ -73,13 +73,13 @@ class ActuatorStructure(NamedTuple):
 
 
 class ActuatorModel(NamedTuple):
-    """A channel's params, and how its lag depends on the direction (ActuatorStructure), 0 for not at all."""
+    """Parameters of a channel, and the asymmetry of its lag (ActuatorStructure), 0 for none."""
 
     params: ActuatorParams
     asymmetry: float = 0.0
 
     def symmetric_model(self) -> ActuatorModel:
-        """The nearest model that the bench can drive, whose lag is the mean of both directions."""
+        """The nearest model of the bench's kind: its lag is the mean of both directions."""
         return ActuatorModel(self.params._replace(lag_s=self.params.lag_s * math.cosh(self.asymmetry)))
 
 
@@ -146,7 +146,7 @@ def unknowns_from_values(structure: ActuatorStructure, values: dict[str, float],
 def model_from_unknowns(
     structure: ActuatorStructure, x: Array, scale: ActuatorScale, rate_limit: float = math.inf
 ) -> ActuatorModel:
-    """The model at unknowns x of shape (n_unknowns,). rate_limit: of a structure that has none of its own."""
+    """The model at unknowns x of shape (n_unknowns,). rate_limit: of a structure without this unknown."""
     names = structure.unknown_names()
     values = {name: float(value_from_unknown(name, float(x_i), scale)) for name, x_i in zip(names, x, strict=True)}
     asymmetry = values.pop("asymmetry", 0.0)
@@ -159,9 +159,9 @@ def model_from_unknowns(
 def run_actuator(
     params: ActuatorParams, state: ActuatorState, down: Lag, commands: Any, outputs: Any, dt_s: float
 ) -> int:
-    """Drive a channel with one command a tick and write its outputs; returns how many there are.
+    """Simulate a channel with one command a tick and write its outputs; returns their number.
 
-    The lag is the state's own upwards, `down` downwards.
+    The lag is that of `state` upwards, and `down` downwards.
     """
     up = state.lag
     for i in range(len(commands)):
@@ -241,14 +241,14 @@ def exclude_rate_limited(
 ) -> list[ActuatorSamples]:
     """The segments, compared only in rows that are not near the rate limit within these times before and after.
 
-    The time before a limit matters too: a motor that still speeds up may already have been given only its limit.
+    The time before a limit matters too: a motor that still accelerates may already be limited.
     """
     calm_segments = []
     for segment in segments:
         is_near = rows_at_rate_limit(model, segment, RATE_LIMIT.near_share)
-        rows, far = np.arange(len(is_near)), 2 * len(is_near)
-        last = np.maximum.accumulate(np.where(is_near, rows, -far))
-        following = np.minimum.accumulate(np.where(is_near, rows, far)[::-1])[::-1]
+        rows, far_away = np.arange(len(is_near)), 2 * len(is_near)
+        last = np.maximum.accumulate(np.where(is_near, rows, -far_away))
+        following = np.minimum.accumulate(np.where(is_near, rows, far_away)[::-1])[::-1]
         is_compared = segment.is_compared & (rows - last > round(after_s / segment.dt_s))
         is_compared &= following - rows > round(before_s / segment.dt_s)
         if is_compared.any():

@@ -5,8 +5,8 @@ the actuator had in the tick at whose end the output stands, as in `plant/actuat
 reports the command on the bus is used, shifted so that it agrees with the echo. Without an echo the command on the bus
 is delayed as on the bench ([timing]: one tick each way, and one for the step itself).
 
-A channel may stop before its command does. That is neither a wrong gain nor a lag, so commands are clipped at the one
-that reaches the stop before the channel is identified. The stop itself is an effect that `gap` names.
+The output may stop short of its command. That is neither a wrong gain nor a lag, so before the channel is identified
+commands are clipped at the one that reaches the stop. The stop itself is an effect that `gap` identifies.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ NO_AGES = np.zeros(0)
 class SampleCriteria(NamedTuple):
     """Which rows of a channel are compared; every value is an engineering choice."""
 
-    max_echo_delay_s: float = 0.3  # from a command on the bus to its echo
+    max_echo_delay_s: float = 0.3  # longest time from a command on the bus to its echo
     min_agreeing_share: float = 0.9  # of the changes of the echo, that the command on the bus explains
-    max_silence_s: float = 0.2  # between two reports of the output
+    max_silence_s: float = 0.2  # longest time between two reports of the output
     warm_up_s: float = 1.0  # at the start of a segment, not compared: the history is unknown
-    min_segment_s: float = 3.0
+    min_segment_s: float = 3.0  # a shorter segment is left out
     min_age_std_s: float = 5e-4  # of command ages; less is the jitter of the bus
     rate_window_s: float = 0.5  # of the filter that gives the rate of the speed, where that is the output
 
 
 class StopCriteria(NamedTuple):
-    """A stop is one level at which the output rests while commands of several sizes ask for more."""
+    """A stop is one level at which the output rests while commands of several sizes exceed it."""
 
     min_rest_s: float = 0.3  # of the output at the stop; longer than the lags of such channels
     max_ripple_share: float = 0.01  # of the output's span, by which a resting output moves
@@ -62,7 +62,7 @@ class StopCriteria(NamedTuple):
     min_total_rest_s: float = 0.5  # beyond min_rest_s, in all
     min_stops: int = 2  # separate rests at the stop
     min_steady_s: float = 0.6  # of a command and its output, for the gain at rest; longer than dead times
-    min_steady_rows: int = 20
+    min_steady_rows: int = 20  # with fewer there is no gain at rest
     min_steady_range_share: float = 0.2  # of the span, that the steady commands cover
 
 
@@ -217,7 +217,7 @@ def command_from_echo(echo: Array, fresh: Array, wire: Array | None, dt_s: float
 def find_wire_shift(echo: Array, wire: Array, ticks: Array, max_shift: int) -> int | None:
     """The delay in rows at which the command on the bus agrees with the echo before and after each change.
 
-    Where several do (every change falls in the same half of a report's period), the one nearest to the bench's own.
+    Of several such delays (every change falls in the same half of a report's period), the one nearest to BENCH_TICKS.
 
     Args:
         echo, wire: shape (n_rows,).
@@ -326,7 +326,7 @@ def describe_stops(segments: Sequence[ActuatorSamples], low: float, high: float)
 
 
 class _ComparedWindows(NamedTuple):
-    """The compared rows, how many of them a window holds (more than there are where unknown), their interval in s."""
+    """The compared rows, the length of a window in them (more than there are if unknown), their interval in s."""
 
     rows: Array
     length: int
@@ -398,7 +398,7 @@ def read_accel_command(drive: Drive) -> Array | None:
 
 
 def pedals_from_accel_command(accel_command: Array, enabled: Array, rest: float) -> list[ChannelActuation]:
-    """Throttle and brake, as of read_actuation, of a car whose acceleration is commanded."""
+    """Throttle and brake, like those of read_actuation, of a car with commanded acceleration."""
     missing, follows_command = np.full(len(accel_command), np.nan), np.isfinite(accel_command) & enabled
     throttle, brake = np.maximum(accel_command, 0.0), np.maximum(-accel_command, 0.0)
     return [ChannelActuation(rest + pedal / FULL_MPS2, missing, follows_command) for pedal in (throttle, brake)]

@@ -1,4 +1,4 @@
-"""Samples of a channel whose output is not reported: the car's motion shows what the output must have been.
+"""Samples of a channel without a reported output: the output follows from the motion of the car.
 
 Two simple laws are fitted to the training parts, with the command at the delay that leaves the smallest residual:
 
@@ -10,7 +10,7 @@ Two simple laws are fitted to the training parts, with the command at the delay 
 
 Gain, offset and dead band of such a channel belong to the plant; the samples give its dead time and lag. These include
 the car's own response, so their intervals are wider than those of a reported output (learn/actuators/identify.py).
-The laws also suggest constants of the plant, where a fit may start for a car whose folder states little.
+The laws also suggest constants of the plant, as start values of a fit for a car with a short data sheet.
 """
 
 from __future__ import annotations
@@ -52,29 +52,29 @@ class MotionLawCriteria(NamedTuple):
 
     max_released_frac: float = 0.01  # above rest, up to which a pedal counts as released
     min_released_s: float = 1.0  # for which the other pedal has been released
-    knots: int = 5  # of g
-    max_delay_s: float = 0.6  # of the command
-    delays: int = 20  # to try
-    max_steady_accel_mps2: float = 0.2  # at which the speed counts as held
-    min_rows: int = 500  # of a moving car
-    min_steady_rows: int = 100  # at a held speed
+    knots: int = 5  # of g, the effect of a command
+    max_delay_s: float = 0.6  # longest delay of the command that is tried
+    delays: int = 20  # tried, up to max_delay_s
+    max_steady_accel_mps2: float = 0.2  # up to which the speed counts as held
+    min_rows: int = 500  # of a moving car, that a law needs
+    min_steady_rows: int = 100  # at a held speed, for the command that holds it
     min_speed_share: float = 0.1  # of the top speed; below it friction and small angles dominate
-    top_speed_quantile: float = 0.99
+    top_speed_quantile: float = 0.99  # of the speed, that counts as the top speed
     min_divisor_mps: float = 0.05  # least speed that the yaw rate is divided by
-    min_segment_s: float = 3.0
-    min_inverse_ratio: float = 1e-6  # less has the wrong sign or no effect
+    min_segment_s: float = 3.0  # a shorter segment is left out
+    min_inverse_ratio: float = 1e-6  # of an inverse steering ratio; less has the wrong sign or no effect
 
 
 class SuggestionCriteria(NamedTuple):
     """How constants of the plant follow from the laws; every value is an engineering choice."""
 
     min_explained_share: float = 0.3  # of the variance of the rate of speed; a weaker law suggests nothing
-    drive_knee_frac: float = 0.5
+    drive_knee_frac: float = 0.5  # throttle at which the suggested drive force has risen to 63 %
     zero_of_held_command: float = 0.8  # of the least command that held a speed, for the throttle's zero at most
     zero_of_pull_away: float = 0.7  # of the way from the least command to the one that overcomes rolling resistance
     fast_share: float = 0.7  # of the top speed, at which drag is taken
-    rolling_mps2: tuple[float, float] = (0.02, 3.0)  # bounds
-    min_drag_mps2: float = 0.02
+    rolling_mps2: tuple[float, float] = (0.02, 3.0)  # least and greatest deceleration by rolling resistance
+    min_drag_mps2: float = 0.02  # least deceleration by drag at that speed
     force_ratio: float = 1.5  # of the drive force to the largest one that the law shows
     power_ratio: float = 2.0  # of the drive power to force times top speed
 
@@ -99,7 +99,7 @@ class MotionLaw(NamedTuple):
     knots: Array  # commands between which g is linear
     command_delay_ticks: int
     steer_ratio: float  # command per road wheel angle, 0 for a pedal
-    explained_share: float  # of the variance of what is explained
+    explained_share: float  # of the variance of the effect
     slow_mps: float  # slower rows are not used
     top_mps: float
     held_speed: HeldSpeed = HeldSpeed()
@@ -110,7 +110,7 @@ class _MotionSignals(NamedTuple):
 
     command: Array  # as sent
     speed: Array
-    effect: Array  # what the law explains, through the rate filter
+    effect: Array  # the quantity that the law explains, after the rate filter
     is_fresh: Array
     is_usable: Array
     dt_s: float
@@ -211,7 +211,7 @@ def _place_knots(commands: Array) -> Array:
 
 
 def _design_matrix(signals: _MotionSignals, law: MotionLaw) -> Array:
-    """What the law is linear in, shape (n_rows, n_coefficients)."""
+    """The regressors of the law, shape (n_rows, n_coefficients)."""
     command, ones = shift_later(signals.command, law.command_delay_ticks), np.ones(len(signals.command))
     if law.channel == "steer":
         return np.stack([ones, filter_rate(np.nan_to_num(command), signals.window, signals.dt_s)], axis=1)
@@ -229,12 +229,12 @@ def _knot_ramps(commands: Array, knots: Array) -> Iterator[Array]:
 def _fit_at_delay(pieces: Sequence[_MotionSignals], law: MotionLaw) -> MotionLaw | None:
     """Fit the coefficients at the law's delay. None where there are few rows or the command acts the wrong way."""
     rows = [piece.is_usable & np.isfinite(shift_later(piece.command, law.command_delay_ticks)) for piece in pieces]
-    left = np.concatenate([_design_matrix(piece, law)[used] for piece, used in zip(pieces, rows, strict=True)])
-    right = np.concatenate([piece.effect[used] for piece, used in zip(pieces, rows, strict=True)])
-    if len(right) < LAW.min_rows:
+    regressors = np.concatenate([_design_matrix(piece, law)[used] for piece, used in zip(pieces, rows, strict=True)])
+    effect = np.concatenate([piece.effect[used] for piece, used in zip(pieces, rows, strict=True)])
+    if len(effect) < LAW.min_rows:
         return None
-    coefficients = np.linalg.lstsq(left, right, rcond=None)[0]
-    explained_share = 1.0 - float(np.var(right - left @ coefficients)) / max(float(np.var(right)), 1e-12)
+    coefficients = np.linalg.lstsq(regressors, effect, rcond=None)[0]
+    explained_share = 1.0 - float(np.var(effect - regressors @ coefficients)) / max(float(np.var(effect)), 1e-12)
     law = law._replace(coefficients=coefficients, explained_share=explained_share)
     if law.channel == "steer":
         inverse_ratio = float(coefficients[1])
@@ -256,7 +256,7 @@ def _command_and_output(law: MotionLaw, signals: _MotionSignals) -> tuple[Array,
 def suggest_plant_constants(laws: Mapping[str, MotionLaw], mass_kg: float) -> dict[str, float]:
     """Start values of plant constants by their names in [plant.params], where the laws show them.
 
-    creep_force_n is 0 where the laws show none: a free one would hold any car at the speed that it drove most.
+    creep_force_n is 0 where the laws show none: a fitted one could explain the most frequent speed of any car.
     """
     constants: dict[str, float] = {}
     if "steer" in laws:
@@ -285,7 +285,7 @@ def _suggest_longitudinal_constants(law: MotionLaw, mass_kg: float) -> dict[str,
     zero_frac = float(law.knots[0]) + SUGGESTION.zero_of_pull_away * (pull_away_frac - float(law.knots[0]))
     force_n = SUGGESTION.force_ratio * mass_kg * max(float(drive_mps2.max()), rolling_mps2)
     knee_frac, held_speed = SUGGESTION.drive_knee_frac, law.held_speed
-    if held_speed.median_command > 0.0:  # the start values must at least hold the speed that the car held
+    if held_speed.median_command > 0.0:  # with the start values the car must hold that speed too
         zero_frac = min(zero_frac, SUGGESTION.zero_of_held_command * held_speed.low_command)
         resistance_mps2 = rolling_mps2 + drag_mps2 * (held_speed.median_speed_mps / fast_mps) ** 2
         share = (held_speed.median_command - zero_frac) / max(1.0 - zero_frac, 0.1)

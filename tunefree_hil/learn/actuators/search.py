@@ -1,4 +1,4 @@
-"""The search for the structure and the numbers of one by-wire channel (learn/actuators/identify.py)."""
+"""The search for structure and parameters of one by-wire channel (learn/actuators/identify.py)."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ class SearchCriteria(NamedTuple):
     """Settings of the search; every value is an engineering choice."""
 
     starts: int = 2  # the best points of the grid, from which least squares start
-    max_error_ratio: float = 0.995  # to which a richer structure must bring the error down
-    min_limit_s: float = 0.2  # at the rate limit, for a structure with one
-    min_calm_rows: int = 500  # compared rows far from the rate limit, to fit without the others
-    onset_lags: float = 2.0  # multiples of the lag for which a rate limit shows before it is reached
-    release_lags: float = 6.0  # and after
+    max_error_ratio: float = 0.995  # of the error of a richer structure to that of a simpler one, at most
+    min_limit_s: float = 0.2  # time at the rate limit, for a structure with this unknown
+    min_calm_rows: int = 500  # compared rows far from the rate limit, to fit on these alone
+    onset_lags: float = 2.0  # time before the rate limit is reached in which it acts, in multiples of the lag
+    release_lags: float = 6.0  # multiples of the lag for which it shows afterwards
     block_s: float = 2.0  # rows of one block count as correlated (robust_least_squares.py)
     soft_l1_sigmas: float = 4.0  # residuals beyond this weigh less
-    min_span_rate: float = 0.05  # of the span per s, the least peak rate
-    min_sigma_span: float = 1e-5  # of the span, the least standard deviation
+    min_span_rate: float = 0.05  # least peak rate, in spans of the command per s
+    min_sigma_span: float = 1e-5  # least standard deviation, in spans of the command
 
 
 SEARCH = SearchCriteria()
 
 
 class SearchStart(NamedTuple):
-    """Where least squares start."""
+    """A start of least squares."""
 
     dead_time_s: float
     lag_s: float
@@ -72,11 +72,11 @@ class IdentificationCase(NamedTuple):
     held_out: Sequence[ActuatorSamples]
     scale: ActuatorScale
     blocks: Array  # the block of every compared training row, shape (n_compared,)
-    rate_limit: float = math.inf  # of structures without one of their own
+    rate_limit: float = math.inf  # of structures without this unknown
 
 
 def build_case(training: ChannelSamples, held_out: ChannelSamples, sheet: ChannelSheet) -> IdentificationCase:
-    """The samples of a channel with the scale of its numbers."""
+    """The samples of a channel with their scale."""
     command = np.concatenate([segment.command for segment in training.segments])
     outputs = [segment.output[segment.is_compared] for segment in training.segments]
     quantum = estimate_quantum(np.concatenate(outputs))
@@ -98,9 +98,9 @@ def _assign_blocks(segments: Sequence[ActuatorSamples]) -> Array:
 
 
 def without_rate_limited_rows(case: IdentificationCase, limited: StructureFit) -> IdentificationCase | None:
-    """The case without the rows near the rate limit, which is then fixed; None where too few rows are left.
+    """The case without rows near the rate limit, with a fixed rate limit; None where too few rows are left.
 
-    Near its rate limit a real drive differs from the bench's actuator. Dead time and lag are those of small commands.
+    Near its rate limit a real motor differs from the bench's actuator. Dead time and lag are those of small commands.
     """
     params = limited.model.params
     lag_s = params.lag_s if params.order == 1.0 else params.damping / (math.pi * max(params.natural_hz, 0.1))
@@ -133,8 +133,8 @@ def _residuals_at_start(case: IdentificationCase, start: SearchStart) -> Array:
 def scale_sigma_to_residuals(case: IdentificationCase, start: SearchStart) -> IdentificationCase:
     """The case with the residuals at a start as sigma, because a car's motion has other causes too.
 
-    The noise of the sensor is far smaller. Measured by it every row would be an outlier, and most of all the steps of
-    the command, which show the most.
+    The noise of the sensor is far smaller. Relative to it every row would be an outlier, above all the steps of the
+    command, which carry most of the information.
     """
     residuals = _residuals_at_start(case, start)
     ratio = max(float(np.sqrt(np.mean(residuals * residuals))), 1.0)
@@ -145,12 +145,12 @@ def fit_from_starts(
     case: IdentificationCase, structure: ActuatorStructure, starts: Sequence[SearchStart]
 ) -> StructureFit:
     """The best fit of a structure from all starts."""
-    fits = [fit_structure(case, structure, values) for values in _start_values(structure, starts)]
+    fits = [fit_structure(case, structure, start_values) for start_values in _start_values(structure, starts)]
     return min(fits, key=lambda fit: fit.solution.rms)
 
 
 def _start_values(structure: ActuatorStructure, starts: Sequence[SearchStart]) -> list[dict[str, float]]:
-    """Of order 2: critically damped with the same delay, once with the dead time and once with less of it."""
+    """For order 2: critically damped with the same delay, once with the same and once with a shorter dead time."""
     if structure.order < 2:
         return [start._asdict() for start in starts]
     values = []
@@ -183,7 +183,7 @@ def rms_error(case: IdentificationCase, model: ActuatorModel) -> float:
 
 
 def choose_structure(case: IdentificationCase, candidates: Sequence[StructureFit]) -> StructureFit:
-    """The first structure that no later, richer one beats; without a lag if it is too short for the ticks to show."""
+    """The first structure that no later, richer one improves; without a lag that is shorter than a tick."""
     usable = [
         fit
         for fit in candidates

@@ -42,15 +42,16 @@ class ConsistencyCriteria(NamedTuple):
     """When signals can be compared; every value is an engineering choice."""
 
     min_steer_range_share: float = 0.05  # of the largest angle, to judge a sign: an offset may be as large
-    min_pressed_frac: float = 0.03  # above rest
-    max_released_frac: float = 0.01  # above rest
+    min_pressed_frac: float = 0.03  # above rest, from which on a pedal is pressed
+    max_released_frac: float = 0.01  # above rest, up to which a pedal is released
     delay_s: float = 0.1  # until a pedal acts on the speed, or a steering command on the wheel
-    accel_window_s: float = 0.5  # over which the effect of a pedal is taken
-    min_pressed_s: float = 1.0  # in all
+    accel_window_s: float = 0.5  # over which the effect of a pedal is measured
+    min_pressed_s: float = 1.0  # of comparable rows, in all
     min_accel_difference_mps2: float = 0.2  # between the effects of two pedals
-    min_accel_std_mps2: float = 0.2  # standard deviation
-    min_pedal_std_frac: float = 0.03  # standard deviation
-    max_wrong_correlation: float = -0.5  # of a pedal with the acceleration
+    min_accel_std_mps2: float = 0.2  # standard deviation that shows a change of acceleration
+    min_pedal_std_frac: float = 0.03  # standard deviation that shows a moving pedal
+    # of a pedal or a commanded acceleration with the measured one: below it the sign is wrong
+    max_wrong_correlation: float = -0.5
 
 
 class SteerTrackingCriteria(NamedTuple):
@@ -63,7 +64,7 @@ class SteerTrackingCriteria(NamedTuple):
     min_followed_moves_share: float = 0.05  # of the compared moves; chance reaches fewer
     max_inside_share: float = 0.7  # of the largest reported angle, up to which an angle is far inside
     min_inside_share: float = 0.2  # of it, from which on an angle is compared
-    min_inside_s: float = 2.0  # in all
+    min_inside_s: float = 2.0  # of angles far inside, in all
 
 
 CONSISTENCY = ConsistencyCriteria()
@@ -71,7 +72,7 @@ STEER_TRACKING = SteerTrackingCriteria()
 
 
 def check_consistency(drive: Drive, vehicle: VehicleSpec) -> Iterator[LogProblem]:
-    """All problems of one drive. Signals that hardly move are not judged."""
+    """All problems of one drive. Signals that hardly change are not checked."""
     yield from _check_ranges(drive)
     yield from _check_pairs(drive, vehicle.nominal, vehicle.limits.steer_rad)
     yield from _check_pedals(drive, vehicle.nominal.rest_pedal_frac)
@@ -80,7 +81,7 @@ def check_consistency(drive: Drive, vehicle: VehicleSpec) -> Iterator[LogProblem
 
 
 def _check_ranges(drive: Drive) -> Iterator[LogProblem]:
-    """Values that no car has, which mean a wrong unit."""
+    """Impossibly large values, which mean a wrong unit."""
     for name, values in drive.fields.items():
         field = name.partition(".")[2]
         highest = HIGHEST_OF.get(field, HIGHEST.get(si_unit(field)))
@@ -117,7 +118,7 @@ def _compare_pairs(drive: Drive, nominal: NominalSpec, max_steer_rad: float) -> 
         if finding.holds is None or finding.factor is None or set(_fields_of(pair)) <= substituted:
             continue
         if pair.check == STEERING_CHECK and not is_known:
-            # the size means nothing for an unknown vehicle, and near straight ahead the sign means nothing either
+            # for an unknown vehicle only the sign counts, and that only where steering angles are large enough
             steer_range = np.ptp(drive.fields[steer or STEER][moving_rows(drive)])
             if steer_range < CONSISTENCY.min_steer_range_share * max_steer_rad:
                 continue
@@ -148,7 +149,7 @@ def _describe_mismatch(drive: Drive, comparison: _Comparison, factor: float) -> 
             "expected (ISO 8855: left and forward are positive); change the sign of one of them in vehicle.toml"
         )
     else:
-        # a wrong unit scales every move; a wheel that stops before its command does may be a property of the car
+        # a wrong unit scales every move; a wheel that stops short of its command may be a property of the car
         is_steer = not substitutes and pair.second == (STEER,)
         is_short = is_steer and factor < low and _follows_command_sometimes(drive, pair.first[0])
         code = "short_of_command" if is_short else "units"
@@ -160,7 +161,7 @@ def _describe_mismatch(drive: Drive, comparison: _Comparison, factor: float) -> 
 
 
 def _follows_command_sometimes(drive: Drive, command_name: str) -> bool:
-    """Whether the reported steering follows its command for some time: it stops, is slow, or has play.
+    """Whether the reported steering follows its command part of the time, as with a stop, a slow motor or play.
 
     With a wrong unit every move and every angle would be too small.
     """
@@ -183,7 +184,7 @@ def _follows_command_sometimes(drive: Drive, command_name: str) -> bool:
 def _reaches_small_angles(command: Array, report: Array, dt_s: float) -> bool:
     """Whether angles far inside of the reported range match their command.
 
-    A wheel that is stopped by most of its commands makes few complete moves.
+    A wheel that most commands drive against its stop makes few complete moves.
     """
     criteria = STEER_TRACKING
     largest = np.nanmax(np.abs(report), initial=0.0)
@@ -215,18 +216,18 @@ def _check_pedals(drive: Drive, rest_frac: float) -> Iterator[LogProblem]:
         is_braked = rows & _stays_pressed((brake > pressed_frac) & (throttle < released_frac), drive.dt_s)
         if min(is_driven.sum(), is_braked.sum()) * drive.dt_s < CONSISTENCY.min_pressed_s:
             continue
-        by_throttle, by_brake = float(accel[is_driven].mean()), float(accel[is_braked].mean())
-        if by_throttle < by_brake - CONSISTENCY.min_accel_difference_mps2:
+        throttle_accel, brake_accel = float(accel[is_driven].mean()), float(accel[is_braked].mean())
+        if throttle_accel < brake_accel - CONSISTENCY.min_accel_difference_mps2:
             message = (
-                f"{drive.path}: with {throttle_name} pressed the speed changes by {by_throttle:+.2f} m/s^2 and with "
-                f"{brake_name} by {by_brake:+.2f} m/s^2, but the throttle is expected to accelerate: swapped pedals; "
-                "swap them in vehicle.toml"
+                f"{drive.path}: with {throttle_name} pressed the speed changes by {throttle_accel:+.2f} m/s^2 and with "
+                f"{brake_name} by {brake_accel:+.2f} m/s^2, but the throttle is expected to accelerate: swapped "
+                "pedals; swap them in vehicle.toml"
             )
             yield LogProblem("refuse", "swapped_pedals", drive.name, throttle_name, message)
 
 
 def _check_single_pedal(drive: Drive, name: str, accel: Array, rows: Array) -> Iterator[LogProblem]:
-    """Of a vehicle without a brake: more throttle must not decelerate."""
+    """For a vehicle without a brake: more throttle must not decelerate."""
     throttle = drive.fields[name]
     is_short = rows.sum() * drive.dt_s < CONSISTENCY.min_pressed_s
     if is_short or np.std(throttle[rows]) < CONSISTENCY.min_pedal_std_frac:
@@ -273,12 +274,12 @@ def _following_accel(drive: Drive) -> Array | None:
 
 
 def _effect_rows(dt_s: float) -> tuple[int, int]:
-    """(rows until a pedal acts, rows over which its effect is taken)."""
+    """(rows until a pedal acts, rows over which its effect is measured)."""
     return round(CONSISTENCY.delay_s / dt_s), max(1, round(CONSISTENCY.accel_window_s / dt_s))
 
 
 def _stays_pressed(is_pressed: Array, dt_s: float) -> Array:
-    """Rows from which a pedal stays pressed until its effect is taken: the other pedal has its own effect."""
+    """Rows from which a pedal stays pressed until its effect is measured, so that the other pedal does not act."""
     delay, window = _effect_rows(dt_s)
     rows = delay + window
     count = np.concatenate(([0], np.cumsum(is_pressed)))

@@ -33,7 +33,7 @@ __all__ = ["LogProblem", "check_drives"]
 
 Array = np.ndarray
 
-SPEED = CHASSIS_FIRST_SPEEDS[0]  # the field that is named for problems of the speed
+SPEED = CHASSIS_FIRST_SPEEDS[0]  # the field in problems of the speed
 CUT_LOG = "cut the log in two there"
 
 
@@ -42,18 +42,18 @@ class FrameCriteria(NamedTuple):
 
     max_missing_share: float = 0.5  # of the folder's chassis messages
     max_bad_share: float = 0.2  # of a message's frames: too short, or with a wrong CRC or data id
-    min_rate_frames: int = 10  # of a message, to judge its rate; a log with fewer in all is useless
+    min_rate_frames: int = 10  # of a message, to judge its rate; a log with fewer in total is too short
     min_rate_share: float = 0.7  # of the frames expected by a message's period
     rate_range: tuple[float, float] = (0.5, 1.7)  # median of these shares over all messages
-    max_rate_ratio: float = 5.0  # beyond it the clock has other units: a second vehicle does not explain it
+    max_rate_ratio: float = 5.0  # above it, or below its inverse, the clock has other units
 
 
 class ClockCriteria(NamedTuple):
     """Steps of the clock; every value is an engineering choice."""
 
-    max_backward_s: float = 0.05  # receivers reorder frames by some ms
-    min_gap_s: float = 0.2
-    max_gap_s: float = 10.0
+    max_backward_s: float = 0.05  # step back that is allowed: receivers reorder frames by some ms
+    min_gap_s: float = 0.2  # time without a frame that is examined
+    max_gap_s: float = 10.0  # time without a frame, from which on the clock jumped or the recording was stopped
     max_distance_error_share: float = 0.5  # of the distance by the speed, in a gap ...
     max_distance_error_m: float = 1.0  # ... plus this
 
@@ -61,12 +61,12 @@ class ClockCriteria(NamedTuple):
 class AmountCriteria(NamedTuple):
     """How much data learning needs; every value is an engineering choice."""
 
-    min_moving_s: float = 20.0
-    few_moving_s: float = 300.0  # less is a warning
+    min_moving_s: float = 20.0  # driving time of all logs; less is refused
+    few_moving_s: float = 300.0  # driving time of all logs; less is a warning
     min_speed_range_share: float = 0.15  # of the 95 % quantile of the speed, from the 5 % quantile up to it
-    min_braking_s: float = 1.0
-    min_pressed_frac: float = 0.02  # of the brake, above rest
-    max_braking_mps2: float = -0.2  # of a commanded acceleration
+    min_braking_s: float = 1.0  # time of braking while driving, of all logs; less is refused
+    min_pressed_frac: float = 0.02  # of the brake, above rest, from which on it is pressed
+    max_braking_mps2: float = -0.2  # of a commanded acceleration, below which it brakes
 
 
 FRAMES = FrameCriteria()
@@ -83,27 +83,27 @@ def check_drives(drives: Sequence[Drive], vehicle: VehicleSpec) -> list[LogProbl
     """
     if not drives:
         return [LogProblem("refuse", "no_log", "", "", "no log was given: name at least one")]
-    problems, complete = [], []
+    problems, long_enough = [], []
     for drive in drives:
         if drive.log_summary is not None and _is_too_small(drive.log_summary):
             problems.append(_too_small(drive, drive.log_summary))
         else:
-            complete.append(drive)
-    for drive in complete:
+            long_enough.append(drive)
+    for drive in long_enough:
         if drive.log_summary is not None:
             problems += _check_frames(drive, drive.log_summary, vehicle)
             problems += _check_clock(drive, drive.log_summary)
         problems += _check_numbers(drive)
         problems += check_consistency(drive, vehicle)
-    problems += check_same_vehicle(complete)
-    problems += _check_amount(complete, vehicle) if complete else ()
+    problems += check_same_vehicle(long_enough)
+    problems += _check_amount(long_enough, vehicle) if long_enough else ()
     paths = {drive.name: drive.path for drive in drives}
     problems = [problem._replace(file=paths.get(problem.drive, "")) for problem in problems]
     return sorted(problems, key=lambda problem: problem.severity != "refuse")
 
 
 def _is_too_small(summary: LogSummary) -> bool:
-    """Too few frames to recognise a vehicle, or an instant with a few frames of each message."""
+    """Whether a log has too few frames, or is a single instant with a few frames of each message."""
     most_frames = max(summary.frames_by_message.values(), default=0)
     is_instant = summary.span_s <= 0.0 and most_frames < FRAMES.min_rate_frames
     return is_instant or summary.frames < FRAMES.min_rate_frames
@@ -162,7 +162,7 @@ def _check_bad_frames(drive: Drive, summary: LogSummary, vehicle: VehicleSpec) -
 
 
 def _due_messages(vehicle: VehicleSpec, span_s: float) -> set[str]:
-    """Messages of which a frame is expected in this time; in an instant none is missing."""
+    """Messages of which at least one frame is expected in this time."""
     specs = (*vehicle.report.values(), *vehicle.ins.values())
     return {spec.message for spec in specs if spec.period_ms * 1e-3 <= span_s}
 
@@ -178,16 +178,18 @@ def _check_rates(drive: Drive, summary: LogSummary, vehicle: VehicleSpec) -> Ite
     """The number of frames of each message against its period."""
     if summary.span_s <= 0.0:
         return
-    frames, few = summary.frames_by_message, FRAMES.min_rate_frames
+    frames, min_frames = summary.frames_by_message, FRAMES.min_rate_frames
     specs = (*vehicle.report.values(), *vehicle.ins.values())
     periods_s = {spec.message: spec.period_ms * 1e-3 for spec in specs}
     received = [name for name in periods_s if frames.get(name) and periods_s[name] > 0.0]
     expected = {name: summary.span_s / periods_s[name] for name in received}
     # a few frames show a rate only where many are expected
-    shares = {name: frames[name] / expected[name] for name in received if max(frames[name], expected[name]) > few - 1}
+    shares = {
+        name: frames[name] / expected[name] for name in received if max(frames[name], expected[name]) > min_frames - 1
+    }
     if not shares:
         return
-    reliable = [share for name, share in shares.items() if frames[name] >= few]
+    reliable = [share for name, share in shares.items() if frames[name] >= min_frames]
     median = float(np.median(reliable or list(shares.values())))
     if not FRAMES.rate_range[0] <= median <= FRAMES.rate_range[1]:
         yield _wrong_rate(drive, median)
@@ -195,7 +197,7 @@ def _check_rates(drive: Drive, summary: LogSummary, vehicle: VehicleSpec) -> Ite
     for name, share in shares.items():
         if share < FRAMES.min_rate_share:
             count = f"{frames[name]} frame{'s' if frames[name] > 1 else ''}"
-            amount = count if frames[name] < few else f"{100.0 * share:.0f} % of the frames"
+            amount = count if frames[name] < min_frames else f"{100.0 * share:.0f} % of the frames"
             message = (
                 f"{drive.path}: only {amount} of {name} came, but {expected[name]:.0f} are expected by its period of "
                 f"{1000.0 * periods_s[name]:g} ms; see `tunefree-hil log check`"
@@ -267,7 +269,7 @@ class _GapDistances(NamedTuple):
 
 
 def _gap_distances(drive: Drive) -> _GapDistances | None:
-    """Of the longest gap between two positions; None where position or speed is not recorded."""
+    """Distances in the longest gap between two positions; None where position or speed is not recorded."""
     x, y, speed = drive.get("ins.x_m"), drive.get("ins.y_m"), first_field_values(drive, CHASSIS_FIRST_SPEEDS)
     if x is None or y is None or speed is None:
         return None
@@ -300,9 +302,10 @@ def _check_numbers(drive: Drive) -> Iterator[LogProblem]:
 
 def _check_amount(drives: Sequence[Drive], vehicle: VehicleSpec) -> Iterator[LogProblem]:
     """Duration, speeds, braking and inputs of all drives together."""
-    with_speed = [drive for drive in drives if first_field_name(drive, CHASSIS_FIRST_SPEEDS) is not None]
+    drives_with_speed = [drive for drive in drives if first_field_name(drive, CHASSIS_FIRST_SPEEDS) is not None]
     speeds = [
-        drive.fields[first_field_name(drive, CHASSIS_FIRST_SPEEDS) or ""][moving_rows(drive)] for drive in with_speed
+        drive.fields[first_field_name(drive, CHASSIS_FIRST_SPEEDS) or ""][moving_rows(drive)]
+        for drive in drives_with_speed
     ]
     logs = _name_logs(drives)
     if not speeds:
@@ -313,7 +316,7 @@ def _check_amount(drives: Sequence[Drive], vehicle: VehicleSpec) -> Iterator[Log
         yield LogProblem("refuse", "no_speed", "", SPEED, message)
         return
     speed = np.abs(np.concatenate(speeds))
-    moving_s = sum(len(values) * drive.dt_s for values, drive in zip(speeds, with_speed, strict=True))
+    moving_s = sum(len(values) * drive.dt_s for values, drive in zip(speeds, drives_with_speed, strict=True))
     if moving_s < AMOUNT.min_moving_s:
         message = (
             f"{logs} hold {moving_s:.1f} s of driving above {MOVING_MPS:g} m/s: too short, at least "
@@ -342,11 +345,11 @@ def _check_speed_range(drives: Sequence[Drive], speed: Array) -> Iterator[LogPro
 
 def _check_braking(drives: Sequence[Drive], vehicle: VehicleSpec) -> Iterator[LogProblem]:
     """Whether the brake of a vehicle that has one was used while it moved."""
-    by_accel = "accel_mps2" in vehicle.command
+    is_accel_commanded = "accel_mps2" in vehicle.command
     has_brake = "brake_frac" in vehicle.command or "brake_frac" in vehicle.report
-    if not (by_accel or has_brake):
+    if not (is_accel_commanded or has_brake):
         return
-    field = "command.accel_mps2" if by_accel else BRAKE_FIELDS[0]
+    field = "command.accel_mps2" if is_accel_commanded else BRAKE_FIELDS[0]
     pressed_frac, braking_s = vehicle.nominal.rest_pedal_frac + AMOUNT.min_pressed_frac, 0.0
     for drive in drives:
         brake, accel = first_field_values(drive, BRAKE_FIELDS), drive.get("command.accel_mps2")

@@ -1,4 +1,4 @@
-"""A problem of logs that a model is to be learned from, and the refusal of such logs."""
+"""Problems of logs for learning, and the refusal of logs with such problems."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Severity = Literal["refuse", "warn"]
 
 
 class LogProblem(NamedTuple):
-    """One problem. drive and field say where it is, '' where it concerns all of them."""
+    """One problem. drive and field: its place, '' for all drives or fields."""
 
     severity: Severity
     code: str  # a constant word for machines
@@ -39,5 +39,5 @@ def raise_refusals(problems: Iterable[LogProblem]) -> list[LogProblem]:
         code=first.code,
         file=first.file or first.drive,
         key=first.field,
-        hint="correct what is named, or leave the log out",
+        hint="correct these problems, or leave the log out",
     )

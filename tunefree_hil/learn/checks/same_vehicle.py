@@ -1,4 +1,4 @@
-"""Whether several drives are of one vehicle, by what does not depend on how it was driven."""
+"""Whether several drives are of one vehicle, by properties that do not depend on the driving."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Band = tuple[int, int, int]  # of the speed, of the steering angle, and the side
 
 
 class RatioLimits(NamedTuple):
-    """Ratios between two drives, from which on they are told apart."""
+    """Ratios between two drives above which they are probably of two vehicles."""
 
     warn: float
     refuse: float
@@ -35,16 +35,16 @@ class RatioLimits(NamedTuple):
 class SameVehicleCriteria(NamedTuple):
     """Settings of the comparison; every value is an engineering choice."""
 
-    window_s: float = 1.0
-    min_turned_rad: float = 0.05  # in a window
-    min_steer_share: float = 0.1  # of the largest steering angle; less is mostly the offset of the wheel
-    min_windows: int = 3  # in a band
+    window_s: float = 1.0  # length of a window whose turning and steering are compared
+    min_turned_rad: float = 0.05  # change of heading in a window that is compared
+    min_steer_share: float = 0.1  # of the largest steering angle; smaller angles are mostly the offset of the wheel
+    min_windows: int = 3  # in a band of speed and angle that is compared
     band_ratio: float = 1.6  # of the upper end of a band to its lower end
     median_std_ratio: float = 1.25  # standard error of a median, in multiples of that of a mean (normal distribution)
     doubt_sigmas: float = 2.0  # standard errors that are subtracted from a difference
-    steering: RatioLimits = RatioLimits(1.3, 1.7)
-    wheels: RatioLimits = RatioLimits(1.05, 1.1)
-    min_wheel_radps: float = 1.0
+    steering: RatioLimits = RatioLimits(1.3, 1.7)  # of the turning per steering angle
+    wheels: RatioLimits = RatioLimits(1.05, 1.1)  # of the speed per wheel speed
+    min_wheel_radps: float = 1.0  # wheel speed from which on a wheel turns
     min_unknown_ids: int = 5  # in a log, for a comparison of the ids
     min_shared_share: float = 0.3  # of the unknown ids of two logs, that are in both
 
@@ -53,7 +53,7 @@ SAME_VEHICLE = SameVehicleCriteria()
 
 
 class _Quantity(NamedTuple):
-    """A ratio that a vehicle keeps: it `verb`s so much for the same `cause`."""
+    """A ratio that is constant for one vehicle: how much it `verb`s for the same `cause`."""
 
     verb: str
     cause: str
@@ -87,7 +87,7 @@ def check_same_vehicle(drives: Sequence[Drive]) -> Iterator[LogProblem]:
 
 
 def _check_duplicates(drives: Sequence[Drive]) -> Iterator[LogProblem]:
-    """A file that is named twice would be both fitted and held out. A copy is only reported: a split recognises it."""
+    """Refuse a file that is named twice; warn of a copy, which a split keeps together with its original."""
     first_by_hash: dict[str, Drive] = {}
     for drive in drives:
         first = first_by_hash.setdefault(drive.log_hash, drive) if drive.log_hash else drive
@@ -166,7 +166,7 @@ def _steering_response(drive: Drive, min_steer_rad: float) -> dict[Band, Array]:
     )
     is_turning = np.abs(rate) * SAME_VEHICLE.window_s > SAME_VEHICLE.min_turned_rad
     is_good = np.isfinite(v) & is_turning & (np.abs(angle) > min_steer_rad)
-    is_good &= rate * angle > 0.0  # a wrong sign is another problem
+    is_good &= rate * angle > 0.0  # check_consistency reports a wrong sign
     v, angle, rate = v[is_good], angle[is_good], rate[is_good]
     rows = np.column_stack([np.log(rate / (angle * v)), v * v, np.abs(angle)])
     by_band: dict[Band, list[Array]] = {}
@@ -177,29 +177,29 @@ def _steering_response(drive: Drive, min_steer_rad: float) -> dict[Band, Array]:
 
 
 def _turn_ratio(response: Mapping[Band, Array], reference: Mapping[Band, Array]) -> float | None:
-    """By how much one drive turns more than another, at the least: the median over the bands that both have.
+    """The least ratio of turning between two drives: the median over their common bands, towards 1 by its error.
 
     Within a band a faster car turns less for the same angle, and larger angles have less effect. These two slopes are
     fitted within each drive and band and removed before the drives are compared. The scatter that remains between
-    windows gives the standard error of the median, of which some multiple is subtracted. None without a common band.
+    windows gives the standard error of the median; doubt_sigmas of it are subtracted. None without a common band.
     """
     common = sorted(response.keys() & reference.keys())
     if not common:
         return None
-    both = (response, reference)
-    centred = np.concatenate([rows - rows.mean(axis=0) for bands in both for rows in bands.values()])
+    responses = (response, reference)
+    centred = np.concatenate([rows - rows.mean(axis=0) for bands in responses for rows in bands.values()])
     slopes = np.linalg.lstsq(centred[:, 1:], centred[:, 0], rcond=None)[0]
     differences = [
         np.median(_without_slopes(response[band], slopes)) - np.median(_without_slopes(reference[band], slopes))
         for band in common
     ]
     scatter = [
-        np.concatenate([_from_median(_without_slopes(bands[band], slopes)) for band in common]) for bands in both
+        np.concatenate([_from_median(_without_slopes(bands[band], slopes)) for band in common]) for bands in responses
     ]
-    errors = (values.std() / np.sqrt(len(values)) for values in scatter)
-    doubt = SAME_VEHICLE.median_std_ratio * float(np.hypot(*errors))
+    standard_errors = (values.std() / np.sqrt(len(values)) for values in scatter)
+    median_error = SAME_VEHICLE.median_std_ratio * float(np.hypot(*standard_errors))
     median = float(np.median(differences))
-    return float(np.exp(np.sign(median) * max(abs(median) - SAME_VEHICLE.doubt_sigmas * doubt, 0.0)))
+    return float(np.exp(np.sign(median) * max(abs(median) - SAME_VEHICLE.doubt_sigmas * median_error, 0.0)))
 
 
 def _without_slopes(rows: Array, slopes: Array) -> Array:
@@ -216,7 +216,7 @@ def _bands(values: Array) -> list[int]:
 
 
 def _wheel_radius(drive: Drive) -> float | None:
-    """Speed by the mean turn rate of the rear wheels, while the vehicle moves."""
+    """Speed divided by the mean turn rate of the rear wheels, in m, while the vehicle moves."""
     names = [f"report.{name}" for name in ("speed_mps", "wheel_rl_radps", "wheel_rr_radps")]
     speed, left, right = (drive.get(name) for name in names)
     if speed is None or left is None or right is None:

@@ -22,10 +22,10 @@ from tunefree_hil.learn.drives.smoothing import estimate_quantum, estimate_rate
 
 Array = np.ndarray
 
-# A stuck echo may mean that commands did not arrive, which `gap` looks for: it has a code of its own.
+# A stuck echo has a separate code: commands may not have arrived, an effect that `gap` identifies.
 STUCK, ECHO_STUCK = "stuck", "echo_stuck"
 ECHO_FIELDS = frozenset(f"report.{name}" for name in ECHOES.values())
-# Driving quantities that are computed from fields.
+# Driving quantities that are computed: a signal is expected to change with its driving quantity.
 STEERING_TIMES_SPEED, YAW_RATE_TIMES_SPEED = "steering times speed", "yaw rate times speed"
 SPEED_RATE, DISTANCE, TURNED_ANGLE = "the rate of the speed", "the distance by the speed", "the angle by the yaw rate"
 COMPUTED = (STEERING_TIMES_SPEED, YAW_RATE_TIMES_SPEED, SPEED_RATE, DISTANCE, TURNED_ANGLE)
@@ -36,13 +36,13 @@ POSE_FIELDS = ("ins.heading_rad", "ins.x_m")
 class StuckCriteria(NamedTuple):
     """When a signal counts as stuck; every value is an engineering choice."""
 
-    min_duration_s: float = 2.0
-    min_frames: int = 10
-    settling_s: float = 0.5  # at each end of the stretch, in which the driving quantity is not looked at: signals lag
+    min_duration_s: float = 2.0  # of a constant stretch
+    min_frames: int = 10  # received within it
+    settling_s: float = 0.5  # at each end of the stretch, left out of the driving quantity because signals lag
     rate_window_s: float = 0.5  # of the filter that gives the rate of the speed
     min_signal_quanta: float = 2.0  # of an accelerometer, by which its driving quantity moves at least
     min_speed_quanta: float = 4.0  # per rate_window_s, by which the rate of a coarse speed moves at least
-    min_levels: int = 20  # different values of a sensor that may stand at the end of its range; a dead one has fewer
+    min_levels: int = 20  # different values of a sensor that may saturate; a defective one has fewer
     max_frozen_pose_share: float = 0.5  # of the moving time
 
 
@@ -53,7 +53,7 @@ class DrivingSignal(NamedTuple):
     """The quantity that moves a signal: fields, best first, or one of COMPUTED."""
 
     names: tuple[str, ...]
-    min_range: float  # by which it must move for the signal to follow, in its own unit
+    min_range: float  # by which it must change, in its own unit
     min_range_share: float = 0.3  # the same as a share of its range in the whole drive
 
 
@@ -75,9 +75,9 @@ DRIVING_SIGNALS: dict[str, tuple[DrivingSignal, ...]] = {
     "report.accel_mps2": _LONGITUDINAL,
     "ins.accel_mps2": _LONGITUDINAL,
     "report.lateral_accel_mps2": (DrivingSignal((YAW_RATE_TIMES_SPEED,), 1.0),),
-    # Integrals grow with the length of the drive, so no share of them. A gyro drifts by far less on a straight road.
+    # Integrals grow with the drive, so their share is 0. On a straight road a gyro drifts by far less than 0.5 rad.
     "ins.heading_rad": (DrivingSignal((TURNED_ANGLE,), 0.5, 0.0),),
-    "ins.x_m": (DrivingSignal((DISTANCE,), 5.0, 0.0),),  # with y: along one axis the other does not change
+    "ins.x_m": (DrivingSignal((DISTANCE,), 5.0, 0.0),),  # together with y, as either may stay constant
 }
 
 
@@ -102,13 +102,13 @@ def _check_signal(drive: Drive, name: str, driving: DrivingSignal) -> LogProblem
     min_range = max(min_range, _quantisation_range(drive, name, source))
     settling_rows = round(CRITERIA.settling_s / drive.dt_s)
     for begin, end in _constant_stretches(drive, name, source):
-        inner = slice(begin + settling_rows, end - settling_rows)
-        moved = values[inner][is_usable[inner]]
-        if moved.size and np.ptp(moved) > 0.0 and np.ptp(moved) >= min_range:
+        inner_rows = slice(begin + settling_rows, end - settling_rows)
+        driving_values = values[inner_rows][is_usable[inner_rows]]
+        if driving_values.size and np.ptp(driving_values) > 0.0 and np.ptp(driving_values) >= min_range:
             message = (
                 f"{drive.path}: {name} is stuck at {drive.fields[name][begin]:.4g} from {begin * drive.dt_s:.2f} to "
-                f"{end * drive.dt_s:.2f} s while {source} changes by {np.ptp(moved):.3g}, and is expected to follow; "
-                "repair the sensor, or cut this stretch out"
+                f"{end * drive.dt_s:.2f} s while {source} changes by {np.ptp(driving_values):.3g}, and is expected to "
+                "follow; repair the sensor, or cut this stretch out"
             )
             return LogProblem("refuse", ECHO_STUCK if name in ECHO_FIELDS else STUCK, drive.name, name, message)
     return None
@@ -128,10 +128,10 @@ def _quantisation_range(drive: Drive, name: str, source: str) -> float:
 
 
 def _constant_stretches(drive: Drive, name: str, source: str) -> list[tuple[int, int]]:
-    """Stretches in which a field keeps a value that it should not keep, longest first.
+    """Stretches in which a field repeats one value although it should change, longest first.
 
-    An accelerometer keeps the end of its range for as long as the car exceeds it (gap/measured/signals.py leaves this
-    out). An INS keeps its pose while satellites are hidden; it is stuck if it does so for most of the driving.
+    A saturated accelerometer is not stuck (gap/measured/signals.py leaves this out). An INS repeats its pose while it
+    has no satellites; it is stuck if it does so for most of the driving.
     """
     values, fresh = _signal_values(drive, name)
     stretches = _find_constant(values, fresh, round(CRITERIA.min_duration_s / drive.dt_s))
@@ -180,7 +180,7 @@ def _compute_driving_values(drive: Drive, quantity: str) -> Array | None:
         return None
     if quantity == YAW_RATE_TIMES_SPEED:
         return yaw_rate * speed
-    # at standstill a gyro drifts, while a heading is held
+    # at standstill a gyro drifts, but a heading is constant
     return np.cumsum(np.where(moving_rows(drive), np.nan_to_num(yaw_rate), 0.0)) * drive.dt_s
 
 

@@ -21,7 +21,7 @@ from tunefree_hil.bus.dbc.message_map import TELEMETRY, MessageMap, StateMap
 from tunefree_hil.episode.log_columns import Piece
 
 Array = np.ndarray
-LATE_FRAME_S = 0.5  # after the frame before it: a silence; if most frames are late, the stamps are not in seconds
+LATE_FRAME_S = 0.5  # after the frame before it; LateFrameCriteria judges how many are so late
 DISABLING_CONDITIONS = ("override", "fault", "timeout", "watchdog")  # disable a channel unless they only warn
 
 
@@ -108,7 +108,7 @@ class MessageDecoder:
 def _decode_enabled(
     message: MessageMap, states: list[StateMap], time_s: Array, payloads: Payloads, active_value: bool
 ) -> FieldSamples:
-    """1.0 where every state is active (or inactive, for active_value False), of frames that hold all their signals."""
+    """1.0 where every state is active (inactive for active_value False), in frames with all of their signals."""
     is_present = np.ones(len(time_s), dtype=bool)
     is_enabled = np.ones(len(time_s), dtype=bool)
     for state in states:
@@ -135,7 +135,7 @@ class LogStatistics:
             self.unknown_ids[can_id] = self.unknown_ids.get(can_id, 0) + frames
 
     def add_piece(self, piece: Piece, is_vehicle_frame: Array, dt_s: float) -> None:
-        """Count a piece's frames and follow its stamps. is_vehicle_frame: shape (n_frames,)."""
+        """Count the frames of a piece and track its stamps. is_vehicle_frame: shape (n_frames,)."""
         time_s = piece.time_s
         self.first_s = min(self.first_s, float(time_s[0])) if not self.frames else self.first_s
         self.frames += len(time_s)
@@ -164,8 +164,8 @@ class LogStatistics:
 def place_on_ticks(decoders: Iterable[MessageDecoder], dt_s: float, zero_s: float, late_ticks: int) -> TickGrid:
     """Place all samples on ticks, as episode/columns.py does: k = round((stamp - zero_s) / dt_s).
 
-    There are as many rows as the last frame of the vehicle needs. Samples before tick 0 are left out, and so is a field
-    that has no others.
+    There are as many rows as the last frame of the vehicle needs. Samples before tick 0 are left out, and so are fields
+    without later ones.
 
     Args:
         late_ticks: by how many ticks a report is used after its stamp.
@@ -211,7 +211,7 @@ def _newest_in_tick(samples: FieldSamples, dt_s: float, zero_s: float, late_tick
 
 
 def _hold(rows: Array, values: Array, n_rows: int) -> tuple[Array, Array]:
-    """(each value held until the next, NaN before the first; the rows where one came)."""
+    """(values, fresh): each value held until the next one, NaN before the first; fresh in these rows."""
     fresh = np.zeros(n_rows, dtype=bool)
     fresh[rows] = True
     number = np.cumsum(fresh) - 1

@@ -1,4 +1,4 @@
-"""The recording of one drive on the vehicle's tick grid, which all learning works on.
+"""The recording of one drive on the vehicle's tick grid: the data of all learning.
 
 Where the INS and the chassis both measure a quantity, learning prefers the INS: it has neither wheel slip nor a wheel
 radius. The checks prefer the chassis, because a bench's controller reads it.
@@ -24,7 +24,7 @@ class LogSummary(NamedTuple):
 
     Frames are counted by message name: all of them (0: the message never came), those too short to decode, and those
     with a wrong CRC or data id. unknown_ids counts frames by the CAN ids that the vehicle folder does not have.
-    The clock steps are the largest from one frame of the vehicle to the next, each with the stamp where it ends.
+    max_backward_step_s, max_forward_step_s: between two frames of the vehicle, each with the stamp where it ends.
     """
 
     file: str
@@ -38,7 +38,7 @@ class LogSummary(NamedTuple):
     backward_step_at_s: float
     max_forward_step_s: float
     forward_step_at_s: float
-    tick_text: str  # how stamps became ticks
+    tick_text: str  # how stamps were converted to ticks
     is_truncated: bool  # the last line was incomplete and left out
 
 
@@ -79,7 +79,7 @@ class Drive(NamedTuple):
 
 
 class DrivePart(NamedTuple):
-    """Rows [begin, end) of a drive, without a gap in the fields that its user needs."""
+    """Rows [begin, end) of a drive, without a gap in the needed fields."""
 
     drive: Drive
     begin: int
@@ -115,7 +115,7 @@ def first_valid_field(drive: Drive, names: Sequence[str]) -> str | None:
 
 
 def first_field_values(drive: Drive, names: Sequence[str]) -> Array | None:
-    """The values of the first of these fields that the drive has."""
+    """The values of `first_field_name`."""
     name = first_field_name(drive, names)
     return None if name is None else drive.fields[name]
 
@@ -132,13 +132,13 @@ def moving_rows(drive: Drive) -> Array:
 
 
 def reversing_rows(drive: Drive) -> Array:
-    """Rows in reverse gear, shape (n_rows,). A reported speed may have either sign there, so no sign is judged."""
+    """Rows in reverse gear, shape (n_rows,). A reported speed may have either sign there."""
     gear = drive.get("report.gear")
     return np.zeros(drive.n_rows, dtype=bool) if gear is None else gear == GEAR_REVERSE
 
 
 def csv_drive_from_drive(drive: Drive, substitutes: Mapping[str, str]) -> CsvDrive:
-    """A drive in the form that episode/plausible.py checks: fresh values only, commands only while they were obeyed.
+    """A drive in the form that episode/plausible.py checks: fresh values, commands only while enabled.
 
     Args:
         substitutes: by the name of a field, the field whose values take its place,

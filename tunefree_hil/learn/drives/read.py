@@ -44,8 +44,8 @@ class TickOriginCriteria(NamedTuple):
 class LateFrameCriteria(NamedTuple):
     """When so many frames are late that the stamps are probably not in seconds; engineering choices."""
 
-    max_frames: int = 9
-    max_share: float = 0.01
+    max_frames: int = 9  # late ones: more than LATE_FRAME_S after the frame before
+    max_share: float = 0.01  # of all frames of the vehicle, that may be late
 
 
 TICK_ORIGIN = TickOriginCriteria()
@@ -117,7 +117,7 @@ def _read_drive(path: Path, name: str, codec: Codec, report_share: Callable[[flo
 
 
 def _refuse_compressed(path: Path) -> None:
-    """A missing or empty file is left to the reader of its format."""
+    """Refuse a compressed log. The reader of the format reports a missing file."""
     if not path.is_file():
         return
     with path.open("rb") as file:
@@ -179,7 +179,7 @@ def _refuse_unusable(path: Path, codec: Codec, statistics: LogStatistics) -> Non
 
 
 def _refuse_mixed_channels(path: Path, messages: Mapping[Name, MessageMap | None]) -> None:
-    """Refuse a log in which a message comes on several channels, none of which has its name in the vehicle folder.
+    """Refuse a log in which a message comes on several channels, none of which the vehicle folder names.
 
     With one channel the log may be of that bus; with several it is unknown which of them carries the message.
     """
@@ -236,8 +236,8 @@ def choose_tick_origin(times_s: Iterable[Array], dt_s: float, zero_s: float) -> 
     """Move the origin of ticks by up to half a tick, so that few frames come near the end of a tick.
 
     A message that always comes half a tick after the origin would be rounded to either tick by its jitter, and would
-    seem a whole tick later than another one of the same moment. The origin stays where hardly any frame comes half a
-    tick from it, and where frames come at any time. Else ticks end in the middle of the longest quiet stretch.
+    seem a whole tick later than another one of the same time. The origin is not moved where hardly any frame comes half
+    a tick from it, or where frames come at any time. Else ticks end in the middle of the longest quiet stretch.
 
     Args:
         times_s: the stamps of each message; every message has the same weight.

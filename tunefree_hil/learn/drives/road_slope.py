@@ -22,7 +22,7 @@ class AccelOffsetCriteria(NamedTuple):
     mean_window_s: float = 2.0  # the slope is judged by means over this time
     rate_window_s: float = 0.5  # of the filter that gives the rate of speed
     min_speed_mps: float = 1.0  # below it pitch and stick-slip of the brakes disturb the accelerometer
-    min_duration_s: float = 90.0
+    min_duration_s: float = 90.0  # of the means over mean_window_s together; with less no offset is estimated
     sectors: int = 8  # of the compass
     min_means_per_sector: int = 2  # for a drive in all directions
     max_mean_heading: float = 0.5  # length of the mean heading vector of a drive in all directions
@@ -30,7 +30,7 @@ class AccelOffsetCriteria(NamedTuple):
     max_residual_share: float = 0.5  # of the offset, by which the slope of a drive in all directions may vary
     max_turning_residual_share: float = 0.15  # of a drive that turns, but not in all directions
     max_steep_residual_share: float = 0.05  # of a steep slope, which is more often a hill
-    min_reported_g: float = 0.01
+    min_reported_g: float = 0.01  # a smaller offset is not reported
     min_steep_g: float = 0.05  # few sensors are mounted as wrongly
     max_offset_g: float = 0.2  # steeper than roads are
 
@@ -41,10 +41,10 @@ ACCEL_OFFSET = AccelOffsetCriteria()
 def estimate_accel_offset(drive: Drive, vehicle: VehicleSpec) -> float:
     """The constant difference between a drive's accelerometer and its rate of speed in g; 0.0 where a road explains it.
 
-    A car that has driven in all directions has met each slope from both sides, so what stays constant is no hill. An
-    even slope of the whole place is allowed for. A drive in one direction may climb all the way; its offset counts only
-    where it hardly varies. Whether the sensor is at fault or something pulls the car follows from the motion
-    (learn/physics/fit.py, road_share).
+    A drive in all directions passes each slope up and down, so a constant part is no hill. An area that is inclined as
+    a whole is fitted too: its slope varies with the heading. A drive in one direction may climb all the way; its offset
+    counts only where it hardly varies. Whether the sensor has the offset, or a force acts on the car, is decided from
+    the motion (learn/physics/fit.py, road_share).
     """
     delay_rows = round(vehicle.ins_frame.latency_s / drive.dt_s)
     accel, speed, yaw_rate = (
@@ -65,7 +65,7 @@ def estimate_accel_offset(drive: Drive, vehicle: VehicleSpec) -> float:
 
 
 def describe_accel_offsets(drives: Iterable[Drive], vehicle: VehicleSpec) -> list[str]:
-    """A message for each drive whose accelerometer has an offset that would pass for a hill."""
+    """A message for each drive whose accelerometer has an offset that looks like a hill."""
     offsets = [(drive.name, estimate_accel_offset(drive, vehicle)) for drive in drives]
     return [
         f"{name}: the accelerometer reads {G_MPS2 * offset:+.2f} m/s2 more than the rate of speed in every direction "
@@ -86,9 +86,9 @@ def find_constant_slope(slopes: Array, headings_rad: Array) -> float:
         return 0.0
     sectors = np.floor((headings_rad % (2.0 * np.pi)) / (2.0 * np.pi / criteria.sectors)).astype(int) % criteria.sectors
     mean_heading = abs(np.exp(1j * headings_rad).mean())
-    plane = np.column_stack([np.ones(len(slopes)), np.cos(headings_rad), np.sin(headings_rad)])
-    coefficients, *_ = np.linalg.lstsq(plane, slopes, rcond=None)
-    offset, residual_rms = float(coefficients[0]), float(np.sqrt(np.mean((slopes - plane @ coefficients) ** 2)))
+    regressors = np.column_stack([np.ones(len(slopes)), np.cos(headings_rad), np.sin(headings_rad)])
+    coefficients, *_ = np.linalg.lstsq(regressors, slopes, rcond=None)
+    offset, residual_rms = float(coefficients[0]), float(np.sqrt(np.mean((slopes - regressors @ coefficients) ** 2)))
     means_per_sector = np.bincount(sectors, minlength=criteria.sectors)
     max_share = 0.0
     if means_per_sector.min() >= criteria.min_means_per_sector and mean_heading < criteria.max_mean_heading:

@@ -6,7 +6,7 @@ import numpy as np
 
 Array = np.ndarray
 
-MAX_SILENCE_S = 0.25  # a signal that stays away for longer, beyond two of its intervals, has a gap
+MAX_SILENCE_S = 0.25  # a signal has a gap after two of its usual intervals plus this time
 
 
 def find_runs(flags: Array, min_rows: int = 1, first_row: int = 0) -> list[tuple[int, int]]:
@@ -38,7 +38,7 @@ def true_throughout(flags: Array, rows_before: int, rows_after: int) -> Array:
 
 
 def sample_interval_ticks(fresh: Array) -> float:
-    """The median number of ticks between two fresh values, which may be half a tick; 1 for fewer than two values."""
+    """The median number of ticks between two fresh values, also 2.5; at least 1, and 1 for fewer than two values."""
     rows = np.flatnonzero(fresh)
     return max(float(np.median(np.diff(rows))), 1.0) if len(rows) > 1 else 1.0
 

@@ -14,14 +14,14 @@ from tunefree_hil.plant.measurement.sensors import NOISY
 
 Array = np.ndarray
 
-NORMAL_95_QUANTILE = 1.6449  # of the standard normal distribution
+QUANTILE_95 = 1.6449  # of the standard normal distribution, one-sided
 
 
 class NoiseCriteria(NamedTuple):
     """Settings of the noise estimates; every value is an engineering choice."""
 
     window_values: int = 9  # fresh values under the local polynomial that the noise is measured against
-    polynomial_degree: int = 3
+    polynomial_degree: int = 3  # of that local polynomial
     min_values: int = 200  # fresh values that a signal's noise or range is estimated from
     min_window_mean_values: int = 10  # differences that the noise of a window mean is estimated from
     range_smoothing_values: int = 21  # under the filter that takes noise off before the driven range is read
@@ -55,7 +55,7 @@ def shift_earlier(values: Array, rows: int) -> Array:
 
 
 def smooth_signal(values: Array, window: int, order: int = 2) -> Array:
-    """A Savitzky-Golay filter over `window` rows; a signal shorter than that comes back unchanged."""
+    """A Savitzky-Golay filter over `window` rows; a shorter signal is returned unchanged."""
     return np.asarray(savgol_filter(values, window, order)) if len(values) >= window else values.copy()
 
 
@@ -92,8 +92,8 @@ def estimate_mean_noise(residuals: Array, fresh: Array, rows: int) -> float:
 def yaw_rate_from_wheels(drive: Drive, nominal: NominalSpec) -> tuple[Array, Array] | None:
     """(yaw rate, fresh) from the difference of the rear wheel speeds, for a car without a gyro.
 
-    None without wheel speeds, or where the vehicle folder does not give the track and the rolling radius. Unequal
-    wheel radii turn a straight line into a curve; a fit then reports a steering wheel that is not centred.
+    None without wheel speeds, or where the vehicle folder does not give the track and the rolling radius. With
+    unequal wheel radii a straight line looks like a curve, and a fit finds an offset of the steering wheel.
     """
     left, right = drive.get("report.wheel_rl_radps"), drive.get("report.wheel_rr_radps")
     if left is None or right is None or not (nominal.track_m and nominal.wheel_radius_m):
@@ -123,7 +123,7 @@ def estimate_noise(values: Array, quantum: float = 0.0) -> float:
     centre_weight = savgol_coeffs(NOISE.window_values, NOISE.polynomial_degree)[NOISE.window_values // 2]
     residuals = values - savgol_filter(values, NOISE.window_values, NOISE.polynomial_degree)
     low, high = np.quantile(residuals, [0.05, 0.95])
-    spread = (high - low) / (2.0 * NORMAL_95_QUANTILE)  # unlike a median deviation not 0 after coarse rounding
+    spread = (high - low) / (2.0 * QUANTILE_95)  # unlike a median deviation not 0 after coarse rounding
     variance = spread * spread / (1.0 - centre_weight) - quantum * quantum / 12.0
     return float(np.sqrt(max(variance, 0.0)))
 
@@ -181,7 +181,7 @@ def estimate_valid_region(parts: Iterable[DrivePart], rest_frac: float) -> dict[
     pedals = np.concatenate([_pedal_values(part, rest_frac) for part in parts] or [np.zeros(0)])
     if len(pedals) >= NOISE.min_values:
         ranges["pedals"] = _driven_range(pedals)
-    return {quantity: ends for quantity, ends in ranges.items() if ends[0] < ends[1]}
+    return {quantity: range_ends for quantity, range_ends in ranges.items() if range_ends[0] < range_ends[1]}
 
 
 def _pedal_values(part: DrivePart, rest_frac: float) -> Array:

@@ -1,7 +1,7 @@
-"""Splits drives into a training set and a held-out set, without neighbouring rows in both and without gaps inside.
+"""Splits drives into a training set and a held-out set, without gaps, and without neighbouring rows in both.
 
 Whole drives are held out where there are at least three recordings. Of one or two, blocks are held out, with an unused
-guard on each side, because neighbouring rows are nearly the same measurement.
+guard on each side, because neighbouring rows are nearly equal.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from tunefree_hil.learn.drives.runs import find_runs, sample_interval_ticks
 class SplitCriteria(NamedTuple):
     """Sizes of a split; every value is an engineering choice."""
 
-    held_out_share: float = 0.2  # of the time
+    held_out_share: float = 0.2  # of the time, that is held out
     min_recordings: int = 3  # from which on whole drives are held out
-    block_s: float = 20.0
+    block_s: float = 20.0  # length of a block that is held out or trained on
     min_blocks: int = 3  # of a drive that is cut; a shorter drive has shorter blocks
-    min_block_s: float = 5.0
+    min_block_s: float = 5.0  # a drive that gives shorter blocks is too short
     guard_s: float = 2.0  # on each side of a held-out block
-    min_part_s: float = 1.0
+    min_part_s: float = 1.0  # a shorter part without gaps is left out
     max_lateness_s: float = 0.02  # beyond its period, after which a missing field has a gap
 
 
@@ -34,7 +34,7 @@ SPLIT = SplitCriteria()
 
 
 class _Division(NamedTuple):
-    """Training and held-out parts before their gaps are cut out."""
+    """Training and held-out parts, still with gaps."""
 
     training: list[DrivePart]
     held_out: list[DrivePart]
@@ -107,10 +107,10 @@ def _present_rows(drive: Drive, name: str) -> Array:
     period = round(sample_interval_ticks(fresh))
     allowed = period + SPLIT.max_lateness_s / drive.dt_s
     following = np.append(rows[1:], drive.n_rows)
-    until = np.where(following - rows > allowed + 1e-6, np.minimum(rows + period, following), following)
+    ends = np.where(following - rows > allowed + 1e-6, np.minimum(rows + period, following), following)
     edges = np.zeros(drive.n_rows + 1, dtype=np.int64)
     np.add.at(edges, rows, 1)
-    np.add.at(edges, until, -1)
+    np.add.at(edges, ends, -1)
     is_present[:] = np.cumsum(edges[:-1]) > 0
     return is_present & np.isfinite(values)
 
@@ -118,26 +118,26 @@ def _present_rows(drive: Drive, name: str) -> Array:
 def _split_by_drive(recordings: list[list[Drive]], held_out: float, rng: np.random.Generator) -> _Division:
     """Hold out drives in random order as long as that brings their time nearer to the share."""
     durations_s = [sum(_duration_s(drive) for drive in copies) for copies in recordings]
-    wanted_s, chosen_s, chosen = held_out * sum(durations_s), 0.0, set[int]()
+    target_s, chosen_s, chosen = held_out * sum(durations_s), 0.0, set[int]()
     for i in rng.permutation(len(recordings)).tolist():
-        if abs(chosen_s + durations_s[i] - wanted_s) < abs(chosen_s - wanted_s):
+        if abs(chosen_s + durations_s[i] - target_s) < abs(chosen_s - target_s):
             chosen.add(i)
             chosen_s += durations_s[i]
     if not chosen:  # each recording is longer than twice the wanted time
         shortest = min(range(len(durations_s)), key=durations_s.__getitem__)
         chosen, chosen_s = {shortest}, durations_s[shortest]
     training = [_whole_drive(drive) for i, copies in enumerate(recordings) if i not in chosen for drive in copies]
-    judging = [_whole_drive(drive) for i, copies in enumerate(recordings) if i in chosen for drive in copies]
+    held_out_parts = [_whole_drive(drive) for i, copies in enumerate(recordings) if i in chosen for drive in copies]
     share = 100.0 * chosen_s / max(sum(durations_s), 1e-9)
-    names = ", ".join(part.drive.name for part in judging)
-    count = f"{len(judging)} of {len(judging) + len(training)} drives"
-    return _Division(training, judging, f"{count} held out, {share:.0f} % of the time: {names}")
+    names = ", ".join(part.drive.name for part in held_out_parts)
+    count = f"{len(held_out_parts)} of {len(held_out_parts) + len(training)} drives"
+    return _Division(training, held_out_parts, f"{count} held out, {share:.0f} % of the time: {names}")
 
 
 def _split_by_block(drives: Sequence[Drive], held_out: float, rng: np.random.Generator) -> _Division:
     """Hold out one random block of each group of neighbouring blocks of each drive."""
     training: list[DrivePart] = []
-    judging: list[DrivePart] = []
+    held_out_parts: list[DrivePart] = []
     counts = []
     for drive in drives:
         edges = _block_edges(drive)
@@ -147,15 +147,17 @@ def _split_by_block(drives: Sequence[Drive], held_out: float, rng: np.random.Gen
         is_held_out = np.zeros(drive.n_rows, dtype=bool)
         for block in chosen:
             is_held_out[edges[block] : edges[block + 1]] = True
-        judging += [DrivePart(drive, *span) for span in find_runs(is_held_out)]
+        held_out_parts += [DrivePart(drive, *span) for span in find_runs(is_held_out)]
         is_guarded = _widen(is_held_out, round(SPLIT.guard_s / drive.dt_s))
         training += [DrivePart(drive, *span) for span in find_runs(~is_guarded)]
         block_s = float(edges[1] - edges[0]) * drive.dt_s
         counts.append(f"{len(chosen)} of {count} blocks of {block_s:.0f} s of {drive.name}")
     guard = f"{SPLIT.guard_s:g} s on each side of them are not used"
-    few = "one drive only" if len(drives) == 1 else f"{len(drives)} drives only"
+    drive_count = "one drive only" if len(drives) == 1 else f"{len(drives)} drives only"
     return _Division(
-        training, judging, f"{few}: {', '.join(counts)} held out, {guard}; a separate drive would be a stricter test"
+        training,
+        held_out_parts,
+        f"{drive_count}: {', '.join(counts)} held out, {guard}; a separate drive would be a stricter test",
     )
 
 

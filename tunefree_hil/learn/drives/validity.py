@@ -35,27 +35,27 @@ DISCRETE_FIELDS = ("report.gear",)  # no quantity that moves from value to value
 class OnDemandCriteria(NamedTuple):
     """A message that is sent only on demand keeps its last value through its pauses."""
 
-    min_pauses: int = 3  # pauses in a drive; a message that stops once has failed
+    min_pauses: int = 3  # pauses in a drive; a message that stops only once has failed
     max_covered_share: float = 0.5  # of the drive's rows
 
 
 class SpikeCriteria(NamedTuple):
-    """A spike is one value that leaves both of its neighbours and comes back."""
+    """A spike is a single value far from both of its neighbours."""
 
     min_height_steps: float = 25.0  # multiple of the usual step between values; white noise reaches 6 in 1e6 values
     max_neighbour_share: float = 0.2  # of the height, by which the values around it may differ
-    step_window_values: int = 21  # values whose steps give the usual one
+    step_window_values: int = 21  # window of the usual step
     max_share: float = 0.01  # of a signal's values; a sensor with more spikes keeps them
     min_values: int = 50  # shorter signals are not searched
-    max_output_interval_s: float = 0.03  # a tap of an actuator lasts longer; slower reports may show it in one value
+    max_output_interval_s: float = 0.03  # with slower reports one value may be a short real move of the actuator
 
 
 class FrozenPositionCriteria(NamedTuple):
     """An INS without satellites repeats its position while the car drives on."""
 
-    min_duration_s: float = 1.0
+    min_duration_s: float = 1.0  # of an unchanged position
     min_distance_m: float = 1.0  # driven meanwhile, by the speed
-    min_frames: int = 4  # of a slow INS, that repeat the position
+    min_frames: int = 4  # that repeat the position; for a slow INS
 
 
 ON_DEMAND = OnDemandCriteria()
@@ -81,7 +81,7 @@ def valid_rows(drive: Drive, *fields: str, ins_delay_rows: int = 0) -> Array:
     is_valid = np.ones(drive.n_rows, dtype=bool)
     for name in fields:
         if name not in drive.fresh:
-            continue  # a drive that was made row by row has every field in each row
+            continue  # without `fresh` a drive has every field in each row
         is_covered = covered_rows(drive.fresh[name] & np.isfinite(drive.fields[name]), drive.dt_s)
         is_ins = name.startswith("ins.")
         if is_on_demand(is_covered) and not is_ins:
@@ -129,7 +129,7 @@ def actuation_valid_rows(drive: Drive, is_by_command: Sequence[Array]) -> Array:
 
 
 def _command_valid_rows(drive: Drive, channel: str) -> Array:
-    """By the echo of the command where there is one; pedals may be commanded through an acceleration."""
+    """Rows with a valid echo of the command, or else a valid command; for pedals also a commanded acceleration."""
     names = [f"report.{ECHOES[channel]}", f"command.{CHANNELS[channel]}"]
     if channel != "steer":
         names += [f"report.{ECHOES['accel']}", f"command.{CHANNELS['accel']}"]
@@ -159,7 +159,7 @@ def _has_channel_values(drive: Drive, channel: str) -> bool:
 def remove_spikes(drive: Drive) -> tuple[Drive, dict[str, int]]:
     """(the drive without spikes, their number by field). A removed value is not fresh and repeats the one before it.
 
-    A spike hardly moves a mean but spoils a rate: one speed of 0 looks like an emergency stop. Commands and their
+    A spike hardly changes a mean but distorts a rate: one speed of 0 looks like an emergency stop. Commands and their
     echoes are left alone, because a controller may command anything.
     """
     fields, fresh, counts = dict(drive.fields), dict(drive.fresh), {}

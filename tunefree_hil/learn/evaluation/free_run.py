@@ -1,8 +1,8 @@
 """Free-run errors of model folders: the plant simulates 1, 3, 10, 30 s of a drive from recorded commands alone.
 
 For one second the plant receives the measured motion at every tick, so that its memory fills; then it runs freely. The
-commands pass the model's own actuators. On hills the slope is given (learn/evaluation/motion.py). Errors are tabulated
-with intervals over whole drives, since starts within a drive are correlated.
+commands pass the actuators of the model. On hills the slope is an input (learn/evaluation/motion.py). Errors are
+tabulated with intervals over whole drives, since starts within a drive are correlated.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from tunefree_hil.plant.types import ChassisInput, Plant
 
 WARM_UP_S = 1.0
 HORIZONS_S = (1.0, 3.0, 10.0, 30.0)
-HILL_AHEAD_S = 10.0  # a start is on a hill where the road is not level for so long
+HILL_AHEAD_S = 10.0  # a start is on a hill if the road is not level within this time
 N_MEASURED, N_INPUTS, N_OUTPUTS = 7, 4, 5  # numbers in a row of the free-run kernel
 N_RESAMPLES = 1000
 MIN_BOOTSTRAP_DRIVES = 15  # with fewer drives the interval is Student's t
-MIN_DISTANCE_M = 1.0  # a start that moved less has no error per metre
+MIN_DISTANCE_M = 1.0  # with a shorter distance there is no error per metre
 QUANTITIES = ("position_m", "heading_rad", "speed_mps")
 
 
@@ -49,7 +49,7 @@ class EvaluationOptions(NamedTuple):
         every_s: Spacing of the starts.
         max_starts: At most so many, evenly spread; 0: all.
         horizons_s: Times at which errors are taken.
-        min_free_s: Usable rows that a start must have ahead; longer horizons are taken where there is room.
+        min_free_s: Usable time that a start must have ahead; longer horizons are evaluated where it is enough.
     """
 
     every_s: float = 1.0
@@ -100,7 +100,7 @@ class RunnableModel(NamedTuple):
 
 
 class RunSpan(NamedTuple):
-    """Rows of a track for one free run: warm-up from `first_row`, then `free_rows` on its own."""
+    """Rows of a track for one free run: warm-up from `first_row`, then `free_rows` of free run."""
 
     first_row: int
     warm_up_rows: int
@@ -116,7 +116,7 @@ def open_plant(model: ModelSpec) -> Plant:
     """The plant of a model folder.
 
     Raises:
-        InputError: The kind is no chassis that accepts a measured motion.
+        InputError: The kind cannot start from a measured motion.
     """
     kind = model.plant.kind
     plant = parts.load("tunefree_hil.plant", "single_track" if kind == "physics" else kind, "PLANT")
@@ -397,10 +397,10 @@ def mean_interval(values: Array, drives: Array, seed: int = 1) -> tuple[float, f
 def ratio_interval(parts: Array, wholes: Array) -> tuple[float, float]:
     """95 % interval of sum(parts) / sum(wholes), one of each a drive, by Student's t.
 
-    A bootstrap of a few drives, or their range, contains the true value far too seldom.
+    With few drives a bootstrap interval, or their range, contains the true value far too seldom.
 
     Returns:
-        NaN for a single drive, which does not show the scatter between drives.
+        NaN for a single drive, which has no scatter between drives.
     """
     from scipy.stats import t as student
 

@@ -42,37 +42,25 @@ from tunefree_hil.plant.actuation.acceleration_interface import pedals_of
 from tunefree_hil.plant.actuation.actuators import ActuatorParams, actuator
 
 SMOOTHING_ROWS, SMOOTHING_ORDER = 51, 3  # Savitzky-Golay filter of the labels, as in Apollo's data pipeline
-SETTLING_S = 10.0  # an effect behind an actuator gets its first value for so long, so that it starts settled
+SETTLING_S = 10.0  # time for which an effect behind an actuator gets its first value, so that it starts settled
 
 
 class SlopeCriteria(NamedTuple):
-    """When an accelerometer shows a slope (docs/results/learn_criteria.md).
+    """When an accelerometer shows a slope (docs/results/criteria.md)."""
 
-    Attributes:
-        filter_rows: Length of the moving mean.
-        min_hill_rad: Slope from which on a road counts as a hill; above what a sensor offset leaves.
-        max_noise_rad: Noise of the filtered slope above which the accelerometer is not used.
-        min_speed_mps: Below it stiction, pitch and brakes dominate the accelerometer.
-        min_usable_share: Share of usable rows in the moving mean.
-    """
-
-    filter_rows: int = 201
-    min_hill_rad: float = 0.015
+    filter_rows: int = 201  # rows of the moving mean: an accelerometer resolves a slope over 2 s
+    min_hill_rad: float = 0.015  # slope above which a road counts as a hill; more than a sensor offset
+    # noise of the filtered slope above which the accelerometer is not used: half of a hill
     max_noise_rad: float = 0.5 * 0.015
-    min_speed_mps: float = 1.0
-    min_usable_share: float = 0.25
+    min_speed_mps: float = 1.0  # below it stiction, pitch and brakes dominate the accelerometer
+    min_usable_share: float = 0.25  # of the rows of the moving mean
 
 
 class StartCriteria(NamedTuple):
-    """Speeds at which a track is used.
+    """Speeds at which a track is used."""
 
-    Attributes:
-        min_speed_mps: Lowest speed of a usable row; noise around standstill is allowed.
-        min_mean_speed_mps: Mean speed ahead of a start.
-    """
-
-    min_speed_mps: float = -0.1
-    min_mean_speed_mps: float = 0.3
+    min_speed_mps: float = -0.1  # lowest speed of a usable row; noise around standstill is allowed
+    min_mean_speed_mps: float = 0.3  # mean speed ahead of a start: a standing vehicle shows no error
 
 
 SLOPE = SlopeCriteria()
@@ -96,10 +84,10 @@ class MotionTrack(NamedTuple):
         grade_rad: Slope of the road by the accelerometer, 0 where it counts as level.
         commands: Shape (n_rows, 3).
         recorded: Reported outputs, shape (n_rows, 3), NaN where none are reported.
-        is_obeyed: Whether the command acted, shape (n_rows, 3); where not, only the recorded output is known.
+        follows_command: Whether the command acted, shape (n_rows, 3); else only the recorded output is known.
         is_good: Usable rows.
         has_measured_pose: False: position and heading are integrated from speed and yaw rate.
-        accel_demand_mps2: Of a vehicle that takes an acceleration; its pedals in `commands` are those of
+        accel_demand_mps2: Of a vehicle with commanded acceleration; its pedals in `commands` are those of
             plant/actuation/acceleration_interface.py.
     """
 
@@ -116,7 +104,7 @@ class MotionTrack(NamedTuple):
     grade_rad: Array
     commands: Array
     recorded: Array
-    is_obeyed: Array
+    follows_command: Array
     is_good: Array
     has_measured_pose: bool
     accel_demand_mps2: Array | None = None
@@ -171,8 +159,10 @@ def make_motion_track(part: DrivePart, vehicle: VehicleSpec, road_share: float =
     demand = read_accel_command(drive)
     if demand is not None:
         channels[:2] = pedals_from_accel_command(demand, drive.enabled, rest)
-    commands, recorded, is_obeyed = (np.stack([channel[i][cut] for channel in channels], axis=1) for i in range(3))
-    usable = np.where(is_obeyed, commands, recorded)
+    commands, recorded, follows_command = (
+        np.stack([channel[i][cut] for channel in channels], axis=1) for i in range(3)
+    )
+    usable = np.where(follows_command, commands, recorded)
     good = np.isfinite(np.stack([*motion, pose.heading, pose.x, pose.y], axis=1)).all(axis=1)
     good &= np.isfinite(usable).all(axis=1) & (motion.speed > START.min_speed_mps)
     is_valid = motion_valid_rows(drive, ins_delay_rows, pose.is_measured)
@@ -195,7 +185,7 @@ def make_motion_track(part: DrivePart, vehicle: VehicleSpec, road_share: float =
         grade_rad=_estimate_grade(part, motion, vehicle, offset_g),
         commands=commands,
         recorded=recorded,
-        is_obeyed=is_obeyed,
+        follows_command=follows_command,
         is_good=good,
         has_measured_pose=pose.is_measured,
         accel_demand_mps2=None if demand is None else demand[cut],
@@ -205,11 +195,11 @@ def make_motion_track(part: DrivePart, vehicle: VehicleSpec, road_share: float =
 def _smoothed_motion(part: DrivePart, vehicle: VehicleSpec, ins_delay_rows: int) -> _Motion:
     drive, cut = part.drive, slice(part.begin, part.end)
     speed = _first_signal(drive, INS_FIRST_SPEEDS, ins_delay_rows)[cut]
-    yaw = smooth_signal(_yaw_rate(drive, vehicle, ins_delay_rows)[cut])
-    return _Motion(smooth_signal(speed), yaw, smooth_signal(speed, drive.dt_s))
+    yaw = smooth_motion_signal(_yaw_rate(drive, vehicle, ins_delay_rows)[cut])
+    return _Motion(smooth_motion_signal(speed), yaw, smooth_motion_signal(speed, drive.dt_s))
 
 
-def smooth_signal(values: Array, dt_s: float = 0.0) -> Array:
+def smooth_motion_signal(values: Array, dt_s: float = 0.0) -> Array:
     """Savitzky-Golay filter over finite rows, or with dt_s their rate per s; NaN in runs below SMOOTHING_ROWS."""
     from scipy.signal import savgol_filter
 
@@ -248,7 +238,7 @@ def _pose_or_dead_reckoning(drive: Drive, cut: slice, ins_delay_rows: int, motio
     fields = [drive.get(name) for name in POSE_FIELDS]
     if all(values is not None and not np.isnan(values).all() for values in fields):
         heading, x, y = (shift_earlier(values, ins_delay_rows)[cut] for values in interpolate_pose(drive))
-        return _Pose(smooth_signal(heading), smooth_signal(x), smooth_signal(y), True)
+        return _Pose(smooth_motion_signal(heading), smooth_motion_signal(x), smooth_motion_signal(y), True)
     speed, yaw = motion.speed, motion.yaw
     mean_yaw = 0.5 * (yaw[1:] + yaw[:-1])
     heading = np.concatenate([[0.0], np.cumsum(np.nan_to_num(mean_yaw) * drive.dt_s)])
@@ -298,7 +288,7 @@ def actuator_params(spec: ActuatorSpec, rest: float, initial: float) -> Actuator
 def simulate_actuators(track: MotionTrack, model: ModelSpec, rest: float, takes_commands: bool = False) -> Array:
     """Outputs of a model's actuators, with its effects before and behind them, shape (n_rows, 3).
 
-    Where the vehicle did not obey its commands, the recorded output replaces that of the actuator; the effects behind
+    Where commands did not act, the recorded output replaces that of the actuator; the effects behind
     the actuator still apply.
 
     Args:
@@ -319,7 +309,7 @@ def simulate_actuators(track: MotionTrack, model: ModelSpec, rest: float, takes_
         if by_accel and name != "steer":
             continue
         idle = 0.0 if name == "steer" else rest
-        for begin, end in find_runs(track.is_obeyed[:, column]):
+        for begin, end in find_runs(track.follows_command[:, column]):
             commands = track.commands[begin:end, column]
             block = _make_channel_block(model, name, idle, float(commands[0]), takes_commands)
             outputs[begin:end, column] = _run_block(block, commands, track.dt_s)
@@ -329,20 +319,20 @@ def simulate_actuators(track: MotionTrack, model: ModelSpec, rest: float, takes_
 
 
 def _recorded_outputs(track: MotionTrack, model: ModelSpec, column: int, idle: float) -> Array:
-    """Recorded outputs of a channel, with the effects behind the actuator where the command was not obeyed."""
+    """Recorded outputs of a channel, with the effects behind the actuator where the command did not act."""
     outputs = np.array(track.recorded[:, column], dtype=np.float64)
     if behind := _load_effects_at(model, f"{DRIVING_CHANNELS[column]} B", idle):
         n_settling = math.ceil(SETTLING_S / track.dt_s)
-        for begin, end in find_runs(~track.is_obeyed[:, column] & np.isfinite(outputs)):
+        for begin, end in find_runs(~track.follows_command[:, column] & np.isfinite(outputs)):
             inputs = np.concatenate([np.full(n_settling, outputs[begin]), outputs[begin:end]])
             outputs[begin:end] = _run_block(_connect_in_series(behind), inputs, track.dt_s)[n_settling:]
     return outputs
 
 
 def _fill_pedals_from_accel(track: MotionTrack, model: ModelSpec, rest: float, outputs: Array) -> None:
-    """Fill in the pedals of a vehicle that takes an acceleration, through its channel 'accel'."""
+    """Fill in the pedals of a vehicle with commanded acceleration, through its channel 'accel'."""
     assert track.accel_demand_mps2 is not None
-    for begin, end in find_runs(track.is_obeyed[:, 0]):
+    for begin, end in find_runs(track.follows_command[:, 0]):
         demand = track.accel_demand_mps2[begin:end]
         block = _make_channel_block(model, "accel", 0.0, float(demand[0]), False)
         accels = _run_block(block, demand, track.dt_s)

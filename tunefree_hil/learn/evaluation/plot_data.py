@@ -18,7 +18,7 @@ LONG_TRACE_S, SHORT_TRACE_S = 8.0, 2.5
 
 
 class ActuatorTrace(NamedTuple):
-    """A stretch of a channel: stamps, command, reported output (NaN where none came), simulated output."""
+    """A stretch of a channel: stamps, command, reported output (NaN where there is none), simulated output."""
 
     time_s: Array
     command: Array
@@ -52,7 +52,7 @@ def make_traces(samples: ChannelSamples, params: ActuatorParams) -> list[Actuato
         return []
     traces = []
     for seconds in (LONG_TRACE_S, SHORT_TRACE_S):
-        segment, begin = _find_liveliest(samples.segments, seconds)
+        segment, begin = _find_most_active(samples.segments, seconds)
         span = slice(begin, begin + round(seconds / segment.dt_s))
         output = np.where(segment.is_compared, segment.output, np.nan)
         time_s = np.arange(len(segment.command)) * segment.dt_s
@@ -61,7 +61,7 @@ def make_traces(samples: ChannelSamples, params: ActuatorParams) -> list[Actuato
     return traces
 
 
-def _find_liveliest(segments: Sequence[ActuatorSamples], seconds: float) -> tuple[ActuatorSamples, int]:
+def _find_most_active(segments: Sequence[ActuatorSamples], seconds: float) -> tuple[ActuatorSamples, int]:
     """Segment and row at which a stretch of this length has the most command movement."""
     best_score, best_segment, best_begin = -1.0, segments[0], 0
     for segment in segments:
@@ -85,7 +85,7 @@ def compare_constants(
     if not windows:
         return None
     errors = [compute_errors(params, correction, windows) for params, correction in (before, after)]
-    by_time = [np.sqrt(np.nanmean(one * one, axis=0)) if np.isfinite(one).any() else one[0] for one in errors]
+    by_time = [np.sqrt(np.nanmean(error * error, axis=0)) if np.isfinite(error).any() else error[0] for error in errors]
     return ConstantComparison(
         time_s=windows[0].rows * windows[0].dt_s,
         before_by_time=by_time[0],

@@ -1,6 +1,6 @@
 """Free-run errors of speed and yaw rate, for vehicles whose position was not measured.
 
-All models run from the same starts, beside the simplest prediction: speed and yaw rate stay as they were.
+All models run from the same starts and are compared with the simplest prediction: constant speed and yaw rate.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def evaluate_velocities(
         yield track.name
     if not drive_names:
         raise InputError(
-            f"no stretch has {WARM_UP_S + min(horizons_s):g} s without a gap, moving and obeying",
+            f"no stretch has {WARM_UP_S + min(horizons_s):g} s without a gap, in motion with known inputs",
             code="too_short",
             key="LOG",
             hint="record longer drives for the evaluation",
@@ -130,7 +130,7 @@ def _run_track(
 
 
 def good_rows_after(track: MotionTrack, row: int) -> int:
-    """Usable rows behind a start."""
+    """Number of usable rows after a start."""
     good = track.is_good[row:]
     return len(good) - 1 if good.all() else int(np.argmin(good)) - 1
 

@@ -54,7 +54,7 @@ MIN_CELLS, MIN_SPEED_CELLS = 12, 3  # of a pedal: fewer do not determine a net
 
 SWEEP_SPEEDS_MPS = (0.2, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
 SWEEP_SPEEDS_MPS += (12.0, 14.0, 16.0, 18.0, 20.0, 22.5, 25.0, 27.5, 30.0)
-N_FINE_STEPS = 16  # from rest, where the pedals begin to act
+N_FINE_STEPS = 16  # from rest on, where the pedals begin to act
 FINE_FRAC, COARSE_FRAC = 0.005, 0.02
 
 Result = TypeVar("Result")
@@ -75,7 +75,7 @@ class PedalSelection(NamedTuple):
     Attributes:
         net: The mean net.
         width: Hidden units of each seed's net.
-        held_out_mps2: RMS over cells that these nets had not seen.
+        held_out_mps2: RMS over held-out cells.
         by_width: The same of each seed's net, by width.
         points: All points of the pedal.
         is_complete: False: a training diverged to values that are not finite, and was stopped.
@@ -145,7 +145,10 @@ def make_map(selections: Mapping[str, PedalSelection], edges: Mapping[str, CellE
         {pedal: selection.net.predict_acceleration for pedal, selection in selections.items()},
         {pedal: find_populated_cells(points[pedal], edges[pedal]) for pedal in PEDALS},
         edges,
-        {pedal: np.array([np.min(own.accel_mps2), np.max(own.accel_mps2)]) for pedal, own in points.items()},
+        {
+            pedal: np.array([np.min(pedal_points.accel_mps2), np.max(pedal_points.accel_mps2)])
+            for pedal, pedal_points in points.items()
+        },
     )
     return LearnedMap(table_from_grid(grid), grid, selections)
 
@@ -165,7 +168,7 @@ def select_points(samples: MapSamples, edges: Mapping[str, CellEdges], seed: int
 
 
 def train_nets(points: Mapping[str, CellPoints], seed: int) -> Generator[MapProgress, None, dict[str, PedalSelection]]:
-    """Both nets: the width is selected on held-out cells; its seeds are then trained on all cells and averaged."""
+    """Train both nets: the width is selected on held-out cells; its seeds are then trained on all and averaged."""
     map_nets.import_torch()
     per_pedal = len(map_nets.HIDDEN_WIDTHS) * map_nets.N_SEEDS
     selections: dict[str, PedalSelection] = {}
@@ -191,13 +194,13 @@ def _select_pedal_net(
 ) -> PedalSelection:
     best, error = map_nets.select_width(candidates, held_out)
     width = best[0].net.width
-    final = [map_nets.train_map_net(points, None, scales, width, one.seed, max(one.rounds, 1)) for one in best]
+    final = [map_nets.train_map_net(points, None, scales, width, net.seed, max(net.rounds, 1)) for net in best]
     by_width = {
-        hidden: tuple(one.held_out_mps2 for one in candidates if one.net.width == hidden)
+        hidden: tuple(net.held_out_mps2 for net in candidates if net.net.width == hidden)
         for hidden in map_nets.HIDDEN_WIDTHS
     }
-    nets = [one.net for one in final if one.is_complete] or [one.net for one in best]
-    is_complete = all(one.is_complete for one in (*candidates, *final))
+    nets = [trained.net for trained in final if trained.is_complete] or [trained.net for trained in best]
+    is_complete = all(trained.is_complete for trained in (*candidates, *final))
     return PedalSelection(average_nets(nets), width, error, by_width, points, is_complete)
 
 
@@ -218,7 +221,7 @@ def require_enough_cells(points: CellPoints, edges: CellEdges, pedal: str) -> No
         return
     known = f"{len(means.cell)} combinations of speed and command, at {speeds} speeds"
     raise InputError(
-        f"the {pedal} was tried in too few ways: {known}",
+        f"the {pedal} was used in too few ways: {known}",
         code="one_speed_only" if speeds < MIN_SPEED_CELLS else "too_few_cells",
         key="LOG",
         hint=f"at least {MIN_CELLS} combinations at {MIN_SPEED_CELLS} speeds; `collect` drives what is missing",
@@ -240,17 +243,17 @@ class PedalRange(NamedTuple):
 
 
 def sweep_pedals(
-    accel_of: SteadyAccel, throttle: PedalRange, brake: PedalRange, speeds: Sequence[float] = SWEEP_SPEEDS_MPS
+    steady_accel_law: SteadyAccel, throttle: PedalRange, brake: PedalRange, speeds: Sequence[float] = SWEEP_SPEEDS_MPS
 ) -> list[MapTriple]:
     """The triples of a steady acceleration law, by speed and then by acceleration.
 
-    Coasting appears twice, a hair apart: with the end of the brake's dead band and with that of the throttle's, so that
-    neither is interpolated away.
+    Coasting appears twice, slightly apart: with the end of the brake's dead band and with that of the throttle's, so
+    that both are exact in the look-up.
     """
     triples = []
     for speed in speeds:
-        brakes = [(accel_of(speed, throttle.rest_frac, duty), -duty) for duty in brake.duties()]
-        throttles = [(accel_of(speed, duty, brake.rest_frac), duty) for duty in throttle.duties()]
+        brakes = [(steady_accel_law(speed, throttle.rest_frac, duty), -duty) for duty in brake.duties()]
+        throttles = [(steady_accel_law(speed, duty, brake.rest_frac), duty) for duty in throttle.duties()]
         braking, pushing = _effective_points(brakes, -1.0), _effective_points(throttles, 1.0)
         coasting = braking[0][0]
         braking[0] = (coasting - 0.5 * MIN_ACCEL_STEP_MPS2, braking[0][1])
@@ -276,7 +279,7 @@ def sample_plant_map(
     vehicle: VehicleSpec,
     actuators: Mapping[str, ActuatorParams] | None = None,
 ) -> list[MapTriple]:
-    """The triples of a plant whose steady acceleration needs no settling.
+    """The triples of a plant with a steady acceleration as a formula.
 
     Args:
         plant: The plant.
@@ -290,13 +293,13 @@ def sample_plant_map(
     def applied(channel: str, duty: float) -> float:
         return float(shaped(channels[channel], duty)) if channel in channels else duty
 
-    def accel_of(speed_mps: float, throttle_frac: float, brake_frac: float) -> float:
+    def steady_accel_law(speed_mps: float, throttle_frac: float, brake_frac: float) -> float:
         pedals = applied("throttle", throttle_frac), applied("brake", brake_frac)
         return steady_accel(plant, params, speed_mps, *pedals)
 
     rest_frac = vehicle.nominal.rest_pedal_frac
     throttle = PedalRange(rest_frac, vehicle.limits.throttle_frac)
-    return sweep_pedals(accel_of, throttle, PedalRange(rest_frac, vehicle.limits.brake_frac))
+    return sweep_pedals(steady_accel_law, throttle, PedalRange(rest_frac, vehicle.limits.brake_frac))
 
 
 def arrays_from_triples(triples: Sequence[MapTriple]) -> dict[str, np.ndarray]:

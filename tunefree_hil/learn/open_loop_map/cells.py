@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 SPEED_EDGES_MPS = (0.2, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0)
 SPEED_EDGES_MPS += (22.5, 25.0, 27.5, 30.0, 35.0, 40.0, 50.0, 60.0)
-N_FINE_CELLS, FINE_SHARE = 8, 1.0 / 64.0  # shares of a pedal's way
+N_FINE_CELLS, FINE_SHARE = 8, 1.0 / 64.0  # shares of pedal travel
 COARSE_SHARE = 1.0 / 32.0
 MAD_SIGMA = 1.4826  # standard deviation over median absolute deviation, normal distribution
 
@@ -25,21 +25,13 @@ AccelerationLaw = Callable[[Array, Array], Array]  # (speed, command) -> acceler
 
 
 class CellCriteria(NamedTuple):
-    """How samples are selected within a cell (docs/results/learn_criteria.md).
+    """How samples are selected within a cell (docs/results/criteria.md)."""
 
-    Attributes:
-        min_samples: A cell with fewer is dropped.
-        max_samples: At most so many are kept, drawn at random.
-        outlier_sigmas: Distance from the median, in standard deviations by the median absolute deviation.
-        min_outlier_distance_mps2: Least distance of an outlier.
-        unheld_weight: Weight of a cell whose pedal was never held.
-    """
-
-    min_samples: int = 5
-    max_samples: int = 24
-    outlier_sigmas: float = 2.5
-    min_outlier_distance_mps2: float = 0.03
-    unheld_weight: float = 0.25
+    min_samples: int = 5  # a cell with fewer is dropped: they do not show its scatter
+    max_samples: int = 24  # at most so many are kept, drawn at random: more would outweigh rare cells
+    outlier_sigmas: float = 2.5  # distance from the median, in standard deviations by the median absolute deviation
+    min_outlier_distance_mps2: float = 0.03  # least distance of an outlier from the median
+    unheld_weight: float = 0.25  # weight of a cell whose pedal was never held: lags blur the effect of a moving pedal
 
 
 CELLS = CellCriteria()
@@ -115,7 +107,7 @@ def assign_cells(samples: MapSamples, edges: CellEdges, rng: np.random.Generator
 
 
 def _prefer_held(members: Array, is_held: Array) -> tuple[Array, float]:
-    """The samples with a held pedal, if there are enough, which no lag blurs; else all. And the weight of the cell."""
+    """(samples with a held pedal, or all where these are too few; weight of the cell). No lag blurs a held pedal."""
     held = members[is_held[members] > 0.5]
     return (held, 1.0) if len(held) >= CELLS.min_samples else (members, CELLS.unheld_weight)
 

@@ -2,7 +2,8 @@
 
 The actuation delay is encoded (Baidu paper, section II.B): speed and acceleration are taken one delay after the
 command. The delay of a pedal is the shift at which a static law of speed and command explains the accelerations best;
-it comprises dead time, lags and transport. Used are straight and level driving in forward gear, averaged over 0.2 s.
+it comprises dead time, lags and transport. Only straight and level driving in forward gear is used, averaged over
+0.2 s.
 """
 
 from __future__ import annotations
@@ -33,58 +34,38 @@ SMOOTHING_S = 0.2  # moving mean, 20 samples at 100 Hz as in Apollo's data pipel
 SAMPLE_SPACING_S = 0.05
 RATE_WINDOW_S, RATE_ORDER = 0.51, 3  # Savitzky-Golay filter, where only the speed is known
 KNOTS_MPS = (0.0, 1.0, 2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0)
-KNOTS_SHARE = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)  # of a pedal's way
+KNOTS_SHARE = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)  # of pedal travel
 RIDGE = 1e-6
 
 
 class RowCriteria(NamedTuple):
-    """Which rows of a drive are used (docs/results/learn_criteria.md).
+    """Which rows of a drive are used (docs/results/criteria.md)."""
 
-    Attributes:
-        min_speed_mps: At standstill a brake has no visible effect; as in Apollo's data pipeline.
-        max_straight_steer_share: Share of the steering limit that counts as straight; as in Apollo's data pipeline.
-        max_gentle_steer_share: The same where the lateral acceleration is below max_gentle_lateral_mps2.
-        max_gentle_lateral_mps2: Lateral acceleration that counts as straight.
-        max_grade_accel_mps2: Gravity along the road, as a mean over grade_filter_s: a slope of 1.5 degrees.
-        grade_filter_s: Length of that mean.
-        released_share: Share of a pedal's way below which it counts as released.
-        release_time_s: The other pedal has been released for so long.
-        hold_time_s: A pedal that moved by at most max_hold_share for so long counts as held.
-        max_hold_share: Share of a pedal's way.
-    """
-
-    min_speed_mps: float = 0.2
+    min_speed_mps: float = 0.2  # at standstill a brake has no visible effect; as in Apollo's data pipeline
+    # of the steering limit, that counts as straight; as in Apollo's data pipeline
     max_straight_steer_share: float = 0.01
-    max_gentle_steer_share: float = 0.1
-    max_gentle_lateral_mps2: float = 0.4
-    max_grade_accel_mps2: float = 0.25
-    grade_filter_s: float = 2.0
-    released_share: float = 0.005
-    release_time_s: float = 0.5
+    max_gentle_steer_share: float = 0.1  # of the steering limit, that counts as straight below max_gentle_lateral_mps2
+    max_gentle_lateral_mps2: float = 0.4  # lateral acceleration that counts as straight
+    max_grade_accel_mps2: float = 0.25  # gravity along the road, as a mean over grade_filter_s: a slope of 1.5 degrees
+    grade_filter_s: float = 2.0  # length of that mean
+    released_share: float = 0.005  # of pedal travel; below it the pedal counts as released
+    release_time_s: float = 0.5  # since the release of the other pedal, whose effect has then decayed
+    # a pedal that moved by at most max_hold_share for so long counts as held; no lag blurs its effect
     hold_time_s: float = 0.3
-    max_hold_share: float = 0.05
+    max_hold_share: float = 0.05  # of pedal travel
 
 
 class DataCriteria(NamedTuple):
-    """How much data the map needs (docs/results/learn_criteria.md).
+    """How much data the map needs (docs/results/criteria.md)."""
 
-    Attributes:
-        min_usable_s: Straight and level driving in all.
-        min_pedal_use_s: With a pedal pressed.
-        max_delay_s: Longest delay that is tried.
-        min_residual_ratio: Residual without delay over that at the best one, below which no delay is accepted.
-        min_rows_per_parameter: Rows needed per parameter of the static law.
-        min_gain_sigmas: Standard deviations at which a pedal gain has a certain sign.
-        correlated_samples: Consecutive samples that count as one.
-    """
-
-    min_usable_s: float = 20.0
-    min_pedal_use_s: float = 3.0
-    max_delay_s: float = 1.0
+    min_usable_s: float = 20.0  # straight and level driving in all
+    min_pedal_use_s: float = 3.0  # with a pedal pressed
+    max_delay_s: float = 1.0  # longest delay that is tried
+    # residual without delay over that at the best one, below which no delay is accepted
     min_residual_ratio: float = 1.1
-    min_rows_per_parameter: int = 4
-    min_gain_sigmas: float = 3.0
-    correlated_samples: float = 10.0
+    min_rows_per_parameter: int = 4  # of the static law
+    min_gain_sigmas: float = 3.0  # standard deviations from zero at which the sign of a pedal gain is certain
+    correlated_samples: float = 10.0  # consecutive samples that count as one, because neighbours are correlated
 
 
 ROWS = RowCriteria()
@@ -139,8 +120,8 @@ class PedalTrack(NamedTuple):
         accel_mps2: Rate of speed.
         pedals: Duty by 'throttle' and 'brake', never below rest.
         is_good: Usable rows.
-        is_moving: Rows in motion, for the message about unusable drives.
-        is_straight: Rows in straight motion, likewise.
+        is_moving: Rows in motion (only for messages).
+        is_straight: Rows in straight motion (only for messages).
     """
 
     name: str
@@ -175,20 +156,20 @@ def identify_delay(tracks: Sequence[PedalTrack], pedal: str, vehicle: VehicleSpe
     shifts = round(DATA.max_delay_s / dt_s) + 1
     rest, limit = find_pedal_range(vehicle, pedal)
     size = len(KNOTS_MPS) * len(KNOTS_SHARE)
-    gram, against, square, n_rows = np.zeros((size, size)), np.zeros((size, shifts)), np.zeros(shifts), 0
+    gram_matrix, cross_products, square, n_rows = np.zeros((size, size)), np.zeros((size, shifts)), np.zeros(shifts), 0
     for track in tracks:
         rows = _find_usable_rows(track, pedal, vehicle, DATA.max_delay_s)
         share = (moving_mean(track.pedals[pedal], SMOOTHING_S, dt_s)[rows] - rest) / (limit - rest)
         basis = _row_products(_hat_weights(track.speed_mps[rows], KNOTS_MPS), _hat_weights(share, KNOTS_SHARE))
         later = track.accel_mps2[rows[:, None] + np.arange(shifts)]
-        gram += basis.T @ basis
-        against += basis.T @ later
+        gram_matrix += basis.T @ basis
+        cross_products += basis.T @ later
         square += np.sum(later * later, axis=0)
         n_rows += len(rows)
     if n_rows < DATA.min_rows_per_parameter * size:
         return _delay_from_data_sheet(vehicle, pedal, dt_s, "too few rows to identify one")
-    law = np.linalg.solve(gram + RIDGE * n_rows * np.eye(size), against)
-    residual = square - 2.0 * np.sum(law * against, axis=0) + np.sum(law * (gram @ law), axis=0)
+    law = np.linalg.solve(gram_matrix + RIDGE * n_rows * np.eye(size), cross_products)
+    residual = square - 2.0 * np.sum(law * cross_products, axis=0) + np.sum(law * (gram_matrix @ law), axis=0)
     best = int(np.argmin(residual))
     if best in (0, shifts - 1) or residual[0] < DATA.min_residual_ratio * residual[best]:
         why = "the pedal hardly moved, or moved too slowly to show one"
@@ -338,7 +319,7 @@ def make_pedal_tracks(drives: Sequence[Drive], vehicle: VehicleSpec) -> tuple[li
     if good_s < DATA.min_usable_s:
         why = "too little straight driving" if straight_s < DATA.min_usable_s <= moving_s else "too little driving"
         raise InputError(
-            f"{why}: of {moving_s:.0f} s moving {straight_s:.0f} s are straight and {good_s:.0f} s of these of use"
+            f"{why}: of {moving_s:.0f} s moving {straight_s:.0f} s are straight and {good_s:.0f} s of these usable"
             " (level, forward gear, by-wire channels on)",
             code="too_little_driving",
             file=drives[0].name if len(drives) == 1 else "",
@@ -346,7 +327,7 @@ def make_pedal_tracks(drives: Sequence[Drive], vehicle: VehicleSpec) -> tuple[li
             hint=f"the map needs {DATA.min_usable_s:g} s at least, better ten minutes:"
             " `collect` drives what is missing",
         )
-    notes = [f"{good_s:.0f} s of {moving_s:.0f} s moving are straight, level and of use"]
+    notes = [f"{good_s:.0f} s of {moving_s:.0f} s moving are straight, level and usable"]
     if not any("report.accel_mps2" in drive.fields for drive in drives):
         notes.append("the road is taken as level: the vehicle reports no acceleration that gravity shows in")
     return tracks, notes
@@ -364,15 +345,15 @@ def make_pedal_track(drive: Drive, vehicle: VehicleSpec) -> PedalTrack:
             "the log holds no speed", code="no_speed", file=drive.name, hint="the map needs report.speed_mps"
         )
     accel = derive_acceleration(drive, speed, vehicle)
-    pedals, is_obeyed = {}, np.ones(drive.n_rows, dtype=bool)
+    pedals, is_actuated = {}, np.ones(drive.n_rows, dtype=bool)
     for pedal in PEDALS:
         duty, is_valid = _select_pedal_signal(drive, pedal)
         pedals[pedal] = np.maximum(duty, find_pedal_range(vehicle, pedal)[0])  # NaN stays NaN
-        is_obeyed &= is_valid
+        is_actuated &= is_valid
     known = np.isfinite(speed) & np.isfinite(accel) & np.isfinite(pedals["throttle"]) & np.isfinite(pedals["brake"])
     moving = known & (np.nan_to_num(speed) >= ROWS.min_speed_mps)
     straight = moving & is_straight(drive, vehicle)
-    good = straight & is_obeyed & is_level(drive, accel) & _is_forward(drive)
+    good = straight & is_actuated & is_level(drive, accel) & _is_forward(drive)
     good &= valid_rows(drive, *(name for name in (first_field_name(drive, CHASSIS_FIRST_SPEEDS),) if name))
     return PedalTrack(
         name=drive.name,
@@ -393,9 +374,9 @@ def find_pedal_range(vehicle: VehicleSpec, pedal: str) -> tuple[float, float]:
 
 
 def _select_pedal_signal(drive: Drive, pedal: str) -> tuple[Array, Array]:
-    """Duty and its valid rows: the command where by-wire obeys it for most of the drive, else the output.
+    """Duty and its valid rows: the command where by-wire control is on for most of the drive, else the output.
 
-    A human driver acts on the pedals themselves; commands sent meanwhile have no effect.
+    With a human driver commands have no effect.
     """
     command = first_field_name(drive, (f"command.{pedal}_frac", f"report.{pedal}_command_frac"))
     report = f"report.{pedal}_frac"
@@ -480,7 +461,7 @@ def _first_field(drive: Drive, *names: str) -> Array | None:
 
 
 def _zero_filled(values: Array) -> Array:
-    """0 for NaN; such rows are not usable anyway."""
+    """The values with 0 for NaN, in rows that are not used."""
     return np.nan_to_num(values, nan=0.0)
 
 

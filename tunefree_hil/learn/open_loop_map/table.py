@@ -1,8 +1,8 @@
-"""From the two pedal nets to the calibration table of the controller: monotone in the command, and inverted.
+"""Makes the calibration table of the controller from the two pedal nets: monotone in the command, and inverted.
 
 The accelerations of the nets on a grid are projected onto rows that never fall from full brake over released pedals to
 full throttle (isotonic regression). Each row becomes a list of (acceleration, command) points that both ascend
-strictly, so that the controller can look up the command. Within the dead band of a pedal the last command is kept.
+strictly, so that the controller can look up the command. Of the dead band of a pedal only the last command is in it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tunefree_hil.learn.open_loop_map.samples import BRAKE, PEDAL_SIGN, PEDALS, 
 
 Array = np.ndarray
 
-SUPPORTED, INTERPOLATED, EXTRAPOLATED = 1.0, 0.5, 0.0  # data at the node; on both sides of the command; neither
+SUPPORTED, INTERPOLATED, EXTRAPOLATED = 1.0, 0.5, 0.0  # data at the node; at lower and higher commands; neither
 SUPPORT_WEIGHTS = {SUPPORTED: 1.0, INTERPOLATED: 0.1, EXTRAPOLATED: 0.02}  # of a node in the projection
 MAX_IDLE_ACCEL_MPS2 = 0.02  # a pedal that changes the acceleration by less is in its dead band
 MIN_ACCEL_STEP_MPS2 = 0.005  # between neighbouring points of a row
@@ -79,7 +79,7 @@ def make_grid(
     edges: Mapping[str, CellEdges],
     ranges: Mapping[str, Array],
 ) -> MapGrid:
-    """Nodes on the edges of the cells, as far as there are data. All arguments are by pedal.
+    """Nodes on the edges of the cells, within the range of the data. All arguments are by pedal.
 
     Args:
         laws: The nets.
@@ -92,19 +92,21 @@ def make_grid(
     sides = {
         pedal: _make_pedal_side(laws[pedal], populated[pedal], edges[pedal], ranges[pedal], used) for pedal in PEDALS
     }
-    push, slow = sides[THROTTLE], sides[BRAKE]
-    coasting = _average_coasting(push.accels[:, 0], push.support[:, 0], slow.accels[:, 0], slow.support[:, 0])
-    raw = np.concatenate([slow.accels[:, :0:-1], coasting[:, None], push.accels[:, 1:]], axis=1)
-    middle = np.maximum(slow.support[:, :1], push.support[:, :1])
-    support = np.concatenate([slow.support[:, :0:-1], middle, push.support[:, 1:]], axis=1)
-    commands = np.concatenate([-slow.duties[:0:-1], [0.0], push.duties[1:]])
+    throttle_side, brake_side = sides[THROTTLE], sides[BRAKE]
+    coasting = _average_coasting(
+        throttle_side.accels[:, 0], throttle_side.support[:, 0], brake_side.accels[:, 0], brake_side.support[:, 0]
+    )
+    raw = np.concatenate([brake_side.accels[:, :0:-1], coasting[:, None], throttle_side.accels[:, 1:]], axis=1)
+    middle = np.maximum(brake_side.support[:, :1], throttle_side.support[:, :1])
+    support = np.concatenate([brake_side.support[:, :0:-1], middle, throttle_side.support[:, 1:]], axis=1)
+    commands = np.concatenate([-brake_side.duties[:0:-1], [0.0], throttle_side.duties[1:]])
     weights = np.vectorize(SUPPORT_WEIGHTS.__getitem__)(support)
     rising = [isotonic_regression(row, weights=weight).x for row, weight in zip(raw, weights, strict=True)]
     return MapGrid(
         speed_mps=edges[THROTTLE].speed_mps[used],
         command_frac=commands,
-        rest_column=len(slow.duties) - 1,
-        rest_frac=float(push.duties[0]),
+        rest_column=len(brake_side.duties) - 1,
+        rest_frac=float(throttle_side.duties[0]),
         accel_mps2=np.stack(rising),
         support=support,
     )
@@ -134,11 +136,13 @@ def _classify_support(populated: Array, used: slice, last: int) -> Array:
     return np.where(supported, SUPPORTED, np.where(before & after, INTERPOLATED, EXTRAPOLATED))
 
 
-def _average_coasting(push: Array, push_support: Array, slow: Array, slow_support: Array) -> Array:
-    """Acceleration with both pedals at rest: the mean of the nets, or that of the one with better support."""
-    push_weight = np.where(push_support >= slow_support, 1.0, 0.0)
-    slow_weight = np.where(slow_support >= push_support, 1.0, 0.0)
-    return (push_weight * push + slow_weight * slow) / (push_weight + slow_weight)
+def _average_coasting(
+    throttle_accels: Array, throttle_support: Array, brake_accels: Array, brake_support: Array
+) -> Array:
+    """Acceleration with both pedals at rest: the mean of the nets, or the net with better support."""
+    throttle_weight = np.where(throttle_support >= brake_support, 1.0, 0.0)
+    brake_weight = np.where(brake_support >= throttle_support, 1.0, 0.0)
+    return (throttle_weight * throttle_accels + brake_weight * brake_accels) / (throttle_weight + brake_weight)
 
 
 def table_from_grid(grid: MapGrid) -> MapTable:
@@ -153,22 +157,23 @@ def table_from_grid(grid: MapGrid) -> MapTable:
 def invert_row(accels: Array, commands: Array, support: Array, rest_column: int, rest_frac: float) -> list[MapPoint]:
     """The points of one row, acceleration and command ascending strictly; `accels` must not fall.
 
-    Coasting appears twice, a hair apart: with the end of the brake's dead band and with that of the throttle's, so that
-    neither is interpolated away.
+    Coasting appears twice, slightly apart: with the end of the brake's dead band and with that of the throttle's, so
+    that both are exact in the look-up.
     """
     coasting = float(accels[rest_column])
     duties = np.where(np.arange(len(commands)) == rest_column, rest_frac, commands)
-    push = _effective_points(accels[rest_column:], duties[rest_column:], support[rest_column:], 1.0)
+    throttle_points = _effective_points(accels[rest_column:], duties[rest_column:], support[rest_column:], 1.0)
     brakes = np.concatenate([[-rest_frac], commands[:rest_column][::-1]])
-    slow = _effective_points(accels[rest_column::-1], brakes, support[rest_column::-1], -1.0)
-    slow[0] = slow[0]._replace(accel_mps2=coasting - 0.5 * MIN_ACCEL_STEP_MPS2)
-    if slow[0].command_frac >= push[0].command_frac:  # rest is duty 0 and no pedal has a dead band: one point suffices
-        slow = slow[1:]
-    return [*reversed(slow), *push]
+    brake_points = _effective_points(accels[rest_column::-1], brakes, support[rest_column::-1], -1.0)
+    brake_points[0] = brake_points[0]._replace(accel_mps2=coasting - 0.5 * MIN_ACCEL_STEP_MPS2)
+    # With rest at duty 0 and no dead band one point suffices.
+    if brake_points[0].command_frac >= throttle_points[0].command_frac:
+        brake_points = brake_points[1:]
+    return [*reversed(brake_points), *throttle_points]
 
 
 def _effective_points(accels: Array, commands: Array, support: Array, sign: float) -> list[MapPoint]:
-    """From the end of the dead band, each point MIN_ACCEL_STEP further; of equal ones that nearest to rest."""
+    """Points from the end of the dead band on, each MIN_ACCEL_STEP_MPS2 further; the first of equal ones."""
     coasting = float(accels[0])
     idle = int(np.flatnonzero(sign * (accels - coasting) < MAX_IDLE_ACCEL_MPS2)[-1])
     points = [MapPoint(coasting, float(commands[idle]), float(support[idle]))]

@@ -45,19 +45,14 @@ ONLY_JOINTLY_KNOWN = "these logs identify it only together with the others: the 
 
 
 class FitCriteria(NamedTuple):
-    """When a constant counts as identified (docs/results/learn_criteria.md).
+    """When a constant counts as identified (docs/results/criteria.md)."""
 
-    Attributes:
-        min_windows: Windows needed for a fit.
-        max_remaining_share: Share of the prior uncertainty that may remain of an identified constant.
-        unidentifiable_share: Share from which on a constant is dropped at once; below it the worst goes first.
-        max_rms_ratio: Error with only the identified constants, over the error of the joint fit, above which the joint
-            values are kept.
-    """
-
-    min_windows: int = 6
+    min_windows: int = 6  # needed for a fit
+    # of the prior uncertainty, for an identified constant
     max_remaining_share: float = 0.5
+    # of the prior uncertainty: a constant with more is dropped at once, below it the worst goes first
     unidentifiable_share: float = 0.95
+    # error with only the identified constants over that of the joint fit, above which the joint values are kept
     max_rms_ratio: float = 1.5
 
 
@@ -116,24 +111,24 @@ def is_significant(name: str, estimate: Estimate) -> bool:
 
 
 def fit_physics(
-    windows: WindowSet, fixed: Mapping[str, float], priors: Mapping[str, ConstantPrior], brake_way: float
+    windows: WindowSet, fixed: Mapping[str, float], priors: Mapping[str, ConstantPrior], brake_travel: float
 ) -> Generator[Progress, None, PhysicsFit]:
-    """Fit what the windows show; yields (steps done, steps in all).
+    """Fit the constants that the windows identify; yields (steps done, steps in all).
 
     Args:
         windows: Free-run windows.
         fixed: [plant.params] that are not fitted.
         priors: Of the constants to fit.
-        brake_way: Brake duty from rest to the limit.
+        brake_travel: Brake duty from rest to the limit.
 
     Raises:
         InputError: There are too few windows.
     """
     if len(windows.windows) < CRITERIA.min_windows:
         if not windows.has_pedals:
-            return _keep_priors(windows, fixed, priors, brake_way)
+            return _keep_priors(windows, fixed, priors, brake_travel)
         raise _too_few_windows(windows)
-    problem = PhysicsProblem(windows, fixed, priors, brake_way)
+    problem = PhysicsProblem(windows, fixed, priors, brake_travel)
     names = [name for name in problem.names if name not in SHAPE_CONSTANTS]
     x = np.zeros(len(names))
     rms_before = compute_target_rms(problem.errors(problem.constants_from_unknowns(names, x)))
@@ -147,7 +142,7 @@ def fit_physics(
     yield 3, PROGRESS_STEPS
     result = yield from _estimate_constants(problem, names, fit, rms_before, windows.notes)
     if POWERTRAIN_LAG in names and not is_significant(POWERTRAIN_LAG, result.estimates[POWERTRAIN_LAG]):
-        # The model will have no lag: fitted beside one, the other constants would be biased.
+        # The model will have no lag, so the other constants are fitted again without it.
         fewer = [name for name in names if name != POWERTRAIN_LAG]
         fit = solve_problem(problem, fewer, np.delete(fit.x, names.index(POWERTRAIN_LAG)), 15)
         result = yield from _estimate_constants(problem, fewer, fit, rms_before, windows.notes)
@@ -184,7 +179,7 @@ def _estimate_constants(
         half_widths = {name: max(half_widths[name], half) for name, half in alone.items()}
     estimates = {name: _make_estimate(problem, solution, name, half_widths) for name in problem.priors}
     if any(rms_after[name] > CRITERIA.max_rms_ratio * joint_rms[name] for name in rms_after):
-        # The vehicle with the priors of the dropped constants does not drive like the measured one.
+        # With the priors of the dropped constants the motion differs too much from the measured one.
         values, rms_after = joint_values, joint_rms
         replaced = {name: estimate for name, estimate in estimates.items() if estimate.why != NO_IMPROVEMENT}
         estimates |= {
@@ -227,10 +222,10 @@ def _drop_unidentified(
 
 
 def _keep_priors(
-    windows: WindowSet, fixed: Mapping[str, float], priors: Mapping[str, ConstantPrior], brake_way: float
+    windows: WindowSet, fixed: Mapping[str, float], priors: Mapping[str, ConstantPrior], brake_travel: float
 ) -> PhysicsFit:
     """All constants at their priors: no pedal output is reported, and there are too few windows."""
-    problem = PhysicsProblem(windows._replace(windows=()), fixed, priors, brake_way)
+    problem = PhysicsProblem(windows._replace(windows=()), fixed, priors, brake_travel)
     values = problem.constants_from_unknowns((), np.zeros(0))
     estimates = {name: _keep_prior(problem, name, {}) for name in problem.priors}
     note = f"no pedal output is reported, and only {len(windows.windows)} free runs are possible: no constant is fitted"
@@ -262,5 +257,5 @@ def _keep_prior(problem: PhysicsProblem, name: str, dropped: Mapping[str, float]
     if name in dropped:
         why = f"these logs leave {min(dropped[name], 1.0):.0%} of the prior uncertainty"
     else:
-        why = "the logs lack the outputs that move it"
+        why = "the logs lack the outputs that it needs"
     return Estimate(prior.value, low, high, False, f"{why}; {source}")

@@ -1,7 +1,7 @@
 """The least-squares problem of the physical constants: unknowns, residuals, shape constants, uncertainty.
 
-Windows that follow each other see the same manoeuvre and share its model error. So stretches of several windows count
-as independent, and the residuals of a stretch are corrected for what the fit itself took off them.
+Consecutive windows are of the same manoeuvre and share its model error. So stretches of several windows count as
+independent, and the residuals of a stretch are corrected for its leverage on the fit.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Array = np.ndarray
 # Unknowns that are parameters of effects (docs/reference/effects.md) and not of the plant: no report shows them.
 STEER_OFFSET, BRAKE_DEAD_BAND, POWERTRAIN_LAG = "steer_offset_rad", "brake_dead_band_frac", "powertrain_lag_s"
 STEER_OFFSET_UNCERTAINTY_RAD = 0.1
-BRAKE_DEAD_BAND_UNCERTAINTY = 0.2  # share of the brake's way
+BRAKE_DEAD_BAND_UNCERTAINTY = 0.2  # share of brake travel
 POWERTRAIN_LAG_UNCERTAINTY_S = 0.5  # engine and gearbox: 0.1 to 0.5 s
 # An unknown of the logs: the share of the constant accelerometer offset that is a slope of the road.
 ROAD_SHARE, ROAD_SHARE_UNCERTAINTY = "road_share", 2.0
@@ -80,27 +80,17 @@ NO_IMPROVEMENT = "it reduces the squared speed error by less than a tenth, or by
 
 
 class ProblemCriteria(NamedTuple):
-    """Weights and limits of the fit (docs/results/learn_criteria.md).
+    """Weights and limits of the fit (docs/results/criteria.md)."""
 
-    Attributes:
-        independent_samples: Independent numbers that a window gives of each target.
-        soft_l1_scale: Scaled error from which on the loss grows linearly.
-        max_unknown: Limit of an unknown, in half uncertainties.
-        min_scale_share: Least error scale, as a share of the initial one.
-        min_error_reduction: Share of the squared speed error that a shape constant must take off.
-        windows_per_stretch: Consecutive windows that share a manoeuvre.
-        min_stretches: With fewer stretches each window counts as one.
-        min_residual_share: Least share of a stretch's residuals that the fit is taken to have left.
-    """
-
-    independent_samples: float = 4.0
-    soft_l1_scale: float = 3.0
-    max_unknown: float = 6.0
-    min_scale_share: float = 0.02
+    independent_samples: float = 4.0  # of each target in a window of 8 s: errors within a window are correlated
+    soft_l1_scale: float = 3.0  # standard deviations, from which on the loss grows linearly
+    max_unknown: float = 6.0  # half uncertainties: three times the prior uncertainty
+    min_scale_share: float = 0.02  # least error scale, as a share of the initial one: limits the weight of a target
+    # of the squared speed error, by a shape constant; one that explains less only widens the intervals of the others
     min_error_reduction: float = 0.1
-    windows_per_stretch: int = 3
-    min_stretches: int = 4
-    min_residual_share: float = 1e-6
+    windows_per_stretch: int = 3  # consecutive windows of the same manoeuvre
+    min_stretches: int = 4  # with fewer each window counts as a stretch
+    min_residual_share: float = 1e-6  # lower limit of 1 - leverage of a stretch
 
 
 CRITERIA = ProblemCriteria()
@@ -110,7 +100,7 @@ class PhysicsProblem:
     """Free-run errors as a function of unknowns: the constants in half uncertainties, 0 being the prior value.
 
     Attributes:
-        names: The unknowns that these windows can show.
+        names: The unknowns that these windows can identify.
         priors: By name, of all unknowns.
         scale: Error of each target that counts as 1, shape (6,).
         is_measured: Which errors are measured, shape (n_windows * n_compared * 6,).
@@ -119,14 +109,14 @@ class PhysicsProblem:
     """
 
     def __init__(
-        self, windows: WindowSet, fixed: Mapping[str, float], known: Mapping[str, ConstantPrior], brake_way: float
+        self, windows: WindowSet, fixed: Mapping[str, float], known: Mapping[str, ConstantPrior], brake_travel: float
     ) -> None:
         self.windows = windows.windows
         self.fixed = dict(fixed)
         self.priors = {
             **known,
             STEER_OFFSET: ConstantPrior(0.0, STEER_OFFSET_UNCERTAINTY_RAD, False, False),
-            BRAKE_DEAD_BAND: ConstantPrior(0.0, BRAKE_DEAD_BAND_UNCERTAINTY * brake_way, False, False),
+            BRAKE_DEAD_BAND: ConstantPrior(0.0, BRAKE_DEAD_BAND_UNCERTAINTY * brake_travel, False, False),
             POWERTRAIN_LAG: ConstantPrior(0.0, POWERTRAIN_LAG_UNCERTAINTY_S, False, False),
         }
         if any(window.sensed_slope for window in self.windows):
@@ -215,8 +205,7 @@ def solve_problem(problem: PhysicsProblem, names: Sequence[str], x: Array, max_e
 def add_shape_constants(problem: PhysicsProblem, plain: list[str], fit: RobustFit) -> tuple[list[str], RobustFit]:
     """Add those SHAPE_CONSTANTS that reduce the speed error, and fit again.
 
-    All are tried together first, then each is left out in turn: the corner of the drive force, for one, only shows
-    where the power limit is fitted.
+    All are added together first, then each is left out in turn, because some reduce the error only together.
     """
     tried = [name for name in SHAPE_CONSTANTS if name in problem.names]
     if not tried:
@@ -242,7 +231,7 @@ def reduces_error(before: Array, after: Array) -> bool:
     """Whether squared errors by stretch fall by min_error_reduction and by more than one standard error.
 
     Returns:
-        False for a single stretch, which shows no scatter.
+        False for a single stretch, which has no scatter.
     """
     gain = before - after
     if len(gain) < 2:

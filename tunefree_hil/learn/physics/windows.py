@@ -44,23 +44,15 @@ ACCEL_FILTER_S = 0.5  # window of the rate of speed that is compared with the sp
 
 
 class FreeRunWindowCriteria(NamedTuple):
-    """Which rows and windows are used (docs/results/learn_criteria.md).
+    """Which rows and windows are used (docs/results/criteria.md)."""
 
-    Attributes:
-        max_silence_s: Longest gap between reports of an output or of the speed.
-        min_speed_mps: A window whose speed stays below it is a standstill.
-        max_slope_rad: Mean slope above which a window is left out, because the road is an unrecorded input.
-        max_accel_bias_g: Largest accelerometer bias where the drive does not separate it from a slope.
-        min_slope_speed_mps: Speed above which the accelerometer shows a slope.
-        min_slope_rows: Moving rows needed to judge a slope.
-    """
-
-    max_silence_s: float = 0.2
-    min_speed_mps: float = 0.5
+    max_silence_s: float = 0.2  # longest gap between reports of an output or of the speed
+    min_speed_mps: float = 0.5  # a window whose speed stays below it is a standstill, which identifies no constant
+    # mean slope above which a window is left out: the slope is an input that was not recorded
     max_slope_rad: float = 0.02
-    max_accel_bias_g: float = 0.01
-    min_slope_speed_mps: float = 1.0
-    min_slope_rows: int = 10
+    max_accel_bias_g: float = 0.01  # of the accelerometer, where the drive does not separate it from a slope
+    min_slope_speed_mps: float = 1.0  # below it stiction and pitch dominate the accelerometer
+    min_slope_rows: int = 10  # moving rows needed to judge a slope
 
 
 CRITERIA = FreeRunWindowCriteria()
@@ -135,7 +127,7 @@ def extract_windows(
         parts: Parts of drives.
         vehicle: Vehicle folder.
         window_s: Length of a window.
-        channels: Identified channels; one that reports no output is simulated from its command where by-wire obeys.
+        channels: Identified channels; one without a reported output is simulated from its command, where that acts.
     """
     windows: list[FreeRunWindow] = []
     is_steered = has_pedals = False
@@ -219,13 +211,13 @@ class WindowSignals:
         if channel == "brake" and not any(name in keys for keys in fields):
             return np.full(self.drive.n_rows, rest)
         idle = 0.0 if channel == "steer" else rest
-        command, _, obeyed = read_actuation(self.drive, channel, idle)
+        command, _, follows_command = read_actuation(self.drive, channel, idle)
         if channel not in self.channels or self.drive.get(f"command.{name}") is None:
             return np.full(self.drive.n_rows, np.nan)
-        return self._simulate_channel(channel, command, obeyed, idle)
+        return self._simulate_channel(channel, command, follows_command, idle)
 
     def _inputs_from_accel(self, rest: float) -> list[Array]:
-        """Pedals and steering of a vehicle that takes an acceleration; empty for any other."""
+        """Pedals and steering of a vehicle with commanded acceleration; empty for any other."""
         demand = read_accel_command(self.drive)
         if demand is None or "accel" not in self.channels:
             return []
@@ -233,11 +225,11 @@ class WindowSignals:
         pedals = (rest + np.maximum(sign * accel, 0.0) / FULL_MPS2 for sign in (1.0, -1.0))
         return [*pedals, self._input("steer_rad", 0.0)]
 
-    def _simulate_channel(self, channel: str, command: Array, obeyed: Array, idle: float) -> Array:
-        """The output for a command where it is obeyed, NaN elsewhere."""
+    def _simulate_channel(self, channel: str, command: Array, follows_command: Array, idle: float) -> Array:
+        """The output for a command where the channel follows it, NaN elsewhere."""
         output = np.full(self.drive.n_rows, np.nan)
         params = self.channels[channel].params(idle)
-        for begin, end in find_runs(obeyed, 2):
+        for begin, end in find_runs(follows_command, 2):
             output[begin:end] = simulate_commands(ActuatorModel(params), command[begin:end], self.dt_s)
         return output
 
@@ -340,7 +332,7 @@ class WindowSignals:
 
 
 class OutputCorrection(NamedTuple):
-    """What lies between the reported outputs and the vehicle.
+    """Corrections between the reported outputs and the vehicle.
 
     Attributes:
         steer_rad: Added to the steering wheel angle.
@@ -373,7 +365,7 @@ def run_single_track(
     outputs: Any,
     dt_s: float,
 ) -> int:
-    """Drive the single track with flat rows of (throttle, brake, steer, gear) from row 1 on; returns their number.
+    """Simulate the single track with flat rows of (throttle, brake, steer, gear) from row 1 on; returns their number.
 
     Args:
         params: Constants.

@@ -1,4 +1,4 @@
-"""Trains a plant kind on tracks: which learner, and for how many steps."""
+"""Trains a plant kind on tracks: chooses the learner and the number of steps."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def train_plant(
 ) -> Generator[TrainingProgress, None, TrainingResult]:
     """Train a kind on tracks.
 
-    The number of steps is that of the plan; else what its minutes afford on this machine, which a checkpoint stores;
-    else DEFAULT_STEPS.
+    The number of steps is that of the plan; else that of its minutes on this machine, which a checkpoint stores; else
+    DEFAULT_STEPS.
 
     Args:
         plan: Settings.

@@ -1,4 +1,4 @@
-"""What is trained, and on what: free run for kinds hybrid and lstm, one step ahead for mlp and paper.
+"""The loss of each kind: free run for hybrid and lstm (here), one step ahead for mlp and paper (one_step.py).
 
 A learner draws its batches from (seed, step) alone, so that a training can be interrupted and resumed.
 """
@@ -32,7 +32,7 @@ from tunefree_hil.learn.training.windows import (
     YAW,
     TrackPool,
     WindowBatch,
-    compute_draw_chances,
+    compute_draw_probabilities,
     draw_rows,
     find_window_starts,
     make_windows,
@@ -41,19 +41,19 @@ from tunefree_hil.learn.training.windows import (
 
 WARM_UP_S = 1.0
 BATCH_WINDOWS = 256
-BLIND_INPUTS = (1,)  # yaw rate: the cell's own output would feed back through it and drift
-HOLDOUT_LENGTHS_S = (10.0, 5.0, 3.0, 1.0)  # the longest for which the held-out drives have room
+MASKED_INPUTS = (1,)  # yaw rate: the output of the cell would feed back through it and drift
+HOLDOUT_LENGTHS_S = (10.0, 5.0, 3.0, 1.0)  # the longest that the held-out drives contain
 HOLDOUT_SPACING_S = 0.5
 MAX_HOLDOUT_WINDOWS, MAX_SCALING_WINDOWS = 256, 512
 MIN_ERROR_UNITS = (0.02, 0.003, 0.002, 0.02)  # m/s, rad/s, rad, m: resolution of the sensors
 ERROR_QUANTILE = 0.67  # of the physics' errors over the windows: the unit of an error
 LOSS_WEIGHTS = (1.0, 0.5, 1.0, 2.0)  # of speed, yaw rate, heading and position
 PEDAL_INPUTS = (2, 3)
-PEDAL_SCALE_DIVISOR = 3.0  # finer than the spread, which full throttle dominates: a pedal acts early in its way
-MIN_INPUT_SPREAD = 1e-3  # an input that never changed is not magnified
+PEDAL_SCALE_DIVISOR = 3.0  # finer than the spread, as a pedal acts early in its travel
+MIN_INPUT_SPREAD = 1e-3  # a constant input is not amplified
 FINAL_RATE_SHARE = 0.02  # of the learning rate, at the end of its cosine
 QUADRATIC_LOSS_LIMIT = 0.1  # in error units; above, the loss grows linearly
-MIN_FREE_RUN_S = 3.0  # drives without room for it are refused; stages may be shorter than planned
+MIN_FREE_RUN_S = 3.0  # shorter drives are refused; stages may be shorter than planned
 TEACHER_FORCING_COST = 0.15  # of a tick of free run
 TEACHER_FORCING_BATCH_SHARE = 0.25  # of a batch, since these windows are long
 FREE_RUN_RATE_SHARE = 0.05  # of the initial rate, where free run follows teacher forcing
@@ -75,7 +75,7 @@ class CurriculumSpan(NamedTuple):
         share: Of the steps, at which it begins.
         ahead: Ticks of free run.
         starts: Rows at which windows can begin.
-        chances: Of each start to be drawn.
+        probabilities: Of each start to be drawn.
         batch: Windows a step.
         is_teacher_forced: Physics and cell receive the measured motion.
     """
@@ -83,7 +83,7 @@ class CurriculumSpan(NamedTuple):
     share: float
     ahead: int
     starts: Array
-    chances: Array
+    probabilities: Array
     batch: int
     is_teacher_forced: bool
 
@@ -134,10 +134,10 @@ class Learner(Protocol):
 
 
 class FreeRunLearner:
-    """Kinds hybrid and lstm: free run after a warm-up, over longer and longer windows.
+    """Kinds hybrid and lstm: free run after a warm-up, over windows of growing length.
 
-    The unit of an error is what the fitted physics typically misses after the same time, so that all times and
-    quantities count alike.
+    The unit of an error is the typical error of the fitted physics after the same time, so that all times and
+    quantities have equal weight.
     """
 
     def __init__(self, plan: TrainingPlan, training: TrackPool, held_out: TrackPool, model: ModelSpec) -> None:
@@ -173,7 +173,7 @@ class FreeRunLearner:
         span = self._span_at(step)
         forced = self.teacher_forced
         runner = forced if span.is_teacher_forced and forced is not None else self.runner
-        starts = draw_rows(span.starts, span.batch, self.plan.seed, step, span.chances)
+        starts = draw_rows(span.starts, span.batch, self.plan.seed, step, span.probabilities)
         window = make_windows(starts, self.warm_up, span.ahead)
         errors = compute_errors(runner.run(self.training, window), self.training, window)
         limit = QUADRATIC_LOSS_LIMIT
@@ -211,7 +211,7 @@ class FreeRunLearner:
         return self.net.arrays()
 
     def _span(self, stage: CurriculumStage) -> CurriculumSpan:
-        """The stage, as long as planned, or as the drives have room for."""
+        """The stage with its planned window length, or a shorter one where the drives are too short."""
         for seconds in (stage.ahead_s, *(shorter for shorter in HOLDOUT_LENGTHS_S if shorter < stage.ahead_s)):
             ahead = round(seconds / self.training.dt_s)
             starts = find_window_starts(self.training, self.warm_up, ahead)
@@ -220,8 +220,8 @@ class FreeRunLearner:
         batch = self.plan.batch
         if stage.is_teacher_forced:
             batch = max(round(batch * TEACHER_FORCING_BATCH_SHARE), 1)
-        chances = compute_draw_chances(self.training, starts, self.warm_up, ahead)
-        return CurriculumSpan(stage.share, ahead, starts, chances, batch, stage.is_teacher_forced)
+        probabilities = compute_draw_probabilities(self.training, starts, self.warm_up, ahead)
+        return CurriculumSpan(stage.share, ahead, starts, probabilities, batch, stage.is_teacher_forced)
 
     def _span_at(self, step: int) -> CurriculumSpan:
         share = step / self.steps
@@ -247,7 +247,7 @@ class FreeRunLearner:
         bound = [_output_bound(residuals[0], 2.0, 0.5, 4.0), _output_bound(residuals[1], 2.0, 0.03, 0.5)]
         mean, scale = compute_scaling(features)
         scale[list(PEDAL_INPUTS)] /= PEDAL_SCALE_DIVISOR
-        return CellNet(mean, scale, bound, self.plan.seed, blind=BLIND_INPUTS)
+        return CellNet(mean, scale, bound, self.plan.seed, masked=MASKED_INPUTS)
 
     def _make_kinematic_net(self, params: Mapping[str, float]) -> CellNet:
         """The cell of kind lstm, with its scaling and bounds."""
@@ -269,7 +269,7 @@ def cosine_rate(share: float) -> float:
 
 
 def select_holdout_windows(pool: TrackPool, warm_up: int) -> tuple[Array, int]:
-    """Starts and free ticks of the longest windows for which the pool has room."""
+    """Starts and free ticks of the longest windows that the pool contains."""
     for seconds in HOLDOUT_LENGTHS_S:
         ahead = round(seconds / pool.dt_s)
         starts = find_window_starts(pool, warm_up, ahead, every=round(HOLDOUT_SPACING_S / pool.dt_s))

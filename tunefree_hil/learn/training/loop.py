@@ -18,31 +18,21 @@ from tunefree_hil.learn.training.learners import Learner, TrainingPlan
 
 LEARNING_RATES = {"hybrid": 1e-2, "lstm": 1e-2, "mlp": 1e-2, "paper": 5e-3}  # initial, of Adam
 PROGRESS_INTERVAL_S, CHECKPOINT_INTERVAL_S = 1.0, 15.0
-N_THREADS = 1  # windows are narrow: more threads only wait for each other
+N_THREADS = 1  # batches are small: more threads only wait for each other
 
 
 class LoopCriteria(NamedTuple):
-    """How a training is evaluated and stopped (docs/results/learn_criteria.md).
+    """How a training is evaluated and stopped (docs/results/criteria.md)."""
 
-    Attributes:
-        max_gradient_norm: Gradients are clipped to it.
-        max_evaluations: Evaluations of the held-out error over a training.
-        min_steps_between: Steps between two evaluations.
-        patience: Evaluations without a better one, below max_patience_rate, that end the training.
-        max_patience_rate: Share of the initial rate; above it the error still scatters.
-        averaging_share: The evaluated weights are the mean over about this share of all steps.
-        divergence_ratio: Held-out error over the untrained one that counts as divergence.
-        max_diverged: Consecutive diverged evaluations that end the training.
-    """
-
-    max_gradient_norm: float = 1.0
-    max_evaluations: int = 40
-    min_steps_between: int = 5
-    patience: int = 15
-    max_patience_rate: float = 0.5
+    max_gradient_norm: float = 1.0  # gradients are clipped to it
+    max_evaluations: int = 40  # of the held-out error over a training
+    min_steps_between: int = 5  # steps between two evaluations
+    patience: int = 15  # evaluations without a better one, below max_patience_rate, that end the training
+    max_patience_rate: float = 0.5  # share of the initial learning rate; above it the error still scatters
+    # of all steps, over which the evaluated weights are the mean: those of single steps scatter
     averaging_share: float = 0.02
-    divergence_ratio: float = 5.0
-    max_diverged: int = 3
+    divergence_ratio: float = 5.0  # held-out error over the untrained one, that counts as divergence
+    max_diverged: int = 3  # consecutive diverged evaluations that end the training
 
 
 CRITERIA = LoopCriteria()
@@ -86,7 +76,7 @@ class TrainingResult(NamedTuple):
 
 
 class TrainingState:
-    """What a checkpoint stores; the attribute names are its keys.
+    """Content of a checkpoint; the attribute names are its keys.
 
     Attributes:
         step: Steps done.
@@ -125,7 +115,7 @@ class _Training(NamedTuple):
 def run_training(
     learner: Learner, plan: TrainingPlan, total: int, part: Path | None = None, identity: str = ""
 ) -> Generator[TrainingProgress, None, TrainingResult]:
-    """Train for `total` steps, for which the learner is planned; yields progress about once a second.
+    """Train for `total` steps, as set in the learner; yields progress about once a second.
 
     A loss that is not finite, or a held-out error far above the untrained one, ends the training with the best net.
 

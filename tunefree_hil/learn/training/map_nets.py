@@ -22,7 +22,7 @@ ROUND_ITERATIONS = 20  # of L-BFGS between two evaluations
 MAX_ROUNDS = 30
 PATIENCE_ROUNDS = 6  # without a better held-out error
 WEIGHT_DECAY = 1e-6  # on squared weights but the biases, beside the mean squared error in scaled units
-INITIAL_BIAS_SPREAD = 2.0  # spreads the bends of the units over the inputs
+INITIAL_BIAS_SPREAD = 2.0  # spreads the transitions of the units over the inputs
 
 
 class TrainedMapNet(NamedTuple):
@@ -33,7 +33,7 @@ class TrainedMapNet(NamedTuple):
         held_out_mps2: Error on held-out cells, NaN without.
         rounds: The best round.
         seed: Of the weights.
-        is_complete: False: it diverged to values that are not finite; this is the best net before.
+        is_complete: False: it diverged to values that are not finite; `net` is the best one before.
     """
 
     net: PedalNet
@@ -176,7 +176,7 @@ def _net_from_weights(scales: MapNetScales, weights: list[Any]) -> PedalNet:
 
 @contextmanager
 def _single_thread(torch: Any) -> Iterator[None]:
-    """Such small tensors only lose time with more threads."""
+    """Limit torch to one thread: with more, such small tensors are slower."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -40,7 +40,7 @@ class CellNet(nn.Module):
         seed: Of the weights.
         relu: ReLU replaces tanh in the cell.
         zero_outputs: The outputs start at 0.
-        blind: Inputs whose weights are 0 and stay 0.
+        masked: Inputs whose weights stay 0.
     """
 
     mean: Tensor
@@ -56,7 +56,7 @@ class CellNet(nn.Module):
         *,
         relu: bool = False,
         zero_outputs: bool = True,
-        blind: Sequence[int] = (),
+        masked: Sequence[int] = (),
     ) -> None:
         super().__init__()
         generator = torch.Generator().manual_seed(seed)
@@ -66,9 +66,9 @@ class CellNet(nn.Module):
             return nn.Parameter((torch.rand(*shape, generator=generator, dtype=torch.float64) * 2.0 - 1.0) * spread)
 
         self.w_in, self.w_rec = draw(4 * N_CELL_UNITS, inputs), draw(4 * N_CELL_UNITS, N_CELL_UNITS)
-        if blind:
+        if masked:
             mask = torch.ones(inputs, dtype=torch.float64)
-            mask[list(blind)] = 0.0
+            mask[list(masked)] = 0.0
             self.w_in.data *= mask
             self.w_in.register_hook(lambda gradient: gradient * mask)
         bias = torch.zeros(4 * N_CELL_UNITS, dtype=torch.float64)

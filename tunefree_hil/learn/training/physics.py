@@ -32,7 +32,7 @@ class StateRates(NamedTuple):
 
 
 class BatchedSingleTrack:
-    """The vehicle of [plant.params]; nothing in it is trained. Numpy is twice as fast as torch on such small arrays."""
+    """The vehicle of [plant.params], which is not trained. Numpy is twice as fast as torch on such small arrays."""
 
     def __init__(self, params: Mapping[str, float], dt_s: float, change: BodyChange | None = None) -> None:
         p = constants_of(params, change or BodyChange())
@@ -44,7 +44,7 @@ class BatchedSingleTrack:
         self.grip_per_slip = self.stiffness / np.maximum(grip, 1.0)  # share of the grip per rad of slip
 
     def compute_inputs(self, outputs: Array, grade_rad: Array) -> Array:
-        """What acts in a tick.
+        """Forces and steering in a tick.
 
         Args:
             outputs: Of the actuators (duty, duty, wheel rad), shape (n_rows, 3).
@@ -172,7 +172,7 @@ class DifferentiableTick(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *grads: Any) -> tuple[Tensor | None, ...]:
-        """Chain rule to the state; nothing else is trained."""
+        """Chain rule to the state alone."""
         return (ctx.jacobian * grads[0].unsqueeze(1)).sum(0), None, None
 
 

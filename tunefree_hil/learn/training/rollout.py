@@ -32,7 +32,7 @@ class FreeRun(NamedTuple):
 
 
 class FreeRunner(Protocol):
-    """What runs freely from the end of a window's warm-up."""
+    """A model that runs freely from the end of a window's warm-up."""
 
     def run(self, pool: TrackPool, window: WindowBatch) -> FreeRun: ...
 

@@ -1,8 +1,8 @@
 """Teacher forcing: kind hybrid along the measured motion, whole windows in one call of torch's LSTM.
 
 The residual is integrated as in free run, but physics and cell receive the measured motion at every tick. A speed error
-does not feed back on the forces, which matters little over ten seconds; in return a tick costs a tenth. So the net can
-be trained on long windows, which show a bias of hundredths of a m/s2.
+does not feed back on the forces, which matters little over ten seconds; but a tick costs a tenth. So the net can be
+trained on long windows, in which a bias of hundredths of a m/s2 is visible.
 """
 
 from __future__ import annotations

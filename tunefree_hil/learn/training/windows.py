@@ -1,4 +1,4 @@
-"""Batches of windows out of many tracks: a warm-up on the measured motion, then free run to be compared with it."""
+"""Batches of windows from many tracks: a warm-up on the measured motion, then free run that is compared with it."""
 
 from __future__ import annotations
 
@@ -24,19 +24,13 @@ STEER_CLASS_EDGES = (0.04, 0.2, 0.5)
 
 
 class TrainingWindowCriteria(NamedTuple):
-    """How windows are selected and drawn (docs/results/learn_criteria.md).
+    """How windows are selected and drawn (docs/results/criteria.md)."""
 
-    Attributes:
-        min_mean_speed_mps: Mean speed of the free part; standstill teaches nothing.
-        greatest_quantile: Quantile that stands for the greatest value.
-        balancing_exponent: 0: every window alike; 1: every class of driving alike.
-        min_class_windows: A class with fewer windows is drawn as if it had so many.
-    """
-
-    min_mean_speed_mps: float = 0.3
-    greatest_quantile: float = 0.999
+    min_mean_speed_mps: float = 0.3  # mean speed of the free part; at standstill there is nothing to learn
+    greatest_quantile: float = 0.999  # in place of the greatest value, so that single outliers do not set the scale
+    # 0: all windows have equal weight; 1: all classes of driving; between them, as later use is unknown
     balancing_exponent: float = 0.5
-    min_class_windows: int = 20
+    min_class_windows: int = 20  # a class with fewer windows is drawn as if it had this number
 
 
 CRITERIA = TrainingWindowCriteria()
@@ -101,8 +95,8 @@ def make_pool(tracks: Sequence[MotionTrack], model: ModelSpec, rest: float) -> T
 def add_mirrored(pool: TrackPool) -> TrackPool:
     """The pool, followed by itself with left and right exchanged.
 
-    A vehicle is symmetric but for the steering offset, which `calibrate` removes. So what is learned of a left turn
-    holds for a right turn, and a centred wheel turns the vehicle neither way.
+    A vehicle is symmetric but for the steering offset, which `calibrate` removes. So what is learned in a left turn
+    is valid for a right turn, and with a centred wheel the vehicle drives straight on.
     """
     rows = len(pool.inputs)
     steer_sign = torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64)
@@ -139,22 +133,22 @@ def make_windows(starts: Array, warm_up: int, ahead: int) -> WindowBatch:
     return WindowBatch(rows, warm_up, ahead)
 
 
-def draw_rows(rows: Array, count: int, seed: int, step: int, chances: Array | None = None) -> Array:
-    """Draw `count` of the rows; only seed and step decide, so that a training can be resumed.
+def draw_rows(rows: Array, count: int, seed: int, step: int, probabilities: Array | None = None) -> Array:
+    """Draw `count` of the rows, from seed and step alone, so that a training can be resumed.
 
     Args:
         rows: To draw from.
         count: How many.
         seed: Of the training.
         step: Of the training.
-        chances: Of each row, summing to 1; None: all alike.
+        probabilities: Of each row, with sum 1; None: equal.
     """
     rng = np.random.default_rng([seed, step])
-    return np.sort(rng.choice(rows, count, replace=chances is not None or len(rows) < count, p=chances))
+    return np.sort(rng.choice(rows, count, replace=probabilities is not None or len(rows) < count, p=probabilities))
 
 
-def compute_draw_chances(pool: TrackPool, starts: Array, warm_up: int, ahead: int) -> Array:
-    """Chance of each window to be drawn: the rarer its class of driving, the greater.
+def compute_draw_probabilities(pool: TrackPool, starts: Array, warm_up: int, ahead: int) -> Array:
+    """Probability of each window: the rarer its class of driving, the greater.
 
     The logs need not have the classes in the proportions of later use. A class's share is between that in the logs and
     an equal one (balancing_exponent).
@@ -162,8 +156,8 @@ def compute_draw_chances(pool: TrackPool, starts: Array, warm_up: int, ahead: in
     classes = classify_windows(pool, starts, warm_up, ahead)
     _, label, counts = np.unique(classes, axis=0, return_inverse=True, return_counts=True)
     n_windows = np.maximum(counts[label.reshape(-1)], CRITERIA.min_class_windows)
-    chances = n_windows.astype(np.float64) ** -CRITERIA.balancing_exponent
-    return chances / chances.sum()
+    probabilities = n_windows.astype(np.float64) ** -CRITERIA.balancing_exponent
+    return probabilities / probabilities.sum()
 
 
 def classify_windows(pool: TrackPool, starts: Array, warm_up: int, ahead: int) -> Array:

@@ -1,8 +1,8 @@
-"""A car that is asked for an acceleration: its own controller works engine and brakes, and nobody sees the pedals.
+"""A car with an acceleration command: its own controller operates engine and brakes; the pedals are not on the bus.
 
-What `[actuators.accel]` puts out, the acceleration that the car makes of the command, becomes two pedals of which full
-duty is FULL_MPS2 each way. On `LINEAR` as [plant.params] a chassis turns these into just that acceleration, with slope,
-cornering and friction on top, so that every plant and every learned residual works on such a car as on one with pedals.
+The output of `[actuators.accel]` is converted to two pedals whose full duty is FULL_MPS2 in each direction. With
+`LINEAR` as [plant.params] the chassis converts them back to that acceleration and adds slope, cornering and friction.
+Every plant and every learned residual therefore works as on a car with pedals.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.records import Actuation, Command
 from tunefree_hil.plant.actuation.actuators import ActuatorParams, init_actuator, step_actuator
 
-FULL_MPS2 = 10.0  # more than any road car does either way
-_NEVER = 1.0e3  # knee of the drive in full duties, and its power in units of FULL_MPS2 * m/s: both far away
+FULL_MPS2 = 10.0  # above the acceleration and the braking of any road car
+_NEVER = 1.0e3  # knee of the drive in full duties, and its power in FULL_MPS2 * m/s: both out of reach
 
 
 def linear(mass_kg: float, rest_frac: float) -> dict[str, float]:
-    """The keys of [plant.params] that make a chassis take these pedals as acceleration: no resistance of its own."""
+    """[plant.params] with which a chassis converts these pedals to acceleration, without resistance of its own."""
     full_n = FULL_MPS2 * mass_kg
     return {
         "rest_pedal_frac": rest_frac,
@@ -48,7 +48,7 @@ def pedals_of(accel_mps2: float, rest_frac: float) -> tuple[float, float]:
 
 
 def actuators_by_accel(accel: ActuatorParams, steer: ActuatorParams, rest_frac: float) -> Block:
-    """The channels of such a car as a Block Command -> Actuation; the gear follows at once."""
+    """The channels of such a car as a Block Command -> Actuation; the gear changes without delay."""
 
     def init(params: Any, dt_s: float) -> Any:
         return (init_actuator(params[0], dt_s), init_actuator(params[1], dt_s))

@@ -1,7 +1,7 @@
-"""By-wire actuators: dead time, lag of order 1 or 2, rate limit, dead band, gain, offset (docs/reference/design.md).
+"""By-wire actuators: dead time, lag of order 1 or 2, rate limit, dead band, gain, offset.
 
-Between two ticks the command is held, so dead time (also a fraction of a tick) and lag are solved exactly; only the
-rate limit is applied to the step as a whole.
+The command is constant between two ticks, so dead time (also a fraction of a tick) and lag are solved exactly; only
+the rate limit is applied to the step as a whole.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ class ActuatorParams(NamedTuple):
     gain: float = 1.0
     offset: float = 0.0
     rest: float = 0.0
-    initial: float = 0.0  # the command that has been held for ever before tick 0
+    initial: float = 0.0  # the constant command before tick 0
 
 
 class Lag(NamedTuple):
-    """One step of dead time and lag: new and old command reach the output with these weights."""
+    """One step of dead time and lag: the weights of the new and the old command in the output."""
 
     output_new: float
     output_old: float
@@ -47,7 +47,7 @@ class Lag(NamedTuple):
 
 
 class ActuatorState(NamedTuple):
-    """Delay line (n whole ticks, and one more for the fraction), its place, and output with slope (order 2)."""
+    """Delay line (n whole ticks, and one more for the fraction), the output, and its slope (order 2)."""
 
     lag: Lag
     line: Any
@@ -70,7 +70,7 @@ def shaped(params: ActuatorParams, command: float) -> float:
 
 
 def init_actuator(params: ActuatorParams, dt_s: float) -> ActuatorState:
-    """At rest on `params.initial`. Raises InputError for numbers that make no actuator."""
+    """The state at rest on `params.initial`. Raises InputError for parameters that are not valid."""
     _check(params)
     whole = math.floor(params.dead_time_s / dt_s + 1e-9)
     rest_s = max(params.dead_time_s - whole * dt_s, 0.0)
@@ -80,7 +80,7 @@ def init_actuator(params: ActuatorParams, dt_s: float) -> ActuatorState:
 
 @kernel
 def step_actuator(params: ActuatorParams, state: ActuatorState, x: float, dt_s: float) -> tuple[ActuatorState, float]:
-    """One tick: the command `x` holds from now on; the output is the one at the end of the tick."""
+    """One tick: the command is `x` from now on; the output is that at the end of the tick."""
     lag, line, place, output = state.lag, state.line, state.place, state.output
     old = line[place] - output
     line[place] = shaped(params, x)
@@ -104,7 +104,7 @@ def actuator(params: ActuatorParams) -> Block:
 
 
 def actuators(throttle: ActuatorParams, brake: ActuatorParams, steer: ActuatorParams) -> Block:
-    """The three channels as a Block Command -> Actuation; the gear follows at once (the by-wire unit rules it)."""
+    """The three channels as a Block Command -> Actuation; the gear changes without delay."""
 
     def init(params: Any, dt_s: float) -> Any:
         return (init_actuator(params[0], dt_s), init_actuator(params[1], dt_s), init_actuator(params[2], dt_s))
@@ -135,7 +135,7 @@ def _check(params: ActuatorParams) -> None:
 
 
 def _lag(params: ActuatorParams, dt_s: float, rest_s: float) -> Lag:
-    """Weights for a held command that changes `rest_s` after the step's beginning (the dead time's fraction)."""
+    """Weights for a held command that changes `rest_s` after the start of the step (the fraction of the dead time)."""
     most = params.rate_limit * dt_s
     if params.order == 2:
         whole = _free_motion(params, dt_s)
@@ -150,7 +150,7 @@ def _lag(params: ActuatorParams, dt_s: float, rest_s: float) -> Lag:
             most=most,
         )
     if params.lag_s == 0.0:
-        share = rest_s / dt_s  # no lag: the tick's mean, so that the answer is continuous in the dead time
+        share = rest_s / dt_s  # no lag: the mean over the tick, which is continuous in the dead time
         return Lag(1.0 - share, share, 0.0, 0.0, 0.0, 0.0, most)
     kept = math.exp(-dt_s / params.lag_s)
     part_kept = math.exp(-(dt_s - rest_s) / params.lag_s)
@@ -167,7 +167,7 @@ class Transition(NamedTuple):
 
 
 def _free_motion(params: ActuatorParams, time_s: float) -> Transition:
-    """exp(A t) of A = [[0, 1], [-w^2, -2 d w]], the lag of second order without input."""
+    """exp(A t) of A = [[0, 1], [-w^2, -2 d w]], the homogeneous second-order lag."""
     natural = 2.0 * math.pi * params.natural_hz
     damped = params.damping * natural
     inner = natural * natural - damped * damped

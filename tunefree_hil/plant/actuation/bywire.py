@@ -1,7 +1,7 @@
 """The by-wire unit: enable, override, time-outs, counters, watchdog (docs/reference/by_wire.md).
 
 One Block a vehicle: ByWireInput -> (applied Command, ByWireStatus). Faults (time-out, counter, watchdog) stay until a
-power cycle, which is `init`; CLEAR clears a latched override only. Reverse and park are taken at standstill only.
+power cycle, which is `init`; CLEAR clears a latched override only. Reverse and park are accepted at standstill only.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from tunefree_hil.plant.actuation.bywire_types import (
     ByWireStatus,
     ChannelRules,
     ChannelStatus,
-    Heard,
-    HeardChannel,
+    ReceivedChannel,
+    ReceivedCommand,
 )
 
 __all__ = [
@@ -37,8 +37,8 @@ __all__ = [
     "ByWireStatus",
     "ChannelRules",
     "ChannelStatus",
-    "Heard",
-    "HeardChannel",
+    "ReceivedChannel",
+    "ReceivedCommand",
     "bywire",
 ]
 
@@ -47,7 +47,7 @@ OVERRIDDEN, OF_VEHICLE = GEAR_REJECTS["override"], GEAR_REJECTS["vehicle"]
 
 
 class ChannelState(NamedTuple):
-    """What the unit remembers of one channel. dropped: EN was taken away this tick while the channel was enabled."""
+    """State of one channel. dropped: the enable bit was cleared in this tick while the channel was enabled."""
 
     value: float
     wanted: float
@@ -63,7 +63,7 @@ class ChannelState(NamedTuple):
 
 
 class ByWireState(NamedTuple):
-    """Memory of the unit between two ticks."""
+    """State of the unit between two ticks."""
 
     throttle: ChannelState
     brake: ChannelState
@@ -71,29 +71,29 @@ class ByWireState(NamedTuple):
     gear: float
     gear_override: float
     cause: float
-    gear_wish: float  # last heard
+    gear_wish: float  # last received
     light_input: float
     light_command: float
     light_output: float
-    brake_frac: float  # behind the ramp
-    hold_rad: float  # where the steering stays while it is not enabled
+    brake_frac: float  # after the ramp
+    hold_rad: float  # steering angle while it is not enabled
 
 
 @kernel
 def listen(
-    rules: ChannelRules, state: ChannelState, heard: HeardChannel, driver: float, counting: float
+    rules: ChannelRules, state: ChannelState, received: ReceivedChannel, driver: float, counting: float
 ) -> ChannelState:
-    """Take in one channel's frame (or its absence) and the driver's input; `enabled` is still the last tick's."""
+    """Process one channel's frame (or its absence) and the driver's input; `enabled` is still that of the last tick."""
     value, wanted, ignore, age = state.value, state.wanted, state.ignore, state.age_ticks + 1.0
     override, timeout, counter_fault, dropped = state.override, state.timeout, state.counter_fault, 0.0
-    if heard.fresh > 0.5:
-        if state.enabled > 0.5 and heard.enable < 0.5:
+    if received.fresh > 0.5:
+        if state.enabled > 0.5 and received.enable < 0.5:
             dropped = 1.0
-        if heard.clear > 0.5:
+        if received.clear > 0.5:
             override = 0.0
-        elif counting > 0.5 and heard.counter_ok < 0.5 and (state.enabled > 0.5 or heard.enable > 0.5):
+        elif counting > 0.5 and received.counter_ok < 0.5 and (state.enabled > 0.5 or received.enable > 0.5):
             counter_fault = 1.0
-        value, wanted, ignore, age = heard.value, heard.enable, heard.ignore, 0.0
+        value, wanted, ignore, age = received.value, received.enable, received.ignore, 0.0
     elif state.enabled > 0.5 and age >= rules.timeout_ticks:
         timeout = 1.0
     driver_ticks = state.driver_ticks + 1.0 if driver > rules.driver_level else 0.0
@@ -117,7 +117,7 @@ def listen(
 
 @kernel
 def find_cause(channel: ChannelState, first_code: float, may_not_drop: float) -> float:
-    """The watchdog's code for one channel (first_code is its counter's), 0 when it is well."""
+    """The watchdog's code for one channel (first_code is its counter's), 0 without a fault."""
     if channel.counter_fault > 0.5:
         return first_code
     if channel.dropped > 0.5 and may_not_drop > 0.5:
@@ -151,7 +151,7 @@ def shift(params: ByWireParams, gear: float, wish: float, speed_mps: float) -> f
 
 @kernel
 def reject(gear: float, wish: float, gear_override: float) -> float:
-    """Why the gear that was wished last is not in; a code of GEAR_REJECTS."""
+    """Why the last requested gear is not engaged; a code of GEAR_REJECTS."""
     if wish < 0.5 or wish == gear:
         return 0.0
     return OVERRIDDEN if gear_override > 0.5 else OF_VEHICLE
@@ -159,14 +159,14 @@ def reject(gear: float, wish: float, gear_override: float) -> float:
 
 @kernel
 def light(params: ByWireParams, on: float, duty_frac: float) -> float:
-    """The brake light that a duty asks for, with hysteresis."""
+    """The brake light for a duty, with hysteresis."""
     level = params.light_off_frac if on > 0.5 else params.light_on_frac
     return 1.0 if duty_frac > level else 0.0
 
 
 @kernel
 def pedal(rules: ChannelRules, state: ChannelState, driver_frac: float) -> float:
-    """The throttle pedal: the stronger of command and foot; with IGNORE the command alone, disabled the foot alone."""
+    """The throttle pedal: the larger of command and driver; with IGNORE the command only, disabled the driver only."""
     if state.enabled < 0.5:
         return driver_frac
     wish = clamp(state.value, rules.low, rules.high)
@@ -177,7 +177,7 @@ def pedal(rules: ChannelRules, state: ChannelState, driver_frac: float) -> float
 def brake_pedal(
     params: ByWireParams, state: ByWireState, brake: ChannelState, cause: float, driver_frac: float
 ) -> float:
-    """What the ramp lets through of the wish; the foot alone when nobody else wishes."""
+    """The requested brake duty within the ramp; without a command or a fault the driver's pedal."""
     if cause > 0.5:
         wish = params.watchdog_brake_frac
     elif brake.enabled > 0.5:
@@ -193,15 +193,15 @@ def step_bywire(
     params: ByWireParams, state: ByWireState, x: ByWireInput, dt_s: float
 ) -> tuple[ByWireState, ByWireOutput]:
     """One tick of the unit."""
-    heard, driver = x.heard, x.driver
+    received, driver = x.received, x.driver
     hand_nm = abs(driver.steer_torque_nm)
     if driver.steer_hold > 0.5:
         hand_nm = hand_nm + params.steer.override_level + 1.0
     counting = params.check_counter
-    throttle = listen(params.throttle, state.throttle, heard.throttle, driver.throttle_frac, counting)
-    brake = listen(params.brake, state.brake, heard.brake, driver.brake_frac, counting)
-    steer = listen(params.steer, state.steer, heard.steer, hand_nm, counting)
-    gear_override = 0.0 if heard.gear_clear > 0.5 else state.gear_override
+    throttle = listen(params.throttle, state.throttle, received.throttle, driver.throttle_frac, counting)
+    brake = listen(params.brake, state.brake, received.brake, driver.brake_frac, counting)
+    steer = listen(params.steer, state.steer, received.steer, hand_nm, counting)
+    gear_override = 0.0 if received.gear_clear > 0.5 else state.gear_override
     if driver.gear_override > 0.5:
         gear_override = 1.0
     overridden = throttle.override + brake.override + steer.override + gear_override
@@ -220,10 +220,10 @@ def step_bywire(
         cause = find_cause(steer, STEER_COUNTER, moving)
 
     allowed = 1.0 if overridden < 0.5 and cause < 0.5 else 0.0
-    throttle, throttle_status = settle(params.throttle, throttle, allowed, heard.throttle.e2e)
-    brake, brake_status = settle(params.brake, brake, allowed, heard.brake.e2e)
-    steer, steer_status = settle(params.steer, steer, allowed, heard.steer.e2e)
-    gear = shift(params, state.gear, heard.gear, x.speed_mps) if gear_override < 0.5 else state.gear
+    throttle, throttle_status = settle(params.throttle, throttle, allowed, received.throttle.e2e)
+    brake, brake_status = settle(params.brake, brake, allowed, received.brake.e2e)
+    steer, steer_status = settle(params.steer, steer, allowed, received.steer.e2e)
+    gear = shift(params, state.gear, received.gear, x.speed_mps) if gear_override < 0.5 else state.gear
 
     throttle_frac = pedal(params.throttle, throttle, driver.throttle_frac)
     if cause > 0.5:
@@ -234,7 +234,7 @@ def step_bywire(
         hold_rad = clamp(steer.value, params.steer.low, params.steer.high)
     elif state.steer.enabled > 0.5:
         hold_rad = x.steer_rad
-    gear_wish = heard.gear if heard.gear > 0.5 else state.gear_wish
+    gear_wish = received.gear if received.gear > 0.5 else state.gear_wish
     applied_frac = driver.brake_frac if driver.brake_frac > brake_frac else brake_frac
     asked_frac = brake_frac if brake.enabled > 0.5 or cause > 0.5 else 0.0
     light_input = light(params, state.light_input, driver.brake_frac)
@@ -254,7 +254,7 @@ def step_bywire(
 
 
 def init_bywire(params: ByWireParams, dt_s: float) -> ByWireState:
-    """Power-up: nothing heard, nothing enabled, no fault, steering straight."""
+    """Power-up: nothing received, nothing enabled, no fault, steering straight."""
     never = max(params.throttle.timeout_ticks, params.brake.timeout_ticks, params.steer.timeout_ticks)
     channel = ChannelState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, float(never), 0.0, 0.0)
     return ByWireState(

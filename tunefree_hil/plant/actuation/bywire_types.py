@@ -1,4 +1,4 @@
-"""Words of the by-wire unit: what it hears, its rules, its status bits, its watchdog (docs/reference/by_wire.md)."""
+"""Records of the by-wire unit: received commands, rules, status bits, watchdog (docs/reference/by_wire.md)."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ CAUSES: dict[str, float] = {"none": 0.0, "other": 1.0} | {
     f"{channel}_{cause}": 2.0 + 4.0 * i + j
     for i, channel in enumerate(("brake", "throttle", "steer"))
     for j, cause in enumerate(_CHANNEL_CAUSES)
-}  # the watchdog's causes, by the name that vehicle.toml gives them
+}  # causes of the watchdog, by their name in vehicle.toml
 BRAKE_COUNTER, THROTTLE_COUNTER, STEER_COUNTER = (CAUSES[f"{name}_counter"] for name in ("brake", "throttle", "steer"))
 
 
-GEAR_REJECTS: dict[str, float] = {"none": 0.0, "override": 1.0, "vehicle": 2.0}  # why a wished gear is not taken
+GEAR_REJECTS: dict[str, float] = {"none": 0.0, "override": 1.0, "vehicle": 2.0}  # why a requested gear is not engaged
 
 
-class HeardChannel(NamedTuple):
-    """One channel's command frame of this tick; without a new one (fresh = 0) nothing else here counts.
+class ReceivedChannel(NamedTuple):
+    """One channel's command frame of this tick; without a new one (fresh = 0) the other fields are not used.
 
-    enable, clear, ignore, counter_ok are 0 or 1. A frame with clear = 1 is not held to the counter (DLC 4 frames).
-    e2e counts at every tick: the code of the message's E2E status (bus/dbc/integrity.py), 0 where all is well or
-    nothing is protected. A frame that is not believed is not fresh.
+    enable, clear, ignore, counter_ok are 0 or 1. The counter is not checked in a frame with clear = 1 (DLC 4
+    frames). e2e is used at every tick: the code of the message's E2E status (bus/dbc/integrity.py), 0 where it is valid
+    or the message is not protected. A rejected frame is not fresh.
     """
 
     value: float = 0.0
@@ -36,20 +36,20 @@ class HeardChannel(NamedTuple):
     e2e: float = 0.0
 
 
-class Heard(NamedTuple):
-    """All that came in this tick; gear is GEAR_NONE without a gear frame."""
+class ReceivedCommand(NamedTuple):
+    """All commands received in this tick; gear is GEAR_NONE without a gear frame."""
 
-    throttle: HeardChannel = HeardChannel()
-    brake: HeardChannel = HeardChannel()
-    steer: HeardChannel = HeardChannel()
+    throttle: ReceivedChannel = ReceivedChannel()
+    brake: ReceivedChannel = ReceivedChannel()
+    steer: ReceivedChannel = ReceivedChannel()
     gear: float = 0.0
     gear_clear: float = 0.0
 
 
 class ByWireInput(NamedTuple):
-    """One tick: what was heard, the person in the seat, and the vehicle's speed and steering output before it."""
+    """One tick: received commands, driver, and the vehicle's speed and steering output before it."""
 
-    heard: Heard
+    received: ReceivedCommand
     driver: Driver
     speed_mps: float
     steer_rad: float
@@ -69,8 +69,8 @@ class ChannelStatus(NamedTuple):
 class ByWireStatus(NamedTuple):
     """The bits of the reports. watchdog_cause is a code of CAUSES, 0 while nothing is wrong.
 
-    light_input, light_command, light_output: brake light asked for by the foot, by the unit, and on. gear_wish: the
-    last gear commanded, GEAR_NONE before the first; gear_reject, a code of GEAR_REJECTS, says why it is not in.
+    light_input, light_command, light_output: brake light requested by the driver, by the unit, and on. gear_wish: the
+    last gear commanded, GEAR_NONE before the first; gear_reject: why it is not engaged, a code of GEAR_REJECTS.
     """
 
     throttle: ChannelStatus = ChannelStatus()
@@ -87,7 +87,7 @@ class ByWireStatus(NamedTuple):
 
 
 class ByWireOutput(NamedTuple):
-    """What the actuators are told now, and what the reports say of it."""
+    """The command to the actuators, and the status bits of the reports."""
 
     command: Command
     status: ByWireStatus
@@ -106,9 +106,9 @@ class ChannelRules(NamedTuple):
 
 
 class ByWireParams(NamedTuple):
-    """Rules of a unit in ticks; the defaults are for ticks of 10 ms (bench/vehicle.py works them out for others).
+    """Rules of a unit in ticks; the defaults are for ticks of 10 ms (bench/vehicle.py computes those for others).
 
-    Source: docs/reference/by_wire.md; what it does not state is marked assumed. The unit heeds counters when
+    Source: docs/reference/by_wire.md; values that it does not state are marked assumed. Counters are checked where
     check_counter is 1. first_gear: the lever at power-up.
     """
 

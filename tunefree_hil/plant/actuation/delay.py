@@ -10,7 +10,7 @@ from tunefree_hil.base.kernel import Block, kernel
 
 
 def delay(n_ticks: int, initial: Any) -> Block:
-    """Block that puts out what went in `n_ticks` steps ago, `initial` until then; 0 ticks is the identity.
+    """Block whose output is its input `n_ticks` steps ago, `initial` before that; 0 ticks is the identity.
 
     Works for a float, a record of floats or records of records (a tuple (Measurement, ByWireStatus) too), whose
     types must be those of `initial`. The state is a row of records, oldest first, and never changed in place.

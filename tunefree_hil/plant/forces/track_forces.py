@@ -15,24 +15,24 @@ from tunefree_hil.plant.types import ChassisInput
 
 GAMMA = 1.0 - math.sqrt(0.5)  # makes ROS2 L-stable
 LOW_MPS = 0.5  # the car is kinematic below
-PARKED_N = 1.0e6  # what a locked gearbox holds
+PARKED_N = 1.0e6  # holding force of a locked gearbox
 
 
 class Push(NamedTuple):
-    """Forces along the car that hold for one tick, drive in terms of speed."""
+    """Forces along the car, constant for one tick; the drive depends on the speed."""
 
     drive_n: float  # at standstill
     drive_power_w: float
     creep_n: float
-    overrun_n: float  # what an engine or motor holds back, as far as the pedal has let it go
-    passive_n: float  # brake and rolling: never push, only oppose
+    overrun_n: float  # braking by engine or motor, reduced as the throttle is pressed
+    passive_n: float  # brake and rolling: only against the motion
     slope_n: float
     brake_n: float  # the brakes' part of passive_n
 
 
 @kernel
 def push_of(p: SingleTrack, x: ChassisInput, braked_j: float) -> Push:
-    """Drive, creep, brake and slope from pedals, gear and road; braked_j: what the brakes have dissipated."""
+    """Drive, creep, brake and slope from pedals, gear and road; braked_j: energy dissipated by the brakes."""
     act, road = x.actuation, x.road
     throttle = clamp((act.throttle_frac - p.throttle_zero_frac) * p.inverse_throttle_span, 0.0, 1.0)
     braked = act.brake_frac - p.rest_frac
@@ -57,12 +57,12 @@ def push_of(p: SingleTrack, x: ChassisInput, braked_j: float) -> Push:
 
 @kernel
 def yielded(share: float, corner: float) -> float:
-    """By how much a force yields to power that allows 1/share of it: (1 + share^corner)^(1/corner)."""
+    """Divisor of a force of which the power allows 1/share: (1 + share^corner)^(1/corner)."""
     if corner == 2.0:
         return math.sqrt(1.0 + share * share)
     if share <= 0.0:
         return 1.0
-    # not 0: the corner, a constant, POSITIVE of plant/constants.py. Either way no power overflows
+    # not 0: the corner is in POSITIVE of plant/constants.py. No power overflows in either branch
     if share <= 1.0:
         return math.exp(math.log(1.0 + math.exp(corner * math.log(share))) / corner)
     return share * math.exp(math.log(1.0 + math.exp(-corner * math.log(share))) / corner)

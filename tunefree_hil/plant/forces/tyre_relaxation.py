@@ -1,10 +1,10 @@
-"""The single-track car on tyres that relax: an axle's side force F follows what its slip asks for, F0, by
+"""The single-track car on tyres that relax: an axle's side force F follows its steady value F0 by
 
     dF/dt = (F0 - F) |v| / length
 
-so that a tyre has to roll its length before it pulls. The step is the ROS2 of plant/single_track.py with the two forces
+so the force builds up over a rolled distance. The step is the ROS2 of plant/single_track.py with the two forces
 as states; in its matrix they are eliminated by hand, which leaves the same two equations with the stiffnesses times
-w / (1 + w), w = gamma dt |v| / length. For length -> 0 it is the step without.
+w / (1 + w), w = gamma dt |v| / length. For length -> 0 it is the step without relaxation.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tunefree_hil.plant.kinematics import Velocity
 
 
 class Axles(NamedTuple):
-    """Side forces of both axles, to the left, as tyres that relax remember them."""
+    """Side forces of both axles, to the left: the state of relaxing tyres."""
 
     front_n: float
     rear_n: float
@@ -64,7 +64,7 @@ def solved(p: SingleTrack, speed: float, rate: Rates, step_s: float) -> Rates:
     base_mps = max(speed, LOW_MPS)
     a, b = p.front_axle_m, p.rear_axle_m
     step_lengths = step_s * base_mps / p.relaxation_m  # not 0: only called where there is a length
-    left = 1.0 / (1.0 + step_lengths)  # not 0: the way is not negative
+    left = 1.0 / (1.0 + step_lengths)  # not 0: the distance is not negative
     front, rear = step_lengths * left * p.front_stiffness, step_lengths * left * p.rear_stiffness
     scale = step_s / base_mps
     turn = a * front - b * rear

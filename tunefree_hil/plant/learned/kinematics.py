@@ -1,8 +1,8 @@
-"""A car as a learned plant without physics moves it: acceleration and yaw rate are given, the rest is kinematics.
+"""Motion of a car from the acceleration and the yaw rate of a learned plant without physics.
 
-The rear axle does not slip sideways. What the network was not told of comes on top as acceleration: gravity on a grade,
-a dragging brake, air and rolling resistance, the mass of a payload. Friction caps acceleration and speed * yaw rate at
-friction * g. What cannot be had so is refused when the plant is built.
+The rear axle does not slip sideways. Quantities that are no input of the network are added as accelerations: gravity on
+a grade, a dragging brake, air and rolling resistance, the mass of a payload. Friction limits acceleration and
+speed * yaw rate to friction * g. Other changes are refused when the plant is built.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from tunefree_hil.plant.data_sheet import DEFAULTS as PHYSICS
 from tunefree_hil.plant.kinematics import Velocity, moved
 from tunefree_hil.plant.types import ChassisInput, filled, more_drag_m2, refuse_changes, rolling_share
 
-FADE_MPS = 0.3  # below it a car turns less and less: one that stands does not turn
-PULL_AWAY_MPS2 = 0.1  # what a plant must ask for on level ground before a standing car moves: less is its error
+FADE_MPS = 0.3  # below it the yaw rate fades to 0 at standstill
+PULL_AWAY_MPS2 = 0.1  # on level ground a standing car moves from this acceleration on; less is network error
 LEAST_MPS = 0.5
 KEYS = (
     "mass_kg", "wheelbase_m", "front_axle_m", "friction", "steer_ratio", "wheel_radius_m", "track_m", "rolling_frac",
@@ -35,7 +35,7 @@ DEFAULTS: dict[str, float] = {key: PHYSICS[key] for key in (*KEYS, "rest_pedal_f
 
 
 class Carriage(NamedTuple):
-    """Geometry, and what comes on top of the plant's own acceleration."""
+    """Geometry, and the terms that are added to the plant's own acceleration."""
 
     wheel_radius_m: float
     inverse_radius: float
@@ -47,21 +47,21 @@ class Carriage(NamedTuple):
     rest_frac: float
     grip_mps2: float
     grade_rad: float
-    drag_mps2: float  # a dragging brake's, and of rolling resistance what is more than the plant's own part
-    mass_frac: float  # the car's own mass over its laden one
-    own_air_per_m: float  # air drag over mass and speed squared, as the plant knows it
-    air_per_m: float  # and as it is
+    drag_mps2: float  # of a dragging brake, and of rolling resistance beyond the plant's own
+    mass_frac: float  # unladen mass over laden mass
+    own_air_per_m: float  # air drag over mass and speed squared, contained in the plant
+    air_per_m: float  # the actual one
     head_wind_mps: float
 
 
 def carriage_of(kind: str, defaults: Mapping[str, float], params: Mapping[str, float], change: BodyChange) -> Carriage:
-    """[plant.params] over `defaults`, with the body changes. InputError for a key or a change that does not fit."""
+    """[plant.params] over `defaults`, with the body changes. InputError for an unknown key or an unsupported change."""
     v = filled(defaults, params, kind)
     refuse_changes(kind, change, ABLE)
     mass_kg = v["mass_kg"] + change.payload_kg
     if not mass_kg > 0.0:
         raise InputError(f"{change.payload_kg} kg of payload leave no mass", code="bad_payload", key="payload")
-    rolling_mps2 = v["rolling_frac"] * G_MPS2  # what rolls is laden; the plant's own part of it is scaled by the mass
+    rolling_mps2 = v["rolling_frac"] * G_MPS2  # of the laden car; the plant's own part is scaled by the mass
     dynamic = 0.5 * AIR_DENSITY_KGPM3 / mass_kg
     return Carriage(
         wheel_radius_m=v["wheel_radius_m"],
@@ -84,7 +84,7 @@ def carriage_of(kind: str, defaults: Mapping[str, float], params: Mapping[str, f
 
 @kernel
 def over_rest(p: Carriage, act: Actuation) -> tuple[float, float]:
-    """Throttle and brake duty over rest; out of gear the throttle does nothing."""
+    """Throttle and brake duty over rest; out of gear the throttle has no effect."""
     throttle = act.throttle_frac - p.rest_frac
     return throttle if act.gear >= GEAR_DRIVE else 0.0, act.brake_frac - p.rest_frac
 
@@ -93,15 +93,14 @@ def over_rest(p: Carriage, act: Actuation) -> tuple[float, float]:
 def driven(
     p: Carriage, motion: Motion, accel_mps2: float, yaw_rate_radps: float, x: ChassisInput, dt_s: float
 ) -> Motion:
-    """The motion a tick later, for an acceleration along level ground and a yaw rate at the tick's end.
+    """The motion a tick later, for an acceleration on level ground and a yaw rate at the end of the tick.
 
-    Standing, the car stays until at least PULL_AWAY_MPS2 is asked for; it never rolls back. Out of drive nothing drives
-    it, so that it then stays.
+    A standing car starts at PULL_AWAY_MPS2; it never rolls back. Out of drive it has no drive force and stays.
     """
     grip = p.grip_mps2 * x.road.friction_frac
     net_mps2 = clamp(accel_mps2 * p.mass_frac, -grip, grip)
     if x.actuation.gear < GEAR_DRIVE and net_mps2 > 0.0:
-        net_mps2 = 0.0  # the plant knows its creep only in drive
+        net_mps2 = 0.0  # the plant contains creep in drive only
     slope = G_MPS2 * math.sin(x.road.grade_rad + p.grade_rad)
     air = motion.speed_mps + p.head_wind_mps
     against = p.drag_mps2 + (p.air_per_m * air * abs(air) - p.own_air_per_m * motion.speed_mps * abs(motion.speed_mps))
@@ -116,15 +115,15 @@ def driven(
 
 
 @kernel
-def said_of(p: Carriage, accel_mps2: float, motion: Motion, x: ChassisInput) -> float:
-    """The plant's own acceleration, as it takes it in again a tick later. Gravity, drag and payload are no part of it:
-    a network that has always seen its own acceleration go on would go on with them, and they come on top once more.
+def own_accel(p: Carriage, accel_mps2: float, motion: Motion, x: ChassisInput) -> float:
+    """The plant's own acceleration, its input a tick later. Gravity, drag and payload are not part of it, or the
+    network would continue them and they would be counted twice.
     """
     grip = p.grip_mps2 * x.road.friction_frac
     return clamp(accel_mps2, -grip, grip) if motion.speed_mps > 0.0 else 0.0
 
 
 @kernel
-def seen_of(own_mps2: float, motion: Motion, seen: Motion) -> float:
-    """The same of a measured motion: what came on top in the tick before is taken off."""
-    return seen.speed_rate_mps2 + (own_mps2 - motion.speed_rate_mps2)
+def measured_own_accel(own_mps2: float, motion: Motion, measured: Motion) -> float:
+    """The same for a measured motion: without the terms added in the tick before."""
+    return measured.speed_rate_mps2 + (own_mps2 - motion.speed_rate_mps2)

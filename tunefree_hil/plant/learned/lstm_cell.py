@@ -1,9 +1,8 @@
-"""One step of an LSTM cell, and of a layer of tanh, as kernels (docs/reference/design.md): the ECU and the batch run
-these.
+"""One step of an LSTM cell, and of a layer of tanh, as kernels for the ECU and the batch.
 
-tanh is a rational function of our own (the 13/6 form with its clamp, opt_anchors C.2), in float64 within 2e-7 of the
-real one; the sigmoid is made of it. Loops are explicit and sums run in one order, so plain Python and compiled code
-give the same bits. Weights are data: nothing is compiled for another model folder.
+tanh is a rational function (degrees 13 and 6, with a clamp), in float64 within 2e-7 of the exact one; the sigmoid is
+computed from it. Loops are explicit and sums have a fixed order, so plain Python and compiled code give the same bits.
+Weights are data: another model folder needs no compilation.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ D0, D2, D4, D6 = 4.89352518554385e-03, 2.26843463243900e-03, 1.18534705686654e-0
 
 
 class Cell(NamedTuple):
-    """Weights of a cell of H units on I inputs, and its linear way out.
+    """Weights of a cell of H units on I inputs, and its linear output.
 
     weights: rows of I + H + 1 numbers (inputs, hidden, bias), row by row, in the order input gate, forget gate,
-    candidate, output gate. out: a row of H + 1 numbers (hidden, bias) for each output. An input is taken as
+    candidate, output gate. out: a row of H + 1 numbers (hidden, bias) for each output. An input is scaled as
     (value - mean) * inverse_scale.
     """
 
@@ -35,9 +34,9 @@ class Cell(NamedTuple):
 
 
 class CellState(NamedTuple):
-    """seen: I inputs as taken, then H hidden values; memory: H; sums: 4 H, for use within a step."""
+    """inputs: I scaled inputs, then H hidden values; memory: H; sums: 4 H, used within a step."""
 
-    seen: Any
+    inputs: Any
     memory: Any
     sums: Any
 
@@ -53,22 +52,22 @@ class Layer(NamedTuple):
 
 
 class LayerState(NamedTuple):
-    """For use within a step. seen: I inputs as taken; hidden: H."""
+    """Buffers used within a step. inputs: I scaled inputs; hidden: H."""
 
-    seen: Any
+    inputs: Any
     hidden: Any
 
 
 @kernel
 def rational_tanh(x: float) -> float:
-    """tanh(x), within 2e-7, odd to the bit, never beyond 1."""
+    """tanh(x) within 2e-7, exactly odd, never beyond 1."""
     if x > CLAMP:
         return 1.0
     if x < -CLAMP:
         return -1.0
     s = x * x
-    top = x * (N1 + s * (N3 + s * (N5 + s * (N7 + s * (N9 + s * (N11 + s * N13))))))
-    value = top / (D0 + s * (D2 + s * (D4 + s * D6)))  # not 0: positive coefficients, s not below 0
+    numerator = x * (N1 + s * (N3 + s * (N5 + s * (N7 + s * (N9 + s * (N11 + s * N13))))))
+    value = numerator / (D0 + s * (D2 + s * (D4 + s * D6)))  # not 0: positive coefficients, s not below 0
     if value > 1.0:
         return 1.0
     if value < -1.0:
@@ -83,49 +82,49 @@ def sigmoid(x: float) -> float:
 
 
 @kernel
-def take_in(net: Any, seen: Any, index: int, value: float) -> None:
-    """Put input number `at` of a cell or a layer where its next step looks for it."""
-    seen[index] = (value - net.mean[index]) * net.inverse_scale[index]
+def put_input(net: Any, inputs: Any, index: int, value: float) -> None:
+    """Set the scaled input `index` of a cell or a layer for its next step."""
+    inputs[index] = (value - net.mean[index]) * net.inverse_scale[index]
 
 
 @kernel
 def step_cell(net: Cell, state: CellState, relu: bool) -> None:
-    """One step on the inputs in state.seen; hidden and memory are renewed where they are.
+    """One step on state.inputs; hidden and memory are updated in place.
 
-    relu: the rectifier takes the place of tanh, for candidate and output (an LSTM layer with activation 'relu').
+    relu: the rectifier instead of tanh, for candidate and output (an LSTM layer with activation 'relu').
     """
-    seen, memory, sums, weights = state.seen, state.memory, state.sums, net.weights
-    width, taken = len(memory), len(seen)
-    first, offset = taken - width, 0
+    inputs, memory, sums, weights = state.inputs, state.memory, state.sums, net.weights
+    width, n_values = len(memory), len(inputs)
+    first, offset = n_values - width, 0
     for row in range(4 * width):
-        total = float(weights[offset + taken])
-        for i in range(taken):
-            total = total + weights[offset + i] * seen[i]
+        total = float(weights[offset + n_values])
+        for i in range(n_values):
+            total = total + weights[offset + i] * inputs[i]
         sums[row] = total
-        offset = offset + taken + 1
+        offset = offset + n_values + 1
     for j in range(width):
-        candidate, keep = sums[2 * width + j], sigmoid(sums[width + j])
+        candidate, forget = sums[2 * width + j], sigmoid(sums[width + j])
         if relu:
             candidate = candidate if candidate > 0.0 else 0.0
         else:
             candidate = rational_tanh(candidate)
-        cell_value = keep * memory[j] + sigmoid(sums[j]) * candidate
+        cell_value = forget * memory[j] + sigmoid(sums[j]) * candidate
         memory[j] = cell_value
         if relu:
-            shown = cell_value if cell_value > 0.0 else 0.0
+            output = cell_value if cell_value > 0.0 else 0.0
         else:
-            shown = rational_tanh(cell_value)
-        seen[first + j] = sigmoid(sums[3 * width + j]) * shown
+            output = rational_tanh(cell_value)
+        inputs[first + j] = sigmoid(sums[3 * width + j]) * output
 
 
 @kernel
 def cell_out(net: Cell, state: CellState, row: int) -> float:
-    """Linear output number `row` of what the cell shows."""
+    """Linear output number `row` of the cell."""
     width = len(state.memory)
-    first, offset = len(state.seen) - width, row * (width + 1)
+    first, offset = len(state.inputs) - width, row * (width + 1)
     total = float(net.out[offset + width])
     for j in range(width):
-        total = total + net.out[offset + j] * state.seen[first + j]
+        total = total + net.out[offset + j] * state.inputs[first + j]
     return total
 
 
@@ -133,23 +132,23 @@ def cell_out(net: Cell, state: CellState, row: int) -> float:
 def clear_cell(state: CellState) -> None:
     """Hidden values and memory 0, as before the first step."""
     width = len(state.memory)
-    first = len(state.seen) - width
+    first = len(state.inputs) - width
     for j in range(width):
         state.memory[j] = 0.0
-        state.seen[first + j] = 0.0
+        state.inputs[first + j] = 0.0
 
 
 @kernel
 def step_layer(net: Layer, state: LayerState) -> None:
-    """The hidden layer of tanh on the inputs in state.seen."""
-    seen, hidden, weights = state.seen, state.hidden, net.weights
-    taken, offset = len(seen), 0
+    """The hidden layer of tanh on the inputs in state.inputs."""
+    inputs, hidden, weights = state.inputs, state.hidden, net.weights
+    n_values, offset = len(inputs), 0
     for j in range(len(hidden)):
-        total = float(weights[offset + taken])
-        for i in range(taken):
-            total = total + weights[offset + i] * seen[i]
+        total = float(weights[offset + n_values])
+        for i in range(n_values):
+            total = total + weights[offset + i] * inputs[i]
         hidden[j] = rational_tanh(total)
-        offset = offset + taken + 1
+        offset = offset + n_values + 1
 
 
 @kernel
@@ -165,7 +164,7 @@ def layer_out(net: Layer, state: LayerState, row: int) -> float:
 
 @kernel
 def bounded(net: Any, row: int, value: float) -> float:
-    """bound * tanh: never beyond the bound of output number `row`, 0 for 0."""
+    """bound * tanh: within the bound of output number `row`, 0 for 0."""
     return float(net.bound[row]) * rational_tanh(value)
 
 
@@ -176,7 +175,7 @@ def init_cell(net: Cell) -> CellState:
 
 
 def init_layer(net: Layer) -> LayerState:
-    """Room for a step."""
+    """The buffers for a step."""
     return LayerState(buffer(len(net.mean)), buffer(len(net.out) // len(net.bound) - 1))
 
 

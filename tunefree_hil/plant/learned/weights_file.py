@@ -1,16 +1,16 @@
-"""`plant.npz` of a learned plant: what is in it for each kind, checked when it is written and when it is read.
+"""`plant.npz` of a learned plant: its content by kind, checked when it is written and when it is read.
 
 Arrays of float64; H hidden units, I inputs, two outputs (rate of the forward speed in m/s2, yaw rate in rad/s):
 
     kind     one string: hybrid, lstm, mlp or paper
     inputs   names of the inputs, those of INPUTS[kind] in that order
-    mean, scale   [I]: an input goes in as (value - mean) / scale
+    mean, scale   [I]: an input is scaled as (value - mean) / scale
     hybrid, lstm, paper: w_in [4H, I], w_rec [4H, H], bias [4H] (rows: input gate, forget gate, candidate, output gate),
              w_out [2, H], b_out [2]
     mlp:     w1 [H, I], b1 [H], w2 [2, H], b2 [2]
-    bound    [2]: hybrid, lstm, mlp put out bound * tanh(linear output); paper its linear output, clipped to the bound
+    bound    [2]: the output is bound * tanh(linear output); of paper the linear output, clipped to the bound
 
-Pedals go in as duty over rest, so 0 with nobody's foot on them; `steer_rad` is the steering wheel's angle.
+Pedal inputs are duty over rest, 0 for a released pedal; `steer_rad` is the steering wheel's angle.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ HINT = "write it again with `tunefree-hil learn`"
 
 
 class PlantFile(NamedTuple):
-    """What a plant.npz holds; `arrays` without kind and inputs."""
+    """Content of a plant.npz; `arrays` without kind and inputs."""
 
     kind: str
     inputs: tuple[str, ...]
@@ -52,10 +52,10 @@ class PlantFile(NamedTuple):
 
 
 def save_plant(path: Path, kind: str, arrays: Mapping[str, Array]) -> None:
-    """Write a plant.npz, whole or not at all; the same arrays give the same bytes.
+    """Write a plant.npz atomically; the same arrays give the same bytes.
 
-    arrays: all that the module says but kind and inputs. Raises InputError where they make no plant of this kind,
-    BenchError when the disk refuses.
+    arrays: those of the module docstring without kind and inputs. Raises InputError where they do not fit the kind,
+    BenchError when the file cannot be written.
     """
     file = PlantFile(kind, INPUTS.get(kind, ()), {name: np.asarray(arrays[name], dtype=np.float64) for name in arrays})
     _refuse(file, str(path))
@@ -95,7 +95,7 @@ def load_plant_file(path: Path, kind: str) -> PlantFile:
 
 
 def cell_of(file: PlantFile) -> Cell:
-    """The cell of a checked file, as its kernels want it."""
+    """The cell of a checked file, for the kernels."""
     a = {name: value.tolist() for name, value in file.arrays.items()}
     weights = rows(a["w_in"], a["w_rec"], [[value] for value in a["bias"]])
     out = rows(a["w_out"], [[value] for value in a["b_out"]])
@@ -103,7 +103,7 @@ def cell_of(file: PlantFile) -> Cell:
 
 
 def layer_of(file: PlantFile) -> Layer:
-    """The hidden layer of a checked file, as its kernels want it."""
+    """The hidden layer of a checked file, for the kernels."""
     a = {name: value.tolist() for name, value in file.arrays.items()}
     weights, out = rows(a["w1"], [[value] for value in a["b1"]]), rows(a["w2"], [[value] for value in a["b2"]])
     return Layer(table(a["mean"]), table(1.0 / value for value in a["scale"]), weights, out, table(a["bound"]))

@@ -1,7 +1,7 @@
-"""What is measured of the motion: chassis reports and INS, with noise, bias and INS latency.
+"""Measurement of the motion: chassis reports and INS, with noise, bias and INS latency.
 
-Chance is drawn before tick 0 by `noise_table`; the kernel only looks it up. Quantisation is the wire's (codec), the
-report's delay the bench's (`plant/actuation/delay.py`).
+Noise is drawn before tick 0 by `noise_table`; the kernel only reads it. The codec quantises; the report delay is the
+bench's (`plant/actuation/delay.py`).
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ WIDTH = len(NOISY)
 
 
 class SensorParams(NamedTuple):
-    """noise: table of rows of WIDTH numbers in the order of NOISY, one a tick, added to the true values (bias is in
-    them); behind its last row it begins again. The INS stands on the centre line, ins_ahead_m ahead of the rear axle;
+    """noise: table of rows of WIDTH numbers in the order of NOISY, one a tick, added to the true values (bias
+    included); after the last row it starts again. The INS is on the centre line, ins_ahead_m ahead of the rear axle;
     its acceleration is the rate of speed, or specific force where ins_specific_force is 1.
     """
 
@@ -39,16 +39,16 @@ class SensorParams(NamedTuple):
 
 
 class SensorInput(NamedTuple):
-    """What there is to measure in one tick."""
+    """The quantities to measure in one tick."""
 
     motion: Motion
     actuation: Actuation
-    command: Command  # as applied by the by-wire unit: its echo
+    command: Command  # as applied by the by-wire unit, echoed in the report
     driver: Driver
 
 
 class SensorState(NamedTuple):
-    """Row of the noise table, and the INS records on their way, oldest first."""
+    """Row of the noise table, and the delayed INS records, oldest first."""
 
     row: int
     late: Any
@@ -57,8 +57,8 @@ class SensorState(NamedTuple):
 def noise_table(sigma: Mapping[str, float], bias: Mapping[str, float], ticks: int, seed: int) -> Any:
     """Rows for ticks 0..ticks: white Gaussian noise of `sigma` about `bias`, by record field ('report.speed_mps').
 
-    Every field has a stream of its own, so one field's noise does not move another's. Raises InputError for a field
-    that is not in NOISY. Without any noise one row does for all ticks.
+    Every field has its own random stream. Raises InputError for a field that is not in NOISY. Without noise there is
+    one row for all ticks.
     """
     unknown = sorted((set(sigma) | set(bias)) - set(NOISY))
     if unknown:
@@ -80,7 +80,7 @@ def noise_table(sigma: Mapping[str, float], bias: Mapping[str, float], ticks: in
 
 @kernel
 def report_of(x: SensorInput, noise: Any, offset: int) -> Report:
-    """The chassis reports; `at` is where this tick's noise begins."""
+    """The chassis reports; offset: index of this tick's noise."""
     motion, out, command, driver = x.motion, x.actuation, x.command, x.driver
     return Report(
         driver.throttle_frac,
@@ -108,7 +108,7 @@ def report_of(x: SensorInput, noise: Any, offset: int) -> Report:
 
 @kernel
 def ins_of(params: SensorParams, motion: Motion) -> Ins:
-    """What the INS would say at once and without noise; heading within (-pi, pi] once noise is on it."""
+    """The INS record without latency and noise; the heading is wrapped after noise is added."""
     ahead_m, heading = params.ins_ahead_m, motion.heading_rad
     accel = motion.accel_mps2 if params.ins_specific_force > 0.5 else motion.speed_rate_mps2
     return Ins(
@@ -135,7 +135,7 @@ def noisy_ins(ins: Ins, noise: Any, offset: int) -> Ins:
 
 
 def sensors(params: SensorParams, ins_ticks: int = 0) -> Block:
-    """Block SensorInput -> Measurement whose INS is `ins_ticks` ticks late. `init` leaves no INS record on its way."""
+    """Block SensorInput -> Measurement whose INS is `ins_ticks` ticks late. `init` has no delayed INS record."""
 
     def init(params: SensorParams, dt_s: float) -> SensorState:
         return SensorState(0, (Ins(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),) * ins_ticks)
@@ -163,7 +163,7 @@ def sensors(params: SensorParams, ins_ticks: int = 0) -> Block:
 
 
 def rolled_in(params: SensorParams, first: Motion, ins_ticks: int, dt_s: float) -> SensorState:
-    """State at tick 0 of a car that has always rolled straight on as in `first`: the INS records on their way."""
+    """State at tick 0 of a car that has been rolling straight as in `first`, with its delayed INS records."""
     late = []
     for k in range(ins_ticks, 0, -1):
         back_m = k * dt_s * first.speed_mps

@@ -1,8 +1,7 @@
-"""The reference vehicle's own actuators: servo steering, pedals that press slower than they let go.
+"""The reference vehicle's own actuators: servo steering, and pedals that press more slowly than they release.
 
-Not the actuators of `plant/actuation/actuators.py`: the steering is a position servo whose motor needs time to get up
-to speed,
-and the pedals' lag depends on the direction. A model of dead time, one lag and a rate limit fits well, not exactly.
+Unlike in `plant/actuation/actuators.py` the steering is a position servo whose motor accelerates with a lag, and the
+lag of the pedals depends on the direction. A model of dead time, one lag and a rate limit fits well, not exactly.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ class OwnParams(NamedTuple):
 
 
 class Pedal(NamedTuple):
-    """Delay line, its place, output; shares of the way that one step goes."""
+    """Delay line, its index, output; shares of the difference covered in one step."""
 
     line: Any
     place: int
@@ -61,7 +60,7 @@ class Pedal(NamedTuple):
 
 
 class Wheel(NamedTuple):
-    """Steering: delay line, its place, angle, rate of the motor; share of its lag that one step catches up."""
+    """Steering: delay line, its index, angle, rate of the motor; share of the rate difference covered in one step."""
 
     line: Any
     place: int
@@ -80,7 +79,7 @@ class OwnState(NamedTuple):
 
 @kernel
 def late(line: Any, place: int, value: float) -> float:
-    """Put `value` into the line and take out the oldest; the caller moves on the place."""
+    """Write `value` and return the oldest value; the caller advances the index."""
     oldest = float(line[place])
     line[place] = value
     return oldest
@@ -97,7 +96,7 @@ def step_pedal(state: Pedal, command: float) -> Pedal:
 
 @kernel
 def step_wheel(params: OwnParams, state: Wheel, command: float, dt_s: float) -> Wheel:
-    """One step of the servo: the wish for a rate grows with the way to go and is limited."""
+    """One step of the servo: the demanded rate is proportional to the angle error and limited."""
     target = late(state.line, state.place, command)
     place = state.place + 1 if state.place + 1 < len(state.line) else 0
     wish = (target - state.angle_rad) / params.steer_lag_s
@@ -136,7 +135,7 @@ def _pedal(times: tuple[float, float, float], rest: float, dt_s: float) -> Pedal
 
 
 def own_actuators(values: Mapping[str, float]) -> Block:
-    """Block Command -> Actuation from the values of DEFAULTS' keys (others are left alone)."""
+    """Block Command -> Actuation from the values of DEFAULTS' keys (other keys are ignored)."""
     v = {**DEFAULTS, **{key: value for key, value in values.items() if key in DEFAULTS}}
     throttle, brake = (
         (v[f"{pedal}_dead_time_s"], v[f"{pedal}_press_s"], v[f"{pedal}_release_s"]) for pedal in ("throttle", "brake")

@@ -1,4 +1,4 @@
-"""Constants of the reference vehicle: what is published, and a plausible car where nothing is."""
+"""Constants of the reference vehicle: published values, and plausible ones where there are none."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ DEFAULTS: dict[str, float] = {
     "slip_stiffness_n": 8.0e4,
     "body_lag_s": 0.12,
     "drive_lag_s": 0.18,
-    "hysteresis_frac": 0.008,  # of the brake pedal, in the published tables' duty
+    "hysteresis_frac": 0.008,  # of the brake pedal, duty of the published tables
     "drive_front_frac": 1.0,
     "brake_front_frac": 0.65,
-    # The published tables (reference_maps.py) made another vehicle's: their duty per own duty, factors on their forces
+    # The published tables (maps.py) adapted to another vehicle: table duty per own duty, factors on forces
     "throttle_scale": 1.0,
     "brake_scale": 1.0,
     "drive_gain": 1.0,

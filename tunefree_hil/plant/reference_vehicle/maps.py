@@ -1,11 +1,11 @@
 """Pedal maps and gearbox of the reference vehicle, from the published tables (docs/reference/apollo.md).
 
 Drive: the calibration table's accelerations less its coasting, as a force at 1736 kg, bilinear in speed and duty.
-Above 10 m/s, where the table ends, each duty keeps the power it has there. Coasting (creep below 2 m/s, engine drag
-above) is the table's with pedals at rest. Brake: the by-wire maker's duty-to-torque table with hysteresis; it is flat
-above 0.326 duty, where the calibration table goes on, and at 0.22 duty it brakes harder than that table says.
-Another vehicle has the same shapes, stretched by `MapShape`: its own duty, forces, shift speeds, and drum brakes, whose
-shoes pull themselves on. The MKZ's shape changes no bit.
+Above 10 m/s, the end of the table, each duty has constant power. Coasting (creep below 2 m/s, engine drag
+above) is the table's with pedals at rest. Brake: the by-wire supplier's duty-to-torque table with hysteresis; it is
+flat above 0.326 duty, unlike the calibration table, and at 0.22 duty it gives more than that table. Another vehicle has
+the same shapes scaled by `MapShape`: duty, forces, shift speeds, and self-energising drum brakes. The MKZ's shape
+changes no bit.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from tunefree_hil.base.maths import clamp, find_cell, lerp_table
 from tunefree_hil.base.units import AIR_DENSITY_KGPM3, G_MPS2
 
 MAP_MASS_KG = 1736.35  # the car that the tables describe (docs/reference/by_wire.md)
-MAP_REST_FRAC = 0.15  # its pedals' duty with no foot on them
-LAST_MPS = 10.0  # where the calibration table ends
+MAP_REST_FRAC = 0.15  # duty of its released pedals
+LAST_MPS = 10.0  # end of the calibration table
 SPEEDS_MPS = (0.0, 0.4, 1.0, 2.0, 3.0, 5.0, 7.0, LAST_MPS)
 COAST_MPS2 = (0.40, 0.38, 0.28, -0.05, -0.12, -0.19, -0.24, -0.27)
 THROTTLE_FRAC = (0.15, 0.17, 0.20, 0.22, 0.25, 0.30, 0.35, 0.40, 0.50, 0.60, 0.80)
@@ -39,14 +39,14 @@ BRAKE_NM = (0.0, 0.0, 4.0, 108.0, 519.0, 521.0, 816.0, 1832.0, 2612.0, 3316.0, 3
 UPSHIFT_MPS = (4.5, 8.5, 13.0, 19.0)  # at part throttle; assumed, like all of the gearbox
 TOP_GEAR = float(len(UPSHIFT_MPS))
 DOWNSHIFT_SHARE = 0.8
-LATE_SHARE = 0.5  # how much later full throttle shifts
+LATE_SHARE = 0.5  # share by which full throttle raises the shift speeds
 SHIFT_S = 0.3
-HOLE_FRAC = 0.3  # drive lost in the middle of a shift
-TOOTH_FRAC = 0.06  # how much of the drive falls off within a gear
+HOLE_FRAC = 0.3  # share of the drive lost in the middle of a shift
+TOOTH_FRAC = 0.06  # share of the drive lost towards the end of a gear
 
 
 class Maps(NamedTuple):
-    """The tables as kernels read them; drive_n has one row of duties after the other."""
+    """The tables for the kernels; drive_n is row by row over the duties."""
 
     speed_mps: Any
     idle_n: Any  # creep and engine drag, positive forward
@@ -58,9 +58,9 @@ class Maps(NamedTuple):
 
 
 class MapShape(NamedTuple):
-    """A vehicle beside the one that the tables describe: factors on their forces and speeds, 1 for that one.
+    """Another vehicle than that of the tables: factors on their forces and speeds, 1 for that one.
 
-    brake_servo: how much of the brake's force pulls it on further, as a share at the table's last force (0: disc).
+    brake_servo: self-energising share of the brake force at the table's last force (0: disc).
     """
 
     drive_gain: float = 1.0
@@ -74,14 +74,14 @@ AS_PUBLISHED = MapShape()
 
 
 class Gearbox(NamedTuple):
-    """Gear in use (0 is the lowest) and the time left of the shift under way."""
+    """Gear in use (0 is the lowest) and the remaining time of a shift."""
 
     gear: float
     shift_s: float
 
 
 def maps_of(rolling_frac: float, drag_area_m2: float, wheel_radius_m: float, shape: MapShape = AS_PUBLISHED) -> Maps:
-    """Tables in newtons: what rolling resistance and drag take is added, so that the sum is the published number."""
+    """Tables in newtons, plus rolling resistance and drag, so that the net force is the published one."""
     most_nm = max(BRAKE_NM)
     drag = 0.5 * AIR_DENSITY_KGPM3 * drag_area_m2
     idle = [
@@ -109,13 +109,13 @@ def maps_of(rolling_frac: float, drag_area_m2: float, wheel_radius_m: float, sha
 
 @kernel
 def table_duty(duty: float, rest_frac: float, scale: float) -> float:
-    """The tables' duty for a pedal that rests at rest_frac; scale: tables' duty per own duty. Exact for the MKZ's."""
+    """The tables' duty for a pedal that rests at rest_frac; scale: tables' duty per own duty. Exact for the MKZ."""
     return duty + (duty - rest_frac) * (scale - 1.0) + (MAP_REST_FRAC - rest_frac)
 
 
 @kernel
 def drive_force_n(maps: Maps, duty: float, speed_mps: float) -> float:
-    """Drive force of a duty at a speed, gearbox aside; constant power above the table's last speed."""
+    """Drive force of a duty at a speed, without the gearbox; constant power above the table's last speed."""
     grid, duties = maps.speed_mps, maps.duty
     columns = len(duties)
     speed = speed_mps if speed_mps < LAST_MPS else LAST_MPS
@@ -133,7 +133,7 @@ def drive_force_n(maps: Maps, duty: float, speed_mps: float) -> float:
 
 @kernel
 def idle_force_n(maps: Maps, speed_mps: float, brake_frac: float, rest_frac: float) -> float:
-    """Creep or engine drag; creep is given up as the brake goes down (by 0.10 duty all of it, assumed)."""
+    """Creep or engine drag; creep fades out as the brake is pressed (0 from 0.10 duty on, assumed)."""
     force_n = lerp_table(maps.speed_mps, maps.idle_n, speed_mps)
     if force_n <= 0.0:
         return force_n
@@ -142,13 +142,13 @@ def idle_force_n(maps: Maps, speed_mps: float, brake_frac: float, rest_frac: flo
 
 @kernel
 def brake_force_n(maps: Maps, duty: float) -> float:
-    """Brake force of a duty (behind the hysteresis)."""
+    """Brake force of a duty (after the hysteresis)."""
     return lerp_table(maps.brake_duty, maps.brake_n, duty)
 
 
 @kernel
 def step_gearbox(maps: Maps, box: Gearbox, duty: float, speed_mps: float, dt_s: float) -> Gearbox:
-    """Shift up or down where the speed asks for it; a shift under way is finished first."""
+    """Shift up or down by speed; a shift is finished before the next one."""
     if box.shift_s > 0.0:
         left_s = box.shift_s - dt_s
         return Gearbox(box.gear, left_s if left_s > 0.0 else 0.0)
@@ -162,7 +162,7 @@ def step_gearbox(maps: Maps, box: Gearbox, duty: float, speed_mps: float, dt_s: 
 
 @kernel
 def gear_factor(maps: Maps, box: Gearbox, speed_mps: float) -> float:
-    """What the gearbox makes of the drive: a saw tooth over each gear's speeds, and a hole while it shifts."""
+    """Factor of the gearbox on the drive: a saw tooth over the speeds of a gear, and a dip during a shift."""
     gear = int(box.gear)
     low = maps.upshift_mps[gear - 1] if gear > 0 else 0.0
     high = maps.upshift_mps[gear] if box.gear < TOP_GEAR else 2.0 * low
@@ -172,5 +172,5 @@ def gear_factor(maps: Maps, box: Gearbox, speed_mps: float) -> float:
 
 
 def first_gearbox(speed_mps: float, shift_gain: float = 1.0) -> Gearbox:
-    """The gear of a car that has been rolling at this speed with a light foot."""
+    """The gear of a car that rolls at this speed with little throttle."""
     return Gearbox(float(sum(1 for upshift in UPSHIFT_MPS if speed_mps > upshift * shift_gain)), 0.0)

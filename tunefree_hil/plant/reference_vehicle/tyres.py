@@ -1,7 +1,7 @@
 """Tyres of the reference vehicle: load-sensitive, combined slip by the friction ellipse, relaxation length.
 
-Side force = D sin(C atan(B slip)), after the sine form of Pacejka. Slip is a state: the tyre has to roll its
-relaxation length before it has the slip of its contact patch, so at standstill it holds instead of dividing by zero.
+Side force = D sin(C atan(B slip)), after the sine form of Pacejka. Slip is a state that
+follows over the relaxation length, so a standing tyre holds and nothing is divided by zero.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from tunefree_hil.base.kernel import kernel
 from tunefree_hil.base.units import G_MPS2
 
 SHAPE = 1.3  # C of the sine form
-LOAD_ON_GRIP = 0.06  # friction lost per nominal load more
-LOAD_ON_STIFFNESS = 0.15  # the same of the stiffness, per load
-LEAST_N = 100.0  # a wheel never carries less
-ABS_FRAC = 0.95  # of the grip at most, so that some is left to steer with
+LOAD_ON_GRIP = 0.06  # friction lost per additional nominal load
+LOAD_ON_STIFFNESS = 0.15  # the same for the stiffness
+LEAST_N = 100.0  # least load of a wheel
+ABS_FRAC = 0.95  # greatest share of the grip along the wheel, so that some is left for steering
 
 
 class Tyre(NamedTuple):
@@ -33,7 +33,7 @@ class Tyre(NamedTuple):
 def tyre_of(
     stiffness: float, load_n: float, nominal_n: float, friction: float, asked_n: float, cosine: float, sine: float
 ) -> Tyre:
-    """What a wheel can do now: stiffness [N/rad] at its nominal load, force asked along it (brakes negative)."""
+    """The tyre of a wheel now; stiffness [N/rad] at nominal load, demanded force along it (brakes negative)."""
     carried_n = max(load_n, LEAST_N)
     share = carried_n / max(nominal_n, LEAST_N)
     over = share - 1.0
@@ -75,7 +75,7 @@ class Chassis(NamedTuple):
     nominal_rear_n: float
     friction: float
     inverse_relaxation: float
-    hold_s: float  # damping of the tyre's spring at standstill
+    hold_s: float  # damping of the tyre at standstill
     compliance: float  # rad of road wheel per N of front side force
     inverse_ratio: float
     wheel_radius_m: float
@@ -85,27 +85,27 @@ class Chassis(NamedTuple):
     drive_lag_s: float
     drive_front_frac: float  # share of the drive on the front axle: 1 front-wheel drive, 0 rear
     brake_front_frac: float
-    hysteresis_frac: float  # in the tables' duty, like all below
-    rest_frac: float  # the pedals' own duty at rest
-    throttle_scale: float  # tables' duty per own duty
+    hysteresis_frac: float  # duty of the tables
+    rest_frac: float  # the car's own duty at rest
+    throttle_scale: float  # table duty per own duty
     brake_scale: float
     shift_gain: float
     rolling_n: float
     drag_kgpm: float
     grade_rad: float
-    power_w: float  # inf: the tables' own power
+    power_w: float  # inf: the power of the tables
     brake_drag_n: float
     brake_loss_per_j: float
     head_wind_mps: float
-    wind_n: float  # its force on a standing car, backwards
-    side_n: float  # to the left, of wind and bank
-    side_wind_mps2: float  # the wind's share: it pushes on the body and not through the tyres
-    bank_mps2: float  # gravity to the right, felt by an accelerometer as specific force to the left
+    wind_n: float  # force of the wind on a standing car, backwards
+    side_n: float  # of wind and bank, to the left
+    side_wind_mps2: float  # of the wind alone: it acts on the body, not through the tyres
+    bank_mps2: float  # gravity to the right, measured by an accelerometer as specific force to the left
     maps: Any
 
 
 class Loads(NamedTuple):
-    """Acceleration of the sprung mass as the wheels feel it (after roll and pitch have followed)."""
+    """Acceleration that determines the wheel loads, after the lag of roll and pitch."""
 
     along_mps2: float
     left_mps2: float
@@ -115,7 +115,7 @@ class Loads(NamedTuple):
 def four_tyres(
     p: Chassis, loads: Loads, road_frac: float, front_asked_n: float, rear_asked_n: float, angle_rad: float
 ) -> tuple[Tyre, Tyre, Tyre, Tyre]:
-    """Front left, front right, rear left, rear right; asked forces are per wheel; the inner wheel steers more."""
+    """Front left, front right, rear left, rear right; demanded forces are per wheel; the inner wheel steers more."""
     pitch_n = 0.5 * p.mass_kg * loads.along_mps2 * p.height_m / p.wheelbase_m
     roll_n = 0.5 * p.mass_kg * loads.left_mps2 * p.height_m / max(p.half_track_m, 0.1)
     front_roll_n, rear_roll_n = roll_n * p.roll_front_frac, roll_n * (1.0 - p.roll_front_frac)
@@ -140,6 +140,6 @@ def four_tyres(
 
 
 def static_loads_n(mass_kg: float, front_axle_m: float, wheelbase_m: float) -> tuple[float, float]:
-    """Load of one front and one rear wheel of the standing car."""
+    """Load of one front and one rear wheel at standstill."""
     half_n = 0.5 * mass_kg * G_MPS2
     return half_n * (wheelbase_m - front_axle_m) / wheelbase_m, half_n * front_axle_m / wheelbase_m

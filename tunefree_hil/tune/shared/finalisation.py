@@ -1,8 +1,8 @@
-"""The finalisation of a shared study: what one worker does for all when every slot is filled.
+"""The finalisation of a shared study: work that one worker does for all of them when every slot is filled.
 
-It is leased as a slot is. Its results are stored with the study, together with an id of the trials that they are for;
-the other workers wait for them and use them. A worker that dies while it finalises is replaced, after its lease has
-expired on the server, by one that waits or by the next one that is started.
+It is leased like a slot. Its results are stored with the study, together with an id of the trials that they belong to;
+the other workers wait for them and use them. If the worker ends before it has stored them, its lease expires on the
+server, and a waiting worker or the next one that is started takes over.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ R = TypeVar("R")
 
 
 class Finalisation:
-    """Context manager. After `wait_for_parts`: `parts` are stored, `is_ours` says that we do the missing ones."""
+    """Context manager. After `wait_for_parts`, `parts` are stored, and with `is_ours` this worker does the others."""
 
     def __init__(self, study: SharedStudy, trials_id: str) -> None:
         self.study = study
@@ -46,7 +46,7 @@ class Finalisation:
             self.study.leases.release(FINALISATION_SLOT)
 
     def wait_for_parts(self, wanted: Sequence[str]) -> Generator[str, None, None]:
-        """Wait until all parts are stored, until we do the missing ones, or until only later parts are missing.
+        """Wait until all parts or the first one are stored, or until this worker does the missing ones.
 
         Args:
             wanted: Names of the parts, in the order in which they are stored.
@@ -68,7 +68,7 @@ class Finalisation:
             time.sleep(POLL_S)
 
     def store_parts(self, **parts: Any) -> Generator[str, None, None]:
-        """Store results; where another worker has stored a part meanwhile, its result is kept. Yields messages."""
+        """Store results; parts that another worker has already stored stay unchanged. Yields messages."""
         yield from self._retry(lambda: self._store(parts))
 
     def _is_missing(self, wanted: Sequence[str]) -> bool:
@@ -79,7 +79,7 @@ class Finalisation:
         self.parts = stored if stored.get(TRIALS_ID) == self.trials_id else {}
 
     def _acquire(self, wanted: Sequence[str]) -> bool:
-        """Take the lease, unless a living worker has it or has just finished."""
+        """Take the lease, unless another worker has it or has stored all parts."""
         if not self.study.leases.acquire(FINALISATION_SLOT):
             return False
         self._read()

@@ -97,7 +97,7 @@ def open_engine(address: StudyAddress) -> sqlalchemy.Engine:
 def open_storage(address: StudyAddress) -> RDBStorage:
     """Optuna's tables on the server, made where there are none (the caller holds `advisory_lock`)."""
     options = {"pool_pre_ping": True, "connect_args": _CONNECT}
-    logging.getLogger("optuna.storages._rdb.storage").setLevel(logging.ERROR)  # a lost server is reported by ourselves
+    logging.getLogger("optuna.storages._rdb.storage").setLevel(logging.ERROR)  # lost servers are reported below
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Optuna's migrations warn on a new database
         return RDBStorage(address.url, engine_kwargs=options)
@@ -120,7 +120,7 @@ def is_unreachable(error: BaseException) -> bool:
 
 
 def is_refusal(error: BaseException) -> bool:
-    """Whether the server or its driver refuses us, so that waiting does not help."""
+    """Whether the server or its driver refuses the connection, so that waiting does not help."""
     state = getattr(_driver_error(error), "sqlstate", None)
     if state:
         return str(state).startswith(REFUSING_STATES)
@@ -142,7 +142,7 @@ def retry_while_unreachable(
         action: Uses the server.
         address: Of the server, for messages.
         patience_s: How long to try, s.
-        note: Which data are safe where; part of the messages.
+        note: Where unsaved data are; part of the messages.
 
     Yields:
         A message when the server becomes unreachable, and one when it answers again.
@@ -189,5 +189,5 @@ def _no_answer(address: StudyAddress, patience_s: float, reason: str, note: str)
 
 def _reason(error: BaseException) -> str:
     cause = _driver_error(error)
-    first = (str(cause).strip().splitlines() or [type(cause).__name__])[0]
-    return first.rpartition("failed: ")[2].strip()  # 'connection to server at ... failed: Connection refused'
+    first_line = (str(cause).strip().splitlines() or [type(cause).__name__])[0]
+    return first_line.rpartition("failed: ")[2].strip()  # 'connection to server at ... failed: Connection refused'

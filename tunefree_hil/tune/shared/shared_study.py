@@ -1,12 +1,12 @@
 """A study in PostgreSQL that any number of workers share, each with a bench of its own.
 
 A worker leases the next free slot (slot_leases.py), begins it, evaluates it and stores the score (shared_trials.py).
-The slot of a worker that was killed is failed and repeated, with the same parameters, by the next free worker. The
-parameters of a slot depend on what is finished by then, so the score of each trial is reproducible, the course of the
-study is not.
+The attempt of a worker that was killed is stored as failed and repeated, with the same parameters, by the next free
+worker. The parameters of a slot depend on the trials finished by then, so the score of each trial is reproducible, the
+sequence of trials is not.
 
-A lost server costs nothing: the finished evaluation is saved in a file and stored when the server is back, or by the
-next worker that is started with the same run folder.
+If the server is lost, the finished evaluation is saved in a file and stored when the server is back, or by the next
+worker that is started with the same run folder.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class SharedStudy:
             slot = yield from self._retry(lambda free=free: self._acquire_slot(free))
             if slot is None:
                 if not is_waiting:
-                    yield f"{len(free)} slots are with other workers; waiting for them"
+                    yield f"other workers evaluate the last {len(free)} slots; waiting for them"
                 is_waiting = True
                 time.sleep(POLL_S)
                 continue
@@ -126,7 +126,7 @@ class SharedStudy:
             yield from self._fill_slot(slot, evaluate)
 
     def _acquire_slot(self, free: list[int]) -> int | None:
-        """Lease the first slot of `free` that no living worker has and that was not filled meanwhile."""
+        """Lease the first slot of `free` that no other worker has leased or filled."""
         for slot in free:
             if self.leases.acquire(slot):
                 self._read()
@@ -183,7 +183,7 @@ class SharedStudy:
         note = f"the finished trial is in {path}"
         trial = yield from self._retry(lambda: self._complete(attempt, evaluation), note)
         path.unlink()
-        yield trial or f"slot {attempt.slot + 1} was filled by another worker meanwhile; ours is dropped"
+        yield trial or f"slot {attempt.slot + 1} was already filled by another worker; this evaluation is discarded"
 
     def _complete(self, attempt: Attempt, evaluation: Evaluation) -> Trial | None:
         with server.advisory_lock(self.leases.engine):
@@ -214,7 +214,7 @@ def join_study(
         text: Address as on the command line.
         settings: Settings that the study must have.
         folder: Where this worker saves an evaluation that it could not store.
-        patience_s: How long a lost server is waited for, s.
+        patience_s: Longest wait for a lost server, s.
         grace_s: Age at which the lease of another worker expires, s.
 
     Raises:

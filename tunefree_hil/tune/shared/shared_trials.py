@@ -1,7 +1,7 @@
 """The slots of a shared study as rows of Optuna's tables, which any worker may begin, complete or fail.
 
-A trial is created as RUNNING with its parameters in one step: Optuna's own queue would hand the trial of one worker to
-another. It is completed by its id, so the result of a worker that was taken for dead still counts.
+A trial is created as RUNNING with its parameters in one step, because Optuna's queue could give the trial of one worker
+to another. It is completed by its id, so the result of a worker whose lease had expired is still used.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Attempt(NamedTuple):
 
 
 class SharedTrials:
-    """Reads and writes the slots of one study in `storage`; `stored` has what every stored study has."""
+    """Reads and writes the slots of one study in `storage`; `stored` reads trials and baselines."""
 
     def __init__(self, study: optuna.Study, storage: RDBStorage) -> None:
         self.stored = StoredTrials(study)
@@ -45,9 +45,9 @@ class SharedTrials:
         self._storage.engine.dispose()
 
     def begin(self, slot: int, worker: str) -> Attempt:
-        """Begin a slot that is leased to us.
+        """Begin a slot that this worker has leased.
 
-        An unfinished attempt of another worker is failed, and its parameters are tried again.
+        An unfinished attempt of another worker is stored as failed, and its parameters are tried again.
         """
         for frozen in self._running():
             if frozen.user_attrs.get("slot") == slot:
@@ -64,14 +64,14 @@ class SharedTrials:
         return self.stored.convert(self._storage.get_trial(trial_id))
 
     def complete(self, attempt: Attempt, evaluation: Evaluation) -> Trial | None:
-        """Store an evaluation, whatever happened to its attempt meanwhile.
+        """Store an evaluation, even where its attempt was stored as failed before.
 
         Returns:
             The trial; None where another worker has filled the slot.
         """
         trial_id = self._find_attempt(attempt)
         done = {trial.slot: trial for trial in self.stored.trials()}.get(attempt.slot)
-        if done is not None:  # also by ourselves, just before the connection was lost
+        if done is not None:  # possibly by this worker, just before the connection was lost
             if trial_id is not None and done.number == attempt.number:
                 return done
             if trial_id is not None:
@@ -79,7 +79,7 @@ class SharedTrials:
             return None
         scored = {"score": float(evaluation.score), "scenarios": evaluation.scenarios}
         value = sampler_value_from_score(evaluation.score)
-        # An attempt that was failed meanwhile, by a worker that took us for dead, is replaced by a new trial.
+        # An attempt that another worker has stored as failed (an expired lease) is replaced by a new trial.
         if trial_id is None or not self._finish(trial_id, TrialState.COMPLETE, scored, value):
             trial_id = self._create(TrialState.COMPLETE, attempt.parameters, {"slot": attempt.slot, **scored}, value)
         return self.stored.convert(self._storage.get_trial(trial_id))

@@ -1,7 +1,7 @@
 """Leases on the slots of a shared study: one row a slot, taken and renewed by the clock of the server.
 
 A lease is an INSERT that only one of two workers can make. Its worker renews the row every few seconds. A lease that
-was not renewed for `grace_s` belongs to a worker that is gone, and any other worker may take it over.
+was not renewed for `grace_s` has expired: its worker has probably ended, and another worker may take it over.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class SlotLeases:
             connection.execute(text(_TABLE))
 
     def acquire(self, slot: int) -> bool:
-        """Lease `slot`; False where a living worker has it."""
+        """Lease `slot`; False where another worker has a valid lease."""
         is_acquired = self._execute(_ACQUIRE, slot, grace=self.grace_s) == 1
         if is_acquired:
             self._leased.add(slot)

@@ -52,13 +52,13 @@ def numbers_and_drops(data: bytes) -> tuple[list[int], int]:
 def test_a_member_gets_all(pair: tuple[Peer, socket.socket]) -> None:
     peer, there = pair
     for first in range(0, 40_000, 50):
-        peer.give(chunk(first, 50), 50)
+        peer.enqueue(chunk(first, 50), 50)
     data = b""
     while not peer.flush():
         data += drain(there)
     data += drain(there)
     assert numbers_and_drops(data) == (list(range(40_000)), 0)
-    assert peer.owed == 0 and not peer.queue
+    assert peer.queued_bytes == 0 and not peer.queue
 
 
 @given(st.lists(st.tuples(st.integers(1, 60), st.booleans(), st.booleans()), max_size=60))
@@ -70,9 +70,9 @@ def test_an_observer_gets_all_that_is_not_counted_as_dropped(steps: list[tuple[i
     with here, there:
         peer, data, given_count = Peer(here, "vehicle", 0.0, role="observer"), b"", 0
         for count, flush, read in steps:
-            peer.give(chunk(given_count, count), count, 4000)
+            peer.enqueue(chunk(given_count, count), count, 4000)
             given_count += count
-            assert peer.owed <= 4000 or peer.begun
+            assert peer.queued_bytes <= 4000 or peer.begun
             if flush:
                 peer.flush()
             if read:
@@ -82,4 +82,4 @@ def test_an_observer_gets_all_that_is_not_counted_as_dropped(steps: list[tuple[i
         data += drain(there)
         numbers, drops = numbers_and_drops(data)
         assert numbers == sorted(set(numbers)) and len(numbers) + peer.dropped == given_count
-        assert drops == peer.dropped and peer.owed == 0
+        assert drops == peer.dropped and peer.queued_bytes == 0

@@ -23,8 +23,8 @@ class ConnectionGone(Exception):
 class Connection:
     """One socket to a hub, after the hello. `buffer[position:]` holds received records that are not taken yet.
 
-    One thread may send while another receives. InputError or BenchError from the constructor say why the hub is not
-    there or did not let us in.
+    One thread may send while another receives. InputError or BenchError from the constructor give the reason of a
+    failure.
     """
 
     def __init__(self, address: Address, hello: dict[str, Any], name: str = "") -> None:
@@ -109,7 +109,7 @@ class Connection:
     def fresh(self, timeout_s: float) -> bytes:
         """Bytes straight from the socket, for a reader that takes all of them; b'' when records wait in the buffer.
 
-        Waits up to timeout_s. What it does not understand it gives back with `put_back`.
+        Waits up to timeout_s. It returns other records with `put_back`.
         """
         if self.buffer or self.careful or self.gone or not select.select([self.sock], [], [], timeout_s)[0]:
             return b""
@@ -122,12 +122,12 @@ class Connection:
         return data
 
     def put_back(self, data: bytes) -> None:
-        """The beginning of the buffer again."""
+        """Return bytes to the beginning of the buffer."""
         with self.reading:
             self.buffer[:0] = data
 
     def whole_record(self) -> int:
-        """The size of the record at `at` when all of it is there, else 0. ConnectionGone after the last one."""
+        """The size of the record at `position` when all of it is there, else 0. ConnectionGone after the last one."""
         have = len(self.buffer) - self.position
         if have >= HEAD.size:
             size = self.buffer[self.position] | self.buffer[self.position + 1] << 8
@@ -138,11 +138,11 @@ class Connection:
         return 0
 
     def kind(self) -> int:
-        """The type of the record at `at`."""
+        """The type of the record at `position`."""
         return self.buffer[self.position + 2]
 
     def take(self) -> bytes:
-        """The record at `at`, taken out."""
+        """Take out the record at `position`."""
         with self.reading:
             size = self.buffer[self.position] | self.buffer[self.position + 1] << 8
             record = bytes(self.buffer[self.position : self.position + size])
@@ -196,7 +196,7 @@ class Connection:
             self.sock.close()
 
     def _lost(self, error: OSError) -> ConnectionGone:
-        """Why a write failed: the hub's last word when it left one, else the error."""
+        """The reason of a failed write: the hub's last message when there is one, else the error."""
         self.gone = self.gone or error.strerror or "connection lost"
         return ConnectionGone(self.gone)
 

@@ -15,18 +15,18 @@ from dataclasses import dataclass, field
 from tunefree_hil.bus.tfhub.records import CHANNELS, DROPPED, mark_second_channel, pack_control, select_ids
 
 READ, WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
-KNOWN = 4  # bit of Peer.events: the board holds the connection, even when it waits for nothing from it
+KNOWN = 4  # bit of Peer.events: the board has the connection, even with no event to wait for
 
 
 class Board:
-    """The connections of one hub and their selector. What is owed is written by `flush`, once a wake-up and peer."""
+    """The connections of one hub and their selector. `flush` writes the queues, once a wake-up and peer."""
 
     def __init__(self, observer_bytes: int) -> None:
         self.observer_bytes = observer_bytes
         self.peers: list[Peer] = []
         self.unidentified: list[Peer] = []  # those of them that have not sent HELLO
         self.listeners: dict[str, list[Peer]] = {channel: [] for channel in CHANNELS}
-        self.holders: dict[str, list[Peer]] = {channel: [] for channel in CHANNELS}  # members that do not keep up
+        self.blockers: dict[str, list[Peer]] = {channel: [] for channel in CHANNELS}  # members that do not keep up
         self.dirty: set[Peer] = set()
         self.selector = selectors.DefaultSelector()
 
@@ -42,7 +42,7 @@ class Board:
     def admit(self, peer: Peer, welcome: bytes) -> None:
         """Admit a connection after its HELLO; it gets `welcome` first, then the frames of its channels."""
         self.unidentified.remove(peer)
-        self.owe(peer, welcome)
+        self.enqueue(peer, welcome)
         for channel in peer.channels:
             if peer.listen:
                 self.listeners[channel].append(peer)
@@ -77,35 +77,35 @@ class Board:
 
     # --- giving --------------------------------------------------------------------------------------------------
 
-    def owe(self, peer: Peer, record: bytes) -> None:
-        """Owe a peer a record that is no frame."""
-        peer.give(record, 0)
+    def enqueue(self, peer: Peer, record: bytes) -> None:
+        """Queue a record that is no frame for a peer."""
+        peer.enqueue(record, 0)
         self.dirty.add(peer)
 
     def deliver(self, sender: Peer, channel: str, chunk: bytes, frames: int) -> None:
-        """Owe frames to all others of a channel, and to the sender when it wants its echo."""
+        """Queue frames for all others of a channel, and for the sender when it wants its echo."""
         for peer in self.listeners[channel]:
             if peer is sender and not peer.echo:
                 continue
             if peer.only:
                 selected = select_ids(chunk, frames, peer.only)
                 if selected:
-                    self._give(peer, channel, b"".join(selected), len(selected))
+                    self._enqueue_frames(peer, channel, b"".join(selected), len(selected))
                 continue
-            self._give(peer, channel, chunk, frames)
+            self._enqueue_frames(peer, channel, chunk, frames)
 
-    def _give(self, peer: Peer, channel: str, chunk: bytes, frames: int) -> None:
-        """Owe one peer frames of a channel; an observer's are a ring, a member that falls behind holds the bus."""
+    def _enqueue_frames(self, peer: Peer, channel: str, chunk: bytes, frames: int) -> None:
+        """Queue frames of a channel for one peer; an observer has a ring, a member that falls behind blocks the bus."""
         if peer.role == "observer":
-            peer.give(chunk, frames, self.observer_bytes)
+            peer.enqueue(chunk, frames, self.observer_bytes)
         else:
-            peer.give(chunk if peer.channel == channel else mark_second_channel(chunk, frames), frames)
-            if peer.owed > HIGH_BYTES:
-                self._hold(peer)
+            peer.enqueue(chunk if peer.channel == channel else mark_second_channel(chunk, frames), frames)
+            if peer.queued_bytes > HIGH_BYTES:
+                self._block(peer)
         self.dirty.add(peer)
 
     def flush(self, failed: Callable[[Peer], None]) -> None:
-        """Write what is owed, as far as the sockets take it; `failed` gets each peer that cannot be written to."""
+        """Write the queues, as far as the sockets take it; `failed` gets each peer that cannot be written to."""
         dirty, self.dirty = self.dirty, set()
         for peer in dirty:
             if not peer.events:
@@ -115,38 +115,38 @@ class Board:
             except OSError:
                 failed(peer)
                 continue
-            if peer.owed < LOW_BYTES:
+            if peer.queued_bytes < LOW_BYTES:
                 self._release(peer)
             self.watch(peer, (0 if peer.paused else READ) | (0 if done else WRITE))
 
     # --- back-pressure -------------------------------------------------------------------------------------------
 
-    def _hold(self, member: Peer) -> None:
+    def _block(self, member: Peer) -> None:
         """A member does not keep up: read from no sender of its channels until it does."""
         for channel in member.channels:
-            if member not in self.holders[channel]:
-                self.holders[channel].append(member)
+            if member not in self.blockers[channel]:
+                self.blockers[channel].append(member)
                 self.pause_senders(channel)
 
     def _release(self, member: Peer) -> None:
         """The member keeps up again, or is gone."""
         for channel in member.channels:
-            if member in self.holders[channel]:
-                self.holders[channel].remove(member)
+            if member in self.blockers[channel]:
+                self.blockers[channel].remove(member)
                 self.pause_senders(channel)
 
     def pause_senders(self, channel: str) -> None:
         """Read from the members of a channel exactly when no member blocks one of their channels."""
         for peer in self.peers:
             if peer.role == "member" and channel in peer.channels:
-                is_held = any(self.holders[one] for one in peer.channels)
+                is_held = any(self.blockers[one] for one in peer.channels)
                 peer.paused = is_held
                 self.watch(peer, (0 if is_held else READ) | (peer.events & WRITE))
 
 
-HIGH_BYTES = 1 << 20  # a member that is owed this much stops its channel's senders
+HIGH_BYTES = 1 << 20  # a member's queue that stops its channel's senders
 LOW_BYTES = 1 << 18  # below this they are read again
-OBSERVER_BYTES = 1 << 20  # an observer is owed at most this
+OBSERVER_BYTES = 1 << 20  # largest queue of an observer
 WRITE_BYTES = 1 << 18  # at most this much is joined into one write
 
 
@@ -163,7 +163,7 @@ class Peer:
     index: int = 0
     echo: bool = False  # gets its own frames back
     listen: bool = True
-    also: str = ""  # the other channel, where this connection carries both (records.OTHER)
+    also: str = ""  # the other channel, where this connection carries both (records.SECOND_FRAME)
     only: frozenset[int] = frozenset()  # gets only frames with one of these ids; empty: all
     stamps: bool = False
     loss_announced: bool = False  # its process's loss has been announced
@@ -171,29 +171,29 @@ class Peer:
     sent: int = 0
     dropped: int = 0
     dropped_reported: int = 0
-    owed: int = 0  # bytes in the queue
+    queued_bytes: int = 0  # bytes in the queue
     queue: deque[tuple[bytes | memoryview, int]] = field(default_factory=deque)
     begun: bool = False  # the queue's first chunk is partly written
     events: int = 0  # as registered with the selector
-    paused: bool = False  # not read from, because a member holds the bus
+    paused: bool = False  # not read from, because a member blocks the bus
 
     @property
     def channels(self) -> tuple[str, ...]:
         """The channels that it is on."""
         return (self.channel, self.also) if self.also else (self.channel,)
 
-    def give(self, chunk: bytes, frames: int, ring_bytes: int = 0) -> None:
-        """Owe it `chunk`. With ring_bytes the oldest frames make room, and are counted in `dropped`."""
+    def enqueue(self, chunk: bytes, frames: int, ring_bytes: int = 0) -> None:
+        """Queue `chunk`. With ring_bytes the oldest frames make room, and are counted in `dropped`."""
         self.queue.append((chunk, frames))
-        self.owed += len(chunk)
-        if ring_bytes and self.owed > ring_bytes:
+        self.queued_bytes += len(chunk)
+        if ring_bytes and self.queued_bytes > ring_bytes:
             self._make_room(ring_bytes)
 
     def _make_room(self, ring_bytes: int) -> None:
         unfinished = [self.queue.popleft()] if self.begun else []
-        while self.queue and self.owed > ring_bytes:
+        while self.queue and self.queued_bytes > ring_bytes:
             chunk, frames = self.queue.popleft()
-            self.owed -= len(chunk)
+            self.queued_bytes -= len(chunk)
             self.dropped += frames
             if not frames:  # it was a notice of earlier drops: send a new one
                 self.dropped_reported = -1
@@ -212,7 +212,7 @@ class Peer:
                 written = self.sock.send(batch)
             except BlockingIOError:
                 return False
-            self.owed -= written
+            self.queued_bytes -= written
             if written < len(batch):
                 queue[0] = (memoryview(batch)[written:], queue[0][1])
                 self.begun = True
@@ -223,7 +223,7 @@ class Peer:
     def _queue_drop_notice(self) -> None:
         notice = pack_control(DROPPED, sequence=self.dropped)
         self.queue.appendleft((notice, 0))
-        self.owed += len(notice)
+        self.queued_bytes += len(notice)
         self.dropped_reported = self.dropped
 
     def _join(self) -> bytes:

@@ -78,7 +78,7 @@ def _stats(hub: Hub, body: dict[str, Any]) -> dict[str, Any]:
             "pid": peer.pid,
             "sent": peer.sent,
             "dropped": peer.dropped,
-            "owed_bytes": peer.owed,
+            "owed_bytes": peer.queued_bytes,
         }
         for peer in hub.board.peers
         if peer.role
@@ -89,6 +89,6 @@ def _stats(hub: Hub, body: dict[str, Any]) -> dict[str, Any]:
         "frames": hub.frames,
         "peers": peers,
         "lost": list(hub.lost)[-20:],
-        "held_by": [peer.name for holders in hub.board.holders.values() for peer in holders],
+        "held_by": [peer.name for blockers in hub.board.blockers.values() for peer in blockers],
         "log_failures": [log.failure for log in hub.logs.values() if log.failure],
     }

@@ -153,12 +153,12 @@ class Hub:
         peer.rest = bytes(self._view[used:end]) if used < end else b""
 
     def _take(self, peer: Peer, end: int) -> int:
-        """Check, number and stamp the records in the buffer up to `end`, and route them. How many bytes were whole."""
+        """Check, number, stamp and route the records in the buffer up to `end`. Returns the number of bytes used."""
         buffer, index, sequence = self._buffer, peer.index, self.sequence
         own_stamps = self.sender_clock and peer.stamps
         time_ns = self._time_ns if self.sender_clock else time.monotonic_ns()
         offset = first = last = count = 0
-        run = FRAME  # what the frames from `first` on are: of the peer's own channel, or OTHER
+        run = FRAME  # what the frames from `first` on are: of the peer's own channel, or SECOND_FRAME
         while end - offset >= SIZE_KIND.size:
             size, kind = SIZE_KIND.unpack_from(buffer, offset)
             if kind != run and (kind == FRAME or (kind == SECOND_FRAME and peer.also)):
@@ -202,7 +202,7 @@ class Hub:
         return True
 
     def _route(self, peer: Peer, first: int, end: int, last: int, count: int, run: int) -> None:
-        """Owe `count` stamped frames, the last of which begins at `last`, to all others of their channel."""
+        """Queue `count` stamped frames, the last of which begins at `last`, to all others of their channel."""
         if not count:
             return
         if peer.role != "member":
@@ -238,7 +238,7 @@ class Hub:
             except RecordError as error:
                 reception.drop(self, peer, str(error))
                 continue
-            self.board.owe(peer, reply)
+            self.board.enqueue(peer, reply)
 
     # --- the end -------------------------------------------------------------------------------------------------
 
@@ -251,8 +251,8 @@ class Hub:
         for log in self.logs.values():
             log.abandon()
         for peer in list(self.board.peers):
-            peer.give(pack_control(END, {"why": self.ended or "it failed"}), 0)
-            with contextlib.suppress(OSError):  # it went first
+            peer.enqueue(pack_control(END, {"why": self.ended or "it failed"}), 0)
+            with contextlib.suppress(OSError):  # it is gone already
                 peer.flush()
             self.board.forget(peer)
         self.board.selector.close()

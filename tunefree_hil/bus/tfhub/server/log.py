@@ -110,7 +110,7 @@ class CandumpLog:
             self._file = None
 
     def discard(self) -> None:
-        """Leave nothing: the log never began."""
+        """Remove the log, which has not begun."""
         self.abandon()
         os.unlink(self.part)
 
@@ -146,7 +146,7 @@ class CandumpLog:
             offset += size
 
     def _prefix(self, can_id: int) -> str:
-        """What stands between the stamp and the data; kept, for there are few ids."""
+        """The text between stamp and data; cached, as there are few ids."""
         if len(self._prefixes) > MOST_IDS:
             self._prefixes.clear()
         prefix = self._prefixes[can_id] = f" {self._channel} {id_text(can_id)}#"

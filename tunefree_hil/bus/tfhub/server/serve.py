@@ -1,4 +1,4 @@
-"""Run a hub in this process: what `python -m tunefree_hil.bus.tfhub` and the command `hub` call."""
+"""Runs a hub in this process, for `python -m tunefree_hil.bus.tfhub` and the command `hub`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HubClock = Literal["real", "sender"]
 
 
 def say_on_stderr(line: str) -> None:
-    """One line for a person."""
+    """Print one line."""
     sys.stderr.write(f"tfhub: {line}\n")
     sys.stderr.flush()
 
@@ -74,7 +74,7 @@ def _epoch_offset_ns() -> int:
 
 
 def _take_signals(hub: Hub, standalone: bool) -> dict[int, Any]:
-    """Let signals end the hub in good order; the handlers there were before."""
+    """Let signals end the hub in good order; returns the handlers before."""
     if threading.current_thread() is not threading.main_thread():
         return {}
 

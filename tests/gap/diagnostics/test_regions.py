@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tunefree_hil.gap.diagnostics.residual_tests import REGION_CRITERIA, SIDES, Region, _Bin, _bin_edges, _test_regions
+from tunefree_hil.gap.diagnostics.regions import REGION_CRITERIA, SIDES, Region, _Bin, _bin_edges, _test_regions
 
 ROWS, BLOCKS = 4000, 12
 AT = np.repeat(np.arange(BLOCKS), ROWS // BLOCKS + 1)[:ROWS]

@@ -1,4 +1,4 @@
-"""Commands on the bus against their echoes, tick by tick, without any model of the car.
+"""Commands on the bus compared with their echoes, tick by tick, without any model of the car.
 
 An echo is the command that the by-wire unit obeys. A delayed or held command is still one that was sent, so each echo
 has to lie between the commands that were sent about one transport delay before. Where it does not, its frame was lost
@@ -23,9 +23,9 @@ Array = np.ndarray
 class EchoCriteria(NamedTuple):
     """How an echo is checked (docs/results/criteria.md)."""
 
-    max_delay_s: float = 0.8  # searched
+    max_delay_s: float = 0.8  # largest delay that is searched
     slack_ticks: int = 2  # to either side of the delay: bus, queue, phase of the frames; of slow commands more
-    max_unexplained_share: float = 0.01  # of the echoes
+    max_unexplained_share: float = 0.01  # of the echoes, that are outside the commands near the delay
     min_changes: int = 20  # echoes that changed: fewer do not determine a delay
 
 
@@ -61,7 +61,7 @@ def check_echoes(drive: MeasuredDrive) -> list[CommandEcho]:
         echo = drive.signals.get(f"report.{ECHOES[channel]}")
         if command is None or echo is None:
             continue
-        # until the next command an echo stands, while the straight line between commands goes on
+        # an echo holds its value until the next command, while the straight line between commands moves on
         slack = ECHO_CRITERIA.slack_ticks + round(sample_interval_ticks(command.fresh)) - 1
         # in a gap of the recording it is not known what was sent, nor whether it was obeyed
         max_delay = round(ECHO_CRITERIA.max_delay_s / drive.dt_s)

@@ -1,8 +1,8 @@
-"""Free runs of the whole vehicle over blocks of a recording: the holdout, and the blocks that select updates.
+"""Free runs of the whole vehicle over blocks of a recording: of the holdout, of the selection, or of an older log.
 
 Before a block the chassis is set to the measured motion; within it the vehicle gets the recorded commands alone. Blocks
 of the holdout have been in no fit and no choice. A block has at least 8 s, less where the logs are short
-(gap/measured/blocks.py). Errors are RMS by signal; gap_closed.py says what they mean.
+(gap/measured/blocks.py). Errors are RMS by signal; gap_closed.py interprets them.
 """
 
 from __future__ import annotations
@@ -44,20 +44,20 @@ LONGITUDINAL_SIGNALS = ("report.speed_mps", "report.accel_mps2", "ins.speed_mps"
 
 
 class Variant(NamedTuple):
-    """A vehicle to be run: a model, and effects of the day behind its own."""
+    """A vehicle to be run: a model, and effects of the day after its own."""
 
     model: ModelSpec
-    day: tuple[EffectSpec, ...] = ()
+    day_effects: tuple[EffectSpec, ...] = ()
 
 
-class HoldoutResult(NamedTuple):
+class BlockErrors(NamedTuple):
     """Errors of free runs over blocks.
 
     Args:
         squared_errors: by variant and signal, sums over each block (n_blocks,).
         counts: by signal, rows in each block (n_blocks,).
         noise: by signal, RMS of the sensor's noise over the rows that count.
-        traces: of all blocks, for pictures; the one in which the variants differ most comes first.
+        traces: of all blocks, for figures; the one in which the variants differ most comes first.
     """
 
     squared_errors: Mapping[str, Mapping[str, Array]]
@@ -68,7 +68,7 @@ class HoldoutResult(NamedTuple):
     @property
     def n_blocks(self) -> int:
         """Number of blocks that were run."""
-        return max((len(one) for one in self.counts.values()), default=0)
+        return max((len(rows) for rows in self.counts.values()), default=0)
 
     def rms(self, variant: str, signal: str) -> float:
         """RMS error of a signal over all blocks."""
@@ -83,14 +83,14 @@ class BlockTrace(NamedTuple):
     simulated: Mapping[str, Mapping[str, Array]]
 
 
-def run_holdout(
+def run_blocks(
     variants: Mapping[str, Variant],
     vehicle: VehicleSpec,
     drives: Sequence[MeasuredDrive],
     *,
     role: int | None = HOLDOUT,
     skip_forgotten: bool = False,
-) -> HoldoutResult:
+) -> BlockErrors:
     """Run all variants over the blocks of a role.
 
     Args:
@@ -111,14 +111,14 @@ def run_holdout(
         if not spans:
             continue
         simulated = {
-            name: _run_blocks(variant, vehicle, drive, spans, skip_forgotten=skip_forgotten)
+            name: _run_variant(variant, vehicle, drive, spans, skip_forgotten=skip_forgotten)
             for name, variant in variants.items()
         }
         for signal in signals:
             _add_errors(sums, signal, drive, simulated, spans)
         traces += [_trace_block(drive, simulated, span) for span in spans]
-    return HoldoutResult(
-        {name: {signal: np.array(values) for signal, values in by.items()} for name, by in sums.squares.items()},
+    return BlockErrors(
+        {name: {signal: np.array(values) for signal, values in s.items()} for name, s in sums.squares.items()},
         {signal: np.array(values) for signal, values in sums.counts.items()},
         {signal: math.sqrt(square / max(sum(sums.counts[signal]), 1.0)) for signal, square in sums.noise.items()},
         tuple(sorted(traces, key=_trace_spread, reverse=True)),
@@ -151,7 +151,7 @@ def _add_errors(
             squares.setdefault(signal, []).append(_sum_of_squares(errors))
 
 
-def _run_blocks(
+def _run_variant(
     variant: Variant,
     vehicle: VehicleSpec,
     drive: MeasuredDrive,
@@ -163,7 +163,7 @@ def _run_blocks(
     held = np.ones(drive.ticks, dtype=bool)
     for begin, end in spans:
         held[begin:end] = False
-    car = assemble_car(variant.model, vehicle, drive, variant.day)
+    car = assemble_car(variant.model, vehicle, drive, variant.day_effects)
     signals = simulate_recording(car, drive, held, skip_forgotten=skip_forgotten)
     return {name: np.where(np.abs(values) < MAX_SIGNAL, values, np.nan) for name, values in signals.items()}
 

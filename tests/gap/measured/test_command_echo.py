@@ -8,7 +8,7 @@ import pytest
 from tests.learn.made_drives import DT_S, LATE, made_drive
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.gap.measured.chain import MeasuredDrive, build_measured_drive
-from tunefree_hil.gap.measured.clock import check_echoes
+from tunefree_hil.gap.measured.command_echo import check_echoes
 from tunefree_hil.gap.measured.signals import signal_from_values
 from tunefree_hil.learn.drives.drive import Drive
 

@@ -16,6 +16,7 @@ from tunefree_hil.config.schema import EffectSpec
 from tunefree_hil.gap.measured.blocks import HOLDOUT, cut_blocks
 from tunefree_hil.gap.measured.chain import MeasuredDrive, build_measured_drive
 from tunefree_hil.gap.measured.holdout_assignment import assign_holdout_blocks
+from tunefree_hil.gap.validation.block_runs import DIVERGED_SQUARE, HEADING, POSITION, BlockErrors, Variant, run_blocks
 from tunefree_hil.gap.validation.free_run import assemble_car, measured_pose, simulate_recording
 from tunefree_hil.gap.validation.gap_closed import (
     MAX_FACTOR,
@@ -30,7 +31,6 @@ from tunefree_hil.gap.validation.gap_closed import (
     signal_sizes,
     unpredictable_shares,
 )
-from tunefree_hil.gap.validation.holdout import DIVERGED_SQUARE, HEADING, POSITION, HoldoutResult, Variant, run_holdout
 from tunefree_hil.gap.validation.repair import effect_specs, repair_model
 
 STEER, YAW = "report.steer_rad", "ins.yaw_rate_radps"
@@ -42,13 +42,17 @@ def opened() -> MeasuredDrive:
 
 
 @cache
-def proof(delay_s: float = LATE_S) -> HoldoutResult:
+def proof(delay_s: float = LATE_S) -> BlockErrors:
     model, kept = made_model(), made_kept()
     (effect,) = effect_specs(kept, "", "")
     effect = EffectSpec(name=effect.name, params={"delay_s": delay_s})
     made = repair_model(model, VEHICLE, kept.repaired_values, [effect])
-    variants = {"before": Variant(model), "recalibrated": Variant(model), "after": Variant(made.model, made.day)}
-    return run_holdout(variants, VEHICLE, [opened()])
+    variants = {
+        "before": Variant(model),
+        "recalibrated": Variant(model),
+        "after": Variant(made.model, made.day_effects),
+    }
+    return run_blocks(variants, VEHICLE, [opened()])
 
 
 def test_the_true_repair_leaves_noise_on_every_block_of_the_proof() -> None:
@@ -86,7 +90,7 @@ def test_a_model_that_lacks_nothing_leaves_nothing_to_explain() -> None:
     model = made_model()
     (effect,) = effect_specs(made_kept(), "", "")
     right = Variant(repair_model(model, VEHICLE, {}, [effect]).model)
-    found = run_holdout({"before": right, "recalibrated": right, "after": right}, VEHICLE, [opened()])
+    found = run_blocks({"before": right, "recalibrated": right, "after": right}, VEHICLE, [opened()])
     floors = error_floors(found, model)
     summed = (HEADING, POSITION)  # the INS is 0.2 ticks late: means of two of its values are quieter than these
     assert all(found.rms("after", one) == pytest.approx(floors[one], rel=0.2) for one in floors if one not in summed)
@@ -101,13 +105,13 @@ def test_of_drives_with_unlike_sensors_the_floor_is_as_loud_as_the_errors_are() 
     model = made_model()
     (effect,) = effect_specs(made_kept(), "", "")
     right = Variant(repair_model(model, VEHICLE, {}, [effect]).model)
-    found = run_holdout({"before": right, "after": right}, VEHICLE, [one, noisy])
+    found = run_blocks({"before": right, "after": right}, VEHICLE, [one, noisy])
     assert error_floors(found, model)[STEER] == pytest.approx(found.rms("after", STEER), rel=0.15)
 
 
 def test_an_older_log_is_run_over_all_its_blocks() -> None:
     model = Variant(made_model())
-    found = run_holdout({"before": model, "after": model}, VEHICLE, [opened()], role=None)
+    found = run_blocks({"before": model, "after": model}, VEHICLE, [opened()], role=None)
     assert found.n_blocks == cut_blocks([opened().ticks], 0.01).count - 1  # the first begins before commands count
 
 
@@ -133,10 +137,10 @@ def test_a_block_in_which_chance_misses_more_is_no_gap_of_the_effect() -> None:
     speed = 100.0 * np.array([1.4, 0.6]) ** 2
     steer = {"recalibrated": np.full(2, 900.0), "after": np.full(2, 50.0)}
     squares = {name: {"report.speed_mps": speed, STEER: some} for name, some in steer.items()}
-    found = HoldoutResult(squares, {name: counts for name in ("report.speed_mps", STEER)}, {}, ())
+    found = BlockErrors(squares, {name: counts for name in ("report.speed_mps", STEER)}, {}, ())
     closed = closed_share(found, {"report.speed_mps": 1.0, STEER: 1.0})
     assert closed is not None and closed["value"] == pytest.approx(1.0)
-    worse = HoldoutResult({**squares, "after": {"report.speed_mps": 4.0 * speed, STEER: steer["after"]}}, *found[1:])
+    worse = BlockErrors({**squares, "after": {"report.speed_mps": 4.0 * speed, STEER: steer["after"]}}, *found[1:])
     spoilt = closed_share(worse, {"report.speed_mps": 1.0, STEER: 1.0})
     assert spoilt is not None and spoilt["value"] < 0.8
 
@@ -182,9 +186,7 @@ def test_a_signal_of_steps_is_not_known_better_than_its_wire_rounds() -> None:
     drive, step = late_drive(), 0.02
     coarse = np.round(drive.fields[STEER] / step) * step
     driven = build_measured_drive(drive._replace(fields={**drive.fields, STEER: coarse}), VEHICLE)
-    assert (
-        run_holdout({"before": Variant(made_model())}, VEHICLE, [driven]).noise[STEER] >= step / np.sqrt(12.0) * 0.999
-    )
+    assert run_blocks({"before": Variant(made_model())}, VEHICLE, [driven]).noise[STEER] >= step / np.sqrt(12.0) * 0.999
 
 
 def test_without_a_heading_places_are_compared_as_they_were_measured() -> None:
@@ -201,7 +203,7 @@ def test_without_a_heading_places_are_compared_as_they_were_measured() -> None:
     assert np.sqrt(np.mean(away**2)) < 0.05
     (effect,) = effect_specs(made_kept(), "", "")
     right = Variant(repair_model(made_model(), VEHICLE, {}, [effect]).model)
-    assert run_holdout({"after": right}, VEHICLE, [placed]).rms("after", POSITION) < 0.5 * proof().rms(
+    assert run_blocks({"after": right}, VEHICLE, [placed]).rms("after", POSITION) < 0.5 * proof().rms(
         "before", POSITION
     )
 
@@ -214,7 +216,7 @@ def test_where_a_person_drove_the_reported_outputs_act() -> None:
         drive._replace(fields=kept, fresh={name: drive.fresh[name] for name in kept}), VEHICLE
     )
     model = Variant(made_model())
-    found = run_holdout({"before": model}, VEHICLE, [driven])
+    found = run_blocks({"before": model}, VEHICLE, [driven])
     assert found.n_blocks == 2 and found.rms("before", YAW) < 0.2 * proof().rms("before", YAW)
 
 
@@ -227,7 +229,7 @@ def test_a_block_in_which_somebody_takes_over_proves_nothing() -> None:
             del fields[name]
     enabled[begin + 100 : begin + 200] = False
     taken = build_measured_drive(late_drive()._replace(fields=fields, enabled=enabled), VEHICLE)
-    assert run_holdout({"before": Variant(made_model())}, VEHICLE, [taken]).n_blocks == 1
+    assert run_blocks({"before": Variant(made_model())}, VEHICLE, [taken]).n_blocks == 1
 
 
 def test_a_run_that_comes_to_no_number_is_worse_than_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -239,15 +241,15 @@ def test_a_run_that_comes_to_no_number_is_worse_than_any_other(monkeypatch: pyte
         said["report.speed_mps"][5000:] = math.nan
         return said
 
-    good = run_holdout({"before": model}, VEHICLE, [opened()])
-    monkeypatch.setattr("tunefree_hil.gap.validation.holdout.simulate_recording", wild)
-    bad = run_holdout({"before": model}, VEHICLE, [opened()])
+    good = run_blocks({"before": model}, VEHICLE, [opened()])
+    monkeypatch.setattr("tunefree_hil.gap.validation.block_runs.simulate_recording", wild)
+    bad = run_blocks({"before": model}, VEHICLE, [opened()])
     squares = {
         "before": good.squared_errors["before"],
         "recalibrated": good.squared_errors["before"],
         "after": bad.squared_errors["before"],
     }
-    found = HoldoutResult(squares, good.counts, good.noise, ())
+    found = BlockErrors(squares, good.counts, good.noise, ())
     assert all(np.isfinite(one).all() for one in bad.squared_errors["before"].values())
     assert all(bad.squared_errors["before"][name].max() == DIVERGED_SQUARE for name in (STEER, YAW, "report.speed_mps"))
     floors = error_floors(found, made_model())
