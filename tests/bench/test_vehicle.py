@@ -19,7 +19,7 @@ from tunefree_hil.config.schema import EffectSpec, FaultSpec
 from tunefree_hil.nodes.ecu import Vehicle
 from tunefree_hil.plant.actuation.bywire import ReceivedCommand
 from tunefree_hil.plant.ecu import UnitInput
-from tunefree_hil.plant.types import NOBODY
+from tunefree_hil.plant.types import NO_DRIVER
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def test_an_assignment(bench: Bench, tmp_path: Path) -> None:
     car = VehicleFor(bench, "mkz_nominal")(hash_of(tmp_path), 3)
     assert (car.course.ticks, car.dt_s) == (200, 0.01)
     assert set(car.phases) == {one.name for one in (*bench.codec.telemetry, *bench.codec.commands)}
-    assert car.driver(0) == NOBODY
+    assert car.driver(0) == NO_DRIVER
 
 
 def test_only_the_seed_draws_the_noise(bench: Bench, tmp_path: Path) -> None:
@@ -161,11 +161,11 @@ def fault(channel: str, first: int, after: int, value: float = 0.0, kind: str = 
 
 def test_the_driver_by_script() -> None:
     driver = driver_script([fault("brake", 10, 20, 0.4), fault("steer", 15, 30, -3.0), fault("gear", 25, 26)])
-    assert driver(9) == NOBODY
-    assert driver(10) == NOBODY._replace(brake_frac=0.4)
-    assert driver(19) == NOBODY._replace(brake_frac=0.4, steer_torque_nm=-3.0)
-    assert driver(25) == NOBODY._replace(steer_torque_nm=-3.0, gear_override=1.0)
-    assert driver(30) == NOBODY
+    assert driver(9) == NO_DRIVER
+    assert driver(10) == NO_DRIVER._replace(brake_frac=0.4)
+    assert driver(19) == NO_DRIVER._replace(brake_frac=0.4, steer_torque_nm=-3.0)
+    assert driver(25) == NO_DRIVER._replace(steer_torque_nm=-3.0, gear_override=1.0)
+    assert driver(30) == NO_DRIVER
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,7 @@ def test_a_swapped_unit_is_named(tmp_path: Path, column: str, said: str, true: s
     found = findings(tmp_path, in_units(motion(), {column: true}), {column: said})
     wrong = {one.check: one.words for one in found if one.holds is False}
     assert check in wrong
-    assert f"'{column}'" in wrong[check] and f"said to be in {said}" in wrong[check]
+    assert f"'{column}'" in wrong[check] and f"given in {said}" in wrong[check]
     assert f"they agree with '{column}' in {true}" in wrong[check]
 
 
@@ -134,6 +134,6 @@ def test_wheels_and_speed(tmp_path: Path) -> None:
 
 
 def test_wheels_in_revolutions_are_named(tmp_path: Path) -> None:
-    """All four are said to be in rad/s and are in rpm: one of them alone would not do."""
+    """All four are given in rad/s and are in rpm: one of them alone would not do."""
     (found,) = [one for one in wheels(tmp_path, 60.0 / (2.0 * 3.141592653589793)) if one.check == "wheels_and_speed"]
     assert found.holds is False and "'wfl' and 'wfr' and 'wrl' and 'wrr' in rpm" in found.words

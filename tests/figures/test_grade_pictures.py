@@ -84,7 +84,7 @@ def test_every_metric_has_its_bar_and_its_number() -> None:
     said = words(DRAWN["profile"]())
     assert set(TABLE) <= set(said)
     missing = sum(value is None for value in VALUES["second"].values())
-    assert said.count(" not to be had") == missing
+    assert said.count(" not available") == missing
     assert f" {style.number(0.01 * (len(TABLE) - 1))}" in said
     assert set(HIGHLIGHTED) <= set(words(DRAWN["highlights"]()))
 

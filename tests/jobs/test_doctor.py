@@ -164,7 +164,12 @@ def test_a_missing_entry_point_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> No
         (KernelLinkState(True, True, "", 16, 10), NOTE, "hardware, mtu 16", "sudo ip link set vcan0 txqueuelen 1000"),
         (KernelLinkState(True, True, "", 72, 1000), NOTE, "never transmit", ""),
         (KernelLinkState(True, True, "vcan", 16, 1000), NOTE, "classic CAN only", "sudo ip link set vcan0 mtu 72"),
-        (KernelLinkState(True, True, "vcan", 72, 1000), OK, "vcan, mtu 72 (classic CAN and CAN FD), txqueuelen 1000", ""),
+        (
+            KernelLinkState(True, True, "vcan", 72, 1000),
+            OK,
+            "vcan, mtu 72 (classic CAN and CAN FD), txqueuelen 1000",
+            "",
+        ),
     ],
 )
 def test_a_can_link(state: KernelLinkState, kind: str, text: str, remedy: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -166,7 +166,7 @@ def test_four_terminals(terminals: Terminals) -> None:
     one_message(taken, "in use by another hub", "--join")
     other = terminals.drive("--join", "--model", "mkz_reference")
     assert other.status == 2
-    one_message(other, "drives mkz_nominal, and mkz_reference is to be driven", "start it with --model mkz_reference")
+    one_message(other, "simulates mkz_nominal, but mkz_reference is wanted", "start it with --model mkz_reference")
     assert not any(closed(process) for process in terminals.open.values()), "nobody was disturbed"
     assert terminals.drive("--join").data["hashes"] == first.data["hashes"]
 

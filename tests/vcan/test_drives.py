@@ -15,10 +15,10 @@ import pytest
 
 from tests.vcan.peers import HERE, Candump, Links, eventually, ip, program
 from tests.vcan.reference import EXACT, Reference
+from tests.vcan.same_frames import same_frames
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.episode.candump import LogFrame, read_candump
-from tunefree_hil.episode.same_frames import same_frames
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.running.episode_results import EpisodeResult
 from tunefree_hil.jobs.running.session import BenchSession

@@ -109,8 +109,7 @@ def require_current(model: ModelSpec, vehicle: VehicleSpec) -> None:
     """Raises InputError for a model that was made before the vehicle's folder was changed."""
     if model.vehicle_hash and model.vehicle_hash.removeprefix("sha256:") != vehicle.hash:
         raise InputError(
-            f"was made when the folder of vehicle {vehicle.name!r} said something else (it is "
-            f"sha256:{vehicle.hash} now)",
+            f"was made before the folder of vehicle {vehicle.name!r} was changed (hash now sha256:{vehicle.hash})",
             code="vehicle_changed",
             file=f"{model.folder}/model.toml",
             key="vehicle_hash",

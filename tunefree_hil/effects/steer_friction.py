@@ -7,7 +7,7 @@ from tunefree_hil.effects._signals import play
 
 
 def make(params: dict[str, float], rest: float) -> Block:
-    """Block on the steering-wheel angle [rad]: sticks until the command is level_rad away, then follows at that distance."""
+    """Block on the steering-wheel angle [rad]: sticks until the command is level_rad away, then follows."""
     return play("level_rad", params["level_rad"], rest)
 
 

@@ -73,11 +73,11 @@ def read_pieces(path: Path) -> Iterator[Piece]:
 def _rows_of(path: Path, kind: str) -> Iterator[Row]:
     """The rows of a log that is no candump text; for one file of a ROS 2 bag, those of its folder."""
     inside = path.suffix in (".mcap", ".db3") and (path.parent / "metadata.yaml").is_file()
-    heard = False
+    received = False
     for row in load_format(kind).read(path.parent if inside else path):
-        heard = True
+        received = True
         yield row
-    if not heard:
+    if not received:
         message, hint = "the log is empty: there is not one frame in it", "record it again, or export it anew"
         raise InputError(message, code="empty_log", file=str(path), hint=hint)
 

@@ -71,10 +71,10 @@ def _others(column: Column) -> list[tuple[str, float]]:
 
 
 def _called(columns: Sequence[Column]) -> str:
-    """'column 'v' (report.speed_mps, said to be in km/h)'."""
+    """'column 'v' (report.speed_mps, given in km/h)'."""
     names = " and ".join(repr(column.spec.column) for column in columns)
     fields = ", ".join(column.spec.field for column in columns)
-    return f"column{'s' if len(columns) > 1 else ''} {names} ({fields}, said to be in {columns[0].spec.unit})"
+    return f"column{'s' if len(columns) > 1 else ''} {names} ({fields}, given in {columns[0].spec.unit})"
 
 
 def _compare(pair: Pair, drive: CsvDrive) -> Finding:

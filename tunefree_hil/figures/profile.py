@@ -102,9 +102,9 @@ def _draw_panel(axes: Axes, values: Values, names: Sequence[str], title: str) ->
             value = values[label].get(name)
             position = row + (place - 0.5 * (len(values) - 1)) * width
             axes.barh(position, _known(value), 0.9 * width, color=look.colour, hatch=hatch, edgecolor="white")
-            said = " not to be had" if value is None else f" {style.number(value)}"
+            text = " not available" if value is None else f" {style.number(value)}"
             colour = style.FAINT if value is None else style.INK
-            axes.text(_known(value), position, said, va="center", fontsize=style.FONT_PT - 2.5, color=colour)
+            axes.text(_known(value), position, text, va="center", fontsize=style.FONT_PT - 2.5, color=colour)
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.45, -0.55)
     axes.set_xlim(0.0, 1.18 * end)

@@ -66,7 +66,7 @@ def gaps_of(series: Series) -> NDArray[np.int64]:
 def _panel(axes: Axes, series: Sequence[Series], zero_s: float) -> None:
     for line, look in zip(series, _looks(len(series)), strict=True):
         if not line.time_s.size:
-            style.line(axes, [], [], look, f"{line.name} (never heard)")
+            style.line(axes, [], [], look, f"{line.name} (never received)")
             continue
         times, values = broken_at_gaps(line)
         single = line.values.size == 1

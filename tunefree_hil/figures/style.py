@@ -1,8 +1,8 @@
 """Style of all figures. matplotlib is imported inside functions only, which saves start-up time.
 
 Figures are objects on an Agg canvas; pyplot and its global state are not used. Sizes are chosen so that a picture is
-readable at half its pixels. The colours are those of Okabe and Ito, suitable for colour blindness; marker or dash differ
-too.
+readable at half its pixels. The colours are those of Okabe and Ito, suitable for colour blindness; marker or dash
+differ too.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from tunefree_hil.control.follower import MIN_ARC_SCALE
 from tunefree_hil.control.schedule import Schedule, station_at, time_of
 from tunefree_hil.episode.recording import ERROR_COLUMNS, Recording
 from tunefree_hil.grade.metrics import MetricSamples, samples_from_recording
-from tunefree_hil.grade.path_projection import PathProjection, course_arrays, estimate_stations, project_points
+from tunefree_hil.grade.path_projection import DriveProjection, course_arrays, estimate_stations, project_points
 
 Array = np.ndarray
 
@@ -97,7 +97,7 @@ def _follower_speeds(current: MetricSamples) -> tuple[Array | None, Array | None
     return along, yaw_rate
 
 
-def _ins_speed(along: Array, rear_projection: PathProjection, heading: Array) -> Array:
+def _ins_speed(along: Array, rear_projection: DriveProjection, heading: Array) -> Array:
     """INS speed from the rate of the station (the inverse of control/follower.py `speed_along`).
 
     NaN where the vehicle stands across the path, because the inverse does not exist there.

@@ -20,7 +20,7 @@ NEWTON_STEPS = 4
 CELL_STEPS = 6
 
 
-class PathProjection(NamedTuple):
+class DriveProjection(NamedTuple):
     """Points projected onto the path: arrays of shape (n_rows,)."""
 
     station_m: Array
@@ -55,7 +55,7 @@ def rear_axle_stations(recording: Recording, course: Course) -> Array | None:
 
 def project_points(
     course: CourseArrays, x_m: Array, y_m: Array, near_m: Array | None = None, first_row: int = 0
-) -> PathProjection:
+) -> DriveProjection:
     """Project points that follow each other along the path.
 
     Args:
@@ -66,7 +66,7 @@ def project_points(
         The projections; NaN where a point is not finite, and before `first_row`.
     """
     rows = np.flatnonzero(np.isfinite(x_m) & np.isfinite(y_m))
-    result = PathProjection(*(np.full(len(x_m), np.nan) for _ in range(4)))
+    result = DriveProjection(*(np.full(len(x_m), np.nan) for _ in range(4)))
     if len(rows) == 0:
         return result
     guess = estimate_stations(course, x_m, y_m) if near_m is None else near_m
@@ -130,7 +130,7 @@ def _settle_cells(course: CourseArrays, cell: Array, x: Array, y: Array) -> Arra
     return cell
 
 
-def _project_in_cells(course: CourseArrays, cell: Array, x: Array, y: Array) -> PathProjection:
+def _project_in_cells(course: CourseArrays, cell: Array, x: Array, y: Array) -> DriveProjection:
     """Projection within each cell: chord plus bulge, interpolated tangent (control/path.py `project`)."""
     along, ahead = _distance_along(course, cell, x, y), _distance_along(course, cell + 1, x, y)
     fall = along - ahead
@@ -142,7 +142,7 @@ def _project_in_cells(course: CourseArrays, cell: Array, x: Array, y: Array) -> 
     gap_y = y - _interpolate(course.y_m, cell, share)
     mean = 0.5 * (course.curvature_1pm[cell] + course.curvature_1pm[cell + 1])
     bulge = np.where((share > 0.0) & (share < 1.0), 0.5 * mean * course.spacing_m**2 * share * (1.0 - share), 0.0)
-    return PathProjection(
+    return DriveProjection(
         course.first_m + (cell + share) * course.spacing_m,
         heading,
         _interpolate(course.curvature_1pm, cell, share),

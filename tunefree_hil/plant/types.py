@@ -35,7 +35,7 @@ class Driver(NamedTuple):
     fault_cause: float = 0.0
 
 
-NOBODY = Driver()  # both pedals released
+NO_DRIVER = Driver()  # both pedals released
 
 
 class ChassisInput(NamedTuple):
@@ -182,9 +182,9 @@ def refuse_changes(kind: str, change: BodyChange, able: Set[str]) -> None:
     neutral = BodyChange()._asdict()
     changed = [name for name, value in change._asdict().items() if name not in able and value != neutral[name]]
     if changed:
+        effects = ", ".join(dict.fromkeys(CHANGES[name] for name in changed))
         raise InputError(
-            f"a plant of kind {kind!r} has no physics that {', '.join(dict.fromkeys(CHANGES[name] for name in changed))}"
-            " could change",
+            f"a plant of kind {kind!r} has no physics that {effects} could change",
             code="not_in_this_plant",
             key="effects",
             hint="take a model of kind hybrid or physics, or leave the effect out",

@@ -202,5 +202,7 @@ def _body(
         new = BodyState(front_state, behind_state, chassis_state, sensor_state, effects_state)
         return new, BodyOutput(out, motion, measured)
 
-    parts = (front, behind, chassis, sensor_block, measurement_effects)
-    return Block(init, step, BodyParams(*(part.params for part in parts), late_s))
+    params = BodyParams(
+        front.params, behind.params, chassis.params, sensor_block.params, measurement_effects.params, late_s
+    )
+    return Block(init, step, params)

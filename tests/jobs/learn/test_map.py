@@ -58,7 +58,7 @@ def test_targets(tmp_path: Path) -> None:
         job.resolve_target(other_vehicle.NOMINAL, vehicle())
     old = shutil.copytree(MODELS / "mkz_nominal", tmp_path / "old")
     (old / "model.toml").write_text('vehicle_hash = "sha256:00"\n' + (old / "model.toml").read_text())
-    with pytest.raises(InputError, match="said something else"):
+    with pytest.raises(InputError, match="was made before the folder"):
         job.resolve_target(old, vehicle())
     (tmp_path / "notes.txt").write_text("")
     with pytest.raises(InputError, match="is a file"):

@@ -55,9 +55,8 @@ def run(tmp_path: Path) -> Path:
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few changed cars, and one manual vector."""
-    for module in (margins, margins):
-        monkeypatch.setattr(module, "POINTS", FEW)
-        monkeypatch.setattr(module, "WALKS", SHORT)
+    monkeypatch.setattr(margins, "POINTS", FEW)
+    monkeypatch.setattr(margins, "SWEEPS", SHORT)
     monkeypatch.setattr(margins, "Batch", HereBatch)
     monkeypatch.setattr(
         verify, "compute_baseline_vectors", lambda bench: {"mrac_on": compute_baseline_vectors(bench)["mrac_on"]}

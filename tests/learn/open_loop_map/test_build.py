@@ -55,7 +55,7 @@ def test_what_the_drives_say_is_said() -> None:
     found = gathered()
     for pedal in PEDALS:
         assert found.delays[pedal].seconds == pytest.approx(DEAD_S + 0.85 * LAG_S, abs=0.04)
-    assert any("straight, level and of use" in words for words in found.notes)
+    assert any("straight, level and usable" in words for words in found.notes)
     assert sum("from command to acceleration" in words for words in found.notes) == 2
 
 

@@ -12,7 +12,7 @@ from tunefree_hil.base.kernel import kept, kernel
 from tunefree_hil.base.records import NAN, Actuation, Command, Disturbance, Ins, Motion, Report
 from tunefree_hil.plant.actuation.actuators import step_actuator
 from tunefree_hil.plant.measurement.sensors import WIDTH, SensorInput, SensorParams, ins_of, report_of
-from tunefree_hil.plant.types import NOBODY, ChassisInput
+from tunefree_hil.plant.types import NO_DRIVER, ChassisInput
 
 AT_REST = Motion(*(0.0,) * len(Motion._fields))
 IDEAL_SENSORS = SensorParams((0.0,) * WIDTH, 0.0, 0.0)
@@ -182,7 +182,7 @@ def make_actuator_loop(
             steer_end, steer = steer_out(params.output_effects[2], ends[2], steer, dt_s)
             ends = (throttle_end, brake_end, steer_end)
             output = Actuation(throttle, brake, steer, command.gear)
-            sensed = report_of(SensorInput(AT_REST, output, command, NOBODY), IDEAL_SENSORS.noise, 0)
+            sensed = report_of(SensorInput(AT_REST, output, command, NO_DRIVER), IDEAL_SENSORS.noise, 0)
             report, reported = report_step(params.report, report, sensed, dt_s)
             pack_output(outputs, k * N_OUTPUTS, reported, output)
         return rows
@@ -223,7 +223,7 @@ def make_vehicle_loop(
             if is_pinned(inputs, start):
                 chassis = observe(chassis, unpack_motion(inputs, start - N_INPUTS))
             chassis, motion = chassis_step(params.chassis, chassis, ChassisInput(applied, road), dt_s)
-            sensed = report_of(SensorInput(motion, applied, command, NOBODY), IDEAL_SENSORS.noise, 0)
+            sensed = report_of(SensorInput(motion, applied, command, NO_DRIVER), IDEAL_SENSORS.noise, 0)
             report, reported = report_step(params.report, report, sensed, dt_s)
             ins, placed = ins_step(params.ins, ins, ins_of(IDEAL_SENSORS, motion), dt_s)
             pack_simulated(simulated, k * N_SIMULATED, motion, reported, placed)

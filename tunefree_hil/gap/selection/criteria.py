@@ -1,7 +1,7 @@
 """The thresholds of the selection, and the criteria that a candidate's score fails.
 
 A name needs evidence and the agreement of the blocks, and has to explain enough of a signal: with enough rows anything
-is significant. After each threshold stands the commit of the exam that first ran with it (docs/results/gap_exam.md);
+is significant. After each threshold stands the commit of the exam that first ran with it (docs/results/);
 where there is none, it is derived. docs/results/criteria.md lists them all.
 """
 

@@ -159,10 +159,8 @@ def make_motion_track(part: DrivePart, vehicle: VehicleSpec, road_share: float =
     demand = read_accel_command(drive)
     if demand is not None:
         channels[:2] = pedals_from_accel_command(demand, drive.enabled, rest)
-    commands, recorded, follows_command = (
-        np.stack([channel[i][cut] for channel in channels], axis=1) for i in range(3)
-    )
-    usable = np.where(follows_command, commands, recorded)
+    commands, recorded, is_actuated = (np.stack([channel[i][cut] for channel in channels], axis=1) for i in range(3))
+    usable = np.where(is_actuated, commands, recorded)
     good = np.isfinite(np.stack([*motion, pose.heading, pose.x, pose.y], axis=1)).all(axis=1)
     good &= np.isfinite(usable).all(axis=1) & (motion.speed > START.min_speed_mps)
     is_valid = motion_valid_rows(drive, ins_delay_rows, pose.is_measured)
@@ -185,7 +183,7 @@ def make_motion_track(part: DrivePart, vehicle: VehicleSpec, road_share: float =
         grade_rad=_estimate_grade(part, motion, vehicle, offset_g),
         commands=commands,
         recorded=recorded,
-        follows_command=follows_command,
+        follows_command=is_actuated,
         is_good=good,
         has_measured_pose=pose.is_measured,
         accel_demand_mps2=None if demand is None else demand[cut],

@@ -78,10 +78,10 @@ class CellMeans(NamedTuple):
 def make_cell_edges(vehicle: VehicleSpec, pedal: str) -> CellEdges:
     """The cells of a pedal, up to its limit."""
     rest, limit = find_pedal_range(vehicle, pedal)
-    way, half_width = limit - rest, ROWS.released_share * (limit - rest)
+    span, half_width = limit - rest, ROWS.released_share * (limit - rest)
     shares = [FINE_SHARE * i for i in range(1, N_FINE_CELLS + 1)]
     shares += np.arange(shares[-1] + COARSE_SHARE, 1.0 - 0.5 * COARSE_SHARE, COARSE_SHARE).tolist()
-    commands = [rest - half_width, rest + half_width, *(rest + share * way for share in shares), limit]
+    commands = [rest - half_width, rest + half_width, *(rest + share * span for share in shares), limit]
     return CellEdges(np.array(SPEED_EDGES_MPS), np.array(commands))
 
 
@@ -108,8 +108,8 @@ def assign_cells(samples: MapSamples, edges: CellEdges, rng: np.random.Generator
 
 def _prefer_held(members: Array, is_held: Array) -> tuple[Array, float]:
     """(samples with a held pedal, or all where these are too few; weight of the cell). No lag blurs a held pedal."""
-    held = members[is_held[members] > 0.5]
-    return (held, 1.0) if len(held) >= CELLS.min_samples else (members, CELLS.unheld_weight)
+    held_rows = members[is_held[members] > 0.5]
+    return (held_rows, 1.0) if len(held_rows) >= CELLS.min_samples else (members, CELLS.unheld_weight)
 
 
 def _is_inlier(values: Array) -> Array:
