@@ -240,7 +240,7 @@ def test_the_loopback_link_is_there_and_is_no_vcan() -> None:
 
 PRETENDER = """
 import sys
-from tunefree_hil.bus.kernel_link import link_state
+from tunefree_hil.bus.socketcan.kernel_link import link_state
 from tunefree_hil.bus.open import require_virtual_link
 print(link_state("vcan0"))
 try:

@@ -250,4 +250,4 @@ def test_killed_it_goes_on_to_the_same_trials(calm: Tune, tmp_path: Path) -> Non
 def test_a_parameter_that_it_does_not_have_is_refused(built: Path, tmp_path: Path) -> None:
     done = Tune(built, tmp_path, second="pi.kd").run()
     assert done.status == 2
-    assert "announces no parameter pi.kd" in done.words and "pi.station_kp" in done.words
+    assert "did not announce the parameter pi.kd" in done.words and "pi.station_kp" in done.words

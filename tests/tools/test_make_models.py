@@ -95,7 +95,7 @@ sys.meta_path.insert(0, Nothing())
 from tools.measures._in_process import InProcess
 from tunefree_hil.bench import follower_of, load, model_of, parameters_of
 from tunefree_hil.episode.columns import columns_from_frames
-from tunefree_hil.episode.valid import outside
+from tunefree_hil.episode.validity_region import outside
 
 bench, found = load(sys.argv[1]), {}
 scenario, values = bench.scenarios[bench.spec.scenarios[0]], parameters_of(bench)

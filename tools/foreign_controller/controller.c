@@ -1,5 +1,5 @@
 /* A controller that is not ours: a process that speaks the vehicle's DBC and dbc/bench.dbc, in C, with parameters of
- * its own that `tunefree-hil tune` searches. The page about it is docs/controller.md.
+ * its own that `tunefree-hil tune` searches. The page about it is docs/how-to/own_controller.md.
  *
  *   controller VEHICLE-BUS BENCH-BUS PATHS [TOKEN-FILE]
  *
@@ -177,7 +177,7 @@ static void await_frames(Node *node, int count)
     }
 }
 
-/* Without a hub nobody says that the bench is gone: end with whoever started us (docs/controller.md). */
+/* Without a hub nobody says that the bench is gone: end with whoever started us (docs/how-to/own_controller.md). */
 static void follow_starter(void)
 {
     const char *starter = getenv("TUNEFREE_STARTER");

@@ -121,8 +121,8 @@ COMPILED = """
 import random
 from tunefree_hil.base.kernel import JITTED, run
 from tunefree_hil.base.records import GROUPS
-from tunefree_hil.bus.codec import Codec
-from tunefree_hil.bus.wire import phases, wire
+from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.dbc.wire_block import phases, wire
 from tunefree_hil.config.load import load_vehicle
 chance = random.Random(5)
 for name in ("mkz_bywire", "rav4_2017"):

@@ -122,7 +122,7 @@ def test_killed_and_with_a_node_lost_it_goes_on_to_the_same_logs(calm: tuple[Pat
         os.kill(ecu, signal.SIGKILL)
         done = finish(process, PATIENCE_S)
     assert done.status == 0, done.words
-    assert "1 drives are there already" in done.words
+    assert "1 existing drives" in done.words
     assert "ecu process was killed" in done.words and "repeated" in done.words
     assert hashes(out) == hashes(calm[0])
 

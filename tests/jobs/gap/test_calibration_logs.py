@@ -276,8 +276,8 @@ def test_what_explains_the_own_logs_is_kept_and_said(tmp_path: Path) -> None:
     usual = baseline_of_model(load_model(folder))
     assert not usual.misfit and usual.explaining["steer_dead_time"]["delay_s"][0] == pytest.approx(LATE_S, abs=0.01)
     assert load_model(folder).effects == []
-    assert events[-1].kind == "warning" and "steer_dead_time; `gap` on them adds it where" in events[-1].message
+    assert events[-1].kind == "warning" and "steer_dead_time; `gap` on these logs adds it if" in events[-1].message
     drive, accel = made_drive(SECONDS, seed=5), "report.accel_mps2"
     off = drive._replace(fields={**drive.fields, accel: drive.fields[accel] - 0.06})
     events = asked(folder_of(tmp_path / "tilted"), off)
-    assert "accel_bias may as well be a grade that all of them have" in events[-1].message
+    assert "accel_bias may also be a grade that is common to all of them" in events[-1].message

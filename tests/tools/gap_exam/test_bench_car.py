@@ -21,7 +21,7 @@ from pathlib import Path
 from tunefree_hil.bench.vehicle import load_plant
 from tunefree_hil.base.course import Start
 from tunefree_hil.base.records import Command, Disturbance, GEAR_DRIVE
-from tunefree_hil.plant.body import BodyInput, Driver
+from tunefree_hil.plant.types import BodyInput, Driver
 from tunefree_hil.plant.vehicle import assemble, first_output, for_episode
 
 def driven(path, throttle, steer, seconds=3.0):
@@ -68,7 +68,7 @@ from tunefree_hil.base.course import Start
 from tunefree_hil.base.records import Command, Disturbance, GEAR_DRIVE
 from tunefree_hil.bench.vehicle import effects_of, plant_of
 from tunefree_hil.config.load import load_model
-from tunefree_hil.plant.body import BodyInput, Driver
+from tunefree_hil.plant.types import BodyInput, Driver
 from tunefree_hil.plant.vehicle import assemble, first_output, for_episode
 
 def driven(folder):
