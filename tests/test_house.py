@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from tests.house import PACKAGE, ROOT, imports, package_files, place, text_files
+from tools.house.structure import MAX_FILE_LINES
 
-LONGEST = 500
 MAY_CATCH_ALL = ("jobs/", "nodes/", "cli/")  # there an exception becomes an event or an exit status
 MAY_READ_TIME = ("base/clock.py",)
 PYTHON_FOLDERS = (PACKAGE, "tests", "tools")
@@ -26,7 +26,7 @@ Check = Callable[[str, str], list[str]]
 
 def too_long(source: str, inside: str) -> list[str]:
     count = len(source.splitlines())
-    return [f"{inside} has {count} lines, more than {LONGEST}"] if count > LONGEST else []
+    return [f"{inside} has {count} lines, more than {MAX_FILE_LINES}"] if count > MAX_FILE_LINES else []
 
 
 def swallowed(source: str, inside: str) -> list[str]:
@@ -147,7 +147,7 @@ def test_nothing_is_left_to_do() -> None:
 @pytest.mark.parametrize(
     ("check", "source"),
     [
-        (too_long, "x = 1\n" * (LONGEST + 1)),
+        (too_long, "x = 1\n" * (MAX_FILE_LINES + 1)),
         (swallowed, "try:\n    pass\nexcept:\n    raise"),
         (swallowed, "try:\n    pass\nexcept Exception as error:\n    print(error)"),
         (swallowed, "try:\n    pass\nexcept (OSError, BaseException):\n    return 1"),
@@ -170,7 +170,7 @@ def test_a_planted_violation_is_found(check: Check, source: str) -> None:
 @pytest.mark.parametrize(
     ("check", "source", "inside"),
     [
-        (too_long, "x = 1\n" * LONGEST, "grade/good.py"),
+        (too_long, "x = 1\n" * MAX_FILE_LINES, "grade/good.py"),
         (swallowed, "try:\n    pass\nexcept Exception as error:\n    say(error)", "jobs/good.py"),
         (swallowed, "try:\n    pass\nexcept BaseException:\n    x.close()\n    raise", "grade/good.py"),
         (swallowed, "try:\n    pass\nexcept OSError:\n    pass", "grade/good.py"),
