@@ -64,7 +64,8 @@ def test_every_part_drives_within_limits_and_says_the_same_twice(kit):
                 names = PartNames(lateral, longitudinal, inner)
                 runs = []
                 for _ in range(2):
-                    block = build(study_values(), MKZ, kit.linear_map(), course, names=names)
+                    values = study_values() | own_values(names)
+                    block = build(values, MKZ, kit.linear_map(), course, names=names)
                     runs.append(drive(kit, block, 600, kit.car(0.0, -0.2, 0.05, 3.0))[0])
                 assert runs[0] == runs[1]
                 for command in (decision.command for decision in runs[0]):

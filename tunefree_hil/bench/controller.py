@@ -12,6 +12,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.base.open_loop_map import MAP_FILE
 from tunefree_hil.bench.faults import CONTROLLER, faults_of
+from tunefree_hil.bench.identified import identified_of
 from tunefree_hil.bench.load import Bench, model_of, scenario_of_hash
 from tunefree_hil.bench.user_parts import own_parameters, part_names, part_values
 from tunefree_hil.bus.dbc.codec import Codec
@@ -158,6 +159,8 @@ class ControllerFor:
         self.bench = bench
         self.constants = constants_of(bench.vehicle)
         self.calibration = calibration_of(bench)
+        self.settings = settings_of(bench)
+        self.identified = identified_of(bench, self.constants)
         self.faults = faults_of(bench, CONTROLLER)
         self.parts = part_names(bench)
         self.own = part_values(bench)
@@ -181,7 +184,12 @@ class ControllerFor:
         if spec.hash not in self._followers:
             _make_room(self._followers)
             self._followers[spec.hash] = follower_of(self.bench, spec, values)
-        follower = self._followers[spec.hash].params._replace(look_ahead_m=values["look_ahead_m"])
+        built = block.params.follower
+        follower = self._followers[spec.hash].params._replace(
+            look_ahead_m=built.look_ahead_m,
+            steer_preview_s=built.steer_preview_s,
+            pedal_preview_s=built.pedal_preview_s,
+        )
         params = block.params._replace(follower=follower)
         return Assignment(block._replace(params=params), course.ticks, self.bench.dt_s, self.faults)
 
@@ -192,9 +200,10 @@ class ControllerFor:
             self.calibration,
             course,
             dt_s=self.bench.dt_s,
-            settings=settings_of(self.bench),
+            settings=self.settings,
             names=self.parts,
             absent=self.bench.vehicle.absent,
+            identified=self.identified,
         )
 
 

@@ -11,9 +11,14 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.control import cascade, limits
 from tunefree_hil.control.calibration_map import CalibrationMap
-from tunefree_hil.control.contract import Settings, Setup, VehicleConstants, bind
-from tunefree_hil.control.follower import ReplanRules, make_follower
+from tunefree_hil.control.contract import LoopDelays, Settings, Setup, VehicleConstants, bind, with_loop_lag
+from tunefree_hil.control.filters import butterworth_delay_s
+from tunefree_hil.control.follower import PREVIEW_S, PreviewTimes, ReplanRules, make_follower
 from tunefree_hil.control.parameters import BY_NAME, check_complete, middle_of
+from tunefree_hil.control.steering_map import SteeringMap, data_sheet_map
+
+STEER_PREVIEW, PEDAL_PREVIEW = "steer.preview", "speed.preview"
+RISE_PER_TAU = 2.2  # 10 to 90 % rise time of a first-order lag
 
 
 class PartNames(NamedTuple):
@@ -22,6 +27,29 @@ class PartNames(NamedTuple):
     lateral: str = "lqr"
     longitudinal: str = "pid"
     inner: str = "mrac"
+
+
+class Identified(NamedTuple):
+    """What is known of a vehicle beyond its data sheet: steady steering, and times from command to answer."""
+
+    steering: SteeringMap
+    delays: LoopDelays
+
+
+def identified_of_data_sheet(vehicle: VehicleConstants) -> Identified:
+    """The data sheet's axles, dead time and rise time; of the pedals and the bus nothing is known."""
+    delays = LoopDelays(vehicle.steer_dead_time_s, vehicle.steer_rise_time_s / RISE_PER_TAU)
+    return Identified(data_sheet_map(vehicle), delays)
+
+
+def preview_times(values: Mapping[str, float], delays: LoopDelays, cutoff_hz: float) -> PreviewTimes:
+    """Preview of the parts that ask for one by a parameter, in shares of the identified dead time + lag."""
+    steer_s = delays.steer_dead_time_s + delays.steer_lag_s + delays.bus_s + butterworth_delay_s(cutoff_hz)
+    pedal_s = delays.drive_dead_time_s + delays.drive_lag_s + delays.bus_s
+    return PreviewTimes(
+        values.get(STEER_PREVIEW, 0.0) * steer_s,
+        values[PEDAL_PREVIEW] * pedal_s if PEDAL_PREVIEW in values else PREVIEW_S,
+    )
 
 
 def load_parts(names: PartNames) -> list[Any]:
@@ -63,21 +91,33 @@ def build(
     names: PartNames | None = None,
     rules: ReplanRules | None = None,
     absent: Iterable[str] = (),
+    identified: Identified | None = None,
 ) -> Block:
     """The controller for one drive: x = cascade.ControllerInput -> cascade.Decision.
 
     `parameters` must have all names of docs/reference/controller.md and of the user, else InputError. `absent`: record
-    fields that the vehicle does not have, as 'report.speed_mps'.
+    fields that the vehicle does not have, as 'report.speed_mps'. `identified`: None takes the data sheet's.
     """
     names = names or PartNames()
     settings = settings or Settings()
     values = check_complete(parameters, tuple(own_values(names)))
-    setup = Setup(values, vehicle, calibration, settings, dt_s, frozenset(absent))
-    lateral, longitudinal, inner = (bind(part, setup) for part in load_parts(names))
+    identified = identified or identified_of_data_sheet(vehicle)
+    setup = Setup(
+        values, vehicle, calibration, settings, dt_s, frozenset(absent), identified.steering, identified.delays
+    )
+    lateral_part, longitudinal_part, inner_part = load_parts(names)
+    inner = bind(inner_part, setup)
+    setup = with_loop_lag(setup, inner_part)
     return cascade.assemble(
-        make_follower(course, vehicle.rear_axle_m, values["look_ahead_m"], rules),
-        lateral,
-        longitudinal,
+        make_follower(
+            course,
+            vehicle.rear_axle_m,
+            values["look_ahead_m"],
+            rules,
+            preview_times(values, setup.delays, settings.cutoff_hz),
+        ),
+        bind(lateral_part, setup),
+        bind(longitudinal_part, setup),
         inner,
         limits.make(setup),
         cascade.make_guard(vehicle, settings, setup.absent),

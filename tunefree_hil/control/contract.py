@@ -11,7 +11,7 @@ gains) or a plain `Block` whose params are a NamedTuple with one field for each 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.contracts import Block, Tunable
@@ -97,9 +97,31 @@ class Settings(NamedTuple):
     mrac_shape: tuple[float, float, float] | None = None  # order 2: P / p as (p11, p12, p22); None: solved
 
 
+class LoopDelays(NamedTuple):
+    """Time from a command to the vehicle's answer, as identified: what preview and prediction reach over.
+
+    Args:
+        steer_dead_time_s, steer_lag_s: of the steering actuator; a lag of second order as its equivalent first order.
+        drive_dead_time_s, drive_lag_s: of the slower one of throttle and brake.
+        bus_s: report delay plus command delay.
+    """
+
+    steer_dead_time_s: float = 0.0
+    steer_lag_s: float = 0.0
+    drive_dead_time_s: float = 0.0
+    drive_lag_s: float = 0.0
+    bus_s: float = 0.0
+
+
+NO_DELAYS = LoopDelays()
+
+
 @dataclass(frozen=True)
 class Setup:
-    """Inputs of a recipe. `values`: every parameter by name; `absent`: record fields the vehicle lacks."""
+    """Inputs of a recipe. `values`: every parameter by name; `absent`: record fields the vehicle lacks.
+
+    `steering` and `delays` are what was identified of the vehicle; the paper's parts (lqr, pid, mrac) use neither.
+    """
 
     values: Mapping[str, float]
     vehicle: VehicleConstants
@@ -107,13 +129,19 @@ class Setup:
     settings: Settings
     dt_s: float
     absent: frozenset[str] = frozenset()
+    steering: Any = None  # control.steering_map.SteeringMap
+    delays: LoopDelays = NO_DELAYS
 
 
 class Recipe(NamedTuple):
-    """A part that is computed at build time: make(setup) -> Block."""
+    """A part that is computed at build time: make(setup) -> Block.
+
+    loop_lag_s: of an inner part, the lag from the steering demand to the wheel with it; None: the actuator's own.
+    """
 
     make: Callable[[Setup], Block]
     tunables: tuple[Tunable, ...] = ()
+    loop_lag_s: Callable[[Setup], float] | None = None
 
 
 def chassis_speed_of(absent: Collection[str]) -> float:
@@ -125,6 +153,14 @@ def chassis_speed_of(absent: Collection[str]) -> float:
 def speed_of(measurement: Measurement, chassis_speed: float) -> float:
     """The speed for gains, map and bounds: of the chassis (docs/reference/apollo.md), else of the INS."""
     return measurement.report.speed_mps if chassis_speed != 0.0 else measurement.ins.speed_mps
+
+
+def with_loop_lag(setup: Setup, inner: Recipe | Block) -> Setup:
+    """The setup with the steering lag that the outer loops see through an inner part."""
+    loop_lag_s = getattr(inner, "loop_lag_s", None)
+    if loop_lag_s is None:
+        return setup
+    return replace(setup, delays=setup.delays._replace(steer_lag_s=loop_lag_s(setup)))
 
 
 def bind(part: Recipe | Block, setup: Setup) -> Block:

@@ -54,6 +54,11 @@ def butterworth(cutoff_hz: float, dt_s: float) -> SecondOrder:
     )
 
 
+def butterworth_delay_s(cutoff_hz: float) -> float:
+    """Delay of slow signals in that low-pass: sqrt(2) / (2 pi cutoff), 22.5 ms at 10 Hz."""
+    return math.sqrt(2.0) / (2.0 * math.pi * cutoff_hz)
+
+
 @kernel
 def second_order_step(filt: SecondOrder, state: SecondOrderState, value: float) -> tuple[SecondOrderState, float]:
     """One sample."""

@@ -59,6 +59,8 @@ class FollowerParams(NamedTuple):
     rules: ReplanRules
     rear_axle_m: float  # rear axle (INS point) to centre of mass
     look_ahead_m: float
+    steer_preview_s: float = 0.0  # how much later the curvature for the steering feedforward is
+    pedal_preview_s: float = PREVIEW_S  # the same of speed and acceleration for the pedals
 
 
 class FollowerState(NamedTuple):
@@ -82,11 +84,31 @@ class Lane(NamedTuple):
     path_heading_error_rad: float
 
 
+class PreviewTimes(NamedTuple):
+    """How far ahead in time the reference is taken for the feedforward of the steering and of the pedals."""
+
+    steer_s: float = 0.0
+    pedal_s: float = PREVIEW_S
+
+
 def make_follower(
-    course: Course, rear_axle_m: float, look_ahead_m: float = 0.0, rules: ReplanRules | None = None
+    course: Course,
+    rear_axle_m: float,
+    look_ahead_m: float = 0.0,
+    rules: ReplanRules | None = None,
+    preview: PreviewTimes | None = None,
 ) -> Block:
     """Block: x = (tick, Ins) -> Tracking. An Ins with a number that is not finite gives a Tracking of NaN."""
-    params = FollowerParams(make_path(course), make_schedule(course), rules or ReplanRules(), rear_axle_m, look_ahead_m)
+    preview = preview or PreviewTimes()
+    params = FollowerParams(
+        make_path(course),
+        make_schedule(course),
+        rules or ReplanRules(),
+        rear_axle_m,
+        look_ahead_m,
+        preview.steer_s,
+        preview.pedal_s,
+    )
     return Block(init, step, params)
 
 
@@ -115,7 +137,8 @@ def step(params: FollowerParams, state: FollowerState, x: tuple[Any, Ins], dt_s:
     ref_speed_mps, ref_accel_mps2 = reference_at(schedule, blend, rules.blend_s, time_s)
     station_error_m = station_at(schedule, plan_s) + blend.station_m - rear_axle_projection.station_m
     path_speed_mps = speed_along(rear_axle_projection, ins)
-    preview_speed_mps, preview_accel_mps2 = reference_at(schedule, blend, rules.blend_s, time_s + PREVIEW_S)
+    later_s = time_s + params.pedal_preview_s
+    preview_speed_mps, preview_accel_mps2 = reference_at(schedule, blend, rules.blend_s, later_s)
     row, _ = row_at(schedule, plan_s)
     remaining_m = schedule.stop_station_m[row] + blend.station_m - rear_axle_projection.station_m
     turn_rad, ahead_1pm = look_ahead(params, blend, com_projection, lane, plan_s, ins.speed_mps)
@@ -205,9 +228,9 @@ def look_ahead(
 ) -> tuple[float, float]:
     """(heading change, curvature) of the trajectory at the look-ahead point (docs/reference/apollo.md).
 
-    That point is the position of the plan in look_ahead / (max(|v|, 0.1) cos(heading error)) seconds.
+    That point is the position of the plan in look_ahead / (max(|v|, 0.1) cos(heading error)) + steer_preview seconds.
     """
-    if params.look_ahead_m == 0.0:
+    if params.look_ahead_m == 0.0 and params.steer_preview_s == 0.0:
         return 0.0, lane.curvature_1pm
     pace_mps = abs(speed_mps)
     if pace_mps < PREVIEW_SPEED_FLOOR_MPS:
@@ -215,7 +238,7 @@ def look_ahead(
     cos = math.cos(lane.heading_error_rad)
     if cos < PREVIEW_COS_FLOOR:
         cos = PREVIEW_COS_FLOOR
-    later_s = plan_s + params.look_ahead_m / (pace_mps * cos)
+    later_s = plan_s + params.look_ahead_m / (pace_mps * cos) + params.steer_preview_s
     run_m = station_at(params.schedule, later_s) - station_at(params.schedule, plan_s)
     station_m = com_projection.station_m + run_m
     heading_rad, curvature_1pm = heading_at(params.path, station_m)

@@ -19,7 +19,7 @@ from tunefree_hil.base.contracts import Block
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import kernel
 from tunefree_hil.base.maths import clamp
-from tunefree_hil.control.contract import InnerAnswer, Recipe, Settings, Setup, VehicleConstants
+from tunefree_hil.control.contract import InnerAnswer, LoopDelays, Recipe, Settings, Setup, VehicleConstants
 from tunefree_hil.control.limits import SteerBound, steer_bound, steer_bound_of
 from tunefree_hil.control.mrac_needs import require_needs
 from tunefree_hil.control.parameters import tunables_of
@@ -289,4 +289,21 @@ def bounded(free: float, last: float, largest: float, dt_s: float) -> tuple[floa
     return value, status
 
 
-CONTROLLER = Recipe(make, tunables_of("mrac."))
+def loop_lag_s(setup: Setup) -> float:
+    """The lag from the demand to the wheel with the start gains; in the paper's form they change nothing."""
+    lag_s, tau_s = setup.delays.steer_lag_s, actuator_tau_s(setup.vehicle)
+    if setup.values["mrac.enable"] < 0.5 or tau_s <= 0.0 or setup.settings.mrac_form == "paper":
+        return lag_s
+    return lag_with_feedback_s(setup.delays, tau_s / setup.values["mrac.t_ref_s"])
+
+
+def lag_with_feedback_s(delays: LoopDelays, command_gain: float) -> float:
+    """The lag of u = (1 - r) angle + r command around an actuator: its slow signals are (dead time + lag) / r late.
+
+    The measured angle comes one dead time late, so a gain r above 1 takes from the dead time too, and one below adds.
+    """
+    dead_s = delays.steer_dead_time_s + delays.bus_s
+    return max((dead_s + delays.steer_lag_s) / command_gain - dead_s, 0.0)
+
+
+CONTROLLER = Recipe(make, tunables_of("mrac."), loop_lag_s)

@@ -127,13 +127,8 @@ def lateral_model_constants(vehicle: VehicleConstants) -> LateralModelConstants:
 
 
 @kernel
-def fill_model(a: Any, b: Any, v: float, car: LateralModelConstants, dt_s: float, minus: Any) -> None:
-    """Fill A (16, by rows) and B (4) at a speed v > 0: Tustin for A, forward Euler for B, as Apollo does.
-
-    Args:
-        v: speed, m/s.
-        minus: a buffer of 16 that is overwritten.
-    """
+def fill_continuous(a: Any, width: int, v: float, car: LateralModelConstants) -> None:
+    """Fill the first 4 rows and columns of a matrix of `width` columns with the continuous A at a speed v > 0."""
     cf, cr, lf, lr = car.front_stiffness_n_per_rad, car.rear_stiffness_n_per_rad, car.front_axle_m, car.rear_axle_m
     mass_kg, yaw_inertia_kgm2 = car.mass_kg, car.yaw_inertia_kgm2
     total, turning, damping = cf + cr, lr * cr - lf * cf, lf * lf * cf + lr * lr * cr
@@ -141,13 +136,30 @@ def fill_model(a: Any, b: Any, v: float, car: LateralModelConstants, dt_s: float
         return
     lateral = (0.0, -total / (mass_kg * v), total / mass_kg, turning / (mass_kg * v))
     heading = (0.0, turning / (yaw_inertia_kgm2 * v), -turning / yaw_inertia_kgm2, -damping / (yaw_inertia_kgm2 * v))
-    continuous = (0.0, 1.0, 0.0, 0.0) + lateral + (0.0, 0.0, 0.0, 1.0) + heading
+    rows = ((0.0, 1.0, 0.0, 0.0), lateral, (0.0, 0.0, 0.0, 1.0), heading)
+    for i in range(4):
+        for j in range(4):
+            a[i * width + j] = rows[i][j]
+
+
+@kernel
+def fill_model(a: Any, b: Any, v: float, car: LateralModelConstants, dt_s: float, minus: Any) -> None:
+    """Fill A (16, by rows) and B (4) at a speed v > 0: Tustin for A, forward Euler for B, as Apollo does.
+
+    Args:
+        v: speed, m/s.
+        minus: a buffer of 16 that is overwritten.
+    """
+    if v <= 0.0 or car.mass_kg <= 0.0 or car.yaw_inertia_kgm2 <= 0.0:
+        return
+    fill_continuous(minus, 4, v, car)
     for i in range(16):
         identity = 1.0 if i in (0, 5, 10, 15) else 0.0
-        half = 0.5 * dt_s * continuous[i]
+        half = 0.5 * dt_s * minus[i]
         minus[i], a[i] = identity - half, identity + half
     riccati.solve(minus, a, 4, 4)
-    b[0], b[1], b[2], b[3] = 0.0, dt_s * cf / mass_kg, 0.0, dt_s * lf * cf / yaw_inertia_kgm2
+    cf, lf = car.front_stiffness_n_per_rad, car.front_axle_m
+    b[0], b[1], b[2], b[3] = 0.0, dt_s * cf / car.mass_kg, 0.0, dt_s * lf * cf / car.yaw_inertia_kgm2
 
 
 class GainBuffers(NamedTuple):
