@@ -139,6 +139,14 @@ def test_an_entry_is_found_by_its_function_and_signature(tmp_path: Path) -> None
     assert KernelCache(square, tmp_path / "kernels").load_overload("(float64,)", Context()) is None
 
 
+def test_other_compiler_options_are_another_entry(tmp_path: Path) -> None:
+    options = ({"nogil": True}, {"forceinline": True})
+    KernelCache(unit, tmp_path, options=options).save_overload("()", Result("inlined"))
+    assert KernelCache(unit, tmp_path, options=options).load_overload("()", Context()) == "inlined"
+    for other in ((), ({"nogil": True}, {}), ({"nogil": True}, {"forceinline": False})):
+        assert KernelCache(unit, tmp_path, options=other).load_overload("()", Context()) is None
+
+
 def test_the_folder_is_in_the_users_cache_or_where_the_variable_says(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -22,6 +22,11 @@ BATCH = MODE == "batch"
 JITTED = MODE == "1"
 ARRAYS = JITTED or BATCH
 
+COMPILE_OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
+# A callee that is not inlined gets every number of its params and state as an argument, some hundred words a call:
+# inlining them made a tick of the learned plant 3.4 times as fast (6.0 to 1.8 us).
+CALLEE_OPTIONS = {"no_cpython_wrapper": True, "forceinline": True}
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -66,14 +71,13 @@ def compiled(function: F) -> F:
     from numba import njit
     from numba.extending import register_jitable
 
-    options = {"nogil": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
-    called = callees(function)
-    for callee in called:
+    for callee in callees(function):
         if not callee.__dict__.get("registered"):
             callee.__dict__["registered"] = True
-            register_jitable(**options, no_cpython_wrapper=True)(callee)
-    dispatcher = njit(**options)(function)
-    setattr(dispatcher, "_cache", KernelCache(dispatcher, cache_folder()))  # noqa: B010 - numba names no such
+            register_jitable(**COMPILE_OPTIONS, **CALLEE_OPTIONS)(callee)
+    dispatcher = njit(**COMPILE_OPTIONS)(function)
+    cache = KernelCache(dispatcher, cache_folder(), options=(COMPILE_OPTIONS, CALLEE_OPTIONS))
+    setattr(dispatcher, "_cache", cache)  # noqa: B010 - numba names no such
     return cast(F, dispatcher)
 
 

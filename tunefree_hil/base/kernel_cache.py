@@ -22,7 +22,7 @@ import platform
 import signal
 import struct
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
@@ -47,17 +47,25 @@ class KernelCache:
 
     cache_path = None
 
-    def __init__(self, function: Any, folder: Path, compile_in_child: Callable[[Any], Any] | None = None) -> None:
+    def __init__(
+        self,
+        function: Any,
+        folder: Path,
+        compile_in_child: Callable[[Any], Any] | None = None,
+        options: Sequence[Mapping[str, Any]] = (),
+    ) -> None:
         """Attach a cache to a kernel.
 
         Args:
             function: the dispatcher, or the plain function.
             folder: where the entries are.
             compile_in_child: compiles for a signature; if given, a child process does the first compilation.
+            options: the compiler's, of the kernel and of those that it calls: with others it is another entry.
         """
         self._function = function
         self._folder = folder
         self._compile_in_child = compile_in_child
+        self._options = [sorted(one.items()) for one in options]
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         """The compiled overload, or None if numba has to compile it."""
@@ -118,7 +126,7 @@ class KernelCache:
         except _UndescribedValue:
             return None
         digest = hashlib.sha256()
-        for part in (_environment(), target_context.codegen().magic_tuple(), description):
+        for part in (_environment(), target_context.codegen().magic_tuple(), self._options, description):
             digest.update(repr(part).encode() + b"\0")
         return self._folder / f"{digest.hexdigest()[:40]}.kernel"
 

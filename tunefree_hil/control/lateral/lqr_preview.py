@@ -265,7 +265,7 @@ def corner(
         return state
     turn_radps = v * curvature_1pm
     stiff = (car.front_axle_m + car.rear_axle_m) * car.rear_stiffness_n_per_rad / inertia
-    damp = stiff * car.rear_axle_m / v
+    damp = stiff * car.rear_axle_m / v  # not 0: SPEED_FLOOR_MPS or more
     drive = car.front_axle_m * car.mass_kg * v / inertia
     yaw_radps = state.yaw_rate_radps + dt_s * ((drive + stiff * dt_s) * turn_radps - stiff * state.heading_rad)
     yaw_radps = yaw_radps / (1.0 + dt_s * damp + dt_s * dt_s * stiff)  # not 0: 1 and positive numbers
@@ -283,7 +283,8 @@ def feedforward_road_wheel_rad(
     if cf <= 0.0:
         return 0.0
     turning = lr * cr - lf * cf
-    force_n = car.mass_kg * v * v * curvature_1pm - (cf + cr) * ahead.heading_rad - turning / v * ahead.yaw_rate_radps
+    slip_n = turning * ahead.yaw_rate_radps / v  # not 0: SPEED_FLOOR_MPS or more
+    force_n = car.mass_kg * v * v * curvature_1pm - (cf + cr) * ahead.heading_rad - slip_n
     linear_rad = (lf + lr + params.steering.understeer_s2pm * v * v) * curvature_1pm
     return force_n / cf + steady_road_wheel_rad(params.steering, v, curvature_1pm) - linear_rad
 
