@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tunefree_hil.figures import heat, profile, style
+from tunefree_hil.figures import heat, oscillation, profile, style
 from tunefree_hil.figures.tuning import importance, slices
 from tunefree_hil.grade.table import HIGHLIGHTED, TABLE
 from tunefree_hil.tune.insight import Importance
@@ -41,6 +41,12 @@ def cuts(count: int) -> dict[str, slices.ParameterSlice]:
     return {f"group.p{i}": flagged if i == 1 else one for i in range(count)}
 
 
+def wheel(frequency_hz: float) -> oscillation.WheelPicture:
+    t = np.arange(750) * 0.04
+    swing = 29.0 * np.sin(2.0 * np.pi * frequency_hz * t)
+    return oscillation.WheelPicture("rav4: steering wheel swings 58 deg", swing + 90.0, swing, 0.04, (3.2, 14.0))
+
+
 FOUND = {f"group.p{i}": Importance(0.5 / (i + 1), 0.3 - 0.2 * i, 100) for i in range(4)}
 DRAWN: dict[str, Callable[[], Figure]] = {
     "profile": lambda: profile.draw_profile(VALUES, "all metrics of two runs"),
@@ -50,6 +56,7 @@ DRAWN: dict[str, Callable[[], Figure]] = {
     "narrow heat": lambda: heat.draw_heat(terms(3), "winner against manual"),
     "slices": lambda: slices.draw_slices(cuts(11), 0.19, 0.25, "one parameter at a time"),
     "two slices": lambda: slices.draw_slices(cuts(2), 0.19, 0.25, "one parameter at a time"),
+    "oscillation": lambda: oscillation.draw_oscillation(wheel(1.7)),
     "importance": lambda: importance.draw_importance(FOUND),
 }
 
@@ -146,3 +153,12 @@ def test_files(tmp_path: Path) -> None:
     ]
     assert sorted(tmp_path.iterdir()) == written
     assert all(path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" for path in written)
+
+
+@pytest.mark.parametrize("frequency_hz", [0.8, 1.7, 4.0])
+def test_the_spectrum_peaks_where_the_wheel_swings(frequency_hz: float) -> None:
+    picture = wheel(frequency_hz)
+    frequencies_hz, density = oscillation.amplitude_density(picture.residual_deg, picture.dt_s)
+    assert frequencies_hz[np.argmax(density)] == pytest.approx(frequency_hz, abs=0.1)
+    mean_square = float(np.sum(density**2) * (frequencies_hz[1] - frequencies_hz[0]))
+    assert mean_square == pytest.approx(0.5 * 29.0**2, rel=0.05), "its area is the signal's power"

@@ -15,7 +15,9 @@ from tunefree_hil.config.schema import ProfileSpec, ScenarioSpec, WeightsSpec
 from tunefree_hil.episode.recording import COLUMNS, Recording, make_recording
 from tunefree_hil.episode.scenario import build_course
 from tunefree_hil.grade.metrics import METRICS, MetricScales
+from tunefree_hil.grade.oscillation.report import METRIC_SIGNALS
 from tunefree_hil.grade.profile import (
+    NO_SWING,
     DriveExtras,
     MetricValue,
     combine_profiles,
@@ -34,7 +36,8 @@ HOWS: tuple[Aggregation, ...] = ("std", "peak", "share", "mean")
 # series that look over more than one row: two halves lack what happens between them
 OVER_ROWS = {"jerk_bad_sensation", "lateral_jerk_bad_sensation", "heading_acc_bad_sensation",
              "heading_jerk_bad_sensation", "pose_heading_offset_std", "pose_heading_offset_peak", "lateral_jerk_rms",
-             "steer_rate_rms", "ending_station_err", "ending_lateral_err", "ending_heading_err"}  # fmt: skip
+             "steer_rate_rms", "ending_station_err", "ending_lateral_err", "ending_heading_err",
+             *METRIC_SIGNALS}  # fmt: skip
 
 
 def course(duration_s: float = 4.0, stop: bool = False) -> Course:
@@ -191,7 +194,7 @@ def test_what_is_weighed_is_what_the_score_weighs() -> None:
         assert {name: found[name].value for name in METRICS} == graded.metrics
 
 
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize("name", [name for name in TABLE if name not in METRIC_SIGNALS])
 def test_a_missing_column_is_none_with_its_name(name: str) -> None:
     full = recording(1000, accel_mps2=np.zeros(1000))
     beside = DriveExtras(np.full(9, 0.001), "")
@@ -204,6 +207,25 @@ def test_a_missing_column_is_none_with_its_name(name: str) -> None:
             found = values(make_recording(rest, DT_S), beside=beside)[name]
             assert need in found.why or "plan" in found.why, found
         assert found.value is None and found.why
+
+
+@pytest.mark.parametrize(
+    ("name", "gone"),
+    [
+        ("oscillation_steer", ("cmd_steer_rad", "out_steer_rad")),
+        ("oscillation_accel", ("accel_mps2",)),
+        ("oscillation_throttle", ("cmd_throttle_frac",)),
+        ("oscillation_brake", ("cmd_brake_frac",)),
+        ("oscillation_speed", ("speed_mps",)),
+        ("pedal_alternation", ("cmd_brake_frac",)),
+    ],
+)
+def test_an_oscillation_without_its_signal_is_none(name: str, gone: tuple[str, ...]) -> None:
+    full = recording(1000)
+    rest = {key: column for key, column in full.columns.items() if key not in (*gone, "t_s", "tick")}
+    assert values(full)[name].value is not None
+    assert values(make_recording(rest, DT_S))[name] == MetricValue(None, 0, NO_SWING)
+    assert values(recording(250))[name] == MetricValue(None, 0, NO_SWING), "too short"
 
 
 numbers = st.lists(st.floats(-9.0, 9.0), min_size=5, max_size=30)

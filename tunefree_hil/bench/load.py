@@ -14,14 +14,18 @@ from tunefree_hil.config.check_drive import check_drive
 from tunefree_hil.config.check_vehicle import check_fields
 from tunefree_hil.config.find import available
 from tunefree_hil.config.load import load_bench, load_model, load_scenario, load_vehicle, load_weights
-from tunefree_hil.config.schema import BenchSpec, ModelSpec, ScenarioSpec, VehicleSpec, WeightsSpec
+from tunefree_hil.config.schema import BenchSpec, ModelSpec, ScenarioSpec, VehicleSpec, WeightsSpec, with_scenarios
 from tunefree_hil.episode.feasible import limits_of, require_feasible
 from tunefree_hil.episode.scenario import build_course
+from tunefree_hil.roads import search_roads, verify_roads
 
 
 @dataclass(frozen=True)
 class Bench:
-    """A bench file with everything it names, read and checked."""
+    """A bench file with everything it names, read and checked.
+
+    The names of made roads follow those of the file in `spec.scenarios` and `spec.verify_scenarios`.
+    """
 
     spec: BenchSpec
     vehicle: VehicleSpec
@@ -51,6 +55,14 @@ def load(path: Path | str) -> Bench:
     vehicle = whole_vehicle(spec.vehicle, spec.path)
     names = dict.fromkeys([*spec.scenarios, *spec.verify_scenarios])
     scenarios = {name: load_scenario(name, spec.path) for name in names}
+    if spec.roads is not None:
+        searched, verified = search_roads(vehicle, spec.roads), verify_roads(vehicle, spec.roads)
+        scenarios |= {road.name: road for road in searched + verified}
+        spec = with_scenarios(
+            spec,
+            [*spec.scenarios, *(road.name for road in searched)],
+            [*spec.verify_scenarios, *(road.name for road in verified)],
+        )
     _refuse_namesakes(spec, scenarios)
     dt_s = vehicle.tick_ms * 1e-3
     return Bench(spec, vehicle, Codec(vehicle), load_weights(spec.weights, spec.path), scenarios, dt_s)

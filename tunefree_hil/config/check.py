@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
+from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import GROUPS
 from tunefree_hil.config.fault_check import check_faults
 from tunefree_hil.config.find import nearest
@@ -14,6 +16,7 @@ from tunefree_hil.config.schema import (
     ModelSpec,
     ParameterSpec,
     ProfileSpec,
+    RoadsSpec,
     ScenarioSpec,
     WeightsSpec,
     value_of,
@@ -40,6 +43,51 @@ MOST = {"speed": 1e3, "curvature": 1e3, "grade": 1.5, "friction": 1e3}  # m/s, 1
 MOST_START = {"along_m": 1e6, "lateral_m": 1e6, "heading_rad": 1e3, "speed_mps": 1e3}
 MOST_S, MOST_M = 86_400.0, 1e6
 MOST_SEED = 65535  # EPISODE carries it in 16 bits
+
+
+class RoadSetSize(NamedTuple):
+    """How many roads a set may have."""
+
+    usual: int
+    least: int
+    most: int
+
+
+# Sets of made roads (roads/sets.py). Fewer than 1000 say little about robustness.
+ROAD_SETS = {
+    "families": RoadSetSize(20, 1, 1000),
+    "public229": RoadSetSize(229, 229, 229),
+    "robust": RoadSetSize(1000, 1000, 10_000),
+}
+MOST_ROAD_SEED = 9999  # a verification has the seeds above
+
+
+class RoadSetChoice(NamedTuple):
+    """A set of made roads and their number."""
+
+    name: str
+    count: int
+
+
+def parse_road_set(text: str) -> RoadSetChoice:
+    """NAME or NAME:COUNT, such as 'families:20'. Raises InputError for an unknown set and a count that does not fit."""
+    name, colon, number = text.partition(":")
+    size = ROAD_SETS.get(name)
+    if size is None:
+        hint = nearest(name, ROAD_SETS)
+        raise InputError(f"no set of roads {name!r}", code="unknown_road_set", key="roads", hint=hint)
+    count = int(number) if number.isascii() and number.isdigit() else -1
+    if not colon:
+        count = size.usual
+    if not size.least <= count <= size.most:
+        span = f"{size.least} to {size.most}" if size.least < size.most else f"{size.least}"
+        raise InputError(
+            f"{text!r}: {name} has {span} roads",
+            code="bad_road_count",
+            key="roads",
+            hint=f"{name}:{size.usual}, for example" if size.least < size.most else f"write {name}",
+        )
+    return RoadSetChoice(name, count)
 
 
 def check_scenario(spec: ScenarioSpec) -> Problems:
@@ -117,8 +165,10 @@ def check_weights(spec: WeightsSpec) -> Problems:
 
 def check_bench(spec: BenchSpec) -> Problems:
     """Names, boxes and counts."""
-    if not spec.scenarios:
-        yield ConfigProblem("scenarios", "it is empty", "name at least one scenario")
+    if not spec.scenarios and not (spec.roads and spec.roads.search):
+        yield ConfigProblem("scenarios", "it is empty", "name at least one scenario, or roads.search")
+    if spec.roads is not None:
+        yield from _roads(spec.roads)
     parts = (spec.controller.lateral, spec.controller.longitudinal, spec.controller.inner)
     has_own_parts = bool(spec.controller.command) or any(":" in part for part in parts)
     if spec.controller.command and not all(spec.controller.command):
@@ -132,6 +182,20 @@ def check_bench(spec: BenchSpec) -> Problems:
         )
     yield from _tune(spec, has_own_parts)
     yield from check_faults(spec.faults)
+
+
+def _roads(roads: RoadsSpec) -> Problems:
+    for key in ("search", "verify"):
+        text = getattr(roads, key)
+        try:
+            if text:
+                parse_road_set(text)
+        except InputError as error:
+            yield ConfigProblem(f"roads.{key}", error.message, error.hint)
+    if not roads.search and not roads.verify:
+        yield ConfigProblem("roads", "it names no set", 'give search = "families:20", or leave it out')
+    if not 0 <= roads.seed <= MOST_ROAD_SEED:
+        yield ConfigProblem("roads.seed", f"{roads.seed} does not fit", f"give 0 to {MOST_ROAD_SEED}")
 
 
 def is_foreign(name: str) -> bool:

@@ -45,6 +45,7 @@ __all__ = [
     "ParameterSpec",
     "PlantSpec",
     "ProfileSpec",
+    "RoadsSpec",
     "ScenarioSpec",
     "SignalSpec",
     "Spec",
@@ -57,6 +58,8 @@ __all__ = [
     "WeightsSpec",
     "value_of",
     "with_controller",
+    "with_scenarios",
+    "with_source",
 ]
 
 
@@ -236,6 +239,14 @@ class FaultSpec(Spec, frozen=True, kw_only=True):
     seed: int = 1
 
 
+class RoadsSpec(Spec, frozen=True, kw_only=True):
+    """Sets of made roads beside the named scenarios, such as 'families:20'; '' for none."""
+
+    search: str = ""
+    verify: str = ""
+    seed: int = 1
+
+
 class BenchSpec(Spec, frozen=True, kw_only=True):
     """A bench file: one run's complete description. `path` is set by load_bench."""
 
@@ -243,8 +254,9 @@ class BenchSpec(Spec, frozen=True, kw_only=True):
     vehicle: str
     model: str
     verify_model: str = ""
-    scenarios: list[str]
+    scenarios: list[str] = field(default_factory=list)
     verify_scenarios: list[str] = field(default_factory=list)
+    roads: RoadsSpec | None = None
     weights: str = "default"
     seed: int = 1
     controller: ControllerSpec = ControllerSpec()
@@ -257,6 +269,16 @@ class BenchSpec(Spec, frozen=True, kw_only=True):
 def with_controller(spec: BenchSpec, command: list[str]) -> BenchSpec:
     """The same bench with another controller program; none given: the bench's own."""
     return replace(spec, controller=replace(spec.controller, command=command)) if command else spec
+
+
+def with_scenarios(spec: BenchSpec, scenarios: list[str], verify_scenarios: list[str]) -> BenchSpec:
+    """The same bench with other scenarios."""
+    return replace(spec, scenarios=scenarios, verify_scenarios=verify_scenarios)
+
+
+def with_source(spec: ScenarioSpec, path: str, digest: str) -> ScenarioSpec:
+    """The same scenario with the path of its file and the SHA-256 of its bytes."""
+    return replace(spec, path=path, hash=digest)
 
 
 def value_of(number: Number) -> float:

@@ -24,6 +24,15 @@ from tunefree_hil.grade.metrics import (
     samples_from_recording,
 )
 from tunefree_hil.grade.original_reference import samples_against_original
+from tunefree_hil.grade.oscillation.detection import (
+    MIN_DRIVE_S,
+    SteeringResidual,
+    find_oscillations,
+    oscillation_metrics,
+    steering_residual,
+    with_references,
+)
+from tunefree_hil.grade.oscillation.report import METRIC_SIGNALS, OscillationReport
 from tunefree_hil.grade.path_projection import rear_axle_stations
 from tunefree_hil.grade.score import CONTROL_ERRORS, GradeVehicle
 from tunefree_hil.grade.signals import FormulaContext
@@ -32,6 +41,7 @@ from tunefree_hil.grade.table import FORMULAS, TABLE, Aggregation, MetricRow
 Array = np.ndarray
 
 NO_BENCH = "no bench log, so errors of the controller are not known"
+NO_SWING = f"the signal was not recorded, or for less than {MIN_DRIVE_S:g} s"
 NO_TIMES = "compute times of the controller were not recorded"
 
 
@@ -68,6 +78,9 @@ def profile_drive(
         samples = samples_from_recording(recording)
     evaluator, plan = MetricEvaluator(samples, scales), samples_from_plan(course)
     signals = _signals(recording, course, extras)
+    oscillation = find_drive_oscillations(recording, course, vehicle)
+    ratios = oscillation_metrics(oscillation, recording.columns, recording.dt_s)
+    signals |= {name: np.array([ratio]) for name, ratio in ratios.items()}
     for name, series in samples._asdict().items():  # a recorded error may have no counterpart against the path
         signals.pop(name, None)
         signals |= {} if series is None else {name: series}
@@ -86,6 +99,18 @@ def profile_drive(
             else:
                 values[name] = MetricValue(None, why="this course plans no such samples")
     return values
+
+
+def find_drive_oscillations(recording: Recording, course: Course, vehicle: GradeVehicle) -> OscillationReport:
+    """The oscillations of a drive, against the original path whatever its errors are against."""
+    columns = with_references(recording.columns, samples_against_original(recording, course, vehicle.rear_axle_m))
+    return find_oscillations(columns, recording.dt_s, rest_pedal_frac=vehicle.rest_pedal_frac)
+
+
+def find_steering_residual(recording: Recording, course: Course, vehicle: GradeVehicle) -> SteeringResidual | None:
+    """The steering wheel of a drive and what the original path does not explain of it, for a figure."""
+    columns = with_references(recording.columns, samples_against_original(recording, course, vehicle.rear_axle_m))
+    return steering_residual(columns, recording.dt_s)
 
 
 def summarise_series(row: MetricRow, series: Array) -> MetricValue:
@@ -159,4 +184,6 @@ def _why_missing(name: str, extras: DriveExtras) -> str:
         return NO_BENCH
     if name == "control_time_s":
         return NO_TIMES
+    if name in METRIC_SIGNALS:
+        return NO_SWING
     return f"no {name} in the recording"

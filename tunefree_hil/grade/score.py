@@ -8,7 +8,7 @@ ends early does not count less.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,8 @@ from tunefree_hil.grade.metrics import (
     samples_from_recording,
 )
 from tunefree_hil.grade.original_reference import samples_against_original
+from tunefree_hil.grade.oscillation.detection import find_oscillations, with_references
+from tunefree_hil.grade.oscillation.report import OscillationReport
 
 FINISHED = "finished"
 DIVERGED = "diverged"
@@ -51,6 +53,7 @@ class ScenarioGrade(NamedTuple):
     """Grade of one drive. metrics: every metric of METRICS, None where not available.
 
     outcome: 'finished', or the name of what ended the drive. dropped: weighted metrics that are None.
+    oscillation: no part of the score.
     """
 
     scenario: str
@@ -60,6 +63,13 @@ class ScenarioGrade(NamedTuple):
     outcome: str
     planned_samples: int
     dropped: tuple[str, ...] = ()
+    oscillation: OscillationReport = OscillationReport()
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data for JSON, without the oscillation."""
+        data = self._asdict()
+        del data["oscillation"]
+        return data
 
 
 def grade_vehicle_from_spec(spec: VehicleSpec) -> GradeVehicle:
@@ -121,7 +131,9 @@ def grade_drive(
     else:
         _require_complete(recording, course, scenario)
         score = min(weighted_mean(metrics, weights) + weights.replan_penalty * replans, weights.failure_score)
-    return ScenarioGrade(scenario, score, metrics, replans, outcome, course.ticks, dropped)
+    columns = with_references(recording.columns, original)
+    oscillation = find_oscillations(columns, recording.dt_s, rest_pedal_frac=vehicle.rest_pedal_frac)
+    return ScenarioGrade(scenario, score, metrics, replans, outcome, course.ticks, dropped, oscillation)
 
 
 def planned_metrics(course: Course) -> frozenset[str]:

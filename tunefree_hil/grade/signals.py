@@ -152,8 +152,8 @@ def overrun(signals: Signals, context: FormulaContext) -> Array:
     return (signals["control_time_s"] > context.scales.dt_s).astype(float)
 
 
-def flag(name: str) -> Formula:
-    """A flag signal: 1 where it is set."""
+def plain_signal(name: str) -> Formula:
+    """A signal as it is; a flag is 1 where it is set."""
     return lambda signals, context: signals[name]
 
 

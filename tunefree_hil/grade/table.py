@@ -1,4 +1,4 @@
-"""Table of all metrics by aspect: the 42 of Apollo's control profiling and two of this project.
+"""Table of all metrics by aspect: the 42 of Apollo's control profiling and eight of this project.
 
 Aggregation of a series s of N samples to a value, and combination of the values of several drives:
   std    sqrt(sum s^2 / (N - 1))     pooled: sqrt((x^2 (nx - 1) + y^2 (ny - 1)) / (nx + ny - 1))
@@ -102,6 +102,11 @@ def _pedal_row(command: str, *, harsh: bool) -> MetricRow:
     return MetricRow(EFFORT, "std", f"{command} (duty)", (command,), signals.usage(command))
 
 
+def _oscillation_row(name: str, aspect: str, signal_text: str) -> MetricRow:
+    """Row of grade/oscillation.py; its signal is one number a drive."""
+    return MetricRow(aspect, "peak", signal_text, (name,), signals.plain_signal(name), min_samples=1, ours=True)
+
+
 _GROUPS = ("station_err", "speed_err", "lateral_err", "lateral_err_rate", "heading_err", "heading_err_rate")
 _LATERAL_ACCEL = "v yaw_rate"
 
@@ -111,14 +116,14 @@ TABLE: dict[str, MetricRow] = {
     "ending_lateral_err": _ending_row("lateral_error_m", 0.5),
     "ending_heading_err": _ending_row("heading_error_rad", 0.5236),
     "replan_trajectory_count": MetricRow(
-        SAFETY, "share", "share of ticks with a re-plan", ("replan",), signals.flag("replan"), 0.5
+        SAFETY, "share", "share of ticks with a re-plan", ("replan",), signals.plain_signal("replan"), 0.5
     ),
     "control_error_code_count": MetricRow(
         SAFETY,
         "share",
         "share of ticks with a control error (code >= 1000, or no command computed)",
         ("control_error",),
-        signals.flag("control_error"),
+        signals.plain_signal("control_error"),
         0.5,
     ),
     "acc_bad_sensation": _sensation_row(signals.acceleration, 4.0, "accel_mps2", "accel_mps2"),
@@ -180,6 +185,12 @@ TABLE: dict[str, MetricRow] = {
     ),
     "lateral_jerk_rms": _series_row("lateral_jerk_rms", COMFORT, f"d/dt ({_LATERAL_ACCEL}) / 2 m/s3", ours=True),
     "steer_rate_rms": _series_row("steer_rate_rms", EFFORT, "d/dt cmd_steer_rad / limit of the rate", ours=True),
+    "oscillation_steer": _oscillation_row("oscillation_steer", COMFORT, "sustained swing of the wheel / limit"),
+    "oscillation_accel": _oscillation_row("oscillation_accel", COMFORT, "sustained swing of accel_mps2 / limit"),
+    "oscillation_speed": _oscillation_row("oscillation_speed", COMFORT, "sustained swing of speed_mps / limit"),
+    "oscillation_throttle": _oscillation_row("oscillation_throttle", EFFORT, "sustained swing of throttle / limit"),
+    "oscillation_brake": _oscillation_row("oscillation_brake", EFFORT, "sustained swing of brake / limit"),
+    "pedal_alternation": _oscillation_row("pedal_alternation", EFFORT, "throttle/brake switches a second / limit"),
 }
 
 PUBLISHED = tuple(name for name, row in TABLE.items() if not row.ours)  # the 42

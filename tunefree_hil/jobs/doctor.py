@@ -115,9 +115,16 @@ def check_bench_file(file: Path) -> list[DoctorFinding]:
     findings += _check_scenarios(spec)
     findings += _check_start(file, findings)
     if not findings:
-        count = len(spec.scenarios) + len(spec.verify_scenarios)
+        count = len(spec.scenarios) + len(spec.verify_scenarios) + _count_roads(spec)
         findings.append(DoctorFinding(OK, f"{spec.path}: {spec.vehicle}, {spec.model}, {count} scenarios", ""))
     return findings
+
+
+def _count_roads(spec: BenchSpec) -> int:
+    from tunefree_hil.config.check import parse_road_set
+
+    texts = (spec.roads.search, spec.roads.verify) if spec.roads else ()
+    return sum(parse_road_set(text).count for text in texts if text)
 
 
 def check_vehicle_of_bench(spec: BenchSpec) -> list[DoctorFinding]:

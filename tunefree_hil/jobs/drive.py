@@ -228,7 +228,7 @@ def _result(
     data: dict[str, Any] = {
         "run": str(run.path),
         "score": score,
-        "scenarios": {name: episode.grade._asdict() for name, episode in episodes.items()},
+        "scenarios": {name: episode.grade.as_data() for name, episode in episodes.items()},
         "hashes": {name: episode.hash for name, episode in episodes.items()},
         "figures": figures,
         "next": [

@@ -48,7 +48,7 @@ def user_part_hashes(bench: Bench, model: str) -> dict[str, str]:
 def resolved_toml(bench: Bench, scenarios: Iterable[ScenarioSpec] | None = None) -> str:
     """The bench file for the run folder: with defaults, and absolute paths for names that are found only beside it.
 
-    scenarios: to name instead of the file's own.
+    scenarios: to name instead of the file's own. Made roads have no file: the table `roads` makes them again.
     """
     spec, data = bench.spec, plain(bench.spec)
     data.pop("path", None)
@@ -56,10 +56,11 @@ def resolved_toml(bench: Bench, scenarios: Iterable[ScenarioSpec] | None = None)
         if data.get(key):
             data[key] = _portable_name(key.removeprefix("verify_"), data[key], bench.file)
     for key, names in (("scenarios", spec.scenarios), ("verify_scenarios", spec.verify_scenarios)):
-        data[key] = [_portable_name("scenario", name, bench.file) for name in names]
+        data[key] = [_portable_name("scenario", name, bench.file) for name in names if not _is_made(bench, name)]
     if scenarios is not None:
         named = {scenario.hash: name for name, scenario in bench.scenarios.items()}
-        data["scenarios"] = [_portable_name("scenario", named.get(one.hash, one.path), bench.file) for one in scenarios]
+        files = [named.get(one.hash, one.path) for one in scenarios if one.path]
+        data["scenarios"] = [_portable_name("scenario", name, bench.file) for name in files]
     data["controller"] |= part_names(bench)._asdict()
     if spec.controller.command:
         data["controller"]["command"] = controller_program(bench)
@@ -67,6 +68,11 @@ def resolved_toml(bench: Bench, scenarios: Iterable[ScenarioSpec] | None = None)
     if spec.controller.calibration and beside.is_file():
         data["controller"]["calibration"] = str(beside.resolve())
     return to_toml(data)
+
+
+def _is_made(bench: Bench, name: str) -> bool:
+    """Whether a scenario of the bench is a made road: it has no file."""
+    return not bench.scenarios[name].path
 
 
 def _portable_name(kind: str, name: str, near: str) -> str:

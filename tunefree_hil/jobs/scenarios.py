@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from tunefree_hil.base.course import Course
+from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 
 TICK_S = 0.01  # tick of a course without a vehicle
+MAX_DRAWN = 20  # roads in the figure of a set
 CSV_HEADER = "t_s,x_m,y_m,heading_rad,speed_mps,accel_mps2,curvature_1pm"
 
 
@@ -45,6 +47,41 @@ def export_scenarios(*, vehicle: str | None, name: str | None, folder: Path) -> 
         yield Event("line", f"{spec.name:<20}{write_reference_drive(build_course(spec, tick_s), spec.hash, folder)}")
     sentence = f"{len(specs)} reference drives in {folder}"
     yield Event("result", sentence, {"sentence": sentence, "folder": str(folder), "next": []})
+
+
+def make_roads(*, vehicle: str | None, roads: str, seed: int, folder: Path | None) -> Iterator[Event]:
+    """Make a set of roads for a vehicle: one line a road; into `folder` as scenario files, the first ones drawn.
+
+    Raises:
+        InputError: No vehicle, an unknown set, or a vehicle that no road fits.
+    """
+    from tunefree_hil.config.check import parse_road_set
+    from tunefree_hil.config.load import load_vehicle
+    from tunefree_hil.roads import road_set, write_roads
+
+    if vehicle is None:
+        raise InputError("roads are made for a vehicle", key="--vehicle", hint="--vehicle mkz_bywire, for example")
+    spec, chosen = load_vehicle(vehicle), parse_road_set(roads)
+    made = road_set(spec, chosen.name, chosen.count, seed)
+    if folder is not None:
+        made = write_roads(folder, made)
+    rows = [describe_scenario(road, spec) for road in made]
+    for row in rows:
+        yield Event("line", _short_line(row))
+    sentence = f"{len(made)} roads for {spec.name}, all within its limits"
+    data: dict[str, Any] = {"scenarios": rows, "next": []}
+    if folder is not None:
+        data["figure"] = str(_draw_roads(made[:MAX_DRAWN], spec, folder))
+        sentence += f"; written to {folder}"
+    yield Event("result", sentence, {**data, "sentence": sentence})
+
+
+def _draw_roads(roads: Sequence[Any], vehicle: Any, folder: Path) -> Path:
+    from tunefree_hil.episode.scenario import build_course
+    from tunefree_hil.figures.roads import write_roads_figure
+
+    courses = {road.name: build_course(road, vehicle.tick_ms / 1000.0) for road in roads}
+    return write_roads_figure(folder / "roads.png", courses)
 
 
 def write_reference_drive(course: Course, content_hash: str, folder: Path) -> Path:

@@ -16,6 +16,12 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.episode.recording import load_recording
 from tunefree_hil.grade.metrics import METRICS
+from tunefree_hil.grade.oscillation.report import (
+    DrivePlace,
+    OscillationFinding,
+    OscillationReport,
+    OscillationSignal,
+)
 from tunefree_hil.grade.table import PUBLISHED, TABLE
 from tunefree_hil.jobs.grade.grade import GradeOptions, grade_log
 from tunefree_hil.jobs.log.convert import convert
@@ -32,7 +38,8 @@ def episode(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _no_figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures cost more than all the rest; the tests that want them say "draws" in their names."""
     if "draws" not in request.node.name:
-        monkeypatch.setattr("tunefree_hil.jobs.grade.grade._figures", lambda *_: [])
+        for name in ("_figures", "_oscillation_figure"):
+            monkeypatch.setattr(f"tunefree_hil.jobs.grade.grade.{name}", lambda *_: [])
 
 
 def graded(log: Path, path: str, out: Path, **more: Any) -> tuple[list[Event], dict[str, Any]]:
@@ -172,3 +179,25 @@ def test_a_minute_of_a_real_car(shared_data: Path, tmp_path: Path) -> None:
     said = " ".join(event.message for event in events)
     assert "the start was found by the speed, 9.0" in said and "no lateral errors" in said
     assert data["outcome"] == "finished" and math.isfinite(data["score"]) and len(data["dropped"]) == 12
+
+
+def swinging(range_: float) -> OscillationReport:
+    one = OscillationFinding(
+        OscillationSignal.STEER_MEASURED, range_, 0.05, "rad", 1.7, 3.2, 14.0, DrivePlace.STRAIGHT, 18.0
+    )
+    return OscillationReport((one,))
+
+
+def test_an_oscillation_is_said_and_kept(episode: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = "steering wheel swings 58 deg at 1.7 Hz from 3.2 to 14.0 s, straight, at 18 m/s"
+    monkeypatch.setattr(
+        "tunefree_hil.jobs.grade.grade.find_drive_oscillations", lambda *_: swinging(math.radians(58.0))
+    )
+    events, data = graded(episode / "vehicle.log", tiny(episode), tmp_path)
+    assert data["sentence"].endswith(f"; OSCILLATES: {text}")
+    assert f"  {text}: 20 of the limit" in [event.message for event in events]
+    [plain] = json.loads((Path(data["run"]) / "grade.json").read_text())["oscillation"]
+    assert plain["signal"] == "steer_measured" and plain["ratio"] == pytest.approx(math.radians(58.0) / 0.05)
+    monkeypatch.setattr("tunefree_hil.jobs.grade.grade.find_drive_oscillations", lambda *_: swinging(0.04))
+    _, calm = graded(episode / "vehicle.log", tiny(episode), tmp_path)
+    assert "OSCILLATES" not in calm["sentence"] and calm["oscillation"]

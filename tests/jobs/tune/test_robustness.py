@@ -65,7 +65,7 @@ class Plant:
 def as_it_is(values: Mapping[str, float]) -> Evaluation:
     score = 1.0 / (1.0 + 1000.0 * values["mrac.p"])
     grades = [ScenarioGrade(name, score, {}, 0, "finished", 200) for name in SCENARIOS]
-    return Evaluation(combine_scores(grades), {one.scenario: one._asdict() for one in grades})
+    return Evaluation(combine_scores(grades), {one.scenario: one.as_data() for one in grades})
 
 
 def with_slower(bench: Bench, slower: float) -> Bench:

@@ -21,15 +21,23 @@ def scenarios(
     name: Annotated[str | None, typer.Argument(help="show this scenario in full")] = None,
     vehicle: Vehicle = None,
     export: Annotated[Path | None, typer.Option(help="write each reference trajectory as CSV into this folder")] = None,
+    roads: Annotated[str | None, typer.Option(help="make a set of roads instead: families:20, public229, ...")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="with --roads: draws the roads")] = 1,
+    out: Annotated[Path | None, typer.Option(help="with --roads: write them and a figure into this folder")] = None,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
     """List the manoeuvres.
 
     With a vehicle also whether it can drive them. With --export the reference trajectories for another controller.
+    With --roads the roads that a bench file's `roads` makes for the vehicle.
     """
 
     def job() -> Iterable[Event]:
+        if roads is not None:
+            from tunefree_hil.jobs.scenarios import make_roads
+
+            return make_roads(vehicle=vehicle, roads=roads, seed=seed, folder=out)
         if export is not None:
             from tunefree_hil.jobs.scenarios import export_scenarios as write
 

@@ -152,6 +152,7 @@ def make_plan(options: CommissionOptions) -> CommissionPlan:
     vehicle = whole_vehicle(options.vehicle)
     template = _template(options, vehicle)
     bench = load(template.path)
+    template = bench.spec  # with the made roads among its scenarios
     if not template.verify_model or not template.verify_scenarios:
         raise InputError(
             "has no verify_model with verify_scenarios: there is no vehicle to commission",

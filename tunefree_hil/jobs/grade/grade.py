@@ -6,6 +6,8 @@ from collections.abc import Generator, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load
@@ -14,7 +16,14 @@ from tunefree_hil.config.load import load_vehicle, load_weights
 from tunefree_hil.config.schema import WeightsSpec
 from tunefree_hil.episode.recording import Recording, save_recording
 from tunefree_hil.grade.align import AlignMode
-from tunefree_hil.grade.profile import DriveExtras, MetricValue, profile_drive
+from tunefree_hil.grade.oscillation.report import OscillationReport, findings_as_data, oscillation_text
+from tunefree_hil.grade.profile import (
+    DriveExtras,
+    MetricValue,
+    find_drive_oscillations,
+    find_steering_residual,
+    profile_drive,
+)
 from tunefree_hil.grade.reference import ReferencePath, read_reference
 from tunefree_hil.grade.score import (
     MAX_MISSING_TICKS,
@@ -70,17 +79,19 @@ def grade_log(log: Path, options: GradeOptions) -> Iterator[Event]:
         as_published=weighing.as_published,
         extras=extras,
     )
-    yield from (Event("line", line) for line in metric_lines(values))
+    oscillation = find_drive_oscillations(drive.recording, drive.course, car)
+    yield from (Event("line", line) for line in (*metric_lines(values), *oscillation_lines(oscillation)))
     graded, score_text = _score(drive, weighing, car, reference.name, extras)
     record = {"command": "grade", "log": str(log), "vehicle": where, "path": path, "weights": weighing.name}
     run = RunFolder.create(options.out or DEFAULT_ROOT, f"grade-{log.stem}", record)
-    data = _data(values, graded, reference, drive, weighing)
+    data = {**_data(values, graded, reference, drive, weighing), "oscillation": findings_as_data(oscillation)}
     save_recording(drive.recording, run.episode(0) / "columns.npz")
     write_json(run.path / "grade.json", {"schema": SCHEMA, **data})
     figures = _figures(run, reference.name, drive, graded, values)
+    figures += _oscillation_figure(run, reference.name, drive, car, oscillation)
     run.finish(score=data["score"])
     known = sum(values[name].value is not None for name in PUBLISHED)
-    sentence = f"{known} of {len(PUBLISHED)} metrics available; {score_text}"
+    sentence = f"{known} of {len(PUBLISHED)} metrics available; {score_text}{oscillation_note(oscillation)}"
     yield Event("result", sentence, {"sentence": sentence, "run": str(run.path), "figures": figures, **data})
 
 
@@ -141,6 +152,20 @@ def metric_lines(values: Mapping[str, MetricValue]) -> list[str]:
     return lines
 
 
+def oscillation_lines(report: OscillationReport) -> list[str]:
+    """Text of the largest sustained swing of each signal, the worst first."""
+    findings = sorted(report.findings, key=lambda finding: -finding.ratio)
+    return ["oscillation, the largest sustained swings"] + [
+        f"  {oscillation_text(finding)}: {finding.ratio:.2g} of the limit" for finding in findings
+    ]
+
+
+def oscillation_note(report: OscillationReport) -> str:
+    """The part of a sentence that says that a drive oscillates, empty where it does not."""
+    worst = report.worst
+    return f"; OSCILLATES: {oscillation_text(worst)}" if worst is not None and report.is_oscillating else ""
+
+
 def _score(
     drive: LogDrive, weights: WeightsSpec, car: GradeVehicle, name: str, extras: DriveExtras
 ) -> tuple[ScenarioGrade | None, str]:
@@ -198,3 +223,20 @@ def _figures(
     written = [write_scenario(folder / "drive.png", name, [shown])]
     written.append(write_profile(folder / "profile.png", plain, f"{name}: all metrics of one log"))
     return [str(path) for path in written]
+
+
+def _oscillation_figure(
+    run: RunFolder, name: str, drive: LogDrive, car: GradeVehicle, report: OscillationReport
+) -> list[str]:
+    """The figure of the steering wheel; none for a log without it."""
+    from tunefree_hil.figures.oscillation import WheelPicture, write_oscillation
+
+    steering = find_steering_residual(drive.recording, drive.course, car)
+    if steering is None:
+        return []
+    found = [finding for finding in report.findings if finding.signal is steering.signal]
+    text = "; ".join(oscillation_text(finding) for finding in found) or "no sustained swing of the wheel"
+    span_s = (found[0].from_s, found[0].to_s) if found else None
+    wheel_deg, residual_deg = np.degrees(steering.wheel_rad), np.degrees(steering.residual_rad)
+    picture = WheelPicture(f"{name}: {text}", wheel_deg, residual_deg, steering.dt_s, span_s)
+    return [str(write_oscillation(run.figures() / "oscillation.png", picture))]

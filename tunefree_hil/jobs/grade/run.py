@@ -9,6 +9,7 @@ from typing import Any
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_weights
+from tunefree_hil.grade.oscillation.report import METRIC_SIGNALS
 from tunefree_hil.grade.score import FINISHED
 from tunefree_hil.grade.table import PUBLISHED
 from tunefree_hil.jobs.grade.grade import GradeOptions, grade_log, metric_lines
@@ -64,12 +65,23 @@ def grade_run(text: str, *, weights: str | None) -> Iterator[Event]:
     known, failed = sum(combined[name].value is not None for name in PUBLISHED), _failed(read)
     score = "no score" if data["score"] is None else f"score {data['score']:.3f} by weights {read.weights.name!r}"
     ended = f"; not driven to the end: {', '.join(failed)}" if failed else ""
+    shaking = oscillating_drives(read)
+    ended += f"; OSCILLATES in {', '.join(shaking)}" if shaking else ""
     sentence = f"{known} of {len(PUBLISHED)} metrics available over {len(read.drives)} scenarios; {score}{ended}"
     yield Event("result", sentence, {"sentence": sentence, "run": str(folder.path), "figures": [figure], **data})
 
 
 def _failed(read: ProfiledRun) -> list[str]:
     return [name for name, drive in read.drives.items() if drive.outcome != FINISHED]
+
+
+def oscillating_drives(read: ProfiledRun) -> list[str]:
+    """Names of the scenarios in which a signal swings beyond its limit."""
+    return [
+        name
+        for name, drive in read.drives.items()
+        if any((drive.values[metric].value or 0.0) > 1.0 for metric in METRIC_SIGNALS)
+    ]
 
 
 def _scenarios(read: ProfiledRun) -> Iterator[str]:

@@ -97,7 +97,7 @@ def _summary(
 def evaluation_from_episodes(episodes: Mapping[str, EpisodeResult]) -> Evaluation:
     """Eq. 7 over the episodes, with each grade as plain data."""
     grades = [episode.grade for episode in episodes.values()]
-    scenarios = {name: {**episode.grade._asdict(), "frame_hash": episode.hash} for name, episode in episodes.items()}
+    scenarios = {name: {**episode.grade.as_data(), "frame_hash": episode.hash} for name, episode in episodes.items()}
     return Evaluation(combine_scores(grades), scenarios)
 
 

@@ -185,5 +185,5 @@ class BatchEvaluator:
                 code = ErrorCode[drive.error.upper()]
                 raise BenchError(f"{scenario.name}: {code.sentence} (tick {drive.ticks})", code=drive.error)
             grades.append(drive.grade)
-            scenarios[scenario.name] = drive.grade._asdict() | ({"frame_hash": drive.hash} if drive.hash else {})
+            scenarios[scenario.name] = drive.grade.as_data() | ({"frame_hash": drive.hash} if drive.hash else {})
         return Evaluation(combine_scores(grades), scenarios)

@@ -155,7 +155,7 @@ def _total_drives(bench: Bench, drives: Sequence[Driven]) -> DriveTotals:
     n_lost = len(drives) - len(grades)
     if n_lost:
         return DriveTotals(bench.weights.failure_score, sum(grade.replans for grade in grades), n_lost)
-    return drive_totals(combine_scores(grades), {grade.scenario: grade._asdict() for grade in grades})
+    return drive_totals(combine_scores(grades), {grade.scenario: grade.as_data() for grade in grades})
 
 
 def _nominal_totals(scored: Baseline | Trial) -> DriveTotals:

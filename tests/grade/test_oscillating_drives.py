@@ -1,0 +1,43 @@
+"""The drives of issue 44 on the reference car: every one that shakes is caught, and no calm one is."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.house import ROOT
+from tunefree_hil.bench import load
+from tunefree_hil.bench.batch import Batch, Job
+from tunefree_hil.grade.oscillation.report import OscillationReport, OscillationSignal
+from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
+
+CALM = ("as_shipped", "mrac_on")
+SHAKING = "rule_based"
+FAST_ROAD = "rav4_drive"  # straight at 13-20 m/s
+
+
+@pytest.fixture(scope="module")
+def reports() -> dict[tuple[str, str], OscillationReport]:
+    """By name of the gain set and of the scenario."""
+    bench = load(str(ROOT / "bench_configs" / "mkz_complete.toml"))
+    vectors = compute_baseline_vectors(bench)
+    keys = [(name, road) for name in (*CALM, SHAKING) for road in bench.spec.verify_scenarios]
+    with Batch(bench, bench.spec.verify_model, threads=1) as batch:
+        driven = batch.drive([Job(vectors[name], bench.scenarios[road]) for name, road in keys])
+    return {key: one.grade.oscillation for key, one in zip(keys, driven, strict=True) if one.grade is not None}
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_the_shaking_set_is_caught_and_the_calm_ones_are_not(
+    reports: dict[tuple[str, str], OscillationReport],
+) -> None:
+    assert len(reports) == 21
+    for (name, road), report in reports.items():
+        assert report.is_oscillating == (name == SHAKING), (name, road, report.worst)
+        if name == SHAKING:
+            assert report.ratio_of(OscillationSignal.ACCEL) > 4.0, road
+            assert report.ratio_of(OscillationSignal.THROTTLE) > 2.0, road
+            assert report.ratio_of(OscillationSignal.PEDAL_ALTERNATION) > 2.0, road
+    wheel = {finding.signal: finding for finding in reports[SHAKING, FAST_ROAD].findings}
+    assert wheel[OscillationSignal.STEER_MEASURED].ratio > 10.0
+    assert wheel[OscillationSignal.STEER_MEASURED].frequency_hz == pytest.approx(1.35, rel=0.05)

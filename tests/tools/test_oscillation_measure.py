@@ -1,0 +1,60 @@
+"""The independent check of the oscillation metric finds a regular swing, and neither noise nor steps."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tools.measures.oscillation import CHECKED, alternation, random_sets, strongest_swing
+from tunefree_hil.control.parameters import BY_NAME, SETS
+
+DT_S = 0.01
+WHEEL = next(row for row in CHECKED if row.column == "out_steer_rad")
+T = np.arange(3000) * DT_S
+
+
+def columns(wheel: Any, curvature: Any = 0.0) -> dict[str, Any]:
+    return {
+        "out_steer_rad": wheel,
+        "ref_speed_mps": np.full(3000, 18.0),
+        "ref_curvature_1pm": np.broadcast_to(np.asarray(curvature, dtype=float), 3000),
+    }
+
+
+@pytest.mark.parametrize("frequency_hz", [0.7, 1.4, 3.0])
+def test_a_regular_swing_is_found(frequency_hz: float) -> None:
+    swing = strongest_swing(columns(0.25 * np.sin(2.0 * math.pi * frequency_hz * T)), WHEEL, DT_S)
+    assert swing.ratio == pytest.approx(0.5 / WHEEL.limit, rel=0.1)
+    assert swing.frequency_hz == pytest.approx(frequency_hz, abs=0.1)
+
+
+def test_noise_steps_and_what_the_reference_does_are_none() -> None:
+    chance = np.random.default_rng(1)
+    assert strongest_swing(columns(chance.normal(0.0, 0.01, 3000)), WHEEL, DT_S).ratio < 0.5
+    assert strongest_swing(columns(np.where(T > 10.0, 0.5, 0.0)), WHEEL, DT_S).ratio < 0.5
+    slalom = np.sin(2.0 * math.pi * 0.8 * T)
+    assert strongest_swing(columns(0.5 * slalom, 0.01 * slalom), WHEEL, DT_S).ratio < 0.5
+
+
+def test_pedals_in_turn_are_counted() -> None:
+    throttle_on = np.floor(T) % 2.0 == 0.0
+    pedals = {
+        "cmd_throttle_frac": np.where(throttle_on, 0.45, 0.15),
+        "cmd_brake_frac": np.where(throttle_on, 0.15, 0.45),
+    }
+    swing = alternation({**pedals, "ref_accel_mps2": np.zeros(3000)}, 0.15, DT_S)
+    assert swing.ratio == pytest.approx(2.0, rel=0.05), "once a second, limit 0.5"
+    asked = np.where(throttle_on, 1.0, -1.0)
+    assert alternation({**pedals, "ref_accel_mps2": asked}, 0.15, DT_S).ratio == 0.0
+
+
+def test_sets_depend_on_the_seed_and_lie_in_the_box() -> None:
+    first, again, other = (list(random_sets(3, seed)) for seed in ("a", "a", "b"))
+    assert first == again and first != other
+    for values in first:
+        for name in SETS["complete"]:
+            low, high = BY_NAME[name].tunable.low, BY_NAME[name].tunable.high
+            assert low * (1.0 - 1e-6) <= values[name] <= high * (1.0 + 1e-6)

@@ -1,0 +1,1 @@
+"""Schemas of files that are learned and that a user may read (docs/reference/files.md)."""
