@@ -17,8 +17,9 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.episode.recording import load_recording
 from tunefree_hil.grade.metrics import METRICS
 from tunefree_hil.grade.table import PUBLISHED, TABLE
-from tunefree_hil.jobs.grade.grade import GradeOptions, grade_log
+from tunefree_hil.jobs.grade.grade import grade_log
 from tunefree_hil.jobs.log.convert import convert
+from tunefree_hil.jobs.options.records import GradeOptions
 
 
 @pytest.fixture(scope="module")
